@@ -1,1 +1,43 @@
-"""models."""
+"""The networks by name, and the one function that builds them."""
+
+from __future__ import annotations
+
+import inspect
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from lidar2pano.errors import InputError, closest
+
+if TYPE_CHECKING:
+    from torch import nn
+
+# name -> module of this package and class in it; imported on first use, so that listing the names needs no torch
+MODELS: dict[str, str] = {
+    "salsanext": "salsanext:SalsaNext",
+    "titan": "titan:Titan",
+    "titan-critic": "titan_critic:TitanCritic",
+    "titan-pano": "titan_pano:TitanPano",
+    "painter": "painter:Painter",
+    "patch-critic": "patch_critic:PatchCritic",
+}
+
+
+def network_class(name: str) -> type[nn.Module]:
+    """The class behind a name of MODELS; an unknown name raises InputError."""
+    if name not in MODELS:
+        raise InputError(f"no network {name!r}{closest(name, MODELS)}")
+    module, _, class_name = MODELS[name].partition(":")
+    return getattr(import_module(f"{__name__}.{module}"), class_name)
+
+
+def build(name: str, **settings: object) -> nn.Module:
+    """A network of MODELS with fresh weights; an unknown name or setting raises InputError.
+
+    >>> build("salsanext", classes=20)
+    """
+    made_by = network_class(name)
+    known = inspect.signature(made_by).parameters
+    for setting in settings:
+        if setting not in known:
+            raise InputError(f"network {name!r} has no setting {setting!r}{closest(setting, known)}")
+    return made_by(**settings)
