@@ -1,0 +1,59 @@
+"""TITAN-Net's generator: what the camera would see, as class scores, from a segmented LiDAR scan.
+
+Paper     Cortinhal, Kurnaz, Aksoy: Semantics-aware Multi-modal Domain Translation: From LiDAR Point Clouds to
+          Panoramic Color Images, 2021 (arXiv:2106.13974), section 3.
+Upstream  https://github.com/TiagoCortinhal/TITAN-NET, commit 5e00db9 (no licence file; its README says MIT; the
+          authors' weights were trained on SemanticKITTI, CC BY-NC-SA 4.0). Written anew here; parameter names are
+          the published ones.
+Deviates  from the published code in three points:
+          logits come out instead of softmax, as in SalsaNext;
+          the image size is a setting (the published one is the constant 376 x 1241);
+          the norms of the one-channel merges are made for one channel (the published ones say 30, which works only
+          because they have no parameters, and warns).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from lidar2pano.models.salsanext import ResBlock, Trunk
+
+
+def _merge(inputs: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(nn.Conv2d(inputs, outputs, 1), nn.LeakyReLU(0.2, inplace=True), nn.InstanceNorm2d(outputs))
+
+
+class Titan(Trunk):
+    """Logits of `classes` at the camera's `size` from a range image and its one-hot segmentation.
+
+    z          (B, channels, H, W) float: range, x, y, z, remission; normalised, zero where empty; H, W multiples of 16
+               and more than one pixel after sixteenfold reduction (the instance norm needs two).
+    condition  (B, conditions, H, W) float: one-hot SemanticKITTI classes (empty pixels are class 0).
+    out        (B, classes, *size) logits.
+    """
+
+    def __init__(
+        self, classes: int = 15, conditions: int = 20, size: Sequence[int] = (376, 1241), channels: int = 5
+    ) -> None:
+        super().__init__(32, nn.InstanceNorm2d, upper_dropout=0.0)
+        height, width = size
+        self.size = (height, width)
+        self.project_z = _merge(channels, 1)
+        self.project_cond = _merge(conditions, 1)
+        self.project_zcond = _merge(2, 32)
+        self.upsampling1 = nn.Sequential(nn.Conv2d(32, 128, 3, padding=1), nn.PixelShuffle(2))
+        self.upResBlock1 = ResBlock(32, 32, norm=nn.InstanceNorm2d)
+        self.logits = nn.Conv2d(32, classes, 1)
+
+    def raster(self, z: Tensor, condition: Tensor) -> Tensor:
+        """Logits at twice the range image's size: (B, channels, H, W) and (B, conditions, H, W) -> (B, classes, 2H, 2W)."""
+        merged = self.project_zcond(torch.cat([self.project_z(z), self.project_cond(condition)], 1))
+        return self.logits(self.upResBlock1(self.upsampling1(self.features(merged))))
+
+    def forward(self, z: Tensor, condition: Tensor) -> Tensor:
+        """(B, channels, H, W) and (B, conditions, H, W) -> (B, classes, *size) logits."""
+        return functional.interpolate(self.raster(z, condition), self.size, mode="bilinear", align_corners=True)
