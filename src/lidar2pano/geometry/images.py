@@ -1,0 +1,73 @@
+"""RangeImage and SegmentMap: what a scan looks like on a raster."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from lidar2pano.labels import LabelSet
+from lidar2pano.sensors import View
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RangeImage:
+    """A scan of N points on the raster of a view; the nearest point owns its pixel.
+
+    view      the raster (H rows, W columns).
+    channels  (5, H, W) float32: range, x, y, z in metres from the view's origin, remission; zero where not valid.
+    valid     (H, W) bool: some point fell into the pixel.
+    index     (H, W) int64: the point that owns the pixel, -1 where none does.
+    row       (N,) int64: the raster row each point falls on, outside 0 .. H-1 where it is out of view.
+    column    (N,) int64: likewise the column.
+    range_m   (N,) float32: distance of each point from the view's origin, metres; zero where not usable.
+    usable    (N,) bool: finite and not at the sensor's origin.
+    """
+
+    view: View
+    channels: Tensor
+    valid: Tensor
+    index: Tensor
+    row: Tensor
+    column: Tensor
+    range_m: Tensor
+    usable: Tensor
+
+    @property
+    def inside(self) -> Tensor:
+        """(N,) bool: usable and in view."""
+        view = self.view
+        kept = self.usable & (self.row >= 0) & (self.row < view.rows)
+        return kept & (self.column >= 0) & (self.column < view.columns)
+
+    @property
+    def dropped(self) -> int:
+        """Number of points that no raster could take: NaN, Inf, or at the sensor's origin."""
+        return int((~self.usable).sum())
+
+    def spread(self, values: Tensor, empty: int = 0) -> Tensor:
+        """Carry one value per point (N,) to the pixels (H, W) that the points own; `empty` elsewhere."""
+        image = values[self.index.clamp(min=0)]
+        return torch.where(self.valid, image, torch.as_tensor(empty, dtype=values.dtype, device=values.device))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SegmentMap:
+    """Class ids on a raster.
+
+    ids     (H, W) integer ids of `labels`.
+    labels  the set they belong to.
+    """
+
+    ids: Tensor
+    labels: LabelSet
+
+    def __post_init__(self) -> None:
+        """Refuse anything but a raster of integers (ValueError)."""
+        if self.ids.ndim != 2 or self.ids.is_floating_point():
+            raise ValueError(f"SegmentMap.ids must be (H, W) integers, got {tuple(self.ids.shape)} {self.ids.dtype}")
+
+    def translated(self, labels: LabelSet, table: Tensor) -> SegmentMap:
+        """The same map in another label set, by a look-up table (K,) from `LabelSet.table_to`."""
+        return SegmentMap(ids=table.to(self.ids.device)[self.ids.long()].to(self.ids.dtype), labels=labels)

@@ -1,0 +1,118 @@
+"""Scan -> raster and back, for spheres (the sensor's rows) and cylinders (the panorama).
+
+TITAN-Net equation 1 without its clamps: what is out of view is dropped. Angles are computed in float64, so that CPU
+and CUDA, whose float32 arc tangents differ in the last bit, put every point into the same pixel.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from lidar2pano.geometry.images import RangeImage
+from lidar2pano.scan import Scan
+from lidar2pano.sensors import View
+
+FAR_OUT = 1_000_000.0  # rows: a bound for points straight above or below, so that they fit an integer
+
+
+def project(scan: Scan, view: View, *, device: str | torch.device = "cpu") -> RangeImage:
+    """Project a scan onto a view's raster.
+
+    The nearest point owns a pixel; at equal range the first in file order. Points that are NaN or Inf or at the
+    sensor's origin are left out and counted (`RangeImage.dropped`); points out of view own no pixel.
+    """
+    xyz = torch.from_numpy(scan.xyz).to(device)
+    remission = torch.from_numpy(scan.remission).to(device)
+    return project_points(xyz, remission, view)
+
+
+def project_points(xyz: Tensor, remission: Tensor, view: View) -> RangeImage:
+    """Like `project`, for tensors on any device: xyz (N, 3) float32 metres, remission (N,) float32."""
+    usable = torch.isfinite(xyz.sum(1) + remission) & (xyz != 0).any(1)
+    x, y, z = (xyz - xyz.new_tensor(view.origin)).where(usable[:, None], xyz.new_zeros(())).unbind(1)
+    range_m = (x * x + y * y + z * z).sqrt()
+    usable = usable & (range_m > 0)
+    row, column = pixels(x, y, z, view)
+    row, column = row.floor().long(), column.floor().long()
+    if view.circular:
+        column = column.remainder(view.columns)
+    inside = usable & (row >= 0) & (row < view.rows) & (column >= 0) & (column < view.columns)
+    index, valid = _owners(row, column, range_m, inside, view)
+    point = torch.stack([range_m, x, y, z, remission])
+    filled = valid.flatten().nonzero()[:, 0]
+    channels = point.new_zeros(5, view.rows * view.columns)
+    channels[:, filled] = point[:, index.flatten()[filled]]
+    return RangeImage(
+        view=view,
+        channels=channels.view(5, view.rows, view.columns),
+        valid=valid,
+        index=index,
+        row=row,
+        column=column,
+        range_m=range_m * usable,
+        usable=usable,
+    )
+
+
+def pixels(x: Tensor, y: Tensor, z: Tensor, view: View) -> tuple[Tensor, Tensor]:
+    """Raster coordinates (row, column) float64 of directions x, y, z (any one shape), seen from the view's origin.
+
+    The pixel (i, j) covers [i, i+1) x [j, j+1): its centre is at (i + 0.5, j + 0.5). Columns that would lie left of
+    the left edge are given from the right, so that a view may cross the direction straight behind.
+    """
+    x, y, z = x.double(), y.double(), z.double()
+    turn = (math.radians(view.left) - torch.atan2(y, x)).remainder(2 * math.pi)
+    column = turn * (view.columns / math.radians(view.left - view.right))
+    horizontal = torch.hypot(x, y)
+    if view.kind == "sphere":
+        up, down = math.radians(view.up), math.radians(view.down)
+        height = torch.atan2(z, horizontal)
+    else:
+        up, down = view.up, view.down
+        height = z / horizontal.clamp(min=1e-9)
+    row = (up - height) * (view.rows / (up - down))
+    return row.clamp(-FAR_OUT, FAR_OUT), column
+
+
+def directions(view: View, *, device: str | torch.device = "cpu") -> Tensor:
+    """Unit vectors (H, W, 3) float32 from the view's origin through its pixel centres, sensor axes."""
+    column = torch.arange(view.columns, dtype=torch.float64, device=device) + 0.5
+    row = torch.arange(view.rows, dtype=torch.float64, device=device) + 0.5
+    azimuth = math.radians(view.left) - column / view.columns * math.radians(view.left - view.right)
+    height = view.up - row / view.rows * (view.up - view.down)
+    slope = torch.tan(torch.deg2rad(height)) if view.kind == "sphere" else height
+    flat = torch.stack([azimuth.cos(), azimuth.sin()]).expand(view.rows, 2, view.columns)
+    ray = torch.cat([flat, slope[:, None, None].expand(view.rows, 1, view.columns)], dim=1).movedim(1, 2)
+    return (ray / ray.norm(dim=2, keepdim=True)).float()
+
+
+def back_project(range_m: Tensor, view: View) -> Tensor:
+    """Points (H, W, 3) float32, sensor frame, metres, of a picture of ranges (H, W) measured from the view's origin.
+
+    Ranges of zero (nothing there) give NaN.
+    """
+    if range_m.shape != (view.rows, view.columns):
+        raise ValueError(f"a ({view.rows}, {view.columns}) picture of ranges is needed, got {tuple(range_m.shape)}")
+    rays = directions(view, device=range_m.device)
+    points = range_m[..., None] * rays + rays.new_tensor(view.origin)
+    return points.where(range_m[..., None] > 0, torch.nan)
+
+
+def _owners(row: Tensor, column: Tensor, range_m: Tensor, inside: Tensor, view: View) -> tuple[Tensor, Tensor]:
+    """Index (H, W) of the nearest point per pixel, and where there is one.
+
+    A float's bits order like the float when it is positive; with the point's number below them, the least key is the
+    nearest point and, at equal range, the first.
+    """
+    cells = view.rows * view.columns
+    number = torch.arange(len(row), device=row.device)
+    key = (range_m.view(torch.int32).long() << 32) | number
+    cell = torch.where(inside, row * view.columns + column, cells)  # one cell more, for what is out of view
+    least = torch.full((cells + 1,), torch.iinfo(torch.int64).max, device=row.device)
+    least.scatter_reduce_(0, cell, key, "amin")
+    least = least[:cells].view(view.rows, view.columns)
+    valid = least != torch.iinfo(torch.int64).max
+    return torch.where(valid, least & 0xFFFFFFFF, -1), valid

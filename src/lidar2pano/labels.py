@@ -1,0 +1,157 @@
+"""Label sets: what the ids mean, their colours, and tables from one set to another, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lidar2pano.errors import closest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabelSet:
+    """Names of the ids 0 .. K-1.
+
+    name      of the set, as cards write it.
+    classes   K names in the order of their ids.
+    colours   (K, 3) uint8 values, one RGB triple a class, for palette pictures.
+    raw       per class the id that files hold (SemanticKITTI), or empty when files hold the id itself.
+    folds     further raw ids -> class name (SemanticKITTI's moving classes fold into their static ones).
+    """
+
+    name: str
+    classes: tuple[str, ...]
+    colours: tuple[tuple[int, int, int], ...]
+    raw: tuple[int, ...] = ()
+    folds: Mapping[int, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse a set with a class twice or without its colour (ValueError)."""
+        if len(set(self.classes)) != len(self.classes) or len(self.colours) != len(self.classes):
+            raise ValueError(f"{self.name}: every class once, with one colour")
+        if self.raw and len(self.raw) != len(self.classes):
+            raise ValueError(f"{self.name}: every class needs its raw id")
+
+    def __len__(self) -> int:
+        """Number of classes K, the unlabeled one included."""
+        return len(self.classes)
+
+    def id_of(self, name: str) -> int:
+        """Id of a class; ValueError with the nearest name when there is none."""
+        if name not in self.classes:
+            raise ValueError(f"{self.name} has no class {name!r}" + closest(name, self.classes))
+        return self.classes.index(name)
+
+    def table_to(self, other: LabelSet, rename: Mapping[str, str]) -> np.ndarray:
+        """Look-up table (K,) uint8 of `other`'s ids; a class that `rename` and `other` do not name is an error."""
+        if lost := set(self.classes) - set(rename) - set(other.classes):
+            raise ValueError(f"{self.name} -> {other.name}: say where {sorted(lost)} go")
+        if wrong := {rename.get(c, c) for c in self.classes} - set(other.classes):
+            raise ValueError(f"{other.name} has no class {sorted(wrong)}")
+        return np.array([other.classes.index(rename.get(c, c)) for c in self.classes], dtype=np.uint8)
+
+    def from_raw(self, values: np.ndarray) -> np.ndarray:
+        """Ids (N,) int64 of a file's values; of 32 bits the low 16 are the class. Unknown values become 0."""
+        low = np.asarray(values).astype(np.int64) & 0xFFFF
+        table = np.zeros(0x10000, dtype=np.int64)
+        for index, raw in enumerate(self.raw or range(len(self))):
+            table[raw] = index
+        for raw, name in self.folds.items():
+            table[raw] = self.classes.index(name)
+        return table[low]
+
+    def to_raw(self, ids: np.ndarray) -> np.ndarray:
+        """Values (N,) uint32 that a file holds for ids; instances (the high 16 bits) are 0."""
+        table = np.array(self.raw or range(len(self)), dtype=np.uint32)
+        return table[ids]
+
+    def palette(self) -> bytes:
+        """768 bytes for a palette PNG: RGB per id, black where there is no class."""
+        return bytes(value for colour in self.colours for value in colour).ljust(768, b"\0")
+
+    def paint(self, ids: np.ndarray) -> np.ndarray:
+        """RGB picture (..., 3) uint8 of ids (...); ids outside the set are black."""
+        table = np.frombuffer(self.palette(), dtype=np.uint8).reshape(256, 3)
+        return table[ids.astype(np.uint8)]
+
+
+def unpack_label(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Split a .label file's uint32 values: (class: the low 16 bits, instance: the high 16 bits)."""
+    return values & 0xFFFF, values >> 16
+
+
+# SemanticKITTI's learning map, Behley et al. 2019 (semantic-kitti.yaml): cross-entropy order and raw ids.
+SEMANTIC_KITTI = LabelSet(
+    name="semantic-kitti",
+    classes=(
+        "unlabeled", "car", "bicycle", "motorcycle", "truck", "other-vehicle", "person", "bicyclist", "motorcyclist",
+        "road", "parking", "sidewalk", "other-ground", "building", "fence", "vegetation", "trunk", "terrain", "pole",
+        "traffic-sign",
+    ),
+    colours=(
+        (0, 0, 0), (100, 150, 245), (100, 230, 245), (30, 60, 150), (80, 30, 180), (0, 0, 250), (255, 30, 30),
+        (255, 40, 200), (150, 30, 90), (255, 0, 255), (255, 150, 255), (75, 0, 75), (175, 0, 75), (255, 200, 0),
+        (255, 120, 50), (0, 175, 0), (135, 60, 0), (150, 240, 80), (255, 240, 150), (255, 0, 0),
+    ),
+    raw=(0, 10, 11, 15, 18, 20, 30, 31, 32, 40, 44, 48, 49, 50, 51, 70, 71, 72, 80, 81),
+    folds={
+        1: "unlabeled", 13: "other-vehicle", 16: "other-vehicle", 52: "unlabeled", 60: "road", 99: "unlabeled",
+        252: "car", 253: "bicyclist", 254: "person", 255: "motorcyclist", 256: "other-vehicle", 257: "other-vehicle",
+        258: "truck", 259: "other-vehicle",
+    },
+)  # fmt: skip
+
+# Cityscapes' 19 trainIds and colours, Cordts et al. 2016 (cityscapesscripts/helpers/labels.py).
+CITYSCAPES = LabelSet(
+    name="cityscapes",
+    classes=(
+        "road", "sidewalk", "building", "wall", "fence", "pole", "traffic light", "traffic sign", "vegetation",
+        "terrain", "sky", "person", "rider", "car", "truck", "bus", "train", "motorcycle", "bicycle",
+    ),
+    colours=(
+        (128, 64, 128), (244, 35, 232), (70, 70, 70), (102, 102, 156), (190, 153, 153), (153, 153, 153),
+        (250, 170, 30), (220, 220, 0), (107, 142, 35), (152, 251, 152), (70, 130, 180), (220, 20, 60), (255, 0, 0),
+        (0, 0, 142), (0, 0, 70), (0, 60, 100), (0, 80, 100), (0, 0, 230), (119, 11, 32),
+    ),
+)  # fmt: skip
+
+# The 14 classes that both data sets have, in the order of TITAN-Net's published weights (its palette).
+COMMON14 = LabelSet(
+    name="common-14",
+    classes=(
+        "unlabeled", "car", "bicycle", "motorcycle", "truck", "other-vehicle", "person", "road", "sidewalk",
+        "building", "fence", "vegetation", "terrain", "pole", "traffic-sign",
+    ),
+    colours=(
+        (0, 0, 0), (100, 150, 245), (100, 230, 245), (30, 60, 150), (80, 30, 180), (0, 0, 250), (255, 30, 30),
+        (255, 0, 255), (75, 0, 75), (255, 200, 0), (255, 120, 50), (0, 175, 0), (150, 240, 80), (255, 240, 150),
+        (255, 0, 0),
+    ),
+)  # fmt: skip
+
+COMMON15 = LabelSet(name="common-15", classes=(*COMMON14.classes, "sky"), colours=(*COMMON14.colours, (70, 130, 180)))
+
+LABEL_SETS: dict[str, LabelSet] = {s.name: s for s in (SEMANTIC_KITTI, CITYSCAPES, COMMON14, COMMON15)}
+
+# TITAN-Net's supplement, table 4 (parking stands in its sidewalk column).
+_FROM_KITTI = {
+    "bicyclist": "person", "motorcyclist": "person", "parking": "sidewalk", "other-ground": "unlabeled",
+    "trunk": "vegetation",
+}  # fmt: skip
+# Where table 4 is silent about Cityscapes (rider .. traffic light) the choice is ours.
+_FROM_CITYSCAPES = {
+    "traffic sign": "traffic-sign", "rider": "person", "bus": "other-vehicle", "train": "other-vehicle",
+    "wall": "fence", "traffic light": "traffic-sign",
+}  # fmt: skip
+
+TABLES: dict[tuple[str, str], np.ndarray] = {
+    ("semantic-kitti", "common-14"): SEMANTIC_KITTI.table_to(COMMON14, _FROM_KITTI),
+    ("semantic-kitti", "common-15"): SEMANTIC_KITTI.table_to(COMMON15, _FROM_KITTI),
+    ("cityscapes", "common-14"): CITYSCAPES.table_to(COMMON14, _FROM_CITYSCAPES | {"sky": "unlabeled"}),
+    ("cityscapes", "common-15"): CITYSCAPES.table_to(COMMON15, _FROM_CITYSCAPES),
+    ("common-15", "common-14"): COMMON15.table_to(COMMON14, {"sky": "unlabeled"}),
+    ("common-14", "common-15"): COMMON14.table_to(COMMON15, {}),
+}
+"""Look-up tables (K,) uint8 by (from, to)."""

@@ -1,0 +1,38 @@
+"""Scan: one LiDAR sweep as its file holds it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scan:
+    """One LiDAR sweep, as its file holds it: nothing dropped, file order.
+
+    xyz        (N, 3) float32, metres; sensor frame: x forward, y left, z up.
+    remission  (N,)   float32, in [0, 1].
+    label      (N,)   int64 ids of SEMANTIC_KITTI, or None when nobody labelled it.
+    stamp      seconds since the epoch, or None.
+    name       where it came from (a file's stem), for messages and output names.
+    """
+
+    xyz: np.ndarray
+    remission: np.ndarray
+    label: np.ndarray | None = None
+    stamp: float | None = None
+    name: str = "scan"
+
+    def __post_init__(self) -> None:
+        """Refuse arrays that do not belong together (ValueError)."""
+        if self.xyz.ndim != 2 or self.xyz.shape[1] != 3:
+            raise ValueError(f"Scan.xyz must be (N, 3), got {self.xyz.shape}")
+        for name in ("remission", "label"):
+            array = getattr(self, name)
+            if array is not None and array.shape != self.xyz.shape[:1]:
+                raise ValueError(f"Scan.{name} must be ({len(self.xyz)},) like Scan.xyz, got {array.shape}")
+
+    def __len__(self) -> int:
+        """Number of points, unusable ones included."""
+        return len(self.xyz)
