@@ -41,7 +41,7 @@ class Titan(Trunk):
     ) -> None:
         super().__init__(32, nn.InstanceNorm2d, upper_dropout=0.0)
         height, width = size
-        self.size = (height, width)
+        self.size = (int(height), int(width))
         self.project_z = _merge(channels, 1)
         self.project_cond = _merge(conditions, 1)
         self.project_zcond = _merge(2, 32)
@@ -50,7 +50,7 @@ class Titan(Trunk):
         self.logits = nn.Conv2d(32, classes, 1)
 
     def raster(self, z: Tensor, condition: Tensor) -> Tensor:
-        """Logits at twice the range image's size: (B, channels, H, W) and (B, conditions, H, W) -> (B, classes, 2H, 2W)."""
+        """(B, channels, H, W) and (B, conditions, H, W) -> (B, classes, 2H, 2W) logits, before the resize."""
         merged = self.project_zcond(torch.cat([self.project_z(z), self.project_cond(condition)], 1))
         return self.logits(self.upResBlock1(self.upsampling1(self.features(merged))))
 

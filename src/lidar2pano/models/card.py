@@ -1,0 +1,217 @@
+"""Weight files: a network's tensors and a card that says what they are, in one safetensors file.
+
+The card is JSON in the file's metadata under "card". Loading is strict and executes nothing: the network comes from
+MODELS by name, every key and shape must fit, and a checksum over the tensors must agree with the card.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import get_type_hints
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save as serialise
+from torch import Tensor, nn
+
+from lidar2pano.errors import InputError, closest
+from lidar2pano.models import MODELS, build
+
+
+@dataclass(frozen=True, kw_only=True)
+class Card:
+    """What a weight file holds and where it comes from; a field of the wrong type raises InputError.
+
+    network        name in MODELS
+    settings       keyword arguments of build(network, ...)
+    labels         name of the label set that the output channels speak; None for pictures and scores
+    views          View.as_dict() of each image the network takes or gives, by its role
+    normalisation  what the input went through, e.g. {"mean": [...], "std": [...]}
+    recipe         name of the training recipe; commit of this project that ran it
+    data           what it was trained on; steps of how many batches; on which device; for how many hours
+    score          measured quality, by name, with the split it was measured on
+    licence        of the weights; upstream: address of whoever published them
+    sha256         checksum of the tensors; `save` fills it in
+    """
+
+    network: str
+    settings: dict = field(default_factory=dict)
+    labels: str | None = None
+    views: dict = field(default_factory=dict)
+    normalisation: dict = field(default_factory=dict)
+    recipe: str = ""
+    commit: str = ""
+    data: str = ""
+    steps: int = 0
+    device: str = ""
+    hours: float | int = 0.0
+    score: dict = field(default_factory=dict)
+    licence: str = ""
+    upstream: str = ""
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        """Check every field's type."""
+        for name, kind in get_type_hints(Card).items():
+            if not isinstance(value := getattr(self, name), kind):
+                raise InputError(f"the card's field {name!r} is of type {type(value).__name__}; make the file anew")
+
+    def to_json(self) -> str:
+        """The card as one JSON object; NaN and infinity raise ValueError."""
+        return json.dumps(asdict(self), allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> Card:
+        """The card in `text`; broken JSON, unknown or missing fields and wrong types raise InputError."""
+        try:
+            entries = json.loads(text, parse_constant=_refuse)
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"its card is not JSON ({error}); fetch or make the file anew") from None
+        if not isinstance(entries, dict):
+            raise InputError("its card is not a JSON object; fetch or make the file anew")
+        known = [one.name for one in fields(cls)]
+        for name in entries:
+            if name not in known:
+                raise InputError(f"its card has an unknown field {name!r}{closest(name, known)}; update lidar2pano")
+        if "network" not in entries:
+            raise InputError("its card names no network; fetch or make the file anew")
+        return cls(**entries)
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"{constant} is not a number")
+
+
+def save(path: Path | str, model: nn.Module, card: Card, dtype: torch.dtype = torch.float16) -> Card:
+    """Write `model` and `card` to `path` and return the card with its checksum.
+
+    dtype  float16 or float32 for convolution and matrix weights. Vectors (biases, norms and their statistics) stay
+           float32, and so does a weight that float16 cannot hold: they are small and some leave its range.
+    The file appears complete or not at all. A card that does not describe the model, or weights that are not finite,
+    raise ValueError.
+    """
+    path = Path(path)
+    if dtype not in (torch.float16, torch.float32):
+        raise ValueError(f"weights are stored as float16 or float32, not {dtype}")
+    tensors = {key: _stored(key, tensor, dtype) for key, tensor in model.state_dict().items()}
+    if wrong := mismatch(tensors, _blank(card)):
+        raise ValueError(f"the card's network {card.network!r} does not describe the model: {wrong}")
+    text = replace(card, sha256=_checksum(tensors)).to_json()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        beside.write_bytes(serialise(tensors, metadata={"format": "pt", "card": text}))
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+    return Card.from_json(text)
+
+
+def load(path: Path | str, device: torch.device | str = "cpu", expect: str | None = None) -> tuple[nn.Module, Card]:
+    """The network in `path`, in evaluation mode with float32 weights, and its card.
+
+    expect  name of the network that must be in the file, if the caller needs a certain one.
+    Anything wrong with the file raises InputError.
+    """
+    card, tensors = _read(path)
+    if expect is not None and card.network != expect:
+        raise InputError(f"{path} has weights of another network: {card.network!r} instead of {expect!r}")
+    try:
+        blank = _blank(card)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    if wrong := mismatch(tensors, blank):
+        raise InputError(f"{path} does not fit network {card.network!r}: {wrong}; fetch or make the file anew")
+    if card.sha256 != _checksum(tensors):
+        raise InputError(f"{path} was changed or damaged: its checksum is wrong; fetch or make the file anew")
+    model = build(card.network, **card.settings)
+    model.load_state_dict({key: _computed(tensor) for key, tensor in tensors.items()})
+    return model.to(device).eval(), card
+
+
+def read_card(path: Path | str) -> Card:
+    """The card of a weight file, without its tensors; anything wrong with file or card raises InputError."""
+    return _read(path, with_tensors=False)[0]
+
+
+def _read(path: Path | str, with_tensors: bool = True) -> tuple[Card, dict[str, Tensor]]:
+    if not Path(path).is_file():
+        raise InputError(f"no weight file {path}; check the path")
+    try:
+        with safe_open(path, "pt") as file:
+            text = (file.metadata() or {}).get("card")
+            keys = file.keys() if with_tensors else ()
+            tensors = {key: file.get_tensor(key) for key in keys}
+    except (SafetensorError, OSError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{path} is cut off or not a weight file ({reason}); fetch or make it anew") from None
+    if text is None:
+        raise InputError(f"{path} has no card, so lidar2pano did not write it; fetch or make it anew")
+    try:
+        return Card.from_json(text), tensors
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _blank(card: Card) -> dict[str, Tensor]:
+    """Keys, shapes and types that the card's network has, without memory for them; a wrong card raises InputError."""
+    if card.network not in MODELS:
+        raise InputError(f"no network {card.network!r}{closest(card.network, MODELS)}; update lidar2pano")
+    try:
+        with torch.device("meta"):  # settings are a stranger's: they must not be able to fill the memory
+            return build(card.network, **card.settings).state_dict()
+    except InputError:
+        raise
+    except (TypeError, ValueError, RuntimeError, ArithmeticError, LookupError, AttributeError) as error:
+        raise InputError(
+            f"network {card.network!r} cannot be built with settings {card.settings} ({type(error).__name__})"
+        ) from None
+
+
+def mismatch(tensors: Mapping[str, object], blank: Mapping[str, Tensor]) -> str:
+    """The first thing that keeps `tensors` from being the state of a network like `blank`; empty if all fits.
+
+    Keys and shapes must be equal; floating point may be float16 or float32, every other type must be equal.
+    """
+    if missing := sorted(blank.keys() - tensors.keys()):
+        return f"{len(missing)} tensors are missing, the first is {missing[0]!r}"
+    if extra := sorted(tensors.keys() - blank.keys()):
+        return f"{len(extra)} tensors are unexpected, the first is {extra[0]!r}"
+    for key, tensor in tensors.items():
+        if not isinstance(tensor, Tensor) or tensor.layout != torch.strided or tensor.is_meta:
+            return f"{key!r} is no plain tensor"
+        if tensor.shape != blank[key].shape:
+            return f"{key!r} has shape {list(tensor.shape)}, expected {list(blank[key].shape)}"
+        good = {torch.float16, torch.float32} if blank[key].is_floating_point() else {blank[key].dtype}
+        if tensor.dtype not in good:
+            return f"{key!r} is of type {tensor.dtype}"
+    return ""
+
+
+def _stored(key: str, tensor: Tensor, dtype: torch.dtype) -> Tensor:
+    tensor = tensor.detach().to("cpu", copy=True).contiguous()
+    if not tensor.is_floating_point():
+        return tensor
+    if not tensor.isfinite().all():
+        raise ValueError(f"{key!r} has values that are not finite; the training has diverged")
+    fits = tensor.ndim > 1 and tensor.abs().max() <= torch.finfo(dtype).max
+    return tensor.to(dtype if fits else torch.float32)
+
+
+def _computed(tensor: Tensor) -> Tensor:
+    return tensor.float() if tensor.is_floating_point() else tensor
+
+
+def _checksum(tensors: Mapping[str, Tensor]) -> str:
+    """SHA-256 over name, type, shape and bytes of every tensor, in the order of their names."""
+    digest = hashlib.sha256()
+    for key in sorted(tensors):
+        tensor = tensors[key].contiguous()
+        digest.update(f"{key} {tensor.dtype} {list(tensor.shape)}\n".encode())
+        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()

@@ -1,0 +1,169 @@
+"""The networks of TITAN-Net against recorded runs of the published code."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+from torch import Tensor, nn
+from torch.nn.functional import interpolate
+
+from golden_fill import fill, one_hot, randint, sym
+from lidar2pano.models import build
+
+# network -> file in the golden folder, gain of the fill rule, parameters; MANIFEST.md, section 2
+RECORDED = {
+    "salsanext": ("salsanext", 1.2, 6_711_572),
+    "titan": ("titan_g", 1.0, 6_765_290),
+    "titan-critic": ("titan_d", 1.4, 44_784_390),
+}
+# Absolute tolerances. MANIFEST.md gives 1e-4 for probabilities and the critic's scores, 5e-4 for titan at 64x2048.
+# It gives none for titan's logits: the instance norm on its one-channel merges amplifies rounding, and the recorded
+# float32 logits (standard deviation 1.2) are themselves 2e-4 away from a float64 run.
+TOLERANCE = {"salsanext": 1e-4, "titan": 1e-4, "titan-2048": 5e-4, "titan-critic": 1e-4, "titan-logits": 1e-3}
+
+
+def filled(network: str) -> nn.Module:
+    """`network` in evaluation mode, with the weights of the fill rule."""
+    model = build(network).eval()
+    model.load_state_dict(fill(model.state_dict(), RECORDED[network][1]))
+    return model
+
+
+def inputs(network: str, columns: int = 256) -> tuple[Tensor, ...]:
+    """What the recorded run was given."""
+    if network == "salsanext":
+        return (sym("input.x", (1, 5, 64, columns), 2),)
+    condition = one_hot(randint("input.cond", (1, 64, columns), 20), 20)
+    if network == "titan":
+        return sym("input.z", (1, 5, 64, columns), 2), condition
+    return one_hot(randint("input.a", (1, 376, 1241), 15), 15), condition
+
+
+def compared(golden: Path, network: str) -> dict[str, tuple[Tensor, Tensor]]:
+    """Our tensor and the recorded one, by what they are; the first name of each is a key of TOLERANCE."""
+    model, kept = filled(network), load_file(golden / f"{RECORDED[network][0]}.safetensors")
+    with torch.inference_mode():
+        if network == "salsanext":
+            logits = model(*inputs(network))
+            pairs = {"logits": (logits, kept["out.logits"]), "softmax": (logits.softmax(1), kept["out.output"])}
+        elif network == "titan-critic":
+            merged = model.conv1(inputs(network)[1])
+            pairs = {
+                "scores": (model(*inputs(network)), kept["out.output"]),
+                "condition": (merged, kept["out.cond_conv1"]),
+            }
+        else:
+            wide = load_file(golden / "titan_g_2048.safetensors")
+            raster, raster_2048 = model.raster(*inputs(network)), model.raster(*inputs(network, 2048))
+            pairs = {
+                "softmax": (_published_image(raster)[:, :, ::8, ::8], kept["out.prob_s8"]),
+                "z": (model.project_z(inputs(network)[0]), kept["out.project_z"]),
+                "condition": (model.project_cond(inputs(network)[1]), kept["out.project_cond"]),
+                "logits": (raster, kept["out.logits_preresize"]),
+                "2048": (_published_image(raster_2048)[:, :, ::8, ::8], wide["out.prob_s8"]),
+                "2048 logits": (raster_2048[:, :, ::4, ::8], wide["out.logits_preresize_s4"]),
+            }
+    return pairs
+
+
+def _published_image(raster: Tensor) -> Tensor:
+    return interpolate(raster, (376, 1241), mode="bilinear", align_corners=True).softmax(1)
+
+
+def tolerance(network: str, what: str) -> float:
+    """Absolute tolerance for one entry of `compared`."""
+    if network == "titan" and what != "softmax":
+        return TOLERANCE["titan-2048" if what == "2048" else "titan-logits"]
+    return TOLERANCE[network]
+
+
+def deviations(golden: Path) -> dict[str, float]:
+    """The largest absolute deviation from the recorded runs, by network and tensor."""
+    return {
+        f"{network} {what}": (ours - theirs).abs().max().item()
+        for network in RECORDED
+        for what, (ours, theirs) in compared(golden, network).items()
+    }
+
+
+@pytest.mark.parity
+@pytest.mark.parametrize("network", RECORDED)
+def test_outputs_are_the_published_ones(golden: Path, network: str) -> None:
+    for what, (ours, theirs) in compared(golden, network).items():
+        torch.testing.assert_close(
+            ours, theirs, atol=tolerance(network, what), rtol=0, msg=lambda text, w=what: w + text
+        )
+
+
+@pytest.mark.parity
+def test_titan_forward_is_the_resized_raster(golden: Path) -> None:
+    model, kept = filled("titan"), load_file(golden / "titan_g.safetensors")
+    with torch.inference_mode():
+        logits = model(*inputs("titan"))
+    assert logits.shape == (1, 15, 376, 1241)
+    torch.testing.assert_close(logits.softmax(1)[:, :, ::8, ::8], kept["out.prob_s8"], atol=1e-4, rtol=0)
+    assert (logits.argmax(1) == kept["out.argmax"]).float().mean() > 0.999
+
+
+@pytest.mark.parity
+@pytest.mark.parametrize("network", RECORDED)
+def test_keys_shapes_and_fill_are_the_published_ones(golden: Path, network: str) -> None:
+    lines = (golden / f"{RECORDED[network][0]}.keys.txt").read_text().splitlines()[2:]
+    rows = [line.split("\t") for line in lines]
+    state = filled(network).state_dict()
+    assert sorted(state) == sorted(row[0] for row in rows)
+    for key, shape, dtype, total, first in rows:
+        tensor = state[key]
+        assert (list(tensor.shape), str(tensor.dtype)) == (json.loads(shape), f"torch.{dtype}"), key
+        assert tensor.double().sum().item() == pytest.approx(float(total), abs=1e-6, rel=1e-8), key
+        assert tensor.flatten()[0].item() == pytest.approx(float(first), rel=1e-6), key
+
+
+@pytest.mark.parametrize("network", RECORDED)
+def test_parameters_are_as_many_as_published(network: str) -> None:
+    with torch.device("meta"):
+        model = build(network)
+    assert sum(parameter.numel() for parameter in model.parameters()) == RECORDED[network][2]
+
+
+@pytest.mark.parity
+@pytest.mark.parametrize("network", RECORDED)
+def test_every_layer_gives_what_the_published_one_gave(golden: Path, network: str) -> None:
+    taps = json.loads((golden / f"{RECORDED[network][0]}.taps.json").read_text())
+    model, seen = filled(network), {}
+    layers = dict(model.named_modules())
+    for name in taps:  # summed up at once, since the next activation works in place
+        layers[name].register_forward_hook(lambda _, __, out, name=name: seen.update({name: _summary(out)}))
+    with torch.inference_mode():
+        model(*inputs(network))
+    assert seen.keys() == taps.keys()
+    allowed = TOLERANCE["titan-logits" if network == "titan" else network]
+    for name, (row,) in taps.items():
+        shape, numbers = seen[name]
+        assert shape == row["shape"], name
+        theirs = [row["mean"], row["std"], *row["first"], *row["last"]]
+        np.testing.assert_allclose(numbers, theirs, atol=allowed, rtol=0, err_msg=name)
+
+
+def _summary(out: Tensor | tuple[Tensor, ...]) -> tuple[list[int], list[float]]:
+    out = out[0] if isinstance(out, tuple) else out
+    flat = out.flatten().double()
+    return list(out.shape), [flat.mean().item(), flat.std().item(), *flat[:4].tolist(), *flat[-2:].tolist()]
+
+
+def test_training_drops_the_channels_that_the_published_networks_drop() -> None:
+    with torch.device("meta"):
+        shares = {
+            network: {name: part.p for name, part in build(network).named_modules() if isinstance(part, nn.Dropout2d)}
+            for network in ("salsanext", "titan")
+        }
+    none = {"resBlock1.dropout", *(f"upBlock4.dropout{i}" for i in (1, 2, 3))}
+    assert {name for name, share in shares["salsanext"].items() if share == 0} == none
+    none |= {"upResBlock1.dropout", *(f"upBlock1.dropout{i}" for i in (1, 2, 3))}
+    assert {name for name, share in shares["titan"].items() if share == 0} == none
+    assert {share for of in shares.values() for share in of.values()} == {0, 0.2}
