@@ -48,6 +48,12 @@ class View:
         """The same directions on a coarser (factor < 1) or finer raster."""
         return replace(self, rows=round(self.rows * factor), columns=round(self.columns * factor))
 
+    def window(self, start: int, columns: int) -> View:
+        """The part of the raster that begins at column `start` and is `columns` wide: the same pixels."""
+        step = (self.left - self.right) / self.columns
+        left = self.left - start * step
+        return replace(self, columns=columns, left=left, right=left - columns * step)
+
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON; `View(**view.as_dict())` is the view again."""
         return asdict(self) | {"origin": list(self.origin)}

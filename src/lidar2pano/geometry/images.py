@@ -52,6 +52,23 @@ class RangeImage:
         return torch.where(self.valid, image, torch.as_tensor(empty, dtype=values.dtype, device=values.device))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Normalisation:
+    """Means and deviations of the five channels range, x, y, z (metres) and remission.
+
+    The defaults are those of the published weights (SqueezeSeg's numbers, as SalsaNext and TITAN-Net use them).
+    """
+
+    mean: tuple[float, ...] = (12.12, 10.88, 0.23, -1.04, 0.21)
+    deviation: tuple[float, ...] = (12.32, 11.47, 6.91, 0.86, 0.16)
+
+    def __call__(self, image: RangeImage) -> Tensor:
+        """(5, H, W) float32: normalised, then zero where empty."""
+        mean = image.channels.new_tensor(self.mean)[:, None, None]
+        deviation = image.channels.new_tensor(self.deviation)[:, None, None]
+        return (image.channels - mean) / deviation * image.valid
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SegmentMap:
     """Class ids on a raster.

@@ -7,14 +7,17 @@ neighbours are all cut off or unlabeled stays unlabeled (published: it becomes c
 
 from __future__ import annotations
 
+import sys
+
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
 from lidar2pano.geometry.images import RangeImage
 
 LABEL_BITS = 8
-NOTHING = torch.iinfo(torch.int64).max
+LAST_LABEL = (1 << LABEL_BITS) - 1
+EMPTY = 0x7F800000 << 32  # the key of an empty pixel: infinite metres, class 0
+HIGH = 1 if sys.byteorder == "little" else 0  # which half of an int64's two words is the high one
 
 
 def clean_up(
@@ -66,34 +69,45 @@ def vote(
     that its own pixel's class always votes; limits: how many neighbours, and the cut-off in metres.
     """
     neighbours, cutoff_m = limits
-    reach = len(weights) // 2
-    width = ranges.shape[1] + 2 * reach
-    ranges, ids = _padded(ranges, reach, circular, torch.inf), _padded(ids, reach, circular, 0)
-    flat_ranges, flat_ids = ranges.flatten(), ids.flatten()
-    corner = centre[0] * width + centre[1]
+    search = len(weights)
+    table = _padded(_keys(ranges, ids), search // 2, circular)
+    corner = centre[0] * table.shape[1] + centre[1]
     nearest: list[Tensor] = []
     for offset, weight in enumerate(weights.flatten().tolist()):
-        step = corner + (offset // len(weights)) * width + offset % len(weights)
-        distance = (flat_ranges[step] - range_m).abs() * weight
+        step = offset // search * table.shape[1] + offset % search
+        key = table.flatten()[step:].index_select(0, corner)
+        distance = key.view(torch.float32)[HIGH::2]  # the neighbour's range, in place
+        distance.sub_(range_m).abs_().mul_(weight)
         if offset == weights.numel() // 2:
-            distance = torch.where(own, 0.0, distance)
-        label = torch.where(distance <= cutoff_m, flat_ids[step], 0)
-        key = (distance.view(torch.int32).long() << LABEL_BITS) | label
+            distance.masked_fill_(own, 0)
         for slot, held in enumerate(nearest):
             nearest[slot], key = torch.minimum(held, key), torch.maximum(held, key)
         if len(nearest) < neighbours:
             nearest.append(key)
-    labels = [(key & ((1 << LABEL_BITS) - 1)).to(torch.int32) for key in nearest]
-    return _most_named(labels)
+    return _most_named([_class_within(key, cutoff_m) for key in nearest])
 
 
-def _padded(image: Tensor, reach: int, circular: bool, empty: float) -> Tensor:
-    image = image[None, None]
+def _keys(metres: Tensor, ids: Tensor) -> Tensor:
+    """One int64 for both: the float's bits in the high half, so that keys order by metres first, the id in the low."""
+    return (metres.contiguous().view(torch.int32).long() << 32) | ids
+
+
+def _class_within(key: Tensor, cutoff_m: float) -> Tensor:
+    """The ids (int32) of keys whose metres are within the cut-off, 0 for the others."""
+    metres, ids = key.view(torch.float32)[HIGH::2], key.view(torch.int32)[1 - HIGH :: 2]
+    return ids * (metres <= cutoff_m)
+
+
+def _padded(keys: Tensor, reach: int, circular: bool) -> Tensor:
+    """The raster with `reach` pixels more on each side: empty ones, or those from across in a circular view."""
+    rows, columns = keys.shape
+    table = keys.new_full((rows + 2 * reach, columns + 2 * reach), EMPTY)
+    inner = table[reach : reach + rows]
+    inner[:, reach : reach + columns] = keys
     if circular:
-        image = torch.cat([image[..., -reach:], image, image[..., :reach]], dim=3)
-    else:
-        image = pad(image, (reach, reach), value=empty)
-    return pad(image, (0, 0, reach, reach), value=empty)[0, 0]
+        inner[:, :reach] = keys[:, columns - reach :]
+        inner[:, reach + columns :] = keys[:, :reach]
+    return table
 
 
 def _most_named(labels: list[Tensor]) -> Tensor:
@@ -103,6 +117,6 @@ def _most_named(labels: list[Tensor]) -> Tensor:
         count = torch.zeros_like(label)
         for other in labels:
             count += other == label
-        rank = (count << LABEL_BITS) | ((1 << LABEL_BITS) - 1 - label)
-        best = torch.maximum(best, torch.where(label > 0, rank, 0))
-    return torch.where(best > 0, ((1 << LABEL_BITS) - 1) - (best & ((1 << LABEL_BITS) - 1)), 0).long()
+        rank = (count << LABEL_BITS) | (LAST_LABEL - label)
+        best = torch.maximum(best, rank * (label > 0))
+    return (LAST_LABEL - (best & LAST_LABEL)).long() * (best > 0)

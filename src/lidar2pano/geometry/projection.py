@@ -15,14 +15,16 @@ from lidar2pano.geometry.images import RangeImage
 from lidar2pano.scan import Scan
 from lidar2pano.sensors import View
 
+FULL_TURN = 2 * math.pi  # radians
 FAR_OUT = 1_000_000.0  # rows: a bound for points straight above or below, so that they fit an integer
+NOBODY = torch.iinfo(torch.int64).max  # a pixel's key where no point fell into it; its low 32 bits say -1
 
 
 def project(scan: Scan, view: View, *, device: str | torch.device = "cpu") -> RangeImage:
     """Project a scan onto a view's raster.
 
     The nearest point owns a pixel; at equal range the first in file order. Points that are NaN or Inf or at the
-    sensor's origin are left out and counted (`RangeImage.dropped`); points out of view own no pixel.
+    sensor's or the view's origin are left out and counted (`RangeImage.dropped`); points out of view own no pixel.
     """
     xyz = torch.from_numpy(scan.xyz).to(device)
     remission = torch.from_numpy(scan.remission).to(device)
@@ -31,28 +33,31 @@ def project(scan: Scan, view: View, *, device: str | torch.device = "cpu") -> Ra
 
 def project_points(xyz: Tensor, remission: Tensor, view: View) -> RangeImage:
     """Like `project`, for tensors on any device: xyz (N, 3) float32 metres, remission (N,) float32."""
-    usable = torch.isfinite(xyz.sum(1) + remission) & (xyz != 0).any(1)
-    x, y, z = (xyz - xyz.new_tensor(view.origin)).where(usable[:, None], xyz.new_zeros(())).unbind(1)
-    range_m = (x * x + y * y + z * z).sqrt()
-    usable = usable & (range_m > 0)
-    row, column = pixels(x, y, z, view)
-    row, column = row.floor().long(), column.floor().long()
+    x, y, z = (axis.contiguous() for axis in xyz.unbind(1))
+    squared = x * x + y * y + z * z
+    usable = torch.isfinite(squared + remission) & (squared > 0)
+    if any(view.origin):
+        x, y, z = x - view.origin[0], y - view.origin[1], z - view.origin[2]
+        squared = x * x + y * y + z * z
+        usable &= torch.isfinite(squared) & (squared > 0)
+    x, y, z, squared = (value.nan_to_num(0, 0, 0) for value in (x, y, z, squared))
+    range_m = squared.sqrt() * usable
+    row, column = (place.floor().long() for place in pixels(x, y, z, view))
     if view.circular:
         column = column.remainder(view.columns)
     inside = usable & (row >= 0) & (row < view.rows) & (column >= 0) & (column < view.columns)
-    index, valid = _owners(row, column, range_m, inside, view)
-    point = torch.stack([range_m, x, y, z, remission])
-    filled = valid.flatten().nonzero()[:, 0]
-    channels = point.new_zeros(5, view.rows * view.columns)
-    channels[:, filled] = point[:, index.flatten()[filled]]
+    index, owner, cell = _owners(row, column, range_m, inside, view)
+    channels = xyz.new_zeros(5, view.rows * view.columns)
+    for channel, value in zip(channels, (range_m, x, y, z, remission), strict=True):
+        channel.scatter_(0, cell, value.index_select(0, owner))
     return RangeImage(
         view=view,
         channels=channels.view(5, view.rows, view.columns),
-        valid=valid,
+        valid=index >= 0,
         index=index,
         row=row,
         column=column,
-        range_m=range_m * usable,
+        range_m=range_m,
         usable=usable,
     )
 
@@ -60,12 +65,17 @@ def project_points(xyz: Tensor, remission: Tensor, view: View) -> RangeImage:
 def pixels(x: Tensor, y: Tensor, z: Tensor, view: View) -> tuple[Tensor, Tensor]:
     """Raster coordinates (row, column) float64 of directions x, y, z (any one shape), seen from the view's origin.
 
-    The pixel (i, j) covers [i, i+1) x [j, j+1): its centre is at (i + 0.5, j + 0.5). Columns that would lie left of
-    the left edge are given from the right, so that a view may cross the direction straight behind.
+    The pixel (i, j) covers [i, i+1) x [j, j+1): its centre is at (i + 0.5, j + 0.5). What lies out of view is given
+    from the side that it is nearer to: negative columns to the left, columns >= W to the right. A view may cross the
+    direction straight behind. In a circular view column W is column 0.
     """
     x, y, z = x.double(), y.double(), z.double()
-    turn = (math.radians(view.left) - torch.atan2(y, x)).remainder(2 * math.pi)
-    column = turn * (view.columns / math.radians(view.left - view.right))
+    left, right = math.radians(view.left), math.radians(view.right)
+    turn = left - torch.atan2(y, x)
+    if left + right:  # otherwise every turn is within half a circle of the middle already
+        unseen = FULL_TURN - (left - right)
+        turn -= ((turn + unseen / 2) / FULL_TURN).floor() * FULL_TURN
+    column = turn * (view.columns / (left - right))
     horizontal = torch.hypot(x, y)
     if view.kind == "sphere":
         up, down = math.radians(view.up), math.radians(view.down)
@@ -101,8 +111,10 @@ def back_project(range_m: Tensor, view: View) -> Tensor:
     return points.where(range_m[..., None] > 0, torch.nan)
 
 
-def _owners(row: Tensor, column: Tensor, range_m: Tensor, inside: Tensor, view: View) -> tuple[Tensor, Tensor]:
-    """Index (H, W) of the nearest point per pixel, and where there is one.
+def _owners(
+    row: Tensor, column: Tensor, range_m: Tensor, inside: Tensor, view: View
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Index (H, W) of the nearest point per pixel, -1 for none; the points that own a pixel, and which (flat).
 
     A float's bits order like the float when it is positive; with the point's number below them, the least key is the
     nearest point and, at equal range, the first.
@@ -111,8 +123,8 @@ def _owners(row: Tensor, column: Tensor, range_m: Tensor, inside: Tensor, view: 
     number = torch.arange(len(row), device=row.device)
     key = (range_m.view(torch.int32).long() << 32) | number
     cell = torch.where(inside, row * view.columns + column, cells)  # one cell more, for what is out of view
-    least = torch.full((cells + 1,), torch.iinfo(torch.int64).max, device=row.device)
+    least = torch.full((cells + 1,), NOBODY, device=row.device)
     least.scatter_reduce_(0, cell, key, "amin")
-    least = least[:cells].view(view.rows, view.columns)
-    valid = least != torch.iinfo(torch.int64).max
-    return torch.where(valid, least & 0xFFFFFFFF, -1), valid
+    index = least.bitwise_left_shift_(32).bitwise_right_shift_(32)  # the low 32 bits with their sign
+    owner = ((index.index_select(0, cell) == number) & inside).nonzero()[:, 0]
+    return index[:cells].view(view.rows, view.columns), owner, cell.index_select(0, owner)

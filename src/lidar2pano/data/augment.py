@@ -1,0 +1,55 @@
+"""Augmentation of scans (the paper's, and SalsaNext's) before they are projected, and of panoramas after."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lidar2pano.scan import Scan
+
+
+def drop_points(scan: Scan, generator: np.random.Generator, share: float) -> Scan:
+    """Leave out a share of the points at random."""
+    return _subset(scan, generator.random(len(scan)) >= share)
+
+
+def drop_rings(scan: Scan, generator: np.random.Generator, steps_deg: float, share: float) -> Scan:
+    """Leave out bands of elevation of `steps_deg` degrees at random: a sensor of fewer beams."""
+    elevation = np.degrees(np.arctan2(scan.xyz[:, 2], np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])))
+    band = np.floor((elevation + 90) / steps_deg).astype(np.int64)
+    return _subset(scan, generator.random(band.max(initial=0) + 1)[band] >= share)
+
+
+def mirror(scan: Scan) -> Scan:
+    """Swap left and right: y -> -y."""
+    return replace(scan, xyz=scan.xyz * np.array([1, -1, 1], dtype=np.float32))
+
+
+def turn(scan: Scan, angle: float) -> Scan:
+    """Turn the scan about the vertical axis by `angle` radians, counter-clockwise."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    R = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]], dtype=np.float32)
+    return replace(scan, xyz=scan.xyz @ R.T)
+
+
+def shift(scan: Scan, generator: np.random.Generator, reach_m: tuple[float, float, float]) -> Scan:
+    """Move the scan by up to reach_m (x, y, z) either way."""
+    return replace(scan, xyz=scan.xyz + generator.uniform(-1, 1, 3).astype(np.float32) * np.float32(reach_m))
+
+
+def shift_azimuth(panorama: Tensor, columns: int) -> Tensor:
+    """Turn a circular picture (..., H, W) by whole columns: what leaves on the right comes back on the left."""
+    return torch.roll(panorama, columns, dims=-1)
+
+
+def mirror_azimuth(panorama: Tensor) -> Tensor:
+    """Swap left and right of a picture (..., H, W) of a view that is symmetric about straight ahead."""
+    return panorama.flip(-1)
+
+
+def _subset(scan: Scan, kept: np.ndarray) -> Scan:
+    label = None if scan.label is None else scan.label[kept]
+    return replace(scan, xyz=scan.xyz[kept], remission=scan.remission[kept], label=label)

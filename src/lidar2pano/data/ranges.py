@@ -1,0 +1,90 @@
+"""Samples for the LiDAR's segmenter: range images and the labels of the points that own their pixels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lidar2pano.data.augment import drop_points, mirror, shift, turn
+from lidar2pano.data.sequences import Draw, Frame, frames
+from lidar2pano.geometry.images import Normalisation
+from lidar2pano.geometry.projection import project
+from lidar2pano.scan import Scan
+from lidar2pano.sensors import View
+
+
+class RangeSample(NamedTuple):
+    """One range image with its labels; after collation every tensor gains a leading B.
+
+    lidar   (5, H, W) float32, normalised.
+    labels  (H, W) int64 ids of SEMANTIC_KITTI, 0 where empty or unlabeled.
+    name    "seq/frame".
+    """
+
+    lidar: Tensor
+    labels: Tensor
+    name: str
+
+
+class RangeSamples:
+    """Labelled scans of some splits, projected; augmented when drawn with a seed, plain when indexed.
+
+    columns  width of the azimuth crop for training (all of the view where 0).
+    """
+
+    def __init__(self, root: Path, splits: tuple[str, ...], view: View, columns: int = 0) -> None:
+        self.frames = [frame for split in splits for frame in frames(root, split)]
+        self.view = view
+        self.columns = columns or view.columns
+        self.normalise = Normalisation()
+        self._held: dict[int, Scan] = {}
+
+    def __len__(self) -> int:
+        """Number of scans."""
+        return len(self.frames)
+
+    def scan(self, index: int) -> Scan:
+        """Read the labelled scan of a frame, once."""
+        if index not in self._held:
+            self._held[index] = labelled(self.frames[index])
+        return self._held[index]
+
+    def __getitem__(self, draw: Draw | int) -> RangeSample:
+        """Sample: augmented by a Draw's seed, or the plain whole image for an int."""
+        if isinstance(draw, int):
+            return self._sample(self.scan(draw), self.frames[draw].name)
+        generator = np.random.default_rng(draw.seed)
+        scan = augmented(self.scan(draw.index), generator)
+        sample = self._sample(scan, self.frames[draw.index].name)
+        start = int(generator.integers(self.view.columns - self.columns + 1))
+        window = (..., slice(start, start + self.columns))
+        return sample._replace(lidar=sample.lidar[window], labels=sample.labels[window])
+
+    def _sample(self, scan: Scan, name: str) -> RangeSample:
+        image = project(scan, self.view)
+        assert scan.label is not None
+        return RangeSample(self.normalise(image), image.spread(torch.from_numpy(scan.label)), name)
+
+
+def labelled(frame: Frame) -> Scan:
+    """Read a frame's scan with its point labels."""
+    scan = frame.scan()
+    return replace(scan, label=frame.labels(len(scan)), name=frame.name)
+
+
+def augmented(scan: Scan, generator: np.random.Generator) -> Scan:
+    """SalsaNext's augmentation, each with probability 1/2: move, mirror, turn, drop up to half of the points."""
+    if generator.random() < 0.5:
+        scan = shift(scan, generator, (5.0, 3.0, 0.5))
+    if generator.random() < 0.5:
+        scan = mirror(scan)
+    if generator.random() < 0.5:
+        scan = turn(scan, generator.uniform(-np.pi, np.pi))
+    if generator.random() < 0.5:
+        scan = drop_points(scan, generator, generator.uniform(0, 0.5))
+    return scan

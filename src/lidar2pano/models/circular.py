@@ -1,0 +1,58 @@
+"""Convolutions for pictures that close in azimuth: the last column meets the first."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import pad
+
+
+def pad_circular(x: Tensor, reach: int) -> Tensor:
+    """Pad (B, C, H, W) by `reach`: columns from the other end, rows with zeros."""
+    if reach == 0:
+        return x
+    x = torch.cat([x[..., -reach:], x, x[..., :reach]], dim=3)
+    return pad(x, (0, 0, reach, reach))
+
+
+class CircularConv(nn.Conv2d):
+    """A convolution of odd kernel that pads circularly in azimuth: (B, inputs, H, W) -> (B, outputs, H/s, W/s)."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int = 3, *, stride: int = 1, dilation: int = 1) -> None:
+        super().__init__(inputs, outputs, kernel, stride=stride, dilation=dilation)
+        self.reach = dilation * (kernel // 2)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Pad, then convolve."""
+        return super().forward(pad_circular(x, self.reach))
+
+
+def conv_norm_act(inputs: int, outputs: int, kernel: int = 3, *, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+    """Circular convolution, batch norm, leaky ReLU."""
+    return nn.Sequential(
+        CircularConv(inputs, outputs, kernel, stride=stride, dilation=dilation),
+        nn.BatchNorm2d(outputs),
+        nn.LeakyReLU(0.1, inplace=True),
+    )
+
+
+class CircularResidual(nn.Module):
+    """Two 3x3 convolutions around a shortcut: (B, channels, H, W) -> the same shape."""
+
+    def __init__(self, channels: int, dilation: int = 1, dropout: float = 0.0) -> None:
+        super().__init__()
+        self.first = conv_norm_act(channels, channels, dilation=dilation)
+        self.dropout = nn.Dropout2d(dropout)
+        self.second = nn.Sequential(CircularConv(channels, channels), nn.BatchNorm2d(channels))
+        self.act = nn.LeakyReLU(0.1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """x + what the two convolutions add, activated."""
+        return self.act(x + self.second(self.dropout(self.first(x))))
+
+
+def grow_circular(x: Tensor, factor: int) -> Tensor:
+    """Enlarge (B, C, H, W) bilinearly by a whole factor; columns interpolate across the seam."""
+    closed = torch.cat([x[..., -1:], x, x[..., :1]], dim=3)
+    grown = nn.functional.interpolate(closed, scale_factor=factor, mode="bilinear", align_corners=False)
+    return grown[..., factor:-factor]

@@ -1,0 +1,70 @@
+"""Painter: from camera segments, depth and remission on the panorama raster to a colour picture.
+
+The first member of the RGB family (the paper's place for Vid2Vid): one encoder-decoder, circular in azimuth, that sees
+the segments again at every scale (after SPADE: normalisation washes them out, Park et al. 2019) and paints
+at twice the raster it reads.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import avg_pool2d
+
+from lidar2pano.errors import InputError
+from lidar2pano.models.circular import CircularConv, CircularResidual, conv_norm_act
+from lidar2pano.models.titan_pano import depth_code
+
+STRIDE = 4  # input pixels per pixel of the coarsest level
+
+
+class Painter(nn.Module):
+    """RGB from segments and geometry.
+
+    classes  of the segments (common-15: 16 with unlabeled).
+    widths   channels at 1/1, 1/2, 1/4 of the input raster.
+    blocks   residual blocks at 1/4.
+    """
+
+    def __init__(self, classes: int = 16, widths: tuple[int, int, int] = (32, 80, 144), blocks: int = 5) -> None:
+        super().__init__()
+        self.classes = classes
+        seen = classes + 4
+        fine, middle, coarse = widths
+        self.stem = conv_norm_act(seen, fine)
+        self.down1 = nn.Sequential(conv_norm_act(fine, middle, stride=2), CircularResidual(middle))
+        self.down2 = conv_norm_act(middle, coarse, stride=2)
+        self.trunk = nn.ModuleList([CircularResidual(coarse, dilation=(1, 2, 4)[i % 3]) for i in range(blocks)])
+        self.up1 = nn.Sequential(conv_norm_act(coarse + seen, 4 * middle, 1), nn.PixelShuffle(2))
+        self.mix1 = nn.Sequential(conv_norm_act(2 * middle + seen, middle), CircularResidual(middle))
+        self.up0 = nn.Sequential(conv_norm_act(middle, 4 * fine, 1), nn.PixelShuffle(2))
+        self.mix0 = nn.Sequential(conv_norm_act(2 * fine + seen, fine), conv_norm_act(fine, fine))
+        self.colour = nn.Sequential(CircularConv(fine, 12), nn.PixelShuffle(2))
+
+    def forward(self, segments: Tensor, depth_m: Tensor, image: Tensor) -> Tensor:
+        """Paint.
+
+        segments  (B, classes, H, W): probabilities or one-hot.
+        depth_m   (B, H, W): metres, everywhere.
+        image     (B, 5, H, W): a RangeImage's channels, of which remission and validity are used.
+        Returns (B, 3, 2H, 2W) in [-1, 1]. Raises InputError unless H and W are multiples of 4.
+        """
+        if segments.shape[-2] % STRIDE or segments.shape[-1] % STRIDE:
+            raise InputError(f"segments of {tuple(segments.shape[-2:])} pixels: rows, columns must divide by {STRIDE}")
+        seen = self._seen(segments, depth_m, image)
+        seen2, seen4 = avg_pool2d(seen, 2), avg_pool2d(seen, 4)
+        fine = self.stem(seen)
+        middle = self.down1(fine)
+        x = self.down2(middle)
+        for block in self.trunk:
+            x = block(x)
+        x = self.mix1(torch.cat([self.up1(torch.cat([x, seen4], 1)), middle, seen2], 1))
+        x = self.mix0(torch.cat([self.up0(x), fine, seen], 1))
+        return torch.tanh(self.colour(x))
+
+    @staticmethod
+    def _seen(segments: Tensor, depth_m: Tensor, image: Tensor) -> Tensor:
+        valid = (image[:, 0] > 0).to(segments.dtype)
+        row = torch.linspace(1, -1, segments.shape[2], device=segments.device, dtype=segments.dtype)
+        extra = [depth_code(depth_m).to(segments.dtype), image[:, 4].to(segments.dtype), valid]
+        return torch.cat([segments, torch.stack([*extra, row[None, :, None].expand_as(valid)], 1)], 1)

@@ -1,0 +1,169 @@
+"""What one sees of a run: a line of progress, curves and pictures. Only the first process shows anything."""
+
+from __future__ import annotations
+
+import logging
+import math
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from PIL import Image
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+from torch import Tensor
+
+log = logging.getLogger(__name__)
+SHOW_EVERY_S = 1.0  # the bar
+LOG_EVERY_S = 20.0  # a line in the log, where there is no terminal
+
+
+class Meter:
+    """Means of losses since they were last read; sums stay on the device so that no step waits for them."""
+
+    def __init__(self) -> None:
+        self.sums: dict[str, Tensor | float] = {}
+        self.counts: dict[str, int] = {}
+
+    def add(self, values: Mapping[str, Tensor | float]) -> None:
+        """Count one step's values."""
+        for name, value in values.items():
+            number = value.detach() if isinstance(value, Tensor) else value
+            self.sums[name] = self.sums.get(name, 0.0) + number
+            self.counts[name] = self.counts.get(name, 0) + 1
+
+    def read(self) -> dict[str, float]:
+        """Means by name; the count starts anew. A NaN among the values is a NaN here."""
+        means = {name: float(total) / self.counts[name] for name, total in self.sums.items()}
+        self.sums, self.counts = {}, {}
+        return means
+
+
+class Monitor(Protocol):
+    """What the loop tells whoever watches."""
+
+    def step(self, step: int, progress: float, values: Mapping[str, float] | None) -> None:
+        """Step `step` is done, `progress` (0 to 1) of the run; `values` when somebody has read them."""
+        ...
+
+    def scores(self, step: int, scores: Mapping[str, float]) -> None:
+        """A validation's result."""
+        ...
+
+    def pictures(self, step: int, pictures: Mapping[str, np.ndarray]) -> None:
+        """Previews, name -> (H, W, 3) uint8."""
+        ...
+
+    def wants(self) -> bool:
+        """Whether somebody wants to see the losses now."""
+        ...
+
+    def close(self) -> None:
+        """The run is over or paused."""
+        ...
+
+
+class Silent:
+    """The monitor that shows nothing: every process but the first has it."""
+
+    def step(self, step: int, progress: float, values: Mapping[str, float] | None) -> None:
+        """Show nothing."""
+
+    def scores(self, step: int, scores: Mapping[str, float]) -> None:
+        """Show nothing."""
+
+    def pictures(self, step: int, pictures: Mapping[str, np.ndarray]) -> None:
+        """Show nothing."""
+
+    def wants(self) -> bool:
+        """Nobody does."""
+        return False
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+class Screen:
+    """A bar on a terminal or lines in the log, TensorBoard curves in RUN/tensorboard, pictures in RUN/preview."""
+
+    def __init__(self, run: Path, name: str, steps: int, step: int) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
+        self.run, self.name, self.steps = run, name, steps
+        self.curves = SummaryWriter(str(run / "tensorboard"), purge_step=step)
+        self.first: tuple[int, float, float] | None = None
+        self.shown = time.monotonic()
+        self.bar: Progress | None = None
+        if sys.stderr.isatty():
+            columns = (TextColumn("{task.description}"), BarColumn(bar_width=20), TextColumn("{task.fields[state]}"))
+            self.bar = Progress(*columns, console=Console(file=sys.stderr), transient=False)
+            self.line = self.bar.add_task(name, total=1.0, state="")
+            self.bar.start()
+
+    def wants(self) -> bool:
+        """Whether it is time for a new line."""
+        return time.monotonic() - self.shown >= (SHOW_EVERY_S if self.bar else LOG_EVERY_S)
+
+    def step(self, step: int, progress: float, values: Mapping[str, float] | None) -> None:
+        """Renew the line and the curves."""
+        now = time.monotonic()
+        if self.first is None:  # the first step of a sitting warms up: it does not count
+            self.first = (step, progress, now)
+        if values is None:
+            return
+        self.shown = now
+        state = f"{step}/{self.steps}  {_spoken(values)}  {self._pace(step, progress, now)}"
+        if self.bar:
+            self.bar.update(self.line, completed=min(progress, 1.0), state=state)
+        else:
+            log.info("%s %s", self.name, state)
+        for name, value in values.items():
+            self.curves.add_scalar(name, value, step)
+
+    def _pace(self, step: int, progress: float, now: float) -> str:
+        since, behind, began = self.first or (step, progress, now)
+        if step == since or progress <= behind:
+            return ""
+        left = (1 - min(progress, 1.0)) * (now - began) / (progress - behind)
+        return f"{(now - began) / (step - since):.2f} s/step  {_clock(left)} left"
+
+    def scores(self, step: int, scores: Mapping[str, float]) -> None:
+        """Curves under "val/" and a line in the log."""
+        for name, value in scores.items():
+            self.curves.add_scalar(f"val/{name}", value, step)
+        log.info("%s step %d validation: %s", self.name, step, _spoken(scores))
+
+    def pictures(self, step: int, pictures: Mapping[str, np.ndarray]) -> None:
+        """RUN/preview/<step>-<name>.png, and the same in TensorBoard."""
+        folder = self.run / "preview"
+        folder.mkdir(exist_ok=True)
+        for name, picture in pictures.items():
+            path = folder / f"{step:07d}-{name}.png"
+            Image.fromarray(picture).save(beside := path.with_suffix(".part"), format="png")
+            beside.replace(path)
+            self.curves.add_image(name, picture, step, dataformats="HWC")
+
+    def close(self) -> None:
+        """Leave the bar as it stands and write what is still open."""
+        if self.bar:
+            self.bar.stop()
+        self.curves.close()
+
+
+def _spoken(values: Mapping[str, float]) -> str:
+    return "  ".join(f"{name} {value:.4g}" for name, value in values.items())
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
+
+
+def check_finite(values: Mapping[str, float], step: int) -> None:
+    """Raise FloatingPointError when a loss is not a number, before a checkpoint would keep the damage."""
+    wrong = [name for name, value in values.items() if not math.isfinite(value)]
+    if wrong:
+        raise FloatingPointError(f"{', '.join(wrong)} is not finite near step {step}; the last checkpoint is sound")

@@ -1,0 +1,89 @@
+"""Optimisers, learning rates over a run, and averaged weights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+
+import torch
+from torch import Tensor, nn
+
+from lidar2pano.train.recipes import Optimizer
+
+KINDS: dict[str, type[torch.optim.Optimizer]] = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}
+
+
+def make_optimizer(settings: Optimizer, network: nn.Module) -> torch.optim.Optimizer:
+    """The optimiser of a network's trainable weights."""
+    weights = [weight for weight in network.parameters() if weight.requires_grad]
+    return KINDS[settings.kind](
+        weights, lr=settings.rate, betas=tuple(settings.betas), weight_decay=settings.weight_decay
+    )
+
+
+def learning_rate(settings: Optimizer, step: int, progress: float) -> float:
+    """The rate of step `step` (from 0), when `progress` (0 to 1) of the run lies behind."""
+    rate = settings.rate * min(1.0, (step + 1) / max(settings.warmup, 1))
+    return rate * (1 + math.cos(math.pi * min(progress, 1.0))) / 2 if settings.schedule == "cosine" else rate
+
+
+class Average:
+    """Exponential moving average of a network's weights; its other state (norm statistics) is copied as it is.
+
+    The decay of step s is min(decay, (1 + s) / (10 + s)), so that the fresh weights are soon forgotten.
+    """
+
+    def __init__(self, network: nn.Module, decay: float) -> None:
+        self.network, self.decay = network, decay
+        self.state = {name: value.detach().clone() for name, value in network.state_dict().items()}
+        moving = {name for name, _ in network.named_parameters()}
+        self.moving = [name for name in self.state if name in moving]
+        self.copied = [name for name in self.state if name not in moving]
+
+    @torch.no_grad()
+    def update(self, step: int) -> None:
+        """Take the weights after step `step` (from 0) in."""
+        now = self.network.state_dict()
+        weight = 1 - min(self.decay, (1 + step) / (10 + step))
+        torch._foreach_lerp_([self.state[name] for name in self.moving], [now[name] for name in self.moving], weight)
+        for name in self.copied:
+            self.state[name].copy_(now[name])
+
+    def load(self, state: Mapping[str, Tensor]) -> None:
+        """Go on from a saved `state`."""
+        for name, value in self.state.items():
+            value.copy_(state[name])
+
+    @torch.no_grad()
+    def swap(self) -> None:
+        """Exchange the network's weights with the average; twice is as if never."""
+        for name, value in self.network.state_dict().items():
+            kept = value.clone()
+            value.copy_(self.state[name])
+            self.state[name].copy_(kept)
+
+
+@contextmanager
+def averaged(networks: Iterable[nn.Module], averages: Iterable[Average]) -> Iterator[None]:
+    """Inside, the networks carry their averages, are in evaluation mode and record no gradients."""
+    networks, averages = list(networks), list(averages)
+    modes = [(part, part.training) for network in networks for part in network.modules()]
+    for average in averages:
+        average.swap()
+    for network in networks:
+        network.eval()
+    try:
+        with torch.no_grad():
+            yield
+    finally:
+        for part, mode in modes:
+            part.training = mode
+        for average in averages:
+            average.swap()
+
+
+def clip(weights: Iterable[Tensor], largest: float) -> None:
+    """Shorten the gradient of `weights` to the norm `largest`; 0 leaves it alone."""
+    if largest > 0:
+        torch.nn.utils.clip_grad_norm_(list(weights), largest)

@@ -1,0 +1,137 @@
+"""Task: the painter on the camera's pictures, in panorama coordinates, against a patch critic."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, interpolate, l1_loss, one_hot
+
+from lidar2pano.data.panoramas import PanoramaSample, PanoramaSamples
+from lidar2pano.data.sequences import UNSURE
+from lidar2pano.errors import InputError
+from lidar2pano.labels import COMMON15
+from lidar2pano.losses import feature_matching, hinge_critic, hinge_generator
+from lidar2pano.models.card import load
+from lidar2pano.models.precision import fast_arithmetic
+from lidar2pano.models.segmenter import Segmenter
+from lidar2pano.models.titan_pano import depth_code
+from lidar2pano.sensors import VIEWS
+from lidar2pano.train.panorama import conditions
+from lidar2pano.train.recipes import Recipe
+from lidar2pano.train.task import build_networks
+
+BROAD = 4  # pixels: colours are compared as means over squares of this size
+
+
+class Painting:
+    """Trains a painter: hinge loss, feature matching, and the distance of broad colours and of pixels.
+
+    Options: columns and jitter, crop and how far it moves, on the translator's raster; translator and segmenter,
+    weight files that make the segments and depths to paint (half of the draws take the camera teacher's segments where
+    it is sure); features, broad, pixels: weights of those losses.
+    """
+
+    released = ("painter",)
+
+    def __init__(self, recipe: Recipe, root: Path) -> None:
+        self.view = VIEWS[recipe.view].scaled(recipe.scale)
+        option = recipe.options
+        if not option["translator"] or not option["segmenter"]:
+            raise InputError(f"recipe {recipe.name!r} needs --set options.translator=FILE and options.segmenter=FILE")
+        columns, jitter = int(option["columns"]), int(option["jitter"])
+        self.dataset = PanoramaSamples(root, recipe.data.train, self.view, columns, colour=True, jitter=jitter)
+        self.validation = PanoramaSamples(root, recipe.data.val, self.view, columns + 2 * jitter, colour=True, jitter=0)
+        self.networks = build_networks(recipe)
+        self.translator, _ = load(str(option["translator"]), expect="titan-pano")
+        segmenter = Segmenter.from_card(*load(str(option["segmenter"]), expect="salsanext"))
+        for samples in (self.dataset, self.validation):
+            samples.predict(segmenter.points)
+        self.features, self.broad, self.pixels = (float(option[name]) for name in ("features", "broad", "pixels"))
+        self.logs: dict[str, float | Tensor] = {}
+
+    def updates(self, batch: PanoramaSample) -> Iterator[tuple[str, Tensor]]:
+        """The critic, then the painter."""
+        segments, depth_m = self.scene(batch, trust=torch.rand(len(batch.camera)) < 0.5)
+        fake = self.networks["painter"](segments, depth_m, batch.image).float()
+        seen = batch.seen[:, None].float()
+        told = torch.cat([segments, depth_code(depth_m)[:, None]], 1)
+        told = interpolate(told, scale_factor=2.0, mode="nearest")
+        real = torch.cat([batch.colour * seen, told], 1)
+        shown = torch.cat([fake * seen, told], 1)
+        on_real, on_fake = (self.networks["critic"](picture) for picture in (real, shown.detach()))
+        yield (
+            "critic",
+            _mean([hinge_critic(r[-1].float(), f[-1].float()) for r, f in zip(on_real, on_fake, strict=True)]),
+        )
+        with torch.no_grad():
+            on_real = self.networks["critic"](real)
+        on_fake = self.networks["critic"](shown)
+        adversarial = _mean([hinge_generator(f[-1].float()) for f in on_fake])
+        features = _mean(
+            [
+                feature_matching([x.float() for x in r[:-1]], [x.float() for x in f[:-1]])
+                for r, f in zip(on_real, on_fake, strict=True)
+            ]
+        )
+        broad = l1_loss(avg_pool2d(fake * seen, BROAD), avg_pool2d(batch.colour * seen, BROAD))
+        pixels = l1_loss(fake * seen, batch.colour * seen)
+        self.logs = {"adversarial": adversarial.detach(), "features": features.detach(), "broad": broad.detach()}
+        yield "painter", adversarial + self.features * features + self.broad * broad + self.pixels * pixels
+
+    @torch.no_grad()
+    def scene(self, batch: PanoramaSample, trust: Tensor) -> tuple[Tensor, Tensor]:
+        """What is to be painted: segments (B, 16, H, W), probabilities, and depths (B, H, W) in metres.
+
+        trust  (B,) bool: samples whose segments are the camera teacher's, where it is sure.
+        """
+        device = batch.image.device
+        self.translator.to(device)
+        with fast_arithmetic(device):
+            logits, depth_m = self.translator(batch.image, conditions(batch.segments))
+        segments = logits.float().softmax(1)
+        sure = (batch.camera != UNSURE) & trust.to(device)[:, None, None]
+        teacher = one_hot(batch.camera.where(sure, 0), len(COMMON15)).movedim(-1, 1).float()
+        return torch.where(sure[:, None], teacher, segments), depth_m
+
+    def paint(self, index: int) -> tuple[Tensor, PanoramaSample]:
+        """A validation frame's sector, painted from the scan alone: (3, 2H, 2W) in [-1, 1]; and the sample."""
+        network = self.networks["painter"]
+        device = next(network.parameters()).device
+        sample = self.validation[index]
+        one = PanoramaSample(*(part[None].to(device) if isinstance(part, Tensor) else part for part in sample))
+        segments, depth_m = self.scene(one, trust=torch.zeros(1, dtype=torch.bool))
+        with torch.inference_mode(), fast_arithmetic(device):
+            return network(segments, depth_m, one.image)[0].float().cpu(), sample
+
+    def validate(self) -> dict[str, float]:
+        """Mean distance of broad colours in [0, 1] over the camera's sector; the score is its negative."""
+        distances = []
+        for index in range(len(self.validation)):
+            fake, sample = self.paint(index)
+            seen = sample.seen.float()
+            gap = avg_pool2d((fake - sample.colour) * seen, BROAD).abs().mean() / seen.mean() / 2
+            distances.append(gap.item())
+        distance = float(np.mean(distances))
+        return {"score": -distance, "broad_colour": distance}
+
+    def preview(self) -> dict[str, np.ndarray]:
+        """Camera above painter, for three validation frames, (H, W, 3) uint8."""
+        rows = []
+        for index in range(min(3, len(self.validation))):
+            fake, sample = self.paint(index)
+            rows += [sample.colour * sample.seen, fake]
+        pictures = torch.cat(rows, 1).movedim(0, 2)
+        return {"picture": ((pictures + 1) * 127.5).round().clamp(0, 255).to(torch.uint8).numpy()}
+
+    def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
+        """What a user of the painter has to know: the label set it reads and the raster it reads it on."""
+        return {"labels": None, "views": {"panorama": self.view.as_dict()}}
+
+
+def _mean(losses: list[Tensor]) -> Tensor:
+    return torch.stack(losses).mean()

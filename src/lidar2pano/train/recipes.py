@@ -1,0 +1,320 @@
+"""Recipes: everything that decides what a training run does, as frozen dataclasses made by one function each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from lidar2pano.errors import InputError, closest
+
+Value = bool | int | float | str | tuple
+SWITCH = {"true": True, "false": False}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optimizer:
+    """How one network's weights move.
+
+    schedule  "constant", or "cosine": half a cosine from `rate` to zero over the run.
+    warmup    steps over which the rate rises from zero.
+    clip      largest norm of a step's gradient; 0 leaves it alone.
+    """
+
+    kind: Literal["adam", "adamw"] = "adamw"
+    rate: float = 1e-3
+    betas: tuple[float, float] = (0.9, 0.999)
+    weight_decay: float = 0.0
+    schedule: Literal["constant", "cosine"] = "cosine"
+    warmup: int = 0
+    clip: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Network:
+    """A network by its name in MODELS, its settings, its optimiser, and a weight file to start from ("" = fresh)."""
+
+    model: str
+    settings: Mapping[str, Value] = field(default_factory=dict)
+    optimizer: Optimizer = field(default_factory=Optimizer)
+    start: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Data:
+    """Names of the splits to train on and to score on."""
+
+    train: tuple[str, ...] = ("train",)
+    val: tuple[str, ...] = ("val",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """The run. Sizes are totals over all devices.
+
+    steps        how many optimiser steps; minutes: wall clock over all sittings together (0 = no limit). Whichever
+                 comes first ends the run, and learning rates follow whichever is further.
+    batch        samples per step, taken in `accumulate` turns when they do not fit at once.
+    workers      processes per device that prepare samples (0 = the training process does).
+    precision    "bf16-mixed" or "32-true"; channels_last: layout of convolution weights.
+    ema          decay per step of the averaged weights that are validated and released; 0 = no averaging.
+    *_minutes    how often to save, to draw pictures, to validate; 0 = at the end only.
+    """
+
+    steps: int = 100_000
+    minutes: float = 0.0
+    batch: int = 8
+    accumulate: int = 1
+    workers: int = 4
+    seed: int = 0
+    precision: Literal["bf16-mixed", "32-true"] = "bf16-mixed"
+    channels_last: bool = True
+    ema: float = 0.999
+    checkpoint_minutes: float = 1.0
+    preview_minutes: float = 5.0
+    validate_minutes: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Refuse sizes that cannot be (InputError)."""
+        if self.steps < 1 or self.batch < 1 or self.accumulate < 1 or self.workers < 0:
+            raise InputError("training.steps, batch and accumulate must be at least 1 and workers at least 0")
+        if self.batch % self.accumulate:
+            raise InputError(f"training.batch={self.batch} cannot be taken in accumulate={self.accumulate} equal turns")
+        if not 0 <= self.ema < 1:
+            raise InputError(f"training.ema={self.ema} must be at least 0 and below 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """One training run; `override` changes a copy, `resolved` writes it down.
+
+    name      as in RECIPES; goes into the card.
+    task      as in TASKS; options: what that task can be told, name -> value.
+    view      as in VIEWS, on a raster `scale` times as fine.
+    networks  name within the task -> Network.
+    """
+
+    name: str
+    task: str
+    view: str
+    scale: float = 1.0
+    data: Data = field(default_factory=Data)
+    networks: Mapping[str, Network]
+    options: Mapping[str, Value] = field(default_factory=dict)
+    training: Training = field(default_factory=Training)
+
+
+def salsanext() -> Recipe:
+    """SalsaNext on LiDAR labels: cross-entropy weighted by rarity, and Lovasz-Softmax."""
+    return Recipe(
+        name="salsanext",
+        task="segmentation",
+        view="hdl64e",
+        networks={
+            "segmenter": Network(
+                model="salsanext",
+                settings={"classes": 20, "channels": 5},
+                optimizer=Optimizer(rate=3e-3, weight_decay=1e-2, warmup=50, clip=5.0),
+            )
+        },
+        options={"columns": 1024, "lovasz": 1.0},
+        training=Training(steps=20_000, batch=2),
+    )
+
+
+def salsanext_mini() -> Recipe:
+    """SalsaNext as `kitti-mini` was released: all labelled scans at hand, half an hour of two CPU cores."""
+    recipe = salsanext()
+    return replace(
+        recipe,
+        name="salsanext-mini",
+        data=Data(train=("train", "labelled")),
+        training=_on_two_cores(recipe.training, minutes=22.0, batch=2),
+    )
+
+
+def titan() -> Recipe:
+    """TITAN-Net with the paper's numbers: WGAN-GP (lambda 10) and Lovasz-Softmax, Adam 1e-4, batch 10."""
+    adam = Optimizer(kind="adam", rate=1e-4, betas=(0.5, 0.999), schedule="constant")
+    return Recipe(
+        name="titan",
+        task="front",
+        view="titan-front",
+        networks={
+            "translator": Network(model="titan", settings={"classes": 15, "conditions": 20}, optimizer=adam),
+            "critic": Network(model="titan-critic", settings={"image_channels": 15, "conditions": 20}, optimizer=adam),
+        },
+        options={"penalty": 10.0, "lovasz": 1.0, "segmenter": ""},
+        training=Training(steps=50_000, batch=10, accumulate=10, ema=0.0),
+    )
+
+
+def titan_mini() -> Recipe:
+    """TITAN-Net the paper's way on `kitti-mini`, for as long as `titan-pano-mini`; one pair a step, 512 columns.
+
+    Batch and columns are the paper's only at a cost of minutes a step on a CPU; a step more often teaches more.
+    """
+    recipe = titan()
+    return replace(
+        recipe,
+        name="titan-mini",
+        view="titan-front-512",
+        training=_on_two_cores(recipe.training, minutes=24.0, batch=1, ema=0.0),
+    )
+
+
+def titan_pano() -> Recipe:
+    """Our translator, trained in panorama coordinates at half the raster."""
+    return Recipe(
+        name="titan-pano",
+        task="panorama",
+        view="panorama",
+        scale=0.5,
+        networks={
+            "translator": Network(
+                model="titan-pano",
+                settings={"classes": 16, "conditions": 20},
+                optimizer=Optimizer(rate=2e-3, weight_decay=1e-2, warmup=50, clip=5.0),
+            )
+        },
+        options={"columns": 640, "lovasz": 1.0, "depth": 2.0, "segmenter": ""},
+        training=Training(steps=20_000, batch=4),
+    )
+
+
+def titan_pano_mini() -> Recipe:
+    """TITAN-pano as `kitti-mini` was released."""
+    recipe = titan_pano()
+    return replace(recipe, name="titan-pano-mini", training=_on_two_cores(recipe.training, minutes=24.0, batch=4))
+
+
+def painter() -> Recipe:
+    """Our painter: colour from segments, depth and remission, against a patch critic."""
+    adam = Optimizer(kind="adam", rate=4e-4, betas=(0.5, 0.999), schedule="cosine")
+    return Recipe(
+        name="painter",
+        task="painting",
+        view="panorama",
+        scale=0.5,
+        networks={
+            "painter": Network(model="painter", settings={"classes": 16}, optimizer=adam),
+            "critic": Network(model="patch-critic", settings={"channels": 20, "width": 32}, optimizer=adam),
+        },
+        options={
+            "columns": 256, "jitter": 130, "features": 10.0, "broad": 10.0, "pixels": 2.0, "translator": "",
+            "segmenter": "",
+        },
+        training=Training(steps=50_000, batch=2),
+    )  # fmt: skip
+
+
+def painter_mini() -> Recipe:
+    """The painter as `kitti-mini` was released."""
+    recipe = painter()
+    return replace(recipe, name="painter-mini", training=_on_two_cores(recipe.training, minutes=26.0, batch=2))
+
+
+def _on_two_cores(training: Training, *, minutes: float, batch: int, ema: float = 0.998) -> Training:
+    """A run of some minutes on a CPU that samples are prepared on as well."""
+    return replace(training, minutes=minutes, batch=batch, accumulate=1, workers=0, ema=ema)
+
+
+RECIPES: dict[str, Callable[[], Recipe]] = {
+    "salsanext": salsanext,
+    "salsanext-mini": salsanext_mini,
+    "titan": titan,
+    "titan-mini": titan_mini,
+    "titan-pano": titan_pano,
+    "titan-pano-mini": titan_pano_mini,
+    "painter": painter,
+    "painter-mini": painter_mini,
+}
+
+
+def recipe_named(name: str) -> Recipe:
+    """The recipe of RECIPES; an unknown name raises InputError."""
+    if name not in RECIPES:
+        raise InputError(f"no recipe {name!r}{closest(name, RECIPES)}")
+    return RECIPES[name]()
+
+
+def resolved(recipe: Recipe) -> dict[str, Any]:
+    """Every value of the recipe, nested, as JSON knows them (tuples become lists)."""
+    return _plain(asdict(replace(recipe, networks=dict(recipe.networks), options=dict(recipe.options))))
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401
+    if isinstance(value, Mapping):
+        return {key: _plain(part) for key, part in value.items()}
+    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value
+
+
+def override(recipe: Recipe, assignment: str) -> Recipe:
+    """A copy with one value changed, e.g. "training.batch=8" or "networks.generator.optimizer.betas=0.5,0.9".
+
+    A name that is not there, or a value of another type than the field's, raises InputError.
+    """
+    path, equals, text = assignment.partition("=")
+    if not equals or not path.strip():
+        raise InputError(f"{assignment!r} is not of the form name=value, e.g. training.batch=8")
+    return _changed(recipe, path.strip().split("."), text.strip(), path.strip())
+
+
+def _changed(node: Any, steps: list[str], text: str, path: str) -> Any:  # noqa: ANN401
+    """`node` with the value at `steps` below it replaced by what `text` says."""
+    name, *rest = steps
+    if is_dataclass(node):
+        known: Any = {one.name: getattr(node, one.name) for one in fields(node)}
+        kind = get_type_hints(type(node)).get(name)
+    elif isinstance(node, Mapping):
+        known, kind = node, None
+    else:
+        raise InputError(f"{path}: {type(node).__name__} values have no parts; leave out {'.'.join(steps)!r}")
+    if name not in known:
+        whose = type(node).__name__ if is_dataclass(node) else "this recipe"
+        raise InputError(f"{path}: {whose} has no {name!r}{closest(name, known)}")
+    old = known[name]
+    if rest:
+        new = _changed(old, rest, text, path)
+    elif is_dataclass(old) or isinstance(old, Mapping):
+        inner = [one.name for one in fields(old)] if is_dataclass(old) else list(old)
+        raise InputError(f"{path} holds several values; set one of them: {', '.join(inner)}")
+    else:
+        new = _parsed(text, kind or _kind_of(old), path)
+    return replace(node, **{name: new}) if is_dataclass(node) else {**node, name: new}
+
+
+def _kind_of(value: Any) -> Any:  # noqa: ANN401
+    """The type to parse for a dictionary's entry: that of the value that is there."""
+    if isinstance(value, tuple | list):
+        return tuple[type(value[0]) if value else str, ...]
+    return type(value)
+
+
+def _parsed(text: str, kind: Any, path: str) -> Value:  # noqa: ANN401
+    """`text` as a value of `kind`: bool, int, float, str, a Literal of strings, or a tuple of one of them."""
+    if get_origin(kind) is Literal:
+        if text not in get_args(kind):
+            raise InputError(f"{path} cannot be {text!r}{closest(text, get_args(kind))}")
+        return text
+    if get_origin(kind) is tuple:
+        first, *others = get_args(kind)
+        parts = [part.strip() for part in text.strip("()[]").split(",") if part.strip()]
+        if others and others[-1] is not Ellipsis and len(parts) != len(others) + 1:
+            raise InputError(f"{path} wants {len(others) + 1} values with commas between, not {text!r}")
+        return tuple(_parsed(part, first, path) for part in parts)
+    if kind is str:
+        return text
+    if kind is bool:
+        if text.lower() not in SWITCH:
+            raise InputError(f"{path} wants true or false, not {text!r}")
+        return SWITCH[text.lower()]
+    try:
+        number = kind(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        wanted = "a whole number" if kind is int else "a number"
+        raise InputError(f"{path} wants {wanted}, not {text!r}")
+    return number
