@@ -15,7 +15,7 @@ log = logging.getLogger(__name__)
 
 
 def device_kind(device: str) -> str:
-    """The kind, "cpu" or "cuda", that `device` ("auto", "cpu", "cuda") means here; what is not here raises InputError."""
+    """The kind, "cpu" or "cuda", that `device` ("auto", "cpu", "cuda") means here; what is absent raises InputError."""
     if device not in DEVICES:
         raise InputError(f"no device {device!r}{closest(device, DEVICES)}")
     if device == "cuda" and not torch.cuda.is_available():

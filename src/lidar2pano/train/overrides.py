@@ -1,0 +1,72 @@
+"""One value changed by its dotted name in nested frozen dataclasses and dictionaries, strictly by name and by type."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from lidar2pano.errors import InputError, closest
+
+Value = bool | int | float | str | tuple
+SWITCH = {"true": True, "false": False}
+
+
+def changed(node: Any, steps: list[str], text: str, path: str) -> Any:  # noqa: ANN401
+    """`node` with the value at `steps` below it replaced by what `text` says."""
+    name, *rest = steps
+    if is_dataclass(node):
+        known: Any = {one.name: getattr(node, one.name) for one in fields(node)}
+        kind = get_type_hints(type(node)).get(name)
+    elif isinstance(node, Mapping):
+        known, kind = node, None
+    else:
+        raise InputError(f"{path}: {type(node).__name__} values have no parts; leave out {'.'.join(steps)!r}")
+    if name not in known:
+        whose = type(node).__name__ if is_dataclass(node) else "this recipe"
+        raise InputError(f"{path}: {whose} has no {name!r}{closest(name, known)}")
+    old = known[name]
+    if rest:
+        new = changed(old, rest, text, path)
+    elif is_dataclass(old) or isinstance(old, Mapping):
+        inner = [one.name for one in fields(old)] if is_dataclass(old) else list(old)
+        raise InputError(f"{path} holds several values; set one of them: {', '.join(inner)}")
+    else:
+        new = _parsed(text, kind or _kind_of(old), path)
+    return replace(node, **{name: new}) if is_dataclass(node) else {**node, name: new}
+
+
+def _kind_of(value: Any) -> Any:  # noqa: ANN401
+    """The type to parse for a dictionary's entry: that of the value that is there."""
+    if isinstance(value, tuple | list):
+        return tuple[type(value[0]) if value else str, ...]
+    return type(value)
+
+
+def _parsed(text: str, kind: Any, path: str) -> Value:  # noqa: ANN401
+    """`text` as a value of `kind`: bool, int, float, str, a Literal of strings, or a tuple of one of them."""
+    if get_origin(kind) is Literal:
+        if text not in get_args(kind):
+            raise InputError(f"{path} cannot be {text!r}{closest(text, get_args(kind))}")
+        return text
+    if get_origin(kind) is tuple:
+        first, *others = get_args(kind)
+        parts = [part.strip() for part in text.strip("()[]").split(",") if part.strip()]
+        if others and others[-1] is not Ellipsis and len(parts) != len(others) + 1:
+            raise InputError(f"{path} wants {len(others) + 1} values with commas between, not {text!r}")
+        return tuple(_parsed(part, first, path) for part in parts)
+    if kind is str:
+        return text
+    if kind is bool:
+        if text.lower() not in SWITCH:
+            raise InputError(f"{path} wants true or false, not {text!r}")
+        return SWITCH[text.lower()]
+    try:
+        number = kind(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        wanted = "a whole number" if kind is int else "a number"
+        raise InputError(f"{path} wants {wanted}, not {text!r}")
+    return number
