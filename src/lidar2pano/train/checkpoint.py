@@ -34,12 +34,14 @@ class Progress:
     """How far a run is.
 
     step       optimiser steps done; seconds: wall clock used, over all sittings.
-    validated  the step of the last validation (-1: none), best: its best score so far (None: none).
+    validated  the step of the last validation, finished: the step after which the run was complete (-1: none yet).
+    best       the best score so far, None before the first.
     """
 
     step: int = 0
     seconds: float = 0.0
     validated: int = -1
+    finished: int = -1
     best: float | None = None
 
 
@@ -100,7 +102,12 @@ def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]
 def save_checkpoint(
     run: Path, progress: Progress, weights: Mapping[str, Tensor], optimizers: Mapping[str, dict]
 ) -> Path:
-    """Write a checkpoint of `progress.step` and remove older ones; interrupted anywhere, the last one stays."""
+    """Write a checkpoint of `progress.step` and remove older ones; interrupted anywhere, the last one stays.
+
+    A weight that is not finite raises FloatingPointError and changes nothing.
+    """
+    if broken := [name for name, value in weights.items() if value.is_floating_point() and not value.isfinite().all()]:
+        raise FloatingPointError(f"{broken[0]} is not finite after step {progress.step}; the last checkpoint is sound")
     folder = run / "checkpoints"
     final, beside = folder / f"{progress.step:09d}", folder / f"{progress.step:09d}.part"
     shutil.rmtree(beside, ignore_errors=True)

@@ -11,11 +11,11 @@ import inspect
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from datetime import timedelta
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 
 import torch
-from torch import Tensor, distributed, nn
+from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lidar2pano.errors import InputError
@@ -25,6 +25,7 @@ from lidar2pano.train.draws import Places, loader, seed_step
 from lidar2pano.train.monitor import Meter, Monitor, Screen, Silent, check_finite
 from lidar2pano.train.optimisation import Average, averaged, clip, learning_rate, make_optimizer
 from lidar2pano.train.placement import arithmetic, check_shares, device_kind, device_name
+from lidar2pano.train.processes import average_gradients, check_launcher, largest
 from lidar2pano.train.recipes import Recipe
 from lidar2pano.train.release import make_card, release
 from lidar2pano.train.task import Task, build_task
@@ -48,6 +49,7 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
     """
     training, kind = recipe.training, device_kind(device)
     check_shares(training, devices * num_nodes)
+    check_launcher(devices * num_nodes)
     check_recipe(out, recipe)
     seed_step(training.seed, 0, -1)  # fresh weights: the same in every process
     task = build_task(recipe, root)
@@ -93,7 +95,7 @@ class Run:
         """Take up the last checkpoint, if there is one."""
         found = load_checkpoint(self.out)
         step = found[0].step if found else 0
-        if self._largest(step, -step) != [step, -step]:
+        if largest(self.fabric.device, step, -step) != [step, -step]:
             raise InputError(f"{self.out}: the nodes see different checkpoints; use a folder that all of them share")
         if found is None:
             return
@@ -106,7 +108,7 @@ class Run:
 
     def go_on(self) -> None:
         """Train to the end of the budget; interrupted, save and raise KeyboardInterrupt."""
-        if self._behind() >= 1 and self.progress.validated == self.progress.step:
+        if self._behind() >= 1 and self.progress.finished == self.progress.step:
             return
         training, fabric = self.recipe.training, self.fabric
         places = Places(len(self.task.dataset), self.progress.step, training, fabric.global_rank, fabric.world_size)
@@ -132,7 +134,7 @@ class Run:
             for minutes in (training.checkpoint_minutes, training.preview_minutes, training.validate_minutes)
         )
         while True:
-            seconds, stop = self._largest(self.clock(), float(interrupted()))
+            seconds, stop = largest(self.fabric.device, self.clock(), float(interrupted()))
             self.progress.seconds = seconds
             if self._behind() >= 1:
                 return False
@@ -184,14 +186,15 @@ class Run:
                     if name is None:
                         continue
                     if number == 0:
-                        self.optimizers[name].zero_grad()
+                        for optimizer in self.optimizers.values():  # partners may have gradients of the last update
+                            optimizer.zero_grad()
                         losses[name] = torch.zeros((), device=self.fabric.device)
                     self.fabric.backward(loss / len(turns))
                     losses[name] += loss.detach() / len(turns)
             if name is None:
                 return losses
             weights = [weight for weight in self.networks[name].parameters() if weight.requires_grad]
-            self._average_gradients(weights)
+            average_gradients(weights)
             clip(weights, self.recipe.networks[name].optimizer.clip)
             self.optimizers[name].step()
 
@@ -201,27 +204,6 @@ class Run:
             for network in self.task.networks.values():
                 stack.enter_context(self.fabric.no_backward_sync(network))
             yield
-
-    def _average_gradients(self, weights: list[nn.Parameter]) -> None:
-        if self.fabric.world_size == 1:
-            return
-        for weight in weights:
-            if weight.grad is None:
-                weight.grad = torch.zeros_like(weight)
-        flat = torch.cat([weight.grad.flatten() for weight in weights])
-        distributed.all_reduce(flat)
-        parts = (flat / self.fabric.world_size).split([weight.numel() for weight in weights])
-        for weight, part in zip(weights, parts, strict=True):
-            weight.grad.copy_(part.view_as(weight))
-
-    def _largest(self, *values: float) -> list[float]:
-        """The largest of the processes' values, so that all decide alike."""
-        if self.fabric.world_size == 1:
-            return list(values)
-        distributed.all_reduce(
-            agreed := torch.tensor(values, dtype=torch.float64, device=self.fabric.device), distributed.ReduceOp.MAX
-        )
-        return agreed.tolist()
 
     def _show(self, rates: dict[str, float] | None) -> None:
         values = None
@@ -236,16 +218,18 @@ class Run:
         return averaged(self.networks.values(), self.averages.values())
 
     def _checkpoint(self) -> None:
-        """Save everything that the same command needs to go on; a run whose losses are not finite is not saved."""
-        if self.fabric.is_global_zero:
-            self._show({})
-            self.progress.seconds = self.clock()
-            weights = {
-                f"network/{n}/{key}": v for n, net in self.networks.items() for key, v in net.state_dict().items()
-            }
-            weights |= {f"average/{n}/{key}": v for n, kept in self.averages.items() for key, v in kept.state.items()}
-            states = {name: optimizer.state_dict() for name, optimizer in self.optimizers.items()}
-            save_checkpoint(self.out, self.progress, weights, states)
+        """Save everything that the same command needs to go on; what is not finite is not saved."""
+        if not self.fabric.is_global_zero:
+            return
+        self._show({})
+        self.progress.seconds = self.clock()
+        weights: dict[str, Tensor] = {}
+        for name, network in self.networks.items():
+            weights |= {f"network/{name}/{key}": value for key, value in network.state_dict().items()}
+        for name, average in self.averages.items():
+            weights |= {f"average/{name}/{key}": value for key, value in average.state.items()}
+        states = {name: optimizer.state_dict() for name, optimizer in self.optimizers.items()}
+        save_checkpoint(self.out, self.progress, weights, states)
 
     def _preview(self) -> None:
         if self.fabric.is_global_zero:
@@ -259,9 +243,9 @@ class Run:
         if self.fabric.is_global_zero:
             with self._averaged():
                 scores = self.task.validate()
-                score = scores.get("score")
-                if score is None or progress.best is None or score > progress.best:
-                    progress.best = score
+                score = scores.get("score", inf)  # a task that knows no score has its latest weights as the best
+                if progress.best is None or score >= progress.best:
+                    progress.best = score if isfinite(score) else None
                     self._release(scores)
             self.monitor.scores(progress.step, scores)
         progress.validated = progress.step
@@ -291,6 +275,7 @@ class Run:
             with self._averaged():
                 self._release({}, last=True)
         self._preview()
+        self.progress.finished = self.progress.step
         self._checkpoint()
         self.fabric.barrier()
 

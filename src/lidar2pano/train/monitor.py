@@ -94,6 +94,7 @@ class Screen:
 
         self.run, self.name, self.steps = run, name, steps
         self.curves = SummaryWriter(str(run / "tensorboard"), purge_step=step)
+        self.losses: dict[str, float] = {}
         self.first: tuple[int, float, float] | None = None
         self.shown = time.monotonic()
         self.bar: Progress | None = None
@@ -115,7 +116,8 @@ class Screen:
         if values is None:
             return
         self.shown = now
-        state = f"{step}/{self.steps}  {_spoken(values)}  {self._pace(step, progress, now)}"
+        self.losses |= {name: value for name, value in values.items() if "/" not in name}
+        state = f"{step}/{self.steps}  {_spoken(self.losses)}  {self._pace(step, progress, now)}"
         if self.bar:
             self.bar.update(self.line, completed=min(progress, 1.0), state=state)
         else:

@@ -47,8 +47,8 @@ class Average:
         now = self.network.state_dict()
         weight = 1 - min(self.decay, (1 + step) / (10 + step))
         torch._foreach_lerp_([self.state[name] for name in self.moving], [now[name] for name in self.moving], weight)
-        for name in self.copied:
-            self.state[name].copy_(now[name])
+        if self.copied:
+            torch._foreach_copy_([self.state[name] for name in self.copied], [now[name] for name in self.copied])
 
     def load(self, state: Mapping[str, Tensor]) -> None:
         """Go on from a saved `state`."""
