@@ -1,0 +1,42 @@
+# Everything happens in a virtual environment of the checkout's own, .venv; the first target that needs it makes it.
+#   make demo     one scan in, a panorama out          make test    the whole test suite
+#   make lint     format, lint, types, spelling        make clean   remove what was made, .venv too
+# PYTHON=python3.12 chooses the interpreter. TORCH_INDEX=https://download.pytorch.org/whl/cpu (or .../cu128) chooses
+# another build of torch than the package index's own, which on Linux is a large CUDA one.
+
+PYTHON ?= python3
+TORCH_INDEX ?=
+BIN := .venv/bin
+SOURCES := src tests
+
+.PHONY: setup demo test lint format clean
+
+setup: .venv/.ready
+
+.venv/.ready: pyproject.toml constraints.txt
+	@command -v $(PYTHON) >/dev/null && $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "lidar2pano needs Python 3.11 or newer and '$(PYTHON)' is not; try: make PYTHON=python3.11" >&2; exit 1; }
+	test -x $(BIN)/pip || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[train,dev]'
+	@touch $@
+
+demo: setup
+	$(BIN)/lidar2pano demo
+
+test: setup
+	$(BIN)/python -m pytest
+
+lint: setup
+	$(BIN)/ruff format --check $(SOURCES)
+	$(BIN)/ruff check $(SOURCES)
+	$(BIN)/pyright
+	$(BIN)/codespell
+
+format: setup
+	$(BIN)/ruff format $(SOURCES)
+	$(BIN)/ruff check --fix $(SOURCES)
+
+clean:
+	rm -rf .venv build dist .pytest_cache .ruff_cache
+	find src tests -name __pycache__ -prune -exec rm -rf {} +
