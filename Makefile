@@ -1,8 +1,8 @@
 # Everything happens in a virtual environment of the checkout's own, .venv; the first target that needs it makes it.
 #   make demo     one scan in, a panorama out          make test    the whole test suite
 #   make lint     format, lint, types, spelling        make clean   remove what was made, .venv too
-# PYTHON=python3.12 chooses the interpreter. TORCH_INDEX=https://download.pytorch.org/whl/cpu (or .../cu128) chooses
-# another build of torch than the package index's own, which on Linux is a large CUDA one.
+# PYTHON=python3.12 chooses the interpreter; TORCH_INDEX=URL another package index for torch, such as one of CPU builds
+# (on Linux the usual index has large CUDA ones).
 
 PYTHON ?= python3
 TORCH_INDEX ?=

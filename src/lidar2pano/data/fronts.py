@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,6 +63,12 @@ class FrontSamples:
             ids = torch.from_numpy(CAMERA_TO_COMMON14[frame.camera_labels()])[None, None]
             self._held[index] = labelled(frame), interpolate(ids, size=self.size, mode="nearest-exact")[0, 0]
         return self._held[index]
+
+    def predict(self, label_points: Callable[[Scan], Tensor]) -> None:
+        """Put a segmenter's labels in the place of the data's."""
+        for index in range(len(self)):
+            scan, camera = self.pair(index)
+            self._held[index] = replace(scan, label=label_points(scan).cpu().numpy()), camera
 
     def __getitem__(self, draw: Draw | int) -> FrontSample:
         """Sample: with the paper's flip and point drop (each p = 0.5) by a Draw's seed, or plain for an int."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import one_hot
 
 from lidar2pano.labels import LabelSet
 from lidar2pano.sensors import View
@@ -22,7 +24,7 @@ class RangeImage:
     row       (N,) int64: the raster row each point falls on, outside 0 .. H-1 where it is out of view.
     column    (N,) int64: likewise the column.
     range_m   (N,) float32: distance of each point from the view's origin, metres; zero where not usable.
-    usable    (N,) bool: finite and not at the sensor's origin.
+    usable    (N,) bool: finite, and neither at the sensor's origin (no echo) nor at the view's.
     """
 
     view: View
@@ -43,13 +45,12 @@ class RangeImage:
 
     @property
     def dropped(self) -> int:
-        """Number of points that no raster could take: NaN, Inf, or at the sensor's origin."""
+        """Number of points that no raster could take: NaN, Inf, or at an origin."""
         return int((~self.usable).sum())
 
     def spread(self, values: Tensor, empty: int = 0) -> Tensor:
         """Carry one value per point (N,) to the pixels (H, W) that the points own; `empty` elsewhere."""
-        image = values[self.index.clamp(min=0)]
-        return torch.where(self.valid, image, torch.as_tensor(empty, dtype=values.dtype, device=values.device))
+        return torch.cat([values, values.new_full((1,), empty)])[self.index]  # index -1, nobody's, is the last
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,6 +86,12 @@ class SegmentMap:
         if self.ids.ndim != 2 or self.ids.is_floating_point():
             raise ValueError(f"SegmentMap.ids must be (H, W) integers, got {tuple(self.ids.shape)} {self.ids.dtype}")
 
-    def translated(self, labels: LabelSet, table: Tensor) -> SegmentMap:
-        """The same map in another label set, by a look-up table (K,) from `LabelSet.table_to`."""
-        return SegmentMap(ids=table.to(self.ids.device)[self.ids.long()].to(self.ids.dtype), labels=labels)
+    def translated(self, labels: LabelSet, table: np.ndarray | Tensor) -> SegmentMap:
+        """The same map in another label set, by a look-up table (K,) as `labels.TABLES` holds them."""
+        table = torch.as_tensor(table, device=self.ids.device)
+        return SegmentMap(ids=table[self.ids.long()].to(self.ids.dtype), labels=labels)
+
+
+def one_hot_layers(ids: Tensor, number: int) -> Tensor:
+    """(B, number, H, W) float32 of ids (B, H, W) in [0, number): one where a pixel is of the class, else zero."""
+    return one_hot(ids.long(), number).movedim(-1, 1).float()

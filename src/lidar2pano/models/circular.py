@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 
 def pad_circular(x: Tensor, reach: int) -> Tensor:
@@ -56,3 +57,15 @@ def grow_circular(x: Tensor, factor: int) -> Tensor:
     closed = torch.cat([x[..., -1:], x, x[..., :1]], dim=3)
     grown = nn.functional.interpolate(closed, scale_factor=factor, mode="bilinear", align_corners=False)
     return grown[..., factor:-factor]
+
+
+def fold_norms(network: nn.Module) -> nn.Module:
+    """Fold batch norms that follow a convolution into it, in place; for networks in evaluation mode."""
+    for block in network.modules():
+        if not isinstance(block, nn.Sequential):
+            continue
+        for place in range(len(block) - 1):
+            conv, norm = block[place], block[place + 1]
+            if isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
+                block[place], block[place + 1] = fuse_conv_bn_eval(conv, norm), nn.Identity()
+    return network

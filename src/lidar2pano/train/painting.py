@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, interpolate, l1_loss, one_hot
+from torch.nn.functional import avg_pool2d, interpolate, l1_loss
 
 from lidar2pano.data.panoramas import PanoramaSample, PanoramaSamples
 from lidar2pano.data.sequences import UNSURE
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.labels import COMMON15
 from lidar2pano.losses import feature_matching, hinge_critic, hinge_generator
 from lidar2pano.models.card import load
@@ -95,7 +96,7 @@ class Painting:
             logits, depth_m = self.translator(batch.image, conditions(batch.segments))
         segments = logits.float().softmax(1)
         sure = (batch.camera != UNSURE) & trust.to(device)[:, None, None]
-        teacher = one_hot(batch.camera.where(sure, 0), len(COMMON15)).movedim(-1, 1).float()
+        teacher = one_hot_layers(batch.camera.where(sure, 0), len(COMMON15))
         return torch.where(sure[:, None], teacher, segments), depth_m
 
     def paint(self, index: int) -> tuple[Tensor, PanoramaSample]:

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import cross_entropy, one_hot
+from torch.nn.functional import cross_entropy
 
 from lidar2pano.data.panoramas import PanoramaSample, PanoramaSamples
 from lidar2pano.data.sequences import UNSURE
+from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.metrics.confusion import Confusion
@@ -93,7 +94,7 @@ class PanoramaTranslation:
 
 def conditions(segments: Tensor) -> Tensor:
     """One-hot (B, 20, H, W) float32 of LiDAR segments (B, H, W)."""
-    return one_hot(segments, len(SEMANTIC_KITTI)).movedim(-1, 1).float()
+    return one_hot_layers(segments, len(SEMANTIC_KITTI))
 
 
 def camera_rarity(dataset: PanoramaSamples) -> Tensor:

@@ -1,0 +1,131 @@
+"""Panorama: the picture all around, what is in it and how far, and its files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+from lidar2pano.calibration import Calibration
+from lidar2pano.errors import InputError
+from lidar2pano.geometry.camera import panorama_in_camera
+from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
+from lidar2pano.sensors import View
+
+WHAT = ("rgb", "segments", "labels", "depth")
+DEPTH_STEPS = 256  # per metre, KITTI's form of 16 bit depth
+FAST_PNG = 1  # zlib's level: a third of the default's time for a tenth more bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraPicture:
+    """What a camera of some calibration would see of a panorama.
+
+    colour    (h, w, 3) uint8 RGB.
+    segments  (h, w) uint8 ids of COMMON15, 0 where the panorama does not reach.
+    """
+
+    colour: np.ndarray
+    segments: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Panorama:
+    """The picture of a place, on the raster `view` (h rows, w columns; left edge and right edge are straight behind).
+
+    name          of the scan;  frame: its number in the stream.
+    colour        (h, w, 3) uint8 RGB.
+    segments      (h, w) uint8 ids of COMMON15.
+    depth_m       (h, w) float32 metres from the view's origin along the ray; 0 = none (sky).
+    labels        (N,) int64 ids of SEMANTIC_KITTI of the scan's points, file order.
+    dropped       points that could not be used (NaN, Inf, at the origin); they are labelled 0.
+    milliseconds  time per stage.
+    """
+
+    name: str
+    frame: int
+    view: View
+    colour: np.ndarray
+    segments: np.ndarray
+    depth_m: np.ndarray
+    labels: np.ndarray
+    dropped: int = 0
+    milliseconds: Mapping[str, float] = field(default_factory=dict)
+
+    def to_camera(self, calibration: Calibration) -> CameraPicture:
+        """Look into the panorama through a perspective camera at its origin."""
+        lookup = panorama_in_camera(self.view, calibration)
+        colour = lookup.linear(torch.from_numpy(self.colour).movedim(2, 0).float())
+        segments = lookup.nearest(torch.from_numpy(self.segments))
+        return CameraPicture(colour=colour.round().movedim(0, 2).to(torch.uint8).numpy(), segments=segments.numpy())
+
+    def save(
+        self,
+        out: str | Path,
+        what: tuple[str, ...] = ("rgb",),
+        calibration: Calibration | None = None,
+        stem: str | None = None,
+    ) -> list[Path]:
+        """Write the files that `what` names into the folder `out`, each complete or not at all; return their paths.
+
+        what  of "rgb" (<stem>.png), "segments" (<stem>.segments.png, palette of COMMON15), "labels" (<stem>.label, raw
+              uint32 per point), "depth" (<stem>.depth.png, 16 bit, metres x 256). With a calibration also
+              <stem>.camera.png beside rgb and <stem>.camera-segments.png beside segments.
+        Raises InputError when a name is unknown or the folder cannot be written.
+        """
+        if unknown := sorted(set(what) - set(WHAT)):
+            raise InputError(f"nothing to save is called {unknown[0]!r}; there is {', '.join(WHAT)}")
+        camera = self.to_camera(calibration) if calibration else None
+        stem = stem or self.name
+        writers: dict[str, Callable[[Path], None]] = {}
+        if "rgb" in what:
+            writers[f"{stem}.png"] = lambda path: write_png(path, self.colour)
+            if camera:
+                writers[f"{stem}.camera.png"] = lambda path: write_png(path, camera.colour)
+        if "segments" in what:
+            writers[f"{stem}.segments.png"] = lambda path: write_palette(path, self.segments)
+            if camera:
+                writers[f"{stem}.camera-segments.png"] = lambda path: write_palette(path, camera.segments)
+        if "labels" in what:
+            writers[f"{stem}.label"] = lambda path: SEMANTIC_KITTI.to_raw(self.labels).astype("<u4").tofile(path)
+        if "depth" in what:
+            writers[f"{stem}.depth.png"] = lambda path: write_depth(path, self.depth_m)
+        return [_whole(Path(out) / name, write) for name, write in writers.items()]
+
+
+def write_png(path: Path, colour: np.ndarray) -> None:
+    """Write an RGB picture (h, w, 3) uint8."""
+    Image.fromarray(colour).save(path, format="PNG", compress_level=FAST_PNG)
+
+
+def write_palette(path: Path, ids: np.ndarray) -> None:
+    """Write ids (h, w) uint8 of COMMON15 as a palette PNG: the pixels are the ids, the palette their colours."""
+    picture = Image.fromarray(ids, mode="P")
+    picture.putpalette(COMMON15.palette())
+    picture.save(path, format="PNG", compress_level=FAST_PNG)
+
+
+def write_depth(path: Path, depth_m: np.ndarray) -> None:
+    """Write depths (h, w) in metres as a 16 bit PNG, metres x 256, 0 = none, 255.99 m at most."""
+    steps = np.clip(np.round(depth_m * DEPTH_STEPS), 0, 0xFFFF).astype(np.uint16)
+    Image.fromarray(steps).save(path, format="PNG", compress_level=FAST_PNG)
+
+
+def _whole(path: Path, write: Callable[[Path], None]) -> Path:
+    """Write beside, then rename: nobody ever sees half a file."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(beside)
+        beside.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another --out") from error
+    finally:
+        if path.parent.is_dir():
+            beside.unlink(missing_ok=True)
+    return path

@@ -1,0 +1,171 @@
+"""The thing itself: a scan in, a panorama out. Projection, segments, translation, paint; the paper's figure 2."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from lidar2pano.calibration import Calibration
+from lidar2pano.errors import InputError
+from lidar2pano.geometry.camera import at_camera
+from lidar2pano.geometry.images import RangeImage, one_hot_layers
+from lidar2pano.geometry.knn import clean_up
+from lidar2pano.geometry.projection import project
+from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
+from lidar2pano.models.card import load as load_weights
+from lidar2pano.models.circular import fold_norms, grow_circular
+from lidar2pano.models.families import DEFAULT, weight_files
+from lidar2pano.models.precision import fast_arithmetic, pick_device
+from lidar2pano.models.segmenter import Segmenter
+from lidar2pano.panorama import Panorama
+from lidar2pano.scan import Scan
+from lidar2pano.sensors import VIEWS, View
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Memory:
+    """What a stream carries from one scan to the next. `Memory()` is its beginning.
+
+    frames  scans seen so far; a panorama's `frame` is its place in the stream.
+    """
+
+    frames: int = 0
+
+
+@dataclass(slots=True)
+class Stopwatch:
+    """Milliseconds per stage, in order."""
+
+    device: torch.device
+    milliseconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Time what happens inside; on CUDA, until it is done."""
+        begin = time.perf_counter()
+        yield
+        if self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
+        self.milliseconds[stage] = (time.perf_counter() - begin) * 1e3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Pipeline:
+    """Three networks and the raster they meet on.
+
+    segmenter   scan -> a class of SEMANTIC_KITTI per point.
+    translator  (image (1, 5, H, W), condition (1, 20, H, W)) -> logits (1, 16, H, W) of COMMON15, depth (1, H, W) m.
+    painter     (segments (1, 16, H, W), depth (1, H, W), image) -> (1, 3, 2H, 2W) in [-1, 1].
+    view        the translator's raster, H x W, around the camera that the picture is taken from.
+    """
+
+    segmenter: Segmenter
+    translator: nn.Module
+    painter: nn.Module
+    view: View
+    device: torch.device
+
+    def at(self, calibration: Calibration) -> Pipeline:
+        """The pipeline with its viewpoint moved to a camera's optical centre."""
+        return replace(self, view=at_camera(self.view, calibration))
+
+    def for_sensor(self, name: str) -> Pipeline:
+        """The pipeline with the segmenter's view that fits a sensor of VIEWS."""
+        return replace(self, segmenter=replace(self.segmenter, view=VIEWS[name]))
+
+    def __call__(self, scan: Scan) -> Panorama:
+        """The panorama of a single scan."""
+        return next(self.stream([scan]))
+
+    def stream(self, scans: Iterable[Scan]) -> Iterator[Panorama]:
+        """Panoramas of scans that follow each other."""
+        memory = Memory()
+        for scan in scans:
+            memory, panorama = self.step(memory, scan)
+            yield panorama
+
+    @torch.inference_mode()
+    def step(self, memory: Memory, scan: Scan) -> tuple[Memory, Panorama]:
+        """One scan: (what the stream carries on, its panorama).
+
+        Raises InputError when no point of the scan can be used, or none is in view.
+        """
+        watch = Stopwatch(self.device)
+        with watch("project"):
+            image = self._seen(scan, project(scan, self.segmenter.view, device=self.device))
+            around = self._seen(scan, project(scan, self.view, device=self.device))
+        with watch("segment"):
+            ids = self.segmenter.raster(image)
+        with watch("clean_up"):
+            labels = clean_up(image, ids)
+        with watch("translate"), fast_arithmetic(self.device):
+            channels = around.channels[None].contiguous(memory_format=torch.channels_last)
+            logits, depth_m = self.translator(channels, self._condition(around, labels))
+        with watch("paint"), fast_arithmetic(self.device):
+            picture = self.painter(logits.softmax(1), depth_m, channels)[0]
+            colour = ((picture.float() + 1) * 127.5).round().clamp(0, 255).to(torch.uint8).movedim(0, 2)
+        with watch("finish"):
+            segments, depth_m = self._finished(logits, depth_m)
+        panorama = Panorama(
+            name=scan.name,
+            frame=memory.frames,
+            view=self.view.scaled(2),
+            colour=colour.cpu().numpy(),
+            segments=segments.cpu().numpy(),
+            depth_m=depth_m.cpu().numpy(),
+            labels=labels.cpu().numpy(),
+            dropped=image.dropped,
+            milliseconds=watch.milliseconds,
+        )
+        return Memory(frames=memory.frames + 1), panorama
+
+    @staticmethod
+    def _seen(scan: Scan, image: RangeImage) -> RangeImage:
+        if not bool(image.usable.any()):
+            raise InputError(
+                f"{scan.name}: none of its {len(scan)} points can be used (NaN, Inf or all at the origin);"
+                " check how the scan was written"
+            )
+        if not bool(image.valid.any()):
+            raise InputError(f"{scan.name}: no point is in view (x must point forward, z up, in metres); turn the scan")
+        return image
+
+    def _condition(self, around: RangeImage, labels: Tensor) -> Tensor:
+        return one_hot_layers(around.spread(labels)[None], len(SEMANTIC_KITTI))
+
+    @staticmethod
+    def _finished(logits: Tensor, depth_m: Tensor) -> tuple[Tensor, Tensor]:
+        """Class ids and depth at the picture's raster; the sky has no depth."""
+        segments = grow_circular(logits, 2)[0].argmax(0).to(torch.uint8)
+        depth_m = grow_circular(depth_m[None], 2)[0, 0]
+        return segments, torch.where(segments == COMMON15.id_of("sky"), 0.0, depth_m)
+
+
+def load(weights: str | Path = DEFAULT, device: str = "auto") -> Pipeline:
+    """A pipeline from a released family, a folder or run of weight files, or one file (the rest: default family).
+
+    device  "auto" (CUDA if there is one), "cpu" or "cuda".
+    Raises InputError when weights or device cannot be had.
+    """
+    picked = pick_device(device)
+    files = weight_files(weights)
+    expected = {"segmenter": "salsanext", "translator": "titan-pano", "painter": "painter"}
+    if missing := [role for role in expected if role not in files]:
+        raise InputError(f"{weights}: no weights for the {' and the '.join(missing)}; name a family that has them")
+    loaded = {role: load_weights(files[role], picked, expect=network) for role, network in expected.items()}
+    networks = {
+        role: fold_norms(network).to(memory_format=torch.channels_last) for role, (network, _) in loaded.items()
+    }
+    return Pipeline(
+        segmenter=Segmenter.from_card(networks["segmenter"], loaded["segmenter"][1]),
+        translator=networks["translator"],
+        painter=networks["painter"],
+        view=View(**loaded["translator"][1].views["panorama"]),
+        device=picked,
+    )

@@ -1,0 +1,99 @@
+"""Task: TITAN-Net in the paper's setting: front range view in, the camera's perspective segments out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lidar2pano.data.fronts import FrontSample, FrontSamples
+from lidar2pano.geometry.images import Normalisation, one_hot_layers
+from lidar2pano.labels import COMMON14, SEMANTIC_KITTI
+from lidar2pano.losses import lovasz_softmax
+from lidar2pano.metrics.confusion import Confusion
+from lidar2pano.models.card import load
+from lidar2pano.models.precision import fast_arithmetic
+from lidar2pano.models.segmenter import Segmenter
+from lidar2pano.sensors import VIEWS
+from lidar2pano.train.adversarial import wasserstein_updates
+from lidar2pano.train.recipes import Recipe
+from lidar2pano.train.task import build_networks
+
+
+class FrontTranslation:
+    """Trains TITAN-Net by WGAN-GP and Lovasz-Softmax; class 0 guides nobody and is not scored, as in the paper.
+
+    Options: penalty, lambda of the gradient penalty; lovasz, weight of the guide; segmenter, a weight file whose labels
+    validation takes ("": the labels of the data; training always takes those, as in the paper).
+    """
+
+    released = ("translator",)
+
+    def __init__(self, recipe: Recipe, root: Path) -> None:
+        self.view = VIEWS[recipe.view]
+        self.networks = build_networks(recipe)
+        size = self.networks["translator"].size
+        self.dataset = FrontSamples(root, recipe.data.train, self.view, size)
+        self.validation = FrontSamples(root, recipe.data.val, self.view, size)
+        self.penalty, self.lovasz = float(recipe.options["penalty"]), float(recipe.options["lovasz"])
+        self.logs: dict[str, float | Tensor] = {}
+        if recipe.options["segmenter"]:
+            segmenter = Segmenter.from_card(*load(str(recipe.options["segmenter"]), expect="salsanext"))
+            self.validation.predict(segmenter.points)
+
+    def updates(self, batch: FrontSample) -> Iterator[tuple[str, Tensor]]:
+        """The critic, then the translator."""
+        condition = one_hot_layers(batch.segments, len(SEMANTIC_KITTI))
+
+        def guide(fake: Tensor) -> Tensor:
+            return self.lovasz * lovasz_softmax(fake, batch.camera, ignore=0)
+
+        updates = wasserstein_updates(
+            lambda: self.networks["translator"](batch.lidar, condition).float().softmax(1),
+            self.networks["critic"],
+            one_hot_layers(batch.camera, len(COMMON14)),
+            condition,
+            penalty_weight=self.penalty,
+            guide=guide,
+            logs=self.logs,
+        )
+        for who, loss in updates:
+            yield "translator" if who == "generator" else who, loss
+
+    def predict(self, sample: FrontSample) -> Tensor:
+        """Class ids (h, w) of a sample, from the network as it stands."""
+        network = self.networks["translator"]
+        device = next(network.parameters()).device
+        condition = one_hot_layers(sample.segments[None].to(device), len(SEMANTIC_KITTI))
+        with torch.inference_mode(), fast_arithmetic(device):
+            return network(sample.lidar[None].to(device), condition)[0].argmax(0).cpu()
+
+    def validate(self) -> dict[str, float]:
+        """MIoU over the 14 classes on the network's image."""
+        confusion = Confusion(len(COMMON14), unscored=(0,))
+        for index in range(len(self.validation)):
+            sample = self.validation[index]
+            confusion.update(self.predict(sample), sample.camera)
+        score = confusion.miou()
+        return {"score": score, "miou": score, "accuracy": confusion.accuracy()}
+
+    def preview(self) -> dict[str, np.ndarray]:
+        """Camera's labels above the network's, for two validation frames, (H, W, 3) uint8."""
+        rows = []
+        for index in range(min(2, len(self.validation))):
+            sample = self.validation[index]
+            rows += [COMMON14.paint(ids.numpy()) for ids in (sample.camera, self.predict(sample))]
+        return {"segments": np.concatenate(rows)}
+
+    def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
+        """What a user of the translator has to know: label set, view, normalisation."""
+        normalise = Normalisation()
+        return {
+            "labels": COMMON14.name,
+            "views": {"input": self.view.as_dict()},
+            "normalisation": {"mean": list(normalise.mean), "deviation": list(normalise.deviation)},
+        }

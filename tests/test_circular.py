@@ -1,0 +1,66 @@
+"""Circular convolutions: every direction alike, no seam."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+import torch
+from torch import nn
+
+from lidar2pano.models import build
+from lidar2pano.models.circular import CircularConv, conv_norm_act, fold_norms, grow_circular, pad_circular
+
+
+def test_padding_brings_columns_from_the_other_end_and_zeros_above_and_below():
+    x = torch.arange(6.0).view(1, 1, 2, 3)
+    assert pad_circular(x, 1)[0, 0].tolist() == [
+        [0, 0, 0, 0, 0],
+        [2, 0, 1, 2, 0],
+        [5, 3, 4, 5, 3],
+        [0, 0, 0, 0, 0],
+    ]
+
+
+@pytest.mark.parametrize(("kernel", "dilation"), [(1, 1), (3, 1), (3, 2), (5, 1)])
+def test_a_turned_picture_gives_a_turned_answer(kernel, dilation):
+    conv = CircularConv(2, 3, kernel, dilation=dilation)
+    x = torch.randn(1, 2, 6, 16)
+    assert torch.allclose(conv(x).roll(5, -1), conv(x.roll(5, -1)), atol=1e-6)
+
+
+def test_growing_interpolates_across_the_seam():
+    x = torch.tensor([0.0, 0, 0, 4]).view(1, 1, 1, 4)
+    assert grow_circular(x, 2)[0, 0].tolist() == [[1, 0, 0, 0, 0, 1, 3, 3]] * 2
+    y = torch.randn(1, 2, 3, 8)
+    assert torch.allclose(grow_circular(y, 2).roll(6, -1), grow_circular(y.roll(3, -1), 2), atol=1e-6)
+
+
+@pytest.mark.parametrize("turn", [16, 48])
+def test_translator_and_painter_turn_with_their_input(turn):
+    image = torch.rand(1, 5, 32, 96) * 20
+    segments = torch.rand(1, 20, 32, 96)
+    translator = build("titan-pano", widths=(8, 12, 16, 20, 24), pyramid=8).eval()
+    painter = build("painter", widths=(8, 12, 16), blocks=2).eval()
+    with torch.inference_mode():
+        logits, depth_m = translator(image, segments)
+        turned, turned_m = translator(image.roll(turn, -1), segments.roll(turn, -1))
+        assert torch.allclose(logits.roll(turn, -1), turned, atol=1e-4)
+        assert torch.allclose(depth_m.roll(turn, -1), turned_m, atol=1e-3)
+        picture = painter(logits.softmax(1), depth_m, image)
+        again = painter(turned.softmax(1), turned_m, image.roll(turn, -1))
+        assert torch.allclose(picture.roll(2 * turn, -1), again, atol=1e-3)
+
+
+def test_folding_norms_changes_nothing_but_the_number_of_modules():
+    network = nn.Sequential(conv_norm_act(3, 4), conv_norm_act(4, 2))
+    for norm in (module for module in network.modules() if isinstance(module, nn.BatchNorm2d)):
+        nn.init.normal_(norm.running_mean)
+        nn.init.uniform_(norm.running_var, 0.5, 2)
+        nn.init.normal_(norm.weight)
+        nn.init.normal_(norm.bias)
+    network.eval()
+    folded = fold_norms(copy.deepcopy(network))
+    x = torch.randn(2, 3, 8, 16)
+    assert not any(isinstance(module, nn.BatchNorm2d) for module in folded.modules())
+    assert torch.allclose(network(x), folded(x), atol=1e-5)
