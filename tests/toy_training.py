@@ -1,12 +1,13 @@
-"""Two small tasks that train in milliseconds; also a program: toy_training.py TASK OUT DEVICES NAME=VALUE..."""
+"""Two small tasks that train in milliseconds; also a program: toy_training.py TASK OUT DEVICES PAUSE_S NAME=VALUE..."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -55,22 +56,34 @@ class ToyNetwork(nn.Module):
 
 
 class Denoise:
-    """One network, one loss."""
+    """One network, one loss. `before_step` is called with the count of `updates` so far; `scores` override scores."""
 
     released = ("generator",)
+    before_step: Callable[[int], None] | None = None
+    scores: ClassVar[list[float]] = []
 
     def __init__(self, recipe: Recipe, root: Path) -> None:
         self.networks = build_networks(recipe)
         self.dataset = Pictures()
         self.logs: dict[str, float | Tensor] = {}
+        self.calls = 0
+
+    def begin(self) -> None:
+        """Count, and let the test interfere."""
+        if type(self).before_step:
+            type(self).before_step(self.calls)
+        self.calls += 1
 
     def updates(self, batch: Sample) -> Iterator[tuple[str, Tensor]]:
+        self.begin()
         yield "generator", (self.networks["generator"](batch.noisy) - batch.picture).square().mean()
 
     def preview(self) -> dict[str, np.ndarray]:
         return {"grey": np.full((4, 5, 3), 128, np.uint8)}
 
     def validate(self) -> dict[str, float]:
+        if self.scores:
+            return {"score": self.scores.pop(0)}
         samples = [self.dataset[Draw(index, 99)] for index in range(4)]
         noisy, truth = (torch.stack([getattr(one, name) for one in samples]) for name in ("noisy", "picture"))
         with torch.inference_mode():
@@ -84,6 +97,7 @@ class Gan(Denoise):
     """Two networks: a critic with a gradient penalty, called three times, then the generator against it."""
 
     def updates(self, batch: Sample) -> Iterator[tuple[str, Tensor]]:
+        self.begin()
         critic = self.networks["critic"]
         fake = self.networks["generator"](batch.noisy)
         between = ((batch.picture + fake.detach()) / 2).requires_grad_()
@@ -116,7 +130,8 @@ if __name__ == "__main__":
     from lidar2pano.train.engine import train
 
     register()
-    task, out, devices, *changes = sys.argv[1:]
+    task, out, devices, pause_s, *changes = sys.argv[1:]
+    Denoise.before_step = Gan.before_step = lambda _: time.sleep(float(pause_s))
     chosen = toy_recipe(task)
     for change in changes:
         chosen = override(chosen, change)

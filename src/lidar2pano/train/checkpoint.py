@@ -27,6 +27,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.train.recipes import Recipe, resolved
 
 FREE = {f"training.{name}" for name in ("workers", "checkpoint_minutes", "preview_minutes", "validate_minutes")}
+BROKEN = (SafetensorError, pickle.UnpicklingError)
 
 
 @dataclass
@@ -141,7 +142,7 @@ def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, d
         progress = Progress(**json.loads((newest / "state.json").read_text(encoding="utf-8")))
         weights = load_file(newest / "weights.safetensors")
         optimizers = torch.load(newest / "optimizers.pt", map_location="cpu", weights_only=True)
-    except (OSError, ValueError, TypeError, RuntimeError, SafetensorError, pickle.UnpicklingError) as error:
+    except (OSError, EOFError, ValueError, LookupError, TypeError, RuntimeError, *BROKEN) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{newest} is damaged ({reason}); remove it to start anew") from None
     return progress, weights, optimizers

@@ -80,6 +80,7 @@ class Run:
         self.progress = Progress()
         self.clock = clock(0.0)
         self.meter = Meter()
+        self.rates: dict[str, float] = {}
         self.monitor: Monitor = Silent()
         self.networks: dict[str, nn.Module] = dict(task.networks)  # as the task made them
         self.optimizers: dict[str, torch.optim.Optimizer] = {}
@@ -159,18 +160,19 @@ class Run:
         """One optimiser step of every network that the task updates."""
         training, step, behind = self.recipe.training, self.progress.step, self._behind()
         seed_step(training.seed, self.fabric.global_rank, step)
-        rates = {}
         for name, optimizer in self.optimizers.items():
-            rates[f"rate/{name}"] = learning_rate(self.recipe.networks[name].optimizer, step, behind)
+            rate = learning_rate(self.recipe.networks[name].optimizer, step, behind)
+            self.rates[f"rate/{name}"] = rate
             for group in optimizer.param_groups:
-                group["lr"] = rates[f"rate/{name}"]
+                group["lr"] = rate
         micro_batches = [self.fabric.to_device(next(batches)) for _ in range(training.accumulate)]
         losses = self._update([self.task.updates(batch) for batch in micro_batches])
         for average in self.averages.values():
             average.update(step)
         self.progress.step += 1
         self.meter.add({**losses, **self.task.logs})
-        self._show(rates if self.monitor.wants() else None)
+        if self.monitor.wants():
+            self._show()
 
     def _update(self, turns: list[Iterator[tuple[str, Tensor]]]) -> dict[str, Tensor]:
         """Advance the micro-batches' updates in lock-step: gradients add up over them, then the network moves."""
@@ -205,13 +207,11 @@ class Run:
                 stack.enter_context(self.fabric.no_backward_sync(network))
             yield
 
-    def _show(self, rates: dict[str, float] | None) -> None:
-        values = None
-        if rates is not None:
-            values = self.meter.read()
-            check_finite(values, self.progress.step)
-            values |= rates
-        self.monitor.step(self.progress.step, self._behind(), values)
+    def _show(self) -> None:
+        """Read the losses since the last time and show them; one that is not finite raises FloatingPointError."""
+        losses = self.meter.read()
+        check_finite(losses, self.progress.step)
+        self.monitor.step(self.progress.step, self._behind(), {**losses, **self.rates})
 
     def _averaged(self) -> AbstractContextManager[None]:
         seed_step(self.recipe.training.seed, self.fabric.global_rank, self.progress.step)
@@ -221,7 +221,7 @@ class Run:
         """Save everything that the same command needs to go on; what is not finite is not saved."""
         if not self.fabric.is_global_zero:
             return
-        self._show({})
+        self._show()
         self.progress.seconds = self.clock()
         weights: dict[str, Tensor] = {}
         for name, network in self.networks.items():

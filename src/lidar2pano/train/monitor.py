@@ -45,8 +45,8 @@ class Meter:
 class Monitor(Protocol):
     """What the loop tells whoever watches."""
 
-    def step(self, step: int, progress: float, values: Mapping[str, float] | None) -> None:
-        """Step `step` is done, `progress` (0 to 1) of the run; `values` when somebody has read them."""
+    def step(self, step: int, progress: float, values: Mapping[str, float]) -> None:
+        """Step `step` is done, `progress` (0 to 1) of the run; `values`: means of losses, and rates under "rate/"."""
         ...
 
     def scores(self, step: int, scores: Mapping[str, float]) -> None:
@@ -69,7 +69,7 @@ class Monitor(Protocol):
 class Silent:
     """The monitor that shows nothing: every process but the first has it."""
 
-    def step(self, step: int, progress: float, values: Mapping[str, float] | None) -> None:
+    def step(self, step: int, progress: float, values: Mapping[str, float]) -> None:
         """Show nothing."""
 
     def scores(self, step: int, scores: Mapping[str, float]) -> None:
@@ -108,13 +108,11 @@ class Screen:
         """Whether it is time for a new line."""
         return time.monotonic() - self.shown >= (SHOW_EVERY_S if self.bar else LOG_EVERY_S)
 
-    def step(self, step: int, progress: float, values: Mapping[str, float] | None) -> None:
+    def step(self, step: int, progress: float, values: Mapping[str, float]) -> None:
         """Renew the line and the curves."""
         now = time.monotonic()
-        if self.first is None:  # the first step of a sitting warms up: it does not count
+        if self.first is None:  # what went before the first line warms up: it does not count
             self.first = (step, progress, now)
-        if values is None:
-            return
         self.shown = now
         self.losses |= {name: value for name, value in values.items() if "/" not in name}
         state = f"{step}/{self.steps}  {_spoken(self.losses)}  {self._pace(step, progress, now)}"
