@@ -22,7 +22,7 @@ INVENTORY = ROOT / "tests" / "api_inventory.txt"
 FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"scan", "sensors", "labels", "calibration"}),
     frozenset({"formats", "sources", "geometry", "allocator"}),
-    frozenset({"models", "losses", "metrics", "data"}),
+    frozenset({"models", "losses", "metrics", "data", "panorama"}),
     frozenset({"pipeline"}),
     frozenset({"train", "evaluate", "bench"}),
     frozenset({"cli", "__main__"}),
@@ -233,12 +233,25 @@ def _members(owner: type) -> Iterator[str]:
             yield f"{name}{_signature(member)}"
 
 
+class Written(str):
+    """An annotation as it is written in the source, which `inspect` would show in quotes."""
+
+    __slots__ = ()
+    __repr__ = str.__str__
+
+
 def _signature(of: object) -> str:
     """A signature with annotations as they are written in the source; empty where Python knows none."""
     try:
-        return str(inspect.signature(of)).replace("'", "")  # type: ignore[arg-type]
+        found = inspect.signature(of)  # type: ignore[arg-type]
     except ValueError:
         return ""
+    named = [parameter.replace(annotation=_written(parameter.annotation)) for parameter in found.parameters.values()]
+    return str(found.replace(parameters=named, return_annotation=_written(found.return_annotation)))
+
+
+def _written(annotation: object) -> object:
+    return Written(annotation) if isinstance(annotation, str) else annotation
 
 
 if __name__ == "__main__":

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from lidar2pano.geometry.images import RangeImage, SegmentMap
     from lidar2pano.geometry.projection import back_project, project
     from lidar2pano.labels import CITYSCAPES, COMMON14, COMMON15, SEMANTIC_KITTI, LabelSet
-    from lidar2pano.pipeline import Panorama, Pipeline, load
+    from lidar2pano.panorama import Panorama
+    from lidar2pano.pipeline import Pipeline, load
     from lidar2pano.scan import Scan
     from lidar2pano.sensors import VIEWS, View
     from lidar2pano.sources import scans
@@ -55,7 +56,7 @@ _HOME = {
     "Calibration": "calibration",
     "InputError": "errors",
     "LabelSet": "labels",
-    "Panorama": "pipeline",
+    "Panorama": "panorama",
     "Pipeline": "pipeline",
     "RangeImage": "geometry.images",
     "Scan": "scan",
