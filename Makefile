@@ -7,7 +7,7 @@
 PYTHON ?= python3
 TORCH_INDEX ?=
 BIN := .venv/bin
-SOURCES := src tests
+SOURCES := src tests runs
 
 .PHONY: setup demo test lint format clean
 
