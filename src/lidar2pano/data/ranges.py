@@ -34,13 +34,17 @@ class RangeSample(NamedTuple):
 class RangeSamples:
     """Labelled scans of some splits, projected; augmented when drawn with a seed, plain when indexed.
 
-    columns  width of the azimuth crop for training (all of the view where 0).
+    columns   width of the azimuth crop for training (all of the view where 0).
+    turn_deg  how far augmentation turns a scan at most, either way.
     """
 
-    def __init__(self, root: Path, splits: tuple[str, ...], view: View, columns: int = 0) -> None:
+    def __init__(
+        self, root: Path, splits: tuple[str, ...], view: View, columns: int = 0, turn_deg: float = 180.0
+    ) -> None:
         self.frames = [frame for split in splits for frame in frames(root, split)]
         self.view = view
         self.columns = columns or view.columns
+        self.turn_deg = turn_deg
         self.normalise = Normalisation()
         self._held: dict[int, Scan] = {}
 
@@ -59,7 +63,7 @@ class RangeSamples:
         if isinstance(draw, int):
             return self._sample(self.scan(draw), self.frames[draw].name)
         generator = np.random.default_rng(draw.seed)
-        scan = augmented(self.scan(draw.index), generator)
+        scan = augmented(self.scan(draw.index), generator, self.turn_deg)
         sample = self._sample(scan, self.frames[draw.index].name)
         start = int(generator.integers(self.view.columns - self.columns + 1))
         window = (..., slice(start, start + self.columns))
@@ -77,14 +81,14 @@ def labelled(frame: Frame) -> Scan:
     return replace(scan, label=frame.labels(len(scan)), name=frame.name)
 
 
-def augmented(scan: Scan, generator: np.random.Generator) -> Scan:
+def augmented(scan: Scan, generator: np.random.Generator, turn_deg: float = 180.0) -> Scan:
     """SalsaNext's augmentation, each with probability 1/2: move, mirror, turn, drop up to half of the points."""
     if generator.random() < 0.5:
         scan = shift(scan, generator, (5.0, 3.0, 0.5))
     if generator.random() < 0.5:
         scan = mirror(scan)
     if generator.random() < 0.5:
-        scan = turn(scan, generator.uniform(-np.pi, np.pi))
+        scan = turn(scan, np.radians(generator.uniform(-turn_deg, turn_deg)))
     if generator.random() < 0.5:
         scan = drop_points(scan, generator, generator.uniform(0, 0.5))
     return scan

@@ -7,10 +7,11 @@ import signal
 import zlib
 from collections.abc import Iterator
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 import torch
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, Dataset
 
 from lidar2pano.data.sequences import Draw
 from lidar2pano.train.recipes import Training
@@ -62,7 +63,7 @@ class Places:
 def loader(dataset: Samples, places: Places, workers: int, pinned: bool) -> DataLoader:
     """Collated micro-batches in the order of `places`; workers leave Ctrl-C to the process that trains."""
     return DataLoader(
-        dataset,
+        cast(Dataset, dataset),
         batch_sampler=places,
         num_workers=workers,
         pin_memory=pinned,

@@ -13,6 +13,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from datetime import timedelta
 from math import inf, isfinite
 from pathlib import Path
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -32,10 +33,11 @@ from lidar2pano.train.task import Task, build_task
 
 try:
     from lightning.fabric import Fabric
-    from lightning.fabric.strategies import DDPStrategy
+    from lightning.fabric.strategies.ddp import DDPStrategy
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("training needs lightning: pip install 'lidar2pano[train]'") from error
 
+NO_MORE = ("", torch.zeros(()))  # what a task yields after its last update
 VALIDATION_LIMIT = timedelta(hours=2)  # for so long the other processes wait for the one that validates
 
 
@@ -86,7 +88,7 @@ class Run:
         self.optimizers: dict[str, torch.optim.Optimizer] = {}
         for name, network in self.networks.items():
             if recipe.training.channels_last:
-                network.to(memory_format=torch.channels_last)
+                network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
             optimizer = make_optimizer(recipe.networks[name].optimizer, network)
             task.networks[name], self.optimizers[name] = fabric.setup(network.train(), optimizer)
         decay = recipe.training.ema
@@ -178,14 +180,14 @@ class Run:
         """Advance the micro-batches' updates in lock-step: gradients add up over them, then the network moves."""
         losses: dict[str, Tensor] = {}
         while True:
-            name = None
+            name = ""
             for number, turn in enumerate(turns):
                 with self._without_sync():
-                    who, loss = next(turn, (None, None))
+                    who, loss = next(turn, NO_MORE)
                     if number and who != name:
                         raise RuntimeError(f"updates() yielded {name!r} for one micro-batch and {who!r} for another")
                     name = who
-                    if name is None:
+                    if not name:
                         continue
                     if number == 0:
                         for optimizer in self.optimizers.values():  # partners may have gradients of the last update
@@ -193,7 +195,7 @@ class Run:
                         losses[name] = torch.zeros((), device=self.fabric.device)
                     self.fabric.backward(loss / len(turns))
                     losses[name] += loss.detach() / len(turns)
-            if name is None:
+            if not name:
                 return losses
             weights = [weight for weight in self.networks[name].parameters() if weight.requires_grad]
             average_gradients(weights)
@@ -204,7 +206,7 @@ class Run:
     def _without_sync(self) -> Iterator[None]:
         with ExitStack() as stack:
             for network in self.task.networks.values():
-                stack.enter_context(self.fabric.no_backward_sync(network))
+                stack.enter_context(self.fabric.no_backward_sync(cast(Any, network)))
             yield
 
     def _show(self) -> None:
@@ -288,4 +290,5 @@ def _many_processes() -> DDPStrategy:
     """Processes that keep their own norm statistics (the first one's count), so that one of them may run alone."""
     parameters = inspect.signature(DistributedDataParallel).parameters
     quiet = "forward_sync_buffers" if "forward_sync_buffers" in parameters else "broadcast_buffers"  # renamed, 2.13
-    return DDPStrategy(timeout=VALIDATION_LIMIT, **{quiet: False})
+    settings: dict[str, Any] = {quiet: False}
+    return DDPStrategy(timeout=VALIDATION_LIMIT, **settings)

@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Column
 from torch import Tensor
 
 log = logging.getLogger(__name__)
@@ -99,8 +100,9 @@ class Screen:
         self.shown = time.monotonic()
         self.bar: Progress | None = None
         if sys.stderr.isatty():
-            columns = (TextColumn("{task.description}"), BarColumn(bar_width=20), TextColumn("{task.fields[state]}"))
-            self.bar = Progress(*columns, console=Console(file=sys.stderr), transient=False)
+            line = TextColumn("{task.fields[state]}", table_column=Column(no_wrap=True, overflow="ellipsis"))
+            columns = (TextColumn("{task.description}"), BarColumn(bar_width=20), line)
+            self.bar = Progress(*columns, console=Console(file=sys.stderr), refresh_per_second=2)
             self.line = self.bar.add_task(name, total=1.0, state="")
             self.bar.start()
 

@@ -8,18 +8,17 @@ from contextlib import contextmanager
 
 import torch
 from torch import Tensor, nn
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from lidar2pano.train.recipes import Optimizer
 
-KINDS: dict[str, type[torch.optim.Optimizer]] = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}
+KINDS = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}
 
 
 def make_optimizer(settings: Optimizer, network: nn.Module) -> torch.optim.Optimizer:
     """The optimiser of a network's trainable weights."""
     weights = [weight for weight in network.parameters() if weight.requires_grad]
-    return KINDS[settings.kind](
-        weights, lr=settings.rate, betas=tuple(settings.betas), weight_decay=settings.weight_decay
-    )
+    return KINDS[settings.kind](weights, lr=settings.rate, betas=settings.betas, weight_decay=settings.weight_decay)
 
 
 def learning_rate(settings: Optimizer, step: int, progress: float) -> float:
@@ -45,10 +44,10 @@ class Average:
     def update(self, step: int) -> None:
         """Take the weights after step `step` (from 0) in."""
         now = self.network.state_dict()
-        weight = 1 - min(self.decay, (1 + step) / (10 + step))
-        torch._foreach_lerp_([self.state[name] for name in self.moving], [now[name] for name in self.moving], weight)
-        if self.copied:
-            torch._foreach_copy_([self.state[name] for name in self.copied], [now[name] for name in self.copied])
+        mix = get_ema_multi_avg_fn(min(self.decay, (1 + step) / (10 + step)))
+        mix([self.state[name] for name in self.moving], [now[name] for name in self.moving], None)
+        for name in self.copied:
+            self.state[name].copy_(now[name])
 
     def load(self, state: Mapping[str, Tensor]) -> None:
         """Go on from a saved `state`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, cast, get_args, get_origin, get_type_hints
 
 from lidar2pano.errors import InputError, closest
 
@@ -34,7 +34,7 @@ def changed(node: Any, steps: list[str], text: str, path: str) -> Any:  # noqa: 
         raise InputError(f"{path} holds several values; set one of them: {', '.join(inner)}")
     else:
         new = _parsed(text, kind or _kind_of(old), path)
-    return replace(node, **{name: new}) if is_dataclass(node) else {**node, name: new}
+    return {**node, name: new} if isinstance(node, Mapping) else replace(cast(Any, node), **{name: new})
 
 
 def _kind_of(value: Any) -> Any:  # noqa: ANN401

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from typing import Literal
 
 import torch
 
@@ -23,7 +24,7 @@ def device_kind(device: str) -> str:
     return "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
 
 
-def arithmetic(training: Training, kind: str) -> str:
+def arithmetic(training: Training, kind: str) -> Literal["bf16-mixed", "32-true"]:
     """The recipe's precision, or "32-true" on a device that would only emulate bfloat16, slowly."""
     if training.precision == "bf16-mixed" and not has_bfloat16(torch.device(kind)):
         log.info("training in float32: this %s has no bfloat16", kind)

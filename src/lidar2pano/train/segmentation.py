@@ -25,18 +25,21 @@ from lidar2pano.train.task import build_networks
 class Segmentation:
     """Trains a range-view segmenter; scores it per point on the validation split, KNN clean-up included.
 
-    Options: columns, the width of the azimuth crop (0: the whole turn); lovasz, the weight of Lovasz-Softmax.
+    Options: columns, the width of the azimuth crop (0: the whole turn); turn_deg, how far scans are turned; lovasz,
+    the weight of Lovasz-Softmax; rarity, the power of a class's rarity that weighs it in the cross-entropy.
     """
 
     released = ("segmenter",)
 
     def __init__(self, recipe: Recipe, root: Path) -> None:
         self.view = VIEWS[recipe.view]
-        self.dataset = RangeSamples(root, recipe.data.train, self.view, int(recipe.options["columns"]))
+        self.dataset = RangeSamples(
+            root, recipe.data.train, self.view, int(recipe.options["columns"]), float(recipe.options["turn_deg"])
+        )
         self.validation = RangeSamples(root, recipe.data.val, self.view)
         self.networks = build_networks(recipe)
         self.lovasz = float(recipe.options["lovasz"])
-        self.weights = rarity(self.dataset)
+        self.weights = rarity(self.dataset, float(recipe.options["rarity"]))
         self.logs: dict[str, float | Tensor] = {}
 
     def updates(self, batch: RangeSample) -> Iterator[tuple[str, Tensor]]:
@@ -84,12 +87,12 @@ class Segmentation:
         }
 
 
-def rarity(dataset: RangeSamples) -> Tensor:
-    """Weights (K,) of the classes: one over the root of their share of the points, mean 1, at most 6."""
+def rarity(dataset: RangeSamples, power: float) -> Tensor:
+    """Weights (K,) of the classes: one over a power of their share of the points, mean 1, at most 6."""
     counts = np.zeros(len(SEMANTIC_KITTI))
     for index in range(len(dataset.frames)):
         counts += np.bincount(dataset.scan(index).label, minlength=len(counts))
     share = np.maximum(counts / counts.sum(), 1e-5)
-    weights = share**-0.5
+    weights = share**-power
     weights = np.minimum(weights / weights[1:].mean(), 6.0)
     return torch.from_numpy(weights).float()

@@ -1,0 +1,135 @@
+"""The tasks on a made-up data set: they learn, they score, and what they release fits the pipeline."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from miniature import write_data_set
+from torch.utils.data import default_collate
+
+from lidar2pano.data.sequences import Draw
+from lidar2pano.errors import InputError
+from lidar2pano.models.card import load
+from lidar2pano.models.families import weight_files
+from lidar2pano.train.engine import train
+from lidar2pano.train.recipes import Recipe, override, recipe_named
+from lidar2pano.train.task import build_task
+
+ONE_STEP = ["training.steps=1", "training.batch=2", "training.workers=0", "training.precision=32-true"]
+SMALL = {
+    "salsanext-mini": ["options.columns=64", "data.train=train"],
+    "titan-pano-mini": ["scale=0.125", "options.columns=160"],
+    "titan-mini": [],
+    "painter-mini": ["scale=0.125", "options.columns=64", "options.jitter=16"],
+}
+SETTINGS = {
+    "translator": {
+        "titan-pano-mini": {"classes": 16, "conditions": 20, "widths": (8, 8, 8, 8, 8), "pyramid": 8},
+        "titan-mini": {"classes": 15, "conditions": 20, "size": (92, 160)},
+    },
+    "painter": {"painter-mini": {"classes": 16, "widths": (8, 8, 8), "blocks": 1}},
+    "critic": {
+        "painter-mini": {"channels": 20, "width": 4, "layers": 2},
+        "titan-mini": {"image_channels": 15, "conditions": 20, "width": 4},
+    },
+}
+
+
+def small(name: str, *further: str) -> Recipe:
+    """A released recipe with networks and rasters small enough for a test; one step."""
+    recipe = recipe_named(name)
+    networks = {
+        role: replace(network, settings=SETTINGS.get(role, {}).get(name, network.settings))
+        for role, network in recipe.networks.items()
+    }
+    recipe = replace(recipe, networks=networks)
+    for assignment in [*ONE_STEP, *SMALL[name], *further]:
+        recipe = override(recipe, assignment)
+    return recipe
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    return write_data_set(tmp_path_factory.mktemp("data"))
+
+
+@pytest.fixture(scope="module")
+def runs(root, tmp_path_factory):
+    """Runs of one step of segmenter, translator and painter, each with the weights of those before."""
+    out = tmp_path_factory.mktemp("runs")
+    train(small("salsanext-mini"), root, out / "segmenter", device="cpu")
+    labels = f"options.segmenter={out / 'segmenter/weights/segmenter.safetensors'}"
+    train(small("titan-pano-mini", labels), root, out / "translator", device="cpu")
+    seen = f"options.translator={out / 'translator/weights/translator.safetensors'}"
+    train(small("painter-mini", labels, seen), root, out / "painter", device="cpu")
+    return out
+
+
+def test_what_is_released_takes_its_part_in_the_pipeline(runs):
+    for role in ("segmenter", "translator", "painter"):
+        assert weight_files(runs / role)[role] == runs / role / "weights" / f"{role}.safetensors"
+        _, card = load(weight_files(runs / role)[role])
+        assert card.recipe.endswith("-mini")
+        assert card.score["split"] == "val"
+        assert card.steps == 1
+        assert (runs / role / "preview").is_dir()
+
+
+def test_the_painter_says_which_weights_it_needs(root):
+    with pytest.raises(InputError, match="options.translator"):
+        build_task(small("painter-mini"), root)
+
+
+@pytest.mark.parametrize(("name", "steps"), [("salsanext-mini", 6), ("titan-pano-mini", 12)])
+def test_the_loss_falls(root, name, steps):
+    task = build_task(small(name), root)
+    batch = default_collate([task.dataset[Draw(index, index)] for index in range(2)])
+    network = next(iter(task.networks.values()))
+    optimizer = torch.optim.AdamW(network.parameters(), lr=3e-3)
+    losses = []
+    for _ in range(steps):
+        ((_, loss),) = task.updates(batch)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.8 * losses[0]
+
+
+def test_titan_net_moves_critic_and_translator_in_turn(root):
+    task = build_task(small("titan-mini"), root)
+    batch = default_collate([task.dataset[Draw(index, index)] for index in range(2)])
+    order = []
+    for who, loss in task.updates(batch):
+        order.append(who)
+        task.networks[who].zero_grad()
+        loss.backward()
+        assert all(weight.grad is not None for weight in task.networks[who].parameters())
+    assert order == ["critic", "translator"]
+    assert task.logs["guide"] > 0
+    task.networks["translator"].eval()
+    assert 0 <= task.validate()["score"] <= 1
+    assert task.preview()["segments"].shape == (4 * 92, 160, 3)
+
+
+def test_painted_pixels_that_no_camera_saw_teach_nothing(root, runs):
+    task = build_task(
+        small(
+            "painter-mini",
+            f"options.segmenter={runs / 'segmenter/weights/segmenter.safetensors'}",
+            f"options.translator={runs / 'translator/weights/translator.safetensors'}",
+        ),
+        root,
+    )
+    batch = default_collate([task.dataset[Draw(index, index)] for index in range(2)])
+    changed = batch._replace(colour=torch.where(batch.seen[:, None], batch.colour, torch.rand_like(batch.colour)))
+    losses = []
+    for each in (batch, changed):
+        torch.manual_seed(0)
+        for network in task.networks.values():
+            network.eval()
+        losses.append([loss.item() for _, loss in task.updates(each)])
+    assert not batch.seen.all()
+    assert losses[0] == pytest.approx(losses[1], rel=1e-5)
