@@ -4,38 +4,38 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import signal
 import subprocess
 import sys
 import time
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
+from torch.utils.data import default_collate
 
 from lidar2pano.errors import InputError
-from lidar2pano.models import MODELS
 from lidar2pano.models.card import load
 from lidar2pano.train.checkpoint import load_checkpoint
+from lidar2pano.train.draws import Places, seed_step
 from lidar2pano.train.engine import train
 from lidar2pano.train.recipes import Recipe, override, resolved
-from lidar2pano.train.task import TASKS
-from toy_training import Denoise, Gan, register, toy_recipe
+from toy_training import Denoise, Gan, entries, gap, left, toy_recipe
 
+PLAIN = ("networks.generator.settings.norm=false", "networks.generator.settings.dropout=0")
 PROGRAM = Path(__file__).with_name("toy_training.py")
 
 
 @pytest.fixture(autouse=True)
 def _toys(monkeypatch):
-    for table in (MODELS, TASKS, sys.modules):
-        monkeypatch.setattr(f"{__name__}.PROGRAM", PROGRAM)
-        for name in ("toy", "toy-gan", "lidar2pano.models.toy", "lidar2pano.train.toy"):
-            monkeypatch.delitem(table, name, raising=False)  # undone at the end, with what `register` puts there
-    register()
+    for table, name, value in entries():
+        monkeypatch.setitem(table, name, value)
     for task in (Denoise, Gan):
         monkeypatch.setattr(task, "before_step", None)
     monkeypatch.setattr(Denoise, "scores", [])
@@ -44,25 +44,6 @@ def _toys(monkeypatch):
 def run(recipe: Recipe, out: Path) -> Path:
     train(recipe, Path(), out, device="cpu")
     return out
-
-
-def left(out: Path) -> tuple[int, dict[str, torch.Tensor]]:
-    """The step and every tensor of the last checkpoint: weights, averages, optimisers."""
-    found = load_checkpoint(out)
-    assert found is not None
-    progress, tensors, optimizers = found
-    tensors = dict(tensors)
-    for name, state in optimizers.items():
-        for number, entries in state["state"].items():
-            tensors |= {f"optimizer/{name}/{number}/{key}": value for key, value in entries.items()}
-    return progress.step, tensors
-
-
-def gap(one: Path, other: Path) -> float:
-    """Largest difference between two runs' last checkpoints, which must be of one step and hold the same things."""
-    (step, ours), (their_step, theirs) = left(one), left(other)
-    assert step == their_step and ours.keys() == theirs.keys()
-    return max((ours[name].double() - theirs[name].double()).abs().max().item() for name in ours)
 
 
 def interrupt_at(call: int, number: signal.Signals = signal.SIGINT):
@@ -109,25 +90,63 @@ def test_killed_in_an_epoch_and_repeated_equals_an_undisturbed_run(tmp_path):
     assert gap(tmp_path / "killed", run(toy_recipe("toy-gan", steps=40), tmp_path / "whole")) == 0
 
 
+def plain_gan(**training) -> Recipe:
+    """The toy GAN without statistics and chance, whose steps can be done by hand."""
+    recipe = toy_recipe("toy-gan", **training)
+    for change in PLAIN:
+        recipe = override(recipe, change)
+    return recipe
+
+
 def test_two_processes_equal_one(tmp_path):
-    plain = ["networks.generator.settings.norm=false", "networks.generator.settings.dropout=0"]
-    two = start("toy-gan", tmp_path / "two", 2, 0, *plain, "training.accumulate=2", "training.validate_minutes=0.0001")
+    two = start("toy-gan", tmp_path / "two", 2, 0, *PLAIN, "training.accumulate=2", "training.validate_minutes=0.0001")
     messages = two.communicate()[1]
     assert two.returncode == 0, messages
-    recipe = toy_recipe("toy-gan")
-    for change in plain:
-        recipe = override(recipe, change)
+    recipe = plain_gan()
     assert gap(tmp_path / "two", run(recipe, tmp_path / "one")) < 1e-5
     other = run(replace(recipe, training=replace(recipe.training, batch=2)), tmp_path / "half")
     assert gap(tmp_path / "two", other) > 1e-3  # what one process alone would have seen
 
 
 def test_lock_step_accumulation_equals_the_big_batch(tmp_path):
-    recipe = toy_recipe("toy-gan")
-    for change in ("networks.generator.settings.norm=false", "networks.generator.settings.dropout=0"):
-        recipe = override(recipe, change)
-    big = run(recipe, tmp_path / "big")
-    assert gap(big, run(override(recipe, "training.accumulate=4"), tmp_path / "turns")) < 1e-5
+    big = run(plain_gan(), tmp_path / "big")
+    assert gap(big, run(plain_gan(accumulate=4), tmp_path / "turns")) < 1e-5
+
+
+def test_steps_are_those_done_by_hand(tmp_path):
+    recipe = plain_gan(steps=5, ema=0.5)
+    seed_step(recipe.training.seed, 0, -1)
+    task = Gan(recipe, Path())
+    rules = recipe.networks["generator"].optimizer
+    adams = {name: torch.optim.Adam(net.parameters(), lr=0.0, betas=rules.betas) for name, net in task.networks.items()}
+    average = {name: value.clone() for name, value in task.networks["generator"].state_dict().items()}
+    for step, draws in enumerate(islice(Places(len(task.dataset), 0, recipe.training), 5)):
+        for name, loss in task.updates(default_collate([task.dataset[draw] for draw in draws])):
+            for group in adams[name].param_groups:
+                group["lr"] = 1e-2 * min(1, (step + 1) / 3) * (1 + math.cos(math.pi * step / 5)) / 2
+            weights = list(task.networks[name].parameters())
+            for weight, gradient in zip(weights, torch.autograd.grad(loss, weights), strict=True):
+                weight.grad = gradient
+            torch.nn.utils.clip_grad_norm_(weights, 1.0)
+            adams[name].step()
+        decay = min(0.5, (1 + step) / (10 + step))
+        for name, value in task.networks["generator"].state_dict().items():
+            average[name] = decay * average[name] + (1 - decay) * value
+    tensors = left(run(recipe, tmp_path))[1]
+    for name, network in task.networks.items():
+        for key, value in network.state_dict().items():
+            assert torch.allclose(value, tensors[f"network/{name}/{key}"], atol=1e-6), (name, key)
+    for key, value in average.items():
+        assert torch.allclose(value, tensors[f"average/generator/{key}"], atol=1e-6), key
+
+
+@pytest.mark.parametrize("channels_last", [True, False])
+def test_channels_last_is_the_layout_of_the_weights(tmp_path, monkeypatch, channels_last):
+    seen = []
+    monkeypatch.setattr(Denoise, "preview", lambda self: seen.extend(self.networks["generator"].parameters()) or {})
+    run(toy_recipe("toy", steps=1, channels_last=channels_last), tmp_path)
+    wide = [weight for weight in seen if weight.ndim == 4]
+    assert wide and all(w.is_contiguous(memory_format=torch.channels_last) is channels_last for w in wide)
 
 
 def test_workers_change_nothing(tmp_path):
@@ -228,7 +247,7 @@ def test_a_loss_that_is_not_finite_leaves_the_last_checkpoint(tmp_path, monkeypa
         yield "generator", loss * (float("nan") if self.calls > 8 else 1.0)
 
     monkeypatch.setattr(Denoise, "updates", breaks)
-    with pytest.raises(FloatingPointError, match="the last checkpoint is sound"):
+    with pytest.raises(FloatingPointError, match="generator is not finite near step 9; the last checkpoint is sound"):
         run(toy_recipe("toy", checkpoint_minutes=1e-9), tmp_path)
     step, tensors = left(tmp_path)
     assert step == 8 and all(value.isfinite().all() for value in tensors.values())

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from lidar2pano.data.sequences import Draw
 from lidar2pano.models import MODELS
+from lidar2pano.train.checkpoint import load_checkpoint
 from lidar2pano.train.recipes import Network, Optimizer, Recipe, Training, override
 from lidar2pano.train.task import TASKS, build_networks
 
@@ -119,17 +120,42 @@ def toy_recipe(task: str, **training: Any) -> Recipe:
     return Recipe(name=task, task=task, view="hdl64e", networks=networks, training=Training(**settings))
 
 
-def register() -> None:
-    """Make the toys known to the package by name."""
-    MODELS["toy"] = "toy:ToyNetwork"
-    TASKS.update({"toy": "toy:Denoise", "toy-gan": "toy:Gan"})
-    sys.modules["lidar2pano.models.toy"] = sys.modules["lidar2pano.train.toy"] = sys.modules[__name__]
+def entries() -> list[tuple[dict, str, Any]]:
+    """(table, name, value) that make the toys known to the package by name."""
+    here = sys.modules[__name__]
+    names = {"toy": "toy:Denoise", "toy-gan": "toy:Gan"}
+    modules = ("lidar2pano.models.toy", "lidar2pano.train.toy")
+    return [
+        (MODELS, "toy", "toy:ToyNetwork"),
+        *((TASKS, name, where) for name, where in names.items()),
+        *((sys.modules, name, here) for name in modules),
+    ]
+
+
+def left(out: Path) -> tuple[int, dict[str, Tensor]]:
+    """The step and every tensor of a run's last checkpoint: weights, averages, optimisers."""
+    found = load_checkpoint(out)
+    assert found is not None
+    progress, tensors, optimizers = found
+    tensors = dict(tensors)
+    for name, state in optimizers.items():
+        for number, values in state["state"].items():
+            tensors |= {f"optimizer/{name}/{number}/{key}": value for key, value in values.items()}
+    return progress.step, tensors
+
+
+def gap(one: Path, other: Path) -> float:
+    """Largest difference between two runs' last checkpoints, which must be of one step and hold the same things."""
+    (step, ours), (their_step, theirs) = left(one), left(other)
+    assert step == their_step and ours.keys() == theirs.keys()
+    return max((ours[name].double() - theirs[name].double()).abs().max().item() for name in ours)
 
 
 if __name__ == "__main__":
     from lidar2pano.train.engine import train
 
-    register()
+    for table, name, value in entries():
+        table[name] = value
     task, out, devices, pause_s, *changes = sys.argv[1:]
     Denoise.before_step = Gan.before_step = lambda _: time.sleep(float(pause_s))
     chosen = toy_recipe(task)
