@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import stat
 from dataclasses import replace
@@ -218,6 +219,14 @@ def test_changed_tensors_are_noticed(tmp_path: Path) -> None:
     _written(path)
     _tampered(path, _with(path, sha256=""))
     _assert_refused(path, "its checksum is wrong")
+
+
+def test_the_checksum_is_the_documented_one(tmp_path: Path) -> None:
+    written = _written(tmp_path / "weights")[1]
+    digest = hashlib.sha256()
+    for key, tensor in sorted(load_file(tmp_path / "weights").items()):
+        digest.update(f"{key} {tensor.dtype} {list(tensor.shape)}\n".encode() + tensor.numpy().tobytes())
+    assert written.sha256 == digest.hexdigest()
 
 
 def test_a_card_alone_can_be_changed_by_hand(tmp_path: Path) -> None:

@@ -93,7 +93,7 @@ def _wrong_content(how: str) -> object:
         "double": lambda: state | {"logits.bias": bias.double()},
         "longer": lambda: state | {"logits.bias": torch.zeros(16)},
         "list": lambda: [1, 2],
-        "nested": lambda: {"state_dict": [1]},
+        "nested": lambda: {"state_dict": ["logits.bias"]},
         "numbered": lambda: {1: bias},
     }[how]()
 

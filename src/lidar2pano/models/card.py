@@ -130,7 +130,7 @@ def load(path: Path | str, device: torch.device | str = "cpu", expect: str | Non
     if card.sha256 != _checksum(tensors):
         raise InputError(f"{path} was changed or damaged: its checksum is wrong; fetch or make the file anew")
     model = build(card.network, **card.settings)
-    model.load_state_dict({key: _computed(tensor) for key, tensor in tensors.items()})
+    model.load_state_dict(tensors)  # into float32, which the network is made of
     return model.to(device).eval(), card
 
 
@@ -201,10 +201,6 @@ def _stored(key: str, tensor: Tensor, dtype: torch.dtype) -> Tensor:
         raise ValueError(f"{key!r} has values that are not finite; the training has diverged")
     fits = tensor.ndim > 1 and tensor.abs().max() <= torch.finfo(dtype).max
     return tensor.to(dtype if fits else torch.float32)
-
-
-def _computed(tensor: Tensor) -> Tensor:
-    return tensor.float() if tensor.is_floating_point() else tensor
 
 
 def _checksum(tensors: Mapping[str, Tensor]) -> str:
