@@ -1,23 +1,26 @@
 #!/usr/bin/env bash
 # How the released family `kitti-mini` was made, from labelled scans and camera images to the files in the package:
-#   runs/kitti_mini.sh DATA OUT [SEGMENTER_MINUTES TRANSLATOR_MINUTES PAINTER_MINUTES]
+#   runs/kitti_mini.sh DATA OUT
 # DATA is a data set in SemanticKITTI's layout with camera_labels/ and splits.json (README, "Training and scoring").
-# Every stage resumes: run the same command again after an interruption. `compare` trains TITAN-Net the paper's way on
-# the same data for as long as the translator, to be scored beside it.
+# Every stage resumes: run the same command again after an interruption. The last stage trains TITAN-Net the paper's way
+# on the same data for as long as the translator, to be scored beside it. Minutes are those of two CPU cores.
 set -euo pipefail
 data=$1 out=$2
-segmenter=${3:-22} translator=${4:-27} painter=${5:-30}
 
-lidar2pano train salsanext-mini --data "$data" --out "$out/segmenter" --set "training.minutes=$segmenter"
+# The segmenter in two stages: all directions alike and rare classes weighed heavily, then as streets lie.
+lidar2pano train salsanext-mini --data "$data" --out "$out/first" --set training.minutes=22 \
+  --set options.turn_deg=180 --set options.rarity=0.5
+lidar2pano train salsanext-mini --data "$data" --out "$out/segmenter" --set training.minutes=23 \
+  --set "networks.segmenter.start=$out/first/weights/segmenter.last.safetensors" \
+  --set networks.segmenter.optimizer.rate=0.002
 labels="options.segmenter=$out/segmenter/weights/segmenter.safetensors"
 
-lidar2pano train titan-pano-mini --data "$data" --out "$out/translator" \
-  --set "training.minutes=$translator" --set "$labels"
-
-lidar2pano train painter-mini --data "$data" --out "$out/painter" \
-  --set "training.minutes=$painter" --set "$labels" \
+lidar2pano train titan-pano-mini --data "$data" --out "$out/translator" --set training.minutes=24 --set "$labels"
+lidar2pano train painter-mini --data "$data" --out "$out/painter" --set training.minutes=24 --set "$labels" \
   --set "options.translator=$out/translator/weights/translator.safetensors"
+lidar2pano train titan-mini --data "$data" --out "$out/titan" --set training.minutes=24 --set "$labels"
 
-lidar2pano train titan-mini --data "$data" --out "$out/compare" --set "training.minutes=$translator" --set "$labels"
-
-lidar2pano evaluate "$out/translator" "$out/compare" --data "$data" --split val
+mkdir -p "$out/family"
+for role in segmenter translator painter; do cp "$out/$role/weights/$role.safetensors" "$out/family"; done
+lidar2pano evaluate "$out/family" "$out/titan" --data "$data" --split val --json "$out/val.json"
+python "$(dirname "$0")/release_family.py" "$out/family" kitti-mini "$out/val.json" --licence CC-BY-NC-SA-4.0

@@ -119,13 +119,12 @@ class PanoramaSamples:
 
     def _relabelled(self, scan: Scan, index: int, generator: np.random.Generator) -> Scan:
         """The scan with the teacher's labels or, where there are any, the segmenter's; now and then without."""
-        assert scan.label is not None
         if index in self.predicted and generator.random() < 0.5:
             scan = replace(scan, label=self.predicted[index])
-        if generator.random() < 0.15:  # a sector unlabeled: geometry has to do
+        if scan.label is not None and generator.random() < 0.15:  # a sector unlabeled: geometry has to do
             azimuth = np.arctan2(scan.xyz[:, 1], scan.xyz[:, 0])
             middle, half = generator.uniform(-0.8, 0.8), generator.uniform(0.05, 1.0)
-            scan = replace(scan, label=np.where(np.abs(azimuth - middle) < half, 0, scan.label))
+            scan = replace(scan, label=scan.label * (np.abs(azimuth - middle) >= half))
         return scan
 
     def _sample(self, moment: Moment, scan: Scan, name: str, start: int) -> PanoramaSample:
@@ -173,7 +172,8 @@ def around_camera(view: View, calibration: Calibration, columns: int) -> View:
     ahead = np.linalg.inv(calibration.K @ calibration.T_camera_lidar[:3, :3]) @ np.array(
         [(calibration.size[0] - 1) / 2, (calibration.size[1] - 1) / 2, 1.0]
     )
-    _, column = pixels(*torch.from_numpy(ahead), view)
+    x, y, z = torch.from_numpy(ahead).unbind()
+    _, column = pixels(x, y, z, view)
     start = min(max(round(float(column)) - columns // 2, 0), view.columns - columns)
     return view.window(start, columns)
 

@@ -68,7 +68,11 @@ class Frame:
 
     def camera_labels(self) -> np.ndarray:
         """Read the camera's class ids (h, w) uint8 of CITYSCAPES, UNSURE where nobody knows."""
-        return _pixels(self.folder / "camera_labels" / f"{self.stem}.png", None)
+        path = self.folder / "camera_labels" / f"{self.stem}.png"
+        ids = _pixels(path, None)
+        if ids.ndim != 2 or ids.dtype != np.uint8:
+            raise InputError(f"{path}: is no picture of class ids (one channel of 8 bits); write Cityscapes train ids")
+        return ids
 
     def calibration(self, size: tuple[int, int]) -> Calibration:
         """Read the sequence's calib.txt for an image of `size` (width, height)."""

@@ -20,7 +20,8 @@ class PatchCritic(nn.Module):
 
     def __init__(self, channels: int = 22, width: int = 48, layers: int = 3, scales: int = 2) -> None:
         super().__init__()
-        self.scales = nn.ModuleList([_patches(channels, width, layers) for _ in range(scales)])
+        critics = [_patches(channels, width, layers) for _ in range(scales)]
+        self.scales: list[nn.ModuleList] = nn.ModuleList(critics)  # pyright: ignore[reportAttributeAccessIssue] no generic
 
     def forward(self, picture: Tensor) -> list[list[Tensor]]:
         """(B, channels, H, W) -> per scale, the features of every layer, the last being the scores (B, 1, h, w)."""

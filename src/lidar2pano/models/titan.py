@@ -22,6 +22,8 @@ from torch.nn import functional
 
 from lidar2pano.models.salsanext import ResBlock, Trunk
 
+IMAGE_SIZE = (376, 1241)  # rows, columns: KITTI's images, as published
+
 
 def _merge(inputs: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(nn.Conv2d(inputs, outputs, 1), nn.LeakyReLU(0.2, inplace=True), nn.InstanceNorm2d(outputs))
@@ -37,7 +39,7 @@ class Titan(Trunk):
     """
 
     def __init__(
-        self, classes: int = 15, conditions: int = 20, size: Sequence[int] = (376, 1241), channels: int = 5
+        self, classes: int = 15, conditions: int = 20, size: Sequence[int] = IMAGE_SIZE, channels: int = 5
     ) -> None:
         super().__init__(32, nn.InstanceNorm2d, upper_dropout=0.0)
         height, width = size

@@ -77,7 +77,7 @@ class TitanPano(nn.Module):
         for depth in (2, 1, 0):
             x = self.smooth[depth](self.laterals[depth](features[depth]) + grow_circular(x, 2))
         x = self.head(torch.cat([self.shuffle(self.fuse(x)), fine], 1))
-        depth_m = torch.expm1(self.depth(x)[:, 0].float().clamp(0, 1) * _log_far())
+        depth_m = torch.expm1(self.depth(x)[:, 0].float().sigmoid() * _log_far())
         return self.classes(x), depth_m
 
 

@@ -44,7 +44,7 @@ def wasserstein_updates(
     separation = critic_wasserstein(critic(real, condition), critic(fake, condition))
     bare = getattr(critic, "module", critic)  # Fabric's wrapper forbids gradients other than by its own backward
     penalty = gradient_penalty(lambda image: bare(image, condition), real, fake, epsilon=epsilon)
-    logs |= {"wasserstein": -separation.detach(), "penalty": penalty.detach()}
+    logs["wasserstein"], logs["penalty"] = -separation.detach(), penalty.detach()
     yield "critic", separation + penalty_weight * penalty
     del separation, penalty
     with frozen(critic):

@@ -16,8 +16,8 @@ from lidar2pano.labels import COMMON14, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.metrics.confusion import Confusion
 from lidar2pano.models.card import load
-from lidar2pano.models.precision import fast_arithmetic
 from lidar2pano.models.segmenter import Segmenter
+from lidar2pano.models.titan import IMAGE_SIZE
 from lidar2pano.sensors import VIEWS
 from lidar2pano.train.adversarial import wasserstein_updates
 from lidar2pano.train.recipes import Recipe
@@ -36,7 +36,8 @@ class FrontTranslation:
     def __init__(self, recipe: Recipe, root: Path) -> None:
         self.view = VIEWS[recipe.view]
         self.networks = build_networks(recipe)
-        size = self.networks["translator"].size
+        rows, columns = recipe.networks["translator"].settings.get("size", IMAGE_SIZE)
+        size = (int(rows), int(columns))
         self.dataset = FrontSamples(root, recipe.data.train, self.view, size)
         self.validation = FrontSamples(root, recipe.data.val, self.view, size)
         self.penalty, self.lovasz = float(recipe.options["penalty"]), float(recipe.options["lovasz"])
@@ -69,7 +70,7 @@ class FrontTranslation:
         network = self.networks["translator"]
         device = next(network.parameters()).device
         condition = one_hot_layers(sample.segments[None].to(device), len(SEMANTIC_KITTI))
-        with torch.inference_mode(), fast_arithmetic(device):
+        with torch.inference_mode():  # in float32: instance norms amplify what bfloat16 rounds away
             return network(sample.lidar[None].to(device), condition)[0].argmax(0).cpu()
 
     def validate(self) -> dict[str, float]:

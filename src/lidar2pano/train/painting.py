@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate, l1_loss
+from torch.utils.data import default_collate
 
 from lidar2pano.data.panoramas import PanoramaSample, PanoramaSamples
 from lidar2pano.data.sequences import UNSURE
@@ -104,7 +105,8 @@ class Painting:
         network = self.networks["painter"]
         device = next(network.parameters()).device
         sample = self.validation[index]
-        one = PanoramaSample(*(part[None].to(device) if isinstance(part, Tensor) else part for part in sample))
+        one = default_collate([sample])
+        one = one._replace(image=one.image.to(device), segments=one.segments.to(device), camera=one.camera.to(device))
         segments, depth_m = self.scene(one, trust=torch.zeros(1, dtype=torch.bool))
         with torch.inference_mode(), fast_arithmetic(device):
             return network(segments, depth_m, one.image)[0].float().cpu(), sample

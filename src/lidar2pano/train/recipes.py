@@ -147,7 +147,7 @@ def titan() -> Recipe:
             "critic": Network(model="titan-critic", settings={"image_channels": 15, "conditions": 20}, optimizer=adam),
         },
         options={"penalty": 10.0, "lovasz": 1.0, "segmenter": ""},
-        training=Training(steps=50_000, batch=10, accumulate=10, ema=0.0),
+        training=Training(steps=50_000, batch=10, accumulate=10, ema=0.0, precision="32-true"),
     )
 
 

@@ -91,7 +91,9 @@ def rarity(dataset: RangeSamples, power: float) -> Tensor:
     """Weights (K,) of the classes: one over a power of their share of the points, mean 1, at most 6."""
     counts = np.zeros(len(SEMANTIC_KITTI))
     for index in range(len(dataset.frames)):
-        counts += np.bincount(dataset.scan(index).label, minlength=len(counts))
+        label = dataset.scan(index).label
+        assert label is not None
+        counts += np.bincount(label, minlength=len(counts))
     share = np.maximum(counts / counts.sum(), 1e-5)
     weights = share**-power
     weights = np.minimum(weights / weights[1:].mean(), 6.0)

@@ -1,0 +1,34 @@
+"""Put a trained family into the package: the weights, with licence and measured score in their cards.
+
+python runs/release_family.py FOLDER NAME SCORES.json --licence SPDX
+FOLDER holds segmenter, translator and painter (.safetensors); SCORES.json is what `lidar2pano evaluate --json` wrote.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+
+from lidar2pano.models.card import load, save
+from lidar2pano.models.families import RELEASED, weight_files
+
+
+def main() -> None:
+    """Read the arguments and write the family's files."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("name")
+    parser.add_argument("scores", type=Path)
+    parser.add_argument("--licence", required=True)
+    asked = parser.parse_args()
+    measured = json.loads(asked.scores.read_text(encoding="utf-8"))
+    for role, file in weight_files(asked.folder).items():
+        network, card = load(file)
+        score = card.score | measured.get(role, {})
+        save(RELEASED / asked.name / f"{role}.safetensors", network, replace(card, licence=asked.licence, score=score))
+
+
+if __name__ == "__main__":
+    main()
