@@ -9,6 +9,8 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 
+ROTATION_TOLERANCE = 1e-3  # of R R^T from 1; KITTI writes 7 to 13 digits
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Calibration:
@@ -51,12 +53,15 @@ def read_calib(path: Path, size: tuple[int, int] = (1242, 375)) -> Calibration:
     """Read KITTI odometry's calib.txt: P2 (3x4) and Tr (3x4, LiDAR -> rectified camera 0).
 
     pixel ~ P2 [Tr; 0 0 0 1] [x y z 1]^T. P2 = K [I | b]: the colour camera stands b away from camera 0.
-    Raises InputError where the file, P2 or Tr is missing or not numbers.
+    Raises InputError where the file, P2 or Tr is missing, not numbers, or no camera matrix and rotation.
     """
-    P2, Tr = (_matrix(path, _rows(path), name) for name in ("P2", "Tr"))
-    K = P2[:, :3]
-    if abs(np.linalg.det(K)) < 1e-9 or abs(np.linalg.det(Tr[:, :3])) < 1e-6:
-        raise InputError(f"{path}: P2 or Tr is singular; a camera matrix and a rotation are needed")
+    rows = _rows(path)
+    P2, Tr = (_matrix(path, rows, name) for name in ("P2", "Tr"))
+    K, R = P2[:, :3], Tr[:, :3]
+    if abs(np.linalg.det(K)) < 1e-9 or K[2, 2] == 0:
+        raise InputError(f"{path}: row P2: is no camera matrix (it cannot be inverted); take the row from KITTI's file")
+    if np.linalg.det(R) < 0 or not np.allclose(R @ R.T, np.eye(3), atol=ROTATION_TOLERANCE):
+        raise InputError(f"{path}: row Tr: holds no rotation (LiDAR -> camera 0); take the row from KITTI's file")
     T = np.eye(4)
     T[:3] = Tr
     T[:3, 3] += np.linalg.solve(K, P2[:, 3])
@@ -68,7 +73,8 @@ def _rows(path: Path) -> dict[str, str]:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as calib.txt ({_reason(error)}); name KITTI's file") from error
-    return dict(line.split(":", 1) for line in text.splitlines() if ":" in line)
+    parts = (line.partition(":") for line in text.splitlines())
+    return {name.strip(): numbers for name, _, numbers in parts}
 
 
 def _reason(error: Exception) -> str:

@@ -25,7 +25,7 @@ class LabelSet:
     classes: tuple[str, ...]
     colours: tuple[tuple[int, int, int], ...]
     raw: tuple[int, ...] = ()
-    folds: Mapping[int, str] = field(default_factory=dict)
+    folds: Mapping[int, str] = field(default_factory=dict[int, str])
 
     def __post_init__(self) -> None:
         """Refuse a set with a class twice or without its colour (ValueError)."""
@@ -48,19 +48,27 @@ class LabelSet:
         """Look-up table (K,) uint8 of `other`'s ids; a class that `rename` and `other` do not name is an error."""
         if lost := set(self.classes) - set(rename) - set(other.classes):
             raise ValueError(f"{self.name} -> {other.name}: say where {sorted(lost)} go")
+        if strange := set(rename) - set(self.classes):
+            raise ValueError(f"{self.name} has no class {sorted(strange)}")
         if wrong := {rename.get(c, c) for c in self.classes} - set(other.classes):
             raise ValueError(f"{other.name} has no class {sorted(wrong)}")
         return np.array([other.classes.index(rename.get(c, c)) for c in self.classes], dtype=np.uint8)
 
     def from_raw(self, values: np.ndarray) -> np.ndarray:
-        """Ids (N,) int64 of a file's values; of 32 bits the low 16 are the class. Unknown values become 0."""
+        """Ids (N,) int64 of a file's values; of 32 bits the low 16 are the class. Unknown values become unlabeled.
+
+        ValueError for a set without unlabeled: there every value must be a class.
+        """
         low = np.asarray(values).astype(np.int64) & 0xFFFF
-        table = np.zeros(0x10000, dtype=np.int64)
+        table = np.full(0x10000, self.classes.index("unlabeled") if "unlabeled" in self.classes else -1)
         for index, raw in enumerate(self.raw or range(len(self))):
             table[raw] = index
         for raw, name in self.folds.items():
             table[raw] = self.classes.index(name)
-        return table[low]
+        ids = table[low]
+        if (unknown := ids < 0).any():
+            raise ValueError(f"{self.name} has no class for the values {np.unique(low[unknown])[:5].tolist()}")
+        return ids
 
     def to_raw(self, ids: np.ndarray) -> np.ndarray:
         """Values (N,) uint32 that a file holds for ids; instances (the high 16 bits) are 0."""
@@ -74,7 +82,7 @@ class LabelSet:
     def paint(self, ids: np.ndarray) -> np.ndarray:
         """RGB picture (..., 3) uint8 of ids (...); ids outside the set are black."""
         table = np.frombuffer(self.palette(), dtype=np.uint8).reshape(256, 3)
-        return table[ids.astype(np.uint8)]
+        return table[np.where((ids >= 0) & (ids < len(self)), ids, 255)]
 
 
 def unpack_label(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -82,7 +90,7 @@ def unpack_label(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return values & 0xFFFF, values >> 16
 
 
-# SemanticKITTI's learning map, Behley et al. 2019 (semantic-kitti.yaml): cross-entropy order and raw ids.
+# SemanticKITTI's learning map, Behley et al. 2019 (semantic-kitti.yaml): order, raw ids, colours.
 SEMANTIC_KITTI = LabelSet(
     name="semantic-kitti",
     classes=(
@@ -91,7 +99,7 @@ SEMANTIC_KITTI = LabelSet(
         "traffic-sign",
     ),
     colours=(
-        (0, 0, 0), (100, 150, 245), (100, 230, 245), (30, 60, 150), (80, 30, 180), (0, 0, 250), (255, 30, 30),
+        (0, 0, 0), (100, 150, 245), (100, 230, 245), (30, 60, 150), (80, 30, 180), (0, 0, 255), (255, 30, 30),
         (255, 40, 200), (150, 30, 90), (255, 0, 255), (255, 150, 255), (75, 0, 75), (175, 0, 75), (255, 200, 0),
         (255, 120, 50), (0, 175, 0), (135, 60, 0), (150, 240, 80), (255, 240, 150), (255, 0, 0),
     ),

@@ -25,13 +25,13 @@ class Scan:
     name: str = "scan"
 
     def __post_init__(self) -> None:
-        """Refuse arrays that do not belong together (ValueError)."""
-        if self.xyz.ndim != 2 or self.xyz.shape[1] != 3:
-            raise ValueError(f"Scan.xyz must be (N, 3), got {self.xyz.shape}")
-        for name in ("remission", "label"):
-            array = getattr(self, name)
-            if array is not None and array.shape != self.xyz.shape[:1]:
-                raise ValueError(f"Scan.{name} must be ({len(self.xyz)},) like Scan.xyz, got {array.shape}")
+        """Refuse arrays of another type, or that do not belong together (ValueError)."""
+        if self.xyz.ndim != 2 or self.xyz.shape[1] != 3 or self.xyz.dtype != np.float32:
+            raise ValueError(f"Scan.xyz must be (N, 3) float32, got {self.xyz.shape} {self.xyz.dtype}")
+        for name, array, kind in (("remission", self.remission, np.float32), ("label", self.label, np.int64)):
+            if array is not None and (array.shape != self.xyz.shape[:1] or array.dtype != kind):
+                wanted = f"({len(self.xyz)},) {np.dtype(kind)}"
+                raise ValueError(f"Scan.{name} must be {wanted} like Scan.xyz, got {array.shape} {array.dtype}")
 
     def __len__(self) -> int:
         """Number of points, unusable ones included."""

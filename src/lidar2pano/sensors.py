@@ -30,14 +30,17 @@ class View:
 
     def __post_init__(self) -> None:
         """Refuse a raster that has no inside (ValueError); JSON's lists become tuples."""
-        if self.rows < 1 or self.columns < 1 or self.up <= self.down or not 0 < self.left - self.right <= FULL_TURN:
+        if self.kind not in {"sphere", "cylinder"} or len(self.origin) != 3:
+            raise ValueError(f"a View is a sphere or a cylinder around a point (x, y, z): {self}")
+        turn = self.left - self.right
+        if min(self.rows, self.columns) < 1 or not self.up > self.down or not (0 < turn <= FULL_TURN or self.circular):
             raise ValueError(f"a View needs rows, columns >= 1, up > down and 0 < left - right <= 360 degrees: {self}")
         object.__setattr__(self, "origin", tuple(float(value) for value in self.origin))
 
     @property
     def circular(self) -> bool:
         """Whether the last column meets the first."""
-        return self.left - self.right == FULL_TURN
+        return math.isclose(self.left - self.right, FULL_TURN, rel_tol=1e-12)
 
     @property
     def focal_px(self) -> float:
@@ -59,7 +62,7 @@ class View:
         return asdict(self) | {"origin": list(self.origin)}
 
 
-# The camera of KITTI's recording car stands here, in the frame of its LiDAR (mean of the calibrations of 2011).
+# The camera of KITTI's recording car stands here, in the frame of its LiDAR (calibration of 2011-09-26, rounded).
 KITTI_CAMERA = (0.27, 0.06, -0.07)
 
 VIEWS: dict[str, View] = {

@@ -1,1 +1,1 @@
-"""geometry."""
+"""Scan, raster and camera picture: what falls where."""

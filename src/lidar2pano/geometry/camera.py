@@ -34,8 +34,9 @@ class Lookup:
     def nearest(self, picture: Tensor, empty: float = 0) -> Tensor:
         """Carry ids over: picture (..., H, W) -> (..., h, w), `empty` where not valid."""
         row = self.row.floor().long().clamp(0, picture.shape[-2] - 1)
-        column = self.column.floor().long().clamp(0, picture.shape[-1] - 1)
-        return torch.where(self.valid, picture[..., row, column], torch.as_tensor(empty, dtype=picture.dtype))
+        column = self.column.floor().long()
+        column = column.remainder(picture.shape[-1]) if self.circular else column.clamp(0, picture.shape[-1] - 1)
+        return picture[..., row, column].where(self.valid, picture.new_full((), empty))
 
     def linear(self, picture: Tensor) -> Tensor:
         """Carry colours or other quantities over: picture (..., H, W) float -> (..., h, w), zero where not valid."""
@@ -50,7 +51,14 @@ class Lookup:
 
         upper = at(top, left) * (1 - across) + at(top, left + 1) * across
         lower = at(top + 1, left) * (1 - across) + at(top + 1, left + 1) * across
-        return (upper * (1 - down) + lower * down) * self.valid
+        mixed = upper * (1 - down) + lower * down
+        return mixed.where(self.valid, mixed.new_zeros(()))
+
+    def to(self, device: str | torch.device) -> Lookup:
+        """The same look-up for pictures on another device."""
+        places = (self.row, self.column, self.valid)
+        row, column, valid = (place.to(device) for place in places)
+        return replace(self, row=row, column=column, valid=valid)
 
 
 def at_camera(view: View, calibration: Calibration) -> View:
@@ -78,8 +86,9 @@ def panorama_in_camera(view: View, calibration: Calibration) -> Lookup:
     )
     to_ray = torch.from_numpy(calibration.K @ calibration.T_camera_lidar[:3, :3]).inverse()
     ray = torch.stack([u, v, torch.ones_like(u)], dim=-1) @ to_ray.T
-    row, column = pixels(*ray.unbind(-1), view)
-    valid = (row >= 0) & (row < view.rows) & (column >= 0) & (column < view.columns)
+    x, y, z = ray.unbind(-1)
+    row, column = pixels(x, y, z, view)
+    valid = (row >= 0) & (row < view.rows) & (view.circular | ((column >= 0) & (column < view.columns)))
     row, column = (torch.where(valid, place, 0.0).float() for place in (row, column))
     return Lookup(row=row, column=column, valid=valid, circular=view.circular)
 

@@ -26,9 +26,11 @@ def clean_up(
     """Label every point of the scan by a vote among the pixels around it.
 
     ids  (H, W) integer class ids on the image's raster, in [0, 255]; only valid pixels vote.
-    Returns (N,) int64. Points out of view ask the pixels at the border that they left through; points that could not
+    Returns (N,) int64. Points out of view ask the pixels at the border that is nearest to them; points that could not
     be projected (NaN, Inf, zero range) are 0.
     """
+    if search % 2 == 0 or neighbours < 1:
+        raise ValueError(f"an odd search window and at least one neighbour are needed, got {search}, {neighbours}")
     view = image.view
     centre_row, centre_column = image.row.clamp(0, view.rows - 1), image.column.clamp(0, view.columns - 1)
     ranges = torch.where(image.valid, image.channels[0], torch.inf)

@@ -111,9 +111,7 @@ def back_project(range_m: Tensor, view: View) -> Tensor:
     return points.where(range_m[..., None] > 0, torch.nan)
 
 
-def _owners(
-    row: Tensor, column: Tensor, range_m: Tensor, inside: Tensor, view: View
-) -> tuple[Tensor, Tensor, Tensor]:
+def _owners(row: Tensor, column: Tensor, range_m: Tensor, inside: Tensor, view: View) -> tuple[Tensor, Tensor, Tensor]:
     """Index (H, W) of the nearest point per pixel, -1 for none; the points that own a pixel, and which (flat).
 
     A float's bits order like the float when it is positive; with the point's number below them, the least key is the
