@@ -22,7 +22,7 @@ SMALL = {
     "salsanext-mini": ["options.columns=64", "data.train=train"],
     "titan-pano-mini": ["scale=0.125", "options.columns=160"],
     "titan-mini": [],
-    "painter-mini": ["scale=0.125", "options.columns=64", "options.jitter=16"],
+    "painter-mini": ["scale=0.125", "options.columns=64", "options.jitter=15"],
 }
 SETTINGS = {
     "translator": {

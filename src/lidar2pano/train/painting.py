@@ -21,7 +21,7 @@ from lidar2pano.losses import feature_matching, hinge_critic, hinge_generator
 from lidar2pano.models.card import load
 from lidar2pano.models.precision import fast_arithmetic
 from lidar2pano.models.segmenter import Segmenter
-from lidar2pano.models.titan_pano import depth_code
+from lidar2pano.models.titan_pano import STRIDE, depth_code
 from lidar2pano.sensors import VIEWS
 from lidar2pano.train.panorama import conditions
 from lidar2pano.train.recipes import Recipe
@@ -47,7 +47,8 @@ class Painting:
             raise InputError(f"recipe {recipe.name!r} needs --set options.translator=FILE and options.segmenter=FILE")
         columns, jitter = int(option["columns"]), int(option["jitter"])
         self.dataset = PanoramaSamples(root, recipe.data.train, self.view, columns, colour=True, jitter=jitter)
-        self.validation = PanoramaSamples(root, recipe.data.val, self.view, columns + 2 * jitter, colour=True, jitter=0)
+        whole = (columns + 2 * jitter) // STRIDE * STRIDE
+        self.validation = PanoramaSamples(root, recipe.data.val, self.view, whole, colour=True, jitter=0)
         self.networks = build_networks(recipe)
         self.translator, _ = load(str(option["translator"]), expect="titan-pano")
         segmenter = Segmenter.from_card(*load(str(option["segmenter"]), expect="salsanext"))
