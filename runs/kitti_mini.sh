@@ -15,10 +15,10 @@ lidar2pano train salsanext-mini --data "$data" --out "$out/segmenter" --set trai
   --set networks.segmenter.optimizer.rate=0.002
 labels="options.segmenter=$out/segmenter/weights/segmenter.safetensors"
 
-lidar2pano train titan-pano-mini --data "$data" --out "$out/translator" --set training.minutes=24 --set "$labels"
-lidar2pano train painter-mini --data "$data" --out "$out/painter" --set training.minutes=24 --set "$labels" \
+lidar2pano train titan-pano-mini --data "$data" --out "$out/translator" --set training.minutes=22 --set "$labels"
+lidar2pano train painter-mini --data "$data" --out "$out/painter" --set training.minutes=25 --set "$labels" \
   --set "options.translator=$out/translator/weights/translator.safetensors"
-lidar2pano train titan-mini --data "$data" --out "$out/titan" --set training.minutes=24 --set "$labels"
+lidar2pano train titan-mini --data "$data" --out "$out/titan" --set training.minutes=22 --set "$labels"
 
 mkdir -p "$out/family"
 for role in segmenter translator painter; do cp "$out/$role/weights/$role.safetensors" "$out/family"; done

@@ -1,7 +1,8 @@
 """Put a trained family into the package: the weights, with licence and measured score in their cards.
 
 python runs/release_family.py FOLDER NAME SCORES.json --licence SPDX
-FOLDER holds segmenter, translator and painter (.safetensors); SCORES.json is what `lidar2pano evaluate --json` wrote.
+FOLDER holds segmenter, translator and painter (.safetensors); SCORES.json is what `lidar2pano evaluate FOLDER ... --json`
+wrote.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ def main() -> None:
     parser.add_argument("scores", type=Path)
     parser.add_argument("--licence", required=True)
     asked = parser.parse_args()
-    measured = json.loads(asked.scores.read_text(encoding="utf-8"))
+    measured = json.loads(asked.scores.read_text(encoding="utf-8"))["results"][0]["score"]
     for role, file in weight_files(asked.folder).items():
         network, card = load(file)
         score = card.score | measured.get(role, {})

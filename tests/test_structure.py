@@ -17,7 +17,7 @@ from lidar2pano.models import MODELS
 NETWORKS = {place.partition(":")[2] for place in MODELS.values()}
 RECIPES = house.SOURCE / "train" / "recipes.py"
 HEAVY = ("torch", "lightning", "torchmetrics", "tensorboard", "scipy", "skimage")
-PROMISED = {"demo", "translate", "world", "prepare", "train", "evaluate", "reproduce", "weights", "export", "bench"}
+PROMISED = {"demo", "translate", "train", "evaluate", "weights", "bench"}
 MOST_SECONDS = 1.0
 
 # Runs the help of every command in one process; the last line it prints is JSON.
