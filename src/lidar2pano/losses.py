@@ -169,7 +169,7 @@ def _on_device(probabilities: Tensor, owner: Tensor, every: bool) -> tuple[Tenso
         slope[:, c] = slope_P.view_as(slope[:, c])
         losses.append((rise * error).sum())
         sizes.append(size)
-    share = (torch.stack(sizes) > 0) | (every & counted_P.any())
+    share = (torch.stack(sizes) > 0) | every
     share = share / share.sum().clamp(min=1)
     return torch.dot(torch.stack(losses), share), slope * share.view(1, -1, 1, 1)
 

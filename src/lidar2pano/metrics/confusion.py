@@ -13,7 +13,10 @@ from torch import Tensor
 class NamesClasses(Protocol):
     """Anything with the names of classes, index = id: a LabelSet."""
 
-    classes: Sequence[str]
+    @property
+    def classes(self) -> Sequence[str]:
+        """The names."""
+        ...
 
 
 class Confusion:
@@ -52,15 +55,12 @@ class Confusion:
         if predicted.is_floating_point() or target.is_floating_point():
             raise ValueError("Confusion compares class ids: take the argmax of scores first")
         count = len(self.names)
-        # one bin more than there are cells: what is not scored goes there, as does a prediction that does not exist
-        cell = target.flatten().long() * count
-        given = predicted.flatten().long()
-        cell += given
-        scored = self._scored(target.flatten())
+        target, given = target.flatten().long(), predicted.flatten().long()
+        scored = self._scored(target)
         outside = ((given < 0) | (given >= count)) & scored
         if outside.any():
             raise ValueError(f"predicted id {int(given[outside][0])} is outside [0, {count})")
-        cell.masked_fill_(~scored, count * count)
+        cell = (target * count + given).masked_fill_(~scored, count * count)  # one bin more for what is not scored
         self.counts += torch.bincount(cell, minlength=count * count + 1)[:-1].view(count, count).cpu()
 
     def _scored(self, target: Tensor) -> Tensor:
