@@ -37,7 +37,9 @@ def turn(scan: Scan, angle: float) -> Scan:
 
 def shift(scan: Scan, generator: np.random.Generator, reach_m: tuple[float, float, float]) -> Scan:
     """Move the scan by up to reach_m (x, y, z) either way."""
-    return replace(scan, xyz=scan.xyz + generator.uniform(-1, 1, 3).astype(np.float32) * np.array(reach_m, dtype=np.float32))
+    return replace(
+        scan, xyz=scan.xyz + generator.uniform(-1, 1, 3).astype(np.float32) * np.array(reach_m, dtype=np.float32)
+    )
 
 
 def shift_azimuth(panorama: Tensor, columns: int) -> Tensor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,20 +31,32 @@ class RangeSample(NamedTuple):
     name: str
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Variation:
+    """How scans are augmented.
+
+    turn_deg  how far a scan is turned at most, either way.
+    chance    probability of each of moving, turning and dropping points; half of the scans are mirrored.
+    """
+
+    turn_deg: float = 180.0
+    chance: float = 0.5
+
+
 class RangeSamples:
     """Labelled scans of some splits, projected; augmented when drawn with a seed, plain when indexed.
 
     columns   width of the azimuth crop for training (all of the view where 0).
-    turn_deg  how far augmentation turns a scan at most, either way.
+    vary      how samples are augmented.
     """
 
     def __init__(
-        self, root: Path, splits: tuple[str, ...], view: View, columns: int = 0, turn_deg: float = 180.0
+        self, root: Path, splits: tuple[str, ...], view: View, columns: int = 0, vary: Variation | None = None
     ) -> None:
         self.frames = [frame for split in splits for frame in frames(root, split)]
         self.view = view
         self.columns = columns or view.columns
-        self.turn_deg = turn_deg
+        self.vary = vary or Variation()
         self.normalise = Normalisation()
         self._held: dict[int, Scan] = {}
 
@@ -63,7 +75,7 @@ class RangeSamples:
         if isinstance(draw, int):
             return self._sample(self.scan(draw), self.frames[draw].name)
         generator = np.random.default_rng(draw.seed)
-        scan = augmented(self.scan(draw.index), generator, self.turn_deg)
+        scan = augmented(self.scan(draw.index), generator, self.vary)
         sample = self._sample(scan, self.frames[draw.index].name)
         start = int(generator.integers(self.view.columns - self.columns + 1))
         window = (..., slice(start, start + self.columns))
@@ -81,14 +93,14 @@ def labelled(frame: Frame) -> Scan:
     return replace(scan, label=frame.labels(len(scan)), name=frame.name)
 
 
-def augmented(scan: Scan, generator: np.random.Generator, turn_deg: float = 180.0) -> Scan:
-    """SalsaNext's augmentation, each with probability 1/2: move, mirror, turn, drop up to half of the points."""
-    if generator.random() < 0.5:
+def augmented(scan: Scan, generator: np.random.Generator, vary: Variation) -> Scan:
+    """SalsaNext's augmentation: move, mirror, turn, drop up to half of the points."""
+    if generator.random() < vary.chance:
         scan = shift(scan, generator, (5.0, 3.0, 0.5))
     if generator.random() < 0.5:
         scan = mirror(scan)
-    if generator.random() < 0.5:
-        scan = turn(scan, np.radians(generator.uniform(-turn_deg, turn_deg)))
-    if generator.random() < 0.5:
+    if generator.random() < vary.chance:
+        scan = turn(scan, np.radians(generator.uniform(-vary.turn_deg, vary.turn_deg)))
+    if generator.random() < vary.chance:
         scan = drop_points(scan, generator, generator.uniform(0, 0.5))
     return scan

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from lidar2pano.data.ranges import RangeSample, RangeSamples
+from lidar2pano.data.ranges import RangeSample, RangeSamples, Variation
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
@@ -25,21 +25,26 @@ from lidar2pano.train.task import build_networks
 class Segmentation:
     """Trains a range-view segmenter; scores it per point on the validation split, KNN clean-up included.
 
-    Options: columns, the width of the azimuth crop (0: the whole turn); turn_deg, how far scans are turned; lovasz,
-    the weight of Lovasz-Softmax; rarity, the power of a class's rarity that weighs it in the cross-entropy.
+    Options: columns, the width of the azimuth crop (0: the whole turn); turn_deg and chance, how scans are augmented
+    (data.ranges.Variation); lovasz, the weight of Lovasz-Softmax; rarity, the power of a class's rarity that weighs it
+    in the cross-entropy; dropout, whether the network's dropout is on.
     """
 
     released = ("segmenter",)
 
     def __init__(self, recipe: Recipe, root: Path) -> None:
         self.view = VIEWS[recipe.view]
-        self.dataset = RangeSamples(
-            root, recipe.data.train, self.view, int(recipe.options["columns"]), float(recipe.options["turn_deg"])
-        )
+        option = recipe.options
+        vary = Variation(turn_deg=float(option["turn_deg"]), chance=float(option["chance"]))
+        self.dataset = RangeSamples(root, recipe.data.train, self.view, int(option["columns"]), vary)
         self.validation = RangeSamples(root, recipe.data.val, self.view)
         self.networks = build_networks(recipe)
-        self.lovasz = float(recipe.options["lovasz"])
-        self.weights = rarity(self.dataset, float(recipe.options["rarity"]))
+        if not option["dropout"]:
+            for module in self.networks["segmenter"].modules():
+                if isinstance(module, nn.Dropout2d):
+                    module.p = 0.0
+        self.lovasz = float(option["lovasz"])
+        self.weights = rarity(self.dataset, float(option["rarity"]))
         self.logs: dict[str, float | Tensor] = {}
 
     def updates(self, batch: RangeSample) -> Iterator[tuple[str, Tensor]]:
