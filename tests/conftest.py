@@ -91,3 +91,19 @@ def kitti_mini() -> Path:
 def pandaset_mini() -> Path:
     """Twelve real Pandar64 scans with six cameras all around."""
     return _folder(ROOT / "data" / "pandaset-mini", "unpack the real data into data/")
+
+
+@pytest.fixture(scope="session")
+def random_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a family of small untrained networks."""
+    from random_weights import write_family
+
+    return write_family(tmp_path_factory.mktemp("weights") / "small")
+
+
+@pytest.fixture(scope="session")
+def front_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a segmenter and a small translator of the paper's kind, untrained."""
+    from random_weights import write_front
+
+    return write_front(tmp_path_factory.mktemp("weights") / "front")

@@ -80,7 +80,7 @@ class Panorama:
         """
         if unknown := sorted(set(what) - set(WHAT)):
             raise InputError(f"nothing to save is called {unknown[0]!r}; there is {', '.join(WHAT)}")
-        camera = self.to_camera(calibration) if calibration else None
+        camera = self.to_camera(calibration) if calibration and {"rgb", "segments"} & set(what) else None
         stem = stem or self.name
         writers: dict[str, Callable[[Path], None]] = {}
         if "rgb" in what:

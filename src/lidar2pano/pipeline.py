@@ -7,19 +7,21 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, closest
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.images import RangeImage, one_hot_layers
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
+from lidar2pano.models.card import Card
 from lidar2pano.models.card import load as load_weights
-from lidar2pano.models.circular import fold_norms, grow_circular
+from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import DEFAULT, weight_files
 from lidar2pano.models.precision import fast_arithmetic, pick_device
 from lidar2pano.models.segmenter import Segmenter
@@ -36,6 +38,21 @@ class Memory:
     """
 
     frames: int = 0
+
+
+class Translated(NamedTuple):
+    """A scan on its way to a panorama, before it is painted, on the translator's raster H x W.
+
+    labels    (N,) int64 ids of SEMANTIC_KITTI of the scan's points; dropped: how many of them could not be used.
+    channels  (1, 5, H, W) float32: the scan's RangeImage.
+    logits    (1, 16, H, W) of COMMON15;  depth_m (1, H, W) float32, metres.
+    """
+
+    labels: Tensor
+    dropped: int
+    channels: Tensor
+    logits: Tensor
+    depth_m: Tensor
 
 
 @dataclass(slots=True)
@@ -76,8 +93,8 @@ class Pipeline:
         return replace(self, view=at_camera(self.view, calibration))
 
     def for_sensor(self, name: str) -> Pipeline:
-        """The pipeline with the segmenter's view that fits a sensor of VIEWS."""
-        return replace(self, segmenter=replace(self.segmenter, view=VIEWS[name]))
+        """The pipeline with the segmenter's view that fits a sensor of VIEWS; InputError where there is none."""
+        return replace(self, segmenter=replace(self.segmenter, view=sensor_view(name)))
 
     def __call__(self, scan: Scan) -> Panorama:
         """The panorama of a single scan."""
@@ -97,6 +114,29 @@ class Pipeline:
         Raises InputError when no point of the scan can be used, or none is in view.
         """
         watch = Stopwatch(self.device)
+        seen = self.translated(scan, watch)
+        with watch("paint"), fast_arithmetic(self.device):
+            picture = self.painter(seen.logits.softmax(1), seen.depth_m, seen.channels)[0]
+            colour = picture.float().add_(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
+        with watch("finish"):
+            segments, depth_m = self._finished(seen.logits, seen.depth_m)
+            colour, segments, depth_m = (part.contiguous().cpu().numpy() for part in (colour, segments, depth_m))
+        panorama = Panorama(
+            name=scan.name,
+            frame=memory.frames,
+            view=self.view.scaled(2),
+            colour=colour,
+            segments=segments,
+            depth_m=depth_m,
+            labels=seen.labels.cpu().numpy(),
+            dropped=seen.dropped,
+            milliseconds=watch.milliseconds,
+        )
+        return Memory(frames=memory.frames + 1), panorama
+
+    @torch.inference_mode()
+    def translated(self, scan: Scan, watch: Stopwatch) -> Translated:
+        """What a camera would see of the scan, as class scores and depths; raises like `step`."""
         with watch("project"):
             image = self._seen(scan, project(scan, self.segmenter.view, device=self.device))
             around = self._seen(scan, project(scan, self.view, device=self.device))
@@ -106,24 +146,9 @@ class Pipeline:
             labels = clean_up(image, ids)
         with watch("translate"), fast_arithmetic(self.device):
             channels = around.channels[None].contiguous(memory_format=torch.channels_last)
-            logits, depth_m = self.translator(channels, self._condition(around, labels))
-        with watch("paint"), fast_arithmetic(self.device):
-            picture = self.painter(logits.softmax(1), depth_m, channels)[0]
-            colour = ((picture.float() + 1) * 127.5).round().clamp(0, 255).to(torch.uint8).movedim(0, 2)
-        with watch("finish"):
-            segments, depth_m = self._finished(logits, depth_m)
-        panorama = Panorama(
-            name=scan.name,
-            frame=memory.frames,
-            view=self.view.scaled(2),
-            colour=colour.cpu().numpy(),
-            segments=segments.cpu().numpy(),
-            depth_m=depth_m.cpu().numpy(),
-            labels=labels.cpu().numpy(),
-            dropped=image.dropped,
-            milliseconds=watch.milliseconds,
-        )
-        return Memory(frames=memory.frames + 1), panorama
+            condition = one_hot_layers(around.spread(labels)[None], len(SEMANTIC_KITTI))
+            logits, depth_m = self.translator(channels, condition)
+        return Translated(labels=labels, dropped=image.dropped, channels=channels, logits=logits, depth_m=depth_m)
 
     @staticmethod
     def _seen(scan: Scan, image: RangeImage) -> RangeImage:
@@ -136,13 +161,10 @@ class Pipeline:
             raise InputError(f"{scan.name}: no point is in view (x must point forward, z up, in metres); turn the scan")
         return image
 
-    def _condition(self, around: RangeImage, labels: Tensor) -> Tensor:
-        return one_hot_layers(around.spread(labels)[None], len(SEMANTIC_KITTI))
-
     @staticmethod
     def _finished(logits: Tensor, depth_m: Tensor) -> tuple[Tensor, Tensor]:
         """Class ids and depth at the picture's raster; the sky has no depth."""
-        segments = grow_circular(logits, 2)[0].argmax(0).to(torch.uint8)
+        segments = grown_classes(logits, 2)
         depth_m = grow_circular(depth_m[None], 2)[0, 0]
         return segments, torch.where(segments == COMMON15.id_of("sky"), 0.0, depth_m)
 
@@ -158,14 +180,45 @@ def load(weights: str | Path = DEFAULT, device: str = "auto") -> Pipeline:
     expected = {"segmenter": "salsanext", "translator": "titan-pano", "painter": "painter"}
     if missing := [role for role in expected if role not in files]:
         raise InputError(f"{weights}: no weights for the {' and the '.join(missing)}; name a family that has them")
-    loaded = {role: load_weights(files[role], picked, expect=network) for role, network in expected.items()}
-    networks = {
-        role: fold_norms(network).to(memory_format=torch.channels_last) for role, (network, _) in loaded.items()
-    }
+    translator, card = load_part(files["translator"], picked, expect=expected["translator"])
     return Pipeline(
-        segmenter=Segmenter.from_card(networks["segmenter"], loaded["segmenter"][1]),
-        translator=networks["translator"],
-        painter=networks["painter"],
-        view=View(**loaded["translator"][1].views["panorama"]),
+        segmenter=load_segmenter(files["segmenter"], picked),
+        translator=translator,
+        painter=load_part(files["painter"], picked, expect=expected["painter"])[0],
+        view=card_view(files["translator"], card, "panorama"),
         device=picked,
     )
+
+
+def load_segmenter(file: Path, device: torch.device) -> Segmenter:
+    """The segmenter of a weight file, ready for inference; InputError where the file holds something else."""
+    network, card = load_part(file, device, expect="salsanext")
+    card_view(file, card, "input")
+    return Segmenter.from_card(network, card)
+
+
+def load_part(file: Path, device: torch.device, expect: str | None = None) -> tuple[nn.Module, Card]:
+    """A network of the pipeline in the form that is fastest to run, and its card; InputError as `models.card.load`."""
+    network, card = load_weights(file, device, expect=expect)
+    return made_fast(network), card
+
+
+def made_fast(network: nn.Module) -> nn.Module:
+    """The network, changed in place to the form that is fastest to run: norms folded, channels last."""
+    return fold_norms(network).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+
+
+def card_view(file: Path, card: Card, role: str) -> View:
+    """The raster that a card gives for `role`; InputError where it gives none that makes sense."""
+    try:
+        return View(**card.views[role])
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{file}: its card has no view {role!r} that makes sense; fetch or make it anew") from None
+
+
+def sensor_view(name: str) -> View:
+    """The raster of a sensor's rows in VIEWS (spheres only: the panorama is no sensor); InputError for another name."""
+    sensors = {sensor: view for sensor, view in VIEWS.items() if view.kind == "sphere"}
+    if name not in sensors:
+        raise InputError(f"no sensor {name!r}{closest(name, sensors)}")
+    return sensors[name]

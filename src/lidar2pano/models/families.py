@@ -24,12 +24,12 @@ def families() -> dict[str, Path]:
     return {folder.name: folder for folder in found}
 
 
-def weight_files(name: str | Path) -> dict[str, Path]:
+def weight_files(name: str | Path, *, fill: bool = True) -> dict[str, Path]:
     """Files by role (segmenter, translator, painter) that a name or path stands for.
 
     name  a released family; a folder of weight files or a training run (its `weights/`); or one weight file. Roles
-          that a path does not fill are filled by the default family.
-    Raises InputError when there is no such family, file or folder, or the default family is not installed.
+          that a path does not fill are filled by the default family, where it is installed and `fill` is true.
+    Raises InputError when there is no such family, file or folder, or a folder has two files for one role.
     """
     installed = families()
     if str(name) in installed:
@@ -47,7 +47,7 @@ def weight_files(name: str | Path) -> dict[str, Path]:
             f"no weights {str(name)!r}: neither a released family nor a file" + closest(str(name), installed)
         )
     mine = _by_role(files)
-    rest = _by_role(sorted(installed[DEFAULT].glob("*.safetensors"))) if DEFAULT in installed else {}
+    rest = _by_role(sorted(installed[DEFAULT].glob("*.safetensors"))) if fill and DEFAULT in installed else {}
     return rest | mine
 
 
@@ -64,5 +64,8 @@ def _by_role(files: list[Path]) -> dict[str, Path]:
         network = read_card(file).network
         if network not in ROLES:
             raise InputError(f"{file}: a {network!r} has no part in the pipeline; name weights of {', '.join(ROLES)}")
-        roles[ROLES[network]] = file
+        role = ROLES[network]
+        if role in roles:
+            raise InputError(f"{file.parent}: {roles[role].name} and {file.name} are both a {role}; name one of them")
+        roles[role] = file
     return roles

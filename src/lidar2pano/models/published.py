@@ -7,36 +7,49 @@ weights are read: nothing in the file is executed.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from lidar2pano.errors import InputError, closest
+from lidar2pano.geometry.images import Normalisation
+from lidar2pano.labels import COMMON14, SEMANTIC_KITTI
 from lidar2pano.models import build
-from lidar2pano.models.card import mismatch
+from lidar2pano.models.card import Card, mismatch
+from lidar2pano.sensors import VIEWS
 
 
 @dataclass(frozen=True, kw_only=True)
 class Published:
-    """Where users find a network's published weights (`upstream`, an address) and on which terms (`licence`)."""
+    """Where users find a network's published weights (`upstream`, an address) and on which terms (`licence`).
+
+    view    name in VIEWS of the range image that the network reads.
+    labels  name of the label set that the output channels speak; None for scores.
+    """
 
     upstream: str
     licence: str
+    view: str
+    labels: str | None
 
 
 _TITAN = Published(
     upstream="https://github.com/TiagoCortinhal/TITAN-NET",
     licence="none stated for the weights; trained on SemanticKITTI (CC BY-NC-SA 4.0)",
+    view="titan-front",
+    labels=COMMON14.name,
 )
 PUBLISHED: dict[str, Published] = {
     "salsanext": Published(
         upstream="https://github.com/TiagoCortinhal/SalsaNext",
         licence="MIT for the code; trained on SemanticKITTI (CC BY-NC-SA 4.0)",
+        view="hdl64e",
+        labels=SEMANTIC_KITTI.name,
     ),
     "titan": _TITAN,
-    "titan-critic": _TITAN,
+    "titan-critic": replace(_TITAN, labels=None),
 }
 
 
@@ -97,6 +110,21 @@ def import_published(path: Path | str, network: str) -> dict[str, Tensor]:
     if wrong := mismatch(ours, blank):
         raise InputError(f"{path} does not fit the published network {network!r}: {wrong}; give the authors' file")
     return {key: ours[key].detach().to(blank[key].dtype).contiguous() for key in blank}
+
+
+def published_card(network: str, file: str) -> Card:
+    """The card of published weights; `network` in PUBLISHED, `file`: name of the checkpoint they come from."""
+    published, normalise = PUBLISHED[network], Normalisation()
+    return Card(
+        network=network,
+        labels=published.labels,
+        views={"input": VIEWS[published.view].as_dict()},
+        normalisation={"mean": list(normalise.mean), "deviation": list(normalise.deviation)},
+        recipe=f"published ({file})",
+        data="SemanticKITTI",
+        licence=published.licence,
+        upstream=published.upstream,
+    )
 
 
 def _read(path: Path | str) -> Mapping:

@@ -1,0 +1,11 @@
+"""The command line: `lidar2pano COMMAND`. Importing a command's module enters it, in the order of the help."""
+
+from __future__ import annotations
+
+# isort: off
+from lidar2pano.cli import translate, train, evaluate, weights, bench  # noqa: F401
+from lidar2pano.cli.app import app, main
+
+# isort: on
+
+__all__ = ["app", "main"]

@@ -1,0 +1,35 @@
+"""lidar2pano bench."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lidar2pano.cli.app import app
+
+
+@app.command()
+def bench(
+    runs: Annotated[int, typer.Option(min=1, metavar="N", help="How often each thing is timed, after a warm-up.")] = 5,
+    weights: Annotated[
+        str,
+        typer.Option(metavar="NAME|FILE", help="Weights; if none are installed: untrained ones, as fast."),
+    ] = "",
+    device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
+    as_json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the times as JSON too.")] = None,
+) -> None:
+    """Time projection, clean-up, the Lovasz loss and every stage of the pipeline on this machine."""
+    from lidar2pano.allocator import keep_buffers
+    from lidar2pano.bench import conditions, measure, table
+    from lidar2pano.cli.files import check_file, write_json
+
+    if as_json:
+        check_file(as_json, "--json")
+    kept = keep_buffers()
+    rows = measure(runs, device, weights)
+    said = conditions(device, runs) | {"buffers_kept": kept}
+    if as_json:
+        write_json(as_json, said | {"rows": [row.as_dict() for row in rows]}, "--json")
+    print(table(rows, said))

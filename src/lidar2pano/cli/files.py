@@ -1,0 +1,42 @@
+"""Files that commands write: where they may go, and JSON that is there completely or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from lidar2pano.errors import InputError
+
+
+def check_folder(folder: Path, option: str) -> None:
+    """Raise InputError unless `folder` is, or can become, a folder to write into; nothing is made yet."""
+    above = folder
+    while not above.exists() and above != above.parent:
+        above = above.parent
+    if not above.is_dir():
+        raise InputError(f"{folder}: cannot be written ({above} is not a folder); choose another {option}")
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise InputError(f"{folder}: cannot be written (no permission for {above}); choose another {option}")
+
+
+def check_file(path: Path, option: str) -> None:
+    """Raise InputError unless a file can be written to `path`."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file for {option}")
+    check_folder(path.parent, option)
+
+
+def write_json(path: Path, value: Any, option: str) -> None:  # noqa: ANN401
+    """Write `value` as JSON, beside and then renamed; InputError where that cannot be done."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another {option}") from error
+    finally:
+        if path.parent.is_dir():
+            beside.unlink(missing_ok=True)

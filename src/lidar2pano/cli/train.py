@@ -1,0 +1,64 @@
+"""lidar2pano train."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lidar2pano.cli.app import app
+
+if TYPE_CHECKING:
+    from lidar2pano.train.recipes import Recipe
+
+
+@app.command()
+def train(
+    recipe: Annotated[str, typer.Argument(metavar="RECIPE", help="Name of a recipe, e.g. titan-pano.")],
+    data: Annotated[Path, typer.Option(metavar="ROOT", help="A data set in SemanticKITTI's layout.")],
+    out: Annotated[Path, typer.Option(metavar="RUN", help="The run's folder; one that exists is resumed.")],
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", metavar="A.B=C", help="Change a value of the recipe; repeatable.")
+    ] = None,
+    device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
+    devices: Annotated[int, typer.Option(min=1, metavar="N", help="GPUs or processes per node.")] = 1,
+    nodes: Annotated[int, typer.Option(min=1, metavar="N", help="Machines that train together.")] = 1,
+) -> None:
+    """Train a network. Repeat the command to resume, whatever ended it."""
+    from lidar2pano.train.recipes import override, recipe_named
+
+    chosen = recipe_named(recipe)
+    for change in changes or []:
+        chosen = override(chosen, change)
+    first = os.environ.get("LOCAL_RANK", "0") == "0"
+    if first:
+        print(brief(chosen), flush=True)
+    from lidar2pano.allocator import keep_buffers
+    from lidar2pano.train.engine import train as run
+
+    keep_buffers()
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    weights = run(chosen, data, out, device=device, devices=devices, num_nodes=nodes)
+    if first:
+        print(f"weights: {weights}")
+
+
+def brief(recipe: Recipe) -> str:
+    """The resolved recipe in a few lines."""
+    options = ", ".join(f"{name}={value}" for name, value in recipe.options.items() if value != "")
+    lines = [f"recipe {recipe.name}: {recipe.task} on {recipe.view} x {recipe.scale:g}; {options}"]
+    for name, network in recipe.networks.items():
+        optimizer = network.optimizer
+        start = f", from {network.start}" if network.start else ""
+        lines.append(f"  {name}: {network.model}, {optimizer.kind} {optimizer.rate:g} {optimizer.schedule}{start}")
+    training = recipe.training
+    limit = f" or {training.minutes:g} minutes" if training.minutes else ""
+    lines.append(
+        f"  {training.steps} steps{limit} of {training.batch}, seed {training.seed}, {training.precision};"
+        f" data: {' + '.join(recipe.data.train)}, scored on {' + '.join(recipe.data.val)}"
+    )
+    return "\n".join(lines)

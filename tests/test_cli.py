@@ -1,0 +1,365 @@
+"""The command line, from arguments to files, stdout, stderr and exit code.
+
+Run this file to write cli_options.txt anew after a wanted change.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import typer.main
+from PIL import Image
+
+import lidar2pano
+from lidar2pano.cli import app, main
+from lidar2pano.cli.batch import parse_save, stems
+from lidar2pano.labels import SEMANTIC_KITTI
+from lidar2pano.models import build
+from lidar2pano.models.card import load as load_weights
+from lidar2pano.models.card import read_card
+from lidar2pano.pipeline import load
+from random_weights import CALIB, LICENCE, street, write_data_set, write_scan, write_weights
+
+OPTIONS = Path(__file__).with_name("cli_options.txt")
+STAGES = ["read", "project", "segment", "clean_up", "translate", "paint", "finish", "save"]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty working folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def translate(random_weights, capsys):
+    """A function that runs `translate` with the small family: (exit code, stdout, stderr)."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        code = main(["translate", *map(str, arguments), "--weights", str(random_weights), "--device", "cpu"])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def pixels(path: Path) -> np.ndarray:
+    with Image.open(path) as picture:
+        return np.array(picture)
+
+
+def files_in(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+# --- translate ------------------------------------------------------------------------------------------------------
+
+
+def test_a_scan_becomes_a_picture(here, translate, random_weights):
+    write_scan(here / "a.bin")
+    code, out, err = translate("a.bin")
+    assert code == 0
+    assert files_in(here / "panoramas") == ["a.png"]
+    colour = pixels(here / "panoramas" / "a.png")
+    assert np.array_equal(colour, load(random_weights, "cpu")(street()).colour)
+    assert "a.bin: 4000 points;" in out and "panoramas/a.png" in out and "ms" in out
+    assert err == f"lidar2pano: these weights are licensed {LICENCE}: not for commercial use\n"
+
+
+def test_everything_can_be_saved(here, translate):
+    write_scan(here / "a.bin")
+    (here / "calib.txt").write_text(CALIB)
+    code, _, _ = translate(
+        "a.bin", "--save", "all", "--calib", "calib.txt", "--image-size", "60x20", "--out", "deep/er"
+    )
+    assert code == 0
+    wanted = ["a.camera-segments.png", "a.camera.png", "a.depth.png", "a.label", "a.png", "a.segments.png"]
+    assert files_in(here / "deep" / "er") == wanted
+    assert pixels(here / "deep" / "er" / "a.camera.png").shape == (20, 60, 3)
+    assert (here / "deep" / "er" / "a.label").stat().st_size == 4 * len(street())
+
+
+def test_the_camera_has_kittis_size_and_a_place_of_its_own(here, translate, random_weights):
+    write_scan(here / "a.bin")
+    (here / "calib.txt").write_text(CALIB.replace("45.38225", "-4500"))
+    assert translate("a.bin", "--calib", "calib.txt")[0] == 0
+    assert pixels(here / "panoramas" / "a.camera.png").shape == (375, 1242, 3)
+    around = pixels(here / "panoramas" / "a.png")
+    assert (around != load(random_weights, "cpu")(street()).colour).any()  # seen from that camera
+
+
+@pytest.mark.parametrize(
+    ("text", "kinds"),
+    [
+        ("rgb", ("rgb",)),
+        ("depth, rgb", ("rgb", "depth")),
+        ("labels,segments", ("segments", "labels")),
+        ("all", ("rgb", "segments", "labels", "depth")),
+        ("rgb,all", ("rgb", "segments", "labels", "depth")),
+    ],
+)
+def test_what_to_save(text, kinds):
+    assert parse_save(text) == kinds
+
+
+def test_json_lines(here, translate, random_weights):
+    write_scan(here / "velodyne" / "000001.bin")
+    broken = street()
+    broken.xyz[:5] = np.nan
+    write_scan(here / "velodyne" / "000002.bin", broken)
+    code, out, err = translate(here, "--json", "--out", "o", "--save", "rgb,labels")
+    assert code == 0
+    records = [json.loads(line) for line in out.splitlines()]
+    assert [list(record["milliseconds"]) for record in records] == [STAGES, STAGES]
+    assert all(value >= 0 for record in records for value in record["milliseconds"].values())
+    assert [{name: record[name] for name in record if name != "milliseconds"} for record in records] == [
+        {
+            "input": str(here / "velodyne" / f"{stem}.bin"),
+            "outputs": [f"o/{stem}.png", f"o/{stem}.label"],
+            "points": 4000,
+            "dropped": dropped,
+            "weights": str(random_weights),
+            "device": "cpu",
+        }
+        for stem, dropped in (("000001", 0), ("000002", 5))
+    ]
+    assert err.count("\n") == 1 and LICENCE in err  # once, and not on stdout
+
+
+def test_a_bad_scan_does_not_stop_the_others(here, translate):
+    for name in "ac":
+        write_scan(here / "in" / f"{name}.bin")
+    (here / "in" / "b.bin").write_bytes(b"12345")
+    code, out, err = translate("in", "missing", "--json")
+    assert code == 2
+    assert [json.loads(line)["outputs"] for line in out.splitlines()] == [["panoramas/a.png"], ["panoramas/c.png"]]
+    assert files_in(here / "panoramas") == ["a.png", "c.png"]
+    said = [line for line in err.splitlines() if LICENCE not in line]
+    assert [line.split(": ")[:2] for line in said] == [["lidar2pano", "missing"], ["lidar2pano", "in/b.bin"]]
+
+
+def test_one_stem_in_two_folders_is_two_files(here, translate):
+    for sequence in ("00", "01"):
+        write_scan(here / "sequences" / sequence / "velodyne" / "000000.bin")
+    code, out, err = translate("sequences/00", "sequences/01", here / "sequences/01/velodyne/000000.bin", "--json")
+    assert code == 0
+    outputs = [json.loads(line)["outputs"] for line in out.splitlines()]
+    assert outputs == [["panoramas/00-000000.png"], ["panoramas/01-000000.png"]]
+    assert "2 scans share a name" in err
+
+
+@pytest.mark.parametrize(
+    ("files", "names"),
+    [
+        (["a/1.bin", "a/2.bin"], ["1", "2"]),
+        (["a/1.bin", "b/1.bin", "b/2.bin"], ["a-1", "b-1", "2"]),
+        (["x/a/velodyne/1.bin", "y/a/velodyne/1.bin"], ["x-a-1", "y-a-1"]),
+    ],
+)
+def test_names_of_outputs(here, files, names):
+    assert list(stems([Path(file) for file in files]).values()) == names
+
+
+@pytest.mark.parametrize(
+    "files", [["a/1.bin", "a/1.pcd"], ["a/velodyne/1.bin", "a/1.bin"], ["a/1.bin", "b/a-1.bin", "b/1.bin"]]
+)
+def test_names_of_outputs_always_differ(here, files):
+    assert len(set(stems([Path(file) for file in files]).values())) == len(files)
+
+
+def test_scans_of_a_folder_are_one_stream(here, translate, monkeypatch):
+    frames = []
+    keep = lidar2pano.Panorama.save
+    monkeypatch.setattr(lidar2pano.Panorama, "save", lambda self, *rest: frames.append(self.frame) or keep(self, *rest))
+    for name in ("a/1", "a/2", "b/3"):
+        write_scan(here / f"{name}.bin")
+    assert translate("a", "b")[0] == 0
+    assert frames == [0, 1, 0]
+
+
+def test_a_sensor_is_used(here, translate, monkeypatch):
+    seen = []
+    monkeypatch.setattr(lidar2pano.Pipeline, "for_sensor", lambda self, name: seen.append(name) or self)
+    write_scan(here / "a.bin")
+    assert translate("a.bin", "--sensor", "vlp16")[0] == 0
+    assert seen == ["vlp16"]
+
+
+def test_demo_paints_the_shipped_scan(here, random_weights, capsys, monkeypatch):
+    monkeypatch.setattr("lidar2pano.demo.street", lambda: write_scan(here / "shipped" / "street.bin"))
+    assert main(["demo", "--weights", str(random_weights), "--device", "cpu"]) == 0
+    wanted = ["street.depth.png", "street.label", "street.png", "street.segments.png"]
+    assert files_in(here / "panoramas") == wanted
+    out, _ = capsys.readouterr()
+    assert " ms (" in out and all(f"panoramas/{name}" in out for name in wanted)
+
+
+def test_the_program_runs_as_a_process(here, random_weights):
+    write_scan(here / "a.bin")
+    command = [sys.executable, "-W", "error", "-m", "lidar2pano", "translate", "a.bin", "b.bin", "--json"]
+    done = subprocess.run([*command, "--weights", random_weights], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert json.loads(done.stdout)["outputs"] == ["panoramas/a.png"]
+    assert [line.split(": ")[0] for line in done.stderr.splitlines()] == ["lidar2pano"] * 2
+
+
+# --- evaluate -------------------------------------------------------------------------------------------------------
+
+
+def test_evaluate_side_by_side(here, random_weights, front_weights, capsys):
+    data = write_data_set(here / "mini")
+    both = [str(random_weights), str(front_weights)]
+    assert main(["evaluate", *both, "--data", str(data), "--split", "val", "--json", "s/val.json"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    heading, _, head, _, *rows = out.splitlines()
+    assert "2 camera images" in heading and "4 of the paper's 14 classes" in heading and "absent: bicycle" in heading
+    assert head == f"| class | pixels | {both[0]} | {both[1]} |"
+    names = [row.split(" | ")[0].removeprefix("| ") for row in rows]
+    assert names == ["car", "road", "building", "vegetation", "**mIoU of 4**", "accuracy",
+                     "points: mIoU of 19 SemanticKITTI classes", "points: accuracy",
+                     "project, ms", "segment, ms", "clean up, ms", "translate, ms", "camera, ms"]  # fmt: skip
+    said = json.loads((here / "s" / "val.json").read_text())
+    assert [result["weights"] for result in said["results"]] == both
+    assert (said["data"], said["split"], said["images"], said["scans"]) == ("mini", "val", 2, 2)
+    first, second = said["results"]
+    assert first["networks"]["translator"]["network"] == "titan-pano"
+    assert second["networks"]["translator"]["network"] == "titan"
+    miou = first["score"]["translator"]["camera_miou"]
+    assert f"**{miou:.3f}**" in rows[4]
+    ious = {row["class"]: row["iou"] for row in first["classes"]}
+    assert miou == pytest.approx(np.mean([ious[name] for name in said["classes"]]))
+    assert first["score"]["segmenter"] == second["score"]["segmenter"]  # the same segmenter
+    assert files_in(here / "s") == ["val.json"]
+
+
+# --- weights --------------------------------------------------------------------------------------------------------
+
+
+def test_weights_list(random_weights, monkeypatch, capsys):
+    monkeypatch.setattr("lidar2pano.models.families.RELEASED", random_weights.parent)
+    monkeypatch.setattr("lidar2pano.models.families.DEFAULT", random_weights.name)
+    assert main(["weights", "list"]) == 0
+    first, *rows = capsys.readouterr().out.splitlines()
+    size = sum(file.stat().st_size for file in random_weights.iterdir()) / 2**20
+    assert first == f"{random_weights.name} (default)  {size:.1f} MiB  licence {LICENCE}"
+    assert [row.split(":")[0].strip() for row in rows] == ["painter", "segmenter", "translator"]
+    assert "salsanext" in rows[1] and "point_miou 0.5, split val" in rows[1]
+
+
+def test_weights_info_of_a_run_shows_no_others(random_weights, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("lidar2pano.models.families.RELEASED", random_weights.parent)
+    monkeypatch.setattr("lidar2pano.models.families.DEFAULT", random_weights.name)
+    write_weights(tmp_path / "weights", "painter", "painter", {"widths": [8, 8, 8]})
+    assert main(["weights", "info", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.count(".safetensors") == 1
+
+
+def test_weights_info(random_weights, capsys):
+    assert main(["weights", "info", str(random_weights)]) == 0
+    out = capsys.readouterr().out
+    assert out.count(".safetensors") == 3
+    assert f"licence       {LICENCE}" in out
+    assert "panorama: 48 x 576 up=0.24 down=-0.2836" in out
+    assert read_card(random_weights / "painter.safetensors").sha256 in out
+
+
+def test_weights_of_no_role_have_a_card_too(tmp_path, capsys):
+    file = write_weights(tmp_path, "critic", "patch-critic", {"channels": 20, "width": 8})
+    assert main(["weights", "info", str(file)]) == 0
+    assert "patch-critic" in capsys.readouterr().out
+
+
+def test_weights_import(here, capsys):
+    torch.manual_seed(1)
+    theirs = build("salsanext")
+    torch.save({"state_dict": {f"module.{name}": value for name, value in theirs.state_dict().items()}}, "SalsaNext")
+    assert main(["weights", "import", "SalsaNext", "--as", "salsanext"]) == 0
+    network, card = load_weights(here / "salsanext.safetensors")
+    assert all(torch.equal(value, theirs.state_dict()[name]) for name, value in network.state_dict().items())
+    assert card.labels == SEMANTIC_KITTI.name
+    assert card.views["input"]["columns"] == 2048 and card.normalisation["mean"][0] == 12.12
+    assert "MIT" in card.licence and "github.com" in card.upstream and card.recipe == "published (SalsaNext)"
+    assert files_in(here) == ["SalsaNext", "salsanext.safetensors"]
+    assert "salsanext.safetensors" in capsys.readouterr().out
+    assert main(["weights", "import", "SalsaNext", "--as", "salsanext"]) == 2  # what is there is kept
+    assert "exists already" in capsys.readouterr().err
+
+
+# --- train, bench ---------------------------------------------------------------------------------------------------
+
+
+def test_train_hands_the_recipe_on(here, monkeypatch, capsys):
+    import lidar2pano.train.engine
+
+    asked = []
+
+    def train(recipe, root, out, **rest):
+        asked.append((recipe, root, out, rest))
+        return out / "weights"
+
+    monkeypatch.setattr(lidar2pano.train.engine, "train", train)
+    words = ["--data", "d", "--out", "o", "--set", "training.batch=3", "--set", "options.depth=0.5", "--device", "cpu"]
+    assert main(["train", "titan-pano", *words, "--devices", "2", "--nodes", "3"]) == 0
+    ((recipe, root, out, rest),) = asked
+    assert (recipe.name, recipe.training.batch, recipe.options["depth"]) == ("titan-pano", 3, 0.5)
+    assert (root, out, rest) == (Path("d"), Path("o"), {"device": "cpu", "devices": 2, "num_nodes": 3})
+    said = capsys.readouterr().out
+    assert "recipe titan-pano: panorama on panorama x 0.5" in said and "of 3, seed 0" in said
+    assert "depth=0.5" in said and "adamw 0.002" in said and "weights: o/weights" in said
+
+
+def test_bench_measures_everything(here, random_weights, capsys):
+    assert main(["bench", "--runs", "1", "--weights", str(random_weights), "--device", "cpu", "--json", "b.json"]) == 0
+    said = json.loads((here / "b.json").read_text())
+    stages = [f"stage {name}" for name in STAGES if name != "read"]
+    assert [row["what"] for row in said["rows"]] == ["projection", "clean-up", "Lovasz", *stages, "whole panorama"]
+    assert all(row["median_ms"] >= row["least_ms"] > 0 for row in said["rows"])
+    assert {"device", "threads", "bfloat16", "buffers_kept", "runs"} <= set(said)
+    whole = said["rows"][-1]["median_ms"]
+    assert whole == pytest.approx(sum(row["median_ms"] for row in said["rows"][3:-1]), abs=0.1)
+    out = capsys.readouterr().out
+    assert "| whole panorama |" in out and "< 1500" in out and "threads" in out
+
+
+# --- the door itself ------------------------------------------------------------------------------------------------
+
+
+def test_version_and_help(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"lidar2pano {lidar2pano.__version__}\n"
+    assert main([]) == 2
+    assert "translate" in capsys.readouterr().out
+
+
+def listed() -> str:
+    """Every command with its arguments and options, one a line."""
+
+    def lines(command, words):
+        inner = getattr(command, "commands", {})
+        for name, one in inner.items():
+            yield from lines(one, [*words, name])
+        if not inner:
+            names = [" ".join(one.opts) if one.param_type_name == "option" else one.metavar for one in command.params]
+            yield f"{' '.join(words)}: {', '.join(names)}"
+
+    return "\n".join(lines(typer.main.get_command(app), ["lidar2pano"])) + "\n"
+
+
+def test_options_are_the_recorded_ones():
+    recorded = OPTIONS.read_text(encoding="utf-8")
+    assert listed() == recorded, "if the change is meant: .venv/bin/python tests/test_cli.py"
+
+
+def test_the_listing_knows_arguments_and_options():
+    (line,) = [line for line in listed().splitlines() if line.startswith("lidar2pano weights import")]
+    assert line == "lidar2pano weights import: FILE, --as, --out"
+
+
+if __name__ == "__main__":
+    OPTIONS.write_text(listed(), encoding="utf-8")
