@@ -35,7 +35,7 @@ class Painting:
 
     Options: columns and jitter, crop and how far it moves, on the translator's raster; translator and segmenter,
     weight files that make the segments and depths to paint (half of the draws take the camera teacher's segments where
-    it is sure); features, broad, pixels: weights of those losses.
+    it is sure); adversarial, features, broad, pixels: weights of those losses (no critic where the first two are 0).
     """
 
     released = ("painter",)
@@ -54,37 +54,36 @@ class Painting:
         segmenter = Segmenter.from_card(*load(str(option["segmenter"]), expect="salsanext"))
         for samples in (self.dataset, self.validation):
             samples.predict(segmenter.points)
-        self.features, self.broad, self.pixels = (float(option[name]) for name in ("features", "broad", "pixels"))
+        self.weights = {name: float(option[name]) for name in ("adversarial", "features", "broad", "pixels")}
         self.logs: dict[str, float | Tensor] = {}
 
     def updates(self, batch: PanoramaSample) -> Iterator[tuple[str, Tensor]]:
-        """The critic, then the painter."""
+        """The critic, unless its word weighs nothing, then the painter."""
         segments, depth_m = self.scene(batch, trust=torch.rand(len(batch.camera)) < 0.5)
         fake = self.networks["painter"](segments, depth_m, batch.image).float()
         seen = batch.seen[:, None].float()
-        told = torch.cat([segments, depth_code(depth_m)[:, None]], 1)
-        told = interpolate(told, scale_factor=2.0, mode="nearest")
-        real = torch.cat([batch.colour * seen, told], 1)
-        shown = torch.cat([fake * seen, told], 1)
-        on_real, on_fake = (self.networks["critic"](picture) for picture in (real, shown.detach()))
-        yield (
-            "critic",
-            _mean([hinge_critic(r[-1].float(), f[-1].float()) for r, f in zip(on_real, on_fake, strict=True)]),
-        )
-        with torch.no_grad():
-            on_real = self.networks["critic"](real)
-        on_fake = self.networks["critic"](shown)
-        adversarial = _mean([hinge_generator(f[-1].float()) for f in on_fake])
-        features = _mean(
-            [
-                feature_matching([x.float() for x in r[:-1]], [x.float() for x in f[:-1]])
-                for r, f in zip(on_real, on_fake, strict=True)
-            ]
-        )
         broad = l1_loss(avg_pool2d(fake * seen, BROAD), avg_pool2d(batch.colour * seen, BROAD))
         pixels = l1_loss(fake * seen, batch.colour * seen)
-        self.logs = {"adversarial": adversarial.detach(), "features": features.detach(), "broad": broad.detach()}
-        yield "painter", adversarial + self.features * features + self.broad * broad + self.pixels * pixels
+        self.logs = {"broad": broad.detach(), "pixels": pixels.detach()}
+        loss = self.weights["broad"] * broad + self.weights["pixels"] * pixels
+        if self.weights["adversarial"] or self.weights["features"]:
+            told = torch.cat([segments, depth_code(depth_m)[:, None]], 1)
+            told = interpolate(told, scale_factor=2.0, mode="nearest")
+            real, shown = torch.cat([batch.colour * seen, told], 1), torch.cat([fake * seen, told], 1)
+            on_real, on_fake = (self.judged(picture) for picture in (real, shown.detach()))
+            yield "critic", _mean([hinge_critic(r[-1], f[-1]) for r, f in zip(on_real, on_fake, strict=True)])
+            with torch.no_grad():
+                on_real = self.judged(real)
+            on_fake = self.judged(shown)
+            adversarial = _mean([hinge_generator(f[-1]) for f in on_fake])
+            features = _mean([feature_matching(r[:-1], f[:-1]) for r, f in zip(on_real, on_fake, strict=True)])
+            self.logs |= {"adversarial": adversarial.detach(), "features": features.detach()}
+            loss = loss + self.weights["adversarial"] * adversarial + self.weights["features"] * features
+        yield "painter", loss
+
+    def judged(self, picture: Tensor) -> list[list[Tensor]]:
+        """The critic's answers in float32: per scale, the features of every layer, scores last."""
+        return [[layer.float() for layer in scale] for scale in self.networks["critic"](picture)]
 
     @torch.no_grad()
     def scene(self, batch: PanoramaSample, trust: Tensor) -> tuple[Tensor, Tensor]:
