@@ -1,8 +1,8 @@
 """Put a trained family into the package: the weights, with licence and measured score in their cards.
 
 python runs/release_family.py FOLDER NAME SCORES.json --licence SPDX
-FOLDER holds segmenter, translator and painter (.safetensors); SCORES.json is what `lidar2pano evaluate FOLDER ... --json`
-wrote.
+FOLDER holds segmenter, translator and painter (.safetensors); SCORES.json is what
+`lidar2pano evaluate FOLDER ... --json` wrote.
 """
 
 from __future__ import annotations

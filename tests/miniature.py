@@ -54,7 +54,7 @@ def write_data_set(root: Path) -> Path:
 
 
 def camera_view() -> tuple[np.ndarray, np.ndarray]:
-    """What the camera sees: Cityscapes ids (h, w) uint8 of road, houses and sky, a strip unsure; RGB (h, w, 3) uint8."""
+    """The camera's view: Cityscapes ids (h, w) uint8 of road, houses, sky, a strip unsure; RGB (h, w, 3) uint8."""
     width, height = SIZE
     ids = np.full((height, width), 2, dtype=np.uint8)
     ids[:12] = 10

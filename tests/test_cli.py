@@ -5,6 +5,7 @@ Run this file to write cli_options.txt anew after a wanted change.
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from PIL import Image
 import lidar2pano
 from lidar2pano.cli import app, main
 from lidar2pano.cli.batch import parse_save, stems
+from lidar2pano.cli.progress import bar
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.models import build
 from lidar2pano.models.card import load as load_weights
@@ -325,6 +327,27 @@ def test_bench_measures_everything(here, random_weights, capsys):
     assert whole == pytest.approx(sum(row["median_ms"] for row in said["rows"][3:-1]), abs=0.1)
     out = capsys.readouterr().out
     assert "| whole panorama |" in out and "< 1500" in out and "threads" in out
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize(("total", "shown"), [(3, True), (1, False)])
+def test_a_bar_for_whoever_looks(monkeypatch, capsys, total, shown):
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    with bar(total, "working") as advance:
+        advance()
+        print("a line for a program")
+    assert ("working" in sys.stderr.getvalue() and f"1/{total}" in sys.stderr.getvalue()) == shown
+    assert capsys.readouterr().out == "a line for a program\n"
+
+
+def test_no_bar_where_nobody_looks(capsys):
+    with bar(3, "working") as advance:
+        advance()
+    assert capsys.readouterr() == ("", "")
 
 
 # --- the door itself ------------------------------------------------------------------------------------------------

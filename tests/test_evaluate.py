@@ -48,7 +48,11 @@ class Told:
 
 
 def contestant(ids, labels) -> Contender:
-    return Contender(name="told", sight=Told(ids, labels), networks={})
+    return Contender(
+        name="told",
+        sight=Told(ids, labels),
+        networks={"translator": {"recipe": "titan-pano-mini", "steps": 7, "hours": 0.5, "commit": "abc"}},
+    )
 
 
 @pytest.fixture
@@ -88,6 +92,7 @@ def test_counted_by_hand(data):
     }
     assert told.sight.sizes == [(6, 2)]
     assert "| road | 40.0% | 0.400 |" in evaluation.table()
+    assert "| translator: recipe |  | titan-pano-mini, 7 steps, 0.5 h |" in evaluation.table()
 
 
 def test_answers_of_absent_classes_do_not_change_what_is_averaged(data):

@@ -172,15 +172,15 @@ def test_a_calibration_of_another_shape_is_refused():
 def test_sources_of_a_file_a_folder_and_a_sequence(tmp_path: Path):
     folder = tmp_path / "sequences" / "08" / "velodyne"
     folder.mkdir(parents=True)
-    for name in ("000002", "000000", "000001"):
-        write_bin(folder / f"{name}.bin", some_scan())
+    for number in (5, 2, 7, 0, 3, 6, 1, 4):
+        write_bin(folder / f"00000{number}.bin", some_scan())
     write_text(folder / "readme.txt", "no scan")
-    (folder / "000003.bin").mkdir()
-    names = [f"00000{i}.bin" for i in range(3)]
+    (folder / "000008.bin").mkdir()
+    names = [f"00000{i}.bin" for i in range(8)]
     assert [path.name for path in scan_files(folder)] == names
     assert scan_files(str(folder.parent)) == scan_files(folder)
     assert scan_files(folder / "000001.bin") == [folder / "000001.bin"]
-    assert [scan.name for scan in scans(folder.parent)] == ["000000", "000001", "000002"]
+    assert [scan.name for scan in scans(folder.parent)] == [Path(name).stem for name in names]
 
 
 def test_a_source_is_read_one_scan_at_a_time(tmp_path: Path):

@@ -138,7 +138,7 @@ def test_points_above_and_below_ask_their_border():
 
 
 def test_unusable_points_and_lone_unlabeled_ones_are_unlabeled():
-    image = project(scan_of((0, 0, 0), (math.nan, 0, 0), polar(0), polar(90)), AROUND)
+    image = project(scan_of((0, 0, 0), (math.nan, 0, 0), polar(0, range_m=0.5), polar(90)), AROUND)
     assert clean_up(image, image.spread(torch.tensor([7, 7, 7, 0]))).tolist() == [0, 0, 7, 0]
 
 

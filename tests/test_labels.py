@@ -197,10 +197,11 @@ def test_palette_and_paint(name):
     assert len(set(labels.colours)) == len(labels), "colours tell the classes apart"
 
 
-def test_segment_map_in_another_set():
-    ids = torch.tensor([[0, 15], [7, 8]], dtype=torch.uint8)
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.int64])
+def test_segment_map_in_another_set(dtype):
+    ids = torch.tensor([[0, 15], [7, 8]], dtype=dtype)
     found = SegmentMap(ids=ids, labels=COMMON15).translated(COMMON14, TABLES["common-15", "common-14"])
-    assert found.labels is COMMON14 and found.ids.dtype == torch.uint8 and found.ids.tolist() == [[0, 0], [7, 8]]
+    assert found.labels is COMMON14 and found.ids.dtype == dtype and found.ids.tolist() == [[0, 0], [7, 8]]
 
 
 @pytest.mark.parametrize("ids", [torch.zeros(2, 2), torch.zeros(4, dtype=torch.int64)])

@@ -194,6 +194,11 @@ def test_points_straight_up_and_down_are_out_of_view(name):
     assert not image.valid.any() and image.dropped == 0
 
 
+def test_far_points_straight_up_and_down_are_given_from_their_side():
+    row = project(scan_of((0, 0, 1e18), (0, 0, -1e18)), VIEWS["panorama"]).row
+    assert row[0] < 0 and row[1] >= 384, "no overflow"
+
+
 def test_the_nearest_point_owns_the_pixel_and_the_first_of_equals():
     far, near = (20, 0, 0), (10, 0, 0)
     for points, owner in (([far, near], 1), ([near, far], 0), ([far, near, near], 1), ([near] * 5, 0)):
@@ -258,7 +263,7 @@ def test_window_keeps_the_pixels():
 @pytest.mark.parametrize("name", VIEWS)
 def test_a_window_of_the_full_width_is_circular(name):
     view = VIEWS[name]
-    for start in (0, 1, 7, 333):
+    for start in (0, 1, 7, 333, view.columns - 200):
         assert view.window(start, view.columns).circular == view.circular
 
 

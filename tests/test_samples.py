@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from miniature import HOUSE, ROAD, SPLITS, street, write_data_set
 
 from lidar2pano.data.augment import drop_points, drop_rings, mirror, mirror_azimuth, shift_azimuth, turn
 from lidar2pano.data.fronts import FrontSamples
@@ -16,6 +15,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON14, COMMON15
 from lidar2pano.sensors import VIEWS
+from miniature import HOUSE, ROAD, SPLITS, street, write_data_set
 
 RASTER = VIEWS["panorama"].scaled(1 / 8)
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 import torch
-from miniature import write_data_set
 from torch.utils.data import default_collate
 
 from lidar2pano.data.sequences import Draw
@@ -16,6 +15,7 @@ from lidar2pano.models.families import weight_files
 from lidar2pano.train.engine import train
 from lidar2pano.train.recipes import Recipe, override, recipe_named
 from lidar2pano.train.task import build_task
+from miniature import write_data_set
 
 ONE_STEP = ["training.steps=1", "training.batch=2", "training.workers=0", "training.precision=32-true"]
 SMALL = {

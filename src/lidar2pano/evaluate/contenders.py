@@ -82,6 +82,6 @@ def contender(weights: str | Path, device: str = "auto") -> Contender:
             pipeline=Pipeline(segmenter=segmenter, translator=translator, painter=blank, view=view, device=picked)
         )
     cards = {role: read_card(files[role]) for role in ("segmenter", "translator")}
-    told = ("network", "recipe", "data", "steps", "commit", "sha256")
+    told = ("network", "recipe", "data", "steps", "hours", "commit", "sha256")
     networks = {role: {name: getattr(one, name) for name in told} for role, one in cards.items()}
     return Contender(name=str(weights), sight=sight, networks=networks)

@@ -99,7 +99,20 @@ class Evaluation:
         for stage in dict.fromkeys(stage for one in times for stage in one):
             cells = [f"{one[stage]:.0f}" if stage in one else "-" for one in times]
             rows.append([f"{stage.replace('_', ' ')}, ms", "", *cells])
+        rows += self._origin_rows()
         return "\n".join([self.heading(), "", *(f"| {' | '.join(row)} |" for row in rows)])
+
+    def _origin_rows(self) -> list[list[str]]:
+        """Where each contender's networks come from, by their cards."""
+        rows = []
+        for role in dict.fromkeys(role for one in self.contenders for role in one.networks):
+            cards = [one.networks.get(role, {}) for one in self.contenders]
+            made = [
+                f"{card.get('recipe') or '?'}, {card.get('steps', 0)} steps, {card.get('hours', 0)} h" for card in cards
+            ]
+            rows.append([f"{role}: recipe", "", *made])
+            rows.append([f"{role}: commit", "", *(card.get("commit", "")[:12] or "?" for card in cards)])
+        return rows
 
     def _camera_rows(self) -> list[list[str]]:
         there = self.counted()

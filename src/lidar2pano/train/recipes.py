@@ -203,11 +203,17 @@ def painter() -> Recipe:
             "critic": Network(model="patch-critic", settings={"channels": 20, "width": 32}, optimizer=adam),
         },
         options={
-            "columns": 256, "jitter": 130, "adversarial": 1.0, "features": 10.0, "broad": 10.0, "pixels": 2.0, "translator": "",
+            "columns": 256,
+            "jitter": 130,
+            "adversarial": 1.0,
+            "features": 10.0,
+            "broad": 10.0,
+            "pixels": 2.0,
+            "translator": "",
             "segmenter": "",
         },
         training=Training(steps=50_000, batch=2),
-    )  # fmt: skip
+    )
 
 
 def painter_mini() -> Recipe:
