@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, interpolate, l1_loss
+from torch.nn.functional import avg_pool2d, interpolate, l1_loss, mse_loss
 from torch.utils.data import default_collate
 
 from lidar2pano.data.panoramas import PanoramaSample, PanoramaSamples
@@ -32,6 +32,10 @@ BROAD = 4  # pixels: colours are compared as means over squares of this size
 
 class Painting:
     """Trains a painter: hinge loss, feature matching, and the distance of broad colours and of pixels.
+
+    Broad colours are compared by their squares, whose best guess is the mean: of what is now in the sun and now in the
+    shade the absolute distance would paint the shade.
+
 
     Options: columns and jitter, crop and how far it moves, on the translator's raster; translator and segmenter,
     weight files that make the segments and depths to paint (half of the draws take the camera teacher's segments where
@@ -62,7 +66,7 @@ class Painting:
         segments, depth_m = self.scene(batch, trust=torch.rand(len(batch.camera)) < 0.5)
         fake = self.networks["painter"](segments, depth_m, batch.image).float()
         seen = batch.seen[:, None].float()
-        broad = l1_loss(avg_pool2d(fake * seen, BROAD), avg_pool2d(batch.colour * seen, BROAD))
+        broad = mse_loss(avg_pool2d(fake * seen, BROAD), avg_pool2d(batch.colour * seen, BROAD))
         pixels = l1_loss(fake * seen, batch.colour * seen)
         self.logs = {"broad": broad.detach(), "pixels": pixels.detach()}
         loss = self.weights["broad"] * broad + self.weights["pixels"] * pixels

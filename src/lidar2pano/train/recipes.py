@@ -207,7 +207,7 @@ def painter() -> Recipe:
             "jitter": 130,
             "adversarial": 1.0,
             "features": 10.0,
-            "broad": 10.0,
+            "broad": 20.0,
             "pixels": 2.0,
             "translator": "",
             "segmenter": "",
