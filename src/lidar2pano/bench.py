@@ -53,11 +53,11 @@ class Row:
 def measure(runs: int, device: str = "auto", weights: str = "") -> list[Row]:
     """Time everything `runs` times after a warm-up.
 
-    weights  as for `pipeline.load`; "" takes the default family, or untrained networks where it is not installed.
+    weights  as for `pipeline.load`; "" takes untrained networks.
     Raises InputError when weights or device cannot be had.
     """
     picked = pick_device(device)
-    pipeline = untrained(picked) if not weights and DEFAULT not in families() else load(weights or DEFAULT, device)
+    pipeline = load(weights, device) if weights else untrained(picked)
     aims = AIMS[picked.type]
     scan = made_up_scan(POINTS, seed=0)
     image = project(scan, VIEWS["hdl64e"], device=picked)
@@ -69,6 +69,11 @@ def measure(runs: int, device: str = "auto", weights: str = "") -> list[Row]:
         row("Lovasz", aims, lovasz_step(picked)),
         *stages(pipeline, scan, runs, aims),
     ]
+
+
+def default_weights() -> str:
+    """The default family where it is installed, else "": untrained networks."""
+    return DEFAULT if DEFAULT in families() else ""
 
 
 def stages(pipeline: Pipeline, scan: Scan, runs: int, aims: dict[str, str]) -> list[Row]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Annotated
 
 import typer
@@ -74,6 +74,15 @@ def judged(error: BaseException) -> tuple[int, str]:
 def _missing(error: ModuleNotFoundError) -> str:
     """The top module that was not found; our own messages say "training needs MODULE: ..."."""
     return (error.name or str(error).partition(" needs ")[2].partition(":")[0]).partition(".")[0]
+
+
+def note_licences(weights: Iterable[str]) -> None:
+    """One line on stderr for each licence that restricts the use of these weights (names as `translate` takes them)."""
+    from lidar2pano.models.families import licence_note, weight_files
+
+    for note in dict.fromkeys(licence_note(weight_files(name)) for name in weights):
+        if note:
+            complain(note)
 
 
 def complain(problem: object) -> None:

@@ -13,12 +13,12 @@ from typing import Any
 
 from lidar2pano.allocator import keep_buffers
 from lidar2pano.calibration import Calibration, read_calib
-from lidar2pano.cli.app import MISTAKE, complain
+from lidar2pano.cli.app import MISTAKE, complain, note_licences
 from lidar2pano.cli.files import check_folder
 from lidar2pano.cli.progress import bar
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats import read
-from lidar2pano.models.families import licence_note, weight_files
+from lidar2pano.models.families import weight_files
 from lidar2pano.models.precision import pick_device
 from lidar2pano.panorama import WHAT, Panorama
 from lidar2pano.pipeline import Memory, Pipeline, load, sensor_view
@@ -182,8 +182,8 @@ class Lazy:
 
     def note_licence(self) -> None:
         """Say once, before the first picture is written, when the weights' licence restricts their use."""
-        if not self.noted and (note := licence_note(weight_files(self.wish.weights))):
-            complain(note)
+        if not self.noted:
+            note_licences([self.wish.weights])
         self.noted = True
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from lidar2pano.cli.app import app
+from lidar2pano.cli.app import app, note_licences
 
 
 @app.command()
@@ -22,14 +22,16 @@ def bench(
 ) -> None:
     """Time projection, clean-up, the Lovasz loss and every stage of the pipeline on this machine."""
     from lidar2pano.allocator import keep_buffers
-    from lidar2pano.bench import conditions, measure, table
+    from lidar2pano.bench import conditions, default_weights, measure, table
     from lidar2pano.cli.files import check_file, write_json
 
     if as_json:
         check_file(as_json, "--json")
     kept = keep_buffers()
-    rows = measure(runs, device, weights)
-    said = conditions(device, runs) | {"buffers_kept": kept}
+    name = weights or default_weights()
+    rows = measure(runs, device, name)
+    said = conditions(device, runs) | {"weights": name or "untrained", "buffers_kept": kept}
+    note_licences([name] if name else [])
     if as_json:
         write_json(as_json, said | {"rows": [row.as_dict() for row in rows]}, "--json")
     print(table(rows, said))

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from lidar2pano.cli.app import app
+from lidar2pano.cli.app import app, note_licences
 
 
 @app.command()
@@ -40,4 +40,5 @@ def evaluate(
         evaluation = score(contenders, found, data=data.resolve().name, split=split, after_each=advance)
     if as_json:
         write_json(as_json, evaluation.as_dict(), "--json")
+    note_licences(weights)
     print(evaluation.table())

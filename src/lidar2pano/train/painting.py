@@ -36,7 +36,6 @@ class Painting:
     Broad colours are compared by their squares, whose best guess is the mean: of what is now in the sun and now in the
     shade the absolute distance would paint the shade.
 
-
     Options: columns and jitter, crop and how far it moves, on the translator's raster; translator and segmenter,
     weight files that make the segments and depths to paint (half of the draws take the camera teacher's segments where
     it is sure); adversarial, features, broad, pixels: weights of those losses (no critic where the first two are 0).
