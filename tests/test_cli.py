@@ -18,6 +18,7 @@ import typer.main
 from PIL import Image
 
 import lidar2pano
+from lidar2pano.bench import default_weights, untrained
 from lidar2pano.cli import app, main
 from lidar2pano.cli.batch import parse_save, stems
 from lidar2pano.cli.progress import bar
@@ -218,14 +219,15 @@ def test_evaluate_side_by_side(here, random_weights, front_weights, capsys):
     both = [str(random_weights), str(front_weights)]
     assert main(["evaluate", *both, "--data", str(data), "--split", "val", "--json", "s/val.json"]) == 0
     out, err = capsys.readouterr()
-    assert err == ""
+    assert err.count(LICENCE) == err.count("\n") == 1
     heading, _, head, _, *rows = out.splitlines()
     assert "2 camera images" in heading and "4 of the paper's 14 classes" in heading and "absent: bicycle" in heading
     assert head == f"| class | pixels | {both[0]} | {both[1]} |"
     names = [row.split(" | ")[0].removeprefix("| ") for row in rows]
     assert names == ["car", "road", "building", "vegetation", "**mIoU of 4**", "accuracy",
                      "points: mIoU of 19 SemanticKITTI classes", "points: accuracy",
-                     "project, ms", "segment, ms", "clean up, ms", "translate, ms", "camera, ms"]  # fmt: skip
+                     "project, ms", "segment, ms", "clean up, ms", "translate, ms", "camera, ms",
+                     *(f"{role}: {what}" for role in ("segmenter", "translator") for what in ("recipe", "commit"))]  # fmt: skip
     said = json.loads((here / "s" / "val.json").read_text())
     assert [result["weights"] for result in said["results"]] == both
     assert (said["data"], said["split"], said["images"], said["scans"]) == ("mini", "val", 2, 2)
@@ -323,10 +325,20 @@ def test_bench_measures_everything(here, random_weights, capsys):
     assert [row["what"] for row in said["rows"]] == ["projection", "clean-up", "Lovasz", *stages, "whole panorama"]
     assert all(row["median_ms"] >= row["least_ms"] > 0 for row in said["rows"])
     assert {"device", "threads", "bfloat16", "buffers_kept", "runs"} <= set(said)
+    assert said["weights"] == str(random_weights)
     whole = said["rows"][-1]["median_ms"]
     assert whole == pytest.approx(sum(row["median_ms"] for row in said["rows"][3:-1]), abs=0.1)
-    out = capsys.readouterr().out
+    out, err = capsys.readouterr()
     assert "| whole panorama |" in out and "< 1500" in out and "threads" in out
+    assert LICENCE in err
+
+
+def test_bench_goes_without_weights(here, monkeypatch):
+    monkeypatch.setattr("lidar2pano.models.families.RELEASED", here / "none")
+    assert default_weights() == ""
+    shapes = untrained(torch.device("cpu"))
+    assert (shapes.view.rows, shapes.view.columns, shapes.segmenter.view.columns) == (192, 2304, 2048)
+    assert not any(isinstance(layer, torch.nn.BatchNorm2d) for layer in shapes.painter.modules())
 
 
 class Terminal(io.StringIO):
