@@ -9,17 +9,28 @@ import torch
 from torch import nn
 
 from lidar2pano.models import build
-from lidar2pano.models.circular import CircularConv, conv_norm_act, fold_norms, grow_circular, pad_circular
+from lidar2pano.models.circular import CircularConv, closed, conv_norm_act, fold_norms, grow_circular
 
 
-def test_padding_brings_columns_from_the_other_end_and_zeros_above_and_below():
+def test_closing_brings_columns_from_the_other_end():
     x = torch.arange(6.0).view(1, 1, 2, 3)
-    assert pad_circular(x, 1)[0, 0].tolist() == [
-        [0, 0, 0, 0, 0],
-        [2, 0, 1, 2, 0],
-        [5, 3, 4, 5, 3],
-        [0, 0, 0, 0, 0],
-    ]
+    assert closed(x, 1)[0, 0].tolist() == [[2, 0, 1, 2, 0], [5, 3, 4, 5, 3]]
+
+
+@pytest.mark.parametrize("columns", [16, 7, 4])
+@pytest.mark.parametrize(
+    ("kernel", "stride", "dilation"), [(1, 1, 1), (3, 1, 1), (3, 1, 2), (3, 1, 4), (5, 1, 1), (3, 2, 1)]
+)
+def test_convolution_agrees_with_its_definition(kernel, stride, dilation, columns):
+    conv = CircularConv(2, 3, kernel, stride=stride, dilation=dilation)
+    x = torch.randn(2, 2, 6, columns)
+    reach = dilation * (kernel // 2)
+    around = x[..., torch.arange(-reach, columns + reach) % columns]
+    rows = nn.functional.pad(around, (0, 0, reach, reach))
+    slow = nn.functional.conv2d(rows, conv.weight, conv.bias, stride, 0, dilation)
+    assert torch.allclose(conv(x), slow, atol=1e-5)
+    with torch.inference_mode():
+        assert torch.allclose(conv(x), slow, atol=1e-5)
 
 
 @pytest.mark.parametrize(("kernel", "dilation"), [(1, 1), (3, 1), (3, 2), (5, 1)])

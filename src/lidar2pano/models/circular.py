@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import pad
+from torch.nn.functional import conv2d
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 
-def pad_circular(x: Tensor, reach: int) -> Tensor:
-    """Pad (B, C, H, W) by `reach`: columns from the other end, rows with zeros."""
-    if reach == 0:
-        return x
-    x = torch.cat([x[..., -reach:], x, x[..., :reach]], dim=3)
-    return pad(x, (0, 0, reach, reach))
+def closed(x: Tensor, reach: int) -> Tensor:
+    """(B, C, H, W) with `reach` columns of the other end at each side: (B, C, H, W + 2 reach)."""
+    return torch.cat([x[..., -reach:], x, x[..., :reach]], dim=3) if reach else x
 
 
 class CircularConv(nn.Conv2d):
@@ -24,8 +21,22 @@ class CircularConv(nn.Conv2d):
         self.reach = dilation * (kernel // 2)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Pad, then convolve."""
-        return super().forward(pad_circular(x, self.reach))
+        """Convolve with rows padded by zeros and columns by those of the other end."""
+        reach, stride = self.reach, self.stride[0]
+        if reach and stride == 1 and not torch.is_grad_enabled() and x.shape[3] >= 2 * reach:
+            return self._mended(x)
+        return self._convolved(closed(x, reach), (reach, 0))
+
+    def _mended(self, x: Tensor) -> Tensor:
+        """The same without a copy of the whole picture: only what lies next to the seam is done again, closed."""
+        reach = self.reach
+        answer = self._convolved(x, (reach, reach))
+        seam = self._convolved(torch.cat([x[..., -2 * reach :], x[..., : 2 * reach]], dim=3), (reach, 0))
+        answer[..., -reach:], answer[..., :reach] = seam[..., :reach], seam[..., reach:]
+        return answer
+
+    def _convolved(self, x: Tensor, padding: tuple[int, int]) -> Tensor:
+        return conv2d(x, self.weight, self.bias, self.stride, padding, self.dilation)
 
 
 def conv_norm_act(inputs: int, outputs: int, kernel: int = 3, *, stride: int = 1, dilation: int = 1) -> nn.Sequential:
@@ -54,8 +65,7 @@ class CircularResidual(nn.Module):
 
 def grow_circular(x: Tensor, factor: int) -> Tensor:
     """Enlarge (B, C, H, W) bilinearly by a whole factor; columns interpolate across the seam."""
-    closed = torch.cat([x[..., -1:], x, x[..., :1]], dim=3)
-    grown = nn.functional.interpolate(closed, scale_factor=factor, mode="bilinear", align_corners=False)
+    grown = nn.functional.interpolate(closed(x, 1), scale_factor=factor, mode="bilinear", align_corners=False)
     return grown[..., factor:-factor]
 
 

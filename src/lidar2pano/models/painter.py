@@ -52,14 +52,15 @@ class Painter(nn.Module):
         if segments.shape[-2] % STRIDE or segments.shape[-1] % STRIDE:
             raise InputError(f"segments of {tuple(segments.shape[-2:])} pixels: rows, columns must divide by {STRIDE}")
         seen = self._seen(segments, depth_m, image)
-        seen2, seen4 = avg_pool2d(seen, 2), avg_pool2d(seen, 4)
         fine = self.stem(seen)
+        seen = seen.to(fine.dtype)  # under autocast: one float32 part would make every joined picture float32
+        seen2, seen4 = avg_pool2d(seen, 2), avg_pool2d(seen, 4)
         middle = self.down1(fine)
         x = self.down2(middle)
         for block in self.trunk:
             x = block(x)
-        x = self.mix1(torch.cat([self.up1(torch.cat([x, seen4], 1)), middle, seen2], 1))
-        x = self.mix0(torch.cat([self.up0(x), fine, seen], 1))
+        x = self.mix1(torch.cat([_channels_last(self.up1(torch.cat([x, seen4], 1))), middle, seen2], 1))
+        x = self.mix0(torch.cat([_channels_last(self.up0(x)), fine, seen], 1))
         return torch.tanh(self.colour(x))
 
     @staticmethod
@@ -68,3 +69,8 @@ class Painter(nn.Module):
         row = torch.linspace(1, -1, segments.shape[2], device=segments.device, dtype=segments.dtype)
         extra = [depth_code(depth_m).to(segments.dtype), image[:, 4].to(segments.dtype), valid]
         return torch.cat([segments, torch.stack([*extra, row[None, :, None].expand_as(valid)], 1)], 1)
+
+
+def _channels_last(x: Tensor) -> Tensor:
+    """What is joined takes its first part's layout, and pixel shuffles give the slow one."""
+    return x.contiguous(memory_format=torch.channels_last)
