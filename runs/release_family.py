@@ -27,7 +27,7 @@ def main() -> None:
     measured = json.loads(asked.scores.read_text(encoding="utf-8"))["results"][0]["score"]
     for role, file in weight_files(asked.folder).items():
         network, card = load(file)
-        score = card.score | measured.get(role, {})
+        score = {name: value for name, value in card.score.items() if name != "score"} | measured.get(role, {})
         save(RELEASED / asked.name / f"{role}.safetensors", network, replace(card, licence=asked.licence, score=score))
 
 
