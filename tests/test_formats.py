@@ -103,6 +103,8 @@ def test_what_is_no_label(tmp_path: Path):
 def test_an_unknown_suffix_names_the_nearest(tmp_path: Path):
     assert "no reader for files that end in '.bim'; did you mean '.bin'?" in complaint(lambda: read(tmp_path / "a.bim"))
     assert "no reader for files that end in ''" in complaint(lambda: read(tmp_path / "a"))
+    (tmp_path / "a.pcd.bin").write_bytes(bytes(16 * 5))  # four points of nuScenes would pass for five of KITTI
+    assert "no reader yet" in complaint(lambda: read(tmp_path / "a.pcd.bin"))
 
 
 def test_closest():

@@ -18,6 +18,10 @@ def read(path: str | Path) -> Scan:
     Raises InputError for a file that is missing, of an unknown suffix or damaged.
     """
     path = Path(path)
+    if path.name.endswith(".pcd.bin"):
+        raise InputError(
+            f"{path}: nuScenes' sweeps (five numbers a point) have no reader yet; write it as KITTI's .bin"
+        )
     if path.suffix not in READERS:
         raise InputError(f"{path}: no reader for files that end in {path.suffix!r}" + closest(path.suffix, READERS))
     return READERS[path.suffix](path)
