@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import shutil
 from dataclasses import replace
 from itertools import islice
 
@@ -146,6 +147,9 @@ def test_the_newest_whole_checkpoint_counts(tmp_path):
     checkpoint(tmp_path, 9)
     checkpoint(tmp_path, 10, value=3.0)
     (tmp_path / "checkpoints/000000011.part").mkdir()
+    for older in ("000000010.old", "000000008"):  # killed before they were removed
+        shutil.copytree(tmp_path / "checkpoints/000000010", tmp_path / "checkpoints" / older)
+        (tmp_path / "checkpoints" / older / "state.json").write_text('{"step": 8}')
     progress, weights, optimizers = load_checkpoint(tmp_path)
     assert progress == Progress(step=10, seconds=2.0)
     assert weights["network/a/w"].tolist() == [[3.0, 3.0], [3.0, 3.0]] and optimizers["a"]["betas"] == (0.5, 0.9)
