@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError
+from lidar2pano.formats.pictures import write_depth, write_palette, write_png, write_whole
 from lidar2pano.geometry.camera import panorama_in_camera
-from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
+from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.sensors import View
 
 WHAT = ("rgb", "segments", "labels", "depth")
-DEPTH_STEPS = 256  # per metre, KITTI's form of 16 bit depth
-FAST_PNG = 1  # zlib's level: a third of the default's time for a tenth more bytes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -95,37 +92,4 @@ class Panorama:
             writers[f"{stem}.label"] = lambda path: SEMANTIC_KITTI.to_raw(self.labels).astype("<u4").tofile(path)
         if "depth" in what:
             writers[f"{stem}.depth.png"] = lambda path: write_depth(path, self.depth_m)
-        return [_whole(Path(out) / name, write) for name, write in writers.items()]
-
-
-def write_png(path: Path, colour: np.ndarray) -> None:
-    """Write an RGB picture (h, w, 3) uint8."""
-    Image.fromarray(colour).save(path, format="PNG", compress_level=FAST_PNG)
-
-
-def write_palette(path: Path, ids: np.ndarray) -> None:
-    """Write ids (h, w) uint8 of COMMON15 as a palette PNG: the pixels are the ids, the palette their colours."""
-    picture = Image.fromarray(ids, mode="P")
-    picture.putpalette(COMMON15.palette())
-    picture.save(path, format="PNG", compress_level=FAST_PNG)
-
-
-def write_depth(path: Path, depth_m: np.ndarray) -> None:
-    """Write depths (h, w) in metres as a 16 bit PNG, metres x 256, 0 = none, 255.99 m at most."""
-    steps = np.clip(np.round(depth_m * DEPTH_STEPS), 0, 0xFFFF).astype(np.uint16)
-    Image.fromarray(steps).save(path, format="PNG", compress_level=FAST_PNG)
-
-
-def _whole(path: Path, write: Callable[[Path], None]) -> Path:
-    """Write beside, then rename: nobody ever sees half a file."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(beside)
-        beside.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another --out") from error
-    finally:
-        if path.parent.is_dir():
-            beside.unlink(missing_ok=True)
-    return path
+        return [write_whole(Path(out) / name, write) for name, write in writers.items()]

@@ -1,0 +1,133 @@
+"""Does a simulated data set agree with itself? Points carried into the pictures by the package's own geometry.
+
+    python runs/check_world.py ROOT [--frames N]
+
+For every point of a scan: the class of the panorama's and of the camera's pixel that it falls into, and the panorama's
+depth there. Pixels at edges (a neighbour of another class, or much nearer or farther) are left out: there a pixel's
+middle and the point are different things. So are points that stand behind what the panorama sees, by its own depth
+picture: the LiDAR looks over and past things from a third of a metre beside the camera; their share is told. Prints one
+Markdown table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from PIL import Image
+
+from lidar2pano.data.sequences import Frame, frames
+from lidar2pano.geometry.camera import points_in_camera
+from lidar2pano.geometry.projection import pixels
+from lidar2pano.labels import TABLES
+from lidar2pano.sensors import VIEWS, View
+
+STEPS = 256  # depth pictures: per metre
+BEHIND = 0.02  # share of the depth, and a decimetre, that a hidden point lies farther
+EDGE = 0.06  # share of the depth by which neighbours differ at an edge
+
+
+class Agreement(NamedTuple):
+    """Of one frame: points compared and share of them with the same class, in panorama and camera; depth error.
+
+    hidden  share of the points that the panorama's place does not see.
+    """
+
+    panorama_points: int
+    hidden: float
+    panorama_same: float
+    camera_points: int
+    camera_same: float
+    depth_error_m: float
+
+
+def edges(ids: np.ndarray, depth: np.ndarray | None) -> np.ndarray:
+    """Pixels (H, W) bool with another class, or another depth, among their eight neighbours."""
+    out = np.zeros(ids.shape, dtype=bool)
+    out[0] = out[-1] = out[:, 0] = out[:, -1] = True
+    middle = slice(1, -1)
+    for row in (-1, 0, 1):
+        for column in (-1, 0, 1):
+            there = (slice(1 + row, ids.shape[0] - 1 + row), slice(1 + column, ids.shape[1] - 1 + column))
+            out[middle, middle] |= ids[there] != ids[middle, middle]
+            if depth is not None:
+                out[middle, middle] |= np.abs(depth[there] - depth[middle, middle]) > EDGE * depth[middle, middle]
+    return out
+
+
+def interpolated(depth: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Depth between pixel middles (at .5): its inverse is linear on planes, so that is what is interpolated."""
+    inverse = 1 / np.maximum(depth, 1e-3)
+    i, j = np.floor(row - 0.5).astype(int), np.floor(column - 0.5).astype(int)
+    p, q = row - 0.5 - i, column - 0.5 - j
+    i2, j2 = np.minimum(i + 1, depth.shape[0] - 1), (j + 1) % depth.shape[1]
+    upper = inverse[i, j] * (1 - q) + inverse[i, j2] * q
+    return 1 / (upper * (1 - p) + (inverse[i2, j] * (1 - q) + inverse[i2, j2] * q) * p)
+
+
+def agreement(frame: Frame, view: View) -> Agreement:
+    """Compare a frame's scan with its pictures; `view` is the raster of pano/."""
+    scan = frame.scan()
+    labels = TABLES["semantic-kitti", "common-15"][frame.labels(len(scan))]
+    picture = {
+        name: np.array(Image.open(frame.folder / name / f"{frame.stem}.png")) for name in ("pano_labels", "pano_depth")
+    }
+    ids, depth = picture["pano_labels"], picture["pano_depth"].astype(np.float64) / STEPS
+    away = torch.from_numpy(scan.xyz).double() - torch.tensor(view.origin, dtype=torch.float64)
+    row, column = (place.numpy() for place in pixels(*away.unbind(-1), view))
+    inside = (row >= 0) & (row < view.rows) & (labels > 0)
+    here = np.flatnonzero(inside)
+    r, c = row[here].astype(int), column[here].astype(int) % view.columns
+    clear = ~edges(ids, depth)[r, c] & (depth[r, c] > 0)
+    here, r, c = here[clear], r[clear], c[clear]
+    gap = away[here].norm(dim=1).numpy() - interpolated(depth, row[here], column[here])
+    seen = gap < BEHIND * depth[r, c] + 0.1
+    same = ids[r, c][seen] == labels[here][seen]
+    camera_points, camera_same = in_camera(frame, scan.xyz, labels)
+    error = float(np.median(np.abs(gap[seen][same])))
+    return Agreement(int(seen.sum()), float(1 - seen.mean()), float(same.mean()), camera_points, camera_same, error)
+
+
+def in_camera(frame: Frame, xyz: np.ndarray, labels: np.ndarray) -> tuple[int, float]:
+    """Points compared in the camera's image, and the share of them with the same class."""
+    raw = frame.camera_labels()
+    table = np.zeros(256, dtype=np.uint8)
+    table[:19] = TABLES["cityscapes", "common-15"]
+    ids = table[raw]
+    height, width = ids.shape
+    u, v, depth = (part.numpy() for part in points_in_camera(torch.from_numpy(xyz), frame.calibration((width, height))))
+    with np.errstate(invalid="ignore"):
+        inside = (depth > 0) & (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5) & (labels > 0)
+    here = np.flatnonzero(inside)
+    r, c = np.rint(v[here]).astype(int), np.rint(u[here]).astype(int)
+    clear = ~edges(ids, None)[r, c] & (ids[r, c] > 0)
+    return int(clear.sum()), float((ids[r, c] == labels[here])[clear].mean())
+
+
+def main() -> None:
+    """Read the arguments and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("root", type=Path)
+    parser.add_argument("--frames", type=int, default=10)
+    asked = parser.parse_args()
+    base, _, part = json.loads((asked.root / "world.json").read_text(encoding="utf-8"))["views"][0].partition("/")
+    view = VIEWS[base].scaled(1 / int(part or 1))
+    print(
+        "| frame | points in panorama | hidden | same class | points in camera | same class | median depth error, cm |"
+    )
+    print("| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
+    some = frames(asked.root, "all")
+    for frame in some[:: max(len(some) // asked.frames, 1)][: asked.frames]:
+        one = agreement(frame, view)
+        print(
+            f"| {frame.name} | {one.panorama_points} | {one.hidden:.2%} | {one.panorama_same:.2%} |"
+            f" {one.camera_points} | {one.camera_same:.2%} | {100 * one.depth_error_m:.2f} |"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,108 @@
+"""Materials: what light, and the LiDAR's light, meets on a surface."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Material(NamedTuple):
+    """One row.
+
+    texture   name in textures.TEXTURES, which says how the surface varies ("" = even).
+    colour    linear RGB albedo in [0, 1]; a face's tint multiplies it.
+    gloss     share of light that mirrors at right angles (Fresnel's F0); 0 is matt.
+    rough     how far the mirror image is smeared: 0 a mirror, 1 not at all visible.
+    light     colour it sends out by itself, linear RGB (lamps, traffic lights).
+    cutout    name in textures.CUTOUTS: where the surface is a hole (leaves, wire fences); "" = nowhere.
+    through   share of the sunlight that passes from the other side (leaves).
+    lidar     reflectance at 905 nm at right angles, as remission in [0, 1].
+    spread    relative standard deviation of `lidar` from place to place.
+    retro     remission of a retro-reflector, independent of the angle; 0 = none.
+    loss      probability that no pulse comes back at right angles and near by (glass, black paint, water).
+    """
+
+    texture: str = ""
+    colour: tuple[float, float, float] = (0.5, 0.5, 0.5)
+    gloss: float = 0.0
+    rough: float = 1.0
+    light: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    cutout: str = ""
+    through: float = 0.0
+    lidar: float = 0.3
+    spread: float = 0.15
+    retro: float = 0.0
+    loss: float = 0.0
+
+
+MATERIALS: dict[str, Material] = {
+    # ground
+    "asphalt": Material("asphalt", (0.21, 0.21, 0.215), 0.03, 0.7, lidar=0.28, spread=0.15),
+    "asphalt-new": Material("asphalt", (0.10, 0.10, 0.105), 0.03, 0.6, lidar=0.17, spread=0.2),
+    "paint-white": Material("paint", (0.75, 0.75, 0.73), lidar=0.5, spread=0.3),
+    "cobbles": Material("cobbles", (0.28, 0.27, 0.26), lidar=0.3),
+    "paving": Material("paving", (0.42, 0.40, 0.38), lidar=0.32),
+    "kerb": Material("concrete", (0.48, 0.47, 0.45), lidar=0.34),
+    "gravel": Material("gravel", (0.42, 0.39, 0.34), lidar=0.33, spread=0.25),
+    "soil": Material("soil", (0.23, 0.17, 0.11), lidar=0.3, spread=0.25),
+    "grass": Material("grass", (0.16, 0.23, 0.07), lidar=0.36, spread=0.15),
+    "meadow": Material("meadow", (0.24, 0.26, 0.10), lidar=0.36, spread=0.18),
+    "field": Material("field", (0.38, 0.31, 0.16), lidar=0.34, spread=0.2),
+    # buildings
+    "plaster": Material("plaster", (0.72, 0.69, 0.62), lidar=0.46, spread=0.2),
+    "brick": Material("brick", (0.42, 0.20, 0.14), lidar=0.42),
+    "concrete": Material("concrete", (0.50, 0.49, 0.47), lidar=0.38),
+    "stone": Material("stone", (0.42, 0.38, 0.33), lidar=0.36),
+    "tiles": Material("tiles", (0.40, 0.16, 0.10), lidar=0.38),
+    "slate": Material("tiles", (0.13, 0.13, 0.15), lidar=0.2),
+    "wood": Material("wood", (0.34, 0.22, 0.13), lidar=0.38),
+    "frame": Material("", (0.80, 0.80, 0.78), 0.04, 0.3, lidar=0.45),
+    "shutter": Material("shutter", (0.5, 0.5, 0.5), lidar=0.4),
+    "door": Material("wood", (0.40, 0.34, 0.28), 0.03, 0.4, lidar=0.35),
+    "pane": Material("pane", (0.03, 0.035, 0.04), 0.08, 0.02, lidar=0.08, spread=0.6, loss=0.75),
+    # made of metal or plastic
+    "metal": Material("metal", (0.55, 0.56, 0.57), 0.35, 0.4, lidar=0.32, spread=0.4),
+    "dark-metal": Material("", (0.05, 0.05, 0.055), 0.05, 0.4, lidar=0.08, spread=0.5),
+    "plastic": Material("", (0.4, 0.4, 0.4), 0.04, 0.35, lidar=0.35),
+    "wire": Material("", (0.35, 0.37, 0.36), 0.1, 0.5, cutout="wire", lidar=0.35, spread=0.3),
+    "pickets": Material("wood", (0.45, 0.34, 0.24), cutout="pickets", lidar=0.4),
+    "railing": Material("", (0.12, 0.13, 0.13), 0.1, 0.4, cutout="railing", lidar=0.25),
+    # vehicles
+    "paint": Material("car-paint", (0.5, 0.5, 0.5), 0.05, 0.06, lidar=0.3, spread=0.2, loss=0.03),
+    "window": Material("", (0.02, 0.022, 0.025), 0.08, 0.02, lidar=0.06, spread=0.6, loss=0.8),
+    "rubber": Material("", (0.025, 0.025, 0.025), 0.02, 0.8, lidar=0.06, loss=0.1),
+    "rim": Material("", (0.45, 0.46, 0.47), 0.3, 0.3, lidar=0.4, spread=0.4),
+    "underbody": Material("", (0.015, 0.015, 0.015), lidar=0.06, loss=0.3),
+    "headlamp": Material("", (0.7, 0.7, 0.72), 0.15, 0.1, lidar=0.4, retro=0.7),
+    "tail-lamp": Material("", (0.42, 0.02, 0.02), 0.08, 0.1, lidar=0.4, retro=0.9),
+    "plate": Material("plate", (0.85, 0.85, 0.83), lidar=0.6, retro=0.95),
+    "tarpaulin": Material("cloth", (0.5, 0.5, 0.5), lidar=0.4),
+    # people
+    "skin": Material("", (0.55, 0.36, 0.27), lidar=0.45),
+    "hair": Material("", (0.08, 0.05, 0.03), lidar=0.2),
+    "cloth": Material("cloth", (0.4, 0.4, 0.4), lidar=0.4, spread=0.2),
+    # plants
+    "bark": Material("bark", (0.20, 0.15, 0.11), lidar=0.36, spread=0.25),
+    "bark-birch": Material("birch", (0.62, 0.60, 0.56), lidar=0.42, spread=0.25),
+    "leaves": Material("leaves", (0.13, 0.21, 0.05), 0.03, 0.6, cutout="leaves", through=0.35, lidar=0.4, spread=0.3),
+    "needles": Material("leaves", (0.06, 0.12, 0.04), 0.02, 0.7, cutout="needles", through=0.2, lidar=0.35, spread=0.3),
+    "hedge": Material("leaves", (0.08, 0.15, 0.04), 0.03, 0.6, cutout="leaves", through=0.25, lidar=0.38, spread=0.3),
+    "hedge-core": Material("", (0.03, 0.045, 0.015), lidar=0.3, spread=0.3),
+    "tall-grass": Material("leaves", (0.25, 0.28, 0.10), cutout="blades", through=0.4, lidar=0.42, spread=0.3),
+    # signs and lights; a sign's picture is its tint and the texture's mask
+    "sign": Material("", (0.8, 0.8, 0.8), lidar=0.7, retro=0.97),
+    "sign-back": Material("", (0.35, 0.36, 0.37), 0.2, 0.5, lidar=0.4),
+    "lamp": Material("", (0.8, 0.8, 0.78), 0.05, 0.3, lidar=0.4),
+    "light-red": Material("", (0.3, 0.02, 0.02), light=(1.6, 0.08, 0.05), lidar=0.4, retro=0.4),
+    "light-yellow": Material("", (0.3, 0.2, 0.02), light=(1.5, 0.8, 0.05), lidar=0.4, retro=0.4),
+    "light-green": Material("", (0.02, 0.3, 0.1), light=(0.08, 1.5, 0.5), lidar=0.4, retro=0.4),
+    "light-off": Material("", (0.06, 0.06, 0.06), lidar=0.3),
+}
+
+MATERIAL_IDS: dict[str, int] = {name: index for index, name in enumerate(MATERIALS)}
+
+
+def column(field: str) -> np.ndarray:
+    """One numeric field of all materials as float32: (M,) or (M, 3)."""
+    return np.array([getattr(material, field) for material in MATERIALS.values()], dtype=np.float32)

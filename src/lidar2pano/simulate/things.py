@@ -1,0 +1,87 @@
+"""Things: what stands where, before any triangle is made; and the triangles of those that are near enough."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from lidar2pano.simulate.draws import stream
+from lidar2pano.simulate.mesh import Mesh
+
+COARSE, SHAPES = 0.3, 6  # detail below which plants of one maker share this many shapes
+PLANTS = ("tree", "far tree", "bush")
+
+Maker = Callable[[np.random.Generator, float], Mesh]
+"""(its own stream, detail in (0, 1]) -> a mesh that stands on z = 0 and looks along x."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Thing:
+    """A thing in the world's frame.
+
+    make      its maker;  name, number: of its random stream.
+    at        (x, y, z) metres;  yaw radians;  normal: of the ground for things that stand square on it (vehicles).
+    radius    of its footprint, metres.
+    counted   whether it has an instance number (SemanticKITTI's "things").
+    """
+
+    make: Maker
+    name: str
+    number: int
+    at: tuple[float, float, float]
+    yaw: float
+    radius: float
+    normal: tuple[float, float, float] | None = None
+    counted: bool = False
+
+    def mesh(self, seed: int, detail: float) -> Mesh:
+        """Its triangles, in place; far away a few shapes stand for all plants of one maker."""
+        if detail < COARSE and self.name in PLANTS:
+            made = _shape(self.make, self.name, self.number % SHAPES, detail)
+        else:
+            made = self.make(stream(seed, self.name, self.number), detail)
+        return made.placed(self.at, self.yaw) if self.normal is None else set_on(made, self.at, self.yaw, self.normal)
+
+
+@lru_cache(maxsize=256)
+def _shape(make: Maker, name: str, number: int, detail: float) -> Mesh:
+    return make(stream(0, "far", name, number), detail)
+
+
+def set_on(mesh: Mesh, at: tuple[float, float, float], yaw: float, normal: tuple[float, float, float]) -> Mesh:
+    """A mesh that stands at `at`, looks along `yaw` and is square to the ground's `normal`."""
+    up = np.asarray(normal)
+    ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    ahead = ahead - up * (ahead @ up)
+    ahead /= np.linalg.norm(ahead)
+    return mesh.turned(np.stack([ahead, np.cross(up, ahead), up], axis=1), at)
+
+
+@dataclass(slots=True, eq=False)
+class Occupied:
+    """Footprints that are taken: circles (x, y, radius)."""
+
+    circles: list[tuple[float, float, float]] = field(default_factory=list)
+
+    def free(self, x: float, y: float, radius: float) -> bool:
+        """Whether a circle overlaps none of those that are taken."""
+        if not self.circles:
+            return True
+        taken = np.array(self.circles)
+        return bool((np.hypot(taken[:, 0] - x, taken[:, 1] - y) > taken[:, 2] + radius).all())
+
+    def take(self, x: float, y: float, radius: float) -> None:
+        """Take a circle."""
+        self.circles.append((x, y, radius))
+
+    def footprint(self, x: float, y: float, yaw: float, size: tuple[float, float]) -> list[tuple[float, float, float]]:
+        """Circles that cover a rectangle of `size` (along its x, along its y) but for its corners."""
+        deep, wide = size
+        radius = min(deep, wide) / 2
+        reach = max(deep, wide) / 2 - radius
+        steps = np.linspace(-reach, reach, max(int(np.ceil(reach / max(radius, 0.1))), 1) * 2 + 1)
+        turn = yaw if deep >= wide else yaw + np.pi / 2
+        return [(x + step * np.cos(turn), y + step * np.sin(turn), radius) for step in steps]
