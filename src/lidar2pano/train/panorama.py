@@ -30,7 +30,8 @@ class PanoramaTranslation:
     """Trains a translator: cross-entropy and Lovasz-Softmax where the camera looks, depth where the LiDAR measured.
 
     Options: columns, the width of the crop around the camera's sector; lovasz and depth, weights of those losses;
-    segmenter, a weight file whose labels are used beside the teacher's in training and alone in validation ("": the
+    rarity, the power of a class's rarity that weighs it in the cross-entropy (less of it is less generous to rare
+    classes); segmenter, a weight file whose labels are used beside the teacher's in training and alone in validation ("": the
     teacher's everywhere).
     """
 
@@ -43,7 +44,7 @@ class PanoramaTranslation:
         self.validation = PanoramaSamples(root, recipe.data.val, self.view, columns)
         self.networks = build_networks(recipe)
         self.lovasz, self.depth = float(recipe.options["lovasz"]), float(recipe.options["depth"])
-        self.weights = camera_rarity(self.dataset)
+        self.weights = camera_rarity(self.dataset, float(recipe.options["rarity"]))
         self.logs: dict[str, float | Tensor] = {}
         if recipe.options["segmenter"]:
             segmenter = Segmenter.from_card(*load(str(recipe.options["segmenter"]), expect="salsanext"))
@@ -97,11 +98,11 @@ def conditions(segments: Tensor) -> Tensor:
     return one_hot_layers(segments, len(SEMANTIC_KITTI))
 
 
-def camera_rarity(dataset: PanoramaSamples) -> Tensor:
-    """Weights (K,) of the camera's classes: one over the root of their share of the pixels, mean 1, at most 4."""
+def camera_rarity(dataset: PanoramaSamples, power: float) -> Tensor:
+    """Weights (K,) of the camera's classes: one over a power of their share of the pixels, mean 1, at most 4."""
     counts = np.zeros(256)
     for index in range(len(dataset)):
         counts += np.bincount(dataset.moment(index).camera.flatten().numpy(), minlength=256)
     share = np.maximum(counts[: len(COMMON15)] / counts[: len(COMMON15)].sum(), 1e-4)
-    weights = share**-0.5
+    weights = share**-power
     return torch.from_numpy(np.minimum(weights / weights[1:].mean(), 4.0)).float()

@@ -179,7 +179,7 @@ def titan_pano() -> Recipe:
                 optimizer=Optimizer(rate=2e-3, weight_decay=1e-2, warmup=50, clip=5.0),
             )
         },
-        options={"columns": 576, "lovasz": 1.0, "depth": 2.0, "segmenter": ""},
+        options={"columns": 576, "lovasz": 1.0, "depth": 2.0, "rarity": 0.5, "segmenter": ""},
         training=Training(steps=20_000, batch=4),
     )
 
