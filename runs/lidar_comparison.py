@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -37,12 +38,14 @@ class Points:
     azimuth: np.ndarray
     ring: np.ndarray
     label: np.ndarray
-    scan: np.ndarray
     scans: int
     first: np.ndarray  # (n, 4): the first scan's points
 
     def of(self, name: str) -> np.ndarray:
         return self.label == SEMANTIC_KITTI.id_of(name)
+
+    def within(self, span: tuple[int, int]) -> np.ndarray:
+        return (self.distance >= span[0]) & (self.distance < span[1])
 
 
 def read(root: Path, scans: int) -> Points:
@@ -55,17 +58,17 @@ def read(root: Path, scans: int) -> Points:
         raise SystemExit(f"{root}: no labelled scans; name a data set in SemanticKITTI's layout")
     bins = [bins[i] for i in np.unique(np.linspace(0, len(bins) - 1, min(scans, len(bins))).astype(int))]
     rows, first = [], np.zeros((0, 4), np.float32)
-    for number, path in enumerate(bins):
+    for path in bins:
         points = np.fromfile(path, "<f4").reshape(-1, 4)
         raw = np.fromfile(path.parents[1] / "labels" / f"{path.stem}.label", "<u4")
         azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) % 360
         ring = np.concatenate([[0], np.cumsum(np.diff(azimuth) < -180)]).clip(0, RINGS - 1)
         distance = np.linalg.norm(points[:, :3], axis=1)
         label = SEMANTIC_KITTI.from_raw(raw)
-        rows.append(np.stack([distance, points[:, 3], azimuth, ring, label, np.full(len(points), number)]))
-        first = points if number == 0 else first
-    values = np.concatenate(rows, axis=1).astype(np.float32)
-    return Points(*values[:3], *values[3:].astype(np.int64), len(bins), first)
+        rows.append(np.stack([distance, points[:, 3], azimuth, ring, label]))
+        first = first if len(first) else points
+    distance, remission, azimuth, ring, label = np.concatenate(rows, axis=1).astype(np.float32)
+    return Points(distance, remission, azimuth, ring.astype(np.int64), label.astype(np.int64), len(bins), first)
 
 
 def spread(values: np.ndarray) -> float:
@@ -110,69 +113,85 @@ def between(points: Points) -> list[tuple[int, int]]:
     return [(int(span.sum()), int((span & inside).sum())) for span in spans]
 
 
+Row = tuple[str, Callable[[Points], str]]
+
+
 def table(simulated: Points, real: Points) -> list[str]:
     """Markdown rows: figure, simulated, real."""
-    rows = ["| figure | simulated | real |", "|---|---:|---:|"]
+    rows = [*shape_rows(), *range_rows(), *remission_rows()]
+    lines = [f"| {name} | {figure(simulated)} | {figure(real)} |" for name, figure in rows]
+    return ["| figure | simulated | real |", "|---|---:|---:|", *lines]
 
-    def row(name: str, figure: Callable[[Points], str]) -> None:
-        rows.append(f"| {name} | {figure(simulated)} | {figure(real)} |")
 
-    row("scans", lambda p: f"{p.scans}")
-    row("points a scan", lambda p: f"{len(p.ring) / p.scans:.0f}")
-    for name, low, high in (("0-15", 0, 16), ("16-31", 16, 32), ("32-47", 32, 48), ("48-63", 48, 64)):
-        row(
-            f"returns a ring, rings {name}",
-            lambda p, low=low, high=high: f"{((p.ring >= low) & (p.ring < high)).sum() / p.scans / (high - low):.0f}",
-        )
-        row(
-            f"median range, rings {name}",
-            lambda p, low=low, high=high: f"{np.median(p.distance[(p.ring >= low) & (p.ring < high)]):.1f} m",
-        )
-    for name in ("road", "building", "terrain", "car", "vegetation"):
-        for low, high in SPANS[:3]:
-
-            def noise(p: Points, name: str = name, low: float = low, high: float = high) -> str:
-                both, residual = neighbours(p)
-                inside = both & p.of(name) & (p.distance >= low) & (p.distance < high)
-                return f"{1e3 * spread(residual[inside]):.1f} mm"
-
-            row(f"range noise, {name}, {low}-{high} m", noise)
-    for low, high in SPANS:
-
-        def lost(p: Points, low: float = low, high: float = high) -> str:
-            even, gone = missing(p)
-            even &= (p.distance >= low) & (p.distance < high)
-            return f"{100 * gone[even].sum() / max((gone[even] + 1).sum(), 1):.2f} %"
-
-        row(f"single returns missing, {low}-{high} m", lost)
-    for number, name in enumerate(("0.5-1.5 m", "3-30 m")):
-
-        def mixed(p: Points, number: int = number) -> str:
-            edges, inside = between(p)[number]
-            return f"{100 * inside / max(edges, 1):.1f} %"
-
-        row(f"edges of {name} with a point between", mixed)
-    for name in CLASSES:
-
-        def quartiles(p: Points, name: str = name) -> str:
-            values = p.remission[p.of(name) & (p.distance < 25)]
-            if len(values) < 100:
-                return "-"
-            low, middle, high = np.percentile(values, [25, 50, 75])
-            return f"{low:.2f} {middle:.2f} {high:.2f}; {100 * (values == 0).mean():.0f} %"
-
-        row(f"remission of {name} within 25 m: quartiles; zeros", quartiles)
-    for name in ("road", "building", "vegetation"):
-
-        def fading(p: Points, name: str = name) -> str:
-            out = []
-            for low, high in SPANS:
-                values = p.remission[p.of(name) & (p.distance >= low) & (p.distance < high)]
-                out.append(f"{values.mean():.2f}" if len(values) > 50 else "-")
-            return " ".join(out)
-
-        row(f"mean remission of {name}, {', '.join(f'{low}-{high}' for low, high in SPANS)} m", fading)
+def shape_rows() -> list[Row]:
+    rows: list[Row] = [
+        ("scans", lambda p: f"{p.scans}"),
+        ("points a scan", lambda p: f"{len(p.ring) / p.scans:.0f}"),
+    ]
+    for low in range(0, RINGS, 16):
+        name = f"rings {low}-{low + 15}"
+        rows.append((f"returns a ring, {name}", partial(returns, low=low)))
+        rows.append((f"median range, {name}", partial(middle_range, low=low)))
     return rows
+
+
+def range_rows() -> list[Row]:
+    rows: list[Row] = []
+    for name in ("road", "building", "terrain", "car", "vegetation"):
+        for span in SPANS[:3]:
+            rows.append((f"range noise, {name}, {span[0]}-{span[1]} m", partial(noise, name=name, span=span)))
+    for span in SPANS:
+        rows.append((f"single returns missing, {span[0]}-{span[1]} m", partial(lost, span=span)))
+    for number, name in enumerate(("0.5-1.5 m", "3-30 m")):
+        rows.append((f"edges of {name} with a point between", partial(mixed, number=number)))
+    return rows
+
+
+def remission_rows() -> list[Row]:
+    rows: list[Row] = []
+    for name in CLASSES:
+        rows.append((f"remission of {name} within 25 m: quartiles; zeros", partial(quartiles, name=name)))
+    spans = ", ".join(f"{low}-{high}" for low, high in SPANS)
+    for name in ("road", "building", "vegetation"):
+        rows.append((f"mean remission of {name}, {spans} m", partial(fading, name=name)))
+    return rows
+
+
+def returns(p: Points, low: int) -> str:
+    return f"{((p.ring >= low) & (p.ring < low + 16)).sum() / p.scans / 16:.0f}"
+
+
+def middle_range(p: Points, low: int) -> str:
+    return f"{np.median(p.distance[(p.ring >= low) & (p.ring < low + 16)]):.1f} m"
+
+
+def noise(p: Points, name: str, span: tuple[int, int]) -> str:
+    both, residual = neighbours(p)
+    return f"{1e3 * spread(residual[both & p.of(name) & p.within(span)]):.1f} mm"
+
+
+def lost(p: Points, span: tuple[int, int]) -> str:
+    even, gone = missing(p)
+    gone = gone[even & p.within(span)]
+    return f"{100 * gone.sum() / max((gone + 1).sum(), 1):.2f} %"
+
+
+def mixed(p: Points, number: int) -> str:
+    edges, inside = between(p)[number]
+    return f"{100 * inside / max(edges, 1):.1f} %"
+
+
+def quartiles(p: Points, name: str) -> str:
+    values = p.remission[p.of(name) & (p.distance < 25)]
+    if len(values) < 100:
+        return "-"
+    low, middle, high = np.percentile(values, [25, 50, 75])
+    return f"{low:.2f} {middle:.2f} {high:.2f}; {100 * (values == 0).mean():.0f} %"
+
+
+def fading(p: Points, name: str) -> str:
+    values = [p.remission[p.of(name) & p.within(span)] for span in SPANS]
+    return " ".join(f"{v.mean():.2f}" if len(v) > 50 else "-" for v in values)
 
 
 def raster(points: np.ndarray, channel: str, size: tuple[int, int] = (1000, 128)) -> Image.Image:
@@ -218,7 +237,8 @@ def charts(simulated: Points, real: Points) -> list[Image.Image]:
 
     def histogram(p: Points, name: str) -> np.ndarray:
         values = p.remission[p.of(name)] if name else p.remission
-        return np.histogram(values, bins=np.arange(0, 1.011, 0.02))[0] / max(len(values), 1)
+        counts, _ = np.histogram(values, bins=np.arange(-0.005, 1.02, 0.03))  # three whole hundredths a bin
+        return counts / max(len(values), 1)
 
     def per_ring(p: Points) -> np.ndarray:
         return np.bincount(p.ring, minlength=RINGS) / p.scans
@@ -265,7 +285,7 @@ def picture(simulated: Points, real: Points) -> Image.Image:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("simulated", type=Path)
     parser.add_argument("real", type=Path)
     parser.add_argument("out", type=Path)

@@ -47,7 +47,7 @@ MAKERS: dict[str, Maker] = {
 }
 TWO_WHEELED = ("bicycle", "bicyclist", "motorcycle", "motorcyclist")
 CAR_PARTS = {"paint", "window", "rubber", "rim", "underbody", "headlamp", "tail-lamp", "plate"}
-SEEDS = range(6)
+SEEDS = range(4)
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +138,7 @@ def test_cars_are_cars_all_over_and_light(made, body):
         materials, kinds = names(mesh)
         assert kinds == {"car"}
         assert materials >= CAR_PARTS
-        assert 1500 <= len(mesh) <= 4400
+        assert 1500 <= len(mesh) <= 4200
     glass = made[body][0].material == MATERIAL_IDS["window"]
     corners = made[body][0].vertices[made[body][0].faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2

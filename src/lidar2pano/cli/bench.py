@@ -18,20 +18,25 @@ def bench(
         typer.Option(metavar="NAME|FILE", help="Weights; if none are installed: untrained ones, as fast."),
     ] = "",
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
+    world: Annotated[bool, typer.Option("--world", help="Time the street world instead.")] = False,
+    processes: Annotated[int, typer.Option(min=1, metavar="N", help="Processes of the street world.")] = 2,
     as_json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the times as JSON too.")] = None,
 ) -> None:
     """Time projection, clean-up, the Lovasz loss and every stage of the pipeline on this machine."""
     from lidar2pano.allocator import keep_buffers
-    from lidar2pano.bench import conditions, default_weights, measure, table
+    from lidar2pano.bench import conditions, default_weights, measure, measure_world, table
     from lidar2pano.cli.files import check_file, write_json
 
     if as_json:
         check_file(as_json, "--json")
-    kept = keep_buffers()
-    name = weights or default_weights()
-    rows = measure(runs, device, name)
-    said = conditions(device, runs) | {"weights": name or "untrained", "buffers_kept": kept}
-    note_licences([name] if name else [])
+    if world:
+        rows, said = measure_world(runs, processes), {"device": "cpu", "runs": runs, "processes": processes}
+    else:
+        kept = keep_buffers()
+        name = weights or default_weights()
+        rows = measure(runs, device, name)
+        said = conditions(device, runs) | {"weights": name or "untrained", "buffers_kept": kept}
+        note_licences([name] if name else [])
     if as_json:
         write_json(as_json, said | {"rows": [row.as_dict() for row in rows]}, "--json")
     print(table(rows, said))

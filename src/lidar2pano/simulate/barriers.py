@@ -113,7 +113,7 @@ def wall(rng: np.random.Generator, length: float, ground: Ground) -> Mesh:
     x, z = _places(length, ground)
     material = ("plaster", "stone", "brick", "concrete")[int(rng.choice(4, p=(0.4, 0.3, 0.15, 0.15)))]
     light = rng.uniform(0.8, 1.15)
-    high, half = rng.uniform(0.6, 2.0), rng.uniform(0.1, 0.16)
+    high, half = 0.6 + 1.4 * rng.beta(1.2, 2.5), rng.uniform(0.1, 0.16)
     body = _beam(x, z, _bar(-0.5, high, -half, half), (material, "wall", (light, light, 0.95 * light)))
     cap = _beam(x, z, _bar(high, high + 0.06, -half - 0.05, half + 0.05), ("concrete", "wall", (0.95, 0.95, 0.95)))
     parts = [body, cap]

@@ -22,7 +22,10 @@ JUMP = 0.1  # share of the distance by which neighbours lie apart where there is
 LENS = (0.11, 0.78, 0.11)  # blur along rows and columns: sigma 0.5 pixels
 FULL = 4.0  # light above that many times white is cut before it spreads into its neighbours
 GRAIN = 1.3  # standard deviation of the sensor's noise in steps of 8 bits
+STRIP = 32  # rows that are developed at once
 SHOULDER = 0.7  # brightness above which the film begins to save the lights
+
+CLUMP = 1.2  # metres between leaves that may share a ray to the sun
 
 _HOLES = np.array([bool(material.cutout) for material in MATERIALS.values()])
 
@@ -75,7 +78,7 @@ def render(
     hits = _hits(scene, origin, way)
     surfaces = guide(hits, origin, directions)
     from_sky = openness(scene, hits, surfaces, wraps).reshape(-1)
-    from_sun = sunlit(scene, hits, np.broadcast_to(origin, way.shape), way, look).reshape(shape)
+    from_sun = _sun(scene, hits, origin, way, look, shape)
     from_sun = smoothed(from_sun, surfaces, wraps, (1,)).reshape(-1)  # one ray a pixel is a grainy penumbra
     limit = FULL / look.exposure
     radiance = np.minimum(shade(scene, hits, origin, way, pixel_angle, look, Reach(from_sun, from_sky)), limit)
@@ -104,14 +107,25 @@ def _hits(scene: Scene, origin: np.ndarray, way: np.ndarray) -> Hits:
     return Hits(**{part.name: np.concatenate([getattr(one, part.name) for one in parts]) for part in fields(Hits)})
 
 
+def _sun(scene: Scene, hits: Hits, origin: np.ndarray, way: np.ndarray, look: Look, shape: tuple[int, int]) -> np.ndarray:
+    """Which of a picture's pixels the sun lights (H, W); four neighbours among leaves share one ray, for speed."""
+    index = np.arange(len(way), dtype=np.int32).reshape(shape)
+    first = np.repeat(np.repeat(index[::2, ::2], 2, axis=0), 2, axis=1)[: shape[0], : shape[1]].reshape(-1)
+    shares = _HOLES[hits.material] & hits.met & (hits.material == hits.material[first])
+    distance = np.where(hits.met, hits.distance, 0)
+    shares &= np.abs(distance - distance[first]) < CLUMP
+    asked = np.flatnonzero(~shares | (first == index.reshape(-1)))
+    lit = np.empty(len(way), dtype=np.float32)
+    lit[asked] = sunlit(scene, hits.taken(asked), np.broadcast_to(origin, (len(asked), 3)), way[asked], look)
+    return np.where(shares, lit[first], lit).reshape(shape)
+
+
 def _further(hits: Hits, directions: np.ndarray, wraps: bool) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pixels (indices) and a further ray for each: three at edges, one among leaves and wire."""
-    shape = directions.shape[:2]
-    edge = _edges(hits, shape, wraps).reshape(-1)
-    leafy = _HOLES[hits.material] & hits.met
-    edges, both = np.flatnonzero(edge & ~leafy), np.flatnonzero(edge | leafy)
+    """Pixels (indices) at edges and further rays for each: three, but one among leaves and wire."""
+    edge = _edges(hits, directions.shape[:2], wraps).reshape(-1)
+    all_of_them, few = np.flatnonzero(edge), np.flatnonzero(edge & ~_HOLES[hits.material])
     for index, (right, down) in enumerate(CORNERS):
-        pixels = edges if index else both
+        pixels = few if index else all_of_them
         for first in range(0, len(pixels), TILE):
             some = pixels[first : first + TILE]
             yield some, _beside(directions, some, (right, down), wraps)
@@ -134,16 +148,22 @@ def _beside(directions: np.ndarray, pixels: np.ndarray, off: tuple[float, float]
 
 
 def _edges(hits: Hits, shape: tuple[int, int], wraps: bool) -> np.ndarray:
-    """(H, W) bool: pixels whose neighbour is another kind or material, lies much farther, or is turned away."""
-    kind = hits.kind.astype(np.int32) * 256 + hits.material
-    kind, near = kind.reshape(shape), np.where(hits.met, 1 / np.maximum(hits.distance, 1e-3), 0).reshape(shape)
+    """(H, W) bool: pixels whose neighbour is another kind or material, lies much farther, or is turned away.
+
+    Among leaves and wire only another kind counts: there, everything is an edge.
+    """
+    kind = np.where(hits.met, hits.kind, -1).reshape(shape)
+    material, holes = hits.material.reshape(shape), (_HOLES[hits.material] | ~hits.met).reshape(shape)
+    near = (1 / np.maximum(hits.distance, 1e-3)).reshape(shape)
     normal = np.ascontiguousarray(hits.normal.T).reshape(3, *shape)
     out = np.zeros(shape, dtype=bool)
     for axis in (0, 1):
-        step = np.roll(kind, -1, axis) != kind
         ahead = np.roll(near, -1, axis)
-        step |= np.abs(ahead - near) > JUMP * np.maximum(ahead, near)
+        step = np.abs(ahead - near) > JUMP * np.maximum(ahead, near)
         step |= (np.roll(normal, -1, axis + 1) * normal).sum(axis=0) < 0.8
+        step |= np.roll(material, -1, axis) != material
+        step &= ~(holes & np.roll(holes, -1, axis))
+        step |= np.roll(kind, -1, axis) != kind
         if axis == 0:
             step[-1] = False
         elif not wraps:
@@ -155,19 +175,28 @@ def _edges(hits: Hits, shape: tuple[int, int], wraps: bool) -> np.ndarray:
 def developed(radiance: np.ndarray, look: Look, wraps: bool, seed: int) -> np.ndarray:
     """Radiance (H, W, 3) as the camera writes it: (H, W, 3) uint8, sRGB."""
     film = radiance * (np.float32(look.exposure) * np.asarray(look.balance, dtype=np.float32))
-    film = _blurred(film, wraps)
-    grey = film @ np.array((0.2126, 0.7152, 0.0722), dtype=np.float32)
-    film = np.maximum(grey[..., None] + (film - grey[..., None]) * np.float32(look.saturation), 0)
+    film = np.pad(film, ((0, 0), (1, 1), (0, 0)), mode="wrap" if wraps else "edge")
+    film = np.pad(film, ((1, 1), (0, 0), (0, 0)), mode="edge")
+    grain, out = stream(seed, "sensor"), np.empty(radiance.shape, dtype=np.uint8)
+    for first in range(0, len(out), STRIP):
+        strip = _coded(_blurred(film[first : first + STRIP + 2]), look)
+        strip += grain.standard_normal(strip.shape, dtype=np.float32) * np.float32(GRAIN) + np.float32(0.5)
+        out[first : first + STRIP] = np.clip(strip, 0, 255, out=strip)
+    return out
+
+
+def _blurred(film: np.ndarray) -> np.ndarray:
+    """Through the lens; the result lacks the border of one pixel that `film` has."""
+    side, middle, _ = (np.float32(weight) for weight in LENS)
+    film = middle * film[1:-1] + side * (film[:-2] + film[2:])
+    return middle * film[:, 1:-1] + side * (film[:, :-2] + film[:, 2:])
+
+
+def _coded(film: np.ndarray, look: Look) -> np.ndarray:
+    """sRGB 0..255, not yet rounded, of light where 1 is white."""
+    grey = film @ np.array((0.2126, 0.7152, 0.0722), dtype=np.float32)[:, None]
+    film = np.maximum(grey + (film - grey) * np.float32(look.saturation), 0)
     over = np.maximum(film - SHOULDER, 0)
     film = np.minimum(film, SHOULDER) + (1 - SHOULDER) * (1 - np.exp(over * np.float32(-0.8 / (1 - SHOULDER))))
-    coded = np.where(film < 0.0031308, 12.92 * film, 1.055 * np.maximum(film, 1e-6) ** np.float32(1 / 2.4) - 0.055)
-    grain = stream(seed, "sensor").standard_normal(film.shape, dtype=np.float32)
-    return np.clip(coded * 255 + grain * np.float32(GRAIN) + np.float32(0.5), 0, 255).astype(np.uint8)
-
-
-def _blurred(film: np.ndarray, wraps: bool) -> np.ndarray:
-    side, middle, _ = (np.float32(weight) for weight in LENS)
-    padded = np.pad(film, ((1, 1), (0, 0), (0, 0)), mode="edge")
-    film = middle * film + side * (padded[:-2] + padded[2:])
-    padded = np.pad(film, ((0, 0), (1, 1), (0, 0)), mode="wrap" if wraps else "edge")
-    return middle * film + side * (padded[:, :-2] + padded[:, 2:])
+    coded = np.float32(1.055) * np.maximum(film, 1e-6) ** np.float32(1 / 2.4) - np.float32(0.055)
+    return 255 * np.where(film < 0.0031308, 12.92 * film, coded)

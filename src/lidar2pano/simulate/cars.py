@@ -203,9 +203,9 @@ def _extras(rng: np.random.Generator, skin: Body, shape: Shape) -> list[Mesh]:
     """Badges, the third brake lamp, and what some cars have: roof rails, rub strips, an aerial."""
     half, parts = shape.length / 2, []
     z = shape.profile[0][1] - 0.09
-    parts.append(ellipsoid((_place(skin.nose, z), 0, z), (0.015, 0.05, 0.05), "rim", "car", detail=4))
+    parts.append(ellipsoid((_place(skin.nose, z), 0, z), (0.015, 0.05, 0.05), "rim", "car", detail=3))
     z = shape.tail_rows[0] - 0.03
-    parts.append(ellipsoid((_place(skin.tail, z), 0, z), (0.012, 0.045, 0.045), "rim", "car", detail=4))
+    parts.append(ellipsoid((_place(skin.tail, z), 0, z), (0.012, 0.045, 0.045), "rim", "car", detail=3))
     head, foot = shape.profile[4:6]
     parts.append(box((half - head[0] - 0.05, 0, head[1] - 0.04), (0.06, 0.26, 0.022), "tail-lamp", "car"))
     if rng.uniform() < 0.35:
@@ -223,6 +223,6 @@ def _extras(rng: np.random.Generator, skin: Body, shape: Shape) -> list[Mesh]:
         top = np.interp(half - x, *np.array(shape.profile[2:5]).T)
         y = np.full(4, 0.5 * shape.rail * shape.width - 0.03)
         parts += both_sides(
-            tube(np.stack([x, y, top + (-0.03, 0.02, 0.02, -0.03)], axis=1), 0.016, "rim", "car", sides=5)
+            tube(np.stack([x, y, top + (-0.03, 0.02, 0.02, -0.03)], axis=1), 0.016, "rim", "car", sides=4)
         )
     return parts

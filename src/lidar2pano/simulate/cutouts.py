@@ -41,16 +41,17 @@ def _twigs(sides: int) -> list[tuple[np.ndarray, float, float]]:
 
 
 def _leaves() -> np.ndarray:
-    """A spray of broad leaves on side twigs: loose at its rim, dense along the stem."""
+    """Broad leaves on side twigs of uneven length: single leaves at the rim, gaps between the twigs."""
     rng, solid = stream(0, "cutout", "leaves"), np.zeros((SIZE, SIZE), dtype=bool)
     for foot, turn, length in _twigs(8):
         way = np.array([np.cos(turn), np.sin(turn)])
-        _leaf(solid, foot, turn, length, 0.012)
-        for i, away in enumerate(np.arange(0.08, length + 0.02, 0.054)):
-            side = rng.uniform(0.5, 1.1) * (1 if i % 2 else -1)
-            size = rng.uniform(0.12, 0.165)
-            _leaf(solid, foot + away * way, turn + side, size, 0.72 * size)
-        _leaf(solid, foot + 0.95 * length * way, turn + rng.normal(0, 0.2), 0.13, 0.09)
+        end = length * rng.uniform(0.65, 1.12)
+        _leaf(solid, foot, turn, end, 0.012)
+        for i, away in enumerate(np.arange(0.05, end, 0.042)):
+            side = rng.uniform(0.4, 1.3) * (1 if i % 2 else -1)
+            size = rng.uniform(0.085, 0.135)
+            _leaf(solid, foot + away * way, turn + side, size, 0.6 * size)
+        _leaf(solid, foot + 0.95 * end * way, turn + rng.normal(0, 0.2), 0.11, 0.06)
     return solid
 
 

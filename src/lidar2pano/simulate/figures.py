@@ -160,10 +160,10 @@ def _head(looks: Looks, pose: Pose, kind: str, helmet: Tint | None) -> list[Mesh
     )
     if looks.long_hair:
         low = middle + np.array([-0.05, 0, -0.075]) * k
-        parts.append(ellipsoid(low, np.array([0.058, 0.082, 0.14]) * k, "hair", kind, 6, looks.hair))
+        parts.append(ellipsoid(low, np.array([0.058, 0.082, 0.14]) * k, "hair", kind, 5, looks.hair))
     if looks.hat:
         crown = middle + np.array([-0.01, 0, 0.065]) * k
-        parts.append(ellipsoid(crown, np.array([0.108, 0.093, 0.075]) * k, "cloth", kind, 6, looks.bottom))
+        parts.append(ellipsoid(crown, np.array([0.108, 0.093, 0.075]) * k, "cloth", kind, 5, looks.bottom))
         brim = crown + np.array([0.085, 0, -0.012]) * k
         parts.append(ellipsoid(brim, np.array([0.075, 0.07, 0.012]) * k, "cloth", kind, 4, looks.bottom))
     return parts
@@ -195,7 +195,7 @@ def _leg(looks: Looks, leg: Leg, kind: str) -> list[Mesh]:
 def _arm(looks: Looks, arm: Arm, kind: str) -> list[Mesh]:
     b = looks.size * (0.55 + 0.45 * looks.build)
     joints = tuple(arm)
-    shoulder = ellipsoid(arm.shoulder, np.array([0.066, 0.06, 0.066]) * b, "cloth", kind, 5, looks.top)
+    shoulder = ellipsoid(arm.shoulder, np.array([0.06, 0.056, 0.058]) * b, "cloth", kind, 5, looks.top)
     hand = ellipsoid(
         arm.hand + (arm.hand - arm.elbow) * 0.14, np.array([0.045, 0.03, 0.055]) * b, "skin", kind, 4, looks.skin
     )
@@ -203,7 +203,12 @@ def _arm(looks: Looks, arm: Arm, kind: str) -> list[Mesh]:
     if not looks.short_sleeves:
         return [shoulder, hand, tube(_course(joints, at), radius * 1.08, "cloth", kind, tint=looks.top)]
     bare = tube(_course(joints, at), radius * 0.85, "skin", kind, tint=looks.skin)
-    return [shoulder, hand, bare, tube(_course(joints, [0, 0.3, 0.62]), 0.062 * b, "cloth", kind, tint=looks.top)]
+    return [
+        shoulder,
+        hand,
+        bare,
+        tube(_course(joints, [0.04, 0.3, 0.62]), np.array([0.052, 0.059, 0.06]) * b, "cloth", kind, tint=looks.top),
+    ]
 
 
 def _sole(looks: Looks, leg: Leg, points: np.ndarray) -> np.ndarray:
@@ -245,7 +250,7 @@ def _bag(looks: Looks, pose: Pose, kind: str) -> list[Mesh]:
     if looks.bag == "backpack":
         back = np.array([-trunk[2], 0, trunk[0]]) / np.linalg.norm(trunk)
         at = pose.pelvis + 0.62 * trunk + 0.16 * k * back
-        return [ellipsoid(at, np.array([0.11, 0.15, 0.22]) * k, "cloth", kind, 6, looks.leather)]
+        return [ellipsoid(at, np.array([0.11, 0.15, 0.22]) * k, "cloth", kind, 5, looks.leather)]
     if looks.bag == "shoulder" and kind == "person":
         hip = pose.pelvis + np.array([-0.02, -0.25, 0.02]) * k
         bag = ellipsoid(hip, np.array([0.15, 0.055, 0.12]) * k, "cloth", kind, 5, looks.leather)

@@ -139,7 +139,7 @@ def _timber(boards: Boards, shell: Shell, roof: Roof, holes: dict[str, list[Open
             boards.add(wall, (post - 0.08, post + 0.08), out, (low, shell.eaves), "wood", dark, "flr")
         if gabled(roof, name):
             top = roof.gable(wall.length)[0]
-            for post in clear:
+            for post in [post for post in clear if top(np.array([post]))[0] > shell.eaves + 0.4]:
                 high = float(top(np.array([post]))[0])
                 if all(
                     abs(post - hole.middle) > hole.width / 2 + 0.1 for hole in holes[name] if hole.high > shell.eaves

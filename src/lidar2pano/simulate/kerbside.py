@@ -131,7 +131,7 @@ def signs(plan: Planner) -> None:
     for index, road in enumerate(plan.town.roads):
         rng = plan.rng("signs", index)
         for side in (-1, 1):
-            for s in np.cumsum(rng.uniform(22, 75, int(road.length / 22))):
+            for s in np.cumsum(rng.uniform(14, 48, int(road.length / 14))):
                 if s < road.length - 3:
                     _beside(plan, road, float(s), side, 0.45, SIGN)
     main = plan.town.roads[0]

@@ -152,6 +152,9 @@ def guard_rails(plan: Planner) -> None:
     for side, off in lines:
         for first in np.arange(0, road.length - 12, 12.0):
             xy, _ = road.at(np.array([first, first + 12]), side * off)
+            # The beam is on the right of the way from post to post, and belongs on the side of the traffic.
+            if (side < 0) == (off > road.half_width):
+                xy = xy[::-1]
             run = xy[1] - xy[0]
             if off > road.half_width and locate(plan.town.roads, xy).other.min() < 3:
                 continue
@@ -164,13 +167,26 @@ def yards(plan: Planner) -> None:
     for number, (index, road, stretch, quarter) in enumerate(plan.stretches()):
         rng = plan.rng("yards", index, number)
         run = stretch.end - stretch.start
-        count = rng.poisson(quarter.yard * run / 14)
+        count = rng.poisson(quarter.yard * run / 10)
         s, off = rng.uniform(stretch.start, stretch.end, count), 1.2 + rng.gamma(1.6, 6.0, count)
-        _grow(plan, rng, road, stretch.side, s, off, bushes=0.5)
+        _grow(plan, rng, road, stretch.side, s, off, bushes=0.6)
         deep = 55.0
         count = rng.poisson(quarter.dense * run * deep / 100)
         s, off = rng.uniform(stretch.start, stretch.end, count), 4 + deep * rng.beta(1.0, 1.3, count)
         _grow(plan, rng, road, stretch.side, s, off, bushes=0.25)
+
+
+def shrubs(plan: Planner) -> None:
+    """Rows of bushes, in woods the undergrowth at their edge: what a LiDAR sees of green is mostly low."""
+    for number, (index, road, stretch, quarter) in enumerate(plan.stretches()):
+        rng = plan.rng("shrubs", index, number)
+        for depth in range(3 if quarter.dense > 1 else 1):
+            if rng.uniform() >= quarter.shrubs:
+                continue
+            first, last = np.sort(rng.uniform(stretch.start - 10, stretch.end + 10, 2))
+            s = np.arange(max(first, stretch.start), min(last, stretch.end), rng.uniform(1.0, 1.8))
+            off = rng.uniform(1.0, 7.0) + 2.5 * depth + rng.normal(0, 0.3, len(s))
+            _grow(plan, rng, road, stretch.side, s, off, bushes=0.97)
 
 
 def _grow(plan: Planner, rng: Rng, road: Road, side: int, s: np.ndarray, off: np.ndarray, bushes: float) -> None:

@@ -38,8 +38,8 @@ class Material(NamedTuple):
 
 MATERIALS: dict[str, Material] = {
     # ground
-    "asphalt": Material("asphalt", (0.21, 0.21, 0.215), 0.03, 0.7, lidar=0.28, spread=0.15),
-    "asphalt-new": Material("asphalt", (0.10, 0.10, 0.105), 0.03, 0.6, lidar=0.17, spread=0.2),
+    "asphalt": Material("asphalt", (0.21, 0.21, 0.215), 0.03, 0.7, lidar=0.245, spread=0.2),
+    "asphalt-new": Material("asphalt", (0.10, 0.10, 0.105), 0.03, 0.6, lidar=0.16, spread=0.2),
     "paint-white": Material("paint", (0.75, 0.75, 0.73), lidar=0.5, spread=0.3),
     "cobbles": Material("cobbles", (0.28, 0.27, 0.26), lidar=0.3),
     "paving": Material("paving", (0.42, 0.40, 0.38), lidar=0.32),
@@ -50,8 +50,8 @@ MATERIALS: dict[str, Material] = {
     "meadow": Material("meadow", (0.24, 0.26, 0.10), lidar=0.36, spread=0.18),
     "field": Material("field", (0.38, 0.31, 0.16), lidar=0.34, spread=0.2),
     # buildings
-    "plaster": Material("plaster", (0.72, 0.69, 0.62), lidar=0.46, spread=0.2),
-    "brick": Material("brick", (0.42, 0.20, 0.14), lidar=0.42),
+    "plaster": Material("plaster", (0.72, 0.69, 0.62), lidar=0.42, spread=0.25),
+    "brick": Material("brick", (0.42, 0.20, 0.14), lidar=0.39, spread=0.25),
     "concrete": Material("concrete", (0.50, 0.49, 0.47), lidar=0.38),
     "stone": Material("stone", (0.42, 0.38, 0.33), lidar=0.36),
     "tiles": Material("tiles", (0.40, 0.16, 0.10), lidar=0.38),
@@ -62,15 +62,15 @@ MATERIALS: dict[str, Material] = {
     "door": Material("wood", (0.40, 0.34, 0.28), 0.03, 0.4, lidar=0.35),
     "pane": Material("pane", (0.03, 0.035, 0.04), 0.08, 0.02, lidar=0.08, spread=0.6, loss=0.75),
     # made of metal or plastic
-    "metal": Material("metal", (0.55, 0.56, 0.57), 0.35, 0.4, lidar=0.32, spread=0.4),
+    "metal": Material("metal", (0.55, 0.56, 0.57), 0.35, 0.4, lidar=0.28, spread=0.5),
     "dark-metal": Material("", (0.05, 0.05, 0.055), 0.05, 0.4, lidar=0.08, spread=0.5),
     "plastic": Material("", (0.4, 0.4, 0.4), 0.04, 0.35, lidar=0.35),
     "wire": Material("", (0.35, 0.37, 0.36), 0.1, 0.5, cutout="wire", lidar=0.35, spread=0.3),
     "pickets": Material("wood", (0.45, 0.34, 0.24), cutout="pickets", lidar=0.4),
     "railing": Material("", (0.12, 0.13, 0.13), 0.1, 0.4, cutout="railing", lidar=0.25),
     # vehicles
-    "paint": Material("car-paint", (0.5, 0.5, 0.5), 0.05, 0.06, lidar=0.3, spread=0.2, loss=0.03),
-    "window": Material("", (0.02, 0.022, 0.025), 0.08, 0.02, lidar=0.06, spread=0.6, loss=0.8),
+    "paint": Material("car-paint", (0.5, 0.5, 0.5), 0.05, 0.06, lidar=0.5, spread=0.2, loss=0.001),
+    "window": Material("", (0.02, 0.022, 0.025), 0.08, 0.02, lidar=0.06, spread=0.6, loss=0.9),
     "rubber": Material("", (0.025, 0.025, 0.025), 0.02, 0.8, lidar=0.06, loss=0.1),
     "rim": Material("", (0.45, 0.46, 0.47), 0.3, 0.3, lidar=0.4, spread=0.4),
     "underbody": Material("", (0.015, 0.015, 0.015), lidar=0.06, loss=0.3),
@@ -79,17 +79,19 @@ MATERIALS: dict[str, Material] = {
     "plate": Material("plate", (0.85, 0.85, 0.83), lidar=0.6, retro=0.95),
     "tarpaulin": Material("cloth", (0.5, 0.5, 0.5), lidar=0.4),
     # people
-    "skin": Material("", (0.55, 0.36, 0.27), lidar=0.45),
+    "skin": Material("", (0.55, 0.36, 0.27), lidar=0.4),
     "hair": Material("", (0.08, 0.05, 0.03), lidar=0.2),
-    "cloth": Material("cloth", (0.4, 0.4, 0.4), lidar=0.4, spread=0.2),
+    "cloth": Material("cloth", (0.4, 0.4, 0.4), lidar=0.34, spread=0.3),
     # plants
     "bark": Material("bark", (0.20, 0.15, 0.11), lidar=0.36, spread=0.25),
     "bark-birch": Material("birch", (0.62, 0.60, 0.56), lidar=0.42, spread=0.25),
-    "leaves": Material("leaves", (0.13, 0.21, 0.05), 0.03, 0.6, cutout="leaves", through=0.35, lidar=0.4, spread=0.3),
-    "needles": Material("leaves", (0.06, 0.12, 0.04), 0.02, 0.7, cutout="needles", through=0.2, lidar=0.35, spread=0.3),
-    "hedge": Material("leaves", (0.08, 0.15, 0.04), 0.03, 0.6, cutout="leaves", through=0.25, lidar=0.38, spread=0.3),
+    "leaves": Material("leaves", (0.13, 0.21, 0.05), 0.03, 0.6, cutout="leaves", through=0.35, lidar=0.36, spread=0.35),
+    "needles": Material(
+        "leaves", (0.06, 0.12, 0.04), 0.02, 0.7, cutout="needles", through=0.2, lidar=0.33, spread=0.35
+    ),
+    "hedge": Material("leaves", (0.08, 0.15, 0.04), 0.03, 0.6, cutout="leaves", through=0.25, lidar=0.35, spread=0.35),
     "hedge-core": Material("", (0.03, 0.045, 0.015), lidar=0.3, spread=0.3),
-    "tall-grass": Material("leaves", (0.25, 0.28, 0.10), cutout="blades", through=0.4, lidar=0.42, spread=0.3),
+    "tall-grass": Material("leaves", (0.25, 0.28, 0.10), cutout="blades", through=0.4, lidar=0.36, spread=0.3),
     # signs and lights; a sign's picture is its tint and the texture's mask
     "sign": Material("", (0.8, 0.8, 0.8), lidar=0.7, retro=0.97),
     "sign-back": Material("", (0.35, 0.36, 0.37), 0.2, 0.5, lidar=0.4),

@@ -6,11 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lidar2pano.simulate.materials import column
 from lidar2pano.simulate.noise import lottery
 from lidar2pano.simulate.raycast import Hits, Scene
 
 GRAIN = 0.02  # metres: points nearer to each other than this share one ray
 NEAR, FAR = 0.25, 15.0  # metres: what is nearer counts as in the way, what is farther does not; evenly in log between
+LEAFY = np.float32(0.6)  # openness of leaves: their tints tell already how deep in the crown they are
+_THIN = column("through") > 0
 STRIDES = (1, 2, 4)  # pixels between the neighbours that are averaged
 
 
@@ -52,7 +55,8 @@ def guide(hits: Hits, origin: np.ndarray, directions: np.ndarray) -> Guide:
 
 def _cast(scene: Scene, hits: Hits, guide: Guide, chosen: np.ndarray) -> np.ndarray:
     """One ray for each chosen hit: 1 where it gets away, 0 where it does not (N,) float32."""
-    met = np.flatnonzero(hits.met[chosen])
+    free = np.where(_THIN[hits.material[chosen]] & hits.met[chosen], LEAFY, np.float32(1))
+    met = np.flatnonzero(hits.met[chosen] & (free == 1))
     place = guide.place.reshape(3, -1)[:, met]
     normal, facet = (
         guide.normal.reshape(3, -1)[:, met],
@@ -66,7 +70,6 @@ def _cast(scene: Scene, hits: Hits, guide: Guide, chosen: np.ndarray) -> np.ndar
     way /= np.sqrt((way * way).sum(axis=0)) + 1e-6
     start = place + facet * (1e-3 + 3e-5 * hits.distance[chosen[met]])
     far = NEAR * (FAR / NEAR) ** lottery(place, GRAIN, 13)
-    free = np.ones(len(chosen), dtype=np.float32)
     free[met] = scene.light(start.T, way.T, far)
     return free
 

@@ -77,7 +77,7 @@ class Quarter(NamedTuple):
     building   thing that stands on the lots ("" = none);  wide, deep: its size;  setback: its distance from the
                pavement, all as (least, most);  gap: metres between lots;  fronts: borders of the lots and weights.
     trees      street trees per 100 metres;  yard: trees and bushes per lot;  dense: trees per 100 m2 of wood.
-    lamps      distance between street lamps (0 = none).
+    shrubs     chance of a row of bushes;  lamps: distance between street lamps (0 = none).
     """
 
     building: str
@@ -88,6 +88,7 @@ class Quarter(NamedTuple):
     fronts: dict[str, float] = {}  # noqa: RUF012 never changed
     trees: float = 0.0
     yard: float = 0.0
+    shrubs: float = 0.0
     dense: float = 0.0
     lamps: float = 0.0
     land: Land = Land()
@@ -97,30 +98,34 @@ QUARTERS: dict[str, Quarter] = {
     "houses": Quarter(
         "house", (9, 14), (8.5, 12), (2.5, 7), (3, 9),
         {"hedge": 4, "picket": 1.5, "wall": 1.5, "wire": 1, "railing": 1, "none": 2},
-        trees=1.5, yard=3.5, dense=0.35, lamps=30, land=Land(near="grass", far="grass"),
+        trees=1.5, yard=3.5, dense=0.35, lamps=30, shrubs=0.45, land=Land(near="grass", far="grass"),
     ),
     "terraces": Quarter(
         "terrace", (8, 11), (9, 12), (0.3, 4), (0.0, 0.8), {"none": 4, "railing": 1, "hedge": 2, "wall": 1},
-        trees=2.0, yard=1.0, dense=0.3, lamps=28, land=Land(near="cobbles", far="grass"),
+        trees=2.0, yard=1.0, dense=0.3, lamps=28, shrubs=0.2, land=Land(near="cobbles", far="grass"),
     ),
     "flats": Quarter(
         "flats", (14, 26), (10, 14), (0.5, 6), (0.0, 12), {"none": 5, "hedge": 1.5, "railing": 1},
-        trees=5.0, yard=1.2, dense=0.2, lamps=28, land=Land(near="cobbles", far="grass"),
+        trees=5.0, yard=1.2, dense=0.2, lamps=28, shrubs=0.35, land=Land(near="cobbles", far="grass"),
     ),
     "halls": Quarter(
         "hall", (20, 38), (14, 24), (8, 18), (8, 25), {"wire": 3, "none": 2, "hedge": 1},
-        trees=2.5, yard=2.0, lamps=32, land=Land(near="grass", far="gravel"),
+        trees=2.5, yard=2.0, lamps=32, shrubs=0.6, land=Land(near="grass", far="gravel"),
     ),
     "gardens": Quarter(
         "shed", (3, 5), (3, 4), (4, 12), (8, 18), {"hedge": 4, "wire": 3, "picket": 2},
-        trees=2.0, yard=5.0, dense=0.4, lamps=32,
+        trees=2.0, yard=5.0, dense=0.4, shrubs=0.6, lamps=32,
     ),
-    "park": Quarter("", gap=(6, 14), trees=6.0, yard=6.0, dense=0.25, lamps=32, land=Land(near="grass", far="grass")),
-    "wood": Quarter("", gap=(8, 14), trees=0.0, yard=2.5, dense=1.6, land=Land(near="meadow", far="soil")),
-    "field": Quarter("", gap=(25, 60), trees=1.2, yard=1.0, land=Land(near="meadow", far="field")),
-    "meadow": Quarter("", gap=(15, 40), trees=2.5, yard=2.5, dense=0.04, land=Land(near="meadow", far="meadow")),
+    "park": Quarter(
+        "", gap=(6, 14), trees=6.0, yard=6.0, dense=0.25, lamps=32, shrubs=0.6, land=Land(near="grass", far="grass")
+    ),
+    "wood": Quarter("", gap=(8, 14), trees=0.0, yard=2.5, dense=1.6, shrubs=0.95, land=Land(near="meadow", far="soil")),
+    "field": Quarter("", gap=(25, 60), trees=1.2, yard=1.0, shrubs=0.5, land=Land(near="meadow", far="field")),
+    "meadow": Quarter(
+        "", gap=(15, 40), trees=2.5, yard=2.5, dense=0.04, shrubs=0.7, land=Land(near="meadow", far="meadow")
+    ),
     "noise": Quarter(
-        "", gap=(15, 30), fronts={"noise": 1}, yard=3.0, dense=0.4, land=Land(near="meadow", far="meadow")
+        "", gap=(15, 30), fronts={"noise": 1}, yard=3.0, dense=0.4, shrubs=0.9, land=Land(near="meadow", far="meadow")
     ),
 }  # fmt: skip
 

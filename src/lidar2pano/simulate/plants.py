@@ -79,7 +79,7 @@ def hedge(rng: np.random.Generator, length: float, height: float, depth: float, 
     sides = np.array([(0, 1, 0), (0, -1, 0), (0, 0, 1), (1, 0, 0), (-1, 0, 0)], dtype=float)
     area = np.array([length * height, length * height, length * depth, depth * height, depth * height])
     side = 0.36 / np.sqrt(min(detail, 1.0)) ** 0.8
-    count = max(int(area.sum() * 3.2 / side**2), 8)
+    count = max(int(area.sum() * 4.2 / side**2), 8)
     facing = sides[rng.choice(5, count, p=area / area.sum())]
     middle = rng.uniform(-1, 1, (count, 3))
     middle = np.where(facing != 0, facing, middle) * (half - 0.1) + rng.normal(0, 0.025, (count, 3)) + (0, 0, half[2])
@@ -162,7 +162,10 @@ def _leafed(cards: _Cards, material: str, kind: str = "vegetation", *, mirrored:
     start = 4 * np.arange(count)[:, None]
     faces = np.concatenate([start + (0, 1, 2), start + (0, 2, 3)], axis=1).reshape(-1, 3)
     uv = np.tile((corner * (-0.998 if mirrored else 0.998, 0.998) + 1) / 2, (count, 1))
-    leaves = mesh(points, faces, material, kind, normals=np.repeat(cards.lit, 4, axis=0), uv=uv)
+    # Towards its corners a card is lit as if it were bent, so that it does not look like a board.
+    spread = (points - cards.middle[:, None]) / np.maximum(cards.size.max(axis=1)[:, None, None] / 2, 1e-9)
+    normals = _unit(cards.lit[:, None] + 0.35 * spread).reshape(-1, 3)
+    leaves = mesh(points, faces, material, kind, normals=normals, uv=uv)
     leaves.tint[:] = np.repeat(cards.tint, 2, axis=0)
     return leaves
 
@@ -222,7 +225,7 @@ def _crown(  # noqa: PLR0913 the parts of a crown
     # Deep in the crown, and under each clump, it is darker.
     deep = np.clip(np.linalg.norm(reach, axis=1), 0, 1.1)
     shade = (0.35 + 0.65 * deep**1.5) * (0.86 + 0.18 * out[:, 2]) * (0.92 + 0.12 * np.clip(reach[:, 2], -1, 1))
-    own = _shades(rng, len(clumps), 0.13)[which] * _shades(rng, count, 0.1)
+    own = _shades(rng, len(clumps), 0.13)[which] * _shades(rng, count, 0.07)
     side = kind.card * np.sqrt(grown) / np.sqrt(min(detail, 1.0)) ** 0.85 * rng.uniform(0.75, 1.2, (count, 1))
     return _Cards(
         middle=place,
@@ -242,7 +245,7 @@ def _limbs(rng: np.random.Generator, kind: Species, trunk: np.ndarray, clumps: n
         rise = rng.uniform(0.45, 0.8) * np.hypot(*target[:2])
         start = np.clip(target[2] - rise, trunk[2, 2], trunk[-1, 2] * 0.95)
         foot = np.array([np.interp(start, trunk[:, 2], trunk[:, axis]) for axis in (0, 1, 2)])
-        thick = min(0.6 * np.interp(start, trunk[:, 2], trunk[:, 3]), 0.08 * np.linalg.norm(target - foot))
+        thick = float(min(0.6 * np.interp(start, trunk[:, 2], trunk[:, 3]), 0.08 * np.linalg.norm(target - foot)))
         half = 0.5 * (foot + target) + (*rng.normal(0, 0.04 * rise + 0.02, 2), 0.12 * rise)
         course = np.array([foot, half, target])
         limbs.append(tube(course, (thick, 0.6 * thick, 0.15 * thick), kind.bark, "trunk", sides=5, closed=False))
@@ -254,7 +257,7 @@ def _whorls(
 ) -> tuple[_Cards, list[Mesh]]:
     """Branches in storeys, each a row of flat sprays that hang to its sides; size: height, foot, radius."""
     height, foot, radius = size
-    step = kind.card * 0.62 / np.sqrt(min(detail, 1.0)) ** 0.8
+    step = kind.card * 0.52 / np.sqrt(min(detail, 1.0)) ** 0.8
     levels = np.arange(foot, height - 0.3, step)
     part = (levels - foot) / (height - foot)
     wide = np.interp(part, np.linspace(0, 1, len(kind.profile)), kind.profile) * radius
@@ -274,7 +277,7 @@ def _whorls(
     n = len(middle)
     aside = np.column_stack([-away[:, 1], away[:, 0], np.zeros(n)]) * rng.normal(0, 0.5, (n, 1))
     shade = (0.35 + 0.65 * along) * (0.8 + 0.3 * rng.uniform(size=n))
-    side = step / 0.62 * rng.uniform(0.8, 1.15, (n, 1)) * np.where(part[level[branch]] > 0.85, 0.7, 1.0)[:, None]
+    side = step / 0.52 * rng.uniform(0.8, 1.15, (n, 1)) * np.where(part[level[branch]] > 0.85, 0.7, 1.0)[:, None]
     cards = _Cards(
         middle=middle,
         tip=_unit(away + aside + (0, 0, -kind.droop) + rng.normal(0, 0.15, (n, 3))),

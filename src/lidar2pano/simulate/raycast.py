@@ -126,7 +126,7 @@ class _Tree:
         self.facet = facet / np.maximum(np.linalg.norm(facet, axis=1, keepdims=True), 1e-12)
         # One row a triangle: the normals and texture places of its three corners.
         self.corners = np.concatenate([whole.normals[whole.faces], whole.uv[whole.faces]], axis=2).astype(np.float32)
-        self.mask = masks()[1][whole.material]
+        self.mask = np.append(masks()[1][whole.material], -1)  # the last for face -1
         self._embree = _embree(whole)
 
     def __len__(self) -> int:
@@ -135,33 +135,31 @@ class _Tree:
     def first(self, origin: np.ndarray, way: np.ndarray, far: np.ndarray | None = None) -> _Nearest:
         """Nearest matter along each ray, no farther than `far` (N,); holes of cut-outs are looked through."""
         count = len(way)
-        out = _Nearest(
-            np.full(count, np.inf, np.float32),
-            np.full(count, -1),
-            np.zeros(count, np.float32),
-            np.zeros(count, np.float32),
-        )
         if not len(self) or not count:
-            return out
-        rays, start = np.arange(count), origin
-        gone = np.zeros(count, dtype=np.float32)
-        for _ in range(LAYERS):
-            left = None if far is None else far[rays] - gone
-            found = self._embree.run(start, way[rays], dists=left, output=1)
-            hit = found["primID"] >= 0
-            face, u, v = found["primID"], found["u"], found["v"]
-            hole = np.flatnonzero(hit & (self.mask[face] >= 0))
-            hole = hole[~self._solid(face[hole], u[hole], v[hole])]
-            hit[hole] = False
-            done = rays[hit]
-            out.distance[done], out.face[done] = (gone + found["tfar"])[hit], face[hit]
-            out.u[done], out.v[done] = u[hit], v[hit]
-            if not len(hole):
+            zero = np.zeros(count, np.float32)
+            return _Nearest(np.full(count, np.inf, np.float32), np.full(count, -1), zero, zero)
+        found = self._embree.run(origin, way, dists=None if far is None else far.copy(), output=1)
+        face, u, v = found["primID"], found["u"], found["v"]
+        distance = np.where(face >= 0, found["tfar"], np.float32(np.inf))
+        rays = self._holes(face, u, v)
+        gone = distance[rays] + np.float32(STEP)
+        for _ in range(LAYERS - 1):
+            if not len(rays):
                 break
-            gone = gone[hole] + found["tfar"][hole] + STEP
-            rays = rays[hole]
-            start = origin[rays] + way[rays] * gone[:, None]
-        return out
+            start, left = origin[rays] + way[rays] * gone[:, None], None if far is None else far[rays] - gone
+            found = self._embree.run(start, way[rays], dists=left, output=1)
+            face[rays], u[rays], v[rays] = found["primID"], found["u"], found["v"]
+            away = gone + np.where(found["primID"] >= 0, found["tfar"], np.float32(np.inf))
+            distance[rays] = away
+            holes = self._holes(found["primID"], found["u"], found["v"])
+            rays, gone = rays[holes], away[holes] + np.float32(STEP)
+        distance[rays], face[rays] = np.inf, -1
+        return _Nearest(distance, face, u, v)
+
+    def _holes(self, face: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Which of some hits are holes of cut-outs (indices); a face of -1 is none."""
+        maybe = np.flatnonzero(self.mask[face] >= 0)
+        return maybe[~self._solid(face[maybe], u[maybe], v[maybe])]
 
     def _solid(self, face: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         return solid_at(_mixed(self.corners[face, :, 3:], u, v), self.mask[face])
@@ -184,8 +182,7 @@ class _Tree:
 
 def _mixed(corners: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Corner values (N, 3, C) at barycentric places."""
-    u, v = u[:, None], v[:, None]
-    return corners[:, 0] * (1 - u - v) + corners[:, 1] * u + corners[:, 2] * v
+    return np.einsum("nij,ni->nj", corners, np.stack([1 - u - v, u, v], axis=1))
 
 
 def _nothing(count: int) -> Hits:

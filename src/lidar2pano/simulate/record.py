@@ -17,7 +17,7 @@ from lidar2pano.simulate.lidar import Sweep, sweep
 from lidar2pano.simulate.looks import look
 from lidar2pano.simulate.raycast import Scene
 from lidar2pano.simulate.settings import Settings, camera, raster
-from lidar2pano.simulate.world import WINDOW, World, world
+from lidar2pano.simulate.world import World, world
 
 Writer = Callable[[Path], object]
 
@@ -38,8 +38,8 @@ class Recording:
         if "camera" in settings.save:
             names += [f"image_2/{stem}.png", f"camera_labels/{stem}.png"]
         if "panorama" in settings.save:
-            for view in settings.views:
-                names += [f"{folder}/{stem}.png" for folder in _panorama_folders(view)]
+            for number, view in enumerate(settings.views):
+                names += [f"{folder}/{stem}.png" for folder in _panorama_folders(view, first=number == 0)]
         return [self.folder / name for name in names]
 
     def done(self, frame: int) -> bool:
@@ -66,7 +66,7 @@ class Recording:
 
     def scene(self, frame: int) -> Scene:
         """The scene at the moment of a frame."""
-        number = int(frame / self.settings.hz / WINDOW + 1e-9)
+        number = self.world.window_at(frame / self.settings.hz)
         if self._window is None or self._window[0] != number:
             self._window = None  # the old one's memory goes first
             self._window = number, self.world.window(number)
@@ -122,7 +122,7 @@ def _panorama(picture: Picture) -> list[Writer]:
     ]
 
 
-def _panorama_folders(view: str) -> tuple[str, str, str]:
-    """pano, pano_labels, pano_depth; the same with "-2" behind for "panorama/2"."""
-    part = view.removeprefix("panorama").replace("/", "-")
+def _panorama_folders(view: str, *, first: bool) -> tuple[str, str, str]:
+    """pano, pano_labels, pano_depth for the first raster; the same with "-2" behind for a further "panorama/2"."""
+    part = "" if first else "-" + view.removeprefix("panorama/")
     return f"pano{part}", f"pano_labels{part}", f"pano_depth{part}"

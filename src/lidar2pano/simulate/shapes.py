@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lidar2pano.simulate.mesh import Mesh, mesh, smooth_normals
+from lidar2pano.simulate.mesh import Mesh, cross, mesh, smooth_normals
 
 _BOX = np.array([(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (2, 3, 7, 6), (1, 2, 6, 5), (3, 0, 4, 7)])
 SIDES = ("bottom", "top", "right", "left", "front", "back")  # right is -y, front is +x
@@ -80,13 +80,13 @@ def tube(  # noqa: PLR0913 a tube has a course, a girth and looks
     radii = np.broadcast_to(np.asarray(radius, dtype=np.float64), (n,))
     way = np.gradient(course, axis=0)
     way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
-    aside = np.cross(way, np.where(np.abs(way[:, 2:]) > 0.9, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+    aside = cross(way, np.where(np.abs(way[:, 2:]) > 0.9, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
     aside /= np.linalg.norm(aside, axis=1, keepdims=True)
     for i in range(1, n):  # each ring turns as little as it can from the last, so that bends do not twist the tube
         level = aside[i - 1] - way[i] * (way[i] @ aside[i - 1])
         long = np.sqrt(level @ level)
         aside[i] = level / long if long > 1e-6 else aside[i]
-    other = np.cross(way, aside)
+    other = cross(way, aside)
     angle = np.arange(sides + 1) * (2 * np.pi / sides)
     round_ = np.cos(angle)[:, None] * aside[:, None] + np.sin(angle)[:, None] * other[:, None]
     points = course[:, None] + radii[:, None, None] * round_

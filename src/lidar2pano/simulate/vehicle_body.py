@@ -148,7 +148,7 @@ def _side_cells(shape: Shape, x: np.ndarray) -> np.ndarray:
     between = (
         (middle > shape.panes[0][0]) & (middle < shape.panes[-1][1]) if shape.panes else np.zeros(len(middle), bool)
     )
-    cells[between & (cells[:, 1] != "window"), 1] = "dark-metal"  # the pillars between two panes
+    cells[between & (cells[:, 1] != "window"), 1] = "rubber"  # the pillars between two panes, black
     for seam in shape.seams:
         cells[np.abs(middle - seam - SEAM / 2) < SEAM / 2, 2 : ROWS - 1] = "underbody"
     cells[:, ROWS - 2] = shape.cladding

@@ -94,9 +94,9 @@ def columns(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
     edges = [0.0, length, a - 0.045, a, b, c, d, *(x for pane in shape.panes for x in pane)]
     edges = np.unique(np.round([*edges, *(x for seam in shape.seams for x in (seam, seam + SEAM))], 4))
     edges = edges[np.concatenate([[True], np.diff(edges) > 0.006])]
-    between = np.unique(np.round([*rounded(shape)[1:-1, 0], 0.05, 0.14, 0.28, length - 0.14, length - 0.05], 4))
-    between = between[np.concatenate([[True], np.diff(between) > 0.02])]
-    x = np.sort(np.concatenate([edges, between[np.abs(between[:, None] - edges).min(1) > 0.03]]))
+    between = np.unique(np.round([*rounded(shape)[1:-1, 0], 0.05, 0.16, length - 0.14, length - 0.05], 4))
+    between = between[np.concatenate([[True], np.diff(between) > 0.03])]
+    x = np.sort(np.concatenate([edges, between[np.abs(between[:, None] - edges).min(1) > 0.04]]))
     bottom = shape.sill + np.interp(x, [0, 0.35, length - 0.45, length], [0.05, 0, 0, 0.09])
     order = np.zeros(len(x))
     for axle in shape.axles:

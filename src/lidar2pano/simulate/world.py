@@ -15,12 +15,12 @@ from lidar2pano.simulate.places import PLACES, QUARTERS, chosen
 from lidar2pano.simulate.planner import Planner
 from lidar2pano.simulate.raycast import Part, Scene
 from lidar2pano.simulate.things import Thing
-from lidar2pano.simulate.town import Town, town
+from lidar2pano.simulate.town import AHEAD, Town, town
 from lidar2pano.simulate.traffic import Traffic, traffic
 
 SIGHT = 125.0  # metres around the way within which the world is built
-WINDOW = 2.0  # seconds that share one piece of the world
-NEAR, MIDDLE = 28.0, 60.0  # metres from the way: full detail, half of it, a little
+WINDOW = 40.0  # metres of the drive that share one piece of the world
+NEAR, MIDDLE = 28.0, 60.0  # metres from the whole way: full detail, half of it, a little
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -38,18 +38,34 @@ class World:
     traffic: Traffic
 
     def window(self, number: int) -> Scene:
-        """The standing scene around the times [number * WINDOW, (number + 1) * WINDOW)."""
-        way = self.drive.poses(np.linspace(number, number + 1, 21) * WINDOW)[:, :2, 3]
+        """The standing scene around the metres [number * WINDOW, (number + 1) * WINDOW) of the drive."""
+        way = self._way(number * WINDOW, (number + 1) * WINDOW)
         low, high = (np.rint(edge) for edge in (way.min(axis=0) - SIGHT, way.max(axis=0) + SIGHT))
         parts = [Part(mesh=self._ground(low, high)), Part(mesh=markings(self.town, low, high))]
+        whole = self._way(0.0, max(self.length, 1.0))
         instance = 0
         for thing in self.things:
             instance += thing.counted
-            away = float(np.hypot(*(way - thing.at[:2]).T).min()) - thing.radius
-            if away < SIGHT:
+            if _away(way, thing) < SIGHT:
+                # Detail goes with the whole drive: nothing changes its shape on the way.
+                away = _away(whole, thing)
                 detail = 1.0 if away < NEAR else 0.45 if away < MIDDLE else 0.16
                 parts.append(Part(mesh=thing.mesh(self.seed, detail), instance=instance if thing.counted else 0))
         return Scene(parts)
+
+    @property
+    def length(self) -> float:
+        """Metres of the drive."""
+        return float(self.drive.speed.travelled(np.array(self.seconds)))
+
+    def window_at(self, time: float) -> int:
+        """The number of the window for a time in seconds."""
+        return max(int(float(self.drive.speed.travelled(np.array(time))) / WINDOW), 0)
+
+    def _way(self, first: float, last: float) -> np.ndarray:
+        """Places (N, 2) of the drive's lane every two metres, `first` and `last` metres after its start."""
+        s = AHEAD + np.linspace(first, last, int((last - first) / 2) + 2)
+        return self.town.roads[0].at(s, self.drive.lane)[0]
 
     def _ground(self, low: np.ndarray, high: np.ndarray):  # noqa: ANN202 a Mesh
         lands = [quarter.land for quarter in QUARTERS.values()]
@@ -59,6 +75,10 @@ class World:
         """The window's scene with what moves where it is at a time in seconds."""
         near = self.drive.poses(np.array([time]))[0, :2, 3]
         return standing.with_moving(self.traffic.parts(time, near))
+
+
+def _away(way: np.ndarray, thing: Thing) -> float:
+    return float(np.sqrt(((way - thing.at[:2]) ** 2).sum(1).min())) - thing.radius
 
 
 def world(seed: int, seconds: float, place: str = "") -> World:
@@ -73,7 +93,7 @@ def world(seed: int, seconds: float, place: str = "") -> World:
     plan = Planner(town=built)
     for step in (
         lots.buildings, lots.borders, kerbside.parked, kerbside.lamps, kerbside.signs, lots.street_trees,
-        kerbside.driveways, kerbside.clutter, lots.yards, lots.horizon, lots.guard_rails,
+        kerbside.driveways, kerbside.clutter, lots.shrubs, lots.yards, lots.horizon, lots.guard_rails,
     ):  # fmt: skip
         step(plan)
     counted = sum(thing.counted for thing in plan.things)

@@ -1,0 +1,6 @@
+"""How long things take on this machine."""
+
+from lidar2pano.bench.timings import conditions, default_weights, measure, table, untrained
+from lidar2pano.bench.world import measure_world
+
+__all__ = ["conditions", "default_weights", "measure", "measure_world", "table", "untrained"]
