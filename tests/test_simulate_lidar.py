@@ -11,7 +11,7 @@ import pytest
 
 from lidar2pano.simulate.beams import SENSORS, Sensor, hidden
 from lidar2pano.simulate.draws import stream
-from lidar2pano.simulate.lidar import Sweep, sweep
+from lidar2pano.simulate.lidar import Sweep, passing, sweep
 from lidar2pano.simulate.materials import MATERIALS
 from lidar2pano.simulate.mesh import Mesh
 from lidar2pano.simulate.shapes import box
@@ -122,6 +122,14 @@ def test_a_moving_car_is_where_it_was_when_the_beam_passed() -> None:
     tolerance = speed / HDL.hz / sectors / 2
     assert np.abs(seen.points[front, 0] - expected).max() < 1.02 * tolerance
     assert np.ptp(seen.points[front, 0]) > 2 * tolerance  # it is not seen at one moment only
+
+
+def test_the_beam_passes_places_when_passing_says() -> None:
+    seen, pose = shot(room(), clean=True), drive(at=(1.0, 2.0, 0.5), yaw_rate=0.3)
+    frame = pose(np.zeros(1))[0]
+    world = seen.points[:, :3] @ frame[:3, :3].T + frame[:3, 3]
+    off = passing(HDL, frame, world.astype(np.float64)) - seen.time
+    assert np.quantile(np.abs(off), 0.99) < 0.002 / HDL.hz  # 0.7 degrees: parallax and the encoder's steps
 
 
 def test_labels_and_instances_are_those_of_what_was_met() -> None:

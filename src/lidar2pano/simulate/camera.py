@@ -21,7 +21,8 @@ CORNERS = ((0.0, 0.37), (-0.33, -0.18), (0.33, -0.18))  # further rays of pixels
 JUMP = 0.1  # share of the distance by which neighbours lie apart where there is an edge
 LENS = (0.11, 0.78, 0.11)  # blur along rows and columns: sigma 0.5 pixels
 FULL = 4.0  # light above that many times white is cut before it spreads into its neighbours
-GRAIN = 1.3  # standard deviation of the sensor's noise in steps of 8 bits
+GRAIN = 1.8  # standard deviation of the sensor's noise in steps of 8 bits
+CONTRAST = 1.3  # exponent of the film's curve: shades are deeper than life, as in KITTI's pictures
 STRIP = 32  # rows that are developed at once
 SHOULDER = 0.7  # brightness above which the film begins to save the lights
 
@@ -103,8 +104,15 @@ def _closed(directions: np.ndarray, pixel_angle: float) -> bool:
 
 
 def _hits(scene: Scene, origin: np.ndarray, way: np.ndarray) -> Hits:
-    parts = [scene.cast(origin, way[first : first + TILE]) for first in range(0, len(way), TILE)]
-    return Hits(**{part.name: np.concatenate([getattr(one, part.name) for one in parts]) for part in fields(Hits)})
+    whole: dict[str, np.ndarray] = {}
+    for first in range(0, len(way), TILE):
+        part = scene.cast(origin, way[first : first + TILE])
+        for field in fields(Hits):
+            values = getattr(part, field.name)
+            if field.name not in whole:
+                whole[field.name] = np.empty((len(way), *values.shape[1:]), dtype=values.dtype)
+            whole[field.name][first : first + TILE] = values
+    return Hits(**whole)
 
 
 def _sun(scene: Scene, hits: Hits, origin: np.ndarray, way: np.ndarray, look: Look, shape: tuple[int, int]) -> np.ndarray:
@@ -122,10 +130,10 @@ def _sun(scene: Scene, hits: Hits, origin: np.ndarray, way: np.ndarray, look: Lo
 
 def _further(hits: Hits, directions: np.ndarray, wraps: bool) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Pixels (indices) at edges and further rays for each: three, but one among leaves and wire."""
-    edge = _edges(hits, directions.shape[:2], wraps).reshape(-1)
-    all_of_them, few = np.flatnonzero(edge), np.flatnonzero(edge & ~_HOLES[hits.material])
+    edge, ragged = (part.reshape(-1) for part in _edges(hits, directions.shape[:2], wraps))
+    once, more = np.flatnonzero(edge | ragged), np.flatnonzero(edge)
     for index, (right, down) in enumerate(CORNERS):
-        pixels = few if index else all_of_them
+        pixels = more if index else once
         for first in range(0, len(pixels), TILE):
             some = pixels[first : first + TILE]
             yield some, _beside(directions, some, (right, down), wraps)
@@ -147,29 +155,29 @@ def _beside(directions: np.ndarray, pixels: np.ndarray, off: tuple[float, float]
     return ray / np.linalg.norm(ray, axis=1, keepdims=True)
 
 
-def _edges(hits: Hits, shape: tuple[int, int], wraps: bool) -> np.ndarray:
-    """(H, W) bool: pixels whose neighbour is another kind or material, lies much farther, or is turned away.
-
-    Among leaves and wire only another kind counts: there, everything is an edge.
+def _edges(hits: Hits, shape: tuple[int, int], wraps: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Two (H, W) bool: pixels whose neighbour is another kind or material, lies much farther, or is turned away; and
+    pixels at the rim of leaves and wire, within which everything would be an edge.
     """
     kind = np.where(hits.met, hits.kind, -1).reshape(shape)
-    material, holes = hits.material.reshape(shape), (_HOLES[hits.material] | ~hits.met).reshape(shape)
-    near = (1 / np.maximum(hits.distance, 1e-3)).reshape(shape)
+    material, holes = hits.material.reshape(shape), (_HOLES[hits.material] & hits.met).reshape(shape)
+    sky, near = ~hits.met.reshape(shape), (1 / np.maximum(hits.distance, 1e-3)).reshape(shape)
     normal = np.ascontiguousarray(hits.normal.T).reshape(3, *shape)
-    out = np.zeros(shape, dtype=bool)
+    edge, ragged = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
     for axis in (0, 1):
         ahead = np.roll(near, -1, axis)
         step = np.abs(ahead - near) > JUMP * np.maximum(ahead, near)
         step |= (np.roll(normal, -1, axis + 1) * normal).sum(axis=0) < 0.8
         step |= np.roll(material, -1, axis) != material
-        step &= ~(holes & np.roll(holes, -1, axis))
-        step |= np.roll(kind, -1, axis) != kind
+        step &= ~(sky & np.roll(sky, -1, axis))
+        other, leafy = np.roll(kind, -1, axis) != kind, holes | np.roll(holes, -1, axis)
         if axis == 0:
-            step[-1] = False
+            step[-1] = other[-1] = False
         elif not wraps:
-            step[:, -1] = False
-        out |= step | np.roll(step, 1, axis)
-    return out
+            step[:, -1] = other[:, -1] = False
+        for out, found in ((edge, (step | other) & ~leafy), (ragged, other & leafy)):
+            out |= found | np.roll(found, 1, axis)
+    return edge, ragged
 
 
 def developed(radiance: np.ndarray, look: Look, wraps: bool, seed: int) -> np.ndarray:
@@ -196,6 +204,7 @@ def _coded(film: np.ndarray, look: Look) -> np.ndarray:
     """sRGB 0..255, not yet rounded, of light where 1 is white."""
     grey = film @ np.array((0.2126, 0.7152, 0.0722), dtype=np.float32)[:, None]
     film = np.maximum(grey + (film - grey) * np.float32(look.saturation), 0)
+    film *= (film * np.float32(1 / 0.18)) ** np.float32(CONTRAST - 1)  # about middle grey
     over = np.maximum(film - SHOULDER, 0)
     film = np.minimum(film, SHOULDER) + (1 - SHOULDER) * (1 - np.exp(over * np.float32(-0.8 / (1 - SHOULDER))))
     coded = np.float32(1.055) * np.maximum(film, 1e-6) ** np.float32(1 / 2.4) - np.float32(0.055)

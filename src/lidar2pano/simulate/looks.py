@@ -25,7 +25,7 @@ class Look:
     cover       share of the sky under clouds, in [0, 1];  cloud: their radiance;  cloud_seed: which clouds.
     haze_m      metres after which a thing has lost 63 % of its contrast to the air.
     turned      share of the broad leaves that are yellow, orange or brown;  litter: share of the ground under them.
-    exposure    radiance times this is the film's 0..1;  balance: gains of R, G, B;  saturation: 1 leaves colours alone.
+    exposure    light 1 times this is the film's white;  balance: gains of R, G, B;  saturation: 1 leaves colours alone.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Look:
     cover: float
     cloud: Colour
     cloud_seed: int = 0
-    haze_m: float = 900.0
+    haze_m: float = 4000.0
     turned: float = 0.0
     litter: float = 0.0
     exposure: float = 2.0
@@ -67,14 +67,14 @@ def _day(seed: int) -> Look:
         sun_colour=(1.0, 0.94, 0.84),
         sun_deg=0.3,
         zenith=(0.035 + 0.06 * white, 0.10 + 0.06 * white, 0.24 + 0.02 * white),
-        horizon=(0.32 + 0.28 * white, 0.42 + 0.22 * white, 0.48 + 0.18 * white),
+        horizon=(0.36 + 0.34 * white, 0.48 + 0.27 * white, 0.56 + 0.22 * white),
         glow=(0.7, 0.66, 0.57),
         cover=float(rng.choice((0.05, 0.2, 0.4, 0.6))),
-        cloud=(0.46, 0.475, 0.49),
+        cloud=(0.56, 0.575, 0.59),
         cloud_seed=seed,
-        haze_m=float(rng.uniform(700, 1600)),
-        exposure=float(2.2 * 2 ** rng.uniform(-0.3, 0.3)),
-        balance=(0.97, 1.0, 1.0),
+        haze_m=float(rng.uniform(2500, 8000)),
+        exposure=float(2.0 * 2 ** rng.uniform(-0.3, 0.3)),
+        balance=(1.0, 1.0, 0.96),
     )
 
 
@@ -91,8 +91,8 @@ def _overcast(seed: int) -> Look:
         cover=1.0,
         cloud=(0.46, 0.475, 0.49),
         cloud_seed=seed,
-        haze_m=float(rng.uniform(350, 900)),
-        exposure=float(2.1 * 2 ** rng.uniform(-0.25, 0.25)),
+        haze_m=float(rng.uniform(900, 3000)),
+        exposure=float(2.3 * 2 ** rng.uniform(-0.25, 0.25)),
         balance=(0.99, 1.0, 0.97),
     )
 
@@ -110,8 +110,8 @@ def _evening(seed: int) -> Look:
         cover=float(rng.uniform(0.1, 0.6)),
         cloud=(0.46, 0.37, 0.33),
         cloud_seed=seed,
-        haze_m=float(rng.uniform(450, 1000)),
-        exposure=float(2.8 * 2 ** rng.uniform(-0.3, 0.3)),
+        haze_m=float(rng.uniform(1200, 4000)),
+        exposure=float(2.9 * 2 ** rng.uniform(-0.3, 0.3)),
         balance=(1.0, 1.0, 1.02),
         saturation=0.9,
     )
@@ -130,10 +130,10 @@ def _autumn(seed: int) -> Look:
         cover=float(rng.uniform(0.3, 0.8)),
         cloud=(0.58, 0.57, 0.56),
         cloud_seed=seed,
-        haze_m=float(rng.uniform(300, 700)),
+        haze_m=float(rng.uniform(500, 1800)),
         turned=float(rng.uniform(0.6, 0.95)),
         litter=float(rng.uniform(0.3, 0.8)),
-        exposure=float(2.2 * 2 ** rng.uniform(-0.25, 0.25)),
+        exposure=float(2.0 * 2 ** rng.uniform(-0.25, 0.25)),
         saturation=0.9,
     )
 
@@ -146,11 +146,11 @@ LOOKS: dict[str, Callable[[int], Look]] = {
 }
 
 # What broad leaves turn to, as linear RGB albedo: dull green, yellow, orange, red-brown, brown.
-_TURNED = np.array(((0.17, 0.19, 0.05), (0.42, 0.31, 0.04), (0.42, 0.20, 0.04), (0.28, 0.10, 0.04), (0.22, 0.13, 0.06)))
+_TURNED = np.array(((0.09, 0.09, 0.03), (0.24, 0.17, 0.03), (0.22, 0.11, 0.03), (0.14, 0.055, 0.025), (0.11, 0.07, 0.035)))
 _STAGES = (0.15, 0.40, 0.65, 0.82, 0.95)
 _GREEN = np.array(MATERIALS["leaves"].colour, dtype=np.float32)[:, None]
 SEASON_M = 0.7  # metres of a pixel in the picture of the season's stages
-FALLEN = np.array((0.34, 0.19, 0.06), dtype=np.float32)  # albedo of leaves on the ground
+FALLEN = np.array((0.18, 0.10, 0.04), dtype=np.float32)  # albedo of leaves on the ground
 
 _WILTING = np.zeros(len(MATERIALS), dtype=np.float32)  # how readily a plant turns
 _LITTERED = np.zeros(len(MATERIALS), dtype=bool)

@@ -18,11 +18,12 @@ from lidar2pano.simulate.textures import OF_MATERIAL, TEXTURE_IDS, sample, sampl
 TILE = 32768  # rays that are shaded at once: their arrays fit the cache
 GRAIN = 0.02  # metres: points nearer to each other than this share one sample of the sun's disc
 TAPS = 3  # samples along a surface that is seen aslant
-BOUNCE = 0.22  # share of the light that comes from what stands in the sky's way
+BOUNCE = 0.08  # share of the light that comes from what stands in the sky's way
 LAMP = 2.5  # radiance of a lamp whose material says 1
 
 _COLOUR, _LIGHT = column("colour").T.copy(), LAMP * column("light").T
-_GLOSS, _ROUGH, _THROUGH = column("gloss"), column("rough"), column("through")
+_ROUGH, _THROUGH = column("rough"), column("through")
+_GLOSS = np.where(_THROUGH > 0, 0, column("gloss"))  # leaves are lit by their crown's normals, which mirror nothing
 _ASPHALT, _ROAD = TEXTURE_IDS["asphalt"], KIND_IDS["road"]
 _MIRRORS = (_GLOSS > 0) & (_ROUGH < 0.15)  # what shows its surroundings
 

@@ -10,7 +10,7 @@ from lidar2pano.simulate.draws import stream
 from lidar2pano.simulate.looks import Look
 from lidar2pano.simulate.noise import SIZE, bilinear, spectral
 
-GROUND = (0.17, 0.165, 0.14)  # albedo of the land, seen from afar
+GROUND = (0.12, 0.118, 0.095)  # albedo of the land, seen from afar
 DISC = 40.0  # radiance of the sun's disc over that of a white sheet; the film is blown either way
 DOME = 2048  # directions that stand for the whole sphere
 

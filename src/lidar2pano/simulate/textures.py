@@ -41,7 +41,7 @@ def _roadway() -> np.ndarray:
 def _lawn() -> np.ndarray:
     tone = spectral("lawn", 1.3, 1, 120)
     dry = np.clip(spectral("dry", 1.4, 1, 60), -1, 2.5)
-    return (1 + 0.12 * tone)[..., None] * (1 + dry[..., None] * np.array((0.13, 0.03, 0.05), dtype=np.float32))
+    return (1 + 0.10 * tone)[..., None] * (1 + dry[..., None] * np.array((0.09, 0.02, 0.03), dtype=np.float32))
 
 
 def _weather() -> np.ndarray:
