@@ -1,4 +1,4 @@
-"""The scan that ships with the package: a street of our own making, ray-cast by `runs/demo_scan.py`."""
+"""The scan that ships with the package: a frame of the street world, made by `runs/demo_scan.py`."""
 
 from __future__ import annotations
 

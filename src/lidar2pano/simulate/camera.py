@@ -26,6 +26,7 @@ CONTRAST = 1.3  # exponent of the film's curve: shades are deeper than life, as 
 STRIP = 32  # rows that are developed at once
 SHOULDER = 0.7  # brightness above which the film begins to save the lights
 
+CLOSE = 12.0  # metres within which penumbrae are some pixels wide
 CLUMP = 1.2  # metres between leaves that may share a ray to the sun
 
 _HOLES = np.array([bool(material.cutout) for material in MATERIALS.values()])
@@ -80,7 +81,8 @@ def render(
     surfaces = guide(hits, origin, directions)
     from_sky = openness(scene, hits, surfaces, wraps).reshape(-1)
     from_sun = _sun(scene, hits, origin, way, look, shape)
-    from_sun = smoothed(from_sun, surfaces, wraps, (1,)).reshape(-1)  # one ray a pixel is a grainy penumbra
+    from_sun = smoothed(from_sun, surfaces, wraps, (1,))  # one ray a pixel is a grainy penumbra, most so near by
+    from_sun = np.where(surfaces.distance < CLOSE, smoothed(from_sun, surfaces, wraps, (2,)), from_sun).reshape(-1)
     limit = FULL / look.exposure
     radiance = np.minimum(shade(scene, hits, origin, way, pixel_angle, look, Reach(from_sun, from_sky)), limit)
     count = np.ones(len(way), dtype=np.float32)
@@ -115,7 +117,9 @@ def _hits(scene: Scene, origin: np.ndarray, way: np.ndarray) -> Hits:
     return Hits(**whole)
 
 
-def _sun(scene: Scene, hits: Hits, origin: np.ndarray, way: np.ndarray, look: Look, shape: tuple[int, int]) -> np.ndarray:
+def _sun(
+    scene: Scene, hits: Hits, origin: np.ndarray, way: np.ndarray, look: Look, shape: tuple[int, int]
+) -> np.ndarray:
     """Which of a picture's pixels the sun lights (H, W); four neighbours among leaves share one ray, for speed."""
     index = np.arange(len(way), dtype=np.int32).reshape(shape)
     first = np.repeat(np.repeat(index[::2, ::2], 2, axis=0), 2, axis=1)[: shape[0], : shape[1]].reshape(-1)
@@ -175,8 +179,9 @@ def _edges(hits: Hits, shape: tuple[int, int], wraps: bool) -> tuple[np.ndarray,
             step[-1] = other[-1] = False
         elif not wraps:
             step[:, -1] = other[:, -1] = False
-        for out, found in ((edge, (step | other) & ~leafy), (ragged, other & leafy)):
-            out |= found | np.roll(found, 1, axis)
+        step, other = (step | other) & ~leafy, other & leafy
+        edge |= step | np.roll(step, 1, axis)
+        ragged |= other | np.roll(other, 1, axis)
     return edge, ragged
 
 

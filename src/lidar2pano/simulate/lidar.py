@@ -14,7 +14,7 @@ from lidar2pano.simulate.returns import Echoes, as_float, lost, measured, remiss
 
 SECTORS = 8  # a turn's moments at which moving things are looked at
 # Leaves are smaller than a card's and the beam wider than a ray: pulses go deeper, this often, this many times.
-DEEPER, DEPTHS, BEHIND = 0.3, 2, 0.04
+DEEPER, DEPTHS, BEHIND = 0.2, 2, 0.04
 _LEAFY = column("through") > 0
 
 Pose = Callable[[np.ndarray], np.ndarray]

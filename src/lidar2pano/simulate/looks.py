@@ -65,7 +65,7 @@ def _day(seed: int) -> Look:
         name="day",
         sun=_sun(rng.uniform(35, 60), rng.uniform(-180, 180)),
         sun_colour=(1.0, 0.94, 0.84),
-        sun_deg=0.3,
+        sun_deg=0.25,
         zenith=(0.035 + 0.06 * white, 0.10 + 0.06 * white, 0.24 + 0.02 * white),
         horizon=(0.36 + 0.34 * white, 0.48 + 0.27 * white, 0.56 + 0.22 * white),
         glow=(0.7, 0.66, 0.57),
@@ -103,7 +103,7 @@ def _evening(seed: int) -> Look:
         name="evening",
         sun=_sun(rng.uniform(7, 16), rng.uniform(-180, 180)),
         sun_colour=(0.78, 0.50, 0.26),
-        sun_deg=0.35,
+        sun_deg=0.3,
         zenith=(0.10, 0.14, 0.22),
         horizon=(0.46, 0.36, 0.28),
         glow=(0.9, 0.55, 0.25),
@@ -123,7 +123,7 @@ def _autumn(seed: int) -> Look:
         name="autumn",
         sun=_sun(rng.uniform(22, 38), rng.uniform(-180, 180)),
         sun_colour=(0.74, 0.64, 0.50),
-        sun_deg=1.2,
+        sun_deg=0.35,
         zenith=(0.17, 0.21, 0.27),
         horizon=(0.45, 0.46, 0.46),
         glow=(0.6, 0.52, 0.4),
@@ -146,7 +146,9 @@ LOOKS: dict[str, Callable[[int], Look]] = {
 }
 
 # What broad leaves turn to, as linear RGB albedo: dull green, yellow, orange, red-brown, brown.
-_TURNED = np.array(((0.09, 0.09, 0.03), (0.24, 0.17, 0.03), (0.22, 0.11, 0.03), (0.14, 0.055, 0.025), (0.11, 0.07, 0.035)))
+_TURNED = np.array(
+    ((0.09, 0.09, 0.03), (0.24, 0.17, 0.03), (0.22, 0.11, 0.03), (0.14, 0.055, 0.025), (0.11, 0.07, 0.035))
+)
 _STAGES = (0.15, 0.40, 0.65, 0.82, 0.95)
 _GREEN = np.array(MATERIALS["leaves"].colour, dtype=np.float32)[:, None]
 SEASON_M = 0.7  # metres of a pixel in the picture of the season's stages

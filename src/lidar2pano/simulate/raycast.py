@@ -12,7 +12,7 @@ from lidar2pano.simulate.cutouts import masks, solid_at
 from lidar2pano.simulate.kinds import RAW, RAW_MOVING, SKY
 from lidar2pano.simulate.mesh import Mesh, merged
 
-LAYERS = 12  # leaves or wires that one ray can pass between
+LAYERS = 8  # cards of leaves or wire that one ray may meet: the last one stops it, hole or not
 STEP = 2e-4  # metres that a ray goes on behind a hole before it looks again
 
 
@@ -153,7 +153,6 @@ class _Tree:
             distance[rays] = away
             holes = self._holes(found["primID"], found["u"], found["v"])
             rays, gone = rays[holes], away[holes] + np.float32(STEP)
-        distance[rays], face[rays] = np.inf, -1
         return _Nearest(distance, face, u, v)
 
     def _holes(self, face: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:

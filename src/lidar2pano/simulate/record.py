@@ -13,7 +13,7 @@ from lidar2pano.simulate.beams import SENSORS
 from lidar2pano.simulate.camera import Picture, cylinder, pinhole, render
 from lidar2pano.simulate.draws import stream
 from lidar2pano.simulate.kinds import CAMERA_IDS, COMMON_IDS
-from lidar2pano.simulate.lidar import Sweep, sweep
+from lidar2pano.simulate.lidar import Sweep, passing, sweep
 from lidar2pano.simulate.looks import look
 from lidar2pano.simulate.raycast import Scene
 from lidar2pano.simulate.settings import Settings, camera, raster
@@ -74,10 +74,13 @@ class Recording:
 
     def scan(self, frame: int) -> Sweep:
         """What the LiDAR gives."""
-        standing, time = self.scene(frame), frame / self.settings.hz
+        time, sensor = frame / self.settings.hz, SENSORS[self.settings.sensor]
+        pose = self.world.drive.poses(np.array([time]))[0]
+        # What moves stands where the turn meets it.
+        scene = self.world.scene_at(self.scene(frame), time, lambda at: float(passing(sensor, pose, at[None])[0]))
         return sweep(
-            lambda ahead: self.world.scene_at(standing, time + ahead),
-            SENSORS[self.settings.sensor],
+            scene,
+            sensor,
             lambda ahead: self.world.drive.poses(time + ahead),
             stream(self.seed, "sweep", frame),
         )

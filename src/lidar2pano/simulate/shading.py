@@ -16,7 +16,7 @@ from lidar2pano.simulate.sky import Sky, sky
 from lidar2pano.simulate.textures import OF_MATERIAL, TEXTURE_IDS, sample, sample_wide
 
 TILE = 32768  # rays that are shaded at once: their arrays fit the cache
-GRAIN = 0.02  # metres: points nearer to each other than this share one sample of the sun's disc
+GRAIN = 0.008  # metres: points nearer to each other than this share one sample of the sun's disc
 TAPS = 3  # samples along a surface that is seen aslant
 BOUNCE = 0.08  # share of the light that comes from what stands in the sky's way
 LAMP = 2.5  # radiance of a lamp whose material says 1
@@ -216,7 +216,8 @@ def sunlit(scene: Scene, hits: Hits, origin: np.ndarray, way: np.ndarray, look: 
             axis[:, None] * part for axis, part in zip(axes, (1, away * np.cos(turn), away * np.sin(turn)), strict=True)
         )
         ray = ray / np.sqrt(_dot(ray, ray))
-        lit[some] = scene.light((place + lifted(hits, some)).T, ray.T)
+        behind = np.where(hits.facet[some] @ sun < 0, np.float32(-1), np.float32(1))  # leaves lit from the other side
+        lit[some] = scene.light((place + lifted(hits, some) * behind).T, ray.T)
     return lit
 
 

@@ -141,4 +141,5 @@ def _slopes(height_mm: np.ndarray, size_m: tuple[float, float]) -> np.ndarray:
     """Rise per run along u and v of a tile of heights."""
     runs = (size_m[0] * 2000 / SIZE, size_m[1] * 2000 / SIZE)
     rise = [np.roll(height_mm, -1, axis) - np.roll(height_mm, 1, axis) for axis in (1, 0)]
-    return np.stack([rise[0] / runs[0], rise[1] / runs[1]], axis=-1).clip(-1.2, 1.2)
+    slope = np.stack([rise[0] / runs[0], rise[1] / runs[1]], axis=-1).clip(-1.2, 1.2)
+    return slope - slope.mean((0, 1))

@@ -18,6 +18,7 @@ from lidar2pano.simulate.things import set_on
 from lidar2pano.simulate.town import Town
 
 SIGHT = 110.0  # metres: farther actors are left out
+Delay = Callable[[np.ndarray], float]
 STRIDE = 1.45  # metres that a walker's two steps take
 PHASES = 12  # pictures of one stride
 CLEAR = 11.0  # metres before and behind the recording car in its own lane
@@ -86,20 +87,29 @@ class Traffic:
     actors: tuple[Actor, ...]
     first: int
 
-    def parts(self, time: float, near: np.ndarray) -> list[Part]:
-        """Actors within SIGHT of the place `near` (2,) at a time in seconds, in place."""
-        road, out = self.town.roads[0], []
+    def parts(self, time: float, near: np.ndarray, delay: Delay | None = None) -> list[Part]:
+        """Actors within SIGHT of the place `near` (2,), in place, at a time in seconds.
+
+        delay  how much later each one is seen, by its place (3,): a LiDAR does not look everywhere at once.
+        """
+        out = []
         for number, actor in enumerate(self.actors):
-            s = np.array(actor.along(time, road.length))
-            xy, heading = road.at(s, actor.aside)
-            if np.hypot(*(xy - near)) > SIGHT + actor.half:
+            at, _ = self._place(actor, time)
+            if np.hypot(at[0] - near[0], at[1] - near[1]) > SIGHT + actor.half:
                 continue
-            z = float(self.town.height(xy, raised=actor.raised))
-            yaw = float(heading) + (0.0 if actor.way > 0 else np.pi)
-            normal = tuple(self.town.terrain.normal(xy).tolist())
-            mesh = set_on(actor.mesh(self.town.seed, time), (float(xy[0]), float(xy[1]), z), yaw, normal)
+            then = time + (delay(np.array(at)) if delay else 0.0)
+            at, yaw = self._place(actor, then)
+            normal = tuple(self.town.terrain.normal(np.array(at[:2])).tolist())
+            mesh = set_on(actor.mesh(self.town.seed, then), at, yaw, normal)
             out.append(Part(mesh=mesh, instance=self.first + number, moving=True))
         return out
+
+    def _place(self, actor: Actor, time: float) -> tuple[tuple[float, float, float], float]:
+        """Where an actor stands, metres, and its yaw."""
+        road = self.town.roads[0]
+        xy, heading = road.at(np.array(actor.along(time, road.length)), actor.aside)
+        z = float(self.town.height(xy, raised=actor.raised))
+        return (float(xy[0]), float(xy[1]), z), float(heading) + (0.0 if actor.way > 0 else np.pi)
 
 
 def traffic(drive: Drive, first: int) -> Traffic:

@@ -16,7 +16,7 @@ from lidar2pano.simulate.planner import Planner
 from lidar2pano.simulate.raycast import Part, Scene
 from lidar2pano.simulate.things import Thing
 from lidar2pano.simulate.town import AHEAD, Town, town
-from lidar2pano.simulate.traffic import Traffic, traffic
+from lidar2pano.simulate.traffic import Delay, Traffic, traffic
 
 SIGHT = 125.0  # metres around the way within which the world is built
 WINDOW = 40.0  # metres of the drive that share one piece of the world
@@ -71,10 +71,10 @@ class World:
         lands = [quarter.land for quarter in QUARTERS.values()]
         return ground(self.town.roads, self.town.terrain, low, high, lands, self.town.quarters)
 
-    def scene_at(self, standing: Scene, time: float) -> Scene:
-        """The window's scene with what moves where it is at a time in seconds."""
+    def scene_at(self, standing: Scene, time: float, delay: Delay | None = None) -> Scene:
+        """The window's scene with what moves where it is at a time in seconds, or `delay` later (Traffic.parts)."""
         near = self.drive.poses(np.array([time]))[0, :2, 3]
-        return standing.with_moving(self.traffic.parts(time, near))
+        return standing.with_moving(self.traffic.parts(time, near, delay))
 
 
 def _away(way: np.ndarray, thing: Thing) -> float:

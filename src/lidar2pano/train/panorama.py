@@ -31,8 +31,8 @@ class PanoramaTranslation:
 
     Options: columns, the width of the crop around the camera's sector; lovasz and depth, weights of those losses;
     rarity, the power of a class's rarity that weighs it in the cross-entropy (less of it is less generous to rare
-    classes); segmenter, a weight file whose labels are used beside the teacher's in training and alone in validation ("": the
-    teacher's everywhere).
+    classes); segmenter, a weight file whose labels are used beside the teacher's in training and alone in validation
+    ("": the teacher's everywhere).
     """
 
     released = ("translator",)

@@ -1,0 +1,338 @@
+"""The street world's light: textures, sky, shading and cameras."""
+
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+import pytest
+import torch
+
+from lidar2pano.calibration import Calibration
+from lidar2pano.geometry.projection import pixels
+from lidar2pano.sensors import View
+
+pytest.importorskip("embreex")
+from lidar2pano.simulate import camera, shading, textures
+from lidar2pano.simulate.kinds import KIND_IDS, SKY
+from lidar2pano.simulate.looks import LOOKS, look
+from lidar2pano.simulate.materials import MATERIALS
+from lidar2pano.simulate.noise import SIZE, bilinear, lottery, spectral
+from lidar2pano.simulate.raycast import Part, Scene
+from lidar2pano.simulate.shapes import box, ellipsoid
+from lidar2pano.simulate.sky import sky
+
+VIEW = View(rows=40, columns=240, up=0.3, down=-0.5, kind="cylinder", origin=(0.2, 0.1, -0.1))
+DOWN = np.array([[0.0, 0.0, -1.0]], dtype=np.float32)
+
+
+def ground(material="asphalt", kind="road"):
+    return Part(mesh=box((0, 0, -0.5), (200, 200, 1), material, kind))
+
+
+def street():
+    """A road, two houses, a car, a bush."""
+    things = [
+        box((12, 6, 3), (8, 6, 6), "plaster", "building"),
+        box((-9, -7, 2), (6, 6, 4), "brick", "building", yaw=0.3),
+        box((8, -3, 0.8), (4, 1.8, 1.4), "paint", "car", tint=(1.5, 0.2, 0.2)),
+        ellipsoid((6, 2, 0.8), (0.8, 0.8, 0.8), "hedge-core", "vegetation"),
+    ]
+    return Scene([ground(), *(Part(mesh=thing) for thing in things)])
+
+
+def pose(x=0.0, y=0.0, yaw=0.0):
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 1.8], [0, 0, 0, 1]])
+
+
+def calibration(width=120, height=60):
+    K = np.array([[90.0, 0, (width - 1) / 2], [0, 90.0, (height - 1) / 2], [0, 0, 1]])
+    T = np.eye(4)
+    T[:3, :3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
+    T[:3, 3] = -T[:3, :3] @ np.array(VIEW.origin)
+    return Calibration(K=K, T_camera_lidar=T, size=(width, height))
+
+
+def plain(**changes):
+    """A look without haze or clouds whose light is easy to reckon with."""
+    wanted = {"zenith": (0, 0, 0), "horizon": (0, 0, 0), "glow": (0, 0, 0), "cover": 0.0, "haze_m": 1e12} | changes
+    return replace(look("day"), sun_colour=(1.0, 1.0, 1.0), **wanted)
+
+
+def looked_down_upon(scene, places, light, height=3.0):
+    """Radiance (N, 3) of places (N, 2) on the ground seen from above."""
+    origin = np.column_stack([places, np.full(len(places), height)]).astype(np.float32)
+    way = np.repeat(DOWN, len(places), axis=0)
+    return shading.shade(scene, scene.cast(origin, way), origin, way, 1e-4, light)
+
+
+# ---- textures
+
+
+def test_every_material_has_its_texture():
+    assert {material.texture for material in MATERIALS.values()} <= set(textures.TEXTURES)
+
+
+@pytest.mark.parametrize("name", textures.TEXTURES[1:])
+def test_tiles_go_on_over_their_edges(name):
+    """The mean step over the edge of a tile is no greater than the steps from row to row, column to column within it."""
+    size_m, texture = np.array(textures.PATTERNS[name].size_m), textures.TEXTURE_IDS[name]
+    v, u = np.mgrid[0:SIZE, 0:SIZE] + 0.5
+    place = (np.stack([u, v], axis=-1).reshape(-1, 2) / SIZE * size_m).astype(np.float32)
+    tile = textures.sample(np.full(len(place), texture), place, np.zeros(len(place)))[0].reshape(SIZE, SIZE, 3)
+    for axis in (0, 1):
+        steps = np.abs(np.roll(tile, -1, axis) - tile).mean(axis=(1 - axis, 2))
+        assert steps[-1] <= 1.15 * steps[:-1].max()
+
+
+@pytest.mark.parametrize("name", textures.TEXTURES[1:])
+def test_all_levels_have_one_mean(name):
+    rng = np.random.default_rng(0)
+    place = rng.uniform(0, 50, (20000, 2)).astype(np.float32)
+    means = []
+    for footprint in (0.0, 0.05, 0.3, 2.0, 100.0):
+        factor, slope = textures.sample(np.full(20000, textures.TEXTURE_IDS[name]), place, np.full(20000, footprint))
+        means.append(factor.mean(axis=0))
+        assert np.abs(slope.mean(axis=0)).max() < 0.03
+    assert np.ptp(means, axis=0).max() < 0.03
+    if name != "litter":
+        assert np.abs(np.array(means) - 1).max() < 0.03
+
+
+def test_wider_footprints_see_less_detail():
+    place = np.random.default_rng(1).uniform(0, 50, (5000, 2)).astype(np.float32)
+    for name in ("asphalt", "grass", "brick", "leaves"):
+        texture = np.full(5000, textures.TEXTURE_IDS[name])
+        spread = [textures.sample(texture, place, np.full(5000, f))[0].std() for f in (0.001, 0.02, 0.1, 0.5, 5)]
+        assert all(fine > coarse for fine, coarse in zip(spread, spread[1:], strict=False)), (name, spread)
+
+
+def test_wide_patterns_do_not_repeat_within_sixty_metres():
+    walk = np.stack([np.linspace(0, 60, 600), np.zeros(600)], axis=1).astype(np.float32)
+    texture = np.full(600, textures.TEXTURE_IDS["grass"])
+    line = textures.sample_wide(texture, walk, np.full(600, 0.1))[:, 0]
+    for shift in range(50, 550, 10):
+        assert np.abs(line[shift:] - line[: 600 - shift]).mean() > 0.01
+
+
+def test_the_even_texture_changes_nothing():
+    factor, slope = textures.sample(np.zeros(9, int), np.random.default_rng(0).normal(0, 9, (9, 2)), np.full(9, 0.1))
+    assert np.allclose(factor, 1) and np.allclose(slope, 0)
+
+
+# ---- noise
+
+
+def test_lotteries_belong_to_places():
+    place = np.random.default_rng(0).uniform(-300, 300, (3, 20000)).astype(np.float32)
+    number = lottery(place, 0.02, 1)
+    assert np.array_equal(number, lottery(place.copy(), 0.02, 1))
+    assert abs(number.mean() - 0.5) < 0.02 and abs(number.std() - 12**-0.5) < 0.01
+    assert abs(np.corrcoef(number, lottery(place, 0.02, 2))[0, 1]) < 0.03
+    floor = np.vstack([place[:2], np.zeros((1, 20000), np.float32)])  # rounding must not decide on floors and walls
+    assert np.array_equal(lottery(floor, 0.02, 1), lottery(floor + np.float32([[0], [0], [1e-5]]), 0.02, 1))
+
+
+def test_bilinear_goes_through_its_pixels_and_around_the_edge():
+    tile = spectral("test", 1.0)
+    x = np.array([3.0, 3.5, SIZE - 0.5], dtype=np.float32)
+    wanted = [tile[7, 3], (tile[7, 3] + tile[7, 4]) / 2, (tile[7, -1] + tile[7, 0]) / 2]
+    assert np.allclose(bilinear(tile, x, np.full(3, 7, np.float32)), wanted, atol=1e-5)
+
+
+# ---- sky
+
+
+@pytest.mark.parametrize("name", LOOKS)
+def test_the_sky_is_finite_and_bright_all_round(name):
+    way = np.random.default_rng(0).normal(0, 1, (3, 20000)).astype(np.float32)
+    way /= np.linalg.norm(way, axis=0)
+    way[:, :6] = np.concatenate([np.eye(3), -np.eye(3)], axis=1)
+    for seed in range(3):
+        above = sky(look(name, seed))
+        for light in (above.radiance(way), above.ambient(way)):
+            assert np.isfinite(light).all() and (light >= 0).all()
+        up, down = above.ambient(np.array([[0, 0], [0, 0], [1.0, -1.0]], dtype=np.float32)).mean(axis=0)
+        assert up > 1.5 * down > 0
+
+
+def test_the_light_of_an_even_dome_is_the_dome():
+    """Radiance 1 above and nothing below: a floor gets all of it, a wall half (the cosine law's integral)."""
+    even = plain(zenith=(1.0, 1.0, 1.0), horizon=(1.0, 1.0, 1.0))
+    normal = np.array([[0, 1, 0], [0, 0, 0], [1.0, 0, -1.0]], dtype=np.float32)
+    above = sky(even)
+    floor, wall, ceiling = above.ambient(normal)[0]
+    below = above.ground[0, 0]
+    assert floor == pytest.approx(1, abs=0.07)
+    assert wall == pytest.approx((1 + below) / 2, abs=0.07)
+    assert ceiling == pytest.approx(below, abs=0.07)
+
+
+def test_looks_differ_by_seed_and_refuse_unknown_names():
+    assert look("day", 1) == look("day", 1) != look("day", 2)
+    assert np.linalg.norm(look("evening", 3).sun) == pytest.approx(1)
+    with pytest.raises(ValueError, match="overcast"):
+        look("noon")
+
+
+# ---- shading
+
+
+def test_a_matt_floor_shines_by_the_cosine_law():
+    """Radiance = albedo x sun x cosine; textures have mean 1, and the look's sky is black."""
+    light = plain(sun=(0.6, 0.0, 0.8))
+    place = np.random.default_rng(0).uniform(-60, 60, (4000, 2))
+    grey = Scene([ground("frame", "road")])  # no texture
+    shiny = looked_down_upon(grey, place, light).mean(axis=0)
+    albedo = np.array(MATERIALS["frame"].colour)
+    bounced = sky(light).ambient(np.array([[0], [0], [1.0]], np.float32))[:, 0]
+    assert np.abs(shiny - albedo * (0.8 + bounced)).max() < 0.06 * albedo.max()
+    matt = looked_down_upon(Scene([ground("paving", "road")]), place, light).mean(axis=0)
+    assert matt == pytest.approx(np.array(MATERIALS["paving"].colour) * 0.8, rel=0.05)
+
+
+def test_a_box_throws_a_shadow():
+    """A wall 2 m high, the sun 45 degrees high: the shadow ends 2 m behind it."""
+    scene = Scene([ground("paving", "road"), Part(mesh=box((0, 0, 1), (0.2, 40, 2), "concrete", "wall"))])
+    light = plain(sun=(0.5**0.5, 0.0, 0.5**0.5))
+    x = np.array([-2.5, -1.7, -0.5, 0.5, 2.5])
+    seen = [
+        looked_down_upon(scene, np.column_stack([np.full(200, at), np.linspace(-9, 9, 200)]), light).mean() for at in x
+    ]
+    sunny = np.array(seen) > 0.5 * max(seen)
+    assert sunny.tolist() == [True, False, False, True, True]
+    assert max(seen[1], seen[2]) < 0.12 * max(seen)
+
+
+def test_leaves_let_light_through_and_walls_do_not():
+    up = np.array([[0, 0, 1.0]], dtype=np.float32)
+    light = plain(sun=(0.0, 0.0, 1.0))
+    for material, bright in (("leaves", True), ("concrete", False)):
+        scene = Scene([Part(mesh=box((0, 0, 5), (30, 30, 1e-3), material, "vegetation", without=("bottom",)))])
+        origin = np.column_stack([np.random.default_rng(0).uniform(-9, 9, (900, 2)), np.zeros(900)]).astype(np.float32)
+        way = np.repeat(up, 900, axis=0)
+        hits = scene.cast(origin, way)
+        lit = shading.shade(scene, hits, origin, way, 1e-3, light)[hits.met].mean()
+        assert (lit > 0.01) == bright
+
+
+def test_car_paint_mirrors_the_sky():
+    flat = Scene([Part(mesh=box((0, 0, 0), (9, 9, 1), "paint", "car", tint=(0, 0, 0)))])
+    origin = np.array([[-4, 0, 1.0]], dtype=np.float32)
+    way = np.array([[0.99, 0, -0.14]], dtype=np.float32)
+    way /= np.linalg.norm(way)
+    hits = flat.cast(origin, way)
+    dark, bright = (
+        shading.shade(flat, hits, origin, way, 1e-3, plain(sun=(0, 1.0, 0.0), horizon=(level,) * 3))[0, 0]
+        for level in (0.1, 1)
+    )
+    assert bright > 5 * dark > 0
+
+
+# ---- cameras
+
+
+def test_a_pinhole_looks_where_the_calibration_says():
+    camera_, T = calibration(), pose(3, -2, 0.7)
+    origin, ray, angle = camera.pinhole(camera_, T)
+    assert ray.shape == (60, 120, 3) and angle == 1 / 90
+    places = origin + 7.5 * ray.reshape(-1, 3)
+    lidar = (np.linalg.inv(T) @ np.column_stack([places, np.ones(len(places))]).T)[:3]
+    x, y, z = camera_.K @ (camera_.T_camera_lidar[:3, :3] @ lidar + camera_.T_camera_lidar[:3, 3:])
+    v, u = np.mgrid[0:60, 0:120]
+    assert np.abs(x / z - u.reshape(-1)).max() < 1e-3 and np.abs(y / z - v.reshape(-1)).max() < 1e-3 and (z > 0).all()
+
+
+def test_a_cylinder_looks_where_the_projection_says():
+    T = pose(3, -2, 0.7)
+    origin, ray, _ = camera.cylinder(VIEW, T)
+    lidar = torch.from_numpy(ray.reshape(-1, 3).astype(np.float64) @ T[:3, :3])
+    row, column = pixels(*lidar.unbind(1), VIEW)
+    i, j = np.mgrid[0:40, 0:240] + 0.5
+    assert np.abs(row.numpy() - i.reshape(-1)).max() < 1e-3 and np.abs(column.numpy() - j.reshape(-1)).max() < 1e-3
+    assert np.allclose(origin, camera.pinhole(calibration(), T)[0])  # one optical centre
+
+
+def test_a_picture_tells_kinds_and_distances():
+    scene, T = street(), pose()
+    picture = camera.render(scene, *camera.cylinder(VIEW, T), look("day"))
+    hits = scene.cast(*(part.reshape(-1, 3)[:, :] if part.ndim > 1 else part for part in camera.cylinder(VIEW, T)[:2]))
+    assert picture.colour.shape == (40, 240, 3) and picture.colour.dtype == np.uint8
+    assert np.array_equal(picture.kind.reshape(-1), hits.kind) and np.array_equal(
+        picture.distance.reshape(-1), hits.distance
+    )
+    assert {KIND_IDS["road"], KIND_IDS["car"], KIND_IDS["building"], SKY} <= set(picture.kind.reshape(-1).tolist())
+    assert np.isinf(picture.distance[picture.kind == SKY]).all()
+    bright = {kind: picture.colour[picture.kind == kind].mean() for kind in (SKY, KIND_IDS["road"])}
+    assert bright[SKY] > bright[KIND_IDS["road"]] > 40
+
+
+def test_the_same_call_gives_the_same_bytes():
+    scene, rays, light = street(), camera.cylinder(VIEW, pose()), look("day")
+    first, again = (camera.render(scene, *rays, light) for _ in range(2))
+    other = camera.render(scene, *rays, light, seed=1)
+    assert np.array_equal(first.colour, again.colour)
+    assert not np.array_equal(first.colour, other.colour)  # the sensor's noise alone
+    assert np.abs(first.colour.astype(int) - other.colour).max() < 25
+
+
+@pytest.mark.parametrize("shift", [2, 80])
+def test_a_panorama_has_no_seam(shift):
+    """A view that begins some columns later is the same picture, rolled, but for the sensor's noise."""
+    scene, light = street(), look("day", 1)
+    step = 360 / VIEW.columns
+    turned = replace(VIEW, left=VIEW.left - shift * step, right=VIEW.right - shift * step)
+    one, other = (
+        camera.render(scene, *camera.cylinder(view, pose()), light).colour.astype(float) for view in (VIEW, turned)
+    )
+    off = np.abs(np.roll(one, -shift, axis=1) - other)
+    assert off.mean() < 3 and (off > 24).mean() < 0.004
+    seam = off[:, [-shift - 1, -shift, 0, -1]]
+    assert seam.mean() < 4
+
+
+def test_a_place_keeps_its_colour_from_frame_to_frame(monkeypatch):
+    """Two cameras a metre apart: what both see differs little, before noise."""
+    monkeypatch.setattr(camera, "GRAIN", 0.0)
+    scene, light = street(), look("day", 2)
+    view = replace(VIEW, rows=100, columns=600)
+    first = camera.render(scene, *camera.cylinder(view, pose()), light)
+    second = camera.render(scene, *camera.cylinder(view, pose(x=1.0)), light)
+    origin, ray, _ = camera.cylinder(view, pose())
+    there = camera.cylinder(view, pose(x=1.0))[0]
+    seen = np.isfinite(first.distance) & (first.distance < 25) & (first.kind != KIND_IDS["car"])
+    away = torch.from_numpy(origin + ray[seen] * first.distance[seen, None] - there)
+    row, column = (part.floor().long().numpy() for part in pixels(*away.unbind(1), view))
+    inside = (row >= 0) & (row < 100)
+    row, column, far = row[inside], column[inside] % 600, away.norm(dim=1).numpy()[inside]
+    same = np.abs(second.distance[row, column] - far) < 0.03 * far
+    assert same.sum() > 5000
+    a, b = (
+        ((colour[same] / 255.0) ** 2.2).mean(axis=1)
+        for colour in (first.colour[seen][inside], second.colour[row, column])
+    )
+    assert np.median(np.abs(a - b)) < 0.02 and np.median(np.abs(a - b) / (a + b)) < 0.06
+
+
+def test_overcast_days_have_no_shadows_and_autumn_is_browner():
+    scene = Scene([ground("grass", "terrain"), Part(mesh=box((0, 0, 1), (0.2, 40, 2), "concrete", "wall"))])
+    place = np.column_stack([np.linspace(-4, 4, 400), np.linspace(-9, 9, 400)])
+    assert shading.sunlit(scene, scene.cast(DOWN * -3, DOWN), DOWN * -3, DOWN, look("overcast")).sum() == 0
+    green, brown = (looked_down_upon(scene, place, look(name, 1)).mean(axis=0) for name in ("day", "autumn"))
+    assert brown[0] / brown[1] > 1.15 * green[0] / green[1]
+
+
+def test_nothing_at_all_is_sky():
+    picture = camera.render(Scene([]), *camera.cylinder(VIEW, pose()), look("evening"))
+    assert (picture.kind == SKY).all() and np.isinf(picture.distance).all()
+    assert picture.colour.mean() > 30
+
+
+def test_the_sun_is_as_wide_as_the_look_says():
+    """The share of a fine raster around the sun that is blown stands for its disc: pi r^2."""
+    light = replace(plain(), sun=(0.0, 0.0, 1.0), sun_deg=0.5)
+    side = np.linspace(-0.02, 0.02, 401, dtype=np.float32)
+    x, y = np.meshgrid(side, side)
+    way = np.stack([x, y, np.sqrt(1 - x * x - y * y)]).reshape(3, -1)
+    share = (sky(light).radiance(way)[0] > 10).mean()
+    assert share * 0.04**2 == pytest.approx(pi * np.radians(0.5) ** 2, rel=0.05)
