@@ -75,7 +75,7 @@ def test_every_material_has_its_texture():
 
 @pytest.mark.parametrize("name", textures.TEXTURES[1:])
 def test_tiles_go_on_over_their_edges(name):
-    """The mean step over the edge of a tile is no greater than the steps from row to row, column to column within it."""
+    """The mean step over the edge of a tile is no greater than those from row to row and column to column in it."""
     size_m, texture = np.array(textures.PATTERNS[name].size_m), textures.TEXTURE_IDS[name]
     v, u = np.mgrid[0:SIZE, 0:SIZE] + 0.5
     place = (np.stack([u, v], axis=-1).reshape(-1, 2) / SIZE * size_m).astype(np.float32)
@@ -207,13 +207,21 @@ def test_a_box_throws_a_shadow():
 def test_leaves_let_light_through_and_walls_do_not():
     up = np.array([[0, 0, 1.0]], dtype=np.float32)
     light = plain(sun=(0.0, 0.0, 1.0))
-    for material, bright in (("leaves", True), ("concrete", False)):
+    for material, shines in (("leaves", True), ("concrete", False)):
         scene = Scene([Part(mesh=box((0, 0, 5), (30, 30, 1e-3), material, "vegetation", without=("bottom",)))])
         origin = np.column_stack([np.random.default_rng(0).uniform(-9, 9, (900, 2)), np.zeros(900)]).astype(np.float32)
         way = np.repeat(up, 900, axis=0)
         hits = scene.cast(origin, way)
-        lit = shading.shade(scene, hits, origin, way, 1e-3, light)[hits.met].mean()
-        assert (lit > 0.01) == bright
+        assert (shading.sunlit(scene, hits, origin, way, light)[hits.met] == shines).mean() > 0.98
+    leaf = MATERIALS["leaves"]
+    black = replace(light, sun_colour=(0.0, 0.0, 0.0))
+    scene = Scene([Part(mesh=box((0, 0, 5), (30, 30, 1e-3), "leaves", "vegetation", without=("bottom",)))])
+    hits = scene.cast(origin, way)
+    with_sun, without = (
+        shading.shade(scene, hits, origin, way, 1e-3, sky_of)[hits.met].mean() for sky_of in (light, black)
+    )
+    bounced = sky(light).ground.mean()
+    assert with_sun - without == pytest.approx(np.mean(leaf.colour) * (leaf.through + bounced), rel=0.15)
 
 
 def test_car_paint_mirrors_the_sky():

@@ -29,7 +29,7 @@ SHOULDER = 0.7  # brightness above which the film begins to save the lights
 CLOSE = 12.0  # metres within which penumbrae are some pixels wide
 CLUMP = 1.2  # metres between leaves that may share a ray to the sun
 
-_HOLES = np.array([bool(material.cutout) for material in MATERIALS.values()])
+_LEAFY = np.array([bool(material.cutout) and material.through > 0 for material in MATERIALS.values()])
 
 Rays = tuple[np.ndarray, np.ndarray, float]
 """origin (3,) float64 metres, directions (H, W, 3) float32 unit vectors, both in the world's frame; pixel's radians."""
@@ -123,7 +123,7 @@ def _sun(
     """Which of a picture's pixels the sun lights (H, W); four neighbours among leaves share one ray, for speed."""
     index = np.arange(len(way), dtype=np.int32).reshape(shape)
     first = np.repeat(np.repeat(index[::2, ::2], 2, axis=0), 2, axis=1)[: shape[0], : shape[1]].reshape(-1)
-    shares = _HOLES[hits.material] & hits.met & (hits.material == hits.material[first])
+    shares = _LEAFY[hits.material] & hits.met & (hits.material == hits.material[first])
     distance = np.where(hits.met, hits.distance, 0)
     shares &= np.abs(distance - distance[first]) < CLUMP
     asked = np.flatnonzero(~shares | (first == index.reshape(-1)))
@@ -133,7 +133,7 @@ def _sun(
 
 
 def _further(hits: Hits, directions: np.ndarray, wraps: bool) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pixels (indices) at edges and further rays for each: three, but one among leaves and wire."""
+    """Pixels (indices) at edges and further rays for each: three, but one at the rim of leaves."""
     edge, ragged = (part.reshape(-1) for part in _edges(hits, directions.shape[:2], wraps))
     once, more = np.flatnonzero(edge | ragged), np.flatnonzero(edge)
     for index, (right, down) in enumerate(CORNERS):
@@ -161,10 +161,10 @@ def _beside(directions: np.ndarray, pixels: np.ndarray, off: tuple[float, float]
 
 def _edges(hits: Hits, shape: tuple[int, int], wraps: bool) -> tuple[np.ndarray, np.ndarray]:
     """Two (H, W) bool: pixels whose neighbour is another kind or material, lies much farther, or is turned away; and
-    pixels at the rim of leaves and wire, within which everything would be an edge.
+    pixels at the rim of leaves, within which everything would be an edge.
     """
     kind = np.where(hits.met, hits.kind, -1).reshape(shape)
-    material, holes = hits.material.reshape(shape), (_HOLES[hits.material] & hits.met).reshape(shape)
+    material, leaves = hits.material.reshape(shape), (_LEAFY[hits.material] & hits.met).reshape(shape)
     sky, near = ~hits.met.reshape(shape), (1 / np.maximum(hits.distance, 1e-3)).reshape(shape)
     normal = np.ascontiguousarray(hits.normal.T).reshape(3, *shape)
     edge, ragged = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
@@ -174,7 +174,7 @@ def _edges(hits: Hits, shape: tuple[int, int], wraps: bool) -> tuple[np.ndarray,
         step |= (np.roll(normal, -1, axis + 1) * normal).sum(axis=0) < 0.8
         step |= np.roll(material, -1, axis) != material
         step &= ~(sky & np.roll(sky, -1, axis))
-        other, leafy = np.roll(kind, -1, axis) != kind, holes | np.roll(holes, -1, axis)
+        other, leafy = np.roll(kind, -1, axis) != kind, leaves | np.roll(leaves, -1, axis)
         if axis == 0:
             step[-1] = other[-1] = False
         elif not wraps:

@@ -73,7 +73,7 @@ def _day(seed: int) -> Look:
         cloud=(0.56, 0.575, 0.59),
         cloud_seed=seed,
         haze_m=float(rng.uniform(2500, 8000)),
-        exposure=float(2.0 * 2 ** rng.uniform(-0.3, 0.3)),
+        exposure=float(1.85 * 2 ** rng.uniform(-0.45, 0.35)),
         balance=(1.0, 1.0, 0.96),
     )
 

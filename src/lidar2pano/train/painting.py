@@ -37,8 +37,8 @@ class Painting:
     shade the absolute distance would paint the shade.
 
     Options: columns and jitter, crop and how far it moves, on the translator's raster; translator and segmenter,
-    weight files that make the segments and depths to paint (half of the draws take the camera teacher's segments where
-    it is sure); adversarial, features, broad, pixels: weights of those losses (no critic where the first two are 0).
+    weight files that make the segments and depths to paint; trust, share of the draws that take the camera teacher's
+    segments where it is sure; adversarial, features, broad, pixels: weights of those losses (no critic where the first two are 0).
     """
 
     released = ("painter",)
@@ -58,11 +58,12 @@ class Painting:
         for samples in (self.dataset, self.validation):
             samples.predict(segmenter.points)
         self.weights = {name: float(option[name]) for name in ("adversarial", "features", "broad", "pixels")}
+        self.trust = float(option["trust"])
         self.logs: dict[str, float | Tensor] = {}
 
     def updates(self, batch: PanoramaSample) -> Iterator[tuple[str, Tensor]]:
         """The critic, unless its word weighs nothing, then the painter."""
-        segments, depth_m = self.scene(batch, trust=torch.rand(len(batch.camera)) < 0.5)
+        segments, depth_m = self.scene(batch, trust=torch.rand(len(batch.camera)) < self.trust)
         fake = self.networks["painter"](segments, depth_m, batch.image).float()
         seen = batch.seen[:, None].float()
         broad = mse_loss(avg_pool2d(fake * seen, BROAD), avg_pool2d(batch.colour * seen, BROAD))

@@ -209,6 +209,7 @@ def painter() -> Recipe:
             "features": 10.0,
             "broad": 20.0,
             "pixels": 2.0,
+            "trust": 0.5,
             "translator": "",
             "segmenter": "",
         },
