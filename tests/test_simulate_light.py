@@ -14,8 +14,8 @@ from lidar2pano.sensors import View
 pytest.importorskip("embreex")
 from lidar2pano.simulate import camera, shading, textures
 from lidar2pano.simulate.kinds import KIND_IDS, SKY
-from lidar2pano.simulate.looks import LOOKS, look
-from lidar2pano.simulate.materials import MATERIALS
+from lidar2pano.simulate.looks import LOOKS, look, seasoned
+from lidar2pano.simulate.materials import MATERIAL_IDS, MATERIALS
 from lidar2pano.simulate.noise import SIZE, bilinear, lottery, spectral
 from lidar2pano.simulate.raycast import Part, Scene
 from lidar2pano.simulate.shapes import box, ellipsoid
@@ -130,7 +130,8 @@ def test_lotteries_belong_to_places():
     assert abs(number.mean() - 0.5) < 0.02 and abs(number.std() - 12**-0.5) < 0.01
     assert abs(np.corrcoef(number, lottery(place, 0.02, 2))[0, 1]) < 0.03
     floor = np.vstack([place[:2], np.zeros((1, 20000), np.float32)])  # rounding must not decide on floors and walls
-    assert np.array_equal(lottery(floor, 0.02, 1), lottery(floor + np.float32([[0], [0], [1e-5]]), 0.02, 1))
+    off = np.array([[0], [0], [1e-5]], dtype=np.float32)
+    assert np.array_equal(lottery(floor - off, 0.02, 1), lottery(floor + off, 0.02, 1))
 
 
 def test_bilinear_goes_through_its_pixels_and_around_the_edge():
@@ -224,7 +225,7 @@ def test_leaves_let_light_through_and_walls_do_not():
     assert with_sun - without == pytest.approx(np.mean(leaf.colour) * (leaf.through + bounced), rel=0.15)
 
 
-def test_car_paint_mirrors_the_sky():
+def test_car_paint_mirrors_sky_and_things():
     flat = Scene([Part(mesh=box((0, 0, 0), (9, 9, 1), "paint", "car", tint=(0, 0, 0)))])
     origin = np.array([[-4, 0, 1.0]], dtype=np.float32)
     way = np.array([[0.99, 0, -0.14]], dtype=np.float32)
@@ -235,6 +236,10 @@ def test_car_paint_mirrors_the_sky():
         for level in (0.1, 1)
     )
     assert bright > 5 * dark > 0
+    light = plain(sun=(0, 1.0, 0.0))
+    lamp = flat.with_moving([Part(mesh=box((3, 0, 2), (0.1, 4, 3.5), "light-red", "traffic-light"))])
+    red, _, blue = shading.shade(lamp, hits, origin, way, 1e-3, light)[0]
+    assert red > 10 * blue and red > 5 * shading.shade(flat, hits, origin, way, 1e-3, light)[0, 0]
 
 
 # ---- cameras
@@ -285,33 +290,36 @@ def test_the_same_call_gives_the_same_bytes():
 
 
 @pytest.mark.parametrize("shift", [2, 80])
-def test_a_panorama_has_no_seam(shift):
-    """A view that begins some columns later is the same picture, rolled, but for the sensor's noise."""
-    scene, light = street(), look("day", 1)
+def test_a_panorama_has_no_seam(shift, monkeypatch):
+    """A view that begins some columns later is the same picture, rolled; a bright post stands across the seam."""
+    monkeypatch.setattr(camera, "GRAIN", 0.0)
+    post = Part(mesh=box((-4, -0.085, 1.5), (0.1, 0.25, 3), "frame", "pole"))
+    scene, light = street().with_moving([post]), look("day", 1)
     step = 360 / VIEW.columns
     turned = replace(VIEW, left=VIEW.left - shift * step, right=VIEW.right - shift * step)
     one, other = (
         camera.render(scene, *camera.cylinder(view, pose()), light).colour.astype(float) for view in (VIEW, turned)
     )
     off = np.abs(np.roll(one, -shift, axis=1) - other)
-    assert off.mean() < 3 and (off > 24).mean() < 0.004
-    seam = off[:, [-shift - 1, -shift, 0, -1]]
-    assert seam.mean() < 4
+    assert off.mean() < 0.04  # rounding may move a ray over an edge now and then
+    assert off[:, [-shift - 1, -shift, 0, -1]].mean() < 0.5
 
 
 def test_a_place_keeps_its_colour_from_frame_to_frame(monkeypatch):
-    """Two cameras a metre apart: what both see differs little, before noise."""
+    """Two cameras a metre apart: what both see differs little, before noise, and patterns stay where they are."""
     monkeypatch.setattr(camera, "GRAIN", 0.0)
-    scene, light = street(), look("day", 2)
-    view = replace(VIEW, rows=100, columns=600)
+    scene, light = (
+        street().with_moving([Part(mesh=box((0, 0, -0.49), (60, 60, 1), "cobbles", "parking"))]),
+        look("day", 2),
+    )
+    view = replace(VIEW, rows=120, columns=600, down=-0.9)
     first = camera.render(scene, *camera.cylinder(view, pose()), light)
     second = camera.render(scene, *camera.cylinder(view, pose(x=1.0)), light)
     origin, ray, _ = camera.cylinder(view, pose())
-    there = camera.cylinder(view, pose(x=1.0))[0]
     seen = np.isfinite(first.distance) & (first.distance < 25) & (first.kind != KIND_IDS["car"])
-    away = torch.from_numpy(origin + ray[seen] * first.distance[seen, None] - there)
+    away = torch.from_numpy(origin + ray[seen] * first.distance[seen, None] - camera.cylinder(view, pose(x=1.0))[0])
     row, column = (part.floor().long().numpy() for part in pixels(*away.unbind(1), view))
-    inside = (row >= 0) & (row < 100)
+    inside = (row >= 0) & (row < 120)
     row, column, far = row[inside], column[inside] % 600, away.norm(dim=1).numpy()[inside]
     same = np.abs(second.distance[row, column] - far) < 0.03 * far
     assert same.sum() > 5000
@@ -319,15 +327,29 @@ def test_a_place_keeps_its_colour_from_frame_to_frame(monkeypatch):
         ((colour[same] / 255.0) ** 2.2).mean(axis=1)
         for colour in (first.colour[seen][inside], second.colour[row, column])
     )
-    assert np.median(np.abs(a - b)) < 0.02 and np.median(np.abs(a - b) / (a + b)) < 0.06
+    assert np.median(np.abs(a - b) / (a + b)) < 0.03
+    near = (first.kind[seen][inside][same] == KIND_IDS["parking"]) & (far[same] < 4)
+    assert np.corrcoef(a[near], b[near])[0, 1] > 0.65  # 0.4 by the shadows alone
 
 
-def test_overcast_days_have_no_shadows_and_autumn_is_browner():
-    scene = Scene([ground("grass", "terrain"), Part(mesh=box((0, 0, 1), (0.2, 40, 2), "concrete", "wall"))])
-    place = np.column_stack([np.linspace(-4, 4, 400), np.linspace(-9, 9, 400)])
+def test_overcast_days_have_no_shadows():
+    scene = Scene([ground()])
     assert shading.sunlit(scene, scene.cast(DOWN * -3, DOWN), DOWN * -3, DOWN, look("overcast")).sum() == 0
-    green, brown = (looked_down_upon(scene, place, look(name, 1)).mean(axis=0) for name in ("day", "autumn"))
-    assert brown[0] / brown[1] > 1.15 * green[0] / green[1]
+
+
+def test_autumn_turns_leaves_and_strews_them():
+    green = np.array([MATERIALS["leaves"].colour] * 4000).T
+    place, tint = np.random.default_rng(0).uniform(-90, 90, (3, 4000)), np.ones((3, 4000))
+    for material, turns in (("leaves", True), ("needles", False)):
+        which = np.full(4000, MATERIAL_IDS[material])
+        for name, autumn in (("autumn", True), ("day", False)):
+            turned = seasoned(look(name), green, which, tint, place)
+            assert (turned[0].mean() > 1.3 * turned[1].mean()) == (turns and autumn)
+            assert np.array_equal(turned, green) != (turns and autumn)
+    scene, light = Scene([ground("asphalt-new")]), look("autumn", 1)
+    where = np.random.default_rng(0).uniform(-60, 60, (4000, 2))
+    swept, strewn = (looked_down_upon(scene, where, one).mean(axis=0) for one in (replace(light, litter=0.0), light))
+    assert strewn[0] / strewn[2] > 1.2 * swept[0] / swept[2]
 
 
 def test_nothing_at_all_is_sky():

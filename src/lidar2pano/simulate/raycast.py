@@ -13,6 +13,7 @@ from lidar2pano.simulate.kinds import RAW, RAW_MOVING, SKY
 from lidar2pano.simulate.mesh import Mesh, merged
 
 LAYERS = 8  # cards of leaves or wire that one ray may meet: the last one stops it, hole or not
+SHADES = 4  # the same for light: behind so many cards there is shade
 STEP = 2e-4  # metres that a ray goes on behind a hole before it looks again
 
 
@@ -99,7 +100,7 @@ class Scene:
         free = np.ones(len(origin), dtype=bool)
         for tree in self._trees:
             rays = np.flatnonzero(free)
-            free[rays] = tree.first(origin[rays], way[rays], far[rays]).face < 0
+            free[rays] = tree.first(origin[rays], way[rays], far[rays], SHADES).face < 0
         return free
 
 
@@ -132,8 +133,10 @@ class _Tree:
     def __len__(self) -> int:
         return len(self.mesh)
 
-    def first(self, origin: np.ndarray, way: np.ndarray, far: np.ndarray | None = None) -> _Nearest:
-        """Nearest matter along each ray, no farther than `far` (N,); holes of cut-outs are looked through."""
+    def first(
+        self, origin: np.ndarray, way: np.ndarray, far: np.ndarray | None = None, layers: int = LAYERS
+    ) -> _Nearest:
+        """Nearest matter along each ray, no farther than `far` (N,); up to `layers` holes are looked through."""
         count = len(way)
         if not len(self) or not count:
             zero = np.zeros(count, np.float32)
@@ -143,7 +146,7 @@ class _Tree:
         distance = np.where(face >= 0, found["tfar"], np.float32(np.inf))
         rays = self._holes(face, u, v)
         gone = distance[rays] + np.float32(STEP)
-        for _ in range(LAYERS - 1):
+        for _ in range(layers - 1):
             if not len(rays):
                 break
             start, left = origin[rays] + way[rays] * gone[:, None], None if far is None else far[rays] - gone

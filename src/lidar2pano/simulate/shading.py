@@ -264,7 +264,7 @@ def _mirrored(scene: Scene, start: np.ndarray, way: np.ndarray, look: Look, abov
     hits, normal = hits.taken(met), np.ascontiguousarray(hits.normal[met].T)
     slant = np.maximum(_dot(normal, np.array(look.sun, dtype=np.float32)[:, None]), 0)
     light = 0.8 * above.ambient(normal) + np.array(look.sun_colour, dtype=np.float32)[:, None] * (0.6 * slant)
-    out[:, met] = _COLOUR[:, hits.material] * hits.tint.T * light
+    out[:, met] = _COLOUR[:, hits.material] * hits.tint.T * light + _LIGHT[:, hits.material]
     return out
 
 

@@ -38,7 +38,8 @@ class Painting:
 
     Options: columns and jitter, crop and how far it moves, on the translator's raster; translator and segmenter,
     weight files that make the segments and depths to paint; trust, share of the draws that take the camera teacher's
-    segments where it is sure; adversarial, features, broad, pixels: weights of those losses (no critic where the first two are 0).
+    segments where it is sure; adversarial, features, broad, pixels: weights of those losses (no critic where the first
+    two are 0).
     """
 
     released = ("painter",)
