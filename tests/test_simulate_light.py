@@ -12,7 +12,7 @@ from lidar2pano.geometry.projection import pixels
 from lidar2pano.sensors import View
 
 pytest.importorskip("embreex")
-from lidar2pano.simulate import camera, shading, textures
+from lidar2pano.simulate import camera, occlusion, shading, textures
 from lidar2pano.simulate.kinds import KIND_IDS, SKY
 from lidar2pano.simulate.looks import LOOKS, look, seasoned
 from lidar2pano.simulate.materials import MATERIAL_IDS, MATERIALS
@@ -237,7 +237,7 @@ def test_car_paint_mirrors_sky_and_things():
     )
     assert bright > 5 * dark > 0
     light = plain(sun=(0, 1.0, 0.0))
-    lamp = flat.with_moving([Part(mesh=box((3, 0, 2), (0.1, 4, 3.5), "light-red", "traffic-light"))])
+    lamp = flat.with_moving([Part(mesh=box((3, 0, 2.5), (0.1, 4, 3.5), "light-red", "traffic-light"))])
     red, _, blue = shading.shade(lamp, hits, origin, way, 1e-3, light)[0]
     assert red > 10 * blue and red > 5 * shading.shade(flat, hits, origin, way, 1e-3, light)[0, 0]
 
@@ -335,6 +335,20 @@ def test_a_place_keeps_its_colour_from_frame_to_frame(monkeypatch):
 def test_overcast_days_have_no_shadows():
     scene = Scene([ground()])
     assert shading.sunlit(scene, scene.cast(DOWN * -3, DOWN), DOWN * -3, DOWN, look("overcast")).sum() == 0
+
+
+def test_half_the_sky_is_hidden_at_the_foot_of_a_wall():
+    scene = Scene([ground(), Part(mesh=box((3.5, 0, 10), (1, 40, 20), "plaster", "building"))])
+    view = replace(VIEW, rows=100, columns=500, down=-0.9)
+    origin, ray, _ = camera.cylinder(view, pose())
+    hits = scene.cast(origin, ray.reshape(-1, 3))
+    surfaces = occlusion.guide(hits, origin, ray)
+    free = occlusion.openness(scene, hits, surfaces, True)
+    floor = (hits.kind == KIND_IDS["road"]).reshape(free.shape)
+    x = surfaces.place[0]
+    assert 0.4 < free[floor & (x > 2.85)].mean() < 0.62
+    assert free[floor & (x < -3)].mean() > 0.93
+    assert free[~hits.met.reshape(free.shape)].min() > 0.99
 
 
 def test_autumn_turns_leaves_and_strews_them():

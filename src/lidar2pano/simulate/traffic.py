@@ -21,6 +21,7 @@ SIGHT = 110.0  # metres: farther actors are left out
 Delay = Callable[[np.ndarray], float]
 STRIDE = 1.45  # metres that a walker's two steps take
 PHASES = 12  # pictures of one stride
+TOUCH = 1.7  # metres: an actor that close would be inside the recording car, and is left out
 CLEAR = 11.0  # metres before and behind the recording car in its own lane
 
 MIX: dict[str, dict[str, float]] = {
@@ -95,7 +96,8 @@ class Traffic:
         out = []
         for number, actor in enumerate(self.actors):
             at, _ = self._place(actor, time)
-            if np.hypot(at[0] - near[0], at[1] - near[1]) > SIGHT + actor.half:
+            away = np.hypot(at[0] - near[0], at[1] - near[1])
+            if away > SIGHT + actor.half or away < TOUCH:
                 continue
             then = time + (delay(np.array(at)) if delay else 0.0)
             at, yaw = self._place(actor, then)
