@@ -46,8 +46,8 @@ def test_readers_read_it_like_any_data_set(made):
     assert first.camera_labels().shape == (375, 1242)
     calibration = first.calibration((1242, 375))
     assert np.allclose(calibration.centre, KITTI_CAMERA, atol=1e-6), "the panorama's origin"
-    picture = Image.open(second.folder / "pano" / f"{second.stem}.png")
-    assert picture.size == (VIEWS["panorama"].columns // 4, VIEWS["panorama"].rows // 4)
+    with Image.open(second.folder / "pano" / f"{second.stem}.png") as picture:
+        assert picture.size == (VIEWS["panorama"].columns // 4, VIEWS["panorama"].rows // 4)
     assert json.loads((root / "splits.json").read_text())["val"] == ["00/000000", "00/000001"]
 
 
@@ -61,7 +61,9 @@ def test_instances_tell_things_apart(made):
     assert len(np.unique(cars)) > 3
     xyz = frame.scan().xyz
     for number in np.unique(cars):
-        assert np.ptp(xyz[(raw == 10) & (instance == number), :2], axis=0).max() < 7, "one car"
+        # A few points at a car's edge lie between it and what is behind it.
+        low, high = np.percentile(xyz[(raw == 10) & (instance == number), :2], [10, 90], axis=0)
+        assert (high - low).max() < 6, "one car"
 
 
 def test_points_pictures_and_depths_agree(made):

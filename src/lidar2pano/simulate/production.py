@@ -78,6 +78,7 @@ def _dealt(slices: list[Slice], processes: int) -> list[list[Slice]]:
 def record(part: Slice) -> int:
     """Write the frames of a slice that are not there yet; the number of frames."""
     recording = _recording(part.out, part.settings, part.sequence)
+    recording.prepare()
     for frame in range(part.first, part.last):
         if not recording.done(frame):
             recording.write(frame)
@@ -86,9 +87,7 @@ def record(part: Slice) -> int:
 
 @lru_cache(maxsize=1)
 def _recording(out: Path, settings: Settings, sequence: int) -> Recording:
-    recording = Recording(out / "sequences" / f"{sequence:02d}", settings, sequence)
-    recording.prepare()
-    return recording
+    return Recording(out / "sequences" / f"{sequence:02d}", settings, sequence)
 
 
 def _splits(out: Path, sequences: int, frames: int) -> None:

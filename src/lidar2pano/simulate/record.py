@@ -47,7 +47,12 @@ class Recording:
         return all(path.is_file() for path in self.files(frame))
 
     def prepare(self) -> None:
-        """Write calib.txt, times.txt and poses.txt (camera 0 relative to the first frame, KITTI's odometry form)."""
+        """Write what is missing of calib.txt, times.txt and poses.txt.
+
+        Poses are KITTI's odometry form: camera 0 relative to the first frame.
+        """
+        if all((self.folder / name).is_file() for name in ("calib.txt", "times.txt", "poses.txt")):
+            return
         calibration = camera()
         T = calibration.T_camera_lidar
         row = " ".join(f"{value:.12e}" for value in T[:3].ravel())
@@ -91,10 +96,10 @@ class Recording:
         scene, pose = self.world.scene_at(self.scene(frame), time), self.world.drive.poses(np.array([time]))[0]
         light = look(self.settings.look, self.seed)
         if "camera" in self.settings.save:
-            yield "camera", render(scene, *pinhole(camera(), pose), light)
+            yield "camera", render(scene, *pinhole(camera(), pose), light, seed=frame)
         if "panorama" in self.settings.save:
             for view in self.settings.views:
-                yield view, render(scene, *cylinder(raster(view), pose), light)
+                yield view, render(scene, *cylinder(raster(view), pose), light, seed=frame)
 
     def write(self, frame: int) -> None:
         """Write the files of a frame."""
