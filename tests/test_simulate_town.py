@@ -219,3 +219,11 @@ def test_quarters_are_named_everywhere():
     built = town(11, 80.0, "residential")
     s = np.linspace(0, built.roads[0].length, 200)
     assert set(built.quarters(0, s, np.ones(200))) <= set(range(len(QUARTERS)))
+
+
+def test_every_class_has_its_place():
+    """Nineteen classes: those of the ground by what lies in the quarters, those of things by what can stand about."""
+    from lidar2pano.simulate.ground import KIND_OF_LAND
+
+    lands = {material for quarter in QUARTERS.values() for material in (quarter.land.near, quarter.land.far)}
+    assert {KIND_OF_LAND.get(material, "terrain") for material in lands} == {"terrain", "sidewalk", "other-ground"}

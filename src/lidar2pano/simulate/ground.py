@@ -15,6 +15,7 @@ from lidar2pano.simulate.roads import Road, locate
 CELL, FAR_CELL = 1.0, 10.0  # metres of the grid near roads and beyond the world's edge
 FAR = 420.0  # metres that the land goes on beyond the window
 KERBSTONE = 0.14  # metres
+KIND_OF_LAND = {"cobbles": "sidewalk", "gravel": "other-ground"}  # forecourts and yards; the rest is terrain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,8 +154,8 @@ def _street(corners: np.ndarray, road: Road, terrain: Terrain) -> tuple[np.ndarr
 def _land(corners: np.ndarray, road: Road, terrain: Terrain, land: Land) -> list[Mesh]:
     near, far, _ = split(corners, BEYOND)
     return [
-        _surface(near, terrain, road.kerb, land.near, "terrain", (X, Y)),
-        _surface(far, terrain, road.kerb, land.far, "terrain", (X, Y)),
+        _surface(part, terrain, road.kerb, material, KIND_OF_LAND.get(material, "terrain"), (X, Y))
+        for part, material in ((near, land.near), (far, land.far))
     ]
 
 
