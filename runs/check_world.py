@@ -87,13 +87,16 @@ def agreement(frame: Frame, view: View) -> Agreement:
     gap = away[here].norm(dim=1).numpy() - interpolated(depth, row[here], column[here])
     seen = gap < BEHIND * depth[r, c] + 0.1
     same = ids[r, c][seen] == labels[here][seen]
-    camera_points, camera_same = in_camera(frame, scan.xyz, labels)
+    # The camera stands where the panorama does: what is hidden from one is hidden from the other.
+    visible = np.zeros(len(scan), dtype=bool)
+    visible[here[seen]] = True
+    camera_points, camera_same = in_camera(frame, scan.xyz, np.where(visible, labels, 0))
     error = float(np.median(np.abs(gap[seen][same])))
     return Agreement(int(seen.sum()), float(1 - seen.mean()), float(same.mean()), camera_points, camera_same, error)
 
 
 def in_camera(frame: Frame, xyz: np.ndarray, labels: np.ndarray) -> tuple[int, float]:
-    """Points compared in the camera's image, and the share of them with the same class."""
+    """Points compared in the camera's image, and the share of them with the same class; label 0: not compared."""
     raw = frame.camera_labels()
     table = np.zeros(256, dtype=np.uint8)
     table[:19] = TABLES["cityscapes", "common-15"]
