@@ -30,13 +30,7 @@ def check_file(path: Path, option: str) -> None:
 
 def write_json(path: Path, value: Any, option: str) -> None:  # noqa: ANN401
     """Write `value` as JSON, beside and then renamed; InputError where that cannot be done."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        beside.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another {option}") from error
-    finally:
-        if path.parent.is_dir():
-            beside.unlink(missing_ok=True)
+    from lidar2pano.formats.pictures import write_whole
+
+    text = json.dumps(value, indent=2, allow_nan=False) + "\n"
+    write_whole(path, lambda beside: beside.write_text(text, encoding="utf-8"), option)

@@ -34,10 +34,10 @@ def write_depth(path: Path, depth_m: np.ndarray) -> None:
     Image.fromarray(steps).save(path, format="PNG", compress_level=FAST_PNG)
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> Path:
+def write_whole(path: Path, write: Callable[[Path], object], option: str = "--out") -> Path:
     """Call `write` with a file beside `path`, then rename that: nobody ever sees half a file. Returns `path`.
 
-    Raises InputError where the file cannot be written.
+    Raises InputError where the file cannot be written; `option` is what the user should choose differently.
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
@@ -45,7 +45,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> Path:
         write(beside)
         beside.replace(path)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another --out") from error
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another {option}") from error
     finally:
         if path.parent.is_dir():
             beside.unlink(missing_ok=True)

@@ -10,7 +10,7 @@ import numpy as np
 from lidar2pano.errors import InputError
 from lidar2pano.simulate.cutouts import masks, solid_at
 from lidar2pano.simulate.kinds import RAW, RAW_MOVING, SKY
-from lidar2pano.simulate.mesh import Mesh, merged
+from lidar2pano.simulate.mesh import Mesh, face_normals, merged
 
 LAYERS = 8  # cards of leaves or wire that one ray may meet: the last one stops it, hole or not
 SHADES = 4  # the same for light: behind so many cards there is shade
@@ -77,12 +77,11 @@ class Scene:
         scene._trees = [self._trees[0], _Tree(moving)]
         return scene
 
-    def cast(self, origin: np.ndarray, way: np.ndarray, far: float = np.inf) -> Hits:
-        """First hits of rays from origin (N, 3) or (3,) along unit vectors way (N, 3), no farther than `far` metres."""
+    def cast(self, origin: np.ndarray, way: np.ndarray) -> Hits:
+        """First hits of rays from origin (N, 3) or (3,) along unit vectors way (N, 3), metres."""
         way = np.ascontiguousarray(way, dtype=np.float32)
         origin = np.ascontiguousarray(np.broadcast_to(np.asarray(origin, dtype=np.float32), way.shape))
-        limit = None if far == np.inf else np.full(len(way), far, np.float32)
-        first = [tree.first(origin, way, limit) for tree in self._trees]
+        first = [tree.first(origin, way) for tree in self._trees]
         standing = first[0].distance <= first[1].distance
         found = [np.flatnonzero(standing & (first[0].face >= 0)), np.flatnonzero(~standing)]
         hits = _nothing(len(way))
@@ -122,9 +121,7 @@ class _Tree:
         counts = [len(part.mesh) for part in parts]
         self.instance = np.repeat(np.array([part.instance for part in parts], dtype=np.uint16), counts)
         self.moving = np.repeat(np.array([part.moving for part in parts], dtype=bool), counts)
-        corner = whole.vertices[whole.faces]
-        facet = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        self.facet = facet / np.maximum(np.linalg.norm(facet, axis=1, keepdims=True), 1e-12)
+        self.facet = face_normals(whole.vertices, whole.faces)
         # One row a triangle: the normals and texture places of its three corners.
         self.corners = np.concatenate([whole.normals[whole.faces], whole.uv[whole.faces]], axis=2).astype(np.float32)
         self.mask = np.append(masks()[1][whole.material], -1)  # the last for face -1
