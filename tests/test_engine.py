@@ -25,7 +25,7 @@ from lidar2pano.models.card import load
 from lidar2pano.train.checkpoint import load_checkpoint
 from lidar2pano.train.draws import Places, seed_step
 from lidar2pano.train.engine import train
-from lidar2pano.train.recipes import Recipe, override, resolved
+from lidar2pano.train.recipe import Recipe, override, resolved
 from toy_training import Denoise, Gan, entries, gap, left, toy_recipe
 
 PLAIN = ("networks.generator.settings.norm=false", "networks.generator.settings.dropout=0")

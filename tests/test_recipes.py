@@ -12,7 +12,8 @@ import pytest
 from lidar2pano.errors import InputError
 from lidar2pano.models import MODELS, network_class
 from lidar2pano.sensors import VIEWS
-from lidar2pano.train.recipes import RECIPES, Network, Optimizer, Recipe, Training, override, recipe_named, resolved
+from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, override, resolved
+from lidar2pano.train.recipes import RECIPES, recipe_named
 from lidar2pano.train.task import TASKS
 
 SAMPLE = Recipe(

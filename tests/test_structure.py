@@ -15,7 +15,7 @@ import lidar2pano
 from lidar2pano.models import MODELS
 
 NETWORKS = {place.partition(":")[2] for place in MODELS.values()}
-RECIPES = house.SOURCE / "train" / "recipes.py"
+RECIPES = house.SOURCE / "train" / "recipe.py"
 HEAVY = ("torch", "lightning", "torchmetrics", "tensorboard", "scipy", "skimage")
 PROMISED = {"demo", "translate", "train", "evaluate", "weights", "bench"}
 MOST_SECONDS = 1.0

@@ -13,7 +13,8 @@ from lidar2pano.errors import InputError
 from lidar2pano.models.card import load
 from lidar2pano.models.families import weight_files
 from lidar2pano.train.engine import train
-from lidar2pano.train.recipes import Recipe, override, recipe_named
+from lidar2pano.train.recipe import Recipe, override
+from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.task import build_task
 from miniature import write_data_set
 

@@ -20,7 +20,7 @@ from lidar2pano.train.clock import every
 from lidar2pano.train.draws import Places, draw_at, seed_step
 from lidar2pano.train.optimisation import Average, averaged, clip, learning_rate, make_optimizer
 from lidar2pano.train.placement import arithmetic
-from lidar2pano.train.recipes import Network, Optimizer, Recipe, Training
+from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training
 from lidar2pano.train.release import commit, make_card
 from lidar2pano.train.task import build_networks
 

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from lidar2pano.data.sequences import Draw
 from lidar2pano.models import MODELS
 from lidar2pano.train.checkpoint import load_checkpoint
-from lidar2pano.train.recipes import Network, Optimizer, Recipe, Training, override
+from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, override
 from lidar2pano.train.task import TASKS, build_networks
 
 SIZE = 6

@@ -13,7 +13,7 @@ import typer
 from lidar2pano.cli.app import app
 
 if TYPE_CHECKING:
-    from lidar2pano.train.recipes import Recipe
+    from lidar2pano.train.recipe import Recipe
 
 
 @app.command()
@@ -29,7 +29,8 @@ def train(
     nodes: Annotated[int, typer.Option(min=1, metavar="N", help="Machines that train together.")] = 1,
 ) -> None:
     """Train a network. Repeat the command to resume, whatever ended it."""
-    from lidar2pano.train.recipes import override, recipe_named
+    from lidar2pano.train.recipe import override
+    from lidar2pano.train.recipes import recipe_named
 
     chosen = recipe_named(recipe)
     for change in changes or []:

@@ -24,7 +24,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from lidar2pano.errors import InputError
-from lidar2pano.train.recipes import Recipe, resolved
+from lidar2pano.train.recipe import Recipe, resolved
 
 FREE = {f"training.{name}" for name in ("workers", "checkpoint_minutes", "preview_minutes", "validate_minutes")}
 BROKEN = (SafetensorError, pickle.UnpicklingError)

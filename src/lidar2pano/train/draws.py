@@ -14,7 +14,7 @@ import torch
 from torch.utils.data import DataLoader, Dataset
 
 from lidar2pano.data.sequences import Draw
-from lidar2pano.train.recipes import Training
+from lidar2pano.train.recipe import Training
 from lidar2pano.train.task import Samples
 
 

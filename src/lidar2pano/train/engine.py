@@ -27,7 +27,7 @@ from lidar2pano.train.monitor import Meter, Monitor, Screen, Silent, check_finit
 from lidar2pano.train.optimisation import Average, averaged, clip, learning_rate, make_optimizer
 from lidar2pano.train.placement import arithmetic, check_shares, device_kind, device_name
 from lidar2pano.train.processes import average_gradients, check_launcher, largest
-from lidar2pano.train.recipes import Recipe
+from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.release import make_card, release
 from lidar2pano.train.task import Task, build_task
 

@@ -20,7 +20,7 @@ from lidar2pano.models.segmenter import Segmenter
 from lidar2pano.models.titan import IMAGE_SIZE
 from lidar2pano.sensors import VIEWS
 from lidar2pano.train.adversarial import wasserstein_updates
-from lidar2pano.train.recipes import Recipe
+from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import build_networks
 
 

@@ -24,7 +24,7 @@ from lidar2pano.models.segmenter import Segmenter
 from lidar2pano.models.titan_pano import STRIDE, depth_code
 from lidar2pano.sensors import VIEWS
 from lidar2pano.train.panorama import conditions
-from lidar2pano.train.recipes import Recipe
+from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import build_networks
 
 BROAD = 4  # pixels: colours are compared as means over squares of this size

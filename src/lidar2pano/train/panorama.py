@@ -22,7 +22,7 @@ from lidar2pano.models.precision import fast_arithmetic
 from lidar2pano.models.segmenter import Segmenter
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.sensors import VIEWS
-from lidar2pano.train.recipes import Recipe
+from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import build_networks
 
 

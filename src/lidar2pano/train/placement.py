@@ -9,7 +9,7 @@ import torch
 
 from lidar2pano.errors import InputError, closest
 from lidar2pano.models.precision import has_bfloat16
-from lidar2pano.train.recipes import Training
+from lidar2pano.train.recipe import Training
 
 DEVICES = ("auto", "cpu", "cuda")
 log = logging.getLogger(__name__)

@@ -11,7 +11,7 @@ from torch import nn
 
 from lidar2pano import __version__
 from lidar2pano.models.card import Card, save
-from lidar2pano.train.recipes import Network
+from lidar2pano.train.recipe import Network
 
 
 def release(run: Path, name: str, network: nn.Module, card: Card, last: bool = False) -> Path:

@@ -18,7 +18,7 @@ from lidar2pano.losses import lovasz_softmax
 from lidar2pano.metrics.confusion import Confusion
 from lidar2pano.models.segmenter import Segmenter
 from lidar2pano.sensors import VIEWS
-from lidar2pano.train.recipes import Recipe
+from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import build_networks
 
 

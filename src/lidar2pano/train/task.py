@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from torch import Tensor, nn
 
-    from lidar2pano.train.recipes import Recipe
+    from lidar2pano.train.recipe import Recipe
 
 # name -> module of this package and class in it, made as Class(recipe, root); imported on first use
 TASKS: dict[str, str] = {
