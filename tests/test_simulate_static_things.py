@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lidar2pano.simulate import barriers, furniture, houses, plants
-from lidar2pano.simulate.cutouts import SIZE, masks
+from lidar2pano.simulate.cutouts import SIZE, masks, solid_at
 from lidar2pano.simulate.draws import stream
 from lidar2pano.simulate.kinds import KIND_IDS
 from lidar2pano.simulate.materials import MATERIAL_IDS
@@ -201,7 +201,23 @@ def test_leaf_cards_are_big_enough_and_lit_outwards() -> None:
     heart = np.array([0, 0, np.median(middle[:, 2])])
     out = middle - heart
     assert ((mesh.normals[leaves[:, 0]] * out).sum(axis=1) > 0).mean() > 0.9
-    assert mesh.uv[leaves].min() >= 0 and mesh.uv[leaves].max() <= 1
+    assert mesh.uv[leaves][..., 1].min() >= 0 and mesh.uv[leaves][..., 1].max() <= 1
+
+
+@pytest.mark.parametrize("material", ["leaves", "needles", "hedge"])
+def test_a_leaf_card_holds_its_whole_spray_and_few_holes(material: str) -> None:
+    step = (np.arange(-32, 288) + 0.5) / 256
+    u, v = (part.ravel() for part in np.meshgrid(step, step))
+    which = np.full(u.size, masks()[1][MATERIAL_IDS[material]])
+    solid = solid_at(np.stack([u, v], 1), which)
+    x, y = 2 * u - 1, 2 * v - 1
+    inside = np.ones(u.size, dtype=bool)  # to the left of all four sides
+    for (ax, ay), (bx, by) in zip(plants.KITE, np.roll(plants.KITE, -1, axis=0), strict=True):
+        inside &= (bx - ax) * (y - ay) - (by - ay) * (x - ax) >= 0
+    once = (np.abs(x) <= 1) & (np.abs(y) <= 1)
+    assert (solid & inside & once).sum() > 0.94 * (solid & once).sum()
+    assert not (solid & inside & ~once).any()  # the mask repeats beyond its edge
+    assert solid[inside].mean() > 0.5
 
 
 def test_birch_has_white_bark_and_spruce_needles() -> None:

@@ -62,6 +62,8 @@ def test_instances_tell_things_apart(made):
     xyz = frame.scan().xyz
     for number in np.unique(cars):
         # A few points at a car's edge lie between it and what is behind it.
+        if (instance == number).sum() < 30:
+            continue
         low, high = np.percentile(xyz[(raw == 10) & (instance == number), :2], [10, 90], axis=0)
         assert (high - low).max() < 6, "one car"
 

@@ -1,4 +1,4 @@
-"""Fences, railings, walls and guard rails along x from 0 to `length` metres, on ground of any height.
+"""Fences, railings, walls, guard rails along x from 0 to `length` metres, on ground of any height; posts at the edge.
 
 `ground` gives the height (N,) at places x (N,), both in metres; a barrier follows it in pieces of about 2 m.
 """
@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from lidar2pano.simulate.mesh import Mesh, merged, mesh
+from lidar2pano.simulate.shapes import box, tube
 
 Ground = Callable[[np.ndarray], np.ndarray]
 Tint = tuple[float, float, float]
@@ -165,3 +166,12 @@ def noise_barrier(rng: np.random.Generator, length: float, ground: Ground) -> Me
     parts.append(_beam(x, z, _bar(0.5, high - 0.03, -0.04, 0.04), looks))
     parts.append(_posts(x, z, (0.16, 0.2, high + 0.03), ("metal", "wall", (0.8, 0.8, 0.8))))
     return merged(parts)
+
+
+def delineator(rng: np.random.Generator) -> Mesh:
+    """A white post at the edge of a road, with a black band and a reflector that is seen from +x."""
+    height, lean = rng.uniform(0.95, 1.05), rng.normal(0, 0.02, 2)
+    shaft = tube(np.array([(0, 0, -0.2), (*lean, height)]), 0.06, "plastic", "pole", sides=8, tint=(1.7, 1.7, 1.7))
+    dark = np.array([(*(0.7 * lean), height - 0.3), (*lean, height - 0.08)])
+    band = tube(dark, 0.066, "dark-metal", "pole", sides=8, tint=(0.5, 0.5, 0.5))
+    return merged([shaft, band, box((0.066, 0, height - 0.19), (0.01, 0.05, 0.16), "sign", "pole")])

@@ -47,9 +47,9 @@ def _leaves() -> np.ndarray:
         way = np.array([np.cos(turn), np.sin(turn)])
         end = length * rng.uniform(0.65, 1.12)
         _leaf(solid, foot, turn, end, 0.012)
-        for i, away in enumerate(np.arange(0.05, end, 0.042)):
+        for i, away in enumerate(np.arange(0.05, end, 0.033)):
             side = rng.uniform(0.4, 1.3) * (1 if i % 2 else -1)
-            size = rng.uniform(0.085, 0.135)
+            size = rng.uniform(0.095, 0.145)
             _leaf(solid, foot + away * way, turn + side, size, 0.6 * size)
         _leaf(solid, foot + 0.95 * end * way, turn + rng.normal(0, 0.2), 0.11, 0.06)
     return solid

@@ -2,48 +2,29 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from lidar2pano.simulate import cars, furniture, large_vehicles, people, two_wheelers
+from lidar2pano.simulate import barriers, furniture, people, two_wheelers
+from lidar2pano.simulate.fleet import VEHICLES
 from lidar2pano.simulate.places import chosen
 from lidar2pano.simulate.planner import Planner
 from lidar2pano.simulate.roads import Road, locate
-from lidar2pano.simulate.things import Maker
+from lidar2pano.simulate.things import Maker, Piece
 
 PARKED = {"car": 30.0, "van": 3.0, "truck": 0.5, "trailer": 0.4, "motorcycle": 0.6}
 LENGTH = {"car": 4.4, "van": 5.2, "truck": 8.5, "trailer": 5.0, "motorcycle": 2.2}
 
 
-class Post(NamedTuple):
-    """Something on a post; it looks at the road, or at the traffic that comes along its side."""
-
-    make: Maker
-    name: str
-    radius: float
-    faces_traffic: bool = False
-
-
-LAMP = Post(lambda rng, _: furniture.street_lamp(rng), "lamp", 0.3)
-WIRE_POLE = Post(lambda rng, _: furniture.pole(rng), "pole", 0.3)
-SIGN = Post(lambda rng, _: furniture.sign(rng), "sign", 0.2, faces_traffic=True)
-GIVE_WAY = Post(lambda rng, _: furniture.sign(rng, "give way"), "sign", 0.2, faces_traffic=True)
-STREET_NAME = Post(lambda rng, _: furniture.sign(rng, "street name"), "sign", 0.2)
-LIGHT = Post(lambda rng, _: furniture.traffic_light(rng), "traffic light", 0.3, faces_traffic=True)
-
-
-def _vehicle(name: str) -> Maker:
-    return {
-        "car": lambda rng, _: cars.car(rng),
-        "van": lambda rng, _: cars.car(rng, "van"),
-        "truck": lambda rng, _: large_vehicles.truck(rng),
-        "trailer": lambda rng, _: large_vehicles.trailer(rng),
-        "bus": lambda rng, _: large_vehicles.bus(rng),
-        "tram": lambda rng, _: large_vehicles.tram(rng),
-        "motorcycle": lambda rng, _: two_wheelers.motorcycle(rng),
-        "bicycle": lambda rng, _: two_wheelers.bicycle(rng),
-    }[name]
+LAMP = Piece(lambda rng, _: furniture.street_lamp(rng), "lamp", 0.3)
+WIRE_POLE = Piece(lambda rng, _: furniture.pole(rng), "pole", 0.3)
+DELINEATOR = Piece(lambda rng, _: barriers.delineator(rng), "delineator", 0.1)
+STREET_NAME = Piece(lambda rng, _: furniture.sign(rng, "street name"), "sign", 0.2)
+# These look at the traffic that comes along their side; the others look at the road.
+SIGN = Piece(lambda rng, _: furniture.sign(rng), "sign", 0.2)
+GIVE_WAY = Piece(lambda rng, _: furniture.sign(rng, "give way"), "sign", 0.2)
+LIGHT = Piece(lambda rng, _: furniture.traffic_light(rng), "traffic light", 0.3)
+FACING_TRAFFIC = (SIGN, GIVE_WAY, LIGHT, DELINEATOR)
+BIN = Piece(lambda rng, _: furniture.bin(rng), "bin", 0.5)
 
 
 def parked(plan: Planner) -> None:
@@ -76,7 +57,7 @@ def _kerb_row(plan: Planner, rng: np.random.Generator, road: Road, side: int, sh
             if at.other[0] > 7:
                 turned = float(heading) + (np.pi if (side > 0) != (rng.uniform() < 0.08) else 0.0)
                 yaw = turned + rng.normal(0, 0.015)
-                plan.try_stand(_vehicle(kind), kind, xy, yaw, long / 2 - 0.4, raised=False, square=True, counted=True)
+                plan.try_stand(Piece(VEHICLES[kind], kind, long / 2 - 0.4, False, True, True), xy, yaw)
         s += long + max(rng.normal(1.1, 0.4), 0.5)
 
 
@@ -88,17 +69,15 @@ def driveways(plan: Planner) -> None:
         for s in rng.uniform(stretch.start, stretch.end, count):
             kind = chosen(rng, {"car": 5.0, "van": 0.7, "bicycle": 2.0, "bin": 3.0, "trailer": 0.2})
             deep = road.sidewalk + {"bicycle": 0.9, "bin": 0.6}.get(kind, 3.4)
-            xy, heading = road.at(
-                np.array(s), stretch.side * (float(road.edge(np.array(s), np.array(stretch.side))) + deep)
-            )
+            xy, heading = road.beyond(s, stretch.side, deep)
             if locate(plan.town.roads, xy[None]).outside[0] < road.sidewalk:
                 continue
             yaw = float(heading) - stretch.side * np.pi / 2 + rng.normal(0, 0.08)
             if kind == "bin":
-                plan.try_stand(lambda rng, _: furniture.bin(rng), "bin", xy, yaw, 0.5)
+                plan.try_stand(BIN, xy, yaw)
             else:
                 radius = 1.0 if kind == "bicycle" else 2.3
-                plan.try_stand(_vehicle(kind), kind, xy, yaw, radius, square=True, counted=True)
+                plan.try_stand(Piece(VEHICLES[kind], kind, radius, square=True, counted=True), xy, yaw)
 
 
 def lamps(plan: Planner) -> None:
@@ -116,14 +95,22 @@ def lamps(plan: Planner) -> None:
             _beside(plan, road, float(s), stretch.side, off, post)
 
 
-def _beside(plan: Planner, road: Road, s: float, side: int, off: float, post: Post) -> None:
+def delineators(plan: Planner) -> None:
+    """White posts along both edges of roads without pavements."""
+    for road in plan.town.roads:
+        if road.sidewalk:
+            continue
+        for side in (-1, 1):
+            for s in np.arange(5.0, road.length, 25.0):
+                _beside(plan, road, float(s), side, 0.6, DELINEATOR)
+
+
+def _beside(plan: Planner, road: Road, s: float, side: int, off: float, post: Piece) -> None:
     """A post `off` metres beyond the kerb."""
-    xy, heading = road.at(np.array(s), side * (float(road.edge(np.array(s), np.array(side))) + off))
+    xy, heading = road.beyond(s, side, off)
     if locate(plan.town.roads, xy[None]).outside[0] > 0.2:
-        yaw = float(heading) - (0.0 if post.faces_traffic else side * np.pi / 2)
-        if post.faces_traffic and side < 0:
-            yaw += np.pi
-        plan.try_stand(post.make, post.name, xy, yaw, post.radius)
+        turned = (np.pi if side < 0 else 0.0) if post in FACING_TRAFFIC else -side * np.pi / 2
+        plan.try_stand(post, xy, float(heading) + turned)
 
 
 def signs(plan: Planner) -> None:
@@ -131,7 +118,7 @@ def signs(plan: Planner) -> None:
     for index, road in enumerate(plan.town.roads):
         rng = plan.rng("signs", index)
         for side in (-1, 1):
-            for s in np.cumsum(rng.uniform(14, 48, int(road.length / 14))):
+            for s in np.cumsum(rng.uniform(8, 26, int(road.length / 8))):
                 if s < road.length - 3:
                     _beside(plan, road, float(s), side, 0.45, SIGN)
     main = plan.town.roads[0]
@@ -174,12 +161,11 @@ def clutter(plan: Planner) -> None:
         for s in rng.uniform(stretch.start, stretch.end, rng.poisson((stretch.end - stretch.start) / 18)):
             name = chosen(rng, {key: row[2] for key, row in makers.items()})
             make, radius, _ = makers[name]
-            edge = float(road.edge(np.array(s), np.array(stretch.side)))
-            xy, heading = road.at(np.array(s), stretch.side * (edge + max(road.sidewalk - 0.5, 0.6)))
+            xy, heading = road.beyond(s, stretch.side, max(road.sidewalk - 0.5, 0.6))
             if locate(plan.town.roads, xy[None]).outside[0] < 0.4:
                 continue
             yaw = float(heading) + (rng.uniform(0, 6.28) if name == "person" else -stretch.side * np.pi / 2)
             if name in ("bicycle", "motorcycle"):
                 yaw += np.pi / 2
             counted = name in ("bicycle", "motorcycle", "person")
-            plan.try_stand(make, name, xy, yaw, radius, counted=counted)
+            plan.try_stand(Piece(make, name, radius, counted=counted), xy, yaw)

@@ -13,8 +13,9 @@ from lidar2pano.simulate.raycast import Hits, Scene
 from lidar2pano.simulate.returns import Echoes, as_float, lost, measured, remission
 
 SECTORS = 8  # a turn's moments at which moving things are looked at
-# Leaves are smaller than a card's and the beam wider than a ray: pulses go deeper, this often, this many times.
-DEEPER, DEPTHS, BEHIND = 0.2, 2, 0.04
+# Leaves are smaller than a card's and the beam wider than a ray: this share of the pulses goes a leaf deeper, at least
+# so many metres behind the first.
+DEEPER, BEHIND = 0.2, 0.04
 _LEAFY = column("through") > 0
 
 Pose = Callable[[np.ndarray], np.ndarray]
@@ -78,18 +79,19 @@ def sweep(
     here = echoes.hits.met & (distance >= sensor.nearest) & (distance < sensor.farthest)
     if not clean:
         here &= ~lost(sensor, echoes, rng)
+    bright = remission(sensor, echoes.within(here), None if clean else rng)
     kept = np.flatnonzero(here)
-    xyz = echoes.start[kept] + echoes.way[kept] * distance[kept, None]
+    points = np.empty((len(kept), 4), dtype=np.float32)
+    points[:, :3] = echoes.start[kept] + echoes.way[kept] * distance[kept, None]
+    points[:, 3] = bright[kept]
     if sensor.order == "rings":
-        order = _by_rings(xyz, echoes.ring[kept])
-        kept, xyz = kept[order], xyz[order]
-    echoes = echoes.taken(kept)
-    bright = remission(sensor, echoes, None if clean else rng)
+        order = _by_rings(points, echoes.ring[kept])
+        kept, points = kept[order], points[order]
     return Sweep(
-        points=np.concatenate([xyz, bright[:, None]], axis=1),
-        raw=echoes.hits.raw,
-        instance=echoes.hits.instance,
-        ring=echoes.ring,
+        points=points,
+        raw=echoes.hits.raw[kept],
+        instance=echoes.hits.instance[kept],
+        ring=echoes.ring[kept],
         time=np.repeat(rays.time.astype(np.float32), len(sensor))[rays.live][kept],
     )
 
@@ -130,21 +132,21 @@ def _rays(sensor: Sensor, pose: Pose, rng: np.random.Generator, clean: bool) -> 
 
 
 def _echoing(scene: Scene, origin: np.ndarray, way: np.ndarray, rng: np.random.Generator | None) -> Hits:
-    """What pulses (N) meet that is dense enough to answer: many go some leaves deeper than a ray would.
+    """What pulses (N) meet that is dense enough to answer: some go a leaf deeper than a ray would.
 
     Without that crowns and hedges have a skin, and a network trained on real scans takes them for walls.
     """
-    hits = scene.cast(origin, way)
-    for _ in range(DEPTHS if rng is not None else 0):
-        leafy = np.flatnonzero(_LEAFY[hits.material] & hits.met)
-        assert rng is not None
-        leafy = leafy[rng.random(len(leafy), dtype=np.float32) < DEEPER]
-        gone = hits.distance[leafy] + BEHIND
-        behind = scene.cast(origin[leafy] + way[leafy] * gone[:, None], way[leafy])
-        met = np.flatnonzero(behind.met)  # where nothing follows, the leaf it was
-        for part in fields(Hits):
-            getattr(hits, part.name)[leafy[met]] = getattr(behind, part.name)[met]
-        hits.distance[leafy[met]] += gone[met]
+    hits = scene.cast(origin, way, flat=True)
+    if rng is None:
+        return hits
+    leafy = np.flatnonzero(_LEAFY[hits.material] & hits.met)
+    leafy = leafy[rng.random(len(leafy), dtype=np.float32) < DEEPER]
+    gone = hits.distance[leafy] + np.float32(BEHIND)
+    behind = scene.cast(origin[leafy] + way[leafy] * gone[:, None], way[leafy], flat=True)
+    met = np.flatnonzero(behind.met)  # where nothing follows, the leaf it was
+    for part in fields(Hits):
+        getattr(hits, part.name)[leafy[met]] = getattr(behind, part.name)[met]
+    hits.distance[leafy[met]] += gone[met]
     return hits
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -11,7 +12,7 @@ from lidar2pano.simulate.mesh import Mesh
 from lidar2pano.simulate.places import Quarter, chosen
 from lidar2pano.simulate.planner import Planner
 from lidar2pano.simulate.roads import Road, locate
-from lidar2pano.simulate.things import Maker
+from lidar2pano.simulate.things import Maker, Piece
 from lidar2pano.simulate.town import Stretch, clear_of_roads
 
 Rng = np.random.Generator
@@ -59,17 +60,16 @@ def _lot(
         return
     for circle in circles:
         plan.occupied.take(*circle)
-    plan.stand(_sized(quarter.building, wide, deep), quarter.building, xy, yaw, max(wide, deep) / 1.6)
+    plan.stand(Piece(_sized(quarter.building, wide, deep), quarter.building, max(wide, deep) / 1.6), xy, yaw)
     if quarter.building == "house" and rng.uniform() < 0.45:
         beside, where = _facing(road, s + rng.choice([-1, 1]) * (wide / 2 + 2.2), stretch.side, road.sidewalk + off + 4)
         if clear_of_roads(plan.town.roads, _corners(where, beside, 6, 3.2), 0.2).all():
-            plan.try_stand(_sized("garage", 3, 6), "garage", where, beside, 2.0)
+            plan.try_stand(Piece(_sized("garage", 3, 6), "garage", 2.0), where, beside)
 
 
 def _facing(road: Road, s: float, side: int, away: float) -> tuple[float, np.ndarray]:
     """Yaw towards the road, and the place `away` metres beyond the kerb."""
-    edge = float(road.edge(np.array(s), np.array(side)))
-    xy, heading = road.at(np.array(s), side * (edge + away))
+    xy, heading = road.beyond(s, side, away)
     return float(heading) - side * np.pi / 2, xy
 
 
@@ -107,7 +107,7 @@ def _border(plan: Planner, rng: Rng, road: Road, side: int, kind: str, span: tup
         if last - first < 1.5:
             continue
         s = np.linspace(first, last, 5)
-        xy, _ = road.at(s, side * (road.edge(s, np.full(5, side)) + road.sidewalk + off))
+        xy, _ = road.beyond(s, side, road.sidewalk + off)
         at = locate(plan.town.roads, xy)
         walk = np.array([part.sidewalk for part in plan.town.roads])[at.road]
         if not (at.outside > walk + 0.1).all() or not all(plan.occupied.free(x, y, 0.1) for x, y in xy):
@@ -116,7 +116,7 @@ def _border(plan: Planner, rng: Rng, road: Road, side: int, kind: str, span: tup
         length, yaw = float(np.hypot(*run)), float(np.arctan2(run[1], run[0]))
         for x, y in xy:
             plan.occupied.take(float(x), float(y), 0.3)
-        plan.stand(_barrier(plan, kind, xy[0], yaw, length, height), f"border {kind}", xy[0], yaw, 0.0)
+        plan.stand(Piece(_barrier(plan, kind, xy[0], yaw, length, height), f"border {kind}", 0.0), xy[0], yaw)
 
 
 def _barrier(plan: Planner, kind: str, start: np.ndarray, yaw: float, length: float, height: float) -> Maker:
@@ -127,9 +127,14 @@ def _barrier(plan: Planner, kind: str, start: np.ndarray, yaw: float, length: fl
         return plan.town.terrain.height(start + np.asarray(x)[..., None] * way) - plan.town.terrain.height(start)
 
     if kind == "hedge":
-        return lambda rng, detail: plants.hedge(rng, length, height, rng.uniform(0.6, 1.1), detail).placed(
-            (length / 2, 0, float(land(np.array(length / 2)))), 0.0
-        )
+
+        def grown(rng: Rng, detail: float) -> Mesh:
+            level = plants.hedge(rng, length, height, rng.uniform(0.6, 1.1), detail).placed((length / 2, 0, 0), 0.0)
+            rise = np.zeros_like(level.vertices)
+            rise[:, 2] = land(level.vertices[:, 0])
+            return replace(level, vertices=level.vertices + rise)
+
+        return grown
     makers = {
         "picket": barriers.picket_fence,
         "wire": barriers.wire_fence,
@@ -159,7 +164,8 @@ def guard_rails(plan: Planner) -> None:
             if off > road.half_width and locate(plan.town.roads, xy).other.min() < 3:
                 continue
             yaw = float(np.arctan2(run[1], run[0]))
-            plan.stand(_barrier(plan, "guard", xy[0], yaw, float(np.hypot(*run)), 0.75), "guard rail", xy[0], yaw, 0.0)
+            rail = _barrier(plan, "guard", xy[0], yaw, float(np.hypot(*run)), 0.75)
+            plan.stand(Piece(rail, "guard rail", 0.0), xy[0], yaw)
 
 
 def yards(plan: Planner) -> None:
@@ -192,15 +198,15 @@ def shrubs(plan: Planner) -> None:
 def _grow(plan: Planner, rng: Rng, road: Road, side: int, s: np.ndarray, off: np.ndarray, bushes: float) -> None:
     if not len(s):
         return
-    xy, _ = road.at(s, side * (road.edge(s, np.full(len(s), side)) + road.sidewalk + off))
+    xy, _ = road.beyond(s, side, road.sidewalk + off)
     clear = clear_of_roads(plan.town.roads, xy, 0.8)
     for place, bush, turn in zip(
         xy[clear], rng.uniform(size=len(xy))[clear], rng.uniform(0, 6.28, len(xy))[clear], strict=True
     ):
         if bush < bushes:
-            plan.try_stand(plants.bush, "bush", place, float(turn), 0.7)
+            plan.try_stand(Piece(plants.bush, "bush", 0.7), place, float(turn))
         else:
-            plan.try_stand(_tree(rng), "tree", place, float(turn), 1.5)
+            plan.try_stand(Piece(_tree(rng), "tree", 1.5), place, float(turn))
 
 
 SPECIES = {
@@ -232,12 +238,12 @@ def horizon(plan: Planner) -> None:
                 at = rng.uniform(s, s + run, count)
                 xy, _ = road.at(at, side * (away + rng.uniform(0, 14, count)))
                 for place in xy[clear_of_roads(plan.town.roads, xy, 3.0)]:
-                    plan.try_stand(_tree(rng), "far tree", place, float(rng.uniform(0, 6.28)), 1.8)
+                    plan.try_stand(Piece(_tree(rng), "far tree", 1.8), place, float(rng.uniform(0, 6.28)))
             elif plan.town.place.kerb:
                 xy, heading = road.at(np.array(s + run / 2), side * away)
                 if clear_of_roads(plan.town.roads, xy[None], 12.0)[0]:
                     size = rng.uniform(9, 13), rng.uniform(9, 12)
-                    plan.try_stand(_sized("house", *size), "house", xy, float(heading) - side * np.pi / 2, 7.0)
+                    plan.try_stand(Piece(_sized("house", *size), "house", 7.0), xy, float(heading) - side * np.pi / 2)
             s += run + rng.uniform(0, 25)
 
 
@@ -250,8 +256,8 @@ def street_trees(plan: Planner) -> None:
         species, every = chosen(rng, SPECIES), rng.uniform(8, 16)
         off = max(road.sidewalk - 0.7, 1.4) if rng.uniform() < 0.6 else road.sidewalk + 1.5
         s = np.arange(stretch.start + rng.uniform(0, every), stretch.end, every)
-        xy, _ = road.at(s, stretch.side * (road.edge(s, np.full(len(s), stretch.side)) + off))
+        xy, _ = road.beyond(s, stretch.side, off)
         at = locate(plan.town.roads, xy)
         for place, other, outside in zip(xy, at.other, at.outside, strict=True):
             if other > 6 and outside > 0.6 and rng.uniform() < 0.93:
-                plan.try_stand(_tree(rng, species), "tree", place, float(rng.uniform(0, 6.28)), 0.5)
+                plan.try_stand(Piece(_tree(rng, species), "tree", 0.5), place, float(rng.uniform(0, 6.28)))

@@ -9,7 +9,7 @@ import numpy as np
 from lidar2pano.simulate.draws import stream
 from lidar2pano.simulate.places import QUARTERS, Quarter
 from lidar2pano.simulate.roads import Road
-from lidar2pano.simulate.things import Maker, Occupied, Thing
+from lidar2pano.simulate.things import Occupied, Piece, Thing
 from lidar2pano.simulate.town import Stretch, Town
 
 
@@ -33,42 +33,27 @@ class Planner:
             for stretch in row
         ]
 
-    def stand(  # noqa: PLR0913 what stands where, and how
-        self,
-        make: Maker,
-        name: str,
-        xy: np.ndarray,
-        yaw: float,
-        radius: float,
-        *,
-        raised: bool = True,
-        square: bool = False,
-        counted: bool = False,
-    ) -> None:
-        """Add a thing; `raised`: on the pavement's level; `square`: square to the ground."""
-        z = float(self.town.height(xy, raised=raised))
-        normal = tuple(self.town.terrain.normal(xy).tolist()) if square else None
-        at = (float(xy[0]), float(xy[1]), z)
-        number = len(self.things)
+    def stand(self, piece: Piece, xy: np.ndarray, yaw: float) -> None:
+        """Add a thing at a place (2,)."""
+        z = float(self.town.height(xy, raised=piece.raised))
         self.things.append(
-            Thing(make=make, name=name, number=number, at=at, yaw=yaw, radius=radius, normal=normal, counted=counted)
+            Thing(
+                make=piece.make,
+                name=piece.name,
+                number=len(self.things),
+                at=(float(xy[0]), float(xy[1]), z),
+                yaw=yaw,
+                radius=piece.radius,
+                normal=tuple(self.town.terrain.normal(xy).tolist()) if piece.square else None,
+                counted=piece.counted,
+            )
         )
 
-    def try_stand(  # noqa: PLR0913 as `stand`
-        self,
-        make: Maker,
-        name: str,
-        xy: np.ndarray,
-        yaw: float,
-        radius: float,
-        *,
-        raised: bool = True,
-        square: bool = False,
-        counted: bool = False,
-    ) -> bool:
+    def try_stand(self, piece: Piece, xy: np.ndarray, yaw: float) -> bool:
         """Add a thing where its circle is free, and take the circle."""
-        if not self.occupied.free(float(xy[0]), float(xy[1]), radius):
+        circle = (float(xy[0]), float(xy[1]), piece.radius)
+        if not self.occupied.free(*circle):
             return False
-        self.occupied.take(float(xy[0]), float(xy[1]), radius)
-        self.stand(make, name, xy, yaw, radius, raised=raised, square=square, counted=counted)
+        self.occupied.take(*circle)
+        self.stand(piece, xy, yaw)
         return True

@@ -13,6 +13,12 @@ from lidar2pano.simulate.species import SPECIES, STREET, Species
 __all__ = ["SPECIES", "bush", "flower_bed", "hedge", "tall_grass", "tree"]
 
 
+# Corners of a card, in halves of its size. Sprays of leaves grow from their foot into a kite, and what a ray need not
+# look through is left out: outside it are holes only. Grass fills its card.
+KITE = np.array([(0, -1), (1.15, -0.1), (0, 1), (-1.15, -0.1)])
+SQUARE = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float)
+
+
 class _Cards(NamedTuple):
     """N cards: middle, the way of their tips, the side they face, the normal they are lit by (N, 3); size (N, 2)
     metres across and along; tint (N, 3)."""
@@ -63,7 +69,7 @@ def bush(rng: np.random.Generator, detail: float = 1.0) -> Mesh:
             np.array([(0, 0, -0.1), 0.4 * clump + (0, 0, 0.1), clump]),
             (0.03, 0.02, 0.01),
             "bark",
-            "trunk",
+            "vegetation",
             sides=4,
             closed=False,
         )
@@ -116,7 +122,7 @@ def tall_grass(rng: np.random.Generator, length: float, depth: float, height: fl
     # Each card has a back of its own, so that the grass is lit alike from both sides.
     backs = cards._replace(facing=-cards.facing, middle=cards.middle - 0.004 * cards.facing)
     kind = "vegetation" if height > 0.9 else "terrain"
-    return merged([_leafed(cards, "tall-grass", kind), _leafed(backs, "tall-grass", kind, mirrored=True)])
+    return merged([_leafed(cards, "tall-grass", kind, SQUARE), _leafed(backs, "tall-grass", kind, SQUARE, flip=-1)])
 
 
 def flower_bed(rng: np.random.Generator, length: float, depth: float) -> Mesh:
@@ -152,16 +158,15 @@ def _shades(rng: np.random.Generator, count: int, spread: float) -> np.ndarray:
     return light * np.clip(rng.normal(1.0, spread / 3, (count, 3)), 0.7, 1.3)
 
 
-def _leafed(cards: _Cards, material: str, kind: str = "vegetation", *, mirrored: bool = False) -> Mesh:
-    """The cards as a mesh; uv runs 0..1 over each, v towards its tip, u to the right (`mirrored`: to the left)."""
+def _leafed(cards: _Cards, material: str, kind: str = "vegetation", corner: np.ndarray = KITE, flip: int = 1) -> Mesh:
+    """The cards as a mesh of outline `corner` (4, 2); v runs to the tip, u to the right (flip -1: left)."""
     count = len(cards.middle)
     across = _unit(np.cross(cards.tip, cards.facing)) * cards.size[:, :1] / 2
     along = _unit(np.cross(cards.facing, across)) * cards.size[:, 1:] / 2
-    corner = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float)
     points = cards.middle[:, None] + corner[:, :1] * across[:, None] + corner[:, 1:] * along[:, None]
     start = 4 * np.arange(count)[:, None]
     faces = np.concatenate([start + (0, 1, 2), start + (0, 2, 3)], axis=1).reshape(-1, 3)
-    uv = np.tile((corner * (-0.998 if mirrored else 0.998, 0.998) + 1) / 2, (count, 1))
+    uv = np.tile((0.998 * corner * (flip, 1) + 1) / 2, (count, 1))
     # Towards its corners a card is lit as if it were bent, so that it does not look like a board.
     spread = (points - cards.middle[:, None]) / np.maximum(cards.size.max(axis=1)[:, None, None] / 2, 1e-9)
     normals = _unit(cards.lit[:, None] + 0.35 * spread).reshape(-1, 3)
@@ -174,7 +179,7 @@ def _trunk(rng: np.random.Generator, kind: Species, height: float) -> np.ndarray
     """Course and radius (8, 4) of the trunk, from just under the ground into the crown."""
     part = np.array([0, 0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.97 if kind.whorls else 0.85])
     bend = np.cumsum(rng.normal(0, 0.006, (8, 2)), axis=0) * height * (0.2 if kind.whorls else 1.0)
-    girth = kind.girth * height * rng.uniform(0.85, 1.15) * (1 - 0.93 * part) * np.array([1.5, 1.1, 1, 1, 1, 1, 1, 1])
+    girth = kind.girth * height * rng.uniform(0.6, 0.95) * (1 - 0.93 * part) * np.array([1.5, 1.1, 1, 1, 1, 1, 1, 1])
     course = np.column_stack([bend - bend[0], part * height, girth])
     course[0, 2] = -0.25
     return course
@@ -238,7 +243,7 @@ def _crown(  # noqa: PLR0913 the parts of a crown
 
 
 def _limbs(rng: np.random.Generator, kind: Species, trunk: np.ndarray, clumps: np.ndarray, detail: float) -> list[Mesh]:
-    """Main branches, from the trunk to some of the clumps."""
+    """Main branches, from the trunk to some of the clumps; SemanticKITTI counts them as vegetation."""
     chosen = rng.permutation(len(clumps))[: int(np.clip(16 * detail, 3, 16))]
     limbs = []
     for target in clumps[chosen]:
@@ -248,7 +253,7 @@ def _limbs(rng: np.random.Generator, kind: Species, trunk: np.ndarray, clumps: n
         thick = float(min(0.6 * np.interp(start, trunk[:, 2], trunk[:, 3]), 0.08 * np.linalg.norm(target - foot)))
         half = 0.5 * (foot + target) + (*rng.normal(0, 0.04 * rise + 0.02, 2), 0.12 * rise)
         course = np.array([foot, half, target])
-        limbs.append(tube(course, (thick, 0.6 * thick, 0.15 * thick), kind.bark, "trunk", sides=5, closed=False))
+        limbs.append(tube(course, (thick, 0.6 * thick, 0.15 * thick), kind.bark, "vegetation", sides=5, closed=False))
     return limbs
 
 

@@ -31,8 +31,9 @@ class Hits:
     """What N rays met first.
 
     distance  (N,) float32 metres, inf where nothing was met.
-    normal    (N, 3) float32 unit, smooth where the surface is; facet: the flat triangle's. Both face the ray.
-    uv        (N, 2) float32 metres on the surface.
+    normal    (N, 3) float32 unit, smooth where the surface is; facet: the flat triangle's. Both face the ray. Of a
+              flat cast they are the same.
+    uv        (N, 2) float32 metres on the surface; of a flat cast only where it moves.
     material, kind  (N,) uint8 of MATERIAL_IDS and KIND_IDS; kind is SKY where nothing was met.
     tint      (N, 3) float32;  instance (N,) uint16;  moving (N,) bool.
     face      (N,) int64: a number of the triangle, -1 where nothing was met.
@@ -77,14 +78,17 @@ class Scene:
         scene._trees = [self._trees[0], _Tree(moving)]
         return scene
 
-    def cast(self, origin: np.ndarray, way: np.ndarray) -> Hits:
-        """First hits of rays from origin (N, 3) or (3,) along unit vectors way (N, 3), metres."""
+    def cast(self, origin: np.ndarray, way: np.ndarray, *, flat: bool = False) -> Hits:
+        """First hits of rays from origin (N, 3) or (3,) along unit vectors way (N, 3), metres.
+
+        flat  smooth normals, and places on the surface of what stands, are not wanted.
+        """
         way = np.ascontiguousarray(way, dtype=np.float32)
         origin = np.ascontiguousarray(np.broadcast_to(np.asarray(origin, dtype=np.float32), way.shape))
         first = [tree.first(origin, way) for tree in self._trees]
         standing = first[0].distance <= first[1].distance
         found = [np.flatnonzero(standing & (first[0].face >= 0)), np.flatnonzero(~standing)]
-        hits = _nothing(len(way))
+        hits = _nothing(len(way), flat)
         for tree, nearest, rays in zip(self._trees, first, found, strict=True):
             tree.describe(hits, nearest, rays, way)
         if len(found[1]):
@@ -119,12 +123,14 @@ class _Tree:
         parts = [part for part in parts if len(part.mesh)]
         self.mesh = whole
         counts = [len(part.mesh) for part in parts]
-        self.instance = np.repeat(np.array([part.instance for part in parts], dtype=np.uint16), counts)
-        self.moving = np.repeat(np.array([part.moving for part in parts], dtype=bool), counts)
+        part = np.repeat(np.array([(part.instance << 32) | (part.moving << 16) for part in parts], np.uint64), counts)
+        self.moves = any(part.moving for part in parts)
+        # All that is told of a triangle in one number: random reads of large tables are what costs.
+        self.told = part | whole.kind.astype(np.uint64) << 8 | whole.material
         self.facet = face_normals(whole.vertices, whole.faces)
-        # One row a triangle: the normals and texture places of its three corners.
-        self.corners = np.concatenate([whole.normals[whole.faces], whole.uv[whole.faces]], axis=2).astype(np.float32)
-        self.mask = np.append(masks()[1][whole.material], -1)  # the last for face -1
+        # One row a triangle: the texture places of its three corners.
+        self.places = whole.uv[whole.faces].astype(np.float32)
+        self.mask = np.append(masks()[1][whole.material], -1).astype(np.int8)  # the last for face -1
         self._embree = _embree(whole)
 
     def __len__(self) -> int:
@@ -161,22 +167,26 @@ class _Tree:
         return maybe[~self._solid(face[maybe], u[maybe], v[maybe])]
 
     def _solid(self, face: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return solid_at(_mixed(self.corners[face, :, 3:], u, v), self.mask[face])
+        return solid_at(_mixed(self.places[face], u, v), self.mask[face])
 
     def describe(self, hits: Hits, nearest: _Nearest, rays: np.ndarray, way: np.ndarray) -> None:
         """Write into `hits` what some rays met."""
         face = nearest.face[rays]
-        mixed = _mixed(self.corners[face], nearest.u[rays], nearest.v[rays])
-        normal, facet = mixed[:, :3], self.facet[face]
+        u, v, facet = nearest.u[rays], nearest.v[rays], self.facet[face]
         # einsum: numpy's sum over an axis of three is five times slower
         towards = np.where(np.einsum("ij,ij->i", facet, way[rays]) > 0, np.float32(-1), np.float32(1))
-        length = np.maximum(np.sqrt(np.einsum("ij,ij->i", normal, normal)), np.float32(1e-9))
         hits.facet[rays] = facet * towards[:, None]
-        hits.normal[rays] = normal * (towards / length)[:, None]
-        hits.distance[rays], hits.face[rays], hits.uv[rays] = nearest.distance[rays], face, mixed[:, 3:]
-        hits.material[rays], hits.kind[rays] = self.mesh.material[face], self.mesh.kind[face]
-        hits.tint[rays], hits.instance[rays] = self.mesh.tint[face], self.instance[face]
-        hits.moving[rays] = self.moving[face]
+        if hits.normal is not hits.facet:
+            normal = _mixed(self.mesh.normals[self.mesh.faces[face]], u, v)
+            length = np.maximum(np.sqrt(np.einsum("ij,ij->i", normal, normal)), np.float32(1e-9))
+            hits.normal[rays] = normal * (towards / length)[:, None]
+        if hits.normal is not hits.facet or self.moves:
+            hits.uv[rays] = _mixed(self.places[face], u, v)
+        hits.distance[rays], hits.face[rays] = nearest.distance[rays], face
+        told = self.told[face]
+        hits.material[rays], hits.kind[rays] = told.astype(np.uint8), (told >> 8).astype(np.uint8)
+        hits.moving[rays], hits.instance[rays] = (told >> 16).astype(np.uint8), (told >> 32).astype(np.uint16)
+        hits.tint[rays] = self.mesh.tint[face]
 
 
 def _mixed(corners: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -184,11 +194,12 @@ def _mixed(corners: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.einsum("nij,ni->nj", corners, np.stack([1 - u - v, u, v], axis=1))
 
 
-def _nothing(count: int) -> Hits:
+def _nothing(count: int, flat: bool) -> Hits:
+    facet = np.zeros((count, 3), np.float32)
     return Hits(
         distance=np.full(count, np.inf, np.float32),
-        normal=np.zeros((count, 3), np.float32),
-        facet=np.zeros((count, 3), np.float32),
+        normal=facet if flat else np.zeros((count, 3), np.float32),
+        facet=facet,
         uv=np.zeros((count, 2), np.float32),
         material=np.zeros(count, np.uint8),
         kind=np.full(count, SKY, np.uint8),

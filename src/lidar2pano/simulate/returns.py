@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,6 +47,11 @@ class Echoes:
     ring: np.ndarray
     facing: np.ndarray
     frame: np.ndarray
+
+    def within(self, which: np.ndarray) -> Echoes:
+        """The same with the others, (N,) bool, put a metre away: what is computed of those is thrown away."""
+        near = np.where(which, self.hits.distance, np.float32(1))
+        return replace(self, hits=replace(self.hits, distance=near))
 
     def taken(self, which: np.ndarray) -> Echoes:
         """Some of them, by index."""

@@ -63,6 +63,11 @@ class Road:
         xy = self.xy[i] * (1 - part)[..., None] + self.xy[i + 1] * part[..., None]
         return xy + along * (s - inner)[..., None] + left * np.asarray(d)[..., None], heading
 
+    def beyond(self, s: np.ndarray | float, side: int, away: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        """Places (N, 2) `away` metres beyond the kerb of a side (+1 left, -1 right), and the road's headings (N,)."""
+        s = np.asarray(s, dtype=np.float64)
+        return self.at(s, side * (self.edge(s, np.full(s.shape, side)) + away))
+
     def edge(self, s: np.ndarray, side: np.ndarray) -> np.ndarray:
         """Distance (N,) of the kerb from the centreline: the carriageway's half width, and a bay where one is."""
         out = np.full(np.shape(s), self.half_width)

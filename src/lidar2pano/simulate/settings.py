@@ -18,7 +18,7 @@ from lidar2pano.simulate.looks import LOOKS
 from lidar2pano.simulate.places import PLACES
 
 SAVES = ("camera", "panorama")
-FORM = 1  # of the world itself: raised when a seed means another world
+FORM = 2  # of the world itself: raised when a seed means another world
 IMAGE = (1242, 375)
 # KITTI's colour camera: focal length and principal point in pixels, tilt as on its car.
 K = np.array([[721.5377, 0.0, 609.5593], [0.0, 721.5377, 172.854], [0.0, 0.0, 1.0]])

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,10 +13,25 @@ from lidar2pano.simulate.draws import stream
 from lidar2pano.simulate.mesh import Mesh
 
 COARSE, SHAPES = 0.3, 6  # detail below which plants of one maker share this many shapes
+SQUARE = 8.0  # metres: side of the squares by which footprints are found
 PLANTS = ("tree", "far tree", "bush")
 
 Maker = Callable[[np.random.Generator, float], Mesh]
 """(its own stream, detail in (0, 1]) -> a mesh that stands on z = 0 and looks along x."""
+
+
+class Piece(NamedTuple):
+    """What can be put somewhere: its maker, name (of its random streams) and footprint's radius in metres.
+
+    raised   on the pavement's level;  square: square to the ground;  counted: it has an instance number.
+    """
+
+    make: Maker
+    name: str
+    radius: float
+    raised: bool = True
+    square: bool = False
+    counted: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,20 +78,24 @@ def set_on(mesh: Mesh, at: tuple[float, float, float], yaw: float, normal: tuple
 
 @dataclass(slots=True, eq=False)
 class Occupied:
-    """Footprints that are taken: circles (x, y, radius)."""
+    """Footprints that are taken: circles (x, y, radius), by the squares of a grid that they reach into."""
 
-    circles: list[tuple[float, float, float]] = field(default_factory=list)
+    squares: dict[tuple[int, int], list[tuple[float, float, float]]] = field(
+        default_factory=dict[tuple[int, int], list[tuple[float, float, float]]]
+    )
 
     def free(self, x: float, y: float, radius: float) -> bool:
         """Whether a circle overlaps none of those that are taken."""
-        if not self.circles:
-            return True
-        taken = np.array(self.circles)
-        return bool((np.hypot(taken[:, 0] - x, taken[:, 1] - y) > taken[:, 2] + radius).all())
+        return all(
+            (a - x) ** 2 + (b - y) ** 2 > (r + radius) ** 2
+            for square in _squares(x, y, radius)
+            for a, b, r in self.squares.get(square, ())
+        )
 
     def take(self, x: float, y: float, radius: float) -> None:
         """Take a circle."""
-        self.circles.append((x, y, radius))
+        for square in _squares(x, y, radius):
+            self.squares.setdefault(square, []).append((x, y, radius))
 
     def footprint(self, x: float, y: float, yaw: float, size: tuple[float, float]) -> list[tuple[float, float, float]]:
         """Circles that cover a rectangle of `size` (along its x, along its y) but for its corners."""
@@ -85,3 +105,9 @@ class Occupied:
         steps = np.linspace(-reach, reach, max(int(np.ceil(reach / max(radius, 0.1))), 1) * 2 + 1)
         turn = yaw if deep >= wide else yaw + np.pi / 2
         return [(x + step * np.cos(turn), y + step * np.sin(turn), radius) for step in steps]
+
+
+def _squares(x: float, y: float, radius: float) -> Iterator[tuple[int, int]]:
+    for i in range(int((x - radius) // SQUARE), int((x + radius) // SQUARE) + 1):
+        for j in range(int((y - radius) // SQUARE), int((y + radius) // SQUARE) + 1):
+            yield i, j

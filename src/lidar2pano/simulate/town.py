@@ -59,27 +59,22 @@ class Town:
         return self.terrain.height(xy) + (self.roads[road].kerb if raised else 0.0)
 
 
-def town(seed: int, length: float, place: str = "") -> Town:
-    """The town around a drive of `length` metres; `place` in PLACES, or drawn by their shares."""
-    rng = stream(seed, "town")
-    name = chosen(rng, {name: row.share for name, row in PLACES.items()})
-    name = place or name
-    row = PLACES[name]
+def town(seed: int, length: float, place: str) -> Town:
+    """The town around a drive of `length` metres; `place` in PLACES."""
+    row = PLACES[place]
     main = _main_road(stream(seed, "main road"), row, length)
     sides = _side_roads(stream(seed, "side roads"), row, main)
     roads = (main, *(road for road, _ in sides))
     stretches = tuple(tuple(_stretches(stream(seed, "quarters", index), row, road)) for index, road in enumerate(roads))
-    terrain = Terrain.drawn(stream(seed, "terrain"), row.steep * rng.uniform(0.2, 1.3))
+    terrain = Terrain.drawn(stream(seed, "terrain"), row.steep * stream(seed, "town").uniform(0.2, 1.3))
     return Town(
-        seed=seed, name=name, roads=roads, terrain=terrain, stretches=stretches, junctions=tuple(at for _, at in sides)
+        seed=seed, name=place, roads=roads, terrain=terrain, stretches=stretches, junctions=tuple(at for _, at in sides)
     )
 
 
 def _main_road(rng: np.random.Generator, row: Place, length: float) -> Road:
-    xy, heading = course(rng, (-AHEAD, 0.0), 0.0, length + 2 * AHEAD, row.bends)
-    straight = rng.uniform() < 0.3
-    if straight:
-        xy, heading = course(rng, (-AHEAD, 0.0), 0.0, length + 2 * AHEAD, 20 * row.bends)
+    bends = row.bends * (20 if rng.uniform() < 0.3 else 1)  # some are straight
+    xy, heading = course(rng, (-AHEAD, 0.0), 0.0, length + 2 * AHEAD, bends)
     return Road(
         xy=xy,
         heading=heading,

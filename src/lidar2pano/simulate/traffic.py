@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
-from lidar2pano.simulate import cars, large_vehicles, people, two_wheelers
+from lidar2pano.simulate import people
 from lidar2pano.simulate.draws import stream
 from lidar2pano.simulate.drive import Drive, lanes
+from lidar2pano.simulate.fleet import VEHICLES
 from lidar2pano.simulate.mesh import Mesh
 from lidar2pano.simulate.places import chosen
 from lidar2pano.simulate.raycast import Part
@@ -20,7 +20,7 @@ from lidar2pano.simulate.town import Town
 SIGHT = 110.0  # metres: farther actors are left out
 Delay = Callable[[np.ndarray], float]
 STRIDE = 1.45  # metres that a walker's two steps take
-PHASES = 12  # pictures of one stride
+PHASES, CLOSE = 8, 25.0  # pictures of one stride; farther away than so many metres half of them do
 TOUCH = 1.7  # metres: an actor that close would be inside the recording car, and is left out
 CLEAR = 11.0  # metres before and behind the recording car in its own lane
 
@@ -58,26 +58,14 @@ class Actor:
         """Metres along the road; who leaves at one end comes in at the other."""
         return (self.start + self.way * float(self.travelled(np.array(time)))) % length
 
-    def mesh(self, seed: int, time: float) -> Mesh:
-        """The mesh at a time, at its own origin."""
+    def mesh(self, seed: int, time: float, away: float) -> Mesh:
+        """The mesh at a time, at its own origin, as it is seen from `away` metres."""
         far = float(self.travelled(np.array(time)))
         step = int(far / self.gait * PHASES) % PHASES if self.gait else 0
+        step -= step % (1 if away < CLOSE else 2)
         if step not in self.shapes:
             self.shapes[step] = self.make(stream(seed, "actor", self.name, self.number), step / PHASES)
         return self.shapes[step]
-
-
-def _vehicle(name: str) -> Callable[[np.random.Generator, float], Mesh]:
-    makers: dict[str, Callable[[np.random.Generator], Mesh]] = {
-        "car": cars.car,
-        "van": partial(cars.car, body="van"),
-        "truck": large_vehicles.truck,
-        "bus": large_vehicles.bus,
-        "tram": large_vehicles.tram,
-        "motorcyclist": two_wheelers.motorcyclist,
-        "bicyclist": two_wheelers.bicyclist,
-    }
-    return lambda rng, _: makers[name](rng)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -93,16 +81,19 @@ class Traffic:
 
         delay  how much later each one is seen, by its place (3,): a LiDAR does not look everywhere at once.
         """
-        out = []
-        for number, actor in enumerate(self.actors):
-            at, _ = self._place(actor, time)
-            away = np.hypot(at[0] - near[0], at[1] - near[1])
-            if away > SIGHT + actor.half or away < TOUCH:
-                continue
-            then = time + (delay(np.array(at)) if delay else 0.0)
+        if not self.actors:
+            return []
+        out, road = [], self.town.roads[0]
+        along = np.array([actor.along(time, road.length) for actor in self.actors])
+        xy, _ = road.at(along, np.array([actor.aside for actor in self.actors]))
+        away = np.hypot(*(xy - near).T)
+        seen = (away <= SIGHT + np.array([actor.half for actor in self.actors])) & (away >= TOUCH)
+        for number in np.flatnonzero(seen).tolist():
+            actor = self.actors[number]
+            then = time + (delay(np.array(self._place(actor, time)[0])) if delay else 0.0)
             at, yaw = self._place(actor, then)
             normal = tuple(self.town.terrain.normal(np.array(at[:2])).tolist())
-            mesh = set_on(actor.mesh(self.town.seed, then), at, yaw, normal)
+            mesh = set_on(actor.mesh(self.town.seed, then, float(away[number])), at, yaw, normal)
             out.append(Part(mesh=mesh, instance=self.first + number, moving=True))
         return out
 
@@ -137,8 +128,9 @@ def _vehicles(drive: Drive) -> Iterator[Actor]:
             own = drive.along(np.zeros(1))[0]
             if not (mine and abs(s - own) < CLEAR + half):
                 travelled = _paced(drive, pace) if mine or way > 0 else _steady(town.place.speed * pace)
-                make = _vehicle(name)
-                yield Actor(make, f"{name} {lane}", number, s, travelled, way, aside + rng.normal(0, 0.1), half)
+                yield Actor(
+                    VEHICLES[name], f"{name} {lane}", number, s, travelled, way, aside + rng.normal(0, 0.1), half
+                )
             number += 1
             s += half + 5.0 + rng.exponential(gap)
 
@@ -157,7 +149,7 @@ def _cyclists(town: Town) -> Iterator[Actor]:
     for number in range(rng.poisson(town.place.cyclists * road.length / 100)):
         way = int(rng.choice([-1, 1]))
         speed, s = rng.uniform(3.2, 6.5), rng.uniform(0, road.length)
-        yield Actor(_vehicle("bicyclist"), "bicyclist", number, s, _steady(speed), way, -way * aside, 1.0)
+        yield Actor(VEHICLES["bicyclist"], "bicyclist", number, s, _steady(speed), way, -way * aside, 1.0)
 
 
 def _walkers(town: Town) -> Iterator[Actor]:

@@ -92,8 +92,9 @@ def world(seed: int, seconds: float, place: str = "") -> World:
     drive = Drive.drawn(built, speed)
     plan = Planner(town=built)
     for step in (
-        lots.buildings, lots.borders, kerbside.parked, kerbside.lamps, kerbside.signs, lots.street_trees,
-        kerbside.driveways, kerbside.clutter, lots.shrubs, lots.yards, lots.horizon, lots.guard_rails,
+        lots.buildings, lots.borders, kerbside.parked, kerbside.lamps, kerbside.signs, kerbside.delineators,
+        lots.street_trees, kerbside.driveways, kerbside.clutter, lots.shrubs, lots.yards, lots.horizon,
+        lots.guard_rails,
     ):  # fmt: skip
         step(plan)
     counted = sum(thing.counted for thing in plan.things)
