@@ -54,9 +54,22 @@ def info(
 
 
 @weights.command("import")
-def import_file(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Checkpoint that the network's authors published.")],
-    network: Annotated[str, typer.Option("--as", metavar="NETWORK", help="salsanext, titan or titan-critic.")],
+def import_files(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE", help="Checkpoint that the network's authors published; vid2vid: one per scale, or a folder."
+        ),
+    ],
+    network: Annotated[
+        str,
+        typer.Option(
+            "--as",
+            metavar="NETWORK",
+            help="salsanext, titan, titan-critic, sdnet, vid2vid, vid2vid-single, vid2vid-image-critic,"
+            " vid2vid-temporal-critic, pix2pix or pix2pix-critic.",
+        ),
+    ],
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The weight file to write (NETWORK.safetensors).")
     ] = None,
@@ -73,13 +86,17 @@ def import_file(
     check_file(target, "--out")
     if target.exists():
         raise InputError(f"{target}: exists already; remove it or choose another --out")
-    state = import_published(file, network)
-    model = build(network)
-    model.load_state_dict(state)
+    settings, state = import_published(files, network)
+    with torch.device("meta"):  # the largest have 1.6 GiB: once is enough
+        model = build(network, **settings)
+    model.load_state_dict(state, assign=True)
+    card = published_card(network, ", ".join(file.name for file in files), settings)
     try:
-        card = save(target, model, published_card(network, file.name), dtype=torch.float32)
+        card = save(target, model, card, dtype=torch.float32)
     except OSError as error:
         raise InputError(f"{target}: cannot be written ({error.strerror or error}); choose another --out") from error
+    except ValueError as error:
+        raise InputError(f"{', '.join(map(str, files))}: {error}; give another checkpoint") from error
     print(f"{target}: {card.network}, licence: {card.licence}")
 
 

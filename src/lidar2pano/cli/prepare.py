@@ -1,0 +1,148 @@
+"""lidar2pano prepare."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lidar2pano.cli.app import MISTAKE, app, complain
+from lidar2pano.errors import InputError
+
+if TYPE_CHECKING:
+    from lidar2pano.prepare import Labelled, Material, Teacher
+
+NOBODY = "none"
+OPTIONS = {".label": "--labels-folder", ".png": "--camera-labels-folder"}
+TAKEN = ("velodyne", "image_2", "image_3", "calib", "pano")  # folders of a sequence that hold something else
+
+
+@app.command()
+def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
+    root: Annotated[Path, typer.Argument(metavar="ROOT", help="A data set in SemanticKITTI's layout.")],
+    lidar: Annotated[
+        str, typer.Option(metavar="NAME|FILE|none", help="Who labels scans: a family, a run or a weight file.")
+    ] = "kitti-mini",
+    teacher: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE|KIND:PATH|none",
+            help="Who labels pictures: weights of sdnet, mask2former:PATH or oneformer:PATH (a folder, or a model in"
+            " the hub's cache).",
+        ),
+    ] = NOBODY,
+    split: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Only this split; repeatable (all sequences).")
+    ] = None,
+    scales: Annotated[
+        str, typer.Option(metavar="LIST", help="Sizes at which pictures are looked at, e.g. 0.5,1,2 (the teacher's).")
+    ] = "",
+    unsure: Annotated[
+        float, typer.Option(metavar="P", help="Pixels whose best class is less probable than this become 255.")
+    ] = 0.4,
+    labels_folder: Annotated[
+        str, typer.Option(metavar="NAME", help="Folder of each sequence for the labels of scans.")
+    ] = "labels",
+    camera_labels_folder: Annotated[
+        str, typer.Option(metavar="NAME", help="Folder of each sequence for the labels of pictures.")
+    ] = "camera_labels",
+    device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
+    as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per frame on stdout.")] = False,
+) -> None:
+    """Let teachers label a data set's scans and pictures. Repeat the command to go on; files of others stay."""
+    if lidar == NOBODY == teacher:
+        raise InputError("--lidar none --teacher none: nobody is left to label anything; name one of the two")
+    folders = (
+        _folder_name(labels_folder, "--labels-folder"),
+        _folder_name(camera_labels_folder, "--camera-labels-folder"),
+    )
+    if folders[0] == folders[1]:
+        raise InputError(f"--camera-labels-folder {folders[1]}: is the folder for the labels of scans; choose another")
+    factors = _factors(scales)
+    from lidar2pano.prepare import camera_teacher, lidar_teacher, materials
+
+    teachers: list[Teacher] = []
+    if lidar != NOBODY:
+        teachers.append(lidar_teacher(lidar, folder=folders[0], device=device))
+    if teacher != NOBODY:
+        made = camera_teacher(teacher, folder=folders[1], scales=factors, unsure=unsure, device=device)
+        teachers.append(made)
+    found = materials(root, split or [])
+    if teacher == NOBODY and any(one.picture for one in found):
+        complain("pictures are left alone: name who labels them with --teacher")
+    raise typer.Exit(_work(found, teachers, as_json))
+
+
+def _work(found: list[Material], teachers: list[Teacher], as_json: bool) -> int:
+    """Label everything, say so, and return the exit code."""
+    from lidar2pano.allocator import keep_buffers
+    from lidar2pano.cli.progress import bar
+    from lidar2pano.prepare import State, label
+
+    keep_buffers()
+    counts: dict[str, Counter[State]] = {teacher.folder: Counter() for teacher in teachers}
+    with bar(len(found), "preparing") as advance:
+        for material, done in label(found, teachers):
+            for one in done:
+                counts[one.folder][one.state] += 1
+                if one.problem:
+                    complain(one.problem)
+                elif one.state is State.WRITTEN and counts[one.folder][State.WRITTEN] == 1:
+                    _note_licence(next(teacher for teacher in teachers if teacher.folder == one.folder))
+            if as_json:
+                print(json.dumps(record_of(material, done)), flush=True)
+            advance()
+    for teacher in teachers:
+        count = counts[teacher.folder]
+        if count[State.KEPT]:
+            complain(
+                f"{count[State.KEPT]} files in {teacher.folder}/ are not prepare's own and stay as they are; to have"
+                f" labels beside them choose another {OPTIONS[teacher.suffix]}"
+            )
+        if not as_json:
+            print(spoken(teacher.folder, count))
+    return MISTAKE if any(count[State.FAILED] for count in counts.values()) else 0
+
+
+def record_of(material: Material, done: list[Labelled]) -> dict[str, Any]:
+    """What --json prints of one frame."""
+    return {
+        "frame": material.frame.name,
+        "outputs": [
+            {"file": str(one.file), "state": one.state.value} | ({"problem": one.problem} if one.problem else {})
+            for one in done
+        ],
+    }
+
+
+def spoken(folder: str, count: Counter[Any]) -> str:
+    """What is printed of one folder for people."""
+    from lidar2pano.prepare import State
+
+    words = {State.WRITTEN: "written", State.CURRENT: "up to date", State.KEPT: "kept", State.FAILED: "failed"}
+    parts = [f"{count[state]} {word}" for state, word in words.items() if count[state]]
+    return f"{folder}: {', '.join(parts) or 'nothing to look at'}"
+
+
+def _note_licence(teacher: Teacher) -> None:
+    from lidar2pano.models.families import licence_note
+
+    files = {path.name: path for path in teacher.weights if path.suffix == ".safetensors"}
+    if note := licence_note(files):
+        complain(f"{teacher.folder}: {note}")
+
+
+def _folder_name(name: str, option: str) -> str:
+    if not name or Path(name).name != name or name in (*TAKEN, ".", ".."):
+        raise InputError(f"{option} {name}: is no name for a folder of labels; choose one such as predicted_labels")
+    return name
+
+
+def _factors(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(",")) if text.strip() else ()
+    except ValueError:
+        raise InputError(f"--scales {text}: is no list of numbers; write it like 0.5,1,2") from None

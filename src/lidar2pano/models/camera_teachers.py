@@ -1,0 +1,208 @@
+"""Camera teachers that users have from elsewhere: Mask2Former and OneFormer, run by the package `transformers`.
+
+Papers    Cheng et al.: Masked-attention Mask Transformer for Universal Image Segmentation, 2022 (arXiv:2112.01527);
+          Jain et al.: OneFormer: One Transformer to Rule Universal Image Segmentation, 2023 (arXiv:2211.06220).
+Both answer with queries, each a class and a mask; a pixel's score for a class is the sum over the queries of class
+probability times mask probability (Cheng et al. 2021, arXiv:2107.06278, section 3.4, semantic inference).
+Deviates  from the image processors of `transformers`: pictures are taken at their own size times the scales, not
+          squeezed into a fixed one, and no torchvision is needed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import interpolate, pad
+
+from lidar2pano.errors import InputError
+from lidar2pano.labels import CITYSCAPES
+from lidar2pano.models.camera_segmenter import Colours
+
+# kind -> class of transformers
+KINDS: dict[str, str] = {
+    "mask2former": "Mask2FormerForUniversalSegmentation",
+    "oneformer": "OneFormerForUniversalSegmentation",
+}
+STRIDE = 32  # of the coarsest features of the backbones
+WEIGHTS = ("*.safetensors", "*.bin")
+SETTINGS = ("*.json", "*.txt")
+TASK = "the task is semantic"  # what OneFormer is told
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MaskSegmenter:
+    """A network of queries as a CameraTeacher.
+
+    network    of `transformers`: pixel_values (1, 3, H, W) -> class logits (1, Q, K + 1), mask logits (1, Q, H', W').
+    classes    (19,) int64: the network's class for every Cityscapes train id.
+    normalise  of its pictures.
+    scales     sizes of the picture that are looked at, as factors; their answers are averaged.
+    task       (1, T) tokens that say what is wanted (OneFormer); None for a network that is not asked.
+    """
+
+    network: nn.Module
+    classes: Tensor
+    normalise: Colours
+    scales: tuple[float, ...] = (1.0,)
+    task: Tensor | None = None
+
+    @torch.inference_mode()
+    def probabilities(self, image: np.ndarray) -> Tensor:
+        """Probabilities (19, h, w) float32 on the network's device, of a picture (h, w, 3) uint8 RGB.
+
+        What the network gives to no query, or to classes that Cityscapes has not, goes to all 19 alike.
+        """
+        x = self.normalise(torch.from_numpy(image).to(self.classes.device).movedim(2, 0))[None]
+        size = image.shape[0], image.shape[1]
+        return torch.stack([self._at(scale, x, size) for scale in self.scales]).mean(0)
+
+    def _at(self, scale: float, x: Tensor, size: tuple[int, int]) -> Tensor:
+        rows, columns = (max(round(side * scale), 1) for side in size)
+        if (rows, columns) != size:
+            x = interpolate(x, (rows, columns), mode="bilinear", align_corners=False, antialias=scale < 1)
+        x = pad(x, (0, -columns % STRIDE, 0, -rows % STRIDE), mode="replicate")
+        answer = self.network(pixel_values=x, **({} if self.task is None else {"task_inputs": self.task}))
+        masks = interpolate(answer.masks_queries_logits, x.shape[-2:], mode="bilinear", align_corners=False)
+        believed = answer.class_queries_logits[0].softmax(1)[:, :-1]  # the last class is "no object"
+        scores = torch.einsum("qc,qhw->chw", believed, masks[0, :, :rows, :columns].sigmoid())
+        scores = scores / scores.sum(0).clamp(min=1)
+        known = scores[self.classes]
+        known = known + (1 - known.sum(0)) / len(CITYSCAPES)
+        if (rows, columns) == size:
+            return known
+        return interpolate(known[None], size, mode="bilinear", align_corners=False)[0]
+
+
+def load_teacher(kind: str, folder: Path, device: torch.device, scales: Sequence[float] = (1.0,)) -> MaskSegmenter:
+    """A teacher of KINDS from a folder as `transformers` saves them; nothing is downloaded, nothing executed.
+
+    Raises InputError when `transformers` is not installed, the folder does not hold such a network, weights are
+    missing, or its classes have not all of Cityscapes'.
+    """
+    transformers = _transformers()
+    settings = _json(folder / "config.json")
+    if settings.get("model_type") != kind:
+        raise InputError(f"{folder}: holds a {settings.get('model_type')!r}, not a {kind!r}; name another folder")
+    normalise = _normalisation(folder)
+    options: dict[str, Any] = {"local_files_only": True, "output_loading_info": True, "dtype": torch.float32}
+    if kind == "oneformer":
+        options["is_training"] = False  # its text encoder is for training only
+    try:
+        with _quiet(transformers):
+            network, told = getattr(transformers, KINDS[kind]).from_pretrained(folder, **options)
+            task = _task(transformers, folder, network.config.task_seq_len) if kind == "oneformer" else None
+    except Exception as error:  # a broken file can break it anywhere
+        reason = (str(error) or type(error).__name__).strip().splitlines()[0]
+        raise InputError(f"{folder}: cannot be loaded as a {kind} ({reason}); fetch it anew") from error
+    if missing := sorted(told["missing_keys"]):
+        raise InputError(f"{folder}: {len(missing)} weights are missing, the first is {missing[0]!r}; fetch it anew")
+    classes = torch.tensor(cityscapes_classes(network.config.id2label, folder), device=device)
+    network = network.to(device).eval()
+    return MaskSegmenter(
+        network=network,
+        classes=classes,
+        normalise=normalise,
+        scales=tuple(scales),
+        task=None if task is None else task.to(device),
+    )
+
+
+def cityscapes_classes(names: dict[int, str], source: object = "the model") -> list[int]:
+    """The id of each of Cityscapes' 19 classes among a model's `names`; case, "-" and "_" do not matter.
+
+    Raises InputError with the classes that the model, `source`, has not.
+    """
+    known = {" ".join(name.lower().replace("-", " ").replace("_", " ").split()): int(i) for i, name in names.items()}
+    if missing := [name for name in CITYSCAPES.classes if name not in known]:
+        raise InputError(
+            f"{source}: has no class {', '.join(map(repr, missing))}; name a model that was trained on Cityscapes"
+        )
+    return [known[name] for name in CITYSCAPES.classes]
+
+
+def local_folder(name: str) -> Path:
+    """The folder of a model: a path, or where the hub's cache has the model of this name. InputError without one."""
+    if Path(name).is_dir():
+        return Path(name)
+    _transformers()
+    from huggingface_hub import snapshot_download
+
+    try:
+        return Path(snapshot_download(name, local_files_only=True))
+    except Exception as error:  # a bad name and an empty cache are errors of several kinds
+        raise InputError(
+            f"{name}: neither a folder nor a model in the hub's cache; fetch it first (hf download {name})"
+        ) from error
+
+
+def parts_of(folder: Path) -> list[Path]:
+    """The files that a model consists of: settings and weights, by name. InputError where there are no weights."""
+    found = {path for ending in (*WEIGHTS, *SETTINGS) for path in folder.glob(ending) if path.is_file()}
+    if not any(path.match(ending) for path in found for ending in WEIGHTS):
+        raise InputError(f"{folder}: holds no weights (*.safetensors, *.bin); name the folder of a whole model")
+    return sorted(found)
+
+
+def _transformers() -> Any:  # noqa: ANN401
+    try:
+        import transformers
+    except ModuleNotFoundError as error:
+        raise InputError("this teacher needs transformers: pip install 'lidar2pano[teachers]'") from error
+    return transformers
+
+
+@contextmanager
+def _quiet(transformers: Any) -> Iterator[None]:  # noqa: ANN401
+    """Without the reports and bars that `transformers` writes to stderr: what is wrong is said by us."""
+    said = transformers.utils.logging
+    level, bars = said.get_verbosity(), said.is_progress_bar_enabled()
+    said.set_verbosity(said.CRITICAL)
+    said.disable_progress_bar()
+    try:
+        yield
+    finally:
+        said.set_verbosity(level)
+        if bars:
+            said.enable_progress_bar()
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as settings of a model; name the folder of a whole one") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: are no settings of a model; name the folder of a whole one")
+    return content
+
+
+def _normalisation(folder: Path) -> Colours:
+    """Mean and deviation of the model's pictures, from the settings of its image processor."""
+    path = folder / "preprocessor_config.json"
+    if path.is_file():
+        settings = _json(path)
+    else:
+        path = folder / "processor_config.json"  # newer versions save image processor and tokenizer together
+        settings = _json(path).get("image_processor", {})
+    try:
+        mean, deviation = (tuple(float(v) for v in settings[name]) for name in ("image_mean", "image_std"))
+    except (KeyError, TypeError, ValueError):
+        mean, deviation = (), ()
+    if len(mean) != 3 or len(deviation) != 3 or min(deviation) <= 0:
+        raise InputError(f"{path}: has no image_mean and image_std of three channels; fetch the model anew")
+    return Colours(mean=mean, deviation=deviation)
+
+
+def _task(transformers: Any, folder: Path, length: int) -> Tensor:  # noqa: ANN401
+    """(1, length) float32: what OneFormer is told, in its own tokens, zero after the end."""
+    tokenizer = transformers.AutoTokenizer.from_pretrained(folder, local_files_only=True)
+    tokens = tokenizer([TASK], padding="max_length", max_length=length, truncation=True, return_tensors="pt")
+    return (tokens["input_ids"] * tokens["attention_mask"]).float()

@@ -1,0 +1,95 @@
+"""The journal of a sequence: which files prepare wrote there, out of what, and how to know them again.
+
+One line of JSON per file written, appended before the file gets its name, so that a file of ours without its line
+cannot be, whatever ends the process. A line that is torn or strange is passed over: its file then counts as somebody
+else's and is left alone, never the other way round.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from lidar2pano.errors import InputError
+
+NAME = "prepared.jsonl"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stamp:
+    """A file's content: its SHA-256, and size in bytes and time of change (ns), which spare reading it again."""
+
+    sha256: str
+    size: int
+    changed_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Record:
+    """One file that was written.
+
+    file     its path within the sequence's folder, e.g. "labels/000000.label".
+    made_by  the teacher: hash of its weights and settings.
+    source   the scan or picture that it was made from;  stamp: the file itself.
+    """
+
+    file: str
+    made_by: str
+    source: Stamp
+    stamp: Stamp
+
+
+class Journal:
+    """The records of one sequence; `folder` is ROOT/sequences/<seq>. InputError when its file may not be read."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / NAME
+        self._of: dict[str, list[Record]] = {}
+        try:
+            content = self.path.read_bytes() if self.path.is_file() else b""
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot be read ({error.strerror}); ask for permission") from error
+        self._torn = bool(content) and not content.endswith(b"\n")
+        for line in content.splitlines():
+            if record := _parsed(line):
+                self._of.setdefault(record.file, []).append(record)
+
+    def of(self, file: str) -> list[Record]:
+        """What was written to `file`, the latest first."""
+        return self._of.get(file, [])[::-1]
+
+    def enter(self, record: Record) -> None:
+        """Append a record; it is in the file when this returns. Raises OSError where it cannot be."""
+        line = json.dumps(asdict(record), separators=(",", ":")).encode() + b"\n"
+        with self.path.open("ab", buffering=0) as file:
+            file.write(b"\n" + line if self._torn else line)
+        self._torn = False
+        self._of.setdefault(record.file, []).append(record)
+
+
+def _parsed(line: bytes) -> Record | None:
+    try:
+        entry = json.loads(line)
+        record = Record(**entry | {name: Stamp(**entry[name]) for name in ("source", "stamp")})
+    except (ValueError, TypeError, KeyError):
+        return None
+    texts = (record.file, record.made_by, record.source.sha256, record.stamp.sha256)
+    return record if all(isinstance(text, str) for text in texts) else None
+
+
+def stamp_of(path: Path, known: Stamp | None = None) -> Stamp:
+    """The stamp of a file: `known` where its size and time of change still hold, otherwise read anew.
+
+    Raises InputError when the file cannot be read.
+    """
+    try:
+        now = path.stat()
+        if known and (now.st_size, now.st_mtime_ns) == (known.size, known.changed_ns):
+            return known
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); ask for permission") from error
+    return Stamp(sha256=digest, size=now.st_size, changed_ns=now.st_mtime_ns)

@@ -1,0 +1,226 @@
+"""The two who label: one looks at scans, one at pictures. Networks are loaded when there is something to do."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from PIL import Image
+
+from lidar2pano.data.sequences import UNSURE
+from lidar2pano.errors import InputError
+from lidar2pano.formats.kitti import write_label
+from lidar2pano.formats.pictures import write_ids
+from lidar2pano.models.camera_segmenter import CameraSegmenter, CameraTeacher
+from lidar2pano.models.camera_teachers import KINDS, load_teacher, local_folder, parts_of
+from lidar2pano.models.card import load, read_card
+from lidar2pano.models.families import weight_files
+from lidar2pano.models.precision import pick_device
+from lidar2pano.models.sdnet import falling
+from lidar2pano.models.segmenter import Segmenter
+from lidar2pano.pipeline import load_segmenter
+from lidar2pano.prepare.journal import stamp_of
+from lidar2pano.prepare.materials import Material
+
+FORM = 1  # part of every teacher's name: raise it when the same weights give other labels, and all are made anew
+PNG_END = b"IEND\xaeB`\x82"
+
+
+class Teacher(Protocol):
+    """Somebody who writes one file per moment.
+
+    folder   of a sequence, where the files go;  suffix: what they end with.
+    made_by  hash of weights and settings: files of another one are made anew.
+    weights  files that the network comes from.
+    """
+
+    folder: str
+    suffix: str
+    made_by: str
+    weights: tuple[Path, ...]
+
+    def source(self, material: Material) -> Path | None:
+        """The file that this teacher looks at, None where there is none."""
+        ...
+
+    def get_ready(self) -> None:
+        """Load the network, once; InputError when its weights cannot be used."""
+        ...
+
+    def write(self, material: Material, path: Path) -> None:
+        """Write the labels of a moment to `path`; InputError when its scan or picture cannot be used."""
+        ...
+
+    def whole(self, material: Material, path: Path) -> bool:
+        """Whether `path` holds labels, whoever's, and not a piece of them."""
+        ...
+
+
+@dataclass(kw_only=True)
+class LidarTeacher:
+    """A range-view segmenter: scans -> raw ids of SemanticKITTI per point. Fields as in Teacher; device: torch's."""
+
+    folder: str
+    made_by: str
+    weights: tuple[Path, ...]
+    device: str
+    suffix: str = ".label"
+
+    def source(self, material: Material) -> Path | None:
+        """The scan."""
+        return material.scan
+
+    @cached_property
+    def segmenter(self) -> Segmenter:
+        """The network, loaded."""
+        return load_segmenter(self.weights[0], pick_device(self.device))
+
+    def get_ready(self) -> None:
+        """Load the network."""
+        _ = self.segmenter
+
+    def write(self, material: Material, path: Path) -> None:
+        """Write raw ids (N,) uint32 in file order; a scan without a usable point raises InputError."""
+        scan = material.frame.scan()
+        if not np.isfinite(scan.xyz).all(1).any():
+            raise InputError(f"{material.scan}: none of its {len(scan)} points can be used (NaN or Inf); replace it")
+        write_label(path, self.segmenter.points(scan, pick_device(self.device)).cpu().numpy())
+
+    def whole(self, material: Material, path: Path) -> bool:
+        """Whether there is one label per point: 4 bytes for a scan's 16."""
+        return material.scan is not None and path.stat().st_size * 4 == material.scan.stat().st_size
+
+
+@dataclass(kw_only=True)
+class PictureTeacher:
+    """A camera teacher: pictures -> Cityscapes train ids per pixel. Fields as in Teacher.
+
+    spec    "mask2former" or "oneformer" with a folder in `weights`, or "sdnet" with a file.
+    scales  of the picture that the network looks at; () for its own.
+    unsure  probability of the best class below which a pixel becomes UNSURE.
+    """
+
+    folder: str
+    made_by: str
+    weights: tuple[Path, ...]
+    device: str
+    spec: str
+    scales: tuple[float, ...]
+    unsure: float
+    suffix: str = ".png"
+
+    def source(self, material: Material) -> Path | None:
+        """The picture."""
+        return material.picture
+
+    @cached_property
+    def teacher(self) -> CameraTeacher:
+        """The network, loaded."""
+        device = pick_device(self.device)
+        if self.spec in KINDS:
+            return load_teacher(self.spec, self.weights[0], device, self.scales or (1.0,))
+        network, card = load(self.weights[0], device, expect="sdnet")
+        return CameraSegmenter.from_card(network, card, self.scales or None)
+
+    def get_ready(self) -> None:
+        """Load the network."""
+        _ = self.teacher
+
+    def write(self, material: Material, path: Path) -> None:
+        """Write ids (h, w) uint8 as a PNG of grey values."""
+        best, ids = self.teacher.probabilities(material.frame.image()).max(0)
+        ids[best < self.unsure] = UNSURE
+        write_ids(path, ids.cpu().numpy().astype(np.uint8))
+
+    def whole(self, material: Material, path: Path) -> bool:
+        """Whether it is a picture, to its end."""
+        try:
+            with Image.open(path) as picture:
+                picture.load()
+        except (OSError, SyntaxError, ValueError):
+            return False
+        return picture.format != "PNG" or PNG_END in path.read_bytes()
+
+
+def lidar_teacher(weights: str, *, folder: str = "labels", device: str = "auto") -> LidarTeacher:
+    """The LiDAR teacher of a family, a run or a weight file. InputError when it has no segmenter, or no such device."""
+    pick_device(device)
+    files = weight_files(weights, fill=False)
+    if "segmenter" not in files:
+        raise InputError(f"{weights}: has no segmenter to label scans with; name a family, a run or a file that has")
+    file = files["segmenter"]
+    return LidarTeacher(folder=folder, made_by=_hash([file], {}), weights=(file,), device=device)
+
+
+def camera_teacher(
+    spec: str,
+    *,
+    folder: str = "camera_labels",
+    scales: Sequence[float] = (),
+    unsure: float = 0.4,
+    device: str = "auto",
+) -> PictureTeacher:
+    """The camera teacher of a weight file or run of SD-Net, or of "mask2former:PATH" or "oneformer:PATH".
+
+    PATH    a folder, or the name of a model in the hub's cache; nothing is downloaded.
+    scales  sizes of the picture to look at, as factors (without any: SD-Net its own, the others 1).
+    unsure  probability of the best class below which a pixel is labelled UNSURE.
+    Raises InputError when the weights or the device are not there, or a setting cannot be.
+    """
+    pick_device(device)
+    if not 0 <= unsure < 1:
+        raise InputError(f"--unsure {unsure:g} is no probability; choose one from 0 up to, not including, 1")
+    if any(not 0 < scale <= 4 for scale in scales) or len(set(scales)) < len(scales):
+        raise InputError(f"--scales {','.join(f'{s:g}' for s in scales)} cannot be: name factors up to 4, each once")
+    kind, _, place = spec.partition(":")
+    if kind in KINDS and place:
+        source = local_folder(place)
+        hashed = parts_of(source)
+    else:
+        kind, source = "sdnet", _sdnet_file(spec)
+        hashed = [source]
+        if scales:
+            falling(scales)  # refuses what the network would refuse picture by picture
+    settings = {"kind": kind, "scales": list(scales), "unsure": unsure}
+    return PictureTeacher(
+        folder=folder,
+        made_by=_hash(hashed, settings),
+        weights=(source,),
+        device=device,
+        spec=kind,
+        scales=tuple(scales),
+        unsure=unsure,
+    )
+
+
+def _sdnet_file(name: str) -> Path:
+    """The one SD-Net in a weight file, a folder or a run's folder."""
+    path = Path(name)
+    if path.is_file():
+        if (network := read_card(path).network) != "sdnet":
+            raise InputError(f"{path} has weights of another network: {network!r} instead of 'sdnet'; name others")
+        return path
+    if not path.is_dir():
+        raise InputError(
+            f"no camera teacher {name!r}: name weights of sdnet, a run's folder, mask2former:PATH or oneformer:PATH"
+        )
+    folder = path / "weights" if (path / "weights").is_dir() else path
+    files = [file for file in sorted(folder.glob("*.safetensors")) if not file.stem.endswith(".last")]
+    found = [file for file in files if read_card(file).network == "sdnet"]
+    if len(found) != 1:
+        raise InputError(f"{folder}: holds {len(found) or 'no'} weights of sdnet; name the file")
+    return found[0]
+
+
+def _hash(files: Iterable[Path], settings: dict[str, object]) -> str:
+    """A name for weights and settings: SHA-256 over the files' contents and the settings."""
+    digest = hashlib.sha256(json.dumps({"form": FORM, **settings}, sort_keys=True).encode())
+    for path in files:
+        digest.update(stamp_of(path).sha256.encode())
+    return digest.hexdigest()

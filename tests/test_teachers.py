@@ -1,0 +1,317 @@
+"""Camera teachers of `transformers`: tiny untrained models, saved to a folder and read again without a network."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from lidar2pano.errors import InputError
+from lidar2pano.labels import CITYSCAPES
+from lidar2pano.models import camera_teachers
+from lidar2pano.models.camera_teachers import (
+    KINDS,
+    MaskSegmenter,
+    cityscapes_classes,
+    load_teacher,
+    local_folder,
+    parts_of,
+)
+
+transformers = pytest.importorskip("transformers")
+
+CPU = torch.device("cpu")
+MEAN, DEVIATION = [0.5, 0.4, 0.3], [0.2, 0.3, 0.25]
+NAMES = ("ego-vehicle", *reversed(CITYSCAPES.classes))  # another order than ours, and a class more
+TEXT = "the task is semantic"
+
+
+def settings(**more: Any) -> dict[str, Any]:
+    stages = ["stage1", "stage2", "stage3", "stage4"]
+    swin = {"embed_dim": 8, "depths": [1] * 4, "num_heads": [1, 1, 2, 2], "window_size": 4, "out_features": stages}
+    small = {"num_queries": 12, "hidden_dim": 32, "num_attention_heads": 2, "encoder_feedforward_dim": 16}
+    names = dict(enumerate(NAMES))
+    backbone = transformers.SwinConfig(**swin)
+    layers = {"dim_feedforward": 16, "encoder_layers": 1, "decoder_layers": 2}
+    return {"backbone_config": backbone, "id2label": names, "label2id": {v: k for k, v in names.items()}} | (
+        small | layers | more
+    )
+
+
+def write_model(folder: Path, kind: str, **more: Any) -> Path:
+    """A small untrained model with settings of its image processor and, for OneFormer, a tokenizer."""
+    torch.manual_seed(3)
+    if kind == "mask2former":
+        config = transformers.Mask2FormerConfig(feature_size=32, mask_feature_size=32, **settings(**more))
+    else:
+        text = {"text_encoder_width": 64, "text_encoder_num_layers": 1, "text_encoder_vocab_size": 60}
+        sizes = {"conv_dim": 32, "mask_dim": 32, "query_dec_layers": 1, "task_seq_len": 24}
+        config = transformers.OneFormerConfig(**settings(**text, **sizes, **more))
+        letters = sorted(set(TEXT.replace(" ", "")))
+        vocabulary = ["<|startoftext|>", "<|endoftext|>", *letters, *(f"{letter}</w>" for letter in letters)]
+        tokens = {token: number for number, token in enumerate(vocabulary, 5)}
+        transformers.CLIPTokenizer(vocab=tokens, merges=[]).save_pretrained(folder)
+    network = getattr(transformers, KINDS[kind])(config)
+    for parameter in network.parameters():  # fresh networks answer the same everywhere
+        if parameter.ndim > 1:
+            torch.nn.init.normal_(parameter, std=3 * (parameter.shape[0] / parameter.numel()) ** 0.5)
+    network.save_pretrained(folder)
+    (folder / "preprocessor_config.json").write_text(json.dumps({"image_mean": MEAN, "image_std": DEVIATION}))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A folder per kind."""
+    transformers.utils.logging.disable_progress_bar()
+    return {kind: write_model(tmp_path_factory.mktemp(kind), kind) for kind in KINDS}
+
+
+@pytest.fixture
+def mine(models: dict[str, Path], tmp_path: Path) -> Path:
+    """A copy of the Mask2Former that may be damaged."""
+    return Path(shutil.copytree(models["mask2former"], tmp_path / "mine"))
+
+
+def picture(rows: int, columns: int) -> np.ndarray:
+    coarse = np.random.default_rng(1).integers(0, 256, (rows // 8 + 1, columns // 8 + 1, 3), dtype=np.uint8)
+    return coarse.repeat(8, 0).repeat(8, 1)[:rows, :columns]
+
+
+every_kind = pytest.mark.parametrize("kind", KINDS)
+
+
+@every_kind
+@pytest.mark.parametrize("size", [(50, 70), (32, 64), (33, 97)])
+def test_probabilities_of_any_size(models: dict[str, Path], kind: str, size: tuple[int, int]) -> None:
+    answer = load_teacher(kind, models[kind], CPU).probabilities(picture(*size))
+    assert answer.shape == (19, *size) and answer.dtype == torch.float32
+    assert (answer >= 0).all()
+    torch.testing.assert_close(answer.sum(0), torch.ones(size))
+    assert answer.std(0).mean() > 1e-3
+
+
+@every_kind
+def test_answers_are_those_of_transformers_own_way(models: dict[str, Path], kind: str) -> None:
+    """Its image processor and semantic inference, on a picture of the one size that its Mask2Former can answer in."""
+    from transformers.models.mask2former.image_processing_pil_mask2former import Mask2FormerImageProcessorPil
+
+    image = picture(384, 384)
+    processor = Mask2FormerImageProcessorPil(do_resize=False, image_mean=MEAN, image_std=DEVIATION)
+    network = getattr(transformers, KINDS[kind]).from_pretrained(models[kind]).eval()
+    given = {"pixel_values": processor(image, return_tensors="pt")["pixel_values"]}
+    if kind == "oneformer":
+        reader = transformers.AutoTokenizer.from_pretrained(models[kind])
+        (ids,) = reader([TEXT], padding="max_length", max_length=24, truncation=True)["input_ids"]
+        end = ids.index(reader.eos_token_id)
+        assert 10 < end < 23
+        given["task_inputs"] = torch.tensor([[*ids[: end + 1], *[0] * (23 - end)]])
+    with torch.inference_mode():
+        outputs = network(**given)
+    (found,) = processor.post_process_semantic_segmentation(outputs, [(384, 384)], return_segmentation_scores=True)
+    scores = found.segmentation_scores
+    total = scores.sum(0, keepdim=True)
+    expected = torch.stack([scores[NAMES.index(name)] for name in CITYSCAPES.classes]) / total.clamp(min=1)
+    expected = expected + (1 - expected.sum(0)) / 19
+    ours = load_teacher(kind, models[kind], CPU).probabilities(image)
+    torch.testing.assert_close(ours, expected, atol=2e-5, rtol=0)
+    assert (ours.argmax(0) == expected.argmax(0)).float().mean() > 0.999
+    assert expected.argmax(0).unique().numel() > 1
+
+
+class Answering(torch.nn.Module):
+    """A network that gives back fixed queries, its masks as large as a quarter of the picture."""
+
+    def __init__(self, classes: torch.Tensor, masks: torch.Tensor) -> None:
+        super().__init__()
+        self.classes, self.masks, self.seen = classes, masks, []
+
+    def forward(self, pixel_values: torch.Tensor) -> Any:
+        self.seen.append(pixel_values)
+        rows, columns = pixel_values.shape[-2] // 4, pixel_values.shape[-1] // 4
+        masks = self.masks[None, :, None, None].expand(1, -1, rows, columns)
+        return type("Answer", (), {"class_queries_logits": self.classes[None], "masks_queries_logits": masks})()
+
+
+def test_what_nobody_claims_is_spread_over_all_classes() -> None:
+    sure = torch.full((2, 21), -30.0)
+    sure[0, 3], sure[1, 0] = 30.0, 30.0  # one query says class 3, one says class 0, which Cityscapes has not
+    network = Answering(sure, torch.log(torch.tensor([0.5 / 0.5, 0.3 / 0.7])))  # masks of 0.5 and 0.3
+    teacher = MaskSegmenter(network=network, classes=torch.arange(1, 20), normalise=camera_teachers.Colours())
+    answer = teacher.probabilities(picture(20, 40))
+    rest = (1 - 0.5) / 19
+    torch.testing.assert_close(answer[2], torch.full((20, 40), 0.5 + rest))
+    torch.testing.assert_close(answer[0], torch.full((20, 40), rest))
+
+
+def test_pictures_are_padded_with_their_border_and_looked_at_in_every_scale() -> None:
+    network = Answering(torch.randn(3, 20), torch.randn(3))
+    plain = camera_teachers.Colours(mean=(0, 0, 0), deviation=(1, 1, 1))
+    teacher = MaskSegmenter(network=network, classes=torch.arange(19), normalise=plain, scales=(0.5, 1.0, 2.0))
+    image = picture(20, 40)
+    teacher.probabilities(image)
+    assert [tuple(seen.shape) for seen in network.seen] == [(1, 3, 32, 32), (1, 3, 32, 64), (1, 3, 64, 96)]
+    whole = network.seen[1]
+    torch.testing.assert_close(whole[0, :, :20, :40], torch.from_numpy(image).movedim(2, 0) / 255)
+    assert torch.equal(whole[0, :, 20:, 40:], whole[0, :, 19:20, 39:40].expand(3, 12, 24))
+
+
+def test_scales_are_averaged(models: dict[str, Path]) -> None:
+    image = picture(64, 96)
+    one, two = (load_teacher("mask2former", models["mask2former"], CPU, (s,)).probabilities(image) for s in (1.0, 2.0))
+    both = load_teacher("mask2former", models["mask2former"], CPU, (1.0, 2.0)).probabilities(image)
+    torch.testing.assert_close(both, (one + two) / 2)
+    assert (one - two).abs().max() > 1e-3
+
+
+def test_classes_go_by_name() -> None:
+    shuffled = {number: name.upper().replace(" ", "_") for number, name in enumerate(NAMES)}
+    ids = cityscapes_classes(shuffled)
+    assert [NAMES[i] for i in ids] == list(CITYSCAPES.classes)
+    with pytest.raises(InputError, match="model: has no class 'rider', 'train'; name a model that was trained on Cit"):
+        cityscapes_classes({n: c for n, c in enumerate(CITYSCAPES.classes) if c not in {"rider", "train"}})
+
+
+def test_a_oneformer_saved_while_training_is_a_teacher_too(tmp_path: Path) -> None:
+    folder = write_model(tmp_path / "one", "oneformer", is_training=True)
+    answer = load_teacher("oneformer", folder, CPU).probabilities(picture(40, 40))
+    assert answer.isfinite().all()
+
+
+def test_a_processor_saved_in_the_newer_way(mine: Path) -> None:
+    old = load_teacher("mask2former", mine, CPU)
+    values = json.loads((mine / "preprocessor_config.json").read_text())
+    (mine / "preprocessor_config.json").unlink()
+    (mine / "processor_config.json").write_text(json.dumps({"image_processor": values}))
+    assert load_teacher("mask2former", mine, CPU).normalise == old.normalise
+    assert old.normalise.mean == tuple(MEAN) and old.normalise.deviation == tuple(DEVIATION)
+
+
+def test_loading_says_nothing_and_leaves_the_library_as_it_was(
+    models: dict[str, Path], capfd: pytest.CaptureFixture[str]
+) -> None:
+    said = transformers.utils.logging
+    said.enable_progress_bar()
+    said.set_verbosity(said.WARNING)
+    try:
+        load_teacher("oneformer", models["oneformer"], CPU)
+        assert capfd.readouterr() == ("", "")
+        assert said.is_progress_bar_enabled() and said.get_verbosity() == said.WARNING
+    finally:
+        said.disable_progress_bar()
+
+
+# --- what can be wrong ----------------------------------------------------------------------------------------------
+
+
+def without_a_weight(folder: Path) -> None:
+    from safetensors.torch import load_file, save_file
+
+    state = load_file(folder / "model.safetensors")
+    save_file({k: v for k, v in state.items() if k != "class_predictor.weight"}, folder / "model.safetensors")
+
+
+def cut_off(folder: Path) -> None:
+    path = folder / "model.safetensors"
+    path.write_bytes(path.read_bytes()[:-1000])
+
+
+def other_names(folder: Path) -> None:
+    config = json.loads((folder / "config.json").read_text())
+    config["id2label"]["1"] = "sofa"  # NAMES[1] is the bicycle
+    (folder / "config.json").write_text(json.dumps(config))
+
+
+BAD = {
+    "a weight is missing": (without_a_weight, "1 weights are missing, the first is 'class_predictor.weight'"),
+    "cut off": (cut_off, "cannot be loaded as a mask2former"),
+    "no weights": (lambda folder: (folder / "model.safetensors").unlink(), "cannot be loaded as a mask2former"),
+    "no settings": (lambda folder: (folder / "config.json").unlink(), "config.json: cannot be read as settings"),
+    "broken settings": (lambda folder: (folder / "config.json").write_text("{"), "config.json: cannot be read as"),
+    "strange settings": (lambda folder: (folder / "config.json").write_text("[]"), "config.json: are no settings"),
+    "no mean": (lambda folder: (folder / "preprocessor_config.json").write_text("{}"), "has no image_mean and image_s"),
+    "no processor": (lambda folder: (folder / "preprocessor_config.json").unlink(), "processor_config.json: cannot be"),
+    "another class": (other_names, "has no class 'bicycle'"),
+}
+
+
+@pytest.mark.parametrize("how", BAD)
+def test_a_bad_folder_is_refused_in_one_line(mine: Path, how: str) -> None:
+    damage, said = BAD[how]
+    damage(mine)
+    with pytest.raises(InputError) as caught:
+        load_teacher("mask2former", mine, CPU)
+    assert str(caught.value).startswith(str(mine)) and said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_another_kind_is_refused(models: dict[str, Path]) -> None:
+    with pytest.raises(InputError, match="holds a 'mask2former', not a 'oneformer'; name another folder"):
+        load_teacher("oneformer", models["mask2former"], CPU)
+
+
+def test_hostile_weights_run_nothing(mine: Path) -> None:
+    class Hostile:
+        def __reduce__(self) -> Any:
+            return Path.touch, (mine / "marker",)
+
+    (mine / "model.safetensors").unlink()
+    torch.save({"class_predictor.weight": Hostile()}, mine / "pytorch_model.bin")
+    with pytest.raises(InputError, match="cannot be loaded as a mask2former"):
+        load_teacher("mask2former", mine, CPU)
+    assert not (mine / "marker").exists()
+    torch.load(mine / "pytorch_model.bin", weights_only=False)
+    assert (mine / "marker").exists()  # it would have
+
+
+def test_weights_of_the_older_form_are_read(mine: Path) -> None:
+    from safetensors.torch import load_file
+
+    expected = load_teacher("mask2former", mine, CPU).probabilities(picture(40, 40))
+    torch.save(load_file(mine / "model.safetensors"), mine / "pytorch_model.bin")
+    (mine / "model.safetensors").unlink()
+    torch.testing.assert_close(load_teacher("mask2former", mine, CPU).probabilities(picture(40, 40)), expected)
+    with pytest.raises(pickle.UnpicklingError):
+        pickle.loads(b"not a pickle")
+
+
+def test_a_model_of_the_hubs_cache(models: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from huggingface_hub import constants
+
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path))
+    with pytest.raises(
+        InputError, match=r"a/b: neither a folder nor a model in the hub's cache; fetch it first \(hf d"
+    ):
+        local_folder("a/b")
+    with pytest.raises(InputError, match="no such: name!: neither a folder"):
+        local_folder("no such: name!")
+    snapshot = tmp_path / "models--a--b" / "snapshots" / ("0" * 40)
+    shutil.copytree(models["mask2former"], snapshot)
+    (tmp_path / "models--a--b" / "refs").mkdir()
+    (tmp_path / "models--a--b" / "refs" / "main").write_text("0" * 40)
+    assert local_folder("a/b") == snapshot
+    assert local_folder(str(tmp_path)) == tmp_path
+
+
+def test_parts_of_a_model(models: dict[str, Path], tmp_path: Path) -> None:
+    (tmp_path / "README.md").write_text("")
+    (tmp_path / "config.json").write_text("{}")
+    with pytest.raises(InputError, match="holds no weights"):
+        parts_of(tmp_path)
+    names = [path.name for path in parts_of(models["oneformer"])]
+    assert names[:2] == ["config.json", "model.safetensors"] and names == sorted(names)
+
+
+def test_without_transformers_the_extra_is_named(models: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    with pytest.raises(InputError, match=r"this teacher needs transformers: pip install 'lidar2pano\[teachers\]'"):
+        load_teacher("mask2former", models["mask2former"], CPU)
+    with pytest.raises(InputError, match=r"pip install 'lidar2pano\[teachers\]'"):
+        local_folder("a/b")
