@@ -8,7 +8,6 @@ from safetensors import safe_open
 from torch import nn
 
 from golden_fill import sym
-from lidar2pano import losses
 from lidar2pano.losses import (
     critic_wasserstein,
     feature_matching,
@@ -16,6 +15,7 @@ from lidar2pano.losses import (
     gradient_penalty,
     hinge_critic,
     hinge_generator,
+    lovasz,
     lovasz_softmax,
 )
 from lidar2pano.metrics.confusion import Confusion
@@ -26,7 +26,7 @@ from slow_truths import lovasz_softmax_slowly
 def kernel(request, monkeypatch):
     """Both ways to compute it: the one for the CPU, and the one for other devices (run here on the CPU)."""
     if request.param == "device":
-        monkeypatch.setattr(losses, "_on_cpu", losses._on_device)
+        monkeypatch.setattr(lovasz, "_on_cpu", lovasz._on_device)
     return request.param
 
 

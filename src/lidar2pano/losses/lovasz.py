@@ -1,13 +1,8 @@
-"""What the networks are trained against: Lovasz-Softmax and the losses between a generator and its critic.
-
-Every function takes tensors and returns a scalar tensor in float32 (or the dtype of the scores given), a mean over
-the batch, without any weight.
-Cross entropy is torch's own: `torch.nn.functional.cross_entropy`.
-"""
+"""Lovasz-Softmax: exact, and fast on the CPU."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
@@ -15,9 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
-from torch.nn import functional as F
-
-# --- Lovasz-Softmax --------------------------------------------------------------------------------------------------
 
 POSITIVE_INFINITY = 0x7F800000  # the bits of float32 +inf: above those of every finite positive number
 TINIEST = np.float32(np.finfo(np.float32).smallest_subnormal)
@@ -172,61 +164,3 @@ def _on_device(probabilities: Tensor, owner: Tensor, every: bool) -> tuple[Tenso
     share = (torch.stack(sizes) > 0) | every
     share = share / share.sum().clamp(min=1)
     return torch.dot(torch.stack(losses), share), slope * share.view(1, -1, 1, 1)
-
-
-# --- between a generator and its critic ------------------------------------------------------------------------------
-
-
-def gradient_penalty(
-    critic: Callable[[Tensor], Tensor], real: Tensor, fake: Tensor, *, epsilon: Tensor | float | None = None
-) -> Tensor:
-    """E[(|grad D(x)| - 1)^2] with x = epsilon real + (1 - epsilon) fake; the usual weight of 10 is the caller's.
-
-    Gulrajani et al. 2017 (arXiv:1704.00028), equation 3; epsilon is drawn per sample, Algorithm 1 line 4.
-    Autocast is off inside: a gradient of a gradient in half precision is mostly rounding.
-
-    critic      image -> scores of any shape (summed: every patch counts); what conditions it is bound by the caller.
-    real, fake  (B, ...) float; no gradient reaches what made them.
-    epsilon     (B,) or a number to use in place of the draw.
-    """
-    real, fake = real.detach(), fake.detach()
-    if epsilon is None:
-        epsilon = torch.rand(len(real), device=real.device, dtype=real.dtype)
-    if isinstance(epsilon, Tensor):
-        epsilon = epsilon.view(-1, *[1] * (real.ndim - 1))
-    between = (epsilon * real + (1 - epsilon) * fake).requires_grad_()
-    with torch.autocast(real.device.type, enabled=False):
-        (slope,) = torch.autograd.grad(critic(between).sum(), between, create_graph=True)
-    while slope.ndim > 1:  # norm of norms: float32 sums of a million squares at once were off by 0.06 % on a CPU
-        slope = torch.linalg.vector_norm(slope.float(), dim=-1)
-    return (slope - 1).square().mean()
-
-
-def critic_wasserstein(real_scores: Tensor, fake_scores: Tensor) -> Tensor:
-    """E[D(fake)] - E[D(real)]: Gulrajani et al. 2017, equation 3 without its penalty."""
-    return fake_scores.mean() - real_scores.mean()
-
-
-def generator_wasserstein(fake_scores: Tensor) -> Tensor:
-    """-E[D(fake)]: Gulrajani et al. 2017, Algorithm 1 line 12."""
-    return -fake_scores.mean()
-
-
-def hinge_critic(real_scores: Tensor, fake_scores: Tensor) -> Tensor:
-    """E[max(0, 1 - D(real))] + E[max(0, 1 + D(fake))]: Lim and Ye 2017 (arXiv:1705.02894), section 3."""
-    return F.relu(1 - real_scores).mean() + F.relu(1 + fake_scores).mean()
-
-
-def hinge_generator(fake_scores: Tensor) -> Tensor:
-    """-E[D(fake)]: Lim and Ye 2017; the same as `generator_wasserstein`."""
-    return -fake_scores.mean()
-
-
-def feature_matching(real_features: Sequence[Tensor], fake_features: Sequence[Tensor]) -> Tensor:
-    """E[sum over layers i of |D_i(real) - D_i(fake)|_1 / N_i], N_i the elements of layer i, of one critic.
-
-    Wang et al. 2018 (arXiv:1711.11585), equation 4. The real side is a target: no gradient goes through it.
-    Raises ValueError when the two sides differ in layers.
-    """
-    pairs = zip(real_features, fake_features, strict=True)
-    return torch.stack([F.l1_loss(fake, real.detach()) for real, fake in pairs]).sum()

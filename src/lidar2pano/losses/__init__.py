@@ -1,0 +1,28 @@
+"""What the networks are trained against: Lovasz-Softmax and the losses between a generator and its critic.
+
+Every function takes tensors and returns a scalar tensor in float32 (or the dtype of the scores given), a mean over
+the batch, without any weight.
+Cross entropy is torch's own: `torch.nn.functional.cross_entropy`.
+"""
+
+from __future__ import annotations
+
+from lidar2pano.losses.adversarial import (
+    critic_wasserstein,
+    feature_matching,
+    generator_wasserstein,
+    gradient_penalty,
+    hinge_critic,
+    hinge_generator,
+)
+from lidar2pano.losses.lovasz import lovasz_softmax
+
+__all__ = [
+    "critic_wasserstein",
+    "feature_matching",
+    "generator_wasserstein",
+    "gradient_penalty",
+    "hinge_critic",
+    "hinge_generator",
+    "lovasz_softmax",
+]
