@@ -1,0 +1,58 @@
+"""How long the metrics of pictures take: SWD, SSIM and mIoU over pairs of 376 x 1241.
+
+    OMP_NUM_THREADS=2 python runs/metric_speed.py [--pairs 500]
+
+Pictures are made up and in memory: reading files is not timed. The aim is 60 s for 500 pairs on two cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+import torch
+
+from lidar2pano.allocator import keep_buffers
+from lidar2pano.metrics.classes import ClassCounts
+from lidar2pano.metrics.similarity import SSIM
+from lidar2pano.metrics.wasserstein import SlicedWasserstein
+
+SIZE = (376, 1241)
+DIFFERENT = 10  # pairs in memory; they come again under new names
+
+
+def main() -> None:
+    """Print a Markdown table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--pairs", type=int, default=500)
+    pairs = parser.parse_args().pairs
+    keep_buffers()  # as the command line does
+    generator = np.random.default_rng(0)
+    pictures = generator.integers(0, 256, (DIFFERENT, 2, *SIZE, 3), dtype=np.uint8)
+    ids = generator.integers(0, 15, (DIFFERENT, 2, *SIZE), dtype=np.uint8)
+    metrics = {"SWD": SlicedWasserstein(), "SSIM": SSIM(), "mIoU": ClassCounts(15, unscored=(0,))}
+    taken = dict.fromkeys(metrics, 0.0)
+    busy = time.process_time()
+    for number in range(-1, pairs):  # the first is a warm-up
+        for name, metric in metrics.items():
+            given = (ids if name == "mIoU" else pictures)[number % DIFFERENT]
+            begin = time.perf_counter()
+            metric.update(*given, str(number))
+            taken[name] += (time.perf_counter() - begin) * (number >= 0)
+    print(f"{pairs} pairs of {SIZE[0]} x {SIZE[1]}, {torch.get_num_threads()} threads, torch {torch.__version__}\n")
+    print("| metric | taking in, s | a pair, ms | computing, s | figure |\n|---|---:|---:|---:|---:|")
+    whole = 0.0
+    for name, metric in metrics.items():
+        begin = time.perf_counter()
+        figure = metric.compute()
+        computing = time.perf_counter() - begin
+        whole += taken[name] + computing
+        milliseconds = taken[name] / pairs * 1e3
+        print(f"| {name} | {taken[name]:.1f} | {milliseconds:.1f} | {computing:.1f} | {figure:.4g} |")
+    print(f"| **together** | **{whole:.1f}** | | | |")
+    print(f"\n{time.process_time() - busy:.1f} s of processors' time, whatever else the machine did")
+
+
+if __name__ == "__main__":
+    main()

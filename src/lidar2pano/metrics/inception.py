@@ -1,0 +1,261 @@
+"""The Inception-v3 that FID is defined by, and its published weights, which only the user can bring.
+
+Szegedy et al. 2016 (arXiv:1512.00567), in the variant of TensorFlow's graph `inception-2015-12-05` that Heusel et al.
+2017 took the third pooling's 2048 features of. Its weights were ported to torch by M. Seitzer (pytorch-fid, Apache
+2.0); parameters are named as in that file. Where it differs from the network of the paper:
+
+* average pools do not count the border's zeros;
+* the last block pools by maximum, the one before by average;
+* batch norms have an epsilon of 0.001, and the classifier 1008 classes (it is in the file and not used here);
+* pictures are resized to 299 x 299 as TensorFlow 1 does it: bilinear, corners aligned at the top left, no widening.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import avg_pool2d, max_pool2d
+
+from lidar2pano.errors import InputError
+
+SIDE, FEATURES, CLASSES = 299, 2048, 1008
+SHA256 = "6726825d0af5f729cebd5821db510b11b1cfad8faad88a03f1befd49fb9129b2"
+FILE_NAMES = ("pt_inception-2015-12-05-6726825d.pth", "weights-inception-2015-12-05-6726825d.pth")  # the same bytes
+ADDRESS = f"https://github.com/mseitzer/pytorch-fid/releases/download/fid_weights/{FILE_NAMES[0]}"
+ABSENT = f"FID needs the weights of Inception-v3, which are not downloaded: fetch {ADDRESS}"
+
+
+def find_inception(given: Path | str | None = None) -> Path | None:
+    """The file with Inception's weights: the one given, else one in torch hub's cache folder, else None.
+
+    Nothing is downloaded. InputError when a given file is not there.
+    """
+    if given is not None:
+        if not Path(given).is_file():
+            raise InputError(f"{given}: no such file; {ABSENT}")
+        return Path(given)
+    cache = Path(torch.hub.get_dir()) / "checkpoints"
+    return next((cache / name for name in FILE_NAMES if (cache / name).is_file()), None)
+
+
+def load_inception(path: Path | str, device: torch.device | str = "cpu", sha256: str = SHA256) -> Inception:
+    """The network with the weights in `path`, in evaluation mode; a file that is another raises InputError."""
+    try:
+        with Path(path).open("rb") as file:
+            found = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); {ABSENT}") from None
+    if found != sha256:
+        raise InputError(f"{path}: is not the published file (SHA-256 {found[:8]}..., not {sha256[:8]}...); {ABSENT}")
+    network = Inception()
+    network.take(_read(path), str(path))
+    return network.to(device).eval()
+
+
+def _read(path: Path | str) -> Mapping[str, Tensor]:
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, EOFError, RuntimeError, ValueError):
+        state = None
+    if not isinstance(state, Mapping):
+        raise InputError(f"{path}: holds no table of weights; {ABSENT}")
+    return state
+
+
+class Inception(nn.Module):
+    """Pictures (B, 3, H, W) uint8 -> features (B, 2048) float32 of the last pooling."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.Conv2d_1a_3x3 = ConvNormAct(3, 32, 3, stride=2)
+        self.Conv2d_2a_3x3 = ConvNormAct(32, 32, 3)
+        self.Conv2d_2b_3x3 = ConvNormAct(32, 64, 3, padding=1)
+        self.Conv2d_3b_1x1 = ConvNormAct(64, 80, 1)
+        self.Conv2d_4a_3x3 = ConvNormAct(80, 192, 3)
+        self.Mixed_5b = Fine(192, 32)
+        self.Mixed_5c = Fine(256, 64)
+        self.Mixed_5d = Fine(288, 64)
+        self.Mixed_6a = FineToMiddle(288)
+        self.Mixed_6b = Middle(768, 128)
+        self.Mixed_6c = Middle(768, 160)
+        self.Mixed_6d = Middle(768, 160)
+        self.Mixed_6e = Middle(768, 192)
+        self.Mixed_7a = MiddleToCoarse(768)
+        self.Mixed_7b = Coarse(1280, by_maximum=False)
+        self.Mixed_7c = Coarse(2048, by_maximum=True)
+        self.fc = nn.Linear(FEATURES, CLASSES)
+
+    def take(self, state: Mapping[str, Tensor], whose: str) -> None:
+        """Load published weights, every one; `whose` begins the InputError for a table that does not fit."""
+        # the batch norms' counters are of no use in evaluation, and files differ in having them
+        known = {key: value for key, value in state.items() if not key.endswith(".num_batches_tracked")}
+        ours = {key: value for key, value in self.state_dict().items() if not key.endswith(".num_batches_tracked")}
+        if wrong := sorted(known.keys() ^ ours.keys()):
+            raise InputError(f"{whose}: {len(wrong)} tensors too many or too few, the first {wrong[0]!r}; {ABSENT}")
+        for key, value in known.items():
+            if value.shape != ours[key].shape:
+                raise InputError(f"{whose}: {key!r} has shape {list(value.shape)}; {ABSENT}")
+        self.load_state_dict(known, strict=False)
+
+    def forward(self, pictures: Tensor) -> Tensor:
+        """Features of pictures of any size."""
+        x = (resized(pictures.to(self.fc.weight), SIDE) - 128) / 128
+        x = self.Conv2d_2b_3x3(self.Conv2d_2a_3x3(self.Conv2d_1a_3x3(x)))
+        x = self.Conv2d_4a_3x3(self.Conv2d_3b_1x1(max_pool2d(x, 3, 2)))
+        x = self.Mixed_5d(self.Mixed_5c(self.Mixed_5b(max_pool2d(x, 3, 2))))
+        x = self.Mixed_6e(self.Mixed_6d(self.Mixed_6c(self.Mixed_6b(self.Mixed_6a(x)))))
+        return self.Mixed_7c(self.Mixed_7b(self.Mixed_7a(x))).mean((2, 3))
+
+
+def resized(x: Tensor, side: int) -> Tensor:
+    """(B, C, H, W) float -> (B, C, side, side), bilinear as TensorFlow 1 has it: pixel i looks at i * H / side."""
+    for dim in (2, 3):
+        length = x.shape[dim]
+        place = torch.arange(side, dtype=x.dtype, device=x.device) * (length / side)
+        near = place.floor().long().clamp(max=length - 1)
+        share = (place - near).view(-1, *(1,) * (3 - dim))
+        x = torch.lerp(x.index_select(dim, near), x.index_select(dim, (near + 1).clamp(max=length - 1)), share)
+    return x
+
+
+class ConvNormAct(nn.Module):
+    """Convolution without bias, batch norm, ReLU."""
+
+    def __init__(
+        self,
+        inputs: int,
+        outputs: int,
+        kernel: int | tuple[int, int],
+        *,
+        stride: int = 1,
+        padding: int | tuple[int, int] = 0,
+    ) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(inputs, outputs, kernel, stride, padding, bias=False)
+        self.bn = nn.BatchNorm2d(outputs, eps=0.001)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, inputs, H, W) -> (B, outputs, H', W')."""
+        return self.bn(self.conv(x)).relu()
+
+
+def _across(inputs: int, outputs: int) -> ConvNormAct:
+    return ConvNormAct(inputs, outputs, (1, 7), padding=(0, 3))
+
+
+def _down(inputs: int, outputs: int) -> ConvNormAct:
+    return ConvNormAct(inputs, outputs, (7, 1), padding=(3, 0))
+
+
+def _averaged(x: Tensor) -> Tensor:
+    return avg_pool2d(x, 3, stride=1, padding=1, count_include_pad=False)
+
+
+class Fine(nn.Module):
+    """The blocks at 35 x 35 (figure 5 of the paper): (B, inputs, H, W) -> (B, 224 + pooled, H, W)."""
+
+    def __init__(self, inputs: int, pooled: int) -> None:
+        super().__init__()
+        self.branch1x1 = ConvNormAct(inputs, 64, 1)
+        self.branch5x5_1 = ConvNormAct(inputs, 48, 1)
+        self.branch5x5_2 = ConvNormAct(48, 64, 5, padding=2)
+        self.branch3x3dbl_1 = ConvNormAct(inputs, 64, 1)
+        self.branch3x3dbl_2 = ConvNormAct(64, 96, 3, padding=1)
+        self.branch3x3dbl_3 = ConvNormAct(96, 96, 3, padding=1)
+        self.branch_pool = ConvNormAct(inputs, pooled, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Four branches side by side."""
+        five = self.branch5x5_2(self.branch5x5_1(x))
+        three = self.branch3x3dbl_3(self.branch3x3dbl_2(self.branch3x3dbl_1(x)))
+        return torch.cat([self.branch1x1(x), five, three, self.branch_pool(_averaged(x))], 1)
+
+
+class FineToMiddle(nn.Module):
+    """From 35 x 35 to 17 x 17 (figure 10): (B, inputs, H, W) -> (B, 480 + inputs, (H - 1) / 2, (W - 1) / 2)."""
+
+    def __init__(self, inputs: int) -> None:
+        super().__init__()
+        self.branch3x3 = ConvNormAct(inputs, 384, 3, stride=2)
+        self.branch3x3dbl_1 = ConvNormAct(inputs, 64, 1)
+        self.branch3x3dbl_2 = ConvNormAct(64, 96, 3, padding=1)
+        self.branch3x3dbl_3 = ConvNormAct(96, 96, 3, stride=2)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Three branches side by side."""
+        three = self.branch3x3dbl_3(self.branch3x3dbl_2(self.branch3x3dbl_1(x)))
+        return torch.cat([self.branch3x3(x), three, max_pool2d(x, 3, 2)], 1)
+
+
+class Middle(nn.Module):
+    """The blocks at 17 x 17 (figure 6), kernels of 7 as rows and columns: (B, inputs, H, W) -> (B, 768, H, W)."""
+
+    def __init__(self, inputs: int, inner: int) -> None:
+        super().__init__()
+        self.branch1x1 = ConvNormAct(inputs, 192, 1)
+        self.branch7x7_1 = ConvNormAct(inputs, inner, 1)
+        self.branch7x7_2 = _across(inner, inner)
+        self.branch7x7_3 = _down(inner, 192)
+        self.branch7x7dbl_1 = ConvNormAct(inputs, inner, 1)
+        self.branch7x7dbl_2 = _down(inner, inner)
+        self.branch7x7dbl_3 = _across(inner, inner)
+        self.branch7x7dbl_4 = _down(inner, inner)
+        self.branch7x7dbl_5 = _across(inner, 192)
+        self.branch_pool = ConvNormAct(inputs, 192, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Four branches side by side."""
+        seven = self.branch7x7_3(self.branch7x7_2(self.branch7x7_1(x)))
+        twice = self.branch7x7dbl_3(self.branch7x7dbl_2(self.branch7x7dbl_1(x)))
+        twice = self.branch7x7dbl_5(self.branch7x7dbl_4(twice))
+        return torch.cat([self.branch1x1(x), seven, twice, self.branch_pool(_averaged(x))], 1)
+
+
+class MiddleToCoarse(nn.Module):
+    """From 17 x 17 to 8 x 8: (B, inputs, H, W) -> (B, 512 + inputs, (H - 1) / 2, (W - 1) / 2)."""
+
+    def __init__(self, inputs: int) -> None:
+        super().__init__()
+        self.branch3x3_1 = ConvNormAct(inputs, 192, 1)
+        self.branch3x3_2 = ConvNormAct(192, 320, 3, stride=2)
+        self.branch7x7x3_1 = ConvNormAct(inputs, 192, 1)
+        self.branch7x7x3_2 = _across(192, 192)
+        self.branch7x7x3_3 = _down(192, 192)
+        self.branch7x7x3_4 = ConvNormAct(192, 192, 3, stride=2)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Three branches side by side."""
+        seven = self.branch7x7x3_3(self.branch7x7x3_2(self.branch7x7x3_1(x)))
+        three = self.branch3x3_2(self.branch3x3_1(x))
+        return torch.cat([three, self.branch7x7x3_4(seven), max_pool2d(x, 3, 2)], 1)
+
+
+class Coarse(nn.Module):
+    """The blocks at 8 x 8 (figure 7), two branches that end in two: (B, inputs, H, W) -> (B, 2048, H, W)."""
+
+    def __init__(self, inputs: int, *, by_maximum: bool) -> None:
+        super().__init__()
+        self.by_maximum = by_maximum
+        self.branch1x1 = ConvNormAct(inputs, 320, 1)
+        self.branch3x3_1 = ConvNormAct(inputs, 384, 1)
+        self.branch3x3_2a = ConvNormAct(384, 384, (1, 3), padding=(0, 1))
+        self.branch3x3_2b = ConvNormAct(384, 384, (3, 1), padding=(1, 0))
+        self.branch3x3dbl_1 = ConvNormAct(inputs, 448, 1)
+        self.branch3x3dbl_2 = ConvNormAct(448, 384, 3, padding=1)
+        self.branch3x3dbl_3a = ConvNormAct(384, 384, (1, 3), padding=(0, 1))
+        self.branch3x3dbl_3b = ConvNormAct(384, 384, (3, 1), padding=(1, 0))
+        self.branch_pool = ConvNormAct(inputs, 192, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Six branches side by side."""
+        three = self.branch3x3_1(x)
+        twice = self.branch3x3dbl_2(self.branch3x3dbl_1(x))
+        pooled = max_pool2d(x, 3, stride=1, padding=1) if self.by_maximum else _averaged(x)
+        branches = [self.branch1x1(x), self.branch3x3_2a(three), self.branch3x3_2b(three)]
+        branches += [self.branch3x3dbl_3a(twice), self.branch3x3dbl_3b(twice), self.branch_pool(pooled)]
+        return torch.cat(branches, 1)

@@ -1,0 +1,181 @@
+"""Other opinions about the metrics: slow definitions, and independent libraries brought to the same question."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import types
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+import scipy.ndimage
+import scipy.stats
+import torch
+from PIL import Image
+from skimage.metrics import structural_similarity
+
+from lidar2pano.metrics.wasserstein import LEVELS, PATCH, REPEATS, draw_directions, draw_places
+
+BINOMIAL = np.outer([1, 4, 6, 4, 1], [1, 4, 6, 4, 1]) / 256
+
+
+def scikit_ssim(predicted: np.ndarray, target: np.ndarray, full: bool = False) -> Any:
+    """scikit-image, set to Wang et al. 2004: the mean, or with `full` the map (H, W, 3) with its borders."""
+    given = structural_similarity(
+        predicted, target, gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=255,
+        channel_axis=2, full=full,
+    )  # fmt: skip
+    return given[1] if full else given
+
+
+def torchmetrics_ssim(predicted: np.ndarray, target: np.ndarray) -> tuple[float, float]:
+    """torchmetrics: the mean of its map's inner part, and of all; its map goes up to the borders, which it mirrors."""
+    from torchmetrics.functional.image import structural_similarity_index_measure
+
+    first, second = (torch.from_numpy(image.copy()).permute(2, 0, 1)[None].double() for image in (predicted, target))
+    mean, values = structural_similarity_index_measure(
+        first, second, sigma=1.5, kernel_size=11, data_range=255.0, return_full_image=True
+    )
+    return float(values[..., 5:-5, 5:-5].mean()), float(mean)
+
+
+# --- sliced Wasserstein distance ------------------------------------------------------------------------------------
+
+
+def laplacian_slowly(picture: np.ndarray) -> list[np.ndarray]:
+    """(H, W, 3) uint8 -> the Laplacian pyramid of Karras et al., (3, L, L) float64 each: whole convolutions."""
+    side = (LEVELS[0], LEVELS[0])
+    colours = [
+        Image.fromarray(picture[..., c].astype(np.float32)).resize(side, Image.Resampling.BILINEAR) for c in range(3)
+    ]
+    pyramid = [np.stack([np.asarray(colour, dtype=np.float64) for colour in colours])]
+    for _ in LEVELS[1:]:
+        small = scipy.ndimage.convolve(pyramid[-1], BINOMIAL[None], mode="mirror")[:, ::2, ::2]
+        spread = np.zeros_like(pyramid[-1])
+        spread[:, ::2, ::2] = small
+        pyramid[-1] = pyramid[-1] - scipy.ndimage.convolve(spread, 4 * BINOMIAL[None], mode="mirror")
+        pyramid.append(small)
+    return pyramid
+
+
+def patches_slowly(picture: np.ndarray, places: np.ndarray) -> list[np.ndarray]:
+    """Per level (PATCHES, 3, 7, 7) of a picture, one patch at a time."""
+    reach = PATCH // 2
+    return [
+        np.stack([level[:, i - reach : i + reach + 1, j - reach : j + reach + 1] for i, j in middles])
+        for level, middles in zip(laplacian_slowly(picture), places, strict=True)
+    ]
+
+
+def swd_slowly(predicted: dict[str, np.ndarray], target: dict[str, np.ndarray], seed: int = 0) -> dict[str, float]:
+    """SWD x 1000 per level and their mean, one projection at a time, by scipy's Wasserstein distance."""
+    sides = []
+    for side, images in (("predicted", predicted), ("target", target)):
+        cut = [patches_slowly(image, draw_places(seed, name, side)) for name, image in images.items()]
+        sides.append([np.concatenate([of_picture[level] for of_picture in cut]) for level in range(len(LEVELS))])
+    levels = {}
+    for number, level in enumerate(LEVELS):
+        normal = []
+        for side in sides:
+            patches = side[number]
+            patches = (patches - patches.mean((0, 2, 3), keepdims=True)) / patches.std((0, 2, 3), keepdims=True)
+            normal.append(patches.reshape(len(patches), -1))
+        distances = [
+            scipy.stats.wasserstein_distance(normal[0] @ direction, normal[1] @ direction)
+            for repeat in range(REPEATS)
+            for direction in draw_directions(seed, level, repeat).astype(np.float64)
+        ]
+        levels[str(level)] = 1e3 * float(np.mean(distances))
+    return {"mean": float(np.mean(list(levels.values()))), **levels}
+
+
+# --- Frechet distance -----------------------------------------------------------------------------------------------
+
+
+def frechet_by_square_root(first: np.ndarray, second: np.ndarray) -> float:
+    """The formula as it stands, with scipy's root of the product of the covariances."""
+    covariances = [np.cov(side.astype(np.float64), rowvar=False) for side in (first, second)]
+    root = np.real(np.asarray(scipy.linalg.sqrtm(covariances[0] @ covariances[1])))
+    means = [side.astype(np.float64).mean(0) for side in (first, second)]
+    return float(np.sum((means[0] - means[1]) ** 2) + np.trace(covariances[0] + covariances[1] - 2 * root))
+
+
+def frechet_by_torchmetrics(first: np.ndarray, second: np.ndarray) -> float:
+    from torchmetrics.image.fid import _compute_fid  # the class itself wants torch-fidelity
+
+    sides = [torch.from_numpy(side).double() for side in (first, second)]
+    (m1, c1), (m2, c2) = ((side.mean(0), side.T.cov()) for side in sides)
+    return float(_compute_fid(m1, c1, m2, c2))
+
+
+def fidelity_inception(weights: Path) -> Any | None:
+    """torch-fidelity's extractor of the 2048 features with the weights of a file; None where it is not at hand.
+
+    The package imports torchvision at once, its extractor does not need it: so the package's own __init__ is left out,
+    and it lies in a folder of its own, TORCH_FIDELITY: `pip install --no-deps --target FOLDER torch-fidelity`.
+    """
+    folder = Path(os.environ.get("TORCH_FIDELITY", "")) / "torch_fidelity"
+    if not (folder / "feature_extractor_inceptionv3.py").is_file():
+        return None
+    package = types.ModuleType("torch_fidelity")
+    package.__path__ = [str(folder)]
+    sys.modules["torch_fidelity"] = package
+    try:
+        module = importlib.import_module("torch_fidelity.feature_extractor_inceptionv3")
+        return module.FeatureExtractorInceptionV3("inception", ["2048"], str(weights))
+    finally:
+        for name in [name for name in sys.modules if name.partition(".")[0] == "torch_fidelity"]:
+            del sys.modules[name]
+
+
+# --- one pixel at a time --------------------------------------------------------------------------------------------
+
+
+def depth_slowly(predicted: Sequence[np.ndarray], target: Sequence[np.ndarray]) -> dict[str, float]:
+    relative, squares, near = [], [], []
+    for p, t in zip(np.concatenate([p.ravel() for p in predicted]).tolist(),
+                    np.concatenate([t.ravel() for t in target]).tolist(), strict=True):  # fmt: skip
+        if t > 0:
+            relative.append(abs(p - t) / t)
+            squares.append((p - t) ** 2)
+            near.append(p > 0 and max(p / t, t / p) < 1.25)
+    return {
+        "AbsRel": float(np.mean(relative)),
+        "RMSE": float(np.sqrt(np.mean(squares))),
+        "delta1": float(np.mean(near)),
+    }
+
+
+def warping_slowly(
+    previous: np.ndarray, current: np.ndarray, flow: np.ndarray, scored: np.ndarray, circular: bool
+) -> float:
+    """Bilinear between pixel centres; beyond the outermost centres the outermost pixel, or the other end's columns."""
+    rows, columns = scored.shape
+    errors = []
+    for i, j in zip(*scored.nonzero(), strict=True):
+        row, column = i + float(flow[1, i, j]), j + float(flow[0, i, j])
+        if not -0.5 <= row < rows - 0.5 or not (circular or -0.5 <= column < columns - 0.5):
+            continue
+        top, left = int(np.floor(row)), int(np.floor(column))
+        warped = np.zeros(3)
+        for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            weight = abs(1 - a - (row - top)) * abs(1 - b - (column - left))
+            c = (left + b) % columns if circular else min(max(left + b, 0), columns - 1)
+            warped += weight * previous[min(max(top + a, 0), rows - 1), c]
+        errors.append((((warped - current[i, j]) / 255) ** 2).sum())
+    return float(np.mean(errors))
+
+
+def seam_slowly(panorama: np.ndarray) -> float:
+    rows, columns = panorama.shape[:2]
+    steps = []
+    for j in range(columns):
+        beyond = (j + 1) % columns
+        steps.append(
+            np.mean([abs(int(panorama[i, beyond, c]) - int(panorama[i, j, c])) for i in range(rows) for c in range(3)])
+        )
+    return float(steps[-1] / np.mean(steps[:-1]))

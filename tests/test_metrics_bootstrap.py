@@ -1,0 +1,136 @@
+"""Confidence intervals: against all resamples that there are, against scipy, and frames drawn anew by hand."""
+
+from __future__ import annotations
+
+import itertools
+from math import isnan
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from lidar2pano.metrics.bootstrap import interval, multiplicities
+from lidar2pano.metrics.classes import ClassCounts
+from lidar2pano.metrics.seams import RollError
+
+
+def means(values, weights=None, names=None) -> RollError:
+    """A metric that is the mean of values, one per frame, weighted."""
+    metric = RollError()
+    for place, value in enumerate(values):
+        length = 1 if weights is None else weights[place]
+        metric.update(np.zeros(length), np.full(length, float(value)), 0, names[place] if names else f"{place:03d}")
+    return metric
+
+
+def frames(number: int, seed: int = 0) -> ClassCounts:
+    """A network that gets some frames right and others wrong."""
+    generator, metric = np.random.default_rng(seed), ClassCounts(4)
+    for place in range(number):
+        target = generator.integers(0, 1 + place % 4, 200)  # not every frame has every class
+        wrong = generator.random(200) < generator.random()
+        metric.update(np.where(wrong, generator.integers(0, 4, 200), target), target, f"{place:03d}")
+    return metric
+
+
+def test_every_resample_is_as_long_as_the_set_and_evenly_drawn():
+    times = multiplicities(5, 20_000, seed=3)
+    assert times.shape == (20_000, 5)
+    assert (times.sum(1) == 5).all()
+    assert times.mean(0) == pytest.approx([1] * 5, abs=0.03)
+    assert (times == 5).any(1).mean() == pytest.approx(5 / 5**5, abs=1e-3)  # all five the same
+    assert np.array_equal(times, multiplicities(5, 20_000, seed=3))
+    assert not np.array_equal(times, multiplicities(5, 20_000, seed=4))
+
+
+def test_interval_agrees_with_all_resamples_that_there_are():
+    metric = frames(4)
+    names = sorted(metric.rows)
+    figures = []
+    for draw in itertools.product(names, repeat=4):
+        again = ClassCounts(4)
+        for place, name in enumerate(draw):
+            again.rows[str(place)] = metric.rows[name]
+        figures.append(again.compute())
+    for level in (0.5, 0.8):
+        found = interval(metric, level=level, resamples=50_000)
+        exact = np.quantile(figures, [(1 - level) / 2, (1 + level) / 2], method="inverted_cdf")
+        around = np.ptp(figures) * 0.02
+        assert (found.low, found.high) == pytest.approx(exact, abs=around)
+        assert found[0] == metric.compute()
+        assert found[3:] == (level, 50_000, 4)
+
+
+def test_interval_agrees_with_scipy():
+    values = np.random.default_rng(1).exponential(size=40)
+    theirs = scipy.stats.bootstrap((values,), np.mean, method="percentile", n_resamples=20_000, rng=0)
+    ours = interval(means(values), resamples=20_000)
+    assert (ours.low, ours.high) == pytest.approx(tuple(theirs.confidence_interval), abs=0.01)
+    assert ours.value == pytest.approx(values.mean())
+    narrow = interval(means(values), level=0.5, resamples=20_000)
+    assert ours.low < narrow.low < narrow.value < narrow.high < ours.high
+
+
+def test_a_figure_is_taken_by_name():
+    metric = frames(12)
+    found = interval(metric, "accuracy", resamples=200)
+    assert found.value == metric.figures()["accuracy"] != metric.compute()
+    assert found.low < found.value < found.high
+
+
+def test_frames_with_more_to_count_weigh_more():
+    metric = means([0, 1], weights=[30, 10])
+    assert interval(metric).value == 1 / 4
+    assert set(interval(metric, level=0.98)[1:3]) == {0.0, 1.0}
+
+
+def test_differences_are_over_the_same_frames():
+    generator = np.random.default_rng(0)
+    hard = generator.exponential(size=50)  # what is hard for one is hard for the other
+    one, other = means(hard + 0.1 + 0.01 * generator.random(50)), means(hard)
+    found = interval(one, against=other)
+    assert 0.1 < found.low < found.value < found.high < 0.11
+    assert interval(one).high - interval(one).low > 0.3
+    assert interval(one, against=one)[:3] == (0, 0, 0)
+
+
+def test_groups_are_drawn_whole():
+    values = np.repeat(np.random.default_rng(0).normal(size=6), 20)  # six drives of twenty like frames
+    names = [f"{drive:02d}/{frame:06d}" for drive in range(6) for frame in range(20)]
+    metric = means(np.abs(values), names=names)
+    drives = interval(metric, group=lambda name: name[:2])
+    by_drive = interval(means(np.abs(values)[::20]))
+    assert drives[1:3] == pytest.approx(by_drive[1:3], abs=1e-12)
+    assert drives.units == 6
+    single = interval(metric)
+    assert drives.high - drives.low > 3 * (single.high - single.low)
+    assert drives.value == single.value == metric.compute()
+
+
+def test_one_frame_and_none():
+    assert interval(means([3.0]))[:3] == (3, 3, 3)
+    nothing = interval(means([]))
+    assert all(isnan(value) for value in nothing[:3]) and nothing.units == 0
+    unscored = ClassCounts(2, unscored=(0, 1))
+    unscored.update(np.array([0]), np.array([1]), "a")
+    assert all(isnan(value) for value in interval(unscored)[:3])
+
+
+def test_resamples_without_a_figure_are_left_out():
+    metric = means([2.0, 4.0], weights=[1, 1])
+    metric.rows["000"][:] = 0  # a frame of which nothing is scored
+    assert interval(metric)[:3] == (4, 4, 4)
+
+
+@pytest.mark.parametrize(
+    ("settings", "complaint"),
+    [
+        ({"level": 1.0}, "level in"),
+        ({"resamples": 0}, "level in"),
+        ({"against": means([1, 2, 3])}, "not been counted over the same frames"),
+        ({"against": frames(2)}, "not been counted over the same frames"),
+    ],
+)
+def test_intervals_that_cannot_be_are_refused(settings, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        interval(means([1, 2]), **settings)
