@@ -1,0 +1,209 @@
+"""`lidar2pano reproduce`: plans, budgets, restarts, tables and what is said of the paper's orderings."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lidar2pano.cli import main
+from lidar2pano.cli.app import BROKEN
+from lidar2pano.errors import InputError
+from lidar2pano.reproduce import Outcome, Plan
+from lidar2pano.reproduce.curves import scalars, write_curves
+from lidar2pano.reproduce.plan import budget, splits
+from lidar2pano.reproduce.rows import CLAIMS, ROWS, chosen
+from lidar2pano.reproduce.sheets import SHOWN, WIDTH, shown, write_sheets
+from lidar2pano.reproduce.tables import figure, report
+from lidar2pano.train.recipes import RECIPES
+from semantic_kitti import write_semantic_kitti
+
+
+def test_every_row_is_made_of_recipes_that_exist_in_both_forms():
+    for row in ROWS.values():
+        for part in row.parts:
+            assert part == "truth" or {part, f"{part}-mini"} <= RECIPES.keys()
+
+
+def test_the_papers_own_figures_are_those_of_its_tables():
+    # table 2, the last column; table 1, the mean of its columns about as it prints it
+    means = {name: row.paper["swd"] for name, row in ROWS.items() if row.paper}
+    assert means["titan"] == 2.38 and means["scunet"] == 2.59 and means["ceiling"] == 1.76
+    for row in ROWS.values():
+        if row.classes:
+            assert len(row.classes) == 14
+            assert np.mean(row.classes) == pytest.approx(row.miou, abs=0.11)
+        if row.paper and row.name not in ("Pix2Pix -> Vid2Vid",):  # whose printed mean (2.59) is not that of its levels
+            levels = [value for key, value in row.paper.items() if key.startswith("swd_")]
+            assert np.mean(levels) == pytest.approx(row.paper["swd"], abs=0.011)
+
+
+def test_claims_speak_of_rows():
+    assert all({claim.first, claim.second} <= ROWS.keys() for claim in CLAIMS)
+
+
+def test_rows_are_chosen_by_name():
+    assert list(chosen("scunet, titan")) == ["titan", "scunet"]
+    assert chosen("") == ROWS
+    with pytest.raises(InputError, match="titan"):
+        chosen("titann")
+
+
+@pytest.mark.parametrize(
+    ("text", "steps", "minutes"),
+    [("90s", "10000000", 1.5), ("20m", "10000000", 20), ("2h", "10000000", 120), ("500steps", "500", 0)],
+)
+def test_budgets(text, steps, minutes):
+    changes = dict(change.split("=") for change in budget(text))
+    assert changes["training.steps"] == steps and float(changes["training.minutes"]) == minutes
+
+
+@pytest.mark.parametrize("text", ["", "5 minutes", "m", "0m", "1.2.3m", "-3m"])
+def test_other_budgets_are_refused(text):
+    if text:
+        with pytest.raises(InputError, match="90s, 20m"):
+            budget(text)
+    else:
+        assert budget(text) == []
+
+
+@pytest.fixture
+def plan(tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "splits.json").write_text(json.dumps({"train": ["00/000000"], "val": ["00/000001"]}))
+    return Plan(data=tmp_path / "data", out=tmp_path / "out", budget="10s")
+
+
+def test_parts_come_once_and_a_painter_after_its_translator(plan):
+    parts = plan.parts
+    assert len(set(parts)) == len(parts) and "truth" not in parts
+    assert parts[0] == "salsanext" and parts.index("painter") > parts.index("titan-pano")
+    assert "salsanext" not in replace(plan, segmenter="kitti-mini").parts
+
+
+def test_recipes_fit_the_data_at_hand(plan, tmp_path):
+    recipe = plan.recipe("salsanext", {})
+    assert recipe.data.train == ("train",), "there is no split `labelled` here"
+    film = plan.recipe("vid2vid", {})
+    assert film.data.train == ("train",) and film.options["stills"] == ("train", "val")
+    files = {"salsanext": tmp_path / "s", "titan-pano": tmp_path / "t"}
+    painter = plan.recipe("painter", files)
+    assert painter.options["segmenter"] == str(tmp_path / "s") and painter.options["translator"] == str(tmp_path / "t")
+    changed = replace(plan, changes=("titan.training.batch=3", "scunet.training.seed=5"))
+    assert changed.recipe("titan", {}).training.batch == 3 and changed.recipe("scunet", {}).training.seed == 5
+    assert plan.recipe("titan", {}).training.batch != 3
+    assert plan.recipe("titan", {}).name == "titan-mini"
+    assert replace(plan, mini=False).recipe("titan", {}).name == "titan"
+
+
+def test_chains_name_runs_in_the_order_of_the_row(plan):
+    runs = plan.out / "runs"
+    assert plan.chain(ROWS["titan"]) == f"{runs / 'salsanext'}+{runs / 'titan'}+{runs / 'vid2vid'}"
+    assert plan.chain(ROWS["ceiling"]) == f"truth+{runs / 'vid2vid'}"
+    assert plan.chain(ROWS["scunet"]) == str(runs / "scunet")
+
+
+def test_a_damaged_listing_of_splits_is_told(plan):
+    (plan.data / "splits.json").write_text("{")
+    with pytest.raises(InputError, match=r"splits\.json"):
+        splits(plan.data)
+
+
+def result(**figures):
+    rows = [{"sector": "camera", "name": name, "value": value} for name, value in figures.items()]
+    rows.append({"sector": "panorama", "name": "miou", "value": 0.25})
+    one = {"figures": rows, "milliseconds": {"translate": 12.4}, "classes": [{"class": "car", "iou": 0.5}]}
+    return {"heading": "`val` of data: 1 image.", "classes": ["car"], "results": [one]}
+
+
+def test_figures_are_found_by_sector_and_what_is_not_there_is_nan():
+    assert figure(result(swd=2.0), "swd") == 2.0
+    assert figure(result(swd=2.0), "miou", "panorama") == 0.25
+    assert math.isnan(figure(result(swd=None), "swd")) and math.isnan(figure(result(), "ssim"))
+
+
+def test_the_report_has_every_row_and_judges_what_it_can(plan):
+    outcome = Outcome(
+        results={"titan": result(miou=0.3, swd=20.0), "pix2pix": result(miou=0.1, swd=10.0)},
+        failures={"scunet": "no image goes with this scan"},
+    )
+    text = report(plan, outcome, [], None)
+    for row in ROWS.values():
+        assert row.name in text
+    assert "TITAN-Net beats Pix2Pix in mIoU: **confirmed** here (0.3 against 0.1)" in text
+    assert "TITAN-Net beats Pix2Pix in SWD: **contradicted** here (20 against 10)" in text
+    assert "Lovasz-Softmax raises mIoU: not measured here" in text
+    assert "scunet: no image goes with this scan" in text and "no Inception weights" in text
+    titan = next(line for line in text.splitlines() if line.startswith("| TITAN-Net -> Vid2Vid |"))
+    assert "| 50.0 |" in titan and "**30.0**" in titan
+
+
+def test_sheets_stand_side_by_side_and_leave_out_what_nobody_has(tmp_path):
+    from PIL import Image
+
+    for row, grey in (("truth", 10), ("titan", 200)):
+        (tmp_path / "pictures" / row).mkdir(parents=True)
+        picture = np.full((30, 60, 3), grey, dtype=np.uint8)
+        Image.fromarray(picture).save(tmp_path / "pictures" / row / "00.colour.png")
+    paths = write_sheets(tmp_path / "pictures", tmp_path / "sheets", {"titan": "TITAN-Net"})
+    assert [path.stem for path in paths] == ["segments", "ablations"]
+    sheet = np.array(Image.open(paths[0]))
+    assert sheet.shape[1] == 2 * WIDTH
+    assert abs(int(sheet[-20, 40, 0]) - 10) < 4 and abs(int(sheet[-20, WIDTH + 40, 0]) - 200) < 4
+
+
+@pytest.mark.parametrize("frames", [0, 1, 2, 7])
+def test_pictures_are_kept_of_first_middle_and_last_frames(frames):
+    found = shown(frames)
+    assert len(found) == min(frames, SHOWN) and all(0 <= index < frames for index in found)
+    assert not frames or (found[0] == 0 and found[-1] == frames - 1)
+
+
+def test_curves_are_drawn_of_losses_alone(tmp_path):
+    from torch.utils.tensorboard import SummaryWriter
+
+    for run, values in (("titan", (3.0, 2.0, 1.0)), ("scunet", (1.0,))):
+        with SummaryWriter(str(tmp_path / run / "tensorboard")) as writer:
+            for step, value in enumerate(values):
+                writer.add_scalar("loss", value, step)
+                writer.add_scalar("rate/translator", 0.1, step)
+    assert scalars(tmp_path / "titan")["loss"] == [(0, 3.0), (1, 2.0), (2, 1.0)]
+    assert scalars(tmp_path / "nothing") == {}
+    path = write_curves({name: tmp_path / name for name in ("titan", "scunet", "nothing")}, tmp_path / "curves.png")
+    assert path is not None and path.stat().st_size > 1000
+    assert write_curves({"scunet": tmp_path / "scunet"}, tmp_path / "none.png") is None, "one point is no curve"
+
+
+@pytest.fixture(scope="module")
+def semantic_kitti(tmp_path_factory):
+    return write_semantic_kitti(tmp_path_factory.mktemp("sk"))
+
+
+def test_semantic_kitti_as_users_have_it_and_a_second_run_that_only_reads(semantic_kitti, tmp_path, capsys):
+    words = ["reproduce", "--data", str(semantic_kitti), "--out", str(tmp_path), "--rows", "scunet", "--device", "cpu"]
+    words += ["--budget", "1steps", "--segmenter", "kitti-mini", "--set", "scunet.options.size=47,155"]
+    assert main(words) == 0
+    text = (tmp_path / "RESULTS.md").read_text()
+    row = next(line for line in text.splitlines() if line.startswith("| SC-UNET |"))
+    assert 0 < float(row.split("|")[2]) < 1, "SSIM"
+    assert "`val`" in text and "1 pictures" in text
+    assert (tmp_path / "pictures" / "truth" / "00.colour.png").is_file()
+    rows = tmp_path / "rows" / "scunet.json"
+    held = {path: path.stat().st_mtime_ns for path in (rows, tmp_path / "runs/scunet/weights/renderer.safetensors")}
+    assert main(words) == 0
+    assert {path: path.stat().st_mtime_ns for path in held} == held
+    rows.write_text("{")  # a damaged row is scored anew
+    assert main(words) == 0
+    assert json.loads(rows.read_text())["result"]["pictures"] == 1
+    capsys.readouterr()
+
+
+def test_without_camera_labels_it_says_what_makes_them_and_reports_the_row(tmp_path, capsys):
+    data = write_semantic_kitti(tmp_path / "data", camera_labels=False)
+    words = ["reproduce", "--data", str(data), "--out", str(tmp_path / "out"), "--rows", "titan", "--device", "cpu"]
+    assert main([*words, "--budget", "1steps", "--segmenter", "kitti-mini"]) == BROKEN
+    assert "lidar2pano prepare" in (tmp_path / "out" / "RESULTS.md").read_text()
+    assert "titan" in capsys.readouterr().err
