@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.data.augment import drop_points, drop_rings, mirror, mirror_azimuth, shift_azimuth, turn
+from lidar2pano.data.augment import drop_points, drop_rings, mirror, mirror_azimuth, shift_azimuth, turn, vary_remission
 from lidar2pano.data.fronts import FrontSamples
 from lidar2pano.data.panoramas import PanoramaSamples, mirrored
 from lidar2pano.data.ranges import RangeSamples
@@ -14,6 +14,7 @@ from lidar2pano.data.sequences import UNSURE, Draw, frames
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON14, COMMON15
+from lidar2pano.scan import Scan
 from lidar2pano.sensors import VIEWS
 from miniature import HOUSE, ROAD, SPLITS, street, write_data_set
 
@@ -103,6 +104,18 @@ def test_a_turned_scan_projects_to_the_shifted_picture():
     scan = street(4)
     plain, turned = (project(s, VIEWS["hdl64e"]).valid for s in (scan, turn(scan, 2 * np.pi * 100 / 2048)))
     assert (shift_azimuth(plain, -100) != turned).float().mean() < 1e-3
+
+
+def test_another_scale_of_remission_keeps_points_order_and_range():
+    scan = Scan(xyz=np.ones((400, 3), np.float32), remission=np.linspace(0, 1, 400, dtype=np.float32))
+    means = []
+    for seed in range(60):
+        changed = vary_remission(scan, np.random.default_rng(seed), 0.5)
+        assert changed.xyz is scan.xyz and changed.remission.dtype == np.float32
+        assert changed.remission.min() >= 0 and changed.remission.max() <= 1
+        assert (np.diff(changed.remission) >= 0).all()
+        means.append(changed.remission.mean())
+    assert min(means) < 0.33 and max(means) > 0.62 and abs(np.mean(means) - 0.5) < 0.06
 
 
 def test_dropping_leaves_out_about_the_share_asked_for_with_their_labels():

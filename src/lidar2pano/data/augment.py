@@ -42,6 +42,13 @@ def shift(scan: Scan, generator: np.random.Generator, reach_m: tuple[float, floa
     )
 
 
+def vary_remission(scan: Scan, generator: np.random.Generator, reach: float) -> Scan:
+    """Another sensor's scale of remission: all times 1 +- reach, and up to a fifth of `reach` more or less."""
+    factor, offset = generator.uniform(1 - reach, 1 + reach), generator.uniform(-reach, reach) / 5
+    changed = np.clip(scan.remission * factor + offset, 0, 1).astype(np.float32)
+    return replace(scan, remission=changed)
+
+
 def shift_azimuth(panorama: Tensor, columns: int) -> Tensor:
     """Turn a circular picture (..., H, W) by whole columns: what leaves on the right comes back on the left."""
     return torch.roll(panorama, columns, dims=-1)

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.data.augment import drop_points, mirror, shift, turn
+from lidar2pano.data.augment import drop_points, mirror, shift, turn, vary_remission
 from lidar2pano.data.sequences import Draw, Frame, frames
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.geometry.projection import project
@@ -37,10 +37,12 @@ class Variation:
 
     turn_deg  how far a scan is turned at most, either way.
     chance    probability of each of moving, turning and dropping points; half of the scans are mirrored.
+    remission how much brighter or darker, as a share, all of a scan is made at most.
     """
 
     turn_deg: float = 180.0
     chance: float = 0.5
+    remission: float = 0.0
 
 
 class RangeSamples:
@@ -94,7 +96,7 @@ def labelled(frame: Frame) -> Scan:
 
 
 def augmented(scan: Scan, generator: np.random.Generator, vary: Variation) -> Scan:
-    """SalsaNext's augmentation: move, mirror, turn, drop up to half of the points."""
+    """SalsaNext's augmentation: move, mirror, turn, drop up to half of the points; and another scale of remission."""
     if generator.random() < vary.chance:
         scan = shift(scan, generator, (5.0, 3.0, 0.5))
     if generator.random() < 0.5:
@@ -103,4 +105,4 @@ def augmented(scan: Scan, generator: np.random.Generator, vary: Variation) -> Sc
         scan = turn(scan, np.radians(generator.uniform(-vary.turn_deg, vary.turn_deg)))
     if generator.random() < vary.chance:
         scan = drop_points(scan, generator, generator.uniform(0, 0.5))
-    return scan
+    return vary_remission(scan, generator, vary.remission) if vary.remission else scan

@@ -86,13 +86,13 @@ MATERIALS: dict[str, Material] = {
     "bark": Material("bark", (0.10, 0.08, 0.06), lidar=0.36, spread=0.25),
     "bark-birch": Material("birch", (0.42, 0.41, 0.38), lidar=0.42, spread=0.25),
     "leaves": Material(
-        "leaves", (0.085, 0.108, 0.036), 0.03, 0.6, cutout="leaves", through=0.35, lidar=0.36, spread=0.35
+        "leaves", (0.112, 0.142, 0.047), 0.03, 0.6, cutout="leaves", through=0.35, lidar=0.36, spread=0.35
     ),
     "needles": Material(
-        "leaves", (0.04, 0.058, 0.026), 0.02, 0.7, cutout="needles", through=0.2, lidar=0.33, spread=0.35
+        "leaves", (0.052, 0.076, 0.034), 0.02, 0.7, cutout="needles", through=0.2, lidar=0.33, spread=0.35
     ),
     "hedge": Material(
-        "leaves", (0.066, 0.088, 0.03), 0.03, 0.6, cutout="leaves", through=0.25, lidar=0.35, spread=0.35
+        "leaves", (0.086, 0.115, 0.039), 0.03, 0.6, cutout="leaves", through=0.25, lidar=0.35, spread=0.35
     ),
     "hedge-core": Material("", (0.012, 0.016, 0.007), lidar=0.3, spread=0.3),
     "tall-grass": Material("leaves", (0.13, 0.135, 0.06), cutout="blades", through=0.4, lidar=0.36, spread=0.3),

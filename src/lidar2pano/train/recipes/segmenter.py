@@ -20,7 +20,15 @@ def salsanext() -> Recipe:
                 optimizer=Optimizer(rate=3e-3, weight_decay=1e-2, warmup=50, clip=5.0),
             )
         },
-        options={"columns": 1024, "turn_deg": 180.0, "chance": 0.5, "lovasz": 1.0, "rarity": 0.5, "dropout": True},
+        options={
+            "columns": 1024,
+            "turn_deg": 180.0,
+            "chance": 0.5,
+            "remission": 0.0,
+            "lovasz": 1.0,
+            "rarity": 0.5,
+            "dropout": True,
+        },
         training=Training(steps=20_000, batch=2),
     )
 
