@@ -24,7 +24,8 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"formats", "sources", "geometry", "allocator", "demo"}),
     frozenset({"models", "losses", "metrics", "data", "panorama", "simulate"}),
     frozenset({"pipeline"}),
-    frozenset({"train", "evaluate", "bench"}),
+    frozenset({"prepare", "train", "evaluate", "bench"}),
+    frozenset({"reproduce"}),
     frozenset({"cli", "__main__"}),
 )
 DOOR = len(FLOORS) - 1

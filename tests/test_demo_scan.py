@@ -19,7 +19,7 @@ from lidar2pano.sensors import VIEWS
 SCRIPT = Path(__file__).resolve().parent.parent / "runs" / "demo_scan.py"
 # Share of the points in per cent and their mean remission, generously around what scans of data/kitti-mini have.
 LIKE_KITTI = {
-    "car": ((2, 18), (0.03, 0.25)),
+    "car": ((2, 18), (0.03, 0.32)),
     "road": ((15, 36), (0.15, 0.32)),
     "sidewalk": ((5, 24), (0.2, 0.4)),
     "building": ((6, 26), (0.2, 0.45)),

@@ -14,6 +14,7 @@ from PIL import Image
 from torch import nn
 
 from lidar2pano.calibration import Calibration
+from lidar2pano.cli import main
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.images import Normalisation, one_hot_layers
 from lidar2pano.geometry.projection import project
@@ -23,12 +24,14 @@ from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.card import read_card, save
 from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import licence_note, weight_files
+from lidar2pano.models.precision import fast_arithmetic
 from lidar2pano.models.segmenter import Segmenter
+from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
-from lidar2pano.pipeline import Memory, load
+from lidar2pano.pipeline import Memory, Stopwatch, load
 from lidar2pano.scan import Scan
 from lidar2pano.sensors import VIEWS, View
-from random_weights import LICENCE, TRANSLATOR_VIEW, spread_norms, street, write_weights
+from random_weights import LICENCE, TRANSLATOR_VIEW, spread_norms, street, write_scan, write_weights
 
 SKY = COMMON15.id_of("sky")
 CAMERA = Calibration(
@@ -351,3 +354,99 @@ def test_a_strict_licence_is_noted(random_weights, tmp_path):
     save(tmp_path / "painter.safetensors", network, replace(card, licence="Apache-2.0"))
     assert json.loads(read_card(tmp_path / "painter.safetensors").to_json())["licence"] == "Apache-2.0"
     assert licence_note({"painter": tmp_path / "painter.safetensors"}) is None
+
+
+# --- a painter with a memory ----------------------------------------------------------------------------------------
+
+GENERATOR = {"channels": 16, "widths": [8], "downsamplings": 2, "blocks": [1, 1], "foreground": [1]}
+SINGLE = {"classes": 16, "width": 8, "downsamplings": 1, "blocks": 1}
+
+
+def video_weights(random_weights: Path, folder: Path, single: bool = False, **card) -> Path:
+    """A folder with segmenter, translator and an untrained vid2vid that paints on the segments' raster."""
+    folder.mkdir()
+    for role in ("segmenter", "translator"):
+        (folder / f"{role}.safetensors").symlink_to(random_weights / f"{role}.safetensors")
+    write_weights(folder, "vid2vid", "vid2vid", GENERATOR, **{"views": {"panorama": TRANSLATOR_VIEW.as_dict()}, **card})
+    if single:
+        write_weights(folder, "vid2vid-single", "vid2vid-single", SINGLE)
+    return folder
+
+
+@pytest.mark.parametrize("single", [False, True])
+def test_a_video_painter_paints_the_stream_frame_after_frame(random_weights, tmp_path, single):
+    pipeline = load(video_weights(random_weights, tmp_path / "video", single), "cpu")
+    assert isinstance(pipeline.painter, Vid2VidPainter)
+    assert (pipeline.painter.single is not None) == single
+    scans = [street(seed=seed) for seed in (1, 2, 3)]
+    pictures = list(pipeline.stream(scans))
+    shape = (2 * TRANSLATOR_VIEW.rows, 2 * TRANSLATOR_VIEW.columns, 3)
+    assert all(one.colour.shape == shape and one.colour.std() > 0 for one in pictures)
+    assert same(pipeline(scans[0]), pictures[0])
+    assert not np.array_equal(pipeline(scans[2]).colour, pictures[2].colour)
+    assert np.array_equal(pipeline(scans[2]).segments, pictures[2].segments)
+    memory = Memory()
+    for scan, expected in zip(scans, pictures, strict=True):
+        memory, panorama = pipeline.step(memory, scan)
+        assert same(panorama, expected)
+    assert same(pipeline.step(memory, scans[0])[1], pipeline.step(memory, scans[0])[1])
+
+
+def test_the_panorama_is_what_the_video_painter_painted(random_weights, tmp_path):
+    pipeline = load(video_weights(random_weights, tmp_path / "video"), "cpu")
+    seen = pipeline.translated(street(), Stopwatch(pipeline.device))
+    with torch.inference_mode(), fast_arithmetic(pipeline.device):
+        _, picture = pipeline.painter.follow(None, grown_classes(seen.logits.softmax(1), 1))
+    expected = ((grow_circular(picture[None], 2)[0] + 1) * 127.5).round().movedim(0, 2)
+    assert np.array_equal(pipeline(street()).colour, expected.numpy())
+
+
+def test_a_video_painter_without_a_raster_paints_the_finished_one(random_weights, tmp_path):
+    painter = load(video_weights(random_weights, tmp_path / "video", views={}), "cpu").painter
+    assert isinstance(painter, Vid2VidPainter) and painter.finer == 2
+
+
+def test_a_video_painter_that_does_not_fit_is_named(random_weights, tmp_path):
+    with pytest.raises(
+        InputError, match=r"vid2vid.safetensors: it paints panoramas of 432 columns, .* translator's 576"
+    ):
+        load(
+            video_weights(
+                random_weights, tmp_path / "raster", views={"panorama": VIEWS["panorama"].scaled(3 / 32).as_dict()}
+            ),
+            "cpu",
+        )
+    folder = video_weights(random_weights, tmp_path / "classes")
+    write_weights(folder, "vid2vid-single", "vid2vid-single", {**SINGLE, "classes": 35})
+    with pytest.raises(InputError, match=r"vid2vid.safetensors: the first-frame network reads 35 classes"):
+        load(folder, "cpu")
+
+
+def test_first_frames_need_a_video_painter(random_weights, tmp_path):
+    for role in ("segmenter", "translator", "painter"):
+        (tmp_path / f"{role}.safetensors").symlink_to(random_weights / f"{role}.safetensors")
+    single = write_weights(tmp_path, "vid2vid-single", "vid2vid-single", SINGLE)
+    with pytest.raises(
+        InputError, match=f"{single}: paints the first frames for a 'vid2vid', which .*painter.safetensors"
+    ):
+        load(tmp_path, "cpu")
+    write_weights(tmp_path, "vid2vid", "vid2vid", GENERATOR)
+    with pytest.raises(InputError, match=r"painter.safetensors and vid2vid.safetensors are both a painter"):
+        load(tmp_path, "cpu")
+
+
+def test_a_folder_of_scans_is_painted_as_one_stream(random_weights, tmp_path, capsys):
+    weights = video_weights(random_weights, tmp_path / "video")
+    for name in ("a/0.bin", "a/1.bin", "b/1.bin"):
+        write_scan(tmp_path / name, street(seed=int(name[2])))
+    folders = [str(tmp_path / name) for name in "ab"]
+    assert (
+        main(["translate", *folders, "--weights", str(weights), "--out", str(tmp_path / "out"), "--device", "cpu"]) == 0
+    )
+    assert LICENCE in capsys.readouterr().err
+    pipeline = load(weights, "cpu")
+    first, second = pipeline.stream([street(seed=0), street(seed=1)])
+    expected = {"0": first, "a-1": second, "b-1": pipeline(street(seed=1))}
+    for stem, panorama in expected.items():
+        assert np.array_equal(pixels(tmp_path / "out" / f"{stem}.png"), panorama.colour)
+    assert not np.array_equal(second.colour, expected["b-1"].colour)

@@ -125,6 +125,24 @@ CITYSCAPES = LabelSet(
     ),
 )  # fmt: skip
 
+# Cityscapes' label ids (same file), which published vid2vid weights read; the last one is -1 there.
+CITYSCAPES_IDS = LabelSet(
+    name="cityscapes-ids",
+    classes=(
+        "unlabeled", "ego vehicle", "rectification border", "out of roi", "static", "dynamic", "ground", "road",
+        "sidewalk", "parking", "rail track", "building", "wall", "fence", "guard rail", "bridge", "tunnel", "pole",
+        "polegroup", "traffic light", "traffic sign", "vegetation", "terrain", "sky", "person", "rider", "car", "truck",
+        "bus", "caravan", "trailer", "train", "motorcycle", "bicycle", "license plate",
+    ),
+    colours=(
+        (0, 0, 0), (0, 0, 0), (0, 0, 0), (0, 0, 0), (0, 0, 0), (111, 74, 0), (81, 0, 81), (128, 64, 128),
+        (244, 35, 232), (250, 170, 160), (230, 150, 140), (70, 70, 70), (102, 102, 156), (190, 153, 153),
+        (180, 165, 180), (150, 100, 100), (150, 120, 90), (153, 153, 153), (153, 153, 153), (250, 170, 30),
+        (220, 220, 0), (107, 142, 35), (152, 251, 152), (70, 130, 180), (220, 20, 60), (255, 0, 0), (0, 0, 142),
+        (0, 0, 70), (0, 60, 100), (0, 0, 90), (0, 0, 110), (0, 80, 100), (0, 0, 230), (119, 11, 32), (0, 0, 142),
+    ),
+)  # fmt: skip
+
 # The 14 classes that both data sets have, in the order of TITAN-Net's published weights (its palette).
 COMMON14 = LabelSet(
     name="common-14",
@@ -141,7 +159,7 @@ COMMON14 = LabelSet(
 
 COMMON15 = LabelSet(name="common-15", classes=(*COMMON14.classes, "sky"), colours=(*COMMON14.colours, (70, 130, 180)))
 
-LABEL_SETS: dict[str, LabelSet] = {s.name: s for s in (SEMANTIC_KITTI, CITYSCAPES, COMMON14, COMMON15)}
+LABEL_SETS: dict[str, LabelSet] = {s.name: s for s in (SEMANTIC_KITTI, CITYSCAPES, CITYSCAPES_IDS, COMMON14, COMMON15)}
 
 # TITAN-Net's supplement, table 4 (parking stands in its sidewalk column).
 _FROM_KITTI = {
@@ -153,6 +171,8 @@ _FROM_CITYSCAPES = {
     "traffic sign": "traffic-sign", "rider": "person", "bus": "other-vehicle", "train": "other-vehicle",
     "wall": "fence", "traffic light": "traffic-sign",
 }  # fmt: skip
+# And back, where a class of ours holds several of theirs.
+_TO_CITYSCAPES = {"other-vehicle": "bus", "traffic-sign": "traffic sign"}
 
 TABLES: dict[tuple[str, str], np.ndarray] = {
     ("semantic-kitti", "common-14"): SEMANTIC_KITTI.table_to(COMMON14, _FROM_KITTI),
@@ -161,5 +181,6 @@ TABLES: dict[tuple[str, str], np.ndarray] = {
     ("cityscapes", "common-15"): CITYSCAPES.table_to(COMMON15, _FROM_CITYSCAPES),
     ("common-15", "common-14"): COMMON15.table_to(COMMON14, {"sky": "unlabeled"}),
     ("common-14", "common-15"): COMMON14.table_to(COMMON15, {}),
+    ("common-15", "cityscapes-ids"): COMMON15.table_to(CITYSCAPES_IDS, _TO_CITYSCAPES),
 }
 """Look-up tables (K,) uint8 by (from, to)."""

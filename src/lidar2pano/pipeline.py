@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -19,12 +19,14 @@ from lidar2pano.geometry.images import RangeImage, one_hot_layers
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
-from lidar2pano.models.card import Card
+from lidar2pano.models.card import Card, read_card
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import DEFAULT, weight_files
+from lidar2pano.models.painter import StreamPainter
 from lidar2pano.models.precision import fast_arithmetic, pick_device
 from lidar2pano.models.segmenter import Segmenter
+from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
 from lidar2pano.scan import Scan
 from lidar2pano.sensors import VIEWS, View
@@ -34,10 +36,12 @@ from lidar2pano.sensors import VIEWS, View
 class Memory:
     """What a stream carries from one scan to the next. `Memory()` is its beginning.
 
-    frames  scans seen so far; a panorama's `frame` is its place in the stream.
+    frames   scans seen so far; a panorama's `frame` is its place in the stream.
+    painted  what the painter wants back with the next scan (StreamPainter).
     """
 
     frames: int = 0
+    painted: Any = None
 
 
 class Translated(NamedTuple):
@@ -78,13 +82,13 @@ class Pipeline:
 
     segmenter   scan -> a class of SEMANTIC_KITTI per point.
     translator  (image (1, 5, H, W), condition (1, 20, H, W)) -> logits (1, 16, H, W) of COMMON15, depth (1, H, W) m.
-    painter     (segments (1, 16, H, W), depth (1, H, W), image) -> (1, 3, 2H, 2W) in [-1, 1].
+    painter     (what it remembers, segments (1, 16, H, W), depth (1, H, W), image) -> (that, (1, 3, 2H, 2W)).
     view        the translator's raster, H x W, around the camera that the picture is taken from.
     """
 
     segmenter: Segmenter
     translator: nn.Module
-    painter: nn.Module
+    painter: StreamPainter
     view: View
     device: torch.device
 
@@ -116,8 +120,9 @@ class Pipeline:
         watch = Stopwatch(self.device)
         seen = self.translated(scan, watch)
         with watch("paint"), fast_arithmetic(self.device):
-            picture = self.painter(seen.logits.softmax(1), seen.depth_m, seen.channels)[0]
-            colour = picture.float().add_(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
+            segments = seen.logits.softmax(1)
+            painted, picture = self.painter.paint(memory.painted, segments, seen.depth_m, seen.channels)
+            colour = picture[0].float().add_(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
         with watch("finish"):
             segments, depth_m = self._finished(seen.logits, seen.depth_m)
             colour, segments, depth_m = (part.contiguous().cpu().numpy() for part in (colour, segments, depth_m))
@@ -132,7 +137,7 @@ class Pipeline:
             dropped=seen.dropped,
             milliseconds=watch.milliseconds,
         )
-        return Memory(frames=memory.frames + 1), panorama
+        return Memory(frames=memory.frames + 1, painted=painted), panorama
 
     @torch.inference_mode()
     def translated(self, scan: Scan, watch: Stopwatch) -> Translated:
@@ -177,15 +182,15 @@ def load(weights: str | Path = DEFAULT, device: str = "auto") -> Pipeline:
     """
     picked = pick_device(device)
     files = weight_files(weights)
-    expected = {"segmenter": "salsanext", "translator": "titan-pano", "painter": "painter"}
-    if missing := [role for role in expected if role not in files]:
+    if missing := [role for role in ("segmenter", "translator", "painter") if role not in files]:
         raise InputError(f"{weights}: no weights for the {' and the '.join(missing)}; name a family that has them")
-    translator, card = load_part(files["translator"], picked, expect=expected["translator"])
+    translator, card = load_part(files["translator"], picked, expect="titan-pano")
+    view = card_view(files["translator"], card, "panorama")
     return Pipeline(
         segmenter=load_segmenter(files["segmenter"], picked),
         translator=translator,
-        painter=load_part(files["painter"], picked, expect=expected["painter"])[0],
-        view=card_view(files["translator"], card, "panorama"),
+        painter=load_painter(files["painter"], files.get("first-frame painter"), view, picked),
+        view=view,
         device=picked,
     )
 
@@ -195,6 +200,26 @@ def load_segmenter(file: Path, device: torch.device) -> Segmenter:
     network, card = load_part(file, device, expect="salsanext")
     card_view(file, card, "input")
     return Segmenter.from_card(network, card)
+
+
+def load_painter(file: Path, first: Path | None, view: View, device: torch.device) -> StreamPainter:
+    """The painter of a weight file, ready for inference; InputError where the file holds something else.
+
+    first  weights of vid2vid's network for first frames; view: raster of the segments that are painted.
+    A vid2vid paints on the raster "panorama" of its card, if it has one; otherwise on the finished panorama's.
+    """
+    if read_card(file).network != "vid2vid":
+        if first is not None:
+            raise InputError(f"{first}: paints the first frames for a 'vid2vid', which {file} is not; name both")
+        painter, _ = load_part(file, device, expect="painter")
+        return painter  # pyright: ignore[reportReturnType] a Painter, since that was expected
+    generator, card = load_part(file, device)
+    single = load_part(first, device, expect="vid2vid-single")[0] if first is not None else None
+    raster = card_view(file, card, "panorama") if "panorama" in card.views else view.scaled(2)
+    try:
+        return Vid2VidPainter.all_around(generator, single, raster.columns, view.columns)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
 
 
 def load_part(file: Path, device: torch.device, expect: str | None = None) -> tuple[nn.Module, Card]:

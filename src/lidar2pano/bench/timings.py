@@ -153,7 +153,7 @@ def untrained(device: torch.device) -> Pipeline:
     return Pipeline(
         segmenter=Segmenter(network=segmenter, view=VIEWS["hdl64e"], normalise=Normalisation()),
         translator=translator,
-        painter=painter,
+        painter=painter,  # pyright: ignore[reportArgumentType] a Painter, as built
         view=VIEWS["panorama"].scaled(0.5),
         device=device,
     )

@@ -16,7 +16,7 @@ from lidar2pano.errors import InputError
 MISTAKE, BROKEN, INTERRUPTED = 2, 1, 130  # exit codes: the user can mend it; the run is lost; Ctrl-C
 FATES = {InputError: MISTAKE, FloatingPointError: BROKEN, KeyboardInterrupt: INTERRUPTED}
 # module -> extra of the package that installs it
-EXTRAS = {"lightning": "train", "torchmetrics": "train", "tensorboard": "train"}
+EXTRAS = {"lightning": "train", "torchmetrics": "train", "tensorboard": "train", "matplotlib": "train"}
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

@@ -3,42 +3,127 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar2pano.cli.app import app, note_licences
+from lidar2pano.cli.app import app, complain
+from lidar2pano.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from lidar2pano.evaluate import Evaluation, System
 
 
 @app.command()
-def evaluate(
+def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     weights: Annotated[
         list[str],
-        typer.Argument(metavar="WEIGHTS|RUN...", help="Families, runs or weight files; several make columns."),
+        typer.Argument(
+            metavar="WEIGHTS|RUN...",
+            help="Families, runs or weight files, or chains TRANSLATOR+PAINTER; truth+PAINTER paints the true classes. "
+            "Several make columns.",
+        ),
     ],
-    data: Annotated[Path, typer.Option(metavar="ROOT", help="A data set in SemanticKITTI's layout.")],
+    data: Annotated[
+        Path, typer.Option(metavar="ROOT", help="A data set: SemanticKITTI's layout, or surround cameras.")
+    ],
     split: Annotated[str, typer.Option(metavar="NAME", help="Which of its splits.")] = "val",
+    metrics: Annotated[
+        str,
+        typer.Option(
+            metavar="LIST",
+            help="Of points,classes,pictures,depth,seams,time,roll and camera,panorama; all but roll when not given.",
+        ),
+    ] = "",
+    sensor: Annotated[str, typer.Option(metavar="NAME", help="Sensor that scanned, e.g. pandar64.")] = "",
+    sdnet: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A camera segmenter: FSD, and re-segmentation mIoU.")
+    ] = None,
+    inception: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Inception's published weights, for FID (or in torch's cache).")
+    ] = None,
     as_json: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Also write the scores as JSON.")
     ] = None,
+    as_csv: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Also write every figure as CSV.")
+    ] = None,
+    worst: Annotated[int, typer.Option(metavar="N", help="Also list the N worst frames of each, with pictures.")] = 0,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the worst frames.")] = Path("worst"),
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
 ) -> None:
-    """Score what is made from the scan alone against the camera's classes; print a table in Markdown."""
+    """Score what is made from the scan alone against what cameras saw; print a table in Markdown."""
     from lidar2pano.allocator import keep_buffers
-    from lidar2pano.cli.files import check_file, write_json
+    from lidar2pano.cli.files import check_file, check_folder, write_json
     from lidar2pano.cli.progress import bar
-    from lidar2pano.evaluate import contender, score
+    from lidar2pano.data.truths import truths
+    from lidar2pano.evaluate import Measures, score, system
 
-    if as_json:
-        check_file(as_json, "--json")
+    for path, option in ((as_json, "--json"), (as_csv, "--csv")):
+        if path:
+            check_file(path, option)
+    if worst < 0:
+        raise InputError(f"--worst {worst}: how many frames cannot be negative")
+    if worst:
+        check_folder(out, "--out")
     keep_buffers()
-    from lidar2pano.data.sequences import frames
-
-    found = frames(data, split)
-    contenders = [contender(name, device) for name in dict.fromkeys(weights)]
+    found = truths(data, split)
+    measures = Measures.of(metrics, inception=inception, sdnet=sdnet, device=device)
+    systems = [system(name, device=device, sensor=sensor) for name in dict.fromkeys(weights)]
     with bar(len(found), f"evaluating {split}") as advance:
-        evaluation = score(contenders, found, data=data.resolve().name, split=split, after_each=advance)
+        evaluation = score(
+            systems,
+            found,
+            data=data.resolve().name,
+            split=split,
+            measures=measures,
+            worst=worst,
+            after_each=advance,
+        )
     if as_json:
         write_json(as_json, evaluation.as_dict(), "--json")
-    note_licences(weights)
+    if as_csv:
+        write_csv(as_csv, evaluation.records(), "--csv")
+    if worst:
+        write_csv(out / "worst.csv", write_worst(evaluation, out), "--out")
+    note_systems(systems)
     print(evaluation.table())
+
+
+def write_worst(evaluation: Evaluation, out: Path) -> list[dict[str, object]]:
+    """Write the sheets of the worst frames, a folder per system (1, 2, ...); return the list of them."""
+    rows: list[dict[str, object]] = []
+    for number, one in enumerate(evaluation.contenders, 1):
+        paths = one.worst.write(out / str(number))
+        for rank, ((frame, figure, value), path) in enumerate(zip(one.worst.rows(), paths, strict=True), 1):
+            where = path.relative_to(out).as_posix() if path else ""
+            name = one.system.origin.name
+            rows.append(
+                {"system": name, "rank": rank, "frame": frame, "figure": figure, "value": value, "picture": where}
+            )
+    return rows
+
+
+def write_csv(path: Path, rows: list[dict[str, object]], option: str) -> None:
+    """Write rows of one kind as CSV with a head, beside and then renamed; InputError where that cannot be done."""
+    import csv
+    import io
+
+    from lidar2pano.formats.pictures import write_whole
+
+    text = io.StringIO()
+    writer = csv.DictWriter(text, rows[0] if rows else [], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_whole(path, lambda beside: beside.write_text(text.getvalue(), encoding="utf-8"), option)
+
+
+def note_systems(systems: Iterable[System]) -> None:
+    """One line on stderr for each licence that restricts the use of these systems' weights."""
+    from lidar2pano.models.families import licence_note
+
+    for note in dict.fromkeys(licence_note(dict(one.origin.files)) for one in systems):
+        if note:
+            complain(note)

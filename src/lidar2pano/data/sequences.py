@@ -69,6 +69,10 @@ class Frame:
     def camera_labels(self) -> np.ndarray:
         """Read the camera's class ids (h, w) uint8 of CITYSCAPES, UNSURE where nobody knows."""
         path = self.folder / "camera_labels" / f"{self.stem}.png"
+        if not path.is_file():
+            raise InputError(
+                f"{path}: is missing; label the camera's pictures first: lidar2pano prepare ROOT --teacher ..."
+            )
         ids = _pixels(path, None)
         if ids.ndim != 2 or ids.dtype != np.uint8:
             raise InputError(f"{path}: is no picture of class ids (one channel of 8 bits); write Cityscapes train ids")

@@ -1,172 +1,160 @@
-"""From frames to counts, and from counts to tables."""
+"""From frames to counts: every system is asked about every frame."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from lidar2pano.calibration import Calibration
-from lidar2pano.data.panoramas import CAMERA_TO_COMMON15
-from lidar2pano.data.sequences import Frame
+from lidar2pano.data.sequences import UNSURE
+from lidar2pano.data.truths import Truth
 from lidar2pano.errors import InputError
-from lidar2pano.evaluate.contenders import UNSCORED, Contender
-from lidar2pano.labels import COMMON15
-from lidar2pano.metrics.confusion import Confusion
+from lidar2pano.evaluate import report
+from lidar2pano.evaluate.contenders import Contender, Flows
+from lidar2pano.evaluate.figures import Figure, figures, present
+from lidar2pano.evaluate.measures import Measures
+from lidar2pano.evaluate.questions import Question, System
+from lidar2pano.evaluate.streams import camera_flow, follows, panorama_flow
+from lidar2pano.evaluate.tallies import Moved, Tally
+from lidar2pano.evaluate.worst import Worst
 
 
-def score(
-    contenders: Sequence[Contender],
-    frames: Iterable[Frame],
-    *,
-    data: str,
-    split: str,
-    after_each: Callable[[], None] = lambda: None,
-) -> Evaluation:
-    """Let every contender foretell every frame and count.
-
-    Frames without camera labels count for the points only, frames without point labels for the camera only. Raises
-    InputError for a frame that has neither, and for files that are missing, damaged or do not fit together.
-    """
-    images = scans = 0
-    for frame in frames:
-        scan = replace(frame.scan(), name=frame.name)
-        camera, calibration = _camera(frame)
-        points = _points(frame, len(scan))
-        if camera is None and points is None:
-            raise InputError(f"{frame.folder}: {frame.stem} has neither camera_labels/ nor labels/; label it first")
-        images, scans = images + (camera is not None), scans + (points is not None)
-        for one in contenders:
-            one.take(scan, calibration, camera, points)
-        after_each()
-    return Evaluation(contenders=contenders, data=data, split=split, images=images, scans=scans)
-
-
-def _camera(frame: Frame) -> tuple[Tensor | None, Calibration | None]:
-    if not (frame.folder / "camera_labels" / f"{frame.stem}.png").is_file():
-        return None, None
-    ids = frame.camera_labels()
-    return torch.from_numpy(CAMERA_TO_COMMON15[ids]).long(), frame.calibration((ids.shape[1], ids.shape[0]))
-
-
-def _points(frame: Frame, number: int) -> Tensor | None:
-    there = (frame.folder / "labels" / f"{frame.stem}.label").is_file()
-    return torch.from_numpy(frame.labels(number)) if there else None
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class Evaluation:
-    """What `score` counted: `images` with camera labels and `scans` with point labels of a split."""
+    """What `score` counted. images: frames with camera labels; scans: with point labels; pictures: with a camera's
+    picture; panoramas: with a truth all around.
+
+    reference  the truth itself, of what is not compared but measured: seams, warping error, re-segmentation.
+    """
 
     contenders: Sequence[Contender]
+    reference: Tally
+    measures: Measures
     data: str
     split: str
-    images: int
-    scans: int
+    images: int = 0
+    scans: int = 0
+    pictures: int = 0
+    panoramas: int = 0
 
-    def counted(self) -> list[int]:
-        """Those of the 14 classes that the targets have: the mean is over them, whatever is predicted."""
-        return _present(self.contenders[0].camera)
+    def merge(self, other: Evaluation) -> None:
+        """Take in another part of the split, as other frames of the same systems; ValueError where it is not that."""
+        for mine, theirs in zip(self.contenders, other.contenders, strict=True):
+            mine.merge(theirs)
+        self.reference.merge(other.reference)
+        for name in ("images", "scans", "pictures", "panoramas"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+
+    def counted(self, sector: str = "camera") -> list[int]:
+        """The classes that the sector's targets have: the mean is over them, whatever is predicted."""
+        counts = next((found for one in self.contenders if (found := one.tally.classes(sector)) is not None), None)
+        return [] if counts is None else present(counts)
+
+    def figures(self, tally: Tally) -> list[Figure]:
+        """Every figure of a contender's tally, or of the reference."""
+        return list(figures(tally, {sector: self.counted(sector) for sector in ("camera", "panorama", "points")}))
 
     def heading(self) -> str:
         """What is scored and how."""
-        there = self.counted()
-        names = [name for c, name in enumerate(COMMON15.classes) if c not in (*there, *UNSCORED)]
-        absent = f" (absent: {', '.join(names)})" if names else ""
-        return (
-            f"`{self.split}` of {self.data}: {self.images} camera images, all of each at its own size, from the scan"
-            f" alone; {self.scans} scans with point labels. Pixels whose target is unlabeled, sky or unsure are not"
-            f" scored; answers of unlabeled or sky count as wrong. mIoU: mean over the {len(there)} of the paper's 14"
-            f" classes that occur{absent}."
-        )
+        return report.heading(self)
 
     def table(self) -> str:
-        """Markdown: the heading, then a column per contender."""
-        head = ["class", "pixels", *(one.name for one in self.contenders)]
-        rows = [head, ["---", *["---:"] * (len(head) - 1)]]
-        if self.images:
-            rows += self._camera_rows()
-        if self.scans:
-            there = _present(self.contenders[0].points)
-            mious = (one.points.miou(over=there) for one in self.contenders)
-            rows.append([f"points: mIoU of {len(there)} SemanticKITTI classes", "", *map(_share, mious)])
-            rows.append(["points: accuracy", "", *(_share(one.points.accuracy()) for one in self.contenders)])
-        times = [one.mean_milliseconds() for one in self.contenders]
-        for stage in dict.fromkeys(stage for one in times for stage in one):
-            cells = [f"{one[stage]:.0f}" if stage in one else "-" for one in times]
-            rows.append([f"{stage.replace('_', ' ')}, ms", "", *cells])
-        rows += self._origin_rows()
-        return "\n".join([self.heading(), "", *(f"| {' | '.join(row)} |" for row in rows)])
+        """Markdown: the heading, then a column per system."""
+        return report.table(self)
 
-    def _origin_rows(self) -> list[list[str]]:
-        """Where each contender's networks come from, by their cards."""
-        rows = []
-        for role in dict.fromkeys(role for one in self.contenders for role in one.networks):
-            cards = [one.networks.get(role, {}) for one in self.contenders]
-            made = [
-                f"{card.get('recipe') or '?'}, {card.get('steps', 0)} steps, {card.get('hours', 0)} h" for card in cards
-            ]
-            rows.append([f"{role}: recipe", "", *made])
-            rows.append([f"{role}: commit", "", *(card.get("commit", "")[:12] or "?" for card in cards)])
-        return rows
-
-    def _camera_rows(self) -> list[list[str]]:
-        there = self.counted()
-        named = self.contenders[0].camera.counts.sum(1)
-        rows = []
-        for c in there:
-            share = f"{named[c] / named.sum():.1%}"
-            rows.append([COMMON15.classes[c], share, *(_share(float(one.camera.iou()[c])) for one in self.contenders)])
-        mious = (one.camera.miou(over=there) for one in self.contenders)
-        rows.append([f"**mIoU of {len(there)}**", "", *(f"**{_share(miou)}**" for miou in mious)])
-        rows.append(["accuracy", "", *(_share(one.camera.accuracy()) for one in self.contenders)])
-        return rows
+    def records(self) -> list[dict[str, Any]]:
+        """One row per system and figure, ready for CSV."""
+        return report.records(self)
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything, ready for JSON; what is undefined is None."""
-        return {
-            "data": self.data,
-            "split": self.split,
-            "images": self.images,
-            "scans": self.scans,
-            "classes": [COMMON15.classes[c] for c in self.counted()],
-            "heading": self.heading(),
-            "results": [self._result(one) for one in self.contenders],
-        }
-
-    def _result(self, one: Contender) -> dict[str, Any]:
-        scores = {
-            "segmenter": {
-                "point_miou": one.points.miou(over=_present(one.points)),
-                "point_accuracy": one.points.accuracy(),
-            },
-            "translator": {
-                "camera_miou": one.camera.miou(over=self.counted()),
-                "camera_accuracy": one.camera.accuracy(),
-            },
-        }
-        return {
-            "weights": one.name,
-            "networks": one.networks,
-            "score": {role: _finite(part) | {"split": self.split} for role, part in scores.items()},
-            "classes": one.camera.table(),
-            "point_classes": one.points.table(),
-            "milliseconds": {stage: round(value, 2) for stage, value in one.mean_milliseconds().items()},
-        }
+        """Everything, ready for JSON; what is undefined is None or left out."""
+        return report.as_dict(self)
 
 
-def _present(confusion: Confusion) -> list[int]:
-    """Classes that some scored target has."""
-    return confusion.counts.sum(1).nonzero()[:, 0].tolist()
+def score(
+    systems: Sequence[System],
+    truths: Iterable[Truth],
+    *,
+    data: str,
+    split: str,
+    measures: Measures | None = None,
+    worst: int = 0,
+    after_each: Callable[[], None] = lambda: None,
+) -> Evaluation:
+    """Ask every system about every frame and count.
+
+    measures  all that data and weights allow, when None;  worst: how many of a system's worst frames are kept.
+    Each frame counts for what is known of it. Frames that follow each other in number, in one sequence, are a stream.
+    Raises InputError for a frame of which nothing is known, and for files that are missing, damaged or do not fit.
+    """
+    measures = measures or Measures()
+    contenders = [Contender(system=one, tally=Tally(measures), worst=Worst(worst)) for one in systems]
+    reference = Tally(measures)
+    found = Evaluation(contenders=contenders, reference=reference, measures=measures, data=data, split=split)
+    before: Truth | None = None
+    for truth in truths:
+        _count(found, truth)
+        question, flows = ask(truth, measures), _flows(before, truth, measures)
+        for one in contenders:
+            one.take(truth, question, flows)
+        _refer(reference, before, truth, flows)
+        before = truth
+        after_each()
+    return found
 
 
-def _share(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.3f}"
+def ask(truth: Truth, measures: Measures) -> Question:
+    """What systems are asked about a frame: as much as can be compared with the truth."""
+    camera = "camera" in measures.sectors and (truth.camera_ids is not None or truth.picture is not None)
+    around = truth.panorama if "panorama" in measures.sectors else None
+    ids = None
+    if camera and truth.camera_ids is not None:
+        ids = np.where(truth.camera_ids == UNSURE, 0, truth.camera_ids).astype(np.uint8)
+    return Question(
+        scan=truth.scan,
+        calibration=truth.calibration if camera else None,
+        origin=None if around is None else around.view.origin,
+        ids=ids,
+        painted=measures.painted,
+    )
 
 
-def _finite(values: dict[str, float]) -> dict[str, Any]:
-    return {name: value for name, value in values.items() if math.isfinite(value)}
+def _count(found: Evaluation, truth: Truth) -> None:
+    """How many frames have what; InputError where one has nothing."""
+    known = (truth.camera_ids, truth.point_ids, truth.picture, truth.panorama)
+    if all(part is None for part in known):
+        raise InputError(f"{truth.name} has neither camera_labels/ nor labels/, and no picture; label it first")
+    names = ("images", "scans", "pictures", "panoramas")
+    for name, part in zip(names, known, strict=True):
+        setattr(found, name, getattr(found, name) + (part is not None))
+
+
+def _flows(before: Truth | None, now: Truth, measures: Measures) -> Flows:
+    if before is None or not follows(before, now):
+        return Flows(following=False)
+    timed = "time" in measures.kinds
+    return Flows(
+        following=True,
+        camera=camera_flow(before, now) if timed and "camera" in measures.sectors else None,
+        panorama=panorama_flow(before, now) if timed and "panorama" in measures.sectors else None,
+    )
+
+
+def _refer(reference: Tally, before: Truth | None, now: Truth, flows: Flows) -> None:
+    """Measure the truth itself, where a figure is of a picture alone."""
+    sectors = reference.measures.sectors
+    if now.picture is not None and "camera" in sectors:
+        reference.resegmented(now.picture, now)
+        if flows.camera is not None and before is not None and before.picture is not None:
+            reference.warped("camera", now.picture, Moved(before=before.picture, flow=flows.camera), now.name)
+    around = now.panorama
+    if around is None or "panorama" not in sectors:
+        return
+    rows = around.valid.all(1)
+    if around.view.circular and rows.any():
+        reference.seam(np.ascontiguousarray(around.colour[rows]), now.name)
+    if flows.panorama is not None and before is not None and before.panorama is not None:
+        moved = Moved(before=before.panorama.colour, flow=flows.panorama)
+        reference.warped("panorama", around.colour, moved, now.name)

@@ -16,9 +16,18 @@ MODELS: dict[str, str] = {
     "salsanext": "salsanext:SalsaNext",
     "titan": "titan:Titan",
     "titan-critic": "titan_critic:TitanCritic",
+    "titan-next": "titan_next:TitanNext",
     "titan-pano": "titan_pano:TitanPano",
     "painter": "painter:Painter",
     "patch-critic": "patch_critic:PatchCritic",
+    "vid2vid": "vid2vid:Vid2Vid",
+    "vid2vid-single": "vid2vid_single:Vid2VidSingle",
+    "vid2vid-image-critic": "vid2vid_critics:ImageCritic",
+    "vid2vid-temporal-critic": "vid2vid_critics:TemporalCritic",
+    "pix2pix": "pix2pix:Pix2Pix",
+    "pix2pix-critic": "pix2pix:PatchGan",
+    "scunet": "scunet:ScUnet",
+    "sdnet": "sdnet:SdNet",
 }
 
 

@@ -14,6 +14,8 @@ ROLES: dict[str, str] = {
     "titan-pano": "translator",
     "titan": "translator",
     "painter": "painter",
+    "vid2vid": "painter",
+    "vid2vid-single": "first-frame painter",
 }
 """The part that a network plays in the pipeline."""
 
@@ -25,7 +27,7 @@ def families() -> dict[str, Path]:
 
 
 def weight_files(name: str | Path, *, fill: bool = True) -> dict[str, Path]:
-    """Files by role (segmenter, translator, painter) that a name or path stands for.
+    """Files by role (segmenter, translator, painter, first-frame painter) that a name or path stands for.
 
     name  a released family; a folder of weight files or a training run (its `weights/`); or one weight file. Roles
           that a path does not fill are filled by the default family, where it is installed and `fill` is true.

@@ -7,6 +7,8 @@ at twice the raster it reads.
 
 from __future__ import annotations
 
+from typing import Any, Protocol
+
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
@@ -16,6 +18,20 @@ from lidar2pano.models.circular import CircularConv, CircularResidual, conv_norm
 from lidar2pano.models.titan_pano import depth_code
 
 STRIDE = 4  # input pixels per pixel of the coarsest level
+
+
+class StreamPainter(Protocol):
+    """What the pipeline asks of a painter."""
+
+    def paint(self, past: Any, segments: Tensor, depth_m: Tensor, image: Tensor) -> tuple[Any, Tensor]:  # noqa: ANN401
+        """Paint the panorama of a scan that follows others.
+
+        past      what it returned with the scan before; None at the beginning of a stream.
+        segments  (1, classes, H, W) probabilities; depth_m (1, H, W) metres; image (1, 5, H, W): a RangeImage's
+                  channels.
+        Returns what it wants back with the next scan, None if nothing, and (1, 3, 2H, 2W) in [-1, 1].
+        """
+        ...
 
 
 class Painter(nn.Module):
@@ -62,6 +78,10 @@ class Painter(nn.Module):
         x = self.mix1(torch.cat([_channels_last(self.up1(torch.cat([x, seen4], 1))), middle, seen2], 1))
         x = self.mix0(torch.cat([_channels_last(self.up0(x)), fine, seen], 1))
         return torch.tanh(self.colour(x))
+
+    def paint(self, past: Any, segments: Tensor, depth_m: Tensor, image: Tensor) -> tuple[None, Tensor]:  # noqa: ANN401, ARG002
+        """Paint every scan for itself; arguments and answer as of StreamPainter."""
+        return None, self(segments, depth_m, image)
 
     @staticmethod
     def _seen(segments: Tensor, depth_m: Tensor, image: Tensor) -> Tensor:

@@ -10,6 +10,8 @@ Deviates  from the published code in three points:
           the image size is a setting (the published one is the constant 376 x 1241);
           the norms of the one-channel merges are made for one channel (the published ones say 30, which works only
           because they have no parameters, and warns).
+Ablations of the paper (section 4.5) are settings: channels=0 does without the range view ("w/o Rangeview");
+conditions=0 without segments, and with picture=True colours are made instead of classes ("w/o SegMap").
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from lidar2pano.errors import InputError
 from lidar2pano.models.salsanext import ResBlock, Trunk
 
 IMAGE_SIZE = (376, 1241)  # rows, columns: KITTI's images, as published
@@ -35,27 +38,37 @@ class Titan(Trunk):
     z          (B, channels, H, W) float: range, x, y, z, remission; normalised, zero where empty; H, W multiples of 16
                and more than one pixel after sixteenfold reduction (the instance norm needs two).
     condition  (B, conditions, H, W) float: one-hot SemanticKITTI classes (empty pixels are class 0).
-    out        (B, classes, *size) logits.
+    out        (B, classes, *size) logits; with `picture` instead colours in [-1, 1] (tanh), of which classes is 3.
+    With channels=0 or conditions=0 that input is not looked at and may be None.
     """
 
     def __init__(
-        self, classes: int = 15, conditions: int = 20, size: Sequence[int] = IMAGE_SIZE, channels: int = 5
+        self,
+        classes: int = 15,
+        conditions: int = 20,
+        size: Sequence[int] = IMAGE_SIZE,
+        channels: int = 5,
+        picture: bool = False,
     ) -> None:
         super().__init__(32, nn.InstanceNorm2d, upper_dropout=0.0)
+        if not channels and not conditions:
+            raise InputError("titan needs an input: channels (the range view), conditions (its segments) or both")
         height, width = size
-        self.size = (int(height), int(width))
-        self.project_z = _merge(channels, 1)
-        self.project_cond = _merge(conditions, 1)
-        self.project_zcond = _merge(2, 32)
+        self.size, self.picture = (int(height), int(width)), picture
+        self.project_z = _merge(channels, 1) if channels else None
+        self.project_cond = _merge(conditions, 1) if conditions else None
+        self.project_zcond = _merge(bool(channels) + bool(conditions), 32)
         self.upsampling1 = nn.Sequential(nn.Conv2d(32, 128, 3, padding=1), nn.PixelShuffle(2))
         self.upResBlock1 = ResBlock(32, 32, norm=nn.InstanceNorm2d)
         self.logits = nn.Conv2d(32, classes, 1)
 
-    def raster(self, z: Tensor, condition: Tensor) -> Tensor:
+    def raster(self, z: Tensor | None, condition: Tensor | None = None) -> Tensor:
         """(B, channels, H, W) and (B, conditions, H, W) -> (B, classes, 2H, 2W) logits, before the resize."""
-        merged = self.project_zcond(torch.cat([self.project_z(z), self.project_cond(condition)], 1))
+        inputs = ((self.project_z, z), (self.project_cond, condition))
+        merged = self.project_zcond(torch.cat([project(seen) for project, seen in inputs if project is not None], 1))
         return self.logits(self.upResBlock1(self.upsampling1(self.features(merged))))
 
-    def forward(self, z: Tensor, condition: Tensor) -> Tensor:
-        """(B, channels, H, W) and (B, conditions, H, W) -> (B, classes, *size) logits."""
-        return functional.interpolate(self.raster(z, condition), self.size, mode="bilinear", align_corners=True)
+    def forward(self, z: Tensor | None, condition: Tensor | None = None) -> Tensor:
+        """(B, channels, H, W) and (B, conditions, H, W) -> (B, classes, *size) logits, or colours."""
+        image = functional.interpolate(self.raster(z, condition), self.size, mode="bilinear", align_corners=True)
+        return image.tanh() if self.picture else image

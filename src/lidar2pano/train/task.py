@@ -20,8 +20,14 @@ if TYPE_CHECKING:
 TASKS: dict[str, str] = {
     "segmentation": "segmentation:Segmentation",
     "front": "front:FrontTranslation",
+    "front-depth": "front_depth:FrontDepthTranslation",
+    "direct": "direct:DirectColour",
+    "pix2pix-segments": "pix2pix:Pix2PixSegments",
+    "pix2pix-colours": "pix2pix:Pix2PixColours",
     "panorama": "panorama:PanoramaTranslation",
     "painting": "painting:Painting",
+    "camera-segmentation": "camera_segmentation:CameraSegmentation",
+    "video": "video:VideoPainting",
 }
 
 
