@@ -1,0 +1,148 @@
+"""Where pixels were in the picture before: dense backward flow of standing scenery, in a camera and on the cylinder.
+
+From the distances of both pictures and the motion of the sensor between them. Distances are measured along the ray
+from the point that looks, in metres: infinite for the sky, which only turns; 0 where nobody knows.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, interpolate
+
+from lidar2pano.calibration import Calibration
+from lidar2pano.geometry.camera import points_in_camera
+from lidar2pano.geometry.projection import directions, pixels
+from lidar2pano.geometry.warp import warp
+from lidar2pano.sensors import View
+
+SAME = 0.03  # share by which two distances of one surface may differ
+FAINT = 5e-4  # 1/m, likewise near the horizon: depth pictures end at 256 m, and beyond is the sky
+FILLED = 4  # halvings of the raster over which gaps between a scan's points are closed: 16 pixels
+
+
+class Flow(NamedTuple):
+    """Flow from each pixel to the place in the picture before that shows the same thing.
+
+    shift  (..., 2, H, W) float32 pixels: columns to the right, rows down; zero where not known.
+    known  (..., H, W) bool, or float32 in [0, 1] where it is a confidence: that thing was in sight.
+    """
+
+    shift: Tensor
+    known: Tensor
+
+
+def reaches(shift: Tensor, *, closed: bool = False) -> Tensor:
+    """(B, H, W) bool: the place that a shift (B, 2, H, W) points to lies in the picture; rims are half a pixel out."""
+    rows, columns = shift.shape[-2:]
+    column = torch.arange(columns, device=shift.device) + shift[:, 0]
+    row = torch.arange(rows, device=shift.device)[:, None] + shift[:, 1]
+    inside = (row >= -0.5) & (row <= rows - 0.5)
+    return inside if closed else inside & (column >= -0.5) & (column <= columns - 0.5)
+
+
+def chained(later: Flow, earlier: Flow, *, closed: bool = False) -> Flow:
+    """Flow over two steps: `later` (B, ...) leads to the picture from which `earlier` leads on; confidences too."""
+    shift = later.shift + warp(earlier.shift, later.shift, closed=closed)
+    on = warp(earlier.known.float()[:, None], later.shift, closed=closed)[:, 0]
+    known = later.known.float() * on * reaches(shift, closed=closed)
+    known = known.where(known > FAINT, 0.0)  # not what rounding leaves of zero
+    return Flow(shift=shift * (known > 0)[:, None], known=known)
+
+
+def ego_flow(now_m: Tensor, before_m: Tensor, motion: Tensor, raster: View | Calibration) -> Flow:
+    """Flow of everything that stands still, (2, H, W) and (H, W) bool.
+
+    now_m, before_m  (H, W) distances from the raster's point of view (see the module) in this picture and in the one
+                     before.
+    motion           (4, 4) float64: the LiDAR's coordinates now -> its coordinates before, metres.
+    raster           of both pictures: a View (the panorama), or a camera.
+    Known where both distances are, and agree: a place that something hid, or where something moved, is not known.
+    Raises ValueError where the shapes do not fit the raster.
+    """
+    size = (raster.rows, raster.columns) if isinstance(raster, View) else raster.size[::-1]
+    if now_m.shape != size or before_m.shape != size:
+        raise ValueError(f"distances must be {size}, got {tuple(now_m.shape)} and {tuple(before_m.shape)}")
+    rays = directions(raster).double() if isinstance(raster, View) else camera_rays(raster)
+    origin = torch.tensor(raster.origin if isinstance(raster, View) else raster.centre, dtype=torch.float64)
+    turn, step = motion[:3, :3].double(), motion[:3, :3].double() @ origin + motion[:3, 3].double() - origin
+    far = now_m.isinf()
+    # of a ray that ends nowhere only its direction moves
+    ends = torch.where(
+        far[..., None], rays @ turn.T, (now_m.double().where(~far, 0.0)[..., None] * rays) @ turn.T + step
+    )
+    row, column = _places(ends, origin, raster)
+    closed = isinstance(raster, View) and raster.circular
+    rows, columns = size
+    shift = torch.stack([column - torch.arange(columns) - 0.5, row - torch.arange(rows)[:, None] - 0.5])
+    if closed:
+        shift[0] = (shift[0] + columns / 2).remainder(columns) - columns / 2
+    shift = shift.nan_to_num(nan=float(rows + columns)).float()  # behind the camera: outside
+    known = reaches(shift[None], closed=closed)[0] & (now_m > 0)
+    known &= _in_sight(before_m, shift, torch.where(far, 0.0, 1 / ends.norm(dim=-1)).float(), closed)
+    return Flow(shift=shift * known, known=known)
+
+
+def camera_rays(calibration: Calibration) -> Tensor:
+    """Unit vectors (h, w, 3) float64 from the optical centre through the pixel centres, sensor axes."""
+    width, height = calibration.size
+    v, u = torch.meshgrid(
+        torch.arange(height, dtype=torch.float64), torch.arange(width, dtype=torch.float64), indexing="ij"
+    )
+    to_ray = torch.from_numpy(calibration.K @ calibration.T_camera_lidar[:3, :3]).inverse()
+    ray = torch.stack([u, v, torch.ones_like(u)], dim=-1) @ to_ray.T
+    return ray / ray.norm(dim=-1, keepdim=True)
+
+
+def scan_distances(xyz: Tensor, calibration: Calibration) -> Tensor:
+    """Distances (h, w) float32 from the camera's optical centre of points (N, 3), sensor frame, metres; gaps closed.
+
+    The nearest point owns its pixel. A gap of up to 16 pixels takes the mean of the points about it; what is farther
+    from any point is 0.
+    """
+    width, height = calibration.size
+    u, v, depth = points_in_camera(xyz, calibration)
+    row, column = (v + 0.5).floor(), (u + 0.5).floor()
+    inside = (depth > 0) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    cell = (row * width + column)[inside].long()
+    distance = (xyz[inside].double() - torch.tensor(calibration.centre)).norm(dim=1).float()
+    nearest = torch.full((height * width,), torch.inf).scatter_reduce_(0, cell, distance, "amin")
+    filled = _filled((1 / nearest).view(height, width))
+    return torch.where(filled > 0, 1 / filled, 0.0)
+
+
+def _places(ends: Tensor, origin: Tensor, raster: View | Calibration) -> tuple[Tensor, Tensor]:
+    """Raster coordinates (centres at .5) of places relative to the raster's point of view; NaN behind a camera."""
+    if isinstance(raster, View):
+        x, y, z = ends.unbind(-1)
+        return pixels(x, y, z, raster)
+    u, v, _ = points_in_camera((ends + origin).view(-1, 3), raster)
+    return (v + 0.5).view(ends.shape[:-1]), (u + 0.5).view(ends.shape[:-1])
+
+
+def _in_sight(before_m: Tensor, shift: Tensor, expected: Tensor, closed: bool) -> Tensor:
+    """(H, W) bool: the picture before shows, at the shifted place, something at the distance 1 / `expected`.
+
+    Compared are inverse distances, in which planes are straight: between pixels they can be looked up linearly.
+    """
+    seen = torch.stack([(1 / before_m).where(before_m > 0, 0.0), (before_m > 0).float()])
+    inverse, known = warp(seen[None], shift[None], closed=closed)[0]
+    return (known > 0.999) & ((inverse - expected).abs() <= SAME * torch.maximum(inverse, expected) + FAINT)
+
+
+def _filled(values: Tensor) -> Tensor:
+    """Fill the zeros of (h, w) with the mean of what is about them, from the coarsest level of a pyramid up."""
+    height, width = values.shape
+    padded = values.new_zeros(1, 2, *(-(-length // 2**FILLED) * 2**FILLED for length in (height, width)))
+    padded[0, 0, :height, :width] = values
+    padded[0, 1, :height, :width] = values > 0
+    levels = [padded]  # sums, and how many: their ratio is the mean
+    for _ in range(FILLED):
+        levels.append(avg_pool2d(levels[-1], 2))
+    filled = levels[-1]
+    for level in reversed(levels[:-1]):
+        filled = interpolate(filled, scale_factor=2.0, mode="bilinear")
+        filled = torch.where(level[:, 1:] > 0, level, filled)
+    return torch.where(filled[:, 1] > 0, filled[:, 0] / filled[:, 1], 0.0)[0, :height, :width]

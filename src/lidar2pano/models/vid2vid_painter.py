@@ -1,0 +1,210 @@
+"""Paints a stream of label maps with vid2vid: on any raster, in the camera or all around, each frame after the last.
+
+How a stream begins. Published code (vid2vid_model_G.py, generate_first_frame) paints the first two frames with the
+network for single pictures, and the generator goes on from there; where it is told that there is no such network
+(no_first_img), the generator begins from black pictures and its first frame is what it paints anew (`raw`), unwarped.
+So do we, with and without a `vid2vid-single`. Published code never shows the first two frames, and asks for the label
+maps before the first one; a stream has none, so its first label map stands for them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Self, cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import avg_pool2d, pad
+
+from lidar2pano.errors import InputError
+from lidar2pano.labels import CITYSCAPES_IDS, COMMON15, TABLES, LabelSet
+from lidar2pano.models.circular import grow_circular, grown_classes
+from lidar2pano.models.vid2vid import Vid2Vid
+from lidar2pano.models.vid2vid_parts import close
+from lidar2pano.models.vid2vid_single import Vid2VidSingle
+
+TWICE = Fraction(2)  # the finished panorama's raster is twice that of the segments
+MARGIN = 64  # columns that a panorama overlaps itself by at each end, where its width does not divide
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Past:
+    """What a painter needs of the frames before, on its padded raster.
+
+    ids     (T, H, W) uint8: the latest label maps, ids of COMMON15; T is one less than the generator's frames.
+    levels  coarse to fine, each scale's latest pictures (1, T, 3, h, w) in [-1, 1]; as long as there are fewer than T
+            pictures, only those of the finest scale.
+    """
+
+    ids: Tensor
+    levels: list[Tensor]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LabelChannels:
+    """From ids of COMMON15 to the channels that a network reads: one-hot in its own label set, then edges, if any.
+
+    labels  the network's set: COMMON15, or CITYSCAPES_IDS as published weights have it.
+    edges   whether it reads where instances meet. A LiDAR's segments have no instances, so we say where classes meet
+            (in published data an instance's map says the class where there is no instance).
+    """
+
+    labels: LabelSet
+    edges: bool
+
+    @classmethod
+    def of(cls, channels: int) -> Self:
+        """Those of a network with so many channels; InputError where no label set of ours fits."""
+        for labels in (COMMON15, CITYSCAPES_IDS):
+            if channels - len(labels) in (0, 1):
+                return cls(labels=labels, edges=channels > len(labels))
+        counts = f"{len(COMMON15)} ({COMMON15.name}) or {len(CITYSCAPES_IDS)} ({CITYSCAPES_IDS.name})"
+        raise InputError(f"it reads {channels} label channels; make one that reads {counts}, or one more for edges")
+
+    def __call__(self, ids: Tensor, closed: bool) -> Tensor:
+        """(T, H, W) uint8 ids of COMMON15 -> (1, T, channels, H, W) float32; closed: columns meet at their ends."""
+        own = ids
+        if self.labels is not COMMON15:
+            own = torch.from_numpy(TABLES[COMMON15.name, self.labels.name]).to(ids.device)[ids.long()]
+        frames, rows, columns = ids.shape
+        channels = torch.zeros(frames, len(self.labels) + self.edges, rows, columns, device=ids.device)
+        channels.scatter_(1, own[:, None].long(), 1.0)
+        if self.edges:
+            channels[:, -1] = edges(own, closed)
+        return channels[None]
+
+
+def edges(ids: Tensor, closed: bool) -> Tensor:
+    """Where a pixel's id is not that of one of its four neighbours: (T, H, W) -> bool (T, H, W)."""
+    found = torch.zeros_like(ids, dtype=torch.bool)
+    down, right = ids[:, 1:] != ids[:, :-1], ids[:, :, 1:] != ids[:, :, :-1]
+    found[:, 1:] |= down
+    found[:, :-1] |= down
+    found[:, :, 1:] |= right
+    found[:, :, :-1] |= right
+    if closed:
+        around = ids[:, :, 0] != ids[:, :, -1]
+        found[:, :, 0] |= around
+        found[:, :, -1] |= around
+    return found
+
+
+class Vid2VidPainter(nn.Module):
+    """vid2vid's generator, and the network for first frames if there is one; InputError where the two do not match.
+
+    closed  pictures close in azimuth (panoramas), otherwise they end (cameras).
+    finer   pixels of the raster that `paint` works on per pixel of the segments' raster.
+    """
+
+    def __init__(
+        self, generator: Vid2Vid, single: Vid2VidSingle | None = None, *, closed: bool = True, finer: Fraction = TWICE
+    ) -> None:
+        super().__init__()
+        self.generator, self.single, self.closed, self.finer = generator, single, closed, finer
+        self.reads = LabelChannels.of(generator.channels)
+        if single is not None and single.classes != len(self.reads.labels):
+            raise InputError(
+                f"the first-frame network reads {single.classes} classes and the generator {len(self.reads.labels)}; "
+                "take two that belong together"
+            )
+        self.stride = max(generator.stride, single.stride if single is not None else 1)
+        close(self, closed)
+
+    @classmethod
+    def all_around(cls, generator: nn.Module, single: nn.Module | None, columns: int, segments: int) -> Self:
+        """The painter of panoramas whose segments are `segments` columns wide, on a raster of `columns`.
+
+        Raises InputError unless one of the two is a multiple of the other, and so with twice the segments' (the
+        finished panorama's).
+        """
+        finer = Fraction(columns, segments)
+        if not all(1 in ratio.as_integer_ratio() for ratio in (finer, TWICE / finer)):
+            raise InputError(
+                f"it paints panoramas of {columns} columns, which do not fit the translator's {segments}: "
+                f"choose weights for {segments // 2}, {segments} or {2 * segments}"
+            )
+        return cls(cast("Vid2Vid", generator), cast("Vid2VidSingle | None", single), finer=finer)
+
+    def paint(
+        self,
+        past: Past | None,
+        segments: Tensor,
+        depth_m: Tensor,  # noqa: ARG002 vid2vid sees classes only
+        image: Tensor,  # noqa: ARG002 likewise
+    ) -> tuple[Past, Tensor]:
+        """Paint the panorama that follows; arguments and answer as of models.painter.StreamPainter."""
+        grow, shrink = self.finer.as_integer_ratio()
+        past, picture = self.follow(past, grown_classes(_shrunk(segments, shrink), grow))
+        grow, shrink = (TWICE / self.finer).as_integer_ratio()
+        picture = _shrunk(picture[None], shrink)
+        return past, picture if grow == 1 else grow_circular(picture, grow)
+
+    def follow(self, past: Past | None, ids: Tensor) -> tuple[Past, Tensor]:
+        """Paint a label map that follows others.
+
+        past  what the frame before returned; None at the beginning of a stream.
+        ids   (H, W) integer ids of COMMON15, any size; every frame of a stream of the same.
+        Returns what the next frame wants, and the picture (3, H, W) float32 in [-1, 1].
+        """
+        framed = _framed(ids.to(torch.uint8), self.stride, self.closed)
+        keep = self.generator.frames - 1
+        if past is None:
+            past = Past(ids=framed.ids.expand(keep, -1, -1), levels=[])
+        if past.ids.shape[1:] != framed.ids.shape[1:]:
+            raise ValueError(f"a stream's frames have one size, not {tuple(ids.shape)} after another")
+        shown = torch.cat([past.ids, framed.ids])
+        if self.single is not None and (not past.levels or past.levels[-1].shape[1] < keep):
+            levels = self._begun(self.single, past.levels, framed.ids)
+        else:
+            levels = self._gone_on(past.levels, shown)
+        picture = levels[-1][0, -1, :, framed.rows, framed.columns].clone()  # the caller's own: levels are remembered
+        return Past(ids=shown[1:], levels=levels), picture
+
+    def _begun(self, single: Vid2VidSingle, levels: list[Tensor], ids: Tensor) -> list[Tensor]:
+        """One of the first frames, by the network for single pictures."""
+        one_hot = LabelChannels(labels=self.reads.labels, edges=False)(ids, self.closed)[0]
+        pictures = torch.cat([*levels, single(one_hot).float()[None]], 1)
+        return self.generator.pyramid(pictures) if pictures.shape[1] == self.generator.frames - 1 else [pictures]
+
+    def _gone_on(self, levels: list[Tensor], ids: Tensor) -> list[Tensor]:
+        """A frame by the generator; the very first of a stream from black pictures, unwarped."""
+        labels = self.reads(ids, self.closed)
+        first = not levels
+        if first:
+            levels = self.generator.pyramid(labels.new_zeros(1, len(ids) - 1, 3, *ids.shape[1:]))
+        painted = self.generator.scales(self.generator.pyramid(labels), levels)
+        latest = [one.raw if first else one.picture for one in painted]
+        return [torch.cat([level[:, 1:], new[:, None]], 1) for level, new in zip(levels, latest, strict=True)]
+
+
+def _shrunk(x: Tensor, factor: int) -> Tensor:
+    return x if factor == 1 else avg_pool2d(x, factor)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Framed:
+    """A label map (1, H', W') on a raster that the networks take, and where in it the map that was asked for lies."""
+
+    ids: Tensor
+    rows: slice
+    columns: slice
+
+
+def _framed(ids: Tensor, stride: int, closed: bool) -> _Framed:
+    """A label map (H, W) continued to a raster that divides: its last row and column go on; a panorama overlaps itself.
+
+    Where a panorama's columns divide by the stride, nothing is added, and a turn by the stride turns the answer.
+    """
+    rows, columns = ids.shape
+    below = max(-rows % stride, 2 * stride - rows)
+    beyond = max(-columns % stride, 2 * stride - columns)
+    left = 0
+    if closed and beyond:
+        beyond = 2 * MARGIN + -(columns + 2 * MARGIN) % stride
+        left = beyond // 2
+        ids = ids[:, (torch.arange(columns + beyond, device=ids.device) - left) % columns]
+        beyond = 0
+    if below or beyond:
+        ids = pad(ids[None].float(), (0, beyond, 0, below), mode="replicate")[0].to(torch.uint8)
+    return _Framed(ids=ids[None], rows=slice(rows), columns=slice(left, left + columns))
