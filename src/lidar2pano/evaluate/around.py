@@ -1,0 +1,120 @@
+"""Our own systems, whose answers are panorama and the camera's look into it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lidar2pano.calibration import Calibration
+from lidar2pano.evaluate.questions import Origin, Question, Seen
+from lidar2pano.geometry.camera import panorama_in_camera
+from lidar2pano.panorama import Panorama
+from lidar2pano.pipeline import Memory, Pipeline, Stopwatch, Translated
+from lidar2pano.scan import Scan
+
+SAME_PLACE_M = 1e-6
+
+
+class Blank:
+    """A painter that paints nothing: where only classes and depths are wanted."""
+
+    def paint(self, past: Any, segments: Tensor, depth_m: Tensor, image: Tensor) -> tuple[Any, Tensor]:  # noqa: ANN401, ARG002
+        """As StreamPainter says: grey."""
+        rows, columns = segments.shape[-2:]
+        return past, segments.new_zeros(1, 3, 2 * rows, 2 * columns)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Resumed(Pipeline):
+    """A pipeline that has translated the scan already: its step paints and finishes."""
+
+    found: Translated
+
+    def translated(self, scan: Scan, watch: Stopwatch) -> Translated:  # noqa: ARG002
+        return self.found
+
+
+class _Look(NamedTuple):
+    found: Translated
+    pipeline: Pipeline
+    panorama: Panorama | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Around:
+    """`titan-pano` and a painter of panoramas: the pipeline itself.
+
+    The camera's classes are looked up in the scores from the camera's optical centre, its colours in the panorama.
+    Where a panorama around another point is asked for, that is a second run.
+    """
+
+    origin: Origin
+    pipeline: Pipeline
+    paints: bool = True
+    told: bool = False
+
+    @torch.inference_mode()
+    def see(self, question: Question, past: Any = None) -> tuple[Any, Seen]:  # noqa: ANN401
+        """As System says."""
+        pipeline, calibration = self.pipeline, question.calibration
+        memories: dict[str, Memory] = dict(past or {})
+        places = _places(question)
+        if not places:
+            return past, Seen(labels=pipeline.segmenter.points(question.scan, pipeline.device).cpu().numpy())
+        looks: dict[str, _Look] = {}
+        watch = Stopwatch(pipeline.device)
+        for number, (name, place) in enumerate(places.items()):
+            moved = replace(pipeline, view=replace(pipeline.view, origin=place))
+            if not question.painted:
+                moved = replace(moved, painter=Blank())
+            mine = Stopwatch(pipeline.device) if number else watch
+            wanted = question.painted or name == "around" or (len(places) == 1 and question.origin is not None)
+            memories[name], looks[name] = _look(moved, question.scan, memories.get(name, Memory()), mine, wanted)
+        around = looks.get("around", looks.get("camera")) if question.origin is not None else None
+        seen = Seen(
+            labels=next(iter(looks.values())).found.labels.cpu().numpy(),
+            panorama=around.panorama if around else None,
+            painted=self.paints and question.painted,
+            milliseconds=watch.milliseconds,
+        )
+        if calibration is None:
+            return memories, seen
+        return memories, self._in_camera(seen, looks["camera"], calibration, watch, question.painted)
+
+    def _in_camera(self, seen: Seen, look: _Look, calibration: Calibration, watch: Stopwatch, painted: bool) -> Seen:
+        """The answer with the camera's look into the panorama."""
+        with watch("camera"):
+            lookup = panorama_in_camera(look.pipeline.view, calibration).to(look.pipeline.device)
+            ids = lookup.linear(look.found.logits[0].float()).max(0).indices
+            depth_m = lookup.linear(look.found.depth_m[0].float())
+        colour: np.ndarray | None = None
+        if painted and self.paints and look.panorama is not None:
+            colour = look.panorama.to_camera(calibration).colour
+        return replace(seen, ids=ids.cpu().numpy(), depth_m=depth_m.cpu().numpy(), colour=colour)
+
+
+def _places(question: Question) -> dict[str, tuple[float, float, float]]:
+    """From where to look: "camera" and "around"; the first does for both where they are the same."""
+    places: dict[str, tuple[float, float, float]] = {}
+    if question.calibration is not None:
+        places["camera"] = question.calibration.centre
+    if question.origin is not None:
+        apart = np.abs(np.subtract(places.get("camera", np.inf), question.origin)).max()
+        if apart > SAME_PLACE_M:
+            places["around"] = question.origin
+    return places
+
+
+def _look(pipeline: Pipeline, scan: Scan, memory: Memory, watch: Stopwatch, wanted: bool) -> tuple[Memory, _Look]:
+    """Translate, and where the panorama is wanted go on to it."""
+    found = pipeline.translated(scan, watch)
+    if not wanted:
+        return memory, _Look(found, pipeline, None)
+    parts = {one.name: getattr(pipeline, one.name) for one in fields(Pipeline)}
+    memory, panorama = _Resumed(**parts, found=found).step(memory, scan)
+    watch.milliseconds.update(panorama.milliseconds)
+    return memory, _Look(found, pipeline, panorama)
