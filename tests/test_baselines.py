@@ -382,7 +382,10 @@ def test_what_is_released_says_what_it_is(root, name, tmp_path):
     network, card = load(path)
     assert card.recipe == name and card.steps == 1 and card.score["split"] == "val"
     assert card.labels == ("common-14" if name == "pix2pix-segments-mini" else None)
-    assert ("input" in card.views) == (name != "scunet-mini")
+    if name == "scunet-mini":
+        assert card.views == {"camera": {"rows": SIZE[0], "columns": SIZE[1]}}
+    else:
+        assert card.views == {"input": VIEWS["titan-front-small"].as_dict()} and card.normalisation["mean"][0] == 12.12
     assert bool(card.settings.get("batch_statistics")) == name.startswith("pix2pix")
     if card.labels is None:
         assert card.score["score"] == -card.score["broad_colour"] and -1 <= card.score["ssim"] <= 1

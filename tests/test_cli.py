@@ -224,10 +224,12 @@ def test_evaluate_side_by_side(here, random_weights, front_weights, capsys):
     assert "2 camera images" in heading and "4 of the paper's 14 classes" in heading and "absent: bicycle" in heading
     assert head == f"| class | pixels | {both[0]} | {both[1]} |"
     names = [row.split(" | ")[0].removeprefix("| ") for row in rows]
-    assert names == ["car", "road", "building", "vegetation", "**mIoU of 4**", "accuracy",
+    assert names == ["car", "road", "building", "vegetation", "**mIoU of 4**", "accuracy", "SSIM", "SWD x 1000",
+                     "SWD x 1000 by level, 1024 512 256 128 64 32 16", "FID", "depth AbsRel", "depth RMSE, m",
                      "points: mIoU of 19 SemanticKITTI classes", "points: accuracy",
-                     "project, ms", "segment, ms", "clean up, ms", "translate, ms", "camera, ms",
-                     "segmenter: recipe", "segmenter: commit", "translator: recipe", "translator: commit"]  # fmt: skip
+                     "project, ms", "segment, ms", "clean up, ms", "translate, ms", "paint, ms", "finish, ms",
+                     "camera, ms", "segmenter: recipe", "segmenter: commit", "translator: recipe",
+                     "translator: commit", "painter: recipe", "painter: commit"]  # fmt: skip
     said = json.loads((here / "s" / "val.json").read_text())
     assert [result["weights"] for result in said["results"]] == both
     assert (said["data"], said["split"], said["images"], said["scans"]) == ("mini", "val", 2, 2)

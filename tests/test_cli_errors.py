@@ -241,8 +241,15 @@ def data(here):
         ("--split vall", "data/splits.json: has no split 'vall'; did you mean 'val'?"),
         ("--json file/scores.json", "file: cannot be written (file is not a folder); choose another --json"),
         ("--json small", "small: is a folder; name a file for --json"),
+        ("--csv small", "small: is a folder; name a file for --csv"),
+        ("--worst 1 --out file", "file: cannot be written (file is not a folder); choose another --out"),
+        ("--worst -1", "'--worst': -1 is not in the range"),
+        ("--metrics ssmi", "--metrics: nothing is called 'ssmi'; there is camera, classes"),
+        ("--sensor os1", "no sensor 'os1'"),
+        ("--sdnet none", "no weight file none"),
+        ("--inception none", "none: no such file; FID needs the weights of Inception-v3"),
         ("--device gpu", "no device 'gpu'"),
-        ("--data small", "small: has no folder sequences/"),
+        ("--data small", "small: is no data set with a known truth"),
     ],
 )
 def test_bad_evaluations(data, refused, options, said):

@@ -95,12 +95,20 @@ def released(recipe_name: str, root: Path, folder: Path, *further: str):
     task = build_task(recipe, root)
     (role,) = task.released
     network = spread_norms(task.networks[role]).eval()
-    if (head := getattr(network, "logits", None)) is not None:  # no class by its bias alone
-        head.bias.data.zero_()
-        head.weight.data -= head.weight.data.mean(0)
+    if isinstance(task, FrontTranslation) and hasattr(network, "logits"):
+        balance(task, network)
     card = Card(network=recipe.networks[role].model, settings=dict(recipe.networks[role].settings), **task.card(role))
     save(folder / f"{role}.safetensors", network, card, dtype=torch.float32)
     return task, folder
+
+
+def balance(task: FrontTranslation, network: nn.Module) -> None:
+    """Let an untrained network name several classes: its scores have the same mean."""
+    means: list[Tensor] = []
+    hook = network.logits.register_forward_hook(lambda _, __, out: means.append(out.mean((0, 2, 3))))
+    task.predict(task.validation[0])
+    hook.remove()
+    network.logits.bias.data -= means[0]
 
 
 # --- the paper's systems see what their tasks see --------------------------------------------------------------------

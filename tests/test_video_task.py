@@ -246,6 +246,22 @@ def test_blank_clips_begin_from_nothing_and_are_painted_anew(root):
     assert torch.equal(frame.flow.known, batch.known[:, 2]), "the flow is asked for all the same"
 
 
+def test_losses_weigh_what_the_recipe_says(root):
+    task = made(root, "options.flow=3", "options.coherence=5", "options.mask=0", "options.pixels=7", "options.blank=0")
+    batch = a_batch(task, 1)
+    frame = task.frame(batch, layers(batch), batch.colour[:, :2], 2, torch.tensor([False]))
+    losses = task.critics.from_truth(frame)
+    shift, known = batch.shift[:, 2], batch.known[:, 2]
+    flow = flow_loss(frame.moved, shift, known)
+    flow += warping_loss(frame.moved, batch.colour[:, 1], batch.colour[:, 2], known)
+    slow = {
+        "flow": 3 * flow,
+        "coherence": 5 * coherence_loss(frame.painted, batch.colour[:, 1], shift, known),
+        "pixels": 7 * sum((picture - batch.colour[:, 2]).abs().mean() for picture in (frame.painted, frame.raw)),
+    }
+    assert {name: loss.item() for name, loss in losses.items()} == pytest.approx({k: v.item() for k, v in slow.items()})
+
+
 def test_films_are_three_pictures_and_the_flows_between_them(root):
     task = made(root)
     batch = a_batch(task)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lidar2pano.cli.app import app, complain
-from lidar2pano.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -22,8 +21,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
         list[str],
         typer.Argument(
             metavar="WEIGHTS|RUN...",
-            help="Families, runs or weight files, or chains TRANSLATOR+PAINTER; truth+PAINTER paints the true classes. "
-            "Several make columns.",
+            help="Families, runs, weight files, or chains TRANSLATOR+PAINTER (truth+PAINTER: the true classes).",
         ),
     ],
     data: Annotated[
@@ -50,13 +48,13 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     as_csv: Annotated[
         Path | None, typer.Option("--csv", metavar="FILE", help="Also write every figure as CSV.")
     ] = None,
-    worst: Annotated[int, typer.Option(metavar="N", help="Also list the N worst frames of each, with pictures.")] = 0,
+    worst: Annotated[int, typer.Option(min=0, metavar="N", help="Also list the N worst frames, with pictures.")] = 0,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the worst frames.")] = Path("worst"),
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
 ) -> None:
     """Score what is made from the scan alone against what cameras saw; print a table in Markdown."""
     from lidar2pano.allocator import keep_buffers
-    from lidar2pano.cli.files import check_file, check_folder, write_json
+    from lidar2pano.cli.files import check_file, check_folder
     from lidar2pano.cli.progress import bar
     from lidar2pano.data.truths import truths
     from lidar2pano.evaluate import Measures, score, system
@@ -64,8 +62,6 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     for path, option in ((as_json, "--json"), (as_csv, "--csv")):
         if path:
             check_file(path, option)
-    if worst < 0:
-        raise InputError(f"--worst {worst}: how many frames cannot be negative")
     if worst:
         check_folder(out, "--out")
     keep_buffers()
@@ -73,23 +69,23 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     measures = Measures.of(metrics, inception=inception, sdnet=sdnet, device=device)
     systems = [system(name, device=device, sensor=sensor) for name in dict.fromkeys(weights)]
     with bar(len(found), f"evaluating {split}") as advance:
-        evaluation = score(
-            systems,
-            found,
-            data=data.resolve().name,
-            split=split,
-            measures=measures,
-            worst=worst,
-            after_each=advance,
-        )
+        name = data.resolve().name
+        evaluation = score(systems, found, data=name, split=split, measures=measures, worst=worst, after_each=advance)
+    write_files(evaluation, as_json, as_csv, out if worst else None)
+    note_systems(systems)
+    print(evaluation.table())
+
+
+def write_files(evaluation: Evaluation, as_json: Path | None, as_csv: Path | None, out: Path | None) -> None:
+    """Write what was asked for: every score, every figure, the worst frames."""
+    from lidar2pano.cli.files import write_json
+
     if as_json:
         write_json(as_json, evaluation.as_dict(), "--json")
     if as_csv:
         write_csv(as_csv, evaluation.records(), "--csv")
-    if worst:
+    if out:
         write_csv(out / "worst.csv", write_worst(evaluation, out), "--out")
-    note_systems(systems)
-    print(evaluation.table())
 
 
 def write_worst(evaluation: Evaluation, out: Path) -> list[dict[str, object]]:

@@ -49,8 +49,9 @@ class Evaluation:
 
     def counted(self, sector: str = "camera") -> list[int]:
         """The classes that the sector's targets have: the mean is over them, whatever is predicted."""
-        counts = next((found for one in self.contenders if (found := one.tally.classes(sector)) is not None), None)
-        return [] if counts is None else present(counts)
+        counts = (found for one in self.contenders for found in one.tally.labelled(sector))
+        first = next(counts, None)
+        return [] if first is None else present(first)
 
     def figures(self, tally: Tally) -> list[Figure]:
         """Every figure of a contender's tally, or of the reference."""

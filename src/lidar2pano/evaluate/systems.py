@@ -14,7 +14,7 @@ from lidar2pano.evaluate.around import Around, Blank
 from lidar2pano.evaluate.films import CameraPainter
 from lidar2pano.evaluate.front import Ceiling, Direct, Front
 from lidar2pano.evaluate.questions import Origin, System
-from lidar2pano.evaluate.weights import FRONT, TRUTH, default_files, links, named_files
+from lidar2pano.evaluate.weights import FRONT, ROLES, TRUTH, default_files, links, named_files
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.models.card import Card, load, read_card
 from lidar2pano.models.precision import pick_device
@@ -71,9 +71,10 @@ def _own_painter(files: dict[str, Path], mine: dict[str, Path]) -> dict[str, Pat
 
 
 def _origin(name: str, files: Mapping[str, Path]) -> Origin:
+    files = {role: files[role] for role in ROLES if role in files}
     cards = {role: read_card(file) for role, file in files.items()}
     networks = {role: {name: getattr(card, name) for name in TOLD} for role, card in cards.items()}
-    return Origin(name=name, files=dict(files), networks=networks)
+    return Origin(name=name, files=files, networks=networks)
 
 
 def _around(name: str, files: dict[str, Path], segmenter: Segmenter, device: torch.device) -> Around:

@@ -138,6 +138,11 @@ class Tally:
         found = self.metrics.get((sector, "classes"))
         return found if isinstance(found, ClassCounts) else None
 
+    def labelled(self, sector: str) -> list[ClassCounts]:
+        """All that has been counted against a sector's classes: the system's own first, then a judge's."""
+        found = (self.metrics.get((sector, measure)) for measure in ("classes", "resegmentation"))
+        return [counts for counts in found if isinstance(counts, ClassCounts)]
+
     def of_frame(self, name: str) -> tuple[str, float] | None:
         """The figure by which a frame is judged, and its value: the first of LEADING that it has; more is better."""
         for sector, measure, figure in LEADING:

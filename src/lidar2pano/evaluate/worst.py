@@ -41,7 +41,7 @@ class Worst:
 
     def wanted(self, judged: tuple[str, float]) -> bool:
         """Whether a frame of this value would be held."""
-        return len(self.held) < self.number or -judged[1] > min(bad.badness for bad in self.held)
+        return len(self.held) < self.number or -judged[1] >= min(bad.badness for bad in self.held)
 
     def rows(self) -> Iterator[tuple[str, str, float]]:
         """Name, figure and its value, the worst first."""

@@ -121,15 +121,13 @@ def _hidden(row: Tensor, column: Tensor, inverse: Tensor) -> Tensor:
     """(n,) bool: something else lies before the place, in a coarse picture in which the nearest stays.
 
     row, column  (n,) raster coordinates in that picture;  inverse  (n,) 1/m, 0 for the sky.
-    Gaps of one pixel in the picture are closed, and then what is near loses its border of one pixel: there a pixel
-    holds the near and the far, which do not hide each other.
+    What is near loses its border of one pixel: there a pixel holds the near and the far, which stand side by side.
     """
     if not len(row):
         return torch.zeros(0, dtype=torch.bool)
     height, width = int(row.max()) + 1, int(column.max()) + 1
     cell = row.long() * width + column.long()
-    nearest = torch.zeros(height * width).scatter_reduce_(0, cell, inverse, "amax")[None]
-    nearest = max_pool2d(nearest.view(1, height, width), 3, 1, 1)
-    nearest = -max_pool2d(-nearest, 5, 1, 2)
+    nearest = torch.zeros(height * width).scatter_reduce_(0, cell, inverse, "amax")
+    nearest = -max_pool2d(-nearest.view(1, height, width), 3, 1, 1)
     before = nearest.view(-1)[cell]
     return before - inverse > (before * NEARER).clamp(min=HIDES)

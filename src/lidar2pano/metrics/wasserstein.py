@@ -57,12 +57,16 @@ class SlicedWasserstein(TwoSets):
         """SWD x 1000: "mean" over the levels, then "1024" to "16"; NaN when a side has no picture."""
         if not all(self.kept.values()):
             return dict.fromkeys(("mean", *map(str, LEVELS)), float("nan"))
-        sides = [self._stacked(side) for side in SIDES]
         levels = {}
         for number, level in enumerate(LEVELS):
-            first, second = (normalised(side[:, number].reshape(-1, SIZE)) for side in sides)
+            first, second = (normalised(self._patches(side, number)) for side in SIDES)
             levels[str(level)] = SCALE * self._distance(first, second, level)
         return {"mean": float(np.mean(list(levels.values()))), **levels}
+
+    def _patches(self, side: str, number: int) -> np.ndarray:
+        """All descriptors (N, SIZE) of a side and level, in the order of the pictures' names."""
+        kept = self.kept[side]
+        return np.concatenate([kept[name][number] for name in sorted(kept)])
 
     def _distance(self, first: np.ndarray, second: np.ndarray, level: int) -> float:
         repeats = []

@@ -19,10 +19,10 @@ from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.sensors import VIEWS
 from lidar2pano.train.adversarial import wasserstein_updates
 from lidar2pano.train.front import called, image_size, range_view
+from lidar2pano.train.painting import BROAD
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import build_networks
 
-BROAD = 4  # pixels: colours are compared as means over squares of this size
 EVIDENCE = ("front", "camera")
 
 
@@ -44,15 +44,15 @@ class DirectColour:
             raise InputError(f"options.evidence cannot be {self.evidence!r}{closest(self.evidence, EVIDENCE)}")
         self.networks = build_networks(recipe)
         self.inputs = int(recipe.networks["renderer"].settings.get("inputs", 1))
-        size = image_size(recipe, "renderer")
-        self.dataset = self._samples(root, recipe.data.train, size)
-        self.validation = self._samples(root, recipe.data.val, size)
+        self.size = image_size(recipe, "renderer")
+        self.dataset = self._samples(root, recipe.data.train)
+        self.validation = self._samples(root, recipe.data.val)
         self.logs: dict[str, float | Tensor] = {}
 
-    def _samples(self, root: Path, splits: tuple[str, ...], size: tuple[int, int]) -> FrontSamples | CameraSamples:
+    def _samples(self, root: Path, splits: tuple[str, ...]) -> FrontSamples | CameraSamples:
         if self.evidence == "camera":
-            return CameraSamples(root, splits, size)
-        return FrontSamples(root, splits, self.view, size, Wanted(classes=False, colour=True))
+            return CameraSamples(root, splits, self.size)
+        return FrontSamples(root, splits, self.view, self.size, Wanted(classes=False, colour=True))
 
     def seen(self, batch: FrontSample | CameraSample) -> Tensor:
         """What the renderer sees of a batch: (B, C, H, W) float32."""
@@ -106,7 +106,10 @@ class DirectColour:
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """What a user of the renderer has to know: what it reads; it speaks no label set, it gives colours."""
-        return {"labels": None, **(range_view(self.view) if self.evidence == "front" else {})}
+        if self.evidence == "front":
+            return {"labels": None, **range_view(self.view)}
+        rows, columns = self.size  # what the camera's image is stretched to: the network has learned this resolution
+        return {"labels": None, "views": {"camera": {"rows": rows, "columns": columns}}}
 
 
 def as_picture(colour: Tensor) -> np.ndarray:

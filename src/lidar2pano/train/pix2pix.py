@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 import torch
 from torch import Tensor
-from torch.nn.functional import l1_loss, mse_loss
+from torch.nn.functional import interpolate, l1_loss, mse_loss
 
 from lidar2pano.data.camera_rasters import CameraSample
 from lidar2pano.data.fronts import FrontSample
@@ -64,12 +65,12 @@ class Pix2PixColours(DirectColour):
 
 def on_image(seen: Tensor, image: Tensor) -> Tensor:
     """What the generator sees, stretched to the image that the critic judges beside it, as Pix2Pix stretches it."""
-    return torch.nn.functional.interpolate(seen, size=image.shape[-2:], mode="area")
+    return interpolate(seen, size=image.shape[-2:], mode="area")
 
 
-def weighted_guide(option: dict[str, object], real: Tensor) -> Callable[[Tensor], Tensor]:
+def weighted_guide(option: Mapping[str, Any], real: Tensor) -> Callable[[Tensor], Tensor]:
     """The distance to `real` that the options `guide` and `weight` name; an unknown one raises InputError."""
-    name, weight = str(option["guide"]), float(str(option["weight"]))
+    name, weight = str(option["guide"]), float(option["weight"])
     if name not in GUIDES:
         raise InputError(f"options.guide cannot be {name!r}{closest(name, GUIDES)}")
     return lambda fake: weight * GUIDES[name](fake, real)
