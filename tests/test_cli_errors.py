@@ -243,7 +243,7 @@ def data(here):
         ("--json small", "small: is a folder; name a file for --json"),
         ("--csv small", "small: is a folder; name a file for --csv"),
         ("--worst 1 --out file", "file: cannot be written (file is not a folder); choose another --out"),
-        ("--worst -1", "'--worst': -1 is not in the range"),
+        ("--worst -1", "Invalid value for '--worst': Input should be greater than or equal to 0"),
         ("--metrics ssmi", "--metrics: nothing is called 'ssmi'; there is camera, classes"),
         ("--sensor os1", "no sensor 'os1'"),
         ("--sdnet none", "no weight file none"),

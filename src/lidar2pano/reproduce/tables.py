@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from lidar2pano.errors import InputError
+from lidar2pano.evaluate.weights import named_files
 from lidar2pano.labels import COMMON14
 from lidar2pano.models.card import read_card
 from lidar2pano.reproduce.plan import SEGMENTER, Plan
@@ -158,12 +160,17 @@ def _times(plan: Plan, outcome: Outcome) -> str:
 def _networks(plan: Plan) -> str:
     rows = []
     for part in ([SEGMENTER] if plan.segmenter else []) + plan.parts:
-        folder = Path(plan.weights(part)) / "weights"
-        for file in sorted(folder.glob("*.safetensors")) if folder.is_dir() else []:
-            if file.stem.endswith(".last"):
-                continue
+        for role, file in named_files(plan.weights(part)).items() if _there(plan.weights(part)) else ():
             card = read_card(file)
-            rows.append([part, card.recipe, str(card.steps), f"{60 * card.hours:.1f}", card.device, card.sha256[:12]])
-    if plan.segmenter:
-        rows.insert(0, [SEGMENTER, f"given: {plan.segmenter}", "-", "-", "-", "-"])
-    return _table(["network", "recipe", "steps", "minutes", "device", "sha256"], rows)
+            if part != SEGMENTER or role == "segmenter":
+                made = [part, card.recipe, card.data, str(card.steps), f"{60 * card.hours:.1f}", card.device]
+                rows.append([*made, card.commit[:12], card.sha256[:12]])
+    return _table(["network", "recipe", "data", "steps", "minutes", "device", "commit", "sha256"], rows)
+
+
+def _there(weights: str) -> bool:
+    """Whether there are weights, and not only a run that failed."""
+    try:
+        return bool(named_files(weights))
+    except InputError:
+        return False

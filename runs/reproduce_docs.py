@@ -1,0 +1,33 @@
+#!/usr/bin/env python
+"""Put a reproduction's report into docs/: python runs/reproduce_docs.py DIR (which `lidar2pano reproduce` wrote)."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+from PIL import Image
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+WIDE = 1240  # pixels of a sheet in docs/
+
+
+def main() -> None:
+    """Copy the report; sheets become small JPEGs beside it."""
+    source = Path(sys.argv[1])
+    folder = DOCS / "reproduce"
+    folder.mkdir(exist_ok=True)
+    text = (source / "RESULTS.md").read_text(encoding="utf-8")
+    for found in re.findall(r"\(sheets/([^)]+)\)", text):
+        with Image.open(source / "sheets" / found) as picture:
+            size = (WIDE, round(WIDE * picture.height / picture.width))
+            small = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+        name = f"{Path(found).stem}.jpg"
+        small.save(folder / name, quality=72)
+        text = text.replace(f"(sheets/{found})", f"(reproduce/{name})")
+    (DOCS / "reproduce.md").write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
