@@ -221,8 +221,9 @@ def test_the_cameras_raster_agrees_with_its_definition(size):
 
 
 def test_the_nearest_point_owns_a_pixel_and_at_equal_range_the_first():
-    points = [(9, 0, 0), (5, 0, 0), (5, 0, 0), (-5, 0, 0), (0, 0, 0), (np.nan, 0, 0), (5, 30, 0)]
-    remission = np.arange(1, 8, dtype=np.float32) / 10
+    points = [(9, 0, 0), (5, 0, 0), (5, 0, 0), (-5, 0, 0), (0, 0, 0), (np.nan, 0, 0)]
+    points += [(5, 0, 2), (5, 0, -2), (5, 5.8, 0), (5, -5.8, 0)]  # a pixel above, below, left, right of the picture
+    remission = np.arange(1, 11, dtype=np.float32) / 10
     raster = camera_raster(Scan(xyz=np.array(points, np.float32), remission=remission), camera(41, 13), (13, 41))
     assert raster[:, 6, 20].tolist() == pytest.approx([0.2, 5.5])
     assert (raster[1] > 0).sum() == 1

@@ -177,8 +177,12 @@ def test_measured_is_what_was_asked_for(words, asked, sectors):
     evaluation = scored([truth(panorama=true_panorama())], one, measures=Measures.of(words, device="cpu"))
     assert {sector for sector, _ in evaluation.contenders[0].tally.metrics} == sectors
     assert one.asked[0].painted is asked
-    assert (one.asked[0].origin is not None) == (words not in ("camera",))
-    assert (one.asked[0].calibration is not None) == ("panorama" not in words)
+    asked_for = {name for name, part in vars_of(one.asked[0]).items() if part is not None}
+    assert asked_for == sectors - {"points"}
+
+
+def vars_of(question: Question) -> dict[str, object]:
+    return {"camera": question.calibration, "panorama": question.origin}
 
 
 # --- pictures --------------------------------------------------------------------------------------------------------

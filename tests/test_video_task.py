@@ -261,6 +261,31 @@ def test_losses_weigh_what_the_recipe_says(root):
     }
     assert {name: loss.item() for name, loss in losses.items()} == pytest.approx({k: v.item() for k, v in slow.items()})
 
+    again = task.frame(batch, layers(batch), batch.colour[:, :2], 2, torch.tensor([True]))
+    task.critics.share["mask"] = 1.0
+    first = task.critics.from_truth(again)
+    assert first["coherence"] == 0 == first["mask"], "there was no picture before it"
+    assert first["flow"] > 0
+
+
+def test_critics_judge_the_picture_and_what_is_painted_anew(root):
+    task = made(root, "options.blank=0", "options.features=2")
+    batch = a_batch(task, 1)
+    frame = task.frame(batch, layers(batch), batch.colour[:, :2], 2, torch.tensor([False]))
+    critic = task.networks["critic"]
+    real, *fakes = (
+        critic(torch.cat([layers(batch)[:, 2], picture], 1))
+        for picture in (batch.colour[:, 2], frame.painted, frame.raw)
+    )
+    turns = task.critics.updates(frame, {})
+    who, loss = next(turns)
+    assert who == "critic"
+    assert loss.item() == pytest.approx(sum(least_squares_critic(real, fake).item() for fake in fakes), rel=1e-4)
+    who, loss = next(turns)
+    slow = sum(value.item() for value in task.critics.from_truth(frame).values())
+    slow += sum((least_squares_generator(fake) + 2 * matched_features(real, fake)).item() for fake in fakes)
+    assert who == "painter" and loss.item() == pytest.approx(slow, rel=1e-4)
+
 
 def test_films_are_three_pictures_and_the_flows_between_them(root):
     task = made(root)

@@ -108,8 +108,8 @@ def score(
 
 def ask(truth: Truth, measures: Measures) -> Question:
     """What systems are asked about a frame: as much as can be compared with the truth."""
-    camera = "camera" in measures.sectors and (truth.camera_ids is not None or truth.picture is not None)
-    around = truth.panorama if "panorama" in measures.sectors else None
+    camera = measures.asks("camera") and (truth.camera_ids is not None or truth.picture is not None)
+    around = truth.panorama if measures.asks("panorama") else None
     ids = None
     if camera and truth.camera_ids is not None:
         ids = np.where(truth.camera_ids == UNSURE, 0, truth.camera_ids).astype(np.uint8)

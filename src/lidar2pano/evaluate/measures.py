@@ -23,6 +23,7 @@ from lidar2pano.models.sdnet import SdNet
 KINDS = ("points", "classes", "pictures", "depth", "seams", "time", "roll")
 DEFAULT_KINDS = KINDS[:-1]  # the roll needs everything twice
 SECTORS = ("camera", "panorama")
+ELSEWHERE = {"camera": {"points", "seams", "roll"}, "panorama": {"points"}}  # kinds that a sector has nothing of
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -96,6 +97,10 @@ class Measures:
             inception=_inception(inception, picked) if pictures else None,
             eye=_eye(sdnet, picked) if pictures and sdnet is not None else None,
         )
+
+    def asks(self, sector: str) -> bool:
+        """Whether anything of a sector is measured."""
+        return sector in self.sectors and not set(self.kinds) <= ELSEWHERE[sector]
 
     @property
     def painted(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 
@@ -57,10 +58,16 @@ def pinhole(calibration: Calibration, T_world_lidar: np.ndarray) -> Rays:
 
 def cylinder(view: View, T_world_lidar: np.ndarray) -> Rays:
     """The rays through the pixel centres of a view, for a LiDAR that stands at T_world_lidar (4, 4)."""
+    ray = _directions(view) @ T_world_lidar[:3, :3].T
+    return _origin(T_world_lidar, view.origin), ray.astype(np.float32), 1 / view.focal_px
+
+
+@lru_cache(maxsize=2)
+def _directions(view: View) -> np.ndarray:
+    """The same for every frame: (H, W, 3) float64 in the sensor's frame."""
     from lidar2pano.geometry.projection import directions
 
-    ray = directions(view).numpy().astype(np.float64) @ T_world_lidar[:3, :3].T
-    return _origin(T_world_lidar, view.origin), ray.astype(np.float32), 1 / view.focal_px
+    return directions(view).numpy().astype(np.float64)
 
 
 def _origin(T_world_lidar: np.ndarray, point: tuple[float, float, float]) -> np.ndarray:

@@ -20,7 +20,7 @@ from lidar2pano.simulate.traffic import Delay, Traffic, traffic
 
 SIGHT = 125.0  # metres around the way within which the world is built
 WINDOW = 40.0  # metres of the drive that share one piece of the world
-NEAR, MIDDLE = 28.0, 60.0  # metres from the whole way: full detail, half of it, a little
+NEAR, MIDDLE = 28.0, 60.0  # metres from the whole way: full detail, a third of it, a little
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -49,7 +49,7 @@ class World:
             if _away(way, thing) < SIGHT:
                 # Detail goes with the whole drive: nothing changes its shape on the way.
                 away = _away(whole, thing)
-                detail = 1.0 if away < NEAR else 0.45 if away < MIDDLE else 0.16
+                detail = 1.0 if away < NEAR else 0.33 if away < MIDDLE else 0.16
                 parts.append(Part(mesh=thing.mesh(self.seed, detail), instance=instance if thing.counted else 0))
         return Scene(parts)
 

@@ -36,7 +36,7 @@ class FrontDepthTranslation(FrontTranslation):
         """The critic, then the translator."""
         condition, classes = conditions(batch.segments), len(COMMON14)
         measured = (batch.depth_m > 0)[:, None].float()
-        depth = depth_code(batch.depth_m)[:, None]
+        depth = depth_code(batch.depth_m)[:, None]  # zero where none was measured
         weights = {name: float(self.option[name]) for name in ("lovasz", "entropy", "depth")}
 
         def forward() -> Tensor:
@@ -48,7 +48,7 @@ class FrontDepthTranslation(FrontTranslation):
             parts = {
                 "lovasz": lovasz_softmax(shares, batch.camera, ignore=0),
                 "entropy": nll_loss(shares.clamp(min=TINY).log(), batch.camera, ignore_index=0),
-                "depth": (fake[:, classes:] - depth * measured).abs().sum() / measured.sum().clamp(min=1),
+                "depth": (fake[:, classes:] - depth).abs().sum() / measured.sum().clamp(min=1),
             }
             self.logs |= {name: part.detach() for name, part in parts.items()}
             return torch.stack([weights[name] * part for name, part in parts.items()]).sum()
@@ -56,7 +56,7 @@ class FrontDepthTranslation(FrontTranslation):
         updates = wasserstein_updates(
             forward,
             self.networks["critic"],
-            torch.cat([one_hot_layers(batch.camera, classes), depth * measured], 1),
+            torch.cat([one_hot_layers(batch.camera, classes), depth], 1),
             condition,
             penalty_weight=float(self.option["penalty"]),
             guide=guide,
