@@ -5,8 +5,9 @@
 In the street world everything is known: six cameras that stand as PandaSet's do are rendered, and the true panorama and
 its depth from the front camera's place. Composed are panoramas with the true depth, with the scan's (`dense_depth`) and
 with none (everything far). Prints one Markdown table: the share of pixels that are valid; the mean difference to the
-true panorama in steps of 8 bits there, and of the same after shifting by a pixel, for scale; how far the look-ups are
-from where the true depth puts them, in pixels of the view: median, 90th percentile, share above 4.
+true panorama in steps of 8 bits there, and of the true panorama to itself a column aside, for scale; how far the
+look-ups of valid pixels are from where the true depth puts them, in pixels of the view: median, 90th percentile, share
+above 4.
 """
 
 from __future__ import annotations
@@ -56,14 +57,17 @@ def cameras() -> list[Calibration]:
 
 
 def displaced(true_m: Tensor, guess_m: Tensor, view: View, mounts: list[Calibration]) -> Tensor:
-    """Distances (n,) in the view's pixels between the look-ups by two depths, in the camera nearest to the true one."""
+    """Distances (H, W) in the view's pixels between the look-ups by two depths, in the camera nearest to the true one.
+
+    NaN where no camera sees the true place.
+    """
     ray = directions(view).reshape(-1, 3)
     far = 1e5
     ends = [
         depth.reshape(-1, 1).clamp(max=far) * ray + torch.tensor(view.origin)
         for depth in (true_m.where(true_m > 0, far), guess_m)
     ]
-    best, gap = torch.full((len(ray),), torch.inf), torch.zeros(len(ray), dtype=torch.float64)
+    best, gap = torch.full((len(ray),), torch.inf), torch.full((len(ray),), torch.nan, dtype=torch.float64)
     for camera in mounts:
         (u, v, depth), (u2, v2, _) = (points_in_camera(end, camera) for end in ends)
         inside = (depth > 0) & (u > 0) & (u < SIZE[0] - 1) & (v > 0) & (v < SIZE[1] - 1)
@@ -72,7 +76,7 @@ def displaced(true_m: Tensor, guess_m: Tensor, view: View, mounts: list[Calibrat
         shift = torch.hypot(u2 - u, v2 - v) * (view.focal_px / float(camera.K[0, 0]))
         gap = torch.where(nearer, shift.nan_to_num(nan=view.focal_px), gap)
         best = torch.where(nearer, axis.float(), best)
-    return gap[best.isfinite()]
+    return gap.view(true_m.shape)
 
 
 def rows(settings: Settings, seed: int) -> dict[str, list[float]]:

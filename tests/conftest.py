@@ -107,3 +107,14 @@ def front_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from random_weights import write_front
 
     return write_front(tmp_path_factory.mktemp("weights") / "front")
+
+
+@pytest.fixture
+def one_thread():
+    """As many threads as tests give processes that they start: sums come out alike only when they are split alike."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)

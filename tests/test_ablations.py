@@ -312,6 +312,7 @@ def apart(one: Path, other: Path) -> float:
     return max(((ours[name] - theirs[name]).norm() / theirs[name].norm()).item() for name in ours)
 
 
+@pytest.mark.usefixtures("one_thread")
 @pytest.mark.parametrize("name", ["titan-no-segments-mini", "pix2pix-segments-mini"])
 def test_two_processes_equal_one(root, name, tmp_path):
     """Each sees half of the batch, as one process does in two turns."""

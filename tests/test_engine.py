@@ -75,15 +75,6 @@ def test_resume_equals_never_stopped(tmp_path, monkeypatch, task, settings):
 TASK_CLASSES = {"toy": Denoise, "toy-gan": Gan}
 
 
-@pytest.fixture
-def one_thread():
-    """As many threads as `start` gives its process: sums come out alike only when they are split alike."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
 @pytest.mark.usefixtures("one_thread")
 def test_killed_in_an_epoch_and_repeated_equals_an_undisturbed_run(tmp_path):
     often = 0.0005

@@ -210,7 +210,7 @@ def test_pictures_are_compared_with_the_cameras():
     assert "| FID |  | no Inception weights | no Inception weights | - |" in table
     ssim = next(line for line in table.splitlines() if line.startswith("| SSIM"))
     assert ssim.startswith("| SSIM |  | 1.000 (1.000 to 1.000) | 0.0") and ssim.endswith("| - |")
-    assert "against 2 pictures" in evaluation.heading()
+    assert "against the camera's pictures (2)" in evaluation.heading()
     assert "mIoU of" not in table
     json.dumps(evaluation.as_dict(), allow_nan=False)
 
@@ -331,7 +331,7 @@ def test_all_around_by_hand():
     assert figure(evaluation, "panorama", "ssim") == pytest.approx(1)
     table = evaluation.table()
     assert "| all around: car | 16.8% | 0.000 |" in table and "| all around: **mIoU of 2** |" in table
-    assert "| all around: seam ratio | truth " in table and "against 1 panoramas" in evaluation.heading()
+    assert "| all around: seam ratio | truth " in table and "against true panoramas (1)" in evaluation.heading()
     assert evaluation.as_dict()["panorama_classes"] == ["car", "road"]
     assert evaluation.as_dict()["results"][0]["score"]["translator"]["panorama_depth_abs_rel"] == pytest.approx(0.2)
 
@@ -429,8 +429,23 @@ def test_the_flow_follows_the_pose():
     hidden = true_panorama(valid=np.zeros((16, 64), bool))
     assert not panorama_flow(replace(frames[0], panorama=hidden), frames[1]).known.any()
     assert panorama_flow(replace(frames[0], panorama=None), frames[1]) is None
+    for off, known in ((1e-9, True), (1.0, False)):
+        near = true_panorama(view=replace(RASTER, origin=(off, 0.0, 0.0)))
+        assert (panorama_flow(replace(frames[0], panorama=near), frames[1]) is not None) == known
     assert camera_flow(replace(frames[0], camera_ids=None), frames[1]) is None
     assert camera_flow(*frames).shift.shape == (2, 2, 6)
+
+
+def test_sparse_depths_are_filled_for_the_flow():
+    depth_m = np.zeros((16, 64), np.float32)
+    depth_m[5, ::7] = 10
+    sparse = true_panorama(ids=None, depth_m=depth_m)
+    scan = street(points=4000)
+    pair = [replace(truth(f"00/{n:06d}", pose=np.eye(4), panorama=sparse), scan=scan) for n in (0, 1)]
+    flow = panorama_flow(*pair)
+    assert flow is not None and flow.known.float().mean() > 0.5 and flow.shift.abs().max() < 1e-3
+    ball = true_panorama(ids=None, depth_m=depth_m, view=replace(RASTER, kind="sphere", up=10, down=-10))
+    assert panorama_flow(*(replace(one, panorama=ball) for one in pair)) is None  # gaps are filled on a cylinder
 
 
 def test_depths_of_the_camera_are_the_panoramas_where_it_stands_there():

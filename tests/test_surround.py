@@ -18,7 +18,7 @@ from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera, points_in_camera
 from lidar2pano.geometry.compose import BLEND, Photo, compose
-from lidar2pano.geometry.filling import BESIDE, ONE_SURFACE, RIM, dense_depth, ground_plane
+from lidar2pano.geometry.filling import BESIDE, ONE_SURFACE, RIM, WIDE, dense_depth, ground_plane
 from lidar2pano.geometry.projection import directions
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.sensors import VIEWS, View
@@ -162,6 +162,8 @@ def test_what_stands_before_a_place_hides_it_from_a_camera_beside():
     assert behind.sum() > 15 and not valid[44, behind].any()
     free = ((azimuth > hidden[0] + 0.05) | ((azimuth < hidden[1] - 0.05) & ~post)) & (np.abs(azimuth) < 0.55)
     assert free.sum() > 100 and valid[44, free].all() and valid[44, post].all()
+    _, unhidden = compose([beside], view, depth.where(~torch.from_numpy(post), torch.inf))
+    assert unhidden[44, (np.abs(azimuth) < 0.5) & ~post].all(), "the sky hides nothing"
     here = flat(camera(0.0, (0.0, 0.0, 0.0)), (0, 255, 0))
     colour, both = compose([beside, here], view, depth)
     assert both[44, behind].all() and (colour[44, behind] == (0, 255, 0)).all(), "the other camera sees it"
@@ -189,6 +191,12 @@ def test_depths_of_the_painted_place_come_from_its_scan():
     assert off.isfinite().all(), "the sphere is seen up to the top"
     assert off.median() < 0.002 and (off > 0.05).float().mean() < 0.02
     assert off[66:].max() < 0.03, "ground: a point may lie half a pixel off its pixel's middle"
+
+
+def test_few_rings_are_enough_for_a_place_of_ground_and_walls():
+    _, expected = truth(QUARTER)
+    off = (dense_depth(torch.from_numpy(sweep(rings=16)[0]), QUARTER) / expected - 1).abs()
+    assert off.max() < 0.07 and off.mean() < 0.01, "also between the last ring on the ground and the first on the wall"
 
 
 def test_what_was_measured_stays_and_the_own_car_is_left_out():
@@ -241,9 +249,9 @@ def test_the_grounds_plane_is_found_under_cars_and_houses():
     roof = (square[:, 0] + 2 * square[:, 1]) % 4 == 0  # a quarter of all squares of 4 m
     z[roof] += generator.uniform(1.0, 4.0, roof.sum())
     points = torch.from_numpy(np.column_stack([xy, z])).float()
-    assert ground_plane(points) == pytest.approx((0.03, -0.02, -1.9), abs=0.06)
-    flat_only = ground_plane(points[torch.from_numpy(~roof)])
-    assert flat_only == pytest.approx((0.03, -0.02, -1.9), abs=0.04), "the lowest of a slope's square is not its middle"
+    assert ground_plane(points) == pytest.approx((0.03, -0.02, -1.9), abs=0.03)
+    steep = points * torch.tensor([1.0, 1.0, 0.0]) + torch.tensor([0.0, 0.0, 1.0]) * (0.1 * points[:, :1] - 2)
+    assert ground_plane(steep) == pytest.approx((0.1, 0.0, -2.0), abs=1e-4)
     assert ground_plane(points[:4]) is None
 
 
@@ -279,6 +287,9 @@ def _flat_slowly(row: int, column: int, flat_m: np.ndarray, top: float, view: Vi
         share = (row - a) / (b - a) if b > a else 0.0
         if max(far) < ONE_SURFACE * min(far):
             return 1 / (1 / far[0] + (1 / far[1] - 1 / far[0]) * share)
+        step = (view.up - view.down) / view.rows
+        if (b - a) * step > WIDE and min(row - a, b - row) * step > RIM:
+            return math.inf
         return far[0] if share <= 0.5 else far[1]
     if len(above):
         return flat_m[above[-1], column]
@@ -299,10 +310,11 @@ def _slope_from_sensor(row: int, column: int, flat_m: np.ndarray, view: View) ->
 def test_filling_agrees_with_its_slow_definition():
     view = View(rows=30, columns=366, up=0.3, down=-0.3, kind="cylinder", origin=(0.3, 0.1, 0.2))
     generator = np.random.default_rng(3)
-    azimuth, slope = generator.uniform(-math.pi, math.pi, 900), generator.uniform(-0.3, 0.2, 900)
+    azimuth, slope = generator.uniform(-math.pi, math.pi, 900), generator.uniform(-0.36, 0.2, 900)
     distance = generator.choice([26.0, 29.0, 45.0, 47.0], 900)  # too far for a ground
     xyz = np.column_stack([distance * np.cos(azimuth), distance * np.sin(azimuth), distance * slope]).astype(np.float32)
-    fast, slow = dense_depth(torch.from_numpy(xyz), view).numpy(), filled_slowly(xyz, view)
+    tall = replace(view, rows=42, up=0.42, down=-0.42)  # BEYOND is 6 rows of 0.02
+    fast, slow = dense_depth(torch.from_numpy(xyz), view).numpy(), filled_slowly(xyz, tall)[6:-6]
     assert np.isinf(slow).mean() > 0.05
     assert np.array_equal(np.isinf(fast), np.isinf(slow))
     assert np.allclose(fast, slow, rtol=1e-4)

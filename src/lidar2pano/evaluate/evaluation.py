@@ -23,9 +23,10 @@ from lidar2pano.evaluate.worst import Worst
 
 @dataclass(slots=True, kw_only=True)
 class Evaluation:
-    """What `score` counted. images: frames with camera labels; scans: with point labels; pictures: with a camera's
-    picture; panoramas: with a truth all around.
+    """What `score` counted.
 
+    images     how many frames had camera labels;  scans: point labels;  pictures: a camera's picture;  panoramas: the
+               truth all around.
     reference  the truth itself, of what is not compared but measured: seams, warping error, re-segmentation.
     """
 

@@ -72,17 +72,16 @@ def _heading(one: Evaluation, found: list[Found]) -> str:
     parts = [
         f"`{one.split}` of {one.data}: {one.images} camera images, all of each at its own size, from the scan"
         f" alone; {one.scans} scans with point labels. Pixels whose target is unlabeled, sky or unsure are not"
-        f" scored; answers of unlabeled or sky count as wrong. mIoU: mean over the {len(there)} of the paper's 14"
-        f" classes that occur{absent}."
+        f" scored; answers of unlabeled or sky count as wrong."
     ]
+    if there:
+        parts.append(f"mIoU: mean over the {len(there)} of the paper's 14 classes that occur{absent}.")
     names = {name for each in found for _, name in each}
     if names & {"ssim", "swd"}:
-        parts.append(
-            f"Colours: against {one.pictures} pictures; SWD's levels are of pictures stretched to 1024 x 1024."
-        )
+        parts.append(f"Colours: against the camera's pictures ({one.pictures}); SWD's are stretched to 1024 x 1024.")
     if one.panoramas:
         parts.append(
-            f"All around: against {one.panoramas} panoramas, on the truth's raster, where it is known; SWD in quarters."
+            f"All around: against true panoramas ({one.panoramas}), on their raster, where they are known; SWD in quarters."
         )
     if any(not math.isnan(figure.low) for each in found for figure in each.values()):
         parts.append("In brackets: 95 % of the bootstrap's resamples of frames.")

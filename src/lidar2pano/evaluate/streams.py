@@ -9,12 +9,14 @@ from torch import Tensor
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.truths import TruePanorama, Truth
 from lidar2pano.evaluate.around import SAME_PLACE_M
+from lidar2pano.evaluate.rasters import same_raster
 from lidar2pano.geometry.camera import panorama_in_camera
 from lidar2pano.geometry.filling import dense_depth
 from lidar2pano.geometry.flow import Flow, ego_flow, scan_distances
 from lidar2pano.geometry.warp import warp
 from lidar2pano.labels import COMMON15
 
+SAME_MOUNT_M = 0.02  # calibrations that are written frame by frame differ by less
 SKY = COMMON15.id_of("sky")
 
 
@@ -54,7 +56,9 @@ def panorama_flow(before: Truth, now: Truth) -> Flow | None:
     None where there are none. Known only where both panoramas' colours are, too.
     """
     one, other = now.panorama, before.panorama
-    if one is None or other is None or one.view != other.view:
+    if one is None or other is None or not same_raster(one.view, other.view):
+        return None
+    if np.abs(np.subtract(one.view.origin, other.view.origin)).max() > SAME_MOUNT_M:
         return None
     far = [_around(truth) for truth in (now, before)]
     if far[0] is None or far[1] is None:

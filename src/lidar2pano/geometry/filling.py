@@ -5,15 +5,22 @@ On a cylinder the inverse of the horizontal distance is linear in the row, on ev
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
+import numpy as np
 import torch
 from torch import Tensor
 
 from lidar2pano.geometry.projection import directions, project_points
 from lidar2pano.sensors import View
 
+BEYOND = 0.12  # tangent above and below the view up to which points count: rings may lie 4 degrees apart there
 BESIDE = 1 / 183  # radians over which a ring is closed to either side: LiDARs take 1000 to 2000 points a turn
 ONE_SURFACE = 1.25  # ratio of distances below which two points above each other are taken to be of one surface
-RIM = 0.012  # tangent above a column's topmost point up to which its surface goes on: two rings
+ON_GROUND = 1.2  # likewise, below which a point is taken to lie on the ground's plane
+RIM = 0.012  # tangent up to which a surface goes on beyond its last point where the sky follows: two rings
+WIDE = 0.08  # tangent over which, between two surfaces, some ring would have met something: rings are 4 degrees apart
 OWN_CAR = (3.0, 1.1)  # metres ahead of and behind the sensor, and to its sides: points there lie on its own car
 CLEAR_OF_CAR = 3.0  # metres: slopes of nearer points say little
 GROUND_WITHIN, GROUND_REACH = 25.0, 80.0  # metres: where the ground's plane is fitted, and up to where it is believed
@@ -28,14 +35,20 @@ def dense_depth(xyz: Tensor, view: View) -> Tensor:
 
     Points on the car that carries the sensor are left out. What was measured stays: the nearest point owns its pixel.
     Gaps of a ring take the nearest point of their row, the nearer to the eye of two, up to BESIDE away. Between two
-    points of a column that lie on one surface the inverse horizontal distance is linear; otherwise the point in the
-    nearer row holds. Below a column's lowest point lies the ground's plane or, where that is nearer, the point's
-    surface; above its topmost the sky, or the point's surface where the sensor looks no higher. A column without
-    points is ground and sky.
+    points of a column lies their surface, if they are of one; else, where the lower is on the ground, the ground up to
+    the upper's distance; else the surface of the point in the nearer row. But where nothing answered over WIDE it is
+    sky, as far as the ground allows. Below a column's lowest point lies the ground or, where that is nearer, the
+    point's surface. Above its topmost lies the point's surface for a little, or all the way up where the sensor looks
+    no higher; and then the ground and the sky. A column without points is ground and sky. Points a little above and
+    below the view count, too.
     """
     if view.kind != "cylinder":
         raise ValueError("depths are filled on a cylinder, on whose columns planes are straight")
     xyz = xyz[(xyz[:, 0].abs() > OWN_CAR[0]) | (xyz[:, 1].abs() > OWN_CAR[1])]
+    step = (view.up - view.down) / view.rows
+    more = math.ceil(BEYOND / step)  # rows
+    inner = slice(more, more + view.rows)
+    view = replace(view, rows=view.rows + 2 * more, up=view.up + more * step, down=view.down - more * step)
     image = project_points(xyz, xyz.new_zeros(len(xyz)), view)
     flat = torch.hypot(image.channels[1], image.channels[2])
     inverse = torch.where(image.valid & (flat > 0), 1 / flat, 0.0)
@@ -43,7 +56,8 @@ def dense_depth(xyz: Tensor, view: View) -> Tensor:
     ray = directions(view)
     ray = ray / torch.hypot(ray[..., :1], ray[..., 1:2])  # as far as one metre on the ground
     filled = _filled(inverse, ray, xyz, view)
-    return torch.where(image.valid, image.channels[0], ray.norm(dim=2) / filled)  # 1/0: infinite
+    depth = torch.where(image.valid, image.channels[0], ray.norm(dim=2) / filled)  # 1/0: infinite
+    return depth[inner].contiguous()
 
 
 def ground_plane(xyz: Tensor) -> tuple[float, float, float] | None:
@@ -54,15 +68,13 @@ def ground_plane(xyz: Tensor) -> tuple[float, float, float] | None:
     """
     distance = torch.hypot(xyz[:, 0], xyz[:, 1])
     near = xyz[(distance < GROUND_WITHIN) & (distance > CLEAR_OF_CAR) & xyz[:, 2].isfinite()].double()
-    side = int(2 * GROUND_WITHIN / CELL) + 2
-    square = (near[:, :2] / CELL).floor().long() + side // 2
-    low = torch.full((side * side,), torch.inf, dtype=torch.float64)
-    low.scatter_reduce_(0, square[:, 0] * side + square[:, 1], near[:, 2], "amin")
-    index = low.isfinite().nonzero()[:, 0]
-    if len(index) < 6:
+    near = near[near[:, 2].argsort()]
+    square = (near[:, :2] / CELL).floor().long()
+    _, lowest = np.unique((square[:, 0] * 1000 + square[:, 1]).numpy(), return_index=True)  # the first, so the lowest
+    if len(lowest) < 6:
         return None
-    places = (torch.stack([index // side, index % side], 1) - side // 2 + 0.5) * CELL
-    system, z = torch.cat([places, places.new_ones(len(places), 1)], 1).double(), low[index]
+    low = near[torch.from_numpy(lowest)]
+    system, z = torch.cat([low[:, :2], low.new_ones(len(low), 1)], 1), low[:, 2]
     off, plane = z - z.quantile(0.3), None
     for most in OFF_PLANE:
         kept = off.abs() < most
@@ -95,10 +107,18 @@ def _filled(inverse: Tensor, ray: Tensor, xyz: Tensor, view: View) -> Tensor:
     lower = inverse.gather(0, below.clamp(max=rows - 1)) * (below < rows)
     share = ((row - above) / (below - above).clamp(min=1)).float()
     one_surface = torch.maximum(upper, lower) < ONE_SURFACE * torch.minimum(upper, lower)
-    between = torch.where(one_surface, upper + (lower - upper) * share, torch.where(share <= 0.5, upper, lower))
-    under = torch.maximum(_ground(ray, xyz, view), upper)
-    over = torch.where(row >= _rims(inverse, below, ray, xyz, view), lower, 0.0)
-    filled = torch.where(above < 0, torch.where(below < rows, over, under), torch.where(below < rows, between, under))
+    ground = _ground(ray, xyz, view)
+    lift = lower / ground.gather(0, below.clamp(max=rows - 1))  # 1 where the lower point is on the plane
+    on_ground = (lift > 1 / ON_GROUND) & (lift < ON_GROUND)
+    nearer_row = torch.where(share <= 0.5, upper, lower)
+    between = torch.where(on_ground, torch.maximum(upper, ground * lift), nearer_row)
+    step = (view.up - view.down) / rows
+    open_sky = ((below - above) * step > WIDE) & (torch.minimum(row - above, below - row) * step > RIM) & (ground == 0)
+    between = torch.where(open_sky, 0.0, between)
+    between = torch.where(one_surface, upper + (lower - upper) * share, between)
+    over = torch.where(row >= _rims(inverse, below, ray, xyz, view), lower, ground)
+    under = torch.maximum(ground, upper)
+    filled = torch.where(above < 0, over, between).where(below < rows, under)
     return torch.where(there, inverse, filled)
 
 
