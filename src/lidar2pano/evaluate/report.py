@@ -81,7 +81,8 @@ def _heading(one: Evaluation, found: list[Found]) -> str:
         parts.append(f"Colours: against the camera's pictures ({one.pictures}); SWD's are stretched to 1024 x 1024.")
     if one.panoramas:
         parts.append(
-            f"All around: against true panoramas ({one.panoramas}), on their raster, where they are known; SWD in quarters."
+            f"All around: against true panoramas ({one.panoramas}), on their raster, where they are known; "
+            "SWD in quarters."
         )
     if any(not math.isnan(figure.low) for each in found for figure in each.values()):
         parts.append("In brackets: 95 % of the bootstrap's resamples of frames.")
