@@ -47,6 +47,7 @@ paint 1 "$first" translator-1 4 0.002 14
 paint 2 "$labels" translator-3 6 0.0015 16 "$(weights painter-1 painter)"
 
 # TITAN-Net the paper's way and ours for as many minutes, to be scored beside the family.
+# RESULTS.md's titan-7min was trained before titan-mini got half the picture, a narrower critic and a heavier guide.
 lidar2pano train titan-mini --data "$data" --out "$out/titan-7min" --set training.minutes=7.5 --set "$first"
 lidar2pano train titan-pano-mini --data "$data" --out "$out/titan-pano-7min" --set training.minutes=7.5 --set "$first"
 
