@@ -19,8 +19,9 @@ from lidar2pano.evaluate.measures import DEFAULT_KINDS, CameraEye, Extractor
 from lidar2pano.evaluate.questions import Origin
 from lidar2pano.evaluate.rasters import between, carried, same_raster, windows
 from lidar2pano.evaluate.streams import camera_flow, follows, panorama_flow
-from lidar2pano.evaluate.tallies import Tally
+from lidar2pano.evaluate.tallies import Moved, Tally
 from lidar2pano.evaluate.worst import Worst
+from lidar2pano.geometry.flow import Flow
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import CITYSCAPES, COMMON15
 from lidar2pano.models.camera_segmenter import CameraSegmenter, Colours
@@ -267,7 +268,11 @@ def test_a_camera_segmenters_file(tmp_path):
     ids = eye.segment(picture)
     assert ids.shape == (64, 96) and int(ids.max()) < len(COMMON15)
     features = eye.features(torch.from_numpy(picture).movedim(2, 0)[None])
-    assert features.shape == (1, 8) and features.isfinite().all()
+    network, images = eye.segmenter.network, torch.from_numpy(picture).movedim(2, 0)[None]
+    with torch.inference_mode():
+        context = network.ocr(network.backbone(eye.segmenter.normalise(images))).features
+    assert features.shape == (1, 8) and torch.allclose(features[0], context[0].flatten(1).mean(1), rtol=1e-4)
+    assert context.shape[2] > 1 and context.std((2, 3)).max() > 0
     assert Measures.of("classes", sdnet=tmp_path, device="cpu").eye is None  # nobody asks it
     with pytest.raises(InputError, match="no weight file"):
         Measures.of(sdnet=tmp_path / "none", device="cpu")
@@ -413,6 +418,18 @@ def test_flicker_of_what_stands_still():
     assert "| warping error x 1000 | truth 0.00 | 0.00 (0.00 to 0.00) | 120.00 (120.00 to 120.00) |" in (
         evaluation.table()
     )
+
+
+def test_flicker_counts_where_the_flow_is_known():
+    known = torch.zeros(24, 80, dtype=torch.bool)
+    known[:, :40] = True
+    before, now = noise(0), noise(0)
+    now[:, 40:] = noise(1)[:, 40:]
+    for sector in ("camera", "panorama"):
+        moved = Moved(before=before, flow=Flow(shift=torch.zeros(2, 24, 80), known=known))
+        (tally := Tally(Measures())).warped(sector, now, moved, "00/000001")
+        metric = tally.metrics[sector, "warping"]
+        assert metric.compute() == 0 and metric.circular == (sector == "panorama")
 
 
 def test_the_flow_follows_the_pose():

@@ -288,7 +288,7 @@ def test_a_rendered_picture_is_the_one_before_it_warped(tmp_path):
     from lidar2pano.simulate.record import Recording
     from lidar2pano.simulate.settings import Settings
 
-    settings = Settings(seed=5, frames=2, place="country", save=("panorama",), views=("panorama/4",))
+    settings = Settings(seed=5, frames=2, place="motorway", save=("panorama",), views=("panorama/4",))
     recording = Recording(tmp_path, settings, 0)
     recording.prepare()
     before, now = (dict(recording.pictures(frame))["panorama/4"] for frame in (0, 1))

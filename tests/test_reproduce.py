@@ -189,7 +189,7 @@ def test_semantic_kitti_as_users_have_it_and_a_second_run_that_only_reads(semant
     text = (tmp_path / "RESULTS.md").read_text()
     row = next(line for line in text.splitlines() if line.startswith("| SC-UNET |"))
     assert 0 < float(row.split("|")[2]) < 1, "SSIM"
-    assert "`val`" in text and "1 pictures" in text
+    assert "`val`" in text and ": 1 camera images" in text and "the camera's pictures (1)" in text
     assert (tmp_path / "pictures" / "truth" / "00.colour.png").is_file()
     rows = tmp_path / "rows" / "scunet.json"
     held = {path: path.stat().st_mtime_ns for path in (rows, tmp_path / "runs/scunet/weights/renderer.safetensors")}

@@ -239,6 +239,7 @@ def test_blank_clips_begin_from_nothing_and_are_painted_anew(root):
     assert not calls[0][1].any()
     raw = calls[0][-1]
     assert torch.equal(calls[1][1], torch.stack([torch.zeros_like(raw), raw], 1)), "as published with --no_first_img"
+    assert torch.equal(calls[2][1], torch.stack([raw, calls[1][2]], 1)), "the second is a picture like any other"
     first = torch.tensor([True, False])
     frame = task.frame(batch, layers(batch), batch.colour[:, :2], 2, first)
     assert not frame.remembered[0].any() and torch.equal(frame.remembered[1], batch.known[1, 2])

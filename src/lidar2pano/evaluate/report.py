@@ -70,7 +70,7 @@ def _heading(one: Evaluation, found: list[Found]) -> str:
     missing = [name for c, name in enumerate(COMMON15.classes) if c not in (*there, *UNSCORED)]
     absent = f" (absent: {', '.join(missing)})" if missing else ""
     parts = [
-        f"`{one.split}` of {one.data}: {one.images} camera images, all of each at its own size, from the scan"
+        f"`{one.split}` of {one.data}: {max(one.images, one.pictures)} camera images, all of each at its own size, from the scan"
         f" alone; {one.scans} scans with point labels. Pixels whose target is unlabeled, sky or unsure are not"
         f" scored; answers of unlabeled or sky count as wrong."
     ]
