@@ -5,18 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from lidar2pano.data.augment import drop_points, drop_rings, mirror, mirror_azimuth, shift_azimuth, turn, vary_remission
 from lidar2pano.data.fronts import FrontSamples
 from lidar2pano.data.panoramas import PanoramaSamples, mirrored
 from lidar2pano.data.ranges import RangeSamples
-from lidar2pano.data.sequences import UNSURE, Draw, frames
+from lidar2pano.data.sequences import UNSURE, Draw, frames, frames_of
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON14, COMMON15
 from lidar2pano.scan import Scan
 from lidar2pano.sensors import VIEWS
 from miniature import HOUSE, ROAD, SPLITS, street, write_data_set
+from miniature_film import write_film
 
 RASTER = VIEWS["panorama"].scaled(1 / 8)
 
@@ -143,3 +145,52 @@ def test_a_segmenters_labels_take_the_teachers_place(root):
     fronts = FrontSamples(root, ("train",), VIEWS["titan-front-512"], (36, 120))
     fronts.predict(lambda scan: torch.full((len(scan),), 5))
     assert set(fronts[0].segments.unique().tolist()) == {0, 5}
+
+
+def test_the_truth_all_around_is_sampled_from_every_direction(tmp_path):
+    root = write_film(tmp_path, panorama=True)
+    (frame, *_), view = frames(root, "train"), VIEWS["panorama"].scaled(1 / 8)
+    samples = PanoramaSamples(root, ("train",), view, columns=96, colour=True)
+    pixels = {name: np.array(Image.open(frame.folder / name / f"{frame.stem}.png")) for name in ("pano", "pano_labels")}
+    ahead = samples[0]
+    crop = slice((576 - 96) // 2, (576 + 96) // 2)
+    assert torch.equal(ahead.camera, torch.from_numpy(pixels["pano_labels"][1::2, 1::2][:, crop]).long())
+    fine = torch.from_numpy(pixels["pano"]).movedim(2, 0)[..., 2 * crop.start : 2 * crop.stop]
+    assert torch.allclose(ahead.colour, fine / 127.5 - 1) and ahead.seen.all()
+    assert torch.allclose(ahead.depth_m, torch.tensor(10.0), atol=0.01)
+    whole = samples.moment(0).camera.long()
+    starts = set()
+    for seed in range(40):
+        camera = samples[Draw(0, seed)].camera
+        found = [
+            start
+            for start in range(576 - 96 + 1)
+            for each in (camera, camera.flip(-1))
+            if torch.equal(whole[:, start : start + 96], each)
+        ]
+        assert found, "each crop is a part of the whole turn"
+        starts.add(found[0])
+    assert min(starts) < 100 and max(starts) > 380
+
+
+def test_unknown_classes_all_around_are_unsure(tmp_path):
+    root = write_film(tmp_path, panorama=True)
+    frame = frames(root, "train")[0]
+    path = frame.folder / "pano_labels" / f"{frame.stem}.png"
+    ids = np.array(Image.open(path))
+    ids[:, 500:600] = 0
+    Image.fromarray(ids).save(path)
+    samples = PanoramaSamples(root, ("train",), VIEWS["panorama"].scaled(1 / 4), columns=192)
+    unknown = samples.moment(0).camera == UNSURE
+    assert unknown[:, 500:600].all() and unknown.sum() == unknown[:, 500:600].numel()
+
+
+def test_splits_of_other_data_sets_join(root, tmp_path):
+    other = write_film(tmp_path / "other")
+    joined = [*frames(root, "train"), *frames(other, "train"), *frames(root, "train")]
+    assert frames_of(root, ("train", f"{other}:train", "train")) == joined
+    samples = RangeSamples(root, ("train", f"{other}:train"), VIEWS["hdl64e"])
+    assert len(samples) == len(frames(root, "train")) + len(frames(other, "train"))
+    assert len(samples.scan(len(samples) - 1)) == len(frames(other, "train")[-1].scan())
+    with pytest.raises(InputError, match="other2"):
+        frames_of(root, (f"{other}2:train",))

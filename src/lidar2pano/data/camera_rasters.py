@@ -12,7 +12,7 @@ from torch.nn.functional import interpolate
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.augment import drop_points
-from lidar2pano.data.sequences import Draw, frames
+from lidar2pano.data.sequences import Draw, frames_of
 from lidar2pano.geometry.camera import points_in_camera
 from lidar2pano.geometry.projection import NOBODY
 from lidar2pano.scan import Scan
@@ -35,7 +35,7 @@ class CameraSamples:
     """Scans of some splits, projected into their camera, with its pictures, stretched to `size` (rows, columns)."""
 
     def __init__(self, root: Path, splits: tuple[str, ...], size: tuple[int, int]) -> None:
-        self.frames = [frame for split in splits for frame in frames(root, split)]
+        self.frames = frames_of(root, splits)
         self.size = size
         self._held: dict[int, tuple[Scan, Calibration, Tensor]] = {}
 

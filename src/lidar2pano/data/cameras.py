@@ -11,7 +11,7 @@ import torch
 from PIL import Image, ImageEnhance
 from torch import Tensor
 
-from lidar2pano.data.sequences import UNSURE, Draw, frames
+from lidar2pano.data.sequences import UNSURE, Draw, frames_of
 from lidar2pano.errors import InputError
 
 BEYOND = (124, 116, 104)  # RGB beyond a picture's border: ImageNet's mean, which normalisation makes zero
@@ -49,7 +49,7 @@ class PictureSamples:
     """Pictures of some splits with the teacher's classes; augmented when drawn with a seed, plain when indexed."""
 
     def __init__(self, root: Path, splits: tuple[str, ...], looks: Looks) -> None:
-        self.frames = [frame for split in splits for frame in frames(root, split)]
+        self.frames = frames_of(root, splits)
         self.looks = looks
 
     def __len__(self) -> int:

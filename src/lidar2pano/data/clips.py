@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.data.sequences import Draw, Frame, frames
+from lidar2pano.data.sequences import Draw, Frame, frames_of
 from lidar2pano.data.sights import Sight, camera_sight, flow_to, panorama_sight
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import Lookup
@@ -76,8 +76,8 @@ class Clips:
         self, root: Path, splits: tuple[str, ...], framing: Framing, length: int, stills: tuple[str, ...] = ()
     ) -> None:
         self.framing, self.length = framing, length
-        found = [run for split in splits for run in runs(frames(root, split), length)]
-        alone = [[frame] for split in stills for frame in frames(root, split)]
+        found = [run for split in splits for run in runs(frames_of(root, (split,)), length)]
+        alone = [[frame] for frame in frames_of(root, stills)]
         if not found and not alone:
             raise InputError(
                 f"{root}: no {length} frames of split {' or '.join(splits)} follow each other; choose another split or "

@@ -15,7 +15,7 @@ from torch.nn.functional import interpolate
 from lidar2pano.data.augment import drop_points, mirror
 from lidar2pano.data.camera_rasters import camera_raster, in_unit, stretched
 from lidar2pano.data.ranges import labelled
-from lidar2pano.data.sequences import Draw, Frame, frames
+from lidar2pano.data.sequences import Draw, Frame, frames_of
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import TABLES
@@ -83,7 +83,7 @@ class FrontSamples:
         size: tuple[int, int],
         wanted: Wanted | None = None,
     ) -> None:
-        self.frames = [frame for split in splits for frame in frames(root, split)]
+        self.frames = frames_of(root, splits)
         self.view, self.size, self.wanted = view, size, wanted or Wanted()
         self.normalise = Normalisation()
         self._held: dict[int, FrontMoment] = {}

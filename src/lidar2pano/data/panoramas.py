@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,18 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.calibration import Calibration
 from lidar2pano.data.augment import drop_points, drop_rings, mirror_azimuth
-from lidar2pano.data.ranges import labelled
-from lidar2pano.data.sequences import UNSURE, Draw, Frame, frames
-from lidar2pano.geometry.camera import at_camera, camera_in_panorama
-from lidar2pano.geometry.projection import pixels, project
-from lidar2pano.labels import TABLES
+from lidar2pano.data.moments import Moment, read_moment
+from lidar2pano.data.sequences import Draw, frames_of
+from lidar2pano.geometry.projection import project
 from lidar2pano.scan import Scan
 from lidar2pano.sensors import View
-
-CAMERA_TO_COMMON15 = np.full(256, UNSURE, dtype=np.uint8)
-CAMERA_TO_COMMON15[:19] = TABLES["cityscapes", "common-15"]
 
 
 class PanoramaSample(NamedTuple):
@@ -31,8 +25,9 @@ class PanoramaSample(NamedTuple):
     image     (5, H, W) float32: a RangeImage's channels, metres; zero where empty.
     segments  (H, W) int64 ids of SEMANTIC_KITTI of the points that own the pixels; 0 where empty.
     camera    (H, W) int64 ids of COMMON15, UNSURE where the camera does not look or nobody knows.
-    depth_m   (H, W) float32: distance of the full scan's points from the camera, metres; zero where none.
-    colour    (3, 2H, 2W) float32 in [-1, 1]: the camera's picture on the raster twice as fine; empty unless asked for.
+    depth_m   (H, W) float32: distance from the camera of the full scan's points, or of all that is seen where the truth
+              all around is known, metres; zero where none.
+    colour    (3, 2H, 2W) float32 in [-1, 1]: the picture on the raster twice as fine; empty unless asked for.
     seen      (2H, 2W) bool: where `colour` is known.
     name      "seq/frame".
     """
@@ -46,28 +41,13 @@ class PanoramaSample(NamedTuple):
     name: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Moment:
-    """A frame as it is held in memory, in a window of the raster that is a little wider than the crops.
-
-    scan     with its point labels;  view: the window, seen from the camera's optical centre.
-    camera   (H, W) uint8 as in PanoramaSample;  depth_m (H, W) float32.
-    colour   (3, 2H, 2W) uint8, seen (2H, 2W) bool; both empty unless asked for.
-    """
-
-    scan: Scan
-    view: View
-    camera: Tensor
-    depth_m: Tensor
-    colour: Tensor
-    seen: Tensor
-
-
 class PanoramaSamples:
     """Scan/camera pairs of some splits on `view`, cropped to `columns` around the camera's sector.
 
+    Frames with the truth all around are drawn from every direction.
+
     view     the raster of the translator (its origin is replaced by the camera's centre, frame by frame).
-    columns  width of the crop, a multiple of 16; jitter: how far left or right of the middle it may begin.
+    columns  width of the crop, a multiple of 16; jitter: how far left or right of the camera's middle it may begin.
     colour   whether samples carry the camera's picture.
     """
 
@@ -81,7 +61,7 @@ class PanoramaSamples:
         colour: bool = False,
         jitter: int = 24,
     ) -> None:
-        self.frames = [frame for split in splits for frame in frames(root, split)]
+        self.frames = frames_of(root, splits)
         self.view, self.columns, self.colour, self.jitter = view, columns, colour, jitter
         self.predicted: dict[int, np.ndarray] = {}
         self._held: dict[int, Moment] = {}
@@ -91,7 +71,7 @@ class PanoramaSamples:
         return len(self.frames)
 
     def moment(self, index: int) -> Moment:
-        """Read a pair, once."""
+        """Read a frame, once."""
         if index not in self._held:
             self._held[index] = read_moment(self.frames[index], self.view, self.columns + 2 * self.jitter, self.colour)
         return self._held[index]
@@ -106,7 +86,8 @@ class PanoramaSamples:
         if isinstance(draw, int):
             moment = self.moment(draw)
             label = self.predicted.get(draw, moment.scan.label)
-            return self._sample(moment, replace(moment.scan, label=label), self.frames[draw].name, self.jitter)
+            ahead = (moment.view.columns - self.columns) // 2
+            return self._sample(moment, replace(moment.scan, label=label), self.frames[draw].name, ahead)
         generator = np.random.default_rng(draw.seed)
         moment = self.moment(draw.index)
         scan = self._relabelled(moment.scan, draw.index, generator)
@@ -114,7 +95,8 @@ class PanoramaSamples:
             scan = drop_points(scan, generator, generator.uniform(0, 0.5))
         if generator.random() < 0.3:
             scan = drop_rings(scan, generator, 0.8, generator.uniform(0, 0.5))
-        sample = self._sample(moment, scan, self.frames[draw.index].name, int(generator.integers(2 * self.jitter + 1)))
+        start = int(generator.integers(moment.view.columns - self.columns + 1))
+        sample = self._sample(moment, scan, self.frames[draw.index].name, start)
         return mirrored(sample) if generator.random() < 0.5 else sample
 
     def _relabelled(self, scan: Scan, index: int, generator: np.random.Generator) -> Scan:
@@ -140,42 +122,6 @@ class PanoramaSamples:
             seen=moment.seen[:, fine],
             name=name,
         )
-
-
-def read_moment(frame: Frame, view: View, columns: int, colour: bool) -> Moment:
-    """Read a frame and carry what its camera saw onto a window of `view`, `columns` wide, around the camera's sector.
-
-    Raises InputError where scan, labels, camera labels, image or calibration are missing or do not fit together.
-    """
-    ids = frame.camera_labels()
-    calibration = frame.calibration((ids.shape[1], ids.shape[0]))
-    scan = labelled(frame)
-    window = around_camera(at_camera(view, calibration), calibration, columns)
-    camera = camera_in_panorama(window, calibration).nearest(torch.from_numpy(CAMERA_TO_COMMON15[ids]), UNSURE)
-    picture, seen = torch.zeros(3, 0, 0, dtype=torch.uint8), torch.zeros(0, 0, dtype=torch.bool)
-    if colour:
-        lookup = camera_in_panorama(window.scaled(2), calibration)
-        picture = lookup.linear(torch.from_numpy(frame.image()).movedim(2, 0).float()).round().to(torch.uint8)
-        seen = lookup.valid
-    return Moment(
-        scan=scan,
-        view=window,
-        camera=camera,
-        depth_m=project(scan, window).channels[0],
-        colour=picture,
-        seen=seen,
-    )
-
-
-def around_camera(view: View, calibration: Calibration, columns: int) -> View:
-    """The window of the raster, `columns` wide, in whose middle the camera looks."""
-    ahead = np.linalg.inv(calibration.K @ calibration.T_camera_lidar[:3, :3]) @ np.array(
-        [(calibration.size[0] - 1) / 2, (calibration.size[1] - 1) / 2, 1.0]
-    )
-    x, y, z = torch.from_numpy(ahead).unbind()
-    _, column = pixels(x, y, z, view)
-    start = min(max(round(float(column)) - columns // 2, 0), view.columns - columns)
-    return view.window(start, columns)
 
 
 def mirrored(sample: PanoramaSample) -> PanoramaSample:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from lidar2pano.data.augment import drop_points, mirror, shift, turn, vary_remission
-from lidar2pano.data.sequences import Draw, Frame, frames
+from lidar2pano.data.sequences import Draw, Frame, frames_of
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.geometry.projection import project
 from lidar2pano.scan import Scan
@@ -55,7 +55,7 @@ class RangeSamples:
     def __init__(
         self, root: Path, splits: tuple[str, ...], view: View, columns: int = 0, vary: Variation | None = None
     ) -> None:
-        self.frames = [frame for split in splits for frame in frames(root, split)]
+        self.frames = frames_of(root, splits)
         self.view = view
         self.columns = columns or view.columns
         self.vary = vary or Variation()

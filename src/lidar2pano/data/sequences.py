@@ -83,6 +83,18 @@ class Frame:
         return read_calib(self.folder / "calib.txt", size)
 
 
+def frames_of(root: Path, splits: tuple[str, ...]) -> list[Frame]:
+    """Frames of several splits, one after another; a split named twice counts twice.
+
+    "FOLDER:split" is a split of another data set, e.g. a simulated one beside the real one in `root`.
+    """
+    found = []
+    for name in splits:
+        folder, colon, split = name.rpartition(":")
+        found += frames(Path(folder), split) if colon else frames(root, name)
+    return found
+
+
 def frames(root: Path, split: str) -> list[Frame]:
     """Frames of a split, in its order.
 

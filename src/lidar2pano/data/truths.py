@@ -20,9 +20,9 @@ from PIL import Image, UnidentifiedImageError
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.nuscenes_sample import nuscenes_samples
 from lidar2pano.data.pandaset import pandaset_frames
-from lidar2pano.data.panoramas import CAMERA_TO_COMMON15
 from lidar2pano.data.poses import motion
 from lidar2pano.data.sequences import UNSURE, Frame, frames
+from lidar2pano.data.sights import CAMERA_TO_COMMON15
 from lidar2pano.data.surround import SurroundFrame, read_json
 from lidar2pano.errors import InputError
 from lidar2pano.formats.pictures import DEPTH_STEPS

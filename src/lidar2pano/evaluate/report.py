@@ -70,9 +70,9 @@ def _heading(one: Evaluation, found: list[Found]) -> str:
     missing = [name for c, name in enumerate(COMMON15.classes) if c not in (*there, *UNSCORED)]
     absent = f" (absent: {', '.join(missing)})" if missing else ""
     parts = [
-        f"`{one.split}` of {one.data}: {max(one.images, one.pictures)} camera images, all of each at its own size, from the scan"
-        f" alone; {one.scans} scans with point labels. Pixels whose target is unlabeled, sky or unsure are not"
-        f" scored; answers of unlabeled or sky count as wrong."
+        f"`{one.split}` of {one.data}: {max(one.images, one.pictures)} camera images, all of each at its own size,"
+        f" from the scan alone; {one.scans} scans with point labels. Pixels whose target is unlabeled, sky or unsure"
+        f" are not scored; answers of unlabeled or sky count as wrong."
     ]
     if there:
         parts.append(f"mIoU: mean over the {len(there)} of the paper's 14 classes that occur{absent}.")
