@@ -10,7 +10,7 @@ from PIL import Image
 from lidar2pano.data.augment import drop_points, drop_rings, mirror, mirror_azimuth, shift_azimuth, turn, vary_remission
 from lidar2pano.data.fronts import FrontSamples
 from lidar2pano.data.panoramas import PanoramaSamples, mirrored
-from lidar2pano.data.ranges import RangeSamples
+from lidar2pano.data.ranges import RangeSamples, Variation, augmented
 from lidar2pano.data.sequences import UNSURE, Draw, frames, frames_of
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import project
@@ -194,3 +194,18 @@ def test_splits_of_other_data_sets_join(root, tmp_path):
     assert len(samples.scan(len(samples) - 1)) == len(frames(other, "train")[-1].scan())
     with pytest.raises(InputError, match="other2"):
         frames_of(root, (f"{other}2:train",))
+
+
+def test_beams_are_left_out_whole():
+    scan = street(4)
+    ring = np.floor((np.degrees(np.arctan2(scan.xyz[:, 2], np.hypot(*scan.xyz[:, :2].T))) + 90) / 0.42).astype(int)
+    still = {"turn_deg": 0.0, "chance": 0.0}
+    kept = []
+    for seed in range(20):
+        fewer = augmented(scan, np.random.default_rng(seed), Variation(**still, rings=1.0))
+        there = np.isin(np.abs(scan.xyz).view("f4,f4,f4"), np.abs(fewer.xyz).view("f4,f4,f4")).ravel()
+        assert there.sum() == len(fewer) and not set(ring[there]) & set(ring[~there]), "whole beams only"
+        kept.append(len(np.unique(ring[there])) / len(np.unique(ring)))
+    assert min(kept) < 0.5 and max(kept) > 0.8
+    for seed in range(9):
+        assert len(augmented(scan, np.random.default_rng(seed), Variation(**still, rings=0.0))) == len(scan)

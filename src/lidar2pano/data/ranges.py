@@ -10,12 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.data.augment import drop_points, mirror, shift, turn, vary_remission
+from lidar2pano.data.augment import drop_points, drop_rings, mirror, shift, turn, vary_remission
 from lidar2pano.data.sequences import Draw, Frame, frames_of
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.geometry.projection import project
 from lidar2pano.scan import Scan
 from lidar2pano.sensors import View
+
+BEAM_DEG = 0.42  # between neighbours of an HDL-64E's 64 beams, which see 26.8 degrees
 
 
 class RangeSample(NamedTuple):
@@ -38,11 +40,13 @@ class Variation:
     turn_deg  how far a scan is turned at most, either way.
     chance    probability of each of moving, turning and dropping points; half of the scans are mirrored.
     remission how much brighter or darker, as a share, all of a scan is made at most.
+    rings     probability that up to three quarters of its beams are left out, as sensors of fewer beams do.
     """
 
     turn_deg: float = 180.0
     chance: float = 0.5
     remission: float = 0.0
+    rings: float = 0.0
 
 
 class RangeSamples:
@@ -96,7 +100,9 @@ def labelled(frame: Frame) -> Scan:
 
 
 def augmented(scan: Scan, generator: np.random.Generator, vary: Variation) -> Scan:
-    """SalsaNext's augmentation: move, mirror, turn, drop up to half of the points; and another scale of remission."""
+    """SalsaNext's augmentation: move, mirror, turn, drop up to half of the points; other remission, fewer beams."""
+    if vary.rings and generator.random() < vary.rings:  # before it moves: beams are those of where it was taken
+        scan = drop_rings(scan, generator, BEAM_DEG, generator.uniform(0, 0.75))
     if generator.random() < vary.chance:
         scan = shift(scan, generator, (5.0, 3.0, 0.5))
     if generator.random() < 0.5:

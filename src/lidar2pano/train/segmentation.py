@@ -25,9 +25,9 @@ from lidar2pano.train.task import build_networks
 class Segmentation:
     """Trains a range-view segmenter; scores it per point on the validation split, KNN clean-up included.
 
-    Options: columns, the width of the azimuth crop (0: the whole turn); turn_deg, chance and remission, how scans are
-    augmented (data.ranges.Variation); lovasz, the weight of Lovasz-Softmax; rarity, the power of a class's rarity that
-    weighs it in the cross-entropy; dropout, whether the network's dropout is on.
+    Options: columns, the width of the azimuth crop (0: the whole turn); turn_deg, chance, remission and rings, how
+    scans are augmented (data.ranges.Variation); lovasz, the weight of Lovasz-Softmax; rarity, the power of a class's
+    rarity that weighs it in the cross-entropy; dropout, whether the network's dropout is on.
     """
 
     released = ("segmenter",)
@@ -35,9 +35,7 @@ class Segmentation:
     def __init__(self, recipe: Recipe, root: Path) -> None:
         self.view = VIEWS[recipe.view]
         option = recipe.options
-        vary = Variation(
-            turn_deg=float(option["turn_deg"]), chance=float(option["chance"]), remission=float(option["remission"])
-        )
+        vary = Variation(**{name: float(option[name]) for name in ("turn_deg", "chance", "remission", "rings")})
         self.dataset = RangeSamples(root, recipe.data.train, self.view, int(option["columns"]), vary)
         self.validation = RangeSamples(root, recipe.data.val, self.view)
         self.networks = build_networks(recipe)

@@ -24,6 +24,16 @@ from lidar2pano.train.recipes.baselines import (
 )
 from lidar2pano.train.recipes.camera import sdnet, sdnet_mini
 from lidar2pano.train.recipes.panorama import painter, painter_mini, titan_pano, titan_pano_mini
+from lidar2pano.train.recipes.release import (
+    release_colours,
+    release_colours_mini,
+    release_painter,
+    release_painter_mini,
+    release_segmenter,
+    release_segmenter_mini,
+    release_translator,
+    release_translator_mini,
+)
 from lidar2pano.train.recipes.segmenter import salsanext, salsanext_mini
 from lidar2pano.train.recipes.titan import titan, titan_mini, titan_next, titan_next_mini
 from lidar2pano.train.recipes.video import vid2vid, vid2vid_mini
@@ -31,6 +41,14 @@ from lidar2pano.train.recipes.video import vid2vid, vid2vid_mini
 RECIPES: dict[str, Callable[[], Recipe]] = {
     "salsanext": salsanext,
     "salsanext-mini": salsanext_mini,
+    "release-segmenter": release_segmenter,
+    "release-segmenter-mini": release_segmenter_mini,
+    "release-translator": release_translator,
+    "release-translator-mini": release_translator_mini,
+    "release-colours": release_colours,
+    "release-colours-mini": release_colours_mini,
+    "release-painter": release_painter,
+    "release-painter-mini": release_painter_mini,
     "titan": titan,
     "titan-mini": titan_mini,
     "titan-no-lovasz": titan_no_lovasz,

@@ -25,6 +25,7 @@ def salsanext() -> Recipe:
             "turn_deg": 180.0,
             "chance": 0.5,
             "remission": 0.0,
+            "rings": 0.0,
             "lovasz": 1.0,
             "rarity": 0.5,
             "dropout": True,
