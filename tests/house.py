@@ -22,7 +22,7 @@ INVENTORY = ROOT / "tests" / "api_inventory.txt"
 FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"scan", "sensors", "labels", "calibration"}),
     frozenset({"formats", "sources", "geometry", "allocator", "demo"}),
-    frozenset({"models", "losses", "metrics", "data", "panorama", "simulate"}),
+    frozenset({"models", "losses", "metrics", "data", "panorama", "memory", "simulate"}),
     frozenset({"pipeline"}),
     frozenset({"prepare", "train", "evaluate", "bench"}),
     frozenset({"reproduce"}),

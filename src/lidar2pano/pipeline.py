@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -19,6 +21,7 @@ from lidar2pano.geometry.images import RangeImage, one_hot_layers
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
+from lidar2pano.memory import Memory, Shown, steadied
 from lidar2pano.models.card import Card, read_card
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
@@ -30,18 +33,6 @@ from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
 from lidar2pano.scan import Scan
 from lidar2pano.sensors import VIEWS, View
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Memory:
-    """What a stream carries from one scan to the next. `Memory()` is its beginning.
-
-    frames   scans seen so far; a panorama's `frame` is its place in the stream.
-    painted  what the painter wants back with the next scan (StreamPainter).
-    """
-
-    frames: int = 0
-    painted: Any = None
 
 
 class Translated(NamedTuple):
@@ -104,17 +95,19 @@ class Pipeline:
         """The panorama of a single scan."""
         return next(self.stream([scan]))
 
-    def stream(self, scans: Iterable[Scan]) -> Iterator[Panorama]:
-        """Panoramas of scans that follow each other."""
+    def stream(self, scans: Iterable[Scan], poses: Iterable[np.ndarray] | None = None) -> Iterator[Panorama]:
+        """Panoramas of scans that follow each other; with a pose for each (see `step`), steadied."""
         memory = Memory()
-        for scan in scans:
-            memory, panorama = self.step(memory, scan)
+        for scan, pose in zip(scans, itertools.repeat(None) if poses is None else poses, strict=False):
+            memory, panorama = self.step(memory, scan, pose)
             yield panorama
 
     @torch.inference_mode()
-    def step(self, memory: Memory, scan: Scan) -> tuple[Memory, Panorama]:
+    def step(self, memory: Memory, scan: Scan, pose: np.ndarray | None = None) -> tuple[Memory, Panorama]:
         """One scan: (what the stream carries on, its panorama).
 
+        pose  (4, 4) float64: the sensor's coordinates -> coordinates that stand still, metres. Told with every scan,
+              the picture is steadied by those before (memory.steadied).
         Raises InputError when no point of the scan can be used, or none is in view.
         """
         watch = Stopwatch(self.device)
@@ -122,8 +115,13 @@ class Pipeline:
         with watch("paint"), fast_arithmetic(self.device):
             segments = seen.logits.softmax(1)
             painted, picture = self.painter.paint(memory.painted, segments, seen.depth_m, seen.channels)
-            colour = picture[0].float().add_(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
+        shown = None
+        if pose is not None:
+            with watch("steady"):
+                shown = self._steadied(memory.shown, seen, picture, pose)
+                picture = shown.picture
         with watch("finish"):
+            colour = picture[0].float().add(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
             segments, depth_m = self._finished(seen.logits, seen.depth_m)
             colour, segments, depth_m = (part.contiguous().cpu().numpy() for part in (colour, segments, depth_m))
         panorama = Panorama(
@@ -137,7 +135,15 @@ class Pipeline:
             dropped=seen.dropped,
             milliseconds=watch.milliseconds,
         )
-        return Memory(frames=memory.frames + 1, painted=painted), panorama
+        return Memory(frames=memory.frames + 1, painted=painted, shown=shown), panorama
+
+    def _steadied(self, before: Shown | None, seen: Translated, picture: Tensor, pose: np.ndarray) -> Shown:
+        ids = seen.logits[0].max(0).indices.to(torch.uint8)
+        distance_m = torch.where(ids == COMMON15.id_of("sky"), torch.inf, seen.depth_m[0].float())
+        here = torch.from_numpy(np.asarray(pose, dtype=np.float64)).to(ids.device)
+        count = torch.ones_like(distance_m)
+        now = Shown(picture=picture.float(), ids=ids, distance_m=distance_m, count=count, pose=here)
+        return now if before is None else steadied(now, before, self.view)
 
     @torch.inference_mode()
     def translated(self, scan: Scan, watch: Stopwatch) -> Translated:

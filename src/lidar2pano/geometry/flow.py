@@ -52,22 +52,27 @@ def chained(later: Flow, earlier: Flow, *, closed: bool = False) -> Flow:
     return Flow(shift=shift * (known > 0)[:, None], known=known)
 
 
-def ego_flow(now_m: Tensor, before_m: Tensor, motion: Tensor, raster: View | Calibration) -> Flow:
+def ego_flow(
+    now_m: Tensor, before_m: Tensor, motion: Tensor, raster: View | Calibration, *, same: float = SAME
+) -> Flow:
     """Flow of everything that stands still, (2, H, W) and (H, W) bool.
 
     now_m, before_m  (H, W) distances from the raster's point of view (see the module) in this picture and in the one
                      before.
     motion           (4, 4) float64: the LiDAR's coordinates now -> its coordinates before, metres.
     raster           of both pictures: a View (the panorama), or a camera.
+    same             share by which two distances of one surface may differ.
     Known where both distances are, and agree: a place that something hid, or where something moved, is not known.
     Raises ValueError where the shapes do not fit the raster.
     """
     size = (raster.rows, raster.columns) if isinstance(raster, View) else raster.size[::-1]
     if now_m.shape != size or before_m.shape != size:
         raise ValueError(f"distances must be {size}, got {tuple(now_m.shape)} and {tuple(before_m.shape)}")
-    rays = directions(raster).double() if isinstance(raster, View) else camera_rays(raster)
-    origin = torch.tensor(raster.origin if isinstance(raster, View) else raster.centre, dtype=torch.float64)
-    turn, step = motion[:3, :3].double(), motion[:3, :3].double() @ origin + motion[:3, 3].double() - origin
+    device = now_m.device
+    rays = directions(raster, device=device).double() if isinstance(raster, View) else camera_rays(raster).to(device)
+    here = raster.origin if isinstance(raster, View) else raster.centre
+    origin, motion = torch.tensor(here, dtype=torch.float64, device=device), motion.to(device).double()
+    turn, step = motion[:3, :3], motion[:3, :3] @ origin + motion[:3, 3] - origin
     far = now_m.isinf()
     # of a ray that ends nowhere only its direction moves
     ends = torch.where(
@@ -76,12 +81,13 @@ def ego_flow(now_m: Tensor, before_m: Tensor, motion: Tensor, raster: View | Cal
     row, column = _places(ends, origin, raster)
     closed = isinstance(raster, View) and raster.circular
     rows, columns = size
-    shift = torch.stack([column - torch.arange(columns) - 0.5, row - torch.arange(rows)[:, None] - 0.5])
+    x, y = torch.arange(columns, device=device), torch.arange(rows, device=device)[:, None]
+    shift = torch.stack([column - x - 0.5, row - y - 0.5])
     if closed:
         shift[0] = (shift[0] + columns / 2).remainder(columns) - columns / 2
     shift = shift.nan_to_num(nan=float(rows + columns)).float()  # behind the camera: outside
     known = reaches(shift[None], closed=closed)[0] & (now_m > 0)
-    known &= _in_sight(before_m, shift, torch.where(far, 0.0, 1 / ends.norm(dim=-1)).float(), closed)
+    known &= _in_sight(before_m, shift, torch.where(far, 0.0, 1 / ends.norm(dim=-1)).float(), closed, same)
     return Flow(shift=shift * known, known=known)
 
 
@@ -122,14 +128,14 @@ def _places(ends: Tensor, origin: Tensor, raster: View | Calibration) -> tuple[T
     return (v + 0.5).view(ends.shape[:-1]), (u + 0.5).view(ends.shape[:-1])
 
 
-def _in_sight(before_m: Tensor, shift: Tensor, expected: Tensor, closed: bool) -> Tensor:
+def _in_sight(before_m: Tensor, shift: Tensor, expected: Tensor, closed: bool, same: float) -> Tensor:
     """(H, W) bool: the picture before shows, at the shifted place, something at the distance 1 / `expected`.
 
     Compared are inverse distances, in which planes are straight: between pixels they can be looked up linearly.
     """
     seen = torch.stack([(1 / before_m).where(before_m > 0, 0.0), (before_m > 0).float()])
     inverse, known = warp(seen[None], shift[None], closed=closed)[0]
-    return (known > 0.999) & ((inverse - expected).abs() <= SAME * torch.maximum(inverse, expected) + FAINT)
+    return (known > 0.999) & ((inverse - expected).abs() <= same * torch.maximum(inverse, expected) + FAINT)
 
 
 def _filled(values: Tensor) -> Tensor:

@@ -17,6 +17,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.models.circular import CircularConv, CircularResidual, conv_norm_act
 from lidar2pano.models.titan_pano import depth_code
 
+WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
 STRIDE = 4  # input pixels per pixel of the coarsest level
 
 
@@ -40,11 +41,19 @@ class Painter(nn.Module):
     classes  of the segments (common-15: 16 with unlabeled).
     widths   channels at 1/1, 1/2, 1/4 of the input raster.
     blocks   residual blocks at 1/4.
+    filled   whether remission is spread over the gaps between the beams, so that the picture does not show them.
     """
 
-    def __init__(self, classes: int = 16, widths: tuple[int, int, int] = (32, 80, 144), blocks: int = 5) -> None:
+    def __init__(
+        self,
+        classes: int = 16,
+        widths: tuple[int, int, int] = (32, 80, 144),
+        blocks: int = 5,
+        *,
+        filled: bool = False,
+    ) -> None:
         super().__init__()
-        self.classes = classes
+        self.classes, self.filled = classes, filled
         seen = classes + 4
         fine, middle, coarse = widths
         self.stem = conv_norm_act(seen, fine)
@@ -83,12 +92,30 @@ class Painter(nn.Module):
         """Paint every scan for itself; arguments and answer as of StreamPainter."""
         return None, self(segments, depth_m, image)
 
-    @staticmethod
-    def _seen(segments: Tensor, depth_m: Tensor, image: Tensor) -> Tensor:
-        valid = (image[:, 0] > 0).to(segments.dtype)
+    def _seen(self, segments: Tensor, depth_m: Tensor, image: Tensor) -> Tensor:
+        remission, valid = image[:, 4].to(segments.dtype), (image[:, 0] > 0).to(segments.dtype)
+        if self.filled:
+            remission, valid = spread_out(remission, valid)
         row = torch.linspace(1, -1, segments.shape[2], device=segments.device, dtype=segments.dtype)
-        extra = [depth_code(depth_m).to(segments.dtype), image[:, 4].to(segments.dtype), valid]
+        extra = [depth_code(depth_m).to(segments.dtype), remission, valid]
         return torch.cat([segments, torch.stack([*extra, row[None, :, None].expand_as(valid)], 1)], 1)
+
+
+def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    """Means over WINDOWS of what is valid, around every pixel; the first window that holds anything counts.
+
+    values, valid  (B, H, W), valid 0 or 1; columns are circular.
+    Returns the means, 0 where no window holds anything, and (B, H, W) 1 where one does.
+    """
+    told = torch.stack([values * valid, valid], 1)
+    mean, found = torch.zeros_like(values), torch.zeros_like(values)
+    for rows, columns in WINDOWS:
+        around = torch.cat([told[..., -(columns // 2) :], told, told[..., : columns // 2]], 3)
+        total, count = avg_pool2d(around, (rows, columns), stride=1, padding=(rows // 2, 0)).unbind(1)
+        here = (count > 0) & (found == 0)
+        mean = torch.where(here, total / count.clamp(min=1e-6), mean)
+        found = torch.where(here, 1.0, found)
+    return mean, found
 
 
 def _channels_last(x: Tensor) -> Tensor:

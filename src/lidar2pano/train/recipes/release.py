@@ -68,11 +68,12 @@ def _release(
 ) -> Recipe:
     """`recipe` as release-<stage>: other options, and another rate for the network `role`."""
     network = recipe.networks[role]
+    settings = {**network.settings, "filled": True} if role == "painter" else network.settings
     optimizer = replace(network.optimizer, rate=rate, betas=betas or network.optimizer.betas)
     return replace(
         recipe,
         name=f"release-{stage}",
-        networks={**recipe.networks, role: replace(network, optimizer=optimizer)},
+        networks={**recipe.networks, role: replace(network, settings=settings, optimizer=optimizer)},
         options={**recipe.options, **options},
         training=replace(recipe.training, batch=16, workers=12),
     )

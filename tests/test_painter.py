@@ -1,0 +1,54 @@
+"""What the painter reads of a scan: remission spread over the gaps between beams."""
+
+import pytest
+import torch
+
+from lidar2pano.models.painter import WINDOWS, Painter, spread_out
+
+
+def slowly(values, valid):
+    """The definition: means over the first window around each pixel that holds anything."""
+    rows, columns = values.shape
+    mean, found = torch.zeros_like(values), torch.zeros_like(values)
+    for row in range(rows):
+        for column in range(columns):
+            for high, wide in WINDOWS:
+                inside = [
+                    (r, c % columns)
+                    for r in range(max(row - high // 2, 0), min(row + high // 2, rows - 1) + 1)
+                    for c in range(column - wide // 2, column + wide // 2 + 1)
+                    if valid[r, c % columns]
+                ]
+                if inside:
+                    mean[row, column] = sum(values[at] for at in inside) / len(inside)
+                    found[row, column] = 1
+                    break
+    return mean, found
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3])
+def test_remission_is_spread_as_defined(share):
+    generator = torch.Generator().manual_seed(3)
+    values = torch.rand(2, 30, 24, generator=generator)
+    valid = (torch.rand(2, 30, 24, generator=generator) < share).float()
+    valid[:, :10] = 0  # above the beams
+    mean, found = spread_out(values, valid)
+    for picture in range(2):
+        slow_mean, slow_found = slowly(values[picture], valid[picture])
+        assert torch.equal(found[picture], slow_found)
+        assert torch.allclose(mean[picture], slow_mean, atol=1e-6)
+    assert not found[:, :4].any() and found[:, 20:].any()
+
+
+def test_a_filled_painter_does_not_see_which_beam_hit():
+    """Of an even surface it sees the same, whether every row or every third was measured."""
+    segments = torch.randn(1, 16, 24, 32).softmax(1)
+    depth_m = torch.full((1, 24, 32), 10.0)
+    every = torch.zeros(1, 5, 24, 32)
+    every[:, 0], every[:, 4] = 10.0, 0.4
+    third = every * (torch.arange(24) % 3 == 1)[:, None]
+    for filled, apart in ((True, False), (False, True)):
+        painter = Painter(filled=filled).eval()
+        with torch.inference_mode():
+            pictures = [painter(segments, depth_m, image) for image in (every, third)]
+        assert (not torch.allclose(*pictures, atol=1e-5)) == apart
