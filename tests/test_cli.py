@@ -185,6 +185,38 @@ def test_scans_of_a_folder_are_one_stream(here, translate, monkeypatch):
     assert frames == [0, 1, 0]
 
 
+def test_steady_streams_are_told_where_the_sensor_was(here, translate, monkeypatch):
+    told = []
+    step = lidar2pano.Pipeline.step
+    monkeypatch.setattr(
+        lidar2pano.Pipeline,
+        "step",
+        lambda self, memory, scan, pose=None: told.append(pose) or step(self, memory, scan, pose),
+    )
+    for name in ("000000", "000002"):
+        write_scan(here / "seq" / "velodyne" / f"{name}.bin")
+    (here / "seq" / "calib.txt").write_text(CALIB)
+    rows = [np.eye(4), np.eye(4), np.eye(4)]
+    rows[2][2, 3] = 5.0  # along the camera's z, which is ahead
+    (here / "seq" / "poses.txt").write_text("".join(" ".join(map(str, row[:3].ravel())) + "\n" for row in rows))
+    code, out, _ = translate("seq", "--steady", "--json")
+    assert code == 0 and "steady" in json.loads(out.splitlines()[0])["milliseconds"]
+    moved = np.linalg.inv(told[0]) @ told[1]
+    assert np.allclose(moved[:3, :3], np.eye(3), atol=0.05) and np.allclose(moved[:3, 3], [5, 0, 0], atol=0.3)
+    told.clear()
+    assert translate("seq")[0] == 0 and told == [None, None]
+    (here / "seq" / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    code, _, err = translate("seq", "--steady")
+    assert code == 2 and "none for frame 000002" in err
+
+
+def test_without_poses_they_are_estimated(here, translate, monkeypatch):
+    write_scan(here / "a" / "1.bin")
+    monkeypatch.setitem(sys.modules, "kiss_icp.config", None)
+    code, _, err = translate("a", "--steady")
+    assert code == 2 and "poses.txt" in err and "lidar2pano[odometry]" in err
+
+
 def test_a_sensor_is_used(here, translate, monkeypatch):
     seen = []
     monkeypatch.setattr(lidar2pano.Pipeline, "for_sensor", lambda self, name: seen.append(name) or self)

@@ -75,6 +75,28 @@ def test_folding_by_hand_is_the_stream_and_its_first_is_the_single(pipeline):
     assert not same(pipeline(scans[1]), streamed[0])
 
 
+def test_a_stream_with_poses_is_steadied(pipeline):
+    """The second picture of a sensor that stands, of the same scan with another painter's taste, is the mean."""
+
+    class Moody:
+        def __init__(self):
+            self.moods = iter((-0.5, 0.1, 0.1))
+
+        def paint(self, past, segments, depth_m, image):
+            return past, torch.full((1, 3, 2 * segments.shape[2], 2 * segments.shape[3]), next(self.moods))
+
+    scan, still = street(seed=1), np.eye(4)
+    plain = [one.colour for one in replace(pipeline, painter=Moody()).stream([scan] * 2)]
+    steady = list(replace(pipeline, painter=Moody()).stream([scan] * 2, [still] * 2))
+    assert (plain[0] == 64).all() and (plain[1] == 140).all()
+    assert (steady[0].colour == 64).all() and (steady[1].colour == 102).mean() > 0.9
+    assert list(steady[1].milliseconds)[-3:] == ["paint", "steady", "finish"]
+    assert np.array_equal(steady[1].segments, steady[0].segments)
+    memory, _ = replace(pipeline, painter=Moody()).step(Memory(), scan, still)
+    assert memory.shown is not None
+    assert replace(pipeline, painter=Moody()).step(memory, scan)[0].shown is None, "without a pose it begins anew"
+
+
 def test_streams_share_nothing(pipeline):
     one, other = pipeline.stream([street(seed=1)] * 2), pipeline.stream([street(seed=2)] * 2)
     assert [next(one).frame, next(other).frame, next(one).frame] == [0, 0, 1]

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.calibration import Calibration
+from lidar2pano.data.augment import drop_points
 from lidar2pano.data.sequences import Frame, frames
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import Question, system
@@ -251,6 +252,22 @@ def test_colours_are_those_of_the_pipeline(random_weights, kitti):
     assert list(seen.milliseconds) == [*FRONT_STAGES[:-1], "paint", "finish", "camera"]
     assert one.see(question, memory)[1].panorama.frame == 1  # the stream goes on
     assert one.see(question)[1].panorama.frame == 0
+
+
+def test_steady_systems_are_told_the_poses(random_weights, front_weights, kitti):
+    plain, steady = (system(f"{random_weights}{more}", device="cpu") for more in ("", "+steady"))
+    assert isinstance(steady, Around) and steady.origin.name == f"{random_weights}+steady" and not plain.steady
+    moments = [(street(), np.eye(4)), (drop_points(street(), np.random.default_rng(1), 0.3), np.eye(4))]
+    seen = {}
+    for one in (plain, steady):
+        memory = None
+        for scan, pose in moments:
+            memory, seen[one] = one.see(Question(scan=scan, origin=kitti.centre, pose=pose), memory)
+    wanted = list(load(random_weights, "cpu").at(kitti).stream([scan for scan, _ in moments], [np.eye(4)] * 2))[1]
+    assert np.array_equal(seen[steady].panorama.colour, wanted.colour)
+    assert not np.array_equal(seen[plain].panorama.colour, wanted.colour)
+    with pytest.raises(InputError, match="leave \\+steady out"):
+        system(f"{front_weights}+steady", device="cpu")
 
 
 def test_a_panorama_around_another_point_is_a_run_of_its_own(random_weights, kitti):

@@ -16,6 +16,7 @@ from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.cli.app import MISTAKE, complain, note_licences
 from lidar2pano.cli.files import check_folder
 from lidar2pano.cli.progress import bar
+from lidar2pano.data.odometry import Poses
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats import read
 from lidar2pano.models.families import weight_files
@@ -39,6 +40,7 @@ class Wish:
     sensor: str
     calibration: Calibration | None
     as_json: bool
+    steady: bool = False
 
     @classmethod
     def of(
@@ -135,20 +137,22 @@ def gather(paths: Iterable[Path]) -> tuple[list[Path], bool]:
 def translate_files(paths: Iterable[Path], wish: Wish) -> int:
     """Translate the scans that `paths` stand for and return the exit code: a bad scan is reported, the rest goes on.
 
-    Scans of one folder are one stream. Weights are loaded when the first scan has been read.
+    Scans of one folder are one stream, steadied where that is wished. Weights are loaded when the first scan has been
+    read.
     """
     files, failed = gather(paths)
     names = stems(files)
     if renamed := sum(names[file] != file.stem for file in files):
         complain(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
     lazy = Lazy(wish)
-    memory, folder = Memory(), None
+    memory, folder, poses = Memory(), None, None
     with bar(len(files), "translating") as advance:
         for file in files:
             if file.parent != folder:
                 memory, folder = Memory(), file.parent
+                poses = Poses(folder) if wish.steady else None
             try:
-                memory, record = one(lazy, memory, file, names[file])
+                memory, record = one(lazy, memory, poses, file, names[file])
             except InputError as error:
                 if lazy.broken:
                     raise
@@ -187,12 +191,13 @@ class Lazy:
         self.noted = True
 
 
-def one(lazy: Lazy, memory: Memory, file: Path, stem: str) -> tuple[Memory, dict[str, Any]]:
+def one(lazy: Lazy, memory: Memory, poses: Poses | None, file: Path, stem: str) -> tuple[Memory, dict[str, Any]]:
     """Read, translate and save one scan: (the stream's memory, what there is to say about it)."""
     wish, milliseconds = lazy.wish, {}
     scan = timed(milliseconds, "read", lambda: replace(read(file), name=str(file)))
     pipeline = lazy.pipeline()
-    memory, panorama = pipeline.step(memory, scan)
+    pose = None if poses is None else timed(milliseconds, "pose", lambda: poses.of(file, scan))
+    memory, panorama = pipeline.step(memory, scan, pose)
     milliseconds |= panorama.milliseconds
     lazy.note_licence()
     outputs = timed(milliseconds, "save", lambda: panorama.save(wish.out, wish.save, wish.calibration, stem))

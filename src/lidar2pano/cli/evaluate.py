@@ -21,7 +21,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
         list[str],
         typer.Argument(
             metavar="WEIGHTS|RUN...",
-            help="Families, runs, weight files, or chains TRANSLATOR+PAINTER (truth+PAINTER: the true classes).",
+            help="Families, runs, weight files, or chains TRANSLATOR+PAINTER (truth+PAINTER: the true classes; NAME+steady: steadied by poses).",
         ),
     ],
     data: Annotated[

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -47,6 +48,10 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     image_size: Annotated[str, typer.Option(metavar="WxH", help="Size of that camera's image (1242x375).")] = "",
     save: Annotated[str, typer.Option(metavar="LIST", help="What to write: rgb,segments,labels,depth or all.")] = "rgb",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per scan on stdout.")] = False,
+    steady: Annotated[
+        bool,
+        typer.Option("--steady", help="A folder's scans are a film: each picture goes on from those before."),
+    ] = False,
 ) -> None:
     """Turn scans into panoramas: DIR/<stem>.png, .segments.png, .label, .depth.png, .camera.png."""
     from lidar2pano.cli.batch import Wish, translate_files
@@ -61,4 +66,4 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         image_size=image_size,
         as_json=as_json,
     )
-    raise typer.Exit(translate_files(scans, wish))
+    raise typer.Exit(translate_files(scans, replace(wish, steady=steady)))

@@ -1,4 +1,4 @@
-"""Where the sensor was: a sequence's poses.txt, KITTI odometry's form."""
+"""Where the sensor was: a sequence's poses.txt (KITTI odometry's form), or as its scans tell."""
 
 from __future__ import annotations
 
@@ -16,13 +16,17 @@ def motion(now: Frame, before: Frame) -> np.ndarray | None:
     None where the sequence has no poses.txt. Its lines are poses of camera 0 relative to the first frame; line n is
     frame n, from 0. Raises InputError where the file or calib.txt is damaged or a frame has no line.
     """
-    path = now.folder / "poses.txt"
-    if not path.is_file():
-        return None
-    poses = _read(path)
-    pair = [_pose(path, poses, frame) for frame in (before, now)]
-    Tr = _lidar_to_camera0(now)
-    return np.linalg.inv(pair[0] @ Tr) @ pair[1] @ Tr
+    here, there = lidar_pose(now), lidar_pose(before)
+    return None if here is None or there is None else np.linalg.inv(there) @ here
+
+
+def lidar_pose(frame: Frame) -> np.ndarray | None:
+    """(4, 4) float64: LiDAR coordinates at `frame` -> those of camera 0 at the sequence's first frame, metres.
+
+    None and InputError as `motion` has them.
+    """
+    path = frame.folder / "poses.txt"
+    return _pose(path, _read(path), frame) @ _lidar_to_camera0(frame) if path.is_file() else None
 
 
 def _read(path: Path) -> np.ndarray:

@@ -50,12 +50,16 @@ class Around:
 
     The camera's classes are looked up in the scores from the camera's optical centre, its colours in the panorama.
     Where a panorama around another point is asked for, that is a second run.
+
+    paints  whether it has a painter;  steady: whether it is told the sensor's pose, where that is known, and steadies
+            its pictures by it.
     """
 
     origin: Origin
     pipeline: Pipeline
     paints: bool = True
     told: bool = False
+    steady: bool = False
 
     @torch.inference_mode()
     def see(self, question: Question, past: Any = None) -> tuple[Any, Seen]:  # noqa: ANN401
@@ -73,7 +77,8 @@ class Around:
                 moved = replace(moved, painter=Blank())
             mine = Stopwatch(pipeline.device) if number else watch
             wanted = question.painted or name == "around" or (len(places) == 1 and question.origin is not None)
-            memories[name], looks[name] = _look(moved, question.scan, memories.get(name, Memory()), mine, wanted)
+            mind = memories.get(name, Memory())
+            memories[name], looks[name] = _look(moved, question, mind, mine, wanted, self.steady)
         around = looks.get("around", looks.get("camera")) if question.origin is not None else None
         seen = Seen(
             labels=next(iter(looks.values())).found.labels.cpu().numpy(),
@@ -109,12 +114,15 @@ def _places(question: Question) -> dict[str, tuple[float, float, float]]:
     return places
 
 
-def _look(pipeline: Pipeline, scan: Scan, memory: Memory, watch: Stopwatch, wanted: bool) -> tuple[Memory, _Look]:
+def _look(  # noqa: PLR0917
+    pipeline: Pipeline, question: Question, memory: Memory, watch: Stopwatch, wanted: bool, steady: bool
+) -> tuple[Memory, _Look]:
     """Translate, and where the panorama is wanted go on to it."""
-    found = pipeline.translated(scan, watch)
+    found = pipeline.translated(question.scan, watch)
     if not wanted:
         return memory, _Look(found, pipeline, None)
     parts = {one.name: getattr(pipeline, one.name) for one in fields(Pipeline)}
-    memory, panorama = _Resumed(**parts, found=found).step(memory, scan)
+    pose = question.pose if steady else None
+    memory, panorama = _Resumed(**parts, found=found).step(memory, question.scan, pose)
     watch.milliseconds.update(panorama.milliseconds)
     return memory, _Look(found, pipeline, panorama)

@@ -120,6 +120,7 @@ def ask(truth: Truth, measures: Measures) -> Question:
         origin=None if around is None else around.view.origin,
         ids=ids,
         painted=measures.painted,
+        pose=truth.pose,
     )
 
 

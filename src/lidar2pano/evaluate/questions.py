@@ -22,6 +22,7 @@ class Question:
     origin       the point in the scan's frame, metres, around which a panorama is wanted; None: none is.
     ids          (h, w) uint8 ids of COMMON15, 0 where nobody knows: the camera's true classes, for the ceiling alone.
     painted      whether colours are wanted.
+    pose         (4, 4) float64: the scan's coordinates -> coordinates that stand still, metres; None where not known.
     """
 
     scan: Scan
@@ -29,6 +30,7 @@ class Question:
     origin: tuple[float, float, float] | None = None
     ids: np.ndarray | None = None
     painted: bool = True
+    pose: np.ndarray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -88,6 +88,8 @@ def _heading(one: Evaluation, found: list[Found]) -> str:
         parts.append("In brackets: 95 % of the bootstrap's resamples of frames.")
     if told := [each.system.origin.name for each in one.contenders if each.system.told]:
         parts.append(f"Told the camera's true classes, not the scan: {', '.join(told)}.")
+    if steady := [each.system.origin.name for each in one.contenders if getattr(each.system, "steady", False)]:
+        parts.append(f"Told the sensor's poses beside the scan: {', '.join(steady)}.")
     return " ".join(parts)
 
 

@@ -14,7 +14,7 @@ from lidar2pano.evaluate.around import Around, Blank
 from lidar2pano.evaluate.films import CameraPainter
 from lidar2pano.evaluate.front import Ceiling, Direct, Front
 from lidar2pano.evaluate.questions import Origin, System
-from lidar2pano.evaluate.weights import FRONT, ROLES, TRUTH, default_files, links, named_files
+from lidar2pano.evaluate.weights import FRONT, ROLES, STEADY, TRUTH, default_files, links, named_files
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.models.card import Card, load, read_card
 from lidar2pano.models.precision import pick_device
@@ -30,13 +30,16 @@ def system(weights: str | Path, painter: str | Path | None = None, device: str =
     weights  a family, a run, a folder of weight files or a file; several joined by "+" are one system, in which later
              ones take the places of earlier ones. By the cards: titan-pano (`Around`); titan, titan-next or pix2pix for
              classes (`Front`); scunet, or titan or pix2pix for colours (`Direct`). "truth": `Ceiling`, with a painter.
-             Segmenters that are not named, and titan-pano's painter, are the default family's.
+             Segmenters that are not named, and titan-pano's painter, are the default family's. "+steady" behind a
+             titan-pano: its pictures are steadied by the sensor's poses (memory.steadied).
     painter  the same as "WEIGHTS+PAINTER". Behind a `Front` or the truth only vid2vid paints.
     device   "auto" (CUDA if there is one), "cpu" or "cuda";  sensor: as for Pipeline.for_sensor, "" for the weights'.
     Raises InputError when something is missing, damaged, or does not belong together.
     """
     parts = links(weights) + ([] if painter is None else [str(painter)])
     name, picked = "+".join(parts), pick_device(device)
+    if STEADY in parts[1:]:
+        return _steady(name, system("+".join(part for part in parts if part != STEADY), None, device, sensor))
     view = sensor_view(sensor) if sensor else None
     if parts[0] == TRUTH:
         return _ceiling(name, _merged(parts[1:]), picked)
@@ -54,6 +57,12 @@ def system(weights: str | Path, painter: str | Path | None = None, device: str =
         used |= {role: mine[role] for role in ("painter", "first-frame painter") if role in mine}
         return _front(name, used, segmenter, picked)
     return _around(name, _own_painter(files, mine), segmenter, picked)
+
+
+def _steady(name: str, plain: System) -> System:
+    if not isinstance(plain, Around) or not plain.paints:
+        raise InputError(f"{name}: only panoramas that are painted can be steadied; leave +{STEADY} out")
+    return replace(plain, origin=replace(plain.origin, name=name), steady=True)
 
 
 def _merged(parts: list[str]) -> dict[str, Path]:

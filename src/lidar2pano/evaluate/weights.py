@@ -13,6 +13,7 @@ from lidar2pano.labels import COMMON14
 from lidar2pano.models import families
 from lidar2pano.models.card import Card, read_card
 
+STEADY = "steady"  # behind others: their panoramas are steadied by the sensor's poses
 TRUTH = "truth"  # the camera's true classes in a translator's place
 ROLES = ("segmenter", "translator", "renderer", "painter", "first-frame painter")
 FRONT = ("titan", "titan-next", "pix2pix")  # translators of the paper's kind: front view in, camera's image out
