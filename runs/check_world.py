@@ -78,7 +78,8 @@ def agreement(frame: Frame, view: View) -> Agreement:
     }
     ids, depth = picture["pano_labels"], picture["pano_depth"].astype(np.float64) / STEPS
     away = torch.from_numpy(scan.xyz).double() - torch.tensor(view.origin, dtype=torch.float64)
-    row, column = (place.numpy() for place in pixels(*away.unbind(-1), view))
+    x, y, z = away.unbind(-1)
+    row, column = (place.numpy() for place in pixels(x, y, z, view))
     inside = (row >= 0) & (row < view.rows) & (labels > 0)
     here = np.flatnonzero(inside)
     r, c = row[here].astype(int), column[here].astype(int) % view.columns
