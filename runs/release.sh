@@ -18,3 +18,47 @@ stage() { # RUN RECIPE DATA MINUTES [OVERRIDE...]
   for each in "$@"; do set+=(--set "$each"); done
   lidar2pano train "$recipe$form" --data "$data" --out "$out/$run" --set "training.minutes=$minutes" "${set[@]}"
 }
+world() { # NAME [OPTION...]: a simulated data set below OUT
+  lidar2pano world "$out/towns/$1" "${@:2}"
+}
+
+# Towns. Scans alone are cheap; pictures all around cost four seconds a frame on two cores. Nothing learns from `test`.
+world scans --sequences "$towns" --frames 4 --hz 0.5 --seed 1 --save scans
+world day --sequences $((towns * 2 / 5)) --frames 2 --hz 0.5 --seed 101
+world overcast --sequences $((towns * 2 / 15)) --frames 2 --hz 0.5 --seed 202 --look overcast
+world drives --sequences $((towns / 6)) --frames 6 --hz 5 --seed 11
+world test --sequences 5 --frames 4 --hz 10 --seed 909
+day=$out/towns/day drives=$out/towns/drives overcast=$out/towns/overcast
+
+# Family `world`: from simulated data alone.
+stage world-segmenter release-segmenter "$out/towns/scans" 25 data.train=all options.turn_deg=180 options.chance=0.5 \
+  networks.segmenter.optimizer.rate=0.003 training.validate_minutes=0
+stage world-translator release-translator "$day" 25 data.train=train,"$drives:all" \
+  options.segmenter="$(weights world-segmenter segmenter)" training.ema=0.99
+paint() { # RUN RECIPE DATA MINUTES TRAIN SEGMENTER TRANSLATOR [OVERRIDE...]
+  stage "$1" "$2" "$3" "$4" data.train="$5" options.segmenter="$6" options.translator="$7" training.validate_minutes=0 "${@:8}"
+}
+seen=("train,$drives:all,$overcast:all" "$(weights world-segmenter segmenter)" "$(weights world-translator translator)")
+paint world-colours release-colours "$day" 12 "${seen[@]}"
+paint world-painter release-painter "$day" 16 "${seen[@]}" networks.painter.start="$(weights world-colours painter)"
+lidar2pano evaluate "$out/world-painter+$out/world-translator+$out/world-segmenter" --data "$out/towns/test" --split all \
+  --json "$out/world.json"
+family() { # NAME SEGMENTER TRANSLATOR PAINTER SCORES LICENCE
+  mkdir -p "$out/$1"
+  cp "$2" "$out/$1/segmenter.safetensors"
+  cp "$3" "$out/$1/translator.safetensors"
+  cp "$4" "$out/$1/painter.safetensors"
+  python "$here/release_family.py" "$out/$1" "$1" "$5" --licence "$6"
+}
+family world "$(weights world-segmenter segmenter)" "$(weights world-translator translator)" \
+  "$(weights world-painter painter)" "$out/world.json" Apache-2.0
+
+# Family `kitti-mini`: goes on where runs/kitti_mini.sh ended (in the same OUT), towns beside real frames.
+stage segmenter-4 release-segmenter "$kitti" 34 data.train=train,train,labelled,"$out/towns/scans:all" \
+  networks.segmenter.start="$(weights segmenter-3 segmenter)" training.validate_minutes=11
+stage segmenter-5 release-segmenter "$kitti" 14 data.train=train,labelled options.chance=0.2 training.ema=0.99 \
+  networks.segmenter.start="$(weights segmenter-4 segmenter)" networks.segmenter.optimizer.rate=0.001 \
+  training.validate_minutes=7
+stage translator-4 release-translator "$kitti" 28 data.train=train,train,"$day:train","$drives:train" \
+  options.segmenter="$(weights segmenter-5 segmenter)" networks.translator.start="$out/family/translator.safetensors" \
+  networks.translator.optimizer.rate=0.0015 training.validate_minutes=9

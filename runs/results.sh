@@ -1,10 +1,18 @@
 #!/usr/bin/env bash
-# Write RESULTS.md: scores of the released weights (and of other runs beside them), and times on this machine.
-#   runs/results.sh DATA [WEIGHTS|RUN...]
+# Write RESULTS.md: scores of the released families (and of other weights beside them), and times on this machine.
+#   runs/results.sh KITTI TOWNS PANDASET NUSCENES [WEIGHTS|RUN...]
+# KITTI has the splits val and labelled; TOWNS is a simulated set that nothing was trained on (runs/release.sh makes it);
+# PANDASET and NUSCENES have surround cameras. WEIGHTS are scored beside the families on KITTI.
 set -euo pipefail
-data=$1
-shift
+kitti=$1 towns=$2 pandaset=$3 nuscenes=$4
+shift 4
 cd "$(dirname "$0")/.."
+around() { # TITLE ROOT [OPTION...]
+  echo
+  echo "## $1"
+  echo
+  lidar2pano evaluate world world+steady kitti-mini kitti-mini+steady --data "$2" --split all "${@:3}"
+}
 {
   echo '# Results'
   echo
@@ -12,7 +20,14 @@ cd "$(dirname "$0")/.."
   echo
   echo '## Camera sector, from the scan alone'
   echo
-  lidar2pano evaluate kitti-mini "$@" --data "$data" --split val
+  lidar2pano evaluate kitti-mini world "$@" --data "$kitti" --split val
+  echo
+  echo '## Points, against classes given by hand'
+  echo
+  lidar2pano evaluate world --data "$kitti" --split labelled --metrics points
+  around 'All around: towns of the street world that nothing was trained on' "$towns"
+  around 'All around: PandaSet' "$pandaset" --sensor pandar64
+  around 'All around: a nuScenes sample' "$nuscenes" --sensor nuscenes
   echo
   echo '## Times'
   echo
