@@ -21,7 +21,7 @@ from lidar2pano.train.draws import Places, draw_at, seed_step
 from lidar2pano.train.optimisation import Average, averaged, clip, learning_rate, make_optimizer
 from lidar2pano.train.placement import arithmetic
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training
-from lidar2pano.train.release import commit, make_card
+from lidar2pano.train.release import commit, make_card, trained_on
 from lidar2pano.train.task import build_networks
 
 
@@ -204,6 +204,13 @@ def test_networks_start_fresh_or_from_a_weight_file(tmp_path):
         build_networks(small_critic(path, width=6))
     with pytest.raises(InputError, match="no weight file"):
         build_networks(small_critic(tmp_path / "absent"))
+
+
+def test_a_card_names_every_data_set(tmp_path):
+    root, more = tmp_path / "kitti", tmp_path / "towns"
+    assert trained_on(root, ("train", "train")) == "kitti"
+    assert trained_on(root, (f"{more}:all", "train", f"{more}:val")) == "towns+kitti"
+    assert trained_on(root, (f"{more}:all",)) == "towns"
 
 
 def test_a_card_says_what_task_and_run_know():

@@ -28,7 +28,7 @@ from lidar2pano.train.optimisation import Average, averaged, clip, learning_rate
 from lidar2pano.train.placement import arithmetic, check_shares, device_kind, device_name
 from lidar2pano.train.processes import average_gradients, check_launcher, largest
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.release import make_card, release
+from lidar2pano.train.release import make_card, release, trained_on
 from lidar2pano.train.task import Task, build_task
 
 try:
@@ -68,7 +68,7 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
     fabric.launch()
     if fabric.is_global_zero:
         write_recipe(out, recipe)
-    run = Run(fabric, recipe, task, out, data=root.resolve().name)
+    run = Run(fabric, recipe, task, out, data=trained_on(root, recipe.data.train))
     run.resume()
     run.go_on()
     return out / "weights"

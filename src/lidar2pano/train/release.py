@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,12 @@ def make_card(spec: Network, known: Mapping[str, Any], ours: Mapping[str, Any]) 
     """The card of a network made from `spec`: what the task knows and, where both speak, what the run knows."""
     settings = {key: list(value) if isinstance(value, tuple) else value for key, value in spec.settings.items()}
     return Card(**{"network": spec.model, "settings": settings, "commit": commit(), **known, **ours})
+
+
+def trained_on(root: Path, splits: Iterable[str]) -> str:
+    """Names of the data sets that splits come from, joined by "+": `root`'s, and those of FOLDER:split."""
+    folders = [Path(name.rpartition(":")[0]) if ":" in name else root for name in splits]
+    return "+".join(dict.fromkeys(folder.resolve().name for folder in folders))
 
 
 def commit() -> str:
