@@ -21,7 +21,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
         list[str],
         typer.Argument(
             metavar="WEIGHTS|RUN...",
-            help="Families, runs, weight files, or chains TRANSLATOR+PAINTER (truth+PAINTER: the true classes; NAME+steady: steadied by poses).",
+            help="Families, runs, weight files, or chains TRANSLATOR+PAINTER (truth+PAINTER: the true classes;"
+            " NAME+steady: films steadied by poses).",
         ),
     ],
     data: Annotated[
