@@ -52,3 +52,15 @@ def test_a_filled_painter_does_not_see_which_beam_hit():
         with torch.inference_mode():
             pictures = [painter(segments, depth_m, image) for image in (every, third)]
         assert (not torch.allclose(*pictures, atol=1e-5)) == apart
+
+
+def test_a_sharp_painter_sees_what_is_likeliest():
+    torch.manual_seed(0)
+    painter, sharp = Painter().eval(), Painter(sharp=4.0).eval()
+    sharp.load_state_dict(painter.state_dict())
+    segments = torch.randn(1, 16, 8, 16).softmax(1)
+    rest = torch.full((1, 8, 16), 10.0), torch.zeros(1, 5, 8, 16)
+    raised = segments**4 / (segments**4).sum(1, keepdim=True)
+    with torch.inference_mode():
+        assert torch.allclose(sharp(segments, *rest), painter(raised, *rest), atol=1e-6)
+        assert not torch.allclose(sharp(segments, *rest), painter(segments, *rest), atol=1e-3)

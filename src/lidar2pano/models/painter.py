@@ -42,6 +42,8 @@ class Painter(nn.Module):
     widths   channels at 1/1, 1/2, 1/4 of the input raster.
     blocks   residual blocks at 1/4.
     filled   whether remission is spread over the gaps between the beams, so that the picture does not show them.
+    sharp    power that class probabilities are raised to before they sum to 1 again: above 1, what is likeliest stands
+             out, and edges between classes are drawn where the translator hesitates.
     """
 
     def __init__(
@@ -51,9 +53,10 @@ class Painter(nn.Module):
         blocks: int = 5,
         *,
         filled: bool = False,
+        sharp: float = 1.0,
     ) -> None:
         super().__init__()
-        self.classes, self.filled = classes, filled
+        self.classes, self.filled, self.sharp = classes, filled, sharp
         seen = classes + 4
         fine, middle, coarse = widths
         self.stem = conv_norm_act(seen, fine)
@@ -93,6 +96,9 @@ class Painter(nn.Module):
         return None, self(segments, depth_m, image)
 
     def _seen(self, segments: Tensor, depth_m: Tensor, image: Tensor) -> Tensor:
+        if self.sharp != 1:
+            raised = segments.float().pow(self.sharp)
+            segments = (raised / raised.sum(1, keepdim=True)).to(segments.dtype)
         remission, valid = image[:, 4].to(segments.dtype), (image[:, 0] > 0).to(segments.dtype)
         if self.filled:
             remission, valid = spread_out(remission, valid)

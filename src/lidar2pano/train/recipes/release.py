@@ -14,6 +14,8 @@ from lidar2pano.train.recipe import Recipe, on_two_cores
 from lidar2pano.train.recipes.panorama import painter, titan_pano
 from lidar2pano.train.recipes.segmenter import salsanext
 
+PAINTER = {"filled": True, "sharp": 4.0}
+
 
 def release_segmenter() -> Recipe:
     """SalsaNext without dropout, which costs more than it gives in short runs, on gently augmented scans."""
@@ -68,7 +70,7 @@ def _release(
 ) -> Recipe:
     """`recipe` as release-<stage>: other options, and another rate for the network `role`."""
     network = recipe.networks[role]
-    settings = {**network.settings, "filled": True} if role == "painter" else network.settings
+    settings = {**network.settings, **PAINTER} if role == "painter" else network.settings
     optimizer = replace(network.optimizer, rate=rate, betas=betas or network.optimizer.betas)
     return replace(
         recipe,
