@@ -6,6 +6,9 @@
 #   FORM=        the recipes' full size, for a GPU (default -mini: two CPU cores)
 #   MINUTES=1.5  each stage takes so many times as long (default 1: the minutes of the released files)
 #   TOWNS=1000   how many towns are simulated (default 60)
+# The released files were made on two CPU cores that were busy with other things as well, stage by stage and not by one
+# run of this script: `world-segmenter` in two stages of 17 and 8 minutes on earlier towns, `segmenter-4` and `-5` under
+# the name salsanext-mini, the painters' first stages with `sharp` 1.
 set -euo pipefail
 kitti=$1 out=$2
 form=${FORM--mini} longer=${MINUTES:-1} towns=${TOWNS:-60}
@@ -62,3 +65,17 @@ stage segmenter-5 release-segmenter "$kitti" 14 data.train=train,labelled option
 stage translator-4 release-translator "$kitti" 28 data.train=train,train,"$day:train","$drives:train" \
   options.segmenter="$(weights segmenter-5 segmenter)" networks.translator.start="$out/family/translator.safetensors" \
   networks.translator.optimizer.rate=0.0015 training.validate_minutes=9
+# What each stage forgets of the one before comes back in the mean of both; half of the class weights is taken back.
+mean() { # OUT FILE FILE [SHARES]
+  python "$here/mean_weights.py" "$1" "$2" "$3" --shares "${4:-0.5,0.5}"
+}
+segmenter=$out/mean/segmenter.safetensors translator=$out/mean/translator.safetensors
+mean "$segmenter" "$(weights segmenter-3 segmenter)" "$(weights segmenter-5 segmenter)" 0.4,0.6
+python "$here/prior.py" "$(weights translator-4 translator)" "$out/prior/translator.safetensors" --data "$kitti"
+mean "$translator" "$out/family/translator.safetensors" "$out/prior/translator.safetensors"
+seen=("train,train,$day:train" "$segmenter" "$translator")
+paint colours-3 release-colours "$kitti" 7 "${seen[@]}" networks.painter.start="$(weights world-painter painter)" \
+  networks.painter.optimizer.rate=0.001
+paint painter-3 release-painter "$kitti" 12 "${seen[@]}" networks.painter.start="$(weights colours-3 painter)"
+lidar2pano evaluate "$out/painter-3+$translator+$segmenter" --data "$kitti" --split val --json "$out/kitti.json"
+family kitti-mini "$segmenter" "$translator" "$(weights painter-3 painter)" "$out/kitti.json" CC-BY-NC-SA-4.0

@@ -14,7 +14,7 @@ from lidar2pano.geometry.warp import warp
 from lidar2pano.sensors import View
 
 MOST = 6  # pictures that a mean is taken of: more are sharper where poses are exact, and slower to believe a change
-SAME = 0.1  # share by which two of a translator's depths of one surface may differ
+SAME = 0.3  # share by which two depths of one surface may differ: a translator guesses them anew each time
 
 
 class Shown(NamedTuple):
