@@ -7,11 +7,11 @@ set -euo pipefail
 kitti=$1 towns=$2 pandaset=$3 nuscenes=$4
 shift 4
 cd "$(dirname "$0")/.."
-around() { # TITLE ROOT [OPTION...]
+around() { # TITLE ROOT
   echo
   echo "## $1"
   echo
-  lidar2pano evaluate world world+steady kitti-mini kitti-mini+steady --data "$2" --split all "${@:3}"
+  lidar2pano evaluate world world+steady kitti-mini kitti-mini+steady --data "$2" --split all
 }
 {
   echo '# Results'
@@ -26,8 +26,8 @@ around() { # TITLE ROOT [OPTION...]
   echo
   lidar2pano evaluate world --data "$kitti" --split labelled --metrics points
   around 'All around: towns of the street world that nothing was trained on' "$towns"
-  around 'All around: PandaSet' "$pandaset" --sensor pandar64
-  around 'All around: a nuScenes sample' "$nuscenes" --sensor nuscenes
+  around 'All around: PandaSet' "$pandaset"
+  around 'All around: a nuScenes sample' "$nuscenes"
   echo
   echo '## Times'
   echo
