@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# How the released family `kitti-mini` was made, from labelled scans and camera images to the files in the package:
+# How the family `kitti-mini` began, from labelled scans and camera images; runs/release.sh goes on from here:
 #   runs/kitti_mini.sh DATA OUT
 # DATA is a data set in SemanticKITTI's layout with camera_labels/ and splits.json (README, "Training and scoring").
 # Every stage resumes: run the same command again after an interruption. Minutes are those of two CPU cores that were busy
@@ -53,4 +53,3 @@ lidar2pano train titan-pano-mini --data "$data" --out "$out/titan-pano-7min" --s
 
 cp "$(weights segmenter-3 segmenter)" "$(weights painter-2 painter)" "$out/family"
 lidar2pano evaluate "$out/family" "$out/titan-pano-7min" "$out/titan-7min" --data "$data" --split val --json "$out/val.json"
-python "$(dirname "$0")/release_family.py" "$out/family" kitti-mini "$out/val.json" --licence CC-BY-NC-SA-4.0

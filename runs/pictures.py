@@ -16,9 +16,9 @@ from lidar2pano import demo
 from lidar2pano.formats import read
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
-from lidar2pano.models.families import DEFAULT
 from lidar2pano.pipeline import load
 
+FAMILY = "world"  # as the scan is a frame of the street world
 DOCS = Path(__file__).parent.parent / "docs"
 WIDTH = 1600
 
@@ -38,7 +38,7 @@ def strip(picture: np.ndarray, height: int, smooth: bool = True) -> np.ndarray:
 def main() -> None:
     """Run the pipeline once and write both pictures."""
     scan = read(demo.street())
-    pipeline = load(sys.argv[1] if len(sys.argv) > 1 else DEFAULT)
+    pipeline = load(sys.argv[1] if len(sys.argv) > 1 else FAMILY)
     panorama = pipeline(scan)
     DOCS.mkdir(exist_ok=True)
 

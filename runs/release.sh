@@ -8,7 +8,8 @@
 #   TOWNS=1000   how many towns are simulated (default 60)
 # The released files were made on two CPU cores that were busy with other things as well, stage by stage and not by one
 # run of this script: `world-segmenter` in two stages of 17 and 8 minutes on earlier towns, `segmenter-4` and `-5` under
-# the name salsanext-mini, the painters' first stages with `sharp` 1.
+# the name salsanext-mini, the first stage of the painter of `world` with `sharp` 1. Their cards call day w9, drives w8 and
+# overcast w9o.
 set -euo pipefail
 kitti=$1 out=$2
 form=${FORM--mini} longer=${MINUTES:-1} towns=${TOWNS:-60}

@@ -21,7 +21,7 @@ DeviceOption = Annotated[
 
 
 @app.command()
-def demo(out: OutOption = OUT, weights: WeightsOption = "kitti-mini", device: DeviceOption = "auto") -> None:
+def demo(out: OutOption = OUT, weights: WeightsOption = "world", device: DeviceOption = "auto") -> None:
     """Turn the scan that ships with the package into a panorama; say where the pictures are."""
     from lidar2pano.cli.batch import Wish, translate_files
     from lidar2pano.demo import street
@@ -39,7 +39,9 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     device: DeviceOption = "auto",
     sensor: Annotated[
         str,
-        typer.Option(metavar="NAME", help="Rows of this sensor, for weights that know them; else those of the weights."),
+        typer.Option(
+            metavar="NAME", help="Rows of this sensor, for weights that know them; else the weights'."
+        ),
     ] = "",
     calib: Annotated[
         Path | None,
