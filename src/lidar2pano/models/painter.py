@@ -117,7 +117,8 @@ def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     mean, found = torch.zeros_like(values), torch.zeros_like(values)
     for rows, columns in WINDOWS:
         around = torch.cat([told[..., -(columns // 2) :], told, told[..., : columns // 2]], 3)
-        total, count = avg_pool2d(around, (rows, columns), stride=1, padding=(rows // 2, 0)).unbind(1)
+        across = avg_pool2d(around, (1, columns), stride=1)  # one way and then the other: a quarter of the sums
+        total, count = avg_pool2d(across, (rows, 1), stride=1, padding=(rows // 2, 0)).unbind(1)
         here = (count > 0) & (found == 0)
         mean = torch.where(here, total / count.clamp(min=1e-6), mean)
         found = torch.where(here, 1.0, found)
