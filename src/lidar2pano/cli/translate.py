@@ -39,9 +39,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     device: DeviceOption = "auto",
     sensor: Annotated[
         str,
-        typer.Option(
-            metavar="NAME", help="Rows of this sensor, for weights that know them; else the weights'."
-        ),
+        typer.Option(metavar="NAME", help="Rows of this sensor, for weights that know them; else the weights'."),
     ] = "",
     calib: Annotated[
         Path | None,
