@@ -118,3 +118,13 @@ def one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture
+def small_view(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The view that small recipes have is one of VIEWS."""
+    from lidar2pano.sensors import VIEWS
+    from small_recipes import VIEW
+
+    for name, view in VIEW.items():
+        monkeypatch.setitem(VIEWS, name, view)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import zlib
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 from torch import Tensor
 
@@ -53,3 +56,17 @@ def _entry(key: str, shape: tuple[int, ...], gain: float) -> Tensor:
     else:
         values = 0.05 * (2 * u - 1)
     return torch.from_numpy(values.astype(np.float32).reshape(shape))
+
+
+def key_rows(golden: Path, name: str) -> list[list[str]]:
+    """Rows of a table of keys: key, shape, dtype, sum, first element."""
+    return [line.split("\t") for line in (golden / f"{name}.keys.txt").read_text().splitlines()[2:]]
+
+
+def assert_filled_as_recorded(state: Mapping[str, Tensor], rows: list[list[str]]) -> None:
+    """Every row's tensor has its shape, type, sum and first element."""
+    for key, shape, dtype, total, first in rows:
+        tensor = state[key]
+        assert (list(tensor.shape), str(tensor.dtype)) == (json.loads(shape), f"torch.{dtype}"), key
+        assert tensor.double().sum().item() == pytest.approx(float(total), abs=1e-6, rel=1e-8), key
+        assert tensor.flatten()[0].item() == pytest.approx(float(first), rel=1e-6), key

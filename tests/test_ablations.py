@@ -29,17 +29,14 @@ from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.task import Task, build_task
 from miniature import SIZE as CAMERA
 from miniature import write_data_set
-from small_recipes import FRONT, VIEW, alike, small, without_chance
+from small_recipes import FRONT, alike, small, without_chance
 
 ABLATIONS = ["titan-no-lovasz-mini", "titan-no-range-mini", "titan-no-segments-mini"]
 SIZE = (36, 120)
 PROGRAM = Path(__file__).with_name("small_recipes.py")
 
 
-@pytest.fixture(autouse=True)
-def _small_view(monkeypatch):
-    for name, view in VIEW.items():
-        monkeypatch.setitem(VIEWS, name, view)
+pytestmark = pytest.mark.usefixtures("small_view")
 
 
 @pytest.fixture(scope="module")

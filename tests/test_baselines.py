@@ -12,7 +12,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.utils.data import default_collate
 
-from golden_fill import fill, sym
+from golden_fill import assert_filled_as_recorded, fill, key_rows, sym
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.camera_rasters import CameraSamples, camera_raster, in_unit, stretched
 from lidar2pano.data.sequences import Draw
@@ -28,7 +28,7 @@ from lidar2pano.train.patchgan import pix2pix_updates
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.task import build_task
 from miniature import street, write_data_set
-from small_recipes import SIZE, VIEW, small, without_chance
+from small_recipes import SIZE, small, without_chance
 
 # network -> settings of the recorded one, its file in the golden folder, gain of the fill rule; MANIFEST.md, section 2
 RECORDED = {
@@ -38,10 +38,7 @@ RECORDED = {
 }
 
 
-@pytest.fixture(autouse=True)
-def _small_view(monkeypatch):
-    for name, view in VIEW.items():
-        monkeypatch.setitem(VIEWS, name, view)
+pytestmark = pytest.mark.usefixtures("small_view")
 
 
 @pytest.fixture(scope="module")
@@ -83,20 +80,14 @@ def test_outputs_are_the_recorded_ones(golden: Path, recorded: tuple[str, nn.Mod
 @pytest.mark.parity
 def test_keys_shapes_and_fill_are_the_recorded_ones(golden: Path, recorded: tuple[str, nn.Module]) -> None:
     network, model = recorded
-    lines = (golden / f"{RECORDED[network][1]}.keys.txt").read_text().splitlines()[2:]
-    state, rows = model.state_dict(), [line.split("\t") for line in lines]
+    state, rows = model.state_dict(), key_rows(golden, RECORDED[network][1])
     assert list(state) == [row[0] for row in rows]
-    for key, shape, dtype, total, first in rows:
-        tensor = state[key]
-        assert (list(tensor.shape), str(tensor.dtype)) == (json.loads(shape), f"torch.{dtype}"), key
-        assert tensor.double().sum().item() == pytest.approx(float(total), abs=1e-6, rel=1e-8), key
-        assert tensor.flatten()[0].item() == pytest.approx(float(first), rel=1e-6), key
+    assert_filled_as_recorded(state, rows)
 
 
 @pytest.mark.parity
 def test_the_three_channel_network_differs_in_its_first_and_last_layers_only(golden: Path) -> None:
-    lines = (golden / "pix2pix_unet256.keys.txt").read_text().splitlines()[2:]
-    expected = {line.split("\t")[0]: json.loads(line.split("\t")[1]) for line in lines}
+    expected = {key: json.loads(shape) for key, shape, *_ in key_rows(golden, "pix2pix_unet256")}
     expected |= {"model.model.0.weight": [64, 3, 4, 4]}
     expected |= {"model.model.3.weight": [128, 3, 4, 4], "model.model.3.bias": [3]}
     with torch.device("meta"):

@@ -15,8 +15,8 @@ from PIL import Image
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.panoramas import PanoramaSamples
-from lidar2pano.data.poses import lidar_pose
-from lidar2pano.data.sequences import UNSURE, Frame, frames
+from lidar2pano.data.poses import LidarPoses
+from lidar2pano.data.sequences import UNSURE, frames
 from lidar2pano.errors import InputError
 from lidar2pano.formats import read
 from lidar2pano.formats.kitti import read_label, write_bin, write_label
@@ -275,6 +275,6 @@ def test_convention_poses_carry_to_where_things_stand(tmp_path: Path):
     Tr = "Tr: 0 -1 0 0.1 0 0 -1 -0.2 1 0 0 -0.3\n"
     (tmp_path / "calib.txt").write_text("P2: 700 0 600 0 0 700 170 0 0 0 1 0\n" + Tr)
     (tmp_path / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 2\n")
-    first, second = (lidar_pose(Frame(folder=tmp_path, stem=f"{number:06d}")) for number in (0, 1))
-    assert first is not None and second is not None
-    assert first @ [5, 0, 0, 1] == pytest.approx(second @ [3, 0, 0, 1])
+    poses = LidarPoses.of(tmp_path)
+    assert poses is not None
+    assert poses.at("000000") @ [5, 0, 0, 1] == pytest.approx(poses.at("000001") @ [3, 0, 0, 1])

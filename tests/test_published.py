@@ -12,7 +12,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from golden_fill import fill, one_hot, randint, sym
+from golden_fill import assert_filled_as_recorded, fill, key_rows, one_hot, randint, sym
 from lidar2pano.models import build
 
 # network -> file in the golden folder, gain of the fill rule, parameters; MANIFEST.md, section 2
@@ -113,15 +113,10 @@ def test_titan_forward_is_the_resized_raster(golden: Path) -> None:
 @pytest.mark.parity
 @pytest.mark.parametrize("network", RECORDED)
 def test_keys_shapes_and_fill_are_the_published_ones(golden: Path, network: str) -> None:
-    lines = (golden / f"{RECORDED[network][0]}.keys.txt").read_text().splitlines()[2:]
-    rows = [line.split("\t") for line in lines]
+    rows = key_rows(golden, RECORDED[network][0])
     state = filled(network).state_dict()
     assert sorted(state) == sorted(row[0] for row in rows)
-    for key, shape, dtype, total, first in rows:
-        tensor = state[key]
-        assert (list(tensor.shape), str(tensor.dtype)) == (json.loads(shape), f"torch.{dtype}"), key
-        assert tensor.double().sum().item() == pytest.approx(float(total), abs=1e-6, rel=1e-8), key
-        assert tensor.flatten()[0].item() == pytest.approx(float(first), rel=1e-6), key
+    assert_filled_as_recorded(state, rows)
 
 
 @pytest.mark.parametrize("network", RECORDED)

@@ -14,7 +14,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from golden_fill import fill, sym
+from golden_fill import assert_filled_as_recorded, fill, key_rows, sym
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
 from lidar2pano.models.ocr import ObjectContext, gather
@@ -81,14 +81,10 @@ def test_every_layer_gives_what_the_published_one_gave(record, golden: Path) -> 
 
 @pytest.mark.parity
 def test_keys_shapes_and_fill_are_the_published_ones(published: SdNet, golden: Path) -> None:
-    rows = [line.split("\t") for line in (golden / f"{FILE}.keys.txt").read_text().splitlines()[2:]]
+    rows = key_rows(golden, FILE)
     state = published.state_dict()
     assert sorted(state) == sorted(row[0] for row in rows)
-    for key, shape, dtype, total, first in rows:
-        tensor = state[key]
-        assert (list(tensor.shape), str(tensor.dtype)) == (json.loads(shape), f"torch.{dtype}"), key
-        assert tensor.double().sum().item() == pytest.approx(float(total), abs=1e-6, rel=1e-8), key
-        assert tensor.flatten()[0].item() == pytest.approx(float(first), rel=1e-6), key
+    assert_filled_as_recorded(state, rows)
 
 
 def test_parameters_are_as_many_as_published() -> None:

@@ -42,7 +42,7 @@ from random_weights import (
     write_segmenter,
     write_weights,
 )
-from small_recipes import VIEW, small
+from small_recipes import small
 
 ROAD, CAR = COMMON15.id_of("road"), COMMON15.id_of("car")
 RASTER = f"[{CAMERA[1]},{CAMERA[0]}]"  # a network that writes pictures of the camera's own size: nothing is resized
@@ -50,10 +50,7 @@ VIDEO = {"channels": 16, "widths": [8], "downsamplings": 2, "blocks": [1, 1], "f
 FRONT_STAGES = ["project", "segment", "clean_up", "translate", "camera"]
 
 
-@pytest.fixture(autouse=True)
-def _small_view(monkeypatch):
-    for name, view in VIEW.items():
-        monkeypatch.setitem(VIEWS, name, view)
+pytestmark = pytest.mark.usefixtures("small_view")
 
 
 @pytest.fixture(autouse=True)

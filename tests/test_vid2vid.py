@@ -18,7 +18,7 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from golden_fill import fill, one_hot, randint
+from golden_fill import fill, key_rows, one_hot, randint
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.warp import warp
 from lidar2pano.models import build
@@ -83,10 +83,6 @@ def filled(request, golden: Path) -> Iterator[Filled]:
         tensor.copy_(fill({key: tensor}, RECORDED[request.param].gain)[key])
     yield Filled(request.param, weights)
     weights.clear()  # up to 1.7 GB
-
-
-def key_rows(golden: Path, name: str) -> list[list[str]]:
-    return [line.split("\t") for line in (golden / f"{name}.keys.txt").read_text().splitlines()[2:]]
 
 
 @pytest.mark.parity

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar2pano.data.poses import lidar_pose
-from lidar2pano.data.sequences import Frame
+from lidar2pano.data.poses import LidarPoses
 from lidar2pano.errors import InputError
 from lidar2pano.scan import Scan
 
@@ -19,23 +18,21 @@ class Poses:
     """Poses of the scan files of one folder, asked for in their order.
 
     A folder `velodyne` of a sequence that has a poses.txt has them there. Of any other they are estimated scan after
-    scan by KISS-ICP (Vizzo et al. 2023), which the extra `odometry` installs; InputError where it is not.
+    scan by KISS-ICP (Vizzo et al. 2023), which the extra `odometry` installs; InputError where it is not, and where
+    poses.txt or calib.txt is damaged.
     """
 
     def __init__(self, folder: Path) -> None:
-        self.sequence = folder.parent
-        self.told = folder.name == "velodyne" and (self.sequence / "poses.txt").is_file()
-        self._estimate: Any = None if self.told else _odometry()
+        self._told = LidarPoses.of(folder.parent) if folder.name == "velodyne" else None
+        self._estimate: Any = None if self._told else _odometry()
 
     def of(self, file: Path, scan: Scan) -> np.ndarray:
         """(4, 4) float64: the sensor's coordinates -> coordinates that stand still, metres.
 
-        Raises InputError where poses.txt or calib.txt is damaged or has no line for the scan.
+        Raises InputError where poses.txt has no line for the scan.
         """
-        if self.told:
-            pose = lidar_pose(Frame(folder=self.sequence, stem=file.stem))
-            assert pose is not None
-            return pose
+        if self._told:
+            return self._told.at(file.stem)
         self._estimate.register_frame(scan.xyz[np.isfinite(scan.xyz).all(1)].astype(np.float64), np.empty(0))
         return self._estimate.last_pose.copy()
 

@@ -88,11 +88,13 @@ def frames_of(root: Path, splits: tuple[str, ...]) -> list[Frame]:
 
     "FOLDER:split" is a split of another data set, e.g. a simulated one beside the real one in `root`.
     """
-    found = []
-    for name in splits:
-        folder, colon, split = name.rpartition(":")
-        found += frames(Path(folder), split) if colon else frames(root, name)
-    return found
+    return [frame for name in splits for frame in frames(*located(root, name))]
+
+
+def located(root: Path, name: str) -> tuple[Path, str]:
+    """Folder of the data set and name of the split that "split" (of `root`) or "FOLDER:split" stands for."""
+    folder, colon, split = name.rpartition(":")
+    return Path(folder) if colon else root, split
 
 
 def frames(root: Path, split: str) -> list[Frame]:

@@ -24,7 +24,6 @@ from lidar2pano.sensors import VIEWS, View
 SKY = COMMON15.id_of("sky")
 CAMERA_TO_COMMON15 = np.full(256, UNSURE, dtype=np.uint8)
 CAMERA_TO_COMMON15[:19] = TABLES["cityscapes", "common-15"]
-FOLDERS = ("pano", "pano_labels", "pano_depth")  # the truth all around, as simulated data sets have it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -233,7 +233,7 @@ def _picture(frame: Frame, folder: str, shape: tuple[int, ...], kind: type[np.ge
 
 def _pose(frame: Frame) -> np.ndarray | None:
     """The LiDAR's frame -> its frame at the sequence's first pose."""
-    return motion(frame, replace(frame, stem="0")) if (frame.folder / "poses.txt").is_file() else None
+    return motion(frame, replace(frame, stem="0"))
 
 
 def _has(frame: Frame, folder: str, suffix: str = ".png") -> bool:

@@ -64,6 +64,8 @@ class Around:
     @torch.inference_mode()
     def see(self, question: Question, past: Any = None) -> tuple[Any, Seen]:  # noqa: ANN401
         """As System says."""
+        if not self.steady:
+            question = replace(question, pose=None)
         pipeline, calibration = self.pipeline, question.calibration
         memories: dict[str, Memory] = dict(past or {})
         places = _places(question)
@@ -77,8 +79,7 @@ class Around:
                 moved = replace(moved, painter=Blank())
             mine = Stopwatch(pipeline.device) if number else watch
             wanted = question.painted or name == "around" or (len(places) == 1 and question.origin is not None)
-            mind = memories.get(name, Memory())
-            memories[name], looks[name] = _look(moved, question, mind, mine, wanted, self.steady)
+            memories[name], looks[name] = _look(moved, question, memories.get(name, Memory()), mine, wanted)
         around = looks.get("around", looks.get("camera")) if question.origin is not None else None
         seen = Seen(
             labels=next(iter(looks.values())).found.labels.cpu().numpy(),
@@ -114,15 +115,14 @@ def _places(question: Question) -> dict[str, tuple[float, float, float]]:
     return places
 
 
-def _look(  # noqa: PLR0917
-    pipeline: Pipeline, question: Question, memory: Memory, watch: Stopwatch, wanted: bool, steady: bool
+def _look(
+    pipeline: Pipeline, question: Question, memory: Memory, watch: Stopwatch, wanted: bool
 ) -> tuple[Memory, _Look]:
     """Translate, and where the panorama is wanted go on to it."""
     found = pipeline.translated(question.scan, watch)
     if not wanted:
         return memory, _Look(found, pipeline, None)
     parts = {one.name: getattr(pipeline, one.name) for one in fields(Pipeline)}
-    pose = question.pose if steady else None
-    memory, panorama = _Resumed(**parts, found=found).step(memory, question.scan, pose)
+    memory, panorama = _Resumed(**parts, found=found).step(memory, question.scan, question.pose)
     watch.milliseconds.update(panorama.milliseconds)
     return memory, _Look(found, pipeline, panorama)

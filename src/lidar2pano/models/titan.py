@@ -28,8 +28,9 @@ from lidar2pano.models.salsanext import ResBlock, Trunk
 IMAGE_SIZE = (376, 1241)  # rows, columns: KITTI's images, as published
 
 
-def _merge(inputs: int, outputs: int) -> nn.Sequential:
-    return nn.Sequential(nn.Conv2d(inputs, outputs, 1), nn.LeakyReLU(0.2, inplace=True), nn.InstanceNorm2d(outputs))
+def pixelwise(inputs: int, outputs: int, norm: type[nn.Module] = nn.InstanceNorm2d) -> nn.Sequential:
+    """Mix channels pixel by pixel."""
+    return nn.Sequential(nn.Conv2d(inputs, outputs, 1), nn.LeakyReLU(0.2, inplace=True), norm(outputs))
 
 
 class Titan(Trunk):
@@ -55,9 +56,9 @@ class Titan(Trunk):
             raise InputError("titan needs an input: channels (the range view), conditions (its segments) or both")
         height, width = size
         self.size, self.picture = (int(height), int(width)), picture
-        self.project_z = _merge(channels, 1) if channels else None
-        self.project_cond = _merge(conditions, 1) if conditions else None
-        self.project_zcond = _merge(bool(channels) + bool(conditions), 32)
+        self.project_z = pixelwise(channels, 1) if channels else None
+        self.project_cond = pixelwise(conditions, 1) if conditions else None
+        self.project_zcond = pixelwise(bool(channels) + bool(conditions), 32)
         self.upsampling1 = nn.Sequential(nn.Conv2d(32, 128, 3, padding=1), nn.PixelShuffle(2))
         self.upResBlock1 = ResBlock(32, 32, norm=nn.InstanceNorm2d)
         self.logits = nn.Conv2d(32, classes, 1)

@@ -21,7 +21,7 @@ from torch.nn.functional import interpolate
 
 from lidar2pano.errors import InputError
 from lidar2pano.models.salsanext import STRIDE, ContextBlock, DownBlock, ResBlock, UpBlock
-from lidar2pano.models.titan import IMAGE_SIZE
+from lidar2pano.models.titan import IMAGE_SIZE, pixelwise
 from lidar2pano.models.titan_pano import FAR_M
 
 MERGED = 32  # channels of the merged input
@@ -46,8 +46,8 @@ class TitanNext(nn.Module):
         super().__init__()
         height, across = size
         self.size = (int(height), int(across))
-        self.project_z, self.project_cond = _merge(channels, 1), _merge(conditions, 1)
-        self.project_zcond = _merge(2, MERGED)
+        self.project_z, self.project_cond = (pixelwise(n, 1, nn.BatchNorm2d) for n in (channels, conditions))
+        self.project_zcond = pixelwise(2, MERGED, nn.BatchNorm2d)
         self.context = nn.Sequential(*(ContextBlock(MERGED, MERGED) for _ in range(3)))
         widths = [2 * width, 4 * width, 8 * width, 8 * width]
         before = [MERGED, *widths]
@@ -102,10 +102,6 @@ class TitanNext(nn.Module):
         assert image is not None
         depth_m = torch.expm1(self.depth(image)[:, 0].float().sigmoid() * math.log1p(FAR_M))
         return self.logits(image), depth_m
-
-
-def _merge(inputs: int, outputs: int) -> nn.Sequential:
-    return nn.Sequential(nn.Conv2d(inputs, outputs, 1), nn.LeakyReLU(0.2, inplace=True), nn.BatchNorm2d(outputs))
 
 
 def _beside(seen: Tensor, x: Tensor) -> Tensor:

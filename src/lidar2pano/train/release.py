@@ -10,6 +10,7 @@ from typing import Any
 from torch import nn
 
 from lidar2pano import __version__
+from lidar2pano.data.sequences import located
 from lidar2pano.models.card import Card, save
 from lidar2pano.train.recipe import Network
 
@@ -29,8 +30,7 @@ def make_card(spec: Network, known: Mapping[str, Any], ours: Mapping[str, Any]) 
 
 def trained_on(root: Path, splits: Iterable[str]) -> str:
     """Names of the data sets that splits come from, joined by "+": `root`'s, and those of FOLDER:split."""
-    folders = [Path(name.rpartition(":")[0]) if ":" in name else root for name in splits]
-    return "+".join(dict.fromkeys(folder.resolve().name for folder in folders))
+    return "+".join(dict.fromkeys(located(root, name)[0].resolve().name for name in splits))
 
 
 def commit() -> str:
