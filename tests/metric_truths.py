@@ -170,7 +170,8 @@ def warping_slowly(
     return float(np.mean(errors))
 
 
-def seam_slowly(panorama: np.ndarray) -> float:
+def seam_slowly(panorama: np.ndarray, near: int = 0) -> float:
+    """Over all other steps, or over `near` of them on either side."""
     rows, columns = panorama.shape[:2]
     steps = []
     for j in range(columns):
@@ -178,4 +179,7 @@ def seam_slowly(panorama: np.ndarray) -> float:
         steps.append(
             np.mean([abs(int(panorama[i, beyond, c]) - int(panorama[i, j, c])) for i in range(rows) for c in range(3)])
         )
-    return float(steps[-1] / np.mean(steps[:-1]))
+    others = {j % columns for away in range(1, near + 1) for j in (columns - 1 - away, columns - 1 + away)} - {
+        columns - 1
+    }
+    return float(steps[-1] / np.mean([steps[j] for j in others or range(columns - 1)]))

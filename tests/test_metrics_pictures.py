@@ -270,7 +270,24 @@ def test_flows_that_cannot_be_are_refused(flow, complaint):
 
 def test_seam_ratio_agrees_with_its_definition():
     panorama = smooth(1, 8, 25)
-    assert of(SeamRatio(), panorama).compute() == pytest.approx(seam_slowly(panorama), rel=1e-12)
+    figures = of(SeamRatio(), panorama).figures()
+    assert figures["seam ratio"] == pytest.approx(seam_slowly(panorama), rel=1e-12)
+    assert figures["seam ratio nearby"] == pytest.approx(seam_slowly(panorama, near=8), rel=1e-12)
+    assert figures["seam ratio"] != figures["seam ratio nearby"]
+
+
+@pytest.mark.parametrize("columns", [2, 3, 9, 10, 16, 17, 18])
+def test_steps_near_the_seam_count_once_in_narrow_pictures(columns: int):
+    panorama = smooth(1, 8, columns)
+    expected = seam_slowly(panorama, near=8)
+    assert of(SeamRatio(), panorama).figures()["seam ratio nearby"] == pytest.approx(expected, rel=1e-12)
+
+
+def test_only_the_seam_itself_moves_the_ratio_to_what_is_nearby():
+    busy = np.random.default_rng(0).integers(0, 256, (2000, 40, 3)).astype(np.uint8)  # stands behind a still place
+    still = np.random.default_rng(1).integers(0, 9, (2000, 200, 3)).astype(np.uint8)
+    figures = of(SeamRatio(), np.roll(np.concatenate([still, busy], 1), 20, axis=1)).figures()
+    assert figures["seam ratio"] > 3 and figures["seam ratio nearby"] == pytest.approx(1, abs=0.05)
 
 
 def test_a_picture_that_closes_has_a_seam_ratio_of_one():

@@ -115,12 +115,14 @@ def test_titan_net_moves_critic_and_translator_in_turn(root):
     assert task.preview()["segments"].shape == (4 * 92, 160, 3)
 
 
-def test_painted_pixels_that_no_camera_saw_teach_nothing(root, runs):
+@pytest.mark.parametrize("augment", [0, 1])
+def test_painted_pixels_that_no_camera_saw_teach_nothing(root, runs, augment):
     task = build_task(
         small(
             "painter-mini",
             f"options.segmenter={runs / 'segmenter/weights/segmenter.safetensors'}",
             f"options.translator={runs / 'translator/weights/translator.safetensors'}",
+            f"options.augment={augment}",
         ),
         root,
     )

@@ -23,7 +23,7 @@ NAMES: dict[str, dict[str, str]] = {
     "resegmentation": {"mIoU": "resegmentation_miou", "accuracy": "resegmentation_accuracy"},
     "depth": {"AbsRel": "depth_abs_rel", "RMSE": "depth_rmse_m", "delta1": "depth_delta1"},
     "warping": {"warping error": "warping_error"},
-    "seam": {"seam ratio": "seam_ratio"},
+    "seam": {"seam ratio": "seam_ratio", "seam ratio nearby": "seam_ratio_nearby"},
     "roll": {"roll error": "roll_error"},
     "roll ids": {"roll error": "roll_error_ids"},
 }

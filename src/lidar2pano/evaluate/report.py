@@ -54,6 +54,7 @@ ROWS: dict[str, Row] = {
     "depth_rmse_m": Row("depth RMSE, m", 2),
     "warping_error": Row("warping error x 1000", 2, 1000.0, interval=True),
     "seam_ratio": Row("seam ratio", interval=True),
+    "seam_ratio_nearby": Row("seam ratio nearby", interval=True),
     "roll_error": Row("roll error, grey levels", 2),
     "roll_error_ids": Row("roll error, share of classes", 4),
 }

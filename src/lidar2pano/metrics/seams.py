@@ -10,28 +10,32 @@ from torch import Tensor
 from lidar2pano.metrics.frames import FrameMetric
 from lidar2pano.metrics.inputs import Array, as_tensor, picture
 
+NEAR = 8  # steps between columns, on either side of the seam
+
 
 class SeamRatio(FrameMetric):
     """Mean step of colour across the seam (last column to first) over the mean step between all other columns.
 
-    A step is |difference| of neighbouring pixels of a row, mean over rows and colours. About 1 when there is no seam;
-    the content behind the vehicle moves it, so compare with the truth's. NaN for pictures of one colour.
+    A step is |difference| of neighbouring pixels of a row, mean over rows and colours. About 1 when there is no seam,
+    but what stands behind the vehicle moves it, in true pictures too. "seam ratio nearby" compares with what stands in
+    the same place: the NEAR steps on either side of the seam. NaN for pictures of one colour.
     """
 
     def __init__(self) -> None:
-        super().__init__("seam", "other")
+        super().__init__("seam", "other", "near")
 
     def update(self, panorama: Array, name: str) -> None:
         """Count the frame `name`: (H, W, 3) uint8, W >= 2; ValueError for anything else."""
         colours = picture(panorama, "a panorama").double()
         if colours.shape[2] < 2:
             raise ValueError("a panorama of one column has no seam")
-        steps = (colours.roll(-1, 2) - colours).abs().mean((0, 1))
-        self._keep(name, float(steps[-1]), float(steps[:-1].mean()))
+        seam, *others = (colours.roll(-1, 2) - colours).abs().mean((0, 1)).roll(1).tolist()
+        near = [*others[:NEAR], *others[max(len(others) - NEAR, NEAR) :]]
+        self._keep(name, seam, float(np.mean(others)), float(np.mean(near)))
 
     def figures_of(self, sums: np.ndarray) -> dict[str, np.ndarray]:
-        """Seam over the rest."""
-        return {"seam ratio": sums[..., 0] / sums[..., 1]}
+        """Seam over the rest, and over what is near."""
+        return {"seam ratio": sums[..., 0] / sums[..., 1], "seam ratio nearby": sums[..., 0] / sums[..., 2]}
 
 
 class RollError(FrameMetric):

@@ -25,6 +25,7 @@ AROUND = {
     "depth_abs_rel": "depth AbsRel",
     "depth_rmse_m": "depth RMSE, m",
     "seam_ratio": "seam ratio",
+    "seam_ratio_nearby": "seam ratio nearby",
     "warping_error": "warping error",
 }
 

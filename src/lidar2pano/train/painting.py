@@ -18,6 +18,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.labels import COMMON15
 from lidar2pano.losses import feature_matching, hinge_critic, hinge_generator
+from lidar2pano.losses.diff_augment import Changes
 from lidar2pano.models.card import load
 from lidar2pano.models.precision import fast_arithmetic
 from lidar2pano.models.segmenter import Segmenter
@@ -39,7 +40,7 @@ class Painting:
     Options: columns and jitter, crop and how far it moves, on the translator's raster; translator and segmenter,
     weight files that make the segments and depths to paint; trust, share of the draws that take the camera teacher's
     segments where it is sure; adversarial, features, broad, pixels: weights of those losses (no critic where the first
-    two are 0).
+    two are 0); augment, the chance of each kind of change that the critic sees pictures with (losses.diff_augment).
     """
 
     released = ("painter",)
@@ -59,7 +60,7 @@ class Painting:
         for samples in (self.dataset, self.validation):
             samples.predict(segmenter.points)
         self.weights = {name: float(option[name]) for name in ("adversarial", "features", "broad", "pixels")}
-        self.trust = float(option["trust"])
+        self.trust, self.augment = float(option["trust"]), float(option["augment"])
         self.logs: dict[str, float | Tensor] = {}
 
     def updates(self, batch: PanoramaSample) -> Iterator[tuple[str, Tensor]]:
@@ -74,7 +75,8 @@ class Painting:
         if self.weights["adversarial"] or self.weights["features"]:
             told = torch.cat([segments, depth_code(depth_m)[:, None]], 1)
             told = interpolate(told, scale_factor=2.0, mode="nearest")
-            real, shown = torch.cat([batch.colour * seen, told], 1), torch.cat([fake * seen, told], 1)
+            changes = Changes.drawn(len(fake), self.augment)
+            real, shown = (changes.of(colours, seen, told) for colours in (batch.colour, fake))
             on_real, on_fake = (self.judged(picture) for picture in (real, shown.detach()))
             yield "critic", _mean([hinge_critic(r[-1], f[-1]) for r, f in zip(on_real, on_fake, strict=True)])
             with torch.no_grad():

@@ -52,6 +52,7 @@ def painter() -> Recipe:
             "broad": 20.0,
             "pixels": 2.0,
             "trust": 0.5,
+            "augment": 0.0,
             "translator": "",
             "segmenter": "",
         },
