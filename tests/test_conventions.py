@@ -278,3 +278,11 @@ def test_convention_poses_carry_to_where_things_stand(tmp_path: Path):
     poses = LidarPoses.of(tmp_path)
     assert poses is not None
     assert poses.at("000000") @ [5, 0, 0, 1] == pytest.approx(poses.at("000001") @ [3, 0, 0, 1])
+
+
+def test_convention_the_vehicle_itself_is_not_seen():
+    scan = scan_of((0.99, 0, 0), (0, -1.01, 0), (0.6, 0.6, 0.6), (0.5, -0.5, 0.5), (10, 0, 0), (math.nan, 0, 0))
+    image = project(scan.beyond(), SENSOR)
+    assert image.usable.tolist() == [False, True, True, False, True, False]  # the third is 1.04 m away
+    assert np.isnan(scan_of((1.9, 0, 0), (0, 2.1, 0)).beyond(2).xyz[:, 0]).tolist() == [True, False]
+    assert len(scan.beyond()) == len(scan) and project(scan, SENSOR).dropped == 1, "the scan itself keeps all"

@@ -132,7 +132,19 @@ def test_every_point_has_a_label_and_dropped_ones_have_none(pipeline):
     assert (broken.labels != 0).mean() > 0.5
 
 
-@pytest.mark.parametrize("point", [(np.nan, 0, 0), (0, 0, 0), (np.inf, 1, 1)])
+def test_the_vehicle_itself_is_not_in_the_picture(pipeline):
+    scan = street()
+    own = np.random.default_rng(0).uniform(-0.5, 0.5, (400, 3)).astype(np.float32)  # a roof, or "no echo" as some write
+    more = replace(
+        scan, xyz=np.concatenate([own, scan.xyz]), remission=np.pad(scan.remission, (400, 0), constant_values=0.5)
+    )
+    plain, seen = pipeline(scan), pipeline(more)
+    assert seen.dropped == plain.dropped + 400 and not seen.labels[:400].any()
+    assert np.array_equal(seen.labels[400:], plain.labels) and np.array_equal(seen.colour, plain.colour)
+    assert np.array_equal(seen.depth_m, plain.depth_m)
+
+
+@pytest.mark.parametrize("point", [(np.nan, 0, 0), (0, 0, 0), (np.inf, 1, 1), (0.3, 0.3, -0.2)])
 def test_a_scan_without_a_usable_point_is_refused(pipeline, point):
     scan = Scan(xyz=np.full((4, 3), point, np.float32), remission=np.zeros(4, np.float32), name="bad")
     with pytest.raises(InputError, match=r"bad: none of its 4 points can be used"):

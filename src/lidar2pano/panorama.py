@@ -40,7 +40,7 @@ class Panorama:
     segments      (h, w) uint8 ids of COMMON15.
     depth_m       (h, w) float32 metres from the view's origin along the ray; 0 = none (sky).
     labels        (N,) int64 ids of SEMANTIC_KITTI of the scan's points, file order.
-    dropped       points that could not be used (NaN, Inf, at the origin); they are labelled 0.
+    dropped       points that were not used (NaN, Inf, nearer than OWN_VEHICLE_M); they are labelled 0.
     milliseconds  time per stage.
     """
 

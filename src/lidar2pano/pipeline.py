@@ -31,7 +31,7 @@ from lidar2pano.models.precision import fast_arithmetic, pick_device
 from lidar2pano.models.segmenter import Segmenter
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
-from lidar2pano.scan import Scan
+from lidar2pano.scan import OWN_VEHICLE_M, Scan
 from lidar2pano.sensors import VIEWS, View
 
 
@@ -108,7 +108,8 @@ class Pipeline:
 
         pose  (4, 4) float64: the sensor's coordinates -> coordinates that stand still, metres. Told with every scan,
               the picture is steadied by those before (memory.steadied).
-        Raises InputError when no point of the scan can be used, or none is in view.
+        Raises InputError when no point of the scan can be used, or none is in view. Points nearer than OWN_VEHICLE_M
+        are not used.
         """
         watch = Stopwatch(self.device)
         seen = self.translated(scan, watch)
@@ -149,6 +150,7 @@ class Pipeline:
     def translated(self, scan: Scan, watch: Stopwatch) -> Translated:
         """What a camera would see of the scan, as class scores and depths; raises like `step`."""
         with watch("project"):
+            scan = scan.beyond()
             image = self._seen(scan, project(scan, self.segmenter.view, device=self.device))
             around = self._seen(scan, project(scan, self.view, device=self.device))
         with watch("segment"):
@@ -165,8 +167,8 @@ class Pipeline:
     def _seen(scan: Scan, image: RangeImage) -> RangeImage:
         if not bool(image.usable.any()):
             raise InputError(
-                f"{scan.name}: none of its {len(scan)} points can be used (NaN, Inf or all at the origin);"
-                " check how the scan was written"
+                f"{scan.name}: none of its {len(scan)} points can be used (NaN, Inf or nearer than"
+                f" {OWN_VEHICLE_M:g} m, which is the vehicle itself); check how the scan was written"
             )
         if not bool(image.valid.any()):
             raise InputError(f"{scan.name}: no point is in view (x must point forward, z up, in metres); turn the scan")

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
+
+OWN_VEHICLE_M = 1.0  # echoes from nearer than this are the vehicle itself, or none (nuScenes' devkit drops them too)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,3 +39,8 @@ class Scan:
     def __len__(self) -> int:
         """Number of points, unusable ones included."""
         return len(self.xyz)
+
+    def beyond(self, nearest_m: float = OWN_VEHICLE_M) -> Self:
+        """The same points, but those nearer to the sensor than so many metres NaN, as if there had been no echo."""
+        near = np.einsum("ij,ij->i", self.xyz, self.xyz) < nearest_m**2
+        return replace(self, xyz=np.where(near[:, None], np.float32(np.nan), self.xyz)) if near.any() else self

@@ -167,7 +167,7 @@ def surround_truth(frame: SurroundFrame, view: View) -> Truth:
     """
     front = frame.photos[frame.front]
     view = at_camera(view, front.calibration)
-    scan = replace(frame.scan, label=None)
+    scan = replace(frame.scan, label=None).beyond()
     colour, valid = compose(list(frame.photos.values()), view, dense_depth(torch.from_numpy(scan.xyz), view))
     image = project(scan, view)
     ids = None
