@@ -64,3 +64,41 @@ def test_a_sharp_painter_sees_what_is_likeliest():
     with torch.inference_mode():
         assert torch.allclose(sharp(segments, *rest), painter(raised, *rest), atol=1e-6)
         assert not torch.allclose(sharp(segments, *rest), painter(segments, *rest), atol=1e-3)
+
+
+def even(pictures: int = 1) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Segments, depth and image of a place that looks the same in every direction, without a point."""
+    segments = torch.linspace(0, 1, 16).softmax(0)[None, :, None, None].expand(pictures, 16, 24, 32)
+    return segments, torch.full((pictures, 24, 32), 10.0), torch.zeros(pictures, 5, 24, 32)
+
+
+def test_grain_makes_a_texture_of_what_is_even():
+    torch.manual_seed(0)
+    plain, grained = Painter().eval(), Painter(grain=True).eval()
+    with torch.inference_mode():
+        same_place = slice(None, None, 8)  # of the squares that pixels are shuffled in
+        assert plain(*even())[..., same_place].std(3).max() < 1e-5
+        assert grained(*even())[..., same_place].std(3).min() > 1e-3
+
+
+def test_grain_stands_still_but_in_training():
+    painter = Painter(grain=True)
+    with torch.inference_mode():
+        first, second = (painter(*even()) for _ in range(2))
+        assert not torch.allclose(first, second, atol=1e-3)
+        painter.eval()
+        first, second = (painter(*even()) for _ in range(2))
+        assert torch.equal(first, second)
+        both = painter(*even(2))
+    assert torch.allclose(both, first.expand_as(both), atol=1e-6), "the same in every picture of a batch"
+
+
+@pytest.mark.parametrize("pixels", [2, 4])
+def test_grain_is_as_strong_at_every_scale(pixels):
+    painter = Painter(grain=True).eval()
+    segments, depth_m, image = (part.repeat(1, *[1] * (part.ndim - 3), 8, 8) for part in even())
+    seen = painter._seen(segments, depth_m, image)
+    coarser = painter._coarser(seen, pixels)
+    assert seen[:, -1].std() == pytest.approx(1, abs=0.02) and coarser[:, -1].std() == pytest.approx(1, abs=0.05)
+    assert torch.allclose(coarser[:, :-1], torch.nn.functional.avg_pool2d(seen[:, :-1], pixels))
+    assert abs(float(seen[:, -1].mean())) < 0.02

@@ -7,6 +7,7 @@ at twice the raster it reads.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, Protocol
 
 import torch
@@ -44,6 +45,8 @@ class Painter(nn.Module):
     filled   whether remission is spread over the gaps between the beams, so that the picture does not show them.
     sharp    power that class probabilities are raised to before they sum to 1 again: above 1, what is likeliest stands
              out, and edges between classes are drawn where the translator hesitates.
+    grain    whether it sees noise, too, to make leaves and gravel of: where no point fell all else is even. Drawn anew
+             in training; afterwards always the same, fixed to the raster, so that films do not flicker.
     """
 
     def __init__(
@@ -54,10 +57,11 @@ class Painter(nn.Module):
         *,
         filled: bool = False,
         sharp: float = 1.0,
+        grain: bool = False,
     ) -> None:
         super().__init__()
-        self.classes, self.filled, self.sharp = classes, filled, sharp
-        seen = classes + 4
+        self.classes, self.filled, self.sharp, self.grain = classes, filled, sharp, grain
+        seen = classes + 4 + grain
         fine, middle, coarse = widths
         self.stem = conv_norm_act(seen, fine)
         self.down1 = nn.Sequential(conv_norm_act(fine, middle, stride=2), CircularResidual(middle))
@@ -82,7 +86,7 @@ class Painter(nn.Module):
         seen = self._seen(segments, depth_m, image)
         fine = self.stem(seen)
         seen = seen.to(fine.dtype)  # under autocast: one float32 part would make every joined picture float32
-        seen2, seen4 = avg_pool2d(seen, 2), avg_pool2d(seen, 4)
+        seen2, seen4 = self._coarser(seen, 2), self._coarser(seen, 4)
         middle = self.down1(fine)
         x = self.down2(middle)
         for block in self.trunk:
@@ -103,8 +107,23 @@ class Painter(nn.Module):
         if self.filled:
             remission, valid = spread_out(remission, valid)
         row = torch.linspace(1, -1, segments.shape[2], device=segments.device, dtype=segments.dtype)
-        extra = [depth_code(depth_m).to(segments.dtype), remission, valid]
-        return torch.cat([segments, torch.stack([*extra, row[None, :, None].expand_as(valid)], 1)], 1)
+        extra = [depth_code(depth_m).to(segments.dtype), remission, valid, row[None, :, None].expand_as(valid)]
+        if self.grain:
+            extra.append(
+                torch.randn_like(valid) if self.training else fixed_grain(*valid.shape[1:]).to(valid).expand_as(valid)
+            )
+        return torch.cat([segments, torch.stack(extra, 1)], 1)
+
+    def _coarser(self, seen: Tensor, pixels: int) -> Tensor:
+        """Means over squares of so many pixels; of the grain, that is last, as strong as before."""
+        means = avg_pool2d(seen, pixels)
+        return torch.cat([means[:, :-1], means[:, -1:] * pixels], 1) if self.grain else means
+
+
+@lru_cache(maxsize=4)
+def fixed_grain(rows: int, columns: int) -> Tensor:
+    """(rows, columns) float32 normal noise, always the same."""
+    return torch.randn(rows, columns, generator=torch.Generator().manual_seed(0))
 
 
 def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:

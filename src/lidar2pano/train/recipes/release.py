@@ -14,7 +14,7 @@ from lidar2pano.train.recipe import Recipe, on_two_cores
 from lidar2pano.train.recipes.panorama import painter, titan_pano
 from lidar2pano.train.recipes.segmenter import salsanext
 
-PAINTER = {"filled": True, "sharp": 4.0}
+PAINTER = {"filled": True, "sharp": 4.0, "grain": True}
 
 
 def release_segmenter() -> Recipe:
