@@ -6,10 +6,12 @@
 #   FORM=        the recipes' full size, for a GPU (default -mini: two CPU cores)
 #   MINUTES=1.5  each stage takes so many times as long (default 1: the minutes of the released files)
 #   TOWNS=1000   how many towns are simulated (default 60)
+# For a GPU machine without a network: `runs/pack.py pack KITTI FILE` here, `runs/pack.py unpack FILE KITTI` there; towns
+# are simulated there (extra `world`), `timeout 9m runs/release.sh KITTI OUT` again and again makes slices of it.
 # The released files were made on two CPU cores that were busy with other things as well, stage by stage and not by one
 # run of this script: `world-segmenter` in two stages of 17 and 8 minutes on earlier towns, `segmenter-4` and `-5` under
-# the name salsanext-mini, the first stage of the painter of `world` with `sharp` 1. Their cards call day w9, drives w8 and
-# overcast w9o.
+# the name salsanext-mini and without `rings`. Both painters were first trained without grain, 16 minutes against a critic
+# that saw pictures unchanged, and given it by runs/with_grain.py. Cards call day w9, drives w8 and overcast w9o.
 set -euo pipefail
 kitti=$1 out=$2
 form=${FORM--mini} longer=${MINUTES:-1} towns=${TOWNS:-60}
@@ -44,7 +46,7 @@ paint() { # RUN RECIPE DATA MINUTES TRAIN SEGMENTER TRANSLATOR [OVERRIDE...]
 }
 seen=("train,$drives:all,$overcast:all" "$(weights world-segmenter segmenter)" "$(weights world-translator translator)")
 paint world-colours release-colours "$day" 12 "${seen[@]}"
-paint world-painter release-painter "$day" 16 "${seen[@]}" networks.painter.start="$(weights world-colours painter)"
+paint world-painter release-painter "$day" 48 "${seen[@]}" networks.painter.start="$(weights world-colours painter)"
 lidar2pano evaluate "$out/world-painter+$out/world-translator+$out/world-segmenter" --data "$out/towns/test" --split all \
   --json "$out/world.json"
 family() { # NAME SEGMENTER TRANSLATOR PAINTER SCORES LICENCE
@@ -63,20 +65,33 @@ stage segmenter-4 release-segmenter "$kitti" 34 data.train=train,train,labelled,
 stage segmenter-5 release-segmenter "$kitti" 14 data.train=train,labelled options.chance=0.2 training.ema=0.99 \
   networks.segmenter.start="$(weights segmenter-4 segmenter)" networks.segmenter.optimizer.rate=0.001 \
   training.validate_minutes=7
+mean() { # OUT FILE FILE [SHARES]: what each stage forgets of the one before comes back in the mean of both
+  python "$here/mean_weights.py" "$1" "$2" "$3" --shares "${4:-0.5,0.5}"
+}
+mean "$out/mean/segmenter.safetensors" "$(weights segmenter-3 segmenter)" "$(weights segmenter-5 segmenter)" 0.4,0.6
+stage segmenter-6 release-segmenter "$kitti" 40 data.train=train,labelled training.ema=0.997 \
+  networks.segmenter.start="$out/mean/segmenter.safetensors" networks.segmenter.optimizer.rate=0.0015 \
+  training.validate_minutes=13
+segmenter=$(weights segmenter-6 segmenter)
+
 stage translator-4 release-translator "$kitti" 28 data.train=train,train,"$day:train","$drives:train" \
   options.segmenter="$(weights segmenter-5 segmenter)" networks.translator.start="$out/family/translator.safetensors" \
   networks.translator.optimizer.rate=0.0015 training.validate_minutes=9
-# What each stage forgets of the one before comes back in the mean of both; half of the class weights is taken back.
-mean() { # OUT FILE FILE [SHARES]
-  python "$here/mean_weights.py" "$1" "$2" "$3" --shares "${4:-0.5,0.5}"
+# Half of the class weights is taken back.
+prior() { # RUN: -> OUT/prior/RUN.safetensors
+  python "$here/prior.py" "$(weights "$1" translator)" "$out/prior/$1.safetensors" --data "$kitti"
 }
-segmenter=$out/mean/segmenter.safetensors translator=$out/mean/translator.safetensors
-mean "$segmenter" "$(weights segmenter-3 segmenter)" "$(weights segmenter-5 segmenter)" 0.4,0.6
-python "$here/prior.py" "$(weights translator-4 translator)" "$out/prior/translator.safetensors" --data "$kitti"
-mean "$translator" "$out/family/translator.safetensors" "$out/prior/translator.safetensors"
+prior translator-4
+mean "$out/mean/translator.safetensors" "$out/family/translator.safetensors" "$out/prior/translator-4.safetensors"
+stage translator-5 release-translator "$kitti" 58 data.train=train,train,train,train,"$day:train" training.ema=0.997 \
+  options.segmenter="$segmenter" networks.translator.start="$out/mean/translator.safetensors" \
+  networks.translator.optimizer.rate=0.0015 training.validate_minutes=20
+prior translator-5
+translator=$out/prior/translator-5.safetensors
+
 seen=("train,train,$day:train" "$segmenter" "$translator")
 paint colours-3 release-colours "$kitti" 7 "${seen[@]}" networks.painter.start="$(weights world-painter painter)" \
   networks.painter.optimizer.rate=0.001
-paint painter-3 release-painter "$kitti" 12 "${seen[@]}" networks.painter.start="$(weights colours-3 painter)"
+paint painter-3 release-painter "$kitti" 58 "${seen[@]}" networks.painter.start="$(weights colours-3 painter)"
 lidar2pano evaluate "$out/painter-3+$translator+$segmenter" --data "$kitti" --split val --json "$out/kitti.json"
 family kitti-mini "$segmenter" "$translator" "$(weights painter-3 painter)" "$out/kitti.json" CC-BY-NC-SA-4.0
