@@ -25,6 +25,10 @@ around() { # TITLE ROOT
   echo '## Points, against classes given by hand'
   echo
   lidar2pano evaluate world --data "$kitti" --split labelled --metrics points
+  echo
+  echo '## Fewer beams: every, every second and every fourth beam of the scans of `val`'
+  echo
+  python runs/fewer_beams.py "$kitti" kitti-mini "$@"
   around 'All around: towns of the street world that nothing was trained on' "$towns"
   around 'All around: PandaSet' "$pandaset"
   around 'All around: a nuScenes sample' "$nuscenes"
