@@ -54,7 +54,7 @@ def release_painter() -> Recipe:
 
     What holds it to the true colours is weak enough to let it make leaves and gravel of its grain.
     """
-    losses = {"adversarial": 1.0, "features": 3.0, "broad": 6.0, "pixels": 0.5, "augment": 0.5}
+    losses = {"adversarial": 1.0, "features": 10.0, "broad": 10.0, "pixels": 2.0, "augment": 0.5}
     return _release(painter(), "painter", "painter", 6e-4, losses)
 
 
