@@ -10,8 +10,8 @@
 # are simulated there (extra `world`), `timeout 9m runs/release.sh KITTI OUT` again and again makes slices of it.
 # The released files were made on two CPU cores that were busy with other things as well, stage by stage and not by one
 # run of this script: `world-segmenter` in two stages of 17 and 8 minutes on earlier towns, `segmenter-4` and `-5` under
-# the name salsanext-mini and without `rings`. Both painters were first trained without grain, 16 minutes against a critic
-# that saw pictures unchanged, and given it by runs/with_grain.py. Cards call day w9, drives w8 and overcast w9o.
+# the name salsanext-mini and without `rings`, both `smooth` painters without grain, which runs/with_grain.py gave them;
+# painter-3 had features=3, broad=6, pixels=0.5 in its first half. Cards call day w9, drives w8 and overcast w9o.
 set -euo pipefail
 kitti=$1 out=$2
 form=${FORM--mini} longer=${MINUTES:-1} towns=${TOWNS:-60}
@@ -44,10 +44,19 @@ stage world-translator release-translator "$day" 25 data.train=train,"$drives:al
 paint() { # RUN RECIPE DATA MINUTES TRAIN SEGMENTER TRANSLATOR [OVERRIDE...]
   stage "$1" "$2" "$3" "$4" data.train="$5" options.segmenter="$6" options.translator="$7" training.validate_minutes=0 "${@:8}"
 }
+mean() { # OUT FILE FILE [SHARES]: what each stage forgets of the one before comes back in the mean of both
+  python "$here/mean_weights.py" "$1" "$2" "$3" --shares "${4:-0.5,0.5}"
+}
+smooth=(options.adversarial=0.5 options.features=5 options.broad=20 options.pixels=1 options.augment=0)
 seen=("train,$drives:all,$overcast:all" "$(weights world-segmenter segmenter)" "$(weights world-translator translator)")
 paint world-colours release-colours "$day" 12 "${seen[@]}"
-paint world-painter release-painter "$day" 48 "${seen[@]}" networks.painter.start="$(weights world-colours painter)"
-lidar2pano evaluate "$out/world-painter+$out/world-translator+$out/world-segmenter" --data "$out/towns/test" --split all \
+paint world-smooth release-painter "$day" 16 "${seen[@]}" "${smooth[@]}" \
+  networks.painter.start="$(weights world-colours painter)"
+paint world-painter release-painter "$day" 38 "train,$overcast:all" "${seen[@]:1}" \
+  networks.painter.start="$(weights world-smooth painter)"
+painter=$out/mean/world-painter.safetensors
+mean "$painter" "$(weights world-smooth painter)" "$(weights world-painter painter)" # half the texture, half the calm
+lidar2pano evaluate "$painter+$out/world-translator+$out/world-segmenter" --data "$out/towns/test" --split all \
   --json "$out/world.json"
 family() { # NAME SEGMENTER TRANSLATOR PAINTER SCORES LICENCE
   mkdir -p "$out/$1"
@@ -57,7 +66,7 @@ family() { # NAME SEGMENTER TRANSLATOR PAINTER SCORES LICENCE
   python "$here/release_family.py" "$out/$1" "$1" "$5" --licence "$6"
 }
 family world "$(weights world-segmenter segmenter)" "$(weights world-translator translator)" \
-  "$(weights world-painter painter)" "$out/world.json" Apache-2.0
+  "$painter" "$out/world.json" Apache-2.0
 
 # Family `kitti-mini`: goes on where runs/kitti_mini.sh ended (in the same OUT), towns beside real frames.
 stage segmenter-4 release-segmenter "$kitti" 34 data.train=train,train,labelled,"$out/towns/scans:all" \
@@ -65,9 +74,6 @@ stage segmenter-4 release-segmenter "$kitti" 34 data.train=train,train,labelled,
 stage segmenter-5 release-segmenter "$kitti" 14 data.train=train,labelled options.chance=0.2 training.ema=0.99 \
   networks.segmenter.start="$(weights segmenter-4 segmenter)" networks.segmenter.optimizer.rate=0.001 \
   training.validate_minutes=7
-mean() { # OUT FILE FILE [SHARES]: what each stage forgets of the one before comes back in the mean of both
-  python "$here/mean_weights.py" "$1" "$2" "$3" --shares "${4:-0.5,0.5}"
-}
 mean "$out/mean/segmenter.safetensors" "$(weights segmenter-3 segmenter)" "$(weights segmenter-5 segmenter)" 0.4,0.6
 stage segmenter-6 release-segmenter "$kitti" 40 data.train=train,labelled training.ema=0.997 \
   networks.segmenter.start="$out/mean/segmenter.safetensors" networks.segmenter.optimizer.rate=0.0015 \
@@ -90,8 +96,12 @@ prior translator-5
 translator=$out/prior/translator-5.safetensors
 
 seen=("train,train,$day:train" "$segmenter" "$translator")
-paint colours-3 release-colours "$kitti" 7 "${seen[@]}" networks.painter.start="$(weights world-painter painter)" \
+paint colours-3 release-colours "$kitti" 7 "${seen[@]}" networks.painter.start="$(weights world-smooth painter)" \
   networks.painter.optimizer.rate=0.001
-paint painter-3 release-painter "$kitti" 58 "${seen[@]}" networks.painter.start="$(weights colours-3 painter)"
-lidar2pano evaluate "$out/painter-3+$translator+$segmenter" --data "$kitti" --split val --json "$out/kitti.json"
-family kitti-mini "$segmenter" "$translator" "$(weights painter-3 painter)" "$out/kitti.json" CC-BY-NC-SA-4.0
+paint smooth-3 release-painter "$kitti" 12 "${seen[@]}" "${smooth[@]}" \
+  networks.painter.start="$(weights colours-3 painter)"
+paint painter-3 release-painter "$kitti" 58 "${seen[@]}" networks.painter.start="$(weights smooth-3 painter)"
+painter=$out/mean/painter.safetensors
+mean "$painter" "$(weights smooth-3 painter)" "$(weights painter-3 painter)"
+lidar2pano evaluate "$painter+$translator+$segmenter" --data "$kitti" --split val --json "$out/kitti.json"
+family kitti-mini "$segmenter" "$translator" "$painter" "$out/kitti.json" CC-BY-NC-SA-4.0
