@@ -12,8 +12,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
+from lidar2pano.data.augment import bands
 from lidar2pano.data.ranges import BEAM_DEG
 from lidar2pano.data.truths import Truth, truths
 from lidar2pano.evaluate.evaluation import score
@@ -32,8 +31,7 @@ ROWS = {
 def thinned(truth: Truth, every: int) -> Truth:
     """The truth with a scan of which one beam in `every` is left; its pictures stay."""
     scan = truth.scan
-    elevation = np.degrees(np.arctan2(scan.xyz[:, 2], np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])))
-    kept = np.floor((elevation + 90) / BEAM_DEG).astype(np.int64) % every == 0
+    kept = bands(scan, BEAM_DEG) % every == 0
     ids = None if truth.point_ids is None else truth.point_ids[kept]
     scan = replace(scan, xyz=scan.xyz[kept], remission=scan.remission[kept])
     return replace(truth, scan=scan, point_ids=ids)

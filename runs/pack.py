@@ -38,9 +38,9 @@ def packed(scan: Scan, label: np.ndarray | None) -> np.ndarray:
         raise InputError(f"{scan.name}: has points beyond {2**15 // STEPS_PER_M} m or not finite; leave them out first")
     remission = np.rint(scan.remission * STEPS_OF_REMISSION).clip(0, 255)
     rows = [_bytes(np.diff(row, prepend=0).astype("<i2")) for row in (*grid, remission)]
-    return np.concatenate(
-        rows if label is None else [*rows, _bytes(np.diff(label, prepend=np.uint32(0)).astype("<u4"))]
-    )
+    if label is not None:
+        rows.append(_bytes(np.diff(label, prepend=np.uint32(0)).astype("<u4")))
+    return np.concatenate(rows)
 
 
 def unpacked(rows: np.ndarray) -> tuple[Scan, np.ndarray | None]:

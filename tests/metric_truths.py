@@ -179,7 +179,6 @@ def seam_slowly(panorama: np.ndarray, near: int = 0) -> float:
         steps.append(
             np.mean([abs(int(panorama[i, beyond, c]) - int(panorama[i, j, c])) for i in range(rows) for c in range(3)])
         )
-    others = {j % columns for away in range(1, near + 1) for j in (columns - 1 - away, columns - 1 + away)} - {
-        columns - 1
-    }
+    seam = columns - 1
+    others = {j % columns for away in range(1, near + 1) for j in (seam - away, seam + away)} - {seam}
     return float(steps[-1] / np.mean([steps[j] for j in others or range(columns - 1)]))

@@ -18,9 +18,14 @@ def drop_points(scan: Scan, generator: np.random.Generator, share: float) -> Sca
 
 def drop_rings(scan: Scan, generator: np.random.Generator, steps_deg: float, share: float) -> Scan:
     """Leave out bands of elevation of `steps_deg` degrees at random: a sensor of fewer beams."""
-    elevation = np.degrees(np.arctan2(scan.xyz[:, 2], np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])))
-    band = np.floor((elevation + 90) / steps_deg).astype(np.int64)
+    band = bands(scan, steps_deg)
     return _subset(scan, generator.random(band.max(initial=0) + 1)[band] >= share)
+
+
+def bands(scan: Scan, steps_deg: float) -> np.ndarray:
+    """The band of elevation that each point lies in, (N,) int64: bands are `steps_deg` degrees high, the nadir's is 0."""
+    elevation = np.degrees(np.arctan2(scan.xyz[:, 2], np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])))
+    return np.floor((elevation + 90) / steps_deg).astype(np.int64)
 
 
 def mirror(scan: Scan) -> Scan:
