@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar2pano.simulate.record import Recording
-from lidar2pano.simulate.settings import Settings
+from lidar2pano.simulate.dataset.sequence_writer import Recording
+from lidar2pano.simulate.dataset.settings import Settings
 
 SHIPPED = Path(__file__).resolve().parent.parent / "src" / "lidar2pano" / "demo" / "street.bin"
 SEED = 12

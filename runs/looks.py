@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lidar2pano.simulate.camera import pinhole, render
-from lidar2pano.simulate.looks import LOOKS, look
-from lidar2pano.simulate.settings import camera
-from lidar2pano.simulate.world import world
+from lidar2pano.simulate.dataset.settings import camera
+from lidar2pano.simulate.layout.street_world import world
+from lidar2pano.simulate.render.looks import LOOKS, look
+from lidar2pano.simulate.render.renderer import pinhole, render
 
 SCALE, TIME = 0.6, 0.5  # of the camera's picture; seconds after the drive's start
 

@@ -285,8 +285,8 @@ def test_without_opencv_it_is_asked_for(monkeypatch):
 
 def test_a_rendered_picture_is_the_one_before_it_warped(tmp_path):
     pytest.importorskip("embreex", reason="the street world needs embreex: pip install 'lidar2pano[world]'")
-    from lidar2pano.simulate.record import Recording
-    from lidar2pano.simulate.settings import Settings
+    from lidar2pano.simulate.dataset.sequence_writer import Recording
+    from lidar2pano.simulate.dataset.settings import Settings
 
     settings = Settings(seed=5, frames=2, place="motorway", save=("panorama",), views=("panorama/4",))
     recording = Recording(tmp_path, settings, 0)

@@ -9,16 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lidar2pano.simulate.beams import SENSORS, Sensor, hidden
-from lidar2pano.simulate.draws import stream
-from lidar2pano.simulate.lidar import Sweep, passing, sweep
-from lidar2pano.simulate.materials import MATERIALS
-from lidar2pano.simulate.mesh import Mesh
-from lidar2pano.simulate.shapes import box
+from lidar2pano.simulate.lidar.scanner import Sweep, passing, sweep
+from lidar2pano.simulate.lidar.sensor_models import SENSORS, Sensor, hidden
+from lidar2pano.simulate.scene.mesh import Mesh, box
+from lidar2pano.simulate.scene.random_streams import stream
+from lidar2pano.simulate.scene.surfaces import MATERIALS
 
 pytest.importorskip("embreex")
 
-from lidar2pano.simulate.raycast import Part, Scene  # noqa: E402 needs embreex
+from lidar2pano.simulate.scene.raycast import Part, Scene  # noqa: E402 needs embreex
 
 HDL = SENSORS["hdl64e"]
 HALF = np.array([14.0, 9.0, 6.0])  # of the room's size, metres; its middle is the origin

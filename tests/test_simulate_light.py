@@ -12,13 +12,14 @@ from lidar2pano.geometry.projection import pixels
 from lidar2pano.sensors import View
 
 pytest.importorskip("embreex")
-from lidar2pano.simulate import camera, occlusion, shading
-from lidar2pano.simulate.kinds import KIND_IDS, SKY
-from lidar2pano.simulate.looks import look, seasoned
-from lidar2pano.simulate.materials import MATERIAL_IDS, MATERIALS
-from lidar2pano.simulate.raycast import Part, Scene
-from lidar2pano.simulate.shapes import box, ellipsoid
-from lidar2pano.simulate.sky import sky
+from lidar2pano.simulate.render import ambient_occlusion as occlusion
+from lidar2pano.simulate.render import renderer as camera
+from lidar2pano.simulate.render import shading
+from lidar2pano.simulate.render.looks import look, seasoned
+from lidar2pano.simulate.render.sky import sky
+from lidar2pano.simulate.scene.mesh import box, ellipsoid
+from lidar2pano.simulate.scene.raycast import Part, Scene
+from lidar2pano.simulate.scene.surfaces import KIND_IDS, MATERIAL_IDS, MATERIALS, SKY
 
 VIEW = View(rows=40, columns=240, up=0.3, down=-0.5, kind="cylinder", origin=(0.2, 0.1, -0.1))
 DOWN = np.array([[0.0, 0.0, -1.0]], dtype=np.float32)

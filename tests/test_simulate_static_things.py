@@ -8,12 +8,11 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
-from lidar2pano.simulate import barriers, furniture, houses, plants
-from lidar2pano.simulate.cutouts import SIZE, masks, solid_at
-from lidar2pano.simulate.draws import stream
-from lidar2pano.simulate.kinds import KIND_IDS
-from lidar2pano.simulate.materials import MATERIAL_IDS
-from lidar2pano.simulate.mesh import Mesh, face_normals
+from lidar2pano.simulate.assets import barriers, furniture, houses, plants
+from lidar2pano.simulate.scene.cutouts import SIZE, masks, solid_at
+from lidar2pano.simulate.scene.mesh import Mesh, face_normals
+from lidar2pano.simulate.scene.random_streams import stream
+from lidar2pano.simulate.scene.surfaces import KIND_IDS, MATERIAL_IDS
 
 Maker = Callable[[np.random.Generator], Mesh]
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from lidar2pano.simulate import textures
-from lidar2pano.simulate.looks import LOOKS, look
-from lidar2pano.simulate.materials import MATERIALS
-from lidar2pano.simulate.noise import SIZE, bilinear, lottery, spectral
-from lidar2pano.simulate.sky import sky
+from lidar2pano.simulate.render import textures
+from lidar2pano.simulate.render.looks import LOOKS, look
+from lidar2pano.simulate.render.noise import SIZE, bilinear, lottery, spectral
+from lidar2pano.simulate.render.sky import sky
+from lidar2pano.simulate.scene.surfaces import MATERIALS
 
 
 def test_every_material_has_its_texture():

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from lidar2pano.labels import CITYSCAPES, COMMON15, SEMANTIC_KITTI
-from lidar2pano.simulate.draws import stream
-from lidar2pano.simulate.drive import Drive, Speed, lanes
-from lidar2pano.simulate.ground import Land, Terrain, ground, split
-from lidar2pano.simulate.kinds import CAMERA_IDS, COMMON_IDS, KIND_IDS, KINDS, RAW, RAW_MOVING, SKY
-from lidar2pano.simulate.places import PLACES, QUARTERS
-from lidar2pano.simulate.roads import Bay, Road, course, locate
-from lidar2pano.simulate.town import AHEAD, clear_of_roads, town
+from lidar2pano.simulate.layout.drive import Drive, Speed, lanes
+from lidar2pano.simulate.layout.ground import Land, Terrain, ground, split
+from lidar2pano.simulate.layout.places import PLACES, QUARTERS
+from lidar2pano.simulate.layout.roads import Bay, Road, course, locate
+from lidar2pano.simulate.layout.town import AHEAD, clear_of_roads, town
+from lidar2pano.simulate.scene.random_streams import stream
+from lidar2pano.simulate.scene.surfaces import CAMERA_IDS, COMMON_IDS, KIND_IDS, KINDS, RAW, RAW_MOVING, SKY
 
 
 def road(xy: np.ndarray, heading: np.ndarray, **more: object) -> Road:
@@ -154,7 +154,7 @@ def test_ground_covers_everything_once_and_steps_up_at_the_kerb():
 @pytest.fixture(scope="module")
 def worlds():
     pytest.importorskip("embreex")
-    from lidar2pano.simulate.world import world
+    from lidar2pano.simulate.layout.street_world import world
 
     return {place: world(7, 1.0, place) for place in PLACES}
 
@@ -187,7 +187,7 @@ def test_every_place_has_what_belongs_there(worlds):
 
 
 def test_another_seed_is_another_town_and_the_same_is_the_same(worlds):
-    from lidar2pano.simulate.world import world
+    from lidar2pano.simulate.layout.street_world import world
 
     first, again, other = worlds["avenue"], world(7, 1.0, "avenue"), world(8, 1.0, "avenue")
     assert [t.at for t in first.things] == [t.at for t in again.things]
@@ -223,7 +223,7 @@ def test_quarters_are_named_everywhere():
 
 def test_every_class_has_its_place():
     """Nineteen classes: those of the ground by what lies in the quarters, those of things by what can stand about."""
-    from lidar2pano.simulate.ground import KIND_OF_LAND
+    from lidar2pano.simulate.layout.ground import KIND_OF_LAND
 
     lands = {material for quarter in QUARTERS.values() for material in (quarter.land.near, quarter.land.far)}
     assert {KIND_OF_LAND.get(material, "terrain") for material in lands} == {"terrain", "sidewalk", "other-ground"}

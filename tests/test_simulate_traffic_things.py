@@ -7,14 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from lidar2pano.simulate.cars import BODIES, COLOURS, SHARES, car, colour
-from lidar2pano.simulate.draws import stream
-from lidar2pano.simulate.kinds import KIND_IDS
-from lidar2pano.simulate.large_vehicles import bus, trailer, tram, truck
-from lidar2pano.simulate.materials import MATERIAL_IDS
-from lidar2pano.simulate.mesh import Mesh, face_normals
-from lidar2pano.simulate.people import person
-from lidar2pano.simulate.two_wheelers import bicycle, bicyclist, motorcycle, motorcyclist
+from lidar2pano.simulate.assets.cars import BODIES, COLOURS, SHARES, car, colour
+from lidar2pano.simulate.assets.large_vehicles import bus, trailer, tram, truck
+from lidar2pano.simulate.assets.people import person
+from lidar2pano.simulate.assets.two_wheelers import bicycle, bicyclist, motorcycle, motorcyclist
+from lidar2pano.simulate.scene.mesh import Mesh, face_normals
+from lidar2pano.simulate.scene.random_streams import stream
+from lidar2pano.simulate.scene.surfaces import KIND_IDS, MATERIAL_IDS
 
 Maker = Callable[[np.random.Generator], Mesh]
 
@@ -107,7 +106,7 @@ def test_normals_agree_with_their_faces(made, name):
 @pytest.mark.parametrize("name", MAKERS)
 def test_who_looks_from_outside_sees_outsides(made, name):
     pytest.importorskip("embreex")
-    from lidar2pano.simulate.raycast import Part, Scene
+    from lidar2pano.simulate.scene.raycast import Part, Scene
 
     mesh, rng = made[name][1], stream(0, "rays")
     middle, reach = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2, np.ptp(mesh.vertices, axis=0).max() + 2

@@ -185,7 +185,7 @@ def test_a_folder_with_other_data_is_left_alone(tmp_path, capsys):
 
 
 def test_without_embree_the_error_says_what_to_install(monkeypatch):
-    from lidar2pano.simulate.raycast import Scene
+    from lidar2pano.simulate.scene.raycast import Scene
 
     monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
     with pytest.raises(InputError, match=r"lidar2pano\[world\]"):

@@ -9,9 +9,9 @@ from pathlib import Path
 from statistics import median
 
 from lidar2pano.bench.timings import Row
-from lidar2pano.simulate.production import produce
-from lidar2pano.simulate.record import Recording
-from lidar2pano.simulate.settings import Settings
+from lidar2pano.simulate.dataset.generation import produce
+from lidar2pano.simulate.dataset.sequence_writer import Recording
+from lidar2pano.simulate.dataset.settings import Settings
 
 SEED, PLACE = 5, "residential"
 AIMS = {"scan": "< 150", "frame": "< 4000 on two cores"}

@@ -38,8 +38,8 @@ def world(  # noqa: PLR0913, PLR0917 each is an option
     processes: Annotated[int, typer.Option(min=0, metavar="N", help="Processes (0 = one a core).")] = 0,
 ) -> None:
     """Make a simulated data set in SemanticKITTI's layout, with the truth all around."""
-    from lidar2pano.simulate.production import produce
-    from lidar2pano.simulate.settings import SAVES, Settings
+    from lidar2pano.simulate.dataset.generation import produce
+    from lidar2pano.simulate.dataset.settings import SAVES, Settings
 
     check_folder(out, "OUT")
     words = tuple(word.strip() for word in save.split(",") if word.strip())

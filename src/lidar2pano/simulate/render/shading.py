@@ -1,0 +1,272 @@
+"""Shading: the light that surfaces send towards a camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from lidar2pano.simulate.render.looks import FALLEN, Look, littered, seasoned
+from lidar2pano.simulate.render.noise import lottery
+from lidar2pano.simulate.render.sky import Sky, sky
+from lidar2pano.simulate.render.textures import OF_MATERIAL, TEXTURE_IDS, sample, sample_wide
+from lidar2pano.simulate.scene.raycast import Hits, Scene
+from lidar2pano.simulate.scene.surfaces import KIND_IDS, column
+
+TILE = 32768  # rays that are shaded at once: their arrays fit the cache
+GRAIN = 0.008  # metres: points nearer to each other than this share one sample of the sun's disc
+TAPS = 3  # samples along a surface that is seen aslant
+BOUNCE = 0.08  # share of the light that comes from what stands in the sky's way
+LAMP = 2.5  # radiance of a lamp whose material says 1
+
+_COLOUR, _LIGHT = column("colour").T.copy(), LAMP * column("light").T
+_ROUGH, _THROUGH = column("rough"), column("through")
+_GLOSS = np.where(_THROUGH > 0, 0, column("gloss"))  # leaves are lit by their crown's normals, which mirror nothing
+_ASPHALT, _ROAD = TEXTURE_IDS["asphalt"], KIND_IDS["road"]
+_MIRRORS = (_GLOSS > 0) & (_ROUGH < 0.15)  # what shows its surroundings
+
+
+class Reach(NamedTuple):
+    """How much light gets to N places: (N,) float32 share of the sun's and of the sky's that nothing keeps off."""
+
+    sun: np.ndarray
+    sky: np.ndarray
+
+    def taken(self, which: np.ndarray) -> Reach:
+        """Of some of them."""
+        return Reach(self.sun[which], self.sky[which])
+
+
+@dataclass(slots=True, eq=False)
+class _Spot:
+    """What n rays met, coordinates first (3, n): fast to reckon with."""
+
+    hits: Hits
+    place: np.ndarray
+    way: np.ndarray
+    normal: np.ndarray
+    facet: np.ndarray
+    footprint_m: np.ndarray  # (n,) a pixel's width there, square to the ray
+    facing: np.ndarray  # (n,) cosine between ray and facet
+
+    def taken(self, which: np.ndarray) -> _Spot:
+        """Some of them."""
+        place, way, normal, facet = (part[:, which] for part in (self.place, self.way, self.normal, self.facet))
+        return _Spot(self.hits.taken(which), place, way, normal, facet, self.footprint_m[which], self.facing[which])
+
+
+def shade(
+    scene: Scene,
+    hits: Hits,
+    origin: np.ndarray,
+    way: np.ndarray,
+    pixel_angle: float,
+    look: Look,
+    reach: Reach | None = None,
+) -> np.ndarray:
+    """Radiance (N, 3) float32, linear RGB, that comes along rays.
+
+    hits          what the rays from origin (N, 3) or (3,), along unit vectors way (N, 3), met first.
+    pixel_angle   radians between neighbouring rays: textures are averaged over so much.
+    reach         what light gets there; None: the sun's is found out here, and nothing is in the sky's way.
+    """
+    count = len(way)
+    origin = np.broadcast_to(np.asarray(origin, dtype=np.float32), (count, 3))
+    if reach is None:
+        reach = Reach(sunlit(scene, hits, origin, way, look), np.ones(count, dtype=np.float32))
+    out = np.empty((count, 3), dtype=np.float32)
+    for first in range(0, count, TILE):
+        part = slice(first, first + TILE)
+        met = np.flatnonzero(hits.met[part])
+        rays = np.ascontiguousarray(way[part].T, dtype=np.float32)
+        radiance = np.empty_like(rays)
+        away = np.flatnonzero(~hits.met[part])
+        radiance[:, away] = sky(look).radiance(rays[:, away])
+        spot = _spot(hits.taken(met + first), origin[met + first].T, rays[:, met], pixel_angle)
+        radiance[:, met] = _surface(scene, spot, look, reach.taken(met + first))
+        out[part] = radiance.T
+    return out
+
+
+def _spot(hits: Hits, origin: np.ndarray, way: np.ndarray, pixel_angle: float) -> _Spot:
+    normal, facet = (np.ascontiguousarray(part.T, dtype=np.float32) for part in (hits.normal, hits.facet))
+    facing = np.clip(-_dot(way, facet), 0.02, 1)
+    return _Spot(
+        hits, origin + way * hits.distance, way, normal, facet, hits.distance * np.float32(pixel_angle), facing
+    )
+
+
+def _surface(scene: Scene, spot: _Spot, look: Look, reach: Reach) -> np.ndarray:
+    """Radiance (3, n) of surfaces."""
+    above, material = sky(look), spot.hits.material
+    albedo, normal = _material(spot, look)
+    sun = np.array(look.sun, dtype=np.float32)[:, None]
+    slant = _dot(normal, sun)
+    strength = np.maximum(slant, 0) + _THROUGH[material] * np.maximum(-slant, 0.25)
+    direct = np.array(look.sun_colour, dtype=np.float32)[:, None] * (strength * reach.sun)
+    ambient = above.ambient(normal)
+    ambient *= reach.sky + BOUNCE * (1 - reach.sky)
+    out = albedo * (direct + ambient)
+    glossy = np.flatnonzero(_GLOSS[material])
+    if len(glossy):
+        some = spot.taken(glossy)
+        out[:, glossy] = _glossy(scene, some, look, normal[:, glossy], out[:, glossy], reach.taken(glossy))
+    out += _LIGHT[:, material]
+    clear = np.exp(spot.hits.distance * np.float32(-1 / look.haze_m))
+    return out * clear + above.air * (1 - clear)
+
+
+def _material(spot: _Spot, look: Look) -> tuple[np.ndarray, np.ndarray]:
+    """Albedo (3, n), and the normal (3, n) with the texture's bumps."""
+    hits = spot.hits
+    texture = OF_MATERIAL[hits.material]
+    tint = np.ascontiguousarray(hits.tint.T)
+    along, up = _tangents(spot.facet)
+    factor, slope = _sampled(spot, texture, along, up)
+    albedo = _COLOUR[:, hits.material] * tint * factor
+    albedo = seasoned(look, albedo, hits.material, tint, spot.place)
+    flat = (np.abs(spot.facet[2]) > 0.7) | hits.moving
+    x, y, z = spot.place  # walls have their own uv each: the world's axes keep neighbours from looking alike
+    wide = np.where(flat, hits.uv.T, np.stack([x + 0.43 * z, y + 0.71 * z]))
+    albedo *= sample_wide(texture, wide.T, spot.footprint_m / np.sqrt(spot.facing)).T
+    _tracks(albedo, hits, texture)
+    _litter(albedo, spot, look)
+    normal = spot.normal - along * slope[0] - up * slope[1]
+    return np.clip(albedo, 0, 0.95), normal / np.sqrt(_dot(normal, normal))
+
+
+def _tangents(facet: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors (3, n) along u and v, as `mesh.unrolled` lays them: x and y on floors, along and up on walls."""
+    x, y, z = facet
+    flat = np.abs(z) > 0.97
+    run = np.sqrt(np.maximum(x * x + y * y, 1e-12))
+    sign = np.where(np.where(np.abs(y) > np.abs(x), -y, x) < 0, np.float32(-1), np.float32(1)) / run
+    along = np.stack([np.where(flat, 1, -y * sign), np.where(flat, 0, x * sign), np.zeros_like(x)])
+    up = np.stack([np.zeros_like(x), np.where(flat, 1, 0), np.zeros_like(x)])
+    slope = z / run
+    up[:, ~flat] = np.stack([-x * slope, -y * slope, run])[:, ~flat]
+    return along, up
+
+
+def _sampled(spot: _Spot, texture: np.ndarray, along: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Texture factor (3, n) and slope (2, n); where a surface is seen aslant, the mean of TAPS samples across it."""
+    stretch = 1 / spot.facing
+    narrow = np.maximum(1, stretch / TAPS)
+    # Half a level in each direction, so that levels do not end in lines on the ground.
+    dither = 0.75 + 0.5 * lottery(spot.place, 0.03, 1)
+    footprint = spot.footprint_m * narrow * dither
+    factor, slope = (part.T for part in sample(texture, spot.hits.uv, footprint))
+    aslant = np.flatnonzero(stretch > 1.6)
+    if len(aslant):
+        way, uv = spot.way[:, aslant], spot.hits.uv[aslant]
+        across = np.stack([_dot(way, along[:, aslant]), _dot(way, up[:, aslant])])
+        across /= np.sqrt(_dot(across, across)) + 1e-9
+        step = (across * (spot.footprint_m * stretch)[aslant] / TAPS).T
+        for sign in (-1, 1):
+            more = sample(texture[aslant], uv + sign * step, footprint[aslant])
+            factor[:, aslant] += more[0].T
+            slope[:, aslant] += more[1].T
+        factor[:, aslant] *= np.float32(1 / TAPS)
+        slope[:, aslant] *= np.float32(1 / TAPS)
+    return factor, slope
+
+
+def _tracks(albedo: np.ndarray, hits: Hits, texture: np.ndarray) -> None:
+    """Darken the asphalt where tyres run and along the joint in the middle; a road's v is the way from its middle."""
+    road = np.flatnonzero((texture == _ASPHALT) & (hits.kind == _ROAD))
+    aside = np.abs(hits.uv[road, 1])
+    worn = np.cos(np.clip((np.abs(aside - 1.75) - 0.75) * 2.6, -np.pi, np.pi))
+    albedo[:, road] *= 1 - 0.05 * worn - 0.22 * np.clip(1 - aside / 0.025, 0, 1)
+
+
+def _litter(albedo: np.ndarray, spot: _Spot, look: Look) -> None:
+    share = littered(look, spot.hits.material)
+    ground = np.flatnonzero((share > 0) & (spot.facet[2] > 0.7))
+    if len(ground):
+        which = np.full(len(ground), TEXTURE_IDS["litter"])
+        footprint = spot.footprint_m[ground] / np.sqrt(spot.facing[ground])
+        cover = sample(which, spot.hits.uv[ground], footprint)[0][:, 0] * share[ground]
+        hue = 0.6 + 0.8 * lottery(spot.place[:, ground], 0.06, 2)
+        albedo[:, ground] += cover * (FALLEN[:, None] * hue - albedo[:, ground])
+
+
+def sunlit(scene: Scene, hits: Hits, origin: np.ndarray, way: np.ndarray, look: Look) -> np.ndarray:
+    """Whether the sun shines where rays met something: (N,) float32, 0 or 1, and by chance in penumbrae.
+
+    The point of the sun's disc that counts belongs to the place in the world: it is the same in every picture.
+    """
+    lit = np.zeros(len(way), dtype=np.float32)
+    if not any(look.sun_colour):
+        return lit
+    sun = np.array(look.sun, dtype=np.float32)
+    thin = _THROUGH[hits.material] > 0
+    towards = np.flatnonzero(hits.met & (thin | ((hits.normal @ sun > 0) & (hits.facet @ sun > 0))))
+    east = np.array((look.sun[1], -look.sun[0], 0), dtype=np.float32)
+    east /= np.sqrt((east * east).sum()) + np.float32(1e-9)
+    axes = (sun, east, np.cross(sun, east))
+    wide = np.float32(np.tan(np.radians(look.sun_deg)))
+    for first in range(0, len(towards), TILE):
+        some = towards[first : first + TILE]
+        place = (origin[some] + way[some] * hits.distance[some, None]).T
+        turn = np.float32(2 * np.pi) * lottery(place, GRAIN, 3)
+        away = np.sqrt(lottery(place, GRAIN, 4)) * wide
+        ray = sum(
+            axis[:, None] * part for axis, part in zip(axes, (1, away * np.cos(turn), away * np.sin(turn)), strict=True)
+        )
+        ray = ray / np.sqrt(_dot(ray, ray))
+        behind = np.where(hits.facet[some] @ sun < 0, np.float32(-1), np.float32(1))  # leaves lit from the other side
+        lit[some] = scene.light((place + lifted(hits, some) * behind).T, ray.T)
+    return lit
+
+
+def lifted(hits: Hits, which: np.ndarray) -> np.ndarray:
+    """The small step (3, k) off a surface that keeps a new ray from meeting the place where it starts."""
+    return (hits.facet[which] * (1e-3 + 3e-5 * hits.distance[which, None])).T
+
+
+def _glossy(  # noqa: PLR0913 one array for each that the formula has
+    scene: Scene,
+    spot: _Spot,
+    look: Look,
+    normal: np.ndarray,
+    matt: np.ndarray,
+    reach: Reach,
+) -> np.ndarray:
+    """Radiance (3, n) of surfaces with a shine: `matt`, less what mirrors, and what is mirrored."""
+    material = spot.hits.material
+    gloss, rough = _GLOSS[material], _ROUGH[material]
+    facing = np.clip(-_dot(normal, spot.way), 0, 1)
+    share = gloss + np.maximum(1 - rough - gloss, 0) * (1 - facing) ** 5  # Schlick, dimmed where rough
+    mirrored = spot.way + 2 * facing * normal
+    above = sky(look)
+    seen = above.ambient(mirrored) * reach.sky
+    clear = np.flatnonzero(_MIRRORS[material])
+    if len(clear):
+        start = spot.place[:, clear] + lifted(spot.hits, clear)
+        seen[:, clear] = _mirrored(scene, start, mirrored[:, clear], look, above)
+    sun = np.array(look.sun, dtype=np.float32)[:, None]
+    half = sun - spot.way
+    half /= np.sqrt(_dot(half, half)) + 1e-6
+    peak, alpha = np.clip(_dot(normal, half), 0, 1), np.maximum(rough * rough, 0.03)
+    lobe = alpha**2 / (np.pi * (peak * peak * (alpha**2 - 1) + 1) ** 2)  # GGX (Walter 2007)
+    glance = gloss + (1 - gloss) * (1 - np.clip(_dot(half, sun), 0, 1)) ** 5
+    shine = np.pi * reach.sun * np.maximum(_dot(normal, sun), 0) * lobe * glance * (0.25 + 0.25 * rough)
+    return matt * (1 - share) + seen * share + np.array(look.sun_colour, dtype=np.float32)[:, None] * shine
+
+
+def _mirrored(scene: Scene, start: np.ndarray, way: np.ndarray, look: Look, above: Sky) -> np.ndarray:
+    """What a mirror shows (3, n): the sky, or things in plain light."""
+    out = above.radiance(way, disc=False)
+    hits = scene.cast(start.T, way.T)
+    met = np.flatnonzero(hits.met)
+    hits, normal = hits.taken(met), np.ascontiguousarray(hits.normal[met].T)
+    slant = np.maximum(_dot(normal, np.array(look.sun, dtype=np.float32)[:, None]), 0)
+    light = 0.8 * above.ambient(normal) + np.array(look.sun_colour, dtype=np.float32)[:, None] * (0.6 * slant)
+    out[:, met] = _COLOUR[:, hits.material] * hits.tint.T * light + _LIGHT[:, hits.material]
+    return out
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Scalar products (n,) of columns."""
+    return (a * b).sum(axis=0)
