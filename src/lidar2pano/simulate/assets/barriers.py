@@ -9,10 +9,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lidar2pano.simulate.scene.mesh import Mesh, box, merged, mesh, tube
+from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, merged, mesh, tube
 
 Ground = Callable[[np.ndarray], np.ndarray]
-Tint = tuple[float, float, float]
 PIECE = 2.0  # metres from post to post
 
 

@@ -7,19 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.assets.facades import (
-    DEEP,
-    PLAIN,
-    Boards,
-    Opening,
-    Style,
-    Tint,
-    Wall,
-    filled,
-    four_walls,
-    pierced,
-)
-from lidar2pano.simulate.scene.mesh import Mesh, box, merged, mesh, tube
+from lidar2pano.simulate.assets.facades import DEEP, PLAIN, Boards, Opening, Style, Wall, filled, four_walls, pierced
+from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, merged, mesh, tube
 
 THICK = 0.2  # of a roof's slab, metres upwards
 

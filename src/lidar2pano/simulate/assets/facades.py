@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.scene.mesh import Mesh, mesh, unrolled
+from lidar2pano.simulate.scene.mesh import Mesh, Tint, mesh, unrolled
 from lidar2pano.simulate.scene.surfaces import KIND_IDS, MATERIAL_IDS
 
-Tint = tuple[float, float, float]
 Span = tuple[float, float]
 PLAIN: Tint = (1.0, 1.0, 1.0)
 DEEP = -0.6  # where walls begin, metres: the ground may fall away along a house

@@ -6,15 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lidar2pano.simulate.assets.traffic_signs import SIGNS, post, sign, street_sign
-from lidar2pano.simulate.scene.mesh import Mesh, box, ellipsoid, loft, merged, polygons, tube
+from lidar2pano.simulate.assets.traffic_signs import street_sign
+from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, ellipsoid, loft, merged, polygons, tube
 
-__all__ = [
-    "SIGNS", "advertising_column", "bench", "bin", "bollard", "bus_stop", "junction_box", "parking_meter", "pole",
-    "sign", "street_lamp", "traffic_light",
-]  # fmt: skip
-
-Tint = tuple[float, float, float]
 GREEN: Tint = (1.0, 3.0, 1.8)  # times dark metal: the green of old lamp posts
 
 
@@ -268,16 +262,6 @@ def _poster(rng: np.random.Generator, radius: float, turn: float, low: float, hi
     light, hue = rng.uniform(0.3, 1.8), rng.uniform(0.5, 1.3, 3)
     tint: Tint = (light * hue[0], light * hue[1], light * hue[2])
     return loft(np.stack([rim + (0, 0, low + high), rim + (0, 0, low)]), "plastic", "other-object", tint=tint)
-
-
-def parking_meter(rng: np.random.Generator) -> Mesh:
-    """A machine for parking tickets, with a small sign above."""
-    tint: Tint = (1.0, 1.05, 1.1) if rng.uniform() < 0.6 else (0.4, 0.6, 1.2)
-    width = rng.uniform(0.3, 0.4)
-    body = box((0, 0, 0.75), (0.28, width, 1.7), "plastic", "other-object", tint=tint)
-    face = box((0.145, 0, 1.25), (0.01, 0.25, 0.35), "pane", "other-object", tint=(2.0, 2.0, 2.0))
-    plate = box((0.0, 0, 2.0), (0.02, 0.3, 0.3), "sign", "traffic-sign", tint=(0.05, 0.2, 0.85))
-    return merged([body, face, plate, post(2.1, 0.025)])
 
 
 def junction_box(rng: np.random.Generator) -> Mesh:

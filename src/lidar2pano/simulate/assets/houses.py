@@ -28,7 +28,6 @@ from lidar2pano.simulate.assets.facades import (
     PLAIN,
     Boards,
     Opening,
-    Tint,
     Wall,
     balcony,
     canopy,
@@ -38,10 +37,7 @@ from lidar2pano.simulate.assets.facades import (
     rows,
     steps,
 )
-from lidar2pano.simulate.assets.large_buildings import church, flats, hall
-from lidar2pano.simulate.scene.mesh import Mesh, merged
-
-__all__ = ["church", "flats", "garage", "hall", "house", "shed"]
+from lidar2pano.simulate.scene.mesh import Mesh, Tint, merged
 
 
 def _holes(rng: np.random.Generator, shell: Shell, roof: Roof, name: str, front: bool) -> list[Opening]:

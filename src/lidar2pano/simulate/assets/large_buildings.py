@@ -23,7 +23,6 @@ from lidar2pano.simulate.assets.facades import (
     PLAIN,
     Boards,
     Opening,
-    Tint,
     awning,
     balcony,
     canopy,
@@ -33,7 +32,7 @@ from lidar2pano.simulate.assets.facades import (
     shop_sign,
     steps,
 )
-from lidar2pano.simulate.scene.mesh import Mesh, merged, tube
+from lidar2pano.simulate.scene.mesh import Mesh, Tint, merged
 
 SANDSTONE: Tint = (1.25, 0.85, 0.72)
 CLOTHS: tuple[Tint, ...] = (
@@ -237,51 +236,3 @@ def _hall_holes(rng: np.random.Generator, shell: Shell, name: str, market: bool)
         else:
             holes.append(Opening(float(middle), 4.0, 1.2, 2.6, "shop"))
     return holes
-
-
-def church(rng: np.random.Generator) -> Mesh:
-    """A village church: a nave with tall windows behind a tower with a spire; the tower stands to +x."""
-    width, depth, height = rng.uniform(9, 12), rng.uniform(18, 26), rng.uniform(6.5, 9)
-    looks = ("plaster", (1.12, 1.08, 0.98)) if rng.uniform() < 0.6 else ("stone", SANDSTONE)
-    style = window_style(rng, "none", looks[1])._replace(
-        surround="stone", surround_tint=SANDSTONE, deep=0.3, sashes=1, frame=(0.3, 0.3, 0.3)
-    )
-    nave = Shell(four_walls(depth, width), looks, style, 0.2, 1, height)  # its ridge along y, turned at the end
-    cover = COVERS[int(rng.integers(6))]
-    roof = Roof("gable", depth, width, nave.eaves, rng.uniform(1.0, 1.4), (0.4, 0.2), *cover)
-    places = window_columns(rng, depth, 4.2)
-    holes = {name: rows(nave.walls[name], places, 2.2, (1.2, height - 3.8)) for name in ("front", "back")}
-    boards, parts = Boards(), []
-    parts += shut(rng, boards, nave, {**holes, "left": [], "right": []}, roof)
-    side, tall = rng.uniform(4.5, 6.0), roof.ridge + rng.uniform(3, 9)
-    walls = four_walls(side, side, (0.0, -(depth + side) / 2 + 0.5))
-    tower = Shell(walls, looks, style, 0.2, 1, tall)
-    belfry = {name: rows(wall, [0.35 * side, 0.65 * side], tall - 3.4, (0.8, 2.2)) for name, wall in walls.items()}
-    belfry["right"].append(Opening(side / 2, 1.8, 0.2, 3.2, "door"))
-    parts += shut(rng, boards, tower, belfry, None)
-    steps(boards, walls["right"], belfry["right"][-1])
-    for wall in walls.values():
-        boards.add(wall, (-0.1, side + 0.1), (0.0, 0.15), (tall - 0.3, tall + 0.15), "stone", SANDSTONE)
-        boards.add(
-            wall, (side / 2 - 0.8, side / 2 + 0.8), (0.0, 0.06), (tall - 5.6, tall - 4.0), "plaster", (0.15, 0.16, 0.2)
-        )
-        boards.add(
-            wall,
-            (side / 2 - 0.05, side / 2 + 0.05),
-            (0.06, 0.08),
-            (tall - 4.8, tall - 4.2),
-            "plaster",
-            (1.3, 1.1, 0.4),
-            "f",
-        )
-    spire = (
-        Roof("hip", side, side, tall + 0.2, rng.uniform(1.6, 3.6), (0.25, 0.25), *cover)
-        .mesh()
-        .placed((0, walls["back"].left[1] - side / 2, 0))
-    )
-    top = float(spire.vertices[:, 2].max())
-    place = np.array(
-        [(0, walls["back"].left[1] - side / 2, top - 0.2), (0, walls["back"].left[1] - side / 2, top + 1.6)]
-    )
-    cross = tube(place, 0.05, "dark-metal", "building", sides=4)
-    return merged([*parts, roof.mesh(), spire, cross, boards.mesh()]).placed((0, 0, 0), np.pi / 2)

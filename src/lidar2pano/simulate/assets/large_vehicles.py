@@ -8,9 +8,7 @@ import numpy as np
 
 from lidar2pano.simulate.assets.cars import colour, wheels
 from lidar2pano.simulate.assets.vehicle_body import Patch, Shape, body, both_sides, plate, wheel
-from lidar2pano.simulate.scene.mesh import Mesh, box, ellipsoid, merged, tube
-
-Tint = tuple[float, float, float]
+from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, ellipsoid, merged, tube
 
 WHITE: Tint = (1.42, 1.42, 1.4)
 
@@ -161,8 +159,6 @@ def _caravan(rng: np.random.Generator) -> Mesh:
     parts = [skin.mesh, stripe, *wheels(shape, "trailer", 0, width=0.19), *_drawbar(long / 2 - 0.1, 0.47, "trailer")]
     return merged([*parts, plate(-long / 2 - 0.01, 0.68, "trailer", forward=False)])
 
-
-__all__ = ["bus", "trailer", "tram", "truck"]
 
 CAB = Shape(
     length=2.25, width=2.48, belt=(1.72, 1.78), sill=0.42, axles=(1.32,), wheel=0.5, rail=0.9, frame=0.24, tuck=0.985,

@@ -8,9 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.scene.mesh import Mesh, ellipsoid, loft, merged, tube
-
-Tint = tuple[float, float, float]
+from lidar2pano.simulate.scene.mesh import Mesh, Tint, ellipsoid, loft, merged, tube
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

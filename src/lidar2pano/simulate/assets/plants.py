@@ -73,13 +73,9 @@ SPECIES: dict[str, Species] = {
 STREET = ("linden", "maple", "birch", "globe", "linden", "maple", "oak")  # drawn where no species is asked for
 
 
-__all__ = ["SPECIES", "bush", "flower_bed", "hedge", "tall_grass", "tree"]
-
-
 # Corners of a card, in halves of its size. Sprays of leaves grow from their foot into a kite, and what a ray need not
-# look through is left out: outside it are holes only. Grass fills its card.
+# look through is left out: outside it are holes only.
 KITE = np.array([(0, -1), (1.15, -0.1), (0, 1), (-1.15, -0.1)])
-SQUARE = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float)
 
 
 class _Cards(NamedTuple):
@@ -166,51 +162,6 @@ def hedge(rng: np.random.Generator, length: float, height: float, depth: float, 
     return merged([core, _leafed(cards._replace(tint=cards.tint * tint), "hedge")])
 
 
-def tall_grass(rng: np.random.Generator, length: float, depth: float, height: float = 0.5) -> Mesh:
-    """Uncut grass over length (x) times depth (y) metres; above 0.9 m it is reeds, and counts as vegetation."""
-    width = 0.6 * np.sqrt(height / 0.5)
-    count = max(int(length * depth * 4.0 / width**2), 3)
-    turn = rng.uniform(0, 2 * np.pi, count)
-    tall = height * rng.uniform(0.6, 1.1, count)
-    up = np.tile((0.0, 0.0, 1.0), (count, 1))
-    reach = np.array([max(length - 0.4, 0.1), max(depth - 0.4, 0.1)]) / 2
-    cards = _Cards(
-        middle=np.column_stack([rng.uniform(-1, 1, (count, 2)) * reach, tall / 2 - 0.05]),
-        tip=_unit(up + rng.normal(0, 0.08, (count, 3))),
-        facing=np.column_stack([np.cos(turn), np.sin(turn), np.zeros(count)]),
-        lit=_unit(up + rng.normal(0, 0.25, (count, 3))),
-        size=np.column_stack([np.full(count, width), tall]),
-        tint=_shades(rng, count, 0.1) * rng.normal(1.0, (0.15, 0.06, 0.1)),
-    )
-    # Each card has a back of its own, so that the grass is lit alike from both sides.
-    backs = cards._replace(facing=-cards.facing, middle=cards.middle - 0.004 * cards.facing)
-    kind = "vegetation" if height > 0.9 else "terrain"
-    return merged([_leafed(cards, "tall-grass", kind, SQUARE), _leafed(backs, "tall-grass", kind, SQUARE, flip=-1)])
-
-
-def flower_bed(rng: np.random.Generator, length: float, depth: float) -> Mesh:
-    """A bed of low flowers, length (x) times depth (y) metres, about 0.3 m high."""
-    count = max(int(length * depth * 45), 6)
-    colours = np.array(
-        [(4.5, 0.5, 2.0), (6.5, 3.0, 1.0), (5.5, 3.8, 12.0), (3.5, 0.9, 9.0), (0.9, 1.0, 0.9), (0.8, 1.0, 1.0)]
-    )
-    few = colours[rng.choice(6, 3, replace=False)]
-    bloom = np.concatenate([few, colours[-2:]])[rng.integers(0, 5, count)]
-    up = np.tile((0.0, 0.0, 1.0), (count, 1))
-    high = np.where(bloom[:, :1] > 1, rng.uniform(0.18, 0.34, (count, 1)), rng.uniform(0.08, 0.22, (count, 1)))
-    place = rng.uniform(-0.5, 0.5, (count, 2)) * (max(length - 0.2, 0.1), max(depth - 0.2, 0.1))
-    cards = _Cards(
-        middle=np.column_stack([place, high]),
-        tip=_unit(rng.normal(0, 1, (count, 3)) * (1, 1, 0.2)),
-        facing=_unit(up + rng.normal(0, 0.6, (count, 3))),
-        lit=_unit(up + rng.normal(0, 0.3, (count, 3))),
-        size=np.full((count, 2), 0.17),
-        tint=bloom * _shades(rng, count, 0.15),
-    )
-    soil = box((0, 0, -0.04), (length, depth, 0.14), "soil", "terrain", without=("bottom",))
-    return merged([soil, _leafed(cards, "leaves")])
-
-
 def _unit(way: np.ndarray) -> np.ndarray:
     return way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
 
@@ -221,19 +172,19 @@ def _shades(rng: np.random.Generator, count: int, spread: float) -> np.ndarray:
     return light * np.clip(rng.normal(1.0, spread / 3, (count, 3)), 0.7, 1.3)
 
 
-def _leafed(cards: _Cards, material: str, kind: str = "vegetation", corner: np.ndarray = KITE, flip: int = 1) -> Mesh:
-    """The cards as a mesh of outline `corner` (4, 2); v runs to the tip, u to the right (flip -1: left)."""
+def _leafed(cards: _Cards, material: str) -> Mesh:
+    """The cards as a mesh of outline KITE; v runs to the tip, u to the right."""
     count = len(cards.middle)
     across = _unit(np.cross(cards.tip, cards.facing)) * cards.size[:, :1] / 2
     along = _unit(np.cross(cards.facing, across)) * cards.size[:, 1:] / 2
-    points = cards.middle[:, None] + corner[:, :1] * across[:, None] + corner[:, 1:] * along[:, None]
+    points = cards.middle[:, None] + KITE[:, :1] * across[:, None] + KITE[:, 1:] * along[:, None]
     start = 4 * np.arange(count)[:, None]
     faces = np.concatenate([start + (0, 1, 2), start + (0, 2, 3)], axis=1).reshape(-1, 3)
-    uv = np.tile((0.998 * corner * (flip, 1) + 1) / 2, (count, 1))
+    uv = np.tile((0.998 * KITE + 1) / 2, (count, 1))
     # Towards its corners a card is lit as if it were bent, so that it does not look like a board.
     spread = (points - cards.middle[:, None]) / np.maximum(cards.size.max(axis=1)[:, None, None] / 2, 1e-9)
     normals = _unit(cards.lit[:, None] + 0.35 * spread).reshape(-1, 3)
-    leaves = mesh(points, faces, material, kind, normals=normals, uv=uv)
+    leaves = mesh(points, faces, material, "vegetation", normals=normals, uv=uv)
     leaves.tint[:] = np.repeat(cards.tint, 2, axis=0)
     return leaves
 

@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.scene.mesh import Mesh, merged, mesh, tube
+from lidar2pano.simulate.scene.mesh import Mesh, Tint, merged, mesh, tube
 
-Tint = tuple[float, float, float]
 WHITE: Tint = (1.1, 1.1, 1.1)
 RED: Tint = (0.85, 0.04, 0.05)
 BLUE: Tint = (0.02, 0.16, 0.6)

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar2pano.simulate.assets.cars import colour
-from lidar2pano.simulate.assets.people import Arm, Leg, Looks, Pose, Tint, bent, figure, looks_of, shoulder_of
+from lidar2pano.simulate.assets.people import Arm, Leg, Looks, Pose, bent, figure, looks_of, shoulder_of
 from lidar2pano.simulate.assets.vehicle_body import both_sides, lathe
-from lidar2pano.simulate.scene.mesh import Mesh, box, ellipsoid, merged, polygons, tube
+from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, ellipsoid, merged, polygons, tube
 
 Point = tuple[float, float, float]
 

@@ -11,7 +11,6 @@ from lidar2pano.simulate.layout.town import AHEAD, Town
 from lidar2pano.simulate.scene.random_streams import stream
 
 SENSOR_HEIGHT = 1.73  # metres over the road, as on KITTI's car
-FINE = 0.02  # seconds between the samples of the way
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from lidar2pano.simulate.assets import barriers, furniture, people, two_wheelers
+from lidar2pano.simulate.assets import barriers, furniture, people, traffic_signs, two_wheelers
 from lidar2pano.simulate.layout.placement import Maker, Piece, Planner
-from lidar2pano.simulate.layout.places import chosen
 from lidar2pano.simulate.layout.roads import Road, locate
 from lidar2pano.simulate.layout.traffic import VEHICLES
+from lidar2pano.simulate.scene.random_streams import chosen
 
 PARKED = {"car": 30.0, "van": 3.0, "truck": 0.5, "trailer": 0.4, "motorcycle": 0.6}
 LENGTH = {"car": 4.4, "van": 5.2, "truck": 8.5, "trailer": 5.0, "motorcycle": 2.2}
@@ -17,10 +17,10 @@ LENGTH = {"car": 4.4, "van": 5.2, "truck": 8.5, "trailer": 5.0, "motorcycle": 2.
 LAMP = Piece(lambda rng, _: furniture.street_lamp(rng), "lamp", 0.3)
 WIRE_POLE = Piece(lambda rng, _: furniture.pole(rng), "pole", 0.3)
 DELINEATOR = Piece(lambda rng, _: barriers.delineator(rng), "delineator", 0.1)
-STREET_NAME = Piece(lambda rng, _: furniture.sign(rng, "street name"), "sign", 0.2)
+STREET_NAME = Piece(lambda rng, _: traffic_signs.sign(rng, "street name"), "sign", 0.2)
 # These look at the traffic that comes along their side; the others look at the road.
-SIGN = Piece(lambda rng, _: furniture.sign(rng), "sign", 0.2)
-GIVE_WAY = Piece(lambda rng, _: furniture.sign(rng, "give way"), "sign", 0.2)
+SIGN = Piece(lambda rng, _: traffic_signs.sign(rng), "sign", 0.2)
+GIVE_WAY = Piece(lambda rng, _: traffic_signs.sign(rng, "give way"), "sign", 0.2)
 LIGHT = Piece(lambda rng, _: furniture.traffic_light(rng), "traffic light", 0.3)
 FACING_TRAFFIC = (SIGN, GIVE_WAY, LIGHT, DELINEATOR)
 BIN = Piece(lambda rng, _: furniture.bin(rng), "bin", 0.5)

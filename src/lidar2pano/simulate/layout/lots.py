@@ -7,12 +7,13 @@ from functools import partial
 
 import numpy as np
 
-from lidar2pano.simulate.assets import barriers, houses, plants
+from lidar2pano.simulate.assets import barriers, houses, large_buildings, plants
 from lidar2pano.simulate.layout.placement import Maker, Piece, Planner
-from lidar2pano.simulate.layout.places import Quarter, chosen
+from lidar2pano.simulate.layout.places import Quarter
 from lidar2pano.simulate.layout.roads import Road, locate
 from lidar2pano.simulate.layout.town import Stretch, clear_of_roads
 from lidar2pano.simulate.scene.mesh import Mesh
+from lidar2pano.simulate.scene.random_streams import chosen
 
 Rng = np.random.Generator
 
@@ -20,7 +21,12 @@ Rng = np.random.Generator
 def _sized(make: str, wide: float, deep: float) -> Maker:
     """The maker of a building of a given footprint."""
     small = {"shed": houses.shed, "garage": houses.garage}
-    large = {"house": houses.house, "terrace": houses.house, "flats": houses.flats, "hall": houses.hall}
+    large = {
+        "house": houses.house,
+        "terrace": houses.house,
+        "flats": large_buildings.flats,
+        "hall": large_buildings.hall,
+    }
     if make in small:
         return lambda rng, _: small[make](rng)
     return lambda rng, _: large[make](rng, wide, deep)

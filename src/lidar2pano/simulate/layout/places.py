@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from lidar2pano.simulate.layout.ground import Land
 from lidar2pano.simulate.layout.roads import Marking
 
@@ -128,9 +126,3 @@ QUARTERS: dict[str, Quarter] = {
         "", gap=(15, 30), fronts={"noise": 1}, yard=3.0, dense=0.4, shrubs=0.9, land=Land(near="meadow", far="meadow")
     ),
 }  # fmt: skip
-
-
-def chosen(rng: np.random.Generator, weights: dict[str, float]) -> str:
-    """One of the names, by weight."""
-    names, shares = list(weights), np.array(list(weights.values()))
-    return names[int(rng.choice(len(names), p=shares / shares.sum()))]

@@ -10,11 +10,11 @@ from lidar2pano.simulate.layout import kerbside, lots
 from lidar2pano.simulate.layout.drive import Drive, Speed
 from lidar2pano.simulate.layout.ground import ground
 from lidar2pano.simulate.layout.placement import Planner, Thing
-from lidar2pano.simulate.layout.places import PLACES, QUARTERS, chosen
+from lidar2pano.simulate.layout.places import PLACES, QUARTERS
 from lidar2pano.simulate.layout.road_markings import markings
 from lidar2pano.simulate.layout.town import AHEAD, Town, town
 from lidar2pano.simulate.layout.traffic import Delay, Traffic, traffic
-from lidar2pano.simulate.scene.random_streams import stream
+from lidar2pano.simulate.scene.random_streams import chosen, stream
 from lidar2pano.simulate.scene.raycast import Part, Scene
 
 SIGHT = 125.0  # metres around the way within which the world is built

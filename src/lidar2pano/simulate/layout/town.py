@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidar2pano.simulate.layout.ground import Terrain
-from lidar2pano.simulate.layout.places import PLACES, QUARTERS, Place, chosen
+from lidar2pano.simulate.layout.places import PLACES, QUARTERS, Place
 from lidar2pano.simulate.layout.roads import Bay, Road, course, locate
-from lidar2pano.simulate.scene.random_streams import stream
+from lidar2pano.simulate.scene.random_streams import chosen, stream
 
 AHEAD = 170.0  # metres of road before the drive's start and beyond its end
 SIDE_ROAD = 150.0  # metres

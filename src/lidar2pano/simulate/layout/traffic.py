@@ -11,10 +11,9 @@ import numpy as np
 from lidar2pano.simulate.assets import cars, large_vehicles, people, two_wheelers
 from lidar2pano.simulate.layout.drive import Drive, lanes
 from lidar2pano.simulate.layout.placement import Maker, set_on
-from lidar2pano.simulate.layout.places import chosen
 from lidar2pano.simulate.layout.town import Town
 from lidar2pano.simulate.scene.mesh import Mesh
-from lidar2pano.simulate.scene.random_streams import stream
+from lidar2pano.simulate.scene.random_streams import chosen, stream
 from lidar2pano.simulate.scene.raycast import Part
 
 _MAKERS = {

@@ -20,7 +20,7 @@ GRAZE = 0.02  # of a matt surface's power: what is still heard, for rough ground
 # Metres of height (standard deviation) of what has no surface; real lawns: 16 mm of range at 5 m, 35 mm beyond 20 m.
 ROUGH = {
     "grass": 0.005, "meadow": 0.008, "field": 0.008, "soil": 0.004, "gravel": 0.002,
-    "tall-grass": 0.01, "leaves": 0.012, "needles": 0.012, "hedge": 0.012,
+    "leaves": 0.012, "needles": 0.012, "hedge": 0.012,
 }  # fmt: skip
 # Materials whose reflectance goes with their tint at 905 nm too; of dyes in cloth and plaster little is left there.
 TINTED = ("paint",)

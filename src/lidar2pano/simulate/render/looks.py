@@ -156,7 +156,7 @@ FALLEN = np.array((0.18, 0.10, 0.04), dtype=np.float32)  # albedo of leaves on t
 
 _WILTING = np.zeros(len(MATERIALS), dtype=np.float32)  # how readily a plant turns
 _LITTERED = np.zeros(len(MATERIALS), dtype=bool)
-for _name, _share in {"leaves": 1.0, "hedge": 0.3, "tall-grass": 0.6, "grass": 0.12, "meadow": 0.25}.items():
+for _name, _share in {"leaves": 1.0, "hedge": 0.3, "grass": 0.12, "meadow": 0.25}.items():
     _WILTING[MATERIAL_IDS[_name]] = _share
 for _name in (
     "grass",

@@ -67,15 +67,6 @@ def _needles() -> np.ndarray:
     return solid
 
 
-def _blades() -> np.ndarray:
-    rng, (u, v) = stream(0, "cutout", "blades"), _grid()
-    solid = np.zeros((SIZE, SIZE), dtype=bool)
-    for foot, lean, top in zip(rng.uniform(0, 1, 60), rng.normal(0, 0.2, 60), rng.uniform(0.4, 1.0, 60), strict=True):
-        away = np.abs((u - foot - lean * v**2 + 0.5) % 1 - 0.5)
-        solid |= (away < 0.016 * np.sqrt(np.maximum(1 - v / top, 0))) & (v < top)
-    return solid
-
-
 def _wire() -> np.ndarray:
     u, v = _grid()
     return (np.abs((u * 12) % 1 - 0.5) > 0.44) | (np.abs((v * 5) % 1 - 0.5) > 0.47)
@@ -94,7 +85,6 @@ def _railing() -> np.ndarray:
 CUTOUTS: dict[str, Callable[[], np.ndarray]] = {
     "leaves": _leaves,
     "needles": _needles,
-    "blades": _blades,
     "wire": _wire,
     "pickets": _pickets,
     "railing": _railing,

@@ -9,6 +9,9 @@ import numpy as np
 
 from lidar2pano.simulate.scene.surfaces import KIND_IDS, MATERIAL_IDS
 
+Tint = tuple[float, float, float]
+"""Factors on the linear RGB albedo of a material."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mesh:
@@ -45,7 +48,7 @@ class Mesh:
         grown = self if scale == 1 else replace(self, vertices=self.vertices * np.float32(scale))
         return grown.turned(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), at)
 
-    def tinted(self, tint: tuple[float, float, float]) -> Mesh:
+    def tinted(self, tint: Tint) -> Mesh:
         """The same thing with every face's tint multiplied."""
         return replace(self, tint=self.tint * np.asarray(tint, dtype=np.float32))
 
@@ -58,7 +61,7 @@ def mesh(  # noqa: PLR0913 one array or name per field
     *,
     normals: np.ndarray | None = None,
     uv: np.ndarray | None = None,
-    tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    tint: Tint = (1.0, 1.0, 1.0),
 ) -> Mesh:
     """A mesh of one material and kind.
 
@@ -144,7 +147,7 @@ def box(  # noqa: PLR0913 a box has a place, a size and looks
     *,
     yaw: float = 0.0,
     without: Sequence[str] = (),
-    tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    tint: Tint = (1.0, 1.0, 1.0),
 ) -> Mesh:
     """A box around `centre` of `size` (along x, y, z), turned by `yaw` radians, some SIDES left out."""
     corner = np.array(
@@ -161,31 +164,12 @@ def polygons(
     polygon: np.ndarray,
     material: str,
     kind: str,
-    tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    tint: Tint = (1.0, 1.0, 1.0),
 ) -> Mesh:
     """Flat convex polygons (P, n) of indices into points (N, 3), counter-clockwise from outside."""
     polygon = np.atleast_2d(polygon)
     fan = [polygon[:, [0, i, i + 1]] for i in range(1, polygon.shape[1] - 1)]
     return mesh(points, np.stack(fan, axis=1).reshape(-1, 3), material, kind, tint=tint)
-
-
-def prism(
-    outline: np.ndarray,
-    low: float,
-    high: float,
-    material: str,
-    kind: str,
-    tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
-) -> Mesh:
-    """A convex outline (n, 2), counter-clockwise, raised from z = low to high; with top and bottom."""
-    n = len(outline)
-    points = np.concatenate([np.column_stack([outline, np.full(n, z)]) for z in (low, high)])
-    i = np.arange(n)
-    j = (i + 1) % n
-    sides = np.stack([i, j, j + n, i + n], axis=1)
-    triangles = [sides[:, [0, 1, 2]], sides[:, [0, 2, 3]]]
-    caps = np.stack([np.zeros(n - 2, int), i[1:-1], i[2:]], axis=1)
-    return mesh(points, np.concatenate([*triangles, caps[:, ::-1], caps + n]), material, kind, tint=tint)
 
 
 def tube(  # noqa: PLR0913 a tube has a course, a girth and looks
@@ -196,7 +180,7 @@ def tube(  # noqa: PLR0913 a tube has a course, a girth and looks
     *,
     sides: int = 8,
     closed: bool = True,
-    tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    tint: Tint = (1.0, 1.0, 1.0),
 ) -> Mesh:
     """A round tube along `course` (n, 3); `radius` one or n values; `closed`: with end caps. Smooth."""
     course = np.asarray(course, dtype=np.float64)
@@ -239,7 +223,7 @@ def ellipsoid(
     material: str,
     kind: str,
     detail: int = 8,
-    tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    tint: Tint = (1.0, 1.0, 1.0),
 ) -> Mesh:
     """An ellipsoid with `detail` rings and twice as many columns; smooth."""
     polar, turn = np.meshgrid(
@@ -258,7 +242,7 @@ def loft(
     sections: np.ndarray,
     material: str,
     kind: str,
-    tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    tint: Tint = (1.0, 1.0, 1.0),
 ) -> Mesh:
     """A smooth skin over cross sections (n, m, 3), each an open or closed line of m points seen counter-clockwise.
 

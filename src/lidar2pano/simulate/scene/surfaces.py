@@ -97,7 +97,6 @@ MATERIALS: dict[str, Material] = {
         "leaves", (0.086, 0.115, 0.039), 0.03, 0.6, cutout="leaves", through=0.25, lidar=0.35, spread=0.35
     ),
     "hedge-core": Material("", (0.012, 0.016, 0.007), lidar=0.3, spread=0.3),
-    "tall-grass": Material("leaves", (0.13, 0.135, 0.06), cutout="blades", through=0.4, lidar=0.36, spread=0.3),
     # signs and lights; a sign's picture is its tint and the texture's mask
     "sign": Material("", (0.62, 0.62, 0.62), lidar=0.7, retro=0.97),
     "sign-back": Material("", (0.35, 0.36, 0.37), 0.2, 0.5, lidar=0.4),

@@ -19,7 +19,7 @@ from lidar2pano.sensors import KITTI_CAMERA, VIEWS
 
 pytest.importorskip("embreex", reason="the street world needs embreex: pip install 'lidar2pano[world]'")
 
-RUNS = Path(__file__).resolve().parent.parent / "runs"
+RUNS = Path(__file__).resolve().parents[3] / "runs"
 RASTER = "panorama/4"
 
 

@@ -8,7 +8,7 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
-from lidar2pano.simulate.assets import barriers, furniture, houses, plants
+from lidar2pano.simulate.assets import barriers, furniture, houses, large_buildings, plants, traffic_signs
 from lidar2pano.simulate.scene.cutouts import SIZE, masks, solid_at
 from lidar2pano.simulate.scene.mesh import Mesh, face_normals
 from lidar2pano.simulate.scene.random_streams import stream
@@ -25,26 +25,21 @@ def slope(x: np.ndarray) -> np.ndarray:
 THINGS: dict[str, tuple[Maker, set[str], tuple[float, float, float], tuple[float, float, float], int]] = {
     "bush": (plants.bush, {"vegetation"}, (0.5, 0.5, 0.6), (4.5, 4.5, 3.4), 4500),
     "hedge": (lambda rng: plants.hedge(rng, 8, 1.6, 0.8), {"vegetation"}, (7.5, 0.6, 1.5), (8.8, 1.5, 2.4), 4000),
-    "grass": (lambda rng: plants.tall_grass(rng, 8, 1.2), {"terrain"}, (7, 0.8, 0.3), (9.5, 2.2, 0.8), 1500),
-    "reeds": (lambda rng: plants.tall_grass(rng, 8, 2, 1.6), {"vegetation"}, (7, 1, 1), (10, 4, 2.2), 1500),
-    "flowers": (lambda rng: plants.flower_bed(rng, 3, 1), {"terrain"}, (2.9, 0.9, 0.2), (4, 2, 0.7), 700),
     "house": (lambda rng: houses.house(rng, 12, 9), {"building"}, (9.5, 12.2, 5), (14, 15, 16), 4000),
     "narrow house": (lambda rng: houses.house(rng, 8, 10), {"building"}, (10.2, 8.2, 5), (14, 12, 16), 4000),
-    "flats": (lambda rng: houses.flats(rng, 20, 12), {"building"}, (12, 20, 9), (17, 22, 32), 8000),
+    "flats": (lambda rng: large_buildings.flats(rng, 20, 12), {"building"}, (12, 20, 9), (17, 22, 32), 8000),
     "garage": (houses.garage, {"building"}, (5.5, 2.9, 2.4), (7.5, 4, 5), 300),
     "shed": (houses.shed, {"building"}, (2, 2.2, 2), (4, 4.8, 5), 300),
-    "hall": (lambda rng: houses.hall(rng, 30, 20), {"building"}, (20, 30, 4.4), (23, 31, 14), 1200),
-    "church": (houses.church, {"building"}, (22, 9, 18), (36, 15, 45), 3000),
+    "hall": (lambda rng: large_buildings.hall(rng, 30, 20), {"building"}, (20, 30, 4.4), (23, 31, 14), 1200),
     "lamp": (furniture.street_lamp, {"pole"}, (0.1, 0.1, 3.3), (3.5, 1.2, 10.2), 500),
     "pole": (furniture.pole, {"pole"}, (0.2, 1.4, 6.5), (1, 2, 10.2), 500),
     "traffic light": (furniture.traffic_light, {"pole", "traffic-light"}, (0.2, 0.2, 3), (1, 6, 6.5), 1500),
-    "sign": (furniture.sign, {"pole", "traffic-sign"}, (0.05, 0.2, 1.2), (1, 1.5, 4.2), 700),
+    "sign": (traffic_signs.sign, {"pole", "traffic-sign"}, (0.05, 0.2, 1.2), (1, 1.5, 4.2), 700),
     "bollard": (furniture.bollard, {"pole"}, (0.08, 0.08, 0.4), (0.5, 0.5, 1.2), 400),
     "bin": (furniture.bin, {"other-object"}, (0.5, 0.4, 0.9), (1.4, 2.3, 1.2), 500),
     "bench": (furniture.bench, {"other-object"}, (0.3, 1.5, 0.4), (1, 2.1, 1.1), 300),
     "bus stop": (furniture.bus_stop, {"other-object", "pole", "traffic-sign"}, (1.5, 3, 2.4), (2.5, 6.5, 3.3), 800),
     "column": (furniture.advertising_column, {"other-object"}, (1, 1, 2.5), (1.7, 1.7, 4), 1200),
-    "meter": (furniture.parking_meter, {"other-object", "traffic-sign"}, (0.2, 0.3, 1.8), (0.5, 0.6, 2.5), 200),
     "box": (furniture.junction_box, {"other-object"}, (0.3, 0.5, 0.8), (0.6, 1.8, 1.6), 200),
     "tree": (plants.tree, {"vegetation", "trunk"}, (1.5, 1.5, 3.5), (16, 16, 19), 10000),
     **{
@@ -52,8 +47,8 @@ THINGS: dict[str, tuple[Maker, set[str], tuple[float, float, float], tuple[float
         for name in plants.SPECIES
     },
     **{
-        f"sign {name}": (partial(furniture.sign, name=name), {"pole", "traffic-sign"}, (0, 0.3, 1), (1, 1.5, 4.2), 700)
-        for name in furniture.SIGNS
+        f"sign {name}": (partial(traffic_signs.sign, name=name), {"pole", "traffic-sign"}, (0, 0.3, 1), (1, 1.5, 4.2), 700)
+        for name in traffic_signs.SIGNS
     },
 }  # fmt: skip
 
@@ -121,7 +116,7 @@ def test_size_kinds_and_budget(name: str) -> None:
         assert (low[:2] < 0.1).all() and (high[:2] > -0.1).all(), "the origin is not in its footprint"
 
 
-@pytest.mark.parametrize("name", ["house", "narrow house", "flats", "hall", "garage", "shed", "church"])
+@pytest.mark.parametrize("name", ["house", "narrow house", "flats", "hall", "garage", "shed"])
 def test_buildings_are_buildings_throughout(name: str) -> None:
     for seed in SEEDS:
         assert set(made(name, seed).kind) == {KIND_IDS["building"]}
@@ -224,9 +219,9 @@ def test_birch_has_white_bark_and_spruce_needles() -> None:
     assert len(of(plants.tree(stream(1), "spruce"), "material", "needles"))
 
 
-@pytest.mark.parametrize("name", furniture.SIGNS)
+@pytest.mark.parametrize("name", traffic_signs.SIGNS)
 def test_signs_face_x(name: str) -> None:
-    mesh = furniture.sign(stream(1, name), name)
+    mesh = traffic_signs.sign(stream(1, name), name)
     normals = face_normals(mesh.vertices, mesh.faces)
     plate, back = (mesh.material == MATERIAL_IDS[material] for material in ("sign", "sign-back"))
     assert normals[plate][0, 0] > 0.99
