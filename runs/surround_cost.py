@@ -120,12 +120,12 @@ def main() -> None:
     print(f"{asked.sensor}, {asked.view}, {asked.seeds} streets\n")
     print("| depth | valid | difference | a pixel's | median, px | 90 %, px | above 4 px |")
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
-    told = []
+    attributes = []
     for seed in range(asked.seeds):
         settings = Settings(seed=seed, frames=1, sensor=asked.sensor, views=(asked.view,))
-        told.append(rows(settings, seed))
-    for name in told[0]:
-        valid, off, aside, median, most, share = np.mean([one[name] for one in told], axis=0)
+        attributes.append(rows(settings, seed))
+    for name in attributes[0]:
+        valid, off, aside, median, most, share = np.mean([one[name] for one in attributes], axis=0)
         print(f"| {name} | {valid:.1%} | {off:.2f} | {aside:.2f} | {median:.2f} | {most:.2f} | {share:.1%} |")
 
 

@@ -12,7 +12,7 @@ from lidar2pano.simulate.assets import barriers, furniture, houses, large_buildi
 from lidar2pano.simulate.scene.cutouts import SIZE, masks, solid_at
 from lidar2pano.simulate.scene.mesh import Mesh, face_normals
 from lidar2pano.simulate.scene.random_streams import stream
-from lidar2pano.simulate.scene.surfaces import KIND_IDS, MATERIAL_IDS
+from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, OBJECT_TYPE_IDS
 
 Maker = Callable[[np.random.Generator], Mesh]
 
@@ -43,7 +43,7 @@ THINGS: dict[str, tuple[Maker, set[str], tuple[float, float, float], tuple[float
     "box": (furniture.junction_box, {"other-object"}, (0.3, 0.5, 0.8), (0.6, 1.8, 1.6), 200),
     "tree": (plants.tree, {"vegetation", "trunk"}, (1.5, 1.5, 3.5), (16, 16, 19), 10000),
     **{
-        f"tree {name}": (partial(plants.tree, species=name), {"vegetation", "trunk"}, (1, 1, 3), (19, 19, 24), 10000)
+        f"tree {name}": (partial(plants.tree, name=name), {"vegetation", "trunk"}, (1, 1, 3), (19, 19, 24), 10000)
         for name in plants.SPECIES
     },
     **{
@@ -70,7 +70,7 @@ def made(name: str, seed: int) -> Mesh:
 
 
 def of(mesh: Mesh, field: str, name: str) -> np.ndarray:
-    ids = MATERIAL_IDS if field == "material" else KIND_IDS
+    ids = MATERIAL_IDS if field == "material" else OBJECT_TYPE_IDS
     return mesh.faces[getattr(mesh, field) == ids[name]]
 
 
@@ -85,7 +85,7 @@ def test_arrays_are_sound(name: str) -> None:
         assert mesh.vertices.dtype == mesh.normals.dtype == mesh.uv.dtype == mesh.tint.dtype == np.float32
         assert (mesh.tint >= 0).all()
         # Except on leaves, which are lit as a whole crown, normals are on the side that faces outwards.
-        hard = ~np.isin(mesh.kind, [KIND_IDS["vegetation"], KIND_IDS["terrain"]])
+        hard = ~np.isin(mesh.object_type, [OBJECT_TYPE_IDS["vegetation"], OBJECT_TYPE_IDS["terrain"]])
         flat = face_normals(mesh.vertices, mesh.faces)
         side = (flat * mesh.normals[mesh.faces].mean(axis=1)).sum(axis=1)
         area = np.linalg.norm(flat, axis=1) > 0.5
@@ -96,7 +96,7 @@ def test_arrays_are_sound(name: str) -> None:
 def test_same_seed_same_bytes_and_another_seed_another_thing(name: str) -> None:
     again = THINGS[name][0](stream(1, name)) if name in THINGS else BARRIERS[name][0](stream(1, name), 17.0, slope)
     first = made(name, 1)
-    for field in ("vertices", "normals", "uv", "faces", "material", "kind", "tint"):
+    for field in ("vertices", "normals", "uv", "faces", "material", "object_type", "tint"):
         assert getattr(first, field).tobytes() == getattr(again, field).tobytes()
     other = made(name, 2)
     assert first.vertices.tobytes() + first.tint.tobytes() != other.vertices.tobytes() + other.tint.tobytes()
@@ -108,7 +108,7 @@ def test_size_kinds_and_budget(name: str) -> None:
     for seed in SEEDS:
         mesh = made(name, seed)
         assert len(mesh) <= budget
-        assert {kind for kind, number in KIND_IDS.items() if number in mesh.kind} >= kinds
+        assert {kind for kind, number in OBJECT_TYPE_IDS.items() if number in mesh.object_type} >= kinds
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
         size = np.array([*(high - low)[:2], high[2]])
         assert (size >= least).all() and (size <= most).all(), size
@@ -119,7 +119,7 @@ def test_size_kinds_and_budget(name: str) -> None:
 @pytest.mark.parametrize("name", ["house", "narrow house", "flats", "hall", "garage", "shed"])
 def test_buildings_are_buildings_throughout(name: str) -> None:
     for seed in SEEDS:
-        assert set(made(name, seed).kind) == {KIND_IDS["building"]}
+        assert set(made(name, seed).object_type) == {OBJECT_TYPE_IDS["building"]}
 
 
 @pytest.mark.parametrize(("name", "wide", "deep"), [("house", 12, 9), ("narrow house", 8, 10), ("flats", 20, 12)])
@@ -153,7 +153,7 @@ def covered(places: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 def test_house_walls_have_no_gaps_but_their_openings() -> None:
     mesh = houses.house(stream(4, "front"), 12, 9)
-    front = mesh.vertices[of(mesh, "kind", "building")]
+    front = mesh.vertices[of(mesh, "object_type", "building")]
     level = np.ptp(front[..., 0], axis=1) < 1e-4
     front = front[level & (front[:, 0, 0] > 4.2)][
         ..., [1, 2]
@@ -181,7 +181,7 @@ def test_far_trees_have_few_cards_and_as_wide_a_crown(name: str) -> None:
 
 
 def cards(mesh: Mesh) -> float:
-    corner = mesh.vertices[of(mesh, "kind", "vegetation")]
+    corner = mesh.vertices[of(mesh, "object_type", "vegetation")]
     return float(np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum() / 2)
 
 
@@ -242,7 +242,7 @@ def test_barriers_follow_the_ground(name: str) -> None:
     _, kind, least, most = BARRIERS[name]
     for seed in SEEDS:
         mesh = made(name, seed)
-        assert KIND_IDS[kind] in mesh.kind
+        assert OBJECT_TYPE_IDS[kind] in mesh.object_type
         x, z = mesh.vertices[:, 0], mesh.vertices[:, 2]
         assert x.min() == pytest.approx(0, abs=0.2) and x.max() == pytest.approx(17, abs=0.2)
         high = []

@@ -13,7 +13,7 @@ from lidar2pano.simulate.assets.people import person
 from lidar2pano.simulate.assets.two_wheelers import bicycle, bicyclist, motorcycle, motorcyclist
 from lidar2pano.simulate.scene.mesh import Mesh, face_normals
 from lidar2pano.simulate.scene.random_streams import stream
-from lidar2pano.simulate.scene.surfaces import KIND_IDS, MATERIAL_IDS
+from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, OBJECT_TYPE_IDS
 
 Maker = Callable[[np.random.Generator], Mesh]
 
@@ -58,12 +58,12 @@ def names(mesh: Mesh) -> tuple[set[str], set[str]]:
     """Materials and kinds that are there."""
     return (
         {name for name, index in MATERIAL_IDS.items() if index in mesh.material},
-        {name for name, index in KIND_IDS.items() if index in mesh.kind},
+        {name for name, index in OBJECT_TYPE_IDS.items() if index in mesh.object_type},
     )
 
 
 def same(one: Mesh, other: Mesh) -> bool:
-    fields = ("vertices", "normals", "uv", "faces", "material", "kind", "tint")
+    fields = ("vertices", "normals", "uv", "faces", "material", "object_type", "tint")
     return all(getattr(one, field).tobytes() == getattr(other, field).tobytes() for field in fields)
 
 
@@ -106,7 +106,7 @@ def test_normals_agree_with_their_faces(made, name):
 @pytest.mark.parametrize("name", MAKERS)
 def test_who_looks_from_outside_sees_outsides(made, name):
     pytest.importorskip("embreex")
-    from lidar2pano.simulate.scene.raycast import Part, Scene
+    from lidar2pano.simulate.scene.raycast import Scene, SceneObject
 
     mesh, rng = made[name][1], stream(0, "rays")
     middle, reach = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2, np.ptp(mesh.vertices, axis=0).max() + 2
@@ -114,8 +114,8 @@ def test_who_looks_from_outside_sees_outsides(made, name):
     start = middle + reach * np.stack([np.cos(turn), np.sin(turn), rise], axis=1)
     way = middle + rng.uniform(-0.4, 0.4, (4000, 3)) * np.ptp(mesh.vertices, axis=0) - start
     way /= np.linalg.norm(way, axis=1, keepdims=True)
-    hits = Scene([Part(mesh=mesh)]).cast(start, way)
-    facing = (face_normals(mesh.vertices, mesh.faces)[hits.face[hits.met]] * way[hits.met]).sum(1) < 0
+    hits = Scene([SceneObject(mesh=mesh)]).cast(start, way)
+    facing = (face_normals(mesh.vertices, mesh.faces)[hits.face[hits.valid]] * way[hits.valid]).sum(1) < 0
     assert len(facing) > 100
     assert facing.mean() > (0.92 if name in TWO_WHEELED else 0.98)  # spokes and mudguards have one side
 

@@ -13,7 +13,7 @@ from lidar2pano.simulate.layout.places import PLACES, QUARTERS
 from lidar2pano.simulate.layout.roads import Bay, Road, course, locate
 from lidar2pano.simulate.layout.town import AHEAD, clear_of_roads, town
 from lidar2pano.simulate.scene.random_streams import stream
-from lidar2pano.simulate.scene.surfaces import KIND_IDS
+from lidar2pano.simulate.scene.surfaces import OBJECT_TYPE_IDS
 
 
 def road(xy: np.ndarray, heading: np.ndarray, **more: object) -> Road:
@@ -118,7 +118,10 @@ def test_ground_covers_everything_once_and_steps_up_at_the_kerb():
     corners = made.vertices[made.faces].astype(np.float64)
     inside = ((corners[:, :, :2] >= low - 1e-3) & (corners[:, :, :2] <= high + 1e-3)).all(axis=(1, 2))
     assert area(corners[inside]) == pytest.approx(80 * 50, rel=1e-4)
-    kinds = {name: inside & (made.kind == KIND_IDS[name]) for name in ("road", "sidewalk", "parking", "terrain")}
+    kinds = {
+        name: inside & (made.object_type == OBJECT_TYPE_IDS[name])
+        for name in ("road", "sidewalk", "parking", "terrain")
+    }
     assert all(mask.any() for mask in kinds.values())
     flat = made.normals[made.faces[:, 0], 2] > 0.5
     assert np.abs(corners[kinds["road"]][:, :, 2]).max() < 1e-6
@@ -205,7 +208,11 @@ def test_quarters_are_named_everywhere():
 
 def test_every_class_has_its_place():
     """Nineteen classes: those of the ground by what lies in the quarters, those of things by what can stand about."""
-    from lidar2pano.simulate.layout.ground import KIND_OF_LAND
+    from lidar2pano.simulate.layout.ground import OBJECT_TYPE_OF_COVER
 
     lands = {material for quarter in QUARTERS.values() for material in (quarter.land.near, quarter.land.far)}
-    assert {KIND_OF_LAND.get(material, "terrain") for material in lands} == {"terrain", "sidewalk", "other-ground"}
+    assert {OBJECT_TYPE_OF_COVER.get(material, "terrain") for material in lands} == {
+        "terrain",
+        "sidewalk",
+        "other-ground",
+    }

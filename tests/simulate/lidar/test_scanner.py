@@ -17,14 +17,14 @@ from lidar2pano.simulate.scene.surfaces import MATERIALS
 
 pytest.importorskip("embreex")
 
-from lidar2pano.simulate.scene.raycast import Part, Scene  # noqa: E402 needs embreex
+from lidar2pano.simulate.scene.raycast import Scene, SceneObject  # noqa: E402 needs embreex
 
 HDL = SENSORS["hdl64e"]
 HALF = np.array([14.0, 9.0, 6.0])  # of the room's size, metres; its middle is the origin
 
 
 def room(material: str = "concrete") -> Scene:
-    return Scene([Part(mesh=box((0, 0, 0), tuple(2 * HALF), material, "building"))])
+    return Scene([SceneObject(mesh=box((0, 0, 0), tuple(2 * HALF), material, "building"))])
 
 
 def floor(size: float, material: str = "asphalt") -> Mesh:
@@ -61,12 +61,12 @@ def slow_point(sensor: Sensor, beam: int, time: float, pose: Callable) -> np.nda
     up = math.radians(sensor.elevation[beam])
     aside, rise = sensor.per_beam("aside")[beam], sensor.per_beam("rise")[beam]
     origin = np.array([-aside * math.sin(head), aside * math.cos(head), rise])
-    way = np.array([math.cos(up) * math.cos(left), math.cos(up) * math.sin(left), math.sin(up)])
+    direction = np.array([math.cos(up) * math.cos(left), math.cos(up) * math.sin(left), math.sin(up)])
     T = pose(np.array([time]))[0]
-    origin, way = T[:3, :3] @ origin + T[:3, 3], T[:3, :3] @ way
-    distance = min((math.copysign(half, w) - o) / w for half, o, w in zip(HALF, origin, way, strict=True) if w)
+    origin, direction = T[:3, :3] @ origin + T[:3, 3], T[:3, :3] @ direction
+    distance = min((math.copysign(half, w) - o) / w for half, o, w in zip(HALF, origin, direction, strict=True) if w)
     back = np.linalg.inv(pose(np.zeros(1))[0])
-    return back[:3, :3] @ (origin + distance * way) + back[:3, 3]
+    return back[:3, :3] @ (origin + distance * direction) + back[:3, 3]
 
 
 @pytest.mark.parametrize("name", SENSORS)
@@ -112,7 +112,7 @@ def test_a_moving_car_is_where_it_was_when_the_beam_passed() -> None:
 
     def scene(time: float) -> Scene:
         car = box((8.0 + speed * time, 0, 0), (2.0, 60.0, 4.0), "paint", "car")
-        return Scene([Part(mesh=floor(80))]).with_moving([Part(mesh=car, instance=9, moving=True)])
+        return Scene([SceneObject(mesh=floor(80))]).with_moving([SceneObject(mesh=car, instance=9, moving=True)])
 
     seen = sweep(scene, HDL, drive(), stream(2, "test"), sectors=sectors, clean=True)
     front = (seen.raw == 252) & (np.abs(seen.points[:, 1]) < 10)
@@ -133,10 +133,10 @@ def test_the_beam_passes_places_when_passing_says() -> None:
 
 def test_labels_and_instances_are_those_of_what_was_met() -> None:
     things = [("car", 3, 10, 0.0), ("pole", 0, 80, 90.0), ("person", 7, 30, 180.0)]
-    parts = [Part(mesh=floor(60))]
+    parts = [SceneObject(mesh=floor(60))]
     for kind, instance, _, azimuth in things:
         x, y = 8 * math.cos(math.radians(azimuth)), 8 * math.sin(math.radians(azimuth))
-        parts.append(Part(mesh=box((x, y, 0), (1, 1, 3), "cloth", kind), instance=instance))
+        parts.append(SceneObject(mesh=box((x, y, 0), (1, 1, 3), "cloth", kind), instance=instance))
     seen = shot(Scene(parts), clean=True)
     for _, instance, raw, azimuth in things:
         x, y = 8 * math.cos(math.radians(azimuth)), 8 * math.sin(math.radians(azimuth))
@@ -152,12 +152,12 @@ def test_labels_and_instances_are_those_of_what_was_met() -> None:
 
 
 def test_the_sky_and_what_is_too_far_or_too_near_send_nothing_back() -> None:
-    seen = shot(Scene([Part(mesh=floor(400))]))
+    seen = shot(Scene([SceneObject(mesh=floor(400))]))
     assert (seen.raw == 40).all()
     assert seen.points[:, 2].max() < -1.4
     distance = np.linalg.norm(seen.points[:, :3], axis=1)
     assert 70 < distance.max() < HDL.farthest + 0.5
-    near = Scene([Part(mesh=box((0, 0, 0), (2.2, 2.2, 2.2), "concrete", "building"))])
+    near = Scene([SceneObject(mesh=box((0, 0, 0), (2.2, 2.2, 2.2), "concrete", "building"))])
     assert np.linalg.norm(shot(near).points[:, :3], axis=1).min() > HDL.nearest - 0.3
     assert len(shot(near)) < 0.3 * len(shot(room()))
 
@@ -166,7 +166,7 @@ def test_number_plates_are_near_one_and_glass_is_mostly_lost() -> None:
     plate = shot(room("plate"))
     assert np.median(plate.points[:, 3]) > 0.9
     assert plate.points[:, 3].max() == pytest.approx(0.99)
-    assert np.median(shot(room("concrete")).points[:, 3]) == pytest.approx(MATERIALS["concrete"].lidar, abs=0.06)
+    assert np.median(shot(room("concrete")).points[:, 3]) == pytest.approx(MATERIALS["concrete"].remission, abs=0.06)
     assert len(shot(room("window"))) < 0.25 * len(shot(room("concrete")))
 
 
@@ -242,7 +242,7 @@ def test_a_place_keeps_its_reflectance() -> None:
 
 def test_edges_have_points_between_their_sides() -> None:
     post = box((5, 0, 0), (0.3, 8, 12), "concrete", "wall")
-    scene = Scene([Part(mesh=box((0, 0, 0), (16, 16, 12), "concrete", "building")), Part(mesh=post)])
+    scene = Scene([SceneObject(mesh=box((0, 0, 0), (16, 16, 12), "concrete", "building")), SceneObject(mesh=post)])
     seen = shot(scene)
     between = (seen.points[:, 0] > 5.5) & (seen.points[:, 0] < 7.5) & (np.abs(seen.points[:, 1]) < 7.8)
     between &= np.abs(seen.points[:, 2]) < 2

@@ -15,18 +15,18 @@ pytest.importorskip("embreex")
 from lidar2pano.simulate.render import ambient_occlusion as occlusion
 from lidar2pano.simulate.render import renderer as camera
 from lidar2pano.simulate.render import shading
-from lidar2pano.simulate.render.looks import look, seasoned
+from lidar2pano.simulate.render.looks import look, seasonal_albedo
 from lidar2pano.simulate.render.sky import sky
 from lidar2pano.simulate.scene.mesh import box, ellipsoid
-from lidar2pano.simulate.scene.raycast import Part, Scene
-from lidar2pano.simulate.scene.surfaces import KIND_IDS, MATERIAL_IDS, MATERIALS, SKY
+from lidar2pano.simulate.scene.raycast import Scene, SceneObject
+from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, MATERIALS, OBJECT_TYPE_IDS, SKY
 
 VIEW = View(rows=40, columns=240, up=0.3, down=-0.5, kind="cylinder", origin=(0.2, 0.1, -0.1))
 DOWN = np.array([[0.0, 0.0, -1.0]], dtype=np.float32)
 
 
 def ground(material="asphalt", kind="road"):
-    return Part(mesh=box((0, 0, -0.5), (200, 200, 1), material, kind))
+    return SceneObject(mesh=box((0, 0, -0.5), (200, 200, 1), material, kind))
 
 
 def street():
@@ -37,7 +37,7 @@ def street():
         box((8, -3, 0.8), (4, 1.8, 1.4), "paint", "car", tint=(1.5, 0.2, 0.2)),
         ellipsoid((6, 2, 0.8), (0.8, 0.8, 0.8), "hedge-core", "vegetation"),
     ]
-    return Scene([ground(), *(Part(mesh=thing) for thing in things)])
+    return Scene([ground(), *(SceneObject(mesh=thing) for thing in things)])
 
 
 def pose(x=0.0, y=0.0, yaw=0.0):
@@ -55,15 +55,21 @@ def calibration(width=120, height=60):
 
 def plain(**changes):
     """A look without haze or clouds whose light is easy to reckon with."""
-    wanted = {"zenith": (0, 0, 0), "horizon": (0, 0, 0), "glow": (0, 0, 0), "cover": 0.0, "haze_m": 1e12} | changes
+    wanted = {
+        "zenith": (0, 0, 0),
+        "horizon": (0, 0, 0),
+        "glow": (0, 0, 0),
+        "cloud_cover": 0.0,
+        "haze_m": 1e12,
+    } | changes
     return replace(look("day"), sun_colour=(1.0, 1.0, 1.0), **wanted)
 
 
 def looked_down_upon(scene, places, light, height=3.0):
     """Radiance (N, 3) of places (N, 2) on the ground seen from above."""
     origin = np.column_stack([places, np.full(len(places), height)]).astype(np.float32)
-    way = np.repeat(DOWN, len(places), axis=0)
-    return shading.shade(scene, scene.cast(origin, way), origin, way, 1e-4, light)
+    direction = np.repeat(DOWN, len(places), axis=0)
+    return shading.shade(scene, scene.cast(origin, direction), origin, direction, 1e-4, light)
 
 
 # ---- sky
@@ -86,21 +92,21 @@ def test_the_light_of_an_even_dome_is_the_dome():
 
 def test_a_matt_floor_shines_by_the_cosine_law():
     """Radiance = albedo x sun x cosine; textures have mean 1, and the look's sky is black."""
-    light = plain(sun=(0.6, 0.0, 0.8))
+    light = plain(sun_direction=(0.6, 0.0, 0.8))
     place = np.random.default_rng(0).uniform(-60, 60, (4000, 2))
     grey = Scene([ground("frame", "road")])  # no texture
     shiny = looked_down_upon(grey, place, light).mean(axis=0)
-    albedo = np.array(MATERIALS["frame"].colour)
+    albedo = np.array(MATERIALS["frame"].albedo)
     bounced = sky(light).ambient(np.array([[0], [0], [1.0]], np.float32))[:, 0]
     assert np.abs(shiny - albedo * (0.8 + bounced)).max() < 0.06 * albedo.max()
     matt = looked_down_upon(Scene([ground("paving", "road")]), place, light).mean(axis=0)
-    assert matt == pytest.approx(np.array(MATERIALS["paving"].colour) * 0.8, rel=0.05)
+    assert matt == pytest.approx(np.array(MATERIALS["paving"].albedo) * 0.8, rel=0.05)
 
 
 def test_a_box_throws_a_shadow():
     """A wall 2 m high, the sun 45 degrees high: the shadow ends 2 m behind it."""
-    scene = Scene([ground("paving", "road"), Part(mesh=box((0, 0, 1), (0.2, 40, 2), "concrete", "wall"))])
-    light = plain(sun=(0.5**0.5, 0.0, 0.5**0.5))
+    scene = Scene([ground("paving", "road"), SceneObject(mesh=box((0, 0, 1), (0.2, 40, 2), "concrete", "wall"))])
+    light = plain(sun_direction=(0.5**0.5, 0.0, 0.5**0.5))
     x = np.array([-2.5, -1.7, -0.5, 0.5, 2.5])
     seen = [
         looked_down_upon(scene, np.column_stack([np.full(200, at), np.linspace(-9, 9, 200)]), light).mean() for at in x
@@ -112,39 +118,41 @@ def test_a_box_throws_a_shadow():
 
 def test_leaves_let_light_through_and_walls_do_not():
     up = np.array([[0, 0, 1.0]], dtype=np.float32)
-    light = plain(sun=(0.0, 0.0, 1.0))
+    light = plain(sun_direction=(0.0, 0.0, 1.0))
     for material, shines in (("leaves", True), ("concrete", False)):
-        scene = Scene([Part(mesh=box((0, 0, 5), (30, 30, 1e-3), material, "vegetation", without=("bottom",)))])
+        scene = Scene([SceneObject(mesh=box((0, 0, 5), (30, 30, 1e-3), material, "vegetation", without=("bottom",)))])
         origin = np.column_stack([np.random.default_rng(0).uniform(-9, 9, (900, 2)), np.zeros(900)]).astype(np.float32)
-        way = np.repeat(up, 900, axis=0)
-        hits = scene.cast(origin, way)
-        assert (shading.sunlit(scene, hits, origin, way, light)[hits.met] == shines).mean() > 0.98
+        direction = np.repeat(up, 900, axis=0)
+        hits = scene.cast(origin, direction)
+        assert (shading.sunlit(scene, hits, origin, direction, light)[hits.valid] == shines).mean() > 0.98
     leaf = MATERIALS["leaves"]
     black = replace(light, sun_colour=(0.0, 0.0, 0.0))
-    scene = Scene([Part(mesh=box((0, 0, 5), (30, 30, 1e-3), "leaves", "vegetation", without=("bottom",)))])
-    hits = scene.cast(origin, way)
+    scene = Scene([SceneObject(mesh=box((0, 0, 5), (30, 30, 1e-3), "leaves", "vegetation", without=("bottom",)))])
+    hits = scene.cast(origin, direction)
     with_sun, without = (
-        shading.shade(scene, hits, origin, way, 1e-3, sky_of)[hits.met].mean() for sky_of in (light, black)
+        shading.shade(scene, hits, origin, direction, 1e-3, sky_of)[hits.valid].mean() for sky_of in (light, black)
     )
     bounced = sky(light).ground.mean()
-    assert with_sun - without == pytest.approx(np.mean(leaf.colour) * (leaf.through + bounced), rel=0.15)
+    assert with_sun - without == pytest.approx(np.mean(leaf.albedo) * (leaf.transmission + bounced), rel=0.15)
 
 
 def test_car_paint_mirrors_sky_and_things():
-    flat = Scene([Part(mesh=box((0, 0, 0), (9, 9, 1), "paint", "car", tint=(0, 0, 0)))])
+    flat = Scene([SceneObject(mesh=box((0, 0, 0), (9, 9, 1), "paint", "car", tint=(0, 0, 0)))])
     origin = np.array([[-4, 0, 1.0]], dtype=np.float32)
-    way = np.array([[0.99, 0, -0.14]], dtype=np.float32)
-    way /= np.linalg.norm(way)
-    hits = flat.cast(origin, way)
+    direction = np.array([[0.99, 0, -0.14]], dtype=np.float32)
+    direction /= np.linalg.norm(direction)
+    hits = flat.cast(origin, direction)
     dark, bright = (
-        shading.shade(flat, hits, origin, way, 1e-3, plain(sun=(0, 1.0, 0.0), horizon=(level,) * 3))[0, 0]
+        shading.shade(flat, hits, origin, direction, 1e-3, plain(sun_direction=(0, 1.0, 0.0), horizon=(level,) * 3))[
+            0, 0
+        ]
         for level in (0.1, 1)
     )
     assert bright > 5 * dark > 0
-    light = plain(sun=(0, 1.0, 0.0))
-    lamp = flat.with_moving([Part(mesh=box((3, 0, 1.2), (0.1, 4, 0.9), "light-red", "traffic-light"))])
-    red, _, blue = shading.shade(lamp, hits, origin, way, 1e-3, light)[0]
-    assert red > 10 * blue and red > 5 * shading.shade(flat, hits, origin, way, 1e-3, light)[0, 0]
+    light = plain(sun_direction=(0, 1.0, 0.0))
+    lamp = flat.with_moving([SceneObject(mesh=box((3, 0, 1.2), (0.1, 4, 0.9), "light-red", "traffic-light"))])
+    red, _, blue = shading.shade(lamp, hits, origin, direction, 1e-3, light)[0]
+    assert red > 10 * blue and red > 5 * shading.shade(flat, hits, origin, direction, 1e-3, light)[0, 0]
 
 
 # ---- cameras
@@ -176,13 +184,15 @@ def test_a_picture_tells_kinds_and_distances():
     picture = camera.render(scene, *camera.cylinder(VIEW, T), look("day"))
     hits = scene.cast(*(part.reshape(-1, 3)[:, :] if part.ndim > 1 else part for part in camera.cylinder(VIEW, T)[:2]))
     assert picture.colour.shape == (40, 240, 3) and picture.colour.dtype == np.uint8
-    assert np.array_equal(picture.kind.reshape(-1), hits.kind) and np.array_equal(
+    assert np.array_equal(picture.object_type.reshape(-1), hits.object_type) and np.array_equal(
         picture.distance.reshape(-1), hits.distance
     )
-    assert {KIND_IDS["road"], KIND_IDS["car"], KIND_IDS["building"], SKY} <= set(picture.kind.reshape(-1).tolist())
-    assert np.isinf(picture.distance[picture.kind == SKY]).all()
-    bright = {kind: picture.colour[picture.kind == kind].mean() for kind in (SKY, KIND_IDS["road"])}
-    assert bright[SKY] > bright[KIND_IDS["road"]] > 40
+    assert {OBJECT_TYPE_IDS["road"], OBJECT_TYPE_IDS["car"], OBJECT_TYPE_IDS["building"], SKY} <= set(
+        picture.object_type.reshape(-1).tolist()
+    )
+    assert np.isinf(picture.distance[picture.object_type == SKY]).all()
+    bright = {kind: picture.colour[picture.object_type == kind].mean() for kind in (SKY, OBJECT_TYPE_IDS["road"])}
+    assert bright[SKY] > bright[OBJECT_TYPE_IDS["road"]] > 40
 
 
 def test_the_same_call_gives_the_same_bytes():
@@ -198,7 +208,7 @@ def test_the_same_call_gives_the_same_bytes():
 def test_a_panorama_has_no_seam(shift, monkeypatch):
     """A view that begins some columns later is the same picture, rolled; a bright post stands across the seam."""
     monkeypatch.setattr(camera, "GRAIN", 0.0)
-    post = Part(mesh=box((-4, -0.085, 1.5), (0.1, 0.25, 3), "frame", "pole"))
+    post = SceneObject(mesh=box((-4, -0.085, 1.5), (0.1, 0.25, 3), "frame", "pole"))
     scene, light = street().with_moving([post]), look("day", 1)
     step = 360 / VIEW.columns
     turned = replace(VIEW, left=VIEW.left - shift * step, right=VIEW.right - shift * step)
@@ -214,14 +224,14 @@ def test_a_place_keeps_its_colour_from_frame_to_frame(monkeypatch):
     """Two cameras a metre apart: what both see differs little, before noise, and patterns stay where they are."""
     monkeypatch.setattr(camera, "GRAIN", 0.0)
     scene, light = (
-        street().with_moving([Part(mesh=box((0, 0, -0.49), (60, 60, 1), "cobbles", "parking"))]),
+        street().with_moving([SceneObject(mesh=box((0, 0, -0.49), (60, 60, 1), "cobbles", "parking"))]),
         look("day", 2),
     )
     view = replace(VIEW, rows=120, columns=600, down=-0.9)
     first = camera.render(scene, *camera.cylinder(view, pose()), light)
     second = camera.render(scene, *camera.cylinder(view, pose(x=1.0)), light)
     origin, ray, _ = camera.cylinder(view, pose())
-    seen = np.isfinite(first.distance) & (first.distance < 25) & (first.kind != KIND_IDS["car"])
+    seen = np.isfinite(first.distance) & (first.distance < 25) & (first.object_type != OBJECT_TYPE_IDS["car"])
     away = torch.from_numpy(origin + ray[seen] * first.distance[seen, None] - camera.cylinder(view, pose(x=1.0))[0])
     row, column = (part.floor().long().numpy() for part in pixels(*away.unbind(1), view))
     inside = (row >= 0) & (row < 120)
@@ -233,7 +243,7 @@ def test_a_place_keeps_its_colour_from_frame_to_frame(monkeypatch):
         for colour in (first.colour[seen][inside], second.colour[row, column])
     )
     assert np.median(np.abs(a - b) / (a + b)) < 0.03
-    near = (first.kind[seen][inside][same] == KIND_IDS["parking"]) & (far[same] < 4)
+    near = (first.object_type[seen][inside][same] == OBJECT_TYPE_IDS["parking"]) & (far[same] < 4)
     assert np.corrcoef(a[near], b[near])[0, 1] > 0.65  # 0.4 by the shadows alone
 
 
@@ -243,45 +253,47 @@ def test_overcast_days_have_no_shadows():
 
 
 def test_half_the_sky_is_hidden_at_the_foot_of_a_wall():
-    scene = Scene([ground(), Part(mesh=box((3.5, 0, 10), (1, 40, 20), "plaster", "building"))])
+    scene = Scene([ground(), SceneObject(mesh=box((3.5, 0, 10), (1, 40, 20), "plaster", "building"))])
     view = replace(VIEW, rows=100, columns=500, down=-0.9)
     origin, ray, _ = camera.cylinder(view, pose())
     hits = scene.cast(origin, ray.reshape(-1, 3))
-    surfaces = occlusion.guide(hits, origin, ray)
-    free = occlusion.openness(scene, hits, surfaces, True)
-    floor = (hits.kind == KIND_IDS["road"]).reshape(free.shape)
-    x, y, _ = surfaces.place
+    surfaces = occlusion.gbuffer(hits, origin, ray)
+    free = occlusion.sky_visibility(scene, hits, surfaces, True)
+    floor = (hits.object_type == OBJECT_TYPE_IDS["road"]).reshape(free.shape)
+    x, y, _ = surfaces.position
     assert 0.4 < free[floor & (x > 2.85) & (np.abs(y) < 3)].mean() < 0.72  # what is seen far along the wall counts less
     assert free[floor & (x < -3)].mean() > 0.93
-    assert np.median(free[~hits.met.reshape(free.shape)]) == 1
+    assert np.median(free[~hits.valid.reshape(free.shape)]) == 1
 
 
 def test_autumn_turns_leaves_and_strews_them():
-    green = np.array([MATERIALS["leaves"].colour] * 4000).T
+    green = np.array([MATERIALS["leaves"].albedo] * 4000).T
     place, tint = np.random.default_rng(0).uniform(-90, 90, (3, 4000)), np.ones((3, 4000))
     for material, turns in (("leaves", True), ("needles", False)):
         which = np.full(4000, MATERIAL_IDS[material])
         for name, autumn in (("autumn", True), ("day", False)):
-            turned = seasoned(look(name), green, which, tint, place)
+            turned = seasonal_albedo(look(name), green, which, tint, place)
             assert (turned[0].mean() > 1.15 * turned[1].mean()) == (turns and autumn)
             assert np.array_equal(turned, green) != (turns and autumn)
     scene, light = Scene([ground("asphalt-new")]), look("autumn", 1)
     where = np.random.default_rng(0).uniform(-60, 60, (4000, 2))
-    swept, strewn = (looked_down_upon(scene, where, one).mean(axis=0) for one in (replace(light, litter=0.0), light))
+    swept, strewn = (
+        looked_down_upon(scene, where, one).mean(axis=0) for one in (replace(light, leaf_litter=0.0), light)
+    )
     assert strewn[0] / strewn[2] > 1.2 * swept[0] / swept[2]
 
 
 def test_nothing_at_all_is_sky():
     picture = camera.render(Scene([]), *camera.cylinder(VIEW, pose()), look("evening"))
-    assert (picture.kind == SKY).all() and np.isinf(picture.distance).all()
+    assert (picture.object_type == SKY).all() and np.isinf(picture.distance).all()
     assert picture.colour.mean() > 30
 
 
 def test_the_sun_is_as_wide_as_the_look_says():
     """The share of a fine raster around the sun that is blown stands for its disc: pi r^2."""
-    light = replace(plain(), sun=(0.0, 0.0, 1.0), sun_deg=0.5)
+    light = replace(plain(), sun_direction=(0.0, 0.0, 1.0), sun_radius_deg=0.5)
     side = np.linspace(-0.02, 0.02, 401, dtype=np.float32)
     x, y = np.meshgrid(side, side)
-    way = np.stack([x, y, np.sqrt(1 - x * x - y * y)]).reshape(3, -1)
-    share = (sky(light).radiance(way)[0] > 10).mean()
+    direction = np.stack([x, y, np.sqrt(1 - x * x - y * y)]).reshape(3, -1)
+    share = (sky(light).radiance(direction)[0] > 10).mean()
     assert share * 0.04**2 == pytest.approx(pi * np.radians(0.5) ** 2, rel=0.05)

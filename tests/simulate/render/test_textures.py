@@ -5,7 +5,7 @@ import pytest
 
 from lidar2pano.simulate.render import textures
 from lidar2pano.simulate.render.looks import LOOKS, look
-from lidar2pano.simulate.render.noise import SIZE, bilinear, lottery, spectral
+from lidar2pano.simulate.render.noise import SIZE, bilinear, spatial_hash, spectral
 from lidar2pano.simulate.render.sky import sky
 from lidar2pano.simulate.scene.surfaces import MATERIALS
 
@@ -63,13 +63,13 @@ def test_the_even_texture_changes_nothing():
 
 def test_lotteries_belong_to_places():
     place = np.random.default_rng(0).uniform(-300, 300, (3, 20000)).astype(np.float32)
-    number = lottery(place, 0.02, 1)
-    assert np.array_equal(number, lottery(place.copy(), 0.02, 1))
+    number = spatial_hash(place, 0.02, 1)
+    assert np.array_equal(number, spatial_hash(place.copy(), 0.02, 1))
     assert abs(number.mean() - 0.5) < 0.02 and abs(number.std() - 12**-0.5) < 0.01
-    assert abs(np.corrcoef(number, lottery(place, 0.02, 2))[0, 1]) < 0.03
+    assert abs(np.corrcoef(number, spatial_hash(place, 0.02, 2))[0, 1]) < 0.03
     floor = np.vstack([place[:2], np.zeros((1, 20000), np.float32)])  # rounding must not decide on floors and walls
     off = np.array([[0], [0], [1e-5]], dtype=np.float32)
-    assert np.array_equal(lottery(floor - off, 0.02, 1), lottery(floor + off, 0.02, 1))
+    assert np.array_equal(spatial_hash(floor - off, 0.02, 1), spatial_hash(floor + off, 0.02, 1))
 
 
 def test_bilinear_goes_through_its_pixels_and_around_the_edge():
@@ -81,12 +81,12 @@ def test_bilinear_goes_through_its_pixels_and_around_the_edge():
 
 @pytest.mark.parametrize("name", LOOKS)
 def test_the_sky_is_finite_and_bright_all_round(name):
-    way = np.random.default_rng(0).normal(0, 1, (3, 20000)).astype(np.float32)
-    way /= np.linalg.norm(way, axis=0)
-    way[:, :6] = np.concatenate([np.eye(3), -np.eye(3)], axis=1)
+    direction = np.random.default_rng(0).normal(0, 1, (3, 20000)).astype(np.float32)
+    direction /= np.linalg.norm(direction, axis=0)
+    direction[:, :6] = np.concatenate([np.eye(3), -np.eye(3)], axis=1)
     for seed in range(3):
         above = sky(look(name, seed))
-        for light in (above.radiance(way), above.ambient(way)):
+        for light in (above.radiance(direction), above.ambient(direction)):
             assert np.isfinite(light).all() and (light >= 0).all()
         up, down = above.ambient(np.array([[0, 0], [0, 0], [1.0, -1.0]], dtype=np.float32)).mean(axis=0)
         assert up > 1.5 * down > 0
@@ -94,6 +94,6 @@ def test_the_sky_is_finite_and_bright_all_round(name):
 
 def test_looks_differ_by_seed_and_refuse_unknown_names():
     assert look("day", 1) == look("day", 1) != look("day", 2)
-    assert np.linalg.norm(look("evening", 3).sun) == pytest.approx(1)
+    assert np.linalg.norm(look("evening", 3).sun_direction) == pytest.approx(1)
     with pytest.raises(ValueError, match="overcast"):
         look("noon")

@@ -2,7 +2,15 @@
 
 from lidar2pano.labels import CITYSCAPES, COMMON15, SEMANTIC_KITTI
 from lidar2pano.simulate.scene.random_streams import stream
-from lidar2pano.simulate.scene.surfaces import CAMERA_IDS, COMMON_IDS, KIND_IDS, KINDS, RAW, RAW_MOVING, SKY
+from lidar2pano.simulate.scene.surfaces import (
+    CITYSCAPES_IDS,
+    COMMON15_IDS,
+    OBJECT_TYPE_IDS,
+    OBJECT_TYPES,
+    RAW_IDS,
+    RAW_MOVING_IDS,
+    SKY,
+)
 
 
 def test_streams_depend_on_every_name():
@@ -12,11 +20,14 @@ def test_streams_depend_on_every_name():
 
 
 def test_kinds_name_the_class_of_every_label_set():
-    raw = {name: SEMANTIC_KITTI.classes[int(SEMANTIC_KITTI.from_raw(RAW[[KIND_IDS[name]]])[0])] for name in KINDS}
+    raw = {
+        name: SEMANTIC_KITTI.classes[int(SEMANTIC_KITTI.from_raw(RAW_IDS[[OBJECT_TYPE_IDS[name]]])[0])]
+        for name in OBJECT_TYPES
+    }
     assert raw["lane-marking"] == "road"
     assert raw["tram"] == raw["bus"] == raw["trailer"] == "other-vehicle"
     assert set(raw.values()) == set(SEMANTIC_KITTI.classes), "all nineteen classes, and unlabeled for clutter"
-    folded = SEMANTIC_KITTI.from_raw(RAW_MOVING)
-    assert (folded == SEMANTIC_KITTI.from_raw(RAW)).all(), "moving classes fold into their standing ones"
-    assert CITYSCAPES.classes[CAMERA_IDS[SKY]] == COMMON15.classes[COMMON_IDS[SKY]] == "sky"
-    assert set(COMMON_IDS[: len(KINDS)]) == set(range(15))
+    folded = SEMANTIC_KITTI.from_raw(RAW_MOVING_IDS)
+    assert (folded == SEMANTIC_KITTI.from_raw(RAW_IDS)).all(), "moving classes fold into their standing ones"
+    assert CITYSCAPES.classes[CITYSCAPES_IDS[SKY]] == COMMON15.classes[COMMON15_IDS[SKY]] == "sky"
+    assert set(COMMON15_IDS[: len(OBJECT_TYPES)]) == set(range(15))

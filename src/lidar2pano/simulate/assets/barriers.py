@@ -22,7 +22,7 @@ def _places(length: float, ground: Ground, piece: float = PIECE) -> tuple[np.nda
 
 
 def _posts(
-    x: np.ndarray, z: np.ndarray, size: tuple[float, float, float], looks: tuple[str, str, Tint], aside: float = 0.0
+    x: np.ndarray, z: np.ndarray, size: tuple[float, float, float], finish: tuple[str, str, Tint], aside: float = 0.0
 ) -> Mesh:
     """A box at each place: size along x and y, and its height over the ground; it goes a little into the ground."""
     long, deep, high = size
@@ -31,14 +31,14 @@ def _posts(
     points = np.stack([x, np.full_like(x, aside), z], axis=1)[:, None] + ring
     sides = np.array([(0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (4, 5, 6, 7)])
     faces = (8 * np.arange(len(x))[:, None, None] + sides).reshape(-1, 4)
-    return mesh(points.reshape(-1, 3), _triangles(faces), looks[0], looks[1], tint=looks[2])
+    return mesh(points.reshape(-1, 3), _triangles(faces), finish[0], finish[1], tint=finish[2])
 
 
 def _triangles(quads: np.ndarray) -> np.ndarray:
     return np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
 
 
-def _sheet(x: np.ndarray, z: np.ndarray, up: tuple[float, float], looks: tuple[str, str, Tint], *, part: bool) -> Mesh:
+def _sheet(x: np.ndarray, z: np.ndarray, up: tuple[float, float], finish: tuple[str, str, Tint], *, part: bool) -> Mesh:
     """A thin upright sheet; uv in metres, or up it from 0 to 1 where `part`."""
     low, high = up
     points = np.concatenate([np.column_stack([x, 0 * x, z + level]) for level in up])
@@ -49,10 +49,10 @@ def _sheet(x: np.ndarray, z: np.ndarray, up: tuple[float, float], looks: tuple[s
     i, n = np.arange(len(x) - 1), len(x)
     quads = np.stack([i, i + 1, i + 1 + n, i + n], axis=1)
     normals = np.tile((0.0, -1.0, 0.0), (2 * n, 1))
-    return mesh(points, _triangles(quads), looks[0], looks[1], normals=normals, uv=uv, tint=looks[2])
+    return mesh(points, _triangles(quads), finish[0], finish[1], normals=normals, uv=uv, tint=finish[2])
 
 
-def _beam(x: np.ndarray, z: np.ndarray, profile: np.ndarray, looks: tuple[str, str, Tint]) -> Mesh:
+def _beam(x: np.ndarray, z: np.ndarray, profile: np.ndarray, finish: tuple[str, str, Tint]) -> Mesh:
     """A profile (M, 2) of (y, height), counter-clockwise seen from +x, drawn along the ground; with end faces."""
     n, m = len(x), len(profile)
     points = np.stack([np.repeat(x, m), np.tile(profile[:, 0], n), np.repeat(z, m) + np.tile(profile[:, 1], n)], axis=1)
@@ -60,7 +60,9 @@ def _beam(x: np.ndarray, z: np.ndarray, profile: np.ndarray, looks: tuple[str, s
     k = (j + 1) % m
     quads = np.stack([i * m + j, (i + 1) * m + j, (i + 1) * m + k, i * m + k], axis=-1).reshape(-1, 4)[:, ::-1]
     fan = np.array([(0, c, c + 1) for c in range(1, m - 1)])
-    return mesh(points, np.concatenate([_triangles(quads), fan[:, ::-1], fan + (n - 1) * m]), *looks[:2], tint=looks[2])
+    return mesh(
+        points, np.concatenate([_triangles(quads), fan[:, ::-1], fan + (n - 1) * m]), *finish[:2], tint=finish[2]
+    )
 
 
 def _bar(low: float, high: float, left: float, right: float) -> np.ndarray:
@@ -75,10 +77,10 @@ def picket_fence(rng: np.random.Generator, length: float, ground: Ground) -> Mes
     tint = [(1.0, 1.0, 1.0), (0.6, 0.6, 0.62), (1.9, 2.4, 3.2), (0.5, 0.9, 0.5)][
         int(rng.choice(4, p=(0.5, 0.2, 0.2, 0.1)))
     ]
-    looks = ("wood", "fence", tint)
-    rails = [_beam(x, z, _bar(level, level + 0.07, 0.02, 0.06), looks) for level in (0.2, high - 0.3)]
+    finish = ("wood", "fence", tint)
+    rails = [_beam(x, z, _bar(level, level + 0.07, 0.02, 0.06), finish) for level in (0.2, high - 0.3)]
     pales = _sheet(x, z, (0.06, high), ("pickets", "fence", tint), part=False)
-    return merged([_posts(x, z, (0.09, 0.09, high + 0.05), looks, 0.06), *rails, pales])
+    return merged([_posts(x, z, (0.09, 0.09, high + 0.05), finish, 0.06), *rails, pales])
 
 
 def wire_fence(rng: np.random.Generator, length: float, ground: Ground) -> Mesh:
@@ -127,25 +129,25 @@ def guard_rail(rng: np.random.Generator, length: float, ground: Ground) -> Mesh:
     """Steel posts with a W beam on the side of -y, its upper edge 0.75 m over the ground."""
     x, z = _places(length, ground)
     light = rng.uniform(0.8, 1.1)
-    looks = ("metal", "guard-rail", (light, light, light))
+    finish = ("metal", "guard-rail", (light, light, light))
     # The front of the beam from its lower edge to its upper, and back 5 mm behind it.
     y = -0.09 - np.array([0.0, 0.03, 0.08, 0.08, 0.03, 0.03, 0.08, 0.08, 0.03, 0.0])
     up = 0.44 + np.array([0.0, 0.01, 0.05, 0.09, 0.13, 0.18, 0.22, 0.26, 0.30, 0.31])
     front, back = np.column_stack([y, up]), np.column_stack([y + 0.005, up])
     fine = np.linspace(0, length, 2 * (len(x) - 1) + 1)
-    beam = _strip(fine, np.interp(fine, x, z), front, looks)
-    behind = _strip(fine, np.interp(fine, x, z), back[::-1], looks)
-    spacer = _posts(x, z + 0.42, (0.1, 0.12, 0.3), looks, -0.05)
-    return merged([beam, behind, _posts(x, z, (0.06, 0.11, 0.72), looks, 0.06), spacer])
+    beam = _strip(fine, np.interp(fine, x, z), front, finish)
+    behind = _strip(fine, np.interp(fine, x, z), back[::-1], finish)
+    spacer = _posts(x, z + 0.42, (0.1, 0.12, 0.3), finish, -0.05)
+    return merged([beam, behind, _posts(x, z, (0.06, 0.11, 0.72), finish, 0.06), spacer])
 
 
-def _strip(x: np.ndarray, z: np.ndarray, line: np.ndarray, looks: tuple[str, str, Tint]) -> Mesh:
+def _strip(x: np.ndarray, z: np.ndarray, line: np.ndarray, finish: tuple[str, str, Tint]) -> Mesh:
     """An open line (M, 2) of (y, height) drawn along the ground; outside is left of its way, seen from +x."""
     n, m = len(x), len(line)
     points = np.stack([np.repeat(x, m), np.tile(line[:, 0], n), np.repeat(z, m) + np.tile(line[:, 1], n)], axis=1)
     i, j = np.meshgrid(np.arange(n - 1), np.arange(m - 1), indexing="ij")
     quads = np.stack([i * m + j, (i + 1) * m + j, (i + 1) * m + j + 1, i * m + j + 1], axis=-1).reshape(-1, 4)
-    return mesh(points, _triangles(quads), *looks[:2], tint=looks[2])
+    return mesh(points, _triangles(quads), *finish[:2], tint=finish[2])
 
 
 def noise_barrier(rng: np.random.Generator, length: float, ground: Ground) -> Mesh:
@@ -154,14 +156,14 @@ def noise_barrier(rng: np.random.Generator, length: float, ground: Ground) -> Me
     high = rng.uniform(2.5, 4.5)
     material = ("concrete", "wood", "metal")[int(rng.integers(3))]
     tint = [(0.9, 0.95, 0.85), (0.6, 0.8, 0.65), (1.0, 0.95, 0.9)][int(rng.integers(3))]
-    looks = (material, "wall", tint)
+    finish = (material, "wall", tint)
     parts = [_beam(x, z, _bar(-0.4, 0.5, -0.1, 0.1), ("concrete", "wall", (0.9, 0.9, 0.9)))]
     panels = max(round((high - 0.5) / 0.5), 1)
     edges = np.linspace(0.5, high, panels + 1)
     parts += [
-        _beam(x, z, _bar(low, top - 0.03, -0.06, 0.06), looks) for low, top in zip(edges[:-1], edges[1:], strict=True)
+        _beam(x, z, _bar(low, top - 0.03, -0.06, 0.06), finish) for low, top in zip(edges[:-1], edges[1:], strict=True)
     ]
-    parts.append(_beam(x, z, _bar(0.5, high - 0.03, -0.04, 0.04), looks))
+    parts.append(_beam(x, z, _bar(0.5, high - 0.03, -0.04, 0.04), finish))
     parts.append(_posts(x, z, (0.16, 0.2, high + 0.03), ("metal", "wall", (0.8, 0.8, 0.8))))
     return merged(parts)
 

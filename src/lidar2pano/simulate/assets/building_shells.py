@@ -82,7 +82,7 @@ class Roof(NamedTuple):
         return np.array(points), [[0, 1, 2, 3, 4, 5], [6, 7, 8, 4, 3, 9], [2, 9, 3], [8, 5, 4]]
 
 
-def slabs(points: np.ndarray, slopes: Sequence[Sequence[int]], looks: tuple[str, Tint]) -> Mesh:
+def slabs(points: np.ndarray, slopes: Sequence[Sequence[int]], finish: tuple[str, Tint]) -> Mesh:
     """Slopes (polygons of points (N, 3), counter-clockwise from above) as one slab: covering, underside and edges."""
     parts, edges = [], {}
     for slope in slopes:
@@ -95,7 +95,9 @@ def slabs(points: np.ndarray, slopes: Sequence[Sequence[int]], looks: tuple[str,
         up = np.cross(normal, along)
         uv = np.stack([(corner - corner[0]) @ along, (corner - corner[0]) @ up], axis=1)
         top = corner + (0, 0, THICK)
-        parts.append(mesh(top, fan, looks[0], "building", normals=np.tile(normal, (len(top), 1)), uv=uv, tint=looks[1]))
+        parts.append(
+            mesh(top, fan, finish[0], "building", normals=np.tile(normal, (len(top), 1)), uv=uv, tint=finish[1])
+        )
         parts.append(mesh(corner, fan[:, ::-1], "wood", "building", normals=np.tile(-normal, (len(top), 1)), uv=uv))
         for pair in zip(slope, [*slope[1:], slope[0]], strict=True):
             edges[pair] = True
@@ -126,7 +128,7 @@ def flat_roof(width: float, depth: float, height: float, tint: Tint) -> Mesh:
     return merged([boards.mesh(), lid])
 
 
-def dormer(roof: Roof, place: float, rise: float, size: tuple[float, float], looks: tuple[str, Tint]) -> Mesh:
+def dormer(roof: Roof, place: float, rise: float, size: tuple[float, float], finish: tuple[str, Tint]) -> Mesh:
     """A dormer of `size` (width, height) on the slope that falls to +x, at y = `place`, its sill `rise` over the eaves.
 
     `looks` are its cheeks' material and tint.
@@ -135,7 +137,9 @@ def dormer(roof: Roof, place: float, rise: float, size: tuple[float, float], loo
     x, low = roof.span / 2 - rise / roof.slope, roof.eaves + rise + 0.1
     back = min(height + 0.5, roof.ridge - low) / roof.slope
     wall = four_walls(width, back, (x - back / 2, place))["front"]
-    cheeks = box((x - back / 2, place, low + height / 2), (back, width, height), *(looks[0], "building"), tint=looks[1])
+    cheeks = box(
+        (x - back / 2, place, low + height / 2), (back, width, height), *(finish[0], "building"), tint=finish[1]
+    )
     boards = Boards()
     boards.add(wall, (0.12, width - 0.12), (0.0, 0.03), (low + 0.2, low + height - 0.1), "frame", faces="flrtu")
     count = max(round(width / 0.75), 1)
@@ -164,7 +168,7 @@ def dormer(roof: Roof, place: float, rise: float, size: tuple[float, float], loo
         slopes = [[0, 1, 2, 3]]
     cover = slabs(points + (0, place, 0), slopes, (roof.material, roof.tint))
     gable = np.array([(x, -width / 2, top), (x, width / 2, top), (x, 0, peak)]) + (0, place, 0)
-    face = mesh(gable, np.array([(0, 1, 2)]), looks[0], "building", tint=looks[1])
+    face = mesh(gable, np.array([(0, 1, 2)]), finish[0], "building", tint=finish[1])
     return merged([cheeks, boards.mesh(), cover, face] if width < 2.0 else [cheeks, boards.mesh(), cover])
 
 
@@ -240,7 +244,7 @@ class Shell(NamedTuple):
     """The walls of a building and what is in them."""
 
     walls: dict[str, Wall]
-    looks: tuple[str, Tint]
+    finish: tuple[str, Tint]
     style: Style
     base: float  # height of the ground floor
     storeys: int
@@ -305,7 +309,7 @@ def shut(
             top, bends = roof.gable(wall.length)
         else:
             top, bends = _level(shell.eaves + 0.04), []
-        parts.append(pierced(wall, DEEP, top, bends, holes[name], *shell.looks))
+        parts.append(pierced(wall, DEEP, top, bends, holes[name], *shell.finish))
         style = shell.style if name in shell.dressed else shell.style._replace(surround="")
         for hole in holes[name]:
             filled(boards, wall, hole, style, rng)

@@ -161,9 +161,9 @@ def _place(line: np.ndarray, z: float) -> float:
     return float(np.interp(z, line[::-1, 1], line[::-1, 0]))
 
 
-def wheels(shape: Shape, kind: str, spokes: int, width: float) -> list[Mesh]:
+def wheels(shape: Shape, object_type: str, spokes: int, width: float) -> list[Mesh]:
     """A pair of wheels under each axle of a body; `width` of a tyre in metres."""
-    one = wheel(shape.wheel, width, kind, spokes)
+    one = wheel(shape.wheel, width, object_type, spokes)
     y = shape.width / 2 - width / 2 - 0.03
     return [side for axle in shape.axles for side in both_sides(one.placed((shape.length / 2 - axle, y, shape.wheel)))]
 

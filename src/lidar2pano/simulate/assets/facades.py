@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.scene.mesh import Mesh, Tint, mesh, unrolled
-from lidar2pano.simulate.scene.surfaces import KIND_IDS, MATERIAL_IDS
+from lidar2pano.simulate.scene.mesh import Mesh, Tint, mesh, projected_uv
+from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, OBJECT_TYPE_IDS
 
 Span = tuple[float, float]
 PLAIN: Tint = (1.0, 1.0, 1.0)
@@ -66,10 +66,10 @@ _CUT = ("railing", "pickets")  # their uv runs 0..1 over the board's height
 class Boards:
     """A heap of boards that becomes one mesh of a kind."""
 
-    def __init__(self, kind: str = "building") -> None:
-        self.kind = kind
+    def __init__(self, object_type: str = "building") -> None:
+        self.object_type = object_type
         self._rows: list[tuple[float, ...]] = []
-        self._looks: list[tuple[float, ...]] = []
+        self._finish: list[tuple[float, ...]] = []
         self._faces: list[str] = []
 
     def add(  # noqa: PLR0913 a board has a place, three extents and looks
@@ -77,12 +77,12 @@ class Boards:
     ) -> None:
         """A board; `faces` of it are built: front, k (back), left, right, top, under."""
         self._rows.append((*wall.left, *wall.right, *wall.out, *along, *out, *up))
-        self._looks.append((MATERIAL_IDS[material], *tint))
+        self._finish.append((MATERIAL_IDS[material], *tint))
         self._faces.append(faces)
 
     def mesh(self) -> Mesh:
         """All boards."""
-        rows, looks = np.array(self._rows).reshape(-1, 12), np.array(self._looks).reshape(-1, 4)
+        rows, finish = np.array(self._rows).reshape(-1, 12), np.array(self._finish).reshape(-1, 4)
         board, face = np.nonzero(np.array([[name in faces for name in _FACES] for faces in self._faces]))
         low, size = rows[:, 6::2], rows[:, 7::2] - rows[:, 6::2]
         place = low[board, None] + _CORNERS[_ORDER[face]] * size[board, None]
@@ -91,8 +91,8 @@ class Boards:
         points = place @ frame[board]
         points[..., :2] += rows[board, None, :2]
         normals = np.einsum("bi,bij->bj", _WAYS[face], frame[board])
-        uv = unrolled(points.reshape(-1, 3), np.repeat(normals, 4, axis=0)).reshape(-1, 4, 2)
-        cut = np.isin(looks[board, 0], [MATERIAL_IDS[name] for name in _CUT])
+        uv = projected_uv(points.reshape(-1, 3), np.repeat(normals, 4, axis=0)).reshape(-1, 4, 2)
+        cut = np.isin(finish[board, 0], [MATERIAL_IDS[name] for name in _CUT])
         uv[cut, :, 1] = (points[cut, :, 2] - low[board][cut, None, 2]) / size[board][cut, None, 2]
         start = 4 * np.arange(len(board))[:, None]
         return Mesh(
@@ -100,9 +100,9 @@ class Boards:
             normals=np.repeat(normals, 4, axis=0).astype(np.float32),
             uv=uv.reshape(-1, 2).astype(np.float32),
             faces=np.concatenate([start + (0, 1, 2), start + (0, 2, 3)], axis=1).reshape(-1, 3).astype(np.int32),
-            material=np.repeat(looks[board, 0], 2).astype(np.uint8),
-            kind=np.full(2 * len(board), KIND_IDS[self.kind], dtype=np.uint8),
-            tint=np.repeat(looks[board, 1:], 2, axis=0).astype(np.float32),
+            material=np.repeat(finish[board, 0], 2).astype(np.uint8),
+            object_type=np.full(2 * len(board), OBJECT_TYPE_IDS[self.object_type], dtype=np.uint8),
+            tint=np.repeat(finish[board, 1:], 2, axis=0).astype(np.float32),
         )
 
 
@@ -190,10 +190,10 @@ def _reveal(boards: Boards, wall: Wall, hole: Opening, style: Style) -> None:
     boards.add(wall, hole.along, out, (hole.high, hole.high + 0.02), "plaster", style.reveal, "u")
     boards.add(wall, hole.along, out, (hole.low - 0.02, hole.low), "stone", style.sill, "t")
     if style.surround:
-        wide, looks = 0.14, (style.surround, style.surround_tint)
-        boards.add(wall, (left - wide, left), (0, 0.03), (hole.low, hole.high), *looks, "fl")
-        boards.add(wall, (right, right + wide), (0, 0.03), (hole.low, hole.high), *looks, "fr")
-        boards.add(wall, (left - wide, right + wide), (0, 0.05), (hole.high, hole.high + wide + 0.04), *looks)
+        wide, finish = 0.14, (style.surround, style.surround_tint)
+        boards.add(wall, (left - wide, left), (0, 0.03), (hole.low, hole.high), *finish, "fl")
+        boards.add(wall, (right, right + wide), (0, 0.03), (hole.low, hole.high), *finish, "fr")
+        boards.add(wall, (left - wide, right + wide), (0, 0.05), (hole.high, hole.high + wide + 0.04), *finish)
 
 
 def _window(boards: Boards, wall: Wall, hole: Opening, style: Style, rng: np.random.Generator) -> None:
@@ -282,9 +282,9 @@ def canopy(boards: Boards, wall: Wall, hole: Opening, tint: Tint) -> None:
     boards.add(wall, (hole.along[0] - 0.35, hole.along[1] + 0.35), (0.0, 1.0), up, "wood", tint)
 
 
-def balcony(boards: Boards, wall: Wall, along: Span, floor: float, out: float, looks: tuple[str, Tint]) -> None:
+def balcony(boards: Boards, wall: Wall, along: Span, floor: float, out: float, finish: tuple[str, Tint]) -> None:
     """A slab at height `floor` that stands `out` from the wall, with a parapet of material and tint `looks`."""
-    material, tint = looks
+    material, tint = finish
     boards.add(wall, along, (0.0, out), (floor - 0.18, floor), "concrete", (1.2, 1.2, 1.2))
     up, (left, right) = (floor + 0.02, floor + 0.98), along
     faces = "fk"

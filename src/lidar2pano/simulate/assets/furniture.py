@@ -72,11 +72,11 @@ def pole(rng: np.random.Generator) -> Mesh:
     height, lean = rng.uniform(7.0, 9.5), rng.normal(0, 0.05, 2)
     wooden = rng.uniform() < 0.75
     course = [(0.0, 0.0, -0.3), (float(lean[0]), float(lean[1]), height)]
-    looks: tuple[str, Tint] = ("wood", (0.8, 0.8, 0.85)) if wooden else ("concrete", (1.0, 1.0, 1.0))
-    parts = [_round(course, [0.14, 0.09] if wooden else [0.2, 0.11], *looks)]
+    finish: tuple[str, Tint] = ("wood", (0.8, 0.8, 0.85)) if wooden else ("concrete", (1.0, 1.0, 1.0))
+    parts = [_round(course, [0.14, 0.09] if wooden else [0.2, 0.11], *finish)]
     for i in range(int(rng.integers(1, 3))):
         z = height - 0.35 - 0.7 * i
-        parts.append(box((lean[0], lean[1], z), (0.09, 1.5, 0.1), *(looks[0], "pole"), tint=looks[1]))
+        parts.append(box((lean[0], lean[1], z), (0.09, 1.5, 0.1), *(finish[0], "pole"), tint=finish[1]))
         for side in (-0.65, -0.3, 0.3, 0.65):
             foot = (lean[0], lean[1] + side, z + 0.05)
             parts.append(_round([foot, (foot[0], foot[1], foot[2] + 0.16)], 0.035, "plastic", (1.6, 1.6, 1.6)))

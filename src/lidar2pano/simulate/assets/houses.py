@@ -54,11 +54,11 @@ def _holes(rng: np.random.Generator, shell: Shell, roof: Roof, name: str, front:
     top, bends = roof.gable(wall.length)
     if top(np.array([wall.length / 2]))[0] > shell.eaves + 2.0 and gabled(roof, name):
         near = [middle for middle in (wall.length / 2 - 1.3, wall.length / 2 + 1.3) if 0 < middle < wall.length]
-        chosen = near if roof.ridge - shell.eaves > 3.2 else [wall.length / 2]
+        weighted_choice = near if roof.ridge - shell.eaves > 3.2 else [wall.length / 2]
         sill = shell.eaves + 0.45
         holes += [
             hole
-            for hole in rows(wall, chosen, sill, (0.95, 1.2))
+            for hole in rows(wall, weighted_choice, sill, (0.95, 1.2))
             if (top(np.array(hole.along)) > hole.high + 0.3).all()
         ]
     if front:
@@ -81,12 +81,12 @@ def house(rng: np.random.Generator, width: float, depth: float) -> Mesh:
 
 
 def _house(rng: np.random.Generator, width: float, depth: float, front: str) -> Mesh:
-    looks = ("brick", PLAIN) if rng.uniform() < 0.06 else ("plaster", pick(rng, PLASTERS))
+    finish = ("brick", PLAIN) if rng.uniform() < 0.06 else ("plaster", pick(rng, PLASTERS))
     shutters = str(rng.choice(("none", "swing", "roller"), p=(0.2, 0.3, 0.5)))
     shell = Shell(
         walls=four_walls(width, depth),
-        looks=looks,
-        style=window_style(rng, shutters, looks[1]),
+        finish=finish,
+        style=window_style(rng, shutters, finish[1]),
         base=rng.uniform(0.2, 0.9),
         storeys=int(rng.choice((1, 2, 3), p=(0.36, 0.54, 0.1))),
         storey=rng.uniform(2.65, 2.95),
@@ -95,16 +95,16 @@ def _house(rng: np.random.Generator, width: float, depth: float, front: str) -> 
     holes = {name: _holes(rng, shell, roof, name, name == front) for name in shell.walls}
     boards = Boards()
     wing = _wing(rng, boards, shell, holes, roof) if front == "front" and rng.uniform() < 0.3 else []
-    timbered = looks[0] == "plaster" and shutters != "swing" and not wing and rng.uniform() < 0.1
+    timbered = finish[0] == "plaster" and shutters != "swing" and not wing and rng.uniform() < 0.1
     if not timbered and not wing and shell.storeys > 1 and rng.uniform() < 0.35:
         _porch(rng, boards, shell, holes, front)
     parts = [*shut(rng, boards, shell, holes, roof), *wing]
-    if looks[0] == "plaster" and rng.uniform() < 0.8:
+    if finish[0] == "plaster" and rng.uniform() < 0.8:
         plinth(boards, shell, holes, (0.55, 0.54, 0.53) if rng.uniform() < 0.5 else (0.8, 0.78, 0.74))
     _entrance(rng, boards, shell.walls[front], holes[front][-1])
     if timbered:
         _timber(boards, shell, roof, holes)
-    parts += [roof.mesh(), gutters(roof), *_on_roof(rng, roof, shell.looks, plain=bool(wing))]
+    parts += [roof.mesh(), gutters(roof), *_on_roof(rng, roof, shell.finish, plain=bool(wing))]
     return merged([*parts, boards.mesh()])
 
 
@@ -168,13 +168,13 @@ def _porch(rng: np.random.Generator, boards: Boards, shell: Shell, holes: dict[s
     level = [i for i, hole in enumerate(holes[front]) if floor < hole.low < floor + 1.5]
     if not level:
         return
-    chosen = level[int(rng.integers(len(level)))]
-    hole = holes[front][chosen]
-    holes[front][chosen] = hole._replace(low=floor + 0.03, what="glass-door")
+    weighted_choice = level[int(rng.integers(len(level)))]
+    hole = holes[front][weighted_choice]
+    holes[front][weighted_choice] = hole._replace(low=floor + 0.03, what="glass-door")
     wide = min(rng.uniform(2.5, 4.5), wall.length - 1.0)
     left = float(np.clip(hole.middle - wide * rng.uniform(0.3, 0.7), 0.2, wall.length - wide - 0.2))
-    looks = [("railing", PLAIN), ("wood", PLAIN), ("plaster", shell.looks[1])][int(rng.integers(3))]
-    balcony(boards, wall, (left, left + wide), floor, 1.3, looks)
+    finish = [("railing", PLAIN), ("wood", PLAIN), ("plaster", shell.finish[1])][int(rng.integers(3))]
+    balcony(boards, wall, (left, left + wide), floor, 1.3, finish)
 
 
 def _wing(
@@ -203,7 +203,7 @@ def _wing(
             else []
         )
         own = [hole for hole in own if (top(np.array(hole.along)) > hole.high + 0.1).all()]
-        parts.append(pierced(walls[name], DEEP, top, bends, own, *shell.looks))
+        parts.append(pierced(walls[name], DEEP, top, bends, own, *shell.finish))
         for hole in own:
             filled(boards, walls[name], hole, shell.style, rng)
     x, ridge, low = front + 0.3, eaves + slope * wide / 2, eaves - 0.3 * slope
@@ -214,7 +214,7 @@ def _wing(
     return [*parts, slabs(points + (0, y, 0), [[2, 5, 4, 1], [3, 0, 1, 4]], (roof.material, roof.tint))]
 
 
-def _on_roof(rng: np.random.Generator, roof: Roof, looks: tuple[str, Tint], *, plain: bool) -> list[Mesh]:
+def _on_roof(rng: np.random.Generator, roof: Roof, finish: tuple[str, Tint], *, plain: bool) -> list[Mesh]:
     """A chimney, and dormers or roof windows where the roof is not `plain`."""
     ridge = roof.ridge + 0.2
     parts = [
@@ -228,7 +228,7 @@ def _on_roof(rng: np.random.Generator, roof: Roof, looks: tuple[str, Tint], *, p
     if rng.uniform() < 0.45:
         wide = float(rng.choice((1.2, 1.5, 2.6, 3.4)))
         count = 1 if wide > 2 or reach < 2.2 else 2
-        cheeks = looks if rng.uniform() < 0.5 else ("slate", PLAIN)
+        cheeks = finish if rng.uniform() < 0.5 else ("slate", PLAIN)
         if wide / 2 < reach:
             places = [0.0] if count == 1 else [-0.55 * reach, 0.55 * reach]
             parts += [dormer(roof, place, rise, (wide, 1.25), cheeks) for place in places]
@@ -246,9 +246,9 @@ def _on_roof(rng: np.random.Generator, roof: Roof, looks: tuple[str, Tint], *, p
 def garage(rng: np.random.Generator) -> Mesh:
     """A single garage, 3 m wide and 6 m deep, its gate to +x."""
     width, depth = rng.uniform(2.9, 3.2), rng.uniform(5.6, 6.2)
-    looks = ("plaster", pick(rng, PLASTERS)) if rng.uniform() < 0.8 else ("concrete", (1.2, 1.2, 1.2))
-    style = window_style(rng, "none", looks[1])._replace(surround="", door=pick(rng, DOORS))
-    shell = Shell(four_walls(width, depth), looks, style, 0.03, 1, 2.45)
+    finish = ("plaster", pick(rng, PLASTERS)) if rng.uniform() < 0.8 else ("concrete", (1.2, 1.2, 1.2))
+    style = window_style(rng, "none", finish[1])._replace(surround="", door=pick(rng, DOORS))
+    shell = Shell(four_walls(width, depth), finish, style, 0.03, 1, 2.45)
     holes: dict[str, list[Opening]] = {name: [] for name in shell.walls}
     holes["front"] = [Opening(width / 2, width - 0.5, 0.03, 2.1, "gate")]
     boards = Boards()

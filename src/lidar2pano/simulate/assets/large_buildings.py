@@ -49,8 +49,8 @@ def flats(rng: np.random.Generator, width: float, depth: float) -> Mesh:
     """A block of flats, 3 to 6 storeys: of 1900 with stone borders, plain of 1960, or new with a flat roof."""
     era = str(rng.choice(("old", "plain", "new"), p=(0.38, 0.4, 0.22)))
     shops = bool(rng.uniform() < (0.4 if era == "old" else 0.25))
-    looks = ("brick", PLAIN) if rng.uniform() < 0.1 else ("plaster", pick(rng, PLASTERS))
-    style = window_style(rng, "roller" if era == "plain" else "none", looks[1])
+    finish = ("brick", PLAIN) if rng.uniform() < 0.1 else ("plaster", pick(rng, PLASTERS))
+    style = window_style(rng, "roller" if era == "plain" else "none", finish[1])
     if era == "old":
         warm = SANDSTONE if rng.uniform() < 0.6 else (1.2, 1.15, 1.05)
         style = style._replace(surround="stone", surround_tint=warm, sill=warm, cross=True, sashes=2, deep=0.16)
@@ -59,7 +59,7 @@ def flats(rng: np.random.Generator, width: float, depth: float) -> Mesh:
     storeys = int(rng.integers(3, 6 if era == "old" else 7))
     storey = rng.uniform(3.2, 3.7) if era == "old" else rng.uniform(2.75, 2.95)
     base = 0.15 if shops else rng.uniform(0.3, 1.0)
-    shell = Shell(four_walls(width, depth), looks, style, base, storeys, storey, dressed=("front",))
+    shell = Shell(four_walls(width, depth), finish, style, base, storeys, storey, dressed=("front",))
     holes = {name: _windows(rng, shell, name, era) for name in shell.walls}
     boards = Boards()
     parts = _ground_floor(rng, boards, shell, holes, shops)
@@ -123,7 +123,7 @@ def _balconies(rng: np.random.Generator, boards: Boards, shell: Shell, holes: di
     name = "front" if rng.uniform() < 0.7 else "back"
     wall = shell.walls[name]
     places = sorted({hole.middle for hole in holes[name] if hole.what == "window"})[1::3]
-    looks = [("railing", PLAIN), ("plaster", (1.1, 1.1, 1.1)), ("pane", (3.0, 4.0, 4.0)), ("metal", (0.9, 0.9, 0.9))][
+    finish = [("railing", PLAIN), ("plaster", (1.1, 1.1, 1.1)), ("pane", (3.0, 4.0, 4.0)), ("metal", (0.9, 0.9, 0.9))][
         int(rng.integers(4))
     ]
     wide, out = rng.uniform(2.6, 3.4), rng.uniform(1.2, 1.8)
@@ -132,7 +132,7 @@ def _balconies(rng: np.random.Generator, boards: Boards, shell: Shell, holes: di
             floor = hole.low - 0.85
             holes[name][i] = Opening(hole.middle, max(hole.width, 1.5), floor + 0.03, hole.high, "glass-door")
             left = float(np.clip(hole.middle - wide / 2, 0.05, wall.length - wide - 0.05))
-            balcony(boards, wall, (left, left + wide), floor, out, looks)
+            balcony(boards, wall, (left, left + wide), floor, out, finish)
 
 
 def _belts(boards: Boards, shell: Shell, tint: Tint) -> None:
@@ -153,9 +153,9 @@ def _cover(rng: np.random.Generator, shell: Shell, era: str, width: float, depth
         house = Boards()  # of the lift
         for wall in four_walls(3.0, 3.5, (0.0, width * rng.uniform(-0.2, 0.2))).values():
             house.add(
-                wall, (0, wall.length), (-0.1, 0.0), (shell.eaves, shell.eaves + 2.4), "plaster", shell.looks[1], "ft"
+                wall, (0, wall.length), (-0.1, 0.0), (shell.eaves, shell.eaves + 2.4), "plaster", shell.finish[1], "ft"
             )
-        return [flat_roof(width, depth, shell.eaves, shell.looks[1]), house.mesh()]
+        return [flat_roof(width, depth, shell.eaves, shell.finish[1]), house.mesh()]
     slope = rng.uniform(0.7, 0.95) if era == "old" else rng.uniform(0.4, 0.65)
     form = "hip" if width > depth + 4 and rng.uniform() < 0.6 else "gable"
     material, tint = COVERS[int(rng.choice(len(COVERS), p=(0.35, 0.2, 0.15, 0.1, 0.12, 0.08)))]
@@ -176,7 +176,7 @@ def _cover(rng: np.random.Generator, shell: Shell, era: str, width: float, depth
 def _gable(shell: Shell, roof: Roof, name: str) -> Mesh:
     wall = shell.walls[name]
     top, bends = roof.gable(wall.length)
-    return pierced(wall, shell.eaves, top, bends, [], *shell.looks)
+    return pierced(wall, shell.eaves, top, bends, [], *shell.finish)
 
 
 def hall(rng: np.random.Generator, width: float, depth: float) -> Mesh:
@@ -191,9 +191,9 @@ def hall(rng: np.random.Generator, width: float, depth: float) -> Mesh:
         (0.5, 0.65, 0.9),
         (1.1, 0.8, 0.6),
     ][int(rng.integers(6))]
-    looks = (("plaster", "metal", "concrete", "brick")[int(rng.choice(4, p=(0.35, 0.4, 0.15, 0.1)))], tint)
+    finish = (("plaster", "metal", "concrete", "brick")[int(rng.choice(4, p=(0.35, 0.4, 0.15, 0.1)))], tint)
     style = window_style(rng, "none", tint)._replace(surround="", deep=0.1, cross=False)
-    shell = Shell(four_walls(width, depth), looks, style, 0.05, 1, height)
+    shell = Shell(four_walls(width, depth), finish, style, 0.05, 1, height)
     holes = {name: _hall_holes(rng, shell, name, market) for name in shell.walls}
     boards = Boards()
     parts = shut(rng, boards, shell, holes, None)
@@ -206,7 +206,7 @@ def hall(rng: np.random.Generator, width: float, depth: float) -> Mesh:
     shop_sign(rng, boards, front, (left, left + wide), height - 0.9)
     for name in ("front", "left", "right"):  # seams of the sheets
         wall = shell.walls[name]
-        for place in np.arange(2.5, wall.length - 1, 5.0) if looks[0] in ("metal", "concrete") else ():
+        for place in np.arange(2.5, wall.length - 1, 5.0) if finish[0] in ("metal", "concrete") else ():
             if all(abs(place - hole.middle) > hole.width / 2 + 0.1 for hole in holes[name]):
                 boards.add(
                     wall, (place - 0.04, place + 0.04), (0.0, 0.03), (0.0, height), "dark-metal", (4.0, 4.0, 4.0), "flr"

@@ -23,21 +23,21 @@ def trailer(rng: np.random.Generator) -> Mesh:
     return centred(semitrailer(rng, "trailer"))
 
 
-def semitrailer(rng: np.random.Generator, kind: str) -> Mesh:
+def semitrailer(rng: np.random.Generator, object_type: str) -> Mesh:
     """The trailer of a tractor, 13.6 m, around x = 0; by itself it stands on its legs."""
     length, wide, tall = 13.6, 2.5, 2.75
-    bed = box((0, 0, 1.18), (length, wide, 0.14), "dark-metal", kind)
-    frame = box((-1.0, 0, 0.95), (length - 3.2, 1.0, 0.3), "underbody", kind)
+    bed = box((0, 0, 1.18), (length, wide, 0.14), "dark-metal", object_type)
+    frame = box((-1.0, 0, 0.95), (length - 3.2, 1.0, 0.3), "underbody", object_type)
     fill = (
-        boxed(length, wide, 1.25, tall, WHITE, kind)
+        boxed(length, wide, 1.25, tall, WHITE, object_type)
         if rng.uniform() < 0.4
-        else covered(length, wide, 1.25, tall, cloth(rng), kind)
+        else covered(length, wide, 1.25, tall, cloth(rng), object_type)
     )
-    axles = [part for x in (-2.9, -4.2, -5.5) for part in axle(x, 1.0, kind)]
-    down = 1.15 if kind == "trailer" else 0.5
-    legs = both_sides(box((3.4, 0.6, 1.155 - down / 2), (0.14, 0.14, down), "dark-metal", kind))
-    guard = both_sides(box((0.6, 1.2, 0.75), (4.6, 0.03, 0.12), "metal", kind))
-    return merged([bed, frame, *fill, *axles, *legs, *guard, *stern(-length / 2, 1.05, 1.25, kind)])
+    axles = [part for x in (-2.9, -4.2, -5.5) for part in axle(x, 1.0, object_type)]
+    down = 1.15 if object_type == "trailer" else 0.5
+    legs = both_sides(box((3.4, 0.6, 1.155 - down / 2), (0.14, 0.14, down), "dark-metal", object_type))
+    guard = both_sides(box((0.6, 1.2, 0.75), (4.6, 0.03, 0.12), "metal", object_type))
+    return merged([bed, frame, *fill, *axles, *legs, *guard, *stern(-length / 2, 1.05, 1.25, object_type)])
 
 
 def centred(mesh: Mesh) -> Mesh:
@@ -46,20 +46,20 @@ def centred(mesh: Mesh) -> Mesh:
     return mesh.placed((-float(x.min() + x.max()) / 2, 0.0, 0.0))
 
 
-def axle(x: float, scale: float, kind: str) -> list[Mesh]:
+def axle(x: float, scale: float, object_type: str) -> list[Mesh]:
     """A pair of twin wheels with mudguards."""
     radius = 0.5 * scale
-    twin = wheel(radius, 0.52 * scale, kind, spokes=8, rim=0.56)
-    guard = box((x, 0.98 * scale, 2 * radius + 0.04), (2.1 * radius, 0.5 * scale, 0.04), "dark-metal", kind)
-    across = box((x, 0, radius), (0.16, 1.6 * scale, 0.16), "underbody", kind)
+    twin = wheel(radius, 0.52 * scale, object_type, spokes=8, rim=0.56)
+    guard = box((x, 0.98 * scale, 2 * radius + 0.04), (2.1 * radius, 0.5 * scale, 0.04), "dark-metal", object_type)
+    across = box((x, 0, radius), (0.16, 1.6 * scale, 0.16), "underbody", object_type)
     return [*both_sides(twin.placed((x, 0.98 * scale, radius))), *both_sides(guard), across]
 
 
-def stern(x: float, z: float, half: float, kind: str) -> list[Mesh]:
+def stern(x: float, z: float, half: float, object_type: str) -> list[Mesh]:
     """Tail lamps, the bar below them and the plate, at the end x of a lorry or trailer."""
-    lamp = box((x + 0.02, half - 0.26, z - 0.14), (0.08, 0.42, 0.14), "tail-lamp", kind)
-    bar = box((x + 0.15, 0, 0.52), (0.1, 2 * half - 0.1, 0.12), "metal", kind)
-    return [*both_sides(lamp), bar, plate(x - 0.02, z - 0.16, kind, forward=False)]
+    lamp = box((x + 0.02, half - 0.26, z - 0.14), (0.08, 0.42, 0.14), "tail-lamp", object_type)
+    bar = box((x + 0.15, 0, 0.52), (0.1, 2 * half - 0.1, 0.12), "metal", object_type)
+    return [*both_sides(lamp), bar, plate(x - 0.02, z - 0.16, object_type, forward=False)]
 
 
 def cloth(rng: np.random.Generator) -> Tint:
@@ -74,33 +74,35 @@ def cloth(rng: np.random.Generator) -> Tint:
     )[rng.integers(6)]
 
 
-def boxed(length: float, wide: float, low: float, tall: float, tint: Tint, kind: str) -> list[Mesh]:
+def boxed(length: float, wide: float, low: float, tall: float, tint: Tint, object_type: str) -> list[Mesh]:
     """A plain box with metal edges and doors at its back."""
-    parts = [box((0, 0, low + tall / 2), (length, wide, tall), "paint", kind, tint=tint)]
+    parts = [box((0, 0, low + tall / 2), (length, wide, tall), "paint", object_type, tint=tint)]
     for x in (-length / 2, length / 2):
         for y in (-wide / 2, wide / 2):
-            parts.append(box((x, y, low + tall / 2), (0.08, 0.08, tall), "metal", kind))
+            parts.append(box((x, y, low + tall / 2), (0.08, 0.08, tall), "metal", object_type))
     for z in (low, low + tall):
-        parts += [box((0, s * wide / 2, z), (length + 0.08, 0.06, 0.08), "metal", kind) for s in (-1, 1)]
-        parts += [box((s * length / 2, 0, z), (0.08, wide, 0.08), "metal", kind) for s in (-1, 1)]
+        parts += [box((0, s * wide / 2, z), (length + 0.08, 0.06, 0.08), "metal", object_type) for s in (-1, 1)]
+        parts += [box((s * length / 2, 0, z), (0.08, wide, 0.08), "metal", object_type) for s in (-1, 1)]
     for y in (-0.3 * wide, -0.12 * wide, 0.12 * wide, 0.3 * wide):
-        parts.append(box((-length / 2 - 0.03, y, low + tall / 2), (0.03, 0.035, tall), "metal", kind))
+        parts.append(box((-length / 2 - 0.03, y, low + tall / 2), (0.03, 0.035, tall), "metal", object_type))
     return parts
 
 
-def covered(length: float, wide: float, low: float, tall: float, tint: Tint, kind: str) -> list[Mesh]:
+def covered(length: float, wide: float, low: float, tall: float, tint: Tint, object_type: str) -> list[Mesh]:
     """A tarpaulin over hoops, with boards of metal below and straps."""
-    boards = box((0, 0, low + 0.25), (length, wide, 0.5), "metal", kind)
+    boards = box((0, 0, low + 0.25), (length, wide, 0.5), "metal", object_type)
     cover = [
         box(
             (0, 0, low + 0.45 + (tall - 0.55) / 2),
             (length - 0.02, wide + 0.03, tall - 0.55),
             "tarpaulin",
-            kind,
+            object_type,
             tint=tint,
         )
     ]
-    cover.append(box((0, 0, low + tall - 0.07), (length - 0.06, wide - 0.14, 0.14), "tarpaulin", kind, tint=tint))
+    cover.append(
+        box((0, 0, low + tall - 0.07), (length - 0.06, wide - 0.14, 0.14), "tarpaulin", object_type, tint=tint)
+    )
     straps = []
     for x in np.linspace(-0.47, 0.47, max(4, int(length / 0.7))) * length:
         straps.append(
@@ -108,37 +110,43 @@ def covered(length: float, wide: float, low: float, tall: float, tint: Tint, kin
                 (x, 0, low + 0.42 + tall / 4),
                 (0.05, wide + 0.05, tall / 2 - 0.1),
                 "dark-metal",
-                kind,
+                object_type,
                 without=("top", "bottom"),
             )
         )
     return [boards, *cover, *straps]
 
 
-def _drawbar(front: float, z: float, kind: str) -> list[Mesh]:
+def _drawbar(front: float, z: float, object_type: str) -> list[Mesh]:
     """The bar that couples a small trailer to a car, with its jockey wheel; `front` is the body's end."""
-    bar = tube(np.array([(front - 0.3, 0.0, z), (front + 1.15, 0.0, z)]), 0.04, "metal", kind, sides=6)
-    ties = both_sides(tube(np.array([(front - 0.1, 0.45, z), (front + 0.7, 0.02, z)]), 0.03, "metal", kind, sides=6))
-    leg = tube(np.array([(front + 0.85, 0.08, z + 0.35), (front + 0.85, 0.08, 0.09)]), 0.025, "metal", kind, sides=6)
-    return [bar, *ties, leg, wheel(0.09, 0.06, kind, 0).placed((front + 0.85, 0.08, 0.09))]
+    bar = tube(np.array([(front - 0.3, 0.0, z), (front + 1.15, 0.0, z)]), 0.04, "metal", object_type, sides=6)
+    ties = both_sides(
+        tube(np.array([(front - 0.1, 0.45, z), (front + 0.7, 0.02, z)]), 0.03, "metal", object_type, sides=6)
+    )
+    leg = tube(
+        np.array([(front + 0.85, 0.08, z + 0.35), (front + 0.85, 0.08, 0.09)]), 0.025, "metal", object_type, sides=6
+    )
+    return [bar, *ties, leg, wheel(0.09, 0.06, object_type, 0).placed((front + 0.85, 0.08, 0.09))]
 
 
 def _small_trailer(rng: np.random.Generator) -> Mesh:
     """A car's trailer with boards, mostly under a tarpaulin."""
-    kind, length, wide = "trailer", float(rng.uniform(2.0, 2.9)), float(rng.uniform(1.15, 1.45))
+    object_type, length, wide = "trailer", float(rng.uniform(2.0, 2.9)), float(rng.uniform(1.15, 1.45))
     low, lidded = 0.5, rng.uniform() < 0.7
-    parts = covered(length, wide, low, float(rng.uniform(0.95, 1.5)), cloth(rng), kind) if lidded else []
+    parts = covered(length, wide, low, float(rng.uniform(0.95, 1.5)), cloth(rng), object_type) if lidded else []
     if not lidded:
         for s in (-1, 1):
-            parts.append(box((0, s * wide / 2, low + 0.18), (length, 0.03, 0.36), "metal", kind))
-            parts.append(box((s * length / 2, 0, low + 0.18), (0.03, wide, 0.36), "metal", kind))
-    parts.append(box((0, 0, low), (length, wide, 0.05), "wood", kind))
-    one = wheel(0.29, 0.16, kind, 0).placed((-0.1, wide / 2 + 0.12, 0.29))
-    guard = box((-0.1, wide / 2 + 0.12, 0.63), (0.7, 0.2, 0.03), "dark-metal", kind)
-    across = box((-0.1, 0, 0.3), (0.08, wide + 0.1, 0.08), "underbody", kind)
-    lamp = box((-length / 2 - 0.03, wide / 2 - 0.14, low - 0.06), (0.06, 0.22, 0.12), "tail-lamp", kind)
-    back = plate(-length / 2 - 0.04, low - 0.08, kind, forward=False)
-    return merged([*parts, across, back, *both_sides(merged([one, guard, lamp])), *_drawbar(length / 2, 0.45, kind)])
+            parts.append(box((0, s * wide / 2, low + 0.18), (length, 0.03, 0.36), "metal", object_type))
+            parts.append(box((s * length / 2, 0, low + 0.18), (0.03, wide, 0.36), "metal", object_type))
+    parts.append(box((0, 0, low), (length, wide, 0.05), "wood", object_type))
+    one = wheel(0.29, 0.16, object_type, 0).placed((-0.1, wide / 2 + 0.12, 0.29))
+    guard = box((-0.1, wide / 2 + 0.12, 0.63), (0.7, 0.2, 0.03), "dark-metal", object_type)
+    across = box((-0.1, 0, 0.3), (0.08, wide + 0.1, 0.08), "underbody", object_type)
+    lamp = box((-length / 2 - 0.03, wide / 2 - 0.14, low - 0.06), (0.06, 0.22, 0.12), "tail-lamp", object_type)
+    back = plate(-length / 2 - 0.04, low - 0.08, object_type, forward=False)
+    return merged(
+        [*parts, across, back, *both_sides(merged([one, guard, lamp])), *_drawbar(length / 2, 0.45, object_type)]
+    )
 
 
 def _caravan(rng: np.random.Generator) -> Mesh:
@@ -268,12 +276,14 @@ def tram(rng: np.random.Generator) -> Mesh:
     return merged(parts)
 
 
-def _door(x: float, y: float, wide: float, low: float, high: float, kind: str) -> list[Mesh]:
+def _door(x: float, y: float, wide: float, low: float, high: float, object_type: str) -> list[Mesh]:
     """A glazed double door in the right side at y, centred at x."""
     middle, tall = (low + high) / 2, high - low
-    frame = box((x, y + 0.015, middle), (wide, 0.06, tall), "dark-metal", kind)
+    frame = box((x, y + 0.015, middle), (wide, 0.06, tall), "dark-metal", object_type)
     leaf = wide / 2 - 0.1
-    glass = [box((x + s * wide / 4, y - 0.012, middle), (leaf, 0.02, tall - 0.16), "window", kind) for s in (-1, 1)]
+    glass = [
+        box((x + s * wide / 4, y - 0.012, middle), (leaf, 0.02, tall - 0.16), "window", object_type) for s in (-1, 1)
+    ]
     return [frame, *glass]
 
 
@@ -290,29 +300,31 @@ def _cab(rng: np.random.Generator, tint: Tint) -> Mesh:
     return merged([*parts, visor, *both_sides(merged([arm, mirror, steps]))])
 
 
-def _frame(length: float, kind: str) -> Mesh:
+def _frame(length: float, object_type: str) -> Mesh:
     """A lorry's girders."""
-    return box((0, 0, 0.72), (length, 0.8, 0.3), "underbody", kind)
+    return box((0, 0, 0.72), (length, 0.8, 0.3), "underbody", object_type)
 
 
-def _cargo(rng: np.random.Generator, length: float, floor: float, scale: float, kind: str) -> Mesh:
+def _cargo(rng: np.random.Generator, length: float, floor: float, scale: float, object_type: str) -> Mesh:
     """What a lorry carries, around x = 0: a box, a tarpaulin over boards, or a tipper's tub."""
     which, wide, tall = rng.uniform(), 2.5 * scale, float(rng.uniform(2.3, 2.7)) * scale
-    bed = box((0, 0, floor + 0.06), (length, wide, 0.12), "dark-metal", kind)
+    bed = box((0, 0, floor + 0.06), (length, wide, 0.12), "dark-metal", object_type)
     if which < 0.4:
         return merged(
-            [bed, *boxed(length, wide, floor + 0.12, tall, WHITE if rng.uniform() < 0.6 else colour(rng), kind)]
+            [bed, *boxed(length, wide, floor + 0.12, tall, WHITE if rng.uniform() < 0.6 else colour(rng), object_type)]
         )
     if which < 0.75:
-        return merged([bed, *covered(length, wide, floor + 0.12, tall, cloth(rng), kind)])
+        return merged([bed, *covered(length, wide, floor + 0.12, tall, cloth(rng), object_type)])
     tint, high = colour(rng), 1.0 * scale
     z, thick = floor + 0.12 + high / 2, 0.07
-    tub = [box((0, s * (wide - thick) / 2, z), (length, thick, high), "paint", kind, tint=tint) for s in (-1, 1)]
-    tub += [box((s * (length - thick) / 2, 0, z), (thick, wide, high), "paint", kind, tint=tint) for s in (-1, 1)]
+    tub = [box((0, s * (wide - thick) / 2, z), (length, thick, high), "paint", object_type, tint=tint) for s in (-1, 1)]
+    tub += [
+        box((s * (length - thick) / 2, 0, z), (thick, wide, high), "paint", object_type, tint=tint) for s in (-1, 1)
+    ]
     ribs = [
-        box((x, 0, z), (0.08, wide + 0.08, high), "paint", kind, tint=tint, without=("top", "bottom"))
+        box((x, 0, z), (0.08, wide + 0.08, high), "paint", object_type, tint=tint, without=("top", "bottom"))
         for x in np.linspace(-0.45, 0.45, 5) * length
     ]
-    load = ellipsoid((0, 0, floor + 0.6 * scale), (0.46 * length, 0.46 * wide, 0.5 * scale), "gravel", kind, 8)
-    shield = box((length / 2 + 0.06, 0, z + 0.3), (0.08, wide, high + 0.6), "paint", kind, tint=tint)
+    load = ellipsoid((0, 0, floor + 0.6 * scale), (0.46 * length, 0.46 * wide, 0.5 * scale), "gravel", object_type, 8)
+    shield = box((length / 2 + 0.06, 0, z + 0.3), (0.08, wide, high + 0.6), "paint", object_type, tint=tint)
     return merged([bed, *tub, *ribs, load, shield])

@@ -90,21 +90,23 @@ class _Cards(NamedTuple):
     tint: np.ndarray
 
 
-def tree(rng: np.random.Generator, species: str | None = None, detail: float = 1.0) -> Mesh:
+def tree(rng: np.random.Generator, name: str | None = None, detail: float = 1.0) -> Mesh:
     """A tree of one of SPECIES, 3 to 22 m high; `detail` scales the number of cards and keeps the crown as dense."""
-    kind = SPECIES[species or STREET[int(rng.integers(len(STREET)))]]
-    height = rng.uniform(*kind.height)
-    radius, foot = height * rng.uniform(*kind.spread), height * rng.uniform(*kind.clear)
-    tint = np.array(kind.tint) * rng.normal(1.0, (0.1, 0.05, 0.1)) * rng.uniform(0.8, 1.15)
-    trunk = _trunk(rng, kind, height)
-    if kind.whorls:
-        cards, limbs = _whorls(rng, kind, (height, foot, radius), detail)
+    species = SPECIES[name or STREET[int(rng.integers(len(STREET)))]]
+    height = rng.uniform(*species.height)
+    radius, foot = height * rng.uniform(*species.spread), height * rng.uniform(*species.clear)
+    tint = np.array(species.tint) * rng.normal(1.0, (0.1, 0.05, 0.1)) * rng.uniform(0.8, 1.15)
+    trunk = _trunk(rng, species, height)
+    if species.whorls:
+        cards, limbs = _whorls(rng, species, (height, foot, radius), detail)
     else:
-        clumps, around = _clumps(rng, kind, (height, foot, radius))
-        cards = _crown(rng, kind, clumps, around, (foot, height, radius), detail)
-        limbs = _limbs(rng, kind, trunk, clumps, detail)
-    wood = tube(trunk[:, :3], trunk[:, 3].tolist(), kind.bark, "trunk", sides=10 if detail > 0.5 else 6, closed=False)
-    return merged([wood, *limbs, _leafed(cards._replace(tint=cards.tint * tint), kind.foliage)])
+        clumps, around = _clumps(rng, species, (height, foot, radius))
+        cards = _crown(rng, species, clumps, around, (foot, height, radius), detail)
+        limbs = _limbs(rng, species, trunk, clumps, detail)
+    wood = tube(
+        trunk[:, :3], trunk[:, 3].tolist(), species.bark, "trunk", sides=10 if detail > 0.5 else 6, closed=False
+    )
+    return merged([wood, *limbs, _leafed(cards._replace(tint=cards.tint * tint), species.foliage)])
 
 
 def bush(rng: np.random.Generator, detail: float = 1.0) -> Mesh:
@@ -112,7 +114,7 @@ def bush(rng: np.random.Generator, detail: float = 1.0) -> Mesh:
     height = rng.uniform(0.8, 2.5)
     radius = height * rng.uniform(0.4, 0.65)
     tint = rng.normal(1.0, (0.15, 0.08, 0.15)) * rng.uniform(0.65, 1.2)
-    kind = SPECIES["fruit"]._replace(
+    species = SPECIES["fruit"]._replace(
         profile=(0.9, 1.0, 0.95, 0.8, 0.4),
         clumps=12,
         clump=0.5,
@@ -120,9 +122,9 @@ def bush(rng: np.random.Generator, detail: float = 1.0) -> Mesh:
         card=0.27 + 0.05 * height,
         droop=-0.3,
     )
-    clumps, around = _clumps(rng, kind, (height, 0.0, radius))
-    kind = kind._replace(height=(height, height), spread=(radius / height, radius / height))
-    cards = _crown(rng, kind, clumps, around, (0.0, height, radius), detail)
+    clumps, around = _clumps(rng, species, (height, 0.0, radius))
+    species = species._replace(height=(height, height), spread=(radius / height, radius / height))
+    cards = _crown(rng, species, clumps, around, (0.0, height, radius), detail)
     stems = [
         tube(
             np.array([(0, 0, -0.1), 0.4 * clump + (0, 0, 0.1), clump]),
@@ -189,31 +191,33 @@ def _leafed(cards: _Cards, material: str) -> Mesh:
     return leaves
 
 
-def _trunk(rng: np.random.Generator, kind: Species, height: float) -> np.ndarray:
+def _trunk(rng: np.random.Generator, species: Species, height: float) -> np.ndarray:
     """Course and radius (8, 4) of the trunk, from just under the ground into the crown."""
-    part = np.array([0, 0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.97 if kind.whorls else 0.85])
-    bend = np.cumsum(rng.normal(0, 0.006, (8, 2)), axis=0) * height * (0.2 if kind.whorls else 1.0)
-    girth = kind.girth * height * rng.uniform(0.6, 0.95) * (1 - 0.93 * part) * np.array([1.5, 1.1, 1, 1, 1, 1, 1, 1])
+    part = np.array([0, 0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.97 if species.whorls else 0.85])
+    bend = np.cumsum(rng.normal(0, 0.006, (8, 2)), axis=0) * height * (0.2 if species.whorls else 1.0)
+    girth = species.girth * height * rng.uniform(0.6, 0.95) * (1 - 0.93 * part) * np.array([1.5, 1.1, 1, 1, 1, 1, 1, 1])
     course = np.column_stack([bend - bend[0], part * height, girth])
     course[0, 2] = -0.25
     return course
 
 
-def _clumps(rng: np.random.Generator, kind: Species, size: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+def _clumps(
+    rng: np.random.Generator, species: Species, size: tuple[float, float, float]
+) -> tuple[np.ndarray, np.ndarray]:
     """Middles (C, 3) and radii (C,) of the heaps of leaves; size: height, foot and radius of the crown."""
     height, foot, radius = size
-    level = (np.arange(kind.clumps) + rng.uniform(0, 1, kind.clumps)) / kind.clumps
+    level = (np.arange(species.clumps) + rng.uniform(0, 1, species.clumps)) / species.clumps
     # As many clumps at a height as the crown is wide there.
     fine = np.linspace(0, 1, 60)
-    wide = np.interp(fine, np.linspace(0, 1, len(kind.profile)), kind.profile)
+    wide = np.interp(fine, np.linspace(0, 1, len(species.profile)), species.profile)
     high = np.interp(level, np.cumsum(wide) / wide.sum(), fine)
-    turn = 2.39996 * np.arange(kind.clumps) + rng.normal(0, 0.5, kind.clumps)
+    turn = 2.39996 * np.arange(species.clumps) + rng.normal(0, 0.5, species.clumps)
     lobes = 1 + 0.14 * np.cos(2 * (turn - rng.uniform(0, 6))) + 0.1 * np.cos(3 * (turn - rng.uniform(0, 6)))
-    own = kind.clump * radius * rng.uniform(0.7, 1.25, kind.clumps)
+    own = species.clump * radius * rng.uniform(0.7, 1.25, species.clumps)
     edge = np.interp(high, fine, wide) * radius * lobes
-    inner = rng.uniform(0, 1, kind.clumps) < 0.25
+    inner = rng.uniform(0, 1, species.clumps) < 0.25
     away = np.maximum(edge - 0.8 * own, 0.1) * np.where(
-        inner, rng.uniform(0.1, 0.6, kind.clumps), rng.uniform(0.8, 1.08, kind.clumps)
+        inner, rng.uniform(0.1, 0.6, species.clumps), rng.uniform(0.8, 1.08, species.clumps)
     )
     up = foot + 0.5 * own + high * np.maximum(height - foot - own, 0.2)
     return np.column_stack([away * np.cos(turn), away * np.sin(turn), up]), own
@@ -221,7 +225,7 @@ def _clumps(rng: np.random.Generator, kind: Species, size: tuple[float, float, f
 
 def _crown(  # noqa: PLR0913 the parts of a crown
     rng: np.random.Generator,
-    kind: Species,
+    species: Species,
     clumps: np.ndarray,
     around: np.ndarray,
     size: tuple[float, float, float],
@@ -230,12 +234,12 @@ def _crown(  # noqa: PLR0913 the parts of a crown
     """Cards on the shells of the clumps, lit as if the crown were one soft body; size: foot, height, radius."""
     foot, height, radius = size
     # A crown wider than is common for its species has more and larger cards.
-    grown = radius / (np.mean(kind.height) * np.mean(kind.spread))
-    count = max(int(kind.cards * detail * grown), 24)
+    grown = radius / (np.mean(species.height) * np.mean(species.spread))
+    count = max(int(species.cards * detail * grown), 24)
     which = rng.choice(len(clumps), count, p=around**2 / (around**2).sum())
     out = _unit(rng.normal(0, 1, (count, 3)) + (0, 0, 0.25))
     place = clumps[which] + out * (around[which] * rng.uniform(0.55, 1.0, count))[:, None] * (1, 1, 0.8)
-    place[:, 2] = np.maximum(place[:, 2], foot + 0.15 * kind.card)
+    place[:, 2] = np.maximum(place[:, 2], foot + 0.15 * species.card)
     heart = np.array([0, 0, foot + 0.4 * (height - foot)])
     reach = (place - heart) / (radius, radius, 0.6 * (height - foot))
     outwards = _unit(reach / (radius, radius, 0.6 * (height - foot)))
@@ -245,41 +249,45 @@ def _crown(  # noqa: PLR0913 the parts of a crown
     deep = np.clip(np.linalg.norm(reach, axis=1), 0, 1.1)
     shade = (0.35 + 0.65 * deep**1.5) * (0.86 + 0.18 * out[:, 2]) * (0.92 + 0.12 * np.clip(reach[:, 2], -1, 1))
     own = _shades(rng, len(clumps), 0.13)[which] * _shades(rng, count, 0.07)
-    side = kind.card * np.sqrt(grown) / np.sqrt(min(detail, 1.0)) ** 0.85 * rng.uniform(0.75, 1.2, (count, 1))
+    side = species.card * np.sqrt(grown) / np.sqrt(min(detail, 1.0)) ** 0.85 * rng.uniform(0.75, 1.2, (count, 1))
     return _Cards(
         middle=place,
-        tip=_unit(0.6 * outwards + 0.5 * rng.normal(0, 1, (count, 3)) - (0, 0, 1.6 * kind.droop)),
+        tip=_unit(0.6 * outwards + 0.5 * rng.normal(0, 1, (count, 3)) - (0, 0, 1.6 * species.droop)),
         facing=facing,
         lit=_unit(0.7 * outwards + 0.55 * out + 0.2 * facing + (0, 0, 0.1)),
-        size=side * ((0.75, 1.35) if kind.droop > 0.7 else (1.0, 1.0)),
+        size=side * ((0.75, 1.35) if species.droop > 0.7 else (1.0, 1.0)),
         tint=own * shade[:, None],
     )
 
 
-def _limbs(rng: np.random.Generator, kind: Species, trunk: np.ndarray, clumps: np.ndarray, detail: float) -> list[Mesh]:
+def _limbs(
+    rng: np.random.Generator, species: Species, trunk: np.ndarray, clumps: np.ndarray, detail: float
+) -> list[Mesh]:
     """Main branches, from the trunk to some of the clumps; SemanticKITTI counts them as vegetation."""
-    chosen = rng.permutation(len(clumps))[: int(np.clip(16 * detail, 3, 16))]
+    weighted_choice = rng.permutation(len(clumps))[: int(np.clip(16 * detail, 3, 16))]
     limbs = []
-    for target in clumps[chosen]:
+    for target in clumps[weighted_choice]:
         rise = rng.uniform(0.45, 0.8) * np.hypot(*target[:2])
         start = np.clip(target[2] - rise, trunk[2, 2], trunk[-1, 2] * 0.95)
         foot = np.array([np.interp(start, trunk[:, 2], trunk[:, axis]) for axis in (0, 1, 2)])
         thick = float(min(0.6 * np.interp(start, trunk[:, 2], trunk[:, 3]), 0.08 * np.linalg.norm(target - foot)))
         half = 0.5 * (foot + target) + (*rng.normal(0, 0.04 * rise + 0.02, 2), 0.12 * rise)
         course = np.array([foot, half, target])
-        limbs.append(tube(course, (thick, 0.6 * thick, 0.15 * thick), kind.bark, "vegetation", sides=5, closed=False))
+        limbs.append(
+            tube(course, (thick, 0.6 * thick, 0.15 * thick), species.bark, "vegetation", sides=5, closed=False)
+        )
     return limbs
 
 
 def _whorls(
-    rng: np.random.Generator, kind: Species, size: tuple[float, float, float], detail: float
+    rng: np.random.Generator, species: Species, size: tuple[float, float, float], detail: float
 ) -> tuple[_Cards, list[Mesh]]:
     """Branches in storeys, each a row of flat sprays that hang to its sides; size: height, foot, radius."""
     height, foot, radius = size
-    step = kind.card * 0.52 / np.sqrt(min(detail, 1.0)) ** 0.8
+    step = species.card * 0.52 / np.sqrt(min(detail, 1.0)) ** 0.8
     levels = np.arange(foot, height - 0.3, step)
     part = (levels - foot) / (height - foot)
-    wide = np.interp(part, np.linspace(0, 1, len(kind.profile)), kind.profile) * radius
+    wide = np.interp(part, np.linspace(0, 1, len(species.profile)), species.profile) * radius
     count = np.maximum((2 * np.pi * wide / (1.25 * step)).astype(int), 4).clip(4, 11)
     level = np.repeat(np.arange(len(levels)), count)
     turn = rng.uniform(0, 2 * np.pi, len(level))
@@ -290,7 +298,7 @@ def _whorls(
     away = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))])[branch]
     reach = (along * long[branch])[:, None]
     jitter = rng.normal(0, 0.12, len(level))[branch]
-    sag = -kind.droop * reach[:, 0] * (1 - 0.35 * along) + jitter
+    sag = -species.droop * reach[:, 0] * (1 - 0.35 * along) + jitter
     middle = away * reach + np.column_stack([np.zeros((len(reach), 2)), levels[level[branch]] + sag + 0.2])
     middle[:, 2] = np.maximum(middle[:, 2], 0.3)
     n = len(middle)
@@ -299,7 +307,7 @@ def _whorls(
     side = step / 0.52 * rng.uniform(0.8, 1.15, (n, 1)) * np.where(part[level[branch]] > 0.85, 0.7, 1.0)[:, None]
     cards = _Cards(
         middle=middle,
-        tip=_unit(away + aside + (0, 0, -kind.droop) + rng.normal(0, 0.15, (n, 3))),
+        tip=_unit(away + aside + (0, 0, -species.droop) + rng.normal(0, 0.15, (n, 3))),
         facing=_unit(0.45 * away + (0, 0, 0.8) + rng.normal(0, 0.35, (n, 3))),
         lit=_unit(away + (0, 0, 0.55) + rng.normal(0, 0.15, (n, 3))),
         size=side * (1.0, 1.15),

@@ -17,7 +17,7 @@ from lidar2pano.simulate.render.looks import look
 from lidar2pano.simulate.render.renderer import Picture, cylinder, pinhole, render
 from lidar2pano.simulate.scene.random_streams import stream
 from lidar2pano.simulate.scene.raycast import Scene
-from lidar2pano.simulate.scene.surfaces import CAMERA_IDS, COMMON_IDS
+from lidar2pano.simulate.scene.surfaces import CITYSCAPES_IDS, COMMON15_IDS
 
 Writer = Callable[[Path], object]
 
@@ -116,12 +116,12 @@ class Recording:
 
 
 def _camera(picture: Picture) -> list[Writer]:
-    ids = CAMERA_IDS[picture.kind]
+    ids = CITYSCAPES_IDS[picture.object_type]
     return [lambda path: write_png(path, picture.colour), lambda path: write_palette(path, ids, CITYSCAPES)]
 
 
 def _panorama(picture: Picture) -> list[Writer]:
-    ids = COMMON_IDS[picture.kind]
+    ids = COMMON15_IDS[picture.object_type]
     far = np.where(np.isfinite(picture.distance), picture.distance, 0)
     return [
         lambda path: write_png(path, picture.colour),

@@ -9,12 +9,12 @@ import numpy as np
 
 from lidar2pano.simulate.layout.roads import Road, locate
 from lidar2pano.simulate.scene.mesh import Mesh, merged
-from lidar2pano.simulate.scene.surfaces import KIND_IDS, MATERIAL_IDS
+from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, OBJECT_TYPE_IDS
 
 CELL, FAR_CELL = 1.0, 10.0  # metres of the grid near roads and beyond the world's edge
 FAR = 420.0  # metres that the land goes on beyond the window
 KERBSTONE = 0.14  # metres
-KIND_OF_LAND = {"cobbles": "sidewalk", "gravel": "other-ground"}  # forecourts and yards; the rest is terrain
+OBJECT_TYPE_OF_COVER = {"cobbles": "sidewalk", "gravel": "other-ground"}  # forecourts and yards; the rest is terrain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,23 +153,27 @@ def _street(corners: np.ndarray, road: Road, terrain: Terrain) -> tuple[np.ndarr
 def _land(corners: np.ndarray, road: Road, terrain: Terrain, land: Land) -> list[Mesh]:
     near, far, _ = split(corners, BEYOND)
     return [
-        _surface(part, terrain, road.kerb, material, KIND_OF_LAND.get(material, "terrain"), (X, Y))
+        _surface(part, terrain, road.kerb, material, OBJECT_TYPE_OF_COVER.get(material, "terrain"), (X, Y))
         for part, material in ((near, land.near), (far, land.far))
     ]
 
 
 def _surface(
-    corners: np.ndarray, terrain: Terrain, rise: float, material: str, kind: str, texture: tuple[int, int]
+    corners: np.ndarray, terrain: Terrain, rise: float, material: str, object_type: str, texture: tuple[int, int]
 ) -> Mesh:
     a, b = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
     corners = corners[a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] > 1e-9].reshape(-1, corners.shape[-1])
     xy = corners[:, :2]
     return _mesh(
-        np.column_stack([xy, terrain.height(xy) + rise]), terrain.normal(xy), corners[:, list(texture)], material, kind
+        np.column_stack([xy, terrain.height(xy) + rise]),
+        terrain.normal(xy),
+        corners[:, list(texture)],
+        material,
+        object_type,
     )
 
 
-def _mesh(vertices: np.ndarray, normals: np.ndarray, uv: np.ndarray, material: str, kind: str) -> Mesh:
+def _mesh(vertices: np.ndarray, normals: np.ndarray, uv: np.ndarray, material: str, object_type: str) -> Mesh:
     count = len(vertices) // 3
     return Mesh(
         vertices=vertices.astype(np.float32),
@@ -177,7 +181,7 @@ def _mesh(vertices: np.ndarray, normals: np.ndarray, uv: np.ndarray, material: s
         uv=uv.astype(np.float32),
         faces=np.arange(3 * count, dtype=np.int32).reshape(-1, 3),
         material=np.full(count, MATERIAL_IDS[material], np.uint8),
-        kind=np.full(count, KIND_IDS[kind], np.uint8),
+        object_type=np.full(count, OBJECT_TYPE_IDS[object_type], np.uint8),
         tint=np.ones((count, 3), np.float32),
     )
 

@@ -8,7 +8,7 @@ from lidar2pano.simulate.assets import barriers, furniture, people, traffic_sign
 from lidar2pano.simulate.layout.placement import Maker, Piece, Planner
 from lidar2pano.simulate.layout.roads import Road, locate
 from lidar2pano.simulate.layout.traffic import VEHICLES
-from lidar2pano.simulate.scene.random_streams import chosen
+from lidar2pano.simulate.scene.random_streams import weighted_choice
 
 PARKED = {"car": 30.0, "van": 3.0, "truck": 0.5, "trailer": 0.4, "motorcycle": 0.6}
 LENGTH = {"car": 4.4, "van": 5.2, "truck": 8.5, "trailer": 5.0, "motorcycle": 2.2}
@@ -43,8 +43,8 @@ def _kerb_row(plan: Planner, rng: np.random.Generator, road: Road, side: int, sh
     while s < road.length - 8:
         if rng.uniform() < 0.12:  # rows come and go
             crowd = rng.uniform() < share
-        kind = chosen(rng, PARKED)
-        long = LENGTH[kind]
+        name = weighted_choice(rng, PARKED)
+        long = LENGTH[name]
         middle = s + long / 2
         edge = float(road.edge(np.array(middle), np.array(side)))
         in_bay = edge > road.half_width + 2
@@ -56,7 +56,7 @@ def _kerb_row(plan: Planner, rng: np.random.Generator, road: Road, side: int, sh
             if at.other[0] > 7:
                 turned = float(heading) + (np.pi if (side > 0) != (rng.uniform() < 0.08) else 0.0)
                 yaw = turned + rng.normal(0, 0.015)
-                plan.try_stand(Piece(VEHICLES[kind], kind, long / 2 - 0.4, False, True, True), xy, yaw)
+                plan.try_stand(Piece(VEHICLES[name], name, long / 2 - 0.4, False, True, True), xy, yaw)
         s += long + max(rng.normal(1.1, 0.4), 0.5)
 
 
@@ -66,17 +66,17 @@ def driveways(plan: Planner) -> None:
         rng = plan.rng("driveways", index, number)
         count = rng.poisson((stretch.end - stretch.start) / 22) if quarter.building else 0
         for s in rng.uniform(stretch.start, stretch.end, count):
-            kind = chosen(rng, {"car": 5.0, "van": 0.7, "bicycle": 2.0, "bin": 3.0, "trailer": 0.2})
-            deep = road.sidewalk + {"bicycle": 0.9, "bin": 0.6}.get(kind, 3.4)
+            name = weighted_choice(rng, {"car": 5.0, "van": 0.7, "bicycle": 2.0, "bin": 3.0, "trailer": 0.2})
+            deep = road.sidewalk + {"bicycle": 0.9, "bin": 0.6}.get(name, 3.4)
             xy, heading = road.beyond(s, stretch.side, deep)
             if locate(plan.town.roads, xy[None]).outside[0] < road.sidewalk:
                 continue
             yaw = float(heading) - stretch.side * np.pi / 2 + rng.normal(0, 0.08)
-            if kind == "bin":
+            if name == "bin":
                 plan.try_stand(BIN, xy, yaw)
             else:
-                radius = 1.0 if kind == "bicycle" else 2.3
-                plan.try_stand(Piece(VEHICLES[kind], kind, radius, square=True, counted=True), xy, yaw)
+                radius = 1.0 if name == "bicycle" else 2.3
+                plan.try_stand(Piece(VEHICLES[name], name, radius, square=True, counted=True), xy, yaw)
 
 
 def lamps(plan: Planner) -> None:
@@ -158,7 +158,7 @@ def clutter(plan: Planner) -> None:
             continue
         rng = plan.rng("clutter", index, number)
         for s in rng.uniform(stretch.start, stretch.end, rng.poisson((stretch.end - stretch.start) / 18)):
-            name = chosen(rng, {key: row[2] for key, row in makers.items()})
+            name = weighted_choice(rng, {key: row[2] for key, row in makers.items()})
             make, radius, _ = makers[name]
             xy, heading = road.beyond(s, stretch.side, max(road.sidewalk - 0.5, 0.6))
             if locate(plan.town.roads, xy[None]).outside[0] < 0.4:

@@ -13,7 +13,7 @@ from lidar2pano.simulate.layout.places import Quarter
 from lidar2pano.simulate.layout.roads import Road, locate
 from lidar2pano.simulate.layout.town import Stretch, clear_of_roads
 from lidar2pano.simulate.scene.mesh import Mesh
-from lidar2pano.simulate.scene.random_streams import chosen
+from lidar2pano.simulate.scene.random_streams import weighted_choice
 
 Rng = np.random.Generator
 
@@ -94,17 +94,17 @@ def borders(plan: Planner) -> None:
         rng = plan.rng("borders", index, number)
         s = stretch.start
         while s < stretch.end - 3:
-            kind = chosen(rng, quarter.fronts)
-            run = min(rng.uniform(9, 17) if kind != "noise" else 1e3, stretch.end - s)
-            if kind != "none":
-                _border(plan, rng, road, stretch.side, kind, (s, s + run))
+            barrier = weighted_choice(rng, quarter.fronts)
+            run = min(rng.uniform(9, 17) if barrier != "noise" else 1e3, stretch.end - s)
+            if barrier != "none":
+                _border(plan, rng, road, stretch.side, barrier, (s, s + run))
             s += run + rng.uniform(1.2, 4.5)
 
 
-def _border(plan: Planner, rng: Rng, road: Road, side: int, kind: str, span: tuple[float, float]) -> None:
+def _border(plan: Planner, rng: Rng, road: Road, side: int, barrier: str, span: tuple[float, float]) -> None:
     """Straight pieces that follow the road; none where a road or building is in the way."""
     piece = 14.0
-    off = 4.0 if kind == "noise" else 0.35
+    off = 4.0 if barrier == "noise" else 0.35
     edges = np.arange(span[0], span[1], piece)
     height = rng.uniform(0.8, 1.9)
     for first in edges:
@@ -121,17 +121,17 @@ def _border(plan: Planner, rng: Rng, road: Road, side: int, kind: str, span: tup
         length, yaw = float(np.hypot(*run)), float(np.arctan2(run[1], run[0]))
         for x, y in xy:
             plan.occupied.take(float(x), float(y), 0.3)
-        plan.stand(Piece(_barrier(plan, kind, xy[0], yaw, length, height), f"border {kind}", 0.0), xy[0], yaw)
+        plan.stand(Piece(_barrier(plan, barrier, xy[0], yaw, length, height), f"border {barrier}", 0.0), xy[0], yaw)
 
 
-def _barrier(plan: Planner, kind: str, start: np.ndarray, yaw: float, length: float, height: float) -> Maker:
+def _barrier(plan: Planner, barrier: str, start: np.ndarray, yaw: float, length: float, height: float) -> Maker:
     """The maker of a barrier that follows the land from `start` along `yaw`."""
     way = np.array([np.cos(yaw), np.sin(yaw)])
 
     def land(x: np.ndarray) -> np.ndarray:
         return plan.town.terrain.height(start + np.asarray(x)[..., None] * way) - plan.town.terrain.height(start)
 
-    if kind == "hedge":
+    if barrier == "hedge":
 
         def grown(rng: Rng, detail: float) -> Mesh:
             level = plants.hedge(rng, length, height, rng.uniform(0.6, 1.1), detail).placed((length / 2, 0, 0), 0.0)
@@ -148,7 +148,7 @@ def _barrier(plan: Planner, kind: str, start: np.ndarray, yaw: float, length: fl
         "noise": barriers.noise_barrier,
         "guard": barriers.guard_rail,
     }
-    return lambda rng, _: makers[kind](rng, length, land)
+    return lambda rng, _: makers[barrier](rng, length, land)
 
 
 def guard_rails(plan: Planner) -> None:
@@ -221,7 +221,7 @@ SPECIES = {
 
 
 def _tree(rng: Rng, species: str = "") -> Maker:
-    return TREES[species or chosen(rng, SPECIES)]
+    return TREES[species or weighted_choice(rng, SPECIES)]
 
 
 def _grown(rng: Rng, detail: float, species: str) -> Mesh:
@@ -258,7 +258,7 @@ def street_trees(plan: Planner) -> None:
         rng = plan.rng("street trees", index, number)
         if not quarter.trees or rng.uniform() > min(quarter.trees / 4, 0.9):
             continue
-        species, every = chosen(rng, SPECIES), rng.uniform(8, 16)
+        species, every = weighted_choice(rng, SPECIES), rng.uniform(8, 16)
         off = max(road.sidewalk - 0.7, 1.4) if rng.uniform() < 0.6 else road.sidewalk + 1.5
         s = np.arange(stretch.start + rng.uniform(0, every), stretch.end, every)
         xy, _ = road.beyond(s, stretch.side, off)

@@ -76,7 +76,7 @@ def set_on(mesh: Mesh, at: tuple[float, float, float], yaw: float, normal: tuple
     ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     ahead = ahead - up * (ahead @ up)
     ahead /= np.linalg.norm(ahead)
-    return mesh.turned(np.stack([ahead, np.cross(up, ahead), up], axis=1), at)
+    return mesh.transformed(np.stack([ahead, np.cross(up, ahead), up], axis=1), at)
 
 
 @dataclass(slots=True, eq=False)

@@ -14,8 +14,8 @@ from lidar2pano.simulate.layout.places import PLACES, QUARTERS
 from lidar2pano.simulate.layout.road_markings import markings
 from lidar2pano.simulate.layout.town import AHEAD, Town, town
 from lidar2pano.simulate.layout.traffic import Delay, Traffic, traffic
-from lidar2pano.simulate.scene.random_streams import chosen, stream
-from lidar2pano.simulate.scene.raycast import Part, Scene
+from lidar2pano.simulate.scene.random_streams import stream, weighted_choice
+from lidar2pano.simulate.scene.raycast import Scene, SceneObject
 
 SIGHT = 125.0  # metres around the way within which the world is built
 WINDOW = 40.0  # metres of the drive that share one piece of the world
@@ -40,7 +40,7 @@ class World:
         """The standing scene around the metres [number * WINDOW, (number + 1) * WINDOW) of the drive."""
         way = self._way(number * WINDOW, (number + 1) * WINDOW)
         low, high = (np.rint(edge) for edge in (way.min(axis=0) - SIGHT, way.max(axis=0) + SIGHT))
-        parts = [Part(mesh=self._ground(low, high)), Part(mesh=markings(self.town, low, high))]
+        parts = [SceneObject(mesh=self._ground(low, high)), SceneObject(mesh=markings(self.town, low, high))]
         whole = self._way(0.0, max(self.length, 1.0))
         instance = 0
         for thing in self.things:
@@ -49,7 +49,7 @@ class World:
                 # Detail goes with the whole drive: nothing changes its shape on the way.
                 away = _away(whole, thing)
                 detail = 1.0 if away < NEAR else 0.33 if away < MIDDLE else 0.16
-                parts.append(Part(mesh=thing.mesh(self.seed, detail), instance=instance if thing.counted else 0))
+                parts.append(SceneObject(mesh=thing.mesh(self.seed, detail), instance=instance if thing.counted else 0))
         return Scene(parts)
 
     @property
@@ -83,7 +83,7 @@ def _away(way: np.ndarray, thing: Thing) -> float:
 def world(seed: int, seconds: float, place: str = "") -> World:
     """The world of a seed; `place` in PLACES, or drawn."""
     rng = stream(seed, "world")
-    name = chosen(rng, {name: row.share for name, row in PLACES.items()})
+    name = weighted_choice(rng, {name: row.share for name, row in PLACES.items()})
     name = place or name
     speed = Speed.drawn(stream(seed, "speed"), name)
     length = float(speed.travelled(np.array(seconds)))

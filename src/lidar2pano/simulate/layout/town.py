@@ -10,7 +10,7 @@ import numpy as np
 from lidar2pano.simulate.layout.ground import Terrain
 from lidar2pano.simulate.layout.places import PLACES, QUARTERS, Place
 from lidar2pano.simulate.layout.roads import Bay, Road, course, locate
-from lidar2pano.simulate.scene.random_streams import chosen, stream
+from lidar2pano.simulate.scene.random_streams import stream, weighted_choice
 
 AHEAD = 170.0  # metres of road before the drive's start and beyond its end
 SIDE_ROAD = 150.0  # metres
@@ -138,7 +138,9 @@ def _stretches(rng: np.random.Generator, row: Place, road: Road) -> list[Stretch
         s = 0.0
         while s < road.length:
             run = long * rng.uniform(50, 150)
-            out.append(Stretch(start=s, end=min(s + run, road.length), side=side, quarter=chosen(rng, row.quarters)))
+            out.append(
+                Stretch(start=s, end=min(s + run, road.length), side=side, quarter=weighted_choice(rng, row.quarters))
+            )
             s += run
     return out
 

@@ -13,8 +13,8 @@ from lidar2pano.simulate.layout.drive import Drive, lanes
 from lidar2pano.simulate.layout.placement import Maker, set_on
 from lidar2pano.simulate.layout.town import Town
 from lidar2pano.simulate.scene.mesh import Mesh
-from lidar2pano.simulate.scene.random_streams import chosen, stream
-from lidar2pano.simulate.scene.raycast import Part
+from lidar2pano.simulate.scene.random_streams import stream, weighted_choice
+from lidar2pano.simulate.scene.raycast import SceneObject
 
 _MAKERS = {
     "car": cars.car,
@@ -97,7 +97,7 @@ class Traffic:
     actors: tuple[Actor, ...]
     first: int
 
-    def parts(self, time: float, near: np.ndarray, delay: Delay | None = None) -> list[Part]:
+    def parts(self, time: float, near: np.ndarray, delay: Delay | None = None) -> list[SceneObject]:
         """Actors within SIGHT of the place `near` (2,), in place, at a time in seconds.
 
         delay  how much later each one is seen, by its place (3,): a LiDAR does not look everywhere at once.
@@ -115,7 +115,7 @@ class Traffic:
             at, yaw = self._place(actor, then)
             normal = tuple(self.town.terrain.normal(np.array(at[:2])).tolist())
             mesh = set_on(actor.mesh(self.town.seed, then, float(away[number])), at, yaw, normal)
-            out.append(Part(mesh=mesh, instance=self.first + number, moving=True))
+            out.append(SceneObject(mesh=mesh, instance=self.first + number, moving=True))
         return out
 
     def _place(self, actor: Actor, time: float) -> tuple[tuple[float, float, float], float]:
@@ -143,7 +143,7 @@ def _vehicles(drive: Drive) -> Iterator[Actor]:
         gap = town.place.gap * (0.35 if drive.speed.mean < 2 and mine else 1.0)
         s, number = rng.exponential(gap), 0
         while s < road.length - 25:
-            name = chosen(rng, MIX[road.marking])
+            name = weighted_choice(rng, MIX[road.marking])
             half = HALF_LENGTH.get(name, 2.5)
             s += half
             own = drive.along(np.zeros(1))[0]

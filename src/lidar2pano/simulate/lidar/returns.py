@@ -8,7 +8,7 @@ import numpy as np
 
 from lidar2pano.simulate.lidar.sensor_models import Sensor
 from lidar2pano.simulate.scene.raycast import Hits
-from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, MATERIALS, column
+from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, MATERIALS, material_table
 
 NO_EDGE = 0.15  # metres from one firing to the next that are no edge yet
 BRIGHTEST = 0.99  # KITTI's remission is written in whole hundredths from 0 to 0.99
@@ -26,8 +26,12 @@ ROUGH = {
 TINTED = ("paint",)
 DYE = 0.6  # exponent of the tint: black paint is less black at 905 nm
 
-_LIDAR, _SPREAD, _RETRO, _LOSS = (column(name) for name in ("lidar", "spread", "retro", "loss"))
-_MIRROR = (column("rough") < 0.2).astype(np.float32)  # what looks like a mirror sends little back from the side
+_REMISSION, _SPREAD, _RETRO, _DROPOUT = (
+    material_table(name) for name in ("remission", "variation", "retroreflection", "dropout")
+)
+_MIRROR = (material_table("roughness") < 0.2).astype(
+    np.float32
+)  # what looks like a mirror sends little back from the side
 _ROUGH = np.array([ROUGH.get(name, 0.0) for name in MATERIALS], dtype=np.float32)
 _TINTED = np.isin(np.arange(len(MATERIALS)), [MATERIAL_IDS[name] for name in TINTED])
 _NORMAL = np.random.default_rng(905).standard_normal(TABLE).astype(np.float32)  # of hashed places
@@ -43,7 +47,7 @@ class Echoes:
 
     hits: Hits
     start: np.ndarray
-    way: np.ndarray
+    direction: np.ndarray
     ring: np.ndarray
     facing: np.ndarray
     frame: np.ndarray
@@ -53,15 +57,15 @@ class Echoes:
         near = np.where(which, self.hits.distance, np.float32(1))
         return replace(self, hits=replace(self.hits, distance=near))
 
-    def taken(self, which: np.ndarray) -> Echoes:
+    def subset(self, which: np.ndarray) -> Echoes:
         """Some of them, by index."""
-        arrays = {name: getattr(self, name)[which] for name in ("start", "way", "ring", "facing")}
-        return Echoes(hits=self.hits.taken(which), frame=self.frame, **arrays)
+        arrays = {name: getattr(self, name)[which] for name in ("start", "direction", "ring", "facing")}
+        return Echoes(hits=self.hits.subset(which), frame=self.frame, **arrays)
 
     def places(self) -> np.ndarray:
         """Where they met it (N, 3): in the world, or on the surface of what moves, so that it keeps its own looks."""
         turn, place = as_float(self.frame[:3, :3].T), as_float(self.frame[:3, 3])
-        where = (self.start + self.way * self.hits.distance[:, None]) @ turn + place
+        where = (self.start + self.direction * self.hits.distance[:, None]) @ turn + place
         if self.hits.moving.any():
             own = np.concatenate([self.hits.uv, self.hits.uv[:, :1]], axis=1)
             where = np.where(self.hits.moving[:, None], own, where)
@@ -109,21 +113,21 @@ def lost(sensor: Sensor, echoes: Echoes, rng: np.random.Generator) -> np.ndarray
     """Pulses (N,) of which nothing comes back: by chance, through or off the material, or too weak."""
     material, facing = echoes.hits.material, echoes.facing
     stays = 1 - as_float(sensor.per_beam("drop"))[echoes.ring]
-    stays *= 1 - _LOSS[material] ** np.sqrt(facing)
+    stays *= 1 - _DROPOUT[material] ** np.sqrt(facing)
     # Power falls with the square of the distance; the threshold is soft: a factor e is a quarter of all pulses.
     distance = np.minimum(echoes.hits.distance, 1e4)
-    power = np.maximum(_LIDAR[material] * facing, _RETRO[material]) / 0.1 * (sensor.reach / distance) ** 2
+    power = np.maximum(_REMISSION[material] * facing, _RETRO[material]) / 0.1 * (sensor.reach / distance) ** 2
     stays *= np.clip(0.5 + 0.25 * np.log(np.maximum(power, 1e-9) / GRAZE), 0, 1)
     draw = rng.random(len(stays), dtype=np.float32)
-    patchy = np.flatnonzero(_LOSS[material] > PATCHY)
-    draw[patchy] = _EVEN[_hashed(echoes.taken(patchy).places(), PATCH)]
+    patchy = np.flatnonzero(_DROPOUT[material] > PATCHY)
+    draw[patchy] = _EVEN[_hashed(echoes.subset(patchy).places(), PATCH)]
     return draw >= stays
 
 
 def remission(sensor: Sensor, echoes: Echoes, rng: np.random.Generator | None) -> np.ndarray:
     """Remission (N,) of returns; without `rng` as a perfect sensor reports it."""
     hits, material = echoes.hits, echoes.hits.material
-    bright = _LIDAR[material] * echoes.facing ** _MIRROR[material]
+    bright = _REMISSION[material] * echoes.facing ** _MIRROR[material]
     tinted = np.flatnonzero(_TINTED[material])
     bright[tinted] *= np.clip(hits.tint[tinted].mean(axis=1), 0.01, 1.6) ** DYE
     if rng is None:

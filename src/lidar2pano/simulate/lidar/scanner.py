@@ -10,13 +10,13 @@ import numpy as np
 from lidar2pano.simulate.lidar.returns import Echoes, as_float, lost, measured, remission
 from lidar2pano.simulate.lidar.sensor_models import FULL_TURN, SHADE, Sensor, hidden
 from lidar2pano.simulate.scene.raycast import Hits, Scene
-from lidar2pano.simulate.scene.surfaces import column
+from lidar2pano.simulate.scene.surfaces import material_table
 
 SECTORS = 8  # a turn's moments at which moving things are looked at
 # Leaves are smaller than a card's and the beam wider than a ray: this share of the pulses goes a leaf deeper, at least
 # so many metres behind the first.
 DEEPER, BEHIND = 0.2, 0.04
-_LEAFY = column("through") > 0
+_LEAFY = material_table("transmission") > 0
 
 Pose = Callable[[np.ndarray], np.ndarray]
 """Times (K,) in seconds, 0 at the frame's -> T_world_lidar (K, 4, 4) float64."""
@@ -52,7 +52,7 @@ class _Rays:
     """
 
     start: np.ndarray
-    way: np.ndarray
+    direction: np.ndarray
     time: np.ndarray
     live: np.ndarray
 
@@ -76,13 +76,13 @@ def sweep(
     rays = _rays(sensor, pose, rng, clean)
     echoes = _cast(scene, rays, frame, sectors, None if clean else rng)
     distance = echoes.hits.distance if clean else measured(sensor, echoes, rays.live, rng)
-    here = echoes.hits.met & (distance >= sensor.nearest) & (distance < sensor.farthest)
+    here = echoes.hits.valid & (distance >= sensor.nearest) & (distance < sensor.farthest)
     if not clean:
         here &= ~lost(sensor, echoes, rng)
     bright = remission(sensor, echoes.within(here), None if clean else rng)
     kept = np.flatnonzero(here)
     points = np.empty((len(kept), 4), dtype=np.float32)
-    points[:, :3] = echoes.start[kept] + echoes.way[kept] * distance[kept, None]
+    points[:, :3] = echoes.start[kept] + echoes.direction[kept] * distance[kept, None]
     points[:, 3] = bright[kept]
     if sensor.order == "rings":
         order = _by_rings(points, echoes.ring[kept])
@@ -119,31 +119,31 @@ def _rays(sensor: Sensor, pose: Pose, rng: np.random.Generator, clean: bool) -> 
     elevation, aside = np.radians(sensor.elevation), np.radians(sensor.per_beam("azimuth"))
     beam = np.stack([np.cos(elevation) * np.cos(aside), np.cos(elevation) * np.sin(aside), np.sin(elevation)])
     origin = np.stack([np.zeros(len(sensor)), sensor.per_beam("aside"), sensor.per_beam("rise")])
-    way = (turned @ beam).transpose(0, 2, 1).reshape(-1, 3)
+    direction = (turned @ beam).transpose(0, 2, 1).reshape(-1, 3)
     start = (turned @ origin + own[:, :3, 3:]).transpose(0, 2, 1).reshape(-1, 3)
     cell = (((azimuth % FULL_TURN) / SHADE).astype(np.int64)) % round(FULL_TURN / SHADE)
     shade = hidden(sensor).T[cell].reshape(-1)
     return _Rays(
         start=start.astype(np.float32),
-        way=way.astype(np.float32),
+        direction=direction.astype(np.float32),
         time=time,
         live=np.ones_like(shade) if clean else ~shade,
     )
 
 
-def _echoing(scene: Scene, origin: np.ndarray, way: np.ndarray, rng: np.random.Generator | None) -> Hits:
+def _echoing(scene: Scene, origin: np.ndarray, direction: np.ndarray, rng: np.random.Generator | None) -> Hits:
     """What pulses (N) meet that is dense enough to answer: some go a leaf deeper than a ray would.
 
     Without that crowns and hedges have a skin, and a network trained on real scans takes them for walls.
     """
-    hits = scene.cast(origin, way, flat=True)
+    hits = scene.cast(origin, direction, flat=True)
     if rng is None:
         return hits
-    leafy = np.flatnonzero(_LEAFY[hits.material] & hits.met)
+    leafy = np.flatnonzero(_LEAFY[hits.material] & hits.valid)
     leafy = leafy[rng.random(len(leafy), dtype=np.float32) < DEEPER]
     gone = hits.distance[leafy] + np.float32(BEHIND)
-    behind = scene.cast(origin[leafy] + way[leafy] * gone[:, None], way[leafy], flat=True)
-    met = np.flatnonzero(behind.met)  # where nothing follows, the leaf it was
+    behind = scene.cast(origin[leafy] + direction[leafy] * gone[:, None], direction[leafy], flat=True)
+    met = np.flatnonzero(behind.valid)  # where nothing follows, the leaf it was
     for part in fields(Hits):
         getattr(hits, part.name)[leafy[met]] = getattr(behind, part.name)[met]
     hits.distance[leafy[met]] += gone[met]
@@ -160,19 +160,19 @@ def _cast(
     """What the live pulses meet, each in the scene of its own part of the turn."""
     turn, place = as_float(frame[:3, :3].T), as_float(frame[:3, 3])
     beams = len(rays.live) // len(rays.time)
-    start, way = rays.start[rays.live], rays.way[rays.live]
-    origin, towards = start @ turn + place, way @ turn
+    start, direction = rays.start[rays.live], rays.direction[rays.live]
+    origin, toward = start @ turn + place, direction @ turn
     firings = np.array_split(np.arange(len(rays.time)), 1 if isinstance(scene, Scene) else sectors)
     edge = np.concatenate([[0], np.cumsum([rays.live[f[0] * beams : (f[-1] + 1) * beams].sum() for f in firings])])
     parts: list[Hits] = []
     for number, sector in enumerate(firings):
         seen = scene if isinstance(scene, Scene) else scene(float(rays.time[sector].mean()))
         pulses = slice(edge[number], edge[number + 1])
-        parts.append(_echoing(seen, origin[pulses], towards[pulses], rng))
+        parts.append(_echoing(seen, origin[pulses], toward[pulses], rng))
     hits = parts[0] if len(parts) == 1 else _joined(parts)
     ring = np.tile(np.arange(beams, dtype=np.uint8), len(rays.time))[rays.live]
-    facing = np.abs(np.einsum("ij,ij->i", hits.facet, towards))
-    return Echoes(hits=hits, start=start, way=way, ring=ring, facing=facing, frame=frame)
+    facing = np.abs(np.einsum("ij,ij->i", hits.face_normal, toward))
+    return Echoes(hits=hits, start=start, direction=direction, ring=ring, facing=facing, frame=frame)
 
 
 def _joined(parts: list[Hits]) -> Hits:

@@ -1,4 +1,4 @@
-"""Noise: tileable fields for textures and clouds, and numbers that belong to a place in the world."""
+"""Tileable noise for textures and clouds, and a spatial hash."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SIZE = 512  # pixels of a tile's side
 
 
 def spectral(name: str, exponent: float, low: float = 1.0, high: float = 256.0, stretch: float = 1.0) -> np.ndarray:
-    """Tileable noise (SIZE, SIZE) float32 of mean 0 and deviation 1; rows run along v, columns along u.
+    """Tileable spectral noise (SIZE, SIZE) float32 of mean 0 and deviation 1; rows run along v, columns along u.
 
     exponent  amplitude falls with frequency to this power (0 white, 1 rough, 2 soft).
     low, high the band in cycles a tile.  stretch  > 1: structures are longer along v than along u.
@@ -23,7 +23,7 @@ def spectral(name: str, exponent: float, low: float = 1.0, high: float = 256.0, 
     inside = (frequency >= low) & (frequency <= high)
     strength = np.where(inside, np.maximum(frequency, 1e-3) ** np.float32(-exponent), 0).astype(np.float32)
     field = np.fft.irfft2(_white(sum(map(ord, name)) % 5) * strength, s=(SIZE, SIZE)).astype(np.float32)
-    shift = stream(0, "noise", name).integers(0, SIZE, 2)  # the same few spectra serve all; they must not lie in step
+    shift = stream(0, "noise", name).integers(0, SIZE, 2)  # few spectra serve all names: shifted against each other
     field = np.roll(field, tuple(shift.tolist()), axis=(0, 1))
     return field / field.std()
 
@@ -34,19 +34,19 @@ def _white(index: int) -> np.ndarray:
     return np.fft.rfft2(rng.standard_normal((SIZE, SIZE), dtype=np.float32)).astype(np.complex64)
 
 
-def pebbles(name: str, count: int, jitter: float = 0.9, flat: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Tileable Voronoi cells, `count` along a side (a divisor of SIZE): seam and lot, both (SIZE, SIZE) float32.
+def voronoi(name: str, count: int, jitter: float = 0.9, flat: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Tileable Voronoi cells, `count` along a side (a divisor of SIZE): border and cell_value (SIZE, SIZE) float32.
 
-    seam  distance to the cell's border in cells (0 on it);  lot  one random number in [0, 1) a cell.
-    flat  > 1 makes the cells wider than high.
+    border  distance to the cell's border in cells;  cell_value  one random number in [0, 1) a cell.
+    flat    > 1 makes the cells wider than high.
     """
     rng, step = stream(0, "pebbles", name), SIZE // count
     place = rng.uniform(0.5 - jitter / 2, 0.5 + jitter / 2, (2, count, count)).astype(np.float32)
-    lots = rng.random((count, count), dtype=np.float32)
+    cell_values = rng.random((count, count), dtype=np.float32)
     inner = (np.arange(step, dtype=np.float32) + 0.5) / step
     shape = (count, step, count, step)
     first, second = np.full(shape, 9, np.float32), np.full(shape, 9, np.float32)
-    lot = np.zeros(shape, np.float32)
+    cell_value = np.zeros(shape, np.float32)
     for row in (-1, 0, 1):
         for column in (-1, 0, 1):
             v, u = (np.roll(axis, (-row, -column), (0, 1)) for axis in place)
@@ -56,13 +56,13 @@ def pebbles(name: str, count: int, jitter: float = 0.9, flat: float = 1.0) -> tu
             nearer = away < first
             second = np.where(nearer, first, np.minimum(second, away))
             first = np.where(nearer, away, first)
-            lot = np.where(nearer, np.roll(lots, (-row, -column), (0, 1))[:, None, :, None], lot)
-    return ((second - first) / 2).reshape(SIZE, SIZE), lot.reshape(SIZE, SIZE)
+            cell_value = np.where(nearer, np.roll(cell_values, (-row, -column), (0, 1))[:, None, :, None], cell_value)
+    return ((second - first) / 2).reshape(SIZE, SIZE), cell_value.reshape(SIZE, SIZE)
 
 
-def lottery(place: np.ndarray, cell_m: float, salt: int) -> np.ndarray:
-    """A number in [0, 1) for each place (3, N), metres: the same within a cube of `cell_m`, whoever asks and when."""
-    # The shift keeps floors and walls at round numbers away from the cubes' sides, where rounding would decide.
+def spatial_hash(place: np.ndarray, cell_m: float, salt: int) -> np.ndarray:
+    """Spatial hash: a number in [0, 1) for each point (3, N), metres, constant within cubes of `cell_m`."""
+    # The shift keeps floors and walls at round coordinates away from the cubes' faces, where rounding would decide.
     cell = np.floor(place * np.float32(1 / cell_m) + np.float32(0.382)).astype(np.int32).view(np.uint32)
     mixed = cell[0] * np.uint32(73856093) ^ cell[1] * np.uint32(19349663) ^ cell[2] * np.uint32(83492791)
     mixed ^= np.uint32(salt * 0x9E3779B9 & 0xFFFFFFFF)
@@ -75,7 +75,7 @@ def lottery(place: np.ndarray, cell_m: float, salt: int) -> np.ndarray:
 
 
 def bilinear(tile: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Values (N,) of a tile that repeats, between its pixels: x to the right, y down, both (N,)."""
+    """Values (N,) of a repeating tile, interpolated between its pixels: x to the right, y down, both (N,)."""
     left, low = np.floor(x), np.floor(y)
     fx, fy = x - left, y - low
     left, low = left.astype(np.int32) & (SIZE - 1), low.astype(np.int32) & (SIZE - 1)

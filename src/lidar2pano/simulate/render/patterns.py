@@ -1,4 +1,4 @@
-"""Patterns: what surfaces look like from near by, drawn once on tiles that repeat."""
+"""Procedural patterns of surfaces, drawn once on tiles that repeat."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.render.noise import SIZE, pebbles, spectral
+from lidar2pano.simulate.render.noise import SIZE, spectral, voronoi
 from lidar2pano.simulate.scene.random_streams import stream
 
 Drawing = tuple[np.ndarray, np.ndarray]
-"""Factor on the albedo (SIZE, SIZE) or (SIZE, SIZE, 3), any mean; height (SIZE, SIZE) in millimetres."""
+"""Albedo factor (SIZE, SIZE) or (SIZE, SIZE, 3) of any mean; height (SIZE, SIZE) in millimetres."""
 
 
 class Pattern(NamedTuple):
-    """One row: metres that the tile covers along u and v, what draws it, and the wide pattern that goes over it."""
+    """The size of a tile along u and v in metres, the function that draws it, and the wide pattern laid over it."""
 
     size_m: tuple[float, float]
     draw: Callable[[], Drawing]
@@ -38,9 +38,9 @@ def _smooth(value: np.ndarray, low: float, high: float) -> np.ndarray:
 
 
 def _bonded(columns: int, rows: int, joint: float, shift: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
-    """Bricks in bond: how far inside its brick a pixel is (0 in the joint, 1 within), one random number a brick.
+    """Bricks in bond: distance from the joint (0 in it, 1 within the brick), and one random number a brick.
 
-    joint  width of a joint in parts of a brick's height.
+    joint  width of a joint as a share of a brick's height.
     """
     u, v = _grid()
     row = np.floor(v * rows).astype(int)
@@ -48,16 +48,16 @@ def _bonded(columns: int, rows: int, joint: float, shift: float = 0.5) -> tuple[
     column = np.floor(along).astype(int) % columns
     wide = rows / columns  # a brick is so many times as wide as high
     edge = np.minimum(np.minimum(along % 1, 1 - along % 1) * wide, np.minimum(v * rows % 1, 1 - v * rows % 1))
-    lots = stream(0, "bond", columns, rows).random((rows, columns), dtype=np.float32)
-    return _smooth(edge, joint * 0.4, joint), lots[row, column]
+    cell_values = stream(0, "bond", columns, rows).random((rows, columns), dtype=np.float32)
+    return _smooth(edge, joint * 0.4, joint), cell_values[row, column]
 
 
 def _asphalt() -> Drawing:
-    grain, lot = pebbles("asphalt", 128)
+    grain, cell_value = voronoi("asphalt", 128)
     speck = spectral("asphalt", 0.3, 30)
-    stone = (lot - 0.5) * _smooth(grain, 0, 0.25)
+    stone = (cell_value - 0.5) * _smooth(grain, 0, 0.25)
     cracks = _smooth(np.abs(spectral("cracks", 1.6, 2, 60)), 0.0, 0.018)
-    cracks = np.maximum(cracks, _smooth(spectral("where cracks", 2, 1, 4), -0.2, 0.6))  # here and there only
+    cracks = np.maximum(cracks, _smooth(spectral("where cracks", 2, 1, 4), -0.2, 0.6))  # only in places
     factor = 1 + 0.5 * stone + 0.09 * speck + 0.05 * spectral("asphalt b", 1.5, 2, 30)
     return factor * (0.6 + 0.4 * cracks), 1.2 * stone + 0.5 * speck + 2 * cracks
 
@@ -69,17 +69,17 @@ def _paint() -> Drawing:
 
 
 def _cobbles() -> Drawing:
-    inside, lot = _bonded(16, 16, 0.2)
+    inside, cell_value = _bonded(16, 16, 0.2)
     rough = spectral("cobbles", 1, 8)
-    factor = (0.45 + 0.55 * inside) * (0.8 + 0.4 * lot + 0.07 * rough)
-    return _coloured(factor, lot - 0.5, (0.12, 0, -0.12)), 9 * inside + 1.0 * rough
+    factor = (0.45 + 0.55 * inside) * (0.8 + 0.4 * cell_value + 0.07 * rough)
+    return _coloured(factor, cell_value - 0.5, (0.12, 0, -0.12)), 9 * inside + 1.0 * rough
 
 
 def _paving() -> Drawing:
-    inside, lot = _bonded(8, 16, 0.08)
+    inside, cell_value = _bonded(8, 16, 0.08)
     grain = spectral("paving", 0.3, 20)
-    factor = (0.55 + 0.45 * inside) * (0.9 + 0.2 * lot + 0.07 * grain + 0.05 * spectral("paving b", 1.5, 2, 40))
-    return _coloured(factor, lot - 0.5, (0.05, 0, -0.05)), 3 * inside + 0.3 * grain
+    factor = (0.55 + 0.45 * inside) * (0.9 + 0.2 * cell_value + 0.07 * grain + 0.05 * spectral("paving b", 1.5, 2, 40))
+    return _coloured(factor, cell_value - 0.5, (0.05, 0, -0.05)), 3 * inside + 0.3 * grain
 
 
 def _concrete() -> Drawing:
@@ -90,16 +90,16 @@ def _concrete() -> Drawing:
 
 
 def _gravel() -> Drawing:
-    seam, lot = pebbles("gravel", 64)
+    seam, cell_value = voronoi("gravel", 64)
     solid = _smooth(seam, 0, 0.2)
-    factor = (0.5 + 0.5 * solid) * (0.7 + 0.6 * lot)
-    return _coloured(factor, lot - 0.5, (0.12, 0, -0.14)), 9 * solid + 4 * lot
+    factor = (0.5 + 0.5 * solid) * (0.7 + 0.6 * cell_value)
+    return _coloured(factor, cell_value - 0.5, (0.12, 0, -0.14)), 9 * solid + 4 * cell_value
 
 
 def _soil() -> Drawing:
-    seam, lot = pebbles("soil", 32)
+    seam, cell_value = voronoi("soil", 32)
     lumps = spectral("soil", 1.3, 3)
-    crumbs = _smooth(seam, 0, 0.3) * lot
+    crumbs = _smooth(seam, 0, 0.3) * cell_value
     return 0.85 + 0.18 * lumps + 0.35 * crumbs, 9 * lumps + 6 * crumbs
 
 
@@ -127,9 +127,9 @@ def _plaster() -> Drawing:
 
 
 def _brick() -> Drawing:
-    inside, lot = _bonded(8, 24, 0.16)
+    inside, cell_value = _bonded(8, 24, 0.16)
     rough = spectral("brick", 0.6, 10)
-    clay = _coloured(0.7 + 0.5 * lot + 0.08 * rough, lot - 0.5, (0.2, -0.05, -0.1))
+    clay = _coloured(0.7 + 0.5 * cell_value + 0.08 * rough, cell_value - 0.5, (0.2, -0.05, -0.1))
     mortar = np.array((1.25, 2.2, 2.6), dtype=np.float32) * (1 + 0.1 * rough[..., None])
     return clay * inside[..., None] + mortar * (1 - inside[..., None]), 4 * inside + 0.6 * rough
 
@@ -137,32 +137,34 @@ def _brick() -> Drawing:
 def _tiles() -> Drawing:
     u, v = _grid()
     columns, rows = 10, 8
-    lots = stream(0, "tiles").random((rows, columns), dtype=np.float32)
-    lot = lots[np.floor(v * rows).astype(int), np.floor(u * columns).astype(int)]
+    cell_values = stream(0, "tiles").random((rows, columns), dtype=np.float32)
+    cell_value = cell_values[np.floor(v * rows).astype(int), np.floor(u * columns).astype(int)]
     up, across = v * rows % 1, u * columns % 1
     wave = np.cos(2 * np.pi * across)
     shade = 1 - 0.55 * _smooth(up, 0.86, 0.99) - 0.12 * _smooth(-wave, 0.3, 1)  # under the next row's edge
     moss = _smooth(spectral("moss", 1.2, 2), 1.0, 2.2)
-    factor = shade * (0.78 + 0.44 * lot + 0.06 * spectral("tiles", 0.8, 8))
-    return _coloured(factor * (1 - 0.3 * moss), lot - 0.5 - moss, (0.14, -0.04, -0.06)), 16 * (1 - up) + 12 * wave
+    factor = shade * (0.78 + 0.44 * cell_value + 0.06 * spectral("tiles", 0.8, 8))
+    return _coloured(factor * (1 - 0.3 * moss), cell_value - 0.5 - moss, (0.14, -0.04, -0.06)), 16 * (
+        1 - up
+    ) + 12 * wave
 
 
 def _stone() -> Drawing:
-    inside, lot = _bonded(5, 8, 0.07, 0.4)
+    inside, cell_value = _bonded(5, 8, 0.07, 0.4)
     rough = spectral("stone", 1.1, 4)
-    factor = (0.6 + 0.4 * inside) * (0.8 + 0.4 * lot + 0.09 * rough)
-    return _coloured(factor, lot - 0.5, (0.14, 0, -0.14)), 7 * inside + 2.5 * rough
+    factor = (0.6 + 0.4 * inside) * (0.8 + 0.4 * cell_value + 0.09 * rough)
+    return _coloured(factor, cell_value - 0.5, (0.14, 0, -0.14)), 7 * inside + 2.5 * rough
 
 
 def _planks(count: int, gap: float) -> Drawing:
     u, _ = _grid()
-    lots = stream(0, "planks", count).random(count, dtype=np.float32)
-    lot = lots[np.floor(u * count).astype(int)]
+    cell_values = stream(0, "planks", count).random(count, dtype=np.float32)
+    cell_value = cell_values[np.floor(u * count).astype(int)]
     across = u * count % 1
     edge = _smooth(np.minimum(across, 1 - across), gap * 0.3, gap)
     grain = spectral("wood", 0.7, 3, 256, 14)
     grain = np.roll(grain, 97, axis=0) * 0.5 + grain
-    return (0.4 + 0.6 * edge) * (0.8 + 0.4 * lot + 0.12 * grain), 3 * edge + 0.25 * grain
+    return (0.4 + 0.6 * edge) * (0.8 + 0.4 * cell_value + 0.12 * grain), 3 * edge + 0.25 * grain
 
 
 def _shutter() -> Drawing:
@@ -194,12 +196,15 @@ def _cloth() -> Drawing:
 
 
 def _plate() -> Drawing:
-    """Seven letters a plate: boxes with bars and holes; from two metres away nobody can read more in ours."""
+    """Number plate: seven random letters of bars, and the blue band."""
     u, v = _grid()
     letter, across = np.floor(u * 9).astype(int), u * 9 % 1
-    lots = stream(0, "plate").random((9, 5, 3))
-    lots[[0, 8]] = 1
-    bars = lots[letter, np.minimum((v - 0.2) / 0.12, 4).clip(0).astype(int), np.floor(across * 3).astype(int)] < 0.55
+    cell_values = stream(0, "plate").random((9, 5, 3))
+    cell_values[[0, 8]] = 1
+    bars = (
+        cell_values[letter, np.minimum((v - 0.2) / 0.12, 4).clip(0).astype(int), np.floor(across * 3).astype(int)]
+        < 0.55
+    )
     ink = bars & (np.abs(v - 0.5) < 0.3) & (np.abs(across - 0.5) < 0.38)
     blue = np.where(u < 0.08, 1.0, 0.0)[..., None] * np.array((0.85, 0.7, 0.1), dtype=np.float32)
     return (1 - 0.93 * ink[..., None]) * (1 - blue), np.zeros_like(u)
@@ -218,21 +223,21 @@ def _birch() -> Drawing:
 
 
 def _leaves() -> Drawing:
-    """Every leaf has its own shade and leans its own way: slopes come from one random plane a cell."""
-    seam, lot = pebbles("leaves", 16)
-    _, other = pebbles("leaves", 16, 0.9, 1.02)
-    factor = np.exp(0.9 * (lot - 0.5)) * (0.75 + 0.25 * _smooth(seam, 0, 0.12))
-    v_lean, u_lean = np.sin(40 * lot), np.sin(57 * other + 1)
+    """Leaves: each Voronoi cell has its own shade, and the slope of its own random plane."""
+    seam, cell_value = voronoi("leaves", 16)
+    _, other = voronoi("leaves", 16, 0.9, 1.02)
+    factor = np.exp(0.9 * (cell_value - 0.5)) * (0.75 + 0.25 * _smooth(seam, 0, 0.12))
+    v_lean, u_lean = np.sin(40 * cell_value), np.sin(57 * other + 1)
     u, v = _grid()
     lean = 40 * (u_lean * (u * 16 % 1) + v_lean * (v * 16 % 1))
-    return _coloured(factor, np.sin(91 * lot), (0.14, 0.03, 0.0)), lean
+    return _coloured(factor, np.sin(91 * cell_value), (0.14, 0.03, 0.0)), lean
 
 
 def _litter() -> Drawing:
-    """Fallen leaves: the factor is no colour but the part of the ground that they cover."""
-    seam, lot = pebbles("litter", 64)
+    """Fallen leaves: the factor is the share of the ground that they cover."""
+    seam, cell_value = voronoi("litter", 64)
     place = spectral("litter", 1.4, 1, 14)
-    return _smooth(seam, 0.02, 0.2) * _smooth(0.55 * place + 2.2 * (lot - 0.5), 0.2, 0.5), np.zeros_like(seam)
+    return _smooth(seam, 0.02, 0.2) * _smooth(0.55 * place + 2.2 * (cell_value - 0.5), 0.2, 0.5), np.zeros_like(seam)
 
 
 PATTERNS: dict[str, Pattern] = {

@@ -10,9 +10,9 @@ import numpy as np
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.sensors import View
-from lidar2pano.simulate.render.ambient_occlusion import guide, openness, smoothed
+from lidar2pano.simulate.render.ambient_occlusion import edge_aware_mean, gbuffer, sky_visibility
 from lidar2pano.simulate.render.looks import Look
-from lidar2pano.simulate.render.shading import Reach, shade, sunlit
+from lidar2pano.simulate.render.shading import Visibility, shade, sunlit
 from lidar2pano.simulate.scene.random_streams import stream
 from lidar2pano.simulate.scene.raycast import Hits, Scene
 from lidar2pano.simulate.scene.surfaces import MATERIALS
@@ -30,7 +30,7 @@ SHOULDER = 0.7  # brightness above which the film begins to save the lights
 CLOSE = 12.0  # metres within which penumbrae are some pixels wide
 CLUMP = 1.2  # metres between leaves that may share a ray to the sun
 
-_LEAFY = np.array([bool(material.cutout) and material.through > 0 for material in MATERIALS.values()])
+_LEAFY = np.array([bool(material.cutout) and material.transmission > 0 for material in MATERIALS.values()])
 
 Rays = tuple[np.ndarray, np.ndarray, float]
 """origin (3,) float64 metres, directions (H, W, 3) float32 unit vectors, both in the world's frame; pixel's radians."""
@@ -41,7 +41,7 @@ class Picture:
     """colour (H, W, 3) uint8 sRGB; kind (H, W) uint8 of KIND_IDS or SKY; distance (H, W) float32 metres, inf: sky."""
 
     colour: np.ndarray
-    kind: np.ndarray
+    object_type: np.ndarray
     distance: np.ndarray
 
 
@@ -82,27 +82,33 @@ def render(
     A picture whose last column is one pixel away from its first is closed: it has no seam.
     """
     shape = directions.shape[:2]
-    wraps, origin = _closed(directions, pixel_angle), np.asarray(origin, dtype=np.float32)
-    way = directions.reshape(-1, 3)
-    hits = _hits(scene, origin, way)
-    surfaces = guide(hits, origin, directions)
-    from_sky = openness(scene, hits, surfaces, wraps).reshape(-1)
-    from_sun = _sun(scene, hits, origin, way, look, shape)
-    from_sun = smoothed(from_sun, surfaces, wraps, (1,))  # one ray a pixel is a grainy penumbra, most so near by
-    from_sun = np.where(surfaces.distance < CLOSE, smoothed(from_sun, surfaces, wraps, (2,)), from_sun).reshape(-1)
+    circular, origin = _closed(directions, pixel_angle), np.asarray(origin, dtype=np.float32)
+    direction = directions.reshape(-1, 3)
+    hits = _hits(scene, origin, direction)
+    surfaces = gbuffer(hits, origin, directions)
+    from_sky = sky_visibility(scene, hits, surfaces, circular).reshape(-1)
+    from_sun = _sun(scene, hits, origin, direction, look, shape)
+    from_sun = edge_aware_mean(
+        from_sun, surfaces, circular, (1,)
+    )  # one ray a pixel is a grainy penumbra, most so near by
+    from_sun = np.where(
+        surfaces.distance < CLOSE, edge_aware_mean(from_sun, surfaces, circular, (2,)), from_sun
+    ).reshape(-1)
     limit = FULL / look.exposure
-    radiance = np.minimum(shade(scene, hits, origin, way, pixel_angle, look, Reach(from_sun, from_sky)), limit)
-    count = np.ones(len(way), dtype=np.float32)
-    for place, ray in _further(hits, directions, wraps):
+    radiance = np.minimum(
+        shade(scene, hits, origin, direction, pixel_angle, look, Visibility(from_sun, from_sky)), limit
+    )
+    count = np.ones(len(direction), dtype=np.float32)
+    for place, ray in _further(hits, directions, circular):
         met = scene.cast(origin, ray)
         sun = sunlit(scene, met, np.broadcast_to(origin, ray.shape), ray, look)
-        more = shade(scene, met, origin, ray, 0.6 * pixel_angle, look, Reach(sun, from_sky[place]))
+        more = shade(scene, met, origin, ray, 0.6 * pixel_angle, look, Visibility(sun, from_sky[place]))
         radiance[place] += np.minimum(more, limit)
         count[place] += 1
     radiance /= count[:, None]
     return Picture(
-        colour=developed(radiance.reshape(*shape, 3), look, wraps, seed),
-        kind=hits.kind.reshape(shape),
+        colour=developed(radiance.reshape(*shape, 3), look, circular, seed),
+        object_type=hits.object_type.reshape(shape),
         distance=hits.distance.reshape(shape),
     )
 
@@ -112,50 +118,50 @@ def _closed(directions: np.ndarray, pixel_angle: float) -> bool:
     return bool(directions.shape[1] > 8 and gap < 1.5 * pixel_angle)
 
 
-def _hits(scene: Scene, origin: np.ndarray, way: np.ndarray) -> Hits:
+def _hits(scene: Scene, origin: np.ndarray, direction: np.ndarray) -> Hits:
     whole: dict[str, np.ndarray] = {}
-    for first in range(0, len(way), TILE):
-        part = scene.cast(origin, way[first : first + TILE])
+    for first in range(0, len(direction), TILE):
+        part = scene.cast(origin, direction[first : first + TILE])
         for field in fields(Hits):
             values = getattr(part, field.name)
             if field.name not in whole:
-                whole[field.name] = np.empty((len(way), *values.shape[1:]), dtype=values.dtype)
+                whole[field.name] = np.empty((len(direction), *values.shape[1:]), dtype=values.dtype)
             whole[field.name][first : first + TILE] = values
     return Hits(**whole)
 
 
 def _sun(
-    scene: Scene, hits: Hits, origin: np.ndarray, way: np.ndarray, look: Look, shape: tuple[int, int]
+    scene: Scene, hits: Hits, origin: np.ndarray, direction: np.ndarray, look: Look, shape: tuple[int, int]
 ) -> np.ndarray:
     """Which of a picture's pixels the sun lights (H, W); four neighbours among leaves share one ray, for speed."""
-    index = np.arange(len(way), dtype=np.int32).reshape(shape)
+    index = np.arange(len(direction), dtype=np.int32).reshape(shape)
     first = np.repeat(np.repeat(index[::2, ::2], 2, axis=0), 2, axis=1)[: shape[0], : shape[1]].reshape(-1)
-    shares = _LEAFY[hits.material] & hits.met & (hits.material == hits.material[first])
-    distance = np.where(hits.met, hits.distance, 0)
+    shares = _LEAFY[hits.material] & hits.valid & (hits.material == hits.material[first])
+    distance = np.where(hits.valid, hits.distance, 0)
     shares &= np.abs(distance - distance[first]) < CLUMP
     asked = np.flatnonzero(~shares | (first == index.reshape(-1)))
-    lit = np.empty(len(way), dtype=np.float32)
-    lit[asked] = sunlit(scene, hits.taken(asked), np.broadcast_to(origin, (len(asked), 3)), way[asked], look)
+    lit = np.empty(len(direction), dtype=np.float32)
+    lit[asked] = sunlit(scene, hits.subset(asked), np.broadcast_to(origin, (len(asked), 3)), direction[asked], look)
     return np.where(shares, lit[first], lit).reshape(shape)
 
 
-def _further(hits: Hits, directions: np.ndarray, wraps: bool) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _further(hits: Hits, directions: np.ndarray, circular: bool) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Pixels (indices) at edges and further rays for each: three, but one at the rim of leaves."""
-    edge, ragged = (part.reshape(-1) for part in _edges(hits, directions.shape[:2], wraps))
+    edge, ragged = (part.reshape(-1) for part in _edges(hits, directions.shape[:2], circular))
     once, more = np.flatnonzero(edge | ragged), np.flatnonzero(edge)
     for index, (right, down) in enumerate(CORNERS):
         pixels = more if index else once
         for first in range(0, len(pixels), TILE):
             some = pixels[first : first + TILE]
-            yield some, _beside(directions, some, (right, down), wraps)
+            yield some, _beside(directions, some, (right, down), circular)
 
 
-def _beside(directions: np.ndarray, pixels: np.ndarray, off: tuple[float, float], wraps: bool) -> np.ndarray:
+def _beside(directions: np.ndarray, pixels: np.ndarray, off: tuple[float, float], circular: bool) -> np.ndarray:
     """Unit vectors (K, 3) through points `off` (right, down) pixels beside the middle of some pixels."""
     rows, columns = directions.shape[:2]
     row, column = np.divmod(pixels, columns)
     left, right = column - 1, column + 1
-    if wraps:
+    if circular:
         left, right = left % columns, right % columns
     else:
         left, right = np.maximum(left, 0), np.minimum(right, columns - 1)
@@ -166,13 +172,13 @@ def _beside(directions: np.ndarray, pixels: np.ndarray, off: tuple[float, float]
     return ray / np.linalg.norm(ray, axis=1, keepdims=True)
 
 
-def _edges(hits: Hits, shape: tuple[int, int], wraps: bool) -> tuple[np.ndarray, np.ndarray]:
+def _edges(hits: Hits, shape: tuple[int, int], circular: bool) -> tuple[np.ndarray, np.ndarray]:
     """Two (H, W) bool: pixels whose neighbour is another kind or material, lies much farther, or is turned away; and
     pixels at the rim of leaves, within which everything would be an edge.
     """
-    kind = np.where(hits.met, hits.kind, -1).reshape(shape)
-    material, leaves = hits.material.reshape(shape), (_LEAFY[hits.material] & hits.met).reshape(shape)
-    sky, near = ~hits.met.reshape(shape), (1 / np.maximum(hits.distance, 1e-3)).reshape(shape)
+    object_type = np.where(hits.valid, hits.object_type, -1).reshape(shape)
+    material, leaves = hits.material.reshape(shape), (_LEAFY[hits.material] & hits.valid).reshape(shape)
+    sky, near = ~hits.valid.reshape(shape), (1 / np.maximum(hits.distance, 1e-3)).reshape(shape)
     normal = np.ascontiguousarray(hits.normal.T).reshape(3, *shape)
     edge, ragged = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
     for axis in (0, 1):
@@ -181,10 +187,10 @@ def _edges(hits: Hits, shape: tuple[int, int], wraps: bool) -> tuple[np.ndarray,
         step |= (np.roll(normal, -1, axis + 1) * normal).sum(axis=0) < 0.8
         step |= np.roll(material, -1, axis) != material
         step &= ~(sky & np.roll(sky, -1, axis))
-        other, leafy = np.roll(kind, -1, axis) != kind, leaves | np.roll(leaves, -1, axis)
+        other, leafy = np.roll(object_type, -1, axis) != object_type, leaves | np.roll(leaves, -1, axis)
         if axis == 0:
             step[-1] = other[-1] = False
-        elif not wraps:
+        elif not circular:
             step[:, -1] = other[:, -1] = False
         step, other = (step | other) & ~leafy, other & leafy
         edge |= step | np.roll(step, 1, axis)
@@ -192,10 +198,10 @@ def _edges(hits: Hits, shape: tuple[int, int], wraps: bool) -> tuple[np.ndarray,
     return edge, ragged
 
 
-def developed(radiance: np.ndarray, look: Look, wraps: bool, seed: int) -> np.ndarray:
+def developed(radiance: np.ndarray, look: Look, circular: bool, seed: int) -> np.ndarray:
     """Radiance (H, W, 3) as the camera writes it: (H, W, 3) uint8, sRGB."""
-    film = radiance * (np.float32(look.exposure) * np.asarray(look.balance, dtype=np.float32))
-    film = np.pad(film, ((0, 0), (1, 1), (0, 0)), mode="wrap" if wraps else "edge")
+    film = radiance * (np.float32(look.exposure) * np.asarray(look.white_balance, dtype=np.float32))
+    film = np.pad(film, ((0, 0), (1, 1), (0, 0)), mode="wrap" if circular else "edge")
     film = np.pad(film, ((1, 1), (0, 0), (0, 0)), mode="edge")
     grain, out = stream(seed, "sensor"), np.empty(radiance.shape, dtype=np.uint8)
     for first in range(0, len(out), STRIP):

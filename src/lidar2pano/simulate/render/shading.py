@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.render.looks import FALLEN, Look, littered, seasoned
-from lidar2pano.simulate.render.noise import lottery
+from lidar2pano.simulate.render.looks import FALLEN, Look, litter_share, seasonal_albedo
+from lidar2pano.simulate.render.noise import spatial_hash
 from lidar2pano.simulate.render.sky import Sky, sky
 from lidar2pano.simulate.render.textures import OF_MATERIAL, TEXTURE_IDS, sample, sample_wide
 from lidar2pano.simulate.scene.raycast import Hits, Scene
-from lidar2pano.simulate.scene.surfaces import KIND_IDS, column
+from lidar2pano.simulate.scene.surfaces import OBJECT_TYPE_IDS, material_table
 
 TILE = 32768  # rays that are shaded at once: their arrays fit the cache
 GRAIN = 0.008  # metres: points nearer to each other than this share one sample of the sun's disc
@@ -20,22 +20,24 @@ TAPS = 3  # samples along a surface that is seen aslant
 BOUNCE = 0.08  # share of the light that comes from what stands in the sky's way
 LAMP = 2.5  # radiance of a lamp whose material says 1
 
-_COLOUR, _LIGHT = column("colour").T.copy(), LAMP * column("light").T
-_ROUGH, _THROUGH = column("rough"), column("through")
-_GLOSS = np.where(_THROUGH > 0, 0, column("gloss"))  # leaves are lit by their crown's normals, which mirror nothing
-_ASPHALT, _ROAD = TEXTURE_IDS["asphalt"], KIND_IDS["road"]
-_MIRRORS = (_GLOSS > 0) & (_ROUGH < 0.15)  # what shows its surroundings
+_ALBEDO, _EMISSION = material_table("albedo").T.copy(), LAMP * material_table("emission").T
+_ROUGHNESS, _TRANSMISSION = material_table("roughness"), material_table("transmission")
+_SPECULAR = np.where(
+    _TRANSMISSION > 0, 0, material_table("specular")
+)  # leaves are lit by their crown's normals, which mirror nothing
+_ASPHALT, _ROAD = TEXTURE_IDS["asphalt"], OBJECT_TYPE_IDS["road"]
+_MIRRORS = (_SPECULAR > 0) & (_ROUGHNESS < 0.15)  # what shows its surroundings
 
 
-class Reach(NamedTuple):
+class Visibility(NamedTuple):
     """How much light gets to N places: (N,) float32 share of the sun's and of the sky's that nothing keeps off."""
 
-    sun: np.ndarray
+    sun_direction: np.ndarray
     sky: np.ndarray
 
-    def taken(self, which: np.ndarray) -> Reach:
+    def subset(self, which: np.ndarray) -> Visibility:
         """Of some of them."""
-        return Reach(self.sun[which], self.sky[which])
+        return Visibility(self.sun_direction[which], self.sky[which])
 
 
 @dataclass(slots=True, eq=False)
@@ -43,27 +45,31 @@ class _Spot:
     """What n rays met, coordinates first (3, n): fast to reckon with."""
 
     hits: Hits
-    place: np.ndarray
-    way: np.ndarray
+    position: np.ndarray
+    direction: np.ndarray
     normal: np.ndarray
-    facet: np.ndarray
+    face_normal: np.ndarray
     footprint_m: np.ndarray  # (n,) a pixel's width there, square to the ray
     facing: np.ndarray  # (n,) cosine between ray and facet
 
-    def taken(self, which: np.ndarray) -> _Spot:
+    def subset(self, which: np.ndarray) -> _Spot:
         """Some of them."""
-        place, way, normal, facet = (part[:, which] for part in (self.place, self.way, self.normal, self.facet))
-        return _Spot(self.hits.taken(which), place, way, normal, facet, self.footprint_m[which], self.facing[which])
+        place, direction, normal, face_normal = (
+            part[:, which] for part in (self.position, self.direction, self.normal, self.face_normal)
+        )
+        return _Spot(
+            self.hits.subset(which), place, direction, normal, face_normal, self.footprint_m[which], self.facing[which]
+        )
 
 
 def shade(
     scene: Scene,
     hits: Hits,
     origin: np.ndarray,
-    way: np.ndarray,
+    direction: np.ndarray,
     pixel_angle: float,
     look: Look,
-    reach: Reach | None = None,
+    visibility: Visibility | None = None,
 ) -> np.ndarray:
     """Radiance (N, 3) float32, linear RGB, that comes along rays.
 
@@ -71,50 +77,56 @@ def shade(
     pixel_angle   radians between neighbouring rays: textures are averaged over so much.
     reach         what light gets there; None: the sun's is found out here, and nothing is in the sky's way.
     """
-    count = len(way)
+    count = len(direction)
     origin = np.broadcast_to(np.asarray(origin, dtype=np.float32), (count, 3))
-    if reach is None:
-        reach = Reach(sunlit(scene, hits, origin, way, look), np.ones(count, dtype=np.float32))
+    if visibility is None:
+        visibility = Visibility(sunlit(scene, hits, origin, direction, look), np.ones(count, dtype=np.float32))
     out = np.empty((count, 3), dtype=np.float32)
     for first in range(0, count, TILE):
         part = slice(first, first + TILE)
-        met = np.flatnonzero(hits.met[part])
-        rays = np.ascontiguousarray(way[part].T, dtype=np.float32)
+        met = np.flatnonzero(hits.valid[part])
+        rays = np.ascontiguousarray(direction[part].T, dtype=np.float32)
         radiance = np.empty_like(rays)
-        away = np.flatnonzero(~hits.met[part])
+        away = np.flatnonzero(~hits.valid[part])
         radiance[:, away] = sky(look).radiance(rays[:, away])
-        spot = _spot(hits.taken(met + first), origin[met + first].T, rays[:, met], pixel_angle)
-        radiance[:, met] = _surface(scene, spot, look, reach.taken(met + first))
+        spot = _spot(hits.subset(met + first), origin[met + first].T, rays[:, met], pixel_angle)
+        radiance[:, met] = _surface(scene, spot, look, visibility.subset(met + first))
         out[part] = radiance.T
     return out
 
 
-def _spot(hits: Hits, origin: np.ndarray, way: np.ndarray, pixel_angle: float) -> _Spot:
-    normal, facet = (np.ascontiguousarray(part.T, dtype=np.float32) for part in (hits.normal, hits.facet))
-    facing = np.clip(-_dot(way, facet), 0.02, 1)
+def _spot(hits: Hits, origin: np.ndarray, direction: np.ndarray, pixel_angle: float) -> _Spot:
+    normal, face_normal = (np.ascontiguousarray(part.T, dtype=np.float32) for part in (hits.normal, hits.face_normal))
+    facing = np.clip(-_dot(direction, face_normal), 0.02, 1)
     return _Spot(
-        hits, origin + way * hits.distance, way, normal, facet, hits.distance * np.float32(pixel_angle), facing
+        hits,
+        origin + direction * hits.distance,
+        direction,
+        normal,
+        face_normal,
+        hits.distance * np.float32(pixel_angle),
+        facing,
     )
 
 
-def _surface(scene: Scene, spot: _Spot, look: Look, reach: Reach) -> np.ndarray:
+def _surface(scene: Scene, spot: _Spot, look: Look, visibility: Visibility) -> np.ndarray:
     """Radiance (3, n) of surfaces."""
     above, material = sky(look), spot.hits.material
     albedo, normal = _material(spot, look)
-    sun = np.array(look.sun, dtype=np.float32)[:, None]
+    sun = np.array(look.sun_direction, dtype=np.float32)[:, None]
     slant = _dot(normal, sun)
-    strength = np.maximum(slant, 0) + _THROUGH[material] * np.maximum(-slant, 0.25)
-    direct = np.array(look.sun_colour, dtype=np.float32)[:, None] * (strength * reach.sun)
+    strength = np.maximum(slant, 0) + _TRANSMISSION[material] * np.maximum(-slant, 0.25)
+    direct = np.array(look.sun_colour, dtype=np.float32)[:, None] * (strength * visibility.sun_direction)
     ambient = above.ambient(normal)
-    ambient *= reach.sky + BOUNCE * (1 - reach.sky)
+    ambient *= visibility.sky + BOUNCE * (1 - visibility.sky)
     out = albedo * (direct + ambient)
-    glossy = np.flatnonzero(_GLOSS[material])
+    glossy = np.flatnonzero(_SPECULAR[material])
     if len(glossy):
-        some = spot.taken(glossy)
-        out[:, glossy] = _glossy(scene, some, look, normal[:, glossy], out[:, glossy], reach.taken(glossy))
-    out += _LIGHT[:, material]
+        some = spot.subset(glossy)
+        out[:, glossy] = _glossy(scene, some, look, normal[:, glossy], out[:, glossy], visibility.subset(glossy))
+    out += _EMISSION[:, material]
     clear = np.exp(spot.hits.distance * np.float32(-1 / look.haze_m))
-    return out * clear + above.air * (1 - clear)
+    return out * clear + above.airlight * (1 - clear)
 
 
 def _material(spot: _Spot, look: Look) -> tuple[np.ndarray, np.ndarray]:
@@ -122,12 +134,12 @@ def _material(spot: _Spot, look: Look) -> tuple[np.ndarray, np.ndarray]:
     hits = spot.hits
     texture = OF_MATERIAL[hits.material]
     tint = np.ascontiguousarray(hits.tint.T)
-    along, up = _tangents(spot.facet)
+    along, up = _tangents(spot.face_normal)
     factor, slope = _sampled(spot, texture, along, up)
-    albedo = _COLOUR[:, hits.material] * tint * factor
-    albedo = seasoned(look, albedo, hits.material, tint, spot.place)
-    flat = (np.abs(spot.facet[2]) > 0.7) | hits.moving
-    x, y, z = spot.place  # walls have their own uv each: the world's axes keep neighbours from looking alike
+    albedo = _ALBEDO[:, hits.material] * tint * factor
+    albedo = seasonal_albedo(look, albedo, hits.material, tint, spot.position)
+    flat = (np.abs(spot.face_normal[2]) > 0.7) | hits.moving
+    x, y, z = spot.position  # walls have their own uv each: the world's axes keep neighbours from looking alike
     wide = np.where(flat, hits.uv.T, np.stack([x + 0.43 * z, y + 0.71 * z]))
     albedo *= sample_wide(texture, wide.T, spot.footprint_m / np.sqrt(spot.facing)).T
     _tracks(albedo, hits, texture)
@@ -136,9 +148,9 @@ def _material(spot: _Spot, look: Look) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(albedo, 0, 0.95), normal / np.sqrt(_dot(normal, normal))
 
 
-def _tangents(facet: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors (3, n) along u and v, as `mesh.unrolled` lays them: x and y on floors, along and up on walls."""
-    x, y, z = facet
+def _tangents(face_normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors (3, n) along u and v, as `mesh.projected_uv` lays them: x and y on floors, along and up on walls."""
+    x, y, z = face_normal
     flat = np.abs(z) > 0.97
     run = np.sqrt(np.maximum(x * x + y * y, 1e-12))
     sign = np.where(np.where(np.abs(y) > np.abs(x), -y, x) < 0, np.float32(-1), np.float32(1)) / run
@@ -154,13 +166,13 @@ def _sampled(spot: _Spot, texture: np.ndarray, along: np.ndarray, up: np.ndarray
     stretch = 1 / spot.facing
     narrow = np.maximum(1, stretch / TAPS)
     # Half a level in each direction, so that levels do not end in lines on the ground.
-    dither = 0.75 + 0.5 * lottery(spot.place, 0.03, 1)
+    dither = 0.75 + 0.5 * spatial_hash(spot.position, 0.03, 1)
     footprint = spot.footprint_m * narrow * dither
     factor, slope = (part.T for part in sample(texture, spot.hits.uv, footprint))
     aslant = np.flatnonzero(stretch > 1.6)
     if len(aslant):
-        way, uv = spot.way[:, aslant], spot.hits.uv[aslant]
-        across = np.stack([_dot(way, along[:, aslant]), _dot(way, up[:, aslant])])
+        direction, uv = spot.direction[:, aslant], spot.hits.uv[aslant]
+        across = np.stack([_dot(direction, along[:, aslant]), _dot(direction, up[:, aslant])])
         across /= np.sqrt(_dot(across, across)) + 1e-9
         step = (across * (spot.footprint_m * stretch)[aslant] / TAPS).T
         for sign in (-1, 1):
@@ -174,55 +186,57 @@ def _sampled(spot: _Spot, texture: np.ndarray, along: np.ndarray, up: np.ndarray
 
 def _tracks(albedo: np.ndarray, hits: Hits, texture: np.ndarray) -> None:
     """Darken the asphalt where tyres run and along the joint in the middle; a road's v is the way from its middle."""
-    road = np.flatnonzero((texture == _ASPHALT) & (hits.kind == _ROAD))
+    road = np.flatnonzero((texture == _ASPHALT) & (hits.object_type == _ROAD))
     aside = np.abs(hits.uv[road, 1])
     worn = np.cos(np.clip((np.abs(aside - 1.75) - 0.75) * 2.6, -np.pi, np.pi))
     albedo[:, road] *= 1 - 0.05 * worn - 0.22 * np.clip(1 - aside / 0.025, 0, 1)
 
 
 def _litter(albedo: np.ndarray, spot: _Spot, look: Look) -> None:
-    share = littered(look, spot.hits.material)
-    ground = np.flatnonzero((share > 0) & (spot.facet[2] > 0.7))
+    share = litter_share(look, spot.hits.material)
+    ground = np.flatnonzero((share > 0) & (spot.face_normal[2] > 0.7))
     if len(ground):
         which = np.full(len(ground), TEXTURE_IDS["litter"])
         footprint = spot.footprint_m[ground] / np.sqrt(spot.facing[ground])
         cover = sample(which, spot.hits.uv[ground], footprint)[0][:, 0] * share[ground]
-        hue = 0.6 + 0.8 * lottery(spot.place[:, ground], 0.06, 2)
+        hue = 0.6 + 0.8 * spatial_hash(spot.position[:, ground], 0.06, 2)
         albedo[:, ground] += cover * (FALLEN[:, None] * hue - albedo[:, ground])
 
 
-def sunlit(scene: Scene, hits: Hits, origin: np.ndarray, way: np.ndarray, look: Look) -> np.ndarray:
+def sunlit(scene: Scene, hits: Hits, origin: np.ndarray, direction: np.ndarray, look: Look) -> np.ndarray:
     """Whether the sun shines where rays met something: (N,) float32, 0 or 1, and by chance in penumbrae.
 
     The point of the sun's disc that counts belongs to the place in the world: it is the same in every picture.
     """
-    lit = np.zeros(len(way), dtype=np.float32)
+    lit = np.zeros(len(direction), dtype=np.float32)
     if not any(look.sun_colour):
         return lit
-    sun = np.array(look.sun, dtype=np.float32)
-    thin = _THROUGH[hits.material] > 0
-    towards = np.flatnonzero(hits.met & (thin | ((hits.normal @ sun > 0) & (hits.facet @ sun > 0))))
-    east = np.array((look.sun[1], -look.sun[0], 0), dtype=np.float32)
+    sun = np.array(look.sun_direction, dtype=np.float32)
+    thin = _TRANSMISSION[hits.material] > 0
+    toward = np.flatnonzero(hits.valid & (thin | ((hits.normal @ sun > 0) & (hits.face_normal @ sun > 0))))
+    east = np.array((look.sun_direction[1], -look.sun_direction[0], 0), dtype=np.float32)
     east /= np.sqrt((east * east).sum()) + np.float32(1e-9)
     axes = (sun, east, np.cross(sun, east))
-    wide = np.float32(np.tan(np.radians(look.sun_deg)))
-    for first in range(0, len(towards), TILE):
-        some = towards[first : first + TILE]
-        place = (origin[some] + way[some] * hits.distance[some, None]).T
-        turn = np.float32(2 * np.pi) * lottery(place, GRAIN, 3)
-        away = np.sqrt(lottery(place, GRAIN, 4)) * wide
+    wide = np.float32(np.tan(np.radians(look.sun_radius_deg)))
+    for first in range(0, len(toward), TILE):
+        some = toward[first : first + TILE]
+        place = (origin[some] + direction[some] * hits.distance[some, None]).T
+        turn = np.float32(2 * np.pi) * spatial_hash(place, GRAIN, 3)
+        away = np.sqrt(spatial_hash(place, GRAIN, 4)) * wide
         ray = sum(
             axis[:, None] * part for axis, part in zip(axes, (1, away * np.cos(turn), away * np.sin(turn)), strict=True)
         )
         ray = ray / np.sqrt(_dot(ray, ray))
-        behind = np.where(hits.facet[some] @ sun < 0, np.float32(-1), np.float32(1))  # leaves lit from the other side
-        lit[some] = scene.light((place + lifted(hits, some) * behind).T, ray.T)
+        behind = np.where(
+            hits.face_normal[some] @ sun < 0, np.float32(-1), np.float32(1)
+        )  # leaves lit from the other side
+        lit[some] = scene.unoccluded((place + lifted(hits, some) * behind).T, ray.T)
     return lit
 
 
 def lifted(hits: Hits, which: np.ndarray) -> np.ndarray:
     """The small step (3, k) off a surface that keeps a new ray from meeting the place where it starts."""
-    return (hits.facet[which] * (1e-3 + 3e-5 * hits.distance[which, None])).T
+    return (hits.face_normal[which] * (1e-3 + 3e-5 * hits.distance[which, None])).T
 
 
 def _glossy(  # noqa: PLR0913 one array for each that the formula has
@@ -231,39 +245,39 @@ def _glossy(  # noqa: PLR0913 one array for each that the formula has
     look: Look,
     normal: np.ndarray,
     matt: np.ndarray,
-    reach: Reach,
+    visibility: Visibility,
 ) -> np.ndarray:
     """Radiance (3, n) of surfaces with a shine: `matt`, less what mirrors, and what is mirrored."""
     material = spot.hits.material
-    gloss, rough = _GLOSS[material], _ROUGH[material]
-    facing = np.clip(-_dot(normal, spot.way), 0, 1)
+    gloss, rough = _SPECULAR[material], _ROUGHNESS[material]
+    facing = np.clip(-_dot(normal, spot.direction), 0, 1)
     share = gloss + np.maximum(1 - rough - gloss, 0) * (1 - facing) ** 5  # Schlick, dimmed where rough
-    mirrored = spot.way + 2 * facing * normal
+    mirrored = spot.direction + 2 * facing * normal
     above = sky(look)
-    seen = above.ambient(mirrored) * reach.sky
+    seen = above.ambient(mirrored) * visibility.sky
     clear = np.flatnonzero(_MIRRORS[material])
     if len(clear):
-        start = spot.place[:, clear] + lifted(spot.hits, clear)
+        start = spot.position[:, clear] + lifted(spot.hits, clear)
         seen[:, clear] = _mirrored(scene, start, mirrored[:, clear], look, above)
-    sun = np.array(look.sun, dtype=np.float32)[:, None]
-    half = sun - spot.way
+    sun = np.array(look.sun_direction, dtype=np.float32)[:, None]
+    half = sun - spot.direction
     half /= np.sqrt(_dot(half, half)) + 1e-6
     peak, alpha = np.clip(_dot(normal, half), 0, 1), np.maximum(rough * rough, 0.03)
     lobe = alpha**2 / (np.pi * (peak * peak * (alpha**2 - 1) + 1) ** 2)  # GGX (Walter 2007)
     glance = gloss + (1 - gloss) * (1 - np.clip(_dot(half, sun), 0, 1)) ** 5
-    shine = np.pi * reach.sun * np.maximum(_dot(normal, sun), 0) * lobe * glance * (0.25 + 0.25 * rough)
+    shine = np.pi * visibility.sun_direction * np.maximum(_dot(normal, sun), 0) * lobe * glance * (0.25 + 0.25 * rough)
     return matt * (1 - share) + seen * share + np.array(look.sun_colour, dtype=np.float32)[:, None] * shine
 
 
-def _mirrored(scene: Scene, start: np.ndarray, way: np.ndarray, look: Look, above: Sky) -> np.ndarray:
+def _mirrored(scene: Scene, start: np.ndarray, direction: np.ndarray, look: Look, above: Sky) -> np.ndarray:
     """What a mirror shows (3, n): the sky, or things in plain light."""
-    out = above.radiance(way, disc=False)
-    hits = scene.cast(start.T, way.T)
-    met = np.flatnonzero(hits.met)
-    hits, normal = hits.taken(met), np.ascontiguousarray(hits.normal[met].T)
-    slant = np.maximum(_dot(normal, np.array(look.sun, dtype=np.float32)[:, None]), 0)
+    out = above.radiance(direction, disc=False)
+    hits = scene.cast(start.T, direction.T)
+    met = np.flatnonzero(hits.valid)
+    hits, normal = hits.subset(met), np.ascontiguousarray(hits.normal[met].T)
+    slant = np.maximum(_dot(normal, np.array(look.sun_direction, dtype=np.float32)[:, None]), 0)
     light = 0.8 * above.ambient(normal) + np.array(look.sun_colour, dtype=np.float32)[:, None] * (0.6 * slant)
-    out[:, met] = _COLOUR[:, hits.material] * hits.tint.T * light + _LIGHT[:, hits.material]
+    out[:, met] = _ALBEDO[:, hits.material] * hits.tint.T * light + _EMISSION[:, hits.material]
     return out
 
 

@@ -1,4 +1,4 @@
-"""The sky: its radiance in every direction, and what a surface gets of it."""
+"""The sky: its radiance in every direction, and the irradiance of surfaces under it."""
 
 from __future__ import annotations
 
@@ -10,95 +10,98 @@ from lidar2pano.simulate.render.looks import Look
 from lidar2pano.simulate.render.noise import SIZE, bilinear, spectral
 from lidar2pano.simulate.scene.random_streams import stream
 
-GROUND = (0.12, 0.118, 0.095)  # albedo of the land, seen from afar
-DISC = 40.0  # radiance of the sun's disc over that of a white sheet; the film is blown either way
-DOME = 2048  # directions that stand for the whole sphere
+GROUND = (0.12, 0.118, 0.095)  # mean albedo of the land
+DISC = 40.0  # radiance of the sun's disc over that of a white surface; images saturate either way
+DOME = 2048  # directions that sample the sphere
 
 
 class Sky:
-    """The sky of one look. Directions are (3, N) float32 unit vectors, z up; radiances (3, N) linear RGB."""
+    """The sky of one look. Directions (3, N) float32 unit vectors, z up; radiances (3, N) linear RGB."""
 
     def __init__(self, look: Look) -> None:
         self._look = look
-        self._sun = _column(look.sun)
+        self._sun = _as_column(look.sun_direction)
         self._shift = stream(look.cloud_seed, "clouds").uniform(0, SIZE, 4).astype(np.float32)
         self._puffs = spectral("puffs", 1.45, 1, 200)
-        # Land under the open sky: it sends the sun's and the sky's light back up. The two depend on each other little.
+        # The land reflects the light of the sun and of the sky; its own light on the sky is neglected.
         upwards = self._above(_dome()[:, _dome()[2] > 0], disc=False)
         mean = 2 * (upwards * _dome()[2, _dome()[2] > 0]).mean(axis=1, keepdims=True)
-        self.ground = _column(GROUND) * (mean + 0.7 * _column(look.sun_colour) * max(look.sun[2], 0.0))
-        self._harmonics = self._light_of(_dome())
+        self.ground = _as_column(GROUND) * (mean + 0.7 * _as_column(look.sun_colour) * max(look.sun_direction[2], 0.0))
+        self._harmonics = self._irradiance(_dome())
 
     @property
-    def air(self) -> np.ndarray:
-        """Radiance (3, 1) of the air in the distance."""
+    def airlight(self) -> np.ndarray:
+        """Radiance (3, 1) of the air at infinite distance."""
         look = self._look
-        return 0.9 * ((1 - 0.5 * look.cover) * _column(look.horizon) + 0.5 * look.cover * _column(look.cloud))
+        return 0.9 * (
+            (1 - 0.5 * look.cloud_cover) * _as_column(look.horizon)
+            + 0.5 * look.cloud_cover * _as_column(look.cloud_radiance)
+        )
 
-    def radiance(self, way: np.ndarray, *, disc: bool = True) -> np.ndarray:
-        """What comes from directions `way`; below the horizon the land."""
-        out = self._above(way, disc)
-        below = np.flatnonzero(way[2] < 0)
+    def radiance(self, direction: np.ndarray, *, disc: bool = True) -> np.ndarray:
+        """Radiance (3, N) of the sky, and of the land below the horizon."""
+        out = self._above(direction, disc)
+        below = np.flatnonzero(direction[2] < 0)
         if len(below):
-            depth = np.clip(-way[2, below] * 12, 0, 1)  # the horizon is hazy
+            depth = np.clip(-direction[2, below] * 12, 0, 1)  # the horizon is hazy
             out[:, below] += (self.ground - out[:, below]) * depth
         return out
 
     def ambient(self, normal: np.ndarray) -> np.ndarray:
-        """Radiance (3, N) of a white matt surface with these normals under sky and land, without the sun's disc."""
+        """Radiance (3, N) of a white matt surface with these normals, lit by sky and land without the sun's disc."""
         return np.maximum(self._harmonics @ _basis(normal), 0)
 
-    def _above(self, way: np.ndarray, disc: bool) -> np.ndarray:
+    def _above(self, direction: np.ndarray, disc: bool) -> np.ndarray:
         look = self._look
-        height = np.maximum(way[2], 0)
-        near = np.exp(-6 * height)
-        out = _column(look.zenith) + (_column(look.horizon) - _column(look.zenith)) * near
-        cosine = (way * self._sun).sum(axis=0)
+        height = np.maximum(direction[2], 0)
+        haze = np.exp(-6 * height)
+        out = _as_column(look.zenith) + (_as_column(look.horizon) - _as_column(look.zenith)) * haze
+        cosine = (direction * self._sun).sum(axis=0)
         shine = np.maximum(cosine, 0)
         shine = 0.22 * shine**6 + 0.35 * shine**60 + 0.8 * shine**900
-        out += _column(look.glow) * shine
-        if look.cover:
-            thick, lit = self._clouds(way, height)
-            cloud = _column(look.cloud) * lit + _column(look.glow) * (0.5 * shine)
-            out += (cloud - out) * thick
+        out += _as_column(look.glow) * shine
+        if look.cloud_cover:
+            opacity, brightness = self._clouds(direction, height)
+            cloud = _as_column(look.cloud_radiance) * brightness + _as_column(look.glow) * (0.5 * shine)
+            out += (cloud - out) * opacity
         if disc and any(look.sun_colour):
-            blaze = (cosine > np.cos(np.radians(max(look.sun_deg, 0.3)))).astype(np.float32)
-            out += _column(look.sun_colour) * (DISC * (1 - look.cover * 0.5) * blaze)
+            blaze = (cosine > np.cos(np.radians(max(look.sun_radius_deg, 0.3)))).astype(np.float32)
+            out += _as_column(look.sun_colour) * (DISC * (1 - look.cloud_cover * 0.5) * blaze)
         return out
 
-    def _clouds(self, way: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How thick (0..1) the clouds stand in each direction, and how bright they are (about 1)."""
-        away = np.float32(60) / (height + np.float32(0.11))  # a flat layer, bent down a little at the horizon
-        x, y = way[0] * away, way[1] * away
+    def _clouds(self, direction: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Opacity (0..1) of the clouds in each direction, and their brightness (about 1)."""
+        away = np.float32(60) / (height + np.float32(0.11))  # a flat layer, curved down at the horizon
+        x, y = direction[0] * away, direction[1] * away
         big = bilinear(self._puffs, x + self._shift[0], y + self._shift[1])
         small = bilinear(self._puffs, 3.7 * y + self._shift[2], 3.7 * x + self._shift[3])
         puff = big + 0.25 * small
-        edge = np.float32(1.5 - 3.2 * self._look.cover)
-        thick = np.clip((puff - edge) * 0.9, 0, 1)
-        thick = thick * thick * (3 - 2 * thick)
-        lit = 1.08 - 0.17 * np.clip(puff - edge - 0.4, -0.6, 2) + 0.04 * small
-        return thick * np.clip(height * 9 + 0.25, 0, 1), lit
+        edge = np.float32(1.5 - 3.2 * self._look.cloud_cover)
+        opacity = np.clip((puff - edge) * 0.9, 0, 1)
+        opacity = opacity * opacity * (3 - 2 * opacity)
+        brightness = 1.08 - 0.17 * np.clip(puff - edge - 0.4, -0.6, 2) + 0.04 * small
+        return opacity * np.clip(height * 9 + 0.25, 0, 1), brightness
 
-    def _light_of(self, way: np.ndarray) -> np.ndarray:
-        """Nine harmonics (3, 9) that give, with `_basis` of a normal, the light on a surface (Ramamoorthi 2001)."""
-        radiance = self.radiance(way, disc=False)
+    def _irradiance(self, direction: np.ndarray) -> np.ndarray:
+        """Irradiance as nine spherical harmonics (3, 9) for `_basis` of a normal (Ramamoorthi 2001)."""
+        radiance = self.radiance(direction, disc=False)
         share = np.repeat(np.array((1, 2 / 3, 1 / 4)), (1, 3, 5))
-        return (4 * np.pi / way.shape[1] * (radiance @ _basis(way).T) * share).astype(np.float32)
+        return (4 * np.pi / direction.shape[1] * (radiance @ _basis(direction).T) * share).astype(np.float32)
 
 
 @lru_cache(maxsize=8)
 def sky(look: Look) -> Sky:
-    """The sky of a look; made once."""
+    """The sky of a look, cached."""
     return Sky(look)
 
 
-def _column(colour: tuple[float, float, float]) -> np.ndarray:
+def _as_column(colour: tuple[float, float, float]) -> np.ndarray:
     return np.array(colour, dtype=np.float32)[:, None]
 
 
 @lru_cache(maxsize=1)
 def _dome() -> np.ndarray:
-    """Directions (3, DOME) spread evenly over the sphere (a Fibonacci spiral)."""
+    """Directions (3, DOME) evenly over the sphere (Fibonacci spiral)."""
     z = 1 - (2 * np.arange(DOME) + 1) / DOME
     turn = np.pi * (3 - np.sqrt(5)) * np.arange(DOME)
     flat = np.sqrt(1 - z * z)

@@ -1,4 +1,4 @@
-"""Textures: how a surface's colour and slope vary from place to place, at every distance."""
+"""Textures with mip levels: variation of albedo and slope over a surface."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _blotches() -> np.ndarray:
 
 
 def _roadway() -> np.ndarray:
-    """Patches where somebody dug, seams filled with bitumen, stains."""
+    """Repaired patches, seams filled with bitumen, stains."""
     rng, factor = stream(0, "roadway"), 1 + 0.055 * spectral("roadway", 1.2, 1, 100)
     for _ in range(26):
         row, column = rng.integers(0, SIZE, 2)
@@ -68,11 +68,11 @@ _WIDE_OF = np.array(
 
 
 def sample(texture: np.ndarray, uv: np.ndarray, footprint_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Factor (N, 3) on the albedo, mean 1, and slope (N, 2) along u and v of textures at places.
+    """Albedo factor (N, 3), mean 1, and slope (N, 2) along u and v of textures.
 
-    texture      (N,) ids of TEXTURES; 0 is even.
+    texture      (N,) ids of TEXTURES; 0 is uniform.
     uv           (N, 2) metres.
-    footprint_m  (N,) how wide a stretch of the surface a pixel sees: detail below it is averaged.
+    footprint_m  (N,) width of a pixel on the surface: finer detail is averaged.
     """
     taps, weights = _corners(np.asarray(texture, dtype=np.int32), uv, footprint_m)
     found = np.zeros((5, len(taps[0])), dtype=np.float32)
@@ -86,13 +86,13 @@ def sample(texture: np.ndarray, uv: np.ndarray, footprint_m: np.ndarray) -> tupl
     return found[:3].T, found[3:].T
 
 
-def sample_wide(texture: np.ndarray, place: np.ndarray, footprint_m: np.ndarray) -> np.ndarray:
-    """Factor (N, 3) of the patches and stains that go over a texture, at places (N, 2) in metres."""
-    return sample(_WIDE_OF[texture], place, footprint_m)[0]
+def sample_wide(texture: np.ndarray, uv: np.ndarray, footprint_m: np.ndarray) -> np.ndarray:
+    """Albedo factor (N, 3) of the wide pattern laid over a texture, at uv (N, 2) in metres."""
+    return sample(_WIDE_OF[texture], uv, footprint_m)[0]
 
 
 def _corners(texture: np.ndarray, uv: np.ndarray, footprint_m: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """The four texels around each place at the level that suits the footprint, and their weights."""
+    """The four texels around each uv at the mip level of the footprint, and their bilinear weights."""
     per_u, per_v = _PER_M[0].take(texture), _PER_M[1].take(texture)
     texels = np.maximum(footprint_m * (SIZE / 2) * (per_u + per_v), 1e-6)
     level = np.clip(np.log2(texels) + 0.5, 0, LEVELS - 1).astype(np.int32)
@@ -110,13 +110,13 @@ def _corners(texture: np.ndarray, uv: np.ndarray, footprint_m: np.ndarray) -> tu
 
 @cache
 def _pool() -> np.ndarray:
-    """All tiles with all their levels, eight bytes a texel: R, G, B factor, two slopes, nothing."""
+    """All tiles with all mip levels, eight bytes a texel: R, G, B factor, two slopes, padding."""
     pool = np.zeros((len(_SIZES), _STARTS[-1], 8), dtype=np.uint8)
     pool[0] = STEP, STEP, STEP, MIDDLE, MIDDLE, 0, 0, 0
     drawings = [pattern.draw() for pattern in PATTERNS.values()] + [(draw(), None) for draw in WIDE.values()]
     for index, (factor, height_mm) in enumerate(drawings, start=1):
         tile = np.zeros((SIZE, SIZE, 5), dtype=np.float32)
-        tile[..., :3] = _levelled(factor, index != TEXTURE_IDS["litter"])
+        tile[..., :3] = _normalised(factor, index != TEXTURE_IDS["litter"])
         if height_mm is not None:
             tile[..., 3:] = _slopes(height_mm, _SIZES[index])
         for level in range(LEVELS):
@@ -129,8 +129,8 @@ def _pool() -> np.ndarray:
     return pool.view(np.uint64).reshape(-1)
 
 
-def _levelled(factor: np.ndarray, to_one: bool) -> np.ndarray:
-    """The factor in three channels within what a byte holds, its mean brought to 1."""
+def _normalised(factor: np.ndarray, to_one: bool) -> np.ndarray:
+    """The factor in three channels, within the range of a byte, scaled to mean 1."""
     factor = np.broadcast_to(factor if factor.ndim == 3 else factor[..., None], (SIZE, SIZE, 3)).astype(np.float32)
     for _ in range(2 if to_one else 0):
         factor = np.clip(factor / factor.mean((0, 1)), 0, 255 / STEP)
@@ -138,7 +138,7 @@ def _levelled(factor: np.ndarray, to_one: bool) -> np.ndarray:
 
 
 def _slopes(height_mm: np.ndarray, size_m: tuple[float, float]) -> np.ndarray:
-    """Rise per run along u and v of a tile of heights."""
+    """Slopes along u and v of a height map."""
     runs = (size_m[0] * 2000 / SIZE, size_m[1] * 2000 / SIZE)
     rise = [np.roll(height_mm, -1, axis) - np.roll(height_mm, 1, axis) for axis in (1, 0)]
     slope = np.stack([rise[0] / runs[0], rise[1] / runs[1]], axis=-1).clip(-1.2, 1.2)

@@ -1,4 +1,4 @@
-"""Cut-outs: masks of leaves, wire and palings, so that one flat face is many small ones. Period 1 in uv."""
+"""Cut-outs: alpha masks of leaves, wire and pickets, with period 1 in uv."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _grid() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _leaf(solid: np.ndarray, foot: np.ndarray, turn: float, length: float, width: float) -> None:
-    """Draw one pointed leaf from its foot (u, v) towards `turn` (radians, 0 along u); lengths in parts of the card."""
+    """Draw one pointed leaf from its foot (u, v) towards `turn` (radians, 0 along u); lengths as shares of the side."""
     low = ((foot - length - width) * SIZE).astype(int).clip(0, SIZE)
     high = ((foot + length + width) * SIZE).astype(int).clip(0, SIZE)
     near = (slice(low[1], high[1]), slice(low[0], high[0]))
@@ -32,7 +32,7 @@ def _leaf(solid: np.ndarray, foot: np.ndarray, turn: float, length: float, width
 
 
 def _twigs(sides: int) -> list[tuple[np.ndarray, float, float]]:
-    """Foot, direction and length of the twigs of a spray that grows from (0.5, 0) upwards; the first is the stem."""
+    """Start, direction and length of the twigs of a spray that grows from (0.5, 0) upwards; the first is the stem."""
     twigs = [(np.array([0.5, 0.0]), np.pi / 2, 0.72)]
     for i, height in enumerate(np.linspace(0.06, 0.64, sides)):
         lean = (0.95 - 0.35 * height) * (1 if i % 2 else -1)
@@ -93,7 +93,7 @@ CUTOUTS: dict[str, Callable[[], np.ndarray]] = {
 
 @cache
 def masks() -> tuple[np.ndarray, np.ndarray]:
-    """Masks (C, SIZE, SIZE) bool, True where there is matter, and per material its mask's index, -1 for none (M,)."""
+    """Masks (C, SIZE, SIZE) bool, True where solid, and the index of each material's mask (M,), -1 for none."""
     names = list(CUTOUTS)
     stack = np.stack([CUTOUTS[name]() for name in names])
     index = [names.index(material.cutout) if material.cutout else -1 for material in MATERIALS.values()]
@@ -101,6 +101,6 @@ def masks() -> tuple[np.ndarray, np.ndarray]:
 
 
 def solid_at(uv: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Whether there is matter at places (N, 2) of the cut-outs `mask` (N,)."""
+    """Whether cut-outs `mask` (N,) are solid at uv (N, 2): (N,) bool."""
     cell = ((uv % 1) * SIZE).astype(np.int64).clip(0, SIZE - 1)
     return masks()[0][mask, cell[:, 1], cell[:, 0]]

@@ -1,4 +1,4 @@
-"""Named random streams: every part of the world draws from its own, so that no part's draws move another's."""
+"""Named random streams: each part of the world has its own generator, so that no part's draws change another's."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 
 
 def stream(seed: int, *names: str | int) -> np.random.Generator:
-    """The generator that belongs to a seed and a path of names, e.g. stream(7, "block", 3, "trees")."""
+    """The generator of a seed and a path of names, e.g. stream(7, "block", 3, "trees")."""
     path = "/".join(str(name) for name in (seed, *names))
     return np.random.default_rng(np.frombuffer(hashlib.sha256(path.encode()).digest(), dtype=np.uint32))
 
 
-def chosen(rng: np.random.Generator, weights: dict[str, float]) -> str:
-    """One of the names, by weight."""
+def weighted_choice(rng: np.random.Generator, weights: dict[str, float]) -> str:
+    """One of the names, with probability proportional to its weight."""
     names, shares = list(weights), np.array(list(weights.values()))
     return names[int(rng.choice(len(names), p=shares / shares.sum()))]
