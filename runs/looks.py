@@ -22,8 +22,8 @@ def main() -> None:
     street = world(seed, 1.0, "residential")
     scene = street.scene_at(street.window(0), TIME)
     rays = pinhole(camera().scaled(SCALE), street.drive.poses(np.array([TIME]))[0])
-    pictures = [render(scene, *rays, look(name, seed)).colour for name in LOOKS]
-    rows = [np.concatenate(pictures[first : first + 2], axis=1) for first in range(0, len(pictures), 2)]
+    images = [render(scene, *rays, look(name, seed)).image for name in LOOKS]
+    rows = [np.concatenate(images[first : first + 2], axis=1) for first in range(0, len(images), 2)]
     Image.fromarray(np.concatenate(rows)).save(Path(sys.argv[1]), quality=86)
 
 

@@ -88,13 +88,13 @@ def rows(settings: Settings, seed: int) -> dict[str, list[float]]:
     view = at_camera(raster(settings.views[0]), mounts[0])
     truth = render(scene, *cylinder(view, pose), light, seed=seed)
     photos = [
-        Photo(picture=render(scene, *pinhole(one, pose), light, seed=seed + 1 + n).colour, calibration=one)
+        Photo(picture=render(scene, *pinhole(one, pose), light, seed=seed + 1 + n).image, calibration=one)
         for n, one in enumerate(mounts)
     ]
     scan = torch.from_numpy(recording.scan(0).points[:, :3].astype(np.float32))
     true_m = torch.from_numpy(truth.distance)
     guesses = {"true": true_m, "scan": dense_depth(scan, view), "far": torch.full_like(true_m, torch.inf)}
-    colour = truth.colour.astype(np.int64)
+    colour = truth.image.astype(np.int64)
     found = {}
     for name, guess in guesses.items():
         made, valid = compose(photos, view, guess)

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lidar2pano.simulate.lidar.scanner import Sweep, passing, sweep
-from lidar2pano.simulate.lidar.sensor_models import SENSORS, Sensor, hidden
+from lidar2pano.simulate.lidar.scanner import Sweep, passing_time, sweep
+from lidar2pano.simulate.lidar.sensor_models import SENSOR_MODELS, SensorModel, blind_table
 from lidar2pano.simulate.scene.mesh import Mesh, box
 from lidar2pano.simulate.scene.random_streams import stream
 from lidar2pano.simulate.scene.surfaces import MATERIALS
@@ -19,7 +19,7 @@ pytest.importorskip("embreex")
 
 from lidar2pano.simulate.scene.raycast import Scene, SceneObject  # noqa: E402 needs embreex
 
-HDL = SENSORS["hdl64e"]
+HDL = SENSOR_MODELS["hdl64e"]
 HALF = np.array([14.0, 9.0, 6.0])  # of the room's size, metres; its middle is the origin
 
 
@@ -46,20 +46,20 @@ def drive(speed: float = 0.0, yaw_rate: float = 0.0, at: tuple[float, float, flo
 
 
 def shot(
-    scene: Scene | Callable[[float], Scene], sensor: Sensor = HDL, pose: Callable | None = None, **how: bool
+    scene: Scene | Callable[[float], Scene], sensor: SensorModel = HDL, pose: Callable | None = None, **how: bool
 ) -> Sweep:
     return sweep(scene, sensor, pose or drive(), stream(7, "test"), **how)
 
 
-def slow_point(sensor: Sensor, beam: int, time: float, pose: Callable) -> np.ndarray:
+def slow_point(sensor: SensorModel, beam: int, time: float, pose: Callable) -> np.ndarray:
     """Where one pulse meets the room: every turn and shift written out, for one beam."""
-    azimuth = sensor.turn * 360 * sensor.hz * time
-    if sensor.encoder:
-        azimuth = sensor.encoder * round(azimuth / sensor.encoder)
+    azimuth = sensor.rotation * 360 * sensor.hz * time
+    if sensor.encoder_step:
+        azimuth = sensor.encoder_step * round(azimuth / sensor.encoder_step)
     head = math.radians(azimuth)
     left = head + math.radians(sensor.per_beam("azimuth")[beam])
     up = math.radians(sensor.elevation[beam])
-    aside, rise = sensor.per_beam("aside")[beam], sensor.per_beam("rise")[beam]
+    aside, rise = sensor.per_beam("origin_left")[beam], sensor.per_beam("origin_up")[beam]
     origin = np.array([-aside * math.sin(head), aside * math.cos(head), rise])
     direction = np.array([math.cos(up) * math.cos(left), math.cos(up) * math.sin(left), math.sin(up)])
     T = pose(np.array([time]))[0]
@@ -69,13 +69,13 @@ def slow_point(sensor: Sensor, beam: int, time: float, pose: Callable) -> np.nda
     return back[:3, :3] @ (origin + distance * direction) + back[:3, 3]
 
 
-@pytest.mark.parametrize("name", SENSORS)
+@pytest.mark.parametrize("name", SENSOR_MODELS)
 def test_beams_agree_with_their_slow_definition(name: str) -> None:
     pose = drive(speed=12.0, yaw_rate=0.4, at=(1.0, -0.5, 0.3))
-    seen = shot(room(), SENSORS[name], pose, clean=True)
-    assert len(seen) == len(SENSORS[name]) * SENSORS[name].steps
+    seen = shot(room(), SENSOR_MODELS[name], pose, clean=True)
+    assert len(seen) == len(SENSOR_MODELS[name]) * SENSOR_MODELS[name].firings
     some = stream(1, "some").choice(len(seen), 300, replace=False)
-    slow = np.array([slow_point(SENSORS[name], int(seen.ring[i]), float(seen.time[i]), pose) for i in some])
+    slow = np.array([slow_point(SENSOR_MODELS[name], int(seen.ring[i]), float(seen.time[i]), pose) for i in some])
     away = np.linalg.norm(seen.points[some, :3] - slow, axis=1)
     # The encoder's rounding may fall to the other side where time is exactly between two steps (float32).
     assert np.quantile(away, 0.98) < 1e-3
@@ -94,7 +94,7 @@ def test_the_turn_is_centred_on_straight_ahead() -> None:
     assert np.abs(seen.time[np.abs(azimuth) < 1]).max() < 0.01 / HDL.hz
     left = (azimuth > 80) & (azimuth < 100)
     assert seen.time[left].mean() == pytest.approx(0.25 / HDL.hz, rel=0.02)  # KITTI's turns to the left
-    other = shot(room(), replace(HDL, turn=-1), clean=True)
+    other = shot(room(), replace(HDL, rotation=-1), clean=True)
     azimuth = np.degrees(np.arctan2(other.points[:, 1], other.points[:, 0]))
     assert other.time[(azimuth > 80) & (azimuth < 170)].max() < 0
 
@@ -127,7 +127,7 @@ def test_the_beam_passes_places_when_passing_says() -> None:
     seen, pose = shot(room(), clean=True), drive(at=(1.0, 2.0, 0.5), yaw_rate=0.3)
     frame = pose(np.zeros(1))[0]
     world = seen.points[:, :3] @ frame[:3, :3].T + frame[:3, 3]
-    off = passing(HDL, frame, world.astype(np.float64)) - seen.time
+    off = passing_time(HDL, frame, world.astype(np.float64)) - seen.time
     assert np.quantile(np.abs(off), 0.99) < 0.002 / HDL.hz  # 0.7 degrees: parallax and the encoder's steps
 
 
@@ -156,9 +156,9 @@ def test_the_sky_and_what_is_too_far_or_too_near_send_nothing_back() -> None:
     assert (seen.raw == 40).all()
     assert seen.points[:, 2].max() < -1.4
     distance = np.linalg.norm(seen.points[:, :3], axis=1)
-    assert 70 < distance.max() < HDL.farthest + 0.5
+    assert 70 < distance.max() < HDL.max_range + 0.5
     near = Scene([SceneObject(mesh=box((0, 0, 0), (2.2, 2.2, 2.2), "concrete", "building"))])
-    assert np.linalg.norm(shot(near).points[:, :3], axis=1).min() > HDL.nearest - 0.3
+    assert np.linalg.norm(shot(near).points[:, :3], axis=1).min() > HDL.min_range - 0.3
     assert len(shot(near)) < 0.3 * len(shot(room()))
 
 
@@ -181,7 +181,7 @@ def test_files_are_ordered_as_kittis() -> None:
 
 
 def test_other_sensors_write_firing_by_firing() -> None:
-    seen = shot(room(), SENSORS["hdl32e"])
+    seen = shot(room(), SENSOR_MODELS["hdl32e"])
     assert (np.diff(seen.time) >= 0).all()
     assert (np.diff(seen.ring.astype(int))[np.diff(seen.time) == 0] > 0).all()
 
@@ -195,18 +195,18 @@ def test_the_same_generator_gives_the_same_bytes() -> None:
 
 
 def test_beams_lose_what_the_table_says() -> None:
-    sensor = replace(HDL, drop=tuple(np.linspace(0.02, 0.3, 64).tolist()))
+    sensor = replace(HDL, dropout=tuple(np.linspace(0.02, 0.3, 64).tolist()))
     seen = shot(room(), sensor)
-    open_ = sensor.steps * (1 - hidden(sensor).mean(axis=1))
+    open_ = sensor.firings * (1 - blind_table(sensor).mean(axis=1))
     share = 1 - np.bincount(seen.ring, minlength=64) / open_
-    assert np.abs(share - sensor.per_beam("drop")).max() < 0.05
-    assert np.abs(share - sensor.per_beam("drop")).mean() < 0.01
+    assert np.abs(share - sensor.per_beam("dropout")).max() < 0.05
+    assert np.abs(share - sensor.per_beam("dropout")).mean() < 0.01
 
 
 def test_the_recording_car_hides_its_directions() -> None:
     seen = shot(room())
     azimuth = np.degrees(np.arctan2(seen.points[:, 1], seen.points[:, 0])) % 360
-    for beam, spans in HDL.hidden:
+    for beam, spans in HDL.blind_sectors:
         for start, stop in spans:
             inside = (seen.ring == beam) & (azimuth > start + 0.8) & (azimuth < stop - 0.8)  # but for the parallax
             assert not inside.any()
@@ -219,14 +219,14 @@ def test_range_noise_and_bias_are_the_sensors() -> None:
     residual = seen.points[ahead, 0] - HALF[0]
     for beam in (5, 6, 20):
         of = residual[seen.ring[ahead] == beam]
-        assert np.mean(of) == pytest.approx(HDL.bias[beam], abs=0.004)
-        assert np.std(of) == pytest.approx(HDL.noise, rel=0.25)
+        assert np.mean(of) == pytest.approx(HDL.range_bias[beam], abs=0.004)
+        assert np.std(of) == pytest.approx(HDL.range_noise, rel=0.25)
     assert error.min(axis=1).max() < 0.3
     assert len(clean) > len(seen)
 
 
 def test_a_place_keeps_its_reflectance() -> None:
-    flat = replace(HDL, flicker=0.0, dark=(), bright=(), drop=(), encoder=0.0)
+    flat = replace(HDL, remission_noise=0.0, dark_offset=(), bright_offset=(), dropout=(), encoder_step=0.0)
 
     def brightness(number: int, at: tuple[float, float, float]) -> dict[tuple[int, int], float]:
         seen = sweep(room("brick"), flat, drive(at=at), stream(number, "test"))
@@ -254,6 +254,6 @@ def test_edges_have_points_between_their_sides() -> None:
 
 def test_tables_need_a_number_per_beam() -> None:
     with pytest.raises(ValueError, match="64 numbers"):
-        replace(HDL, drop=(0.1,))
-    for sensor in SENSORS.values():
+        replace(HDL, dropout=(0.1,))
+    for sensor in SENSOR_MODELS.values():
         assert (np.diff(sensor.elevation) < 0).all()

@@ -181,17 +181,17 @@ def test_a_cylinder_looks_where_the_projection_says():
 
 def test_a_picture_tells_kinds_and_distances():
     scene, T = street(), pose()
-    picture = camera.render(scene, *camera.cylinder(VIEW, T), look("day"))
+    rendered = camera.render(scene, *camera.cylinder(VIEW, T), look("day"))
     hits = scene.cast(*(part.reshape(-1, 3)[:, :] if part.ndim > 1 else part for part in camera.cylinder(VIEW, T)[:2]))
-    assert picture.colour.shape == (40, 240, 3) and picture.colour.dtype == np.uint8
-    assert np.array_equal(picture.object_type.reshape(-1), hits.object_type) and np.array_equal(
-        picture.distance.reshape(-1), hits.distance
+    assert rendered.image.shape == (40, 240, 3) and rendered.image.dtype == np.uint8
+    assert np.array_equal(rendered.object_type.reshape(-1), hits.object_type) and np.array_equal(
+        rendered.distance.reshape(-1), hits.distance
     )
     assert {OBJECT_TYPE_IDS["road"], OBJECT_TYPE_IDS["car"], OBJECT_TYPE_IDS["building"], SKY} <= set(
-        picture.object_type.reshape(-1).tolist()
+        rendered.object_type.reshape(-1).tolist()
     )
-    assert np.isinf(picture.distance[picture.object_type == SKY]).all()
-    bright = {kind: picture.colour[picture.object_type == kind].mean() for kind in (SKY, OBJECT_TYPE_IDS["road"])}
+    assert np.isinf(rendered.distance[rendered.object_type == SKY]).all()
+    bright = {kind: rendered.image[rendered.object_type == kind].mean() for kind in (SKY, OBJECT_TYPE_IDS["road"])}
     assert bright[SKY] > bright[OBJECT_TYPE_IDS["road"]] > 40
 
 
@@ -199,21 +199,21 @@ def test_the_same_call_gives_the_same_bytes():
     scene, rays, light = street(), camera.cylinder(VIEW, pose()), look("day")
     first, again = (camera.render(scene, *rays, light) for _ in range(2))
     other = camera.render(scene, *rays, light, seed=1)
-    assert np.array_equal(first.colour, again.colour)
-    assert not np.array_equal(first.colour, other.colour)  # the sensor's noise alone
-    assert np.abs(first.colour.astype(int) - other.colour).max() < 25
+    assert np.array_equal(first.image, again.image)
+    assert not np.array_equal(first.image, other.image)  # the sensor's noise alone
+    assert np.abs(first.image.astype(int) - other.image).max() < 25
 
 
 @pytest.mark.parametrize("shift", [2, 80])
 def test_a_panorama_has_no_seam(shift, monkeypatch):
     """A view that begins some columns later is the same picture, rolled; a bright post stands across the seam."""
-    monkeypatch.setattr(camera, "GRAIN", 0.0)
+    monkeypatch.setattr(camera, "SENSOR_NOISE", 0.0)
     post = SceneObject(mesh=box((-4, -0.085, 1.5), (0.1, 0.25, 3), "frame", "pole"))
     scene, light = street().with_moving([post]), look("day", 1)
     step = 360 / VIEW.columns
     turned = replace(VIEW, left=VIEW.left - shift * step, right=VIEW.right - shift * step)
     one, other = (
-        camera.render(scene, *camera.cylinder(view, pose()), light).colour.astype(float) for view in (VIEW, turned)
+        camera.render(scene, *camera.cylinder(view, pose()), light).image.astype(float) for view in (VIEW, turned)
     )
     off = np.abs(np.roll(one, -shift, axis=1) - other)
     assert off.mean() < 0.04  # rounding may move a ray over an edge now and then
@@ -222,7 +222,7 @@ def test_a_panorama_has_no_seam(shift, monkeypatch):
 
 def test_a_place_keeps_its_colour_from_frame_to_frame(monkeypatch):
     """Two cameras a metre apart: what both see differs little, before noise, and patterns stay where they are."""
-    monkeypatch.setattr(camera, "GRAIN", 0.0)
+    monkeypatch.setattr(camera, "SENSOR_NOISE", 0.0)
     scene, light = (
         street().with_moving([SceneObject(mesh=box((0, 0, -0.49), (60, 60, 1), "cobbles", "parking"))]),
         look("day", 2),
@@ -240,7 +240,7 @@ def test_a_place_keeps_its_colour_from_frame_to_frame(monkeypatch):
     assert same.sum() > 5000
     a, b = (
         ((colour[same] / 255.0) ** 2.2).mean(axis=1)
-        for colour in (first.colour[seen][inside], second.colour[row, column])
+        for colour in (first.image[seen][inside], second.image[row, column])
     )
     assert np.median(np.abs(a - b) / (a + b)) < 0.03
     near = (first.object_type[seen][inside][same] == OBJECT_TYPE_IDS["parking"]) & (far[same] < 4)
@@ -284,9 +284,9 @@ def test_autumn_turns_leaves_and_strews_them():
 
 
 def test_nothing_at_all_is_sky():
-    picture = camera.render(Scene([]), *camera.cylinder(VIEW, pose()), look("evening"))
-    assert (picture.object_type == SKY).all() and np.isinf(picture.distance).all()
-    assert picture.colour.mean() > 30
+    rendered = camera.render(Scene([]), *camera.cylinder(VIEW, pose()), look("evening"))
+    assert (rendered.object_type == SKY).all() and np.isinf(rendered.distance).all()
+    assert rendered.image.mean() > 30
 
 
 def test_the_sun_is_as_wide_as_the_look_says():

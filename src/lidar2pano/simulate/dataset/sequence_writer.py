@@ -11,10 +11,10 @@ from lidar2pano.formats.pictures import write_depth, write_palette, write_png, w
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.simulate.dataset.settings import Settings, camera, raster
 from lidar2pano.simulate.layout.street_world import World, world
-from lidar2pano.simulate.lidar.scanner import Sweep, passing, sweep
-from lidar2pano.simulate.lidar.sensor_models import SENSORS
+from lidar2pano.simulate.lidar.scanner import Sweep, passing_time, sweep
+from lidar2pano.simulate.lidar.sensor_models import SENSOR_MODELS
 from lidar2pano.simulate.render.looks import look
-from lidar2pano.simulate.render.renderer import Picture, cylinder, pinhole, render
+from lidar2pano.simulate.render.renderer import RenderedImage, cylinder, pinhole, render
 from lidar2pano.simulate.scene.random_streams import stream
 from lidar2pano.simulate.scene.raycast import Scene
 from lidar2pano.simulate.scene.surfaces import CITYSCAPES_IDS, COMMON15_IDS
@@ -79,10 +79,10 @@ class Recording:
 
     def scan(self, frame: int) -> Sweep:
         """What the LiDAR gives."""
-        time, sensor = frame / self.settings.hz, SENSORS[self.settings.sensor]
+        time, sensor = frame / self.settings.hz, SENSOR_MODELS[self.settings.sensor]
         pose = self.world.drive.poses(np.array([time]))[0]
         # What moves stands where the turn meets it.
-        scene = self.world.scene_at(self.scene(frame), time, lambda at: float(passing(sensor, pose, at[None])[0]))
+        scene = self.world.scene_at(self.scene(frame), time, lambda at: float(passing_time(sensor, pose, at[None])[0]))
         return sweep(
             scene,
             sensor,
@@ -90,7 +90,7 @@ class Recording:
             stream(self.seed, "sweep", frame),
         )
 
-    def pictures(self, frame: int) -> Iterator[tuple[str, Picture]]:
+    def images(self, frame: int) -> Iterator[tuple[str, RenderedImage]]:
         """What the cameras see: "camera" and then each of the views, as far as they are wanted."""
         time = frame / self.settings.hz
         scene, pose = self.world.scene_at(self.scene(frame), time), self.world.drive.poses(np.array([time]))[0]
@@ -109,22 +109,22 @@ class Recording:
             lambda path: scan.points.astype("<f4").tofile(path),
             lambda path: label.astype("<u4").tofile(path),
         ]
-        for name, picture in self.pictures(frame):
-            writers += _camera(picture) if name == "camera" else _panorama(picture)
+        for name, rendered in self.images(frame):
+            writers += _camera(rendered) if name == "camera" else _panorama(rendered)
         for path, write in zip(self.files(frame), writers, strict=True):
             write_whole(path, write)
 
 
-def _camera(picture: Picture) -> list[Writer]:
-    ids = CITYSCAPES_IDS[picture.object_type]
-    return [lambda path: write_png(path, picture.colour), lambda path: write_palette(path, ids, CITYSCAPES)]
+def _camera(rendered: RenderedImage) -> list[Writer]:
+    ids = CITYSCAPES_IDS[rendered.object_type]
+    return [lambda path: write_png(path, rendered.image), lambda path: write_palette(path, ids, CITYSCAPES)]
 
 
-def _panorama(picture: Picture) -> list[Writer]:
-    ids = COMMON15_IDS[picture.object_type]
-    far = np.where(np.isfinite(picture.distance), picture.distance, 0)
+def _panorama(rendered: RenderedImage) -> list[Writer]:
+    ids = COMMON15_IDS[rendered.object_type]
+    far = np.where(np.isfinite(rendered.distance), rendered.distance, 0)
     return [
-        lambda path: write_png(path, picture.colour),
+        lambda path: write_png(path, rendered.image),
         lambda path: write_palette(path, ids),
         lambda path: write_depth(path, far),
     ]

@@ -14,7 +14,7 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.pictures import write_whole
 from lidar2pano.sensors import KITTI_CAMERA, VIEWS, View
 from lidar2pano.simulate.layout.places import PLACES
-from lidar2pano.simulate.lidar.sensor_models import SENSORS
+from lidar2pano.simulate.lidar.sensor_models import SENSOR_MODELS
 from lidar2pano.simulate.render.looks import LOOKS
 
 SAVES = ("camera", "panorama")
@@ -49,7 +49,7 @@ class Settings:
         if not 0.1 <= self.hz <= 100:
             raise InputError("--hz must lie between 0.1 and 100 frames a second")
         for value, table, option in (
-            (self.sensor, SENSORS, "--sensor"),
+            (self.sensor, SENSOR_MODELS, "--sensor"),
             (self.look, LOOKS, "--look"),
             (self.place or "residential", PLACES, "--place"),
         ):

@@ -1,4 +1,4 @@
-"""Spinning LiDAR sensors: where each beam looks, how it turns and how it measures."""
+"""Models of spinning LiDAR sensors: beams, rotation, range and remission."""
 
 from __future__ import annotations
 
@@ -13,52 +13,51 @@ FULL_TURN = 360.0  # degrees
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sensor:
+class SensorModel:
     """One spinning LiDAR; per-beam values are tuples of B numbers, the top beam first. Degrees, metres.
 
-    elevation  (B) angle above the horizon.
-    azimuth    (B) how far a beam looks to the left of where the head points.
-    rise       (B) height of the beam's origin over the sensor's;  aside: how far it stands to the left.
-    steps      firings a turn;  hz turns a second;  turn 1: the head turns to the left (seen from above), -1: right.
-    encoder    the head's angle is told in whole steps of this; 0 = exactly.
-    nearest, farthest  range of what is reported;  grain: its step.
-    noise      standard deviation of the range from shot to shot, near by;  bias: (B) a beam's own constant error.
-    reach      metres at which a matt surface of reflectance 0.1, seen at right angles, is lost half of the time.
-    drop       (B) share of the returns that a beam loses by chance.
-    scale      remission as the sensor reports it, over `Material.lidar`;  flicker: its standard deviation.
-    fade       (range, rate): where the remission begins to fall, and how much a factor e of received power then costs.
-    floor      of `Material.lidar`'s scale: what is less is reported as 0.
-    dark, bright  (B) what a beam reports more than the mean beam of a dark (0.22) and a bright (0.36) surface.
-    hidden     (beam, ((from, to), ...)): azimuths that the recording car itself hides.
-    order      points are written beam by beam from straight ahead to the left, or firing by firing.
+    elevation        (B) angle above the horizon;  azimuth: (B) angle to the left of the head's direction.
+    origin_up        (B) height of the beam's origin above the sensor's;  origin_left: (B) its offset to the left.
+    firings          a turn;  hz: turns a second;  rotation: 1 counter-clockwise seen from above, -1 clockwise.
+    encoder_step     resolution of the head's angle; 0 = exact.
+    min_range, max_range  of reported returns;  range_step: resolution of the range.
+    range_noise      standard deviation from shot to shot at short range;  range_bias: (B) constant error of a beam.
+    half_loss_range  at which half of the returns of a matt surface of reflectance 0.1 are lost at normal incidence.
+    dropout          (B) share of the returns that a beam loses at random.
+    remission_scale  reported remission over `Material.remission`;  remission_noise: its standard deviation.
+    remission_fade   (range, rate): where remission begins to fall, and its loss for each factor e of received power.
+    remission_floor  on the scale of `Material.remission`: less is reported as 0.
+    dark_offset, bright_offset  (B) deviation from the mean beam on a dark (0.22) and a bright (0.36) surface.
+    blind_sectors    (beam, ((from, to), ...)): azimuths that the recording car occludes.
+    point_order      beam by beam, each from straight ahead to the left, or firing by firing.
     """
 
     elevation: tuple[float, ...]
     azimuth: tuple[float, ...] = ()
-    rise: tuple[float, ...] = ()
-    aside: tuple[float, ...] = ()
-    steps: int
+    origin_up: tuple[float, ...] = ()
+    origin_left: tuple[float, ...] = ()
+    firings: int
     hz: float = 10.0
-    turn: Literal[1, -1] = -1
-    encoder: float = 0.0
-    nearest: float = 0.5
-    farthest: float = 100.0
-    grain: float = 0.002
-    noise: float = 0.015
-    bias: tuple[float, ...] = ()
-    reach: float = 60.0
-    drop: tuple[float, ...] = ()
-    scale: float = 1.0
-    flicker: float = 0.03
-    fade: tuple[float, float] = (np.inf, 0.0)
-    floor: float = 0.0
-    dark: tuple[float, ...] = ()
-    bright: tuple[float, ...] = ()
-    hidden: tuple[tuple[int, tuple[tuple[float, float], ...]], ...] = ()
-    order: Literal["rings", "columns"] = "columns"
+    rotation: Literal[1, -1] = -1
+    encoder_step: float = 0.0
+    min_range: float = 0.5
+    max_range: float = 100.0
+    range_step: float = 0.002
+    range_noise: float = 0.015
+    range_bias: tuple[float, ...] = ()
+    half_loss_range: float = 60.0
+    dropout: tuple[float, ...] = ()
+    remission_scale: float = 1.0
+    remission_noise: float = 0.03
+    remission_fade: tuple[float, float] = (np.inf, 0.0)
+    remission_floor: float = 0.0
+    dark_offset: tuple[float, ...] = ()
+    bright_offset: tuple[float, ...] = ()
+    blind_sectors: tuple[tuple[int, tuple[tuple[float, float], ...]], ...] = ()
+    point_order: Literal["rings", "columns"] = "columns"
 
     def __post_init__(self) -> None:
-        """Refuse tables that do not have one number per beam (ValueError)."""
+        """Raise ValueError for tables without one number per beam."""
         for name in PER_BEAM:
             if len(getattr(self, name)) not in {0, len(self.elevation)}:
                 raise ValueError(f"Sensor.{name} needs {len(self.elevation)} numbers, one per beam")
@@ -73,16 +72,16 @@ class Sensor:
         return np.array(values) if values else np.zeros(len(self))
 
 
-PER_BEAM = ("azimuth", "rise", "aside", "bias", "drop", "dark", "bright")
-SHADE = 0.5  # degrees: cells of the table of hidden directions
+PER_BEAM = ("azimuth", "origin_up", "origin_left", "range_bias", "dropout", "dark_offset", "bright_offset")
+BLIND_CELL = 0.5  # degrees: cells of the table of occluded directions
 
 
 @cache
-def hidden(sensor: Sensor) -> np.ndarray:
-    """What the recording car hides: (B, 720) bool; cells of SHADE degrees to the left from straight ahead."""
-    azimuth = (np.arange(round(FULL_TURN / SHADE)) + 0.5) * SHADE
+def blind_table(sensor: SensorModel) -> np.ndarray:
+    """Directions that the recording car occludes: (B, 720) bool; cells of BLIND_CELL degrees to the left."""
+    azimuth = (np.arange(round(FULL_TURN / BLIND_CELL)) + 0.5) * BLIND_CELL
     table = np.zeros((len(sensor), len(azimuth)), dtype=bool)
-    for beam, spans in sensor.hidden:
+    for beam, spans in sensor.blind_sectors:
         for start, stop in spans:
             table[beam] |= (azimuth >= start) & (azimuth < stop)
     return table
@@ -97,7 +96,7 @@ def _scaled(values: Sequence[float], unit: float) -> tuple[float, ...]:
 
 
 # HDL-64E S2 of KITTI's car. Everything below was estimated from 95 raw scans of its recordings (2011-09-26 to 29).
-# In a file, z = rise + distance on the plane x tan(elevation) holds per beam to 0.25 mm (what rounding to a millimetre
+# In a file, z = origin_up + distance on the plane x tan(elevation) holds per beam to 0.25 mm (what rounding to a millimetre
 # leaves); from scan to scan the elevations agree within 0.002 degrees (0.015 at most). Origins stand 2.6 cm to the
 # left or the right in turn; azimuths less their parallax fall on steps of 0.09 degrees plus a beam's own constant.
 _ELEVATION = (
@@ -112,13 +111,12 @@ _AZIMUTH = (  # thousandths of a degree; modulo the encoder's step
     42, 3, 37, 43, -6, -17, 20, 23, 5, -21, -16, -23, -10, 16, -38, 45, -31, -3, -36, -31, 18, 6, -25, -9, -33, -4, 18,
     -38, -43, -37, 14, -23, -19, 44, -18, 3, 16, 5,
 )  # fmt: skip
-_BIAS = (  # mm: mean residual to planes of walls and cars' sides within 14 m (30-550 a beam, spread 2-4 cm)
+_BIAS = (  # mm: mean residual to planes fitted to walls and cars within 14 m (30-550 a beam, spread 2-4 cm)
     -2, -15, 23, -9, 2, -59, 44, -20, -35, 6, 13, -9, 30, 12, -15, -18, 17, -10, 48, 1, 1, -15, -29, -20, 22, -4, 29,
     -29, 46, 11, 27, 18, 6, -3, 15, -23, -6, -4, 49, 46, -3, 43, -36, -9, 12, -36, -32, -28, -7, 27, -7, 2, -8, 51, -13,
     -6, -1, 8, -13, -13, 2, 3, 51, 18,
 )  # fmt: skip
-# Hundredths: what a beam reports more than its neighbours where they report 0.22 and 0.36 (quantiles of what
-# both see, within 25 m).
+# Hundredths: deviation of a beam from its neighbours where they report 0.22 and 0.36 (quantiles within 25 m).
 _DARK = (
     6, 1, 0, -11, 1, -3, 5, -1, 5, -4, 1, 4, 5, 1, 0, -1, 1, 1, 3, -3, 3, -17, 1, 5, -3, 0, 4, 3, 3, -6, 3, 5, 1, 0, 2,
     -14, -24, 4, 9, 8, -1, 3, -17, 3, 2, 3, 4, 0, -4, 7, 8, -34, 2, -5, -5, 3, 5, 10, -6, -7, -12, 6, 9, 7,
@@ -127,13 +125,13 @@ _BRIGHT = (
     5, 0, -2, -5, 1, -3, 4, -1, 5, -3, 1, 3, 6, 2, 0, 0, 1, 0, 3, -1, 2, -7, 1, 3, -2, 0, 1, 2, 1, -5, 3, 2, 2, 1, 2,
     -3, -8, 2, 7, 5, 0, 1, -6, 1, 0, 0, 2, -1, -3, 4, 5, -8, 1, -3, -4, 0, 1, 6, -3, -5, -5, 2, 5, 3,
 )  # fmt: skip
-# Ten thousandths: single returns missing on even surfaces within 25 m.
+# Ten thousandths: single returns missing on smooth surfaces within 25 m.
 _DROP = (
     89, 89, 107, 89, 90, 99, 95, 91, 78, 103, 75, 78, 71, 70, 86, 68, 60, 57, 53, 62, 47, 63, 36, 33, 47, 39, 35, 23,
     24, 35, 19, 27, 14, 13, 10, 9, 8, 9, 7, 8, 7, 7, 6, 7, 9, 11, 8, 7, 12, 7, 4, 13, 10, 3, 4, 10, 10, 7, 12, 19, 17,
     16, 8, 4,
 )  # fmt: skip
-# Directions from which no scan has a return: roof, antennas and mounts of the car.
+# Azimuths at which no scan has a return: roof, antennas and mounts of the car.
 _HIDDEN = (
     (42, ((158, 165.5), (199, 206.5))),
     (43, ((155, 163), (195.5, 204))),
@@ -162,70 +160,77 @@ _HIDDEN = (
           (320.5, 331.5), (340, 360))),
 )  # fmt: skip
 
-SENSORS: dict[str, Sensor] = {
-    "hdl64e": Sensor(
+SENSOR_MODELS: dict[str, SensorModel] = {
+    "hdl64e": SensorModel(
         elevation=_ELEVATION,
         azimuth=_scaled(_AZIMUTH, 1e-3),
-        rise=_spread(0.209, 0.198, 32) + _spread(0.126, 0.116, 32),
-        aside=(-0.026, 0.026) * 32,
+        origin_up=_spread(0.209, 0.198, 32) + _spread(0.126, 0.116, 32),
+        origin_left=(-0.026, 0.026) * 32,
         # 20 833 firings a second (data sheet); the fullest rings hold 2156-2161 points, so KITTI's turns at 9.66 Hz.
-        steps=2156,
+        firings=2156,
         hz=9.66,
-        turn=1,  # "rotating ... counter-clockwise", Geiger et al. 2013
-        encoder=0.09,
-        nearest=1.45,  # the nearest points of raw scans: 1.46-1.49 m
-        farthest=80.0,  # where KITTI's files end
-        noise=0.0085,  # second differences along rings: 8.5 mm on roads and walls within 15 m
-        bias=_scaled(_BIAS, 1e-3),
-        reach=70.0,  # roads come back from beyond 70 m
-        drop=_scaled(_DROP, 1e-4),
+        rotation=1,  # "rotating ... counter-clockwise", Geiger et al. 2013
+        encoder_step=0.09,
+        min_range=1.45,  # the nearest points of raw scans: 1.46-1.49 m
+        max_range=80.0,  # where KITTI's files end
+        range_noise=0.0085,  # second differences along rings: 8.5 mm on roads and walls within 15 m
+        range_bias=_scaled(_BIAS, 1e-3),
+        half_loss_range=70.0,  # roads come back from beyond 70 m
+        dropout=_scaled(_DROP, 1e-4),
         # Median remission of roads, lawns, walls and trees: constant to 20 m, then 0.09 less by 26 m, 0.17 by 34 m.
-        fade=(19.5, 0.156),
-        floor=0.08,  # of the real values that are not 0 hardly any is smaller
-        dark=_scaled(_DARK, 0.01),
-        bright=_scaled(_BRIGHT, 0.01),
-        hidden=_HIDDEN,
-        order="rings",
+        remission_fade=(19.5, 0.156),
+        remission_floor=0.08,  # hardly any non-zero value of real scans is smaller
+        dark_offset=_scaled(_DARK, 0.01),
+        bright_offset=_scaled(_BRIGHT, 0.01),
+        blind_sectors=_HIDDEN,
+        point_order="rings",
     ),
     # Velodyne HDL-32E data sheet: 32 beams 4/3 degrees apart, 46.08 us a firing, +-2 cm. nuScenes reports a median
     # remission of 12 / 255 in streets.
-    "hdl32e": Sensor(
-        elevation=_spread(10.67, -30.67, 32), steps=2170, nearest=1.0, scale=0.2, flicker=0.01, noise=0.012
+    "hdl32e": SensorModel(
+        elevation=_spread(10.67, -30.67, 32),
+        firings=2170,
+        min_range=1.0,
+        remission_scale=0.2,
+        remission_noise=0.01,
+        range_noise=0.012,
     ),
     # Velodyne VLP-16 manual: 55.296 us a firing, and the beams' vertical offsets in mm.
-    "vlp16": Sensor(
+    "vlp16": SensorModel(
         elevation=_spread(15.0, -15.0, 16),
-        rise=_scaled((-11.2, -9.7, -8.1, -6.6, -5.1, -3.7, -2.2, -0.7, 0.7, 2.2, 3.7, 5.1, 6.6, 8.1, 9.7, 11.2), 1e-3),
-        steps=1808,
-        scale=0.2,
-        flicker=0.01,
-        noise=0.012,
+        origin_up=_scaled(
+            (-11.2, -9.7, -8.1, -6.6, -5.1, -3.7, -2.2, -0.7, 0.7, 2.2, 3.7, 5.1, 6.6, 8.1, 9.7, 11.2), 1e-3
+        ),
+        firings=1808,
+        remission_scale=0.2,
+        remission_noise=0.01,
+        range_noise=0.012,
     ),
     # Ouster OS1 data sheet (rev. 6): 45 degrees, four staggered columns of beams, 1 mm steps.
-    "os1-64": Sensor(
+    "os1-64": SensorModel(
         elevation=_spread(22.5, -22.5, 64),
         azimuth=(4.2, 1.4, -1.4, -4.2) * 16,
-        steps=1024,
-        grain=0.001,
-        noise=0.01,
-        scale=0.3,
+        firings=1024,
+        range_step=0.001,
+        range_noise=0.01,
+        remission_scale=0.3,
     ),
-    "os1-128": Sensor(
+    "os1-128": SensorModel(
         elevation=_spread(22.5, -22.5, 128),
         azimuth=(4.2, 1.4, -1.4, -4.2) * 32,
-        steps=1024,
-        grain=0.001,
-        noise=0.01,
-        scale=0.3,
+        firings=1024,
+        range_step=0.001,
+        range_noise=0.01,
+        remission_scale=0.3,
     ),
     # Hesai Pandar64 manual: 1/6 degree from +2 to -6, coarser above and below.
-    "pandar64": Sensor(
+    "pandar64": SensorModel(
         elevation=(15, 11, 8, 5, 3, *_spread(2, -6, 49), -7, -8, -9, -10, -11, -12, -13, -14, -19, -25),
-        steps=1800,
-        farthest=200.0,
-        grain=0.004,
-        noise=0.012,
-        scale=0.25,
-        flicker=0.015,
+        firings=1800,
+        max_range=200.0,
+        range_step=0.004,
+        range_noise=0.012,
+        remission_scale=0.25,
+        remission_noise=0.015,
     ),
 }

@@ -1,4 +1,4 @@
-"""Shading: the light that surfaces send towards a camera."""
+"""Shading: the radiance of surfaces towards a camera."""
 
 from __future__ import annotations
 
@@ -15,51 +15,47 @@ from lidar2pano.simulate.scene.raycast import Hits, Scene
 from lidar2pano.simulate.scene.surfaces import OBJECT_TYPE_IDS, material_table
 
 TILE = 32768  # rays that are shaded at once: their arrays fit the cache
-GRAIN = 0.008  # metres: points nearer to each other than this share one sample of the sun's disc
-TAPS = 3  # samples along a surface that is seen aslant
-BOUNCE = 0.08  # share of the light that comes from what stands in the sky's way
-LAMP = 2.5  # radiance of a lamp whose material says 1
+CELL = 0.008  # metres: points within one cell share one sample of the sun's disc
+TAPS = 3  # texture samples across a surface at grazing angles
+BOUNCE = 0.08  # share of the sky's light that an occluder reflects
+LAMP_RADIANCE = 2.5  # radiance of emission 1
 
-_ALBEDO, _EMISSION = material_table("albedo").T.copy(), LAMP * material_table("emission").T
+_ALBEDO, _EMISSION = material_table("albedo").T.copy(), LAMP_RADIANCE * material_table("emission").T
 _ROUGHNESS, _TRANSMISSION = material_table("roughness"), material_table("transmission")
-_SPECULAR = np.where(
-    _TRANSMISSION > 0, 0, material_table("specular")
-)  # leaves are lit by their crown's normals, which mirror nothing
+# Leaves have their crown's normals, which suit no specular reflection.
+_SPECULAR = np.where(_TRANSMISSION > 0, 0, material_table("specular"))
 _ASPHALT, _ROAD = TEXTURE_IDS["asphalt"], OBJECT_TYPE_IDS["road"]
-_MIRRORS = (_SPECULAR > 0) & (_ROUGHNESS < 0.15)  # what shows its surroundings
+_MIRRORS = (_SPECULAR > 0) & (_ROUGHNESS < 0.15)  # reflections are traced
 
 
 class Visibility(NamedTuple):
-    """How much light gets to N places: (N,) float32 share of the sun's and of the sky's that nothing keeps off."""
+    """Shares (N,) float32 of the light of the sun and of the sky that reach N points unoccluded."""
 
-    sun_direction: np.ndarray
+    sun: np.ndarray
     sky: np.ndarray
 
     def subset(self, which: np.ndarray) -> Visibility:
-        """Of some of them."""
-        return Visibility(self.sun_direction[which], self.sky[which])
+        """The shares of some points."""
+        return Visibility(self.sun[which], self.sky[which])
 
 
 @dataclass(slots=True, eq=False)
-class _Spot:
-    """What n rays met, coordinates first (3, n): fast to reckon with."""
+class _ShadingPoints:
+    """Hits of n rays in the world frame, coordinates first (3, n) for speed."""
 
     hits: Hits
     position: np.ndarray
     direction: np.ndarray
     normal: np.ndarray
     face_normal: np.ndarray
-    footprint_m: np.ndarray  # (n,) a pixel's width there, square to the ray
-    facing: np.ndarray  # (n,) cosine between ray and facet
+    footprint_m: np.ndarray  # (n,) width of a pixel there, square to the ray
+    facing: np.ndarray  # (n,) cosine between ray and face normal
 
-    def subset(self, which: np.ndarray) -> _Spot:
-        """Some of them."""
-        place, direction, normal, face_normal = (
-            part[:, which] for part in (self.position, self.direction, self.normal, self.face_normal)
-        )
-        return _Spot(
-            self.hits.subset(which), place, direction, normal, face_normal, self.footprint_m[which], self.facing[which]
-        )
+    def subset(self, which: np.ndarray) -> _ShadingPoints:
+        """Some of the points."""
+        vectors = self.position, self.direction, self.normal, self.face_normal
+        a, b, c, d = (vector[:, which] for vector in vectors)
+        return _ShadingPoints(self.hits.subset(which), a, b, c, d, self.footprint_m[which], self.facing[which])
 
 
 def shade(
@@ -71,11 +67,11 @@ def shade(
     look: Look,
     visibility: Visibility | None = None,
 ) -> np.ndarray:
-    """Radiance (N, 3) float32, linear RGB, that comes along rays.
+    """Radiance (N, 3) float32, linear RGB, along rays.
 
-    hits          what the rays from origin (N, 3) or (3,), along unit vectors way (N, 3), met first.
-    pixel_angle   radians between neighbouring rays: textures are averaged over so much.
-    reach         what light gets there; None: the sun's is found out here, and nothing is in the sky's way.
+    hits         first hits of the rays from origin (N, 3) or (3,) along unit vectors direction (N, 3).
+    pixel_angle  radians between neighbouring rays: textures are averaged over it.
+    visibility   of sun and sky at the hits; None: the sun's is computed here, the sky's is 1.
     """
     count = len(direction)
     origin = np.broadcast_to(np.asarray(origin, dtype=np.float32), (count, 3))
@@ -84,72 +80,67 @@ def shade(
     out = np.empty((count, 3), dtype=np.float32)
     for first in range(0, count, TILE):
         part = slice(first, first + TILE)
-        met = np.flatnonzero(hits.valid[part])
+        hit_index = np.flatnonzero(hits.valid[part])
         rays = np.ascontiguousarray(direction[part].T, dtype=np.float32)
         radiance = np.empty_like(rays)
         away = np.flatnonzero(~hits.valid[part])
         radiance[:, away] = sky(look).radiance(rays[:, away])
-        spot = _spot(hits.subset(met + first), origin[met + first].T, rays[:, met], pixel_angle)
-        radiance[:, met] = _surface(scene, spot, look, visibility.subset(met + first))
+        points = _shading_points(
+            hits.subset(hit_index + first), origin[hit_index + first].T, rays[:, hit_index], pixel_angle
+        )
+        radiance[:, hit_index] = _surface(scene, points, look, visibility.subset(hit_index + first))
         out[part] = radiance.T
     return out
 
 
-def _spot(hits: Hits, origin: np.ndarray, direction: np.ndarray, pixel_angle: float) -> _Spot:
+def _shading_points(hits: Hits, origin: np.ndarray, direction: np.ndarray, pixel_angle: float) -> _ShadingPoints:
     normal, face_normal = (np.ascontiguousarray(part.T, dtype=np.float32) for part in (hits.normal, hits.face_normal))
     facing = np.clip(-_dot(direction, face_normal), 0.02, 1)
-    return _Spot(
-        hits,
-        origin + direction * hits.distance,
-        direction,
-        normal,
-        face_normal,
-        hits.distance * np.float32(pixel_angle),
-        facing,
-    )
+    position, footprint_m = origin + direction * hits.distance, hits.distance * np.float32(pixel_angle)
+    return _ShadingPoints(hits, position, direction, normal, face_normal, footprint_m, facing)
 
 
-def _surface(scene: Scene, spot: _Spot, look: Look, visibility: Visibility) -> np.ndarray:
+def _surface(scene: Scene, points: _ShadingPoints, look: Look, visibility: Visibility) -> np.ndarray:
     """Radiance (3, n) of surfaces."""
-    above, material = sky(look), spot.hits.material
-    albedo, normal = _material(spot, look)
+    above, material = sky(look), points.hits.material
+    albedo, normal = _material(points, look)
     sun = np.array(look.sun_direction, dtype=np.float32)[:, None]
-    slant = _dot(normal, sun)
-    strength = np.maximum(slant, 0) + _TRANSMISSION[material] * np.maximum(-slant, 0.25)
-    direct = np.array(look.sun_colour, dtype=np.float32)[:, None] * (strength * visibility.sun_direction)
+    cosine = _dot(normal, sun)
+    strength = np.maximum(cosine, 0) + _TRANSMISSION[material] * np.maximum(-cosine, 0.25)
+    direct = np.array(look.sun_colour, dtype=np.float32)[:, None] * (strength * visibility.sun)
     ambient = above.ambient(normal)
     ambient *= visibility.sky + BOUNCE * (1 - visibility.sky)
     out = albedo * (direct + ambient)
     glossy = np.flatnonzero(_SPECULAR[material])
     if len(glossy):
-        some = spot.subset(glossy)
+        some = points.subset(glossy)
         out[:, glossy] = _glossy(scene, some, look, normal[:, glossy], out[:, glossy], visibility.subset(glossy))
     out += _EMISSION[:, material]
-    clear = np.exp(spot.hits.distance * np.float32(-1 / look.haze_m))
+    clear = np.exp(points.hits.distance * np.float32(-1 / look.haze_m))
     return out * clear + above.airlight * (1 - clear)
 
 
-def _material(spot: _Spot, look: Look) -> tuple[np.ndarray, np.ndarray]:
-    """Albedo (3, n), and the normal (3, n) with the texture's bumps."""
-    hits = spot.hits
+def _material(points: _ShadingPoints, look: Look) -> tuple[np.ndarray, np.ndarray]:
+    """Albedo (3, n), and normal (3, n) with the texture's bump map."""
+    hits = points.hits
     texture = OF_MATERIAL[hits.material]
     tint = np.ascontiguousarray(hits.tint.T)
-    along, up = _tangents(spot.face_normal)
-    factor, slope = _sampled(spot, texture, along, up)
+    along, up = _tangents(points.face_normal)
+    factor, slope = _sampled(points, texture, along, up)
     albedo = _ALBEDO[:, hits.material] * tint * factor
-    albedo = seasonal_albedo(look, albedo, hits.material, tint, spot.position)
-    flat = (np.abs(spot.face_normal[2]) > 0.7) | hits.moving
-    x, y, z = spot.position  # walls have their own uv each: the world's axes keep neighbours from looking alike
+    albedo = seasonal_albedo(look, albedo, hits.material, tint, points.position)
+    flat = (np.abs(points.face_normal[2]) > 0.7) | hits.moving
+    x, y, z = points.position  # each wall has its own uv: world coordinates make neighbours differ
     wide = np.where(flat, hits.uv.T, np.stack([x + 0.43 * z, y + 0.71 * z]))
-    albedo *= sample_wide(texture, wide.T, spot.footprint_m / np.sqrt(spot.facing)).T
+    albedo *= sample_wide(texture, wide.T, points.footprint_m / np.sqrt(points.facing)).T
     _tracks(albedo, hits, texture)
-    _litter(albedo, spot, look)
-    normal = spot.normal - along * slope[0] - up * slope[1]
+    _litter(albedo, points, look)
+    normal = points.normal - along * slope[0] - up * slope[1]
     return np.clip(albedo, 0, 0.95), normal / np.sqrt(_dot(normal, normal))
 
 
 def _tangents(face_normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors (3, n) along u and v, as `mesh.projected_uv` lays them: x and y on floors, along and up on walls."""
+    """Unit vectors (3, n) along u and v of `mesh.projected_uv`: x and y on floors, along and up on walls."""
     x, y, z = face_normal
     flat = np.abs(z) > 0.97
     run = np.sqrt(np.maximum(x * x + y * y, 1e-12))
@@ -161,20 +152,22 @@ def _tangents(face_normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return along, up
 
 
-def _sampled(spot: _Spot, texture: np.ndarray, along: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Texture factor (3, n) and slope (2, n); where a surface is seen aslant, the mean of TAPS samples across it."""
-    stretch = 1 / spot.facing
+def _sampled(
+    points: _ShadingPoints, texture: np.ndarray, along: np.ndarray, up: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Texture factor (3, n) and slope (2, n); at grazing angles the mean of TAPS samples (anisotropic filtering)."""
+    stretch = 1 / points.facing
     narrow = np.maximum(1, stretch / TAPS)
-    # Half a level in each direction, so that levels do not end in lines on the ground.
-    dither = 0.75 + 0.5 * spatial_hash(spot.position, 0.03, 1)
-    footprint = spot.footprint_m * narrow * dither
-    factor, slope = (part.T for part in sample(texture, spot.hits.uv, footprint))
+    # Half a mip level of dither hides the transitions between levels on the ground.
+    dither = 0.75 + 0.5 * spatial_hash(points.position, 0.03, 1)
+    footprint = points.footprint_m * narrow * dither
+    factor, slope = (part.T for part in sample(texture, points.hits.uv, footprint))
     aslant = np.flatnonzero(stretch > 1.6)
     if len(aslant):
-        direction, uv = spot.direction[:, aslant], spot.hits.uv[aslant]
+        direction, uv = points.direction[:, aslant], points.hits.uv[aslant]
         across = np.stack([_dot(direction, along[:, aslant]), _dot(direction, up[:, aslant])])
         across /= np.sqrt(_dot(across, across)) + 1e-9
-        step = (across * (spot.footprint_m * stretch)[aslant] / TAPS).T
+        step = (across * (points.footprint_m * stretch)[aslant] / TAPS).T
         for sign in (-1, 1):
             more = sample(texture[aslant], uv + sign * step, footprint[aslant])
             factor[:, aslant] += more[0].T
@@ -185,28 +178,28 @@ def _sampled(spot: _Spot, texture: np.ndarray, along: np.ndarray, up: np.ndarray
 
 
 def _tracks(albedo: np.ndarray, hits: Hits, texture: np.ndarray) -> None:
-    """Darken the asphalt where tyres run and along the joint in the middle; a road's v is the way from its middle."""
+    """Darken the asphalt in wheel tracks and along the joint in the middle; v is the offset from the road's middle."""
     road = np.flatnonzero((texture == _ASPHALT) & (hits.object_type == _ROAD))
     aside = np.abs(hits.uv[road, 1])
     worn = np.cos(np.clip((np.abs(aside - 1.75) - 0.75) * 2.6, -np.pi, np.pi))
     albedo[:, road] *= 1 - 0.05 * worn - 0.22 * np.clip(1 - aside / 0.025, 0, 1)
 
 
-def _litter(albedo: np.ndarray, spot: _Spot, look: Look) -> None:
-    share = litter_share(look, spot.hits.material)
-    ground = np.flatnonzero((share > 0) & (spot.face_normal[2] > 0.7))
+def _litter(albedo: np.ndarray, points: _ShadingPoints, look: Look) -> None:
+    share = litter_share(look, points.hits.material)
+    ground = np.flatnonzero((share > 0) & (points.face_normal[2] > 0.7))
     if len(ground):
         which = np.full(len(ground), TEXTURE_IDS["litter"])
-        footprint = spot.footprint_m[ground] / np.sqrt(spot.facing[ground])
-        cover = sample(which, spot.hits.uv[ground], footprint)[0][:, 0] * share[ground]
-        hue = 0.6 + 0.8 * spatial_hash(spot.position[:, ground], 0.06, 2)
+        footprint = points.footprint_m[ground] / np.sqrt(points.facing[ground])
+        cover = sample(which, points.hits.uv[ground], footprint)[0][:, 0] * share[ground]
+        hue = 0.6 + 0.8 * spatial_hash(points.position[:, ground], 0.06, 2)
         albedo[:, ground] += cover * (FALLEN[:, None] * hue - albedo[:, ground])
 
 
 def sunlit(scene: Scene, hits: Hits, origin: np.ndarray, direction: np.ndarray, look: Look) -> np.ndarray:
-    """Whether the sun shines where rays met something: (N,) float32, 0 or 1, and by chance in penumbrae.
+    """Visibility of the sun at the hits of rays: (N,) float32, 0 or 1; stochastic in penumbrae.
 
-    The point of the sun's disc that counts belongs to the place in the world: it is the same in every picture.
+    The sampled point of the sun's disc is a spatial hash of the position: it is the same in every image.
     """
     lit = np.zeros(len(direction), dtype=np.float32)
     if not any(look.sun_colour):
@@ -220,67 +213,65 @@ def sunlit(scene: Scene, hits: Hits, origin: np.ndarray, direction: np.ndarray, 
     wide = np.float32(np.tan(np.radians(look.sun_radius_deg)))
     for first in range(0, len(toward), TILE):
         some = toward[first : first + TILE]
-        place = (origin[some] + direction[some] * hits.distance[some, None]).T
-        turn = np.float32(2 * np.pi) * spatial_hash(place, GRAIN, 3)
-        away = np.sqrt(spatial_hash(place, GRAIN, 4)) * wide
+        position = (origin[some] + direction[some] * hits.distance[some, None]).T
+        turn = np.float32(2 * np.pi) * spatial_hash(position, CELL, 3)
+        away = np.sqrt(spatial_hash(position, CELL, 4)) * wide
         ray = sum(
             axis[:, None] * part for axis, part in zip(axes, (1, away * np.cos(turn), away * np.sin(turn)), strict=True)
         )
         ray = ray / np.sqrt(_dot(ray, ray))
-        behind = np.where(
-            hits.face_normal[some] @ sun < 0, np.float32(-1), np.float32(1)
-        )  # leaves lit from the other side
-        lit[some] = scene.unoccluded((place + lifted(hits, some) * behind).T, ray.T)
+        behind = np.where(hits.face_normal[some] @ sun < 0, np.float32(-1), np.float32(1))  # leaves lit from behind
+        lit[some] = scene.unoccluded((position + ray_offset(hits, some) * behind).T, ray.T)
     return lit
 
 
-def lifted(hits: Hits, which: np.ndarray) -> np.ndarray:
-    """The small step (3, k) off a surface that keeps a new ray from meeting the place where it starts."""
+def ray_offset(hits: Hits, which: np.ndarray) -> np.ndarray:
+    """The offset (3, k) off a surface at which a new ray starts, against self-intersection."""
     return (hits.face_normal[which] * (1e-3 + 3e-5 * hits.distance[which, None])).T
 
 
-def _glossy(  # noqa: PLR0913 one array for each that the formula has
+def _glossy(  # noqa: PLR0913 the arrays of the formula
     scene: Scene,
-    spot: _Spot,
+    points: _ShadingPoints,
     look: Look,
     normal: np.ndarray,
     matt: np.ndarray,
     visibility: Visibility,
 ) -> np.ndarray:
-    """Radiance (3, n) of surfaces with a shine: `matt`, less what mirrors, and what is mirrored."""
-    material = spot.hits.material
+    """Radiance (3, n) of glossy surfaces: diffuse radiance `matt` and specular reflection."""
+    material = points.hits.material
     gloss, rough = _SPECULAR[material], _ROUGHNESS[material]
-    facing = np.clip(-_dot(normal, spot.direction), 0, 1)
-    share = gloss + np.maximum(1 - rough - gloss, 0) * (1 - facing) ** 5  # Schlick, dimmed where rough
-    mirrored = spot.direction + 2 * facing * normal
+    facing = np.clip(-_dot(normal, points.direction), 0, 1)
+    share = gloss + np.maximum(1 - rough - gloss, 0) * (1 - facing) ** 5  # Schlick (1994), reduced by roughness
+    mirrored = points.direction + 2 * facing * normal
     above = sky(look)
     seen = above.ambient(mirrored) * visibility.sky
     clear = np.flatnonzero(_MIRRORS[material])
     if len(clear):
-        start = spot.position[:, clear] + lifted(spot.hits, clear)
+        start = points.position[:, clear] + ray_offset(points.hits, clear)
         seen[:, clear] = _mirrored(scene, start, mirrored[:, clear], look, above)
     sun = np.array(look.sun_direction, dtype=np.float32)[:, None]
-    half = sun - spot.direction
+    half = sun - points.direction
     half /= np.sqrt(_dot(half, half)) + 1e-6
     peak, alpha = np.clip(_dot(normal, half), 0, 1), np.maximum(rough * rough, 0.03)
     lobe = alpha**2 / (np.pi * (peak * peak * (alpha**2 - 1) + 1) ** 2)  # GGX (Walter 2007)
     glance = gloss + (1 - gloss) * (1 - np.clip(_dot(half, sun), 0, 1)) ** 5
-    shine = np.pi * visibility.sun_direction * np.maximum(_dot(normal, sun), 0) * lobe * glance * (0.25 + 0.25 * rough)
+    shine = np.pi * visibility.sun * np.maximum(_dot(normal, sun), 0) * lobe * glance * (0.25 + 0.25 * rough)
     return matt * (1 - share) + seen * share + np.array(look.sun_colour, dtype=np.float32)[:, None] * shine
 
 
 def _mirrored(scene: Scene, start: np.ndarray, direction: np.ndarray, look: Look, above: Sky) -> np.ndarray:
-    """What a mirror shows (3, n): the sky, or things in plain light."""
+    """Radiance (3, n) that a mirror reflects: the sky, or objects in simplified light."""
     out = above.radiance(direction, disc=False)
     hits = scene.cast(start.T, direction.T)
-    met = np.flatnonzero(hits.valid)
-    hits, normal = hits.subset(met), np.ascontiguousarray(hits.normal[met].T)
-    slant = np.maximum(_dot(normal, np.array(look.sun_direction, dtype=np.float32)[:, None]), 0)
-    light = 0.8 * above.ambient(normal) + np.array(look.sun_colour, dtype=np.float32)[:, None] * (0.6 * slant)
-    out[:, met] = _ALBEDO[:, hits.material] * hits.tint.T * light + _EMISSION[:, hits.material]
+    hit_index = np.flatnonzero(hits.valid)
+    hits, normal = hits.subset(hit_index), np.ascontiguousarray(hits.normal[hit_index].T)
+    cosine = np.maximum(_dot(normal, np.array(look.sun_direction, dtype=np.float32)[:, None]), 0)
+    light = 0.8 * above.ambient(normal) + np.array(look.sun_colour, dtype=np.float32)[:, None] * (0.6 * cosine)
+    out[:, hit_index] = _ALBEDO[:, hits.material] * hits.tint.T * light + _EMISSION[:, hits.material]
     return out
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Scalar products (n,) of columns."""
+    """Dot products (n,) of columns."""
     return (a * b).sum(axis=0)

@@ -96,7 +96,7 @@ class Scene:
         return hits
 
     def unoccluded(self, origin: np.ndarray, direction: np.ndarray, far: float | np.ndarray = 300.0) -> np.ndarray:
-        """Shadow rays from origin (N, 3) along direction (N, 3) or (3,): (N,) bool, True where no hit within `far` m."""
+        """Shadow rays from origin (N, 3) along direction (N, 3) or (3,): (N,) bool: no hit within `far`."""
         origin = np.ascontiguousarray(origin, dtype=np.float32)
         direction = np.ascontiguousarray(np.broadcast_to(np.asarray(direction, dtype=np.float32), origin.shape))
         far = np.broadcast_to(np.asarray(far, dtype=np.float32), len(origin))
