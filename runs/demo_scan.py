@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar2pano.simulate.dataset.sequence_writer import Recording
-from lidar2pano.simulate.dataset.settings import Settings
+from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
+from lidar2pano.simulate.dataset.settings import WorldSettings
 
 SHIPPED = Path(__file__).resolve().parent.parent / "src" / "lidar2pano" / "demo" / "street.bin"
 SEED = 12
@@ -27,8 +27,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--labels", action="store_true")
     asked = parser.parse_args()
-    settings = Settings(seed=asked.seed, frames=1, place="residential")
-    scan = Recording(asked.out.parent, settings, 0).scan(0)
+    settings = WorldSettings(seed=asked.seed, frames=1, place="residential")
+    scan = SequenceWriter(asked.out.parent, settings, 0).scan(0)
     points = scan.points.astype(np.float64)
     points[:, :3] = np.round(points[:, :3], 3)
     points.astype("<f4").tofile(asked.out)

@@ -26,10 +26,10 @@ from lidar2pano.geometry.compose import Photo, compose
 from lidar2pano.geometry.filling import dense_depth
 from lidar2pano.geometry.projection import directions
 from lidar2pano.sensors import View
-from lidar2pano.simulate.dataset.sequence_writer import Recording
-from lidar2pano.simulate.dataset.settings import Settings, raster
-from lidar2pano.simulate.render.looks import look
 from lidar2pano.simulate.render.renderer import cylinder, pinhole, render
+from lidar2pano.simulate.render.looks import look
+from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
+from lidar2pano.simulate.dataset.settings import WorldSettings, panorama_view
 
 SIZE = (960, 540)
 # PandaSet's cameras: place in the sensor's frame (metres), degrees to the left of ahead, focal length (pixels).
@@ -79,19 +79,19 @@ def displaced(true_m: Tensor, guess_m: Tensor, view: View, mounts: list[Calibrat
     return gap.view(true_m.shape)
 
 
-def rows(settings: Settings, seed: int) -> dict[str, list[float]]:
+def rows(settings: WorldSettings, seed: int) -> dict[str, list[float]]:
     """Of one street, per kind of depth: valid, difference, difference of the truth to itself, displacements."""
-    recording = Recording(Path("nowhere"), settings, 0)
-    scene, light = recording.scene(0), look(settings.look, recording.seed)
-    pose = recording.world.drive.poses(np.array([0.0]))[0]
+    writer = SequenceWriter(Path("nowhere"), settings, 0)
+    scene, light = writer.scene(0), look(settings.look, writer.seed)
+    pose = writer.world.drive.poses(np.array([0.0]))[0]
     mounts = cameras()
-    view = at_camera(raster(settings.views[0]), mounts[0])
+    view = at_camera(panorama_view(settings.views[0]), mounts[0])
     truth = render(scene, *cylinder(view, pose), light, seed=seed)
     photos = [
         Photo(picture=render(scene, *pinhole(one, pose), light, seed=seed + 1 + n).image, calibration=one)
         for n, one in enumerate(mounts)
     ]
-    scan = torch.from_numpy(recording.scan(0).points[:, :3].astype(np.float32))
+    scan = torch.from_numpy(writer.scan(0).points[:, :3].astype(np.float32))
     true_m = torch.from_numpy(truth.distance)
     guesses = {"true": true_m, "scan": dense_depth(scan, view), "far": torch.full_like(true_m, torch.inf)}
     colour = truth.image.astype(np.int64)
@@ -120,12 +120,12 @@ def main() -> None:
     print(f"{asked.sensor}, {asked.view}, {asked.seeds} streets\n")
     print("| depth | valid | difference | a pixel's | median, px | 90 %, px | above 4 px |")
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
-    attributes = []
+    told = []
     for seed in range(asked.seeds):
-        settings = Settings(seed=seed, frames=1, sensor=asked.sensor, views=(asked.view,))
-        attributes.append(rows(settings, seed))
-    for name in attributes[0]:
-        valid, off, aside, median, most, share = np.mean([one[name] for one in attributes], axis=0)
+        settings = WorldSettings(seed=seed, frames=1, sensor=asked.sensor, views=(asked.view,))
+        told.append(rows(settings, seed))
+    for name in told[0]:
+        valid, off, aside, median, most, share = np.mean([one[name] for one in told], axis=0)
         print(f"| {name} | {valid:.1%} | {off:.2f} | {aside:.2f} | {median:.2f} | {most:.2f} | {share:.1%} |")
 
 

@@ -1,4 +1,4 @@
-"""Settings of a simulated data set: everything that its bytes depend on."""
+"""Settings of a simulated data set: everything that its content depends on."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from lidar2pano.simulate.lidar.sensor_models import SENSOR_MODELS
 from lidar2pano.simulate.render.looks import LOOKS
 
 SAVES = ("camera", "panorama")
-FORM = 2  # of the world itself: raised when a seed means another world
+FORMAT = 2  # raised when the same settings give another world
 IMAGE = (1242, 375)
 # KITTI's colour camera: focal length and principal point in pixels, tilt as on its car.
 K = np.array([[721.5377, 0.0, 609.5593], [0.0, 721.5377, 172.854], [0.0, 0.0, 1.0]])
-PITCH, ROLL = 0.0104, 0.0104  # radians: it looks up a little, and leans
+PITCH, ROLL = 0.0104, 0.0104  # radians: upwards, and to the side
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
-    """What `lidar2pano world` was asked for.
+class WorldSettings:
+    """Options of `lidar2pano world`.
 
-    frames  per sequence, `hz` a second;  sensor in SENSORS;  look in LOOKS;  place in PLACES, "" = drawn for each.
+    frames  per sequence, `hz` a second;  sensor in SENSOR_MODELS;  look in LOOKS;  place in PLACES, "" = random.
     save    which of SAVES besides scans and labels;  views: rasters of the panorama, "panorama" or "panorama/2".
     """
 
@@ -43,7 +43,7 @@ class Settings:
     views: tuple[str, ...] = ("panorama",)
 
     def __post_init__(self) -> None:
-        """Refuse names that are not in the tables (InputError)."""
+        """Raise InputError for values out of range and unknown names."""
         if self.frames < 1:
             raise InputError("--frames must be at least 1")
         if not 0.1 <= self.hz <= 100:
@@ -58,15 +58,15 @@ class Settings:
         if unknown := sorted(set(self.save) - set(SAVES)):
             raise InputError(f"--save {unknown[0]!r} is not known; there is scans, {', '.join(SAVES)} and all")
         for name in self.views:
-            raster(name)
+            panorama_view(name)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return {"form": FORM} | {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(self).items()}
+        return {"form": FORMAT} | {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(self).items()}
 
 
-def raster(name: str) -> View:
-    """The panorama's raster by a name such as "panorama" or "panorama/2" (half as fine); InputError otherwise."""
+def panorama_view(name: str) -> View:
+    """The view of a name such as "panorama" or "panorama/2" (half the resolution); InputError for other names."""
     base, _, part = name.partition("/")
     cylinders = [key for key, view in VIEWS.items() if view.kind == "cylinder"]
     if base not in cylinders or (part and part not in ("2", "4", "8")):
@@ -74,8 +74,8 @@ def raster(name: str) -> View:
     return VIEWS[base].scaled(1 / int(part or 1))
 
 
-def camera() -> Calibration:
-    """The colour camera on the recording car: KITTI's, at the panorama's origin."""
+def recording_camera() -> Calibration:
+    """The camera of the recording car: KITTI's colour camera, at the origin of the panorama."""
     axes = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # x right, y down, z ahead
     c, s = np.cos(PITCH), np.sin(PITCH)
     pitch = np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
@@ -87,8 +87,8 @@ def camera() -> Calibration:
     return Calibration(K=K, T_camera_lidar=T, size=IMAGE)
 
 
-def claim(out: Path, settings: Settings) -> None:
-    """Make `out` the folder of a world of these settings; InputError where it holds another one."""
+def claim_folder(out: Path, settings: WorldSettings) -> None:
+    """Write world.json into the folder; InputError where it holds a world of other settings or other data."""
     card, wanted = out / "world.json", settings.as_dict()
     if card.is_file():
         try:

@@ -1,4 +1,4 @@
-"""Drive: where the recording car is at every moment."""
+"""Drive: the trajectory of the recording car."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidar2pano.simulate.layout.places import PLACES
-from lidar2pano.simulate.layout.town import AHEAD, Town
+from lidar2pano.simulate.layout.town import ROAD_MARGIN, Town
 from lidar2pano.simulate.scene.random_streams import stream
 
-SENSOR_HEIGHT = 1.73  # metres over the road, as on KITTI's car
+SENSOR_HEIGHT = 1.73  # metres above the road, as on KITTI's car
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Speed:
-    """Speed over time: a mean and two slow waves, never backwards. Metres, seconds.
+class SpeedProfile:
+    """Speed over time: a mean and two slow waves, never negative.
 
     mean    m/s;  waves (n, 3): amplitude as a share of the mean, period in seconds, phase.
     """
@@ -24,8 +24,8 @@ class Speed:
     waves: np.ndarray
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, place: str) -> Speed:
-        """A drive's speed in a place of PLACES; some stand in traffic."""
+    def random(cls, rng: np.random.Generator, place: str) -> SpeedProfile:
+        """A random speed profile for a place of PLACES; some are traffic jams."""
         mean = PLACES[place].speed * rng.uniform(0.55, 1.1)
         if rng.uniform() < (0.12 if PLACES[place].kerb else 0.0):
             mean = rng.uniform(0.0, 1.5)
@@ -42,16 +42,16 @@ class Speed:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drive:
-    """The recording car's way through a town: `lane` is its distance from the centreline (negative: right), metres."""
+    """Trajectory of the recording car; `lane`: metres from the centreline of the main road, negative to the right."""
 
     town: Town
-    speed: Speed
+    speed: SpeedProfile
     lane: float
     sway: np.ndarray  # (3, 3): amplitude, period, phase of sideways metres, pitch and roll radians
 
     @classmethod
-    def drawn(cls, town: Town, speed: Speed) -> Drive:
-        """The drive that belongs to the town."""
+    def random(cls, town: Town, speed: SpeedProfile) -> Drive:
+        """The drive of the town's seed."""
         rng = stream(town.seed, "drive")
         forward = [d for d, way in lanes(town) if way > 0]
         amplitude = [rng.uniform(0.02, 0.15), np.radians(rng.uniform(0.05, 0.25)), np.radians(rng.uniform(0.05, 0.3))]
@@ -60,7 +60,7 @@ class Drive:
 
     def along(self, time: np.ndarray) -> np.ndarray:
         """Metres (N,) along the main road."""
-        return AHEAD + self.speed.travelled(time)
+        return ROAD_MARGIN + self.speed.travelled(time)
 
     def poses(self, time: np.ndarray) -> np.ndarray:
         """T_world_lidar (N, 4, 4) float64 at times (N,) seconds."""
@@ -70,7 +70,7 @@ class Drive:
         up = self.town.terrain.normal(xy)
         ahead = np.stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)], axis=1)
         left = np.cross(up, ahead)
-        # Springs: the body pitches and rolls a little against the road.
+        # Suspension: the body pitches and rolls a little against the road.
         up = up + ahead * wave[:, 1:2] + left * wave[:, 2:3]
         up /= np.linalg.norm(up, axis=1, keepdims=True)
         ahead -= up * (ahead * up).sum(1, keepdims=True)
@@ -84,7 +84,7 @@ class Drive:
 
 
 def lanes(town: Town) -> list[tuple[float, int]]:
-    """Lanes of the main road: distance from the centreline in metres (left positive), way of travel (+1 along s)."""
+    """Lanes of the main road: offset from the centreline in metres (left positive), direction of travel (+1 along s)."""
     road = town.roads[0]
     if road.marking == "motorway":
         inner = road.median + 2.5

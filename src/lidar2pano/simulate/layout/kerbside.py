@@ -1,11 +1,11 @@
-"""Kerbside: parked vehicles, lamps, signs, traffic lights, bins, and people who stand about."""
+"""Kerbside: parked vehicles, lamps, signs, traffic lights, street furniture and standing people."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from lidar2pano.simulate.assets import barriers, furniture, people, traffic_signs, two_wheelers
-from lidar2pano.simulate.layout.placement import Maker, Piece, Planner
+from lidar2pano.simulate.layout.placement import Maker, ObjectTemplate, Planner
 from lidar2pano.simulate.layout.roads import Road, locate
 from lidar2pano.simulate.layout.traffic import VEHICLES
 from lidar2pano.simulate.scene.random_streams import weighted_choice
@@ -13,89 +13,96 @@ from lidar2pano.simulate.scene.random_streams import weighted_choice
 PARKED = {"car": 30.0, "van": 3.0, "truck": 0.5, "trailer": 0.4, "motorcycle": 0.6}
 LENGTH = {"car": 4.4, "van": 5.2, "truck": 8.5, "trailer": 5.0, "motorcycle": 2.2}
 
-
-LAMP = Piece(lambda rng, _: furniture.street_lamp(rng), "lamp", 0.3)
-WIRE_POLE = Piece(lambda rng, _: furniture.pole(rng), "pole", 0.3)
-DELINEATOR = Piece(lambda rng, _: barriers.delineator(rng), "delineator", 0.1)
-STREET_NAME = Piece(lambda rng, _: traffic_signs.sign(rng, "street name"), "sign", 0.2)
-# These look at the traffic that comes along their side; the others look at the road.
-SIGN = Piece(lambda rng, _: traffic_signs.sign(rng), "sign", 0.2)
-GIVE_WAY = Piece(lambda rng, _: traffic_signs.sign(rng, "give way"), "sign", 0.2)
-LIGHT = Piece(lambda rng, _: furniture.traffic_light(rng), "traffic light", 0.3)
+LAMP = ObjectTemplate(lambda rng, _: furniture.street_lamp(rng), "lamp", 0.3)
+WIRE_POLE = ObjectTemplate(lambda rng, _: furniture.pole(rng), "pole", 0.3)
+DELINEATOR = ObjectTemplate(lambda rng, _: barriers.delineator(rng), "delineator", 0.1)
+STREET_NAME = ObjectTemplate(lambda rng, _: traffic_signs.sign(rng, "street name"), "sign", 0.2)
+# Their x axis points at oncoming traffic; that of the others at the road.
+SIGN = ObjectTemplate(lambda rng, _: traffic_signs.sign(rng), "sign", 0.2)
+GIVE_WAY = ObjectTemplate(lambda rng, _: traffic_signs.sign(rng, "give way"), "sign", 0.2)
+LIGHT = ObjectTemplate(lambda rng, _: furniture.traffic_light(rng), "traffic light", 0.3)
 FACING_TRAFFIC = (SIGN, GIVE_WAY, LIGHT, DELINEATOR)
-BIN = Piece(lambda rng, _: furniture.bin(rng), "bin", 0.5)
+BIN = ObjectTemplate(lambda rng, _: furniture.bin(rng), "bin", 0.5)
 
 
 def parked(plan: Planner) -> None:
-    """Vehicles along the kerbs: in the bays, and at the edge of the carriageway elsewhere."""
+    """Parked vehicles along the kerbs: in bays, or at the edge of the carriageway."""
     place = plan.town.place
     for index, road in enumerate(plan.town.roads):
         for side in (-1, 1):
             rng = plan.rng("parked", index, side)
             if road.sidewalk:
-                _kerb_row(plan, rng, road, side, place.parked * rng.uniform(0.4, 1.4))
+                _kerb_row(plan, rng, road, side, place.parked_share * rng.uniform(0.4, 1.4))
 
 
 def _kerb_row(plan: Planner, rng: np.random.Generator, road: Road, side: int, share: float) -> None:
     s = rng.uniform(0, 8)
-    crowd = rng.uniform() < share
-    narrow = road.half_width < 2.6 and side > 0  # one side stays free
+    occupied = rng.uniform() < share
+    narrow = road.half_width < 2.6 and side > 0  # one side of narrow roads stays free
     while s < road.length - 8:
-        if rng.uniform() < 0.12:  # rows come and go
-            crowd = rng.uniform() < share
+        if rng.uniform() < 0.12:  # rows of parked cars begin and end
+            occupied = rng.uniform() < share
         name = weighted_choice(rng, PARKED)
-        long = LENGTH[name]
-        middle = s + long / 2
-        edge = float(road.edge(np.array(middle), np.array(side)))
+        length = LENGTH[name]
+        middle = s + length / 2
+        edge = float(road.kerb_offset(np.array(middle), np.array(side)))
         in_bay = edge > road.half_width + 2
         free = plan.town.place.marking == "none" and not narrow
-        if (crowd and (in_bay or free)) or (in_bay and rng.uniform() < 0.6):
+        if (occupied and (in_bay or free)) or (in_bay and rng.uniform() < 0.6):
             off = edge - (1.05 if in_bay else 1.0) + rng.normal(0, 0.07)
             xy, heading = road.at(np.array(middle), side * off)
             at = locate(plan.town.roads, xy[None])
-            if at.other[0] > 7:
-                turned = float(heading) + (np.pi if (side > 0) != (rng.uniform() < 0.08) else 0.0)
-                yaw = turned + rng.normal(0, 0.015)
-                plan.try_stand(Piece(VEHICLES[name], name, long / 2 - 0.4, False, True, True), xy, yaw)
-        s += long + max(rng.normal(1.1, 0.4), 0.5)
+            if at.other_road[0] > 7:
+                turn = float(heading) + (np.pi if (side > 0) != (rng.uniform() < 0.08) else 0.0)
+                yaw = turn + rng.normal(0, 0.015)
+                plan.add_if_free(
+                    ObjectTemplate(
+                        VEHICLES[name], name, length / 2 - 0.4, on_sidewalk=False, follows_slope=True, has_instance=True
+                    ),
+                    xy,
+                    yaw,
+                )
+        s += length + max(rng.normal(1.1, 0.4), 0.5)
 
 
 def driveways(plan: Planner) -> None:
-    """Cars, bicycles and bins on the lots in front of houses."""
-    for number, (index, road, stretch, quarter) in enumerate(plan.stretches()):
+    """Cars, bicycles and bins in front of houses."""
+    for number, (index, road, stretch, land_use) in enumerate(plan.stretches()):
         rng = plan.rng("driveways", index, number)
-        count = rng.poisson((stretch.end - stretch.start) / 22) if quarter.building else 0
+        count = rng.poisson((stretch.end - stretch.start) / 22) if land_use.building else 0
         for s in rng.uniform(stretch.start, stretch.end, count):
             name = weighted_choice(rng, {"car": 5.0, "van": 0.7, "bicycle": 2.0, "bin": 3.0, "trailer": 0.2})
             deep = road.sidewalk + {"bicycle": 0.9, "bin": 0.6}.get(name, 3.4)
-            xy, heading = road.beyond(s, stretch.side, deep)
-            if locate(plan.town.roads, xy[None]).outside[0] < road.sidewalk:
+            xy, heading = road.beside(s, stretch.side, deep)
+            if locate(plan.town.roads, xy[None]).kerb_distance[0] < road.sidewalk:
                 continue
             yaw = float(heading) - stretch.side * np.pi / 2 + rng.normal(0, 0.08)
             if name == "bin":
-                plan.try_stand(BIN, xy, yaw)
+                plan.add_if_free(BIN, xy, yaw)
             else:
                 radius = 1.0 if name == "bicycle" else 2.3
-                plan.try_stand(Piece(VEHICLES[name], name, radius, square=True, counted=True), xy, yaw)
+                plan.add_if_free(
+                    ObjectTemplate(VEHICLES[name], name, radius, follows_slope=True, has_instance=True), xy, yaw
+                )
 
 
 def lamps(plan: Planner) -> None:
-    """Street lamps at even distances, on one side; poles of wires along country roads."""
-    for number, (index, road, stretch, quarter) in enumerate(plan.stretches()):
+    """Street lamps at even distances on one side; utility poles along country roads."""
+    for number, (index, road, stretch, land_use) in enumerate(plan.stretches()):
         if stretch.side != (1 if index % 2 else -1):
             continue
         rng = plan.rng("lamps", index, number)
-        every = quarter.lamps or (45.0 if rng.uniform() < 0.25 else 0.0)
+        every = land_use.lamp_spacing or (45.0 if rng.uniform() < 0.25 else 0.0)
         if not every:
             continue
-        post = LAMP if quarter.lamps else WIRE_POLE
+        post = LAMP if land_use.lamp_spacing else WIRE_POLE
         for s in np.arange(stretch.start + rng.uniform(0, 12), stretch.end, every):
             off = road.sidewalk - 0.45 if road.sidewalk and rng.uniform() < 0.7 else 0.5
             _beside(plan, road, float(s), stretch.side, off, post)
 
 
 def delineators(plan: Planner) -> None:
-    """White posts along both edges of roads without pavements."""
+    """Delineators along both edges of roads without sidewalks."""
     for road in plan.town.roads:
         if road.sidewalk:
             continue
@@ -104,16 +111,16 @@ def delineators(plan: Planner) -> None:
                 _beside(plan, road, float(s), side, 0.6, DELINEATOR)
 
 
-def _beside(plan: Planner, road: Road, s: float, side: int, off: float, post: Piece) -> None:
-    """A post `off` metres beyond the kerb."""
-    xy, heading = road.beyond(s, side, off)
-    if locate(plan.town.roads, xy[None]).outside[0] > 0.2:
-        turned = (np.pi if side < 0 else 0.0) if post in FACING_TRAFFIC else -side * np.pi / 2
-        plan.try_stand(post, xy, float(heading) + turned)
+def _beside(plan: Planner, road: Road, s: float, side: int, off: float, post: ObjectTemplate) -> None:
+    """Place a post `off` metres beyond the kerb, unless another road is there."""
+    xy, heading = road.beside(s, side, off)
+    if locate(plan.town.roads, xy[None]).kerb_distance[0] > 0.2:
+        turn = (np.pi if side < 0 else 0.0) if post in FACING_TRAFFIC else -side * np.pi / 2
+        plan.add_if_free(post, xy, float(heading) + turn)
 
 
 def signs(plan: Planner) -> None:
-    """Signs that face the traffic: at junctions by rule, along the road at random."""
+    """Traffic signs: by rule at junctions, at random along the roads."""
     for index, road in enumerate(plan.town.roads):
         rng = plan.rng("signs", index)
         for side in (-1, 1):
@@ -124,7 +131,7 @@ def signs(plan: Planner) -> None:
     rng = plan.rng("junction signs")
     for number, (s, side) in enumerate(plan.town.junctions):
         road = plan.town.roads[number + 1]
-        if rng.uniform() < plan.town.place.lights:
+        if rng.uniform() < plan.town.place.light_share:
             _lights(plan, main, s, road.half_width)
         elif rng.uniform() < 0.7:
             away = main.half_width + main.sidewalk + 1.5
@@ -135,13 +142,13 @@ def signs(plan: Planner) -> None:
 
 def _lights(plan: Planner, main: Road, s: float, half: float) -> None:
     for side in (-1, 1):
-        # Traffic on the right (-1) comes from behind and stops before the junction; on the left it is the other way.
+        # Traffic on the right (-1) stops before the junction; on the left it comes the other way.
         at = s + side * (half + 3.0)
         _beside(plan, main, at, side, 0.6, LIGHT)
 
 
 def clutter(plan: Planner) -> None:
-    """Bins, boxes, benches, bicycles against walls, bus stops, people who stand."""
+    """Bins, cabinets, benches, bicycles, bus stops and standing people."""
     makers: dict[str, tuple[Maker, float, float]] = {
         "bin": (lambda rng, _: furniture.bin(rng), 0.5, 1.0),
         "junction box": (lambda rng, _: furniture.junction_box(rng), 0.5, 0.6),
@@ -160,11 +167,11 @@ def clutter(plan: Planner) -> None:
         for s in rng.uniform(stretch.start, stretch.end, rng.poisson((stretch.end - stretch.start) / 18)):
             name = weighted_choice(rng, {key: row[2] for key, row in makers.items()})
             make, radius, _ = makers[name]
-            xy, heading = road.beyond(s, stretch.side, max(road.sidewalk - 0.5, 0.6))
-            if locate(plan.town.roads, xy[None]).outside[0] < 0.4:
+            xy, heading = road.beside(s, stretch.side, max(road.sidewalk - 0.5, 0.6))
+            if locate(plan.town.roads, xy[None]).kerb_distance[0] < 0.4:
                 continue
             yaw = float(heading) + (rng.uniform(0, 6.28) if name == "person" else -stretch.side * np.pi / 2)
             if name in ("bicycle", "motorcycle"):
                 yaw += np.pi / 2
             counted = name in ("bicycle", "motorcycle", "person")
-            plan.try_stand(Piece(make, name, radius, counted=counted), xy, yaw)
+            plan.add_if_free(ObjectTemplate(make, name, radius, has_instance=counted), xy, yaw)

@@ -1,4 +1,4 @@
-"""Planner: a town's list of things while it grows; nothing stands on a road or in another thing."""
+"""Placement of objects in a town, without overlaps, and their meshes."""
 
 from __future__ import annotations
 
@@ -9,42 +9,43 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.layout.places import QUARTERS, Quarter
+from lidar2pano.simulate.layout.places import LAND_USES, LandUse
 from lidar2pano.simulate.layout.roads import Road
 from lidar2pano.simulate.layout.town import Stretch, Town
 from lidar2pano.simulate.scene.mesh import Mesh
 from lidar2pano.simulate.scene.random_streams import stream
 
-COARSE, SHAPES = 0.3, 6  # detail below which plants of one maker share this many shapes
-SQUARE = 8.0  # metres: side of the squares by which footprints are found
+COARSE, SHAPES = 0.3, 6  # below this detail plants of one maker share so many meshes
+CELL = 8.0  # metres: cells of the occupancy grid
 PLANTS = ("tree", "far tree", "bush")
 
 Maker = Callable[[np.random.Generator, float], Mesh]
-"""(its own stream, detail in (0, 1]) -> a mesh that stands on z = 0 and looks along x."""
+"""(random generator, detail in (0, 1]) -> a mesh in the object frame (Mesh)."""
 
 
-class Piece(NamedTuple):
-    """What can be put somewhere: its maker, name (of its random streams) and footprint's radius in metres.
+class ObjectTemplate(NamedTuple):
+    """An object that can be placed: its maker, name (of its random streams) and radius of its footprint in metres.
 
-    raised   on the pavement's level;  square: square to the ground;  counted: it has an instance number.
+    on_sidewalk    stands at the level of the sidewalk, not of the carriageway.
+    follows_slope  its z axis is the normal of the ground (vehicles);  has_instance: it has an instance number.
     """
 
     make: Maker
     name: str
     radius: float
-    raised: bool = True
-    square: bool = False
-    counted: bool = False
+    on_sidewalk: bool = True
+    follows_slope: bool = False
+    has_instance: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Thing:
-    """A thing in the world's frame.
+class PlacedObject:
+    """An object in the world frame.
 
-    make      its maker;  name, number: of its random stream.
-    at        (x, y, z) metres;  yaw radians;  normal: of the ground for things that stand square on it (vehicles).
-    radius    of its footprint, metres.
-    counted   whether it has an instance number (SemanticKITTI's "things").
+    make          its maker;  name, number: of its random stream.
+    at            (x, y, z) metres;  yaw: radians;  normal: of the ground, for objects that follow its slope.
+    radius        of its footprint, metres.
+    has_instance  whether it has an instance number (the "things" of SemanticKITTI).
     """
 
     make: Maker
@@ -54,15 +55,15 @@ class Thing:
     yaw: float
     radius: float
     normal: tuple[float, float, float] | None = None
-    counted: bool = False
+    has_instance: bool = False
 
     def mesh(self, seed: int, detail: float) -> Mesh:
-        """Its triangles, in place; far away a few shapes stand for all plants of one maker."""
+        """Its mesh in the world frame; distant plants of one maker share a few meshes."""
         if detail < COARSE and self.name in PLANTS:
             made = _shape(self.make, self.name, self.number % SHAPES, detail)
         else:
             made = self.make(stream(seed, self.name, self.number), detail)
-        return made.placed(self.at, self.yaw) if self.normal is None else set_on(made, self.at, self.yaw, self.normal)
+        return made.placed(self.at, self.yaw) if self.normal is None else on_slope(made, self.at, self.yaw, self.normal)
 
 
 @lru_cache(maxsize=256)
@@ -70,8 +71,8 @@ def _shape(make: Maker, name: str, number: int, detail: float) -> Mesh:
     return make(stream(0, "far", name, number), detail)
 
 
-def set_on(mesh: Mesh, at: tuple[float, float, float], yaw: float, normal: tuple[float, float, float]) -> Mesh:
-    """A mesh that stands at `at`, looks along `yaw` and is square to the ground's `normal`."""
+def on_slope(mesh: Mesh, at: tuple[float, float, float], yaw: float, normal: tuple[float, float, float]) -> Mesh:
+    """The mesh moved to `at`, its x axis towards `yaw`, its z axis along the `normal` of the ground."""
     up = np.asarray(normal)
     ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     ahead = ahead - up * (ahead @ up)
@@ -80,28 +81,30 @@ def set_on(mesh: Mesh, at: tuple[float, float, float], yaw: float, normal: tuple
 
 
 @dataclass(slots=True, eq=False)
-class Occupied:
-    """Footprints that are taken: circles (x, y, radius), by the squares of a grid that they reach into."""
+class OccupancyGrid:
+    """Occupied footprints: circles (x, y, radius) in the cells of a grid that they reach into."""
 
-    squares: dict[tuple[int, int], list[tuple[float, float, float]]] = field(
+    cells: dict[tuple[int, int], list[tuple[float, float, float]]] = field(
         default_factory=dict[tuple[int, int], list[tuple[float, float, float]]]
     )
 
-    def free(self, x: float, y: float, radius: float) -> bool:
-        """Whether a circle overlaps none of those that are taken."""
+    def is_free(self, x: float, y: float, radius: float) -> bool:
+        """Whether a circle overlaps no occupied one."""
         return all(
             (a - x) ** 2 + (b - y) ** 2 > (r + radius) ** 2
-            for square in _squares(x, y, radius)
-            for a, b, r in self.squares.get(square, ())
+            for cell in _cells(x, y, radius)
+            for a, b, r in self.cells.get(cell, ())
         )
 
-    def take(self, x: float, y: float, radius: float) -> None:
-        """Take a circle."""
-        for square in _squares(x, y, radius):
-            self.squares.setdefault(square, []).append((x, y, radius))
+    def occupy(self, x: float, y: float, radius: float) -> None:
+        """Occupy a circle."""
+        for cell in _cells(x, y, radius):
+            self.cells.setdefault(cell, []).append((x, y, radius))
 
-    def footprint(self, x: float, y: float, yaw: float, size: tuple[float, float]) -> list[tuple[float, float, float]]:
-        """Circles that cover a rectangle of `size` (along its x, along its y) but for its corners."""
+    def covering_circles(
+        self, x: float, y: float, yaw: float, size: tuple[float, float]
+    ) -> list[tuple[float, float, float]]:
+        """Circles that cover a rectangle of `size` (along its x, along its y), except its corners."""
         deep, wide = size
         radius = min(deep, wide) / 2
         reach = max(deep, wide) / 2 - radius
@@ -110,53 +113,53 @@ class Occupied:
         return [(x + step * np.cos(turn), y + step * np.sin(turn), radius) for step in steps]
 
 
-def _squares(x: float, y: float, radius: float) -> Iterator[tuple[int, int]]:
-    for i in range(int((x - radius) // SQUARE), int((x + radius) // SQUARE) + 1):
-        for j in range(int((y - radius) // SQUARE), int((y + radius) // SQUARE) + 1):
+def _cells(x: float, y: float, radius: float) -> Iterator[tuple[int, int]]:
+    for i in range(int((x - radius) // CELL), int((x + radius) // CELL) + 1):
+        for j in range(int((y - radius) // CELL), int((y + radius) // CELL) + 1):
             yield i, j
 
 
 @dataclass(slots=True, eq=False)
 class Planner:
-    """Things so far, and the footprints that are taken."""
+    """The objects placed so far, and their footprints."""
 
     town: Town
-    things: list[Thing] = field(default_factory=list[Thing])
-    occupied: Occupied = field(default_factory=Occupied)
+    objects: list[PlacedObject] = field(default_factory=list[PlacedObject])
+    occupied: OccupancyGrid = field(default_factory=OccupancyGrid)
 
     def rng(self, *names: str | int) -> np.random.Generator:
-        """A stream of this town's."""
+        """A random stream of this town."""
         return stream(self.town.seed, *names)
 
-    def stretches(self) -> list[tuple[int, Road, Stretch, Quarter]]:
-        """Every stretch of every road."""
+    def stretches(self) -> list[tuple[int, Road, Stretch, LandUse]]:
+        """All stretches: index of the road, road, stretch, land use."""
         return [
-            (index, self.town.roads[index], stretch, QUARTERS[stretch.quarter])
+            (index, self.town.roads[index], stretch, LAND_USES[stretch.land_use])
             for index, row in enumerate(self.town.stretches)
             for stretch in row
         ]
 
-    def stand(self, piece: Piece, xy: np.ndarray, yaw: float) -> None:
-        """Add a thing at a place (2,)."""
-        z = float(self.town.height(xy, raised=piece.raised))
-        self.things.append(
-            Thing(
+    def add(self, piece: ObjectTemplate, xy: np.ndarray, yaw: float) -> None:
+        """Place an object at a point (2,)."""
+        z = float(self.town.height(xy, on_sidewalk=piece.on_sidewalk))
+        self.objects.append(
+            PlacedObject(
                 make=piece.make,
                 name=piece.name,
-                number=len(self.things),
+                number=len(self.objects),
                 at=(float(xy[0]), float(xy[1]), z),
                 yaw=yaw,
                 radius=piece.radius,
-                normal=tuple(self.town.terrain.normal(xy).tolist()) if piece.square else None,
-                counted=piece.counted,
+                normal=tuple(self.town.terrain.normal(xy).tolist()) if piece.follows_slope else None,
+                has_instance=piece.has_instance,
             )
         )
 
-    def try_stand(self, piece: Piece, xy: np.ndarray, yaw: float) -> bool:
-        """Add a thing where its circle is free, and take the circle."""
+    def add_if_free(self, piece: ObjectTemplate, xy: np.ndarray, yaw: float) -> bool:
+        """Place an object if its footprint is free, and occupy it; whether it was placed."""
         circle = (float(xy[0]), float(xy[1]), piece.radius)
-        if not self.occupied.free(*circle):
+        if not self.occupied.is_free(*circle):
             return False
-        self.occupied.take(*circle)
-        self.stand(piece, xy, yaw)
+        self.occupied.occupy(*circle)
+        self.add(piece, xy, yaw)
         return True

@@ -1,4 +1,4 @@
-"""Roads: centrelines with a cross section, and where a point lies relative to them."""
+"""Roads: centrelines with cross sections, and the positions of points relative to them."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Literal
 import numpy as np
 
 STEP = 1.0  # metres between the samples of a centreline
-COARSE = 4  # samples that the first search skips
-CORNER = 5.0  # radius of the kerb where roads meet, metres
+COARSE = 4  # stride of the first search over a centreline
+CORNER = 5.0  # metres: radius of the kerb between two roads
 
 Marking = Literal["none", "town", "country", "motorway"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bay:
-    """Room for parking beside the carriageway: from `start` to `end` metres along, on `side` +1 left or -1 right."""
+    """A parking bay beside the carriageway from `start` to `end` metres, on `side` +1 left or -1 right."""
 
     start: float
     end: float
@@ -27,12 +27,13 @@ class Bay:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Road:
-    """A road in the world's frame; s runs along it, d to its left, metres.
+    """A road in the world frame; (s, d) are metres along its centreline and to the left of it.
 
     xy          (n, 2) float64 samples of the centreline, STEP apart;  heading (n,) radians.
-    half_width  of the carriageway;  sidewalk: width of the pavement on either side (0 = none).
-    kerb        height of the pavement over the carriageway.
-    bays        rooms for parking;  median: half width of the strip between two carriageways (0 = none).
+    half_width  of the carriageway;  sidewalk: width of each sidewalk (0 = none).
+    kerb        height of the sidewalk above the carriageway.
+    bays        for parking;  median: half width of the strip between two carriageways (0 = none).
+    surface, paving  materials of carriageway and sidewalk.
     """
 
     xy: np.ndarray
@@ -52,7 +53,7 @@ class Road:
         return (len(self.xy) - 1) * STEP
 
     def at(self, s: np.ndarray, d: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Places (N, 2) and headings (N,) of (s, d); beyond the ends the road goes on straight."""
+        """Points (N, 2) and headings (N,) at (s, d); beyond its ends the road is extended straight."""
         s = np.asarray(s, dtype=np.float64)
         inner = np.clip(s, 0, self.length)
         i = np.minimum((inner / STEP).astype(np.int64), len(self.xy) - 2)
@@ -63,26 +64,26 @@ class Road:
         xy = self.xy[i] * (1 - part)[..., None] + self.xy[i + 1] * part[..., None]
         return xy + along * (s - inner)[..., None] + left * np.asarray(d)[..., None], heading
 
-    def beyond(self, s: np.ndarray | float, side: int, away: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Places (N, 2) `away` metres beyond the kerb of a side (+1 left, -1 right), and the road's headings (N,)."""
+    def beside(self, s: np.ndarray | float, side: int, away: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        """Points (N, 2) `away` metres beyond the kerb of a side (+1 left, -1 right), and the road's headings (N,)."""
         s = np.asarray(s, dtype=np.float64)
-        return self.at(s, side * (self.edge(s, np.full(s.shape, side)) + away))
+        return self.at(s, side * (self.kerb_offset(s, np.full(s.shape, side)) + away))
 
-    def edge(self, s: np.ndarray, side: np.ndarray) -> np.ndarray:
-        """Distance (N,) of the kerb from the centreline: the carriageway's half width, and a bay where one is."""
+    def kerb_offset(self, s: np.ndarray, side: np.ndarray) -> np.ndarray:
+        """Distance (N,) of the kerb from the centreline: half the carriageway and a bay where there is one."""
         out = np.full(np.shape(s), self.half_width)
         for bay in self.bays:
-            inside = np.clip(np.minimum(s - bay.start, bay.end - s) / 1.2, 0, 1)  # ends are bevelled
+            inside = np.clip(np.minimum(s - bay.start, bay.end - s) / 1.2, 0, 1)  # bevelled ends
             out = out + np.where(side == bay.side, inside * bay.width, 0.0)
         return out
 
 
-def course(
+def winding_centreline(
     rng: np.random.Generator, start: Sequence[float], heading: float, length: float, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A winding line: samples (n, 2) STEP apart and headings (n,); bends are no tighter than `radius` metres.
+    """A random curve: samples (n, 2) STEP apart and headings (n,); its radius is `radius` metres at least.
 
-    The line keeps to its first direction in the long run, so that it does not meet itself.
+    A spring towards its first heading keeps it from meeting itself.
     """
     count = int(length / STEP) + 1
     knots = np.arange(0, count + 240, 60)
@@ -90,7 +91,7 @@ def course(
     bend = np.interp(np.arange(count), knots, wanted)
     headings = np.empty(count)
     turned = 0.0
-    for i in range(count):  # a spring towards the first direction
+    for i in range(count):
         headings[i] = heading + turned
         turned += STEP * np.clip(bend[i] - turned * 0.004, -1 / radius, 1 / radius)
     steps = STEP * np.stack([np.cos(headings), np.sin(headings)], axis=1)
@@ -100,22 +101,22 @@ def course(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Position:
-    """Where N points lie relative to the road next to them.
+    """Positions of N points relative to the nearest road.
 
-    outside  (N,) metres beyond the kerb, negative on the carriageway; corners between roads are rounded.
-    road     (N,) index;  s, d (N,) along and to the left of that road.
-    other    (N,) metres beyond the kerb of the next but one road (inf: none near): small at junctions.
+    kerb_distance  (N,) metres beyond the kerb, negative on the carriageway; corners between roads are rounded.
+    road           (N,) index of the road;  s, d: (N,) along and to the left of it.
+    other_road     (N,) metres beyond the kerb of the second nearest road, inf: none near; small at junctions.
     """
 
-    outside: np.ndarray
+    kerb_distance: np.ndarray
     road: np.ndarray
     s: np.ndarray
     d: np.ndarray
-    other: np.ndarray
+    other_road: np.ndarray
 
 
 def locate(roads: Sequence[Road], xy: np.ndarray, reach: float = 80.0) -> Position:
-    """Positions of points (N, 2); roads farther than `reach` metres may be overlooked."""
+    """Positions of points (N, 2) relative to the roads within `reach` metres."""
     xy = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
     count = len(xy)
     best, second = np.full(count, reach), np.full(count, np.inf)
@@ -126,25 +127,25 @@ def locate(roads: Sequence[Road], xy: np.ndarray, reach: float = 80.0) -> Positi
         near = np.flatnonzero(((xy >= low) & (xy <= high)).all(axis=1))
         if not len(near):
             continue
-        along, aside, beyond = _beside(road, xy[near])
-        flank = np.abs(aside) - road.edge(along, np.where(aside > 0, 1, -1))
+        along, aside, beyond = _frenet(road, xy[near])
+        flank = np.abs(aside) - road.kerb_offset(along, np.where(aside > 0, 1, -1))
         gap = np.where(beyond > 0, np.hypot(np.maximum(flank, 0), beyond), flank)
         rounded[near] = _fillet(rounded[near], gap)
         closer = gap < best[near]
         second[near] = np.minimum(second[near], np.where(closer, best[near], gap))
         won = near[closer]
         best[won], which[won], s[won], d[won] = gap[closer], index, along[closer], aside[closer]
-    return Position(outside=rounded, road=which, s=s, d=d, other=second)
+    return Position(kerb_distance=rounded, road=which, s=s, d=d, other_road=second)
 
 
 def _fillet(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Distance to the union of two areas whose inner corner is rounded."""
+    """Signed distance to the union of two areas with a rounded inner corner."""
     u, v = np.maximum(CORNER - a, 0), np.maximum(CORNER - b, 0)
     return np.maximum(CORNER, np.minimum(a, b)) - np.hypot(u, v)
 
 
-def _beside(road: Road, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Per point (s, d, metres beyond an end)."""
+def _frenet(road: Road, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """s, d and metres beyond an end of the road, each (N,)."""
     coarse = road.xy[::COARSE].astype(np.float32)
     nearest = np.empty(len(xy), dtype=np.int64)
     points = xy.astype(np.float32)
