@@ -13,7 +13,7 @@ from lidar2pano.data.sights import Sight, camera_sight, distances_m, flow_to, pa
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.warp import warp
 from lidar2pano.sensors import VIEWS
-from miniature_film import FRAMES, PANORAMA, STEP, TURN, write_film
+from miniature_video import FRAMES, PANORAMA, STEP, TURN, write_film
 
 QUARTER = VIEWS["panorama"].scaled(1 / 4)
 WINDOW = Framing(rows=48, columns=96)

@@ -16,7 +16,7 @@ from golden_fill import fill, unit
 from lidar2pano.errors import InputError
 from lidar2pano.metrics import inception
 from lidar2pano.metrics.inception import Inception, find_inception, load_inception, resized
-from metric_truths import fidelity_inception
+from metric_definitions import fidelity_inception
 
 GAIN = 1.4
 # features 0, 128, 256 ... of the made-up picture, and of all of them the mean and the length

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-import house
+import house_rules
 import lidar2pano
 from lidar2pano.models import MODELS
 
 NETWORKS = {place.partition(":")[2] for place in MODELS.values()}
-RECIPES = house.SOURCE / "train" / "recipe.py"
+RECIPES = house_rules.SOURCE / "train" / "recipe.py"
 HEAVY = ("torch", "lightning", "torchmetrics", "tensorboard", "transformers", "cv2", "matplotlib", "scipy", "skimage")
 PROMISED = {"demo", "translate", "world", "prepare", "train", "evaluate", "reproduce", "weights", "bench"}
 MOST_SECONDS = 1.0
@@ -57,7 +57,7 @@ def tree(tmp_path):
 
 
 def test_nobody_imports_upwards():
-    assert house.climbs(house.SOURCE) == []
+    assert house_rules.climbs(house_rules.SOURCE) == []
 
 
 @pytest.mark.parametrize(
@@ -78,8 +78,8 @@ def test_climbing_is_seen(tree, importer, statement, complaint):
     others = ("pipeline", "geometry__knn", "train__engine", "metrics____init", "cli_demo", "scan")
     source = tree(**dict.fromkeys(others, ""), **{"formats__kitti": "from lidar2pano.scan import Scan"})
     (source / "metrics" / "__init__.py").write_text("")
-    assert house.climbs(source) == []
-    (fault,) = [line for line in house.climbs(tree(**{importer: statement})) if complaint in line]
+    assert house_rules.climbs(source) == []
+    (fault,) = [line for line in house_rules.climbs(tree(**{importer: statement})) if complaint in line]
     assert fault.startswith(importer.replace("__", "/"))
 
 
@@ -95,22 +95,22 @@ def test_what_floors_allow(tree):
         cli="from lidar2pano.cli_train import app\nimport lidar2pano",
         cli_train="from lidar2pano import read",
     )
-    assert house.climbs(source) == []
+    assert house_rules.climbs(source) == []
 
 
 def test_floor_0_knows_numpy_only():
-    assert house.foreign(house.SOURCE) == []
+    assert house_rules.foreign(house_rules.SOURCE) == []
 
 
 def test_a_stranger_on_floor_0_is_seen(tree):
     source = tree(
         scan="import numpy as np\nimport json", labels="def f():\n    from torch import nn", losses="import torch"
     )
-    assert house.foreign(source) == ["labels.py imports torch.nn: floor 0 knows numpy and the standard library"]
+    assert house_rules.foreign(source) == ["labels.py imports torch.nn: floor 0 knows numpy and the standard library"]
 
 
 def test_floor_0_loads_without_torch():
-    names = ", ".join(f"lidar2pano.{name}" for name in sorted(house.FLOORS[0] | house.ANYWHERE))
+    names = ", ".join(f"lidar2pano.{name}" for name in sorted(house_rules.FLOORS[0] | house_rules.ANYWHERE))
     code = f"import sys, lidar2pano, {names}; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
@@ -119,7 +119,7 @@ def test_floor_0_loads_without_torch():
 
 
 def test_files_and_functions_stay_small():
-    assert house.too_big(house.SOURCE) == []
+    assert house_rules.too_big(house_rules.SOURCE) == []
 
 
 def test_big_things_are_seen(tree):
@@ -131,7 +131,7 @@ def test_big_things_are_seen(tree):
         fine="x = 1\n" * 239 + "class A:\n    def f(self, a, b, c, d, e, f, *, g, h):\n" + ("    " + body) * 59,
         cli="@app.command()\ndef f(a, b, c, d, e, f, g, h, i): ...",  # options of a command are no parameters
     )
-    assert house.too_big(source) == [
+    assert house_rules.too_big(source) == [
         "long.py has 301 lines (limit 300)",
         "tall.py:1 f has 61 lines (limit 60)",
         "wide.py:2 f takes 9 parameters (limit 8)",
@@ -139,24 +139,24 @@ def test_big_things_are_seen(tree):
 
 
 def test_names_say_contents():
-    assert house.empty_names(house.SOURCE) == []
+    assert house_rules.empty_names(house_rules.SOURCE) == []
 
 
 def test_empty_names_are_seen(tree):
     source = tree(core__titan="", models__train_utils="", commonplace="", database="")
-    assert house.empty_names(source) == [
+    assert house_rules.empty_names(source) == [
         "core/titan.py: the name says nothing",
         "models/train_utils.py: the name says nothing",
     ]
 
 
 def test_only_the_door_speaks():
-    assert house.noisy(house.SOURCE) == []
+    assert house_rules.noisy(house_rules.SOURCE) == []
 
 
 def test_noise_is_seen(tree):
     noise = "print(1)\nconsole.print(2)\nsys.exit(3)\nlogging.basicConfig()\nlog.info(4)\nprinted(5)"
-    found = house.noisy(tree(losses=noise, cli=noise, cli_world=noise))
+    found = house_rules.noisy(tree(losses=noise, cli=noise, cli_world=noise))
     assert [line.split(":")[1] for line in found] == [
         "1 calls print",
         "2 calls console.print",
@@ -167,12 +167,12 @@ def test_noise_is_seen(tree):
 
 def test_networks_have_one_builder():
     assert {"SalsaNext", "Titan", "TitanCritic"} <= NETWORKS
-    assert house.second_builders(house.SOURCE, NETWORKS) == []
+    assert house_rules.second_builders(house_rules.SOURCE, NETWORKS) == []
 
 
 def test_a_second_builder_is_seen(tree):
     source = tree(models__titan="Titan()", pipeline="titan.Titan(classes=15)", evaluate="Titan: object\nbuild('titan')")
-    assert house.second_builders(source, {"Titan"}) == ["pipeline.py:1 constructs Titan: call models.build"]
+    assert house_rules.second_builders(source, {"Titan"}) == ["pipeline.py:1 constructs Titan: call models.build"]
 
 
 # --- configuration --------------------------------------------------------------------------------------------------
@@ -180,7 +180,7 @@ def test_a_second_builder_is_seen(tree):
 
 def test_every_config_field_is_read():
     assert "class" in RECIPES.read_text(encoding="utf-8")
-    assert house.unread(RECIPES, house.SOURCE) == []
+    assert house_rules.unread(RECIPES, house_rules.SOURCE) == []
 
 
 def test_an_unread_field_is_seen(tree):
@@ -192,24 +192,24 @@ def test_an_unread_field_is_seen(tree):
         ),
         train__engine="def run(recipe):\n    recipe.rate = 2\n    return recipe.steps",
     )
-    assert house.unread(source / "train" / "recipes.py", source) == ["Training.rate is read nowhere"]
+    assert house_rules.unread(source / "train" / "recipes.py", source) == ["Training.rate is read nowhere"]
 
 
 # --- the public names -----------------------------------------------------------------------------------------------
 
 
 def test_public_names_are_the_recorded_ones():
-    recorded = house.INVENTORY.read_text(encoding="utf-8")
-    assert house.inventory() == recorded, "if the change is meant: .venv/bin/python tests/house.py"
+    recorded = house_rules.INVENTORY.read_text(encoding="utf-8")
+    assert house_rules.inventory() == recorded, "if the change is meant: .venv/bin/python tests/support/house_rules.py"
 
 
 def test_a_changed_signature_changes_the_inventory(monkeypatch):
-    before = house.inventory()
+    before = house_rules.inventory()
     assert "def read(path: str | Path) -> Scan\n" in before
     assert "View(*, rows: int, columns: int, up: float, down: float" in before
     assert "\n    scaled(self, factor: float) -> View\n" in before
     monkeypatch.setattr(lidar2pano, "read", lambda path, strict: None)
-    assert "def read(path, strict)\n" in house.inventory()
+    assert "def read(path, strict)\n" in house_rules.inventory()
 
 
 def test_the_package_costs_nothing_until_a_name_is_used():

@@ -39,7 +39,7 @@ from lidar2pano.train.recipe import Network, Recipe, override
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.task import build_task
 from lidar2pano.train.video import VideoPainting, layers
-from miniature_film import write_film
+from miniature_video import write_film
 
 LENGTH = 7
 PAINTER = {"channels": 16, "widths": (8,), "downsamplings": 2, "blocks": (2, 1), "foreground": (1,)}

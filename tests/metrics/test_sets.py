@@ -26,7 +26,13 @@ from lidar2pano.metrics.wasserstein import (
     pyramid,
     sliced_distances,
 )
-from metric_truths import frechet_by_square_root, frechet_by_torchmetrics, laplacian_slowly, patches_slowly, swd_slowly
+from metric_definitions import (
+    frechet_by_square_root,
+    frechet_by_torchmetrics,
+    laplacian_slowly,
+    patches_slowly,
+    swd_slowly,
+)
 
 
 def noise(seed: int, rows: int = 40, columns: int = 130, contrast: float = 1.0) -> np.ndarray:

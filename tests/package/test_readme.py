@@ -7,10 +7,10 @@ import shutil
 
 import pytest
 
-import house
+import house_rules
 
-README = house.ROOT / "README.md"
-DEMO = house.SOURCE / "demo"
+README = house_rules.ROOT / "README.md"
+DEMO = house_rules.SOURCE / "demo"
 
 
 def python_blocks(text: str) -> list[str]:

@@ -33,7 +33,7 @@ from small_recipes import FRONT, alike, small, without_chance
 
 ABLATIONS = ["titan-no-lovasz-mini", "titan-no-range-mini", "titan-no-segments-mini"]
 SIZE = (36, 120)
-PROGRAM = Path(__file__).with_name("small_recipes.py")
+PROGRAM = Path(__file__).parents[1] / "support" / "small_recipes.py"
 
 
 pytestmark = pytest.mark.usefixtures("small_view")

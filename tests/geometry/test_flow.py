@@ -260,7 +260,7 @@ def test_damaged_poses_are_named(tmp_path, content, message):
 def test_flow_seen_in_pictures():
     pytest.importorskip("cv2", reason="flow between pictures needs opencv: pip install 'lidar2pano[flow]'")
     from lidar2pano.data.optical_flow import seen_flow
-    from miniature_film import texture
+    from miniature_video import texture
 
     wide = torch.from_numpy(texture(0, 80, 200)).movedim(2, 0)
     before, now = wide[:, 4:68, 10:170].contiguous(), wide[:, 2:66, 13:173].contiguous()  # it moved left and down

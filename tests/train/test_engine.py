@@ -29,7 +29,7 @@ from lidar2pano.train.recipe import Recipe, override, resolved
 from toy_training import Denoise, Gan, entries, gap, left, toy_recipe
 
 PLAIN = ("networks.generator.settings.norm=false", "networks.generator.settings.dropout=0")
-PROGRAM = Path(__file__).with_name("toy_training.py")
+PROGRAM = Path(__file__).parents[1] / "support" / "toy_training.py"
 
 
 @pytest.fixture(autouse=True)

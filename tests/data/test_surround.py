@@ -34,10 +34,10 @@ from miniature_surround import (
     write_nuscenes,
     write_pandaset,
 )
-from slow_truths import project_slowly
+from slow_definitions import project_slowly
 
 QUARTER = replace(VIEWS["panorama"].scaled(0.25), origin=(0.2, -0.1, 0.05))
-DATA = Path(__file__).resolve().parent.parent / "data"
+DATA = Path(__file__).resolve().parents[2] / "data"
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ from lidar2pano.metrics.confusion import Confusion
 from lidar2pano.scan import Scan
 from lidar2pano.sensors import VIEWS, View
 
-PAGE = Path(__file__).resolve().parent.parent / "CONVENTIONS.md"
+PAGE = Path(__file__).resolve().parents[2] / "CONVENTIONS.md"
 SENSOR = VIEWS["hdl64e"]
 FRONT = replace(SENSOR, columns=512, left=45, right=-45)
 # straight ahead, x right, y down

@@ -16,7 +16,7 @@ from lidar2pano.geometry.images import Normalisation, RangeImage
 from lidar2pano.geometry.projection import back_project, directions, pixels, project
 from lidar2pano.scan import Scan
 from lidar2pano.sensors import VIEWS, View
-from slow_truths import place_slowly, project_slowly
+from slow_definitions import place_slowly, project_slowly
 
 FRONT = View(rows=32, columns=512, up=3, down=-15, left=45, right=-45)
 BEHIND = View(rows=32, columns=90, up=10, down=-25, left=225, right=135)

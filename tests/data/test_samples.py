@@ -18,7 +18,7 @@ from lidar2pano.labels import COMMON14, COMMON15
 from lidar2pano.scan import Scan
 from lidar2pano.sensors import VIEWS
 from miniature import HOUSE, ROAD, SPLITS, street, write_data_set
-from miniature_film import write_film
+from miniature_video import write_film
 
 RASTER = VIEWS["panorama"].scaled(1 / 8)
 

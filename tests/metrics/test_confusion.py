@@ -12,7 +12,7 @@ from safetensors import safe_open
 
 from lidar2pano.labels import COMMON14, COMMON15
 from lidar2pano.metrics.confusion import Confusion
-from slow_truths import confusion_slowly
+from slow_definitions import confusion_slowly
 
 
 def counted(predicted, target, classes=3, **settings) -> Confusion:

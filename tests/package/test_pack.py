@@ -14,7 +14,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.scan import Scan
 from miniature import write_data_set
 
-PACK = runpy.run_path(str(Path(__file__).parents[1] / "runs/pack.py"))
+PACK = runpy.run_path(str(Path(__file__).parents[2] / "runs/pack.py"))
 pack, unpack, packed, unpacked = (PACK[name] for name in ("pack", "unpack", "packed", "unpacked"))
 
 

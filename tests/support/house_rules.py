@@ -13,10 +13,10 @@ from collections.abc import Iterator
 from dataclasses import is_dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "lidar2pano"
 SOURCE = ROOT / "src" / PACKAGE
-INVENTORY = ROOT / "tests" / "api_inventory.txt"
+INVENTORY = ROOT / "tests" / "package" / "api_inventory.txt"
 
 # What may import what: strictly downwards, and sideways only inside one package. Modules named cli* are the door.
 FLOORS: tuple[frozenset[str], ...] = (
@@ -80,7 +80,7 @@ def climbs(source: Path) -> list[str]:
         if not mine:
             continue  # the package itself only hands names on, on first use
         if mine not in ANYWHERE and floor_of(mine) is None:
-            found.append(f"{path}: {mine!r} is on no floor; enter it in FLOORS of tests/house.py")
+            found.append(f"{path}: {mine!r} is on no floor; enter it in FLOORS of tests/support/house_rules.py")
             continue
         for name in sorted(set(imports(tree, path))):
             theirs = _inner_module(name, source)

@@ -16,7 +16,7 @@ from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
 from lidar2pano.sensors import VIEWS
 
-SCRIPT = Path(__file__).resolve().parent.parent / "runs" / "demo_scan.py"
+SCRIPT = Path(__file__).resolve().parents[2] / "runs" / "demo_scan.py"
 # Share of the points in per cent and their mean remission, generously around what scans of data/kitti-mini have.
 LIKE_KITTI = {
     "car": ((2, 18), (0.03, 0.32)),

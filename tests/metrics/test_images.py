@@ -17,7 +17,7 @@ from lidar2pano.metrics.resegmentation import Resegmentation
 from lidar2pano.metrics.seams import RollError, SeamRatio
 from lidar2pano.metrics.similarity import SSIM, ssim_map
 from lidar2pano.metrics.time import WarpingError
-from metric_truths import depth_slowly, scikit_ssim, seam_slowly, torchmetrics_ssim, warping_slowly
+from metric_definitions import depth_slowly, scikit_ssim, seam_slowly, torchmetrics_ssim, warping_slowly
 
 
 def smooth(seed: int, rows: int = 60, columns: int = 90) -> np.ndarray:

@@ -19,7 +19,7 @@ from lidar2pano.losses import (
     lovasz_softmax,
 )
 from lidar2pano.metrics.confusion import Confusion
-from slow_truths import lovasz_softmax_slowly
+from slow_definitions import lovasz_softmax_slowly
 
 
 @pytest.fixture(params=["numpy", "device"])

@@ -15,7 +15,7 @@ from lidar2pano.geometry.knn import clean_up, inverse_gaussian, vote
 from lidar2pano.geometry.projection import project
 from lidar2pano.scan import Scan
 from lidar2pano.sensors import VIEWS, View
-from slow_truths import vote_slowly
+from slow_definitions import vote_slowly
 
 AROUND = View(rows=16, columns=96, up=5, down=-25)
 FRONT = View(rows=16, columns=64, up=5, down=-25, left=45, right=-45)
