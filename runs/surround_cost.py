@@ -26,10 +26,10 @@ from lidar2pano.geometry.compose import Photo, compose
 from lidar2pano.geometry.filling import dense_depth
 from lidar2pano.geometry.projection import directions
 from lidar2pano.sensors import View
-from lidar2pano.simulate.render.renderer import cylinder, pinhole, render
-from lidar2pano.simulate.render.looks import look
 from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
 from lidar2pano.simulate.dataset.settings import WorldSettings, panorama_view
+from lidar2pano.simulate.render.looks import look
+from lidar2pano.simulate.render.renderer import cylinder, pinhole, render
 
 SIZE = (960, 540)
 # PandaSet's cameras: place in the sensor's frame (metres), degrees to the left of ahead, focal length (pixels).
