@@ -25,11 +25,11 @@ from lidar2pano.geometry.camera import at_camera, points_in_camera
 from lidar2pano.geometry.compose import Photo, compose
 from lidar2pano.geometry.filling import dense_depth
 from lidar2pano.geometry.projection import directions
-from lidar2pano.sensors import View
 from lidar2pano.simulate.camera import cylinder, pinhole, render
 from lidar2pano.simulate.looks import look
 from lidar2pano.simulate.record import Recording
 from lidar2pano.simulate.settings import Settings, raster
+from lidar2pano.views import View
 
 SIZE = (960, 540)
 # PandaSet's cameras: place in the sensor's frame (metres), degrees to the left of ahead, focal length (pixels).

@@ -14,7 +14,7 @@ import numpy as np
 
 from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, matrix, moved, read_json, read_photo
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.kitti import read_bin
+from lidar2pano.formats.scan_files import read_bin
 from lidar2pano.geometry.compose import Photo
 from lidar2pano.labels import SEMANTIC_KITTI
 

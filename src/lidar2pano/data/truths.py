@@ -25,14 +25,14 @@ from lidar2pano.data.sequences import UNSURE, Frame, frames
 from lidar2pano.data.sights import CAMERA_TO_COMMON15
 from lidar2pano.data.surround import SurroundFrame, read_json
 from lidar2pano.errors import InputError
-from lidar2pano.formats.pictures import DEPTH_STEPS
+from lidar2pano.formats.image_files import DEPTH_STEPS
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.compose import compose
 from lidar2pano.geometry.filling import dense_depth
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15, TABLES
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -16,11 +16,11 @@ from lidar2pano.evaluate.questions import Origin, Question, Seen
 from lidar2pano.geometry.images import Normalisation, one_hot_layers
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import project
+from lidar2pano.hardware import Timer
 from lidar2pano.labels import SEMANTIC_KITTI, TABLES
-from lidar2pano.models.segmenter import Segmenter
 from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.pipeline import Timer
-from lidar2pano.sensors import View
+from lidar2pano.pipeline import Segmenter
+from lidar2pano.views import View
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
