@@ -146,7 +146,7 @@ def pytest_make_collect_report(
 
 @pytest.fixture(scope="session")
 def golden() -> Path:
-    """Recorded outputs of the published networks and operators: sampled, or whole where LIDAR2PANO_GOLDEN names them."""
+    """Recorded outputs of the published networks and operators: or the whole ones that LIDAR2PANO_GOLDEN names."""
     return Path(os.environ.get("LIDAR2PANO_GOLDEN", ROOT / "tests" / "golden"))
 
 

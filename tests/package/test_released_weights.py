@@ -61,6 +61,11 @@ def read(name: str) -> np.ndarray:
         return np.asarray(image).copy()
 
 
+def distance(one: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float:
+    """Between the mean RGBs of two images in a mask; 442, the largest there is, where the mask is empty."""
+    return float(np.linalg.norm(one[mask].mean(0) - other[mask].mean(0))) if mask.any() else 442.0
+
+
 def figures_of(panorama: lidar2pano.Panorama) -> Figures:
     true, image, depth_m = read("segments.png"), read("image.jpg").astype(float), read("depth.png") / 256
     rows, columns = true.shape
@@ -79,9 +84,7 @@ def figures_of(panorama: lidar2pano.Panorama) -> Figures:
         abs_rel=float((np.abs(depth - depth_m)[both] / depth_m[both]).mean()),
         no_depth=float(((depth == 0) & (depth_m == 0)).sum() / ((depth == 0) | (depth_m == 0)).sum()),
         colours={name: colour[ours == COMMON15.id_of(name)].mean(0) for name in SCORED},
-        colour_distance=float(
-            np.mean([np.linalg.norm(colour[mask].mean(0) - image[mask].mean(0)) for mask in agreed.values()])
-        ),
+        colour_distance=float(np.mean([distance(colour, image, mask) for mask in agreed.values()])),
     )
 
 
