@@ -25,10 +25,10 @@ from lidar2pano.geometry.camera import at_camera, points_in_camera
 from lidar2pano.geometry.compose import Photo, compose
 from lidar2pano.geometry.filling import dense_depth
 from lidar2pano.geometry.projection import directions
-from lidar2pano.simulate.camera import cylinder, pinhole, render
-from lidar2pano.simulate.looks import look
-from lidar2pano.simulate.record import Recording
-from lidar2pano.simulate.settings import Settings, raster
+from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
+from lidar2pano.simulate.dataset.settings import WorldSettings, panorama_view
+from lidar2pano.simulate.render.looks import look
+from lidar2pano.simulate.render.renderer import cylinder, pinhole, render
 from lidar2pano.views import View
 
 SIZE = (960, 540)
@@ -79,22 +79,22 @@ def displaced(true_m: Tensor, guess_m: Tensor, view: View, mounts: list[Calibrat
     return gap.view(true_m.shape)
 
 
-def rows(settings: Settings, seed: int) -> dict[str, list[float]]:
+def rows(settings: WorldSettings, seed: int) -> dict[str, list[float]]:
     """Of one street, per kind of depth: valid, difference, difference of the truth to itself, displacements."""
-    recording = Recording(Path("nowhere"), settings, 0)
-    scene, light = recording.scene(0), look(settings.look, recording.seed)
-    pose = recording.world.drive.poses(np.array([0.0]))[0]
+    writer = SequenceWriter(Path("nowhere"), settings, 0)
+    scene, light = writer.scene(0), look(settings.look, writer.seed)
+    pose = writer.world.drive.poses(np.array([0.0]))[0]
     mounts = cameras()
-    view = at_camera(raster(settings.views[0]), mounts[0])
+    view = at_camera(panorama_view(settings.views[0]), mounts[0])
     truth = render(scene, *cylinder(view, pose), light, seed=seed)
     photos = [
-        Photo(picture=render(scene, *pinhole(one, pose), light, seed=seed + 1 + n).colour, calibration=one)
+        Photo(picture=render(scene, *pinhole(one, pose), light, seed=seed + 1 + n).image, calibration=one)
         for n, one in enumerate(mounts)
     ]
-    scan = torch.from_numpy(recording.scan(0).points[:, :3].astype(np.float32))
+    scan = torch.from_numpy(writer.scan(0).points[:, :3].astype(np.float32))
     true_m = torch.from_numpy(truth.distance)
     guesses = {"true": true_m, "scan": dense_depth(scan, view), "far": torch.full_like(true_m, torch.inf)}
-    colour = truth.colour.astype(np.int64)
+    colour = truth.image.astype(np.int64)
     found = {}
     for name, guess in guesses.items():
         made, valid = compose(photos, view, guess)
@@ -122,7 +122,7 @@ def main() -> None:
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
     told = []
     for seed in range(asked.seeds):
-        settings = Settings(seed=seed, frames=1, sensor=asked.sensor, views=(asked.view,))
+        settings = WorldSettings(seed=seed, frames=1, sensor=asked.sensor, views=(asked.view,))
         told.append(rows(settings, seed))
     for name in told[0]:
         valid, off, aside, median, most, share = np.mean([one[name] for one in told], axis=0)

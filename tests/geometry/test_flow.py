@@ -285,19 +285,19 @@ def test_without_opencv_it_is_asked_for(monkeypatch):
 
 def test_a_rendered_picture_is_the_one_before_it_warped(tmp_path):
     pytest.importorskip("embreex", reason="the street world needs embreex: pip install 'lidar2pano[world]'")
-    from lidar2pano.simulate.record import Recording
-    from lidar2pano.simulate.settings import Settings
+    from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
+    from lidar2pano.simulate.dataset.settings import WorldSettings
 
-    settings = Settings(seed=5, frames=2, place="motorway", save=("panorama",), views=("panorama/4",))
-    recording = Recording(tmp_path, settings, 0)
-    recording.prepare()
-    before, now = (dict(recording.pictures(frame))["panorama/4"] for frame in (0, 1))
+    settings = WorldSettings(seed=5, frames=2, place="motorway", save=("panorama",), views=("panorama/4",))
+    writer = SequenceWriter(tmp_path, settings, 0)
+    writer.prepare()
+    before, now = (dict(writer.images(frame))["panorama/4"] for frame in (0, 1))
     one, other = (Frame(folder=tmp_path, stem=f"{frame:06d}") for frame in (0, 1))
     found = motion(other, one)
     assert found is not None
     distances = [torch.from_numpy(picture.distance) for picture in (now, before)]
     flow = ego_flow(distances[0], distances[1], torch.from_numpy(found), VIEWS["panorama"].scaled(1 / 4))
-    colours = [torch.from_numpy(picture.colour).movedim(2, 0)[None].float() for picture in (now, before)]
+    colours = [torch.from_numpy(picture.image).movedim(2, 0)[None].float() for picture in (now, before)]
     assert flow.known.float().mean() > 0.6
 
     def gap(picture: torch.Tensor) -> float:
