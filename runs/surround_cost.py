@@ -3,8 +3,8 @@
     python runs/surround_cost.py [--sensor pandar64] [--seeds 3] [--view panorama/2]
 
 In the street world everything is known: six cameras that stand as PandaSet's do are rendered, and the true panorama and
-its depth from the front camera's place. Composed are panoramas with the true depth, with the scan's (`complete_depth`) and
-with none (everything far). Prints one Markdown table: the share of pixels that are valid; the mean difference to the
+its depth from the front camera's place. Stitched are panoramas with the true depth, with the scan's (`complete_depth`),
+and with none (everything far). Prints one Markdown table: the share of pixels that are valid; the mean difference to the
 true panorama in steps of 8 bits there, and of the true panorama to itself a column aside, for scale; how far the
 look-ups of valid pixels are from where the true depth puts them, in pixels of the view: median, 90th percentile, share
 above 4.
@@ -22,14 +22,14 @@ from torch import Tensor
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.geometry.camera import at_camera, points_in_camera
-from lidar2pano.geometry.stitching import CameraImage, stitch
 from lidar2pano.geometry.depth_completion import complete_depth
 from lidar2pano.geometry.projection import directions
-from lidar2pano.sensors import View
+from lidar2pano.geometry.stitching import CameraImage, stitch
 from lidar2pano.simulate.camera import cylinder, pinhole, render
 from lidar2pano.simulate.looks import look
 from lidar2pano.simulate.record import Recording
 from lidar2pano.simulate.settings import Settings, raster
+from lidar2pano.views import View
 
 SIZE = (960, 540)
 # PandaSet's cameras: place in the sensor's frame (metres), degrees to the left of ahead, focal length (pixels).

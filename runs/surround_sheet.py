@@ -19,7 +19,7 @@ from PIL import Image
 from lidar2pano.data.truths import TruePanorama, Truth, truths
 from lidar2pano.geometry.depth_completion import complete_depth
 from lidar2pano.labels import COMMON15
-from lidar2pano.sensors import VIEWS
+from lidar2pano.views import VIEWS
 
 NEAR, FAR, GAP = 2.0, 80.0, 6  # metres that are white and black; pixels
 

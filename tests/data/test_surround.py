@@ -21,7 +21,7 @@ from lidar2pano.geometry.stitching import BLEND, CameraImage, stitch
 from lidar2pano.geometry.depth_completion import BESIDE, ONE_SURFACE, RIM, WIDE, complete_depth, ground_plane
 from lidar2pano.geometry.projection import directions
 from lidar2pano.labels import SEMANTIC_KITTI
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 from miniature_surround import (
     HEIGHT,
     SIZE,

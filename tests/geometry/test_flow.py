@@ -16,7 +16,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.flow import Flow, camera_rays, chained, ego_flow, reaches, relative_pose, scan_distances
 from lidar2pano.geometry.projection import directions
 from lidar2pano.geometry.warp import warp
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 
 CAMERA = Calibration(
     K=np.array([[60.0, 0, 39.5], [0, 60, 14], [0, 0, 1]]),

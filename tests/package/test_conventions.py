@@ -18,8 +18,7 @@ from lidar2pano.data.panoramas import PanoramaSamples
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.data.sequences import UNSURE, frames
 from lidar2pano.errors import InputError
-from lidar2pano.formats import read
-from lidar2pano.formats.kitti import read_label, write_bin, write_label
+from lidar2pano.formats.scan_files import read, read_label, write_bin, write_label
 from lidar2pano.geometry.camera import at_camera, points_in_camera
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.geometry.knn import clean_up
@@ -27,7 +26,7 @@ from lidar2pano.geometry.projection import directions, pixels, project
 from lidar2pano.labels import COMMON14, COMMON15, SEMANTIC_KITTI, LabelSet, unpack_label
 from lidar2pano.metrics.confusion import Confusion
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 
 PAGE = Path(__file__).resolve().parents[2] / "CONVENTIONS.md"
 SENSOR = VIEWS["hdl64e"]

@@ -16,10 +16,10 @@ import numpy as np
 from lidar2pano.data.frames import FrameList
 from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, matrix, moved, read_camera
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.reading import read_json
+from lidar2pano.formats.json_files import read_json
 from lidar2pano.geometry.stitching import CameraImage
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 VALUES = 5  # float32 a point: x y z intensity ring
 BRIGHTEST = 255  # intensity

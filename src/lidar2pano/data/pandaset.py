@@ -19,12 +19,12 @@ from lidar2pano.data.frames import FrameList
 from lidar2pano.data.semantic_kitti import stems
 from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, matrix, moved, read_camera
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.kitti import read_bin
-from lidar2pano.formats.reading import read_json
+from lidar2pano.formats.scan_files import read_bin
+from lidar2pano.formats.json_files import read_json
 from lidar2pano.geometry.stitching import CameraImage
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 LAST_CLASS = 0xFFFF
 CAMERAS = ("front_camera", "front_left_camera", "left_camera", "back_camera", "right_camera", "front_right_camera")

@@ -15,11 +15,11 @@ from lidar2pano.data.optical_flow import seen_flow
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.data.sequences import UNSURE, Frame
 from lidar2pano.errors import InputError
-from lidar2pano.formats.pictures import DEPTH_STEPS
+from lidar2pano.formats.image_files import DEPTH_STEPS
 from lidar2pano.geometry.camera import at_camera, panorama_in_camera
 from lidar2pano.geometry.flow import Flow, ego_flow, scan_distances
 from lidar2pano.labels import COMMON15, TABLES
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 
 SKY = COMMON15.id_of("sky")
 CAMERA_TO_COMMON15 = np.full(256, UNSURE, dtype=np.uint8)

@@ -12,7 +12,7 @@ import numpy as np
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame, frames
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

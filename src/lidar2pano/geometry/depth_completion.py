@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from lidar2pano.geometry.projection import directions, project_points
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 BEYOND = 0.12  # tangent above and below the view up to which points count: rings may lie 4 degrees apart there
 BESIDE = 1 / 183  # radians over which a ring is closed to either side: LiDARs take 1000 to 2000 points a turn

@@ -17,7 +17,7 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.geometry.camera import points_in_camera
 from lidar2pano.geometry.projection import directions, pixels
 from lidar2pano.geometry.warp import warp
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 SAME = 0.03  # share by which two distances of one surface may differ
 FAINT = 5e-4  # 1/m, likewise near the horizon: depth pictures end at 256 m, and beyond is the sky

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from lidar2pano.geometry.images import RangeImage
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 FULL_TURN = 2 * math.pi  # radians
 FAR_OUT = 1_000_000.0  # rows: a bound for points straight above or below, so that they fit an integer

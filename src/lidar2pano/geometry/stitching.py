@@ -19,7 +19,7 @@ from torch.nn.functional import max_pool2d
 from lidar2pano.calibration import Calibration
 from lidar2pano.geometry.camera import Lookup
 from lidar2pano.geometry.projection import directions, nearest_points
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 BLEND = 6  # columns over which the image of one camera is blended into the next one's
 COARSE = 0.4  # the depth buffers that find what is hidden: pixels of a camera per pixel of the view
