@@ -15,7 +15,7 @@ from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.cli.app import MISTAKE, complain, note_licences
 from lidar2pano.cli.files import check_folder
 from lidar2pano.cli.progress import bar
-from lidar2pano.data.odometry import Poses
+from lidar2pano.data.poses import Poses
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.scan_files import read, scan_files
 from lidar2pano.hardware import keep_buffers, pick_device
