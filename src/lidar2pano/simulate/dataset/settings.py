@@ -11,11 +11,11 @@ import numpy as np
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.pictures import write_whole
-from lidar2pano.sensors import KITTI_CAMERA, VIEWS, View
+from lidar2pano.formats.image_files import write_whole
 from lidar2pano.simulate.layout.places import PLACES
 from lidar2pano.simulate.lidar.sensor_models import SENSOR_MODELS
 from lidar2pano.simulate.render.looks import LOOKS
+from lidar2pano.views import KITTI_CAMERA, VIEWS, View
 
 SAVES = ("camera", "panorama")
 FORMAT = 2  # raised when the same settings give another world
