@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lidar2pano.formats.pictures import write_depth, write_ids
+from lidar2pano.formats.image_files import write_depth, write_ids
 from lidar2pano.labels import SEMANTIC_KITTI
-from lidar2pano.simulate.kinds import COMMON_IDS
-from lidar2pano.simulate.record import Recording
-from lidar2pano.simulate.settings import Settings
+from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
+from lidar2pano.simulate.dataset.settings import WorldSettings
+from lidar2pano.simulate.scene.surfaces import COMMON15_IDS
 
 SHIPPED = Path(__file__).resolve().parent.parent / "src" / "lidar2pano" / "demo" / "street.bin"
 SEED = 12
@@ -36,11 +36,12 @@ def main() -> None:
     parser.add_argument("--labels", action="store_true")
     parser.add_argument("--ground-truth", type=Path, metavar="FOLDER")
     asked = parser.parse_args()
-    settings = Settings(seed=asked.seed, frames=1, place="residential", save=("panorama",), views=("panorama/4",))
+    settings = WorldSettings(seed=asked.seed, frames=1, place="residential", save=("panorama",), views=("panorama/4",))
+    writer = SequenceWriter(asked.out.parent, settings, 0)
     if asked.ground_truth:
-        write_ground_truth(asked.ground_truth, Recording(asked.out.parent, settings, 0))
+        write_ground_truth(asked.ground_truth, writer)
         return
-    scan = Recording(asked.out.parent, settings, 0).scan(0)
+    scan = writer.scan(0)
     points = scan.points.astype(np.float64)
     points[:, :3] = np.round(points[:, :3], 3)
     points.astype("<f4").tofile(asked.out)
@@ -49,18 +50,18 @@ def main() -> None:
         label.astype("<u4").tofile(asked.out.with_suffix(".label"))
 
 
-def write_ground_truth(folder: Path, recording: Recording) -> None:
-    """Write the ground truth of the recording's first frame into `folder`."""
+def write_ground_truth(folder: Path, writer: SequenceWriter) -> None:
+    """Write the ground truth of the first frame into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
-    labels = SEMANTIC_KITTI.from_raw(recording.scan(0).raw).astype(np.uint8)
+    labels = SEMANTIC_KITTI.from_raw(writer.scan(0).raw).astype(np.uint8)
     rows = np.full((-(-len(labels) // ROW), ROW), 255, np.uint8)
     rows.flat[: len(labels)] = labels
-    ((_, panorama),) = recording.pictures(0)
+    ((_, panorama),) = writer.images(0)
     depth_m = np.where(np.isfinite(panorama.distance), panorama.distance, 0)
     write_ids(folder / "point_labels.png", rows)
-    write_ids(folder / "segments.png", COMMON_IDS[panorama.kind])
+    write_ids(folder / "segments.png", COMMON15_IDS[panorama.object_type])
     write_depth(folder / "depth.png", depth_m[::2, ::2])
-    Image.fromarray(panorama.colour).save(folder / "image.jpg", quality=85)
+    Image.fromarray(panorama.image).save(folder / "image.jpg", quality=85)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "suppo
 
 import metric_definitions as truths  # pyright: ignore[reportMissingImports]
 from golden_fill import fill  # pyright: ignore[reportMissingImports]
-from lidar2pano.allocator import keep_buffers
+from lidar2pano.hardware import keep_buffers
 from lidar2pano.metrics.bootstrap import interval
 from lidar2pano.metrics.classes import ClassCounts
 from lidar2pano.metrics.depth import DepthError

@@ -13,7 +13,7 @@ from lidar2pano.geometry.images import RangeImage
 from lidar2pano.geometry.knn import clean_up, inverse_gaussian, vote
 from lidar2pano.geometry.projection import project
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 from published_projection import published_projection, synthetic_scan
 from slow_definitions import vote_slowly
 

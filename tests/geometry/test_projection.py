@@ -10,12 +10,12 @@ import torch
 
 from golden_vectors import facts, recorded
 from lidar2pano.calibration import read_calib
-from lidar2pano.formats import read
+from lidar2pano.formats.scan_files import read
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.images import Normalisation, RangeImage
 from lidar2pano.geometry.projection import back_project, directions, pixels, project
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 from published_projection import published_projection, synthetic_scan
 from slow_definitions import place_slowly, project_slowly
 
