@@ -27,7 +27,7 @@ STYLE = {
     "font.size": 10,
     "text.color": INK,
     "axes.edgecolor": INK,
-    "svg.fonttype": "path",
+    "svg.fonttype": "none",  # text stays text, in the font of the reader
     "svg.hashsalt": "lidar2pano",  # the same bytes each time
 }
 
