@@ -200,7 +200,7 @@ def paper_rows() -> str:
 
 def views() -> str:
     """The table of rasters."""
-    from lidar2pano.sensors import VIEWS
+    from lidar2pano import VIEWS
 
     rows = (
         [f"`{name}`", f"{view.rows} x {view.columns}", view.kind, f"{view.up:g} to {view.down:g}"]
@@ -212,7 +212,7 @@ def views() -> str:
 
 def classes() -> str:
     """Ids, names and colours of the 15 classes of the panorama, and the classes of SemanticKITTI with their raw ids."""
-    from lidar2pano.labels import CITYSCAPES, COMMON15, SEMANTIC_KITTI
+    from lidar2pano import CITYSCAPES, COMMON15, SEMANTIC_KITTI
 
     parts = []
     for labels in (COMMON15, SEMANTIC_KITTI, CITYSCAPES):

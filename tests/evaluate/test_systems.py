@@ -24,11 +24,11 @@ from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15, TABLES
 from lidar2pano.models.card import Card, read_card, save
 from lidar2pano.pipeline import load
-from lidar2pano.sensors import VIEWS
 from lidar2pano.train.direct import DirectColour
 from lidar2pano.train.front import FrontTranslation
 from lidar2pano.train.front_depth import FrontDepthTranslation
 from lidar2pano.train.task import build_task
+from lidar2pano.views import VIEWS
 from miniature import SIZE as CAMERA
 from miniature import write_data_set
 from random_weights import (
