@@ -51,7 +51,7 @@ def on_files(files: Any, config: Any) -> Any:  # noqa: ANN401
 
 def on_page_markdown(markdown: str, **_: object) -> str:
     """Fill in the generated parts of a page."""
-    return filled(markdown)
+    return fill(markdown)
 
 
 def on_post_page(output: str, page: Any, **_: object) -> str:  # noqa: ANN401
@@ -61,7 +61,7 @@ def on_post_page(output: str, page: Any, **_: object) -> str:  # noqa: ANN401
     return output
 
 
-def filled(markdown: str) -> str:
+def fill(markdown: str) -> str:
     """The text with every marker replaced by its part; a KeyError names a marker without one."""
     return MARKER.sub(lambda found: PARTS[found[1]](), markdown)
 

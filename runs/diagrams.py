@@ -16,9 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patches import FancyBboxPatch
 
-from lidar2pano import VIEWS, View, demo
-from lidar2pano.formats import read
-from lidar2pano.geometry.projection import project
+from lidar2pano import VIEWS, View, demo, project, read
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "images"
 INK, FILL, ACCENT = "#37474f", "#eceff1", "#e65100"

@@ -73,7 +73,7 @@ def test_every_marker_has_a_part_and_every_part_is_used():
 
 @pytest.mark.parametrize("name", sorted(set(generated.PARTS) - {"messages", "api", "commands"}))
 def test_parts_are_tables(name):
-    part = generated.filled(f"<!-- generated: {name} -->")
+    part = generated.fill(f"<!-- generated: {name} -->")
     assert part.startswith(("| ", "### "))
     assert part.count("\n| ") >= 3, part
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 import tomllib
 
@@ -61,3 +62,12 @@ def test_links_of_root_pages_lead_somewhere():
         links = runpy.run_path(str(ROOT / "docs" / "generated.py"))["LINK"].findall(page.read_text(encoding="utf-8"))
         missing += [(page.name, link) for link in links if not (page.parent / link).exists()]
     assert missing == []
+
+
+def test_contributing_lists_the_floors():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| (\d) \| (.*?) \|", text, flags=re.MULTILINE))
+    listed = [set(re.findall(r"`(\w+)`", rows[str(floor)])) for floor in range(len(house_rules.FLOORS))]
+    floors = [set(floor) - {"__main__"} for floor in house_rules.FLOORS]
+    floors[0] |= house_rules.ANYWHERE
+    assert listed == floors
