@@ -37,7 +37,7 @@ def weights() -> dict[str, torch.Tensor]:
 @pytest.fixture(scope="module")
 def network(weights) -> Inception:
     ours = Inception()
-    ours.take(weights, "made-up weights")
+    ours.load_published(weights, "made-up weights")
     return ours.eval()
 
 
@@ -114,10 +114,10 @@ def test_another_file_is_refused(tmp_path):
 def test_files_without_weights_are_refused(tmp_path):
     path = tmp_path / "inception.pth"
     sha256 = written(path, [1, 2])
-    with pytest.raises(InputError, match=r"inception\.pth: holds no table of weights"):
+    with pytest.raises(InputError, match=r"inception\.pth: holds no weights"):
         load_inception(path, sha256=sha256)
     path.write_bytes(path.read_bytes()[:-40])
-    with pytest.raises(InputError, match=r"inception\.pth: holds no table of weights"):
+    with pytest.raises(InputError, match=r"inception\.pth: holds no weights"):
         load_inception(path, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
 
 
@@ -131,7 +131,7 @@ def test_files_without_weights_are_refused(tmp_path):
 )
 def test_weights_that_do_not_fit_are_refused(network, weights, change, complaint):
     with pytest.raises(InputError, match=f"theirs.pth: .*{complaint}"):
-        network.take(change(weights), "theirs.pth")
+        network.load_published(change(weights), "theirs.pth")
 
 
 def test_the_file_is_looked_for_in_the_cache_and_never_fetched(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""Other opinions about the metrics: slow definitions, and independent libraries brought to the same question."""
+"""Slow definitions of the metrics, and the same metrics of independent libraries."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import torch
 from PIL import Image
 from skimage.metrics import structural_similarity
 
-from lidar2pano.metrics.wasserstein import LEVELS, PATCH, REPEATS, draw_directions, draw_places
+from lidar2pano.metrics.sliced_wasserstein import LEVELS, PATCH, REPEATS, draw_directions, draw_places
 
 BINOMIAL = np.outer([1, 4, 6, 4, 1], [1, 4, 6, 4, 1]) / 256
 
