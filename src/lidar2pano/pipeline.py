@@ -36,13 +36,15 @@ from lidar2pano.sensors import VIEWS, View
 
 
 class Translated(NamedTuple):
-    """A scan on its way to a panorama, before it is painted, on the translator's raster H x W.
+    """A scan that is translated but not yet painted, on the translator's raster H x W.
 
+    name      of the scan.
     labels    (N,) int64 ids of SEMANTIC_KITTI of the scan's points; dropped: how many of them could not be used.
     channels  (1, 5, H, W) float32: the scan's RangeImage.
     logits    (1, 16, H, W) of COMMON15;  depth_m (1, H, W) float32, metres.
     """
 
+    name: str
     labels: Tensor
     dropped: int
     channels: Tensor
@@ -51,15 +53,15 @@ class Translated(NamedTuple):
 
 
 @dataclass(slots=True)
-class Stopwatch:
-    """Milliseconds per stage, in order."""
+class Timer:
+    """Milliseconds per stage, in the order of the stages: `with timer("project"): ...`."""
 
     device: torch.device
     milliseconds: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        """Time what happens inside; on CUDA, until it is done."""
+        """Time the body; on CUDA, until its kernels have ended."""
         begin = time.perf_counter()
         yield
         if self.device.type == "cuda":
@@ -102,39 +104,65 @@ class Pipeline:
             memory, panorama = self.step(memory, scan, pose)
             yield panorama
 
-    @torch.inference_mode()
-    def step(self, memory: Memory, scan: Scan, pose: np.ndarray | None = None) -> tuple[Memory, Panorama]:
-        """One scan: (what the stream carries on, its panorama).
+    def step(
+        self, memory: Memory, scan: Scan, pose: np.ndarray | None = None, timer: Timer | None = None
+    ) -> tuple[Memory, Panorama]:
+        """One scan of a stream: `translate`, then `paint`. Returns the memory for the next scan, and the panorama.
 
-        pose  (4, 4) float64: the sensor's coordinates -> coordinates that stand still, metres. Told with every scan,
-              the picture is steadied by those before (memory.steadied).
         Raises InputError when no point of the scan can be used, or none is in view. Points nearer than OWN_VEHICLE_M
         are not used.
         """
-        watch = Stopwatch(self.device)
-        seen = self.translated(scan, watch)
-        with watch("paint"), fast_arithmetic(self.device):
-            segments = seen.logits.softmax(1)
-            painted, picture = self.painter.paint(memory.painted, segments, seen.depth_m, seen.channels)
+        timer = timer or Timer(self.device)
+        return self.paint(self.translate(scan, timer), memory, pose, timer)
+
+    @torch.inference_mode()
+    def translate(self, scan: Scan, timer: Timer) -> Translated:
+        """Class scores and depths that a camera would see of the scan; raises like `step`."""
+        with timer("project"):
+            scan = scan.beyond()
+            image = self._checked(scan, project(scan, self.segmenter.view, device=self.device))
+            around = self._checked(scan, project(scan, self.view, device=self.device))
+        with timer("segment"):
+            ids = self.segmenter.raster(image)
+        with timer("clean_up"):
+            labels = clean_up(image, ids)
+        with timer("translate"), fast_arithmetic(self.device):
+            channels = around.channels[None].contiguous(memory_format=torch.channels_last)
+            condition = one_hot_layers(around.spread(labels)[None], len(SEMANTIC_KITTI))
+            logits, depth_m = self.translator(channels, condition)
+        return Translated(scan.name, labels, image.dropped, channels, logits, depth_m)
+
+    @torch.inference_mode()
+    def paint(
+        self, translated: Translated, memory: Memory, pose: np.ndarray | None, timer: Timer
+    ) -> tuple[Memory, Panorama]:
+        """The panorama of a translated scan that follows those in `memory`, and the memory for the next one.
+
+        pose  (4, 4) float64 `T_world_sensor`, metres. If it is always given, the output is temporally smoothed
+              (memory.steadied).
+        """
+        logits, depth_m = translated.logits, translated.depth_m
+        with timer("paint"), fast_arithmetic(self.device):
+            painted, picture = self.painter.paint(memory.painted, logits.softmax(1), depth_m, translated.channels)
         shown = None
         if pose is not None:
-            with watch("steady"):
-                shown = self._steadied(memory.shown, seen, picture, pose)
+            with timer("steady"):
+                shown = self._steadied(memory.shown, translated, picture, pose)
                 picture = shown.picture
-        with watch("finish"):
+        with timer("finish"):
             colour = picture[0].float().add(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
-            segments, depth_m = self._finished(seen.logits, seen.depth_m)
+            segments, depth_m = self._finished(logits, depth_m)
             colour, segments, depth_m = (part.contiguous().cpu().numpy() for part in (colour, segments, depth_m))
         panorama = Panorama(
-            name=scan.name,
+            name=translated.name,
             frame=memory.frames,
             view=self.view.scaled(2),
             colour=colour,
             segments=segments,
             depth_m=depth_m,
-            labels=seen.labels.cpu().numpy(),
-            dropped=seen.dropped,
-            milliseconds=watch.milliseconds,
+            labels=translated.labels.cpu().numpy(),
+            dropped=translated.dropped,
+            milliseconds=timer.milliseconds,
         )
         return Memory(frames=memory.frames + 1, painted=painted, shown=shown), panorama
 
@@ -146,25 +174,8 @@ class Pipeline:
         now = Shown(picture=picture.float(), ids=ids, distance_m=distance_m, count=count, pose=here)
         return now if before is None else steadied(now, before, self.view)
 
-    @torch.inference_mode()
-    def translated(self, scan: Scan, watch: Stopwatch) -> Translated:
-        """What a camera would see of the scan, as class scores and depths; raises like `step`."""
-        with watch("project"):
-            scan = scan.beyond()
-            image = self._seen(scan, project(scan, self.segmenter.view, device=self.device))
-            around = self._seen(scan, project(scan, self.view, device=self.device))
-        with watch("segment"):
-            ids = self.segmenter.raster(image)
-        with watch("clean_up"):
-            labels = clean_up(image, ids)
-        with watch("translate"), fast_arithmetic(self.device):
-            channels = around.channels[None].contiguous(memory_format=torch.channels_last)
-            condition = one_hot_layers(around.spread(labels)[None], len(SEMANTIC_KITTI))
-            logits, depth_m = self.translator(channels, condition)
-        return Translated(labels=labels, dropped=image.dropped, channels=channels, logits=logits, depth_m=depth_m)
-
     @staticmethod
-    def _seen(scan: Scan, image: RangeImage) -> RangeImage:
+    def _checked(scan: Scan, image: RangeImage) -> RangeImage:
         if not bool(image.usable.any()):
             raise InputError(
                 f"{scan.name}: none of its {len(scan)} points can be used (NaN, Inf or nearer than"
