@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from lidar2pano.errors import InputError, closest
@@ -33,11 +34,24 @@ def weight_files(name: str | Path, *, fill: bool = True) -> dict[str, Path]:
           that a path does not fill are filled by the default family, where it is installed and `fill` is true.
     Raises InputError when there is no such family, file or folder, or a folder has two files for one role.
     """
-    installed = families()
+    mine = named_files(name)
+    default = families().get(DEFAULT)
+    filled = fill and default is not None and str(name) not in families()
+    return (named_files(DEFAULT) if filled else {}) | mine
+
+
+def named_files(
+    name: str | Path, role_of: Callable[[Path], str] | None = None, others: Iterable[str] = ()
+) -> dict[str, Path]:
+    """Files by role of a released family, a run, a folder of weight files or a file; nothing is filled in.
+
+    role_of  the role of a weight file, InputError where it has none; None: that of ROLES;  others: more valid names.
+    Raises InputError as `weight_files`.
+    """
+    installed, path = families(), Path(name)
     if str(name) in installed:
-        return _by_role(sorted(installed[str(name)].glob("*.safetensors")))
-    path = Path(name)
-    if path.is_dir():
+        files = sorted(installed[str(name)].glob("*.safetensors"))
+    elif path.is_dir():
         folder = path / "weights" if (path / "weights").is_dir() else path
         files = sorted(file for file in folder.glob("*.safetensors") if not file.stem.endswith(".last"))
         if not files:
@@ -45,12 +59,15 @@ def weight_files(name: str | Path, *, fill: bool = True) -> dict[str, Path]:
     elif path.is_file():
         files = [path]
     else:
-        raise InputError(
-            f"no weights {str(name)!r}: neither a released family nor a file" + closest(str(name), installed)
-        )
-    mine = _by_role(files)
-    rest = _by_role(sorted(installed[DEFAULT].glob("*.safetensors"))) if fill and DEFAULT in installed else {}
-    return rest | mine
+        hint = closest(str(name), [*installed, *others])
+        raise InputError(f"no weights {str(name)!r}: neither a released family nor a file{hint}")
+    roles: dict[str, Path] = {}
+    for file in files:
+        role = (role_of or _pipeline_role)(file)
+        if role in roles:
+            raise InputError(f"{file.parent}: {roles[role].name} and {file.name} are both a {role}; name one of them")
+        roles[role] = file
+    return roles
 
 
 def licence_note(files: dict[str, Path]) -> str | None:
@@ -60,14 +77,8 @@ def licence_note(files: dict[str, Path]) -> str | None:
     return f"these weights are licensed {', '.join(strict)}: not for commercial use" if strict else None
 
 
-def _by_role(files: list[Path]) -> dict[str, Path]:
-    roles: dict[str, Path] = {}
-    for file in files:
-        network = read_card(file).network
-        if network not in ROLES:
-            raise InputError(f"{file}: a {network!r} has no part in the pipeline; name weights of {', '.join(ROLES)}")
-        role = ROLES[network]
-        if role in roles:
-            raise InputError(f"{file.parent}: {roles[role].name} and {file.name} are both a {role}; name one of them")
-        roles[role] = file
-    return roles
+def _pipeline_role(file: Path) -> str:
+    network = read_card(file).network
+    if network not in ROLES:
+        raise InputError(f"{file}: a {network!r} has no part in the pipeline; name weights of {', '.join(ROLES)}")
+    return ROLES[network]
