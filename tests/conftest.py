@@ -123,7 +123,7 @@ def one_thread():
 @pytest.fixture
 def small_view(monkeypatch: pytest.MonkeyPatch) -> None:
     """The view that small recipes have is one of VIEWS."""
-    from lidar2pano.sensors import VIEWS
+    from lidar2pano.views import VIEWS
     from small_recipes import VIEW
 
     for name, view in VIEW.items():

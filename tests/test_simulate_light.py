@@ -9,7 +9,7 @@ import torch
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.geometry.projection import pixels
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 pytest.importorskip("embreex")
 from lidar2pano.simulate import camera, occlusion, shading

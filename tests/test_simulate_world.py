@@ -15,7 +15,7 @@ from lidar2pano.cli import main
 from lidar2pano.data.sequences import frames
 from lidar2pano.errors import InputError
 from lidar2pano.labels import unpack_label
-from lidar2pano.sensors import KITTI_CAMERA, VIEWS
+from lidar2pano.views import KITTI_CAMERA, VIEWS
 
 pytest.importorskip("embreex", reason="the street world needs embreex: pip install 'lidar2pano[world]'")
 

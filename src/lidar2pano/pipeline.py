@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,11 +13,12 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.errors import InputError, closest
+from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera
-from lidar2pano.geometry.images import RangeImage, one_hot_layers
+from lidar2pano.geometry.images import Normalisation, RangeImage, one_hot_layers
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import project
+from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import Memory, Shown, steadied
 from lidar2pano.models.card import Card, read_card
@@ -27,12 +26,46 @@ from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import DEFAULT, weight_files
 from lidar2pano.models.painter import StreamPainter
-from lidar2pano.models.precision import fast_arithmetic, pick_device
-from lidar2pano.models.segmenter import Segmenter
+from lidar2pano.models.salsanext import STRIDE
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
 from lidar2pano.scan import OWN_VEHICLE_M, Scan
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import View, sensor_view
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Segmenter:
+    """A range-view network with the view and normalisation it was trained on.
+
+    network   (1, 5, H, W) -> (1, classes, H, W) logits.
+    """
+
+    network: nn.Module
+    view: View
+    normalise: Normalisation
+
+    @classmethod
+    def from_card(cls, network: nn.Module, card: Card) -> Segmenter:
+        """The segmenter that a weight file holds: `network, card = load(path)`."""
+        normalise = Normalisation(**{name: tuple(values) for name, values in card.normalisation.items()})
+        return cls(network=network, view=View(**card.views["input"]), normalise=normalise)
+
+    @torch.inference_mode()
+    def raster(self, image: RangeImage) -> Tensor:
+        """Class ids (H, W) uint8 of a range image; raises InputError unless its rows divide by STRIDE."""
+        x = self.normalise(image)[None]
+        columns = x.shape[3]
+        if spare := -columns % STRIDE:  # Pandar64's 1800 columns do not divide: go on beyond the seam, or empty
+            beyond = x[..., :spare] if image.view.circular else x.new_zeros(*x.shape[:3], spare)
+            x = torch.cat([x, beyond], dim=3)
+        with fast_arithmetic(x.device):
+            logits = self.network(x.contiguous(memory_format=torch.channels_last))[0]
+        return logits[..., :columns].max(0).indices.to(torch.uint8)  # several times as fast as argmax
+
+    def points(self, scan: Scan, device: str | torch.device = "cpu") -> Tensor:
+        """Class ids (N,) int64 of a scan's points."""
+        image = project(scan, self.view, device=device)
+        return clean_up(image, self.raster(image))
 
 
 class Translated(NamedTuple):
@@ -50,23 +83,6 @@ class Translated(NamedTuple):
     channels: Tensor
     logits: Tensor
     depth_m: Tensor
-
-
-@dataclass(slots=True)
-class Timer:
-    """Milliseconds per stage, in the order of the stages: `with timer("project"): ...`."""
-
-    device: torch.device
-    milliseconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        """Time the body; on CUDA, until its kernels have ended."""
-        begin = time.perf_counter()
-        yield
-        if self.device.type == "cuda":
-            torch.cuda.synchronize(self.device)
-        self.milliseconds[stage] = (time.perf_counter() - begin) * 1e3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -258,11 +274,3 @@ def card_view(file: Path, card: Card, role: str) -> View:
         return View(**card.views[role])
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{file}: its card has no view {role!r} that makes sense; fetch or make it anew") from None
-
-
-def sensor_view(name: str) -> View:
-    """The raster of a sensor's rows in VIEWS (spheres only: the panorama is no sensor); InputError for another name."""
-    sensors = {sensor: view for sensor, view in VIEWS.items() if view.kind == "sphere"}
-    if name not in sensors:
-        raise InputError(f"no sensor {name!r}{closest(name, sensors)}")
-    return sensors[name]

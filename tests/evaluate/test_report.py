@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lidar2pano.data.frames import Frame, PanoramaGroundTruth
 from PIL import Image
 
 from lidar2pano.cli import main
-from lidar2pano.data.frames import Frame, PanoramaGroundTruth
 from lidar2pano.evaluate.interface import Prediction
 from lidar2pano.evaluate.resampling import Resampled
 from lidar2pano.evaluate.worst_frames import WorstFrame, WorstFrames, sheet
 from lidar2pano.labels import CITYSCAPES, COMMON15
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 from random_weights import street, write_data_set, write_weights
 
 VIDEO = {"channels": 16, "widths": [8], "downsamplings": 2, "blocks": [1, 1], "foreground": []}

@@ -10,9 +10,9 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from lidar2pano.calibration import Calibration
+from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.data.augment import drop_points
-from lidar2pano.data.sequences import Frame, frames
+from lidar2pano.data.frames import Frame, frames
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import SystemInput, system
 from lidar2pano.evaluate.camera_systems import (
@@ -29,11 +29,11 @@ from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15, TABLES
 from lidar2pano.models.card import Card, read_card, save
 from lidar2pano.pipeline import load
-from lidar2pano.sensors import VIEWS
 from lidar2pano.train.direct import DirectColour
 from lidar2pano.train.front import FrontTranslation
 from lidar2pano.train.front_depth import FrontDepthTranslation
 from lidar2pano.train.task import build_task
+from lidar2pano.views import VIEWS
 from miniature import SIZE as CAMERA
 from miniature import write_data_set
 from random_weights import (
@@ -78,7 +78,7 @@ def kitti(tmp_path) -> Calibration:
     """KITTI's camera."""
     write_scan(tmp_path / "sequences" / "00" / "velodyne" / "000000.bin")
     (tmp_path / "sequences" / "00" / "calib.txt").write_text(CALIB)
-    return Frame(folder=tmp_path / "sequences" / "00", stem="000000").calibration((1241, 376))
+    return read_calib(tmp_path / "sequences" / "00" / "calib.txt", (1241, 376))
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def video(tmp_path_factory) -> Path:
 
 
 def at(frame: Frame, **more: object) -> SystemInput:
-    return SystemInput(scan=replace(frame.scan(), name=frame.name), calibration=frame.calibration(CAMERA), **more)
+    return SystemInput(scan=frame.scan, calibration=frame.calibration, **more)
 
 
 def released(recipe_name: str, root: Path, folder: Path, *further: str):
@@ -182,8 +182,8 @@ def test_sc_unet_with_range_on_the_raster_of_its_card(root, frame, tmp_path):
     from lidar2pano.data.camera_rasters import camera_raster
     from lidar2pano.train.direct import camera_evidence
 
-    calibration = frame.calibration(CAMERA)
-    wanted = camera_evidence(camera_raster(frame.scan(), calibration, (24, 80))[None], 2)
+    assert frame.calibration is not None and frame.calibration.size == CAMERA
+    wanted = camera_evidence(camera_raster(frame.scan, frame.calibration, (24, 80))[None], 2)
     assert torch.equal(inputs[0], wanted) and (wanted[0, 1] > 0).any()
     assert seen.image is not None and seen.image.shape == (CAMERA[1], CAMERA[0], 3) and (seen.image == 128).all()
 
@@ -215,7 +215,7 @@ class Sides(nn.Module):
 def test_the_front_view_is_resized_to_the_cameras_image(front_weights, frame):
     plain = system(front_weights, device="cpu")
     assert isinstance(plain, CameraTranslator)
-    inputs = SystemInput(scan=street(), calibration=frame.calibration((320, 96)))
+    inputs = SystemInput(scan=street(), calibration=replace(frame.calibration, size=(320, 96)))
     seen = replace(plain, translator=(sides := Sides(CAR, ROAD, size=(2, 4)))).predict(inputs)[1]
     assert seen.camera_labels.shape == (96, 320) and seen.point_labels.shape == (len(street()),)
     assert (seen.camera_labels[:, :159] == CAR).all() and (seen.camera_labels[:, 161:] == ROAD).all()

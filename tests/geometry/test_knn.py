@@ -9,12 +9,12 @@ import torch
 from safetensors.numpy import load_file
 from torch import Tensor
 
-from lidar2pano.formats import read
+from lidar2pano.formats.scan_files import read
 from lidar2pano.geometry.images import RangeImage
 from lidar2pano.geometry.knn import clean_up, inverse_gaussian, vote
 from lidar2pano.geometry.projection import project
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 from slow_definitions import vote_slowly
 
 AROUND = View(rows=16, columns=96, up=5, down=-25)

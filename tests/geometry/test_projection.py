@@ -10,12 +10,12 @@ import torch
 from safetensors.numpy import load_file
 
 from lidar2pano.calibration import read_calib
-from lidar2pano.formats import read
+from lidar2pano.formats.scan_files import read
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.images import Normalisation, RangeImage
 from lidar2pano.geometry.projection import back_project, directions, pixels, project
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 from slow_definitions import place_slowly, project_slowly
 
 FRONT = View(rows=32, columns=512, up=3, down=-15, left=45, right=-45)

@@ -124,9 +124,9 @@ def entries() -> list[tuple[dict, str, Any]]:
     """(table, name, value) that make the toys known to the package by name."""
     here = sys.modules[__name__]
     names = {"toy": "toy:Denoise", "toy-gan": "toy:Gan"}
-    modules = ("lidar2pano.models.toy", "lidar2pano.train.toy")
+    modules = ("lidar2pano.train.toy",)
     return [
-        (MODELS, "toy", "toy:ToyNetwork"),
+        (MODELS, "toy", ToyNetwork),
         *((TASKS, name, where) for name, where in names.items()),
         *((sys.modules, name, here) for name in modules),
     ]

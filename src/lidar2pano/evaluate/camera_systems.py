@@ -17,16 +17,14 @@ from lidar2pano.evaluate.interface import Prediction, SystemInfo, SystemInput
 from lidar2pano.geometry.images import Normalisation, one_hot_layers
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import project
+from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import SEMANTIC_KITTI, TABLES
 from lidar2pano.models.card import Card, load, read_card
-from lidar2pano.models.precision import fast_arithmetic
-from lidar2pano.models.segmenter import Segmenter
 from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.models.vid2vid import Vid2Vid
+from lidar2pano.models.vid2vid import Vid2Vid, Vid2VidSingle
 from lidar2pano.models.vid2vid_painter import Past, Vid2VidPainter
-from lidar2pano.models.vid2vid_single import Vid2VidSingle
-from lidar2pano.pipeline import Timer
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.pipeline import Segmenter
+from lidar2pano.views import VIEWS, View
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

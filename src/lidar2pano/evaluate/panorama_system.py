@@ -12,8 +12,9 @@ from torch import Tensor
 from lidar2pano.calibration import Calibration
 from lidar2pano.evaluate.interface import Prediction, SystemInfo, SystemInput
 from lidar2pano.geometry.camera import panorama_in_camera
+from lidar2pano.hardware import Timer
 from lidar2pano.panorama import Panorama
-from lidar2pano.pipeline import Memory, Pipeline, Timer, Translated
+from lidar2pano.pipeline import Memory, Pipeline, Translated
 
 SAME_PLACE_M = 1e-6
 

@@ -18,12 +18,12 @@ from lidar2pano.evaluate.camera_systems import CameraPainter, CameraRenderer, Ca
 from lidar2pano.evaluate.interface import System, SystemInfo
 from lidar2pano.evaluate.panorama_system import NoPainter, PanoramaSystem
 from lidar2pano.geometry.images import Normalisation
+from lidar2pano.hardware import pick_device
 from lidar2pano.labels import COMMON14
 from lidar2pano.models import families
 from lidar2pano.models.card import Card, load, read_card
-from lidar2pano.models.precision import pick_device
-from lidar2pano.models.segmenter import Segmenter
-from lidar2pano.pipeline import Pipeline, card_view, load_painter, load_part, load_segmenter, sensor_view
+from lidar2pano.pipeline import Pipeline, Segmenter, card_view, load_painter, load_part, load_segmenter
+from lidar2pano.views import sensor_view
 
 STEADY = "steady"  # last part of a chain: panoramas are smoothed over time by the sensor's poses
 TRUTH = "truth"  # first part of a chain: ground-truth camera labels instead of a translator's

@@ -10,7 +10,7 @@ from typing import Any
 
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate.systems import system_files
-from lidar2pano.formats.pictures import write_whole
+from lidar2pano.formats.image_files import write_whole
 from lidar2pano.labels import COMMON14
 from lidar2pano.models.card import read_card
 from lidar2pano.reproduce.image_sheets import write_sheets

@@ -9,13 +9,13 @@ from functools import lru_cache
 import numpy as np
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.sensors import View
 from lidar2pano.simulate.draws import stream
 from lidar2pano.simulate.looks import Look
 from lidar2pano.simulate.materials import MATERIALS
 from lidar2pano.simulate.occlusion import guide, openness, smoothed
 from lidar2pano.simulate.raycast import Hits, Scene
 from lidar2pano.simulate.shading import Reach, shade, sunlit
+from lidar2pano.views import View
 
 TILE = 65536  # rays that are cast at once
 CORNERS = ((0.0, 0.37), (-0.33, -0.18), (0.33, -0.18))  # further rays of pixels at edges, in pixels from the middle

@@ -11,11 +11,11 @@ import numpy as np
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.pictures import write_whole
-from lidar2pano.sensors import KITTI_CAMERA, VIEWS, View
+from lidar2pano.formats.image_files import write_whole
 from lidar2pano.simulate.beams import SENSORS
 from lidar2pano.simulate.looks import LOOKS
 from lidar2pano.simulate.places import PLACES
+from lidar2pano.views import KITTI_CAMERA, VIEWS, View
 
 SAVES = ("camera", "panorama")
 FORM = 2  # of the world itself: raised when a seed means another world

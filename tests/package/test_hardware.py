@@ -6,11 +6,11 @@ import sys
 
 import pytest
 
-from lidar2pano.allocator import keep_buffers
+from lidar2pano.hardware import keep_buffers
 
 FAULTS_OF_TEN_BUFFERS = """
 import resource
-from lidar2pano.allocator import keep_buffers
+from lidar2pano.hardware import keep_buffers
 KEEP
 def faults():
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt

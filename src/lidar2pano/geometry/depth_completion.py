@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from lidar2pano.geometry.projection import directions, project_points
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 BEYOND = 0.12  # tangent above and below the view up to which points count: rings may lie 4 degrees apart there
 BESIDE = 1 / 183  # radians over which a ring is closed to either side: LiDARs take 1000 to 2000 points a turn
@@ -21,14 +21,14 @@ ONE_SURFACE = 1.25  # ratio of distances below which two points above each other
 ON_GROUND = 1.2  # likewise, below which a point is taken to lie on the ground's plane
 RIM = 0.012  # tangent up to which a surface goes on beyond its last point where the sky follows: two rings
 WIDE = 0.08  # tangent over which, between two surfaces, some ring would have met something: rings are 4 degrees apart
-OWN_CAR = (3.0, 1.1)  # metres ahead of and behind the sensor, and to its sides: points there lie on its own car
+EGO_VEHICLE = (3.0, 1.1)  # metres ahead of and behind the sensor, and to its sides: points there lie on its own car
 CLEAR_OF_CAR = 3.0  # metres: slopes of nearer points say little
 GROUND_WITHIN, GROUND_REACH = 25.0, 80.0  # metres: where the ground's plane is fitted, and up to where it is believed
 CELL = 2.0  # metres: the lowest point of each such square may be ground
 OFF_PLANE = (0.6, 0.3, 0.15)  # metres off the plane beyond which cells are left out, fit after fit
 
 
-def dense_depth(xyz: Tensor, view: View) -> Tensor:
+def complete_depth(xyz: Tensor, view: View) -> Tensor:
     """Distance (H, W) float32 of every pixel from the view's origin along its ray, metres; infinite where it is sky.
 
     xyz  (N, 3) float32 points, sensor frame, metres;  view: a cylinder (ValueError otherwise).
@@ -44,7 +44,7 @@ def dense_depth(xyz: Tensor, view: View) -> Tensor:
     """
     if view.kind != "cylinder":
         raise ValueError("depths are filled on a cylinder, on whose columns planes are straight")
-    xyz = xyz[(xyz[:, 0].abs() > OWN_CAR[0]) | (xyz[:, 1].abs() > OWN_CAR[1])]
+    xyz = xyz[(xyz[:, 0].abs() > EGO_VEHICLE[0]) | (xyz[:, 1].abs() > EGO_VEHICLE[1])]
     step = (view.up - view.down) / view.rows
     more = math.ceil(BEYOND / step)  # rows
     inner = slice(more, more + view.rows)

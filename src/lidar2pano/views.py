@@ -6,6 +6,8 @@ import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
+from lidar2pano.errors import InputError, closest
+
 FULL_TURN = 360.0  # degrees
 
 
@@ -79,3 +81,11 @@ VIEWS: dict[str, View] = {
     "nuscenes": View(rows=32, columns=1024, up=10.67, down=-30.67),  # its LIDAR_TOP is an HDL-32E
     "waymo-top": View(rows=64, columns=2650, up=2.4, down=-17.6),  # Waymo Open Dataset, Sun et al. 2020, table 2
 }
+
+
+def sensor_view(name: str) -> View:
+    """The raster of a sensor's rows in VIEWS (spheres only: the panorama is no sensor); InputError for another name."""
+    sensors = {sensor: view for sensor, view in VIEWS.items() if view.kind == "sphere"}
+    if name not in sensors:
+        raise InputError(f"no sensor {name!r}{closest(name, sensors)}")
+    return sensors[name]
