@@ -23,7 +23,7 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support"))
 
-import metric_definitions as slow_metrics  # pyright: ignore[reportMissingImports]
+import metric_definitions as definitions  # pyright: ignore[reportMissingImports]
 from golden_fill import fill  # pyright: ignore[reportMissingImports]
 from lidar2pano.hardware import keep_buffers
 from lidar2pano.metrics.bootstrap import interval
@@ -118,8 +118,8 @@ def similarity(pairs: Pairs) -> Iterator[Row]:
         metric = SSIM()
         metric.update(*pair, "frame")
         ours.append(metric.compute())
-    yield Row("SSIM", "scikit-image", ours, [slow_metrics.scikit_ssim(*pair) for pair in pairs])
-    inner, whole = zip(*(slow_metrics.torchmetrics_ssim(*pair) for pair in pairs), strict=True)
+    yield Row("SSIM", "scikit-image", ours, [definitions.scikit_ssim(*pair) for pair in pairs])
+    inner, whole = zip(*(definitions.torchmetrics_ssim(*pair) for pair in pairs), strict=True)
     yield Row("SSIM", "torchmetrics, inner windows", ours, list(inner))
     yield Row("SSIM", "torchmetrics, mirrored borders too (another definition)", ours, list(whole))
 
@@ -135,7 +135,7 @@ def wasserstein(pairs: Pairs) -> Iterator[Row]:
         for which, images in (("predicted", predicted), ("target", side)):
             for name, image in images.items():
                 metric.take(image, name, which)
-        slow = slow_metrics.swd_slowly(predicted, side)
+        slow = definitions.swd_slowly(predicted, side)
         yield Row(f"SWD x 1000, {what}", "scipy, projection by projection", list(metric.values().values()),
                   list(slow.values()))  # fmt: skip
 
@@ -147,9 +147,9 @@ def frechet() -> Iterator[Row]:
         sets.append([np.maximum(generator.normal(0.2, s, (count, size)) @ mixing, 0) for s in (1, 1.3)])
     ours = [frechet_distance(*pair) for pair in sets]
     yield Row(
-        "Frechet distance", "scipy.linalg.sqrtm", ours, [slow_metrics.frechet_by_square_root(*pair) for pair in sets]
+        "Frechet distance", "scipy.linalg.sqrtm", ours, [definitions.frechet_by_square_root(*pair) for pair in sets]
     )
-    yield Row("Frechet distance", "torchmetrics", ours, [slow_metrics.frechet_by_torchmetrics(*pair) for pair in sets])
+    yield Row("Frechet distance", "torchmetrics", ours, [definitions.frechet_by_torchmetrics(*pair) for pair in sets])
 
 
 def inception(pairs: Pairs) -> Iterator[Row]:
@@ -159,7 +159,7 @@ def inception(pairs: Pairs) -> Iterator[Row]:
     network.load_state_dict(weights)
     with tempfile.TemporaryDirectory() as folder:
         torch.save(weights, Path(folder) / "weights.pth")
-        theirs = slow_metrics.fidelity_inception(Path(folder) / "weights.pth")
+        theirs = definitions.fidelity_inception(Path(folder) / "weights.pth")
     if theirs is None:
         return
     images = torch.stack([torch.from_numpy(image).movedim(2, 0) for image, _ in pairs])
@@ -203,8 +203,10 @@ def depth() -> Row:
         )
         predicted, true = seen[-1]
         metric.update(predicted, true, str(number))
-    slow = slow_metrics.depth_slowly(*zip(*seen, strict=True))
-    return Row("AbsRel, RMSE, delta1", "one pixel at a time", list(metric.values().values()), list(slow.values()))
+    slow = definitions.depth_slowly(*zip(*seen, strict=True))
+    return Row(
+        "AbsRel, RMSE, delta1", "one pixel at a time", list(metric.values().values()), list(slow.values())
+    )
 
 
 def over_time(pairs: Pairs) -> Iterator[Row]:
@@ -215,11 +217,11 @@ def over_time(pairs: Pairs) -> Iterator[Row]:
         metric = WarpingError(circular=circular)
         metric.update(before, now, flow, "frame", valid=scored)
         ours.append(metric.compute())
-        slow.append(slow_metrics.warping_slowly(before, now, flow, scored, circular))
+        slow.append(definitions.warping_slowly(before, now, flow, scored, circular))
     yield Row("warping error", "one pixel at a time", ours, slow)
     seam, roll = SeamRatio(), RollError()
     seam.update(pairs[0][0][:60], "frame")
-    yield Row("seam ratio", "one pixel at a time", [seam.compute()], [slow_metrics.seam_slowly(pairs[0][0][:60])])
+    yield Row("seam ratio", "one pixel at a time", [seam.compute()], [definitions.seam_slowly(pairs[0][0][:60])])
     answers = generator.normal(size=(2, 5, 40))
     roll.update(answers[0], answers[1], 7, "frame")
     by_hand = np.mean([abs(answers[1, i, (j + 7) % 40] - answers[0, i, j]) for i in range(5) for j in range(40)])

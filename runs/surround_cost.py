@@ -1,13 +1,12 @@
-"""What does it cost to compose a panorama from cameras beside it with depths guessed from a scan?
+"""Errors of panoramas that are stitched from surround cameras with depths completed from a scan.
 
     python runs/surround_cost.py [--sensor pandar64] [--seeds 3] [--view panorama/2]
 
 In the street world everything is known: six cameras that stand as PandaSet's do are rendered, and the true panorama and
-its depth from the front camera's place. Stitched are panoramas with the true depth, with the scan's (`complete_depth`),
-and with none (everything far). Prints one Markdown table: the share of pixels that are valid; the mean difference to the
-true panorama in steps of 8 bits there, and of the true panorama to itself a column aside, for scale; how far the
-look-ups of valid pixels are from where the true depth puts them, in pixels of the view: median, 90th percentile, share
-above 4.
+its depth from the front camera's place. Panoramas are stitched with the true depth, the scan's (`complete_depth`),
+and with none (everything far). Prints one Markdown table: the share of valid pixels; their mean difference to the true
+panorama in steps of 8 bits, and that of the true panorama to itself shifted by a column, for scale; the displacement of
+their sampling positions from those of the true depth, in pixels of the view: median, 90th percentile, share above 4.
 """
 
 from __future__ import annotations
@@ -120,12 +119,12 @@ def main() -> None:
     print(f"{asked.sensor}, {asked.view}, {asked.seeds} streets\n")
     print("| depth | valid | difference | a pixel's | median, px | 90 %, px | above 4 px |")
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
-    told = []
+    values = []
     for seed in range(asked.seeds):
         settings = Settings(seed=seed, frames=1, sensor=asked.sensor, views=(asked.view,))
-        told.append(rows(settings, seed))
-    for name in told[0]:
-        valid, off, aside, median, most, share = np.mean([one[name] for one in told], axis=0)
+        values.append(rows(settings, seed))
+    for name in values[0]:
+        valid, off, aside, median, most, share = np.mean([one[name] for one in values], axis=0)
         print(f"| {name} | {valid:.1%} | {off:.2f} | {aside:.2f} | {median:.2f} | {most:.2f} | {share:.1%} |")
 
 

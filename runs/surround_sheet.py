@@ -3,7 +3,7 @@
     python runs/surround_sheet.py ROOT OUT.png [--split all] [--frames 2] [--width 2304]
 
 ROOT is any data set with ground-truth panoramas. Black in the image: no camera sees it. Depth: the completed depth that
-the images were stitched by (near is bright), in red the pixels that have a point of the scan. Each strip begins straight
+the images were stitched by (near is bright), in red the pixels that have a point of the scan. Strips begin straight
 behind; the third is known where there are labelled points. Prints the valid share of every frame.
 """
 
