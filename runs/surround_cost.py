@@ -24,10 +24,10 @@ from lidar2pano.geometry.camera import at_camera, points_in_camera
 from lidar2pano.geometry.depth_completion import complete_depth
 from lidar2pano.geometry.projection import directions
 from lidar2pano.geometry.stitching import CameraImage, stitch
-from lidar2pano.simulate.camera import cylinder, pinhole, render
-from lidar2pano.simulate.looks import look
-from lidar2pano.simulate.record import Recording
-from lidar2pano.simulate.settings import Settings, raster
+from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
+from lidar2pano.simulate.dataset.settings import WorldSettings, panorama_view
+from lidar2pano.simulate.render.looks import look
+from lidar2pano.simulate.render.renderer import cylinder, pinhole, render
 from lidar2pano.views import View
 
 SIZE = (960, 540)
@@ -78,22 +78,22 @@ def displaced(true_m: Tensor, guess_m: Tensor, view: View, mounts: list[Calibrat
     return gap.view(true_m.shape)
 
 
-def rows(settings: Settings, seed: int) -> dict[str, list[float]]:
+def rows(settings: WorldSettings, seed: int) -> dict[str, list[float]]:
     """Of one street, per kind of depth: valid, difference, difference of the truth to itself, displacements."""
-    recording = Recording(Path("nowhere"), settings, 0)
-    scene, light = recording.scene(0), look(settings.look, recording.seed)
-    pose = recording.world.drive.poses(np.array([0.0]))[0]
+    writer = SequenceWriter(Path("nowhere"), settings, 0)
+    scene, light = writer.scene(0), look(settings.look, writer.seed)
+    pose = writer.world.drive.poses(np.array([0.0]))[0]
     mounts = cameras()
-    view = at_camera(raster(settings.views[0]), mounts[0])
+    view = at_camera(panorama_view(settings.views[0]), mounts[0])
     truth = render(scene, *cylinder(view, pose), light, seed=seed)
     photos = [
-        CameraImage(image=render(scene, *pinhole(one, pose), light, seed=seed + 1 + n).colour, calibration=one)
+        CameraImage(image=render(scene, *pinhole(one, pose), light, seed=seed + 1 + n).image, calibration=one)
         for n, one in enumerate(mounts)
     ]
-    scan = torch.from_numpy(recording.scan(0).points[:, :3].astype(np.float32))
+    scan = torch.from_numpy(writer.scan(0).points[:, :3].astype(np.float32))
     true_m = torch.from_numpy(truth.distance)
     guesses = {"true": true_m, "scan": complete_depth(scan, view), "far": torch.full_like(true_m, torch.inf)}
-    colour = truth.colour.astype(np.int64)
+    colour = truth.image.astype(np.int64)
     found = {}
     for name, guess in guesses.items():
         made, valid = stitch(photos, view, guess)
@@ -115,13 +115,13 @@ def main() -> None:
     parser.add_argument("--sensor", default="pandar64")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--view", default="panorama/2")
-    asked = parser.parse_args()
-    print(f"{asked.sensor}, {asked.view}, {asked.seeds} streets\n")
+    arguments = parser.parse_args()
+    print(f"{arguments.sensor}, {arguments.view}, {arguments.seeds} streets\n")
     print("| depth | valid | difference | a pixel's | median, px | 90 %, px | above 4 px |")
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
     values = []
-    for seed in range(asked.seeds):
-        settings = Settings(seed=seed, frames=1, sensor=asked.sensor, views=(asked.view,))
+    for seed in range(arguments.seeds):
+        settings = WorldSettings(seed=seed, frames=1, sensor=arguments.sensor, views=(arguments.view,))
         values.append(rows(settings, seed))
     for name in values[0]:
         valid, off, aside, median, most, share = np.mean([one[name] for one in values], axis=0)
