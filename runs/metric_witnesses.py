@@ -195,18 +195,16 @@ def classes() -> Iterator[Row]:
 
 
 def depth() -> Row:
-    generator, metric, seen = np.random.default_rng(0), DepthError(), []
+    generator, metric, pairs = np.random.default_rng(0), DepthError(), []
     for number in range(3):
         target = generator.uniform(1, 80, (60, 200))
-        seen.append(
+        pairs.append(
             (target * generator.uniform(0.6, 1.5, target.shape), target * (generator.random(target.shape) < 0.7))
         )
-        predicted, true = seen[-1]
+        predicted, true = pairs[-1]
         metric.update(predicted, true, str(number))
-    slow = definitions.depth_slowly(*zip(*seen, strict=True))
-    return Row(
-        "AbsRel, RMSE, delta1", "one pixel at a time", list(metric.values().values()), list(slow.values())
-    )
+    slow = definitions.depth_slowly(*zip(*pairs, strict=True))
+    return Row("AbsRel, RMSE, delta1", "one pixel at a time", list(metric.values().values()), list(slow.values()))
 
 
 def over_time(pairs: Pairs) -> Iterator[Row]:

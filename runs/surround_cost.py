@@ -79,21 +79,21 @@ def displaced(true_m: Tensor, guess_m: Tensor, view: View, mounts: list[Calibrat
 
 
 def rows(settings: WorldSettings, seed: int) -> dict[str, list[float]]:
-    """Of one street, per kind of depth: valid, difference, difference of the truth to itself, displacements."""
+    """Of one street, per depth: valid share, difference, difference to itself when shifted, displacements."""
     writer = SequenceWriter(Path("nowhere"), settings, 0)
     scene, light = writer.scene(0), look(settings.look, writer.seed)
     pose = writer.world.drive.poses(np.array([0.0]))[0]
     mounts = cameras()
     view = at_camera(panorama_view(settings.views[0]), mounts[0])
-    truth = render(scene, *cylinder(view, pose), light, seed=seed)
+    rendered = render(scene, *cylinder(view, pose), light, seed=seed)
     photos = [
         CameraImage(image=render(scene, *pinhole(one, pose), light, seed=seed + 1 + n).image, calibration=one)
         for n, one in enumerate(mounts)
     ]
     scan = torch.from_numpy(writer.scan(0).points[:, :3].astype(np.float32))
-    true_m = torch.from_numpy(truth.distance)
+    true_m = torch.from_numpy(rendered.distance)
     guesses = {"true": true_m, "scan": complete_depth(scan, view), "far": torch.full_like(true_m, torch.inf)}
-    colour = truth.image.astype(np.int64)
+    colour = rendered.image.astype(np.int64)
     found = {}
     for name, guess in guesses.items():
         made, valid = stitch(photos, view, guess)

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
 
 from lidar2pano.calibration import Calibration
+from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import MetricConfig, Prediction, SystemInput, score, system
 from lidar2pano.evaluate.evaluation import ROLL, EvaluatedSystem, rotated
@@ -125,7 +125,7 @@ def test_answers_of_absent_classes_do_not_change_what_is_averaged():
     assert "the 2 of the paper's 14 classes" in evaluation.heading()
 
 
-def test_frames_with_one_kind_of_label():
+def test_frames_with_camera_or_point_labels_only():
     points_only = scored([frame_of(calibration=None, camera_labels=None)], one := fixed([[ROAD] * 6] * 2, [9, 1, 9, 9]))
     assert (points_only.images, points_only.scans) == (0, 1)
     assert value_of(points_only, "points", "accuracy") == 1 and one.inputs[0].calibration is None
@@ -145,8 +145,8 @@ def test_only_the_oracle_receives_the_ground_frame_of():
         given.append(one.inputs[0].camera_labels)
     assert given[0] is None
     assert given[1].tolist() == np.where(TARGET == IGNORE, 0, TARGET).tolist()
-    heading = scored([frame_of()], Fixed("truth+x", oracle=True)).heading()
-    assert "Input is the camera's ground-truth labels, not the scan: truth+x." in heading
+    heading = scored([frame_of()], Fixed("oracle+x", oracle=True)).heading()
+    assert "Input is the camera's ground-truth labels, not the scan: oracle+x." in heading
 
 
 def test_the_first_frame_warms_up():
@@ -217,7 +217,7 @@ def test_images_are_compared_with_the_cameras():
     same = Fixed("same", image=lambda inputs: noise({"00/000000": 0, "00/000005": 1}[inputs.scan.name]))
     other = Fixed("other", image=lambda inputs: noise(7))
     evaluation = scored(frames, same, other, Fixed("nothing"))
-    assert evaluation.pictures == 2 and evaluation.images == 0
+    assert evaluation.camera_images == 2 and evaluation.images == 0
     assert value_of(evaluation, "camera", "ssim") == pytest.approx(1)
     assert value_of(evaluation, "camera", "ssim", 1) < 0.1
     assert value_of(evaluation, "camera", "swd") < value_of(evaluation, "camera", "swd", 1)
@@ -469,7 +469,7 @@ def test_the_flow_follows_the_pose():
     assert camera_flow(*frames).shift.shape == (2, 2, 6)
 
 
-def test_sparse_depths_are_filled_for_the_flow():
+def test_sparse_depths_are_completed_for_the_flow():
     depth_m = np.zeros((16, 64), np.float32)
     depth_m[5, ::7] = 10
     sparse = true_panorama(labels=None, depth_m=depth_m)

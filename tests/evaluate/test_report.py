@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lidar2pano.data.frames import Frame, PanoramaGroundTruth
 from PIL import Image
 
 from lidar2pano.cli import main
+from lidar2pano.data.frames import Frame, PanoramaGroundTruth
 from lidar2pano.evaluate.interface import Prediction
 from lidar2pano.evaluate.resampling import Resampled
 from lidar2pano.evaluate.worst_frames import WorstFrame, WorstFrames, sheet
@@ -34,7 +34,7 @@ def run(data: Path, *words: object) -> int:
 
 def test_everything_that_is_written(data, random_weights, front_weights, tmp_path, capsys):
     video = write_weights(tmp_path / "video", "painter", "vid2vid", VIDEO)
-    chain, oracle = f"{front_weights}+{video}", f"truth+{video}"
+    chain, oracle = f"{front_weights}+{video}", f"oracle+{video}"
     as_json, as_csv, worst = tmp_path / "all.json", tmp_path / "all.csv", tmp_path / "worst"
     assert (
         run(data, random_weights, chain, oracle, "--json", as_json, "--csv", as_csv, "--worst", 2, "--out", worst) == 0
@@ -80,11 +80,11 @@ def check_worst(folder: Path, ours: dict) -> None:
     with (folder / "worst.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["rank"] for row in rows] == ["1", "2"] * 3
-    mine = [row for row in rows if row["system"] == ours["weights"]]
-    assert [(row["frame"], float(row["value"])) for row in mine] == [
+    own = [row for row in rows if row["system"] == ours["weights"]]
+    assert [(row["frame"], float(row["value"])) for row in own] == [
         (one["frame"], one["value"]) for one in ours["worst"]
     ]
-    assert float(mine[0]["value"]) <= float(mine[1]["value"]) and mine[0]["metric"] == "camera mIoU"
+    assert float(own[0]["value"]) <= float(own[1]["value"]) and own[0]["metric"] == "camera mIoU"
     assert rows[-1]["metric"] == "camera SSIM"  # the oracle predicts no classes
     for row in rows:
         with Image.open(folder / row["image"]) as image:

@@ -134,17 +134,17 @@ def test_a_translator_answers_as_its_task_predicts(name, role, root, frame, tmp_
     )
     one = system(folder, device="cpu")
     assert isinstance(one, CameraTranslator) and not one.uses_ground_truth and isinstance(task, FrontTranslation)
-    memory, seen = one.predict(at(frame))
+    memory, prediction = one.predict(at(frame))
     sample = task.validation[0]
     wanted = TABLES["common-14", "common-15"][task.predict(sample).numpy()]
-    assert memory is None and seen.image is None and seen.panorama is None
-    assert np.array_equal(seen.camera_labels, wanted) and len(np.unique(wanted)) > 1
-    assert np.array_equal(seen.point_labels, task.validation.moment(0).scan.label)
+    assert memory is None and prediction.image is None and prediction.panorama is None
+    assert np.array_equal(prediction.camera_labels, wanted) and len(np.unique(wanted)) > 1
+    assert np.array_equal(prediction.point_labels, task.validation.moment(0).scan.label)
     if isinstance(task, FrontDepthTranslation):
-        assert np.allclose(seen.depth_m, task.both(sample)[1], atol=1e-4)
+        assert np.allclose(prediction.depth_m, task.both(sample)[1], atol=1e-4)
     else:
-        assert seen.depth_m is None
-    assert list(seen.milliseconds) == FRONT_STAGES
+        assert prediction.depth_m is None
+    assert list(prediction.milliseconds) == FRONT_STAGES
 
 
 @pytest.mark.parametrize(
@@ -159,11 +159,11 @@ def test_a_renderer_paints_as_its_task_does(name, further, root, frame, tmp_path
     task, folder = released(name, root, tmp_path, further)
     one = system(folder, device="cpu")
     assert isinstance(one, CameraRenderer) and not one.uses_ground_truth and isinstance(task, DirectColour)
-    _, seen = one.predict(at(frame))
+    _, prediction = one.predict(at(frame))
     wanted = (task.render(0)[0].movedim(0, 2).numpy() + 1) * 127.5
-    assert seen.image is not None and np.abs(seen.image - wanted).max() <= 0.501
+    assert prediction.image is not None and np.abs(prediction.image - wanted).max() <= 0.501
     assert wanted.std() > 0.1
-    assert (seen.point_labels, seen.camera_labels, seen.panorama) == (None, None, None)
+    assert (prediction.point_labels, prediction.camera_labels, prediction.panorama) == (None, None, None)
     assert one.predict(at(frame, colours=False))[1].image is None
 
 
@@ -178,14 +178,18 @@ def test_sc_unet_with_range_on_the_raster_of_its_card(root, frame, tmp_path):
         inputs.append(x)
         return torch.zeros(1, 3, *x.shape[2:])
 
-    _, seen = replace(one, renderer=_Function(render)).predict(at(frame))
+    _, prediction = replace(one, renderer=_Function(render)).predict(at(frame))
     from lidar2pano.data.camera_rasters import camera_raster
     from lidar2pano.train.direct import camera_evidence
 
     assert frame.calibration is not None and frame.calibration.size == CAMERA
     wanted = camera_evidence(camera_raster(frame.scan, frame.calibration, (24, 80))[None], 2)
     assert torch.equal(inputs[0], wanted) and (wanted[0, 1] > 0).any()
-    assert seen.image is not None and seen.image.shape == (CAMERA[1], CAMERA[0], 3) and (seen.image == 128).all()
+    assert (
+        prediction.image is not None
+        and prediction.image.shape == (CAMERA[1], CAMERA[0], 3)
+        and (prediction.image == 128).all()
+    )
 
 
 class _Function(nn.Module):
@@ -216,13 +220,13 @@ def test_the_front_view_is_resized_to_the_cameras_image(front_weights, frame):
     plain = system(front_weights, device="cpu")
     assert isinstance(plain, CameraTranslator)
     inputs = SystemInput(scan=street(), calibration=replace(frame.calibration, size=(320, 96)))
-    seen = replace(plain, translator=(sides := Sides(CAR, ROAD, size=(2, 4)))).predict(inputs)[1]
-    assert seen.camera_labels.shape == (96, 320) and seen.point_labels.shape == (len(street()),)
-    assert (seen.camera_labels[:, :159] == CAR).all() and (seen.camera_labels[:, 161:] == ROAD).all()
+    prediction = replace(plain, translator=(sides := Sides(CAR, ROAD, size=(2, 4)))).predict(inputs)[1]
+    assert prediction.camera_labels.shape == (96, 320) and prediction.point_labels.shape == (len(street()),)
+    assert (prediction.camera_labels[:, :159] == CAR).all() and (prediction.camera_labels[:, 161:] == ROAD).all()
     image, condition = sides.inputs
     front = project(street(), FRONT_VIEW)
     assert torch.equal(image[0], Normalisation()(front))
-    assert torch.equal(condition[0].argmax(0), front.spread(torch.from_numpy(seen.point_labels)))
+    assert torch.equal(condition[0].argmax(0), front.spread(torch.from_numpy(prediction.point_labels)))
 
 
 # --- ours ------------------------------------------------------------------------------------------------------------
@@ -232,30 +236,30 @@ def test_a_panorama_is_resampled_to_the_camera(random_weights, kitti):
     plain = system(random_weights, device="cpu")
     assert isinstance(plain, PanoramaSystem)
     one = replace(plain, pipeline=replace(plain.pipeline, translator=(sides := Sides(CAR, ROAD))))
-    _, seen = one.predict(SystemInput(scan=street(), calibration=kitti, colours=False))
+    _, prediction = one.predict(SystemInput(scan=street(), calibration=kitti, colours=False))
     assert torch.equal(sides.inputs[0][0], project(street(), at_camera(one.pipeline.view, kitti)).channels)
-    assert seen.camera_labels.shape == (376, 1241) and seen.point_labels.shape == (len(street()),)
+    assert prediction.camera_labels.shape == (376, 1241) and prediction.point_labels.shape == (len(street()),)
     assert (
-        seen.camera_labels[:5, 590:620] == 0
+        prediction.camera_labels[:5, 590:620] == 0
     ).all()  # ahead, the panorama reaches up to tan 0.24: row 180 - 0.24 * 718.9
-    assert (seen.camera_labels[16:, :600] == CAR).all() and (
-        seen.camera_labels[16:, 615:] == ROAD
+    assert (prediction.camera_labels[16:, :600] == CAR).all() and (
+        prediction.camera_labels[16:, 615:] == ROAD
     ).all()  # ahead is column 607
-    assert (seen.depth_m[16:] == 7).all() and seen.depth_m[0, 600] == 0
-    assert seen.image is None and seen.panorama is None
-    assert list(seen.milliseconds) == FRONT_STAGES
+    assert (prediction.depth_m[16:] == 7).all() and prediction.depth_m[0, 600] == 0
+    assert prediction.image is None and prediction.panorama is None
+    assert list(prediction.milliseconds) == FRONT_STAGES
 
 
 def test_colours_are_those_of_the_pipeline(random_weights, kitti):
     one = system(random_weights, device="cpu")
     inputs = SystemInput(scan=street(), calibration=kitti, origin=kitti.centre)
-    memory, seen = one.predict(inputs)
+    memory, prediction = one.predict(inputs)
     wanted = load(random_weights, "cpu").at(kitti)(street())
-    assert seen.panorama is not None and seen.painted and seen.panorama.view == wanted.view
-    assert np.array_equal(seen.panorama.colour, wanted.colour)
-    assert np.array_equal(seen.panorama.depth_m, wanted.depth_m)
-    assert np.array_equal(seen.image, wanted.to_camera(kitti).colour)
-    assert list(seen.milliseconds) == [*FRONT_STAGES[:-1], "paint", "finish", "camera"]
+    assert prediction.panorama is not None and prediction.painted and prediction.panorama.view == wanted.view
+    assert np.array_equal(prediction.panorama.colour, wanted.colour)
+    assert np.array_equal(prediction.panorama.depth_m, wanted.depth_m)
+    assert np.array_equal(prediction.image, wanted.to_camera(kitti).colour)
+    assert list(prediction.milliseconds) == [*FRONT_STAGES[:-1], "paint", "finish", "camera"]
     assert one.predict(inputs, memory)[1].panorama.frame == 1  # the stream goes on
     assert one.predict(inputs)[1].panorama.frame == 0
 
@@ -263,15 +267,15 @@ def test_colours_are_those_of_the_pipeline(random_weights, kitti):
 def test_steady_systems_get_the_poses(random_weights, front_weights, kitti):
     plain, steady = (system(f"{random_weights}{more}", device="cpu") for more in ("", "+steady"))
     assert isinstance(steady, PanoramaSystem) and steady.info.name == f"{random_weights}+steady" and not plain.steady
-    moments = [(street(), np.eye(4)), (drop_points(street(), np.random.default_rng(1), 0.3), np.eye(4))]
-    seen = {}
+    recording = [(street(), np.eye(4)), (drop_points(street(), np.random.default_rng(1), 0.3), np.eye(4))]
+    prediction = {}
     for one in (plain, steady):
         memory = None
-        for scan, pose in moments:
-            memory, seen[one] = one.predict(SystemInput(scan=scan, origin=kitti.centre, pose=pose), memory)
-    wanted = list(load(random_weights, "cpu").at(kitti).stream([scan for scan, _ in moments], [np.eye(4)] * 2))[1]
-    assert np.array_equal(seen[steady].panorama.colour, wanted.colour)
-    assert not np.array_equal(seen[plain].panorama.colour, wanted.colour)
+        for scan, pose in recording:
+            memory, prediction[one] = one.predict(SystemInput(scan=scan, origin=kitti.centre, pose=pose), memory)
+    wanted = list(load(random_weights, "cpu").at(kitti).stream([scan for scan, _ in recording], [np.eye(4)] * 2))[1]
+    assert np.array_equal(prediction[steady].panorama.colour, wanted.colour)
+    assert not np.array_equal(prediction[plain].panorama.colour, wanted.colour)
     with pytest.raises(InputError, match="leave \\+steady out"):
         system(f"{front_weights}+steady", device="cpu")
 
@@ -291,17 +295,17 @@ def test_a_panorama_around_another_point_is_a_run_of_its_own(random_weights, kit
 def test_without_a_painter_there_are_no_colours(tmp_path, kitti):
     (write_family(tmp_path / "all") / "painter.safetensors").unlink()
     one = system(tmp_path / "all", device="cpu")
-    _, seen = one.predict(SystemInput(scan=street(), calibration=kitti, origin=kitti.centre))
-    assert seen.image is None and not seen.painted
-    assert seen.panorama is not None and len(np.unique(seen.panorama.segments)) > 1
+    _, prediction = one.predict(SystemInput(scan=street(), calibration=kitti, origin=kitti.centre))
+    assert prediction.image is None and not prediction.painted
+    assert prediction.panorama is not None and len(np.unique(prediction.panorama.segments)) > 1
 
 
 def test_points_alone(random_weights, front_weights):
     for weights in (random_weights, front_weights):
         one = system(weights, device="cpu")
-        _, seen = one.predict(SystemInput(scan=street()))
-        assert seen.point_labels is not None and seen.point_labels.shape == (len(street()),)
-        assert seen.camera_labels is None and seen.panorama is None and not seen.milliseconds
+        _, prediction = one.predict(SystemInput(scan=street()))
+        assert prediction.point_labels is not None and prediction.point_labels.shape == (len(street()),)
+        assert prediction.camera_labels is None and prediction.panorama is None and not prediction.milliseconds
 
 
 def test_another_sensor(random_weights, front_weights):
@@ -336,31 +340,32 @@ def test_a_translator_and_a_video_painter(front_weights, video, frame):
 def test_images_are_painted_at_the_size_of_training(video):
     painter = CameraPainter.from_files(video, None, torch.device("cpu"))
     assert painter.scale == 0.5 and not painter.painter.closed
-    seen: list[Tensor] = []
+    prediction: list[Tensor] = []
 
     class Spy:
         def follow(self, past, ids):
-            seen.append(ids)
+            prediction.append(ids)
             return past, torch.linspace(-1, 1, ids.shape[1]).expand(3, *ids.shape)
 
     ids = torch.arange(8)[:, None].expand(8, 12).to(torch.uint8)
     _, colour = replace(painter, painter=Spy()).paint(None, ids)
-    assert seen[0].shape == (4, 6) and seen[0][:, 0].tolist() in ([0, 2, 4, 6], [1, 3, 5, 7])
+    assert prediction[0].shape == (4, 6) and prediction[0][:, 0].tolist() in ([0, 2, 4, 6], [1, 3, 5, 7])
     assert colour.shape == (8, 12, 3) and colour[0, 0, 0] == 0 and colour[0, -1, 0] == 255
     assert (np.diff(colour[0, :, 0].astype(int)) >= 0).all()
     assert training_scale(Card(network="vid2vid")) == 1
 
 
 def test_the_oracle_paints_the_ground_truth(video, frame):
-    one = system("truth", painter=video, device="cpu")
-    assert isinstance(one, Oracle) and one.uses_ground_truth and one.info.name == f"truth+{video}"
+    one = system("oracle", painter=video, device="cpu")
+    assert isinstance(system("truth", painter=video, device="cpu"), Oracle)  # its former name
+    assert isinstance(one, Oracle) and one.uses_ground_truth and one.info.name == f"oracle+{video}"
     ids = np.zeros((CAMERA[1], CAMERA[0]), np.uint8)
     ids[:, 100:] = ROAD
-    _, seen = one.predict(at(frame, camera_labels=ids))
+    _, prediction = one.predict(at(frame, camera_labels=ids))
     with torch.inference_mode():
         wanted = one.painter.paint(None, torch.from_numpy(ids))[1]
-    assert np.array_equal(seen.image, wanted)
-    assert seen.camera_labels is None and seen.point_labels is None
+    assert np.array_equal(prediction.image, wanted)
+    assert prediction.camera_labels is None and prediction.point_labels is None
     assert one.predict(at(frame))[1].image is None  # the labels are unknown
 
 
@@ -402,11 +407,11 @@ def test_what_cannot_be_a_system(random_weights, front_weights, video, tmp_path)
         str(translator): "translator.safetensors: no weights for the segmenter",
         f"{renderer}+{video}": "a renderer predicts colours by itself, so the painter has no place",
         f"{front_weights}+{random_weights / 'painter.safetensors'}": "a 'painter' paints panoramas only",
-        "truth": "truth: the ground-truth labels have to be painted",
+        "oracle": "oracle: the ground-truth labels have to be painted",
         str(eye): "a 'sdnet' has no part in a system that is evaluated; name it by --sdnet",
         str(tmp_path / "two"): "a.safetensors and b.safetensors are both a renderer; name one of them",
         str(tmp_path / "empty"): "holds no weights",
-        "trut": "no weights 'trut': neither a released family nor a file; did you mean 'truth'?",
+        "oracl": "no weights 'oracl': neither a released family nor a file; did you mean 'oracle'?",
     }.items():
         with pytest.raises(InputError) as caught:
             system(name, device="cpu")

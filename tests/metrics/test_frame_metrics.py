@@ -29,8 +29,8 @@ def smooth(seed: int, rows: int = 60, columns: int = 90) -> np.ndarray:
     return np.clip(1.6 * np.mean(layers, axis=0) - 60, 0, 255).astype(np.uint8)
 
 
-def of(metric, *seen, **settings):
-    metric.update(*seen, "frame", **settings)
+def of(metric, *inputs, **settings):
+    metric.update(*inputs, "frame", **settings)
     return metric
 
 
@@ -38,8 +38,8 @@ def of(metric, *seen, **settings):
 
 
 @pytest.mark.parametrize("size", [(60, 90), (11, 11), (139, 12), (75, 64)])  # 139 - 10: more than two strips
-@pytest.mark.parametrize("kind", ["another", "noisy", "bright", "saturated"])
-def test_ssim_agrees_with_scikit_image_and_torchmetrics(size, kind):
+@pytest.mark.parametrize("change", ["another", "noisy", "bright", "saturated"])
+def test_ssim_agrees_with_scikit_image_and_torchmetrics(size, change):
     target = smooth(1, *size)
     noise = np.random.default_rng(2).normal(0, 20, target.shape)
     predicted = {
@@ -47,7 +47,7 @@ def test_ssim_agrees_with_scikit_image_and_torchmetrics(size, kind):
         "noisy": np.clip(target + noise, 0, 255).astype(np.uint8),
         "bright": np.clip(target // 16 + 235, 0, 255).astype(np.uint8),  # nearly flat: where float32 is weakest
         "saturated": np.full_like(target, 255),
-    }[kind]
+    }[change]
     ours = of(SSIM(), predicted, target).compute()
     assert ours == pytest.approx(scikit_ssim(predicted, target), abs=2e-6)
     assert ours == pytest.approx(torchmetrics_ssim(predicted, target)[0], abs=2e-6)
@@ -60,7 +60,7 @@ def test_ssim_map_is_the_inner_part_of_scikit_images():
     assert np.abs(ssim_map(first, second).numpy() - theirs).max() < 1e-5
 
 
-def test_ssim_of_equals_is_one_and_of_flat_pictures_worked_by_hand():
+def test_ssim_of_equals_is_one_and_of_flat_images_worked_by_hand():
     assert of(SSIM(), smooth(1), smooth(1)).compute() == pytest.approx(1, abs=1e-6)
     dark, light = (np.full((20, 20, 3), value, dtype=np.uint8) for value in (50, 200))
     by_hand = (2 * 50 * 200 + 2.55**2) / (50**2 + 200**2 + 2.55**2)
@@ -105,13 +105,13 @@ def test_ssim_takes_tensors_and_arrays_that_may_not_be_written_to():
         (np.zeros((0, 10, 3), np.uint8), np.zeros((0, 10, 3), np.uint8), r"\(H, W, 3\)"),
     ],
 )
-def test_ssim_refuses_what_is_no_pair_of_pictures(predicted, target, complaint):
+def test_ssim_refuses_what_is_no_pair_of_images(predicted, target, complaint):
     with pytest.raises(ValueError, match=complaint):
         SSIM().update(predicted, target, "frame")
 
 
 @pytest.mark.parametrize("valid", [np.ones((20, 20)), np.ones((20, 19), bool)])
-def test_masks_of_another_kind_are_refused(valid):
+def test_masks_of_another_type_are_refused(valid):
     pair = smooth(1, 20, 20), smooth(2, 20, 20)
     with pytest.raises(ValueError, match="valid must be"):
         SSIM().update(*pair, "frame", valid=valid)
@@ -142,18 +142,18 @@ def test_class_counts_of_a_frame_are_over_the_classes_it_has():
     assert counts.compute() == pytest.approx((1 + 2 / 3 + 1 / 2) / 3)
 
 
-def test_resegmentation_asks_the_segmenter_about_the_painted_picture():
-    asked = []
+def test_resegmentation_segments_the_painted_image():
+    inputs = []
 
-    def segment(picture):
-        asked.append(picture)
-        return (picture[..., 0] > 100).astype(np.int64)
+    def segment(image):
+        inputs.append(image)
+        return (image[..., 0] > 100).astype(np.int64)
 
     painted = smooth(1)
     target = (painted[..., 0] > 120).astype(np.int64)
     metric = of(Resegmentation(segment, 2), painted, target)
-    assert np.array_equal(asked[0], painted)
-    assert asked[0].dtype == np.uint8
+    assert np.array_equal(inputs[0], painted)
+    assert inputs[0].dtype == np.uint8
     plain = of(MeanIoU(2), (painted[..., 0] > 100).astype(np.int64), target)
     assert metric.values() == plain.values()
     assert 0.5 < metric.compute() < 1
@@ -221,7 +221,7 @@ def test_warping_error_agrees_with_its_definition(circular):
     assert metric.compute() == pytest.approx(slow, rel=1e-12)
 
 
-def test_a_moved_picture_has_no_warping_error():
+def test_a_moved_image_has_no_warping_error():
     before = smooth(1, 12, 40)
     now = np.roll(before, 3, axis=1)  # what was at column j is now at j + 3
     back = np.zeros((2, 12, 40))
@@ -238,7 +238,7 @@ def test_warping_error_worked_by_hand():
     now[0, 1] = 51, 0, 102  # a fifth and two fifths of 255
     still = np.zeros((2, 1, 2))
     assert of(WarpingError(), before, now, still).compute() == pytest.approx((0.2**2 + 0.4**2) / 2)
-    assert isnan(of(WarpingError(), before, now, still + 9).compute())  # nothing of it was in sight
+    assert isnan(of(WarpingError(), before, now, still + 9).compute())  # none of it was visible
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_seam_ratio_agrees_with_its_definition():
 
 
 @pytest.mark.parametrize("columns", [2, 3, 9, 10, 16, 17, 18])
-def test_steps_near_the_seam_count_once_in_narrow_pictures(columns: int):
+def test_steps_near_the_seam_count_once_in_narrow_images(columns: int):
     panorama = smooth(1, 8, columns)
     expected = seam_slowly(panorama, near=8)
     assert of(SeamRatio(), panorama).values()["seam ratio nearby"] == pytest.approx(expected, rel=1e-12)
@@ -280,7 +280,7 @@ def test_only_the_seam_itself_moves_the_ratio_to_what_is_nearby():
     assert values["seam ratio"] > 3 and values["seam ratio nearby"] == pytest.approx(1, abs=0.05)
 
 
-def test_a_picture_that_closes_has_a_seam_ratio_of_one():
+def test_a_circular_image_has_a_seam_ratio_of_one():
     around = np.linspace(0, 2 * np.pi, 720, endpoint=False)
     wave = np.rint(127 + 120 * np.sin(around[None, :, None] + np.arange(3))).astype(np.uint8).repeat(4, axis=0)
     ratios = [of(SeamRatio(), np.roll(wave, turn, axis=1)).compute() for turn in range(0, 720, 9)]

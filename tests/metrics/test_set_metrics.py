@@ -50,7 +50,7 @@ def sets() -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     return predicted, target
 
 
-def filled(predicted, target, **settings) -> SlicedWasserstein:
+def metric_of(predicted, target, **settings) -> SlicedWasserstein:
     metric = SlicedWasserstein(**settings)
     for side, images in (("predicted", predicted), ("target", target)):
         for name, image in images.items():
@@ -63,7 +63,7 @@ def test_swd_agrees_with_its_definition(sets, sizes):
     predicted, target = sets
     if sizes == "equal":
         predicted = {name: predicted[name] for name in "ab"}
-    ours, slow = filled(predicted, target, seed=3).values(), swd_slowly(predicted, target, seed=3)
+    ours, slow = metric_of(predicted, target, seed=3).values(), swd_slowly(predicted, target, seed=3)
     assert list(ours) == list(slow) == ["mean", "1024", "512", "256", "128", "64", "32", "16"]
     assert ours == pytest.approx(slow, rel=2e-5)
     assert min(ours.values()) > 10
@@ -84,7 +84,7 @@ def test_descriptors_are_patches_of_the_laplacian_pyramid(size):
 
 
 def test_numbers_are_those_of_karras_et_al_and_levels_those_of_the_paper():
-    metric = filled({"a": noise(1)}, {"a": noise(2)})
+    metric = metric_of({"a": noise(1)}, {"a": noise(2)})
     assert metric.kept["predicted"].stacked().shape == (1, 7, 128, 3 * 7 * 7)
     assert draw_directions(0, 16, 0).shape == (128, 3 * 7 * 7)
     assert REPEATS * DIRECTIONS == 512
@@ -128,14 +128,14 @@ def test_distances_along_lines_agree_with_scipy(n, m):
 
 def test_sets_of_the_same_images_are_at_a_floor_that_falls_with_their_number():
     images = {name: noise(seed, 30, 30) for seed, name in enumerate("abcdef")}
-    few, many = filled({"a": images["a"]}, {"a": images["a"]}).compute(), filled(images, images).compute()
+    few, many = metric_of({"a": images["a"]}, {"a": images["a"]}).compute(), metric_of(images, images).compute()
     assert 1 < many < few
 
 
 def test_a_set_without_contrast_has_a_distance():
     grey = {"a": np.full((20, 20, 3), 128, np.uint8)}
-    assert filled(grey, grey).compute() == 0
-    assert filled(grey, {"a": noise(1)}).compute() > 100
+    assert metric_of(grey, grey).compute() == 0
+    assert metric_of(grey, {"a": noise(1)}).compute() > 100
     assert (normalised(np.full((5, SIZE), 7, np.float32)) == 0).all()
 
 

@@ -13,7 +13,7 @@ from lidar2pano.cli import main
 from lidar2pano.cli.app import BROKEN
 from lidar2pano.errors import InputError
 from lidar2pano.reproduce import Outcome, Plan
-from lidar2pano.reproduce.image_sheets import SHOWN, WIDTH, shown, write_sheets
+from lidar2pano.reproduce.image_sheets import SAMPLES, WIDTH, sample_indices, write_sheets
 from lidar2pano.reproduce.paper_tables import CLAIMS, ROWS, chosen
 from lidar2pano.reproduce.plan import budget, splits
 from lidar2pano.reproduce.results_page import results_page, scalars, value_of, write_curves
@@ -24,7 +24,7 @@ from semantic_kitti import write_semantic_kitti
 def test_every_row_is_made_of_recipes_that_exist_in_both_forms():
     for row in ROWS.values():
         for part in row.parts:
-            assert part == "truth" or {part, f"{part}-mini"} <= RECIPES.keys()
+            assert part == "oracle" or {part, f"{part}-mini"} <= RECIPES.keys()
 
 
 def test_the_papers_values_are_those_of_its_tables():
@@ -78,7 +78,7 @@ def plan(tmp_path):
 
 def test_parts_come_once_and_a_painter_after_its_translator(plan):
     parts = plan.parts
-    assert len(set(parts)) == len(parts) and "truth" not in parts
+    assert len(set(parts)) == len(parts) and "oracle" not in parts
     assert parts[0] == "salsanext" and parts.index("painter") > parts.index("titan-pano")
     assert "salsanext" not in replace(plan, segmenter="kitti-mini").parts
 
@@ -101,7 +101,7 @@ def test_recipes_fit_the_data_at_hand(plan, tmp_path):
 def test_chains_name_runs_in_the_order_of_the_row(plan):
     runs = plan.out / "runs"
     assert plan.chain(ROWS["titan"]) == f"{runs / 'salsanext'}+{runs / 'titan'}+{runs / 'vid2vid'}"
-    assert plan.chain(ROWS["ceiling"]) == f"truth+{runs / 'vid2vid'}"
+    assert plan.chain(ROWS["ceiling"]) == f"oracle+{runs / 'vid2vid'}"
     assert plan.chain(ROWS["scunet"]) == str(runs / "scunet")
 
 
@@ -143,7 +143,7 @@ def test_the_results_page_has_every_row_and_a_verdict_where_it_can(plan):
 def test_sheets_are_side_by_side_and_leave_out_missing_images(tmp_path):
     from PIL import Image
 
-    for row, grey in (("truth", 10), ("titan", 200)):
+    for row, grey in (("ground-truth", 10), ("titan", 200)):
         (tmp_path / "images" / row).mkdir(parents=True)
         image = np.full((30, 60, 3), grey, dtype=np.uint8)
         Image.fromarray(image).save(tmp_path / "images" / row / "00.colour.png")
@@ -156,8 +156,8 @@ def test_sheets_are_side_by_side_and_leave_out_missing_images(tmp_path):
 
 @pytest.mark.parametrize("frames", [0, 1, 2, 7])
 def test_images_are_kept_of_first_middle_and_last_frames(frames):
-    found = shown(frames)
-    assert len(found) == min(frames, SHOWN) and all(0 <= index < frames for index in found)
+    found = sample_indices(frames)
+    assert len(found) == min(frames, SAMPLES) and all(0 <= index < frames for index in found)
     assert not frames or (found[0] == 0 and found[-1] == frames - 1)
 
 
@@ -189,14 +189,14 @@ def test_semantic_kitti_as_users_have_it_and_a_second_run_that_only_reads(semant
     row = next(line for line in text.splitlines() if line.startswith("| SC-UNET |"))
     assert 0 < float(row.split("|")[2]) < 1, "SSIM"
     assert "`val`" in text and ": 1 camera images" in text and "the camera's images (1)" in text
-    assert (tmp_path / "images" / "truth" / "00.colour.png").is_file()
+    assert (tmp_path / "images" / "ground-truth" / "00.colour.png").is_file()
     rows = tmp_path / "rows" / "scunet.json"
     held = {path: path.stat().st_mtime_ns for path in (rows, tmp_path / "runs/scunet/weights/renderer.safetensors")}
     assert main(words) == 0
     assert {path: path.stat().st_mtime_ns for path in held} == held
     rows.write_text("{")  # a damaged row is scored again
     assert main(words) == 0
-    assert json.loads(rows.read_text())["result"]["pictures"] == 1
+    assert json.loads(rows.read_text())["result"]["camera_images"] == 1
     capsys.readouterr()
 
 

@@ -21,7 +21,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
         list[str],
         typer.Argument(
             metavar="WEIGHTS|RUN...",
-            help="Families, runs, weight files, or chains TRANSLATOR+PAINTER (truth+PAINTER: ground-truth labels;"
+            help="Families, runs, weight files, or chains TRANSLATOR+PAINTER (oracle+PAINTER: ground-truth labels;"
             " NAME+steady: video smoothed over time by poses).",
         ),
     ],

@@ -4,7 +4,7 @@
     score(systems, frames, *, data, split, config=None, after_each=...) -> Evaluation
     Evaluation.as_dict() -> dict[str, Any]     ready for JSON; `.table()` is Markdown, `.records()` rows for CSV
 
-weights   an argument of `lidar2pano evaluate`, or a chain "TRANSLATOR+PAINTER"; "truth" as translator is the oracle.
+weights   an argument of `lidar2pano evaluate`, or a chain "TRANSLATOR+PAINTER"; "oracle" is a TRANSLATOR.
 systems   each gets the scan and the calibration of a frame (`SystemInput`); only the oracle gets ground-truth labels.
 frames    `data.frames.frames(root, split)`: the parts that a frame has decide what is measured on it.
 

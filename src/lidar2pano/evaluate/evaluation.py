@@ -99,7 +99,7 @@ class EvaluatedSystem:
 class Evaluation:
     """The result of `score`.
 
-    images     number of frames with camera labels;  scans: with point labels;  pictures: with a camera image;
+    images     number of frames with camera labels;  scans: with point labels;  camera_images: with a camera image;
                panoramas: with a ground-truth panorama.
     reference  metrics of the ground truth itself: seams, warping error, re-segmentation.
     """
@@ -111,7 +111,7 @@ class Evaluation:
     split: str
     images: int = 0
     scans: int = 0
-    pictures: int = 0
+    camera_images: int = 0
     panoramas: int = 0
 
     def target_classes(self, sector: str = "camera") -> list[int]:
@@ -208,7 +208,7 @@ def _count_parts(result: Evaluation, frame: Frame) -> None:
     parts = (frame.camera_labels, frame.point_labels, frame.image, frame.panorama)
     if all(part is None for part in parts):
         raise InputError(f"{frame.name} has neither camera_labels/ nor labels/, and no image; label it first")
-    for name, part in zip(("images", "scans", "pictures", "panoramas"), parts, strict=True):
+    for name, part in zip(("images", "scans", "camera_images", "panoramas"), parts, strict=True):
         setattr(result, name, getattr(result, name) + (part is not None))
 
 

@@ -64,15 +64,15 @@ def heading(one: Evaluation, values: list[Values]) -> str:
     missing = [name for c, name in enumerate(COMMON15.classes) if c not in (*present, *UNSCORED)]
     absent = f" (absent: {', '.join(missing)})" if missing else ""
     parts = [
-        f"`{one.split}` of {one.data}: {max(one.images, one.pictures)} camera images, each scored as a whole at its own"
-        f" size, predicted from the scan alone; {one.scans} scans with point labels. Pixels whose target is unlabeled,"
-        f" sky or unknown are not scored; predictions of unlabeled or sky count as wrong."
+        f"`{one.split}` of {one.data}: {max(one.images, one.camera_images)} camera images, each scored as a whole at"
+        f" its own size, predicted from the scan alone; {one.scans} scans with point labels. Pixels whose target is"
+        f" unlabeled, sky or unknown are not scored; predictions of unlabeled or sky count as wrong."
     ]
     if present:
         parts.append(f"mIoU: mean over the {len(present)} of the paper's 14 classes that occur{absent}.")
     names = {name for each in values for _, name in each}
     if names & {"ssim", "swd"}:
-        parts.append(f"Colours: against the camera's images ({one.pictures}), resized to 1024 x 1024 for SWD.")
+        parts.append(f"Colours: against the camera's images ({one.camera_images}), resized to 1024 x 1024 for SWD.")
     if one.panoramas:
         parts.append(
             f"Panorama: against ground-truth panoramas ({one.panoramas}), on their raster, where they are valid; "
@@ -107,7 +107,7 @@ def table(one: Evaluation) -> str:
 
 
 def records(one: Evaluation) -> list[dict[str, Any]]:
-    """One row per system and value, with IoU of classes and milliseconds; system "truth" is the ground truth itself."""
+    """One row per system and value, with IoU of classes and milliseconds; the reference is system "ground truth"."""
     rows: list[dict[str, Any]] = []
 
     def add(system: str, value: MetricValue) -> None:
@@ -122,7 +122,7 @@ def records(one: Evaluation) -> list[dict[str, Any]]:
             frames = len(each.milliseconds[stage])
             add(name, MetricValue(sector="milliseconds", name=stage, value=mean, frames=frames))
     for value in one.values(one.reference):
-        add("truth", value)
+        add("ground truth", value)
     return rows
 
 
@@ -135,7 +135,7 @@ def as_dict(one: Evaluation) -> dict[str, Any]:
         "split": one.split,
         "images": one.images,
         "scans": one.scans,
-        "pictures": one.pictures,
+        "camera_images": one.camera_images,
         "panoramas": one.panoramas,
         "metrics": list(config.groups),
         "sectors": list(config.sectors),

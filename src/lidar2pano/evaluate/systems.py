@@ -26,7 +26,7 @@ from lidar2pano.pipeline import Pipeline, Segmenter, card_view, load_painter, lo
 from lidar2pano.views import sensor_view
 
 STEADY = "steady"  # last part of a chain: panoramas are smoothed over time by the sensor's poses
-TRUTH = "truth"  # first part of a chain: ground-truth camera labels instead of a translator's
+ORACLE = ("oracle", "truth")  # first part of a chain: ground-truth camera labels; "truth" is its former name
 ROLES = ("segmenter", "translator", "renderer", "painter", "first-frame painter")
 FRONT_VIEW = ("titan", "titan-next", "pix2pix")  # translators of the paper's kind: front view in, camera's image out
 CARD_ENTRIES = ("network", "recipe", "data", "steps", "hours", "commit", "sha256")  # of each network, in results
@@ -38,9 +38,9 @@ def system(weights: str | Path, painter: str | Path | None = None, device: str =
     weights  a family, a run, a folder of weight files or a file; several joined by "+" are one system, in which later
              ones take the places of earlier ones. By the cards: titan-pano (`PanoramaSystem`); titan, titan-next or
              pix2pix for classes (`CameraTranslator`); scunet, or titan or pix2pix for colours (`CameraRenderer`).
-             "truth": `Oracle`, with a painter. Segmenters that are not named, and titan-pano's painter, are the
+             "oracle": `Oracle`, with a painter. Segmenters that are not named, and titan-pano's painter, are the
              default family's. "+steady" behind a titan-pano: temporal smoothing by the sensor's poses.
-    painter  the same as "WEIGHTS+PAINTER". Behind a `CameraTranslator` or "truth" only vid2vid paints.
+    painter  the same as "WEIGHTS+PAINTER". Behind a `CameraTranslator` or "oracle" only vid2vid paints.
     device   "auto" (CUDA if there is one), "cpu" or "cuda";  sensor: as for Pipeline.for_sensor, "" for the weights'.
     Raises InputError when something is missing, damaged, or does not belong together.
     """
@@ -49,12 +49,12 @@ def system(weights: str | Path, painter: str | Path | None = None, device: str =
     if STEADY in parts[1:]:
         return _steady(name, system("+".join(part for part in parts if part != STEADY), None, device, sensor))
     view = sensor_view(sensor) if sensor else None
-    if parts[0] == TRUTH:
+    if parts[0] in ORACLE:
         return _oracle(name, _merged(parts[1:]), picked)
-    mine = _merged(parts)
-    if "renderer" in mine:
-        return _renderer(name, mine, picked)
-    files = _default_files() | mine
+    named = _merged(parts)
+    if "renderer" in named:
+        return _renderer(name, named, picked)
+    files = _default_files() | named
     if missing := [role for role in ("segmenter", "translator") if role not in files]:
         raise InputError(f"{name}: no weights for the {' and the '.join(missing)}; name a family that has them")
     segmenter = load_segmenter(files["segmenter"], picked)
@@ -62,9 +62,9 @@ def system(weights: str | Path, painter: str | Path | None = None, device: str =
         segmenter = replace(segmenter, view=view)
     if read_card(files["translator"]).network in FRONT_VIEW:
         used = {role: files[role] for role in ("segmenter", "translator")}
-        used |= {role: mine[role] for role in ("painter", "first-frame painter") if role in mine}
+        used |= {role: named[role] for role in ("painter", "first-frame painter") if role in named}
         return _translator(name, used, segmenter, picked)
-    return _panorama(name, _own_painter(files, mine), segmenter, picked)
+    return _panorama(name, _own_painter(files, named), segmenter, picked)
 
 
 def _chain(name: str | Path) -> list[str]:
@@ -74,7 +74,7 @@ def _chain(name: str | Path) -> list[str]:
 
 def system_files(name: str) -> dict[str, Path]:
     """Weight files by role of one part of a chain; InputError as `families.named_files`."""
-    return families.named_files(name, _role, [TRUTH])
+    return families.named_files(name, _role, ORACLE)
 
 
 def _role(file: Path) -> str:
@@ -106,9 +106,9 @@ def _merged(parts: list[str]) -> dict[str, Path]:
     return files
 
 
-def _own_painter(files: dict[str, Path], mine: dict[str, Path]) -> dict[str, Path]:
+def _own_painter(files: dict[str, Path], named: dict[str, Path]) -> dict[str, Path]:
     """The files, without the default family's first-frame painter where a painter was named without one."""
-    if "painter" in mine and "first-frame painter" not in mine:
+    if "painter" in named and "first-frame painter" not in named:
         return {role: file for role, file in files.items() if role != "first-frame painter"}
     return files
 

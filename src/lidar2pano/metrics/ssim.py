@@ -61,8 +61,8 @@ def ssim_map(predicted: Array, target: Array) -> Tensor:
     strips = []
     for top in range(0, rows, STRIP):
         x, y = (image[:, top : top + STRIP + 2 * REACH] for image in (a, b))
-        moments = torch.stack([x, y, torch.addcmul(x * x, y, y), x * y])
-        strips.append(_similarity(_blurred(moments, weights)).mean(0))
+        means = torch.stack([x, y, torch.addcmul(x * x, y, y), x * y])
+        strips.append(_similarity(_blurred(means, weights)).mean(0))
     return torch.cat(strips)
 
 
@@ -83,9 +83,9 @@ def _blurred(x: Tensor, weights: list[float]) -> Tensor:
     return x
 
 
-def _similarity(moments: Tensor) -> Tensor:
+def _similarity(means: Tensor) -> Tensor:
     """From the windows' means of a, b, a^2 + b^2 and a b, a and b measured from the middle of the range."""
-    mean_a, mean_b, squares, product = moments.unbind(0)
+    mean_a, mean_b, squares, product = means.unbind(0)
     c1, c2 = (K1 * RANGE) ** 2, (K2 * RANGE) ** 2
     variances = squares - mean_a * mean_a - mean_b * mean_b
     covariance = product - mean_a * mean_b

@@ -14,31 +14,31 @@ from lidar2pano.evaluate.evaluation import system_input
 from lidar2pano.formats.image_files import write_png, write_whole
 from lidar2pano.labels import COMMON15
 
-SHOWN = 3  # frames of the split whose images are kept
+SAMPLES = 3  # frames of the split whose images are kept
 WIDTH = 620  # pixels of an image in a sheet
 HEAD = 18  # pixels of a heading
 
 # sheet -> contents of its lines, and rows of the tables as columns; the ground truth comes first
 SHEETS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "segments": (("colour", "segments"), ("truth", "titan", "pix2pix", "titan-pano")),
-    "without-segments": (("colour",), ("truth", "titan-no-segments", "pix2pix-no-segments", "scunet")),
-    "ablations": (("colour", "segments"), ("truth", "titan", "titan-no-lovasz", "titan-no-range", "ceiling")),
-    "panoramas": (("panorama", "panorama-segments"), ("truth", "titan-pano", "titan-pano-vid2vid")),
+    "segments": (("colour", "segments"), ("ground-truth", "titan", "pix2pix", "titan-pano")),
+    "without-segments": (("colour",), ("ground-truth", "titan-no-segments", "pix2pix-no-segments", "scunet")),
+    "ablations": (("colour", "segments"), ("ground-truth", "titan", "titan-no-lovasz", "titan-no-range", "ceiling")),
+    "panoramas": (("panorama", "panorama-segments"), ("ground-truth", "titan-pano", "titan-pano-vid2vid")),
 }
 
 
 def write_images(folder: Path, one: System, frames: FrameList, config: MetricConfig) -> None:
     """Write a system's predictions for the first, middle and last frames: NN.<content>.png; the ground truth beside."""
-    for number, index in enumerate(shown(len(frames))):
+    for number, index in enumerate(sample_indices(len(frames))):
         frame = frames[index]
         _, prediction = one.predict(system_input(frame, config))
         _write(folder, number, _predicted_images(prediction))
-        _write(folder.parent / "truth", number, _ground_truth_images(frame))
+        _write(folder.parent / "ground-truth", number, _ground_truth_images(frame))
 
 
-def shown(frames: int) -> list[int]:
-    """Indices of the frames whose images are kept: SHOWN, evenly over the split."""
-    return sorted({round(part) for part in np.linspace(0, frames - 1, SHOWN)}) if frames else []
+def sample_indices(frames: int) -> list[int]:
+    """Indices of the frames whose images are kept: SAMPLES, evenly over the split."""
+    return sorted({round(part) for part in np.linspace(0, frames - 1, SAMPLES)}) if frames else []
 
 
 def _predicted_images(prediction: Prediction) -> dict[str, np.ndarray | None]:
@@ -79,14 +79,14 @@ def write_sheets(images: Path, out: Path, names: dict[str, str]) -> list[Path]:
         columns = [row for row in rows if any((images / row).glob("*.png"))]
         if len(columns) < 2:
             continue
-        lines = [_line(images, columns, number, content) for number in range(SHOWN) for content in contents]
+        lines = [_line(images, columns, number, content) for number in range(SAMPLES) for content in contents]
         lines = [line for line in lines if line is not None]
         if not lines:
             continue
         heads = [names.get(row, row) for row in columns]
         image = _headed(np.concatenate(lines), heads)
         path = out / f"{sheet}.jpg"
-        write_whole(path, lambda to, shown=image: Image.fromarray(shown).save(to, format="JPEG", quality=88))
+        write_whole(path, lambda to, sheet=image: Image.fromarray(sheet).save(to, format="JPEG", quality=88))
         written.append(path)
     return written
 

@@ -23,7 +23,7 @@ def _classes(*values: float) -> tuple[float, ...]:
 class PaperRow:
     """One system of the tables.
 
-    name      as in the paper;  parts: names of recipes (without -mini) in the order of the chain; "truth": the
+    name      as in the paper;  parts: names of recipes (without -mini) in the order of the chain; "oracle": the
               camera's ground-truth labels.
     segments  whether it is in the tables of segmentation (1, and 3 of the supplement).
     paper     the paper's values of table 2, by our names;  miou: its mIoU in percent, None where it has none;
@@ -88,7 +88,7 @@ ROWS: dict[str, PaperRow] = {
     "titan-pano-vid2vid": PaperRow(name="titan-pano -> Vid2Vid", parts=("titan-pano", "vid2vid"), segments=True),
     "ceiling": PaperRow(
         name="ground-truth labels -> Vid2Vid (oracle)",
-        parts=("truth", "vid2vid"),
+        parts=("oracle", "vid2vid"),
         paper=_image_values(0.4089, 20.3694, (2.10, 1.99, 1.86, 1.71, 1.56, 1.41, 1.70), 1.76),
     ),
 }

@@ -51,7 +51,7 @@ class Plan:
     @property
     def parts(self) -> list[str]:
         """Every network that the rows need, in the order in which they can be trained."""
-        used = dict.fromkeys(part for row in self.rows.values() for part in row.parts if part != "truth")
+        used = dict.fromkeys(part for row in self.rows.values() for part in row.parts if part != "oracle")
         first = [] if self.segmenter else [SEGMENTER]
         return [*first, *sorted(used, key=lambda part: part == "painter")]  # which is trained behind a translator
 
@@ -65,8 +65,8 @@ class Plan:
 
     def chain(self, row: PaperRow) -> str:
         """The row's system, as an argument of `evaluate`; rows that use point labels get the segmenter prepended."""
-        runs = ["truth" if part == "truth" else str(self.run(part)) for part in row.parts]
-        uses_labels = row.segments and row.parts[0] != "truth"
+        runs = ["oracle" if part == "oracle" else str(self.run(part)) for part in row.parts]
+        uses_labels = row.segments and row.parts[0] != "oracle"
         return "+".join([self.weights(SEGMENTER), *runs] if uses_labels else runs)
 
     def recipe(self, part: str, files: Mapping[str, Path]) -> Recipe:

@@ -40,7 +40,7 @@ PANORAMA_METRICS = {
 
 def write_results_page(plan: Plan, outcome: Outcome) -> Path:
     """Write DIR/RESULTS.md with the images it shows; return its path."""
-    names = {"truth": "ground truth"} | {name: row.name for name, row in plan.rows.items()}
+    names = {"ground-truth": "ground truth"} | {name: row.name for name, row in plan.rows.items()}
     sheets = write_sheets(plan.out / "images", plan.out / "sheets", names)
     curves = write_curves({part: plan.run(part) for part in plan.parts}, plan.out / "sheets" / "curves.png")
     text = results_page(plan, outcome, sheets, curves)

@@ -49,7 +49,7 @@ def reproduce(plan: Plan) -> Outcome:
     scored = sampled(frames(plan.data, plan.split), plan.frames)
     config = MetricConfig.parse("", inception=plan.inception, sdnet=plan.sdnet, device=plan.device)
     for name, row in plan.rows.items():
-        missing = [part for part in row.parts if part != "truth" and part not in files]
+        missing = [part for part in row.parts if part != "oracle" and part not in files]
         if missing:
             outcome.failures[name] = f"{missing[0]} was not trained: {outcome.failures[missing[0]]}"
             continue

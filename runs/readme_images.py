@@ -1,4 +1,4 @@
-"""Make the README's images from the scan that is part of the package: python runs/pictures.py [WEIGHTS].
+"""Make the README's images from the scan that is part of the package: python runs/readme_images.py [WEIGHTS].
 
 docs/panorama.jpg   the panorama, front half above, rear half below
 docs/stages.jpg     range image, LiDAR segments, panorama of segments, depth, colours: left and right ends are behind
