@@ -16,7 +16,7 @@ from lidar2pano.data import truths as module
 from lidar2pano.data.sequences import UNSURE
 from lidar2pano.data.truths import Truth, truths
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import write_depth, write_palette, write_png
+from lidar2pano.formats.output_files import write_depth, write_palette, write_png
 from lidar2pano.geometry.projection import pixels, project
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.views import VIEWS, View

@@ -394,7 +394,7 @@ def test_what_cannot_be_a_system(random_weights, front_weights, film, tmp_path):
         f"{renderer}+{film}": "a renderer makes colours by itself, so the painter has no place",
         f"{front_weights}+{random_weights / 'painter.safetensors'}": "a 'painter' paints panoramas only",
         "truth": "truth: the true classes have to be painted",
-        str(eye): "a 'sdnet' has no part in a system that is evaluated; name it by --sdnet",
+        str(eye): "a 'sdnet' has no part in a system; evaluate takes it as --sdnet",
         str(tmp_path / "two"): "a.safetensors and b.safetensors are both a renderer; name one of them",
         str(tmp_path / "empty"): "holds no weights",
         "trut": "no weights 'trut': neither a released family nor a file; did you mean 'truth'?",

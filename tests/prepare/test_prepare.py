@@ -550,7 +550,7 @@ def test_a_place_that_cannot_be_written_to(root, prepare):
         (["--teacher", "{segmenter}"], "{segmenter} has weights of another network: 'salsanext' instead of 'sdnet'"),
         (["--teacher", "mask2former:a/b"], "a/b: neither a folder nor a model in the hub's cache"),
         (["--lidar", "nowhere"], "no weights 'nowhere'"),
-        (["--lidar", "{sdnet}"], "{sdnet}: a 'sdnet' has no part in the pipeline"),
+        (["--lidar", "{sdnet}"], "{sdnet}: a 'sdnet' has no part in a system"),
         (["--device", "gpu"], "no device 'gpu'"),
         (["--split", "vall"], "{root}/sequences: no split 'vall'; did you mean 'val'?"),
     ],

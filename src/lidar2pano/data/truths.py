@@ -25,7 +25,7 @@ from lidar2pano.data.sequences import UNSURE, Frame, frames
 from lidar2pano.data.sights import CAMERA_TO_COMMON15
 from lidar2pano.data.surround import SurroundFrame, read_json
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import DEPTH_STEPS
+from lidar2pano.formats.output_files import DEPTH_STEPS
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.compose import compose
 from lidar2pano.geometry.filling import dense_depth

@@ -14,7 +14,6 @@ from lidar2pano.data.camera_rasters import camera_raster
 from lidar2pano.evaluate.films import CameraPainter, picture
 from lidar2pano.evaluate.questions import Origin, Question, Seen
 from lidar2pano.geometry.images import Normalisation, one_hot_layers
-from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import project
 from lidar2pano.hardware import Timer
 from lidar2pano.labels import SEMANTIC_KITTI, TABLES
@@ -50,10 +49,7 @@ class Front:
         with watch("project"):
             image = project(question.scan, self.segmenter.view, device=self.device)
             front = project(question.scan, self.view, device=self.device)
-        with watch("segment"):
-            raster = self.segmenter.raster(image)
-        with watch("clean_up"):
-            labels = clean_up(image, raster)
+        labels = self.segmenter.label(image, watch)
         with watch("translate"):
             condition = one_hot_layers(front.spread(labels)[None], len(SEMANTIC_KITTI))
             answer = self.translator(self.normalise(front)[None], condition)

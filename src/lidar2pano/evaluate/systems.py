@@ -49,7 +49,7 @@ def system(weights: str | Path, painter: str | Path | None = None, device: str =
     files = default_files() | mine
     if missing := [role for role in ("segmenter", "translator") if role not in files]:
         raise InputError(f"{name}: no weights for the {' and the '.join(missing)}; name a family that has them")
-    segmenter = load_segmenter(files["segmenter"], picked)
+    segmenter, _ = load_segmenter(files["segmenter"], picked)
     if view is not None:
         segmenter = replace(segmenter, view=view)
     if read_card(files["translator"]).network in FRONT:
@@ -90,7 +90,7 @@ def _around(name: str, files: dict[str, Path], segmenter: Segmenter, device: tor
     translator, card = load_part(files["translator"], device, expect="titan-pano")
     view = card_view(files["translator"], card, "panorama")
     first = files.get("first-frame painter")
-    painter = load_painter(files["painter"], first, view, device) if "painter" in files else Blank()
+    painter = load_painter(files["painter"], first, view, device)[0] if "painter" in files else Blank()
     return Around(
         origin=_origin(name, files),
         pipeline=Pipeline(segmenter=segmenter, translator=translator, painter=painter, view=view, device=device),

@@ -9,21 +9,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from lidar2pano.errors import InputError, closest
-from lidar2pano.labels import COMMON14
 from lidar2pano.models import families
-from lidar2pano.models.card import Card, read_card
 
 STEADY = "steady"  # behind others: their panoramas are steadied by the sensor's poses
 TRUTH = "truth"  # the camera's true classes in a translator's place
 ROLES = ("segmenter", "translator", "renderer", "painter", "first-frame painter")
 FRONT = ("titan", "titan-next", "pix2pix")  # translators of the paper's kind: front view in, camera's image out
-
-
-def role(card: Card) -> str | None:
-    """The part that a card's network plays in a system; None when it plays none."""
-    if card.network in ("titan", "pix2pix", "scunet"):
-        return "translator" if card.labels == COMMON14.name else "renderer"
-    return "translator" if card.network == "titan-next" else families.ROLES.get(card.network)
 
 
 def links(name: str | Path) -> list[str]:
@@ -38,10 +29,10 @@ def named_files(name: str | Path) -> dict[str, Path]:
     """
     installed = families.families()
     if str(name) in installed:
-        return _by_role(sorted(installed[str(name)].glob("*.safetensors")))
+        return families.by_role(sorted(installed[str(name)].glob("*.safetensors")))
     path = Path(name)
     if path.is_file():
-        return _by_role([path])
+        return families.by_role([path])
     if not path.is_dir():
         raise InputError(
             f"no weights {str(name)!r}: neither a released family nor a file" + closest(str(name), [*installed, TRUTH])
@@ -50,24 +41,10 @@ def named_files(name: str | Path) -> dict[str, Path]:
     files = sorted(file for file in folder.glob("*.safetensors") if not file.stem.endswith(".last"))
     if not files:
         raise InputError(f"{folder}: holds no weights (.safetensors); name a family, a file or a run's folder")
-    return _by_role(files)
+    return families.by_role(files)
 
 
 def default_files() -> dict[str, Path]:
     """Files by role of the default family; none where it is not installed."""
     installed = families.families()
     return named_files(families.DEFAULT) if families.DEFAULT in installed else {}
-
-
-def _by_role(files: list[Path]) -> dict[str, Path]:
-    roles: dict[str, Path] = {}
-    for file in files:
-        card = read_card(file)
-        part = role(card)
-        if part is None:
-            how = "; name it by --sdnet" if card.network == "sdnet" else ""
-            raise InputError(f"{file}: a {card.network!r} has no part in a system that is evaluated{how}")
-        if part in roles:
-            raise InputError(f"{file.parent}: {roles[part].name} and {file.name} are both a {part}; name one of them")
-        roles[part] = file
-    return roles

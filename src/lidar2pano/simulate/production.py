@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.output_files import write_whole
 from lidar2pano.simulate.record import Recording
 from lidar2pano.simulate.settings import Settings, claim
 

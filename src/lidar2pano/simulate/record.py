@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar2pano.formats.image_files import write_depth, write_palette, write_png, write_whole
+from lidar2pano.formats.output_files import write_depth, write_palette, write_png, write_whole
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.simulate.beams import SENSORS
 from lidar2pano.simulate.camera import Picture, cylinder, pinhole, render

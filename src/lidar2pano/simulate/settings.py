@@ -11,7 +11,7 @@ import numpy as np
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.output_files import write_whole
 from lidar2pano.simulate.beams import SENSORS
 from lidar2pano.simulate.looks import LOOKS
 from lidar2pano.simulate.places import PLACES
