@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from lidar2pano.calibration import Calibration, read_calib
@@ -128,7 +129,6 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
     memory, folder, poses = Memory(), None, None
     with bar(len(files), "translating") as advance:
         for file in files:
-            advance()
             timer = Timer(options.device)
             try:
                 with timer("read"):
@@ -136,34 +136,38 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
             except InputError as error:
                 complain(error)
                 failed = True
+                advance()
                 continue
             pipeline = pipeline or options.pipeline()
             if file.parent != folder:
                 memory, folder = Memory(), file.parent
                 poses = Poses(folder) if options.smooth else None
             try:
-                pose = None
-                if poses:
-                    with timer("pose"):
-                        pose = poses.of(file, scan)
+                pose = _timed_pose(poses, file, scan, timer) if poses else None
                 memory, panorama = pipeline.step(memory, scan, pose, timer)
                 with timer("save"):
                     outputs = panorama.save(options.out, options.save, options.calibration, names[file])
             except InputError as error:
                 complain(error)
                 failed = True
-                continue
-            record = {
-                "input": str(file),
-                "outputs": [str(path) for path in outputs],
-                "points": len(scan),
-                "dropped": panorama.dropped,
-                "milliseconds": {stage: round(value, 2) for stage, value in timer.milliseconds.items()},
-                "weights": options.weights,
-                "device": str(options.device),
-            }
-            print(json.dumps(record) if options.as_json else summary(record), flush=True)
+            else:
+                record = {
+                    "input": str(file),
+                    "outputs": [str(path) for path in outputs],
+                    "points": len(scan),
+                    "dropped": panorama.dropped,
+                    "milliseconds": {stage: round(value, 2) for stage, value in timer.milliseconds.items()},
+                    "weights": options.weights,
+                    "device": str(options.device),
+                }
+                print(json.dumps(record) if options.as_json else summary(record), flush=True)
+            advance()
     return MISTAKE if failed else 0
+
+
+def _timed_pose(poses: Poses, file: Path, scan: Scan, timer: Timer) -> np.ndarray:
+    with timer("pose"):
+        return poses.of(file, scan)
 
 
 def summary(record: dict[str, Any]) -> str:
