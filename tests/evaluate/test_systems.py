@@ -408,10 +408,10 @@ def test_what_cannot_be_a_system(random_weights, front_weights, video, tmp_path)
         f"{renderer}+{video}": "a renderer predicts colours by itself, so the painter has no place",
         f"{front_weights}+{random_weights / 'painter.safetensors'}": "a 'painter' paints panoramas only",
         "oracle": "oracle: the ground-truth labels have to be painted",
-        str(eye): "a 'sdnet' has no part in a system that is evaluated; name it by --sdnet",
+        str(eye): "a 'sdnet' has no part in a system; evaluate takes it as --sdnet",
         str(tmp_path / "two"): "a.safetensors and b.safetensors are both a renderer; name one of them",
         str(tmp_path / "empty"): "holds no weights",
-        "oracl": "no weights 'oracl': neither a released family nor a file; did you mean 'oracle'?",
+        "oracl": "no weights 'oracl': neither a released family nor a file",
     }.items():
         with pytest.raises(InputError) as caught:
             system(name, device="cpu")

@@ -106,7 +106,7 @@ def write_csv(path: Path, rows: list[dict[str, object]], option: str) -> None:
     import csv
     import io
 
-    from lidar2pano.formats.image_files import write_whole
+    from lidar2pano.formats.output_files import write_whole
 
     text = io.StringIO()
     writer = csv.DictWriter(text, rows[0] if rows else [], lineterminator="\n")
@@ -117,8 +117,9 @@ def write_csv(path: Path, rows: list[dict[str, object]], option: str) -> None:
 
 def note_systems(systems: Iterable[System]) -> None:
     """One line on stderr for each licence that restricts the use of these systems' weights."""
+    from lidar2pano.models.card import read_card
     from lidar2pano.models.families import licence_note
 
-    for note in dict.fromkeys(licence_note(dict(one.info.files)) for one in systems):
+    for note in dict.fromkeys(licence_note(map(read_card, one.info.files.values())) for one in systems):
         if note:
             complain(note)

@@ -15,7 +15,6 @@ from lidar2pano.data.camera_rasters import camera_raster
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate.interface import Prediction, SystemInfo, SystemInput
 from lidar2pano.geometry.images import Normalisation, one_hot_layers
-from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import project
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import SEMANTIC_KITTI, TABLES
@@ -107,10 +106,7 @@ class CameraTranslator:
         with timer("project"):
             range_image = project(inputs.scan, self.segmenter.view, device=self.device)
             front = project(inputs.scan, self.view, device=self.device)
-        with timer("segment"):
-            raster = self.segmenter.raster(range_image)
-        with timer("clean_up"):
-            point_labels = clean_up(range_image, raster)
+        point_labels = self.segmenter.label(range_image, timer)
         with timer("translate"):
             condition = one_hot_layers(front.spread(point_labels)[None], len(SEMANTIC_KITTI))
             output = self.translator(self.normalise(front)[None], condition)

@@ -1,8 +1,4 @@
-"""From names of weights to systems.
-
-Roles of weight files: segmenter, translator (scan and point labels -> classes), renderer (scan -> colours, without
-classes in between), painter (classes -> colours), first-frame painter.
-"""
+"""From names of weights to systems; roles of weight files are those of `models.families.role`."""
 
 from __future__ import annotations
 
@@ -19,7 +15,6 @@ from lidar2pano.evaluate.interface import System, SystemInfo
 from lidar2pano.evaluate.panorama_system import NoPainter, PanoramaSystem
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.hardware import pick_device
-from lidar2pano.labels import COMMON14
 from lidar2pano.models import families
 from lidar2pano.models.card import Card, load, read_card
 from lidar2pano.pipeline import Pipeline, Segmenter, card_view, load_painter, load_part, load_segmenter
@@ -54,10 +49,11 @@ def system(weights: str | Path, painter: str | Path | None = None, device: str =
     named = _merged(parts)
     if "renderer" in named:
         return _renderer(name, named, picked)
-    files = _default_files() | named
+    default = families.weight_files(families.DEFAULT) if families.DEFAULT in families.families() else {}
+    files = default | named
     if missing := [role for role in ("segmenter", "translator") if role not in files]:
         raise InputError(f"{name}: no weights for the {' and the '.join(missing)}; name a family that has them")
-    segmenter = load_segmenter(files["segmenter"], picked)
+    segmenter, _ = load_segmenter(files["segmenter"], picked)
     if view is not None:
         segmenter = replace(segmenter, view=view)
     if read_card(files["translator"]).network in FRONT_VIEW:
@@ -72,27 +68,6 @@ def _chain(name: str | Path) -> list[str]:
     return [str(name)] if Path(name).exists() else str(name).split("+")
 
 
-def system_files(name: str) -> dict[str, Path]:
-    """Weight files by role of one part of a chain; InputError as `families.named_files`."""
-    return families.named_files(name, _role, ORACLE)
-
-
-def _role(file: Path) -> str:
-    card = read_card(file)
-    if card.network in ("titan", "pix2pix", "scunet"):
-        return "translator" if card.labels == COMMON14.name else "renderer"
-    if card.network == "titan-next":
-        return "translator"
-    if card.network not in families.ROLES:
-        hint = "; name it by --sdnet" if card.network == "sdnet" else ""
-        raise InputError(f"{file}: a {card.network!r} has no part in a system that is evaluated{hint}")
-    return families.ROLES[card.network]
-
-
-def _default_files() -> dict[str, Path]:
-    return system_files(families.DEFAULT) if families.DEFAULT in families.families() else {}
-
-
 def _steady(name: str, plain: System) -> System:
     if not isinstance(plain, PanoramaSystem) or not plain.paints:
         raise InputError(f"{name}: only painted panoramas can be smoothed over time; leave +{STEADY} out")
@@ -102,7 +77,7 @@ def _steady(name: str, plain: System) -> System:
 def _merged(parts: list[str]) -> dict[str, Path]:
     files: dict[str, Path] = {}
     for part in parts:
-        files |= system_files(part)
+        files |= families.weight_files(part, fill=False)
     return files
 
 
@@ -124,7 +99,7 @@ def _panorama(name: str, files: dict[str, Path], segmenter: Segmenter, device: t
     translator, card = load_part(files["translator"], device, expect="titan-pano")
     view = card_view(files["translator"], card, "panorama")
     first = files.get("first-frame painter")
-    painter = load_painter(files["painter"], first, view, device) if "painter" in files else NoPainter()
+    painter = load_painter(files["painter"], first, view, device)[0] if "painter" in files else NoPainter()
     return PanoramaSystem(
         info=_info(name, files),
         pipeline=Pipeline(segmenter=segmenter, translator=translator, painter=painter, view=view, device=device),

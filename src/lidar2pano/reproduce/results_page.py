@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from lidar2pano.errors import InputError
-from lidar2pano.evaluate.systems import system_files
-from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.output_files import write_whole
 from lidar2pano.labels import COMMON14
 from lidar2pano.models.card import read_card
+from lidar2pano.models.families import weight_files
 from lidar2pano.reproduce.image_sheets import write_sheets
 from lidar2pano.reproduce.paper_tables import CLAIMS, LEVELS, PAPER_TIMES, Claim
 from lidar2pano.reproduce.plan import SEGMENTER, Plan
@@ -198,7 +198,7 @@ def _networks(plan: Plan) -> str:
 def _files(weights: str) -> Mapping[str, Path]:
     """Weight files by role; none of a run that failed."""
     try:
-        return system_files(weights)
+        return weight_files(weights, fill=False)
     except InputError:
         return {}
 
