@@ -14,7 +14,7 @@ from torch.nn.functional import avg_pool2d, mse_loss
 from lidar2pano.data.camera_rasters import CameraSample, CameraSamples
 from lidar2pano.data.fronts import FrontSample, FrontSamples, Wanted
 from lidar2pano.errors import InputError, closest
-from lidar2pano.metrics.similarity import SSIM
+from lidar2pano.metrics.ssim import SSIM
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.train.adversarial import wasserstein_updates
 from lidar2pano.train.front import called, image_size, range_view

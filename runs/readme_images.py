@@ -1,7 +1,7 @@
-"""Make the README's pictures from the scan that ships with the package: python runs/pictures.py [WEIGHTS].
+"""Make the README's images from the scan that is part of the package: python runs/readme_images.py [WEIGHTS].
 
-docs/panorama.jpg   the picture, front half above, rear half below
-docs/stages.jpg     range, LiDAR segments, segments all around, depth, picture: from left (behind) to right (behind)
+docs/panorama.jpg   the panorama, front half above, rear half below
+docs/stages.jpg     range image, LiDAR segments, panorama of segments, depth, colours: left and right ends are behind
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ def shades(metres: np.ndarray) -> np.ndarray:
     return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
 
 
-def strip(picture: np.ndarray, height: int, smooth: bool = True) -> np.ndarray:
-    """The picture WIDTH pixels wide and `height` high."""
+def strip(image: np.ndarray, height: int, smooth: bool = True) -> np.ndarray:
+    """The image WIDTH pixels wide and `height` high."""
     how = Image.Resampling.LANCZOS if smooth else Image.Resampling.NEAREST
-    return np.array(Image.fromarray(picture).resize((WIDTH, height), how))
+    return np.array(Image.fromarray(image).resize((WIDTH, height), how))
 
 
 def main() -> None:
-    """Run the pipeline once and write both pictures."""
+    """Run the pipeline once and write both images."""
     scan = read(demo.street())
     pipeline = load(sys.argv[1] if len(sys.argv) > 1 else FAMILY)
     panorama = pipeline(scan)
@@ -48,11 +48,11 @@ def main() -> None:
     height = round(WIDTH * halves[0].shape[0] / halves[0].shape[1])
     Image.fromarray(np.concatenate([strip(half, height) for half in halves])).save(DOCS / "panorama.jpg", quality=88)
 
-    image = project(scan, pipeline.segmenter.view)
-    labels = SEMANTIC_KITTI.paint(panorama.labels)[image.index.numpy()] * image.valid.numpy()[..., None]
+    range_image = project(scan, pipeline.segmenter.view)
+    labels = SEMANTIC_KITTI.paint(panorama.labels)[range_image.index.numpy()] * range_image.valid.numpy()[..., None]
     thin = round(WIDTH * panorama.colour.shape[0] / panorama.colour.shape[1])
     rows = [
-        strip(shades(image.channels[0].numpy()), 64, smooth=False),
+        strip(shades(range_image.channels[0].numpy()), 64, smooth=False),
         strip(labels.astype(np.uint8), 64, smooth=False),
         strip(COMMON15.paint(panorama.segments), thin, smooth=False),
         strip(shades(panorama.depth_m), thin),

@@ -1,8 +1,7 @@
-"""Metrics of sets of pictures: sliced Wasserstein and Frechet distances, against slow definitions and libraries."""
+"""Metrics of sets of images: sliced Wasserstein and Frechet distances, against slow definitions and libraries."""
 
 from __future__ import annotations
 
-import json
 from math import isnan
 
 import numpy as np
@@ -11,8 +10,8 @@ import scipy.stats
 import torch
 
 from lidar2pano.metrics.frechet import FrechetDistance, fingerprint, frechet_distance
-from lidar2pano.metrics.inputs import picture
-from lidar2pano.metrics.wasserstein import (
+from lidar2pano.metrics.input_checks import image_tensor
+from lidar2pano.metrics.sliced_wasserstein import (
     DIRECTIONS,
     LEVELS,
     PATCHES,
@@ -45,13 +44,13 @@ def noise(seed: int, rows: int = 40, columns: int = 130, contrast: float = 1.0) 
 
 @pytest.fixture(scope="module")
 def sets() -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Three painted pictures and two true ones."""
+    """Three predicted images and two target images."""
     predicted = {name: noise(seed) for seed, name in enumerate("abc")}
     target = {name: noise(seed + 10, contrast=0.5) for seed, name in enumerate("ab")}
     return predicted, target
 
 
-def filled(predicted, target, **settings) -> SlicedWasserstein:
+def metric_of(predicted, target, **settings) -> SlicedWasserstein:
     metric = SlicedWasserstein(**settings)
     for side, images in (("predicted", predicted), ("target", target)):
         for name, image in images.items():
@@ -64,7 +63,7 @@ def test_swd_agrees_with_its_definition(sets, sizes):
     predicted, target = sets
     if sizes == "equal":
         predicted = {name: predicted[name] for name in "ab"}
-    ours, slow = filled(predicted, target, seed=3).figures(), swd_slowly(predicted, target, seed=3)
+    ours, slow = metric_of(predicted, target, seed=3).values(), swd_slowly(predicted, target, seed=3)
     assert list(ours) == list(slow) == ["mean", "1024", "512", "256", "128", "64", "32", "16"]
     assert ours == pytest.approx(slow, rel=2e-5)
     assert min(ours.values()) > 10
@@ -77,7 +76,7 @@ def test_descriptors_are_patches_of_the_laplacian_pyramid(size):
     places[:, :8] = np.array([[[3, 3], [3, -4], [-4, 3], [-4, -4], [4, 4], [4, -5], [-5, 4], [-5, -5]]]) % np.array(
         LEVELS
     ).reshape(-1, 1, 1)  # the corners, where pixels are mirrored
-    ours, slow = descriptors(pyramid(picture(image)), places), patches_slowly(image, places)
+    ours, slow = descriptors(pyramid(image_tensor(image)), places), patches_slowly(image, places)
     assert ours.shape == (len(LEVELS), PATCHES, SIZE)
     for level, patches in zip(ours, slow, strict=True):
         assert np.abs(level.reshape(patches.shape) - patches).max() < 5e-4
@@ -85,16 +84,16 @@ def test_descriptors_are_patches_of_the_laplacian_pyramid(size):
 
 
 def test_numbers_are_those_of_karras_et_al_and_levels_those_of_the_paper():
-    metric = filled({"a": noise(1)}, {"a": noise(2)})
-    assert metric.state()["predicted"]["arrays"].shape == (1, 7, 128, 3 * 7 * 7)
+    metric = metric_of({"a": noise(1)}, {"a": noise(2)})
+    assert metric.kept["predicted"].stacked().shape == (1, 7, 128, 3 * 7 * 7)
     assert draw_directions(0, 16, 0).shape == (128, 3 * 7 * 7)
     assert REPEATS * DIRECTIONS == 512
     assert tuple(1024 // 2**number for number in range(7)) == LEVELS
 
 
-def test_the_pyramid_adds_up_to_the_picture():
+def test_the_pyramid_adds_up_to_the_image():
     image = noise(1, 1024, 1024)
-    wide = pyramid(picture(image))
+    wide = pyramid(image_tensor(image))
     assert torch.equal(wide[0], torch.from_numpy(image).movedim(2, 0).float())
     assert [level.shape[1] for level in wide] == list(LEVELS)
     assert np.allclose(laplacian_slowly(image)[-1], wide[-1].numpy(), atol=1e-3)
@@ -108,7 +107,9 @@ def test_places_reach_every_pixel_and_no_further():
 
 
 def test_draws_differ_by_seed_name_side_and_level():
-    places = [draw_places(*of) for of in ((0, "a", "target"), (1, "a", "target"), (0, "b", "target"), (0, "a", "both"))]
+    places = [
+        draw_places(*of) for of in ((0, "a", "target"), (1, "a", "target"), (0, "b", "target"), (0, "a", "predicted"))
+    ]
     assert not any(np.array_equal(places[0], other) for other in places[1:])
     assert np.array_equal(places[0], draw_places(0, "a", "target"))
     directions = [draw_directions(*of) for of in ((0, 16, 0), (1, 16, 0), (0, 32, 0), (0, 16, 1))]
@@ -125,17 +126,16 @@ def test_distances_along_lines_agree_with_scipy(n, m):
     assert sliced_distances(first, second, directions) == pytest.approx(slow, abs=1e-6)
 
 
-def test_sets_of_the_same_pictures_are_at_a_floor_or_at_zero():
+def test_sets_of_the_same_images_are_at_a_floor_that_falls_with_their_number():
     images = {name: noise(seed, 30, 30) for seed, name in enumerate("abcdef")}
-    assert filled(images, images, same_places=True).figures() == dict.fromkeys(("mean", *map(str, LEVELS)), 0.0)
-    few, many = filled({"a": images["a"]}, {"a": images["a"]}).compute(), filled(images, images).compute()
+    few, many = metric_of({"a": images["a"]}, {"a": images["a"]}).compute(), metric_of(images, images).compute()
     assert 1 < many < few
 
 
 def test_a_set_without_contrast_has_a_distance():
     grey = {"a": np.full((20, 20, 3), 128, np.uint8)}
-    assert filled(grey, grey).compute() == 0
-    assert filled(grey, {"a": noise(1)}).compute() > 100
+    assert metric_of(grey, grey).compute() == 0
+    assert metric_of(grey, {"a": noise(1)}).compute() > 100
     assert (normalised(np.full((5, SIZE), 7, np.float32)) == 0).all()
 
 
@@ -146,12 +146,12 @@ def test_normalisation_is_per_colour_over_the_set():
     assert ours.std((0, 2)) == pytest.approx([1, 1, 1], abs=1e-6)
 
 
-def test_without_pictures_there_is_no_swd():
+def test_without_images_there_is_no_swd():
     metric = SlicedWasserstein()
-    assert all(isnan(value) for value in metric.figures().values())
+    assert all(isnan(value) for value in metric.values().values())
     metric.take(noise(1), "a", "target")
     assert isnan(metric.compute())
-    with pytest.raises(ValueError, match="taken in twice"):
+    with pytest.raises(ValueError, match="counted twice"):
         metric.take(noise(1), "a", "target")
     with pytest.raises(ValueError, match="predicted or target"):
         metric.take(noise(1), "a", "painted")
@@ -177,7 +177,7 @@ def test_frechet_distance_agrees_with_scipys_root(n, m, size):
     assert ours == pytest.approx(frechet_by_torchmetrics(first, second), rel=1e-6)
 
 
-def test_frechet_distance_of_few_pictures_with_many_features():
+def test_frechet_distance_of_few_images_with_many_features():
     # the root of the formula as it stands is lost in rounding here; in 5 dimensions that hold all features it is not
     first, second = features(1, 6, 5), features(2, 8, 5)
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(300, 5)))[0]
@@ -209,13 +209,13 @@ def test_features_without_a_frechet_distance_are_refused(first, second, complain
         frechet_distance(first, second)
 
 
-def corners(pictures: torch.Tensor) -> torch.Tensor:
-    """Features of a picture: its first row's first colours."""
-    return pictures[:, :, 0, :2].flatten(1).float()
+def corners(images: torch.Tensor) -> torch.Tensor:
+    """Features of an image: its first row's first colours."""
+    return images[:, :, 0, :2].flatten(1).float()
 
 
-def test_frechet_metric_takes_the_features_of_pictures():
-    metric = FrechetDistance(corners, name="FSD", extractor="corners")
+def test_frechet_metric_takes_the_features_of_images():
+    metric = FrechetDistance(corners, name="FSD")
     sides = {
         side: [noise(seed + shift, 9, 12) for seed in range(8)] for side, shift in (("predicted", 0), ("target", 50))
     }
@@ -224,13 +224,11 @@ def test_frechet_metric_takes_the_features_of_pictures():
     slow = [
         np.array([image[0, :2].T.ravel() for image in sides[side]], dtype=float) for side in ("predicted", "target")
     ]
-    assert metric.figures() == {"FSD": pytest.approx(frechet_distance(*slow), rel=1e-12)}
-    told = json.loads(json.dumps(metric.told()))
-    assert told == {"extractor": "corners", "predicted": 8, "target": 8}
+    assert metric.values() == {"FSD": pytest.approx(frechet_distance(*slow), rel=1e-12)}
 
 
-def test_one_picture_has_no_frechet_distance():
-    metric = FrechetDistance(corners, name="FID", extractor="corners")
+def test_one_image_has_no_frechet_distance():
+    metric = FrechetDistance(corners, name="FID")
     assert isnan(metric.compute())
     metric.update(noise(1), noise(2, 20, 20), "a")
     metric.take(noise(3), "b", "target")
@@ -240,12 +238,29 @@ def test_one_picture_has_no_frechet_distance():
 @pytest.mark.parametrize("made", [torch.full((1, 4), torch.nan), torch.zeros(2, 4), torch.zeros(4)])
 def test_features_that_cannot_be_are_refused(made):
     with pytest.raises(ValueError, match="features of 'a'"):
-        FrechetDistance(lambda _: made, name="FID", extractor="x").take(noise(1), "a", "target")
+        FrechetDistance(lambda _: made, name="FID").take(noise(1), "a", "target")
 
 
-def test_fingerprints_tell_weights_apart():
+def test_fingerprints_differ_with_the_weights():
     networks = [torch.nn.BatchNorm1d(3), torch.nn.BatchNorm1d(3), torch.nn.BatchNorm1d(3)]
     networks[1].load_state_dict({**networks[1].state_dict(), "running_mean": torch.full((3,), 1e-3)})
     hashes = [fingerprint(network) for network in networks]
     assert hashes[0] == hashes[2] != hashes[1]
     assert len(hashes[0]) == 64
+
+
+# --- many images ----------------------------------------------------------------------------------------------------
+
+
+def test_of_more_images_than_the_limit_a_sample_is_kept_whatever_their_order(monkeypatch):
+    monkeypatch.setattr(FrechetDistance, "MOST", 20)
+    names = [f"{number:03d}" for number in range(60)]
+    metrics = [FrechetDistance(corners, name="FSD") for _ in range(3)]
+    for metric, order in zip(metrics, (names, names[::-1], names[:20]), strict=True):
+        for name in order:
+            metric.update(noise(int(name), 9, 12), noise(int(name) + 90, 9, 12), name)
+    kept = [sorted(metric.kept["predicted"]) for metric in metrics]
+    assert len(metrics[0]) == 20 and kept[0] == kept[1] == sorted(metrics[0].kept["target"]) != kept[2] == names[:20]
+    assert metrics[0].values() == metrics[1].values()
+    chosen = [noise(int(name), 9, 12)[0, :2].T.ravel() for name in kept[0]]
+    assert np.array_equal(metrics[0].kept["predicted"].stacked(), np.array(chosen, dtype=np.float32))

@@ -1,7 +1,7 @@
-"""Sliced Wasserstein distance between the patches of two sets of pictures, per level of a Laplacian pyramid.
+"""Sliced Wasserstein distance between the patches of two sets of images, per level of a Laplacian pyramid.
 
-Karras et al. 2018 (arXiv:1710.10196), section 5, with the numbers of their published code: patches of 7 x 7, 128 of a
-picture and level, normalised per colour over the set; 4 repeats of 128 directions; times 1000. The TITAN-Net paper
+Karras et al. 2018 (arXiv:1710.10196), section 5, with the numbers of their published code: patches of 7 x 7, 128 of an
+image and level, normalised per colour over the set; 4 repeats of 128 directions; times 1000. The TITAN-Net paper
 (table 2): "both images are resized to 1024 x 1024", levels from "16 x 16, which is doubled until the desired
 resolution is reached", and the average over the levels.
 """
@@ -16,77 +16,66 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.metrics.inputs import Array, picture, pictures
-from lidar2pano.metrics.samples import SIDES, TwoSets
+from lidar2pano.metrics.accumulation import SIDES, SetMetric
+from lidar2pano.metrics.input_checks import Array, image_pair, image_tensor
 
 LEVELS = (1024, 512, 256, 128, 64, 32, 16)  # pixels of a side; the last is the low-pass rest
 PATCH, PATCHES = 7, 128
 REPEATS, DIRECTIONS = 4, 128
 REACH = PATCH // 2
 SIZE = 3 * PATCH * PATCH
-SEEN = PATCH // 2 + 3  # pixels of the next level that 7 successive pixels are grown from
+SUPPORT = PATCH // 2 + 3  # pixels of the next level that 7 successive upsampled pixels depend on
 SCALE = 1e3
 
 
-class SlicedWasserstein(TwoSets):
-    """SWD x 1000 of predicted pictures from true ones: per level, and their mean.
+class SlicedWasserstein(SetMetric):
+    """SWD x 1000 between predicted and target images: per level, and their mean.
 
-    As published, each picture's patches are drawn for themselves, so two sets of the very same pictures are not at
-    zero but at a floor that falls with their number. With `same_places` both pictures of a frame are cut at the same
-    places: identical pictures are at zero, but figures are no longer those of the paper.
-    Places and directions follow from the seed and the names alone. Memory: 0.5 MB a picture.
+    As published, patches are drawn for each image on its own, so two equal sets are not at zero but at a floor that
+    falls with their number. Places and directions follow from the seed and the names alone. Of an image 0.5 MB are
+    kept, so a set takes 1.1 GB of disk at most.
     """
 
-    def __init__(self, *, seed: int = 0, same_places: bool = False) -> None:
-        self.seed, self.same_places = seed, same_places
+    MOST = 2048  # images of a side
+
+    def __init__(self, *, seed: int = 0) -> None:
+        self.seed = seed
         super().__init__()
 
     def update(self, predicted: Array, target: Array, name: str) -> None:
-        """Take in the frame `name`: two pictures (H, W, 3) uint8 of one size; ValueError otherwise."""
-        pictures(predicted, target)
+        """Count the frame `name`: two images (H, W, 3) uint8 of one size; ValueError otherwise."""
+        image_pair(predicted, target)
         self.take(predicted, name, "predicted")
         self.take(target, name, "target")
 
     def take(self, image: Array, name: str, side: str) -> None:
-        """Take in one picture (H, W, 3) uint8 of the "predicted" or the "target"; the sets may differ in size."""
-        self._check_new(name, side)
-        places = draw_places(self.seed, name, "both" if self.same_places else side)
-        self.kept[side][name] = descriptors(pyramid(picture(image)), places)
+        """Count one image (H, W, 3) uint8 of the "predicted" or the "target"; the sets may differ in size."""
+        if self._makes_room(name, side):
+            places = draw_places(self.seed, name, side)
+            self.kept[side][name] = descriptors(pyramid(image_tensor(image)), places)
 
-    def figures(self) -> dict[str, float]:
-        """SWD x 1000: "mean" over the levels, then "1024" to "16"; NaN when a side has no picture."""
-        if not all(self.kept.values()):
+    def values(self) -> dict[str, float]:
+        """SWD x 1000: "mean" over the levels, then "1024" to "16"; NaN when a side has no image."""
+        if not all(map(len, self.kept.values())):
             return dict.fromkeys(("mean", *map(str, LEVELS)), float("nan"))
         levels = {}
         for number, level in enumerate(LEVELS):
-            first, second = (normalised(self._patches(side, number)) for side in SIDES)
+            first, second = (normalised(self.kept[side].stacked(number).reshape(-1, SIZE)) for side in SIDES)
             levels[str(level)] = SCALE * self._distance(first, second, level)
         return {"mean": float(np.mean(list(levels.values()))), **levels}
 
-    def _patches(self, side: str, number: int) -> np.ndarray:
-        """All descriptors (N, SIZE) of a side and level, in the order of the pictures' names."""
-        kept = self.kept[side]
-        return np.concatenate([kept[name][number] for name in sorted(kept)])
-
     def _distance(self, first: np.ndarray, second: np.ndarray, level: int) -> float:
-        repeats = []
-        for repeat in range(REPEATS):
-            directions = draw_directions(self.seed, level, repeat)
-            repeats.append(np.mean(sliced_distances(first, second, directions)))
-        return float(np.mean(repeats))
-
-    def _counted(self) -> tuple:
-        return (*super()._counted(), self.seed, self.same_places)
+        directions = (draw_directions(self.seed, level, repeat) for repeat in range(REPEATS))
+        return float(np.mean([np.mean(sliced_distances(first, second, each)) for each in directions]))
 
 
-# --- pictures to descriptors ----------------------------------------------------------------------------------------
+# --- images to descriptors ----------------------------------------------------------------------------------------
 
 
 def pyramid(image: Tensor) -> list[Tensor]:
-    """The Gaussian pyramid of a picture (3, H, W): (3, L, L) float32 for every L of LEVELS, in [0, 255].
+    """The Gaussian pyramid of an image (3, H, W): (3, L, L) float32 for every L of LEVELS, in [0, 255].
 
-    The picture is resized to the largest bilinearly (with the wider triangle where it shrinks, as Pillow does); the
-    paper names no method.
+    The image is resized to the largest bilinearly with antialiasing, as Pillow does; the paper names no method.
     """
     size = (LEVELS[0], LEVELS[0])
     wide = torch.nn.functional.interpolate(image[None].float().contiguous(), size, mode="bilinear", antialias=True)[0]
@@ -100,9 +89,9 @@ def descriptors(levels: list[Tensor], places: np.ndarray) -> np.ndarray:
     """Patches of the Laplacian pyramid: (levels, PATCHES, SIZE) float32; colour, row, column within a patch.
 
     levels  a Gaussian pyramid (`pyramid`).
-    places  (levels, PATCHES, 2) int64: row and column of each patch's middle.
-    A level of the Laplacian pyramid is that of the Gaussian one less the next, grown (Burt and Adelson 1983). It is
-    worked out only where there are patches.
+    places  (levels, PATCHES, 2) int64: row and column of each patch's centre.
+    A level of the Laplacian pyramid is that of the Gaussian one minus the upsampled next one (Burt and Adelson 1983).
+    It is computed only where there are patches.
     """
     cut = []
     for number, level in enumerate(levels):
@@ -110,7 +99,7 @@ def descriptors(levels: list[Tensor], places: np.ndarray) -> np.ndarray:
         row, column = (first[:, axis, None] + torch.arange(PATCH) for axis in (0, 1))  # (PATCHES, 7) each
         patches = level[:, row[:, :, None], column[:, None, :]]  # (3, PATCHES, 7, 7)
         if number + 1 < len(levels):
-            patches -= _grown(levels[number + 1], row, column)
+            patches -= _upsampled(levels[number + 1], row, column)
         cut.append(patches.movedim(0, 1).reshape(len(first), -1))
     return torch.stack(cut).numpy()
 
@@ -134,28 +123,28 @@ def _halved(x: Tensor, dim: int) -> Tensor:
     return out
 
 
-def _grown(x: Tensor, row: Tensor, column: Tensor) -> Tensor:
-    """What `x` (3, n, n), grown to 2n, has at 7 successive rows and columns (P, 7) each: (3, P, 7, 7)."""
+def _upsampled(x: Tensor, row: Tensor, column: Tensor) -> Tensor:
+    """Patches (3, P, 7, 7) of `x` (3, n, n), upsampled to 2n, at 7 successive rows and columns (P, 7) each."""
     n = x.shape[1]
-    matrix = _growing(n)
+    matrix = _upsampling_matrix(n)
     windows, weights = [], []
     for place in (row, column):
-        first = ((place[:, :1] + 1) // 2 - 1).clamp(0, n - SEEN)
-        windows.append(first + torch.arange(SEEN))
-        weights.append(matrix[place[:, :, None], windows[-1][:, None, :]])  # (P, 7, SEEN)
-    seen = x[:, windows[0][:, :, None], windows[1][:, None, :]]
-    return weights[0] @ seen @ weights[1].mT
+        first = ((place[:, :1] + 1) // 2 - 1).clamp(0, n - SUPPORT)
+        windows.append(first + torch.arange(SUPPORT))
+        weights.append(matrix[place[:, :, None], windows[-1][:, None, :]])  # (P, 7, SUPPORT)
+    window = x[:, windows[0][:, :, None], windows[1][:, None, :]]
+    return weights[0] @ window @ weights[1].mT
 
 
 @cache
-def _growing(n: int) -> Tensor:
+def _upsampling_matrix(n: int) -> Tensor:
     """The matrix (2n, n) that puts zeros between n pixels and blurs with (1, 4, 6, 4, 1) / 8, mirrored as `_halved`."""
     matrix = torch.zeros(2 * n, n)
     for to in range(2 * n):
         for offset, weight in zip(range(-2, 3), (1, 4, 6, 4, 1), strict=True):
             place = abs(to + offset)
             place = min(place, 2 * (2 * n - 1) - place)
-            if place % 2 == 0:  # what has a pixel of n; the others are zeros
+            if place % 2 == 0:  # this place has a pixel of n; the others are zeros
                 matrix[to, place // 2] += weight / 8
     return matrix
 
@@ -164,9 +153,9 @@ def _growing(n: int) -> Tensor:
 
 
 def normalised(patches: np.ndarray) -> np.ndarray:
-    """Descriptors (N, SIZE) with mean 0 and deviation 1 of each colour over all of them; a colour that never varies: 0.
+    """Descriptors (N, SIZE) with mean 0 and deviation 1 of each colour over all of them; a constant colour becomes 0.
 
-    float32, worked out in float64.
+    Returns float32, computed in float64.
     """
     colours = patches.reshape(-1, 3, PATCH * PATCH).astype(np.float64)
     colours -= colours.mean((0, 2), keepdims=True)
@@ -183,7 +172,7 @@ def sliced_distances(first: np.ndarray, second: np.ndarray, directions: np.ndarr
     lines = [_sorted_lines(part, directions) for part in (first, second)]
     if len(first) == len(second):
         return np.abs(lines[0] - lines[1]).mean(1, dtype=np.float64)
-    # of different sizes: both quantile functions are constant between the edges of either
+    # different sizes: both quantile functions are constant between the edges of either
     n, m = len(first), len(second)
     edges = np.union1d(np.arange(n) * m, np.arange(m) * n)  # in units of 1 / (n m)
     width = np.diff(edges, append=n * m) / (n * m)
@@ -191,7 +180,7 @@ def sliced_distances(first: np.ndarray, second: np.ndarray, directions: np.ndarr
 
 
 def _sorted_lines(part: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Where the points (N, D) lie along each direction (K, D), sorted: (K, N)."""
+    """Projections of the points (N, D) on each direction (K, D), sorted: (K, N)."""
     lines = (torch.from_numpy(directions) @ torch.from_numpy(part).T).numpy()
     threads = torch.get_num_threads()
     with ThreadPoolExecutor(threads) as pool:  # numpy sorts much faster than torch, but on one thread
@@ -203,13 +192,13 @@ def _sorted_lines(part: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 
 def draw_places(seed: int, name: str, side: str) -> np.ndarray:
-    """Where the patches of a picture are cut, any place where they fit: (levels, PATCHES, 2) int64 row and column."""
+    """Centres of an image's patches, uniform where they fit: (levels, PATCHES, 2) int64 row and column."""
     generator = _stream(seed, "places", side, name)
     return np.stack([generator.integers(REACH, level - REACH, size=(PATCHES, 2)) for level in LEVELS])
 
 
 def draw_directions(seed: int, level: int, repeat: int) -> np.ndarray:
-    """Directions, evenly over the sphere: (DIRECTIONS, SIZE) float32 of length 1."""
+    """Directions, uniform over the sphere: (DIRECTIONS, SIZE) float32 of length 1."""
     directions = _stream(seed, "directions", str(level), str(repeat)).standard_normal((DIRECTIONS, SIZE))
     return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
 
