@@ -14,7 +14,7 @@ from lidar2pano.models.card import read_card
 from lidar2pano.reproduce.plan import SEGMENTER, Plan
 from lidar2pano.reproduce.rows import CLAIMS, LEVELS, PAPER_TIMES, Claim
 from lidar2pano.reproduce.run import Outcome
-from lidar2pano.train.release import commit
+from lidar2pano.train.checkpoint import commit
 
 CLASSES = COMMON14.classes[1:]
 PICTURES = {"ssim": "SSIM", "fid": "FID", **{f"swd_{level}": f"SWD {level}" for level in LEVELS}, "swd": "SWD mean"}
