@@ -21,11 +21,11 @@ import scipy.stats
 import torch
 from PIL import Image
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support"))
 
 import metric_definitions as truths  # pyright: ignore[reportMissingImports]
 from golden_fill import fill  # pyright: ignore[reportMissingImports]
-from lidar2pano.allocator import keep_buffers
+from lidar2pano.hardware import keep_buffers
 from lidar2pano.metrics.bootstrap import interval
 from lidar2pano.metrics.classes import ClassCounts
 from lidar2pano.metrics.depth import DepthError

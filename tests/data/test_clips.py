@@ -12,7 +12,7 @@ from lidar2pano.data.sequences import SampleIndex, Frame, frames
 from lidar2pano.data.sights import Sight, camera_sight, distances_m, flow_to, panorama_sight
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.warp import warp
-from lidar2pano.sensors import VIEWS
+from lidar2pano.views import VIEWS
 from miniature_video import FRAMES, PANORAMA, STEP, TURN, write_film
 
 QUARTER = VIEWS["panorama"].scaled(1 / 4)

@@ -16,7 +16,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON14, COMMON15
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import VIEWS
+from lidar2pano.views import VIEWS
 from miniature import HOUSE, ROAD, SPLITS, street, write_data_set
 from miniature_video import write_film
 

@@ -26,7 +26,7 @@ from lidar2pano.geometry.projection import project
 from lidar2pano.labels import CITYSCAPES, COMMON15
 from lidar2pano.models.camera_segmenter import CameraSegmenter, Colours
 from lidar2pano.panorama import Panorama
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 from random_weights import street, write_weights
 
 ROAD, CAR, SKY, BUS = (COMMON15.id_of(name) for name in ("road", "car", "sky", "other-vehicle"))

@@ -16,7 +16,7 @@ from lidar2pano.evaluate.questions import Seen
 from lidar2pano.evaluate.rasters import Carried
 from lidar2pano.evaluate.worst import Worst, sheet
 from lidar2pano.labels import COMMON15
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 from random_weights import street, write_data_set, write_weights
 
 VIDEO = {"channels": 16, "widths": [8], "downsamplings": 2, "blocks": [1, 1], "foreground": []}

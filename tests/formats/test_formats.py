@@ -9,11 +9,9 @@ import pytest
 
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats import READERS, read
-from lidar2pano.formats.kitti import read_bin, read_label, write_bin, write_label
+from lidar2pano.formats.scan_files import READERS, read, read_bin, read_label, scan_files, scans, write_bin, write_label
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import VIEWS, View
-from lidar2pano.sources import scan_files, scans
+from lidar2pano.views import VIEWS, View
 
 P2 = "7.0e+02 0 6.0e+02 4.5e+01 0 7.0e+02 1.8e+02 2.0e-01 0 0 1 2.7e-03"
 TR = "0 -1 0 -0.002 0 0 -1 -0.075 1 0 0 -0.27"

@@ -9,7 +9,7 @@ from PIL import Image
 from torch import Tensor
 
 from lidar2pano.calibration import Calibration, read_calib
-from lidar2pano.formats import read
+from lidar2pano.formats.scan_files import read
 from lidar2pano.geometry.camera import (
     Lookup,
     at_camera,
@@ -18,7 +18,7 @@ from lidar2pano.geometry.camera import (
     points_in_camera,
 )
 from lidar2pano.geometry.projection import pixels, project
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 
 AXES = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])  # x ahead, y left, z up -> camera
 

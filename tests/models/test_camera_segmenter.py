@@ -20,13 +20,13 @@ from golden_fill import fill
 from lidar2pano.data.cameras import BEYOND, Looks, PictureSample, PictureSamples, varied
 from lidar2pano.data.sequences import UNSURE, SampleIndex
 from lidar2pano.errors import InputError
+from lidar2pano.hardware import has_bfloat16
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import labelled_cross_entropy
 from lidar2pano.models import build, camera_segmenter
 from lidar2pano.models.camera_segmenter import CameraSegmenter, CameraTeacher, Colours
 from lidar2pano.models.card import Card, load, read_card, save
-from lidar2pano.models.precision import has_bfloat16
 from lidar2pano.models.sdnet import SdNet
 from lidar2pano.train.camera_segmentation import CameraSegmentation
 from lidar2pano.train.engine import train
@@ -122,7 +122,7 @@ def test_read_only_and_mirrored_pictures_are_taken_as_they_are(network):
 MEMORY = """
 from contextlib import nullcontext
 import numpy as np
-from lidar2pano.allocator import keep_buffers
+from lidar2pano.hardware import keep_buffers
 from lidar2pano.models import build, camera_segmenter
 def peak():  # not ru_maxrss: a process begins with that of the one that started it
     return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM")) / 2**20

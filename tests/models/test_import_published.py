@@ -18,7 +18,7 @@ from torch import Tensor
 from golden_fill import fill
 from lidar2pano.cli import main
 from lidar2pano.errors import InputError
-from lidar2pano.models import build, network_class
+from lidar2pano.models import MODELS, build
 from lidar2pano.models.camera_segmenter import CameraSegmenter
 from lidar2pano.models.card import load, save
 from lidar2pano.models.families import licence_note
@@ -189,7 +189,7 @@ def test_settings_of_the_published_networks(golden: Path, name: str) -> None:
     network, special = GOLDEN_KEYS[name]
     shapes = keys_of(golden / f"{name}.keys.txt")
     settings = PUBLISHED[network].settings(shapes)
-    defaults = {key: value.default for key, value in inspect.signature(network_class(network)).parameters.items()}
+    defaults = {key: value.default for key, value in inspect.signature(MODELS[network]).parameters.items()}
     expected = defaults | special
     if name in {"vid2vid_512_scale1"}:
         expected["blocks"] = (9, 0)  # there is no finer scale
@@ -236,7 +236,7 @@ every_small = pytest.mark.parametrize(
 def look_alike(network: str, settings: dict[str, Any]) -> dict[str, Tensor]:
     """The state dict of a network as its authors' training may have left it."""
     settings = {"batch_statistics": True} | settings if "batch_statistics" not in settings else settings
-    known = inspect.signature(network_class(network)).parameters
+    known = inspect.signature(MODELS[network]).parameters
     state = build(network, **{key: value for key, value in settings.items() if key in known}).state_dict()
     state = fill(state, 1.0)
     return {key: value + 3 if key.endswith("num_batches_tracked") else value for key, value in state.items()}

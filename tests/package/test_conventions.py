@@ -15,11 +15,10 @@ from PIL import Image
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.panoramas import PanoramaSamples
-from lidar2pano.data.poses import LidarPoses
+from lidar2pano.data.poses import lidar_poses
 from lidar2pano.data.sequences import UNSURE, frames
 from lidar2pano.errors import InputError
-from lidar2pano.formats import read
-from lidar2pano.formats.kitti import read_label, write_bin, write_label
+from lidar2pano.formats.scan_files import read, read_label, write_bin, write_label
 from lidar2pano.geometry.camera import at_camera, points_in_camera
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.geometry.knn import clean_up
@@ -27,7 +26,7 @@ from lidar2pano.geometry.projection import directions, pixels, project
 from lidar2pano.labels import COMMON14, COMMON15, SEMANTIC_KITTI, LabelSet, unpack_label
 from lidar2pano.metrics.confusion import Confusion
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 
 PAGE = Path(__file__).resolve().parents[2] / "CONVENTIONS.md"
 SENSOR = VIEWS["hdl64e"]
@@ -275,7 +274,7 @@ def test_convention_poses_carry_to_where_things_stand(tmp_path: Path):
     Tr = "Tr: 0 -1 0 0.1 0 0 -1 -0.2 1 0 0 -0.3\n"
     (tmp_path / "calib.txt").write_text("P2: 700 0 600 0 0 700 170 0 0 0 1 0\n" + Tr)
     (tmp_path / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 2\n")
-    poses = LidarPoses.of(tmp_path)
+    poses = lidar_poses(tmp_path)
     assert poses is not None
     assert poses.at("000000") @ [5, 0, 0, 1] == pytest.approx(poses.at("000001") @ [3, 0, 0, 1])
 

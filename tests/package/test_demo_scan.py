@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from lidar2pano.demo import street
-from lidar2pano.formats.kitti import read_bin, read_label
+from lidar2pano.formats.scan_files import read_bin, read_label
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import VIEWS
+from lidar2pano.views import VIEWS
 
 SCRIPT = Path(__file__).resolve().parents[2] / "runs" / "demo_scan.py"
 # Share of the points in per cent and their mean remission, generously around what scans of data/kitti-mini have.

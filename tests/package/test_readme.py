@@ -18,11 +18,6 @@ def python_blocks(text: str) -> list[str]:
     return re.findall(r"^```python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
 
 
-def test_blocks_are_found():
-    text = "words\n```python\na = 1\n```\n```sh\nmake demo\n```\n\n```python\nb = a\n\nc = b\n```\n"
-    assert python_blocks(text) == ["a = 1\n", "b = a\n\nc = b\n"]
-
-
 @pytest.fixture
 def beside_scans(tmp_path, monkeypatch):
     """A working folder with the scan that ships with the package: as `scan.bin`, by its own name, and in `drive/`."""
@@ -38,8 +33,9 @@ def beside_scans(tmp_path, monkeypatch):
 
 
 def test_readme_runs(beside_scans):
-    blocks = python_blocks(README.read_text(encoding="utf-8"))
-    assert blocks, "README.md shows no Python"
+    text = README.read_text(encoding="utf-8")
+    blocks = python_blocks(text)
+    assert blocks and len(blocks) == text.count("```python"), "README.md shows no Python, or not all of it is run"
     names: dict[str, object] = {"__name__": "__main__"}
     for block in blocks:
         exec(compile(block, "README.md", "exec"), names)

@@ -7,7 +7,7 @@ import torch
 from lidar2pano.geometry.projection import directions
 from lidar2pano.labels import COMMON15
 from lidar2pano.memory import MOST, Shown, steadied
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 VIEW = View(rows=24, columns=96, up=0.24, down=-0.2836, kind="cylinder", origin=(0.3, 0.1, -0.1))
 ROAD, CAR, SKY = (COMMON15.id_of(name) for name in ("road", "car", "sky"))

@@ -18,19 +18,18 @@ from lidar2pano.cli import main
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.images import Normalisation, one_hot_layers
 from lidar2pano.geometry.projection import project
+from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.models import build
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.card import read_card, save
 from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import licence_note, weight_files
-from lidar2pano.models.precision import fast_arithmetic
-from lidar2pano.models.segmenter import Segmenter
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
-from lidar2pano.pipeline import Memory, Stopwatch, load
+from lidar2pano.pipeline import Memory, Segmenter, load
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 from random_weights import LICENCE, TRANSLATOR_VIEW, spread_norms, street, write_scan, write_weights
 
 SKY = COMMON15.id_of("sky")
@@ -428,7 +427,7 @@ def test_a_video_painter_paints_the_stream_frame_after_frame(random_weights, tmp
 
 def test_the_panorama_is_what_the_video_painter_painted(random_weights, tmp_path):
     pipeline = load(video_weights(random_weights, tmp_path / "video"), "cpu")
-    seen = pipeline.translated(street(), Stopwatch(pipeline.device))
+    seen = pipeline.translate(street(), Timer(pipeline.device))
     with torch.inference_mode(), fast_arithmetic(pipeline.device):
         _, picture = pipeline.painter.follow(None, grown_classes(seen.logits.softmax(1), 1))
     expected = ((grow_circular(picture[None], 2)[0] + 1) * 127.5).round().movedim(0, 2)

@@ -21,14 +21,13 @@ from PIL import Image
 from lidar2pano.cli import main
 from lidar2pano.data.sequences import UNSURE, Frame
 from lidar2pano.errors import InputError
-from lidar2pano.formats.kitti import read_bin, write_bin
+from lidar2pano.formats.scan_files import read_bin, write_bin
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import CITYSCAPES, SEMANTIC_KITTI, unpack_label
 from lidar2pano.models import build
 from lidar2pano.models.camera_segmenter import CameraSegmenter, Colours
 from lidar2pano.models.card import Card, load, save
-from lidar2pano.models.segmenter import Segmenter
-from lidar2pano.pipeline import load_segmenter
+from lidar2pano.pipeline import Segmenter, load_segmenter
 from lidar2pano.prepare import Material, State, camera_teacher, label, lidar_teacher, materials
 from lidar2pano.prepare.journal import NAME, Journal, Record
 from random_weights import street, write_segmenter

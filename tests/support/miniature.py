@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lidar2pano.formats.kitti import write_bin, write_label
+from lidar2pano.formats.scan_files import write_bin, write_label
 from lidar2pano.scan import Scan
 
 # a camera of 240 x 72 pixels at the LiDAR's place, looking ahead: x right = -y, y down = -z, z ahead = x

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lidar2pano.formats.kitti import write_bin, write_label
-from lidar2pano.formats.pictures import write_depth
+from lidar2pano.formats.image_files import write_depth
+from lidar2pano.formats.scan_files import write_bin, write_label
 from miniature import CALIB, SIZE, street
 
 FRAMES = 7

@@ -12,13 +12,13 @@ import torch
 from PIL import Image
 from torch import nn
 
-from lidar2pano.formats.kitti import write_bin
+from lidar2pano.formats.scan_files import write_bin
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, save
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import VIEWS
+from lidar2pano.views import VIEWS
 
 SEGMENTER_VIEW = replace(VIEWS["hdl64e"], rows=32, columns=256)
 TRANSLATOR_VIEW = VIEWS["panorama"].scaled(1 / 8)  # 48 x 576

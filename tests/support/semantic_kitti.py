@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lidar2pano.formats.kitti import write_bin, write_label
+from lidar2pano.formats.scan_files import write_bin, write_label
 from miniature import SIZE, camera_view, street
 
 LABELLED = range(11)  # of 22 sequences

@@ -8,7 +8,7 @@ from collections import Counter
 import numpy as np
 import torch
 
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 
 def place_slowly(point: np.ndarray, view: View) -> tuple[int, int] | None:

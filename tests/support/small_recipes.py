@@ -16,10 +16,10 @@ from unittest import mock
 import torch
 from torch import Tensor
 
-from lidar2pano.sensors import VIEWS
 from lidar2pano.train.options import CameraColourOptions
 from lidar2pano.train.recipe import Recipe, override
 from lidar2pano.train.recipes import recipe_named
+from lidar2pano.views import VIEWS
 
 SIZE = (24, 80)  # rows, columns of the pictures
 FRONT = replace(VIEWS["titan-front"], rows=32, columns=128)  # the view that small recipes have

@@ -133,12 +133,10 @@ def toy_recipe(task: str, **training: Any) -> Recipe:
 
 def entries() -> list[tuple[dict, str, Any]]:
     """(table, name, value) that make the toys known to the package by name."""
-    here = sys.modules[__name__]
     return [
-        (MODELS, "toy", "toy:ToyNetwork"),
+        (MODELS, "toy", ToyNetwork),
         (TASKS, "toy", Denoise),
         (TASKS, "toy-gan", Gan),
-        (sys.modules, "lidar2pano.models.toy", here),
     ]
 
 

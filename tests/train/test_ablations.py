@@ -21,13 +21,13 @@ from lidar2pano.losses import lovasz_softmax
 from lidar2pano.models import build
 from lidar2pano.models.card import load
 from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.sensors import VIEWS
 from lidar2pano.train.checkpoint import load_checkpoint
 from lidar2pano.train.engine import train
 from lidar2pano.train.recipe import resolved
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.task import Task
 from lidar2pano.train.tasks import build_task
+from lidar2pano.views import VIEWS
 from miniature import SIZE as CAMERA
 from miniature import write_data_set
 from small_recipes import FRONT, alike, small, without_chance

@@ -9,7 +9,7 @@ from typing import Literal
 import torch
 
 from lidar2pano.errors import InputError
-from lidar2pano.models.precision import has_bfloat16
+from lidar2pano.hardware import has_bfloat16
 from lidar2pano.train.recipe import Training
 
 log = logging.getLogger(__name__)

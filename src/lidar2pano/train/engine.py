@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lidar2pano.errors import InputError
-from lidar2pano.models.precision import pick_device
+from lidar2pano.hardware import pick_device
 from lidar2pano.train.checkpoint import (
     Progress,
     check_recipe,

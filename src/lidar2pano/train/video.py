@@ -19,8 +19,8 @@ from lidar2pano.geometry.warp import warp
 from lidar2pano.labels import COMMON15
 from lidar2pano.losses.supervised import pooled
 from lidar2pano.models.card import load
-from lidar2pano.models.precision import fast_arithmetic
-from lidar2pano.sensors import VIEWS
+from lidar2pano.hardware import fast_arithmetic
+from lidar2pano.views import VIEWS
 from lidar2pano.train.options import VideoOptions
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.sampling import evenly_spaced
