@@ -24,10 +24,10 @@ from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15, TABLES
 from lidar2pano.models.card import Card, read_card, save
 from lidar2pano.pipeline import load
-from lidar2pano.views import VIEWS
 from lidar2pano.train.colour import ColourTask
 from lidar2pano.train.front import FrontDepthTranslation, FrontTask
 from lidar2pano.train.tasks import build_task
+from lidar2pano.views import VIEWS
 from miniature import SIZE as CAMERA
 from miniature import write_data_set
 from random_weights import (

@@ -17,11 +17,11 @@ from lidar2pano.errors import InputError
 from lidar2pano.losses.supervised import pooled
 from lidar2pano.metrics.similarity import SSIM
 from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.views import VIEWS
 from lidar2pano.train.adversarial import pix2pix_updates, renamed, wasserstein_updates
 from lidar2pano.train.options import CameraColourOptions, FrontColourOptions, Pix2PixColoursOptions
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import as_image, build_networks, device_of, image_size, range_view_card
+from lidar2pano.views import VIEWS
 
 
 class ColourTask:

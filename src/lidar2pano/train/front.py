@@ -16,7 +16,6 @@ from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.labels import COMMON14, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.views import VIEWS
 from lidar2pano.train.adversarial import pix2pix_updates, renamed, wasserstein_updates
 from lidar2pano.train.options import FrontDepthOptions, FrontOptions, Pix2PixSegmentsOptions
 from lidar2pano.train.recipe import Recipe
@@ -28,6 +27,7 @@ from lidar2pano.train.task import (
     range_view_card,
     segmentation_scores,
 )
+from lidar2pano.views import VIEWS
 
 TINY = 1e-8  # least probability whose logarithm is taken
 

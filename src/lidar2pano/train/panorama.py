@@ -14,16 +14,16 @@ from torch.nn.functional import cross_entropy
 from lidar2pano.data.panoramas import PanoramaSample, PanoramaSamples
 from lidar2pano.data.sequences import UNSURE
 from lidar2pano.geometry.images import one_hot_layers
+from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import class_weights
-from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.views import VIEWS
 from lidar2pano.train.options import PanoramaOptions
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.sampling import evenly_spaced
 from lidar2pano.train.task import build_networks, device_of, load_segmenter, segmentation_scores
+from lidar2pano.views import VIEWS
 
 
 class PanoramaTranslation:

@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Generic, Literal, TypeVar
 
 from lidar2pano.errors import InputError, closest
-from lidar2pano.views import VIEWS
 from lidar2pano.train.options import TaskOptions, check_least
 from lidar2pano.train.overrides import changed
+from lidar2pano.views import VIEWS
 
 Options_co = TypeVar("Options_co", bound=TaskOptions, covariant=True)
 LARGEST_BATCH = 65_536

@@ -17,11 +17,11 @@ from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import class_weights
 from lidar2pano.pipeline import Segmenter
-from lidar2pano.views import VIEWS
 from lidar2pano.train.options import SegmentationOptions
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.sampling import evenly_spaced
 from lidar2pano.train.task import build_networks, device_of, range_view_card, segmentation_scores
+from lidar2pano.views import VIEWS
 
 
 class Segmentation:

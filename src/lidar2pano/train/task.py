@@ -15,11 +15,11 @@ from lidar2pano.labels import LabelSet
 from lidar2pano.metrics.confusion import Confusion
 from lidar2pano.models import build
 from lidar2pano.models.card import load
-from lidar2pano.pipeline import Segmenter
 from lidar2pano.models.titan import IMAGE_SIZE
+from lidar2pano.pipeline import Segmenter
 from lidar2pano.scan import Scan
-from lidar2pano.views import View
 from lidar2pano.train.recipe import Network, Recipe
+from lidar2pano.views import View
 
 if TYPE_CHECKING:
     import numpy as np
