@@ -11,6 +11,7 @@ from pathlib import Path
 from lidar2pano.data.semantic_kitti import SEQUENCES
 from lidar2pano.errors import InputError
 from lidar2pano.reproduce.paper_tables import ROWS, PaperRow
+from lidar2pano.train.options import VideoOptions
 from lidar2pano.train.recipe import Recipe, override
 from lidar2pano.train.recipes import recipe_named
 
@@ -75,12 +76,12 @@ class Plan:
         there = splits(self.data)
         train = tuple(name for name in found.data.train if name in there) or ("train",)
         found = replace(found, data=replace(found.data, train=train, val=(self.split,)))
-        stills = found.options.get("stills", ())
-        if stills:
-            found = replace(found, options={**found.options, "stills": tuple(n for n in stills if n in there)})
         given = {"segmenter": files.get(SEGMENTER), "translator": files.get("titan-pano")}
-        wants = {name: str(file) for name, file in given.items() if file and name in found.options}
-        found = replace(found, options={**found.options, **wants})
+        options = {name: str(file) for name, file in given.items() if file and hasattr(found.options, name)}
+        if isinstance(found.options, VideoOptions):
+            single = tuple(name for name in found.options.single_frame_splits if name in there)
+            options["single_frame_splits"] = single
+        found = replace(found, options=replace(found.options, **options))
         for change in budget(self.budget):
             found = override(found, change)
         for change in self.changes:

@@ -17,7 +17,7 @@ from lidar2pano.reproduce.image_sheets import write_sheets
 from lidar2pano.reproduce.paper_tables import CLAIMS, LEVELS, PAPER_TIMES, Claim
 from lidar2pano.reproduce.plan import SEGMENTER, Plan
 from lidar2pano.reproduce.run import Outcome
-from lidar2pano.train.release import commit
+from lidar2pano.train.checkpoint import commit
 
 CLASSES = COMMON14.classes[1:]
 IMAGE_METRICS = {

@@ -67,7 +67,7 @@ def train_part(plan: Plan, part: str, files: Mapping[str, Path]) -> Path:
 
     recipe = plan.recipe(part, files)
     for option in ("translator", "segmenter"):
-        if part == "painter" and not recipe.options[option]:
+        if part == "painter" and not getattr(recipe.options, option):
             raise InputError(f"the painter is trained behind a {option}, and there is none")
     log.info("training %s", recipe.name)
     folder = train(recipe, plan.data, plan.run(part), device=plan.device)
