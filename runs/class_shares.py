@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar2pano.data.sequences import frames
+from lidar2pano.data.frames import frames
 from lidar2pano.labels import SEMANTIC_KITTI
 
 
@@ -19,7 +19,7 @@ def shares(root: Path, splits: tuple[str, ...]) -> tuple[np.ndarray, int]:
     counts, scans = np.zeros(len(SEMANTIC_KITTI)), 0
     for split in splits:
         for frame in frames(root, split):
-            ids = frame.labels(len(frame.scan()))
+            ids = frame.require("point_labels")[0]
             counts += np.bincount(ids, minlength=len(counts))
             scans += 1
     return counts / counts.sum(), scans

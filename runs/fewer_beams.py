@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from lidar2pano.data.augment import bands
-from lidar2pano.data.ranges import BEAM_DEG
+from lidar2pano.data.range_images import BEAM_DEG
 from lidar2pano.data.truths import Truth, truths
 from lidar2pano.evaluate.evaluation import score
 from lidar2pano.evaluate.measures import Measures

@@ -4,7 +4,7 @@
 
 In the street world everything is known: six cameras that stand as PandaSet's do are rendered, and the true panorama and
 its depth from the front camera's place. Stitched are panoramas with the true depth, with the scan's (`complete_depth`),
-and with none (everything far). Prints one Markdown table: the share of pixels that are valid; the mean difference to the
+and with none (all far). Prints one Markdown table: the share of pixels that are valid; the mean difference to the
 true panorama in steps of 8 bits there, and of the true panorama to itself a column aside, for scale; how far the
 look-ups of valid pixels are from where the true depth puts them, in pixels of the view: median, 90th percentile, share
 above 4.

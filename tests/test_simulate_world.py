@@ -12,7 +12,7 @@ from PIL import Image
 
 from lidar2pano.calibration import read_calib
 from lidar2pano.cli import main
-from lidar2pano.data.sequences import frames
+from lidar2pano.data.semantic_kitti import frames
 from lidar2pano.errors import InputError
 from lidar2pano.labels import unpack_label
 from lidar2pano.views import KITTI_CAMERA, VIEWS
@@ -59,7 +59,7 @@ def test_instances_tell_things_apart(made):
     assert (instance[np.isin(raw, [40, 48, 50, 70, 72])] == 0).all()
     cars = instance[raw == 10]
     assert len(np.unique(cars)) > 3
-    xyz = frame.scan().xyz
+    xyz = frame.scan.xyz
     for number in np.unique(cars):
         # A few points at a car's edge lie between it and what is behind it.
         if (instance == number).sum() < 30:
@@ -88,12 +88,12 @@ def test_panorama_through_the_camera_is_the_camera_s_picture(made):
     from lidar2pano.geometry.camera import at_camera, panorama_in_camera
 
     frame = frames(made[0], "all")[0]
-    calibration = frame.calibration((1242, 375)).scaled(0.2)
+    calibration = frame.calibration.scaled(0.2)
     view = at_camera(VIEWS["panorama"].scaled(1 / 4), calibration)
     pano = np.array(Image.open(frame.folder / "pano" / f"{frame.stem}.png")).astype(np.float32)
     seen = panorama_in_camera(view, calibration)
     carried = seen.linear(torch.from_numpy(pano).movedim(2, 0)).numpy().transpose(1, 2, 0)
-    small = Image.fromarray(frame.image()).resize(calibration.size, Image.Resampling.BOX)
+    small = Image.fromarray(frame.image).resize(calibration.size, Image.Resampling.BOX)
     gap = np.abs(carried - np.array(small).astype(np.float32))[seen.valid.numpy()]
     assert np.median(gap) < 6
     assert gap.mean() < 16

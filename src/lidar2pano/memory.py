@@ -67,5 +67,5 @@ def steadied(now: Shown, before: Shown, view: View) -> Shown:
     same = flow.known & (before.ids[there_row, there_column] == now.ids)
     held = before.count[there_row, there_column].clamp(max=MOST - 1) * same
     share, shift = (interpolate(part[None], scale_factor=2.0) for part in ((held / (held + 1))[None], 2 * flow.shift))
-    past = warp(before.picture, shift, closed=True)
+    past = warp(before.picture, shift, circular=True)
     return now._replace(picture=torch.lerp(now.picture, past, share), count=held + 1)

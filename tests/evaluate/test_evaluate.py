@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.sequences import UNSURE
+from lidar2pano.data.frames import IGNORE
 from lidar2pano.data.truths import TruePanorama, Truth
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import Measures, Question, Seen, score, system
@@ -30,7 +30,7 @@ from lidar2pano.views import VIEWS, View
 from random_weights import street, write_weights
 
 ROAD, CAR, SKY, BUS = (COMMON15.id_of(name) for name in ("road", "car", "sky", "other-vehicle"))
-TARGET = np.array([[ROAD] * 4 + [CAR] * 2, [SKY, UNSURE] + [CAR] * 4], np.uint8)
+TARGET = np.array([[ROAD] * 4 + [CAR] * 2, [SKY, IGNORE] + [CAR] * 4], np.uint8)
 POINTS = np.array([0, 1, 9, 9])  # unlabeled, car, road, road
 SCAN = street(points=4)
 RASTER = View(rows=16, columns=64, up=0.24, down=-0.24, kind="cylinder")
@@ -129,7 +129,7 @@ def test_only_the_ceiling_is_told_the_classes():
         scored([truth()], one := Told(told=ceiling))
         asked.append(one.asked[0].ids)
     assert asked[0] is None
-    assert asked[1].tolist() == np.where(TARGET == UNSURE, 0, TARGET).tolist()
+    assert asked[1].tolist() == np.where(TARGET == IGNORE, 0, TARGET).tolist()
     heading = scored([truth()], Told("truth+x", told=True)).heading()
     assert "Told the camera's true classes, not the scan: truth+x." in heading
 
@@ -284,9 +284,9 @@ def test_the_cameras_depth_is_compared_with_the_scans_own():
     scan = street(points=400)
     frame = truth(calibration=camera(80, 24), camera_ids=np.zeros((24, 80), np.uint8), point_ids=None)
     frame = replace(frame, scan=scan)
-    from lidar2pano.data.camera_rasters import camera_raster
+    from lidar2pano.geometry.camera import project_to_camera
 
-    exact = camera_raster(scan, camera(80, 24), (24, 80))[1].numpy()
+    exact = project_to_camera(scan, camera(80, 24), (24, 80))[1].numpy()
     evaluation = scored([frame], Told(depth_m=exact), Told(depth_m=1.5 * exact + 1.0 * (exact == 0)))
     assert figure(evaluation, "camera", "depth_abs_rel") == 0
     assert figure(evaluation, "camera", "depth_abs_rel", 1) == pytest.approx(0.5)
@@ -322,7 +322,7 @@ def around(question: Question, view: View = RASTER, **parts: object) -> Panorama
 
 def test_all_around_by_hand():
     ids = true_panorama().ids.copy()
-    ids[5, :7] = UNSURE
+    ids[5, :7] = IGNORE
     true = true_panorama(ids=ids)
     evaluation = scored([truth(panorama=true)], Told(panorama=around))
     assert evaluation.panoramas == 1

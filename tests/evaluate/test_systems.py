@@ -10,9 +10,9 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from lidar2pano.calibration import Calibration
+from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.data.augment import drop_points
-from lidar2pano.data.sequences import Frame, frames
+from lidar2pano.data.frames import Frame, frames
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import Question, system
 from lidar2pano.evaluate.around import Around
@@ -73,7 +73,7 @@ def kitti(tmp_path) -> Calibration:
     """KITTI's camera."""
     write_scan(tmp_path / "sequences" / "00" / "velodyne" / "000000.bin")
     (tmp_path / "sequences" / "00" / "calib.txt").write_text(CALIB)
-    return Frame(folder=tmp_path / "sequences" / "00", stem="000000").calibration((1241, 376))
+    return read_calib(tmp_path / "sequences" / "00" / "calib.txt", (1241, 376))
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def film(tmp_path_factory) -> Path:
 
 
 def at(frame: Frame, **more: object) -> Question:
-    return Question(scan=replace(frame.scan(), name=frame.name), calibration=frame.calibration(CAMERA), **more)
+    return Question(scan=frame.scan, calibration=frame.calibration, **more)
 
 
 def released(recipe_name: str, root: Path, folder: Path, *further: str):
@@ -174,11 +174,11 @@ def test_sc_unet_with_range_on_the_raster_of_its_card(root, frame, tmp_path):
         return torch.zeros(1, 3, *x.shape[2:])
 
     _, seen = replace(one, renderer=_Function(answer)).see(at(frame))
-    from lidar2pano.data.camera_rasters import camera_raster
+    from lidar2pano.geometry.camera import project_to_camera
     from lidar2pano.train.direct import camera_evidence
 
-    calibration = frame.calibration(CAMERA)
-    wanted = camera_evidence(camera_raster(frame.scan(), calibration, (24, 80))[None], 2)
+    calibration = frame.calibration
+    wanted = camera_evidence(project_to_camera(frame.scan, calibration, (24, 80))[None], 2)
     assert torch.equal(shown[0], wanted) and (wanted[0, 1] > 0).any()
     assert seen.colour is not None and seen.colour.shape == (CAMERA[1], CAMERA[0], 3) and (seen.colour == 128).all()
 
@@ -210,7 +210,7 @@ class Sides(nn.Module):
 def test_the_front_is_stretched_to_the_cameras_image(front_weights, frame):
     plain = system(front_weights, device="cpu")
     assert isinstance(plain, Front)
-    question = Question(scan=street(), calibration=frame.calibration((320, 96)))
+    question = Question(scan=street(), calibration=read_calib(frame.folder / "calib.txt", (320, 96)))
     seen = replace(plain, translator=(sides := Sides(CAR, ROAD, size=(2, 4)))).see(question)[1]
     assert seen.ids.shape == (96, 320) and seen.labels.shape == (len(street()),)
     assert (seen.ids[:, :159] == CAR).all() and (seen.ids[:, 161:] == ROAD).all()

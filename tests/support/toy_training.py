@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from lidar2pano.data.sequences import Draw
+from lidar2pano.data.frames import SampleIndex
 from lidar2pano.models import MODELS
 from lidar2pano.train.checkpoint import load_checkpoint
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, override
@@ -36,7 +36,7 @@ class Pictures:
     def __len__(self) -> int:
         return 11
 
-    def __getitem__(self, draw: Draw) -> Sample:
+    def __getitem__(self, draw: SampleIndex) -> Sample:
         picture = np.random.default_rng(draw.index).normal(size=(3, SIZE, SIZE)).astype(np.float32)
         noise = np.random.default_rng(draw.seed).normal(size=picture.shape).astype(np.float32)
         return Sample(torch.from_numpy(picture), torch.from_numpy(picture + 0.3 * noise), str(draw.index))
@@ -85,7 +85,7 @@ class Denoise:
     def validate(self) -> dict[str, float]:
         if self.scores:
             return {"score": self.scores.pop(0)}
-        samples = [self.dataset[Draw(index, 99)] for index in range(4)]
+        samples = [self.dataset[SampleIndex(index, 99)] for index in range(4)]
         noisy, truth = (torch.stack([getattr(one, name) for one in samples]) for name in ("noisy", "picture"))
         with torch.inference_mode():
             return {"score": -(self.networks["generator"](noisy) - truth).square().mean().item()}

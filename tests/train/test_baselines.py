@@ -14,9 +14,10 @@ from torch.utils.data import default_collate
 
 from golden_fill import assert_filled_as_recorded, fill, key_rows, sym
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.camera_rasters import CameraSamples, camera_raster, in_unit, stretched
-from lidar2pano.data.sequences import Draw
+from lidar2pano.data.camera_projection import CameraProjectionDataset, in_unit, stretched
+from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.models import build
 from lidar2pano.models.card import load
 from lidar2pano.models.circular import fold_norms
@@ -177,7 +178,7 @@ def test_scunets_upper_levels_hear_of_the_encoder_only_from_below():
 
 
 def camera(width: int = 40, height: int = 12) -> Calibration:
-    """Looks ahead from half a metre behind the LiDAR."""
+    """ImageAugmentation ahead from half a metre behind the LiDAR."""
     T = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0.5], [0, 0, 0, 1.0]])
     K = np.array([[20, 0, (width - 1) / 2], [0, 20, (height - 1) / 2], [0, 0, 1.0]])
     return Calibration(K=K, T_camera_lidar=T, size=(width, height))
@@ -208,38 +209,38 @@ def test_the_cameras_raster_agrees_with_its_definition(size):
     scan, calibration = street(7, points=3000), camera()
     expected = raster_slowly(scan, calibration, size)
     assert (expected[1] > 0).sum() > 30
-    np.testing.assert_allclose(camera_raster(scan, calibration, size).numpy(), expected, rtol=1e-5)
+    np.testing.assert_allclose(project_to_camera(scan, calibration, size).numpy(), expected, rtol=1e-5)
 
 
 def test_the_nearest_point_owns_a_pixel_and_at_equal_range_the_first():
     points = [(9, 0, 0), (5, 0, 0), (5, 0, 0), (-5, 0, 0), (0, 0, 0), (np.nan, 0, 0)]
     points += [(5, 0, 2), (5, 0, -2), (5, 5.8, 0), (5, -5.8, 0)]  # a pixel above, below, left, right of the picture
     remission = np.arange(1, 11, dtype=np.float32) / 10
-    raster = camera_raster(Scan(xyz=np.array(points, np.float32), remission=remission), camera(41, 13), (13, 41))
+    raster = project_to_camera(Scan(xyz=np.array(points, np.float32), remission=remission), camera(41, 13), (13, 41))
     assert raster[:, 6, 20].tolist() == pytest.approx([0.2, 5.5])
     assert (raster[1] > 0).sum() == 1
 
 
 def test_an_empty_scan_is_an_empty_raster():
     nothing = Scan(xyz=np.zeros((0, 3), np.float32), remission=np.zeros(0, np.float32))
-    assert not camera_raster(nothing, camera(), (12, 40)).any()
+    assert not project_to_camera(nothing, camera(), (12, 40)).any()
 
 
 def test_camera_samples_line_scan_and_picture_up_and_flip_them_together(root):
-    samples = CameraSamples(root, ("train",), (36, 120))
+    samples = CameraProjectionDataset(root, ("train",), (36, 120))
     plain = samples[0]
     below, above = plain.lidar[1, 20:], plain.lidar[1, :6]
     assert (below > 0).any() and not (above > 0).any()  # the road is there, the sky gives no echo
-    assert plain.colour.shape == (3, 36, 120) and plain.colour.min() >= -1 and plain.colour.max() <= 1
-    drawn = [samples[Draw(0, seed)] for seed in range(12)]
+    assert plain.image.shape == (3, 36, 120) and plain.image.min() >= -1 and plain.image.max() <= 1
+    drawn = [samples[SampleIndex(0, seed)] for seed in range(12)]
     counts = {int((one.lidar[1] > 0).sum()) for one in drawn}
-    flipped = [torch.equal(one.colour, plain.colour.flip(-1)) for one in drawn]
+    flipped = [torch.equal(one.image, plain.image.flip(-1)) for one in drawn]
     assert len(counts) > 3 and {True, False} == set(flipped)
     for one, flip in zip(drawn, flipped, strict=True):  # the left strip of the made-up picture is another colour
         kept = one.lidar.flip(-1) if flip else one.lidar
         there = kept[1] > 0
         assert (kept[1] == plain.lidar[1])[there].float().mean() > 0.8  # who lay behind a dropped point differs
-    assert torch.equal(samples[Draw(0, 5)].lidar, samples[Draw(0, 5)].lidar)
+    assert torch.equal(samples[SampleIndex(0, 5)].lidar, samples[SampleIndex(0, 5)].lidar)
 
 
 def test_colours_go_from_minus_one_to_one():
@@ -326,7 +327,7 @@ NAMES = ["pix2pix-segments-mini", "pix2pix-rgb-mini", "scunet-mini"]
 )
 def test_the_guide_falls(root, name, steps):
     task = build_task(small(name), root)
-    batch = default_collate([task.dataset[Draw(index, index)] for index in range(2)])
+    batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
     optimizers = {who: torch.optim.Adam(net.parameters(), lr=3e-3) for who, net in task.networks.items()}
     guides = []
     for _ in range(steps):
@@ -342,17 +343,17 @@ def test_the_guide_falls(root, name, steps):
 def test_pix2pixs_guide_is_the_weighted_distance_to_what_the_camera_has(root):
     with without_chance():
         task = build_task(small("pix2pix-segments-mini", "options.weight=7"), root)
-        batch = default_collate([task.dataset[Draw(index, index)] for index in range(2)])
+        batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
         segments = torch.nn.functional.one_hot(batch.segments, 20).movedim(-1, 1)
         fake = task.networks["translator"](batch.lidar, segments.float()).detach()
         list(task.updates(batch))
-        truth = torch.full_like(fake, -1.0).scatter_(1, batch.camera[:, None], 1.0)
+        truth = torch.full_like(fake, -1.0).scatter_(1, batch.camera_labels[:, None], 1.0)
         assert float(task.logs["guide"]) == pytest.approx(7 * (fake - truth).abs().mean().item(), rel=1e-4)
         task = build_task(small("pix2pix-rgb-mini", "options.weight=7", "options.guide=mse"), root)
-        batch = default_collate([task.dataset[Draw(index, index)] for index in range(2)])
+        batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
         fake = task.networks["renderer"](batch.lidar).detach()
         list(task.updates(batch))
-        assert float(task.logs["guide"]) == pytest.approx(7 * (fake - batch.colour).square().mean().item(), rel=1e-4)
+        assert float(task.logs["guide"]) == pytest.approx(7 * (fake - batch.image).square().mean().item(), rel=1e-4)
 
 
 def test_pix2pixs_critic_sees_beside_the_image_what_the_generator_sees(root):
@@ -388,7 +389,7 @@ def test_what_is_released_says_what_it_is(root, name, tmp_path):
 
 def test_a_perfect_renderer_has_no_distance(root):
     task = build_task(small("scunet-mini"), root)
-    task.render = lambda index: (task.validation[index].colour,) * 2
+    task.render = lambda index: (task.validation[index].image,) * 2
     assert task.validate() == {"score": 0.0, "broad_colour": 0.0, "ssim": pytest.approx(1.0)}
     task.render = lambda index: (-torch.ones(3, *SIZE), torch.ones(3, *SIZE))
     assert task.validate()["broad_colour"] == 1.0
@@ -401,7 +402,7 @@ def test_colour_tasks_need_no_labels(root, tmp_path):
             for path in bare.glob(f"sequences/*/{folder}/*"):
                 path.unlink()
         task = build_task(small(name), bare)
-        assert task.dataset[Draw(0, 1)].colour.shape == (3, *SIZE)
+        assert task.dataset[SampleIndex(0, 1)].image.shape == (3, *SIZE)
         assert [who for who, _ in task.updates(default_collate([task.dataset[0]]))][-1] == "renderer"
 
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch.utils.data import default_collate
 
-from lidar2pano.data.sequences import Draw
+from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.models.card import load
 from lidar2pano.models.families import weight_files
@@ -86,7 +86,7 @@ def test_the_painter_says_which_weights_it_needs(root):
 @pytest.mark.parametrize(("name", "steps"), [("salsanext-mini", 6), ("titan-pano-mini", 12)])
 def test_the_loss_falls(root, name, steps):
     task = build_task(small(name), root)
-    batch = default_collate([task.dataset[Draw(index, index)] for index in range(2)])
+    batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
     network = next(iter(task.networks.values()))
     optimizer = torch.optim.AdamW(network.parameters(), lr=3e-3)
     losses = []
@@ -101,7 +101,7 @@ def test_the_loss_falls(root, name, steps):
 
 def test_titan_net_moves_critic_and_translator_in_turn(root):
     task = build_task(small("titan-mini"), root)
-    batch = default_collate([task.dataset[Draw(index, index)] for index in range(2)])
+    batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
     order = []
     for who, loss in task.updates(batch):
         order.append(who)
@@ -126,13 +126,13 @@ def test_painted_pixels_that_no_camera_saw_teach_nothing(root, runs, augment):
         ),
         root,
     )
-    batch = default_collate([task.dataset[Draw(index, index)] for index in range(2)])
-    changed = batch._replace(colour=torch.where(batch.seen[:, None], batch.colour, torch.rand_like(batch.colour)))
+    batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
+    changed = batch._replace(image=torch.where(batch.valid[:, None], batch.image, torch.rand_like(batch.image)))
     losses = []
     for each in (batch, changed):
         torch.manual_seed(0)
         for network in task.networks.values():
             network.eval()
         losses.append([loss.item() for _, loss in task.updates(each)])
-    assert not batch.seen.all()
+    assert not batch.valid.all()
     assert losses[0] == pytest.approx(losses[1], rel=1e-5)

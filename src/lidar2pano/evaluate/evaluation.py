@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar2pano.data.sequences import UNSURE
+from lidar2pano.data.frames import IGNORE
 from lidar2pano.data.truths import Truth
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import report
@@ -113,7 +113,7 @@ def ask(truth: Truth, measures: Measures) -> Question:
     around = truth.panorama if measures.asks("panorama") else None
     ids = None
     if camera and truth.camera_ids is not None:
-        ids = np.where(truth.camera_ids == UNSURE, 0, truth.camera_ids).astype(np.uint8)
+        ids = np.where(truth.camera_ids == IGNORE, 0, truth.camera_ids).astype(np.uint8)
     return Question(
         scan=truth.scan,
         calibration=truth.calibration if camera else None,

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from lidar2pano.data.camera_rasters import camera_raster
 from lidar2pano.evaluate.films import CameraPainter, picture
 from lidar2pano.evaluate.questions import Origin, Question, Seen
+from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.geometry.images import Normalisation, one_hot_layers
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import project
@@ -116,7 +116,7 @@ class Direct:
         if self.view is not None:
             return self.normalise(project(question.scan, self.view, device=self.device))[None]
         width, height = question.calibration.size
-        lidar = camera_raster(question.scan, question.calibration, self.size or (height, width)).to(self.device)
+        lidar = project_to_camera(question.scan, question.calibration, self.size or (height, width)).to(self.device)
         return torch.stack([lidar[0], depth_code(lidar[1])])[None, : self.inputs]
 
 

@@ -65,7 +65,7 @@ def panorama_flow(before: Truth, now: Truth) -> Flow | None:
         return None
     flow = ego_flow(far[0], far[1], motion(before, now), one.view)
     valid = torch.from_numpy(np.array(other.valid))[None, None].float()
-    there = warp(valid, flow.shift[None], closed=one.view.circular)[0, 0] > 0.999
+    there = warp(valid, flow.shift[None], circular=one.view.circular)[0, 0] > 0.999
     return Flow(shift=flow.shift, known=flow.known & there & torch.from_numpy(np.array(one.valid)))
 
 

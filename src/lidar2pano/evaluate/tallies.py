@@ -10,11 +10,11 @@ from typing import TypeVar
 import numpy as np
 import torch
 
-from lidar2pano.data.camera_rasters import camera_raster
 from lidar2pano.data.truths import Truth
 from lidar2pano.evaluate.measures import Measures
 from lidar2pano.evaluate.questions import Seen
 from lidar2pano.evaluate.rasters import Carried, windows
+from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.geometry.flow import Flow
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.metrics.classes import ClassCounts
@@ -68,7 +68,7 @@ class Tally:
         if "depth" in kinds and seen.depth_m is not None:
             assert truth.calibration is not None
             rows, columns = seen.depth_m.shape
-            measured = camera_raster(truth.scan, truth.calibration, (rows, columns))[1]
+            measured = project_to_camera(truth.scan, truth.calibration, (rows, columns))[1]
             self._of("camera", "depth", DepthError).update(seen.depth_m, measured, truth.name)
         if seen.colour is None:
             return

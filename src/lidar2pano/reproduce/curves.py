@@ -22,7 +22,7 @@ def scalars(run: Path) -> dict[str, list[tuple[int, float]]]:
 
 
 def write_curves(runs: dict[str, Path], path: Path) -> Path | None:
-    """Draw every run's losses into one PNG, a panel a run; None where there is nothing to draw."""
+    """SampleIndex every run's losses into one PNG, a panel a run; None where there is nothing to draw."""
     import matplotlib as mpl
 
     mpl.use("Agg")

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from lidar2pano.data.sequences import SEQUENCES
+from lidar2pano.data.semantic_kitti import SEQUENCES
 from lidar2pano.errors import InputError
 from lidar2pano.reproduce.rows import ROWS, Row
 from lidar2pano.train.recipe import Recipe, override

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import cross_entropy
 
-from lidar2pano.data.cameras import Looks, PictureSample, PictureSamples
-from lidar2pano.data.sequences import UNSURE
+from lidar2pano.data.camera_images import CameraImageDataset, CameraImageSample, ImageAugmentation
+from lidar2pano.data.frames import IGNORE
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.metrics.confusion import Confusion
@@ -26,7 +26,7 @@ class CameraSegmentation:
 
     Pixels of which the teacher is unsure teach nothing.
     Options: rows and columns, size of the crops; smallest and largest, factors of the pictures' random size; jitter,
-    how far colours vary (data.cameras.Looks); lovasz, the weight of Lovasz-Softmax of the joint answer; auxiliary and
+    how far colours vary (ImageAugmentation); lovasz, the weight of Lovasz-Softmax of the joint answer; auxiliary and
     each, weights of the cross-entropy of OCR's first guess and of every scale by itself.
     """
 
@@ -34,19 +34,19 @@ class CameraSegmentation:
 
     def __init__(self, recipe: Recipe, root: Path) -> None:
         option = recipe.options
-        looks = Looks(
+        looks = ImageAugmentation(
             crop=(int(option["rows"]), int(option["columns"])),
             scale=(float(option["smallest"]), float(option["largest"])),
-            jitter=float(option["jitter"]),
+            colour_jitter=float(option["jitter"]),
         )
-        self.dataset = PictureSamples(root, recipe.data.train, looks)
-        self.validation = PictureSamples(root, recipe.data.val, looks)
+        self.dataset = CameraImageDataset(root, recipe.data.train, looks)
+        self.validation = CameraImageDataset(root, recipe.data.val, looks)
         self.networks = build_networks(recipe)
         self.colours = Colours()
         self.lovasz, self.auxiliary, self.each = (float(option[name]) for name in ("lovasz", "auxiliary", "each"))
         self.logs: dict[str, float | Tensor] = {}
 
-    def updates(self, batch: PictureSample) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: CameraImageSample) -> Iterator[tuple[str, Tensor]]:
         """One update: cross-entropy of all that the network says, and Lovasz-Softmax of the joint answer."""
         images = self.colours(batch.image).contiguous(memory_format=torch.channels_last)
         answers = self.networks["camera"](images)
@@ -56,7 +56,7 @@ class CameraSegmentation:
             loss = loss + self.each * labelled_entropy(logits, batch.labels)
         self.logs = {"cross_entropy": entropy.detach()}
         if self.lovasz:
-            lovasz = lovasz_softmax(answers.joint.float().softmax(1), batch.labels, ignore=UNSURE)
+            lovasz = lovasz_softmax(answers.joint.float().softmax(1), batch.labels, ignore=IGNORE)
             self.logs["lovasz"] = lovasz.detach()
             loss = loss + self.lovasz * lovasz
         yield "camera", loss
@@ -93,6 +93,6 @@ class CameraSegmentation:
 
 
 def labelled_entropy(logits: Tensor, labels: Tensor) -> Tensor:
-    """Cross-entropy of logits (B, K, H, W) over the pixels of labels (B, H, W) that are not UNSURE; 0 without any."""
-    total = cross_entropy(logits.float(), labels, ignore_index=UNSURE, reduction="sum")
-    return total / (labels != UNSURE).sum().clamp(min=1)
+    """Cross-entropy of logits (B, K, H, W) over the pixels of labels (B, H, W) that are not IGNORE; 0 without any."""
+    total = cross_entropy(logits.float(), labels, ignore_index=IGNORE, reduction="sum")
+    return total / (labels != IGNORE).sum().clamp(min=1)

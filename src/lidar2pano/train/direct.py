@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, mse_loss
 
-from lidar2pano.data.camera_rasters import CameraSample, CameraSamples
-from lidar2pano.data.fronts import FrontSample, FrontSamples, Wanted
+from lidar2pano.data.camera_projection import CameraProjectionDataset, CameraProjectionSample
+from lidar2pano.data.front_view import FrontViewDataset, FrontViewSample, SampleParts
 from lidar2pano.errors import InputError, closest
 from lidar2pano.metrics.similarity import SSIM
 from lidar2pano.models.titan_pano import depth_code
@@ -49,21 +49,21 @@ class DirectColour:
         self.validation = self._samples(root, recipe.data.val)
         self.logs: dict[str, float | Tensor] = {}
 
-    def _samples(self, root: Path, splits: tuple[str, ...]) -> FrontSamples | CameraSamples:
+    def _samples(self, root: Path, splits: tuple[str, ...]) -> FrontViewDataset | CameraProjectionDataset:
         if self.evidence == "camera":
-            return CameraSamples(root, splits, self.size)
-        return FrontSamples(root, splits, self.view, self.size, Wanted(classes=False, colour=True))
+            return CameraProjectionDataset(root, splits, self.size)
+        return FrontViewDataset(root, splits, self.view, self.size, SampleParts(labels=False, image=True))
 
-    def seen(self, batch: FrontSample | CameraSample) -> Tensor:
+    def seen(self, batch: FrontViewSample | CameraProjectionSample) -> Tensor:
         """What the renderer sees of a batch: (B, C, H, W) float32."""
         return batch.lidar if self.evidence == "front" else camera_evidence(batch.lidar, self.inputs)
 
-    def updates(self, batch: FrontSample | CameraSample) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: FrontViewSample | CameraProjectionSample) -> Iterator[tuple[str, Tensor]]:
         """The critic, if there is one, then the renderer."""
         seen, weight = self.seen(batch), float(self.option["mse"])
 
         def guide(fake: Tensor) -> Tensor:
-            return weight * mse_loss(fake, batch.colour)
+            return weight * mse_loss(fake, batch.image)
 
         if "critic" not in self.networks:
             yield "renderer", guide(self.networks["renderer"](seen).float())
@@ -71,7 +71,7 @@ class DirectColour:
         updates = wasserstein_updates(
             lambda: self.networks["renderer"](seen).float(),
             self.networks["critic"],
-            batch.colour,
+            batch.image,
             seen,
             penalty_weight=float(self.option["penalty"]),
             guide=guide,
@@ -85,7 +85,7 @@ class DirectColour:
         device = next(network.parameters()).device
         seen = self.seen(sample._replace(lidar=sample.lidar[None])).to(device)
         with torch.inference_mode():
-            return network(seen)[0].float().cpu(), sample.colour
+            return network(seen)[0].float().cpu(), sample.image
 
     def validate(self) -> dict[str, float]:
         """Mean distance of broad colours in [0, 1], whose negative is the score; and structural similarity."""

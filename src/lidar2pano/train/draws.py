@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset
 
-from lidar2pano.data.sequences import Draw
+from lidar2pano.data.frames import SampleIndex
 from lidar2pano.train.recipe import Training
 from lidar2pano.train.task import Samples
 
@@ -26,11 +26,11 @@ def seed_step(seed: int, rank: int, step: int) -> None:
     torch.manual_seed(number)
 
 
-def draw_at(seed: int, place: int, samples: int) -> Draw:
+def draw_at(seed: int, place: int, samples: int) -> SampleIndex:
     """The draw at `place` of an endless run through `samples` samples that shuffles them anew in each epoch."""
     epoch, position = divmod(place, samples)
     state = np.random.SeedSequence([seed, zlib.crc32(b"draw"), place]).generate_state(1, np.uint64)
-    return Draw(int(_order(seed, epoch, samples)[position]), int(state[0] >> np.uint64(1)))
+    return SampleIndex(int(_order(seed, epoch, samples)[position]), int(state[0] >> np.uint64(1)))
 
 
 @lru_cache(maxsize=4)
@@ -48,7 +48,7 @@ class Places:
         self.samples, self.step, self.rank, self.world = samples, step, rank, world
         self.seed, self.batch, self.accumulate = training.seed, training.batch, training.accumulate
 
-    def __iter__(self) -> Iterator[list[Draw]]:
+    def __iter__(self) -> Iterator[list[SampleIndex]]:
         """Lists of draws, one per micro-batch."""
         step = self.step
         while True:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.data.fronts import FrontSample, FrontSamples, Wanted
+from lidar2pano.data.front_view import FrontViewDataset, FrontViewSample, SampleParts
 from lidar2pano.geometry.images import Normalisation, one_hot_layers
 from lidar2pano.labels import COMMON14, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
@@ -33,30 +33,30 @@ class FrontTranslation:
     """
 
     released = ("translator",)
-    wanted = Wanted(classes=True)
+    wanted = SampleParts(labels=True)
 
     def __init__(self, recipe: Recipe, root: Path) -> None:
         self.view, self.option = VIEWS[recipe.view], dict(recipe.options)
         self.networks = build_networks(recipe)
         size = image_size(recipe, "translator")
-        self.dataset = FrontSamples(root, recipe.data.train, self.view, size, self.wanted)
-        self.validation = FrontSamples(root, recipe.data.val, self.view, size, self.wanted)
+        self.dataset = FrontViewDataset(root, recipe.data.train, self.view, size, self.wanted)
+        self.validation = FrontViewDataset(root, recipe.data.val, self.view, size, self.wanted)
         self.logs: dict[str, float | Tensor] = {}
         if self.option["segmenter"]:
             segmenter = Segmenter.from_card(*load(str(self.option["segmenter"]), expect="salsanext"))
-            self.validation.predict(segmenter.points)
+            self.validation.predict(segmenter.points, str(self.option["segmenter"]))
 
-    def updates(self, batch: FrontSample) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: FrontViewSample) -> Iterator[tuple[str, Tensor]]:
         """The critic, then the translator."""
         condition, lovasz = conditions(batch.segments), float(self.option["lovasz"])
 
         def guide(fake: Tensor) -> Tensor:
-            return lovasz * lovasz_softmax(fake, batch.camera, ignore=0)
+            return lovasz * lovasz_softmax(fake, batch.camera_labels, ignore=0)
 
         updates = wasserstein_updates(
             lambda: self.networks["translator"](batch.lidar, condition).float().softmax(1),
             self.networks["critic"],
-            one_hot_layers(batch.camera, len(COMMON14)),
+            one_hot_layers(batch.camera_labels, len(COMMON14)),
             condition,
             penalty_weight=float(self.option["penalty"]),
             guide=guide if lovasz else None,
@@ -64,7 +64,7 @@ class FrontTranslation:
         )
         yield from called(updates, "translator")
 
-    def predict(self, sample: FrontSample) -> Tensor:
+    def predict(self, sample: FrontViewSample) -> Tensor:
         """Class ids (h, w) of a sample, from the network as it stands."""
         network = self.networks["translator"]
         device = next(network.parameters()).device
@@ -77,7 +77,7 @@ class FrontTranslation:
         confusion = Confusion(len(COMMON14), unscored=(0,))
         for index in range(len(self.validation)):
             sample = self.validation[index]
-            confusion.update(self.predict(sample), sample.camera)
+            confusion.update(self.predict(sample), sample.camera_labels)
         score = confusion.miou()
         return {"score": score, "miou": score, "accuracy": confusion.accuracy()}
 
@@ -86,7 +86,7 @@ class FrontTranslation:
         rows = []
         for index in range(min(2, len(self.validation))):
             sample = self.validation[index]
-            rows += [COMMON14.paint(ids.numpy()) for ids in (sample.camera, self.predict(sample))]
+            rows += [COMMON14.paint(ids.numpy()) for ids in (sample.camera_labels, self.predict(sample))]
         return {"segments": np.concatenate(rows)}
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released

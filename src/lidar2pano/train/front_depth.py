@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import nll_loss
 
-from lidar2pano.data.fronts import FrontSample, Wanted
+from lidar2pano.data.front_view import FrontViewSample, SampleParts
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.labels import COMMON14
 from lidar2pano.losses import lovasz_softmax
@@ -30,9 +30,9 @@ class FrontDepthTranslation(FrontTranslation):
     guides (Lovasz-Softmax and cross-entropy without class 0; absolute distance of depth codes where measured).
     """
 
-    wanted: ClassVar[Wanted] = Wanted(classes=True, depth=True)
+    wanted: ClassVar[SampleParts] = SampleParts(labels=True, depth=True)
 
-    def updates(self, batch: FrontSample) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: FrontViewSample) -> Iterator[tuple[str, Tensor]]:
         """The critic, then the translator."""
         condition, classes = conditions(batch.segments), len(COMMON14)
         measured = (batch.depth_m > 0)[:, None].float()
@@ -46,8 +46,8 @@ class FrontDepthTranslation(FrontTranslation):
         def guide(fake: Tensor) -> Tensor:
             shares = fake[:, :classes]
             parts = {
-                "lovasz": lovasz_softmax(shares, batch.camera, ignore=0),
-                "entropy": nll_loss(shares.clamp(min=TINY).log(), batch.camera, ignore_index=0),
+                "lovasz": lovasz_softmax(shares, batch.camera_labels, ignore=0),
+                "entropy": nll_loss(shares.clamp(min=TINY).log(), batch.camera_labels, ignore_index=0),
                 "depth": (fake[:, classes:] - depth).abs().sum() / measured.sum().clamp(min=1),
             }
             self.logs |= {name: part.detach() for name, part in parts.items()}
@@ -56,7 +56,7 @@ class FrontDepthTranslation(FrontTranslation):
         updates = wasserstein_updates(
             forward,
             self.networks["critic"],
-            torch.cat([one_hot_layers(batch.camera, classes), depth], 1),
+            torch.cat([one_hot_layers(batch.camera_labels, classes), depth], 1),
             condition,
             penalty_weight=float(self.option["penalty"]),
             guide=guide,
@@ -64,7 +64,7 @@ class FrontDepthTranslation(FrontTranslation):
         )
         yield from called(updates, "translator")
 
-    def both(self, sample: FrontSample) -> tuple[Tensor, Tensor]:
+    def both(self, sample: FrontViewSample) -> tuple[Tensor, Tensor]:
         """Class ids (h, w) and depths (h, w), metres, of a sample, from the network as it stands."""
         network = self.networks["translator"]
         device = next(network.parameters()).device
@@ -73,7 +73,7 @@ class FrontDepthTranslation(FrontTranslation):
             logits, depth_m = network(sample.lidar[None].to(device), condition)
         return logits[0].argmax(0).cpu(), depth_m[0].cpu()
 
-    def predict(self, sample: FrontSample) -> Tensor:
+    def predict(self, sample: FrontViewSample) -> Tensor:
         """Class ids (h, w) of a sample, from the network as it stands."""
         return self.both(sample)[0]
 
@@ -83,7 +83,7 @@ class FrontDepthTranslation(FrontTranslation):
         for index in range(len(self.validation)):
             sample = self.validation[index]
             ids, depth_m = self.both(sample)
-            confusion.update(ids, sample.camera)
+            confusion.update(ids, sample.camera_labels)
             measured = sample.depth_m > 0
             errors.append(((depth_m - sample.depth_m).abs() / sample.depth_m)[measured].mean().item())
         score = confusion.miou()

@@ -12,8 +12,8 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate, l1_loss, mse_loss
 from torch.utils.data import default_collate
 
-from lidar2pano.data.panoramas import PanoramaSample, PanoramaSamples
-from lidar2pano.data.sequences import UNSURE
+from lidar2pano.data.frames import IGNORE
+from lidar2pano.data.panorama_crops import PanoramaDataset, PanoramaSample
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
@@ -51,32 +51,32 @@ class Painting:
         if not option["translator"] or not option["segmenter"]:
             raise InputError(f"recipe {recipe.name!r} needs --set options.translator=FILE and options.segmenter=FILE")
         columns, jitter = int(option["columns"]), int(option["jitter"])
-        self.dataset = PanoramaSamples(root, recipe.data.train, self.view, columns, colour=True, jitter=jitter)
+        self.dataset = PanoramaDataset(root, recipe.data.train, self.view, columns, image=True, shift_px=jitter)
         whole = (columns + 2 * jitter) // STRIDE * STRIDE
-        self.validation = PanoramaSamples(root, recipe.data.val, self.view, whole, colour=True, jitter=0)
+        self.validation = PanoramaDataset(root, recipe.data.val, self.view, whole, image=True, shift_px=0)
         self.networks = build_networks(recipe)
         self.translator, _ = load(str(option["translator"]), expect="titan-pano")
         segmenter = Segmenter.from_card(*load(str(option["segmenter"]), expect="salsanext"))
         for samples in (self.dataset, self.validation):
-            samples.predict(segmenter.points)
+            samples.predict(segmenter.points, str(option["segmenter"]))
         self.weights = {name: float(option[name]) for name in ("adversarial", "features", "broad", "pixels")}
         self.trust, self.augment = float(option["trust"]), float(option["augment"])
         self.logs: dict[str, float | Tensor] = {}
 
     def updates(self, batch: PanoramaSample) -> Iterator[tuple[str, Tensor]]:
         """The critic, unless its word weighs nothing, then the painter."""
-        segments, depth_m = self.scene(batch, trust=torch.rand(len(batch.camera)) < self.trust)
-        fake = self.networks["painter"](segments, depth_m, batch.image).float()
-        seen = batch.seen[:, None].float()
-        broad = mse_loss(avg_pool2d(fake * seen, BROAD), avg_pool2d(batch.colour * seen, BROAD))
-        pixels = l1_loss(fake * seen, batch.colour * seen)
+        segments, depth_m = self.scene(batch, trust=torch.rand(len(batch.camera_labels)) < self.trust)
+        fake = self.networks["painter"](segments, depth_m, batch.range_image).float()
+        seen = batch.valid[:, None].float()
+        broad = mse_loss(avg_pool2d(fake * seen, BROAD), avg_pool2d(batch.image * seen, BROAD))
+        pixels = l1_loss(fake * seen, batch.image * seen)
         self.logs = {"broad": broad.detach(), "pixels": pixels.detach()}
         loss = self.weights["broad"] * broad + self.weights["pixels"] * pixels
         if self.weights["adversarial"] or self.weights["features"]:
             told = torch.cat([segments, depth_code(depth_m)[:, None]], 1)
             told = interpolate(told, scale_factor=2.0, mode="nearest")
             changes = Changes.drawn(len(fake), self.augment)
-            real, shown = (changes.of(colours, seen, told) for colours in (batch.colour, fake))
+            real, shown = (changes.of(colours, seen, told) for colours in (batch.image, fake))
             on_real, on_fake = (self.judged(picture) for picture in (real, shown.detach()))
             yield "critic", _mean([hinge_critic(r[-1], f[-1]) for r, f in zip(on_real, on_fake, strict=True)])
             with torch.no_grad():
@@ -98,13 +98,13 @@ class Painting:
 
         trust  (B,) bool: samples whose segments are the camera teacher's, where it is sure.
         """
-        device = batch.image.device
+        device = batch.range_image.device
         self.translator.to(device)
         with fast_arithmetic(device):
-            logits, depth_m = self.translator(batch.image, conditions(batch.segments))
+            logits, depth_m = self.translator(batch.range_image, conditions(batch.segments))
         segments = logits.float().softmax(1)
-        sure = (batch.camera != UNSURE) & trust.to(device)[:, None, None]
-        teacher = one_hot_layers(batch.camera.where(sure, 0), len(COMMON15))
+        sure = (batch.camera_labels != IGNORE) & trust.to(device)[:, None, None]
+        teacher = one_hot_layers(batch.camera_labels.where(sure, 0), len(COMMON15))
         return torch.where(sure[:, None], teacher, segments), depth_m
 
     def paint(self, index: int) -> tuple[Tensor, PanoramaSample]:
@@ -113,18 +113,22 @@ class Painting:
         device = next(network.parameters()).device
         sample = self.validation[index]
         one = default_collate([sample])
-        one = one._replace(image=one.image.to(device), segments=one.segments.to(device), camera=one.camera.to(device))
+        one = one._replace(
+            range_image=one.range_image.to(device),
+            segments=one.segments.to(device),
+            camera_labels=one.camera_labels.to(device),
+        )
         segments, depth_m = self.scene(one, trust=torch.zeros(1, dtype=torch.bool))
         with torch.inference_mode(), fast_arithmetic(device):
-            return network(segments, depth_m, one.image)[0].float().cpu(), sample
+            return network(segments, depth_m, one.range_image)[0].float().cpu(), sample
 
     def validate(self) -> dict[str, float]:
         """Mean distance of broad colours in [0, 1] over the camera's sector; the score is its negative."""
         distances = []
         for index in range(len(self.validation)):
             fake, sample = self.paint(index)
-            seen = sample.seen.float()
-            gap = avg_pool2d((fake - sample.colour) * seen, BROAD).abs().mean() / seen.mean() / 2
+            seen = sample.valid.float()
+            gap = avg_pool2d((fake - sample.image) * seen, BROAD).abs().mean() / seen.mean() / 2
             distances.append(gap.item())
         distance = float(np.mean(distances))
         return {"score": -distance, "broad_colour": distance}
@@ -134,7 +138,7 @@ class Painting:
         rows = []
         for index in range(min(3, len(self.validation))):
             fake, sample = self.paint(index)
-            rows += [sample.colour * sample.seen, fake]
+            rows += [sample.image * sample.valid, fake]
         pictures = torch.cat(rows, 1).movedim(0, 2)
         return {"picture": ((pictures + 1) * 127.5).round().clamp(0, 255).to(torch.uint8).numpy()}
 

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import cross_entropy
 
-from lidar2pano.data.panoramas import PanoramaSample, PanoramaSamples
-from lidar2pano.data.sequences import UNSURE
+from lidar2pano.data.frames import IGNORE
+from lidar2pano.data.panorama_crops import PanoramaDataset, PanoramaSample
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
@@ -40,8 +40,8 @@ class PanoramaTranslation:
     def __init__(self, recipe: Recipe, root: Path) -> None:
         self.view = VIEWS[recipe.view].scaled(recipe.scale)
         columns = int(recipe.options["columns"])
-        self.dataset = PanoramaSamples(root, recipe.data.train, self.view, columns)
-        self.validation = PanoramaSamples(root, recipe.data.val, self.view, columns)
+        self.dataset = PanoramaDataset(root, recipe.data.train, self.view, columns)
+        self.validation = PanoramaDataset(root, recipe.data.val, self.view, columns)
         self.networks = build_networks(recipe)
         self.lovasz, self.depth = float(recipe.options["lovasz"]), float(recipe.options["depth"])
         self.weights = camera_rarity(self.dataset, float(recipe.options["rarity"]))
@@ -49,14 +49,14 @@ class PanoramaTranslation:
         if recipe.options["segmenter"]:
             segmenter = Segmenter.from_card(*load(str(recipe.options["segmenter"]), expect="salsanext"))
             for samples in (self.dataset, self.validation):
-                samples.predict(segmenter.points)
+                samples.predict(segmenter.points, str(recipe.options["segmenter"]))
 
     def updates(self, batch: PanoramaSample) -> Iterator[tuple[str, Tensor]]:
         """One update of the translator."""
-        logits, depth_m = self.networks["translator"](batch.image, conditions(batch.segments))
+        logits, depth_m = self.networks["translator"](batch.range_image, conditions(batch.segments))
         logits = logits.float()
-        entropy = cross_entropy(logits, batch.camera, weight=self.weights.to(logits.device), ignore_index=UNSURE)
-        lovasz = lovasz_softmax(logits.softmax(1), batch.camera, ignore=UNSURE)
+        entropy = cross_entropy(logits, batch.camera_labels, weight=self.weights.to(logits.device), ignore_index=IGNORE)
+        lovasz = lovasz_softmax(logits.softmax(1), batch.camera_labels, ignore=IGNORE)
         measured = batch.depth_m > 0
         gap = (depth_code(depth_m) - depth_code(batch.depth_m)).abs()
         depth = (gap * measured).sum() / measured.sum().clamp(min=1)
@@ -68,7 +68,7 @@ class PanoramaTranslation:
         network = self.networks["translator"]
         device = next(network.parameters()).device
         with torch.inference_mode(), fast_arithmetic(device):
-            logits, _ = network(sample.image[None].to(device), conditions(sample.segments[None].to(device)))
+            logits, _ = network(sample.range_image[None].to(device), conditions(sample.segments[None].to(device)))
         return logits[0].argmax(0).cpu()
 
     def validate(self) -> dict[str, float]:
@@ -76,7 +76,7 @@ class PanoramaTranslation:
         confusion = Confusion(len(COMMON15), unscored=(0, COMMON15.id_of("sky")))
         for index in range(len(self.validation)):
             sample = self.validation[index]
-            confusion.update(self.predict(sample), sample.camera)
+            confusion.update(self.predict(sample), sample.camera_labels)
         score = confusion.miou()
         return {"score": score, "miou": score, "accuracy": confusion.accuracy()}
 
@@ -85,7 +85,7 @@ class PanoramaTranslation:
         rows = []
         for index in range(min(3, len(self.validation))):
             sample = self.validation[index]
-            rows += [COMMON15.paint(ids.numpy()) for ids in (sample.camera, self.predict(sample))]
+            rows += [COMMON15.paint(ids.numpy()) for ids in (sample.camera_labels, self.predict(sample))]
         return {"segments": np.concatenate(rows)}
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
@@ -98,11 +98,9 @@ def conditions(segments: Tensor) -> Tensor:
     return one_hot_layers(segments, len(SEMANTIC_KITTI))
 
 
-def camera_rarity(dataset: PanoramaSamples, power: float) -> Tensor:
+def camera_rarity(dataset: PanoramaDataset, power: float) -> Tensor:
     """Weights (K,) of the camera's classes: one over a power of their share of the pixels, mean 1, at most 4."""
-    counts = np.zeros(256)
-    for index in range(len(dataset)):
-        counts += np.bincount(dataset.moment(index).camera.flatten().numpy(), minlength=256)
-    share = np.maximum(counts[: len(COMMON15)] / counts[: len(COMMON15)].sum(), 1e-4)
+    counts = dataset.class_counts()[: len(COMMON15)]
+    share = np.maximum(counts / counts.sum(), 1e-4)
     weights = share**-power
     return torch.from_numpy(np.minimum(weights / weights[1:].mean(), 4.0)).float()

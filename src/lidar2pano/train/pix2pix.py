@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate, l1_loss, mse_loss
 
-from lidar2pano.data.camera_rasters import CameraSample
-from lidar2pano.data.fronts import FrontSample
+from lidar2pano.data.camera_projection import CameraProjectionSample
+from lidar2pano.data.front_view import FrontViewSample
 from lidar2pano.errors import InputError, closest
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.labels import COMMON14
@@ -28,11 +28,11 @@ class Pix2PixSegments(FrontTranslation):
     ("vanilla" or "lsgan"); guide ("l1" or "mse") and its weight; segmenter as in FrontTranslation.
     """
 
-    def updates(self, batch: FrontSample) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: FrontViewSample) -> Iterator[tuple[str, Tensor]]:
         """The critic, then the translator."""
         condition = conditions(batch.segments)
         network, critic = self.networks["translator"], self.networks["critic"]
-        real = 2 * one_hot_layers(batch.camera, len(COMMON14)) - 1
+        real = 2 * one_hot_layers(batch.camera_labels, len(COMMON14)) - 1
         updates = pix2pix_updates(
             lambda: network(batch.lidar, condition).float(),
             critic,
@@ -48,15 +48,15 @@ class Pix2PixSegments(FrontTranslation):
 class Pix2PixColours(DirectColour):
     """Trains Pix2Pix from the range view to the camera's picture; options as in Pix2PixSegments."""
 
-    def updates(self, batch: FrontSample | CameraSample) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: FrontViewSample | CameraProjectionSample) -> Iterator[tuple[str, Tensor]]:
         """The critic, then the renderer."""
         seen, network, critic = self.seen(batch), self.networks["renderer"], self.networks["critic"]
         updates = pix2pix_updates(
             lambda: network(seen).float(),
             critic,
-            batch.colour,
-            on_image(seen, batch.colour),
-            weighted_guide(self.option, batch.colour),
+            batch.image,
+            on_image(seen, batch.image),
+            weighted_guide(self.option, batch.image),
             rule=str(self.option["rule"]),
             logs=self.logs,
         )

@@ -10,7 +10,7 @@ from typing import Any
 from torch import nn
 
 from lidar2pano import __version__
-from lidar2pano.data.sequences import located
+from lidar2pano.data.frames import located
 from lidar2pano.models.card import Card, save
 from lidar2pano.train.recipe import Network
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from lidar2pano.data.ranges import RangeSample, RangeSamples, Variation
+from lidar2pano.data.range_images import RangeImageDataset, RangeImageSample, ScanAugmentation
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
@@ -26,7 +26,7 @@ class Segmentation:
     """Trains a range-view segmenter; scores it per point on the validation split, KNN clean-up included.
 
     Options: columns, the width of the azimuth crop (0: the whole turn); turn_deg, chance, remission and rings, how
-    scans are augmented (data.ranges.Variation); lovasz, the weight of Lovasz-Softmax; rarity, the power of a class's
+    scans are augmented (ScanAugmentation); lovasz, the weight of Lovasz-Softmax; rarity, the power of a class's
     rarity that weighs it in the cross-entropy; dropout, whether the network's dropout is on.
     """
 
@@ -35,9 +35,11 @@ class Segmentation:
     def __init__(self, recipe: Recipe, root: Path) -> None:
         self.view = VIEWS[recipe.view]
         option = recipe.options
-        vary = Variation(**{name: float(option[name]) for name in ("turn_deg", "chance", "remission", "rings")})
-        self.dataset = RangeSamples(root, recipe.data.train, self.view, int(option["columns"]), vary)
-        self.validation = RangeSamples(root, recipe.data.val, self.view)
+        augmentation = ScanAugmentation(
+            **{name: float(option[name]) for name in ("turn_deg", "chance", "remission", "rings")}
+        )
+        self.dataset = RangeImageDataset(root, recipe.data.train, self.view, int(option["columns"]), augmentation)
+        self.validation = RangeImageDataset(root, recipe.data.val, self.view)
         self.networks = build_networks(recipe)
         if not option["dropout"]:
             for module in self.networks["segmenter"].modules():
@@ -47,7 +49,7 @@ class Segmentation:
         self.weights = rarity(self.dataset, float(option["rarity"]))
         self.logs: dict[str, float | Tensor] = {}
 
-    def updates(self, batch: RangeSample) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: RangeImageSample) -> Iterator[tuple[str, Tensor]]:
         """One update: cross-entropy over labelled pixels + Lovasz-Softmax over the classes present."""
         logits = self.networks["segmenter"](batch.lidar).float()
         entropy = cross_entropy(logits, batch.labels, weight=self.weights.to(logits.device), ignore_index=0)
@@ -92,13 +94,9 @@ class Segmentation:
         }
 
 
-def rarity(dataset: RangeSamples, power: float) -> Tensor:
+def rarity(dataset: RangeImageDataset, power: float) -> Tensor:
     """Weights (K,) of the classes: one over a power of their share of the points, mean 1, at most 6."""
-    counts = np.zeros(len(SEMANTIC_KITTI))
-    for index in range(len(dataset.frames)):
-        label = dataset.scan(index).label
-        assert label is not None
-        counts += np.bincount(label, minlength=len(counts))
+    counts = dataset.class_counts()
     share = np.maximum(counts / counts.sum(), 1e-5)
     weights = share**-power
     weights = np.minimum(weights / weights[1:].mean(), 6.0)

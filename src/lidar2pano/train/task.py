@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from lidar2pano.data.sequences import Draw
+from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError, closest
 
 if TYPE_CHECKING:
@@ -32,13 +32,13 @@ TASKS: dict[str, str] = {
 
 
 class Samples(Protocol):
-    """A map-style data set: `samples[Draw(index, seed)]` is a NamedTuple that the default collation can stack."""
+    """A map-style data set: `samples[SampleIndex(index, seed)]` is a NamedTuple that default collation can stack."""
 
     def __len__(self) -> int:
         """How many samples there are."""
         ...
 
-    def __getitem__(self, draw: Draw) -> Any:  # noqa: ANN401 a NamedTuple of the task's own
+    def __getitem__(self, draw: SampleIndex) -> Any:  # noqa: ANN401 a NamedTuple of the task's own
         """Sample `draw.index`, augmented by the generator that starts from `draw.seed`."""
         ...
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
 from torch.utils.data import default_collate
 
-from lidar2pano.data.clips import Clip, Clips, Framing
+from lidar2pano.data.clips import ClipDataset, ClipSample, Framing
 from lidar2pano.errors import InputError, closest
 from lidar2pano.geometry.flow import Flow, chained
 from lidar2pano.geometry.images import one_hot_layers
@@ -62,22 +62,22 @@ class VideoPainting:
             self._clips(root, splits, option["stills"]) for splits in (recipe.data.train, recipe.data.val)
         )
         self.networks = build_networks(recipe)
-        self.critics = FilmCritics(self.networks, option, closed=self.framing.closed)
+        self.critics = FilmCritics(self.networks, option, closed=self.framing.circular)
         self.steps = self.critics.steps(self.length - GIVEN)
         self.blank = float(option["blank"])
         self.single = _first_frames(str(option["single"])) if option["single"] else None
         self.logs: dict[str, float | Tensor] = {}
 
-    def _clips(self, root: Path, splits: tuple[str, ...], stills: tuple[str, ...]) -> Clips:
+    def _clips(self, root: Path, splits: tuple[str, ...], stills: tuple[str, ...]) -> ClipDataset:
         alone = tuple(split for split in splits if split in stills)
         followed = tuple(split for split in splits if split not in stills)
-        return Clips(root, followed, self.framing, self.length, alone)
+        return ClipDataset(root, followed, self.framing, self.length, alone)
 
-    def updates(self, batch: Clip) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: ClipSample) -> Iterator[tuple[str, Tensor]]:
         """For every painted frame: the critic, the temporal critics whose films are long enough, the painter."""
         labels = layers(batch)
         blank = torch.rand(len(labels), device=labels.device) < self.blank
-        previous = batch.colour[:, :GIVEN].masked_fill(blank[:, None, None, None, None], 0)
+        previous = batch.image[:, :GIVEN].masked_fill(blank[:, None, None, None, None], 0)
         painted: list[Tensor] = []
         sums: dict[str, list[Tensor]] = {}
         for now in range(GIVEN, self.length):
@@ -91,7 +91,7 @@ class VideoPainting:
             previous = torch.cat([previous[:, 1:], painted[-1][:, None]], 1)
         self.logs = {name: torch.stack(values).mean() for name, values in sums.items()}
 
-    def frame(self, batch: Clip, labels: Tensor, previous: Tensor, now: int, first: Tensor) -> Frame:
+    def frame(self, batch: ClipSample, labels: Tensor, previous: Tensor, now: int, first: Tensor) -> Frame:
         """Paint frame `now` after the pictures `previous` (B, 2, 3, H, W).
 
         first  (B,) bool: samples that have none; what is painted anew is all of their picture, as published.
@@ -101,8 +101,8 @@ class VideoPainting:
         known = batch.known[:, now]
         return Frame(
             labels=labels[:, now],
-            true=batch.colour[:, now],
-            true_before=batch.colour[:, now - 1],
+            true=batch.image[:, now],
+            true_before=batch.image[:, now - 1],
             flow=Flow(shift=batch.shift[:, now], known=known),
             remembered=known.masked_fill(first[:, None, None], 0),
             painted=torch.where(first[:, None, None, None], raw, picture),
@@ -112,22 +112,22 @@ class VideoPainting:
             weight=weight,
         )
 
-    def film(self, batch: Clip, painted: list[Tensor], step: int) -> Film:
+    def film(self, batch: ClipSample, painted: list[Tensor], step: int) -> Film:
         """The last painted picture and two before it, `step` frames apart, and the same of the truth."""
         now = GIVEN + len(painted) - 1
         flows = [self.over(batch, now - step, step), self.over(batch, now, step)]
-        true = [batch.colour[:, now - back * step] for back in (2, 1, 0)]
+        true = [batch.image[:, now - back * step] for back in (2, 1, 0)]
         return Film(true=film(true, flows), painted=film([painted[-1 - back * step] for back in (2, 1, 0)], flows))
 
-    def over(self, batch: Clip, now: int, step: int) -> Flow:
+    def over(self, batch: ClipSample, now: int, step: int) -> Flow:
         """The reference flow of a frame to that `step` frames before it."""
         flow = Flow(shift=batch.shift[:, now], known=batch.known[:, now])
         for back in range(1, step):
             earlier = Flow(shift=batch.shift[:, now - back], known=batch.known[:, now - back])
-            flow = chained(flow, earlier, closed=self.framing.closed)
+            flow = chained(flow, earlier, circular=self.framing.circular)
         return flow
 
-    def follow(self, clip: Clip) -> tuple[Tensor, Tensor]:
+    def follow(self, clip: ClipSample) -> tuple[Tensor, Tensor]:
         """Paint a clip as a stream: pictures (K, 3, H, W) in [-1, 1] and flows (K, 2, H, W), on the CPU.
 
         It begins by the first-frame network, by nothing (the first classes stand for those before), or by the truth,
@@ -143,7 +143,7 @@ class VideoPainting:
                 self.single.to(device)
                 pictures = [self.single(labels[:, now]).float() for now in range(GIVEN)]
             elif not self.blank:
-                pictures = list(clip.colour[:GIVEN, None].to(device))
+                pictures = list(clip.image[:GIVEN, None].to(device))
             flows = flows[: len(pictures)]
             for now in range(len(pictures), self.length):
                 seen = labels[:, [max(now - back, 0) for back in (2, 1, 0)]]
@@ -167,17 +167,17 @@ class VideoPainting:
         for index in apart.tolist():
             clip = self.validation[index]
             pictures, flows = self.follow(clip)
-            gap = avg_pool2d(pictures - clip.colour, BROAD)[GIVEN:].abs().mean() / 2
+            gap = avg_pool2d(pictures - clip.image, BROAD)[GIVEN:].abs().mean() / 2
             wrong = (flows - clip.shift).norm(dim=1)[GIVEN:] * clip.known[GIVEN:]
             flow_px = wrong.sum() / clip.known[GIVEN:].sum().clamp(min=1)
-            rows.append([gap, self.flicker(pictures, clip), self.flicker(clip.colour, clip), flow_px])
+            rows.append([gap, self.flicker(pictures, clip), self.flicker(clip.image, clip), flow_px])
         means = torch.tensor(rows).mean(0).tolist()
         scores = dict(zip(("broad_colour", "flicker", "flicker_of_truth", "flow_px"), means, strict=True))
         return {"score": -scores["broad_colour"] - scores["flicker"], **scores}
 
-    def flicker(self, pictures: Tensor, clip: Clip) -> Tensor:
+    def flicker(self, pictures: Tensor, clip: ClipSample) -> Tensor:
         """Distance of each picture from the third on from the one before it, warped; see `validate`."""
-        was = warp(pictures[GIVEN - 1 : -1], clip.shift[GIVEN:], closed=self.framing.closed)
+        was = warp(pictures[GIVEN - 1 : -1], clip.shift[GIVEN:], circular=self.framing.circular)
         known = clip.known[GIVEN:]
         return ((pictures[GIVEN:] - was).abs().mean(1) * known).sum() / known.sum().clamp(min=1) / 2
 
@@ -188,7 +188,7 @@ class VideoPainting:
         """
         strips = []
         for clip in (self.validation[0], self.validation[len(self.validation) // 2], self.dataset[0]):
-            for pictures in (clip.colour, self.follow(clip)[0]):
+            for pictures in (clip.image, self.follow(clip)[0]):
                 strips.append(torch.cat(list(pictures[GIVEN:]), 2))
         sheet = torch.cat(strips, 1).movedim(0, 2)
         return {"film": ((sheet + 1) * 127.5).round().clamp(0, 255).to(torch.uint8).numpy()}
@@ -205,6 +205,6 @@ def _first_frames(file: str) -> nn.Module:
     return network
 
 
-def layers(batch: Clip) -> Tensor:
+def layers(batch: ClipSample) -> Tensor:
     """Classes of a batch of clips as layers (B, K, 16, H, W): one where a pixel is of the class, else zero."""
-    return one_hot_layers(batch.classes.flatten(0, 1), len(COMMON15)).unflatten(0, batch.classes.shape[:2])
+    return one_hot_layers(batch.labels.flatten(0, 1), len(COMMON15)).unflatten(0, batch.labels.shape[:2])
