@@ -62,7 +62,7 @@ def test_missing_and_broken_pictures_are_told(root):
         _ = frame.camera_labels
     (root / "sequences/00/image_2/000000.png").unlink()
     with pytest.raises(InputError, match="no image"):
-        frame.require("image")
+        frames(root, "train")[0].require("image")
 
 
 def test_range_samples_carry_each_points_label_to_its_pixel(root):

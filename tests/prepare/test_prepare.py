@@ -232,7 +232,7 @@ def no_network(monkeypatch):
             raise AssertionError("a network was loaded")
 
         monkeypatch.setattr("lidar2pano.prepare.teachers.LidarTeacher.get_ready", refuse)
-        monkeypatch.setattr("lidar2pano.prepare.teachers.PictureTeacher.get_ready", refuse)
+        monkeypatch.setattr("lidar2pano.prepare.teachers.ImageTeacher.get_ready", refuse)
 
     return close
 
@@ -364,7 +364,7 @@ class Copyist:
         self.made_by = name
 
     def source(self, frame: SemanticKittiFrame) -> Path | None:
-        return frame.scan_file
+        return frame.scan_file if frame.scan_file.exists() else None
 
     def get_ready(self) -> None:
         pass
