@@ -135,6 +135,12 @@ class SemanticKittiFrame(Frame):
             depth_m=None if steps is None else steps.astype(np.float32) / DEPTH_STEPS,
         )
 
+    @cached_property
+    def panorama_labels(self) -> np.ndarray | None:
+        """See Frame."""
+        path = self.file("pano_labels")
+        return read_image(path) if path.is_file() and self.file("pano").is_file() else None
+
     def _beside(self, part: str, size: tuple[int, int], of: type[np.generic]) -> np.ndarray | None:
         path = self.file(part)
         if not path.parent.is_dir():
