@@ -187,13 +187,12 @@ def recipes() -> str:
 
 def paper_rows() -> str:
     """Every row of the paper's tables: the recipes behind it, and the command that makes it."""
-    from lidar2pano.reproduce.rows import ROWS
+    from lidar2pano.reproduce.plan import ROWS
 
     def row(name: str) -> list[str]:
         parts = " + ".join(f"`{part}`" for part in ROWS[name].parts)
-        wanted = [["table 1"] * ROWS[name].segments, ["table 2"] * ROWS[name].pictures]
         origin = "the paper" if ROWS[name].paper or ROWS[name].miou is not None else "ours, beside it"
-        return [ROWS[name].name, ", ".join(sum(wanted, [])), origin, parts, f"`--rows {name}`"]
+        return [ROWS[name].name, "1, 2" if ROWS[name].segments else "2", origin, parts, f"`--rows {name}`"]
 
     return table(["row", "tables", "from", "recipes", "option of `reproduce`"], map(row, ROWS))
 
