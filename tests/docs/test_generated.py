@@ -110,3 +110,8 @@ def test_columns_of_docstrings_are_fenced():
         "```text\nxyz        (N, 3) float32.\nremission  (N,) float32,\n           in [0, 1].\n```\n\nRaises."
     )
     assert fenced("Plain text.\n\nMore of it.") == "Plain text.\n\nMore of it."
+
+
+def test_docstrings_are_no_markdown():
+    fenced = hook("docstrings").fenced
+    assert fenced("P2 [x y z] * 2, `a[0] * b`, <stem>.png") == r"P2 \[x y z\] \* 2, `a[0] * b`, &lt;stem>.png"
