@@ -180,9 +180,22 @@ def recipes() -> str:
         recipe = RECIPES[name]()
         networks = ", ".join(f"`{network.model}`" for network in recipe.networks.values())
         limit = f"{recipe.training.minutes:g} min" if recipe.training.minutes else f"{recipe.training.steps} steps"
-        return [f"`{name}`", _first(RECIPES[name].__doc__), networks, f"{limit}, batch {recipe.training.batch}"]
+        return [
+            f"`{name}`",
+            _first(RECIPES[name].__doc__) or _variant(name, set(RECIPES)),
+            networks,
+            f"{limit}, batch {recipe.training.batch}",
+        ]
 
     return table(["recipe", "what it is", "networks", "length"], map(row, RECIPES))
+
+
+def _variant(name: str, known: set[str]) -> str:
+    """What a recipe without a docstring is: the small form of another, or another with a part left out."""
+    if name.removesuffix("-mini") in known - {name}:
+        return f"`{name.removesuffix('-mini')}` for two CPU cores."
+    base, _, without = name.partition("-no-")
+    return f"`{base}` without {without}, the paper's ablation." if without and base in known else ""
 
 
 def paper_rows() -> str:

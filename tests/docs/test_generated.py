@@ -80,6 +80,13 @@ def test_parts_are_tables(name):
     assert part.count("\n| ") >= 3, part
 
 
+def test_every_recipe_is_described():
+    rows = [row.split(" | ") for row in generated.recipes().splitlines()[2:]]
+    assert [row for row in rows if len(row) != 4 or not row[1].strip()] == []
+    assert generated._variant("titan-no-range", {"titan", "titan-no-range"}).startswith("`titan` without range")
+    assert generated._variant("a-mini", {"a", "a-mini"}) == "`a` for two CPU cores."
+
+
 def test_links_of_root_pages_lead_to_the_site_or_the_repository():
     text = "[a](docs/world.md) [b](CHANGELOG.md) [c](runs/release.sh) [d](https://x.org) ![e](docs/p.jpg) [f](#g)"
     repository = f"{generated.REPOSITORY}/runs/release.sh"
