@@ -15,7 +15,7 @@ from lidar2pano.data.camera_rasters import CameraSample, CameraSamples
 from lidar2pano.data.fronts import FrontSample, FrontSamples, Wanted
 from lidar2pano.errors import InputError
 from lidar2pano.losses.supervised import pooled
-from lidar2pano.metrics.similarity import SSIM
+from lidar2pano.metrics.ssim import SSIM
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.train.adversarial import pix2pix_updates, renamed, wasserstein_updates
 from lidar2pano.train.options import CameraColourOptions, FrontColourOptions, Pix2PixColoursOptions

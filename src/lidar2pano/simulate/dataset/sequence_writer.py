@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar2pano.formats.image_files import write_depth, write_palette, write_png, write_whole
+from lidar2pano.formats.output_files import write_depth, write_palette, write_png, write_whole
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.simulate.dataset.settings import WorldSettings, panorama_view, recording_camera
 from lidar2pano.simulate.layout.street_world import World, build_world
@@ -84,10 +84,7 @@ class SequenceWriter:
         # Each moving object is where the turn passes it.
         scene = self.world.scene_at(self.scene(frame), time, lambda at: float(passing_time(sensor, pose, at[None])[0]))
         return sweep(
-            scene,
-            sensor,
-            lambda ahead: self.world.drive.poses(time + ahead),
-            stream(self.seed, "sweep", frame),
+            scene, sensor, lambda ahead: self.world.drive.poses(time + ahead), stream(self.seed, "sweep", frame)
         )
 
     def images(self, frame: int) -> Iterator[tuple[str, RenderedImage]]:
