@@ -77,7 +77,9 @@ class Plan:
         train = tuple(name for name in found.data.train if name in there) or ("train",)
         found = replace(found, data=replace(found.data, train=train, val=(self.split,)))
         given = {"segmenter": files.get(SEGMENTER), "translator": files.get("titan-pano")}
-        options = {name: str(file) for name, file in given.items() if file and hasattr(found.options, name)}
+        options: dict[str, object] = {
+            name: str(file) for name, file in given.items() if file and hasattr(found.options, name)
+        }
         if isinstance(found.options, VideoOptions):
             single = tuple(name for name in found.options.single_frame_splits if name in there)
             options["single_frame_splits"] = single

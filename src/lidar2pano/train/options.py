@@ -35,8 +35,8 @@ class TaskOptions:
             if not all(isinstance(number, int | float) for number in numbers):
                 continue
             check_least("options", 1 if name in self.SIZES else 0, **{name: numbers})
-            if name.endswith("_probability") and value > 1:
-                raise InputError(f"options.{name}={value:g} must be at most 1")
+            if name.endswith("_probability") and max(numbers) > 1:
+                raise InputError(f"options.{name}={value} must be at most 1")
 
 
 @dataclass(frozen=True, kw_only=True)
