@@ -21,7 +21,7 @@ import scipy.stats
 import torch
 from PIL import Image
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support"))
 
 import metric_definitions as truths  # pyright: ignore[reportMissingImports]
 from golden_fill import fill  # pyright: ignore[reportMissingImports]

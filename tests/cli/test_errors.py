@@ -249,7 +249,7 @@ def data(here):
         ("--sdnet none", "no weight file none"),
         ("--inception none", "none: no such file; FID needs the weights of Inception-v3"),
         ("--device gpu", "no device 'gpu'"),
-        ("--data small", "small: is no data set with a known truth"),
+        ("--data small", "small: is no data set; name one in"),
     ],
 )
 def test_bad_evaluations(data, refused, options, said):
@@ -276,7 +276,7 @@ BAD_DATA: dict[str, tuple[Callable[[Path], object], str]] = {
     "scan": (lambda seq: (seq / "velodyne" / "000000.bin").write_bytes(b""), "velodyne/000000.bin: is empty"),
     "no scan": (lambda seq: (seq / "velodyne" / "000000.bin").unlink(), "scan 000000.bin of split 'val' is missing"),
     "calib": (lambda seq: (seq / "calib.txt").unlink(), "calib.txt: cannot be read"),
-    "picture": (lambda seq: (seq / "camera_labels" / "000000.png").write_bytes(b"no"), "is no readable picture"),
+    "picture": (lambda seq: (seq / "camera_labels" / "000000.png").write_bytes(b"no"), "is no readable image"),
     "colours": (colour_labels, "camera_labels/000000.png: is no picture of class ids"),
 }
 

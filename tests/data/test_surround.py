@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.data.nuscenes_sample import nuscenes_samples
-from lidar2pano.data.pandaset import CLASSES, class_table, pandaset_frames
+from lidar2pano.data.frames import frames
+from lidar2pano.data.pandaset import CLASSES, class_table
 from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera, points_in_camera
-from lidar2pano.geometry.compose import BLEND, Photo, compose
-from lidar2pano.geometry.filling import BESIDE, ONE_SURFACE, RIM, WIDE, dense_depth, ground_plane
+from lidar2pano.geometry.stitching import BLEND, CameraImage, stitch
+from lidar2pano.geometry.depth_completion import BESIDE, ONE_SURFACE, RIM, WIDE, complete_depth, ground_plane
 from lidar2pano.geometry.projection import directions
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.views import VIEWS, View
@@ -49,8 +49,8 @@ def nuscenes() -> Path:
 
 
 @pytest.fixture(scope="module")
-def photos() -> dict[str, Photo]:
-    return {name: Photo(picture=picture(one), calibration=one) for name, one in six().items()}
+def photos() -> dict[str, CameraImage]:
+    return {name: CameraImage(image=picture(one), calibration=one) for name, one in six().items()}
 
 
 def truth(view: View) -> tuple[np.ndarray, torch.Tensor]:
@@ -60,9 +60,9 @@ def truth(view: View) -> tuple[np.ndarray, torch.Tensor]:
     return painting(origin + depth[..., None] * rays), torch.from_numpy(depth).float()
 
 
-def flat(calibration, colour: tuple[int, int, int]) -> Photo:
+def flat(calibration, colour: tuple[int, int, int]) -> CameraImage:
     """A camera that sees one colour."""
-    return Photo(picture=np.full((SIZE[1], SIZE[0], 3), colour, dtype=np.uint8), calibration=calibration)
+    return CameraImage(image=np.full((SIZE[1], SIZE[0], 3), colour, dtype=np.uint8), calibration=calibration)
 
 
 # --- composing ------------------------------------------------------------------------------------------------------
@@ -72,7 +72,7 @@ def flat(calibration, colour: tuple[int, int, int]) -> Photo:
 def test_a_painted_place_is_composed_again_from_six_pictures_of_it(photos, origin):
     view = replace(QUARTER, origin=origin)
     expected, depth = truth(view)
-    colour, valid = compose(list(photos.values()), view, depth)
+    colour, valid = stitch(list(photos.values()), view, depth)
     assert colour.dtype == np.uint8 and valid.dtype == bool and colour.shape == (*valid.shape, 3)
     assert valid.mean() > 0.97
     places = np.array(origin) + depth.numpy()[..., None] * directions(view).numpy()
@@ -81,7 +81,7 @@ def test_a_painted_place_is_composed_again_from_six_pictures_of_it(photos, origi
     assert off.max() < 1.2, "half a step for each of two roundings, and what lies between pixels"
     assert off.mean() < 0.4 and crease.mean() < 0.06
     assert (colour[~valid] == 0).all()
-    wrong, seen = compose(list(photos.values()), view, torch.full_like(depth, torch.inf))
+    wrong, seen = stitch(list(photos.values()), view, torch.full_like(depth, torch.inf))
     assert np.abs(wrong - expected)[seen].mean() > 5 * off.mean(), "without depths the cameras' places matter"
 
 
@@ -91,7 +91,7 @@ def test_a_place_falls_where_it_is_put_by_hand():
     u, v = round(240 + 300 * 1 / 5), round(144 - 300 * 0.5 / 5)
     painted[v - 2 : v + 3, u - 2 : u + 3] = (255, 9, 7)
     view = replace(QUARTER, origin=(0.0, 0.0, 0.0))
-    colour, valid = compose([Photo(picture=painted, calibration=left)], view, torch.full((96, 1152), 30.0))
+    colour, valid = stitch([CameraImage(image=painted, calibration=left)], view, torch.full((96, 1152), 30.0))
     bright = np.argwhere(colour[..., 0] > 200).mean(0) + 0.5
     column = (180 - math.degrees(math.atan2(5, 1))) / 360 * 1152
     row = (0.24 - 0.5 / math.hypot(1, 5)) / (0.24 + 0.2836) * 96
@@ -104,7 +104,7 @@ def test_the_camera_whose_axis_is_nearer_is_taken_and_few_columns_are_mixed():
     turned = [flat(camera(left, (0.0, 0.0, 0.0)), colour) for left, colour in ((0, (200, 0, 0)), (60, (0, 0, 100)))]
     view = replace(QUARTER, origin=(0.0, 0.0, 0.0))
     for pair in (turned, turned[::-1]):
-        colour, _ = compose(pair, view, torch.full((96, 1152), torch.inf))
+        colour, _ = stitch(pair, view, torch.full((96, 1152), torch.inf))
         row = colour[44].astype(int)
         border = round((180 - 30) / 360 * 1152)
         assert (row[border + BLEND : 576] == (200, 0, 0)).all() and (row[400 : border - BLEND] == (0, 0, 100)).all()
@@ -118,29 +118,29 @@ def test_pixels_that_no_camera_sees_are_not_valid():
     view = replace(QUARTER, origin=(0.0, 0.0, 0.0))
     depth = torch.full((96, 1152), 10.0)
     depth[:, 570:580] = torch.tensor([0.0, torch.nan]).repeat(5)
-    colour, valid = compose([ahead], view, depth)
+    colour, valid = stitch([ahead], view, depth)
     half = math.degrees(math.atan(240 / 300))
     column = (180 - np.degrees(np.arange(-math.pi, math.pi, math.tau / 1152))) % 360 - 180
     inside = np.abs(180 - (np.arange(1152) + 0.5) / 1152 * 360) < half - 0.5
     inside[570:580] = False
     assert (valid[44] == inside)[np.abs(np.abs(column) - half) > 1].all()
     assert (colour[valid] == (1, 2, 3)).all() and not colour[~valid].any()
-    nobody = compose([], view, depth)
+    nobody = stitch([], view, depth)
     assert not nobody[1].any() and not nobody[0].any()
     with pytest.raises(ValueError, match="depths must be"):
-        compose([ahead], view, depth[1:])
+        stitch([ahead], view, depth[1:])
 
 
 def test_a_cameras_own_car_is_not_in_the_panorama():
     ahead = flat(camera(0.0, (0.0, 0.0, 0.0)), (50, 60, 70))
-    clear = np.ones((SIZE[1], SIZE[0]), dtype=bool)
-    clear[200:] = False  # 56 rows below the horizon
+    ego_mask = np.zeros((SIZE[1], SIZE[0]), dtype=bool)
+    ego_mask[200:] = True  # 56 rows below the horizon
     view = replace(QUARTER, origin=(0.0, 0.0, 0.0))
-    _, valid = compose([replace(ahead, clear=clear)], view, torch.full((96, 1152), torch.inf))
+    _, valid = stitch([replace(ahead, ego_mask=ego_mask)], view, torch.full((96, 1152), torch.inf))
     lowest = np.flatnonzero(valid[:, 576]).max() + 0.5
     assert 0.24 - lowest / 96 * 0.5236 == pytest.approx(-(200 - 144 - 0.5) / 300, abs=0.006)
     with pytest.raises(ValueError, match="must be"):
-        Photo(picture=ahead.picture, calibration=ahead.calibration, clear=clear[1:])
+        CameraImage(image=ahead.image, calibration=ahead.calibration, ego_mask=ego_mask[1:])
 
 
 def test_what_stands_before_a_place_hides_it_from_a_camera_beside():
@@ -150,7 +150,7 @@ def test_what_stands_before_a_place_hides_it_from_a_camera_beside():
     post = np.abs(azimuth) < 0.1
     depth = torch.from_numpy(np.where(post, 2.0, 10.0)).float().expand(96, 1152).contiguous()
     beside = flat(camera(0.0, (0.0, -1.0, 0.0)), (255, 0, 0))
-    _, valid = compose([beside], view, depth)
+    _, valid = stitch([beside], view, depth)
     # the camera's line past the post's left edge (1.99, 0.2) meets the circle of 10 m at about y = 4.6
     edges = [1.99, 0.2], [1.99, -0.2]
     hidden = []
@@ -162,10 +162,10 @@ def test_what_stands_before_a_place_hides_it_from_a_camera_beside():
     assert behind.sum() > 15 and not valid[44, behind].any()
     free = ((azimuth > hidden[0] + 0.05) | ((azimuth < hidden[1] - 0.05) & ~post)) & (np.abs(azimuth) < 0.55)
     assert free.sum() > 100 and valid[44, free].all() and valid[44, post].all()
-    _, unhidden = compose([beside], view, depth.where(~torch.from_numpy(post), torch.inf))
+    _, unhidden = stitch([beside], view, depth.where(~torch.from_numpy(post), torch.inf))
     assert unhidden[44, (np.abs(azimuth) < 0.5) & ~post].all(), "the sky hides nothing"
     here = flat(camera(0.0, (0.0, 0.0, 0.0)), (0, 255, 0))
-    colour, both = compose([beside, here], view, depth)
+    colour, both = stitch([beside, here], view, depth)
     assert both[44, behind].all() and (colour[44, behind] == (0, 255, 0)).all(), "the other camera sees it"
 
 
@@ -174,7 +174,7 @@ def test_from_the_cameras_own_place_nothing_is_hidden():
     rough = np.kron(generator.choice([3.0, 12.0, np.inf], (12, 96)), np.ones((8, 12)))
     here = flat(camera(0.0, (0.2, -0.1, 0.05)), (1, 1, 1))
     valid = [
-        compose([here], QUARTER, depth)[1] for depth in (torch.from_numpy(rough).float(), torch.full((96, 1152), 9.0))
+        stitch([here], QUARTER, depth)[1] for depth in (torch.from_numpy(rough).float(), torch.full((96, 1152), 9.0))
     ]
     assert np.array_equal(*valid) and valid[0].mean() > 0.15
 
@@ -185,7 +185,7 @@ def test_from_the_cameras_own_place_nothing_is_hidden():
 def test_depths_of_the_painted_place_come_from_its_scan():
     _, expected = truth(QUARTER)
     points = torch.from_numpy(sweep()[0])
-    depth = dense_depth(points, QUARTER)
+    depth = complete_depth(points, QUARTER)
     assert depth.dtype == torch.float32 and (depth > 0).all()
     off = (depth / expected - 1).abs()
     assert off.isfinite().all(), "the sphere is seen up to the top"
@@ -195,7 +195,7 @@ def test_depths_of_the_painted_place_come_from_its_scan():
 
 def test_few_rings_are_enough_for_a_place_of_ground_and_walls():
     _, expected = truth(QUARTER)
-    off = (dense_depth(torch.from_numpy(sweep(rings=16)[0]), QUARTER) / expected - 1).abs()
+    off = (complete_depth(torch.from_numpy(sweep(rings=16)[0]), QUARTER) / expected - 1).abs()
     assert off.max() < 0.07 and off.mean() < 0.01, "also between the last ring on the ground and the first on the wall"
 
 
@@ -203,8 +203,8 @@ def test_what_was_measured_stays_and_the_own_car_is_left_out():
     others = np.array([[7.0, 1.5, 0.3], [0.5, 3.0, -0.4]], dtype=np.float32)
     points = np.concatenate([sweep()[0][::37], others])
     car = torch.tensor([[1.5, 0.4, -0.2], [-1.0, 0.0, -0.2]])
-    depth = dense_depth(torch.from_numpy(points), QUARTER)
-    assert torch.equal(dense_depth(torch.cat([torch.from_numpy(points), car]), QUARTER), depth)
+    depth = complete_depth(torch.from_numpy(points), QUARTER)
+    assert torch.equal(complete_depth(torch.cat([torch.from_numpy(points), car]), QUARTER), depth)
     owners = project_slowly(points, QUARTER)
     rows, columns = np.array(list(owners)).T
     away = np.linalg.norm(points[list(owners.values())] - np.float32(QUARTER.origin), axis=1)
@@ -218,27 +218,27 @@ def test_above_the_topmost_point_is_sky_unless_the_sensor_looks_no_higher():
     view = replace(QUARTER, origin=(0.0, 0.0, 0.0))
     ahead = points[:, 1].abs() < points[:, 0]
     low = points[ground | (slope < 0.05) | ~ahead]  # a low wall ahead, the high one elsewhere
-    depth = dense_depth(low, view)
+    depth = complete_depth(low, view)
     height = view.up - (torch.arange(96) + 0.5) / 96 * (view.up - view.down)
     assert depth[height > 0.08, 576].isinf().all() and depth[height < 0.04, 576].isfinite().all()
     assert depth[:, 10].isfinite().all()
     short = points[slope < 0.05]  # a sensor that ends there
-    assert dense_depth(short, view).isfinite().all()
+    assert complete_depth(short, view).isfinite().all()
 
 
 def test_columns_without_points_are_ground_and_sky():
     points = torch.from_numpy(sweep()[0])
     open_side = points[points[:, 1] < 6.0]
     view = replace(QUARTER, origin=(0.0, 0.0, 0.0))
-    depth = dense_depth(open_side, view)[:, 288]  # to the left
+    depth = complete_depth(open_side, view)[:, 288]  # to the left
     slope = view.up - (torch.arange(96) + 0.5) / 96 * (view.up - view.down)
     reach = HEIGHT / -slope
     ground = (slope < 0) & (reach < 60)
     assert depth[ground] == pytest.approx((reach * torch.sqrt(1 + slope**2))[ground], rel=0.01)
     assert depth[(slope > 0.02)].isinf().all()
-    assert dense_depth(torch.zeros(0, 3), view).isinf().all()
+    assert complete_depth(torch.zeros(0, 3), view).isinf().all()
     with pytest.raises(ValueError, match="cylinder"):
-        dense_depth(points, VIEWS["hdl64e"])
+        complete_depth(points, VIEWS["hdl64e"])
 
 
 def test_the_grounds_plane_is_found_under_cars_and_houses():
@@ -256,7 +256,7 @@ def test_the_grounds_plane_is_found_under_cars_and_houses():
 
 
 def filled_slowly(xyz: np.ndarray, view: View) -> np.ndarray:
-    """`dense_depth` pixel by pixel, for a scan whose ground is not known."""
+    """`complete_depth` pixel by pixel, for a scan whose ground is not known."""
     measured = np.zeros((view.rows, view.columns))
     flat_m = np.zeros_like(measured)
     for (row, column), owner in project_slowly(xyz, view).items():
@@ -314,7 +314,7 @@ def test_filling_agrees_with_its_slow_definition():
     distance = generator.choice([26.0, 29.0, 45.0, 47.0], 900)  # too far for a ground
     xyz = np.column_stack([distance * np.cos(azimuth), distance * np.sin(azimuth), distance * slope]).astype(np.float32)
     tall = replace(view, rows=42, up=0.42, down=-0.42)  # BEYOND is 6 rows of 0.02
-    fast, slow = dense_depth(torch.from_numpy(xyz), view).numpy(), filled_slowly(xyz, tall)[6:-6]
+    fast, slow = complete_depth(torch.from_numpy(xyz), view).numpy(), filled_slowly(xyz, tall)[6:-6]
     assert np.isinf(slow).mean() > 0.05
     assert np.array_equal(np.isinf(fast), np.isinf(slow))
     assert np.allclose(fast, slow, rtol=1e-4)
@@ -330,34 +330,46 @@ def painted(tmp_path_factory) -> dict[str, Path]:
 
 
 def first(kind: str, root: Path) -> SurroundFrame:
-    return (pandaset_frames(root) if kind == "pandaset" else nuscenes_samples(root))[0].read()
+    return surround(root)[0]
+
+
+def surround(root: Path, split: str = "all") -> list[SurroundFrame]:
+    found = list(frames(root, split, QUARTER))
+    assert all(isinstance(frame, SurroundFrame) for frame in found)
+    return found
+
+
+def read(frame: SurroundFrame) -> None:
+    """Read all parts but the panorama."""
+    for part in ("cameras", "scan", "point_labels", "pose"):
+        getattr(frame, part)
 
 
 @pytest.mark.parametrize("kind", ["pandaset", "nuscenes"])
 def test_a_painted_place_is_read_in_our_frame(painted, kind):
     frame = first(kind, painted[kind])
     points, _ = sweep() if kind == "pandaset" else sweep(32, 1000)
-    assert np.abs(frame.scan.xyz - points).max() < 1e-4
-    assert frame.scan.remission == pytest.approx(0.5 if kind == "pandaset" else 0.2)
-    assert len(frame.photos) == 6 and frame.front == list(frame.photos)[0]
-    for photo, mount in zip(frame.photos.values(), six().values(), strict=True):
+    assert np.abs(frame.whole_scan.xyz - points).max() < 1e-4
+    assert frame.whole_scan.remission == pytest.approx(0.5 if kind == "pandaset" else 0.2)
+    assert len(frame.cameras) == 6 and frame.front == list(frame.cameras)[0]
+    for photo, mount in zip(frame.cameras.values(), six().values(), strict=True):
         assert photo.calibration.T_camera_lidar == pytest.approx(mount.T_camera_lidar, abs=1e-6)
         assert pytest.approx(mount.K) == photo.calibration.K and photo.calibration.size == SIZE
-    view = at_camera(QUARTER, frame.photos[frame.front].calibration)
+    view = at_camera(QUARTER, frame.cameras[frame.front].calibration)
     expected, _ = truth(view)
-    depth = dense_depth(torch.from_numpy(frame.scan.xyz), view)
-    colour, valid = compose(list(frame.photos.values()), view, depth)
+    depth = complete_depth(torch.from_numpy(frame.whole_scan.xyz), view)
+    colour, valid = stitch(list(frame.cameras.values()), view, depth)
     off = np.abs(colour - expected)[valid]
     assert valid.mean() > 0.9 and off.mean() < 1.5, "JPEG's loss and what lies between the rings"
 
 
 def test_pandaset_says_who_and_where(painted):
-    frames = pandaset_frames(painted["pandaset"], "002")
-    assert [frame.name for frame in frames] == ["002/000000", "002/000001"]
-    one, other = (frame.read() for frame in frames)
+    found = surround(painted["pandaset"], "002")
+    assert [frame.name for frame in found] == ["002/000000", "002/000001"]
+    one, other = found
     points, ground = sweep()
-    assert one.scan.label is not None and one.scan.name == one.name == "002/000000"
-    named = np.array(SEMANTIC_KITTI.classes)[one.scan.label]
+    assert one.point_labels is not None and one.whole_scan.name == one.name == "002/000000"
+    named = np.array(SEMANTIC_KITTI.classes)[one.point_labels]
     assert (named[ground] == "road").all() and (named[~ground] == "building").all()
     moved = np.linalg.inv(one.pose) @ other.pose
     expected = np.eye(4)
@@ -369,24 +381,23 @@ def test_pandaset_says_who_and_where(painted):
 
 
 def test_nuscenes_says_who_and_where(painted):
-    (sample,) = nuscenes_samples(painted["nuscenes"])
-    frame = sample.read()
-    assert frame.name == frame.scan.name == "nuscenes/000007" and frame.scan.label is None
+    (frame,) = surround(painted["nuscenes"])
+    assert frame.name == frame.whole_scan.name == "nuscenes/000007" and frame.point_labels is None
     assert frame.pose[:3, 3] == pytest.approx([100, 200, 0.5]) and frame.pose[:3, 0] == pytest.approx([0, 1, 0])
 
 
 def test_the_own_car_is_masked_in_the_cameras_that_see_it(pandaset_mini, nuscenes):
     for frame, seeing, share in (
-        (pandaset_frames(pandaset_mini)[0].read(), "back_camera", 0.23),
-        (nuscenes_samples(nuscenes)[0].read(), "CAM_BACK", 0.03),
+        (surround(pandaset_mini)[0], "back_camera", 0.23),
+        (surround(nuscenes)[0], "CAM_BACK", 0.03),
     ):
-        for name, photo in frame.photos.items():
+        for name, photo in frame.cameras.items():
             if name != seeing:
-                assert photo.clear is None
+                assert photo.ego_mask is None
                 continue
-            assert photo.clear is not None
-            assert 1 - photo.clear.mean() == pytest.approx(share, abs=0.02)
-            assert photo.clear[: photo.clear.shape[0] * 3 // 4].all() and not photo.clear[-1, 200:-200].any()
+            assert photo.ego_mask is not None
+            assert photo.ego_mask.mean() == pytest.approx(share, abs=0.02)
+            assert not photo.ego_mask[: photo.ego_mask.shape[0] * 3 // 4].any() and photo.ego_mask[-1, 200:-200].all()
 
 
 def test_every_class_of_pandaset_has_a_name_here(pandaset_mini):
@@ -413,7 +424,7 @@ REAL = {
 @pytest.mark.parametrize("kind", ["pandaset", "nuscenes"])
 def test_in_every_real_camera_left_is_left_and_up_is_up(pandaset_mini, nuscenes, kind):
     frame = first(kind, pandaset_mini if kind == "pandaset" else nuscenes)
-    for name, photo in frame.photos.items():
+    for name, photo in frame.cameras.items():
         at, high = math.radians(REAL[name]), photo.calibration.centre[2]
         places = [(at, high), (at + 0.1, high), (at, high + 1.0)]
         xyz = torch.tensor([(20 * math.cos(a), 20 * math.sin(a), z) for a, z in places])
@@ -438,19 +449,19 @@ def cones(xyz: np.ndarray) -> float:
 
 @pytest.mark.parametrize("number", [0, 5])
 def test_pandasets_sensor_stands_at_the_origin(pandaset_mini, number):
-    xyz = pandaset_frames(pandaset_mini)[number].read().scan.xyz.astype(np.float64)
+    xyz = surround(pandaset_mini)[number].whole_scan.xyz.astype(np.float64)
     best = cones(xyz)
     for off in ((0.1, 0, 0), (-0.1, 0, 0), (0, 0.1, 0), (0, -0.1, 0), (0, 0, 0.1), (0, 0, -0.1)):
         assert best > 1.2 * cones(xyz + np.array(off)), off
 
 
 def test_pandasets_poses_put_houses_on_houses(pandaset_mini):
-    frames = pandaset_frames(pandaset_mini)
-    one, other = frames[0].read(), frames[-1].read()
+    found = surround(pandaset_mini)
+    one, other = found[0], found[-1]
     house = SEMANTIC_KITTI.id_of("building")
 
     def blocks(frame: SurroundFrame, pose: np.ndarray) -> set[tuple[int, ...]]:
-        xyz = frame.scan.xyz[frame.scan.label == house] @ pose[:3, :3].T + pose[:3, 3]
+        xyz = frame.whole_scan.xyz[frame.point_labels == house] @ pose[:3, :3].T + pose[:3, 3]
         return set(map(tuple, np.floor(xyz / 0.5).astype(int).tolist()))
 
     def shared(a: set[tuple[int, ...]], b: set[tuple[int, ...]]) -> float:
@@ -464,11 +475,11 @@ def test_pandasets_poses_put_houses_on_houses(pandaset_mini):
 def test_neighbouring_real_cameras_agree_where_both_see(pandaset_mini, nuscenes, kind):
     """The same grey pattern in both; the scan's depth brings them together."""
     frame = first(kind, pandaset_mini if kind == "pandaset" else nuscenes)
-    view = at_camera(VIEWS["panorama"].scaled(0.25), frame.photos[frame.front].calibration)
-    scan = dense_depth(torch.from_numpy(frame.scan.xyz), view)
+    view = at_camera(VIEWS["panorama"].scaled(0.25), frame.cameras[frame.front].calibration)
+    scan = complete_depth(torch.from_numpy(frame.whole_scan.xyz), view)
     agreement = []
     for depth in (scan, torch.full_like(scan, torch.inf)):
-        seen = [compose([photo], view, depth) for photo in frame.photos.values()]
+        seen = [stitch([photo], view, depth) for photo in frame.cameras.values()]
         found = []
         for n, (one, here) in enumerate(seen):
             for other, there in seen[:n]:
@@ -495,7 +506,7 @@ PANDASET_DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "no camera picture": (lambda r: (r / S / "left_camera/000000.jpg").unlink(), r"left_camera/000000.jpg: is missing"),
     "a damaged picture": (
         lambda r: (r / S / "left_camera/000000.jpg").write_bytes(b"no"),
-        r"left_camera/000000.jpg: is no readable picture",
+        r"left_camera/000000.jpg: is no readable image",
     ),
     "no calibration": (lambda r: (r / S / "calib/000000.json").unlink(), r"calib/000000.json: cannot be read"),
     "calibration no JSON": (lambda r: (r / S / "calib/000000.json").write_text("{"), r"000000.json: is no JSON"),
@@ -538,6 +549,15 @@ PANDASET_DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda r: edit(r / "classes.json", lambda c: (c.pop("41"), c.pop("13"))),
         r"holds class 41",
     ),
+    "a camera of another form": (
+        lambda r: edit(r / S / "calib/000000.json", lambda c: c["cameras"].update(back_camera=3)),
+        r"000000.json: camera back_camera is no object",
+    ),
+    "no focal length that can be": (
+        lambda r: edit(r / S / "calib/000000.json", lambda c: c["cameras"]["back_camera"]["K"].update(fx=-3)),
+        r"'K' is no camera matrix",
+    ),
+    "a class of a strange number": (lambda r: edit(r / "classes.json", lambda c: c.update({"-5": "Car"})), r"class -5"),
     "classes no names": (lambda r: (r / "classes.json").write_text("[1]"), r"classes.json: must be an object"),
 }
 
@@ -546,28 +566,42 @@ PANDASET_DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
 def test_what_is_wrong_with_a_pandaset_is_said_in_one_line(painted, tmp_path, damage):
     harm, message = PANDASET_DAMAGES[damage]
     root = copied(painted["pandaset"], tmp_path)
-    frame = pandaset_frames(root)[0]
-    frame.read()
+    read(surround(root)[0])
     harm(root)
     with pytest.raises(InputError, match=message) as caught:
-        frame.read()
+        read(surround(root)[0])
     assert str(root) in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_what_is_wrong_with_a_pandasets_folder(painted, tmp_path):
+    (tmp_path / "classes.json").write_text("{}")
     with pytest.raises(InputError, match=r"has no sequences/"):
-        pandaset_frames(tmp_path)
+        surround(tmp_path)
     with pytest.raises(InputError, match=r"no split '003'; did you mean '002'"):
-        pandaset_frames(painted["pandaset"], "003")
+        surround(painted["pandaset"], "003")
     (tmp_path / "sequences" / "001").mkdir(parents=True)
     with pytest.raises(InputError, match=r"split 'all' has no scan"):
-        pandaset_frames(tmp_path)
+        surround(tmp_path)
 
 
 NUSCENES_DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "no list": (lambda r: (r / "info.json").write_text("[]"), r"info.json: has no list 'data_list'"),
     "no JSON": (lambda r: (r / "info.json").write_text("?"), r"info.json: is no JSON"),
-    "no file": (lambda r: (r / "info.json").unlink(), r"info.json: cannot be read"),
+    "another form": (lambda r: (r / "info.json").write_text("[" * 10**5), r"info.json: is no JSON"),
+    "a sample without a number": (
+        lambda r: edit(r / "info.json", lambda c: c["data_list"][0].update(sample_idx=[])),
+        r"has a sample without a number 'sample_idx'",
+    ),
+    "cameras of another form": (
+        lambda r: edit(r / "info.json", lambda c: c["data_list"][0]["images"].update(CAM_BACK=3)),
+        r"has no 'img_path'",
+    ),
+    "a camera looking backwards": (
+        lambda r: edit(
+            r / "info.json", lambda c: c["data_list"][0]["images"]["CAM_BACK"]["cam2img"][0].__setitem__(0, -3)
+        ),
+        r"'cam2img' is no camera matrix",
+    ),
     "no sample": (lambda r: edit(r / "info.json", lambda c: c["data_list"].clear()), r"info.json: lists no sample"),
     "no cameras": (lambda r: edit(r / "info.json", lambda c: c["data_list"][0].pop("images")), r"has no 'images'"),
     "no front camera": (
@@ -589,10 +623,10 @@ def test_what_is_wrong_with_nuscenes_is_said_in_one_line(painted, tmp_path, dama
     root = copied(painted["nuscenes"], tmp_path)
     harm(root)
     with pytest.raises(InputError, match=message) as caught:
-        nuscenes_samples(root)[0].read()
+        read(surround(root)[0])
     assert str(root) in str(caught.value) and "\n" not in str(caught.value)
     with pytest.raises(InputError, match="no split 'val'"):
-        nuscenes_samples(painted["nuscenes"], "val")
+        surround(painted["nuscenes"], "val")
 
 
 def copied(root: Path, to: Path) -> Path:

@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.poses import motion
-from lidar2pano.data.sequences import Frame
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.flow import Flow, camera_rays, chained, ego_flow, reaches, scan_distances
+from lidar2pano.geometry.flow import Flow, camera_rays, chained, ego_flow, reaches, relative_pose, scan_distances
 from lidar2pano.geometry.projection import directions
 from lidar2pano.geometry.warp import warp
 from lidar2pano.views import VIEWS, View
@@ -222,24 +221,28 @@ def test_a_picture_ends_half_a_pixel_beyond_its_last_centres():
     assert reaches(shift, closed=True).all() and not reaches(-shift, closed=True)[0, 2].any()
 
 
-def write_sequence(folder: Path, poses: list[np.ndarray]) -> list[Frame]:
+def write_sequence(folder: Path, poses: list[np.ndarray]) -> list[SemanticKittiFrame]:
     P2 = "P2: 700 0 600 45 0 700 170 0.2 0 0 1 0.003\n"
     (folder / "calib.txt").write_text(P2 + "Tr: 0 -1 0 0.01 0 0 -1 -0.08 1 0 0 -0.27\n")
     (folder / "poses.txt").write_text("".join(" ".join(map(str, T[:3].ravel())) + "\n" for T in poses))
-    return [Frame(folder=folder, stem=f"{number:06d}") for number in range(len(poses))]
+    return [SemanticKittiFrame(folder, f"{number:06d}") for number in range(len(poses))]
+
+
+def T_before_now(before: SemanticKittiFrame, now: SemanticKittiFrame) -> torch.Tensor:
+    assert before.pose is not None and now.pose is not None
+    return relative_pose(before.pose, now.pose)
 
 
 def test_poses_are_of_camera_0(tmp_path):
     first, second = pose(10, 1, 2), pose(40, 3, -1)
     one, other = write_sequence(tmp_path, [first, second])
     Tr = np.array([[0, -1, 0, 0.01], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1]])
-    found = motion(other, one)
-    assert found is not None
+    found = T_before_now(one, other)
     for now in np.array([[4.0, 1, 2, 1], [-3, 5, 1, 1]]):
         there = second @ Tr @ now  # where it stands, in the first camera's frame
-        assert first @ Tr @ found @ now == pytest.approx(there)
+        assert first @ Tr @ found.numpy() @ now == pytest.approx(there)
     (tmp_path / "poses.txt").unlink()
-    assert motion(other, one) is None
+    assert SemanticKittiFrame(tmp_path, one.stem).pose is None
 
 
 @pytest.mark.parametrize(
@@ -254,7 +257,7 @@ def test_damaged_poses_are_named(tmp_path, content, message):
     one, other = write_sequence(tmp_path, [np.eye(4)] * 2)
     (tmp_path / "poses.txt").write_text(content)
     with pytest.raises(InputError, match=f"poses.txt: .*{message}"):
-        motion(other, one)
+        T_before_now(one, other)
 
 
 def test_flow_seen_in_pictures():
@@ -285,19 +288,18 @@ def test_without_opencv_it_is_asked_for(monkeypatch):
 
 def test_a_rendered_picture_is_the_one_before_it_warped(tmp_path):
     pytest.importorskip("embreex", reason="the street world needs embreex: pip install 'lidar2pano[world]'")
-    from lidar2pano.simulate.record import Recording
-    from lidar2pano.simulate.settings import Settings
+    from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
+    from lidar2pano.simulate.dataset.settings import WorldSettings
 
-    settings = Settings(seed=5, frames=2, place="motorway", save=("panorama",), views=("panorama/4",))
-    recording = Recording(tmp_path, settings, 0)
-    recording.prepare()
-    before, now = (dict(recording.pictures(frame))["panorama/4"] for frame in (0, 1))
-    one, other = (Frame(folder=tmp_path, stem=f"{frame:06d}") for frame in (0, 1))
-    found = motion(other, one)
-    assert found is not None
-    distances = [torch.from_numpy(picture.distance) for picture in (now, before)]
-    flow = ego_flow(distances[0], distances[1], torch.from_numpy(found), VIEWS["panorama"].scaled(1 / 4))
-    colours = [torch.from_numpy(picture.colour).movedim(2, 0)[None].float() for picture in (now, before)]
+    settings = WorldSettings(seed=5, frames=2, place="motorway", save=("panorama",), views=("panorama/4",))
+    writer = SequenceWriter(tmp_path, settings, 0)
+    writer.prepare()
+    before, now = (dict(writer.images(frame))["panorama/4"] for frame in (0, 1))
+    one, other = (SemanticKittiFrame(tmp_path, f"{frame:06d}") for frame in (0, 1))
+    found = T_before_now(one, other)
+    distances = [torch.from_numpy(image.distance) for image in (now, before)]
+    flow = ego_flow(distances[0], distances[1], found, VIEWS["panorama"].scaled(1 / 4))
+    colours = [torch.from_numpy(image.image).movedim(2, 0)[None].float() for image in (now, before)]
     assert flow.known.float().mean() > 0.6
 
     def gap(picture: torch.Tensor) -> float:

@@ -8,8 +8,9 @@ from math import isnan, nan
 import numpy as np
 import pytest
 import torch
-from safetensors import safe_open
 
+from golden_vectors import facts
+from golden_vectors import recorded as recorded_tensors
 from lidar2pano.labels import COMMON14, COMMON15
 from lidar2pano.metrics.confusion import Confusion
 from slow_definitions import confusion_slowly
@@ -126,10 +127,8 @@ def test_classes_that_cannot_be_are_refused():
 
 @pytest.fixture(scope="module")
 def recorded(golden) -> dict:
-    with safe_open(golden / "ioueval.safetensors", "pt") as file:
-        names = ("ignore0", "noignore", "absent_class5_counts_as_zero")
-        figures = {name: json.loads(file.metadata()[name]) for name in names}
-        return figures | {name: file.get_tensor(name) for name in ("pred", "gt", "conf")}
+    tensors = recorded_tensors(golden, "ioueval")
+    return facts(golden, "ioueval") | {name: tensor.values for name, tensor in tensors.items()}
 
 
 def published_iou(counts: torch.Tensor, ignored: list[int]) -> torch.Tensor:

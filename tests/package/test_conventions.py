@@ -15,7 +15,7 @@ from PIL import Image
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.panoramas import PanoramaSamples
-from lidar2pano.data.poses import LidarPoses
+from lidar2pano.data.poses import lidar_poses
 from lidar2pano.data.sequences import UNSURE, frames
 from lidar2pano.errors import InputError
 from lidar2pano.formats.scan_files import read, read_label, write_bin, write_label
@@ -274,7 +274,7 @@ def test_convention_poses_carry_to_where_things_stand(tmp_path: Path):
     Tr = "Tr: 0 -1 0 0.1 0 0 -1 -0.2 1 0 0 -0.3\n"
     (tmp_path / "calib.txt").write_text("P2: 700 0 600 0 0 700 170 0 0 0 1 0\n" + Tr)
     (tmp_path / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 2\n")
-    poses = LidarPoses.of(tmp_path)
+    poses = lidar_poses(tmp_path)
     assert poses is not None
     assert poses.at("000000") @ [5, 0, 0, 1] == pytest.approx(poses.at("000001") @ [3, 0, 0, 1])
 

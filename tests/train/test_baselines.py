@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.utils.data import default_collate
 
 from golden_fill import assert_filled_as_recorded, fill, key_rows, sym
+from golden_vectors import recorded as recorded_tensors
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.camera_rasters import CameraSamples, camera_raster, in_unit, stretched
 from lidar2pano.data.sequences import Draw
@@ -30,11 +30,16 @@ from lidar2pano.views import VIEWS
 from miniature import street, write_data_set
 from small_recipes import SIZE, small, without_chance
 
-# network -> settings of the recorded one, its file in the golden folder, gain of the fill rule; MANIFEST.md, section 2
+# network -> settings of the recorded one, its file in the golden folder, gain of the fill rule, shape of the input
 RECORDED = {
-    "pix2pix": ({"inputs": 25, "outputs": 15}, "pix2pix_unet256", 1.0),
-    "pix2pix-critic": ({}, "pix2pix_patchgan", 1.4),
-    "scunet": ({}, "scunet_assumed", 1.4),  # a regression vector of an assumption: nobody published this network
+    "pix2pix": ({"inputs": 25, "outputs": 15}, "pix2pix_unet256", 1.0, (1, 25, 256, 256)),
+    "pix2pix-critic": ({}, "pix2pix_patchgan", 1.4, (1, 6, 256, 256)),
+    "scunet": (
+        {},
+        "scunet_assumed",
+        1.4,
+        (1, 1, 64, 208),
+    ),  # a regression vector of an assumption: nobody published this network
 }
 
 
@@ -52,7 +57,7 @@ def root(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module", params=RECORDED)
 def recorded(request) -> tuple[str, nn.Module]:
     """A network's name, and the network in evaluation mode with the weights of the fill rule."""
-    settings, _, gain = RECORDED[request.param]
+    settings, _, gain, _ = RECORDED[request.param]
     model = build(request.param, **settings).eval()
     model.load_state_dict(fill(model.state_dict(), gain))
     return request.param, model
@@ -61,15 +66,15 @@ def recorded(request) -> tuple[str, nn.Module]:
 @pytest.mark.parity
 def test_outputs_are_the_recorded_ones(golden: Path, recorded: tuple[str, nn.Module]) -> None:
     network, model = recorded
-    kept = load_file(golden / f"{RECORDED[network][1]}.safetensors")
+    _, file, _, shape = RECORDED[network]
     lengths: dict[str, float] = {}
     for name, layer in model.named_modules():
         layer.register_forward_hook(lambda _, __, out, name=name: lengths.update({name: out.double().norm().item()}))
     with torch.inference_mode():
-        out = model(kept.get("in.x", sym("input.x", (1, 25, 256, 256))))
+        out = model(sym("input.x", shape))
     out = (out + 1) / 2 if network == "scunet" else out  # ours is in [-1, 1]
-    torch.testing.assert_close(out, kept["out.output"], atol=1e-4, rtol=0)
-    taps = json.loads((golden / f"{RECORDED[network][1]}.taps.json").read_text())
+    recorded_tensors(golden, file)["out.output"].assert_close(out, 1e-4)
+    taps = json.loads((golden / f"{file}.taps.json").read_text())
     known = taps.keys() - {"pool"}  # one layer, called at every level
     assert known <= lengths.keys()
     assert {name: lengths[name] for name in known} == pytest.approx(

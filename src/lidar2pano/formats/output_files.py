@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,21 @@ from lidar2pano.labels import COMMON15, LabelSet
 DEPTH_STEPS = 256  # per metre, KITTI's form of 16 bit depth
 FAST_PNG = 1  # zlib's level: a third of the default's time for a tenth more bytes
 SMALL_PNG = 9  # for what is written once and read often
+
+
+def read_image(path: Path, mode: str | None = None) -> np.ndarray:
+    """Read an image file: (h, w, 3) uint8 with mode "RGB"; without a mode the values as stored, e.g. ids or depths.
+
+    Raises InputError where the file is missing or damaged.
+    """
+    with _opened(path) as image:
+        return np.array(image.convert(mode) if mode else image)
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """(width, height) of an image file, by its header alone; raises like `read_image`."""
+    with _opened(path) as image:
+        return image.size
 
 
 def write_png(path: Path, colour: np.ndarray) -> None:
@@ -56,3 +72,16 @@ def write_whole(path: Path, write: Callable[[Path], object], option: str = "--ou
         if path.parent.is_dir():
             beside.unlink(missing_ok=True)
     return path
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    try:
+        with Image.open(path) as image:
+            yield image
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: is missing; complete the data set") from error
+    except PermissionError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); ask for permission") from error
+    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:  # Pillow raises all
+        raise InputError(f"{path}: is no readable image; replace it") from error

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
@@ -50,6 +51,11 @@ def chained(later: Flow, earlier: Flow, *, closed: bool = False) -> Flow:
     known = later.known.float() * on * reaches(shift, closed=closed)
     known = known.where(known > FAINT, 0.0)  # not what rounding leaves of zero
     return Flow(shift=shift * (known > 0)[:, None], known=known)
+
+
+def relative_pose(T_world_before: np.ndarray, T_world_now: np.ndarray) -> Tensor:
+    """T_before_now (4, 4) float64 of two poses: the sensor's coordinates now -> its coordinates before, metres."""
+    return torch.from_numpy(np.linalg.inv(T_world_before) @ T_world_now)
 
 
 def ego_flow(
