@@ -20,7 +20,8 @@ from PIL import Image
 import lidar2pano
 from lidar2pano.bench import default_weights, untrained
 from lidar2pano.cli import app, main
-from lidar2pano.cli.batch import parse_save, stems
+from lidar2pano.cli.app import complain
+from lidar2pano.cli.batch import ENDINGS, parse_save, stems
 from lidar2pano.cli.progress import bar
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.models import build
@@ -175,6 +176,17 @@ def test_names_of_outputs_always_differ(here, files):
     assert len(set(stems([Path(file) for file in files]).values())) == len(files)
 
 
+def test_outputs_of_a_and_of_a_dot_segments_differ(here):
+    names = stems([Path("a.bin"), Path("a.segments.bin")]).values()
+    assert len({f"{name}{ending}" for name in names for ending in ("", *ENDINGS)}) == 2 * (1 + len(ENDINGS))
+
+
+def test_a_message_is_short_and_printable(capsys):
+    complain("a\x1b[31mred\n" + "b" * 100_000)
+    said = capsys.readouterr().err
+    assert said.startswith("lidar2pano: a?[31mred bbb") and len(said) < 2100 and said.count("\n") == 1
+
+
 def test_scans_of_a_folder_are_one_stream(here, translate, monkeypatch):
     frames = []
     keep = lidar2pano.Panorama.save
@@ -185,13 +197,13 @@ def test_scans_of_a_folder_are_one_stream(here, translate, monkeypatch):
     assert frames == [0, 1, 0]
 
 
-def test_steady_streams_are_told_where_the_sensor_was(here, translate, monkeypatch):
-    told = []
+def test_smoothed_streams_get_the_poses(here, translate, monkeypatch):
+    given = []
     step = lidar2pano.Pipeline.step
     monkeypatch.setattr(
         lidar2pano.Pipeline,
         "step",
-        lambda self, memory, scan, pose=None: told.append(pose) or step(self, memory, scan, pose),
+        lambda self, memory, scan, pose, timer: given.append(pose) or step(self, memory, scan, pose, timer),
     )
     for name in ("000000", "000002"):
         write_scan(here / "seq" / "velodyne" / f"{name}.bin")
@@ -201,10 +213,10 @@ def test_steady_streams_are_told_where_the_sensor_was(here, translate, monkeypat
     (here / "seq" / "poses.txt").write_text("".join(" ".join(map(str, row[:3].ravel())) + "\n" for row in rows))
     code, out, _ = translate("seq", "--steady", "--json")
     assert code == 0 and "steady" in json.loads(out.splitlines()[0])["milliseconds"]
-    moved = np.linalg.inv(told[0]) @ told[1]
+    moved = np.linalg.inv(given[0]) @ given[1]
     assert np.allclose(moved[:3, :3], np.eye(3), atol=0.05) and np.allclose(moved[:3, 3], [5, 0, 0], atol=0.3)
-    told.clear()
-    assert translate("seq")[0] == 0 and told == [None, None]
+    given.clear()
+    assert translate("seq")[0] == 0 and given == [None, None]
     (here / "seq" / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
     code, _, err = translate("seq", "--steady")
     assert code == 2 and "none for frame 000002" in err

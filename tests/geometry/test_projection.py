@@ -10,6 +10,7 @@ import torch
 
 from golden_vectors import facts, recorded
 from lidar2pano.calibration import read_calib
+from lidar2pano.errors import InputError
 from lidar2pano.formats.scan_files import read
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.images import Normalisation, RangeImage
@@ -312,3 +313,10 @@ def test_cuda_agrees_with_the_cpu(name):
     here, there = (project(scan, SMALL[name], device=device) for device in ("cpu", "cuda"))
     for field in ("channels", "valid", "index", "row", "column", "range_m", "usable"):
         assert torch.equal(getattr(here, field), getattr(there, field).cpu()), field
+
+
+def test_a_view_may_be_given_by_its_name():
+    scan = Scan(xyz=[[10, 0, 0], [0, 5, 0]], remission=[0.5, 0.2])
+    assert torch.equal(project(scan, "hdl64e").channels, project(scan, VIEWS["hdl64e"]).channels)
+    with pytest.raises(InputError, match="no view 'hdl64'; did you mean 'hdl64e'"):
+        project(scan, "hdl64")

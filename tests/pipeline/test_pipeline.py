@@ -337,6 +337,15 @@ def test_what_to_save_is_checked(panorama, tmp_path):
         panorama.save(tmp_path, ("colour",))
 
 
+def test_one_kind_of_output_may_be_given_as_a_word(panorama, tmp_path):
+    assert [file.name for file in panorama.save(tmp_path, "depth")] == ["street.depth.png"]
+
+
+def test_a_scan_file_may_be_given_by_its_path(pipeline, tmp_path):
+    file = write_scan(tmp_path / "street.bin")
+    assert same(pipeline(file), pipeline(street())) and same(pipeline(str(file)), pipeline(street()))
+
+
 # --- weights --------------------------------------------------------------------------------------------------------
 
 
