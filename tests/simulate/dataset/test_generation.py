@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +21,8 @@ from lidar2pano.labels import unpack_label
 from lidar2pano.views import KITTI_CAMERA, VIEWS
 
 pytest.importorskip("embreex", reason="the street world needs embreex: pip install 'lidar2pano[world]'")
+
+from lidar2pano.simulate.dataset import generation  # noqa: E402 needs embreex
 
 RUNS = Path(__file__).resolve().parents[3] / "runs"
 RASTER = "panorama/4"
@@ -46,8 +51,8 @@ def test_readers_read_it_like_any_data_set(made):
     assert first.camera_labels().shape == (375, 1242)
     calibration = first.calibration((1242, 375))
     assert np.allclose(calibration.centre, KITTI_CAMERA, atol=1e-6), "the panorama's origin"
-    with Image.open(second.folder / "pano" / f"{second.stem}.png") as picture:
-        assert picture.size == (VIEWS["panorama"].columns // 4, VIEWS["panorama"].rows // 4)
+    with Image.open(second.folder / "pano" / f"{second.stem}.png") as image:
+        assert image.size == (VIEWS["panorama"].columns // 4, VIEWS["panorama"].rows // 4)
     assert json.loads((root / "splits.json").read_text())["val"] == ["00/000000", "00/000001"]
 
 
@@ -68,7 +73,7 @@ def test_instances_tell_things_apart(made):
         assert (high - low).max() < 6, "one car"
 
 
-def test_points_pictures_and_depths_agree(made):
+def test_points_images_and_depths_agree(made):
     sys.path.insert(0, str(RUNS))
     try:
         from check_world import agreement
@@ -82,7 +87,7 @@ def test_points_pictures_and_depths_agree(made):
         assert found.depth_error_m < 0.03
 
 
-def test_panorama_through_the_camera_is_the_camera_s_picture(made):
+def test_panorama_through_the_camera_is_the_camera_s_image(made):
     import torch
 
     from lidar2pano.geometry.camera import at_camera, panorama_in_camera
@@ -91,13 +96,13 @@ def test_panorama_through_the_camera_is_the_camera_s_picture(made):
     calibration = frame.calibration((1242, 375)).scaled(0.2)
     view = at_camera(VIEWS["panorama"].scaled(1 / 4), calibration)
     pano = np.array(Image.open(frame.folder / "pano" / f"{frame.stem}.png")).astype(np.float32)
-    seen = panorama_in_camera(view, calibration)
-    carried = seen.linear(torch.from_numpy(pano).movedim(2, 0)).numpy().transpose(1, 2, 0)
+    lookup = panorama_in_camera(view, calibration)
+    resampled = lookup.linear(torch.from_numpy(pano).movedim(2, 0)).numpy().transpose(1, 2, 0)
     small = Image.fromarray(frame.image()).resize(calibration.size, Image.Resampling.BOX)
-    gap = np.abs(carried - np.array(small).astype(np.float32))[seen.valid.numpy()]
+    gap = np.abs(resampled - np.array(small).astype(np.float32))[lookup.valid.numpy()]
     assert np.median(gap) < 6
     assert gap.mean() < 16
-    shifted = np.abs(np.roll(carried, 6, axis=1) - np.array(small).astype(np.float32))[seen.valid.numpy()]
+    shifted = np.abs(np.roll(resampled, 6, axis=1) - np.array(small).astype(np.float32))[lookup.valid.numpy()]
     assert shifted.mean() > 1.25 * gap.mean(), "the test sees a shift"
 
 
@@ -190,3 +195,40 @@ def test_without_embree_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
     with pytest.raises(InputError, match=r"lidar2pano\[world\]"):
         Scene([])
+
+
+class Fatal:
+    """A task that ends the process that receives it."""
+
+    def __reduce__(self):
+        return os._exit, (1,)
+
+
+def test_a_killed_process_is_reported_in_one_line():
+    with pytest.raises(InputError, match="a process was killed"):
+        list(generation._in_parallel([Fatal()], 2))
+
+
+def test_workers_end_with_their_parent():
+    """However it ends: here it is killed while its worker sleeps."""
+    code = """
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+import os, time
+from lidar2pano.simulate.dataset.generation import _end_with_parent
+if __name__ == "__main__":
+    pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_end_with_parent)
+    print(pool.submit(os.getpid).result(), flush=True)
+    time.sleep(600)
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
+        worker = int(parent.stdout.readline())
+        parent.kill()
+    for _ in range(100):
+        state = subprocess.run(
+            ["ps", "-o", "stat=", "-p", str(worker)], capture_output=True, text=True, check=False
+        ).stdout
+        if not state or state.startswith("Z"):  # gone, or dead and not yet collected
+            return
+        time.sleep(0.1)
+    pytest.fail("the worker outlived its parent")
