@@ -20,7 +20,7 @@ OUTPUTS = ("rgb", "segments", "labels", "depth")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CameraPicture:
+class CameraImage:
     """A panorama resampled into a perspective camera.
 
     colour    (h, w, 3) uint8 RGB.
@@ -54,12 +54,12 @@ class Panorama:
     dropped: int = 0
     milliseconds: Mapping[str, float] = field(default_factory=dict)
 
-    def to_camera(self, calibration: Calibration) -> CameraPicture:
+    def to_camera(self, calibration: Calibration) -> CameraImage:
         """Look into the panorama through a perspective camera at its origin."""
         lookup = panorama_in_camera(self.view, calibration)
         colour = lookup.linear(torch.from_numpy(self.colour).movedim(2, 0).float())
         segments = lookup.nearest(torch.from_numpy(self.segments))
-        return CameraPicture(colour=colour.round().movedim(0, 2).to(torch.uint8).numpy(), segments=segments.numpy())
+        return CameraImage(colour=colour.round().movedim(0, 2).to(torch.uint8).numpy(), segments=segments.numpy())
 
     def save(
         self,

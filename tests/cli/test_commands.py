@@ -1,6 +1,6 @@
 """The command line, from arguments to files, stdout, stderr and exit code.
 
-Run this file to write cli_options.txt anew after a wanted change.
+Run this file to write cli_options.txt again after a wanted change.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def files_in(folder: Path) -> list[str]:
 # --- translate ------------------------------------------------------------------------------------------------------
 
 
-def test_a_scan_becomes_a_picture(here, translate, random_weights):
+def test_a_scan_becomes_a_image(here, translate, random_weights):
     write_scan(here / "a.bin")
     code, out, err = translate("a.bin")
     assert code == 0
@@ -94,11 +94,11 @@ def test_the_camera_has_kittis_size_and_a_place_of_its_own(here, translate, rand
     assert translate("a.bin", "--calib", "calib.txt")[0] == 0
     assert pixels(here / "panoramas" / "a.camera.png").shape == (375, 1242, 3)
     around = pixels(here / "panoramas" / "a.png")
-    assert (around != load(random_weights, "cpu")(street()).colour).any()  # seen from that camera
+    assert (around != load(random_weights, "cpu")(street()).colour).any()  # sensors from that camera
 
 
 @pytest.mark.parametrize(
-    ("text", "kinds"),
+    ("text", "outputs"),
     [
         ("rgb", ("rgb",)),
         ("depth, rgb", ("rgb", "depth")),
@@ -107,8 +107,8 @@ def test_the_camera_has_kittis_size_and_a_place_of_its_own(here, translate, rand
         ("rgb,all", ("rgb", "segments", "labels", "depth")),
     ],
 )
-def test_what_to_save(text, kinds):
-    assert parse_save(text) == kinds
+def test_what_to_save(text, outputs):
+    assert parse_save(text) == outputs
 
 
 def test_json_lines(here, translate, random_weights):
@@ -230,11 +230,11 @@ def test_without_poses_they_are_estimated(here, translate, monkeypatch):
 
 
 def test_a_sensor_is_used(here, translate, monkeypatch):
-    seen = []
-    monkeypatch.setattr(lidar2pano.Pipeline, "for_sensor", lambda self, name: seen.append(name) or self)
+    sensors = []
+    monkeypatch.setattr(lidar2pano.Pipeline, "for_sensor", lambda self, name: sensors.append(name) or self)
     write_scan(here / "a.bin")
     assert translate("a.bin", "--sensor", "vlp16")[0] == 0
-    assert seen == ["vlp16"]
+    assert sensors == ["vlp16"]
 
 
 def test_demo_paints_the_shipped_scan(here, random_weights, capsys, monkeypatch):
@@ -393,7 +393,7 @@ class Terminal(io.StringIO):
 
 
 @pytest.mark.parametrize(("total", "shown"), [(3, True), (1, False)])
-def test_a_bar_for_whoever_looks(monkeypatch, capsys, total, shown):
+def test_a_bar_on_a_terminal(monkeypatch, capsys, total, shown):
     monkeypatch.setattr(sys, "stderr", Terminal())
     with bar(total, "working") as advance:
         advance()
@@ -402,7 +402,7 @@ def test_a_bar_for_whoever_looks(monkeypatch, capsys, total, shown):
     assert capsys.readouterr().out == "a line for a program\n"
 
 
-def test_no_bar_where_nobody_looks(capsys):
+def test_no_bar_without_a_terminal(capsys):
     with bar(3, "working") as advance:
         advance()
     assert capsys.readouterr() == ("", "")

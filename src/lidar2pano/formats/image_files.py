@@ -39,15 +39,15 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def write_png(path: Path, colour: np.ndarray) -> None:
-    """Write an RGB picture (h, w, 3) uint8."""
+    """Write an RGB image (h, w, 3) uint8."""
     Image.fromarray(colour).save(path, format="PNG", compress_level=FAST_PNG)
 
 
 def write_palette(path: Path, ids: np.ndarray, labels: LabelSet = COMMON15) -> None:
     """Write ids (h, w) uint8 as a palette PNG: the pixels are the ids, the palette the colours of their label set."""
-    picture = Image.fromarray(ids, mode="P")
-    picture.putpalette(labels.palette())
-    picture.save(path, format="PNG", compress_level=FAST_PNG)
+    image = Image.fromarray(ids, mode="P")
+    image.putpalette(labels.palette())
+    image.save(path, format="PNG", compress_level=FAST_PNG)
 
 
 def write_ids(path: Path, ids: np.ndarray) -> None:
