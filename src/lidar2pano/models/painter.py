@@ -42,11 +42,11 @@ class Painter(nn.Module):
     classes  of the segments (common-15: 16 with unlabeled).
     widths   channels at 1/1, 1/2, 1/4 of the input raster.
     blocks   residual blocks at 1/4.
-    filled   whether remission is spread over the gaps between the beams, so that the picture does not show them.
+    filled   whether remission is spread over the gaps between the beams, so that the image does not show them.
     sharp    power that class probabilities are raised to before they sum to 1 again: above 1, what is likeliest stands
              out, and edges between classes are drawn where the translator hesitates.
-    grain    adds a noise channel for texture. Drawn for each batch in training; afterwards always the same, fixed to the
-             raster, so that videos do not flicker.
+    grain    whether a noise channel is added, for texture: drawn for each batch in training, afterwards always the same
+             and fixed to the raster, so that videos do not flicker.
     """
 
     def __init__(
