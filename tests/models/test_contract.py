@@ -149,7 +149,7 @@ def test_odd_sizes_are_taken_or_refused_with_the_size(network: str) -> None:
 
 
 @every_network
-def test_who_is_circular_says_so(network: str) -> None:
+def test_what_is_circular_says_so(network: str) -> None:
     model, _ = _example(network)
     assert (network in CIRCULAR) == any(isinstance(part, CircularConv) for part in model.modules())
 

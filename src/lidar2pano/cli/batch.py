@@ -23,7 +23,9 @@ from lidar2pano.hardware import Timer, keep_buffers
 from lidar2pano.memory import Memory
 from lidar2pano.panorama import OUTPUTS
 from lidar2pano.pipeline import Pipeline, load
+from lidar2pano.scan import Scan
 
+ENDINGS = (".segments", ".depth", ".camera", ".camera-segments")  # of outputs' stems
 KITTI_SIZE = "1242x375"
 
 
@@ -92,7 +94,8 @@ def stems(files: Sequence[Path]) -> dict[Path, str]:
         if not shared:
             break
         names |= {file: "-".join(_telling(whole[file])[-depth:]) for file in files if names[file] in shared}
-    if len(set(names.values())) < len(files):  # the same place and stem, another suffix
+    taken = {f"{name}{ending}" for name in names.values() for ending in ("", *ENDINGS)}
+    if len(taken) < (1 + len(ENDINGS)) * len(files):  # another suffix only, or "a" beside "a.segments"
         names = {file: "-".join(file.resolve().parts[1:]) for file in files}
     return names
 

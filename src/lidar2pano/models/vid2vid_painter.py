@@ -1,7 +1,7 @@
 """Paints a stream of label maps with vid2vid: on any raster, in the camera or all around, each frame after the last.
 
 How a stream begins. Published code (vid2vid_model_G.py, generate_first_frame) paints the first two frames with the
-network for single pictures, and the generator goes on from there; where it is told that there is no such network
+network for single pictures, and the generator goes on from there; where there is no such network
 (no_first_img), the generator begins from black pictures and its first frame is what it paints anew (`raw`), unwarped.
 So do we, with and without a `vid2vid-single`. Published code never shows the first two frames, and asks for the label
 maps before the first one; a stream has none, so its first label map stands for them.

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.output_files import write_whole
+from lidar2pano.formats.image_files import write_whole
 from lidar2pano.labels import COMMON14
 from lidar2pano.models.card import read_card
 from lidar2pano.models.families import weight_files

@@ -13,7 +13,7 @@ from typing import Any
 from lidar2pano.data.frames import FrameList, frames
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import MetricConfig, score, system
-from lidar2pano.formats.output_files import write_whole
+from lidar2pano.formats.image_files import write_whole
 from lidar2pano.models.card import read_card
 from lidar2pano.models.families import weight_files
 from lidar2pano.reproduce.image_sheets import write_images
