@@ -26,7 +26,7 @@ from lidar2pano.models.card import Card, read_card
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import DEFAULT, weight_files
-from lidar2pano.models.painter import StreamPainter
+from lidar2pano.models.painter import Scene, StreamPainter
 from lidar2pano.models.precision import fast_arithmetic, pick_device
 from lidar2pano.models.segmenter import Segmenter
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
@@ -73,8 +73,9 @@ class Pipeline:
 
     segmenter   scan -> a class of SEMANTIC_KITTI per point.
     translator  (image (1, 5, H, W), condition (1, 20, H, W)) -> logits (1, 16, H, W) of COMMON15, depth (1, H, W) m.
-    painter     (what it remembers, segments (1, 16, H, W), depth (1, H, W), image) -> (that, (1, 3, 2H, 2W)).
+    painter     (what it remembers, Scene) -> (that, (1, 3, 2H, 2W)).
     view        the translator's raster, H x W, around the camera that the picture is taken from.
+    look        which of the painter's looks is painted: "A", "A+B" for the mean of two, "" for its own.
     """
 
     segmenter: Segmenter
@@ -82,6 +83,7 @@ class Pipeline:
     painter: StreamPainter
     view: View
     device: torch.device
+    look: str = ""
 
     def at(self, calibration: Calibration) -> Pipeline:
         """The pipeline with its viewpoint moved to a camera's optical centre."""
@@ -115,7 +117,15 @@ class Pipeline:
         seen = self.translated(scan, watch)
         with watch("paint"), fast_arithmetic(self.device):
             segments = seen.logits.softmax(1)
-            painted, picture = self.painter.paint(memory.painted, segments, seen.depth_m, seen.channels)
+            scene = Scene(
+                segments=segments,
+                depth_m=seen.depth_m,
+                image=seen.channels,
+                view=self.view,
+                T_world_sensor=pose,
+                look=self.look,
+            )
+            painted, picture = self.painter.paint(memory.painted, scene)
         shown = None
         if pose is not None:
             with watch("steady"):
@@ -219,8 +229,10 @@ def load_painter(file: Path, first: Path | None, view: View, device: torch.devic
     if read_card(file).network != "vid2vid":
         if first is not None:
             raise InputError(f"{first}: paints the first frames for a 'vid2vid', which {file} is not; name both")
-        painter, _ = load_part(file, device, expect="painter")
-        return painter  # pyright: ignore[reportReturnType] a Painter, since that was expected
+        painter, card = load_part(file, device)
+        if card.network not in ("painter", "scene-painter"):
+            raise InputError(f"{file} has weights of another network: {card.network!r} instead of a painter")
+        return painter  # pyright: ignore[reportReturnType] a painter, since that was expected
     generator, card = load_part(file, device)
     single = load_part(first, device, expect="vid2vid-single")[0] if first is not None else None
     raster = card_view(file, card, "panorama") if "panorama" in card.views else view.scaled(2)

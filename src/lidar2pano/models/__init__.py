@@ -19,6 +19,8 @@ MODELS: dict[str, str] = {
     "titan-next": "titan_next:TitanNext",
     "titan-pano": "titan_pano:TitanPano",
     "painter": "painter:Painter",
+    "scene-painter": "scene_painter:ScenePainter",
+    "projected-critic": "projected_critic:ProjectedCritic",
     "patch-critic": "patch_critic:PatchCritic",
     "vid2vid": "vid2vid:Vid2Vid",
     "vid2vid-single": "vid2vid_single:Vid2VidSingle",

@@ -14,6 +14,7 @@ ROLES: dict[str, str] = {
     "titan-pano": "translator",
     "titan": "translator",
     "painter": "painter",
+    "scene-painter": "painter",
     "vid2vid": "painter",
     "vid2vid-single": "first-frame painter",
 }

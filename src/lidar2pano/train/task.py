@@ -26,6 +26,7 @@ TASKS: dict[str, str] = {
     "pix2pix-colours": "pix2pix:Pix2PixColours",
     "panorama": "panorama:PanoramaTranslation",
     "painting": "painting:Painting",
+    "scene-painting": "scene_painting:ScenePainting",
     "camera-segmentation": "camera_segmentation:CameraSegmentation",
     "video": "video:VideoPainting",
 }

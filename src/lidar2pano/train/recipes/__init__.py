@@ -23,7 +23,14 @@ from lidar2pano.train.recipes.baselines import (
     scunet_mini,
 )
 from lidar2pano.train.recipes.camera import sdnet, sdnet_mini
-from lidar2pano.train.recipes.panorama import painter, painter_mini, titan_pano, titan_pano_mini
+from lidar2pano.train.recipes.panorama import (
+    painter,
+    painter_mini,
+    scene_painter,
+    scene_painter_mini,
+    titan_pano,
+    titan_pano_mini,
+)
 from lidar2pano.train.recipes.release import (
     release_colours,
     release_colours_mini,
@@ -63,6 +70,8 @@ RECIPES: dict[str, Callable[[], Recipe]] = {
     "titan-pano-mini": titan_pano_mini,
     "painter": painter,
     "painter-mini": painter_mini,
+    "scene-painter": scene_painter,
+    "scene-painter-mini": scene_painter_mini,
     "pix2pix-segments": pix2pix_segments,
     "pix2pix-segments-mini": pix2pix_segments_mini,
     "pix2pix-rgb": pix2pix_rgb,

@@ -64,3 +64,45 @@ def painter_mini() -> Recipe:
     """The painter as `kitti-mini` was released."""
     recipe = painter()
     return replace(recipe, name="painter-mini", training=on_two_cores(recipe.training, minutes=26.0, batch=2))
+
+
+def scene_painter() -> Recipe:
+    """The scene painter: colour from segments and the shape of things, against heads on frozen features."""
+    return Recipe(
+        name="scene-painter",
+        task="scene-painting",
+        view="panorama",
+        scale=0.5,
+        networks={
+            "painter": Network(
+                model="scene-painter",
+                settings={"looks": ["day", "overcast", "autumn", "evening"], "look": "day"},
+                optimizer=Optimizer(kind="adam", rate=1e-3, betas=(0.5, 0.99), warmup=50, clip=5.0),
+            ),
+            "critic": Network(
+                model="projected-critic",
+                optimizer=Optimizer(kind="adam", rate=5e-4, betas=(0.0, 0.99), schedule="constant"),
+            ),
+        },
+        options={
+            "columns": 448,
+            "perceptual": 2.0,
+            "pooled": 2.0,
+            "pixels": 0.5,
+            "adversarial": 0.35,
+            "trust": 0.6,
+            "sharpest": 4.0,
+            "frozen": 0.0,
+            "look": "",
+            "translator": "",
+            "segmenter": "",
+        },
+        training=Training(steps=50_000, batch=8),
+    )
+
+
+def scene_painter_mini() -> Recipe:
+    """The scene painter for two CPU cores."""
+    recipe = scene_painter()
+    training = on_two_cores(recipe.training, minutes=35.0, batch=2, ema=0.99)
+    return replace(recipe, name="scene-painter-mini", training=training)
