@@ -12,6 +12,7 @@ from torch import Tensor
 from lidar2pano.calibration import Calibration
 from lidar2pano.evaluate.questions import Origin, Question, Seen
 from lidar2pano.geometry.camera import panorama_in_camera
+from lidar2pano.models.painter import Scene
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline import Memory, Pipeline, Stopwatch, Translated
 from lidar2pano.scan import Scan
@@ -22,10 +23,10 @@ SAME_PLACE_M = 1e-6
 class Blank:
     """A painter that paints nothing: where only classes and depths are wanted."""
 
-    def paint(self, past: Any, segments: Tensor, depth_m: Tensor, image: Tensor) -> tuple[Any, Tensor]:  # noqa: ANN401, ARG002
+    def paint(self, past: Any, scene: Scene) -> tuple[Any, Tensor]:  # noqa: ANN401
         """As StreamPainter says: grey."""
-        rows, columns = segments.shape[-2:]
-        return past, segments.new_zeros(1, 3, 2 * rows, 2 * columns)
+        rows, columns = scene.segments.shape[-2:]
+        return past, scene.segments.new_zeros(1, 3, 2 * rows, 2 * columns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -20,7 +20,7 @@ from lidar2pano.geometry.surface import cylinder_points, normals, road_height
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.circular import CircularConv, CircularResidual, conv_norm_act
 from lidar2pano.models.painter import STRIDE, Scene, spread_out
-from lidar2pano.models.titan_pano import depth_code
+from lidar2pano.models.titan_pano import FAR_M, depth_code
 from lidar2pano.sensors import View
 
 SKY, ROAD = COMMON15.id_of("sky"), COMMON15.id_of("road")
@@ -82,31 +82,16 @@ class ScenePainter(nn.Module):
                 raise InputError(f"the painter knows no look {name!r}{closest(name, self.looks)}; it knows {known}")
         return [names.count(look) / len(names) for look in self.looks]
 
-    def forward(
-        self,
-        segments: Tensor,
-        depth_m: Tensor,
-        image: Tensor,
-        view: View,
-        *,
-        shares: Tensor,
-        tone: Tensor | None = None,
-        T_world_sensor: np.ndarray | None = None,
-    ) -> Tensor:
+    def forward(self, shown: Tensor, fine_noise: Tensor, shares: Tensor, tone: Tensor) -> Tensor:
         """Paint.
 
-        segments  (B, classes, H, W): probabilities.
-        depth_m   (B, H, W): metres, everywhere.
-        image     (B, 5, H, W): a RangeImage's channels, of which remission and validity are used.
-        view      the raster H x W;  T_world_sensor: (4, 4), where the noise hangs (None: on the sensor's frame).
-        shares    (B, looks): shares of each look;  tone: (B, 3), how much brighter than the mean of its look, in [-1, 1].
+        shown, fine_noise  (B, classes + SHAPE + 3, H, W) and (B, 3, 2H, 2W) of `painter_inputs`.
+        shares  (B, looks): shares of each look;  tone: (B, 3), how much brighter than the mean of its look, in [-1, 1].
         Returns (B, 3, 2H, 2W) in [-1, 1]. Raises InputError unless H and W are multiples of 4.
         """
-        if segments.shape[-2] % STRIDE or segments.shape[-1] % STRIDE:
-            raise InputError(f"segments of {tuple(segments.shape[-2:])} pixels: rows, columns must divide by {STRIDE}")
-        shown, fine_noise = self._inputs(segments, depth_m, image, view, T_world_sensor)
-        tone = shares.new_zeros(len(shares), TONE) if tone is None else tone
-        code = torch.cat([shares.float() @ self.codes.weight, tone], 1)
+        if shown.shape[-2] % STRIDE or shown.shape[-1] % STRIDE:
+            raise InputError(f"segments of {tuple(shown.shape[-2:])} pixels: rows, columns must divide by {STRIDE}")
+        code = torch.cat([shares @ self.codes.weight, tone], 1)
         fine = self.stem(shown)
         shown, fine_noise = shown.to(fine.dtype), fine_noise.to(fine.dtype)  # one float32 part would make all float32
         shown2 = avg_pool2d(shown, 2)
@@ -123,52 +108,52 @@ class ScenePainter(nn.Module):
 
     def paint(self, past: object, scene: Scene) -> tuple[None, Tensor]:  # noqa: ARG002
         """Paint every scan for itself; arguments and answer as of StreamPainter."""
-        shares = torch.tensor([self.look_shares(scene.look)], device=scene.depth_m.device)
-        picture = self(
-            scene.segments,
-            scene.depth_m,
-            scene.image,
-            scene.view,
-            shares=shares,
-            T_world_sensor=scene.T_world_sensor,
-        )
-        return None, picture
+        segments = sharpened(scene.segments, self.sharp)
+        shown, fine_noise = painter_inputs(segments, scene.depth_m, scene.image, scene.view, scene.T_world_sensor)
+        shares = torch.tensor([self.look_shares(scene.look)], device=shown.device)
+        return None, self(shown, fine_noise, shares, shares.new_zeros(1, TONE))
 
     def _tuned(self, number: int, x: Tensor, code: Tensor) -> Tensor:
-        factor, shift = self.tuned[number](code.float()).to(x.dtype)[..., None, None].chunk(2, 1)
+        factor, shift = self.tuned[number](code)[..., None, None].to(x.dtype).chunk(2, 1)
         return torch.addcmul(shift, x, 1 + factor)
 
-    def _inputs(
-        self, segments: Tensor, depth_m: Tensor, image: Tensor, view: View, T_world_sensor: np.ndarray | None
-    ) -> tuple[Tensor, Tensor]:
-        """What the network sees: (B, classes + SHAPE + coarse noise, H, W) and the fine noise (B, K, 2H, 2W)."""
-        kind = segments.dtype
-        best = segments.max(1).indices
-        sky = best == SKY
-        radius_m, z_m = cylinder_points(depth_m, view)
-        sensor_z_m = z_m + view.origin[2]
-        height_m = sensor_z_m - road_height(radius_m, sensor_z_m, best == ROAD)[:, None, None]
-        shape = torch.cat([(height_m / 4).clamp(-1, 4)[:, None], normals(radius_m, z_m, view)], 1)
-        shape.masked_fill_(sky[:, None], 0)
-        remission, valid = spread_out(image[:, 4].float(), (image[:, 0] > 0).float())
-        row = torch.linspace(1, -1, segments.shape[2], device=segments.device)[None, :, None].expand_as(valid)
-        flat = torch.stack([depth_code(depth_m.float().clamp(max=120)), remission, valid, row], 1)
-        twice = depth_m.repeat_interleave(2, 1).repeat_interleave(2, 2)
-        sky_twice = sky.repeat_interleave(2, 1).repeat_interleave(2, 2)
-        coarse, fine = (
-            torch.stack(
-                [solid_noise(d, s, raster, waves, T_world_sensor) for d, s in zip(depths, skies, strict=True)]
-            )
-            for depths, skies, raster, waves in (
-                (depth_m, sky, view, COARSE_M),
-                (twice, sky_twice, view.scaled(2), FINE_M),
-            )
-        )
-        if self.sharp != 1:
-            raised = segments.pow(self.sharp)
-            segments = raised / raised.sum(1, keepdim=True)
-        shown = torch.cat([part.to(kind) for part in (segments, flat, shape, coarse)], 1)
-        return _channels_last(shown), _channels_last(fine)
+
+def sharpened(segments: Tensor, power: Tensor | float) -> Tensor:
+    """Probabilities (B, classes, H, W) raised to a power, so that they sum to 1 again."""
+    raised = segments.float().pow(power)
+    return raised / raised.sum(1, keepdim=True)
+
+
+def painter_inputs(
+    segments: Tensor, depth_m: Tensor, image: Tensor, view: View, T_world_sensor: np.ndarray | None = None
+) -> tuple[Tensor, Tensor]:
+    """What the network sees: (B, classes + SHAPE + 3, H, W) and fine noise (B, 3, 2H, 2W), float32, channels last.
+
+    segments  (B, classes, H, W): probabilities.
+    depth_m   (B, H, W): metres, everywhere.
+    image     (B, 5, H, W): a RangeImage's channels, of which remission and validity are used.
+    view      the raster H x W;  T_world_sensor: (4, 4), where the noise hangs (None: on the sensor's frame).
+    """
+    depth_m = depth_m.float()
+    best = segments.max(1).indices
+    sky = best == SKY
+    radius_m, z_m = cylinder_points(depth_m, view)
+    sensor_z_m = z_m + view.origin[2]
+    height_m = sensor_z_m - road_height(radius_m, sensor_z_m, best == ROAD)[:, None, None]
+    shape = torch.cat([(height_m / 4).clamp(-1, 4)[:, None], normals(radius_m, z_m, view)], 1)
+    shape.masked_fill_(sky[:, None], 0)
+    remission, valid = spread_out(image[:, 4].float(), (image[:, 0] > 0).float())
+    row = torch.linspace(1, -1, segments.shape[2], device=segments.device)[None, :, None].expand_as(valid)
+    flat = torch.stack([depth_code(depth_m.clamp(max=FAR_M)), remission, valid, row], 1)
+    twice = depth_m.repeat_interleave(2, 1).repeat_interleave(2, 2)
+    sky_twice = sky.repeat_interleave(2, 1).repeat_interleave(2, 2)
+    coarse = _noise(depth_m, sky, view, COARSE_M, T_world_sensor)
+    fine = _noise(twice, sky_twice, view.scaled(2), FINE_M, T_world_sensor)
+    return _channels_last(torch.cat([segments.float(), flat, shape, coarse], 1)), _channels_last(fine)
+
+
+def _noise(depths: Tensor, skies: Tensor, view: View, waves: Sequence[float], pose: np.ndarray | None) -> Tensor:
+    return torch.stack([solid_noise(*scene, view, waves, pose) for scene in zip(depths, skies, strict=True)])
 
 
 def _channels_last(x: Tensor) -> Tensor:

@@ -1,19 +1,22 @@
 """Frames to paint: segments and depth that the released networks make of a scan, and the picture that belongs to it.
 
-Each frame is segmented and translated once, on its first draw, and held in memory.
+Each frame is segmented and translated once, on its first draw, and kept in a file.
 """
 
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import NamedTuple, Self
 
 import numpy as np
 import torch
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from lidar2pano.data.moments import Moment, read_moment
+from lidar2pano.data.moments import read_moment
 from lidar2pano.data.sequences import UNSURE, Draw, Frame, frames, located
 from lidar2pano.errors import InputError
 from lidar2pano.labels import COMMON15
@@ -51,12 +54,21 @@ class PaintingFrames:
 
     columns  of a crop on the translator's raster.
     looks    names;  look: that of frames that no simulator made (others: as world.json says).
+    cache    folder for what is made of each frame.
     """
 
     def __init__(
-        self, root: Path, splits: tuple[str, ...], pipeline: Pipeline, columns: int, looks: tuple[str, ...], look: str
+        self,
+        root: Path,
+        splits: tuple[str, ...],
+        pipeline: Pipeline,
+        *,
+        columns: int,
+        looks: tuple[str, ...],
+        look: str,
+        cache: Path,
     ) -> None:
-        self.pipeline, self.columns = pipeline, columns
+        self.pipeline, self.columns, self.cache = pipeline, columns, cache
         self.frames: list[Frame] = []
         self.look: list[int] = []
         for name in splits:
@@ -70,8 +82,6 @@ class PaintingFrames:
         around = [(frame.folder / "pano").is_dir() for frame in self.frames]
         kinds = [[n for n, whole in enumerate(around) if whole == wanted] for wanted in (False, True)]
         self.kinds = [kind for kind in kinds if kind]
-        self._moments: dict[Path, Moment] = {}
-        self._held: dict[Path, tuple[Tensor, ...]] = {}
         self._means: dict[int, Tensor] = {}
 
     def __len__(self) -> int:
@@ -91,20 +101,19 @@ class PaintingFrames:
         return PaintingSample(*(torch.stack(parts) for parts in zip(*samples, strict=True)))
 
     def _crop(self, index: int, generator: np.random.Generator | None) -> PaintingSample:
-        segments, depth_m, valid, remission = self._scene(index)
-        moment = self._moment(index)
-        spare = moment.view.columns - self.columns
+        held = self.held(index)
+        spare = held["camera"].shape[1] - self.columns
         start = spare // 2 if generator is None else int(generator.integers(spare + 1))
         coarse, fine = slice(start, start + self.columns), slice(2 * start, 2 * (start + self.columns))
-        image = torch.zeros(5, *depth_m.shape[:1], self.columns)
-        image[0], image[4] = valid[:, coarse], remission[:, coarse]
+        image = torch.zeros(5, len(held["valid"]), self.columns)
+        image[0], image[4] = held["valid"][:, coarse], held["remission"][:, coarse]
         sample = PaintingSample(
-            segments=segments[..., coarse],
-            depth_m=depth_m[:, coarse],
+            segments=held["segments"][..., coarse],
+            depth_m=held["depth_m"][:, coarse].float(),
             image=image,
-            camera=moment.camera[:, coarse].long(),
-            colour=moment.colour[..., fine].float() / 127.5 - 1,
-            seen=moment.seen[:, fine],
+            camera=held["camera"][:, coarse].long(),
+            colour=held["colour"][..., fine].float() / 127.5 - 1,
+            seen=held["seen"][:, fine],
             look=torch.tensor(self.look[index]),
             tone=self._tone(index),
         )
@@ -113,51 +122,58 @@ class PaintingFrames:
         flipped = {name: getattr(sample, name).flip(-1) for name in sample._fields if name not in ("look", "tone")}
         return sample._replace(**flipped)
 
-    def _moment(self, index: int) -> Moment:
-        frame = self.frames[index]
-        key = frame.folder / frame.stem
-        if key not in self._moments:
-            self._moments[key] = read_moment(frame, self.pipeline.view, self.columns + MARGIN, colour=True)
-        return self._moments[key]
+    def held(self, index: int) -> dict[str, Tensor]:
+        """What is made of a frame, from its file, on whose first reading it is made."""
+        file = self._file(index)
+        if not file.is_file():
+            self.cache.mkdir(parents=True, exist_ok=True)
+            beside = file.with_suffix(f".{os.getpid()}")
+            save_file(self._made(self.frames[index]), beside)
+            beside.replace(file)
+        return load_file(file)
 
-    def _scene(self, index: int) -> tuple[Tensor, ...]:
-        """Segments, depth, validity and remission of a frame in its window, made from the scan alone."""
+    def _file(self, index: int) -> Path:
         frame = self.frames[index]
-        key = frame.folder / frame.stem
-        if key not in self._held:
-            moment = self._moment(index)
-            view = moment.view
-            whole = self.pipeline.at(frame.calibration((1, 1)))
-            seen = whole.translated(frame.scan(), Stopwatch(whole.device))
-            start = round((whole.view.left - view.left) * whole.view.columns / (whole.view.left - whole.view.right))
-            window = slice(start, start + view.columns)
-            self._held[key] = (
-                seen.logits[0, ..., window].float().softmax(0).half(),
-                seen.depth_m[0, :, window].float(),
-                (seen.channels[0, 0, :, window] > 0).clone(),
-                seen.channels[0, 4, :, window].half(),
-            )
-        return self._held[key]
+        return self.cache / f"{frame.folder.parents[1].name}-{frame.folder.name}-{frame.stem}.safetensors"
+
+    def _made(self, frame: Frame) -> dict[str, Tensor]:
+        """Picture, segments, depth, validity and remission of a frame in its window, the scene from the scan alone."""
+        moment = read_moment(frame, self.pipeline.view, MARGIN + self.columns, colour=True)
+        view, whole = moment.view, self.pipeline.at(frame.calibration((1, 1)))
+        seen = whole.translated(frame.scan(), Stopwatch(whole.device))
+        start = round((whole.view.left - view.left) * whole.view.columns / (whole.view.left - whole.view.right))
+        window = slice(start, start + view.columns)
+        ids = moment.camera[1::4, 1::4].long()
+        known = moment.seen[2::8, 2::8] & (ids != UNSURE) & (ids != COMMON15.id_of("sky"))
+        colour = moment.colour[:, 2::8, 2::8].movedim(0, 2)[known].float() / 127.5 - 1
+        held = {
+            "segments": seen.logits[0, ..., window].float().softmax(0).half(),
+            "depth_m": seen.depth_m[0, :, window].half(),
+            "valid": seen.channels[0, 0, :, window] > 0,
+            "remission": seen.channels[0, 4, :, window].half(),
+            "camera": moment.camera,
+            "colour": moment.colour,
+            "seen": moment.seen,
+            "class_colours": torch.zeros(256, 3).index_add_(0, ids[known], colour),
+            "class_pixels": torch.zeros(256).index_add_(0, ids[known], torch.ones(len(colour))),
+        }
+        return {name: value.contiguous() for name, value in held.items()}
 
     def _tone(self, index: int) -> Tensor:
         """How much brighter a picture is than its classes are on average in its look: (3,) in [-1, 1]."""
         look = self.look[index]
         if look not in self._means:
-            total, count = torch.zeros(256, 3), torch.zeros(256)
-            for other in {n for n, one in enumerate(self.look) if one == look}:
-                colour, ids = self._pixels(other)
-                total.index_add_(0, ids, colour)
-                count.index_add_(0, ids, torch.ones(len(ids)))
+            files = {self._file(number) for number, one in enumerate(self.look) if one == look}
+            sums = [self._sums(file) for file in sorted(files) if file.is_file()]
+            total, count = (torch.stack(part).sum(0) for part in zip(*sums, strict=True))
             self._means[look] = total / count.clamp(min=1)[:, None]
-        colour, ids = self._pixels(index)
-        return (colour - self._means[look][ids]).mean(0) if len(ids) else torch.zeros(3)
+        total, count = self._sums(self._file(index))
+        return (total - self._means[look] * count[:, None]).sum(0) / count.sum().clamp(min=1)
 
-    def _pixels(self, index: int) -> tuple[Tensor, Tensor]:
-        """Every fourth pixel of the known part of a picture: colours (P, 3) in [-1, 1] and ids (P,), sky left out."""
-        moment = self._moment(index)
-        ids = moment.camera[1::4, 1::4].long()
-        known = moment.seen[2::8, 2::8] & (ids != UNSURE) & (ids != COMMON15.id_of("sky"))
-        return moment.colour[:, 2::8, 2::8].movedim(0, 2)[known].float() / 127.5 - 1, ids[known]
+    @staticmethod
+    def _sums(file: Path) -> tuple[Tensor, Tensor]:
+        with safe_open(file, "pt") as held:
+            return held.get_tensor("class_colours"), held.get_tensor("class_pixels")
 
 
 def look_of(root: Path) -> str:

@@ -19,7 +19,7 @@ from lidar2pano.data.sequences import UNSURE
 from lidar2pano.losses import hinge_critic, hinge_generator
 from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
 from lidar2pano.models.precision import fast_arithmetic
-from lidar2pano.models.scene_painter import ScenePainter
+from lidar2pano.models.scene_painter import ScenePainter, painter_inputs, sharpened
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.pipeline import Pipeline, card_view, load_part, load_segmenter
 from lidar2pano.sensors import VIEWS
@@ -36,7 +36,7 @@ class ScenePainting:
     Where a camera did not look, its picture is completed with what was painted, so that no loss arises there.
 
     Options: columns of a crop on the translator's raster; translator and segmenter, weight files that make the scenes;
-    trust, share of the draws that take the ground-truth classes where they are known; sharpest, the largest power that
+    cache, folder that keeps what is made of each frame; trust, share of the draws that take the ground-truth classes where they are known; sharpest, the largest power that
     probabilities are raised to; look of frames that no simulator made; frozen, whether norms keep their statistics;
     and the weights of LOSSES.
     """
@@ -63,9 +63,14 @@ class ScenePainting:
             view=card_view(file, card, "panorama"),
             device=device,
         )
-        columns, look = int(option["columns"]), str(option["look"])
-        self.dataset = PaintingFrames(root, recipe.data.train, pipeline, columns, self.looks, look)
-        self.validation = PaintingFrames(root, recipe.data.val, pipeline, columns, self.looks, look)
+        settings = {
+            "columns": int(option["columns"]),
+            "looks": painter.looks,
+            "look": str(option["look"]),
+            "cache": Path(str(option["cache"])),
+        }
+        self.dataset = PaintingFrames(root, recipe.data.train, pipeline, **settings)
+        self.validation = PaintingFrames(root, recipe.data.val, pipeline, **settings)
         self.weights = {name: float(option[name]) for name in LOSSES}
         self.trust, self.sharpest, self.frozen = (float(option[name]) for name in ("trust", "sharpest", "frozen"))
         self.logs: dict[str, float | Tensor] = {}
@@ -115,15 +120,14 @@ class ScenePainting:
         pose[:3, 3] = np.random.uniform(0, 64, 3)  # noqa: NPY002 seeded by the loop, step by step
         shares = torch.eye(len(self.looks), device=segments.device)[batch.look]
         window = self.view.window(int(np.random.randint(self.view.columns)), segments.shape[3])  # noqa: NPY002
-        return painter(
-            segments, batch.depth_m, batch.image, window, shares=shares, tone=batch.tone, T_world_sensor=pose
-        ).float()
+        with torch.no_grad():
+            inputs = painter_inputs(segments, batch.depth_m, batch.image, window, pose)
+        return painter(*inputs, shares, batch.tone).float()
 
     def segments(self, batch: PaintingSample) -> Tensor:
         """Segments (B, 16, H, W) to paint: the translator's, sharpened at random, or the truth where it is drawn."""
         power = 1 + (self.sharpest - 1) * torch.rand(len(batch.look), 1, 1, 1, device=batch.look.device)
-        segments = batch.segments.float().pow(power / 2)  # the painter itself squares them
-        segments = segments / segments.sum(1, keepdim=True)
+        segments = sharpened(batch.segments, power)
         sure = (batch.camera != UNSURE) & (torch.rand(len(batch.look), 1, 1, device=power.device) < self.trust)
         return torch.where(sure[:, None], one_hot_layers(batch.camera.where(sure, 0), len(COMMON15)), segments)
 
@@ -134,7 +138,7 @@ class ScenePainting:
         sample = self.validation[index]
         one = PaintingSample(*(part[None].to(device) for part in sample)).flat()
         one = one._replace(tone=torch.zeros_like(one.tone))
-        return self.painted(one, one.segments.float())[0].cpu(), sample
+        return self.painted(one, sharpened(one.segments, 2.0))[0].cpu(), sample
 
     def validate(self) -> dict[str, float]:
         """Mean distance of pooled colours in [0, 1]; no score, since that is not what is wanted: the latest counts."""

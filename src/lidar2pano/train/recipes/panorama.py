@@ -94,6 +94,7 @@ def scene_painter() -> Recipe:
             "sharpest": 4.0,
             "frozen": 0.0,
             "look": "",
+            "cache": "painting-frames",
             "translator": "",
             "segmenter": "",
         },
