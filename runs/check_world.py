@@ -24,7 +24,7 @@ from lidar2pano.data.sequences import Frame, frames
 from lidar2pano.geometry.camera import points_in_camera
 from lidar2pano.geometry.projection import pixels
 from lidar2pano.labels import TABLES
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 
 STEPS = 256  # depth pictures: per metre
 BEHIND = 0.02  # share of the depth, and a decimetre, that a hidden point lies farther

@@ -13,7 +13,7 @@ import time
 import numpy as np
 import torch
 
-from lidar2pano.allocator import keep_buffers
+from lidar2pano.hardware import keep_buffers
 from lidar2pano.metrics.classes import ClassCounts
 from lidar2pano.metrics.similarity import SSIM
 from lidar2pano.metrics.wasserstein import SlicedWasserstein

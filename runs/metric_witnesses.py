@@ -3,7 +3,7 @@
     python runs/metric_witnesses.py [OUT.md] [--pairs N] [--data FOLDER]
 
 The pictures are made up, or those of FOLDER (any PNG and JPEG below it, N pairs of neighbours, no two pictures twice).
-The witnesses live in tests/metric_truths.py; torch-fidelity is asked when the environment names its folder
+The witnesses live in tests/support/metric_definitions.py; torch-fidelity is asked when the environment names its folder
 (TORCH_FIDELITY), and left out otherwise.
 """
 
@@ -21,11 +21,11 @@ import scipy.stats
 import torch
 from PIL import Image
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support"))
 
-import metric_truths as truths  # pyright: ignore[reportMissingImports]
+import metric_definitions as truths  # pyright: ignore[reportMissingImports]
 from golden_fill import fill  # pyright: ignore[reportMissingImports]
-from lidar2pano.allocator import keep_buffers
+from lidar2pano.hardware import keep_buffers
 from lidar2pano.metrics.bootstrap import interval
 from lidar2pano.metrics.classes import ClassCounts
 from lidar2pano.metrics.depth import DepthError

@@ -20,7 +20,7 @@ import numpy as np
 
 from lidar2pano.data.sequences import Frame, frames
 from lidar2pano.errors import InputError
-from lidar2pano.formats.kitti import write_bin
+from lidar2pano.formats.scan_files import write_bin
 from lidar2pano.scan import Scan
 
 STEPS_PER_M, STEPS_OF_REMISSION = 128, 200

@@ -18,8 +18,8 @@ import torch
 from lidar2pano.data.panoramas import PanoramaSamples
 from lidar2pano.models.card import load, save
 from lidar2pano.models.titan_pano import TitanPano
-from lidar2pano.sensors import View
 from lidar2pano.train.panorama import camera_rarity
+from lidar2pano.views import View
 
 COLUMNS, RARITY = 576, 0.5  # of the recipe titan-pano
 

@@ -17,16 +17,16 @@ import torch
 from PIL import Image
 
 from lidar2pano.data.truths import TruePanorama, Truth, truths
-from lidar2pano.geometry.filling import dense_depth
+from lidar2pano.geometry.depth_completion import complete_depth
 from lidar2pano.labels import COMMON15
-from lidar2pano.sensors import VIEWS
+from lidar2pano.views import VIEWS
 
 NEAR, FAR, GAP = 2.0, 80.0, 6  # metres that are white and black; pixels
 
 
 def strips(truth: Truth, around: TruePanorama) -> list[np.ndarray]:
     """Pictures (H, W, 3) uint8: colour, depth and classes."""
-    depth = dense_depth(torch.from_numpy(truth.scan.xyz), around.view).clamp(NEAR, FAR).numpy()
+    depth = complete_depth(torch.from_numpy(truth.scan.xyz), around.view).clamp(NEAR, FAR).numpy()
     grey = 255 * (1 - np.log(depth / NEAR) / np.log(FAR / NEAR))
     shades = np.repeat(grey[..., None], 3, axis=-1).astype(np.uint8)
     if around.depth_m is not None:

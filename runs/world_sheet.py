@@ -16,7 +16,7 @@ from PIL import Image
 from lidar2pano.data.sequences import Frame, frames
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15
-from lidar2pano.sensors import VIEWS
+from lidar2pano.views import VIEWS
 
 WIDTH, GAP, COLUMNS = 800, 4, 2
 FAR = 60.0  # metres that are dark

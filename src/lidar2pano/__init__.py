@@ -5,23 +5,49 @@ The public names below are imported on first use (PEP 562), so that `import lida
 
 from __future__ import annotations
 
+import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lidar2pano.calibration import Calibration
+    from lidar2pano.calibration import Calibration, read_calib
     from lidar2pano.errors import InputError
-    from lidar2pano.formats import read
-    from lidar2pano.geometry.images import RangeImage, SegmentMap
-    from lidar2pano.geometry.projection import back_project, project
+    from lidar2pano.formats.scan_files import read, scans
+    from lidar2pano.geometry.images import RangeImage
+    from lidar2pano.geometry.projection import project
     from lidar2pano.labels import CITYSCAPES, COMMON14, COMMON15, SEMANTIC_KITTI, LabelSet
+    from lidar2pano.memory import Memory
     from lidar2pano.panorama import Panorama
     from lidar2pano.pipeline import Pipeline, load
     from lidar2pano.scan import Scan
-    from lidar2pano.sensors import VIEWS, View
-    from lidar2pano.sources import scans
+    from lidar2pano.views import VIEWS, View
 
 __version__ = "0.1.0"
+
+# public name -> module of this package that holds it
+_HOME = {
+    "CITYSCAPES": "labels",
+    "COMMON14": "labels",
+    "COMMON15": "labels",
+    "SEMANTIC_KITTI": "labels",
+    "VIEWS": "views",
+    "Calibration": "calibration",
+    "InputError": "errors",
+    "LabelSet": "labels",
+    "Memory": "memory",
+    "Panorama": "panorama",
+    "Pipeline": "pipeline",
+    "RangeImage": "geometry.images",
+    "Scan": "scan",
+    "View": "views",
+    "load": "pipeline",
+    "project": "geometry.projection",
+    "read": "formats.scan_files",
+    "read_calib": "calibration",
+    "scans": "formats.scan_files",
+}
+# names that the next version no longer has
+_DEPRECATED = {"SegmentMap": "geometry.images", "back_project": "geometry.projection"}
 
 __all__ = [
     "CITYSCAPES",
@@ -32,45 +58,25 @@ __all__ = [
     "Calibration",
     "InputError",
     "LabelSet",
+    "Memory",
     "Panorama",
     "Pipeline",
     "RangeImage",
     "Scan",
-    "SegmentMap",
     "View",
     "__version__",
-    "back_project",
     "load",
     "project",
     "read",
+    "read_calib",
     "scans",
 ]
 
-# public name -> module of this package that holds it
-_HOME = {
-    "CITYSCAPES": "labels",
-    "COMMON14": "labels",
-    "COMMON15": "labels",
-    "SEMANTIC_KITTI": "labels",
-    "VIEWS": "sensors",
-    "Calibration": "calibration",
-    "InputError": "errors",
-    "LabelSet": "labels",
-    "Panorama": "panorama",
-    "Pipeline": "pipeline",
-    "RangeImage": "geometry.images",
-    "Scan": "scan",
-    "SegmentMap": "geometry.images",
-    "View": "sensors",
-    "back_project": "geometry.projection",
-    "load": "pipeline",
-    "project": "geometry.projection",
-    "read": "formats",
-    "scans": "sources",
-}
-
 
 def __getattr__(name: str) -> object:
+    if name in _DEPRECATED:
+        warnings.warn(f"lidar2pano.{name} goes with the next version", DeprecationWarning, stacklevel=2)
+        return getattr(import_module(f"{__name__}.{_DEPRECATED[name]}"), name)
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -11,7 +11,7 @@ from torch.nn.functional import interpolate
 
 from lidar2pano.geometry.flow import ego_flow
 from lidar2pano.geometry.warp import warp
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 MOST = 6  # pictures that a mean is taken of: more are sharper where poses are exact, and slower to believe a change
 SAME = 0.3  # share by which two depths of one surface may differ: a translator guesses them anew each time

@@ -11,10 +11,10 @@ import torch
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError
-from lidar2pano.formats.pictures import write_depth, write_palette, write_png, write_whole
+from lidar2pano.formats.image_files import write_depth, write_palette, write_png, write_whole
 from lidar2pano.geometry.camera import panorama_in_camera
 from lidar2pano.labels import SEMANTIC_KITTI
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 WHAT = ("rgb", "segments", "labels", "depth")
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,11 +13,12 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.errors import InputError, closest
+from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera
-from lidar2pano.geometry.images import RangeImage, one_hot_layers
+from lidar2pano.geometry.images import Normalisation, RangeImage, one_hot_layers
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import project
+from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import Memory, Shown, steadied
 from lidar2pano.models.card import Card, read_card
@@ -27,44 +26,63 @@ from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import DEFAULT, weight_files
 from lidar2pano.models.painter import Scene, StreamPainter
-from lidar2pano.models.precision import fast_arithmetic, pick_device
-from lidar2pano.models.segmenter import Segmenter
+from lidar2pano.models.salsanext import STRIDE
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
 from lidar2pano.scan import OWN_VEHICLE_M, Scan
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import View, sensor_view
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Segmenter:
+    """A range-view network with the view and normalisation it was trained on.
+
+    network   (1, 5, H, W) -> (1, classes, H, W) logits.
+    """
+
+    network: nn.Module
+    view: View
+    normalise: Normalisation
+
+    @classmethod
+    def from_card(cls, network: nn.Module, card: Card) -> Segmenter:
+        """The segmenter that a weight file holds: `network, card = load(path)`."""
+        normalise = Normalisation(**{name: tuple(values) for name, values in card.normalisation.items()})
+        return cls(network=network, view=View(**card.views["input"]), normalise=normalise)
+
+    @torch.inference_mode()
+    def raster(self, image: RangeImage) -> Tensor:
+        """Class ids (H, W) uint8 of a range image; raises InputError unless its rows divide by STRIDE."""
+        x = self.normalise(image)[None]
+        columns = x.shape[3]
+        if spare := -columns % STRIDE:  # Pandar64's 1800 columns do not divide: go on beyond the seam, or empty
+            beyond = x[..., :spare] if image.view.circular else x.new_zeros(*x.shape[:3], spare)
+            x = torch.cat([x, beyond], dim=3)
+        with fast_arithmetic(x.device):
+            logits = self.network(x.contiguous(memory_format=torch.channels_last))[0]
+        return logits[..., :columns].max(0).indices.to(torch.uint8)  # several times as fast as argmax
+
+    def points(self, scan: Scan, device: str | torch.device = "cpu") -> Tensor:
+        """Class ids (N,) int64 of a scan's points."""
+        image = project(scan, self.view, device=device)
+        return clean_up(image, self.raster(image))
 
 
 class Translated(NamedTuple):
-    """A scan on its way to a panorama, before it is painted, on the translator's raster H x W.
+    """A scan that is translated but not yet painted, on the translator's raster H x W.
 
+    name      of the scan.
     labels    (N,) int64 ids of SEMANTIC_KITTI of the scan's points; dropped: how many of them could not be used.
     channels  (1, 5, H, W) float32: the scan's RangeImage.
     logits    (1, 16, H, W) of COMMON15;  depth_m (1, H, W) float32, metres.
     """
 
+    name: str
     labels: Tensor
     dropped: int
     channels: Tensor
     logits: Tensor
     depth_m: Tensor
-
-
-@dataclass(slots=True)
-class Stopwatch:
-    """Milliseconds per stage, in order."""
-
-    device: torch.device
-    milliseconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        """Time what happens inside; on CUDA, until it is done."""
-        begin = time.perf_counter()
-        yield
-        if self.device.type == "cuda":
-            torch.cuda.synchronize(self.device)
-        self.milliseconds[stage] = (time.perf_counter() - begin) * 1e3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,23 +122,49 @@ class Pipeline:
             memory, panorama = self.step(memory, scan, pose)
             yield panorama
 
-    @torch.inference_mode()
-    def step(self, memory: Memory, scan: Scan, pose: np.ndarray | None = None) -> tuple[Memory, Panorama]:
-        """One scan: (what the stream carries on, its panorama).
+    def step(
+        self, memory: Memory, scan: Scan, pose: np.ndarray | None = None, timer: Timer | None = None
+    ) -> tuple[Memory, Panorama]:
+        """One scan of a stream: `translate`, then `paint`. Returns the memory for the next scan, and the panorama.
 
-        pose  (4, 4) float64: the sensor's coordinates -> coordinates that stand still, metres. Told with every scan,
-              the picture is steadied by those before (memory.steadied).
         Raises InputError when no point of the scan can be used, or none is in view. Points nearer than OWN_VEHICLE_M
         are not used.
         """
-        watch = Stopwatch(self.device)
-        seen = self.translated(scan, watch)
-        with watch("paint"), fast_arithmetic(self.device):
-            segments = seen.logits.softmax(1)
+        timer = timer or Timer(self.device)
+        return self.paint(self.translate(scan, timer), memory, pose, timer)
+
+    @torch.inference_mode()
+    def translate(self, scan: Scan, timer: Timer) -> Translated:
+        """Class scores and depths that a camera would see of the scan; raises like `step`."""
+        with timer("project"):
+            scan = scan.beyond()
+            image = self._checked(scan, project(scan, self.segmenter.view, device=self.device))
+            around = self._checked(scan, project(scan, self.view, device=self.device))
+        with timer("segment"):
+            ids = self.segmenter.raster(image)
+        with timer("clean_up"):
+            labels = clean_up(image, ids)
+        with timer("translate"), fast_arithmetic(self.device):
+            channels = around.channels[None].contiguous(memory_format=torch.channels_last)
+            condition = one_hot_layers(around.spread(labels)[None], len(SEMANTIC_KITTI))
+            logits, depth_m = self.translator(channels, condition)
+        return Translated(scan.name, labels, image.dropped, channels, logits, depth_m)
+
+    @torch.inference_mode()
+    def paint(
+        self, translated: Translated, memory: Memory, pose: np.ndarray | None, timer: Timer
+    ) -> tuple[Memory, Panorama]:
+        """The panorama of a translated scan that follows those in `memory`, and the memory for the next one.
+
+        pose  (4, 4) float64 `T_world_sensor`, metres. If it is always given, the output is temporally smoothed
+              (memory.steadied).
+        """
+        logits, depth_m = translated.logits, translated.depth_m
+        with timer("paint"), fast_arithmetic(self.device):
             scene = Scene(
-                segments=segments,
-                depth_m=seen.depth_m,
-                image=seen.channels,
+                segments=logits.softmax(1),
+                depth_m=depth_m,
+                image=translated.channels,
                 view=self.view,
                 T_world_sensor=pose,
                 look=self.look,
@@ -128,23 +172,23 @@ class Pipeline:
             painted, picture = self.painter.paint(memory.painted, scene)
         shown = None
         if pose is not None:
-            with watch("steady"):
-                shown = self._steadied(memory.shown, seen, picture, pose)
+            with timer("steady"):
+                shown = self._steadied(memory.shown, translated, picture, pose)
                 picture = shown.picture
-        with watch("finish"):
+        with timer("finish"):
             colour = picture[0].float().add(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
-            segments, depth_m = self._finished(seen.logits, seen.depth_m)
+            segments, depth_m = self._finished(logits, depth_m)
             colour, segments, depth_m = (part.contiguous().cpu().numpy() for part in (colour, segments, depth_m))
         panorama = Panorama(
-            name=scan.name,
+            name=translated.name,
             frame=memory.frames,
             view=self.view.scaled(2),
             colour=colour,
             segments=segments,
             depth_m=depth_m,
-            labels=seen.labels.cpu().numpy(),
-            dropped=seen.dropped,
-            milliseconds=watch.milliseconds,
+            labels=translated.labels.cpu().numpy(),
+            dropped=translated.dropped,
+            milliseconds=timer.milliseconds,
         )
         return Memory(frames=memory.frames + 1, painted=painted, shown=shown), panorama
 
@@ -156,25 +200,8 @@ class Pipeline:
         now = Shown(picture=picture.float(), ids=ids, distance_m=distance_m, count=count, pose=here)
         return now if before is None else steadied(now, before, self.view)
 
-    @torch.inference_mode()
-    def translated(self, scan: Scan, watch: Stopwatch) -> Translated:
-        """What a camera would see of the scan, as class scores and depths; raises like `step`."""
-        with watch("project"):
-            scan = scan.beyond()
-            image = self._seen(scan, project(scan, self.segmenter.view, device=self.device))
-            around = self._seen(scan, project(scan, self.view, device=self.device))
-        with watch("segment"):
-            ids = self.segmenter.raster(image)
-        with watch("clean_up"):
-            labels = clean_up(image, ids)
-        with watch("translate"), fast_arithmetic(self.device):
-            channels = around.channels[None].contiguous(memory_format=torch.channels_last)
-            condition = one_hot_layers(around.spread(labels)[None], len(SEMANTIC_KITTI))
-            logits, depth_m = self.translator(channels, condition)
-        return Translated(labels=labels, dropped=image.dropped, channels=channels, logits=logits, depth_m=depth_m)
-
     @staticmethod
-    def _seen(scan: Scan, image: RangeImage) -> RangeImage:
+    def _checked(scan: Scan, image: RangeImage) -> RangeImage:
         if not bool(image.usable.any()):
             raise InputError(
                 f"{scan.name}: none of its {len(scan)} points can be used (NaN, Inf or nearer than"
@@ -259,11 +286,3 @@ def card_view(file: Path, card: Card, role: str) -> View:
         return View(**card.views[role])
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{file}: its card has no view {role!r} that makes sense; fetch or make it anew") from None
-
-
-def sensor_view(name: str) -> View:
-    """The raster of a sensor's rows in VIEWS (spheres only: the panorama is no sensor); InputError for another name."""
-    sensors = {sensor: view for sensor, view in VIEWS.items() if view.kind == "sphere"}
-    if name not in sensors:
-        raise InputError(f"no sensor {name!r}{closest(name, sensors)}")
-    return sensors[name]

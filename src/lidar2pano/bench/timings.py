@@ -16,14 +16,13 @@ import torch
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import project
+from lidar2pano.hardware import has_bfloat16, pick_device
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.models import build
 from lidar2pano.models.families import DEFAULT, families
-from lidar2pano.models.precision import has_bfloat16, pick_device
-from lidar2pano.models.segmenter import Segmenter
-from lidar2pano.pipeline import Pipeline, load, made_fast
+from lidar2pano.pipeline import Pipeline, Segmenter, load, made_fast
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import VIEWS
+from lidar2pano.views import VIEWS
 
 POINTS = 120_000
 CAMERA = (15, 376, 1241)  # classes, rows and columns of the published TITAN-Net

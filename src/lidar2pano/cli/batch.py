@@ -11,20 +11,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from lidar2pano.allocator import keep_buffers
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.cli.app import MISTAKE, complain, note_licences
 from lidar2pano.cli.files import check_folder
 from lidar2pano.cli.progress import bar
-from lidar2pano.data.odometry import Poses
+from lidar2pano.data.poses import Poses
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats import read
+from lidar2pano.formats.scan_files import read, scan_files
+from lidar2pano.hardware import keep_buffers, pick_device
 from lidar2pano.models.families import weight_files
-from lidar2pano.models.precision import pick_device
 from lidar2pano.panorama import WHAT, Panorama
-from lidar2pano.pipeline import Memory, Pipeline, load, sensor_view
+from lidar2pano.pipeline import Memory, Pipeline, load
 from lidar2pano.scan import Scan
-from lidar2pano.sources import scan_files
+from lidar2pano.views import sensor_view
 
 KITTI_SIZE = "1242x375"
 

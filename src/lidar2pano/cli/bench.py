@@ -23,9 +23,9 @@ def bench(
     as_json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the times as JSON too.")] = None,
 ) -> None:
     """Time projection, clean-up, the Lovasz loss and every stage of the pipeline on this machine."""
-    from lidar2pano.allocator import keep_buffers
     from lidar2pano.bench import conditions, default_weights, measure, measure_world, table
     from lidar2pano.cli.files import check_file, write_json
+    from lidar2pano.hardware import keep_buffers
 
     if as_json:
         check_file(as_json, "--json")

@@ -54,11 +54,11 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
 ) -> None:
     """Score what is made from the scan alone against what cameras saw; print a table in Markdown."""
-    from lidar2pano.allocator import keep_buffers
     from lidar2pano.cli.files import check_file, check_folder
     from lidar2pano.cli.progress import bar
     from lidar2pano.data.truths import truths
     from lidar2pano.evaluate import Measures, score, system
+    from lidar2pano.hardware import keep_buffers
 
     for path, option in ((as_json, "--json"), (as_csv, "--csv")):
         if path:
@@ -108,7 +108,7 @@ def write_csv(path: Path, rows: list[dict[str, object]], option: str) -> None:
     import csv
     import io
 
-    from lidar2pano.formats.pictures import write_whole
+    from lidar2pano.formats.image_files import write_whole
 
     text = io.StringIO()
     writer = csv.DictWriter(text, rows[0] if rows else [], lineterminator="\n")

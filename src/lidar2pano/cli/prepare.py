@@ -78,8 +78,8 @@ def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
 
 def _work(found: list[Material], teachers: list[Teacher], as_json: bool) -> int:
     """Label everything, say so, and return the exit code."""
-    from lidar2pano.allocator import keep_buffers
     from lidar2pano.cli.progress import bar
+    from lidar2pano.hardware import keep_buffers
     from lidar2pano.prepare import State, label
 
     keep_buffers()

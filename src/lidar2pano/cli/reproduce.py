@@ -38,10 +38,9 @@ def reproduce(  # noqa: PLR0913, PLR0917 one parameter per option
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
 ) -> None:
     """Make the paper's tables: train what is missing, score every row, write DIR/RESULTS.md. Repeat to go on."""
-    from lidar2pano.allocator import keep_buffers
     from lidar2pano.cli.files import check_folder
     from lidar2pano.errors import InputError
-    from lidar2pano.models.precision import pick_device
+    from lidar2pano.hardware import keep_buffers, pick_device
     from lidar2pano.reproduce import Plan
     from lidar2pano.reproduce.rows import chosen
 

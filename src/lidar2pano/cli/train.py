@@ -38,7 +38,7 @@ def train(
     first = os.environ.get("LOCAL_RANK", "0") == "0"
     if first:
         print(brief(chosen), flush=True)
-    from lidar2pano.allocator import keep_buffers
+    from lidar2pano.hardware import keep_buffers
     from lidar2pano.train.engine import train as run
 
     keep_buffers()

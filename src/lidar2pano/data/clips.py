@@ -16,7 +16,7 @@ from lidar2pano.data.sights import Sight, camera_sight, flow_to, panorama_sight
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import Lookup
 from lidar2pano.geometry.flow import Flow, reaches
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 HELD = 128  # frames that stay in memory
 # How far a still's window moves from frame to frame at most: rows and columns in pixels, and by which share it grows.

@@ -20,7 +20,7 @@ from lidar2pano.geometry.images import Normalisation
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import TABLES
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 CAMERA_TO_COMMON14 = np.zeros(256, dtype=np.uint8)  # unsure pixels and the sky are unlabeled, as in the paper
 CAMERA_TO_COMMON14[:19] = TABLES["cityscapes", "common-14"]

@@ -15,7 +15,7 @@ from lidar2pano.data.sights import CAMERA_TO_COMMON15, distances_m, panorama_sig
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
 from lidar2pano.geometry.projection import pixels, project
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

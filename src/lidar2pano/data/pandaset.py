@@ -7,24 +7,32 @@ below, near the road.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, matrix, moved, read_json, read_photo
+from lidar2pano.data.frames import FrameList
+from lidar2pano.data.semantic_kitti import stems
+from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, matrix, moved, read_camera
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.kitti import read_bin
-from lidar2pano.geometry.compose import Photo
+from lidar2pano.formats.scan_files import read_bin
+from lidar2pano.formats.json_files import read_json
+from lidar2pano.geometry.stitching import CameraImage
 from lidar2pano.labels import SEMANTIC_KITTI
+from lidar2pano.scan import Scan
+from lidar2pano.views import View
 
+LAST_CLASS = 0xFFFF
 CAMERAS = ("front_camera", "front_left_camera", "left_camera", "back_camera", "right_camera", "front_right_camera")
-FRONT = CAMERAS[0]
 # From the front camera's optical centre to the LiDAR's, in PandaSet's axes, metres. Fitted: seen from there the points
 # of a standing car's scans lie on 64 sharp cones (to about 2 cm), from the frame's own origin on none.
 LIDAR_FROM_FRONT = np.array([0.0, -0.047, 0.053])
-# The trunk and the roof in the backward picture, (u, v) of 960 x 540: what never changes along the drive.
-OWN_CAR = {"back_camera": ((0, 428), (240, 416), (480, 410), (720, 418), (959, 438))}
+# The trunk and the roof in the backward image, (u, v) of 960 x 540: what never changes along the drive.
+VEHICLE_LINES = {"back_camera": ((0, 428), (240, 416), (480, 410), (720, 418), (959, 438))}
 # PandaSet's classes by the name of the nearest of SemanticKITTI; its vegetation holds trunks, its ground what is no
 # road. What has no counterpart, poles included (they are among the static objects), is unlabeled.
 CLASSES = {
@@ -44,50 +52,76 @@ CLASSES = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PandasetFrame:
-    """Files of one moment: `root`, its sequence and the stem NNNNNN."""
+class PandasetFrame(SurroundFrame):
+    """A frame by its root and its name, "<seq>/NNNNNN"."""
 
-    root: Path
-    sequence: str
-    stem: str
+    front = CAMERAS[0]
 
-    @property
-    def name(self) -> str:
-        """For messages and outputs: "seq/NNNNNN"."""
-        return f"{self.sequence}/{self.stem}"
+    def __init__(self, root: Path, view: View, name: str) -> None:
+        super().__init__(name, view)
+        self.root = root
+        sequence, _, self.stem = name.partition("/")
+        self.folder = root / "sequences" / sequence
 
-    def read(self) -> SurroundFrame:
-        """Read everything; InputError where a file is missing, damaged or does not fit the others."""
-        folder = self.root / "sequences" / self.sequence
-        calib = folder / "calib" / f"{self.stem}.json"
-        told = read_json(calib)
-        cameras = told.get("cameras") if isinstance(told, dict) else None
-        if not isinstance(cameras, dict) or FRONT not in cameras:
-            raise InputError(f"{calib}: has no cameras with {FRONT!r}; take the file from the data set")
-        mounts = {name: matrix(calib, cameras[name], "cam_from_lidar", (4, 4)) for name in CAMERAS if name in cameras}
-        to_ours = _to_ours(mounts[FRONT])
-        back = np.linalg.inv(to_ours)
-        photos: dict[str, Photo] = {}
-        for name, mount in mounts.items():
-            K = _camera_matrix(calib, cameras[name])
-            path = folder / name / f"{self.stem}.jpg"
-            photos[name] = read_photo(path, K, mount @ back, OWN_CAR.get(name, ()))
-            if list(photos[name].calibration.size) != cameras[name].get("size"):
-                raise InputError(f"{path}: is not of the size that {calib.name} gives; take both from the data set")
-        scan = read_bin(folder / "velodyne" / f"{self.stem}.bin")
-        label = self._labels(folder / "labels_pandaset" / f"{self.stem}.label", len(scan))
-        scan = replace(scan, xyz=moved(scan.xyz, to_ours), label=label, name=self.name)
-        pose = matrix(calib, told, "world_from_lidar", (4, 4)) @ back
-        return SurroundFrame(name=self.name, scan=scan, photos=photos, front=FRONT, pose=pose)
+    @cached_property
+    def calib(self) -> tuple[Path, Mapping[str, Any]]:
+        """The file of calibrations and pose, and what is in it."""
+        path = self.folder / "calib" / f"{self.stem}.json"
+        content = read_json(path)
+        cameras = content.get("cameras") if isinstance(content, dict) else None
+        if not isinstance(cameras, dict) or self.front not in cameras:
+            raise InputError(f"{path}: has no cameras with {self.front!r}; take the file from the data set")
+        return path, content
 
-    def _labels(self, path: Path, points: int) -> np.ndarray:
-        """Point labels (N,) int64 of SEMANTIC_KITTI."""
+    @cached_property
+    def T_sensor_theirs(self) -> np.ndarray:
+        """(4, 4): PandaSet's frame -> ours, whose origin is the LiDAR."""
+        path, content = self.calib
+        mount = matrix(path, content["cameras"][self.front], "cam_from_lidar", (4, 4))
+        to_lidar = np.eye(4)
+        to_lidar[:3, 3] = mount[:3, :3].T @ mount[:3, 3] - LIDAR_FROM_FRONT
+        return FROM_RIGHT_FORWARD @ to_lidar
+
+    @cached_property
+    def cameras(self) -> Mapping[str, CameraImage]:
+        """See SurroundFrame."""
+        path, content = self.calib
+        return {
+            name: self._camera(path, name, content["cameras"][name]) for name in CAMERAS if name in content["cameras"]
+        }
+
+    def _camera(self, calib: Path, name: str, camera: Any) -> CameraImage:  # noqa: ANN401 of a JSON file
+        if not isinstance(camera, dict):
+            raise InputError(f"{calib}: camera {name} is no object; take the file from the data set")
+        T_camera_sensor = matrix(calib, camera, "cam_from_lidar", (4, 4)) @ np.linalg.inv(self.T_sensor_theirs)
+        path = self.folder / name / f"{self.stem}.jpg"
+        found = read_camera(path, _camera_matrix(calib, camera), T_camera_sensor, VEHICLE_LINES.get(name, ()))
+        if list(found.calibration.size) != camera.get("size"):
+            raise InputError(f"{path}: is not of the size that {calib.name} gives; take both from the data set")
+        return found
+
+    @cached_property
+    def whole_scan(self) -> Scan:
+        """See SurroundFrame."""
+        scan = read_bin(self.folder / "velodyne" / f"{self.stem}.bin")
+        return replace(scan, xyz=moved(scan.xyz, self.T_sensor_theirs), name=self.name)
+
+    @cached_property
+    def pose(self) -> np.ndarray:
+        """See Frame."""
+        path, content = self.calib
+        return matrix(path, content, "world_from_lidar", (4, 4)) @ np.linalg.inv(self.T_sensor_theirs)
+
+    @cached_property
+    def point_labels(self) -> np.ndarray:
+        """See Frame."""
+        path = self.folder / "labels_pandaset" / f"{self.stem}.label"
         try:
             ids = np.fromfile(path, dtype="<u4")
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror}); complete the data set") from error
-        if len(ids) != points:
+        if len(ids) != len(self.whole_scan):
+            points = len(self.whole_scan)
             raise InputError(f"{path}: has {len(ids)} labels, but its scan {points} points; pair them again")
         table = class_table(self.root / "classes.json")
         if ids.max(initial=0) >= len(table):
@@ -95,7 +129,7 @@ class PandasetFrame:
         return table[ids]
 
 
-def pandaset_frames(root: Path, split: str = "all") -> list[PandasetFrame]:
+def frames(root: Path, split: str, view: View) -> FrameList:
     """Frames of a split, in time: "all", or the name of a sequence. InputError where there is none."""
     folder = root / "sequences"
     sequences = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
@@ -103,15 +137,16 @@ def pandaset_frames(root: Path, split: str = "all") -> list[PandasetFrame]:
         raise InputError(f"{root}: has no sequences/; name the root of a PandaSet in this layout")
     if split not in ("all", *sequences):
         raise InputError(f"{root}: has no split {split!r}" + closest(split, ("all", *sequences)))
+    open_frame = partial(PandasetFrame, root, view)
     found = [
-        PandasetFrame(root=root, sequence=sequence, stem=path.stem)
+        (f"{sequence}/{stem}", open_frame)
         for sequence in sequences
         if split in ("all", sequence)
-        for path in sorted((folder / sequence / "velodyne").glob("*.bin"))
+        for stem in stems(folder / sequence / "velodyne", ".bin")
     ]
     if not found:
         raise InputError(f"{root}: split {split!r} has no scan (sequences/*/velodyne/*.bin); complete the data")
-    return found
+    return FrameList("pandaset", found)
 
 
 def class_table(path: Path) -> np.ndarray:
@@ -119,11 +154,15 @@ def class_table(path: Path) -> np.ndarray:
 
     InputError where the file is missing or damaged, or names a class that CLASSES does not.
     """
-    told = read_json(path)
+    content = read_json(path)
     try:
-        names = {int(index): str(name) for index, name in told.items()}
+        names = {int(index): str(name) for index, name in content.items()}
     except (AttributeError, ValueError) as error:
         raise InputError(f"{path}: must be an object of class id -> name; take the file from the data set") from error
+    if strange := [index for index in names if not 0 <= index <= LAST_CLASS]:
+        raise InputError(
+            f"{path}: class {strange[0]} is out of range (0 to {LAST_CLASS}); take the file from the data set"
+        )
     table = np.zeros(max(names, default=0) + 1, dtype=np.int64)
     for index, name in names.items():
         if name not in CLASSES:
@@ -132,20 +171,12 @@ def class_table(path: Path) -> np.ndarray:
     return table
 
 
-def _to_ours(front_mount: np.ndarray) -> np.ndarray:
-    """(4, 4): PandaSet's frame -> ours, whose origin is the LiDAR."""
-    centre = -front_mount[:3, :3].T @ front_mount[:3, 3] + LIDAR_FROM_FRONT
-    to_lidar = np.eye(4)
-    to_lidar[:3, 3] = -centre
-    return FROM_RIGHT_FORWARD @ to_lidar
-
-
-def _camera_matrix(path: Path, camera: dict[str, object]) -> np.ndarray:
+def _camera_matrix(path: Path, camera: Mapping[str, Any]) -> np.ndarray:
     K = camera.get("K")
     try:
-        fx, fy, cx, cy = (float(K[name]) for name in ("fx", "fy", "cx", "cy"))  # pyright: ignore
+        fx, fy, cx, cy = (float(K[name]) for name in ("fx", "fy", "cx", "cy"))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{path}: a camera's K must hold fx, fy, cx and cy; take the file from the data set"
         ) from error
-    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    return matrix(path, {"K": [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]}, "K", (3, 3))

@@ -16,7 +16,7 @@ from lidar2pano.data.moments import Moment, read_moment
 from lidar2pano.data.sequences import Draw, frames_of
 from lidar2pano.geometry.projection import project
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 
 class PanoramaSample(NamedTuple):

@@ -1,69 +1,78 @@
-"""Where the sensor was: a sequence's poses.txt (KITTI odometry's form)."""
+"""Poses of a sequence's frames: its poses.txt (KITTI odometry's form), else estimated from the scans (KISS-ICP)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Self
+from typing import Any
 
 import numpy as np
 
-from lidar2pano.calibration import read_calib
-from lidar2pano.data.sequences import Frame
+from lidar2pano.calibration import ROTATION_TOLERANCE, read_calib
 from lidar2pano.errors import InputError
+from lidar2pano.scan import Scan
 
-
-def motion(now: Frame, before: Frame) -> np.ndarray | None:
-    """(4, 4) float64: LiDAR coordinates at `now` -> those at `before`, a frame of the same sequence; metres.
-
-    None where the sequence has no poses.txt. Raises InputError as LidarPoses does.
-    """
-    poses = LidarPoses.of(now.folder)
-    return None if poses is None else np.linalg.inv(poses.at(before.stem)) @ poses.at(now.stem)
+FAR_M = 100.0  # points beyond are not used to estimate poses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarPoses:
-    """A sequence's poses.txt, read once. Its lines are poses of camera 0; line n is frame n, from 0.
+    """The poses of a sequence's poses.txt. Its lines are poses of camera 0; line n is frame n, from 0.
 
-    path  the file;  rows: (N, 3, 4) float64, metres;  Tr: (4, 4), the LiDAR's coordinates -> those of camera 0.
+    path  the file;  rows: (N, 3, 4) float64, metres;  Tr: (4, 4) T_camera0_lidar.
     """
 
     path: Path
     rows: np.ndarray
     Tr: np.ndarray
 
-    @classmethod
-    def of(cls, sequence: Path) -> Self | None:
-        """Those of the folder ROOT/sequences/<seq>; None without poses.txt; InputError where it or calib.txt is damaged."""
-        path = sequence / "poses.txt"
-        return cls(path, _read(path), _lidar_to_camera0(sequence)) if path.is_file() else None
-
     def at(self, stem: str) -> np.ndarray:
-        """(4, 4) float64: LiDAR coordinates at a frame -> those of camera 0 at the sequence's first one, metres.
+        """(4, 4) float64 T_world_sensor of a frame, metres; the world is camera 0's frame at the sequence's start.
 
         Raises InputError where the file has no line for the frame.
         """
         if not stem.isdecimal() or int(stem) >= len(self.rows):
-            raise InputError(f"{self.path}: has {len(self.rows)} lines, none for frame {stem}; line n is frame n, from 0")
+            raise InputError(
+                f"{self.path}: has {len(self.rows)} lines, none for frame {stem}; line n is frame n, from 0"
+            )
         pose = np.eye(4)
         pose[:3] = self.rows[int(stem)]
         return pose @ self.Tr
 
 
-def _read(path: Path) -> np.ndarray:
+def lidar_poses(sequence: Path) -> LidarPoses | None:
+    """The poses of the folder ROOT/sequences/<seq>; None without poses.txt.
+
+    Raises InputError where poses.txt or calib.txt is damaged.
+    """
+    files = (sequence / "poses.txt", sequence / "calib.txt")
+    if not files[0].is_file():
+        return None
+    changed = tuple(file.stat().st_mtime_ns if file.is_file() else 0 for file in files)
+    return _read_poses(sequence, changed)
+
+
+@lru_cache(maxsize=4)
+def _read_poses(sequence: Path, changed: tuple[int, ...]) -> LidarPoses:  # noqa: ARG001 a part of the cache's key
+    path = sequence / "poses.txt"
     try:
-        poses = np.loadtxt(path, ndmin=2)
+        rows = np.loadtxt(path, ndmin=2)
     except (OSError, ValueError) as error:
         raise InputError(
             f"{path}: cannot be read as poses ({error}); write 12 numbers a line, as KITTI does"
         ) from error
-    if poses.shape[1:] != (12,) or not np.isfinite(poses).all():
+    if rows.shape[1:] != (12,) or not np.isfinite(rows).all():
         raise InputError(f"{path}: its lines must hold 12 finite numbers each (3x4), as KITTI's do")
-    return poses.reshape(-1, 3, 4)
+    rows = rows.reshape(-1, 3, 4)
+    R = rows[:, :, :3]
+    wrong = (np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)) > ROTATION_TOLERANCE).any((1, 2)) | (np.linalg.det(R) < 0)
+    if wrong.any():
+        raise InputError(f"{path}: line {wrong.argmax() + 1} holds no rotation; take the file from the data set")
+    return LidarPoses(path, rows, _camera0_from_lidar(sequence))
 
 
-def _lidar_to_camera0(sequence: Path) -> np.ndarray:
+def _camera0_from_lidar(sequence: Path) -> np.ndarray:
     """Tr of calib.txt; a Calibration knows it only together with the way from camera 0 to the colour camera."""
     read_calib(sequence / "calib.txt", (1, 1))  # complains about whatever is wrong with the file
     lines = (sequence / "calib.txt").read_text(encoding="utf-8").splitlines()
@@ -71,3 +80,38 @@ def _lidar_to_camera0(sequence: Path) -> np.ndarray:
     Tr = np.eye(4)
     Tr[:3] = np.array(row.split(), dtype=np.float64).reshape(3, 4)
     return Tr
+
+
+class Poses:
+    """Poses of the scan files of one folder, requested in their order.
+
+    A folder `velodyne` of a sequence that has a poses.txt has them there. Of any other they are estimated scan after
+    scan by KISS-ICP (Vizzo et al. 2023), which the extra `odometry` installs; InputError where it is not, and where
+    poses.txt or calib.txt is damaged.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._recorded = lidar_poses(folder.parent) if folder.name == "velodyne" else None
+        self._estimate: Any = None if self._recorded else _odometry()
+
+    def of(self, file: Path, scan: Scan) -> np.ndarray:
+        """(4, 4) float64 T_world_sensor, metres; InputError where poses.txt has no line for the scan."""
+        if self._recorded:
+            return self._recorded.at(file.stem)
+        self._estimate.register_frame(scan.xyz[np.isfinite(scan.xyz).all(1)].astype(np.float64), np.empty(0))
+        return self._estimate.last_pose.copy()
+
+
+def _odometry() -> Any:  # noqa: ANN401 KISS-ICP has no types
+    try:
+        from kiss_icp.config import KISSConfig
+        from kiss_icp.kiss_icp import KissICP
+    except ImportError as error:
+        raise InputError(
+            "--steady needs the sensor's poses: write poses.txt beside velodyne/, or let them be estimated: "
+            "pip install 'lidar2pano[odometry]'"
+        ) from error
+    config = KISSConfig()
+    config.data.max_range, config.data.deskew = FAR_M, False  # scans carry no times
+    config.mapping.voxel_size = FAR_M / 100  # as KISS-ICP's own command does
+    return KissICP(config)

@@ -15,7 +15,7 @@ from lidar2pano.data.sequences import Draw, Frame, frames_of
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.geometry.projection import project
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 BEAM_DEG = 0.42  # between neighbours of an HDL-64E's 64 beams, which see 26.8 degrees
 

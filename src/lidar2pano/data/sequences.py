@@ -16,7 +16,7 @@ from PIL import Image, UnidentifiedImageError
 
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.kitti import read_bin, read_label
+from lidar2pano.formats.scan_files import read_bin, read_label
 from lidar2pano.scan import Scan
 
 # Behley et al. 2019; the paper trains on 00-07, 09, 10, validates on 08 and tests on 11-21.

@@ -12,14 +12,14 @@ from torch import Tensor
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.optical_flow import seen_flow
-from lidar2pano.data.poses import motion
+from lidar2pano.data.poses import lidar_poses
 from lidar2pano.data.sequences import UNSURE, Frame
 from lidar2pano.errors import InputError
-from lidar2pano.formats.pictures import DEPTH_STEPS
+from lidar2pano.formats.image_files import DEPTH_STEPS
 from lidar2pano.geometry.camera import at_camera, panorama_in_camera
 from lidar2pano.geometry.flow import Flow, ego_flow, scan_distances
 from lidar2pano.labels import COMMON15, TABLES
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.views import VIEWS, View
 
 SKY = COMMON15.id_of("sky")
 CAMERA_TO_COMMON15 = np.full(256, UNSURE, dtype=np.uint8)
@@ -64,9 +64,10 @@ def panorama_sight(frame: Frame, view: View) -> Sight:
 
 def flow_to(before: Frame, frame: Frame, was: Sight, now: Sight) -> Flow:
     """Flow from a frame's sight back to that of the frame before: by poses and depth, else as the pictures show it."""
-    moved = motion(frame, before)
-    if moved is None:
+    poses = lidar_poses(frame.folder)
+    if poses is None:
         return seen_flow(now.colour, was.colour)
+    moved = np.linalg.inv(poses.at(before.stem)) @ poses.at(frame.stem)
     distances = [distances_m(one, sight) for one, sight in ((frame, now), (before, was))]
     return ego_flow(distances[0], distances[1], torch.from_numpy(moved), now.raster)
 

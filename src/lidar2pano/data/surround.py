@@ -1,89 +1,112 @@
-"""Surround frames: one scan and the cameras all around it, whatever data set they come from."""
+"""Frames with cameras all around, of whatever data set: the panorama is stitched from them."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+import torch
 
 from lidar2pano.calibration import ROTATION_TOLERANCE, Calibration
+from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.compose import Photo
+from lidar2pano.formats.image_files import read_image
+from lidar2pano.geometry.camera import at_camera
+from lidar2pano.geometry.depth_completion import complete_depth
+from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.stitching import CameraImage, stitch
+from lidar2pano.labels import COMMON15, TABLES
 from lidar2pano.scan import Scan
+from lidar2pano.views import View
 
 # From a frame with x to the right and y forward, as PandaSet and nuScenes have it, to ours: x forward, y left.
 FROM_RIGHT_FORWARD = np.array([[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SurroundFrame:
-    """One moment: a scan and what the cameras all around saw.
+class SurroundFrame(Frame):
+    """A frame of a data set with cameras all around; `front` is the name of the camera that looks ahead.
 
-    name    "seq/NNNNNN" or the like, also the scan's.
-    scan    in our sensor frame (x forward, y left, z up, the sensor at the origin), with labels where there are any.
-    photos  by camera, in the data set's order.
-    front   the name of the camera that looks ahead.
-    pose    (4, 4) float64: our sensor frame -> the data set's world, metres.
+    view  the raster of its panorama, whose origin becomes the front camera's centre.
+    The panorama's depths are the scan's alone, where a point owns the pixel, and its labels those of such points that
+    have one.
     """
 
-    name: str
-    scan: Scan
-    photos: Mapping[str, Photo]
     front: str
-    pose: np.ndarray
 
-    def __post_init__(self) -> None:
-        """Refuse a front camera that is not there (ValueError)."""
-        if self.front not in self.photos:
-            raise ValueError(f"{self.name}: no camera {self.front!r} among {', '.join(self.photos)}")
+    def __init__(self, name: str, view: View) -> None:
+        super().__init__(name)
+        self.view = view
+
+    @cached_property
+    def cameras(self) -> Mapping[str, CameraImage]:
+        """The images by camera, in the data set's order."""
+        raise NotImplementedError
+
+    @cached_property
+    def whole_scan(self) -> Scan:
+        """The scan with the points on the vehicle itself."""
+        raise NotImplementedError
+
+    @cached_property
+    def scan(self) -> Scan:
+        """See Frame; without the points on the vehicle itself."""
+        return self.whole_scan.beyond()
+
+    @cached_property
+    def calibration(self) -> Calibration:
+        """See Frame."""
+        return self.cameras[self.front].calibration
+
+    @cached_property
+    def image(self) -> np.ndarray:
+        """See Frame."""
+        return self.cameras[self.front].image
+
+    @cached_property
+    def panorama(self) -> PanoramaGroundTruth:
+        """See Frame."""
+        view = at_camera(self.view, self.calibration)
+        depth_m = complete_depth(torch.from_numpy(self.scan.xyz), view)
+        image, valid = stitch(list(self.cameras.values()), view, depth_m)
+        range_image, labels = project(self.scan, view), None
+        if self.point_labels is not None:
+            common = TABLES["semantic-kitti", "common-15"][self.point_labels]
+            common = np.where(common == COMMON15.id_of("unlabeled"), IGNORE, common).astype(np.uint8)
+            labels = range_image.spread(torch.from_numpy(common), IGNORE).numpy()
+        return PanoramaGroundTruth(
+            view=view, image=image, valid=valid, labels=labels, depth_m=range_image.channels[0].numpy()
+        )
 
 
-def read_json(path: Path) -> Any:
-    """The contents of a JSON file; InputError where it is missing or no JSON."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); complete the data set") from error
-    except ValueError as error:
-        raise InputError(f"{path}: is no JSON ({error}); replace it") from error
+def read_camera(
+    path: Path, K: np.ndarray, T_camera_lidar: np.ndarray, vehicle_line: Sequence[tuple[float, float]] = ()
+) -> CameraImage:
+    """Read a camera's image; below the line through the pixels `vehicle_line` (u, v), u rising, it shows the vehicle.
 
-
-def read_photo(
-    path: Path, K: np.ndarray, T_camera_lidar: np.ndarray, own_car: Sequence[tuple[float, float]] = ()
-) -> Photo:
-    """Read a camera's picture; `own_car`: pixels (u, v), u rising, below whose line the picture shows its own car.
-
-    InputError where the picture is missing or damaged, and where the matrices are none of a camera.
+    Raises InputError where the image is missing or damaged.
     """
-    try:
-        with Image.open(path) as file:
-            picture = np.array(file.convert("RGB"))
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: is missing; complete the data set") from error
-    except (OSError, UnidentifiedImageError) as error:
-        raise InputError(f"{path}: is no readable picture; replace it") from error
-    height, width = picture.shape[:2]
+    image = read_image(path, "RGB")
+    height, width = image.shape[:2]
+    ego_mask = None
+    if vehicle_line:
+        u, v = np.array(vehicle_line).T
+        ego_mask = np.arange(height)[:, None] >= np.interp(np.arange(width), u, v)
     calibration = Calibration(K=K, T_camera_lidar=T_camera_lidar, size=(width, height))
-    clear = None
-    if own_car:
-        u, v = np.array(own_car).T
-        clear = np.arange(height)[:, None] < np.interp(np.arange(width), u, v)
-    return Photo(picture=picture, calibration=calibration, clear=clear)
+    return CameraImage(image=image, calibration=calibration, ego_mask=ego_mask)
 
 
-def matrix(path: Path, entry: Mapping[str, Any], name: str, shape: tuple[int, int]) -> np.ndarray:
+def matrix(path: Path, entry: Any, name: str, shape: tuple[int, int]) -> np.ndarray:  # noqa: ANN401 of a JSON file
     """The matrix `name` of a JSON file's entry, float64; InputError where it is missing or not of this shape.
 
-    A (4, 4) must be a motion: a rotation and a translation.
+    A (4, 4) must be a motion (a rotation and a translation), a (3, 3) invertible.
     """
     try:
         values = np.array(entry[name], dtype=np.float64)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: holds no matrix {name!r}; take the file from the data set") from error
     if values.shape != shape or not np.isfinite(values).all():
         raise InputError(f"{path}: {name!r} must be {shape[0]}x{shape[1]} finite numbers, it is {values.shape}")
@@ -91,6 +114,8 @@ def matrix(path: Path, entry: Mapping[str, Any], name: str, shape: tuple[int, in
         R = values[:3, :3]
         if np.linalg.det(R) < 0 or not np.allclose(R @ R.T, np.eye(3), atol=ROTATION_TOLERANCE):
             raise InputError(f"{path}: {name!r} holds no rotation; take the file from the data set")
+    elif values[0, 0] <= 0 or values[1, 1] <= 0 or abs(np.linalg.det(values)) < 1e-9:
+        raise InputError(f"{path}: {name!r} is no camera matrix; take the file from the data set")
     return values
 
 

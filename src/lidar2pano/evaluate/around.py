@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,10 +12,10 @@ from torch import Tensor
 from lidar2pano.calibration import Calibration
 from lidar2pano.evaluate.questions import Origin, Question, Seen
 from lidar2pano.geometry.camera import panorama_in_camera
+from lidar2pano.hardware import Timer
 from lidar2pano.models.painter import Scene
 from lidar2pano.panorama import Panorama
-from lidar2pano.pipeline import Memory, Pipeline, Stopwatch, Translated
-from lidar2pano.scan import Scan
+from lidar2pano.pipeline import Memory, Pipeline, Translated
 
 SAME_PLACE_M = 1e-6
 
@@ -27,16 +27,6 @@ class Blank:
         """As StreamPainter says: grey."""
         rows, columns = scene.segments.shape[-2:]
         return past, scene.segments.new_zeros(1, 3, 2 * rows, 2 * columns)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Resumed(Pipeline):
-    """A pipeline that has translated the scan already: its step paints and finishes."""
-
-    found: Translated
-
-    def translated(self, scan: Scan, watch: Stopwatch) -> Translated:  # noqa: ARG002
-        return self.found
 
 
 class _Look(NamedTuple):
@@ -73,12 +63,12 @@ class Around:
         if not places:
             return past, Seen(labels=pipeline.segmenter.points(question.scan, pipeline.device).cpu().numpy())
         looks: dict[str, _Look] = {}
-        watch = Stopwatch(pipeline.device)
+        watch = Timer(pipeline.device)
         for number, (name, place) in enumerate(places.items()):
             moved = replace(pipeline, view=replace(pipeline.view, origin=place))
             if not question.painted:
                 moved = replace(moved, painter=Blank())
-            mine = Stopwatch(pipeline.device) if number else watch
+            mine = Timer(pipeline.device) if number else watch
             wanted = question.painted or name == "around" or (len(places) == 1 and question.origin is not None)
             memories[name], looks[name] = _look(moved, question, memories.get(name, Memory()), mine, wanted)
         around = looks.get("around", looks.get("camera")) if question.origin is not None else None
@@ -92,7 +82,7 @@ class Around:
             return memories, seen
         return memories, self._in_camera(seen, looks["camera"], calibration, watch, question.painted)
 
-    def _in_camera(self, seen: Seen, look: _Look, calibration: Calibration, watch: Stopwatch, painted: bool) -> Seen:
+    def _in_camera(self, seen: Seen, look: _Look, calibration: Calibration, watch: Timer, painted: bool) -> Seen:
         """The answer with the camera's look into the panorama."""
         with watch("camera"):
             lookup = panorama_in_camera(look.pipeline.view, calibration).to(look.pipeline.device)
@@ -116,14 +106,10 @@ def _places(question: Question) -> dict[str, tuple[float, float, float]]:
     return places
 
 
-def _look(
-    pipeline: Pipeline, question: Question, memory: Memory, watch: Stopwatch, wanted: bool
-) -> tuple[Memory, _Look]:
+def _look(pipeline: Pipeline, question: Question, memory: Memory, watch: Timer, wanted: bool) -> tuple[Memory, _Look]:
     """Translate, and where the panorama is wanted go on to it."""
-    found = pipeline.translated(question.scan, watch)
+    found = pipeline.translate(question.scan, watch)
     if not wanted:
         return memory, _Look(found, pipeline, None)
-    parts = {one.name: getattr(pipeline, one.name) for one in fields(Pipeline)}
-    memory, panorama = _Resumed(**parts, found=found).step(memory, question.scan, question.pose)
-    watch.milliseconds.update(panorama.milliseconds)
+    memory, panorama = pipeline.paint(found, memory, question.pose, watch)
     return memory, _Look(found, pipeline, panorama)

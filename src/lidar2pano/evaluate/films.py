@@ -12,12 +12,11 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from lidar2pano.errors import InputError
+from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.models.card import Card, load, read_card
-from lidar2pano.models.precision import fast_arithmetic
-from lidar2pano.models.vid2vid import Vid2Vid
+from lidar2pano.models.vid2vid import Vid2Vid, Vid2VidSingle
 from lidar2pano.models.vid2vid_painter import Past, Vid2VidPainter
-from lidar2pano.models.vid2vid_single import Vid2VidSingle
-from lidar2pano.sensors import VIEWS
+from lidar2pano.views import VIEWS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

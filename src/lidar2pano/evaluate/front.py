@@ -16,11 +16,11 @@ from lidar2pano.evaluate.questions import Origin, Question, Seen
 from lidar2pano.geometry.images import Normalisation, one_hot_layers
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import project
+from lidar2pano.hardware import Timer
 from lidar2pano.labels import SEMANTIC_KITTI, TABLES
-from lidar2pano.models.segmenter import Segmenter
 from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.pipeline import Stopwatch
-from lidar2pano.sensors import View
+from lidar2pano.pipeline import Segmenter
+from lidar2pano.views import View
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,7 +46,7 @@ class Front:
         """As System says; scores are stretched bilinearly to the camera's image, then the best one is taken."""
         if question.calibration is None:
             return past, Seen(labels=self.segmenter.points(question.scan, self.device).cpu().numpy())
-        watch = Stopwatch(self.device)
+        watch = Timer(self.device)
         with watch("project"):
             image = project(question.scan, self.segmenter.view, device=self.device)
             front = project(question.scan, self.view, device=self.device)
@@ -101,7 +101,7 @@ class Direct:
         """As System says: colours and nothing else."""
         if question.calibration is None or not question.painted:
             return past, Seen()
-        watch = Stopwatch(self.device)
+        watch = Timer(self.device)
         with watch("project"):
             seen = self._evidence(question)
         with watch("render"):
@@ -133,7 +133,7 @@ class Ceiling:
         """As System says: colours, where classes are known."""
         if question.ids is None or not question.painted:
             return past, Seen()
-        watch = Stopwatch(self.painter.device)
+        watch = Timer(self.painter.device)
         with watch("paint"):
             past, colour = self.painter.paint(past, torch.from_numpy(np.ascontiguousarray(question.ids)))
         return past, Seen(colour=colour, milliseconds=watch.milliseconds)

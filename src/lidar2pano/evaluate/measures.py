@@ -12,12 +12,12 @@ import torch
 from torch import Tensor
 
 from lidar2pano.errors import InputError, closest
+from lidar2pano.hardware import pick_device
 from lidar2pano.labels import TABLES
 from lidar2pano.metrics.frechet import fingerprint
 from lidar2pano.metrics.inception import find_inception, load_inception
 from lidar2pano.models.camera_segmenter import CameraSegmenter
 from lidar2pano.models.card import load
-from lidar2pano.models.precision import pick_device
 from lidar2pano.models.sdnet import SdNet
 
 KINDS = ("points", "classes", "pictures", "depth", "seams", "time", "roll")

@@ -13,7 +13,7 @@ import torch
 from lidar2pano.geometry.camera import Lookup
 from lidar2pano.geometry.projection import directions, pixels
 from lidar2pano.panorama import Panorama
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 WINDOWS = 4  # a quarter of KITTI's panorama has about the shape of the camera's image
 GREY = 128  # of what is not known, on both sides

@@ -11,7 +11,7 @@ from lidar2pano.data.truths import TruePanorama, Truth
 from lidar2pano.evaluate.around import SAME_PLACE_M
 from lidar2pano.evaluate.rasters import same_raster
 from lidar2pano.geometry.camera import panorama_in_camera
-from lidar2pano.geometry.filling import dense_depth
+from lidar2pano.geometry.depth_completion import complete_depth
 from lidar2pano.geometry.flow import Flow, ego_flow, scan_distances
 from lidar2pano.geometry.warp import warp
 from lidar2pano.labels import COMMON15
@@ -91,7 +91,7 @@ def _around(truth: Truth) -> Tensor | None:
         return torch.where(distance == 0, torch.inf, distance)
     if around.view.kind != "cylinder":
         return None
-    return dense_depth(torch.from_numpy(truth.scan.xyz), around.view)
+    return complete_depth(torch.from_numpy(truth.scan.xyz), around.view)
 
 
 def _drawn(around: TruePanorama) -> bool:

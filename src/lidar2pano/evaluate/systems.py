@@ -16,10 +16,10 @@ from lidar2pano.evaluate.front import Ceiling, Direct, Front
 from lidar2pano.evaluate.questions import Origin, System
 from lidar2pano.evaluate.weights import FRONT, ROLES, STEADY, TRUTH, default_files, links, named_files
 from lidar2pano.geometry.images import Normalisation
+from lidar2pano.hardware import pick_device
 from lidar2pano.models.card import Card, load, read_card
-from lidar2pano.models.precision import pick_device
-from lidar2pano.models.segmenter import Segmenter
-from lidar2pano.pipeline import Pipeline, card_view, load_painter, load_part, load_segmenter, sensor_view
+from lidar2pano.pipeline import Pipeline, Segmenter, card_view, load_painter, load_part, load_segmenter
+from lidar2pano.views import sensor_view
 
 TOLD = ("network", "recipe", "data", "steps", "hours", "commit", "sha256")  # of a card, in results
 

@@ -13,7 +13,7 @@ import numpy as np
 from lidar2pano.data.truths import Truth
 from lidar2pano.evaluate.questions import Seen
 from lidar2pano.evaluate.rasters import Carried
-from lidar2pano.formats.pictures import write_png, write_whole
+from lidar2pano.formats.image_files import write_png, write_whole
 from lidar2pano.labels import COMMON15
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.geometry.projection import directions, pixels
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
@@ -16,7 +17,7 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.geometry.camera import points_in_camera
 from lidar2pano.geometry.projection import directions, pixels
 from lidar2pano.geometry.warp import warp
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 SAME = 0.03  # share by which two distances of one surface may differ
 FAINT = 5e-4  # 1/m, likewise near the horizon: depth pictures end at 256 m, and beyond is the sky
@@ -50,6 +51,11 @@ def chained(later: Flow, earlier: Flow, *, closed: bool = False) -> Flow:
     known = later.known.float() * on * reaches(shift, closed=closed)
     known = known.where(known > FAINT, 0.0)  # not what rounding leaves of zero
     return Flow(shift=shift * (known > 0)[:, None], known=known)
+
+
+def relative_pose(T_world_before: np.ndarray, T_world_now: np.ndarray) -> Tensor:
+    """T_before_now (4, 4) float64 of two poses: the sensor's coordinates now -> its coordinates before, metres."""
+    return torch.from_numpy(np.linalg.inv(T_world_before) @ T_world_now)
 
 
 def ego_flow(

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn.functional import one_hot
 
 from lidar2pano.labels import LabelSet
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

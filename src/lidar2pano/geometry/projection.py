@@ -13,7 +13,7 @@ from torch import Tensor
 
 from lidar2pano.geometry.images import RangeImage
 from lidar2pano.scan import Scan
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 FULL_TURN = 2 * math.pi  # radians
 FAR_OUT = 1_000_000.0  # rows: a bound for points straight above or below, so that they fit an integer
@@ -46,10 +46,15 @@ def project_points(xyz: Tensor, remission: Tensor, view: View) -> RangeImage:
     if view.circular:
         column = column.remainder(view.columns)
     inside = usable & (row >= 0) & (row < view.rows) & (column >= 0) & (column < view.columns)
-    index, owner, cell = _owners(row, column, range_m, inside, view)
-    channels = xyz.new_zeros(5, view.rows * view.columns)
+    cells = view.rows * view.columns
+    cell = torch.where(inside, row * view.columns + column, cells)
+    index = nearest_points(cell, range_m, cells)
+    owned = (index >= 0).nonzero()[:, 0]
+    owner = index.index_select(0, owned)
+    channels = xyz.new_zeros(5, cells)
     for channel, value in zip(channels, (range_m, x, y, z, remission), strict=True):
-        channel.scatter_(0, cell, value.index_select(0, owner))
+        channel.scatter_(0, owned, value.index_select(0, owner))
+    index = index.view(view.rows, view.columns)
     return RangeImage(
         view=view,
         channels=channels.view(5, view.rows, view.columns),
@@ -111,18 +116,15 @@ def back_project(range_m: Tensor, view: View) -> Tensor:
     return points.where(range_m[..., None] > 0, torch.nan)
 
 
-def _owners(row: Tensor, column: Tensor, range_m: Tensor, inside: Tensor, view: View) -> tuple[Tensor, Tensor, Tensor]:
-    """Index (H, W) of the nearest point per pixel, -1 for none; the points that own a pixel, and which (flat).
+def nearest_points(cell: Tensor, distance_m: Tensor, cells: int) -> Tensor:
+    """Z-buffer: index (cells,) int64 of the point that owns each cell, the nearest; -1 where there is none.
+
+    cell        (N,) int64 in [0, cells): the cell that each point falls into; `cells` for a point that is out of view.
+    distance_m  (N,) float32, not negative; of equal distances the first in file order owns the cell.
 
     A float's bits order like the float when it is positive; with the point's number below them, the least key is the
-    nearest point and, at equal range, the first.
+    nearest point and, at equal distance, the first.
     """
-    cells = view.rows * view.columns
-    number = torch.arange(len(row), device=row.device)
-    key = (range_m.view(torch.int32).long() << 32) | number
-    cell = torch.where(inside, row * view.columns + column, cells)  # one cell more, for what is out of view
-    least = torch.full((cells + 1,), NOBODY, device=row.device)
-    least.scatter_reduce_(0, cell, key, "amin")
-    index = least.bitwise_left_shift_(32).bitwise_right_shift_(32)  # the low 32 bits with their sign
-    owner = ((index.index_select(0, cell) == number) & inside).nonzero()[:, 0]
-    return index[:cells].view(view.rows, view.columns), owner, cell.index_select(0, owner)
+    key = (distance_m.view(torch.int32).long() << 32) | torch.arange(len(cell), device=cell.device)
+    least = torch.full((cells + 1,), NOBODY, device=cell.device).scatter_reduce_(0, cell, key, "amin")
+    return least[:cells].bitwise_left_shift(32).bitwise_right_shift_(32)  # the low 32 bits with their sign

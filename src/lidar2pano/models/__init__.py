@@ -2,43 +2,41 @@
 
 from __future__ import annotations
 
-import inspect
-from importlib import import_module
-from typing import TYPE_CHECKING
+from torch import nn
 
 from lidar2pano.errors import InputError, closest
+from lidar2pano.models.painter import Painter
+from lidar2pano.models.patch_critic import PatchCritic
+from lidar2pano.models.pix2pix import PatchGan, Pix2Pix
+from lidar2pano.models.projected_critic import ProjectedCritic
+from lidar2pano.models.salsanext import SalsaNext
+from lidar2pano.models.scene_painter import ScenePainter
+from lidar2pano.models.scunet import ScUnet
+from lidar2pano.models.sdnet import SdNet
+from lidar2pano.models.titan import Titan, TitanCritic
+from lidar2pano.models.titan_next import TitanNext
+from lidar2pano.models.titan_pano import TitanPano
+from lidar2pano.models.vid2vid import ImageCritic, TemporalCritic, Vid2Vid, Vid2VidSingle
 
-if TYPE_CHECKING:
-    from torch import nn
-
-# name -> module of this package and class in it; imported on first use, so that listing the names needs no torch
-MODELS: dict[str, str] = {
-    "salsanext": "salsanext:SalsaNext",
-    "titan": "titan:Titan",
-    "titan-critic": "titan_critic:TitanCritic",
-    "titan-next": "titan_next:TitanNext",
-    "titan-pano": "titan_pano:TitanPano",
-    "painter": "painter:Painter",
-    "scene-painter": "scene_painter:ScenePainter",
-    "projected-critic": "projected_critic:ProjectedCritic",
-    "patch-critic": "patch_critic:PatchCritic",
-    "vid2vid": "vid2vid:Vid2Vid",
-    "vid2vid-single": "vid2vid_single:Vid2VidSingle",
-    "vid2vid-image-critic": "vid2vid_critics:ImageCritic",
-    "vid2vid-temporal-critic": "vid2vid_critics:TemporalCritic",
-    "pix2pix": "pix2pix:Pix2Pix",
-    "pix2pix-critic": "pix2pix:PatchGan",
-    "scunet": "scunet:ScUnet",
-    "sdnet": "sdnet:SdNet",
+MODELS: dict[str, type[nn.Module]] = {
+    "salsanext": SalsaNext,
+    "titan": Titan,
+    "titan-critic": TitanCritic,
+    "titan-next": TitanNext,
+    "titan-pano": TitanPano,
+    "painter": Painter,
+    "scene-painter": ScenePainter,
+    "projected-critic": ProjectedCritic,
+    "patch-critic": PatchCritic,
+    "vid2vid": Vid2Vid,
+    "vid2vid-single": Vid2VidSingle,
+    "vid2vid-image-critic": ImageCritic,
+    "vid2vid-temporal-critic": TemporalCritic,
+    "pix2pix": Pix2Pix,
+    "pix2pix-critic": PatchGan,
+    "scunet": ScUnet,
+    "sdnet": SdNet,
 }
-
-
-def network_class(name: str) -> type[nn.Module]:
-    """The class behind a name of MODELS; an unknown name raises InputError."""
-    if name not in MODELS:
-        raise InputError(f"no network {name!r}{closest(name, MODELS)}")
-    module, _, class_name = MODELS[name].partition(":")
-    return getattr(import_module(f"{__name__}.{module}"), class_name)
 
 
 def build(name: str, **settings: object) -> nn.Module:
@@ -46,9 +44,9 @@ def build(name: str, **settings: object) -> nn.Module:
 
     >>> build("salsanext", classes=20)
     """
-    made_by = network_class(name)
-    known = inspect.signature(made_by).parameters
-    for setting in settings:
-        if setting not in known:
-            raise InputError(f"network {name!r} has no setting {setting!r}{closest(setting, known)}")
-    return made_by(**settings)
+    if name not in MODELS:
+        raise InputError(f"no network {name!r}{closest(name, MODELS)}")
+    known = MODELS[name].__init__.__annotations__.keys() - {"return"}
+    if unknown := [setting for setting in settings if setting not in known]:
+        raise InputError(f"network {name!r} has no setting {unknown[0]!r}{closest(unknown[0], known)}")
+    return MODELS[name](**settings)

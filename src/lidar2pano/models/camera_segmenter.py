@@ -10,9 +10,9 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.errors import InputError
+from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.models.card import Card
-from lidar2pano.models.precision import fast_arithmetic
 
 
 class CameraTeacher(Protocol):

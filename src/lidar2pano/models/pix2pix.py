@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate, pad
 
 from lidar2pano.errors import InputError
-from lidar2pano.models.vid2vid_parts import Norm, batch_norms, start_as_published
+from lidar2pano.models.vid2vid import Norm, batch_norms, start_as_published
 
 NORMS = ("batch", "instance")
 MOST_WIDTHS = 8  # no level has more than this many times `width` channels

@@ -6,6 +6,7 @@ weights are read: nothing in the file is executed.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,13 +17,14 @@ from torch import Tensor, nn
 
 from lidar2pano.errors import InputError, closest
 from lidar2pano.geometry.images import Normalisation
-from lidar2pano.labels import CITYSCAPES, COMMON14, SEMANTIC_KITTI
-from lidar2pano.models import build, published_settings
+from lidar2pano.labels import CITYSCAPES, CITYSCAPES_IDS, COMMON14, SEMANTIC_KITTI
+from lidar2pano.models import build
 from lidar2pano.models.camera_segmenter import Colours
 from lidar2pano.models.card import Card, mismatch
-from lidar2pano.models.published_files import read_table, scale_files
-from lidar2pano.sensors import VIEWS
+from lidar2pano.views import VIEWS
 
+Shapes = Mapping[str, tuple[int, ...]]
+CAR = CITYSCAPES_IDS.id_of("car")  # the one class that published street networks paint apart
 _POINTS = Normalisation()
 _COUNTER = "num_batches_tracked"
 
@@ -32,6 +34,124 @@ def _centred(mean: Sequence[float], deviation: Sequence[float]) -> dict[str, lis
 
 
 _SIGNED = _centred([0.5] * 3, [0.5] * 3)  # RGB in [0, 1] -> [-1, 1]
+
+
+# How published networks were built, from the names and shapes of their weights: keyword arguments for `build`. Whether
+# every key and shape fits is checked afterwards, against the network that they describe. A missing key raises KeyError.
+
+
+def sdnet(shapes: Shapes) -> dict[str, Any]:
+    """SD-Net: classes and sizes; it looks at the scales that it was made with, 0.5 and 1."""
+    modules = [_count(shapes, rf"backbone\.stage{stage}\.\d+\.branches\.0\.0\.conv1\.weight") for stage in (2, 3, 4)]
+    return {
+        "classes": shapes["ocr.cls_head.weight"][0],
+        "width": shapes["backbone.stage2.0.branches.0.0.conv1.weight"][0],
+        "stem": shapes["backbone.conv1.weight"][0],
+        "blocks": _count(shapes, r"backbone\.stage2\.0\.branches\.0\.\d+\.conv1\.weight"),
+        "modules": modules,
+        "context": shapes["ocr.conv3x3_ocr.0.weight"][0],
+    }
+
+
+def vid2vid(shapes: Shapes) -> dict[str, Any]:
+    """vid2vid's generator, keys of scale n behind "n.".
+
+    Norms use the statistics of what they are given, since the published test program never leaves training mode. What
+    is painted apart is the car, the only choice published for streets; other label sets than Cityscapes' ids with such
+    a branch raise InputError.
+    """
+    inputs, previous = shapes["0.model_down_seg.1.weight"][1], shapes["0.model_down_img.1.weight"][1]
+    frames = previous // 3 + 1
+    apart = any(key.startswith("0.indv_") for key in shapes)
+    if inputs % frames or previous % 3:
+        raise InputError(f"{inputs} label and {previous} picture channels are not those of whole frames")
+    if apart and inputs // frames not in (len(CITYSCAPES_IDS), len(CITYSCAPES_IDS) + 1):
+        raise InputError(
+            f"it paints some of its {inputs // frames} label channels apart and does not say which; only networks of"
+            f" Cityscapes' {len(CITYSCAPES_IDS)} ids can be imported with such a branch"
+        )
+    scales = 1 + max(int(key.partition(".")[0]) for key in shapes if key[:1].isdigit())
+    blocks = [
+        _count(shapes, rf"{branch}\.\d+\.conv_block\.1\.weight")
+        for branch in (r"0\.model_down_seg", r"0\.model_res_img", r"1\.model_up_img")
+    ]
+    return {
+        "channels": inputs // frames,
+        "widths": [shapes[f"{scale}.model_down_seg.1.weight"][0] for scale in range(scales)],
+        "downsamplings": _convolutions(shapes, r"0\.model_down_seg\.\d+\.weight") - 1,
+        "blocks": [blocks[0] + blocks[1], blocks[2]],
+        "foreground": [CAR] if apart else [],
+        "frames": frames,
+        "batch_statistics": True,
+    }
+
+
+def vid2vid_single(shapes: Shapes) -> dict[str, Any]:
+    """vid2vid's first-frame network; its norms, too, use the statistics of what they are given."""
+    enhancers = _count(shapes, r"model\d+_1\.1\.weight")
+    finest = shapes[f"model{enhancers}_1.1.weight" if enhancers else "model.1.weight"]
+    layers = _convolutions(shapes, r"model\.\d+\.weight")  # one, as many down as up, and without enhancers a head
+    return {
+        "classes": finest[1],
+        "width": finest[0],
+        "downsamplings": (layers - 1) // 2,
+        "blocks": _count(shapes, r"model\.\d+\.conv_block\.1\.weight"),
+        "enhancers": enhancers,
+        "local_blocks": _count(shapes, r"model1_2\.\d+\.conv_block\.1\.weight"),
+        "batch_statistics": True,
+    }
+
+
+def vid2vid_critic(shapes: Shapes) -> dict[str, Any]:
+    """vid2vid's critics of pictures and of clips."""
+    scales = _count(shapes, r"scale\d+_layer0\.0\.weight")
+    width, channels = shapes[f"scale{scales - 1}_layer0.0.weight"][:2]  # the last one sees the whole picture
+    layers = _count(shapes, r"scale0_layer\d+\.0\.weight") - 2
+    return {"channels": channels, "width": width, "layers": layers, "scales": scales}
+
+
+def pix2pix(shapes: Shapes) -> dict[str, Any]:
+    """Pix2Pix' U-Net. Batch norms use the statistics of the batch, as the published test command does.
+
+    Convolutions have a bias before instance norms only.
+    """
+    width, inputs = shapes["model.model.0.weight"][:2]
+    instance = "model.model.0.bias" in shapes
+    return {
+        "inputs": inputs,
+        "outputs": shapes["model.model.3.weight"][1],
+        "width": width,
+        "depth": 1 + _count(shapes, r"model\.model\.1(\.model\.3)*\.model\.1\.weight"),
+        "norm": "instance" if instance else "batch",
+        "batch_statistics": not instance,
+    }
+
+
+def pix2pix_critic(shapes: Shapes) -> dict[str, Any]:
+    """Pix2Pix' PatchGAN."""
+    width, channels = shapes["model.0.weight"][:2]
+    layers = _convolutions(shapes, r"model\.\d+\.weight") - 2
+    return {
+        "channels": channels,
+        "width": width,
+        "layers": layers,
+        "norm": "instance" if "model.2.bias" in shapes else "batch",
+    }
+
+
+def fixed(shapes: Shapes) -> dict[str, Any]:  # noqa: ARG001 whatever they are
+    """A network that is published in one size only."""
+    return {}
+
+
+def _count(shapes: Shapes, pattern: str) -> int:
+    """How many keys are of a pattern."""
+    return sum(re.fullmatch(pattern, key) is not None for key in shapes)
+
+
+def _convolutions(shapes: Shapes, pattern: str) -> int:
+    """How many weights with four dimensions have keys of a pattern."""
+    return _count({key: shape for key, shape in shapes.items() if len(shape) == 4}, pattern)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +173,7 @@ class Published:
     view: str | None
     labels: str | None
     normalisation: dict[str, list[float]]
-    settings: Callable[[published_settings.Shapes], dict[str, Any]] = published_settings.fixed
+    settings: Callable[[Shapes], dict[str, Any]] = fixed
     by_scale: bool = False
     old: bool = False
 
@@ -73,7 +193,7 @@ _VID2VID = Published(
     view=None,
     labels=None,
     normalisation=_SIGNED,
-    settings=published_settings.vid2vid,
+    settings=vid2vid,
     by_scale=True,
     old=True,
 )
@@ -84,10 +204,10 @@ _PIX2PIX = Published(
     view=None,
     labels=None,
     normalisation=_SIGNED,
-    settings=published_settings.pix2pix,
+    settings=pix2pix,
     old=True,
 )
-_CRITIC = replace(_VID2VID, settings=published_settings.vid2vid_critic, by_scale=False)
+_CRITIC = replace(_VID2VID, settings=vid2vid_critic, by_scale=False)
 PUBLISHED: dict[str, Published] = {
     "salsanext": replace(
         _TITAN,
@@ -105,14 +225,14 @@ PUBLISHED: dict[str, Published] = {
         view=None,
         labels=CITYSCAPES.name,
         normalisation=Colours().as_dict(),
-        settings=published_settings.sdnet,
+        settings=sdnet,
     ),
     "vid2vid": _VID2VID,
-    "vid2vid-single": replace(_VID2VID, settings=published_settings.vid2vid_single, by_scale=False),
+    "vid2vid-single": replace(_VID2VID, settings=vid2vid_single, by_scale=False),
     "vid2vid-image-critic": _CRITIC,
     "vid2vid-temporal-critic": _CRITIC,
     "pix2pix": _PIX2PIX,
-    "pix2pix-critic": replace(_PIX2PIX, settings=published_settings.pix2pix_critic),
+    "pix2pix-critic": replace(_PIX2PIX, settings=pix2pix_critic),
 }
 
 
@@ -224,3 +344,87 @@ def _modern(ours: Mapping[str, object], blank: nn.Module) -> dict[str, object]:
     if not any(key.endswith(f".{_COUNTER}") for key in kept):
         kept |= {key: torch.zeros((), dtype=torch.int64) for key in counters}
     return kept
+
+
+class _Bystander:
+    """Stands for an object in a checkpoint that is no weight: takes whatever it is given and keeps none of it."""
+
+    def __new__(cls, *_: object) -> _Bystander:
+        return object.__new__(cls)
+
+    def __init__(self, *_: object) -> None:
+        """Keep nothing."""
+
+    def __setstate__(self, state: object) -> None:
+        """Keep nothing."""
+
+
+class _PlainDict(_Bystander):
+    def __new__(cls, *_: object) -> dict:
+        return {}
+
+
+def _stand_in(name: str, kind: type[_Bystander] = _Bystander) -> type:
+    module, _, last = name.rpartition(".")
+    return type(last, (kind,), {"__module__": module, "__qualname__": last})
+
+
+# SalsaNext's checkpoints hold the whole warm-up scheduler (common/warmupLR.py) and, through it, the optimizer; SD-Net's
+# hold the score of their epoch as a number of numpy's. Torch refuses such files because of these names; each is read as
+# an object without content.
+_BYSTANDERS: list[Callable | tuple[Callable, str]] = [
+    _stand_in("torch.optim.lr_scheduler.CyclicLR"),
+    _stand_in("torch.optim.sgd.SGD"),
+    _stand_in("builtins.getattr"),  # of a bound method, scheduler.scale_fn
+    _stand_in("builtins.dict"),  # the factory of the next
+    _stand_in("collections.defaultdict", _PlainDict),
+    _stand_in("numpy.core.multiarray.scalar"),
+    _stand_in("numpy._core.multiarray.scalar"),  # its name since numpy 2
+    _stand_in("numpy.dtype"),
+]
+
+
+def read_table(path: Path) -> dict[str, object]:
+    """The table of weights in a torch file: a state dict, or one under "state_dict"; "module." is taken off its keys.
+
+    Raises InputError for a file that is absent, damaged or hostile, or has no such table; nothing in it is executed.
+    """
+    table = _content(path)
+    table = table.get("state_dict", table)
+    if not isinstance(table, Mapping) or not all(isinstance(key, str) for key in table):
+        raise InputError(f"{path} has no table of weights; give the checkpoint file that the authors published")
+    bare = {key.removeprefix("module."): value for key, value in table.items()}
+    if len(bare) < len(table):
+        raise InputError(f"{path} has the same weights twice, with and without 'module.'; give the authors' file")
+    return bare
+
+
+def _content(path: Path) -> Mapping:
+    if not path.is_file():
+        raise InputError(f"no checkpoint file {path}; check the path")
+    try:
+        with torch.serialization.safe_globals(_BYSTANDERS):
+            content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception:  # a broken or hostile file can break torch's restricted reader anywhere
+        raise InputError(
+            f"{path} cannot be read as weights: it is cut off, no torch checkpoint, or holds more than weights; "
+            "fetch it anew from its authors"
+        ) from None
+    if not isinstance(content, Mapping):
+        raise InputError(f"{path} has no table of weights; give the checkpoint file that the authors published")
+    return content
+
+
+def scale_files(folder: Path) -> list[Path]:
+    """Vid2vid's files of one generator in a folder, "<epoch>_net_G<scale>.pth" per scale; of several, "latest".
+
+    Raises InputError when there is none, or when it is not clear which.
+    """
+    epochs: dict[str, list[Path]] = {}
+    for path in sorted(folder.glob("*_net_G[0-9].pth")):
+        epochs.setdefault(re.sub(r"_net_G\d\.pth$", "", path.name), []).append(path)
+    if not epochs:
+        raise InputError(f"{folder}: holds no *_net_G0.pth; name the files of the generator")
+    if len(epochs) > 1 and "latest" not in epochs:
+        raise InputError(f"{folder}: holds generators of several epochs ({', '.join(epochs)}); name the files of one")
+    return epochs["latest"] if "latest" in epochs else next(iter(epochs.values()))

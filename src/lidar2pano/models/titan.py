@@ -1,15 +1,17 @@
-"""TITAN-Net's generator: what the camera would see, as class scores, from a segmented LiDAR scan.
+"""TITAN-Net: what the camera would see, as class scores, from a segmented LiDAR scan; and its Wasserstein critic.
 
 Paper     Cortinhal, Kurnaz, Aksoy: Semantics-aware Multi-modal Domain Translation: From LiDAR Point Clouds to
           Panoramic Color Images, 2021 (arXiv:2106.13974), section 3.
 Upstream  https://github.com/TiagoCortinhal/TITAN-NET, commit 5e00db9 (no licence file; its README says MIT; the
           authors' weights were trained on SemanticKITTI, CC BY-NC-SA 4.0). Written anew here; parameter names are
           the published ones.
-Deviates  from the published code in three points:
+Deviates  from the published code in five points:
           logits come out instead of softmax, as in SalsaNext;
           the image size is a setting (the published one is the constant 376 x 1241);
           the norms of the one-channel merges are made for one channel (the published ones say 30, which works only
-          because they have no parameters, and warns).
+          because they have no parameters, and warns);
+          the critic's channel counts are settings that count (the published constructor ignores them and says 45);
+          its condition is stretched to the image that it is given with (the published one to the constant 376 x 1241).
 Ablations of the paper (section 4.5) are settings: channels=0 does without the range view ("w/o Rangeview");
 conditions=0 without segments, and with picture=True colours are made instead of classes ("w/o SegMap").
 """
@@ -26,6 +28,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.models.salsanext import ResBlock, Trunk
 
 IMAGE_SIZE = (376, 1241)  # rows, columns: KITTI's images, as published
+CONDITION_CHANNELS = 30  # of the critic's condition, after its convolutions
 
 
 def pixelwise(inputs: int, outputs: int, norm: type[nn.Module] = nn.InstanceNorm2d) -> nn.Sequential:
@@ -73,3 +76,35 @@ class Titan(Trunk):
         """(B, channels, H, W) and (B, conditions, H, W) -> (B, classes, *size) logits, or colours."""
         image = functional.interpolate(self.raster(z, condition), self.size, mode="bilinear", align_corners=True)
         return image.tanh() if self.picture else image
+
+
+def _halve(inputs: int, outputs: int) -> nn.Conv2d:
+    return nn.Conv2d(inputs, outputs, 4, stride=2, padding=1, bias=False)
+
+
+class TitanCritic(nn.Module):
+    """Wasserstein critic without norm layers, so that each sample's gradient can be penalised by itself.
+
+    image      (B, image_channels, h, w) float class probabilities (real ones are one-hot); h, w at least 64.
+    condition  (B, conditions, H, W) float one-hot segmentation of the scan.
+    out        (B, 1, h', w') scores without bound, h' about h/128: (3, 10) for 376 x 1241.
+    width      channels of the first block; each further one of the six has twice as many.
+    """
+
+    def __init__(self, image_channels: int = 15, conditions: int = 20, width: int = 64) -> None:
+        super().__init__()
+        widths = [image_channels + CONDITION_CHANNELS, *(width << block for block in range(6))]
+        layers: list[nn.Module] = []
+        for inputs, outputs in zip(widths, widths[1:], strict=False):
+            layers += [_halve(inputs, outputs), nn.LeakyReLU(0.2, inplace=True)]
+        self.model = nn.Sequential(*layers, nn.ZeroPad2d((1, 0, 1, 0)), _halve(widths[-1], 1))
+        self.conv1 = nn.Sequential(
+            nn.Conv2d(conditions, CONDITION_CHANNELS, 3, padding=1),
+            nn.Conv2d(CONDITION_CHANNELS, CONDITION_CHANNELS, 2, padding=1, dilation=2),
+            nn.Conv2d(CONDITION_CHANNELS, CONDITION_CHANNELS, 1),
+        )
+
+    def forward(self, image: Tensor, condition: Tensor) -> Tensor:
+        """(B, image_channels, h, w) and (B, conditions, H, W) -> (B, 1, h', w') scores."""
+        condition = functional.interpolate(self.conv1(condition), image.shape[-2:], mode="bilinear", align_corners=True)
+        return self.model(torch.cat([image, condition], 1))

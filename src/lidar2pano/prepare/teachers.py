@@ -15,16 +15,15 @@ from PIL import Image
 
 from lidar2pano.data.sequences import UNSURE
 from lidar2pano.errors import InputError
-from lidar2pano.formats.kitti import write_label
-from lidar2pano.formats.pictures import write_ids
+from lidar2pano.formats.image_files import write_ids
+from lidar2pano.formats.scan_files import write_label
+from lidar2pano.hardware import pick_device
 from lidar2pano.models.camera_segmenter import CameraSegmenter, CameraTeacher
 from lidar2pano.models.camera_teachers import KINDS, load_teacher, local_folder, parts_of
 from lidar2pano.models.card import load, read_card
 from lidar2pano.models.families import weight_files
-from lidar2pano.models.precision import pick_device
 from lidar2pano.models.sdnet import falling
-from lidar2pano.models.segmenter import Segmenter
-from lidar2pano.pipeline import load_segmenter
+from lidar2pano.pipeline import Segmenter, load_segmenter
 from lidar2pano.prepare.journal import stamp_of
 from lidar2pano.prepare.materials import Material
 

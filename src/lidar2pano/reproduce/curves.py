@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-from lidar2pano.formats.pictures import write_whole
+from lidar2pano.formats.image_files import write_whole
 
 
 def scalars(run: Path) -> dict[str, list[tuple[int, float]]]:

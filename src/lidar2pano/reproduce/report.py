@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from lidar2pano.formats.pictures import write_whole
+from lidar2pano.formats.image_files import write_whole
 from lidar2pano.reproduce.curves import write_curves
 from lidar2pano.reproduce.plan import Plan
 from lidar2pano.reproduce.run import Outcome

@@ -13,7 +13,7 @@ from typing import Any
 from lidar2pano.data.truths import Truths, truths
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import Measures, score, system
-from lidar2pano.formats.pictures import write_whole
+from lidar2pano.formats.image_files import write_whole
 from lidar2pano.models.card import read_card
 from lidar2pano.models.families import weight_files
 from lidar2pano.reproduce.plan import SEGMENTER, Plan

@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw
 from lidar2pano.data.truths import Truth, Truths
 from lidar2pano.evaluate import Measures, Seen, System
 from lidar2pano.evaluate.evaluation import ask
-from lidar2pano.formats.pictures import write_png, write_whole
+from lidar2pano.formats.image_files import write_png, write_whole
 from lidar2pano.labels import COMMON15
 
 SHOWN = 3  # frames of the split that pictures are kept of

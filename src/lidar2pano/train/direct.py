@@ -16,12 +16,12 @@ from lidar2pano.data.fronts import FrontSample, FrontSamples, Wanted
 from lidar2pano.errors import InputError, closest
 from lidar2pano.metrics.similarity import SSIM
 from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.sensors import VIEWS
 from lidar2pano.train.adversarial import wasserstein_updates
 from lidar2pano.train.front import called, image_size, range_view
 from lidar2pano.train.painting import BROAD
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import build_networks
+from lidar2pano.views import VIEWS
 
 EVIDENCE = ("front", "camera")
 

@@ -16,12 +16,12 @@ from lidar2pano.labels import COMMON14, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.metrics.confusion import Confusion
 from lidar2pano.models.card import load
-from lidar2pano.models.segmenter import Segmenter
 from lidar2pano.models.titan import IMAGE_SIZE
-from lidar2pano.sensors import VIEWS, View
+from lidar2pano.pipeline import Segmenter
 from lidar2pano.train.adversarial import wasserstein_updates
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import build_networks
+from lidar2pano.views import VIEWS, View
 
 
 class FrontTranslation:

@@ -16,17 +16,17 @@ from lidar2pano.data.panoramas import PanoramaSample, PanoramaSamples
 from lidar2pano.data.sequences import UNSURE
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.images import one_hot_layers
+from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.losses import feature_matching, hinge_critic, hinge_generator
 from lidar2pano.losses.diff_augment import Changes
 from lidar2pano.models.card import load
-from lidar2pano.models.precision import fast_arithmetic
-from lidar2pano.models.segmenter import Segmenter
 from lidar2pano.models.titan_pano import STRIDE, depth_code
-from lidar2pano.sensors import VIEWS
+from lidar2pano.pipeline import Segmenter
 from lidar2pano.train.panorama import conditions
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import build_networks
+from lidar2pano.views import VIEWS
 
 BROAD = 4  # pixels: colours are compared as means over squares of this size
 

@@ -14,16 +14,16 @@ from torch.nn.functional import cross_entropy
 from lidar2pano.data.panoramas import PanoramaSample, PanoramaSamples
 from lidar2pano.data.sequences import UNSURE
 from lidar2pano.geometry.images import one_hot_layers
+from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.metrics.confusion import Confusion
 from lidar2pano.models.card import load
-from lidar2pano.models.precision import fast_arithmetic
-from lidar2pano.models.segmenter import Segmenter
 from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.sensors import VIEWS
+from lidar2pano.pipeline import Segmenter
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import build_networks
+from lidar2pano.views import VIEWS
 
 
 class PanoramaTranslation:

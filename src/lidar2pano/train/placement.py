@@ -8,7 +8,7 @@ from typing import Literal
 import torch
 
 from lidar2pano.errors import InputError, closest
-from lidar2pano.models.precision import has_bfloat16
+from lidar2pano.hardware import has_bfloat16
 from lidar2pano.train.recipe import Training
 
 DEVICES = ("auto", "cpu", "cuda")

@@ -16,10 +16,10 @@ from lidar2pano.geometry.images import Normalisation
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.metrics.confusion import Confusion
-from lidar2pano.models.segmenter import Segmenter
-from lidar2pano.sensors import VIEWS
+from lidar2pano.pipeline import Segmenter
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import build_networks
+from lidar2pano.views import VIEWS
 
 
 class Segmentation:

@@ -17,13 +17,13 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.geometry.flow import Flow, chained
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.geometry.warp import warp
+from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.card import load
-from lidar2pano.models.precision import fast_arithmetic
-from lidar2pano.sensors import VIEWS
 from lidar2pano.train.film_critics import Film, FilmCritics, Frame, film
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import build_networks
+from lidar2pano.views import VIEWS
 
 GIVEN = 2  # pictures that the painter sees before the one it paints
 BROAD = 4  # pixels: colours are compared as means over squares of this size

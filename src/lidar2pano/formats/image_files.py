@@ -1,0 +1,87 @@
+"""Pictures on disk: RGB and class ids as PNG, depth as KITTI's 16 bit PNG; each file complete or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from lidar2pano.errors import InputError
+from lidar2pano.labels import COMMON15, LabelSet
+
+DEPTH_STEPS = 256  # per metre, KITTI's form of 16 bit depth
+FAST_PNG = 1  # zlib's level: a third of the default's time for a tenth more bytes
+SMALL_PNG = 9  # for what is written once and read often
+
+
+def read_image(path: Path, mode: str | None = None) -> np.ndarray:
+    """Read an image file: (h, w, 3) uint8 with mode "RGB"; without a mode the values as stored, e.g. ids or depths.
+
+    Raises InputError where the file is missing or damaged.
+    """
+    with _opened(path) as image:
+        return np.array(image.convert(mode) if mode else image)
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """(width, height) of an image file, by its header alone; raises like `read_image`."""
+    with _opened(path) as image:
+        return image.size
+
+
+def write_png(path: Path, colour: np.ndarray) -> None:
+    """Write an RGB picture (h, w, 3) uint8."""
+    Image.fromarray(colour).save(path, format="PNG", compress_level=FAST_PNG)
+
+
+def write_palette(path: Path, ids: np.ndarray, labels: LabelSet = COMMON15) -> None:
+    """Write ids (h, w) uint8 as a palette PNG: the pixels are the ids, the palette the colours of their label set."""
+    picture = Image.fromarray(ids, mode="P")
+    picture.putpalette(labels.palette())
+    picture.save(path, format="PNG", compress_level=FAST_PNG)
+
+
+def write_ids(path: Path, ids: np.ndarray) -> None:
+    """Write ids (h, w) uint8 as they are, as the grey values of a PNG: for programs, not for the eye."""
+    Image.fromarray(ids).save(path, format="PNG", compress_level=SMALL_PNG)
+
+
+def write_depth(path: Path, depth_m: np.ndarray) -> None:
+    """Write depths (h, w) in metres as a 16 bit PNG, metres x 256, 0 = none, 255.99 m at most."""
+    steps = np.clip(np.round(depth_m * DEPTH_STEPS), 0, 0xFFFF).astype(np.uint16)
+    Image.fromarray(steps).save(path, format="PNG", compress_level=FAST_PNG)
+
+
+def write_whole(path: Path, write: Callable[[Path], object], option: str = "--out") -> Path:
+    """Call `write` with a file beside `path`, then rename that: nobody ever sees half a file. Returns `path`.
+
+    Raises InputError where the file cannot be written; `option` is what the user should choose differently.
+    """
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(beside)
+        beside.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another {option}") from error
+    finally:
+        if path.parent.is_dir():
+            beside.unlink(missing_ok=True)
+    return path
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    try:
+        with Image.open(path) as image:
+            yield image
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: is missing; complete the data set") from error
+    except PermissionError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); ask for permission") from error
+    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:  # Pillow raises all
+        raise InputError(f"{path}: is no readable image; replace it") from error

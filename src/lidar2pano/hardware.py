@@ -1,0 +1,76 @@
+"""The machine: which device computes, in which arithmetic, how long it takes, and how glibc allocates its memory."""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+
+import torch
+
+from lidar2pano.errors import InputError
+
+
+def has_bfloat16(device: torch.device) -> bool:
+    """Whether the device multiplies bfloat16 in hardware (CPU: AMX or AVX-512 BF16; CUDA: Ampere and later)."""
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    tests = ("_is_amx_tile_supported", "_is_avx512_bf16_supported")
+    return device.type == "cpu" and any(getattr(torch.cpu, test, lambda: False)() for test in tests)
+
+
+def fast_arithmetic(device: torch.device) -> AbstractContextManager[object]:
+    """Context of inference: autocast to bfloat16 where the device has it."""
+    return torch.autocast(device.type, dtype=torch.bfloat16, enabled=has_bfloat16(device))
+
+
+def pick_device(name: str) -> torch.device:
+    """The device that "auto", "cpu" or "cuda" stands for; InputError where it is unknown or not there."""
+    if name not in ("auto", "cpu", "cuda"):
+        raise InputError(f"no device {name!r}; there is auto, cpu and cuda")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise InputError("device cuda: torch finds no CUDA device here; use --device cpu, or install torch for CUDA")
+    return torch.device("cpu" if name == "cpu" or not torch.cuda.is_available() else "cuda")
+
+
+@dataclass(slots=True)
+class Timer:
+    """Milliseconds per stage, in the order of the stages: `with timer("project"): ...`."""
+
+    device: torch.device
+    milliseconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Time the body; on CUDA, until its kernels have ended."""
+        begin = time.perf_counter()
+        yield
+        if self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
+        self.milliseconds[stage] = (time.perf_counter() - begin) * 1e3
+
+
+# The names and numbers of glibc's malloc.h, with what they are set to.
+M_TRIM_THRESHOLD, M_MMAP_MAX = -1, -4
+SETTINGS = (
+    (M_MMAP_MAX, 0),  # nothing gets a mapping of its own (the size from which it would is capped in some versions)
+    (M_TRIM_THRESHOLD, -1),  # free memory at the end of the heap is never given back
+)
+
+
+def keep_buffers() -> bool:
+    """Let glibc keep large buffers for the next step, in the whole process. True where that worked.
+
+    By default every activation of some size is mapped, faulted in page by page and unmapped again; in a network of
+    images that is up to half of the CPU's time.
+    Elsewhere (musl, macOS, Windows) nothing happens and the answer is False. Calling it again changes nothing.
+    """
+    try:
+        libc = ctypes.CDLL(None)
+        _, mallopt = libc.gnu_get_libc_version, libc.mallopt  # other C libraries lack one or both
+    except (AttributeError, OSError, TypeError):
+        return False
+    accepted = [mallopt(setting, value) for setting, value in SETTINGS]  # all of them, whatever the first one says
+    return accepted == [1, 1]

@@ -1,0 +1,91 @@
+"""View: the raster that a scan is projected onto, and the table of views that sensors and published weights use."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+from lidar2pano.errors import InputError, closest
+
+FULL_TURN = 360.0  # degrees
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class View:
+    """A raster of directions around a point.
+
+    kind     "sphere": rows are equal steps of elevation; `up` and `down` are degrees.
+             "cylinder": rows are equal steps of tan(elevation); `up` and `down` are tangents.
+    left     azimuth in degrees of the left edge, counter-clockwise from x; columns run from `left` down to `right`.
+    origin   the point that looks, in the sensor frame, metres (the panorama: the camera's optical centre).
+    """
+
+    rows: int
+    columns: int
+    up: float
+    down: float
+    left: float = 180.0
+    right: float = -180.0
+    kind: Literal["sphere", "cylinder"] = "sphere"
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Refuse a raster that has no inside (ValueError); JSON's lists become tuples."""
+        if self.kind not in {"sphere", "cylinder"} or len(self.origin) != 3:
+            raise ValueError(f"a View is a sphere or a cylinder around a point (x, y, z): {self}")
+        turn = self.left - self.right
+        if min(self.rows, self.columns) < 1 or not self.up > self.down or not (0 < turn <= FULL_TURN or self.circular):
+            raise ValueError(f"a View needs rows, columns >= 1, up > down and 0 < left - right <= 360 degrees: {self}")
+        object.__setattr__(self, "origin", tuple(float(value) for value in self.origin))
+
+    @property
+    def circular(self) -> bool:
+        """Whether the last column meets the first."""
+        return math.isclose(self.left - self.right, FULL_TURN, rel_tol=1e-12)
+
+    @property
+    def focal_px(self) -> float:
+        """Columns per radian of azimuth."""
+        return self.columns / math.radians(self.left - self.right)
+
+    def scaled(self, factor: float) -> View:
+        """The same directions on a coarser (factor < 1) or finer raster."""
+        return replace(self, rows=round(self.rows * factor), columns=round(self.columns * factor))
+
+    def window(self, start: int, columns: int) -> View:
+        """The part of the raster that begins at column `start` and is `columns` wide: the same pixels."""
+        step = (self.left - self.right) / self.columns
+        left = self.left - start * step
+        return replace(self, columns=columns, left=left, right=left - columns * step)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; `View(**view.as_dict())` is the view again."""
+        return asdict(self) | {"origin": list(self.origin)}
+
+
+# The camera of KITTI's recording car stands here, in the frame of its LiDAR (calibration of 2011-09-26, rounded).
+KITTI_CAMERA = (0.27, 0.06, -0.07)
+
+VIEWS: dict[str, View] = {
+    "hdl64e": View(rows=64, columns=2048, up=3.0, down=-25.0),  # SalsaNext, lidar-bonnetal's darknet53.yaml
+    "titan-front": View(rows=64, columns=2048, up=3.0, down=-15.0, left=45.0, right=-45.0),  # TITAN-Net, laserscan.py
+    "titan-front-512": View(rows=64, columns=512, up=3.0, down=-15.0, left=45.0, right=-45.0),  # TITAN-Next's width
+    # 4608 / 2 pi = 733 columns per radian, as fine as KITTI's camera; rows cover that camera's picture.
+    "panorama": View(rows=384, columns=4608, up=0.24, down=-0.2836, kind="cylinder", origin=KITTI_CAMERA),
+    "hdl32e": View(rows=32, columns=1024, up=10.67, down=-30.67),  # Velodyne HDL-32E data sheet
+    "vlp16": View(rows=16, columns=1024, up=15.0, down=-15.0),  # Velodyne VLP-16 data sheet
+    "os1-64": View(rows=64, columns=1024, up=22.5, down=-22.5),  # Ouster OS1 data sheet (rev. 6: 45 degrees)
+    "os1-128": View(rows=128, columns=1024, up=22.5, down=-22.5),  # Ouster OS1 data sheet
+    "pandar64": View(rows=64, columns=1800, up=15.0, down=-25.0),  # Hesai Pandar64 data sheet
+    "nuscenes": View(rows=32, columns=1024, up=10.67, down=-30.67),  # its LIDAR_TOP is an HDL-32E
+    "waymo-top": View(rows=64, columns=2650, up=2.4, down=-17.6),  # Waymo Open Dataset, Sun et al. 2020, table 2
+}
+
+
+def sensor_view(name: str) -> View:
+    """The raster of a sensor's rows in VIEWS (spheres only: the panorama is no sensor); InputError for another name."""
+    sensors = {sensor: view for sensor, view in VIEWS.items() if view.kind == "sphere"}
+    if name not in sensors:
+        raise InputError(f"no sensor {name!r}{closest(name, sensors)}")
+    return sensors[name]

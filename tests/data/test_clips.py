@@ -1,0 +1,270 @@
+"""Clips: which frames make one, that all of its frames are cut alike, and that its flow leads to the frame before."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from lidar2pano.data.clips import Clip, Clips, Framing, mirrored, pan, panned, runs
+from lidar2pano.data.sequences import Draw, Frame, frames
+from lidar2pano.data.sights import Sight, camera_sight, distances_m, flow_to, panorama_sight
+from lidar2pano.errors import InputError
+from lidar2pano.geometry.warp import warp
+from lidar2pano.views import VIEWS
+from miniature_video import FRAMES, PANORAMA, STEP, TURN, write_film
+
+QUARTER = VIEWS["panorama"].scaled(1 / 4)
+WINDOW = Framing(rows=48, columns=96)
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    return write_film(tmp_path_factory.mktemp("film"))
+
+
+@pytest.fixture(scope="module")
+def around(tmp_path_factory):
+    return write_film(tmp_path_factory.mktemp("around"), panorama=True)
+
+
+@pytest.fixture
+def _opencv():
+    pytest.importorskip("cv2", reason="flow between pictures needs opencv: pip install 'lidar2pano[flow]'")
+
+
+def gap(clip: Clip, shift: torch.Tensor, *, closed: bool = False) -> float:
+    """Mean distance of each frame from the one before it, moved by `shift`, where the flow is known."""
+    moved = warp(clip.colour[:-1], shift[1:], closed=closed)
+    known = clip.known[1:]
+    return (((moved - clip.colour[1:]).abs().mean(1) * known).sum() / known.sum()).item()
+
+
+def test_runs_are_of_one_sequence_and_without_gaps(tmp_path):
+    def frame(name: str) -> Frame:
+        folder, stem = name.split("/")
+        return Frame(folder=tmp_path / folder, stem=stem)
+
+    names = ["01/000003", "00/000009", "00/000010", "01/000001", "00/000011", "01/000002", "00/000013", "00/start"]
+    found = [[one.name for one in run] for run in runs([frame(name) for name in names], 2)]
+    assert found == [
+        ["00/000009", "00/000010"],
+        ["00/000010", "00/000011"],
+        ["01/000001", "01/000002"],
+        ["01/000002", "01/000003"],
+    ]
+    assert len(runs([frame(name) for name in names], 3)) == 2
+    assert runs([frame(name) for name in names], 4) == []
+
+
+@pytest.mark.usefixtures("_opencv")
+def test_a_window_is_one_place_in_all_frames(film):
+    clips = Clips(film, ("train",), WINDOW, 4)
+    assert len(clips) == FRAMES - 3
+    clip = clips[Draw(2, 7)]
+    assert clip.name == "00/000005"
+    assert clip.colour.shape == (4, 3, 48, 96) and clip.classes.shape == (4, 48, 96)
+    assert clip.shift.shape == (4, 2, 48, 96) and clip.known.shape == (4, 48, 96)
+    plain = clips[2]
+    whole = [camera_sight(frame, 1.0) for frame in frames(film, "train")[2:6]]
+    for k, sight in enumerate(whole):
+        middle = (slice(12, 60), slice(72, 168))
+        assert torch.equal(plain.classes[k], sight.classes[middle].long())
+        assert torch.allclose(plain.colour[k], sight.colour[:, *middle] / 127.5 - 1)
+    assert len({tuple(clips[Draw(2, seed)].colour[0, :, 0, 0].tolist()) for seed in range(6)}) > 3
+    assert torch.equal(clips[Draw(2, 7)].colour, clip.colour), "a function of the seed alone"
+
+
+@pytest.mark.usefixtures("_opencv")
+def test_flow_of_the_pictures_leads_to_the_frame_before(film):
+    clips = Clips(film, ("train",), WINDOW, 4)
+    for clip, way in ((clips[1], 1), (mirrored(clips[1]), -1)):  # what moves left was farther right
+        known = clip.known > 0
+        assert not known[0].any() and known[1:].float().mean() > 0.9
+        assert clip.shift[:, 0][known].median() == pytest.approx(STEP * way, abs=0.2)
+        assert (clip.shift * ~known[:, None]).abs().max() == 0
+        assert gap(clip, clip.shift) < 0.2 * gap(clip, torch.zeros_like(clip.shift))
+
+
+@pytest.mark.usefixtures("_opencv")
+def test_classes_stay_with_their_colours(film, around):
+    """In these data sets a class says where one colour is over 128."""
+    for clips, channel, high in (
+        (Clips(film, ("train",), Framing(rows=72, columns=96), 2), 0, 9),
+        (Clips(around, ("train",), Framing(rows=96, columns=200, view=QUARTER), 2), 1, 15),
+        (Clips(around, ("train",), Framing(rows=96, columns=1152, view=QUARTER), 2), 1, 15),
+    ):
+        starts = set()
+        for seed in range(8):
+            clip = clips[Draw(1, seed)]
+            sure = clip.classes > 0
+            assert torch.equal((clip.colour[:, channel] * 127.5 > 1)[sure], (clip.classes == high)[sure])
+            starts.add(round(clip.colour[0, :, :, :4].mean().item(), 4))
+        assert len(starts) > 4, "windows begin anywhere"
+
+
+def test_draws_mirror_half_of_the_clips(around):
+    clips = Clips(around, ("train",), Framing(rows=96, columns=96, view=QUARTER), 2)
+    ways = [clips[Draw(0, seed)].shift[1, 0].mean().sign().item() for seed in range(40)]
+    assert 8 < ways.count(1.0) < 32
+    assert set(ways) == {1.0, -1.0}
+
+
+def test_classes_are_common_ones_and_unsure_is_unlabeled(film):
+    clip = Clips(film, ("train",), Framing(rows=72, columns=240), 1 + 1, stills=("train",))[0]
+    frame = frames(film, "train")[0]
+    sight = camera_sight(frame, 1.0)
+    assert set(sight.classes.unique().tolist()) == {0, 7, 9}  # road and building of COMMON15
+    assert (sight.classes[:5] == 0).all() and (sight.classes[5:] > 0).all()
+    assert -1 <= clip.colour.min() < -0.3 and 0.3 < clip.colour.max() <= 1
+
+
+def test_pictures_are_scaled_before_they_are_cut(film):
+    frame = frames(film, "train")[0]
+    sight = camera_sight(frame, 0.5)
+    assert sight.colour.shape == (3, 36, 120) and sight.classes.shape == (36, 120)
+    fine = torch.from_numpy(frame.image()).movedim(2, 0).float()
+    means = fine.unfold(1, 2, 2).unfold(2, 2, 2).mean((-1, -2))
+    assert (sight.colour - means).abs().max() < 1.01
+    assert sight.raster.K[0, 0] == pytest.approx(70)
+    with pytest.raises(InputError, match="36 x 120 pixels, fewer than the window of 48 x 96; set scale"):
+        Clips(film, (), Framing(rows=48, columns=96, scale=0.5), 2, stills=("train",))[0]
+
+
+def test_stills_become_clips_whose_flow_is_exact(film):
+    clips = Clips(film, (), WINDOW, 4, stills=("alone",))
+    assert len(clips) == 3
+    moved = set()
+    for seed in range(6):
+        clip = clips[Draw(1, seed)]
+        assert clip.colour.shape == (4, 3, 48, 96) and not clip.known[0].any()
+        assert clip.known[1:].mean() > 0.5
+        assert gap(clip, clip.shift) < 0.25 * gap(clip, torch.zeros_like(clip.shift))
+        assert gap(clip, -clip.shift) > gap(clip, clip.shift)
+        moved.add(round(clip.shift[1, 0].mean().item(), 3))
+    assert len(moved) == 6
+
+
+def test_a_still_s_flow_is_what_its_window_did():
+    size, middle = pan(np.random.default_rng(1), (90, 300), (48, 96), 3)
+    assert len(set(size.tolist())) == 3
+    row, column, k = 10, 70, 2
+    place = [middle[k, 0] + size[k] * (row - 23.5), middle[k, 1] + size[k] * (column - 47.5)]  # in the whole picture
+    was = [(place[0] - middle[1, 0]) / size[1] + 23.5, (place[1] - middle[1, 1]) / size[1] + 47.5]
+    grid = torch.from_numpy(np.indices((90, 300)).astype(np.float32))  # a picture of its own coordinates
+    assert grid[:, 40, 200].tolist() == [40, 200]
+    sight = Sight(raster=QUARTER, colour=grid, classes=torch.zeros(90, 300, dtype=torch.uint8))
+    clip = panned(sight, np.random.default_rng(1), WINDOW, 3, "x")
+    seen = (clip.colour[k, :, row, column] + 1) * 127.5
+    assert seen.tolist() == pytest.approx([float(value) for value in place], abs=1e-2)
+    shift = clip.shift[k, :, row, column]
+    assert shift.tolist() == pytest.approx([float(was[1]) - column, float(was[0]) - row], abs=1e-3)
+
+
+@pytest.mark.parametrize("whole", [(48, 96), (50, 200), (300, 97)])
+def test_a_pan_stays_inside_the_picture(whole):
+    for seed in range(30):
+        size, middle = pan(np.random.default_rng(seed), whole, (48, 96), 5)
+        half = size[:, None] * (torch.tensor([48.0, 96.0]) - 1) / 2
+        assert (middle - half >= -1e-3).all() and (middle + half <= torch.tensor(whole) - 1 + 1e-3).all()
+        assert size.min() >= 1 and size.max() <= 1.17
+        assert (middle.diff(dim=0).abs() <= torch.tensor([2.0, 12.0]) + 0.05 * torch.tensor(whole)).all()
+
+
+def test_runs_are_repeated_until_they_are_as_many_as_the_stills(film):
+    clips = Clips(film, ("train",), WINDOW, FRAMES - 1, stills=("val",))
+    lengths = [len(run) for run in clips.clips]
+    assert lengths.count(1) == FRAMES and lengths.count(FRAMES - 1) == 2 * 3
+
+
+def test_splits_without_neighbours_are_refused(film):
+    with pytest.raises(InputError, match="no 2 frames of split alone follow each other; choose another split"):
+        Clips(film, ("alone",), WINDOW, 2)
+    with pytest.raises(InputError, match="has no split 'tain'; did you mean 'train'"):
+        Clips(film, ("tain",), WINDOW, 2)
+
+
+def test_the_panorama_turns_with_the_car(around):
+    clips = Clips(around, ("train",), Framing(rows=PANORAMA[0], columns=PANORAMA[1], view=QUARTER), 3)
+    for clip in (clips[2], mirrored(clips[2])):
+        assert clip.known[1:].all(), "there is no edge to come in at"
+        assert gap(clip, clip.shift, closed=True) < 0.01
+    plain = clips[2]
+    assert torch.allclose(plain.shift[1:, 0], torch.full_like(plain.shift[1:, 0], -TURN), atol=1e-3)
+    assert plain.shift[:, 1].abs().max() < 1e-3
+    assert set(plain.classes.unique().tolist()) == {7, 15}
+    turned = clips[Draw(2, 0)].colour[0].sum((0, 1))
+    shifts = [(turned - plain.colour[0].sum((0, 1)).roll(n)).abs().max() for n in range(PANORAMA[1])]
+    mirror = [(turned.flip(0) - plain.colour[0].sum((0, 1)).roll(n)).abs().max() for n in range(PANORAMA[1])]
+    assert min(*shifts, *mirror) < 1e-3 < shifts[0], "draws turn it"
+
+
+def test_a_window_of_the_panorama_has_edges(around):
+    clip = Clips(around, ("train",), Framing(rows=64, columns=128, view=QUARTER), 3)[0]
+    known = clip.known[1:] > 0
+    assert known[..., TURN:].all() and not known[..., : TURN - 1].any()
+    assert gap(clip, clip.shift) < 0.01
+
+
+def test_the_panorama_is_resized_to_the_raster(around):
+    frame = frames(around, "train")[0]
+    half = panorama_sight(frame, VIEWS["panorama"].scaled(1 / 8))
+    assert half.colour.shape == (3, 48, 576) and half.classes.shape == (48, 576)
+    assert distances_m(frame, half).unique().tolist() == [10.0]
+    with pytest.raises(InputError, match="must both be panoramas like"):
+        panorama_sight(frame, VIEWS["hdl64e"])
+
+
+def test_the_camera_s_flow_takes_the_panorama_s_depths(around):
+    frame = frames(around, "train")[3]
+    sight = camera_sight(frame, 1.0)
+    assert distances_m(frame, sight)[36].unique().tolist() == [10.0]
+    flow = Clips(around, ("train",), WINDOW, 2).flow(frames(around, "train")[2], frame)
+    angle = TURN * 2 * np.pi / PANORAMA[1]
+    assert flow.shift[0, 33, 119].item() == pytest.approx(-140 * np.tan(angle), rel=0.02)  # P2's focal length
+
+
+def test_flow_leads_from_a_frame_to_the_one_before(around, monkeypatch):
+    given = []
+    monkeypatch.setattr("lidar2pano.data.sights.ego_flow", lambda *arguments: given.extend(arguments))
+    monkeypatch.setattr("lidar2pano.data.sights.distances_m", lambda frame, sight: (frame.stem, sight))
+    before, now = frames(around, "train")[2:4]
+    was, seen = camera_sight(before, 1.0), camera_sight(now, 1.0)
+    flow_to(before, now, was, seen)
+    assert given[:2] == [(now.stem, seen), (before.stem, was)]
+    turn = given[2].numpy()
+    assert turn[:3, :3] @ [1, 0, 0] == pytest.approx([np.cos(0.0272708), np.sin(0.0272708), 0], abs=1e-5)
+    assert given[3] is seen.raster
+
+
+def test_scans_stand_in_for_depths_and_the_sky_is_far(around, tmp_path):
+    frame = frames(around, "train")[0]
+    ids = np.full((72, 240), 10, dtype=np.uint8)  # all of it sky, as the camera says
+    bare = Frame(folder=tmp_path, stem=frame.stem)
+    for part in ("velodyne", "image_2"):
+        (tmp_path / part).symlink_to(frame.folder / part)
+    (tmp_path / "calib.txt").symlink_to(frame.folder / "calib.txt")
+    (tmp_path / "camera_labels").mkdir()
+    ids[40:] = 0
+    Image.fromarray(ids).save(tmp_path / "camera_labels" / f"{frame.stem}.png")
+    distance = distances_m(bare, camera_sight(bare, 1.0))
+    assert distance[:40].isinf().all()
+    road = distance[50:, 20:220]
+    assert (road[road > 0] < 60).all() and (road > 0).float().mean() > 0.5
+    with pytest.raises(InputError, match="has no pano_depth/"):
+        distances_m(bare, panorama_sight(frame, QUARTER))
+
+
+def test_missing_truth_is_named(film):
+    with pytest.raises(InputError, match=r"pano_labels/000000.png: is missing; only data sets with the truth"):
+        Clips(film, ("train",), Framing(rows=96, columns=96, view=QUARTER), 2)[0]
+
+
+def test_real_frames_of_a_drive(kitti_mini):
+    pytest.importorskip("cv2", reason="flow between pictures needs opencv: pip install 'lidar2pano[flow]'")
+    clips = Clips(kitti_mini, ("drive",), Framing(rows=128, columns=384, scale=0.5), 3)
+    assert len(clips) == 10
+    clip = clips[4]
+    assert clip.known[1:].mean() > 0.7
+    assert gap(clip, clip.shift) < 0.5 * gap(clip, torch.zeros_like(clip.shift))

@@ -1,0 +1,211 @@
+"""Training samples: what lies where, and that augmentation moves everything together."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from lidar2pano.data.augment import drop_points, drop_rings, mirror, mirror_azimuth, shift_azimuth, turn, vary_remission
+from lidar2pano.data.fronts import FrontSamples
+from lidar2pano.data.panoramas import PanoramaSamples, mirrored
+from lidar2pano.data.ranges import RangeSamples, Variation, augmented
+from lidar2pano.data.sequences import UNSURE, Draw, frames, frames_of
+from lidar2pano.errors import InputError
+from lidar2pano.geometry.projection import project
+from lidar2pano.labels import COMMON14, COMMON15
+from lidar2pano.scan import Scan
+from lidar2pano.views import VIEWS
+from miniature import HOUSE, ROAD, SPLITS, street, write_data_set
+from miniature_video import write_film
+
+RASTER = VIEWS["panorama"].scaled(1 / 8)
+
+
+@pytest.fixture
+def root(tmp_path):
+    return write_data_set(tmp_path)
+
+
+def test_frames_come_in_the_order_of_their_split(root):
+    assert [frame.name for frame in frames(root, "train")] == SPLITS["train"]
+
+
+def test_without_a_listing_semantic_kittis_own_splits_hold(root):
+    (root / "splits.json").unlink()
+    assert [frame.name for frame in frames(root, "train")] == SPLITS["train"] + SPLITS["val"]
+    with pytest.raises(InputError, match="has no scan"):
+        frames(root, "val")
+    with pytest.raises(InputError, match="did you mean 'val'"):
+        frames(root, "vall")
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda root: (root / "splits.json").write_text("{"), "is no JSON"),
+        (lambda root: (root / "splits.json").write_text('{"a": []}'), "has no split 'train'"),
+        (lambda root: (root / "sequences/00/velodyne/000001.bin").unlink(), "000001.bin of split 'train' is missing"),
+    ],
+)
+def test_a_damaged_data_set_is_told(root, damage, message):
+    damage(root)
+    with pytest.raises(InputError, match=message):
+        frames(root, "train")
+
+
+def test_missing_and_broken_pictures_are_told(root):
+    frame = frames(root, "train")[0]
+    (root / "sequences/00/camera_labels/000000.png").write_bytes(b"no picture")
+    with pytest.raises(InputError, match="no readable picture"):
+        frame.camera_labels()
+    (root / "sequences/00/image_2/000000.png").unlink()
+    with pytest.raises(InputError, match="no image"):
+        frame.image()
+
+
+def test_range_samples_carry_each_points_label_to_its_pixel(root):
+    samples = RangeSamples(root, ("train",), VIEWS["hdl64e"], columns=256)
+    plain = samples[0]
+    image = project(samples.scan(0), VIEWS["hdl64e"])
+    assert torch.equal(plain.labels, image.spread(torch.from_numpy(samples.scan(0).label)))
+    assert set(plain.labels.unique().tolist()) == {0, ROAD, HOUSE}
+    assert samples[Draw(0, 1)].lidar.shape == (5, 64, 256)
+    assert torch.equal(samples[Draw(0, 1)].lidar, samples[Draw(0, 1)].lidar)
+    assert not torch.equal(samples[Draw(0, 1)].lidar, samples[Draw(0, 2)].lidar)
+
+
+def test_panorama_samples_line_scan_and_camera_up(root):
+    sample = PanoramaSamples(root, ("train",), RASTER, columns=160, colour=True, jitter=8)[0]
+    known = (sample.camera != UNSURE) & (sample.segments > 0)
+    road = sample.camera == COMMON15.id_of("road")
+    assert known.sum() > 100
+    agree = (road == (sample.segments == ROAD))[known]
+    assert agree.float().mean() > 0.8  # the made-up camera's horizon is a straight line, the fronts' foot is not
+    assert sample.colour.shape == (3, 96, 320)
+    assert sample.colour[:, ~sample.seen].unique().tolist() == [-1.0]
+    assert (sample.depth_m > 0).sum() == (sample.image[0] > 0).sum()
+
+
+def test_mirrored_twice_is_the_sample_again(root):
+    sample = PanoramaSamples(root, ("train",), RASTER, columns=160, colour=True)[0]
+    once = mirrored(sample)
+    assert torch.equal(once.camera, sample.camera.flip(-1))
+    assert torch.equal(once.image[2], -sample.image[2].flip(-1))
+    assert all(torch.equal(a, b) for a, b in zip(mirrored(once)[:6], sample[:6], strict=True))
+
+
+def test_a_mirrored_scan_projects_to_the_mirrored_picture():
+    scan = street(3)
+    plain, flipped = (project(s, VIEWS["hdl64e"]).channels[0] for s in (scan, mirror(scan)))
+    assert (plain != mirror_azimuth(flipped)).float().mean() < 1e-3  # points on a pixel's edge
+
+
+def test_a_turned_scan_projects_to_the_shifted_picture():
+    scan = street(4)
+    plain, turned = (project(s, VIEWS["hdl64e"]).valid for s in (scan, turn(scan, 2 * np.pi * 100 / 2048)))
+    assert (shift_azimuth(plain, -100) != turned).float().mean() < 1e-3
+
+
+def test_another_scale_of_remission_keeps_points_order_and_range():
+    scan = Scan(xyz=np.ones((400, 3), np.float32), remission=np.linspace(0, 1, 400, dtype=np.float32))
+    means = []
+    for seed in range(60):
+        changed = vary_remission(scan, np.random.default_rng(seed), 0.5)
+        assert changed.xyz is scan.xyz and changed.remission.dtype == np.float32
+        assert changed.remission.min() >= 0 and changed.remission.max() <= 1
+        assert (np.diff(changed.remission) >= 0).all()
+        means.append(changed.remission.mean())
+    assert min(means) < 0.33 and max(means) > 0.62 and abs(np.mean(means) - 0.5) < 0.06
+
+
+def test_dropping_leaves_out_about_the_share_asked_for_with_their_labels():
+    scan = street(5)
+    kept = drop_points(scan, np.random.default_rng(0), 0.3)
+    assert len(kept) == pytest.approx(0.7 * len(scan), rel=0.05)
+    assert kept.label is not None
+    assert len(kept.label) == len(kept)
+    rings = drop_rings(scan, np.random.default_rng(0), 0.8, 0.5)
+    assert 0.2 * len(scan) < len(rings) < 0.8 * len(scan)
+
+
+def test_front_samples_speak_common_14_without_sky(root):
+    sample = FrontSamples(root, ("train",), VIEWS["titan-front-512"], (36, 120))[0]
+    assert sample.lidar.shape == (5, 64, 512)
+    assert sample.camera.shape == (36, 120)
+    found = {COMMON14.classes[i] for i in sample.camera.unique().tolist()}
+    assert found == {"unlabeled", "road", "building"}
+
+
+def test_a_segmenters_labels_take_the_teachers_place(root):
+    samples = PanoramaSamples(root, ("train",), RASTER, columns=160)
+    samples.predict(lambda scan: torch.full((len(scan),), 5))
+    assert set(samples[0].segments.unique().tolist()) == {0, 5}
+    fronts = FrontSamples(root, ("train",), VIEWS["titan-front-512"], (36, 120))
+    fronts.predict(lambda scan: torch.full((len(scan),), 5))
+    assert set(fronts[0].segments.unique().tolist()) == {0, 5}
+
+
+def test_the_truth_all_around_is_sampled_from_every_direction(tmp_path):
+    root = write_film(tmp_path, panorama=True)
+    (frame, *_), view = frames(root, "train"), VIEWS["panorama"].scaled(1 / 8)
+    samples = PanoramaSamples(root, ("train",), view, columns=96, colour=True)
+    pixels = {name: np.array(Image.open(frame.folder / name / f"{frame.stem}.png")) for name in ("pano", "pano_labels")}
+    ahead = samples[0]
+    crop = slice((576 - 96) // 2, (576 + 96) // 2)
+    assert torch.equal(ahead.camera, torch.from_numpy(pixels["pano_labels"][1::2, 1::2][:, crop]).long())
+    fine = torch.from_numpy(pixels["pano"]).movedim(2, 0)[..., 2 * crop.start : 2 * crop.stop]
+    assert torch.allclose(ahead.colour, fine / 127.5 - 1) and ahead.seen.all()
+    assert torch.allclose(ahead.depth_m, torch.tensor(10.0), atol=0.01)
+    whole = samples.moment(0).camera.long()
+    starts = set()
+    for seed in range(40):
+        camera = samples[Draw(0, seed)].camera
+        found = [
+            start
+            for start in range(576 - 96 + 1)
+            for each in (camera, camera.flip(-1))
+            if torch.equal(whole[:, start : start + 96], each)
+        ]
+        assert found, "each crop is a part of the whole turn"
+        starts.add(found[0])
+    assert min(starts) < 100 and max(starts) > 380
+
+
+def test_unknown_classes_all_around_are_unsure(tmp_path):
+    root = write_film(tmp_path, panorama=True)
+    frame = frames(root, "train")[0]
+    path = frame.folder / "pano_labels" / f"{frame.stem}.png"
+    ids = np.array(Image.open(path))
+    ids[:, 500:600] = 0
+    Image.fromarray(ids).save(path)
+    samples = PanoramaSamples(root, ("train",), VIEWS["panorama"].scaled(1 / 4), columns=192)
+    unknown = samples.moment(0).camera == UNSURE
+    assert unknown[:, 500:600].all() and unknown.sum() == unknown[:, 500:600].numel()
+
+
+def test_splits_of_other_data_sets_join(root, tmp_path):
+    other = write_film(tmp_path / "other")
+    joined = [*frames(root, "train"), *frames(other, "train"), *frames(root, "train")]
+    assert frames_of(root, ("train", f"{other}:train", "train")) == joined
+    samples = RangeSamples(root, ("train", f"{other}:train"), VIEWS["hdl64e"])
+    assert len(samples) == len(frames(root, "train")) + len(frames(other, "train"))
+    assert len(samples.scan(len(samples) - 1)) == len(frames(other, "train")[-1].scan())
+    with pytest.raises(InputError, match="other2"):
+        frames_of(root, (f"{other}2:train",))
+
+
+def test_beams_are_left_out_whole():
+    scan = street(4)
+    ring = np.floor((np.degrees(np.arctan2(scan.xyz[:, 2], np.hypot(*scan.xyz[:, :2].T))) + 90) / 0.42).astype(int)
+    still = {"turn_deg": 0.0, "chance": 0.0}
+    kept = []
+    for seed in range(20):
+        fewer = augmented(scan, np.random.default_rng(seed), Variation(**still, rings=1.0))
+        there = np.isin(np.abs(scan.xyz).view("f4,f4,f4"), np.abs(fewer.xyz).view("f4,f4,f4")).ravel()
+        assert there.sum() == len(fewer) and not set(ring[there]) & set(ring[~there]), "whole beams only"
+        kept.append(len(np.unique(ring[there])) / len(np.unique(ring)))
+    assert min(kept) < 0.5 and max(kept) > 0.8
+    for seed in range(9):
+        assert len(augmented(scan, np.random.default_rng(seed), Variation(**still, rings=0.0))) == len(scan)

@@ -1,0 +1,256 @@
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lidar2pano.calibration import Calibration, read_calib
+from lidar2pano.errors import InputError, closest
+from lidar2pano.formats.scan_files import READERS, read, read_bin, read_label, scan_files, scans, write_bin, write_label
+from lidar2pano.scan import Scan
+from lidar2pano.views import VIEWS, View
+
+P2 = "7.0e+02 0 6.0e+02 4.5e+01 0 7.0e+02 1.8e+02 2.0e-01 0 0 1 2.7e-03"
+TR = "0 -1 0 -0.002 0 0 -1 -0.075 1 0 0 -0.27"
+
+
+def some_scan(points: int = 5, name: str = "000007") -> Scan:
+    generator = np.random.default_rng(0)
+    xyz = generator.normal(0, 20, (points, 3)).astype(np.float32)
+    return Scan(xyz=xyz, remission=generator.random(points, dtype=np.float32), name=name)
+
+
+def complaint(of) -> str:
+    """The InputError's text, which must be one line."""
+    with pytest.raises(InputError) as caught:
+        of()
+    text = str(caught.value)
+    assert "\n" not in text and text
+    return text
+
+
+def write_text(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_bin_there_and_back(tmp_path: Path):
+    scan = some_scan()
+    scan.xyz[2] = math.nan
+    write_bin(tmp_path / "000007.bin", scan)
+    assert (tmp_path / "000007.bin").stat().st_size == 5 * 16
+    found = read(tmp_path / "000007.bin")
+    np.testing.assert_array_equal(found.xyz, scan.xyz)
+    np.testing.assert_array_equal(found.remission, scan.remission)
+    assert found.name == "000007" and found.label is None and len(found) == 5
+    assert found.xyz.flags.writeable and found.xyz.flags.c_contiguous
+
+
+def test_bin_holds_x_y_z_remission(tmp_path: Path):
+    path = tmp_path / "a.bin"
+    np.array([[1, 2, 3, 0.5], [4, 5, 6, 0.25]], dtype="<f4").tofile(path)
+    scan = read_bin(path)
+    assert scan.xyz.tolist() == [[1, 2, 3], [4, 5, 6]] and scan.remission.tolist() == [0.5, 0.25]
+
+
+def test_label_there_and_back(tmp_path: Path):
+    ids = np.arange(20)
+    write_label(tmp_path / "a.label", ids)
+    np.testing.assert_array_equal(np.fromfile(tmp_path / "a.label", "<u4")[[0, 1, 19]], [0, 10, 81])
+    found = read_label(tmp_path / "a.label", 20)
+    assert found.tolist() == ids.tolist() and found.dtype == np.int64
+
+
+def test_label_without_its_instances(tmp_path: Path):
+    np.array([(3 << 16) | 252, (9 << 16) | 40], dtype="<u4").tofile(tmp_path / "a.label")
+    assert read_label(tmp_path / "a.label", 2).tolist() == [1, 9]
+
+
+def test_a_label_file_of_another_scan(tmp_path: Path):
+    write_label(tmp_path / "a.label", np.zeros(7, np.int64))
+    text = complaint(lambda: read_label(tmp_path / "a.label", 8))
+    assert text == f"{tmp_path / 'a.label'}: 28 bytes, but its scan has 8 points (4 bytes each); pair them again"
+    (tmp_path / "b.label").write_bytes(bytes(30))
+    assert "30 bytes" in complaint(lambda: read_label(tmp_path / "b.label", 7))
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "is empty"),
+        (bytes(16 * 3 + 4), "52 bytes are no whole number of points"),
+        (None, r"cannot be read (No such file"),
+    ],
+)
+def test_what_is_no_bin(tmp_path: Path, content, says):
+    path = tmp_path / "a.bin"
+    if content is not None:
+        path.write_bytes(content)
+    text = complaint(lambda: read(path))
+    assert text.startswith(f"{path}: ") and says in text
+
+
+def test_what_is_no_label(tmp_path: Path):
+    assert "cannot be read (No such file" in complaint(lambda: read_label(tmp_path / "a.label", 1))
+    assert "cannot be read (Is a directory" in complaint(lambda: read_label(tmp_path, 1))
+
+
+def test_an_unknown_suffix_names_the_nearest(tmp_path: Path):
+    assert "no reader for files that end in '.bim'; did you mean '.bin'?" in complaint(lambda: read(tmp_path / "a.bim"))
+    assert "no reader for files that end in ''" in complaint(lambda: read(tmp_path / "a"))
+    (tmp_path / "a.pcd.bin").write_bytes(bytes(16 * 5))  # four points of nuScenes would pass for five of KITTI
+    assert "no reader yet" in complaint(lambda: read(tmp_path / "a.pcd.bin"))
+
+
+def test_closest():
+    assert closest("titen", ["titan", "salsanext"]) == "; did you mean 'titan'?"
+    assert closest("zzz", ["b", "a"]) == "; there is a, b"
+    assert closest("zzz", []) == ""
+
+
+def test_calib(tmp_path: Path):
+    path = write_text(tmp_path / "calib.txt", f"P0: 1 2\ncalib_time: 09-Jan-2012 13:57:47\n\nP2: {P2}\n Tr: {TR}\n")
+    calibration = read_calib(path, (1224, 370))
+    assert calibration.size == (1224, 370)
+    np.testing.assert_array_equal(calibration.K, [[700, 0, 600], [0, 700, 180], [0, 0, 1]])
+    # pixel ~ P2 [Tr; 0 0 0 1] X, by the definition
+    P, T = (
+        np.array(P2.split(), float).reshape(3, 4),
+        np.vstack([np.array(TR.split(), float).reshape(3, 4), [0, 0, 0, 1]]),
+    )
+    X = np.array([12.0, 3.0, -1.0, 1.0])
+    wanted, found = P @ T @ X, calibration.K @ (calibration.T_camera_lidar @ X)[:3]
+    np.testing.assert_allclose(found[:2] / found[2], wanted[:2] / wanted[2], rtol=1e-12)
+    np.testing.assert_allclose(found[2], wanted[2], rtol=1e-12)
+
+
+def test_calib_of_kitti(kitti_mini: Path):
+    for path in sorted(kitti_mini.glob("sequences/*/calib.txt")):
+        x, y, z = read_calib(path).centre
+        assert 0.2 < x < 0.4 and 0 < y < 0.1 and -0.1 < z < 0, "the camera stands before, left of and below the LiDAR"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (f"P2: {P2}\n", "has no row Tr:"),
+        (f"Tr: {TR}\n", "has no row P2:"),
+        (f"P2: {P2} 1\nTr: {TR}\n", "row P2: must hold 12 finite numbers (3x4), it has 13"),
+        (f"P2: {P2}\nTr: 1 2 3\n", "row Tr: must hold 12 finite numbers (3x4), it has 3"),
+        (f"P2: {P2}\nTr: {TR.replace('-0.27', 'nan')}\n", "row Tr: must hold 12 finite numbers"),
+        (f"P2: {P2.replace('6.0e+02', 'six')}\nTr: {TR}\n", "row P2: holds something that is no number"),
+        (f"P2: {'0 ' * 12}\nTr: {TR}\n", "row P2: is no camera matrix"),
+        (f"P2: 7 0 0 0 0 0 7 0 0 7 0 0\nTr: {TR}\n", "row P2: is no camera matrix"),
+        (f"P2: {P2}\nTr: {'0 ' * 12}\n", "row Tr: holds no rotation"),
+        (f"P2: {P2}\nTr: 0 1 0 0 0 0 -1 0 1 0 0 0\n", "row Tr: holds no rotation"),
+        (f"P2: {P2}\nTr: 0 -2 0 0 0 0 -2 0 2 0 0 0\n", "row Tr: holds no rotation"),
+        ("", "has no row P2:"),
+    ],
+)
+def test_what_is_no_calib(tmp_path: Path, text, says):
+    path = write_text(tmp_path / "calib.txt", text)
+    found = complaint(lambda: read_calib(path))
+    assert found.startswith(f"{path}: ") and says in found
+
+
+def test_a_calib_that_cannot_be_read(tmp_path: Path):
+    assert "cannot be read as calib.txt (No such file" in complaint(lambda: read_calib(tmp_path / "calib.txt"))
+    (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\xfa")
+    assert "cannot be read as calib.txt (not text)" in complaint(lambda: read_calib(tmp_path / "binary.txt"))
+
+
+def test_a_calibration_of_another_shape_is_refused():
+    with pytest.raises(ValueError, match=r"K \(3, 3\), T \(4, 4\)"):
+        Calibration(K=np.eye(4), T_camera_lidar=np.eye(4), size=(10, 10))
+    with pytest.raises(ValueError, match="size must be positive"):
+        Calibration(K=np.eye(3), T_camera_lidar=np.eye(4), size=(10, 0))
+
+
+def test_sources_of_a_file_a_folder_and_a_sequence(tmp_path: Path):
+    folder = tmp_path / "sequences" / "08" / "velodyne"
+    folder.mkdir(parents=True)
+    for number in (5, 2, 7, 0, 3, 6, 1, 4):
+        write_bin(folder / f"00000{number}.bin", some_scan())
+    write_text(folder / "readme.txt", "no scan")
+    (folder / "000008.bin").mkdir()
+    names = [f"00000{i}.bin" for i in range(8)]
+    assert [path.name for path in scan_files(folder)] == names
+    assert scan_files(str(folder.parent)) == scan_files(folder)
+    assert scan_files(folder / "000001.bin") == [folder / "000001.bin"]
+    assert [scan.name for scan in scans(folder.parent)] == [Path(name).stem for name in names]
+
+
+def test_a_source_is_read_one_scan_at_a_time(tmp_path: Path):
+    write_bin(tmp_path / "a.bin", some_scan())
+    (tmp_path / "b.bin").write_bytes(b"short")
+    found = scans(tmp_path)
+    assert next(found).name == "a"
+    assert "5 bytes are no whole number" in complaint(lambda: next(found))
+
+
+def test_sources_that_are_none(tmp_path: Path):
+    assert complaint(lambda: scan_files(tmp_path / "nowhere")).startswith(f"{tmp_path / 'nowhere'}: does not exist")
+    assert complaint(lambda: scan_files(tmp_path)) == f"{tmp_path}: holds no scan (known endings: {', '.join(READERS)})"
+    (tmp_path / "velodyne").mkdir()
+    assert complaint(lambda: scan_files(tmp_path)).startswith(f"{tmp_path / 'velodyne'}: holds no scan")
+
+
+def test_a_folder_without_permission(tmp_path: Path, monkeypatch):
+    def refuse(*_):
+        raise PermissionError(13, os.strerror(13))
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    assert "cannot be looked into (Permission denied)" in complaint(lambda: scan_files(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"xyz": np.zeros((5, 4), np.float32)}, r"xyz must be \(N, 3\) float32, got \(5, 4\)"),
+        ({"xyz": np.zeros((5, 3))}, r"xyz must be \(N, 3\) float32, got \(5, 3\) float64"),
+        ({"remission": np.zeros(4, np.float32)}, r"remission must be \(5,\) float32 like Scan.xyz, got \(4,\)"),
+        ({"remission": np.zeros(5, np.uint8)}, r"remission must be \(5,\) float32 like Scan.xyz, got \(5,\) uint8"),
+        ({"label": np.zeros(6, np.int64)}, r"label must be \(5,\) int64 like Scan.xyz, got \(6,\)"),
+        ({"label": np.zeros(5, np.uint32)}, r"label must be \(5,\) int64 like Scan.xyz, got \(5,\) uint32"),
+    ],
+)
+def test_a_scan_of_arrays_that_do_not_fit_is_refused(changed, says):
+    fitting = {"xyz": np.zeros((5, 3), np.float32), "remission": np.zeros(5, np.float32)}
+    with pytest.raises(ValueError, match=says):
+        Scan(**fitting | changed)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"rows": 0},
+        {"columns": 0},
+        {"up": -30.0},
+        {"up": math.nan},
+        {"left": 10.0, "right": 10.0},
+        {"left": 270.0},
+        {"kind": "Sphere"},
+        {"origin": (0.0, 0.0)},
+    ],
+)
+def test_a_view_without_an_inside_is_refused(changed):
+    with pytest.raises(ValueError, match="a View "):
+        View(**{"rows": 64, "columns": 2048, "up": 3.0, "down": -25.0} | changed)
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_views_survive_json(name):
+    import json
+
+    view = VIEWS[name]
+    assert View(**json.loads(json.dumps(view.as_dict()))) == view
+
+
+def test_a_scaled_view_covers_the_same():
+    half = VIEWS["panorama"].scaled(0.5)
+    assert (half.rows, half.columns, half.up, half.circular) == (192, 2304, 0.24, True)
+    assert VIEWS["panorama"].focal_px == pytest.approx(733.4, abs=0.05)
+    assert not VIEWS["titan-front"].circular

@@ -1,0 +1,276 @@
+"""The house rules over the package; and, for each, a small bad tree on which it must bite."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import house_rules
+import lidar2pano
+from lidar2pano.models import MODELS
+
+NETWORKS = {network.__name__ for network in MODELS.values()}
+RECIPES = house_rules.SOURCE / "train" / "recipe.py"
+HEAVY = ("torch", "lightning", "torchmetrics", "tensorboard", "transformers", "cv2", "matplotlib", "scipy", "skimage")
+PROMISED = {"demo", "translate", "world", "prepare", "train", "evaluate", "reproduce", "weights", "bench"}
+MOST_SECONDS = 1.0
+
+# Runs the help of every command in one process; the last line it prints is JSON.
+ALL_HELP = """
+import contextlib, io, json, sys, typer.main
+from lidar2pano.cli import app
+
+def walk(command, words):
+    yield words
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from walk(inner, [*words, name])
+
+command, texts = typer.main.get_command(app), {}
+for words in walk(command, []):
+    with contextlib.redirect_stdout(io.StringIO()) as text, contextlib.suppress(SystemExit):
+        command.main([*words, "--help"], prog_name="lidar2pano")
+    texts[" ".join(words)] = text.getvalue()
+print(json.dumps({"texts": texts, "modules": sorted({name.partition(".")[0] for name in sys.modules})}))
+"""
+
+
+@pytest.fixture
+def tree(tmp_path):
+    """A function that writes a small package: relative path -> text."""
+
+    def write(**files: str) -> Path:
+        for name, text in files.items():
+            path = tmp_path.joinpath(*name.split("__")).with_suffix(".py")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        return tmp_path
+
+    return write
+
+
+# --- floors ---------------------------------------------------------------------------------------------------------
+
+
+def test_nobody_imports_upwards():
+    assert house_rules.climbs(house_rules.SOURCE) == []
+
+
+@pytest.mark.parametrize(
+    ("importer", "statement", "complaint"),
+    [
+        ("models__titan", "from lidar2pano.pipeline import load", "floor 2 may not know floor 3"),
+        ("scan", "def later():\n    import lidar2pano.geometry.knn", "floor 0 may not know floor 1"),
+        ("geometry__knn", "from ..train import engine", "floor 1 may not know floor 4"),
+        ("losses", "from lidar2pano import metrics", "floor 2 may not know floor 2"),
+        ("errors", "from lidar2pano.scan import Scan", "floor -1 may not know floor 0"),
+        ("evaluate", "from lidar2pano import read", "import from the module itself"),
+        ("pipeline", "from lidar2pano.cli_demo import demo", "floor 3 may not know floor 6"),
+        ("odd", "import math", "'odd' is on no floor; enter it in FLOORS"),
+        ("pipeline", "from lidar2pano.odd import x", "'odd' is on no floor"),
+    ],
+)
+def test_climbing_is_seen(tree, importer, statement, complaint):
+    others = ("pipeline", "geometry__knn", "train__engine", "metrics____init", "cli_demo", "scan")
+    source = tree(**dict.fromkeys(others, ""), **{"formats__kitti": "from lidar2pano.scan import Scan"})
+    (source / "metrics" / "__init__.py").write_text("")
+    assert house_rules.climbs(source) == []
+    (fault,) = [line for line in house_rules.climbs(tree(**{importer: statement})) if complaint in line]
+    assert fault.startswith(importer.replace("__", "/"))
+
+
+def test_what_floors_allow(tree):
+    source = tree(
+        errors="import difflib",
+        scan="from lidar2pano.errors import InputError",
+        formats__kitti="from lidar2pano.scan import Scan",
+        models__salsanext="import torch",
+        models__titan="from lidar2pano.models.salsanext import Trunk\nfrom .salsanext import Trunk as same",
+        models__card="from lidar2pano import __version__",
+        cli="from lidar2pano.cli_train import app\nimport lidar2pano",
+        cli_train="from lidar2pano import read",
+    )
+    assert house_rules.climbs(source) == []
+
+
+def test_floor_0_knows_numpy_only():
+    assert house_rules.foreign(house_rules.SOURCE) == []
+
+
+def test_a_stranger_on_floor_0_is_seen(tree):
+    source = tree(
+        scan="import numpy as np\nimport json", labels="def f():\n    from torch import nn", losses="import torch"
+    )
+    assert house_rules.foreign(source) == ["labels.py imports torch.nn: floor 0 knows numpy and the standard library"]
+
+
+def test_floor_0_loads_without_torch():
+    names = ", ".join(f"lidar2pano.{name}" for name in sorted(house_rules.FLOORS[0] | house_rules.ANYWHERE))
+    code = f"import sys, lidar2pano, {names}; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# --- sizes, names, noise, builders ----------------------------------------------------------------------------------
+
+
+def test_functions_stay_small():
+    assert house_rules.too_big(house_rules.SOURCE) == []
+
+
+def test_big_things_are_seen(tree):
+    body = "    x = 1\n"
+    source = tree(
+        tall="def f():\n" + body * 60,
+        wide="class A:\n    def f(self, a, b, c, d, e, f, *, g, h, i): ...",
+        fine="x = 1\n" * 239 + "class A:\n    def f(self, a, b, c, d, e, f, *, g, h):\n" + ("    " + body) * 59,
+        cli="@app.command()\ndef f(a, b, c, d, e, f, g, h, i): ...",  # options of a command are no parameters
+    )
+    assert house_rules.too_big(source) == [
+        "tall.py:1 f has 61 lines (limit 60)",
+        "wide.py:2 f takes 9 parameters (limit 8)",
+    ]
+
+
+def test_names_say_contents():
+    assert house_rules.empty_names(house_rules.SOURCE) == []
+
+
+def test_empty_names_are_seen(tree):
+    source = tree(core__titan="", models__train_utils="", commonplace="", database="")
+    assert house_rules.empty_names(source) == [
+        "core/titan.py: the name says nothing",
+        "models/train_utils.py: the name says nothing",
+    ]
+
+
+def test_no_two_files_share_a_name():
+    assert house_rules.repeated_names(house_rules.SOURCE) == []
+
+
+def test_a_repeated_name_is_seen(tree):
+    source = tree(models__card="", evaluate__card="", cli__card="")
+    (source / "models" / "__init__.py").write_text("")
+    (source / "evaluate" / "__init__.py").write_text("")
+    assert house_rules.repeated_names(source) == ["evaluate/card.py and models/card.py are called alike"]
+
+
+def test_only_the_door_speaks():
+    assert house_rules.noisy(house_rules.SOURCE) == []
+
+
+def test_noise_is_seen(tree):
+    noise = "print(1)\nconsole.print(2)\nsys.exit(3)\nlogging.basicConfig()\nlog.info(4)\nprinted(5)"
+    found = house_rules.noisy(tree(losses=noise, cli=noise, cli_world=noise))
+    assert [line.split(":")[1] for line in found] == [
+        "1 calls print",
+        "2 calls console.print",
+        "3 calls sys.exit",
+        "4 calls logging.basicConfig",
+    ]
+
+
+def test_networks_have_one_builder():
+    assert {"SalsaNext", "Titan", "TitanCritic"} <= NETWORKS
+    assert house_rules.second_builders(house_rules.SOURCE, NETWORKS) == []
+
+
+def test_a_second_builder_is_seen(tree):
+    source = tree(models__titan="Titan()", pipeline="titan.Titan(classes=15)", evaluate="Titan: object\nbuild('titan')")
+    assert house_rules.second_builders(source, {"Titan"}) == ["pipeline.py:1 constructs Titan: call models.build"]
+
+
+# --- configuration --------------------------------------------------------------------------------------------------
+
+
+def test_every_config_field_is_read():
+    assert "class" in RECIPES.read_text(encoding="utf-8")
+    assert house_rules.unread(RECIPES, house_rules.SOURCE) == []
+
+
+def test_an_unread_field_is_seen(tree):
+    source = tree(
+        train__recipes=(
+            "@dataclass(frozen=True, kw_only=True)\nclass Training:\n"
+            "    steps: int = 1\n    rate: float = 0.1\n    KINDS: ClassVar[int] = 2\n"
+            "class Plain:\n    free: int = 3\n"
+        ),
+        train__engine="def run(recipe):\n    recipe.rate = 2\n    return recipe.steps",
+    )
+    assert house_rules.unread(source / "train" / "recipes.py", source) == ["Training.rate is read nowhere"]
+
+
+# --- the public names -----------------------------------------------------------------------------------------------
+
+
+def test_public_names_are_the_recorded_ones():
+    recorded = house_rules.INVENTORY.read_text(encoding="utf-8")
+    assert house_rules.inventory() == recorded, "if the change is meant: .venv/bin/python tests/support/house_rules.py"
+
+
+def test_a_changed_signature_changes_the_inventory(monkeypatch):
+    before = house_rules.inventory()
+    assert "def read(path: str | Path) -> Scan\n" in before
+    assert "View(*, rows: int, columns: int, up: float, down: float" in before
+    assert "\n    scaled(self, factor: float) -> View\n" in before
+    monkeypatch.setattr(lidar2pano, "read", lambda path, strict: None)
+    assert "def read(path, strict)\n" in house_rules.inventory()
+
+
+def test_the_package_costs_nothing_until_a_name_is_used():
+    code = "import sys, lidar2pano; lidar2pano.VIEWS; sys.exit('torch' in sys.modules or 'PIL' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_unknown_names_are_refused():
+    assert set(lidar2pano.__all__) <= set(dir(lidar2pano))
+    with pytest.raises(AttributeError, match="'lidar2pano' has no attribute 'Sacn'"):
+        lidar2pano.__getattr__("Sacn")
+
+
+@pytest.mark.parametrize("name", ["SegmentMap", "back_project"])
+def test_names_that_will_go_still_work_and_warn(name):
+    with pytest.warns(DeprecationWarning, match=f"lidar2pano.{name} goes with the next version"):
+        assert getattr(lidar2pano, name).__name__ == name
+    assert name not in lidar2pano.__all__
+
+
+# --- the command line's door ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def helps() -> dict:
+    """The help of every command, and the modules that were imported for it."""
+    done = subprocess.run([sys.executable, "-c", ALL_HELP], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_help_imports_nothing_heavy(helps):
+    assert [name for name in HEAVY if name in helps["modules"]] == []
+
+
+def test_every_promised_command_explains_itself(helps):
+    assert set(helps["texts"]) >= PROMISED
+    silent = [name for name, text in helps["texts"].items() if "Usage" not in text or len(text.splitlines()) < 5]
+    assert silent == []
+
+
+def cpu_seconds(code: str) -> float:
+    """User and system time of one `python -c code`, which must succeed."""
+    before = os.times()
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+    after = os.times()
+    return after.children_user - before.children_user + after.children_system - before.children_system
+
+
+def test_cpu_seconds_measures_the_child():
+    assert 0.25 < cpu_seconds("import time\nwhile time.process_time() < 0.3: pass") < 0.3 + MOST_SECONDS
+
+
+def test_help_takes_less_than_a_second():
+    code = "import sys; sys.argv = ['lidar2pano', '--help']; from lidar2pano.cli import main; main()"
+    assert any(cpu_seconds(code) < MOST_SECONDS for _ in range(3))

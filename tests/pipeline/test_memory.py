@@ -1,0 +1,111 @@
+"""Panoramas steadied by those before: carried over by pose and distance, averaged where both agree."""
+
+import numpy as np
+import pytest
+import torch
+
+from lidar2pano.geometry.projection import directions
+from lidar2pano.labels import COMMON15
+from lidar2pano.memory import MOST, Shown, steadied
+from lidar2pano.views import View
+
+VIEW = View(rows=24, columns=96, up=0.24, down=-0.2836, kind="cylinder", origin=(0.3, 0.1, -0.1))
+ROAD, CAR, SKY = (COMMON15.id_of(name) for name in ("road", "car", "sky"))
+STILL = torch.eye(4, dtype=torch.float64)
+
+
+def turned(columns):
+    """The pose of a sensor that has turned left by so many columns about the point that looks."""
+    angle = columns * 2 * np.pi / VIEW.columns
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:2, :2] = torch.tensor([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    origin = torch.tensor(VIEW.origin, dtype=torch.float64)
+    pose[:3, 3] = origin - pose[:3, :3] @ origin
+    return pose
+
+
+def shown(picture, pose=STILL, ids=None, distance_m=None, count=1.0):
+    rows, columns = VIEW.rows, VIEW.columns
+    return Shown(
+        picture=picture,
+        ids=torch.full((rows, columns), ROAD, dtype=torch.uint8) if ids is None else ids,
+        distance_m=torch.full((rows, columns), 10.0) if distance_m is None else distance_m,
+        count=torch.full((rows, columns), count),
+        pose=pose,
+    )
+
+
+def noise(seed):
+    return torch.rand(1, 3, 2 * VIEW.rows, 2 * VIEW.columns, generator=torch.Generator().manual_seed(seed)) * 2 - 1
+
+
+def test_a_sensor_that_stands_averages_all_its_pictures():
+    pictures = [noise(seed) for seed in range(4)]
+    memory = shown(pictures[0])
+    for picture in pictures[1:]:
+        memory = steadied(shown(picture), memory, VIEW)
+    assert torch.allclose(memory.picture, torch.stack(pictures).mean(0), atol=1e-3)
+    assert (memory.count == 4).all()
+
+
+def test_the_newest_picture_never_weighs_less_than_one_of_most():
+    memory = steadied(shown(noise(0)), shown(noise(1), count=100.0), VIEW)
+    assert (memory.count == MOST).all()
+    assert torch.allclose(memory.picture, noise(1) + (noise(0) - noise(1)) / MOST, atol=1e-5)
+
+
+def test_what_was_seen_is_carried_over_a_turn_and_across_the_seam():
+    """After a turn to the left by 7 columns, everything stands 7 columns further right."""
+    before = noise(2)
+    now = torch.roll(before, 14, dims=3)
+    ids = torch.tensor([ROAD, CAR, SKY], dtype=torch.uint8)[torch.arange(96) * 3 // 96].expand(24, -1)
+    memory = steadied(shown(now, turned(7), torch.roll(ids, 7, dims=1)), shown(before, ids=ids), VIEW)
+    assert (memory.count == 2).all()
+    assert (memory.picture - now).abs().max() < 1e-3
+    other = steadied(shown(now, turned(-7)), shown(before), VIEW)
+    assert (other.picture - now).abs().mean() > 0.1, "a turn the other way does not fit"
+
+
+def test_a_step_forward_carries_by_distance():
+    """Three walls of a place: what is steadied is the pattern on them, not where it was in the picture."""
+
+    def look(origin):
+        """A cylinder of 12 m around the world's origin, seen from `origin`: (pattern, distance)."""
+        rays = directions(VIEW).double()
+        flat, start = rays[..., :2], torch.tensor(origin[:2], dtype=torch.float64)
+        a, b, c = (flat**2).sum(-1), (flat * start).sum(-1), (start**2).sum() - 144
+        far = (-b + (b**2 - a * c).sqrt()) / a
+        place = start + far[..., None] * flat
+        pattern = torch.sin(3 * torch.atan2(place[..., 1], place[..., 0]))
+        return pattern.float()[None, None].expand(1, 3, -1, -1).repeat_interleave(2, 2).repeat_interleave(2, 3), far
+
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[0, 3] = 2.0
+    origin = np.array(VIEW.origin)
+    before, now = look(origin), look(origin + [2, 0, 0])
+    one = shown(before[0], distance_m=before[1].float())
+    memory = steadied(shown(torch.zeros_like(now[0]), pose, distance_m=now[1].float()), one, VIEW)
+    averaged = memory.count == 2
+    assert averaged.float().mean() > 0.9
+    there = averaged.repeat_interleave(2, 0).repeat_interleave(2, 1)
+    carried, right, unmoved = 2 * memory.picture[0, 0], now[0][0, 0], before[0][0, 0]
+    assert (carried - right)[there].abs().mean() < 0.2 * (unmoved - right)[there].abs().mean()
+
+
+@pytest.mark.parametrize("what", ["ids", "distance_m"])
+def test_where_something_changed_the_picture_begins_anew(what):
+    new = {"ids": torch.full((24, 96), ROAD, dtype=torch.uint8), "distance_m": torch.full((24, 96), 10.0)}
+    new[what][5:9, 40:60] = {"ids": CAR, "distance_m": 5}[what]
+    memory = steadied(shown(noise(0), **new), shown(noise(1)), VIEW)
+    assert (memory.count[5:9, 40:60] == 1).all() and memory.count[12:, :].min() == 2
+    assert torch.equal(memory.picture[..., 10:18, 80:120], noise(0)[..., 10:18, 80:120])
+
+
+def test_the_sky_is_steadied_by_the_turn_alone():
+    ids, far = torch.full((24, 96), SKY, dtype=torch.uint8), torch.full((24, 96), torch.inf)
+    pose = turned(3)
+    pose[:3, 3] += torch.tensor([5.0, 0.0, 0.0])
+    before = noise(4)
+    now = torch.roll(before, 6, dims=3)
+    memory = steadied(shown(now, pose, ids, far), shown(before, STILL, ids, far), VIEW)
+    assert (memory.count == 2).all() and (memory.picture - now).abs().max() < 1e-3

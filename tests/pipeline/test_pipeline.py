@@ -1,0 +1,485 @@
+"""The pipeline and its panorama, on a family of untrained networks."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from torch import nn
+
+from lidar2pano.calibration import Calibration
+from lidar2pano.cli import main
+from lidar2pano.errors import InputError
+from lidar2pano.geometry.images import Normalisation, one_hot_layers
+from lidar2pano.geometry.projection import project
+from lidar2pano.hardware import Timer, fast_arithmetic
+from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
+from lidar2pano.models import build
+from lidar2pano.models.card import load as load_weights
+from lidar2pano.models.card import read_card, save
+from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
+from lidar2pano.models.families import licence_note, weight_files
+from lidar2pano.models.vid2vid_painter import Vid2VidPainter
+from lidar2pano.panorama import Panorama
+from lidar2pano.pipeline import Memory, Segmenter, load
+from lidar2pano.scan import Scan
+from lidar2pano.views import VIEWS, View
+from random_weights import LICENCE, TRANSLATOR_VIEW, spread_norms, street, write_scan, write_weights
+
+SKY = COMMON15.id_of("sky")
+CAMERA = Calibration(
+    K=np.array([[60.0, 0, 40], [0, 60, 12], [0, 0, 1]]),
+    T_camera_lidar=np.array([[0.0, -1, 0, 0.1], [0, 0, -1, -0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]),
+    size=(80, 25),
+)
+
+
+@pytest.fixture(scope="module")
+def pipeline(random_weights):
+    return load(random_weights, "cpu")
+
+
+@pytest.fixture(scope="module")
+def panorama(pipeline) -> Panorama:
+    return pipeline(street())
+
+
+def same(one: Panorama, other: Panorama) -> bool:
+    pictures = all(
+        np.array_equal(getattr(one, name), getattr(other, name)) for name in ("colour", "segments", "depth_m", "labels")
+    )
+    return pictures and (one.name, one.frame, one.view) == (other.name, other.frame, other.view)
+
+
+# --- single, sequence and stream are one function -------------------------------------------------------------------
+
+
+def test_folding_by_hand_is_the_stream_and_its_first_is_the_single(pipeline):
+    scans = [street(seed=seed) for seed in (1, 2)]
+    streamed = list(pipeline.stream(iter(scans)))
+    memory, folded = Memory(), []
+    for scan in scans:
+        memory, panorama = pipeline.step(memory, scan)
+        folded.append(panorama)
+    assert all(itertools.starmap(same, zip(streamed, folded, strict=True)))
+    assert [one.frame for one in streamed] == [0, 1]
+    assert memory == Memory(frames=2)
+    assert same(pipeline(scans[0]), streamed[0])
+    assert not same(pipeline(scans[1]), streamed[0])
+
+
+def test_a_stream_with_poses_is_steadied(pipeline):
+    """The second picture of a sensor that stands, of the same scan with another painter's taste, is the mean."""
+
+    class Moody:
+        def __init__(self):
+            self.moods = iter((-0.5, 0.1, 0.1))
+
+        def paint(self, past, segments, depth_m, image):
+            return past, torch.full((1, 3, 2 * segments.shape[2], 2 * segments.shape[3]), next(self.moods))
+
+    scan, still = street(seed=1), np.eye(4)
+    plain = [one.colour for one in replace(pipeline, painter=Moody()).stream([scan] * 2)]
+    steady = list(replace(pipeline, painter=Moody()).stream([scan] * 2, [still] * 2))
+    assert (plain[0] == 64).all() and (plain[1] == 140).all()
+    assert (steady[0].colour == 64).all() and (steady[1].colour == 102).mean() > 0.9
+    assert list(steady[1].milliseconds)[-3:] == ["paint", "steady", "finish"]
+    assert np.array_equal(steady[1].segments, steady[0].segments)
+    memory, _ = replace(pipeline, painter=Moody()).step(Memory(), scan, still)
+    assert memory.shown is not None
+    assert replace(pipeline, painter=Moody()).step(memory, scan)[0].shown is None, "without a pose it begins anew"
+
+
+def test_streams_share_nothing(pipeline):
+    one, other = pipeline.stream([street(seed=1)] * 2), pipeline.stream([street(seed=2)] * 2)
+    assert [next(one).frame, next(other).frame, next(one).frame] == [0, 0, 1]
+
+
+# --- what comes out -------------------------------------------------------------------------------------------------
+
+
+def test_shapes_and_types(panorama):
+    rows, columns = 2 * TRANSLATOR_VIEW.rows, 2 * TRANSLATOR_VIEW.columns
+    assert panorama.view == TRANSLATOR_VIEW.scaled(2)
+    expected = {
+        "colour": ((rows, columns, 3), np.uint8),
+        "segments": ((rows, columns), np.uint8),
+        "depth_m": ((rows, columns), np.float32),
+        "labels": ((len(street()),), np.int64),
+    }
+    assert {name: (getattr(panorama, name).shape, getattr(panorama, name).dtype) for name in expected} == expected
+    assert panorama.segments.max() < len(COMMON15)
+    assert panorama.labels.max() < len(SEMANTIC_KITTI)
+    assert list(panorama.milliseconds) == ["project", "segment", "clean_up", "translate", "paint", "finish"]
+    assert panorama.colour.std() > 0
+
+
+def test_every_point_has_a_label_and_dropped_ones_have_none(pipeline):
+    scan = street()
+    xyz = scan.xyz.copy()
+    xyz[3], xyz[5], xyz[7] = np.nan, (np.inf, 0, 0), 0
+    broken = pipeline(replace(scan, xyz=xyz))
+    assert broken.dropped == 3
+    assert broken.labels.shape == (len(scan),)
+    assert broken.labels[[3, 5, 7]].tolist() == [0, 0, 0]
+    assert (broken.labels != 0).mean() > 0.5
+
+
+def test_the_vehicle_itself_is_not_in_the_picture(pipeline):
+    scan = street()
+    own = np.random.default_rng(0).uniform(-0.5, 0.5, (400, 3)).astype(np.float32)  # a roof, or "no echo" as some write
+    more = replace(
+        scan, xyz=np.concatenate([own, scan.xyz]), remission=np.pad(scan.remission, (400, 0), constant_values=0.5)
+    )
+    plain, seen = pipeline(scan), pipeline(more)
+    assert seen.dropped == plain.dropped + 400 and not seen.labels[:400].any()
+    assert np.array_equal(seen.labels[400:], plain.labels) and np.array_equal(seen.colour, plain.colour)
+    assert np.array_equal(seen.depth_m, plain.depth_m)
+
+
+@pytest.mark.parametrize("point", [(np.nan, 0, 0), (0, 0, 0), (np.inf, 1, 1), (0.3, 0.3, -0.2)])
+def test_a_scan_without_a_usable_point_is_refused(pipeline, point):
+    scan = Scan(xyz=np.full((4, 3), point, np.float32), remission=np.zeros(4, np.float32), name="bad")
+    with pytest.raises(InputError, match=r"bad: none of its 4 points can be used"):
+        pipeline(scan)
+
+
+def test_a_scan_out_of_view_is_refused(pipeline):
+    scan = Scan(xyz=np.full((4, 3), (1, 0, 50), np.float32), remission=np.zeros(4, np.float32), name="up")
+    with pytest.raises(InputError, match="up: no point is in view"):
+        pipeline(scan)
+
+
+class Told(nn.Module):
+    """A translator that says sky above the third row, road below, and 10 m everywhere."""
+
+    def forward(self, image, condition):
+        logits = image.new_zeros(1, len(COMMON15), *image.shape[2:])
+        logits[:, SKY, :3], logits[:, 7, 3:] = 5, 5
+        return logits, image.new_full((1, *image.shape[2:]), 10.0)
+
+
+def test_the_sky_has_no_depth(pipeline):
+    seen = replace(pipeline, translator=Told())(street())
+    assert (seen.segments[:6] == SKY).all() and (seen.segments[6:] == 7).all()
+    assert (seen.depth_m[:6] == 0).all() and (seen.depth_m[6:] == 10).all()
+
+
+def test_the_viewpoint_can_be_moved_to_a_camera(pipeline):
+    moved = pipeline.at(CAMERA)
+    assert moved.view.origin == pytest.approx((0.3, 0.1, -0.2))
+    assert (moved(street()).segments != pipeline(street()).segments).any()
+
+
+def test_a_sensor_has_its_own_rows(pipeline):
+    assert pipeline.for_sensor("os1-64").segmenter.view == VIEWS["os1-64"]
+    with pytest.raises(InputError, match="no sensor 'os1-46'; did you mean 'os1-64'"):
+        pipeline.for_sensor("os1-46")
+    with pytest.raises(InputError, match="no sensor 'panorama'"):
+        pipeline.for_sensor("panorama")
+
+
+# --- all directions are alike ---------------------------------------------------------------------------------------
+
+
+def seen_by(pipeline, scan):
+    around = project(scan, pipeline.view)
+    classes = torch.randint(0, 20, (len(scan),), generator=torch.Generator().manual_seed(0))
+    return around.channels[None], one_hot_layers(around.spread(classes)[None], 20)
+
+
+@pytest.mark.parametrize("columns", [16, -160])
+def test_turning_the_scene_turns_the_picture(pipeline, columns):
+    def picture(image, condition):
+        with torch.inference_mode():
+            logits, depth_m = pipeline.translator(image, condition)
+            return logits, depth_m, pipeline.painter(logits.softmax(1), depth_m, image)
+
+    image, condition = seen_by(pipeline, street())
+    still, turned = picture(image, condition), picture(image.roll(columns, 3), condition.roll(columns, 3))
+    for before, after, factor in zip(still, turned, (1, 1, 2), strict=True):
+        spread = before.std()
+        assert spread > 0
+        assert (after - before.roll(columns * factor, -1)).abs().max() < 1e-3 * spread
+
+
+def test_there_is_no_seam(pipeline):
+    image, condition = (seen[..., :1].expand_as(seen).contiguous() for seen in seen_by(pipeline, street()))
+    with torch.inference_mode():  # a scene that is the same in every direction
+        logits, depth_m = pipeline.translator(image, condition)
+        picture = pipeline.painter(logits.softmax(1), depth_m, image)[0]
+    jump = (picture - picture.roll(1, -1)).abs().mean((0, 1))[::32]  # where one coarsest cell meets the next
+    assert jump[0] > 0
+    assert torch.allclose(jump, jump[0].expand_as(jump), rtol=1e-3)
+
+
+# --- parts ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("network", "slim"), [("titan-pano", {"widths": [8] * 5}), ("painter", {"widths": [8] * 3})])
+def test_folding_norms_changes_nothing(network, slim):
+    torch.manual_seed(3)
+    plain = spread_norms(build(network, **slim)).eval()
+    folded = build(network, **slim).eval()
+    folded.load_state_dict(plain.state_dict())
+    fold_norms(folded)
+    assert sum(isinstance(layer, nn.BatchNorm2d) for layer in folded.modules()) == 0
+    image = torch.rand(1, 5, 16, 64)
+    inputs = {
+        "titan-pano": (image, torch.rand(1, 20, 16, 64)),
+        "painter": (torch.rand(1, 16, 16, 64), image[:, 0], image),
+    }
+    with torch.inference_mode():
+        before, after = plain(*inputs[network]), folded(*inputs[network])
+    for one, other in zip(*((x if isinstance(x, tuple) else (x,)) for x in (before, after)), strict=True):
+        assert (one - other).abs().max() < 1e-3 * one.abs().max()
+
+
+@pytest.mark.parametrize("strip", [1, 5, 32])
+def test_grown_classes_are_those_of_the_grown_logits(strip):
+    logits = torch.randn(1, 16, 12, 40)
+    expected = grow_circular(logits, 2)[0].argmax(0)
+    assert torch.equal(grown_classes(logits, 2, strip), expected.to(torch.uint8))
+    assert torch.equal(grown_classes(logits.to(memory_format=torch.channels_last), 2, strip), expected.to(torch.uint8))
+
+
+class Copies(nn.Module):
+    """A network whose class is what the range channel says; it keeps what it was shown."""
+
+    def forward(self, x):
+        self.shown = x
+        return one_hot_layers(x[:, 0].round().long().clamp(0, 19), 20)
+
+
+@pytest.mark.parametrize(("turn", "beyond"), [(360.0, [1.0] * 8), (90.0, [0.0] * 8)])
+def test_columns_need_not_divide(turn, beyond):
+    view = View(rows=16, columns=200, up=10, down=-10, left=turn / 2, right=-turn / 2)
+    azimuth = np.radians(turn / 2 - (np.arange(200) + 0.5) * turn / 200)
+    range_m = 1 + np.arange(200) // 20
+    xyz = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), 0.01 * range_m], axis=1).astype(np.float32)
+    network = Copies()
+    plain = Normalisation(mean=(0,) * 5, deviation=(1,) * 5)
+    segmenter = Segmenter(network=network, view=view, normalise=plain)
+    ids = segmenter.raster(project(Scan(xyz=xyz, remission=np.zeros(200, np.float32)), view))
+    assert ids.shape == (16, 200) and ids.dtype == torch.uint8
+    assert ids.max(0).values.tolist() == range_m.tolist()
+    assert network.shown.shape == (1, 5, 16, 208)
+    assert network.shown[0, 0].max(0).values[200:].round().tolist() == beyond
+
+
+def test_rows_must_divide(pipeline):
+    view = replace(VIEWS["hdl64e"], rows=40, columns=64)
+    with pytest.raises(InputError, match="40 x 64 pixels does not fit"):
+        replace(pipeline.segmenter, view=view).points(street())
+
+
+# --- files ----------------------------------------------------------------------------------------------------------
+
+
+def pixels(path: Path, mode: str | None = None) -> np.ndarray:
+    with Image.open(path) as picture:
+        return np.array(picture.convert(mode) if mode else picture)
+
+
+def test_saved_files_read_back(panorama, tmp_path):
+    files = panorama.save(tmp_path / "out", ("rgb", "segments", "labels", "depth"), CAMERA)
+    names = ["street.png", "street.camera.png", "street.segments.png", "street.camera-segments.png", "street.label",
+             "street.depth.png"]  # fmt: skip
+    assert [file.name for file in files] == names
+    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == sorted(names)
+    read = {file.name: pixels(file) for file in files if file.suffix == ".png"}
+    assert np.array_equal(read["street.png"], panorama.colour)
+    assert np.array_equal(read["street.segments.png"], panorama.segments)
+    assert np.array_equal(pixels(tmp_path / "out" / "street.segments.png", "RGB"), COMMON15.paint(panorama.segments))
+    depth = read["street.depth.png"]
+    assert depth.dtype in (np.uint16, np.int32)
+    assert np.abs(depth / 256 - panorama.depth_m).max() <= 1 / 512
+    raw = np.fromfile(tmp_path / "out" / "street.label", "<u4")
+    assert np.array_equal(SEMANTIC_KITTI.from_raw(raw), panorama.labels) and raw.max() > 20
+    camera = panorama.to_camera(CAMERA)
+    assert np.array_equal(read["street.camera.png"], camera.colour)
+    assert np.array_equal(read["street.camera-segments.png"], camera.segments)
+    assert camera.colour.shape == (25, 80, 3) and camera.segments.shape == (25, 80)
+
+
+def test_deep_depths_do_not_wrap_around(panorama, tmp_path):
+    far = replace(panorama, depth_m=np.full_like(panorama.depth_m, 300.0))
+    (file,) = far.save(tmp_path, ("depth",))
+    assert (pixels(file) == 0xFFFF).all()
+
+
+def test_nothing_is_left_where_nothing_can_be_written(panorama, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        panorama.save(tmp_path / "file" / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_an_interrupted_save_leaves_nothing(panorama, tmp_path, monkeypatch):
+    def interrupted(path, colour):
+        path.write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lidar2pano.panorama.write_png", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        panorama.save(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_to_save_is_checked(panorama, tmp_path):
+    with pytest.raises(InputError, match="'colour'; there is rgb"):
+        panorama.save(tmp_path, ("colour",))
+
+
+# --- weights --------------------------------------------------------------------------------------------------------
+
+
+def test_weights_without_a_painter_say_so(random_weights, tmp_path, monkeypatch):
+    monkeypatch.setattr("lidar2pano.models.families.RELEASED", tmp_path)
+    with pytest.raises(InputError, match="no weights for the segmenter and the painter"):
+        load(random_weights / "translator.safetensors", "cpu")
+
+
+def test_a_default_family_fills_what_is_missing(random_weights, tmp_path, monkeypatch):
+    monkeypatch.setattr("lidar2pano.models.families.RELEASED", random_weights.parent)
+    monkeypatch.setattr("lidar2pano.models.families.DEFAULT", random_weights.name)
+    mine = write_weights(tmp_path, "other", "painter", {"widths": [8, 8, 8]})
+    files = weight_files(mine)
+    assert files == {role: random_weights / f"{role}.safetensors" for role in ("segmenter", "translator")} | {
+        "painter": mine
+    }
+    assert weight_files(mine, fill=False) == {"painter": mine}
+    assert weight_files(random_weights.name) == weight_files(random_weights)
+
+
+def test_two_files_for_one_role_are_refused(random_weights, tmp_path):
+    for name in ("a", "b"):
+        write_weights(tmp_path, name, "painter", {"widths": [8, 8, 8]})
+    with pytest.raises(InputError, match="a.safetensors and b.safetensors are both a painter"):
+        weight_files(tmp_path)
+
+
+def test_a_run_gives_its_best_weights(tmp_path):
+    best = write_weights(tmp_path / "weights", "painter", "painter", {"widths": [8, 8, 8]})
+    write_weights(tmp_path / "weights", "painter.last", "painter", {"widths": [8, 8, 8]})
+    assert weight_files(tmp_path, fill=False) == {"painter": best}
+
+
+@pytest.mark.parametrize("views", [{}, {"panorama": {"rows": 4}}, {"panorama": 3}])
+def test_a_card_without_its_view_is_refused(random_weights, tmp_path, views):
+    network, card = load_weights(random_weights / "translator.safetensors")
+    for role in ("segmenter", "painter"):
+        (tmp_path / f"{role}.safetensors").symlink_to(random_weights / f"{role}.safetensors")
+    save(tmp_path / "translator.safetensors", network, replace(card, views=views))
+    with pytest.raises(InputError, match=r"translator.safetensors: its card has no view 'panorama'"):
+        load(tmp_path, "cpu")
+
+
+def test_a_strict_licence_is_noted(random_weights, tmp_path):
+    assert LICENCE in (licence_note(weight_files(random_weights)) or "")
+    network, card = load_weights(random_weights / "painter.safetensors")
+    save(tmp_path / "painter.safetensors", network, replace(card, licence="Apache-2.0"))
+    assert json.loads(read_card(tmp_path / "painter.safetensors").to_json())["licence"] == "Apache-2.0"
+    assert licence_note({"painter": tmp_path / "painter.safetensors"}) is None
+
+
+# --- a painter with a memory ----------------------------------------------------------------------------------------
+
+GENERATOR = {"channels": 16, "widths": [8], "downsamplings": 2, "blocks": [1, 1], "foreground": [1]}
+SINGLE = {"classes": 16, "width": 8, "downsamplings": 1, "blocks": 1}
+
+
+def video_weights(random_weights: Path, folder: Path, single: bool = False, **card) -> Path:
+    """A folder with segmenter, translator and an untrained vid2vid that paints on the segments' raster."""
+    folder.mkdir()
+    for role in ("segmenter", "translator"):
+        (folder / f"{role}.safetensors").symlink_to(random_weights / f"{role}.safetensors")
+    write_weights(folder, "vid2vid", "vid2vid", GENERATOR, **{"views": {"panorama": TRANSLATOR_VIEW.as_dict()}, **card})
+    if single:
+        write_weights(folder, "vid2vid-single", "vid2vid-single", SINGLE)
+    return folder
+
+
+@pytest.mark.parametrize("single", [False, True])
+def test_a_video_painter_paints_the_stream_frame_after_frame(random_weights, tmp_path, single):
+    pipeline = load(video_weights(random_weights, tmp_path / "video", single), "cpu")
+    assert isinstance(pipeline.painter, Vid2VidPainter)
+    assert (pipeline.painter.single is not None) == single
+    scans = [street(seed=seed) for seed in (1, 2, 3)]
+    pictures = list(pipeline.stream(scans))
+    shape = (2 * TRANSLATOR_VIEW.rows, 2 * TRANSLATOR_VIEW.columns, 3)
+    assert all(one.colour.shape == shape and one.colour.std() > 0 for one in pictures)
+    assert same(pipeline(scans[0]), pictures[0])
+    assert not np.array_equal(pipeline(scans[2]).colour, pictures[2].colour)
+    assert np.array_equal(pipeline(scans[2]).segments, pictures[2].segments)
+    memory = Memory()
+    for scan, expected in zip(scans, pictures, strict=True):
+        memory, panorama = pipeline.step(memory, scan)
+        assert same(panorama, expected)
+    assert same(pipeline.step(memory, scans[0])[1], pipeline.step(memory, scans[0])[1])
+
+
+def test_the_panorama_is_what_the_video_painter_painted(random_weights, tmp_path):
+    pipeline = load(video_weights(random_weights, tmp_path / "video"), "cpu")
+    seen = pipeline.translate(street(), Timer(pipeline.device))
+    with torch.inference_mode(), fast_arithmetic(pipeline.device):
+        _, picture = pipeline.painter.follow(None, grown_classes(seen.logits.softmax(1), 1))
+    expected = ((grow_circular(picture[None], 2)[0] + 1) * 127.5).round().movedim(0, 2)
+    assert np.array_equal(pipeline(street()).colour, expected.numpy())
+
+
+def test_a_video_painter_without_a_raster_paints_the_finished_one(random_weights, tmp_path):
+    painter = load(video_weights(random_weights, tmp_path / "video", views={}), "cpu").painter
+    assert isinstance(painter, Vid2VidPainter) and painter.finer == 2
+
+
+def test_a_video_painter_that_does_not_fit_is_named(random_weights, tmp_path):
+    with pytest.raises(
+        InputError, match=r"vid2vid.safetensors: it paints panoramas of 432 columns, .* translator's 576"
+    ):
+        load(
+            video_weights(
+                random_weights, tmp_path / "raster", views={"panorama": VIEWS["panorama"].scaled(3 / 32).as_dict()}
+            ),
+            "cpu",
+        )
+    folder = video_weights(random_weights, tmp_path / "classes")
+    write_weights(folder, "vid2vid-single", "vid2vid-single", {**SINGLE, "classes": 35})
+    with pytest.raises(InputError, match=r"vid2vid.safetensors: the first-frame network reads 35 classes"):
+        load(folder, "cpu")
+
+
+def test_first_frames_need_a_video_painter(random_weights, tmp_path):
+    for role in ("segmenter", "translator", "painter"):
+        (tmp_path / f"{role}.safetensors").symlink_to(random_weights / f"{role}.safetensors")
+    single = write_weights(tmp_path, "vid2vid-single", "vid2vid-single", SINGLE)
+    with pytest.raises(
+        InputError, match=f"{single}: paints the first frames for a 'vid2vid', which .*painter.safetensors"
+    ):
+        load(tmp_path, "cpu")
+    write_weights(tmp_path, "vid2vid", "vid2vid", GENERATOR)
+    with pytest.raises(InputError, match=r"painter.safetensors and vid2vid.safetensors are both a painter"):
+        load(tmp_path, "cpu")
+
+
+def test_a_folder_of_scans_is_painted_as_one_stream(random_weights, tmp_path, capsys):
+    weights = video_weights(random_weights, tmp_path / "video")
+    for name in ("a/0.bin", "a/1.bin", "b/1.bin"):
+        write_scan(tmp_path / name, street(seed=int(name[2])))
+    folders = [str(tmp_path / name) for name in "ab"]
+    assert (
+        main(["translate", *folders, "--weights", str(weights), "--out", str(tmp_path / "out"), "--device", "cpu"]) == 0
+    )
+    assert LICENCE in capsys.readouterr().err
+    pipeline = load(weights, "cpu")
+    first, second = pipeline.stream([street(seed=0), street(seed=1)])
+    expected = {"0": first, "a-1": second, "b-1": pipeline(street(seed=1))}
+    for stem, panorama in expected.items():
+        assert np.array_equal(pixels(tmp_path / "out" / f"{stem}.png"), panorama.colour)
+    assert not np.array_equal(second.colour, expected["b-1"].colour)

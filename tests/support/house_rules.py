@@ -1,0 +1,281 @@
+"""The house rules as functions over a source tree: each returns its violations as lines of text, [] when there is none.
+
+`test_structure.py` applies them to the package, and to small bad trees to see that they bite.
+Run this file to write `api_inventory.txt` anew after a wanted change of the public names.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import sys
+from collections.abc import Iterator
+from dataclasses import is_dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = "lidar2pano"
+SOURCE = ROOT / "src" / PACKAGE
+INVENTORY = ROOT / "tests" / "package" / "api_inventory.txt"
+
+# What may import what: strictly downwards, and sideways only inside one package. Modules named cli* are the door.
+FLOORS: tuple[frozenset[str], ...] = (
+    frozenset({"scan", "views", "labels", "calibration"}),
+    frozenset({"formats", "geometry", "hardware", "demo"}),
+    frozenset({"models", "losses", "metrics", "data", "panorama", "memory", "simulate"}),
+    frozenset({"pipeline"}),
+    frozenset({"prepare", "train", "evaluate", "bench"}),
+    frozenset({"reproduce"}),
+    frozenset({"cli", "__main__"}),
+)
+DOOR = len(FLOORS) - 1
+ANYWHERE = {"errors"}  # the one exception class, below every floor
+
+MOST_FUNCTION_LINES, MOST_PARAMETERS = 60, 8
+# Where files may be called like others: by folder, and by file name.
+SAME_NAME = {
+    "cli": "a command's file is called like the command",
+    "recipes": "a file of recipes is called like the network or the task that they train",
+    "adversarial.py": "losses/ has the losses, train/ the loop that alternates between networks",
+    "camera.py": "geometry/ has the look-ups of a pinhole camera, simulate/ renders one",
+    "draws.py": "train/ draws samples, simulate/ draws random numbers",
+    "figures.py": "evaluate/ has metric values, simulate/ people",
+    "front.py": "train/ trains what evaluate/ scores",
+    "materials.py": "prepare/ has files of a data set, simulate/ surfaces",
+    "panorama.py": "the record, and the task that trains its translator",
+    "pix2pix.py": "train/ trains what models/ defines",
+    "report.py": "evaluate/ and reproduce/ write one each",
+    "video.py": "losses/ has the losses of the task in train/",
+    "world.py": "bench/ times what simulate/ defines",
+}
+EMPTY_NAMES = {"util", "utils", "common", "core", "base", "helper", "helpers", "misc"}
+
+
+def parsed(source: Path) -> Iterator[tuple[Path, ast.Module]]:
+    """Every Python file below `source`, its path relative to `source`, and its tree."""
+    for path in sorted(source.rglob("*.py")):
+        yield path.relative_to(source), ast.parse(path.read_text(encoding="utf-8"))
+
+
+def module_of(path: Path) -> str:
+    """`models/titan.py` -> "models", `losses.py` -> "losses", the package's own `__init__.py` -> ""."""
+    first = path.parts[0].removesuffix(".py")
+    return "" if first == "__init__" else first
+
+
+def at_door(module: str) -> bool:
+    """Whether a module of this name belongs to the command line."""
+    return module.startswith("cli") or module in FLOORS[DOOR]
+
+
+def floor_of(module: str) -> int | None:
+    """The floor of a module or subpackage; None when nobody has entered it."""
+    if at_door(module):
+        return DOOR
+    return next((floor for floor, modules in enumerate(FLOORS) if module in modules), None)
+
+
+def imports(tree: ast.Module, path: Path) -> Iterator[str]:
+    """Dotted names of everything that a file imports, at any depth; `from a import b` gives "a.b"."""
+    folder = [PACKAGE, *path.parts[:-1]]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            start = folder[: len(folder) - node.level + 1] if node.level else []
+            module = ".".join([*start, *([node.module] if node.module else [])])
+            yield from (f"{module}.{alias.name}" for alias in node.names)
+
+
+def climbs(source: Path) -> list[str]:
+    """Imports that do not go strictly downwards, and modules that stand on no floor."""
+    found: list[str] = []
+    for path, tree in parsed(source):
+        mine = module_of(path)
+        if not mine:
+            continue  # the package itself only hands names on, on first use
+        if mine not in ANYWHERE and floor_of(mine) is None:
+            found.append(f"{path}: {mine!r} is on no floor; enter it in FLOORS of tests/support/house_rules.py")
+            continue
+        for name in sorted(set(imports(tree, path))):
+            theirs = _inner_module(name, source)
+            if theirs is not None and (fault := _climb(mine, theirs)):
+                found.append(f"{path} ({mine}) imports {name}: {fault}")
+    return found
+
+
+def _inner_module(name: str, source: Path) -> str | None:
+    """The module of this package behind a dotted import; "" for the package's own names, None for other packages."""
+    package, _, rest = name.partition(".")
+    if package != PACKAGE:
+        return None
+    first = rest.partition(".")[0]
+    known = (source / f"{first}.py").exists() or (source / first / "__init__.py").exists()
+    return first if known or "." in rest else "" if first != "__version__" else None
+
+
+def _climb(mine: str, theirs: str) -> str | None:
+    """Say what is wrong with `mine` importing `theirs`, or None."""
+    if mine == theirs or theirs in ANYWHERE:
+        return None
+    here, there = -1 if mine in ANYWHERE else floor_of(mine), floor_of(theirs)
+    if not theirs:
+        return None if here == DOOR else "inside the package, import from the module itself"
+    if there is None or here is None:
+        return f"{theirs!r} is on no floor"
+    if here == DOOR == there or there < here:
+        return None
+    return f"floor {here} may not know floor {there}"
+
+
+def foreign(source: Path) -> list[str]:
+    """Imports on floor 0 from outside numpy, the standard library and floor 0 itself."""
+    allowed = {"numpy", PACKAGE, *sys.stdlib_module_names}
+    return [
+        f"{path} imports {name}: floor 0 knows numpy and the standard library"
+        for path, tree in parsed(source)
+        if module_of(path) in FLOORS[0] | ANYWHERE
+        for name in sorted(set(imports(tree, path)))
+        if name.partition(".")[0] not in allowed
+    ]
+
+
+def too_big(source: Path) -> list[str]:
+    """Functions and parameter lists over the limits."""
+    found: list[str] = []
+    for path, tree in parsed(source):
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                continue
+            if (lines := (node.end_lineno or node.lineno) - node.lineno + 1) > MOST_FUNCTION_LINES:
+                found.append(f"{path}:{node.lineno} {node.name} has {lines} lines (limit {MOST_FUNCTION_LINES})")
+            options = any("command" in ast.unparse(decorator) for decorator in node.decorator_list)
+            if (count := _parameters(node.args)) > MOST_PARAMETERS and not (options and at_door(module_of(path))):
+                found.append(f"{path}:{node.lineno} {node.name} takes {count} parameters (limit {MOST_PARAMETERS})")
+    return found
+
+
+def _parameters(args: ast.arguments) -> int:
+    """Parameters that a caller sees: without self and cls."""
+    named = [arg.arg for arg in (*args.posonlyargs, *args.args, *args.kwonlyargs)]
+    return len([name for name in named if name not in {"self", "cls"}]) + bool(args.vararg) + bool(args.kwarg)
+
+
+def unread(configs: Path, source: Path) -> list[str]:
+    """Fields of the dataclasses in the file `configs` that no code below `source` reads as an attribute.
+
+    It goes by name alone: a field that shares its name with something that is read elsewhere passes.
+    """
+    read = {
+        node.attr
+        for _, tree in parsed(source)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load)
+    }
+    return [
+        f"{config.name}.{field.target.id} is read nowhere"
+        for config in ast.walk(ast.parse(configs.read_text(encoding="utf-8")))
+        if isinstance(config, ast.ClassDef) and any("dataclass" in ast.unparse(d) for d in config.decorator_list)
+        for field in config.body
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        if "ClassVar" not in ast.unparse(field.annotation) and field.target.id not in read
+    ]
+
+
+def noisy(source: Path) -> list[str]:
+    """Calls outside the command line that print, leave the process or set up logging."""
+    loud = {"print", "exit", "quit", "sys.exit", "os._exit", "sys.stdout.write", "sys.stderr.write"}
+    found: list[str] = []
+    for path, tree in parsed(source):
+        if at_door(module_of(path)):
+            continue
+        for node in ast.walk(tree):
+            called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
+            if called in loud or called.endswith((".print", ".basicConfig", ".addHandler")):
+                found.append(f"{path}:{node.lineno} calls {called}: only the command line speaks")
+    return found
+
+
+def empty_names(source: Path) -> list[str]:
+    """Files and folders whose names say nothing about what is in them."""
+    return [
+        f"{path}: the name says nothing"
+        for path, _ in parsed(source)
+        if EMPTY_NAMES & {word for part in path.with_suffix("").parts for word in part.split("_")}
+    ]
+
+
+def repeated_names(source: Path) -> list[str]:
+    """Files that are called alike, other than `__init__.py` and the like and what SAME_NAME gives a reason for."""
+    places: dict[str, list[str]] = {}
+    for path, _ in parsed(source):
+        if not path.stem.startswith("__") and not SAME_NAME.keys() & {path.parent.name, path.name}:
+            places.setdefault(path.name, []).append(path.as_posix())
+    return [f"{' and '.join(paths)} are called alike" for paths in places.values() if len(paths) > 1]
+
+
+def second_builders(source: Path, networks: set[str]) -> list[str]:
+    """Places outside `models/` that construct a network class themselves instead of calling `models.build`."""
+    return [
+        f"{path}:{node.lineno} constructs {called}: call models.build"
+        for path, tree in parsed(source)
+        if module_of(path) != "models"
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and (called := ast.unparse(node.func).rpartition(".")[2]) in networks
+    ]
+
+
+def inventory() -> str:
+    """The public names of the package with their signatures, one a line; members of classes indented."""
+    package = __import__(PACKAGE)
+    lines: list[str] = []
+    for name in sorted(package.__all__):
+        value = getattr(package, name)
+        if inspect.isclass(value):
+            dataclass = "dataclass " if is_dataclass(value) else "class "
+            lines.append(f"{dataclass}{name}{_signature(value)}")
+            lines.extend(f"    {line}" for line in _members(value))
+        elif inspect.isfunction(value):
+            lines.append(f"def {name}{_signature(value)}")
+        else:
+            lines.append(f"{name}: {type(value).__name__}")
+    return "\n".join(lines) + "\n"
+
+
+def _members(owner: type) -> Iterator[str]:
+    """Public methods and properties that a class itself defines."""
+    fields = getattr(owner, "__dataclass_fields__", {})
+    for name, member in sorted(vars(owner).items()):
+        if (name.startswith("_") and name != "__call__") or name in fields:
+            continue
+        if isinstance(member, property):
+            yield f"{name}: property"
+        elif isinstance(member, classmethod | staticmethod):
+            yield f"{name}{_signature(member.__func__)}"
+        elif inspect.isfunction(member):
+            yield f"{name}{_signature(member)}"
+
+
+class Written(str):
+    """An annotation as it is written in the source, which `inspect` would show in quotes."""
+
+    __slots__ = ()
+    __repr__ = str.__str__
+
+
+def _signature(of: object) -> str:
+    """A signature with annotations as they are written in the source; empty where Python knows none."""
+    try:
+        found = inspect.signature(of)  # type: ignore[arg-type]
+    except ValueError:
+        return ""
+    named = [parameter.replace(annotation=_written(parameter.annotation)) for parameter in found.parameters.values()]
+    return str(found.replace(parameters=named, return_annotation=_written(found.return_annotation)))
+
+
+def _written(annotation: object) -> object:
+    return Written(annotation) if isinstance(annotation, str) else annotation
+
+
+if __name__ == "__main__":
+    INVENTORY.write_text(inventory(), encoding="utf-8")

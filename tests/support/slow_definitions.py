@@ -1,0 +1,101 @@
+"""Slow definitions, one point at a time, that the fast functions must agree with."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+import torch
+
+from lidar2pano.views import View
+
+
+def place_slowly(point: np.ndarray, view: View) -> tuple[int, int] | None:
+    """Row and column of the pixel that a point (x, y, z) falls into, None where it is unusable or out of view."""
+    if not np.isfinite(point).all() or not point.any():
+        return None
+    x, y, z = (point.astype(np.float32) - np.float32(view.origin)).astype(float).tolist()
+    if x == y == z == 0:
+        return None
+    turned = (view.left - math.degrees(math.atan2(y, x))) % 360  # clockwise from the left edge
+    column = math.floor(turned * view.columns / (view.left - view.right))
+    flat = math.hypot(x, y)
+    if view.kind == "sphere":
+        height = math.degrees(math.atan2(z, flat))
+    else:
+        height = z / flat if flat else math.copysign(math.inf, z)
+    depth = (view.up - height) * view.rows / (view.up - view.down)
+    if not 0 <= depth < view.rows or not 0 <= column < view.columns:
+        return None
+    return math.floor(depth), column
+
+
+def project_slowly(xyz: np.ndarray, view: View) -> dict[tuple[int, int], int]:
+    """Which point (N, 3) owns which pixel: the nearest; of equals the first."""
+    owner: dict[tuple[int, int], int] = {}
+    nearest: dict[tuple[int, int], float] = {}
+    for number, point in enumerate(xyz):
+        pixel = place_slowly(point, view)
+        if pixel is None:
+            continue
+        x, y, z = point - np.float32(view.origin)
+        squared = float(x * x + y * y + z * z)
+        if squared < nearest.get(pixel, math.inf):
+            owner[pixel], nearest[pixel] = number, squared
+    return owner
+
+
+def vote_slowly(
+    ranges: np.ndarray, ids: np.ndarray, pixel: tuple[int, int], range_m: float, *, own: bool, circular: bool
+) -> int:
+    """The class of one point by KNN clean-up with 5 neighbours, 5 x 5 search, sigma 1, cut-off 1 m.
+
+    ranges (H, W), infinite where empty; pixel: the point's row and column; own: it is nearest to itself.
+    """
+    rows, columns = ranges.shape
+    window = [math.exp(-(i * i + j * j) / 2) for i in range(-2, 3) for j in range(-2, 3)]
+    candidates: list[tuple[float, int]] = []
+    for number, weight in enumerate(window):
+        row, column = pixel[0] + number // 5 - 2, pixel[1] + number % 5 - 2
+        if circular:
+            column %= columns
+        if not (0 <= row < rows and 0 <= column < columns) or not math.isfinite(ranges[row, column]):
+            continue
+        factor = np.float32(1) - np.float32(weight / sum(window))
+        distance = abs(np.float32(ranges[row, column]) - np.float32(range_m)) * factor
+        candidates.append((0.0 if own and number == 12 else float(distance), int(ids[row, column])))
+    votes = Counter(label for distance, label in sorted(candidates)[:5] if distance <= 1 and label != 0)
+    return min(votes, key=lambda label: (-votes[label], label), default=0)
+
+
+# --- losses and the confusion matrix --------------------------------------------------------------------------------
+
+
+def lovasz_softmax_slowly(
+    probabilities: torch.Tensor, target: torch.Tensor, ignore: int | None = None, classes: str = "present"
+) -> torch.Tensor:
+    """Berman et al. 2018, equations 8, 9 and 11, of (B, C, H, W) and (B, H, W), differentiated by autograd."""
+    kept = torch.ones_like(target, dtype=torch.bool) if ignore is None else target != ignore
+    losses = []
+    for c in range(probabilities.shape[1]):
+        mine = (target == c)[kept].to(probabilities.dtype)
+        if classes == "present" and not mine.any():
+            continue
+        error, order = (mine - probabilities[:, c][kept]).abs().sort(descending=True)
+        mine = mine[order]
+        jaccard_loss = 1 - (mine.sum() - mine.cumsum(0)) / (mine.sum() + (1 - mine).cumsum(0))  # of the i + 1 worst
+        rises = torch.cat([jaccard_loss[:1], jaccard_loss[1:] - jaccard_loss[:-1]])
+        losses.append(torch.dot(error, rises))
+    return torch.stack(losses).mean()
+
+
+def confusion_slowly(
+    predicted: torch.Tensor, target: torch.Tensor, classes: int, unscored: tuple[int, ...] = ()
+) -> list[list[int]]:
+    """Counts by [target][predicted], one pixel at a time."""
+    counts = [[0] * classes for _ in range(classes)]
+    for p, t in zip(predicted.flatten().tolist(), target.flatten().tolist(), strict=True):
+        if 0 <= t < classes and t not in unscored:
+            counts[t][p] += 1
+    return counts

@@ -1,0 +1,132 @@
+"""Recipes: values are changed by name and type or not at all, and what is written down is everything."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+
+from lidar2pano.errors import InputError
+from lidar2pano.models import MODELS
+from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, override, resolved
+from lidar2pano.train.recipes import RECIPES, recipe_named
+from lidar2pano.train.task import TASKS
+from lidar2pano.views import VIEWS
+
+SAMPLE = Recipe(
+    name="sample",
+    task="painting",
+    view="panorama",
+    networks={"painter": Network(model="painter", settings={"classes": 16, "widths": (32, 80, 144)})},
+    options={"lovasz": 1.0, "range": True, "columns": 256, "segmenter": ""},
+)
+
+
+@pytest.mark.parametrize(
+    ("assignment", "value"),
+    [
+        ("training.batch=16", 16),
+        (" training.minutes = 2.5 ", 2.5),
+        ("training.minutes=3", 3.0),
+        ("training.channels_last=false", False),
+        ("training.precision=32-true", "32-true"),
+        ("data.train=train, labelled", ("train", "labelled")),
+        ("networks.painter.optimizer.rate=1e-4", 1e-4),
+        ("networks.painter.optimizer.betas=0.5,0.9", (0.5, 0.9)),
+        ("networks.painter.optimizer.betas=(0, 1)", (0.0, 1.0)),
+        ("networks.painter.settings.classes=20", 20),
+        ("networks.painter.settings.widths=[8,16]", (8, 16)),
+        ("networks.painter.start=a=b.safetensors", "a=b.safetensors"),
+        ("options.lovasz=0", 0.0),
+        ("options.range=FALSE", False),
+        ("options.segmenter=/some/file", "/some/file"),
+        ("view=hdl64e", "hdl64e"),
+    ],
+)
+def test_override_sets_one_value_of_the_right_type(assignment, value):
+    changed = override(SAMPLE, assignment)
+    path = assignment.partition("=")[0].strip().split(".")
+    found, rest = changed, resolved(changed)
+    for name in path:
+        found = found[name] if isinstance(found, dict) else getattr(found, name)
+    assert found == value and type(found) is type(value)
+    expected = resolved(SAMPLE)
+    inner = expected
+    for name in path[:-1]:
+        inner = inner[name]
+    inner[path[-1]] = list(value) if isinstance(value, tuple) else value
+    assert rest == expected  # and nothing else moved
+
+
+@pytest.mark.parametrize(
+    ("assignment", "message"),
+    [
+        ("training.batsh=8", "Training has no 'batsh'; did you mean 'batch'?"),
+        ("trainin.batch=8", "Recipe has no 'trainin'; did you mean 'training'?"),
+        ("networks.paint.start=x", "this recipe has no 'paint'; did you mean 'painter'?"),
+        ("networks.painter.optimizer.rat=1", "Optimizer has no 'rat'; did you mean 'rate'?"),
+        ("networks.painter.settings.clases=1", "has no 'clases'; did you mean 'classes'?"),
+        ("options.lovas=1", "has no 'lovas'; did you mean 'lovasz'?"),
+        ("training.batch=8.5", "training.batch wants a whole number, not '8.5'"),
+        ("training.batch=", "training.batch wants a whole number, not ''"),
+        ("training.minutes=soon", "training.minutes wants a number, not 'soon'"),
+        ("training.minutes=nan", "training.minutes wants a number, not 'nan'"),
+        ("training.minutes=inf", "training.minutes wants a number, not 'inf'"),
+        ("training.channels_last=1", "training.channels_last wants true or false, not '1'"),
+        ("options.range=yes", "options.range wants true or false, not 'yes'"),
+        ("training.precision=16-mixed", "training.precision cannot be '16-mixed'; did you mean 'bf16-mixed'?"),
+        ("networks.painter.optimizer.betas=0.5", "wants 2 values with commas between"),
+        ("networks.painter.settings.widths=8,x", "wants a whole number, not 'x'"),
+        ("training=8", "training holds several values; set one of them: steps, minutes, batch"),
+        ("networks.painter=8", "set one of them: model, settings"),
+        ("options=8", "set one of them: lovasz"),
+        ("training.batch.size=8", "int values have no parts; leave out 'size'"),
+        ("training.batch", "is not of the form name=value"),
+        ("=8", "is not of the form name=value"),
+        ("training.batch=0", "must be at least 1"),
+        ("training.accumulate=3", "batch=8 cannot be taken in accumulate=3 equal turns"),
+        ("training.ema=1", "training.ema=1.0 must be at least 0 and below 1"),
+    ],
+)
+def test_override_refuses_with_one_line_that_helps(assignment, message):
+    with pytest.raises(InputError) as refusal:
+        override(SAMPLE, assignment)
+    assert message in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_override_leaves_the_recipe_as_it_was():
+    before = resolved(SAMPLE)
+    override(SAMPLE, "networks.painter.settings.classes=3")
+    override(SAMPLE, "options.lovasz=3")
+    assert resolved(SAMPLE) == before
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_every_recipe_names_what_exists_and_is_written_as_json(name):
+    recipe = recipe_named(name)
+    assert recipe.name == name and recipe.task in TASKS and recipe.view in VIEWS
+    for spec in recipe.networks.values():
+        assert spec.model in MODELS
+        known = MODELS[spec.model].__init__.__annotations__
+        assert set(spec.settings) <= set(known)
+    written = resolved(recipe)
+    assert json.loads(json.dumps(written, allow_nan=False)) == written
+    assert written["training"]["batch"] == recipe.training.batch
+
+
+def test_an_unknown_recipe_is_refused_with_the_nearest():
+    with pytest.raises(InputError, match="no recipe 'titam'; did you mean 'titan'?"):
+        recipe_named("titam")
+
+
+def test_resolved_tells_recipes_apart():
+    other = replace(SAMPLE, networks={"painter": Network(model="painter", optimizer=Optimizer(warmup=1))})
+    assert resolved(other) != resolved(SAMPLE) != resolved(replace(SAMPLE, training=Training(seed=1)))
+
+
+def test_recipes_are_listed_without_torch():
+    program = "import sys, lidar2pano.train.recipes as r; r.recipe_named('titan'); assert 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", program], check=True)
