@@ -42,7 +42,9 @@ def main(old: str, out: str, *looks: str) -> None:
     state = carried(network.state_dict(), fresh)
     print(f"{sum(state[name] is not fresh[name] for name in fresh)} of {len(fresh)} tensors carried over")
     scene.load_state_dict(state)
-    save(Path(out), scene, replace(card, network="scene-painter", settings=settings, recipe=f"begun from {card.recipe}"))
+    save(
+        Path(out), scene, replace(card, network="scene-painter", settings=settings, recipe=f"begun from {card.recipe}")
+    )
 
 
 main(*sys.argv[1:])

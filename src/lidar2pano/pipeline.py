@@ -27,6 +27,7 @@ from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import DEFAULT, weight_files
 from lidar2pano.models.painter import Scene, StreamPainter
 from lidar2pano.models.salsanext import STRIDE
+from lidar2pano.models.scene_painter import ScenePainter
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
 from lidar2pano.scan import OWN_VEHICLE_M, Scan
@@ -110,6 +111,13 @@ class Pipeline:
     def for_sensor(self, name: str) -> Pipeline:
         """The pipeline with the segmenter's view that fits a sensor of VIEWS; InputError where there is none."""
         return replace(self, segmenter=replace(self.segmenter, view=sensor_view(name)))
+
+    def in_look(self, look: str) -> Pipeline:
+        """The pipeline that paints a look, "A" or "A+B" for the mean of two; InputError where the painter lacks it."""
+        if not isinstance(self.painter, ScenePainter):
+            raise InputError(f"no look {look!r}: these weights paint one look only; choose a scene painter's")
+        self.painter.look_shares(look)
+        return replace(self, look=look)
 
     def __call__(self, scan: Scan) -> Panorama:
         """The panorama of a single scan."""

@@ -37,6 +37,7 @@ class Wish:
     weights: str
     device: str
     sensor: str
+    look: str
     calibration: Calibration | None
     as_json: bool
     steady: bool = False
@@ -50,6 +51,7 @@ class Wish:
         weights: str,
         device: str,
         sensor: str = "",
+        look: str = "",
         calib: Path | None = None,
         image_size: str = "",
         as_json: bool = False,
@@ -69,6 +71,7 @@ class Wish:
             weights=weights,
             device=device,
             sensor=sensor,
+            look=look,
             calibration=read_calib(calib, size) if calib else None,
             as_json=as_json,
         )
@@ -78,6 +81,8 @@ class Wish:
         pipeline = load(self.weights, self.device)
         if self.sensor:
             pipeline = pipeline.for_sensor(self.sensor)
+        if self.look:
+            pipeline = pipeline.in_look(self.look)
         return pipeline.at(self.calibration) if self.calibration else pipeline
 
 

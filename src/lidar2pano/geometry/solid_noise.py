@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from lidar2pano.geometry.surface import azimuths, slopes
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 BITS = 6  # the tile has 2^BITS voxels along each axis
 VOXELS = 4  # per wavelength

@@ -11,7 +11,7 @@ import math
 import torch
 from torch import Tensor
 
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 ROAD_Z_M = -1.73  # of the road in the sensor frame where none is in sight: KITTI's LiDAR stands so high
 ROAD_NEAR_M, ROAD_FAR_M = 3.0, 20.0  # distances at which the road's height is read

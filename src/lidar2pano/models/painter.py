@@ -19,7 +19,7 @@ from torch.nn.functional import avg_pool2d
 from lidar2pano.errors import InputError
 from lidar2pano.models.circular import CircularConv, CircularResidual, conv_norm_act
 from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
 STRIDE = 4  # input pixels per pixel of the coarsest level

@@ -21,7 +21,7 @@ from lidar2pano.labels import COMMON15
 from lidar2pano.models.circular import CircularConv, CircularResidual, conv_norm_act
 from lidar2pano.models.painter import STRIDE, Scene, spread_out
 from lidar2pano.models.titan_pano import FAR_M, depth_code
-from lidar2pano.sensors import View
+from lidar2pano.views import View
 
 SKY, ROAD = COMMON15.id_of("sky"), COMMON15.id_of("road")
 COARSE_M = (0.25, 1.0, 4.0)  # wavelengths of the noise on the translator's raster

@@ -19,8 +19,9 @@ from torch import Tensor
 from lidar2pano.data.moments import read_moment
 from lidar2pano.data.sequences import UNSURE, Draw, Frame, frames, located
 from lidar2pano.errors import InputError
+from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
-from lidar2pano.pipeline import Pipeline, Stopwatch
+from lidar2pano.pipeline import Pipeline
 
 MARGIN = 96  # columns of a camera's sector that are held beyond those of a crop
 
@@ -140,7 +141,7 @@ class PaintingFrames:
         """Picture, segments, depth, validity and remission of a frame in its window, the scene from the scan alone."""
         moment = read_moment(frame, self.pipeline.view, MARGIN + self.columns, colour=True)
         view, whole = moment.view, self.pipeline.at(frame.calibration((1, 1)))
-        seen = whole.translated(frame.scan(), Stopwatch(whole.device))
+        seen = whole.translate(frame.scan(), Timer(whole.device))
         start = round((whole.view.left - view.left) * whole.view.columns / (whole.view.left - whole.view.right))
         window = slice(start, start + view.columns)
         ids = moment.camera[1::4, 1::4].long()

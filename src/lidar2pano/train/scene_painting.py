@@ -11,20 +11,20 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, l1_loss
 
-from lidar2pano.train.painting_frames import PaintingFrames, PaintingSample
-from lidar2pano.geometry.images import one_hot_layers
-from lidar2pano.errors import InputError
-from lidar2pano.labels import COMMON15
 from lidar2pano.data.sequences import UNSURE
+from lidar2pano.errors import InputError
+from lidar2pano.geometry.images import one_hot_layers
+from lidar2pano.hardware import fast_arithmetic
+from lidar2pano.labels import COMMON15
 from lidar2pano.losses import hinge_critic, hinge_generator
 from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
-from lidar2pano.models.precision import fast_arithmetic
 from lidar2pano.models.scene_painter import ScenePainter, painter_inputs, sharpened
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.pipeline import Pipeline, card_view, load_part, load_segmenter
-from lidar2pano.sensors import VIEWS
+from lidar2pano.train.painting_frames import PaintingFrames, PaintingSample
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import build_networks
+from lidar2pano.views import VIEWS
 
 POOLED = 4  # pixels: colours are compared as means over squares of this size
 LOSSES = ("perceptual", "pooled", "pixels", "adversarial")
