@@ -1,7 +1,7 @@
 """The weights of an old painter as the beginning of a scene painter: scene_from_painter.py OLD OUT LOOK...
 
-What both have in common is carried over (the encoder, the trunk, the way back up to the translator's raster); the rest is
-fresh. The old grain's weights go to the finest noise on that raster.
+What both have in common is carried over (the encoder, the trunk, the way back up to the translator's raster); the rest
+is fresh. The old grain's weights go to the finest noise on that raster.
 """
 
 import sys
@@ -42,9 +42,8 @@ def main(old: str, out: str, *looks: str) -> None:
     state = carried(network.state_dict(), fresh)
     print(f"{sum(state[name] is not fresh[name] for name in fresh)} of {len(fresh)} tensors carried over")
     scene.load_state_dict(state)
-    save(
-        Path(out), scene, replace(card, network="scene-painter", settings=settings, recipe=f"begun from {card.recipe}")
-    )
+    begun = replace(card, network="scene-painter", settings=settings, recipe=f"begun from {card.recipe}")
+    save(Path(out), scene, begun)
 
 
 main(*sys.argv[1:])

@@ -1,9 +1,9 @@
 """Noise that hangs in space: a random field, read at the point that each pixel of a panorama shows.
 
-After Perlin 1985 (solid texture): leaves and gravel get the scene's perspective, look the same from every side and stay
-where they are when the sensor moves. One periodic tile of voxels serves all wavelengths: it is smooth over a few voxels,
-so that the nearest voxel will do. A wavelength that a pixel could not show is faded out (band limiting, as in Norton
-et al. 1982).
+After Perlin 1985 (solid texture): leaves and gravel get the scene's perspective, look the same from every side and
+stay where they are when the sensor moves. One periodic tile of voxels serves all wavelengths: it is smooth over a few
+voxels, so that the nearest voxel will do. A wavelength that a pixel could not show is faded out (band limiting, as in
+Norton et al. 1982).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def solid_noise(
     """Noise (K, H, W) of K wavelengths at the points of a panorama, about normal, in the depths' dtype.
 
     depth_m        (H, W) metres from the view's origin;  sky: (H, W) bool, read by direction alone.
-    wavelengths_m  each a power of two; from 0.25 to 4 times the finest one's 2^n.
+    wavelengths_m  each a power of two, at most 64 m.
     T_world_sensor  (4, 4): where the noise hangs; None: on the sensor frame.
     A wavelength is at full strength where it is twice as long as a pixel is wide, and gone where it is as long.
     """

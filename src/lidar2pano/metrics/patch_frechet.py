@@ -1,9 +1,9 @@
 """Patch Frechet distance: how far pictures are from real ones, patch by patch.
 
-Frechet distance (Heusel et al. 2017) between normal distributions of the features of patches, PATCH pixels wide at every
-STRIDE-th pixel: the features of EfficientNet-Lite2, at 1/16 of the raster, averaged over each patch. A few pictures hold
-many patches, and what is judged is texture and parts of things, not the layout. Divided by the same distance between
-two halves of the real pictures it says how many times farther they are than real ones are from each other.
+Frechet distance (Heusel et al. 2017) between normal distributions of the features of patches, PATCH pixels wide at
+every STRIDE-th pixel: the features of EfficientNet-Lite2, at 1/16 of the raster, averaged over each patch. A few
+images hold many patches, and what is judged is texture and parts of things, not the layout. Divided by the same
+distance between two halves of the real images it says how many times farther they are than those from each other.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from lidar2pano.errors import InputError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variant:
-    """A published network: its weights' package, file and SHA-256, the blocks whose outputs count, and their channels."""
+    """A published network: package, file and SHA-256 of its weights, the blocks whose outputs count, their channels."""
 
     name: str
     package: str

@@ -51,7 +51,7 @@ class PaintingSample(NamedTuple):
 
 
 class PaintingFrames:
-    """Frames of some splits; a sample holds a crop of a real frame, of a simulated one, or of each where there are both.
+    """Frames of some splits; a sample is a crop of a real frame, of a simulated one, or of each where there are both.
 
     columns  of a crop on the translator's raster.
     looks    names;  look: that of frames that no simulator made (others: as world.json says).

@@ -36,9 +36,9 @@ class ScenePainting:
     Where a camera did not look, its picture is completed with what was painted, so that no loss arises there.
 
     Options: columns of a crop on the translator's raster; translator and segmenter, weight files that make the scenes;
-    cache, folder that keeps what is made of each frame; trust, share of the draws that take the ground-truth classes where they are known; sharpest, the largest power that
-    probabilities are raised to; look of frames that no simulator made; frozen, whether norms keep their statistics;
-    and the weights of LOSSES.
+    cache, folder that keeps what is made of each frame; trust, share of the draws that take the ground-truth classes
+    where they are known; sharpest, the largest power that probabilities are raised to; look of frames that no
+    simulator made; frozen, whether norms keep their statistics; and the weights of LOSSES.
     """
 
     released = ("painter",)
