@@ -37,10 +37,10 @@ class Wish:
     weights: str
     device: str
     sensor: str
-    look: str
     calibration: Calibration | None
     as_json: bool
     steady: bool = False
+    look: str = ""
 
     @classmethod
     def of(
@@ -51,7 +51,6 @@ class Wish:
         weights: str,
         device: str,
         sensor: str = "",
-        look: str = "",
         calib: Path | None = None,
         image_size: str = "",
         as_json: bool = False,
@@ -71,7 +70,6 @@ class Wish:
             weights=weights,
             device=device,
             sensor=sensor,
-            look=look,
             calibration=read_calib(calib, size) if calib else None,
             as_json=as_json,
         )

@@ -65,9 +65,8 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         weights=weights,
         device=device,
         sensor=sensor,
-        look=look,
         calib=calib,
         image_size=image_size,
         as_json=as_json,
     )
-    raise typer.Exit(translate_files(scans, replace(wish, steady=steady)))
+    raise typer.Exit(translate_files(scans, replace(wish, steady=steady, look=look)))

@@ -25,7 +25,7 @@ def patch_features(features: Tensor, valid: np.ndarray | None = None) -> np.ndar
     found = avg_pool2d(features.float(), PATCH // DOWN, STRIDE // DOWN).flatten(1).T
     if valid is not None:
         rows, columns = (DOWN * size for size in features.shape[1:])
-        holes = np.zeros((rows, columns), dtype=np.float32)
+        holes = np.ones((rows, columns), dtype=np.float32)
         holes[: valid.shape[0], : valid.shape[1]] = ~valid[:rows, :columns]
         found = found[avg_pool2d(torch.from_numpy(holes)[None], PATCH, STRIDE).flatten() == 0]
     return found.double().numpy()
