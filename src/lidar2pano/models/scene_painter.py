@@ -27,6 +27,7 @@ SKY, ROAD = COMMON15.id_of("sky"), COMMON15.id_of("road")
 COARSE_M = (0.25, 1.0, 4.0)  # wavelengths of the noise on the translator's raster
 FINE_M = (0.0625, 0.125, 0.5)  # and on the picture's
 SHAPE = 8  # channels beside segments and noise: depth, remission, validity, row, height, normals
+MOMENTUM = 0.02  # of norm statistics: batches are two small crops
 TONE = 3  # red, green, blue: how much brighter a picture is than the mean of its look
 
 
@@ -69,6 +70,9 @@ class ScenePainter(nn.Module):
         self.texture = conv_norm_act(last + len(FINE_M), last)
         self.colour = CircularConv(last, 3)
         self.tuned = nn.ModuleList([nn.Linear(code + TONE, 2 * width) for width in (coarse, middle, fine)])
+        for part in self.modules():
+            if isinstance(part, nn.BatchNorm2d):
+                part.momentum = MOMENTUM
         for layer in self.tuned:
             nn.init.normal_(layer.weight, std=0.05)
             nn.init.zeros_(layer.bias)

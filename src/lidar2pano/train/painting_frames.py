@@ -56,6 +56,7 @@ class PaintingFrames:
     columns  of a crop on the translator's raster.
     looks    names;  look: that of frames that no simulator made (others: as world.json says).
     cache    folder for what is made of each frame.
+    simulated  where there are both: how often the second crop is of a simulated frame and not of a real one as well.
     """
 
     def __init__(
@@ -68,8 +69,9 @@ class PaintingFrames:
         looks: tuple[str, ...],
         look: str,
         cache: Path,
+        simulated: float = 1.0,
     ) -> None:
-        self.pipeline, self.columns, self.cache = pipeline, columns, cache
+        self.pipeline, self.columns, self.cache, self.simulated = pipeline, columns, cache, simulated
         self.frames: list[Frame] = []
         self.look: list[int] = []
         for name in splits:
@@ -94,7 +96,10 @@ class PaintingFrames:
         if isinstance(draw, int):
             return self._joined([self._crop(self.kinds[0][draw], None)])
         generator = np.random.default_rng(draw.seed)
-        chosen = [self.kinds[0][draw.index], *(kind[generator.integers(len(kind))] for kind in self.kinds[1:])]
+        chosen = [self.kinds[0][draw.index]]
+        if len(self.kinds) > 1:
+            kind = self.kinds[generator.random() < self.simulated]
+            chosen.append(kind[generator.integers(len(kind))])
         return self._joined([self._crop(index, generator) for index in chosen])
 
     @staticmethod

@@ -68,6 +68,7 @@ class ScenePainting:
             "looks": painter.looks,
             "look": str(option["look"]),
             "cache": Path(str(option["cache"])),
+            "simulated": float(option["simulated"]),
         }
         self.dataset = PaintingFrames(root, recipe.data.train, pipeline, **settings)
         self.validation = PaintingFrames(root, recipe.data.val, pipeline, **settings)

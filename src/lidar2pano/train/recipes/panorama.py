@@ -92,6 +92,7 @@ def scene_painter() -> Recipe:
             "adversarial": 0.35,
             "trust": 0.6,
             "sharpest": 4.0,
+            "simulated": 0.5,
             "frozen": 0.0,
             "look": "",
             "cache": "painting-frames",
