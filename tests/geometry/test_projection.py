@@ -99,6 +99,7 @@ def test_the_written_out_published_projection_is_the_recorded_one(golden: Path, 
         assert ours.dtype == theirs.dtype
         assert (ours != theirs).sum() <= 2, name
     assert (found.proj_idx >= 0).sum() == pytest.approx(noted["valid_pixels"], abs=2)
+    assert (found.proj_idx >= 0).sum() - found.proj_mask.sum() == 1 == noted["valid_pixels"] - noted["mask_pixels"]
     assert found.proj_idx.sum(dtype=np.int64) == pytest.approx(noted["idx_checksum"], abs=500_000)  # 1e-4 of it
     assert found.proj_range.sum(dtype=np.float64) == pytest.approx(noted["range_sum"], abs=200)
 

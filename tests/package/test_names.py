@@ -83,7 +83,14 @@ def test_whole_names_are_compared_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["view.kind", "f(kind=1)", "retold = unseen = insight = momentum = kindred = 1", "# told"]
+    "text",
+    [
+        "view.kind",
+        "f(kind=1)",
+        "retold = unseen = insight = momentum = kindred = 1",
+        "ground_truths = GroundTruth = GROUND_TRUTH = 1",
+        "# told",
+    ],
 )
 def test_what_is_no_banned_identifier(tmp_path: Path, text: str) -> None:
     assert in_identifiers(written(tmp_path, text), ["src"]) == []

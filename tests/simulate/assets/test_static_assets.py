@@ -47,8 +47,8 @@ THINGS: dict[str, tuple[Maker, set[str], tuple[float, float, float], tuple[float
         for name in plants.SPECIES
     },
     **{
-        f"sign {name}": (partial(traffic_signs.sign, name=name), {"pole", "traffic-sign"}, (0, 0.3, 1), (1, 1.5, 4.2), 700)
-        for name in traffic_signs.SIGNS
+        f"sign {n}": (partial(traffic_signs.sign, name=n), {"pole", "traffic-sign"}, (0, 0.3, 1), (1, 1.5, 4.2), 700)
+        for n in traffic_signs.SIGNS
     },
 }  # fmt: skip
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +21,8 @@ from lidar2pano.labels import unpack_label
 from lidar2pano.views import KITTI_CAMERA, VIEWS
 
 pytest.importorskip("embreex", reason="the street world needs embreex: pip install 'lidar2pano[world]'")
+
+from lidar2pano.simulate.dataset import generation  # noqa: E402 needs embreex
 
 RUNS = Path(__file__).resolve().parents[3] / "runs"
 RASTER = "panorama/4"
@@ -190,3 +195,40 @@ def test_without_embree_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
     with pytest.raises(InputError, match=r"lidar2pano\[world\]"):
         Scene([])
+
+
+class Fatal:
+    """A task that ends the process that receives it."""
+
+    def __reduce__(self):
+        return os._exit, (1,)
+
+
+def test_a_killed_process_is_reported_in_one_line():
+    with pytest.raises(InputError, match="a process was killed"):
+        list(generation._in_parallel([Fatal()], 2))
+
+
+def test_workers_end_with_their_parent():
+    """However it ends: here it is killed while its worker sleeps."""
+    code = """
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+import os, time
+from lidar2pano.simulate.dataset.generation import _end_with_parent
+if __name__ == "__main__":
+    pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_end_with_parent)
+    print(pool.submit(os.getpid).result(), flush=True)
+    time.sleep(600)
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
+        worker = int(parent.stdout.readline())
+        parent.kill()
+    for _ in range(100):
+        state = subprocess.run(
+            ["ps", "-o", "stat=", "-p", str(worker)], capture_output=True, text=True, check=False
+        ).stdout
+        if not state or state.startswith("Z"):  # gone, or dead and not yet collected
+            return
+        time.sleep(0.1)
+    pytest.fail("the worker outlived its parent")

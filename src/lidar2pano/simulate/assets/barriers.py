@@ -1,6 +1,6 @@
-"""Fences, railings, walls, guard rails along x from 0 to `length` metres, on ground of any height; posts at the edge.
+"""Fences, railings, walls and guard rails along x from 0 to `length` metres.
 
-`ground` gives the height (N,) at places x (N,), both in metres; a barrier follows it in pieces of about 2 m.
+`ground` gives the height (N,) of the ground at x (N,), both in metres; a barrier follows it in pieces of about 2 m.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ import numpy as np
 
 from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, merged, mesh, tube
 
-Ground = Callable[[np.ndarray], np.ndarray]
+GroundHeight = Callable[[np.ndarray], np.ndarray]
 PIECE = 2.0  # metres from post to post
 
 
-def _places(length: float, ground: Ground, piece: float = PIECE) -> tuple[np.ndarray, np.ndarray]:
-    """Places of the posts and the ground's heights there, both (N,)."""
+def _post_positions(length: float, ground: GroundHeight, piece: float = PIECE) -> tuple[np.ndarray, np.ndarray]:
+    """x of the posts, and the height of the ground there, both (N,)."""
     x = np.linspace(0.0, length, max(round(length / piece), 1) + 1)
     return x, np.asarray(ground(x), dtype=np.float64)
 
@@ -24,7 +24,7 @@ def _places(length: float, ground: Ground, piece: float = PIECE) -> tuple[np.nda
 def _posts(
     x: np.ndarray, z: np.ndarray, size: tuple[float, float, float], finish: tuple[str, str, Tint], aside: float = 0.0
 ) -> Mesh:
-    """A box at each place: size along x and y, and its height over the ground; it goes a little into the ground."""
+    """A box at each x, of `size` along x, y and above the ground; it reaches a little into the ground."""
     long, deep, high = size
     unit = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
     ring = np.concatenate([np.column_stack([unit * (long, deep), np.full(4, level)]) for level in (-0.3, high)])
@@ -39,7 +39,7 @@ def _triangles(quads: np.ndarray) -> np.ndarray:
 
 
 def _sheet(x: np.ndarray, z: np.ndarray, up: tuple[float, float], finish: tuple[str, str, Tint], *, part: bool) -> Mesh:
-    """A thin upright sheet; uv in metres, or up it from 0 to 1 where `part`."""
+    """A thin upright sheet; v in metres, or from 0 to 1 over its height where `part`."""
     low, high = up
     points = np.concatenate([np.column_stack([x, 0 * x, z + level]) for level in up])
     run = np.concatenate([[0], np.cumsum(np.hypot(np.diff(x), np.diff(z)))])
@@ -53,7 +53,7 @@ def _sheet(x: np.ndarray, z: np.ndarray, up: tuple[float, float], finish: tuple[
 
 
 def _beam(x: np.ndarray, z: np.ndarray, profile: np.ndarray, finish: tuple[str, str, Tint]) -> Mesh:
-    """A profile (M, 2) of (y, height), counter-clockwise seen from +x, drawn along the ground; with end faces."""
+    """A profile (M, 2) of (y, height), counter-clockwise seen from +x, swept along the ground; with end faces."""
     n, m = len(x), len(profile)
     points = np.stack([np.repeat(x, m), np.tile(profile[:, 0], n), np.repeat(z, m) + np.tile(profile[:, 1], n)], axis=1)
     i, j = np.meshgrid(np.arange(n - 1), np.arange(m), indexing="ij")
@@ -70,9 +70,9 @@ def _bar(low: float, high: float, left: float, right: float) -> np.ndarray:
     return np.array([(left, low), (right, low), (right, high), (left, high)])
 
 
-def picket_fence(rng: np.random.Generator, length: float, ground: Ground) -> Mesh:
-    """Palings on two rails between posts, 0.8 to 1.2 m high."""
-    x, z = _places(length, ground)
+def picket_fence(rng: np.random.Generator, length: float, ground: GroundHeight) -> Mesh:
+    """Pickets on two rails between posts, 0.8 to 1.2 m high."""
+    x, z = _post_positions(length, ground)
     high = rng.uniform(0.8, 1.2)
     tint = [(1.0, 1.0, 1.0), (0.6, 0.6, 0.62), (1.9, 2.4, 3.2), (0.5, 0.9, 0.5)][
         int(rng.choice(4, p=(0.5, 0.2, 0.2, 0.1)))
@@ -83,9 +83,9 @@ def picket_fence(rng: np.random.Generator, length: float, ground: Ground) -> Mes
     return merged([_posts(x, z, (0.09, 0.09, high + 0.05), finish, 0.06), *rails, pales])
 
 
-def wire_fence(rng: np.random.Generator, length: float, ground: Ground) -> Mesh:
+def wire_fence(rng: np.random.Generator, length: float, ground: GroundHeight) -> Mesh:
     """Wire netting between steel posts, 0.9 to 2 m high."""
-    x, z = _places(length, ground, 2.5)
+    x, z = _post_positions(length, ground, 2.5)
     high = rng.uniform(0.9, 2.0)
     tint = [(1.0, 1.0, 1.0), (0.25, 0.6, 0.35), (0.4, 0.42, 0.45)][int(rng.integers(3))]
     netting = _sheet(x, z, (0.03, high), ("wire", "fence", tint), part=False)
@@ -95,9 +95,9 @@ def wire_fence(rng: np.random.Generator, length: float, ground: Ground) -> Mesh:
     return merged([_posts(x, z, (0.05, 0.05, high + 0.06), steel), netting, plain if rng.uniform() < 0.7 else line])
 
 
-def railing(rng: np.random.Generator, length: float, ground: Ground) -> Mesh:
+def railing(rng: np.random.Generator, length: float, ground: GroundHeight) -> Mesh:
     """An iron railing of upright bars, 0.9 to 1.3 m high, sometimes on a low wall."""
-    x, z = _places(length, ground)
+    x, z = _post_positions(length, ground)
     foot = rng.choice((0.0, 0.0, 0.4))
     high = foot + rng.uniform(0.85, 1.25)
     tint = [(1.0, 1.0, 1.0), (0.5, 1.6, 0.9), (4.0, 4.0, 4.2)][int(rng.integers(3))]
@@ -109,9 +109,9 @@ def railing(rng: np.random.Generator, length: float, ground: Ground) -> Mesh:
     return merged(parts)
 
 
-def wall(rng: np.random.Generator, length: float, ground: Ground) -> Mesh:
+def wall(rng: np.random.Generator, length: float, ground: GroundHeight) -> Mesh:
     """A garden wall of plaster, stone or brick with a cap, 0.6 to 2 m high."""
-    x, z = _places(length, ground)
+    x, z = _post_positions(length, ground)
     material = ("plaster", "stone", "brick", "concrete")[int(rng.choice(4, p=(0.4, 0.3, 0.15, 0.15)))]
     light = rng.uniform(0.8, 1.15)
     high, half = 0.6 + 1.4 * rng.beta(1.2, 2.5), rng.uniform(0.1, 0.16)
@@ -125,9 +125,9 @@ def wall(rng: np.random.Generator, length: float, ground: Ground) -> Mesh:
     return merged(parts)
 
 
-def guard_rail(rng: np.random.Generator, length: float, ground: Ground) -> Mesh:
+def guard_rail(rng: np.random.Generator, length: float, ground: GroundHeight) -> Mesh:
     """Steel posts with a W beam on the side of -y, its upper edge 0.75 m over the ground."""
-    x, z = _places(length, ground)
+    x, z = _post_positions(length, ground)
     light = rng.uniform(0.8, 1.1)
     finish = ("metal", "guard-rail", (light, light, light))
     # The front of the beam from its lower edge to its upper, and back 5 mm behind it.
@@ -142,7 +142,7 @@ def guard_rail(rng: np.random.Generator, length: float, ground: Ground) -> Mesh:
 
 
 def _strip(x: np.ndarray, z: np.ndarray, line: np.ndarray, finish: tuple[str, str, Tint]) -> Mesh:
-    """An open line (M, 2) of (y, height) drawn along the ground; outside is left of its way, seen from +x."""
+    """An open line (M, 2) of (y, height) swept along the ground; its outside is on the left, seen from +x."""
     n, m = len(x), len(line)
     points = np.stack([np.repeat(x, m), np.tile(line[:, 0], n), np.repeat(z, m) + np.tile(line[:, 1], n)], axis=1)
     i, j = np.meshgrid(np.arange(n - 1), np.arange(m - 1), indexing="ij")
@@ -150,9 +150,9 @@ def _strip(x: np.ndarray, z: np.ndarray, line: np.ndarray, finish: tuple[str, st
     return mesh(points, _triangles(quads), *finish[:2], tint=finish[2])
 
 
-def noise_barrier(rng: np.random.Generator, length: float, ground: Ground) -> Mesh:
+def noise_barrier(rng: np.random.Generator, length: float, ground: GroundHeight) -> Mesh:
     """Panels between steel columns, 2.5 to 4.5 m high."""
-    x, z = _places(length, ground, 4.0)
+    x, z = _post_positions(length, ground, 4.0)
     high = rng.uniform(2.5, 4.5)
     material = ("concrete", "wood", "metal")[int(rng.integers(3))]
     tint = [(0.9, 0.95, 0.85), (0.6, 0.8, 0.65), (1.0, 0.95, 0.9)][int(rng.integers(3))]

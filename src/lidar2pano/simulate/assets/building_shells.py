@@ -1,4 +1,4 @@
-"""Shells of buildings: four walls with a style, their windows and doors, and a plinth."""
+"""Shells of buildings: walls with windows and doors, plinths, roofs, dormers and chimneys; metres."""
 
 from __future__ import annotations
 
@@ -7,14 +7,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.assets.facades import DEEP, PLAIN, Boards, Opening, Style, Wall, filled, four_walls, pierced
+from lidar2pano.simulate.assets.facades import (
+    DEEP,
+    PLAIN,
+    Boards,
+    Opening,
+    Wall,
+    WindowStyle,
+    fill_opening,
+    four_walls,
+    wall_with_openings,
+)
 from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, merged, mesh, tube
 
 THICK = 0.2  # of a roof's slab, metres upwards
 
 
 class Roof(NamedTuple):
-    """A pitched roof over a footprint `long` (y, along its ridge) times `span` (x), in the middle of the origin.
+    """A pitched roof over a footprint `long` (y, along its ridge) times `span` (x), centred at the origin.
 
     form      gable, hip or half-hip.
     eaves     height of the walls that it rests on;  slope: metres up for each metre inwards.
@@ -42,7 +52,7 @@ class Roof(NamedTuple):
         return self.eaves + share * (self.ridge - self.eaves)
 
     def gable(self, wall_length: float) -> tuple[Callable[[np.ndarray], np.ndarray], list[float]]:
-        """Top of the wall under a gable as a function of the place along it, and where it bends."""
+        """Height of the wall under a gable as a function of the position along it, and the positions of its kinks."""
         half = wall_length / 2
         shoulder = (self.cut - self.eaves) / self.slope
         bends = [half] if self.form == "gable" else [shoulder, wall_length - shoulder]
@@ -131,7 +141,7 @@ def flat_roof(width: float, depth: float, height: float, tint: Tint) -> Mesh:
 def dormer(roof: Roof, place: float, rise: float, size: tuple[float, float], finish: tuple[str, Tint]) -> Mesh:
     """A dormer of `size` (width, height) on the slope that falls to +x, at y = `place`, its sill `rise` over the eaves.
 
-    `looks` are its cheeks' material and tint.
+    `finish`: material and tint of its sides.
     """
     width, height = size
     x, low = roof.span / 2 - rise / roof.slope, roof.eaves + rise + 0.1
@@ -241,11 +251,11 @@ COVERS: tuple[tuple[str, Tint], ...] = (
 
 
 class Shell(NamedTuple):
-    """The walls of a building and what is in them."""
+    """The walls of a building and the style of their openings."""
 
     walls: dict[str, Wall]
     finish: tuple[str, Tint]
-    style: Style
+    style: WindowStyle
     base: float  # height of the ground floor
     storeys: int
     storey: float  # height of each
@@ -262,14 +272,14 @@ class Shell(NamedTuple):
 
 
 def pick(rng: np.random.Generator, choices: tuple[Tint, ...]) -> Tint:
-    """One of some tints."""
+    """A random tint."""
     return choices[int(rng.integers(len(choices)))]
 
 
-def window_style(rng: np.random.Generator, shutters: str, wall: Tint) -> Style:
+def window_style(rng: np.random.Generator, shutters: str, wall: Tint) -> WindowStyle:
     """A style of windows; `shutters` as in Style, `wall` the tint of the plaster in the reveals."""
     dark = rng.uniform() < 0.2
-    return Style(
+    return WindowStyle(
         frame=(0.35, 0.22, 0.14) if dark else (0.35, 0.36, 0.38) if rng.uniform() < 0.15 else PLAIN,
         cross=bool(rng.uniform() < 0.25),
         shutters=shutters,
@@ -287,32 +297,32 @@ def window_style(rng: np.random.Generator, shutters: str, wall: Tint) -> Style:
 
 
 def window_columns(rng: np.random.Generator, length: float, every: float) -> list[float]:
-    """Middles of windows along a wall."""
+    """Centres of windows along a wall."""
     count = max(round((length - 0.6) / every), 1)
     margin = length / count / 2
     middles = np.linspace(margin, length - margin, count) + rng.uniform(-0.06, 0.06, count) * length / count
     return [float(middle) for middle in middles]
 
 
-def gabled(roof: Roof, name: str) -> bool:
+def has_gable(roof: Roof, name: str) -> bool:
     """Whether a wall ends in a gable; only for roofs that have gables at left and right (their ridge along y)."""
     return roof.form != "hip" and name in ("left", "right")
 
 
-def shut(
+def closed_walls(
     rng: np.random.Generator, boards: Boards, shell: Shell, holes: dict[str, list[Opening]], roof: Roof | None
 ) -> list[Mesh]:
-    """The four walls around their openings, and what fills these."""
+    """The four walls with their openings filled."""
     parts = []
     for name, wall in shell.walls.items():
-        if roof is not None and gabled(roof, name):
+        if roof is not None and has_gable(roof, name):
             top, bends = roof.gable(wall.length)
         else:
             top, bends = _level(shell.eaves + 0.04), []
-        parts.append(pierced(wall, DEEP, top, bends, holes[name], *shell.finish))
+        parts.append(wall_with_openings(wall, DEEP, top, bends, holes[name], *shell.finish))
         style = shell.style if name in shell.dressed else shell.style._replace(surround="")
         for hole in holes[name]:
-            filled(boards, wall, hole, style, rng)
+            fill_opening(boards, wall, hole, style, rng)
     return parts
 
 
@@ -321,7 +331,7 @@ def _level(height: float) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def plinth(boards: Boards, shell: Shell, holes: dict[str, list[Opening]], tint: Tint) -> None:
-    """A plinth around the walls, up to the ground floor; it leaves out the doors."""
+    """A plinth around the walls, up to the ground floor; interrupted at doors."""
     for name, wall in shell.walls.items():
         edges = [-0.03, wall.length + 0.03]
         for hole in holes[name]:

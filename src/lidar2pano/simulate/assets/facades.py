@@ -1,4 +1,4 @@
-"""What stands out from a wall: steps, canopies, balconies, awnings and the signs of shops."""
+"""Facades: walls with openings, windows and doors, steps, canopies, balconies, awnings and shop signs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PANE_TINTS: tuple[Tint, ...] = (
 
 
 class Wall(NamedTuple):
-    """Left end of the foot (x, y), the unit ways to the right and out, and the length in metres."""
+    """Left end of the base (x, y), unit vectors to the right and outwards, and the length in metres."""
 
     left: tuple[float, float]
     right: tuple[float, float]
@@ -32,14 +32,14 @@ class Wall(NamedTuple):
     length: float
 
     def at(self, along: np.ndarray, out: np.ndarray | float, up: np.ndarray) -> np.ndarray:
-        """Points (N, 3) of places (N,) in the wall's frame."""
+        """Points (N, 3) of coordinates (N,) in the wall frame."""
         x = self.left[0] + along * self.right[0] + out * self.out[0]
         y = self.left[1] + along * self.right[1] + out * self.out[1]
         return np.stack(np.broadcast_arrays(x, y, up), axis=-1)
 
 
 def four_walls(width: float, depth: float, middle: tuple[float, float] = (0.0, 0.0)) -> dict[str, Wall]:
-    """The walls of a house of `width` (y) times `depth` (x): front (looks to +x), back, left (+y) and right."""
+    """The walls of a house of `width` (y) times `depth` (x): front (towards +x), back, left (+y) and right."""
     x, y, (a, b) = depth / 2, width / 2, middle
     return {
         "front": Wall((a + x, b - y), (0.0, 1.0), (1.0, 0.0), width),
@@ -64,7 +64,7 @@ _CUT = ("railing", "pickets")  # their uv runs 0..1 over the board's height
 
 
 class Boards:
-    """A heap of boards that becomes one mesh of a kind."""
+    """Boards that become one mesh of one object type."""
 
     def __init__(self, object_type: str = "building") -> None:
         self.object_type = object_type
@@ -72,7 +72,7 @@ class Boards:
         self._finish: list[tuple[float, ...]] = []
         self._faces: list[str] = []
 
-    def add(  # noqa: PLR0913 a board has a place, three extents and looks
+    def add(  # noqa: PLR0913 position, size and finish
         self, wall: Wall, along: Span, out: Span, up: Span, material: str, tint: Tint = PLAIN, faces: str = "flrtu"
     ) -> None:
         """A board; `faces` of it are built: front, k (back), left, right, top, under."""
@@ -107,7 +107,7 @@ class Boards:
 
 
 class Opening(NamedTuple):
-    """A hole in a wall: its middle and width along it, its lower and upper edge, and what fills it."""
+    """An opening in a wall: centre and width along it, lower and upper edge, and its type."""
 
     middle: float
     width: float
@@ -126,8 +126,8 @@ class Opening(NamedTuple):
         return self.low, self.high
 
 
-class Style(NamedTuple):
-    """What the windows of one house have in common."""
+class WindowStyle(NamedTuple):
+    """The style of the windows and doors of one building."""
 
     frame: Tint = PLAIN
     sashes: int = 2
@@ -142,7 +142,7 @@ class Style(NamedTuple):
     deep: float = 0.12  # how far frames stand behind the wall
 
 
-def pierced(  # noqa: PLR0913 a wall has a foot, a top, holes and looks
+def wall_with_openings(  # noqa: PLR0913 outline, openings and finish
     wall: Wall,
     low: float,
     top: Callable[[np.ndarray], np.ndarray],
@@ -172,8 +172,8 @@ def pierced(  # noqa: PLR0913 a wall has a foot, a top, holes and looks
     return mesh(points, faces, material, "building", normals=normals, tint=tint)
 
 
-def filled(boards: Boards, wall: Wall, hole: Opening, style: Style, rng: np.random.Generator) -> None:
-    """Fill a hole with what it is meant for."""
+def fill_opening(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle, rng: np.random.Generator) -> None:
+    """Fill an opening with a window, door or gate."""
     _reveal(boards, wall, hole, style)
     if hole.what == "gate":
         boards.add(wall, hole.along, (-style.deep, -style.deep + 0.03), hole.up, "shutter", style.door, "f")
@@ -183,7 +183,7 @@ def filled(boards: Boards, wall: Wall, hole: Opening, style: Style, rng: np.rand
         _window(boards, wall, hole, style, rng)
 
 
-def _reveal(boards: Boards, wall: Wall, hole: Opening, style: Style) -> None:
+def _reveal(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle) -> None:
     (left, right), out = hole.along, (-style.deep, 0.0)
     boards.add(wall, (left - 0.02, left), out, hole.up, "plaster", style.reveal, "r")
     boards.add(wall, (right, right + 0.02), out, hole.up, "plaster", style.reveal, "l")
@@ -196,7 +196,7 @@ def _reveal(boards: Boards, wall: Wall, hole: Opening, style: Style) -> None:
         boards.add(wall, (left - wide, right + wide), (0, 0.05), (hole.high, hole.high + wide + 0.04), *finish)
 
 
-def _window(boards: Boards, wall: Wall, hole: Opening, style: Style, rng: np.random.Generator) -> None:
+def _window(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle, rng: np.random.Generator) -> None:
     (left, right), back = hole.along, -style.deep
     boards.add(wall, hole.along, (back, back), hole.up, "frame", style.frame, "f")
     shop = hole.what == "shop"
@@ -230,7 +230,7 @@ def _window(boards: Boards, wall: Wall, hole: Opening, style: Style, rng: np.ran
             boards.add(wall, (foot, foot + wide), (0.015, 0.05), hole.up, "shutter", style.shutter)
 
 
-def _door(boards: Boards, wall: Wall, hole: Opening, style: Style, rng: np.random.Generator) -> None:
+def _door(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle, rng: np.random.Generator) -> None:
     (left, right), back = hole.along, -style.deep
     boards.add(wall, hole.along, (back, back), hole.up, "frame", style.frame, "f")
     boards.add(wall, (left + 0.06, right - 0.06), (back, back + 0.03), (hole.low, hole.high - 0.06), "door", style.door)
@@ -255,7 +255,7 @@ def _door(boards: Boards, wall: Wall, hole: Opening, style: Style, rng: np.rando
 def rows(
     wall: Wall, middles: Sequence[float], low: float, size: tuple[float, float], what: str = "window"
 ) -> list[Opening]:
-    """Openings of one size (width, height) side by side; those too near the wall's ends are left out."""
+    """Openings of one size (width, height) side by side; without those too close to the ends of the wall."""
     width, height = size
     ends = (width / 2 + 0.3, wall.length - width / 2 - 0.3)
     return [Opening(middle, width, low, low + height, what) for middle in middles if ends[0] <= middle <= ends[1]]
@@ -283,7 +283,7 @@ def canopy(boards: Boards, wall: Wall, hole: Opening, tint: Tint) -> None:
 
 
 def balcony(boards: Boards, wall: Wall, along: Span, floor: float, out: float, finish: tuple[str, Tint]) -> None:
-    """A slab at height `floor` that stands `out` from the wall, with a parapet of material and tint `looks`."""
+    """A slab at height `floor` that stands `out` from the wall, with a parapet of material and tint `finish`."""
     material, tint = finish
     boards.add(wall, along, (0.0, out), (floor - 0.18, floor), "concrete", (1.2, 1.2, 1.2))
     up, (left, right) = (floor + 0.02, floor + 0.98), along
@@ -307,7 +307,7 @@ def awning(wall: Wall, along: Span, up: float, out: float, tint: Tint) -> Mesh:
 
 
 def shop_sign(rng: np.random.Generator, boards: Boards, wall: Wall, along: Span, low: float) -> None:
-    """A board with the strokes of some letters, over a shop or on a hall."""
+    """A sign board with strokes of letters."""
     ground, ink = SIGNS[int(rng.integers(len(SIGNS)))]
     high = low + 0.55
     boards.add(wall, along, (0.0, 0.08), (low, high), "plastic", ground)

@@ -1,4 +1,4 @@
-"""Street furniture: lamps, poles, traffic lights, signs, bins, benches, shelters and boxes; they look along +x."""
+"""Street furniture: lamps, poles, traffic lights, signs, bins, benches, shelters and cabinets; they face +x."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _head(
     size: float = 1.0,
     board: bool = False,
 ) -> Mesh:
-    """A housing with lamps, red at the top; `at` is its middle, `lit` the lamp that is on, `way` where it looks."""
+    """A housing with lamps, red at the top; `at` is its middle, `lit` the lamp that is on, `way` its direction."""
     step = 0.3 * size
     colours = ["light-red", "light-yellow", "light-green"] if lamps == 3 else ["light-red", "light-green"]
     lit = lit if lamps == 3 else min(lit, 1)
@@ -153,7 +153,7 @@ def bollard(rng: np.random.Generator) -> Mesh:
     )
 
 
-def bin(rng: np.random.Generator) -> Mesh:  # noqa: A001 the German street's word for it, and nobody needs the builtin here
+def bin(rng: np.random.Generator) -> Mesh:  # noqa: A001 the builtin is not needed here
     """One to three wheelie bins side by side along y."""
     lids: list[tuple[Tint, Tint]] = [
         ((0.3, 0.31, 0.32), (0.3, 0.31, 0.32)), ((0.3, 0.31, 0.32), (2.0, 1.5, 0.1)),
@@ -193,7 +193,7 @@ def _tapered(low: tuple[float, float], high: tuple[float, float], foot: float, t
 
 
 def bench(rng: np.random.Generator) -> Mesh:
-    """A bench that looks to +x: slats of wood on feet of iron or concrete."""
+    """A bench that faces +x: slats of wood on feet of iron or concrete."""
     length = rng.uniform(1.6, 2.0)
     tint = (1.0, 1.0, 1.0) if rng.uniform() < 0.7 else (0.5, 0.9, 0.7)
     slats = [
@@ -265,7 +265,7 @@ def _poster(rng: np.random.Generator, radius: float, turn: float, low: float, hi
 
 
 def junction_box(rng: np.random.Generator) -> Mesh:
-    """A grey cabinet for telephone or current."""
+    """A grey cabinet for telephone or power."""
     width, deep, high = rng.uniform(0.5, 1.6), rng.uniform(0.3, 0.45), rng.uniform(0.85, 1.4)
     light = rng.uniform(0.9, 1.6)
     tint: Tint = (light, light, 0.95 * light) if rng.uniform() < 0.75 else (0.5, 0.7, 0.5)

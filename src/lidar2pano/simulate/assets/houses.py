@@ -1,4 +1,4 @@
-"""Houses, garages and sheds; a building's front looks along +x, its width lies along y."""
+"""Houses, garages and sheds; the front faces +x, the width is along y."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from lidar2pano.simulate.assets.building_shells import (
     Roof,
     Shell,
     chimney,
+    closed_walls,
     dormer,
     flat_roof,
-    gabled,
     gutters,
+    has_gable,
     pick,
     plinth,
-    shut,
     skylight,
     slabs,
     window_columns,
@@ -31,11 +31,11 @@ from lidar2pano.simulate.assets.facades import (
     Wall,
     balcony,
     canopy,
-    filled,
+    fill_opening,
     four_walls,
-    pierced,
     rows,
     steps,
+    wall_with_openings,
 )
 from lidar2pano.simulate.scene.mesh import Mesh, Tint, merged
 
@@ -52,7 +52,7 @@ def _holes(rng: np.random.Generator, shell: Shell, roof: Roof, name: str, front:
     for floor in range(shell.storeys):
         holes += rows(wall, columns, shell.sill(floor), (width, height))
     top, bends = roof.gable(wall.length)
-    if top(np.array([wall.length / 2]))[0] > shell.eaves + 2.0 and gabled(roof, name):
+    if top(np.array([wall.length / 2]))[0] > shell.eaves + 2.0 and has_gable(roof, name):
         near = [middle for middle in (wall.length / 2 - 1.3, wall.length / 2 + 1.3) if 0 < middle < wall.length]
         weighted_choice = near if roof.ridge - shell.eaves > 3.2 else [wall.length / 2]
         sill = shell.eaves + 0.45
@@ -74,7 +74,7 @@ def _holes(rng: np.random.Generator, shell: Shell, roof: Roof, name: str, front:
 
 def house(rng: np.random.Generator, width: float, depth: float) -> Mesh:
     """A detached or terraced house of `width` (y) times `depth` (x) metres with a pitched roof."""
-    turned = bool(width < 1.25 * depth and rng.uniform() < 0.35)  # its gable looks at the street
+    turned = bool(width < 1.25 * depth and rng.uniform() < 0.35)  # its gable faces the street
     if turned:
         return _house(rng, depth, width, front="right").placed((0, 0, 0), np.pi / 2)
     return _house(rng, width, depth, front="front")
@@ -98,7 +98,7 @@ def _house(rng: np.random.Generator, width: float, depth: float, front: str) -> 
     timbered = finish[0] == "plaster" and shutters != "swing" and not wing and rng.uniform() < 0.1
     if not timbered and not wing and shell.storeys > 1 and rng.uniform() < 0.35:
         _porch(rng, boards, shell, holes, front)
-    parts = [*shut(rng, boards, shell, holes, roof), *wing]
+    parts = [*closed_walls(rng, boards, shell, holes, roof), *wing]
     if finish[0] == "plaster" and rng.uniform() < 0.8:
         plinth(boards, shell, holes, (0.55, 0.54, 0.53) if rng.uniform() < 0.5 else (0.8, 0.78, 0.74))
     _entrance(rng, boards, shell.walls[front], holes[front][-1])
@@ -152,7 +152,7 @@ def _timber(boards: Boards, shell: Shell, roof: Roof, holes: dict[str, list[Open
         beside = [edge + side for hole in level for edge, side in zip(hole.along, (-0.09, 0.09), strict=True)]
         for post in [*clear, *beside]:
             boards.add(wall, (post - 0.08, post + 0.08), out, (low, shell.eaves), "wood", dark, "flr")
-        if gabled(roof, name):
+        if has_gable(roof, name):
             top = roof.gable(wall.length)[0]
             for post in [post for post in clear if top(np.array([post]))[0] > shell.eaves + 0.4]:
                 high = float(top(np.array([post]))[0])
@@ -203,9 +203,9 @@ def _wing(
             else []
         )
         own = [hole for hole in own if (top(np.array(hole.along)) > hole.high + 0.1).all()]
-        parts.append(pierced(walls[name], DEEP, top, bends, own, *shell.finish))
+        parts.append(wall_with_openings(walls[name], DEEP, top, bends, own, *shell.finish))
         for hole in own:
-            filled(boards, walls[name], hole, shell.style, rng)
+            fill_opening(boards, walls[name], hole, shell.style, rng)
     x, ridge, low = front + 0.3, eaves + slope * wide / 2, eaves - 0.3 * slope
     half = wide / 2 + 0.3
     points = np.array(
@@ -253,7 +253,7 @@ def garage(rng: np.random.Generator) -> Mesh:
     holes["front"] = [Opening(width / 2, width - 0.5, 0.03, 2.1, "gate")]
     boards = Boards()
     if rng.uniform() < 0.75:
-        parts = shut(rng, boards, shell, holes, None)
+        parts = closed_walls(rng, boards, shell, holes, None)
         parts.append(flat_roof(width, depth, shell.eaves - 0.2, (0.6, 0.6, 0.6)))
     else:
         roof = Roof(
@@ -261,7 +261,7 @@ def garage(rng: np.random.Generator) -> Mesh:
         )
         shell = shell._replace(walls=four_walls(depth, width))
         holes = {name: holes["front"] if name == "right" else [] for name in shell.walls}
-        parts = [*shut(rng, boards, shell, holes, roof), roof.mesh(), boards.mesh()]
+        parts = [*closed_walls(rng, boards, shell, holes, roof), roof.mesh(), boards.mesh()]
         return merged(parts).placed((0, 0, 0), np.pi / 2)
     return merged([*parts, boards.mesh()])
 
@@ -276,5 +276,5 @@ def shed(rng: np.random.Generator) -> Mesh:
     holes: dict[str, list[Opening]] = {name: [] for name in shell.walls}
     holes["front"] = [Opening(0.7, 0.8, 0.08, 1.95, "door"), Opening(width - 0.7, 0.6, 1.1, 1.7)]
     boards = Boards()
-    parts = [*shut(rng, boards, shell, holes, roof), roof.mesh()]
+    parts = [*closed_walls(rng, boards, shell, holes, roof), roof.mesh()]
     return merged([*parts, boards.mesh()])

@@ -1,4 +1,4 @@
-"""Blocks of flats with or without shops, halls, churches; the front looks along +x, the width lies along y."""
+"""Blocks of flats with or without shops, and halls; the front faces +x, the width is along y."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from lidar2pano.simulate.assets.building_shells import (
     Roof,
     Shell,
     chimney,
+    closed_walls,
     dormer,
     flat_roof,
     gutters,
     pick,
     plinth,
-    shut,
     window_columns,
     window_style,
 )
@@ -27,10 +27,10 @@ from lidar2pano.simulate.assets.facades import (
     balcony,
     canopy,
     four_walls,
-    pierced,
     rows,
     shop_sign,
     steps,
+    wall_with_openings,
 )
 from lidar2pano.simulate.scene.mesh import Mesh, Tint, merged
 
@@ -67,7 +67,7 @@ def flats(rng: np.random.Generator, width: float, depth: float) -> Mesh:
         _balconies(rng, boards, shell, holes)
     if era == "old":
         _belts(boards, shell, style.surround_tint)
-    parts += shut(rng, boards, shell, holes, None)
+    parts += closed_walls(rng, boards, shell, holes, None)
     parts += _cover(rng, shell, era, width, depth)
     return merged([*parts, boards.mesh()])
 
@@ -176,11 +176,11 @@ def _cover(rng: np.random.Generator, shell: Shell, era: str, width: float, depth
 def _gable(shell: Shell, roof: Roof, name: str) -> Mesh:
     wall = shell.walls[name]
     top, bends = roof.gable(wall.length)
-    return pierced(wall, shell.eaves, top, bends, [], *shell.finish)
+    return wall_with_openings(wall, shell.eaves, top, bends, [], *shell.finish)
 
 
 def hall(rng: np.random.Generator, width: float, depth: float) -> Mesh:
-    """A supermarket or a works hall, 4.5 to 9 m high."""
+    """A supermarket or an industrial hall, 4.5 to 9 m high."""
     market = bool(rng.uniform() < 0.45)
     height = rng.uniform(4.5, 5.5) if market else rng.uniform(5.0, 9.0)
     tint = [
@@ -196,7 +196,7 @@ def hall(rng: np.random.Generator, width: float, depth: float) -> Mesh:
     shell = Shell(four_walls(width, depth), finish, style, 0.05, 1, height)
     holes = {name: _hall_holes(rng, shell, name, market) for name in shell.walls}
     boards = Boards()
-    parts = shut(rng, boards, shell, holes, None)
+    parts = closed_walls(rng, boards, shell, holes, None)
     plinth(boards, shell, holes, (0.6, 0.6, 0.6))
     if market:
         canopy(boards, shell.walls["front"], holes["front"][0], (2.5, 3.5, 5.5))

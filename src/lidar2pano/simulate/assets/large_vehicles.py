@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from lidar2pano.simulate.assets.cars import colour, wheels
-from lidar2pano.simulate.assets.vehicle_body import Patch, Shape, body, both_sides, plate, wheel
+from lidar2pano.simulate.assets.vehicle_body import Patch, VehicleShape, body, both_sides, plate, wheel
 from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, ellipsoid, merged, tube
 
 WHITE: Tint = (1.42, 1.42, 1.4)
@@ -37,7 +37,7 @@ def semitrailer(rng: np.random.Generator, object_type: str) -> Mesh:
     down = 1.15 if object_type == "trailer" else 0.5
     legs = both_sides(box((3.4, 0.6, 1.155 - down / 2), (0.14, 0.14, down), "dark-metal", object_type))
     guard = both_sides(box((0.6, 1.2, 0.75), (4.6, 0.03, 0.12), "metal", object_type))
-    return merged([bed, frame, *fill, *axles, *legs, *guard, *stern(-length / 2, 1.05, 1.25, object_type)])
+    return merged([bed, frame, *fill, *axles, *legs, *guard, *rear_end(-length / 2, 1.05, 1.25, object_type)])
 
 
 def centred(mesh: Mesh) -> Mesh:
@@ -55,7 +55,7 @@ def axle(x: float, scale: float, object_type: str) -> list[Mesh]:
     return [*both_sides(twin.placed((x, 0.98 * scale, radius))), *both_sides(guard), across]
 
 
-def stern(x: float, z: float, half: float, object_type: str) -> list[Mesh]:
+def rear_end(x: float, z: float, half: float, object_type: str) -> list[Mesh]:
     """Tail lamps, the bar below them and the plate, at the end x of a lorry or trailer."""
     lamp = box((x + 0.02, half - 0.26, z - 0.14), (0.08, 0.42, 0.14), "tail-lamp", object_type)
     bar = box((x + 0.15, 0, 0.52), (0.1, 2 * half - 0.1, 0.12), "metal", object_type)
@@ -152,7 +152,7 @@ def _small_trailer(rng: np.random.Generator) -> Mesh:
 def _caravan(rng: np.random.Generator) -> Mesh:
     """A caravan: white, round-edged, one axle."""
     long = float(rng.uniform(4.2, 5.6))
-    shape = Shape(
+    shape = VehicleShape(
         length=long, width=2.2, belt=(1.35, 1.35), sill=0.4, axles=(0.55 * long,), wheel=0.31, rail=0.94,
         frame=0.38, tuck=0.99, round=0.25, sweep=(0.12, 0.1), crown=(0.02, 0.04),
         profile=((0, 1.2), (0.08, 1.3), (0.45, 2.3), (0.5 * long, 2.58),
@@ -168,7 +168,7 @@ def _caravan(rng: np.random.Generator) -> Mesh:
     return merged([*parts, plate(-long / 2 - 0.01, 0.68, "trailer", forward=False)])
 
 
-CAB = Shape(
+CAB = VehicleShape(
     length=2.25, width=2.48, belt=(1.72, 1.78), sill=0.42, axles=(1.32,), wheel=0.5, rail=0.9, frame=0.24, tuck=0.985,
     profile=((0, 1.6), (0.05, 1.66), (0.3, 2.72), (0.9, 2.95), (2.13, 2.98), (2.22, 2.2), (2.25, 2.1)),
     nose_rows=(1.4, 0.98, 0.72, 0.5), tail_rows=(1.6, 1.2, 0.9, 0.6), panes=((0.2, 1.36),), seams=(0.28, 1.46),
@@ -178,7 +178,7 @@ CAB = Shape(
         Patch("headlamp", (5, 6), (2, 4), 0.1),
     ),
 )  # fmt: skip
-BUS = Shape(
+BUS = VehicleShape(
     length=12.0, width=2.55, belt=(1.12, 1.2), sill=0.3, axles=(2.72, 8.6), wheel=0.48, rail=0.95, tuck=0.99,
     profile=((0, 1.0), (0.04, 1.08), (0.24, 2.75), (1.2, 3.05), (11.84, 3.0), (11.95, 1.75), (12.0, 1.6)),
     nose_rows=(0.92, 0.82, 0.6, 0.42), tail_rows=(1.5, 1.15, 0.8, 0.5), sweep=(0.2, 0.1), narrow=(0.04, 0.03),
@@ -190,7 +190,7 @@ BUS = Shape(
     ),
     rear=(Patch("tail-lamp", (3, 5), (3, 4), 0.04), Patch("underbody", (4, 6), (0, 2))),
 )  # fmt: skip
-TRAM = Shape(
+TRAM = VehicleShape(
     length=29.0, width=2.4, belt=(1.3, 1.3), sill=0.24, axles=(), wheel=0.3, rail=0.9, frame=0.5, tuck=0.99,
     profile=((0, 1.02), (0.14, 1.14), (1.0, 3.06), (14.5, 3.18), (28.0, 3.06), (28.86, 1.14), (29.0, 1.02)),
     nose_rows=(0.95, 0.86, 0.66, 0.42), tail_rows=(0.95, 0.86, 0.66, 0.42), sweep=(0.4, 0.4), narrow=(0.12, 0.12),
@@ -221,7 +221,7 @@ def truck(rng: np.random.Generator) -> Mesh:
     tandem = not small and rng.uniform() < 0.4
     for x in (0.5, -0.85) if tandem else (0.0,):
         parts += axle(x - 0.2 * length, scale, "truck")
-    parts += stern(-length / 2, 0.85 * scale, 1.2 * scale, "truck")
+    parts += rear_end(-length / 2, 0.85 * scale, 1.2 * scale, "truck")
     parts += both_sides(box((0.35 * length, 0.95 * scale, 0.62), (0.8, 0.45, 0.45), "metal", "truck"))
     return centred(merged(parts))
 

@@ -1,4 +1,4 @@
-"""Trees, bushes, hedges and tall grass: wood as tubes, foliage as cards with a cut-out mask."""
+"""Trees, bushes and hedges: wood as tubes, foliage as cards with a cut-out mask."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from lidar2pano.simulate.scene.mesh import Mesh, box, merged, mesh, tube
 
 
 class Species(NamedTuple):
-    """What a kind of tree looks like; ranges are drawn from evenly.
+    """The shape of a species of tree; ranges are sampled uniformly.
 
     height   metres.
-    spread   the crown's radius, in parts of the height.
-    clear    where the crown begins, in parts of the height.
-    profile  the crown's radius at even steps from its foot to its top, in parts of its widest.
+    spread   the crown's radius as a share of the height.
+    clear    where the crown begins, as a share of the height.
+    profile  the crown's radius at even steps from its foot to its top, relative to its widest.
     girth    radius of the trunk's foot, metres for each metre of height.
     bark, foliage  materials.
     tint     of the foliage.
-    clumps   heaps of leaves in the crown;  clump: their radius in parts of the crown's radius.
+    clumps   of leaves in the crown;  clump: their radius as a share of the crown's.
     cards    number of cards at detail 1 (for whorls: a rough number);  card: their side, metres.
     droop    how far twigs hang: 0 outwards, 1 down.
     whorls   branches stand in storeys around a trunk that goes to the top.
@@ -70,7 +70,7 @@ SPECIES: dict[str, Species] = {
         -0.3, "bark", "needles",
     ),
 }  # fmt: skip
-STREET = ("linden", "maple", "birch", "globe", "linden", "maple", "oak")  # drawn where no species is asked for
+STREET = ("linden", "maple", "birch", "globe", "linden", "maple", "oak")  # for trees without a given species
 
 
 # Corners of a card, in halves of its size. Sprays of leaves grow from their foot into a kite, and what a ray need not
@@ -79,8 +79,10 @@ KITE = np.array([(0, -1), (1.15, -0.1), (0, 1), (-1.15, -0.1)])
 
 
 class _Cards(NamedTuple):
-    """N cards: middle, the way of their tips, the side they face, the normal they are lit by (N, 3); size (N, 2)
-    metres across and along; tint (N, 3)."""
+    """N cards: centre, direction of the tip, side that they face, normal for shading, all (N, 3).
+
+    size (N, 2) metres across and along;  tint (N, 3).
+    """
 
     middle: np.ndarray
     tip: np.ndarray
@@ -91,7 +93,7 @@ class _Cards(NamedTuple):
 
 
 def tree(rng: np.random.Generator, name: str | None = None, detail: float = 1.0) -> Mesh:
-    """A tree of one of SPECIES, 3 to 22 m high; `detail` scales the number of cards and keeps the crown as dense."""
+    """A tree of one of SPECIES, 3 to 22 m high; `detail` scales the number of cards at constant density."""
     species = SPECIES[name or STREET[int(rng.integers(len(STREET)))]]
     height = rng.uniform(*species.height)
     radius, foot = height * rng.uniform(*species.spread), height * rng.uniform(*species.clear)
@@ -204,7 +206,7 @@ def _trunk(rng: np.random.Generator, species: Species, height: float) -> np.ndar
 def _clumps(
     rng: np.random.Generator, species: Species, size: tuple[float, float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Middles (C, 3) and radii (C,) of the heaps of leaves; size: height, foot and radius of the crown."""
+    """Centres (C, 3) and radii (C,) of the clumps of leaves; size: height, foot and radius of the crown."""
     height, foot, radius = size
     level = (np.arange(species.clumps) + rng.uniform(0, 1, species.clumps)) / species.clumps
     # As many clumps at a height as the crown is wide there.
@@ -231,7 +233,7 @@ def _crown(  # noqa: PLR0913 the parts of a crown
     size: tuple[float, float, float],
     detail: float,
 ) -> _Cards:
-    """Cards on the shells of the clumps, lit as if the crown were one soft body; size: foot, height, radius."""
+    """Cards on the shells of the clumps, shaded as one smooth body; size: foot, height, radius."""
     foot, height, radius = size
     # A crown wider than is common for its species has more and larger cards.
     grown = radius / (np.mean(species.height) * np.mean(species.spread))
@@ -282,7 +284,7 @@ def _limbs(
 def _whorls(
     rng: np.random.Generator, species: Species, size: tuple[float, float, float], detail: float
 ) -> tuple[_Cards, list[Mesh]]:
-    """Branches in storeys, each a row of flat sprays that hang to its sides; size: height, foot, radius."""
+    """Branches in whorls, each a row of flat drooping sprays; size: height, foot, radius."""
     height, foot, radius = size
     step = species.card * 0.52 / np.sqrt(min(detail, 1.0)) ** 0.8
     levels = np.arange(foot, height - 0.3, step)

@@ -1,4 +1,4 @@
-"""Traffic signs: plates of coloured polygons on a post; they are seen from +x."""
+"""Traffic signs: plates of coloured polygons on a post; they face +x."""
 
 from __future__ import annotations
 
@@ -254,7 +254,7 @@ def sign(rng: np.random.Generator, name: str | None = None) -> Mesh:
 
 
 def street_sign(name: str) -> Mesh:
-    """A sign whose look is not left to chance."""
+    """A sign without random variation."""
     return sign(np.random.default_rng(0), name)
 
 
@@ -264,7 +264,7 @@ def post(height: float, radius: float) -> Mesh:
 
 
 def _plate(layers: Plate) -> Mesh:
-    """A plate in the plane x = 0 around the origin: its layers, each a little before the last, and its back."""
+    """A plate in the plane x = 0 around the origin: its layers, each in front of the last, and its back."""
     parts = []
     for i, (outline, tint) in enumerate(layers):
         # Strokes of one colour lie side by side; only the first few layers need to be told apart.

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar2pano.simulate.assets.cars import colour
-from lidar2pano.simulate.assets.people import Appearance, Arm, Leg, Pose, bent, figure, random_appearance, shoulder_of
+from lidar2pano.simulate.assets.people import Arm, Human, Leg, Pose, figure, middle_joint, random_human, shoulder_of
 from lidar2pano.simulate.assets.vehicle_body import both_sides, lathe
 from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, ellipsoid, merged, polygons, tube
 
@@ -17,7 +17,7 @@ Point = tuple[float, float, float]
 
 
 class Mount(NamedTuple):
-    """A two-wheeler and where a rider sits on it: metres; grips and pedals left and right."""
+    """A two-wheeler and its rider's contact points, metres; grips and pedals left and right."""
 
     mesh: Mesh
     saddle: np.ndarray
@@ -38,19 +38,19 @@ def motorcycle(rng: np.random.Generator, ridden: bool = False) -> Mesh:
 def bicyclist(rng: np.random.Generator) -> Mesh:
     """A bicycle with its rider, pedalling."""
     mount = _bicycle(rng, "ridden-bicycle")
-    appearance = random_appearance(rng, child=False)
-    appearance = replace(appearance, height=float(np.clip(appearance.height, 1.58, 1.92)), hat=False)
+    human = random_human(rng, child=False)
+    human = replace(human, height=float(np.clip(human.height, 1.58, 1.92)), hat=False)
     helmet = _helmet(rng) if rng.uniform() < 0.35 else None
-    return merged([mount.mesh, _rider(mount, appearance, "bicyclist", helmet, rng.uniform(0.15, 0.4))])
+    return merged([mount.mesh, _rider(mount, human, "bicyclist", helmet, rng.uniform(0.15, 0.4))])
 
 
 def motorcyclist(rng: np.random.Generator) -> Mesh:
     """A motorcycle or a scooter with its rider, who wears a helmet."""
     mount = _motorcycle(rng, "ridden-motorcycle")
-    appearance = random_appearance(rng, child=False)
-    height = float(np.clip(appearance.height, 1.62, 1.95))
-    appearance = replace(appearance, height=height, legs="trousers", short_sleeves=False, build=appearance.build * 1.06)
-    return merged([mount.mesh, _rider(mount, appearance, "motorcyclist", _helmet(rng), rng.uniform(0.1, 0.3))])
+    human = random_human(rng, child=False)
+    height = float(np.clip(human.height, 1.62, 1.95))
+    human = replace(human, height=height, legs="trousers", short_sleeves=False, build=human.build * 1.06)
+    return merged([mount.mesh, _rider(mount, human, "motorcyclist", _helmet(rng), rng.uniform(0.1, 0.3))])
 
 
 def _helmet(rng: np.random.Generator) -> Tint:
@@ -60,23 +60,23 @@ def _helmet(rng: np.random.Generator) -> Tint:
     return float(r), float(g), float(b)
 
 
-def _rider(mount: Mount, appearance: Appearance, object_type: str, helmet: Tint | None, lean: float) -> Mesh:
-    """Someone on the saddle with hands and feet where they belong; leans on until the hands reach the grips."""
-    k = appearance.size
+def _rider(mount: Mount, human: Human, object_type: str, helmet: Tint | None, lean: float) -> Mesh:
+    """The pose of a rider with hands on the grips and feet on the pedals."""
+    k = human.size
     pelvis = mount.saddle + np.array([0.0, 0, 0.1 * k])
     neck = pelvis
     for angle in np.arange(lean, 1.2, 0.05):
         neck = pelvis + 0.56 * k * np.array([np.sin(angle), 0, np.cos(angle)])
-        if np.linalg.norm(shoulder_of(appearance, pelvis, neck, 1) - mount.grips[0]) < 0.53 * k:
+        if np.linalg.norm(shoulder_of(human, pelvis, neck, 1) - mount.grips[0]) < 0.53 * k:
             break
     legs, arms = [], []
     for side, grip, pedal in zip((1, -1), mount.grips, mount.pedals, strict=True):
         hip, ankle = pelvis + np.array([0, side * 0.095, -0.02]) * k, pedal + np.array([-0.07, 0, 0.085]) * k
-        knee = bent(hip, ankle, 0.43 * k, 0.42 * k, (1, side * 0.12, 0.2))
+        knee = middle_joint(hip, ankle, 0.43 * k, 0.42 * k, (1, side * 0.12, 0.2))
         legs.append(Leg(hip, knee, ankle, 0.15))
-        shoulder, hand = shoulder_of(appearance, pelvis, neck, side), grip + np.array([-0.03, 0, 0.02])
-        arms.append(Arm(shoulder, bent(shoulder, hand, 0.29 * k, 0.26 * k, (-0.2, side * 0.6, -1)), hand))
-    return figure(appearance, Pose(pelvis, neck, (legs[0], legs[1]), (arms[0], arms[1])), object_type, helmet)
+        shoulder, hand = shoulder_of(human, pelvis, neck, side), grip + np.array([-0.03, 0, 0.02])
+        arms.append(Arm(shoulder, middle_joint(shoulder, hand, 0.29 * k, 0.26 * k, (-0.2, side * 0.6, -1)), hand))
+    return figure(human, Pose(pelvis, neck, (legs[0], legs[1]), (arms[0], arms[1])), object_type, helmet)
 
 
 def _bar(points: Sequence[Point], radius: float, material: str, object_type: str, tint: Tint = (1.0, 1.0, 1.0)) -> Mesh:
@@ -183,7 +183,7 @@ def _rack(radius: float, object_type: str) -> list[Mesh]:
 
 
 def _pedal(turn: float, side: int, object_type: str) -> tuple[Mesh, np.ndarray]:
-    """A crank with its pedal, and the pedal's place."""
+    """A crank with its pedal, and the pedal's position."""
     end = np.array([-0.1 + 0.17 * np.cos(turn), side * 0.09, 0.28 + 0.17 * np.sin(turn)])
     arm = _bar([(-0.1, side * 0.075, 0.28), (end[0], end[1], end[2])], 0.01, "metal", object_type)
     foot = end + np.array([0, side * 0.06, 0])

@@ -28,7 +28,7 @@ class Patch(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shape:
+class VehicleShape:
     """Side view and measures of a vehicle, metres; x backwards from the nose, z up from the road.
 
     profile  outline of the top: bonnet's front edge, foot and head of the windscreen, highest point of the roof, head
@@ -68,12 +68,12 @@ class Shape:
     top: str = "paint"
 
 
-def overhang(shape: Shape) -> float:
-    """From an end to the nearest axle, metres."""
+def overhang(shape: VehicleShape) -> float:
+    """Metres from an end to the nearest axle."""
     return min([shape.length / 2, *(min(axle, shape.length - axle) for axle in shape.axles)])
 
 
-def rounded(shape: Shape) -> np.ndarray:
+def rounded_profile(shape: VehicleShape) -> np.ndarray:
     """The outline of the top with its corners rounded (n, 2), x growing."""
     points = np.array(shape.profile)
     middle = points[:2].mean(0) + (0, 0.16 * (points[1, 1] - points[0, 1]))  # bonnets are convex
@@ -88,21 +88,21 @@ def rounded(shape: Shape) -> np.ndarray:
     return np.array([*line, points[-1]])
 
 
-def screens(shape: Shape) -> tuple[tuple[float, float], tuple[float, float]]:
-    """From x to x: the glass of the windscreen and of the rear screen."""
+def screens(shape: VehicleShape) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Extents in x of the windscreen and of the rear window."""
     (a, _), (b, _) = shape.profile[1:3]
     (c, _), (d, _) = shape.profile[4:6]
     return (a + 0.01, b - 0.1 * (b - a)), (c + 0.14 * (d - c), d - 0.05 * (d - c))
 
 
-def columns(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
-    """Places x of the columns, and where each ends below: at the sill or at a wheel's arch; both (n,)."""
+def columns(shape: VehicleShape) -> tuple[np.ndarray, np.ndarray]:
+    """x of the columns, and height of their lower ends at the sill or wheel arch; both (n,)."""
     length, radius = shape.length, shape.wheel + shape.gap
     (a, b), (c, d) = screens(shape)
     edges = [0.0, length, a - 0.045, a, b, c, d, *(x for pane in shape.panes for x in pane)]
     edges = np.unique(np.round([*edges, *(x for seam in shape.seams for x in (seam, seam + SEAM))], 4))
     edges = edges[np.concatenate([[True], np.diff(edges) > 0.006])]
-    between = np.unique(np.round([*rounded(shape)[1:-1, 0], 0.05, 0.16, length - 0.14, length - 0.05], 4))
+    between = np.unique(np.round([*rounded_profile(shape)[1:-1, 0], 0.05, 0.16, length - 0.14, length - 0.05], 4))
     between = between[np.concatenate([[True], np.diff(between) > 0.03])]
     x = np.sort(np.concatenate([edges, between[np.abs(between[:, None] - edges).min(1) > 0.04]]))
     bottom = shape.sill + np.interp(x, [0, 0.35, length - 0.45, length], [0.05, 0, 0, 0.09])
@@ -124,8 +124,7 @@ def columns(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
 def lathe(outline: np.ndarray, material: str, object_type: str, sides: int = 16) -> Mesh:
     """A body of revolution around the y axis from an outline (n, 2) of (y, radius); smooth.
 
-    Its outside is on the right of the way along the outline, seen with y to the right and the radius up... so an
-    outline of growing y has its outside away from the axis.
+    An outline of increasing y has its outside away from the axis.
     """
     turn = np.linspace(0, 2 * np.pi, sides + 1)
     y, radius = (np.broadcast_to(part[:, None], (len(outline), sides + 1)) for part in outline.T)
@@ -195,7 +194,7 @@ class Body(NamedTuple):
     tail: np.ndarray
 
 
-def body(shape: Shape, object_type: str, tint: tuple[float, float, float]) -> Body:
+def body(shape: VehicleShape, object_type: str, tint: tuple[float, float, float]) -> Body:
     """The skin of a vehicle with its underside and its wheel arches; `tint` multiplies the paint's grey."""
     x, bottom = columns(shape)
     top = _top(shape, x)
@@ -211,12 +210,12 @@ def body(shape: Shape, object_type: str, tint: tuple[float, float, float]) -> Bo
 
 
 def both_sides(left: Mesh) -> tuple[Mesh, Mesh]:
-    """A thing and its mirror image at y = 0."""
+    """A mesh and its mirror image at y = 0."""
     flip = np.array([1, -1, 1], dtype=np.float32)
     return left, replace(left, vertices=left.vertices * flip, normals=left.normals * flip, faces=left.faces[:, ::-1])
 
 
-def _top(shape: Shape, x: np.ndarray) -> np.ndarray:
+def _top(shape: VehicleShape, x: np.ndarray) -> np.ndarray:
     """Bonnet, screens, roof and boot: (n, A, 3)."""
     (_, foot), (head, rear, end) = shape.profile[:2], [p[0] for p in (shape.profile[i] for i in (2, 4, 5))]
     a, length = foot[0], shape.length
@@ -224,7 +223,7 @@ def _top(shape: Shape, x: np.ndarray) -> np.ndarray:
     if shape.panes:
         last = shape.panes[-1][1]
         above += np.interp(x, [head, last, max(rear, last + 1.6 * shape.lean)], [0, -shape.lean, 0])
-    line = rounded(shape)
+    line = rounded_profile(shape)
     z = np.interp(above, line[:, 0], line[:, 1])
     bend = np.interp(x, [0.4 * a, a, head, head + 0.6, rear - 0.5, end, length], [0, 0.11, 0.08, 0, 0, -0.06, 0])
     crown = np.interp(x, [0, 0.5 * a, a, head, rear, end], np.array(shape.crown)[[0, 0, 0, 1, 1, 1]])
@@ -240,7 +239,7 @@ def _top(shape: Shape, x: np.ndarray) -> np.ndarray:
     )
 
 
-def _half_widths(shape: Shape, x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _half_widths(shape: VehicleShape, x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Half widths (n,) at the edge of the top, which is z high, and at the widest."""
     length, belt = shape.length, np.interp(x, [shape.profile[1][0], shape.length], shape.belt)
     roof = max(height for _, height in shape.profile)
@@ -251,7 +250,7 @@ def _half_widths(shape: Shape, x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray
     return widest * (low + (shape.rail - low) * up), widest
 
 
-def _side(shape: Shape, x: np.ndarray, bottom: np.ndarray, edge: np.ndarray) -> np.ndarray:
+def _side(shape: VehicleShape, x: np.ndarray, bottom: np.ndarray, edge: np.ndarray) -> np.ndarray:
     """The left side (n, ROWS, 3), from the edge of the top (n, 3) down to `bottom` (n,)."""
     belt = np.interp(x, [shape.profile[1][0], shape.length], shape.belt)
     _, widest = _half_widths(shape, x, edge[:, 2])
@@ -289,7 +288,7 @@ def _end(column: np.ndarray, line: np.ndarray) -> np.ndarray:
     return np.stack([x, y, z], axis=-1)
 
 
-def _warped(shape: Shape, grid: np.ndarray) -> np.ndarray:
+def _warped(shape: VehicleShape, grid: np.ndarray) -> np.ndarray:
     """Round the ends: bumpers stand out, corners lie back. From x backwards to the mesh's x forwards."""
     x, y, z = np.moveaxis(grid, -1, 0)
     half, far = shape.width / 2, min(0.5, 0.9 * (overhang(shape) - shape.wheel - shape.gap))
@@ -303,7 +302,7 @@ def _warped(shape: Shape, grid: np.ndarray) -> np.ndarray:
     return np.stack([shape.length / 2 - x, y, z], axis=-1)
 
 
-def _side_cells(shape: Shape, x: np.ndarray) -> np.ndarray:
+def _side_cells(shape: VehicleShape, x: np.ndarray) -> np.ndarray:
     middle = (x[1:] + x[:-1]) / 2
     cells = np.full((len(middle), ROWS - 1), "paint", dtype=object)
     cells[(middle > shape.profile[2][0]) & (middle < shape.profile[5][0]), :2] = shape.top
@@ -322,7 +321,7 @@ def _side_cells(shape: Shape, x: np.ndarray) -> np.ndarray:
     return cells
 
 
-def _top_cells(shape: Shape, x: np.ndarray) -> np.ndarray:
+def _top_cells(shape: VehicleShape, x: np.ndarray) -> np.ndarray:
     middle = (x[1:] + x[:-1]) / 2
     cells = np.full((len(middle), len(ACROSS) - 1), "paint", dtype=object)
     front, back = screens(shape)
@@ -385,7 +384,7 @@ def _skin(
     )
 
 
-def _lining(shape: Shape, side: np.ndarray, x: np.ndarray, bottom: np.ndarray, object_type: str) -> Mesh:
+def _lining(shape: VehicleShape, side: np.ndarray, x: np.ndarray, bottom: np.ndarray, object_type: str) -> Mesh:
     """What closes the left half below: the wheel arches' insides, and the underside."""
     edge = side[:, -1]
     inner = shape.width / 2 - 0.34
@@ -405,7 +404,7 @@ def _lining(shape: Shape, side: np.ndarray, x: np.ndarray, bottom: np.ndarray, o
     return merged(parts)
 
 
-def _arch_columns(shape: Shape, x: np.ndarray, bottom: np.ndarray) -> list[np.ndarray]:
+def _arch_columns(shape: VehicleShape, x: np.ndarray, bottom: np.ndarray) -> list[np.ndarray]:
     radius = shape.wheel + shape.gap
     inside = [np.flatnonzero(np.abs(x - axle) < radius + 1e-4) for axle in shape.axles]
     return [near[bottom[near] > shape.wheel - 0.01] for near in inside]

@@ -84,10 +84,7 @@ class SequenceWriter:
         # Each moving object is where the turn passes it.
         scene = self.world.scene_at(self.scene(frame), time, lambda at: float(passing_time(sensor, pose, at[None])[0]))
         return sweep(
-            scene,
-            sensor,
-            lambda ahead: self.world.drive.poses(time + ahead),
-            stream(self.seed, "sweep", frame),
+            scene, sensor, lambda ahead: self.world.drive.poses(time + ahead), stream(self.seed, "sweep", frame)
         )
 
     def images(self, frame: int) -> Iterator[tuple[str, RenderedImage]]:

@@ -84,7 +84,7 @@ class Drive:
 
 
 def lanes(town: Town) -> list[tuple[float, int]]:
-    """Lanes of the main road: offset from the centreline in metres (left positive), direction of travel (+1 along s)."""
+    """Lanes of the main road: offset from the centreline (metres, left positive), direction of travel (+1 along s)."""
     road = town.roads[0]
     if road.marking == "motorway":
         inner = road.median + 2.5

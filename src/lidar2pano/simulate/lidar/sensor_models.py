@@ -96,9 +96,9 @@ def _scaled(values: Sequence[float], unit: float) -> tuple[float, ...]:
 
 
 # HDL-64E S2 of KITTI's car. Everything below was estimated from 95 raw scans of its recordings (2011-09-26 to 29).
-# In a file, z = origin_up + distance on the plane x tan(elevation) holds per beam to 0.25 mm (what rounding to a millimetre
-# leaves); from scan to scan the elevations agree within 0.002 degrees (0.015 at most). Origins stand 2.6 cm to the
-# left or the right in turn; azimuths less their parallax fall on steps of 0.09 degrees plus a beam's own constant.
+# In a file, z = origin_up + distance on the plane x tan(elevation) holds per beam to 0.25 mm, the rounding to a
+# millimetre; elevations agree from scan to scan within 0.002 degrees (0.015 at most). Origins are alternately 2.6 cm to
+# the left and right; azimuths without their parallax are multiples of 0.09 degrees plus a constant of the beam.
 _ELEVATION = (
     1.937, 1.574, 1.305, 0.872, 0.579, 0.181, -0.089, -0.452, -0.803, -1.201, -1.494, -1.833, -2.208, -2.547, -2.874,
     -3.236, -3.539, -3.936, -4.216, -4.588, -4.914, -5.251, -5.611, -5.958, -6.329, -6.676, -6.999, -7.287, -7.679,

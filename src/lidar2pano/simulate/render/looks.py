@@ -141,12 +141,7 @@ def _autumn(seed: int) -> Look:
     )
 
 
-LOOKS: dict[str, Callable[[int], Look]] = {
-    "day": _day,
-    "overcast": _overcast,
-    "evening": _evening,
-    "autumn": _autumn,
-}
+LOOKS: dict[str, Callable[[int], Look]] = {"day": _day, "overcast": _overcast, "evening": _evening, "autumn": _autumn}
 
 # Autumn colours of broad leaves, linear RGB albedo: dull green, yellow, orange, red-brown, brown.
 _AUTUMN = np.array(

@@ -231,12 +231,7 @@ def ray_offset(hits: Hits, which: np.ndarray) -> np.ndarray:
 
 
 def _glossy(  # noqa: PLR0913 the arrays of the formula
-    scene: Scene,
-    points: _ShadingPoints,
-    look: Look,
-    normal: np.ndarray,
-    matt: np.ndarray,
-    visibility: Visibility,
+    scene: Scene, points: _ShadingPoints, look: Look, normal: np.ndarray, matt: np.ndarray, visibility: Visibility
 ) -> np.ndarray:
     """Radiance (3, n) of glossy surfaces: diffuse radiance `matt` and specular reflection."""
     material = points.hits.material

@@ -88,34 +88,13 @@ MATERIALS: dict[str, Material] = {
     "bark": Material("bark", (0.10, 0.08, 0.06), remission=0.36, variation=0.25),
     "bark-birch": Material("birch", (0.42, 0.41, 0.38), remission=0.42, variation=0.25),
     "leaves": Material(
-        "leaves",
-        (0.112, 0.142, 0.047),
-        0.03,
-        0.6,
-        cutout="leaves",
-        transmission=0.35,
-        remission=0.36,
-        variation=0.35,
+        "leaves", (0.112, 0.142, 0.047), 0.03, 0.6, cutout="leaves", transmission=0.35, remission=0.36, variation=0.35
     ),
     "needles": Material(
-        "leaves",
-        (0.052, 0.076, 0.034),
-        0.02,
-        0.7,
-        cutout="needles",
-        transmission=0.2,
-        remission=0.33,
-        variation=0.35,
+        "leaves", (0.052, 0.076, 0.034), 0.02, 0.7, cutout="needles", transmission=0.2, remission=0.33, variation=0.35
     ),
     "hedge": Material(
-        "leaves",
-        (0.086, 0.115, 0.039),
-        0.03,
-        0.6,
-        cutout="leaves",
-        transmission=0.25,
-        remission=0.35,
-        variation=0.35,
+        "leaves", (0.086, 0.115, 0.039), 0.03, 0.6, cutout="leaves", transmission=0.25, remission=0.35, variation=0.35
     ),
     "hedge-core": Material("", (0.012, 0.016, 0.007), remission=0.3, variation=0.3),
     # signs and lights; a sign's symbols are polygons of other tints
