@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import torch
 
-from lidar2pano.metrics.patch_frechet import frechet, patch_features, patch_frechet
+from lidar2pano.metrics.patch_frechet import PatchFrechetDistance, patch_features
 
 
 def frechet_slowly(one: np.ndarray, other: np.ndarray) -> float:
@@ -20,23 +22,58 @@ def frechet_slowly(one: np.ndarray, other: np.ndarray) -> float:
 
 
 @pytest.fixture
-def features() -> tuple[np.ndarray, np.ndarray]:
+def metric() -> PatchFrechetDistance:
+    """Over 3 features of colours: four pictures of 200 x 264 pixels."""
+
+    def extract(pictures: torch.Tensor) -> torch.Tensor:
+        x = torch.nn.functional.avg_pool2d(pictures.float() / 100, 16, ceil_mode=True)
+        return torch.cat([x, x[:, :1] * x[:, 1:2]], 1)
+
     generator = np.random.default_rng(0)
-    mix = generator.normal(size=(5, 5))
-    return generator.normal(size=(200, 5)), generator.normal(size=(300, 5)) @ mix + 0.5
+    metric = PatchFrechetDistance(extract, extractor="colours")
+    for number in range(4):
+        hills = generator.integers(0, 255, (2, 7, 9, 3)).astype(np.uint8)
+        one, other = (np.kron(part, np.ones((32, 32, 1), dtype=np.uint8)) for part in hills)
+        metric.update(one // 2, other, f"0/{number}")
+    return metric
 
 
-def test_it_agrees_with_its_definition(features):
-    assert frechet(*features) == pytest.approx(frechet_slowly(*features), rel=1e-6)
-    assert frechet(*features) == pytest.approx(frechet(*features[::-1]), rel=1e-9)
-    assert frechet(features[0], features[0]) == pytest.approx(0, abs=1e-9)
+def test_it_agrees_with_its_definition(metric):
+    def features(side, names):
+        return np.concatenate([rows[side, name] for name in names])
+
+    rows = {}
+    metric_of = metric.extract
+    generator = np.random.default_rng(0)
+    for number in range(4):
+        hills = generator.integers(0, 255, (2, 7, 9, 3)).astype(np.uint8)
+        one, other = (np.kron(part, np.ones((32, 32, 1), dtype=np.uint8)) for part in hills)
+        for side, image in (("mine", one // 2), ("real", other)):
+            maps = metric_of(torch.from_numpy(image).movedim(2, 0)[None])[0]
+            rows[side, number] = patch_features(maps)
+    distance = frechet_slowly(features("mine", range(4)), features("real", range(4)))
+    among = frechet_slowly(features("real", (0, 1)), features("real", (2, 3)))
+    wanted = {"ratio": distance / among, "distance": distance, "real to real": among}
+    assert metric.figures() == pytest.approx(wanted, rel=1e-5)
 
 
-def test_real_to_real_compares_the_two_halves(features):
-    one, other = features
-    distance, among = patch_frechet([one], [other[:100], other[100:200], other[200:]])
-    assert distance == pytest.approx(frechet(one, other))
-    assert among == pytest.approx(frechet(other[:150], other[150:]))
+def test_real_pictures_are_at_no_distance_from_themselves(metric):
+    same = PatchFrechetDistance(metric.extract, extractor="colours")
+    same.kept = {"predicted": metric.kept["target"], "target": metric.kept["target"]}
+    assert same.figures()["distance"] == pytest.approx(0, abs=1e-9)
+
+
+def test_parts_merge_to_the_whole(metric):
+    parts = [PatchFrechetDistance(metric.extract, extractor="colours") for _ in range(2)]
+    for number, part in enumerate(parts):
+        for side, kept in metric.kept.items():
+            part.kept[side] = {name: rows for name, rows in kept.items() if int(name[-1]) % 2 == number}
+    parts[0].merge(parts[1])
+    assert parts[0].figures() == pytest.approx(metric.figures())
+
+
+def test_too_few_patches_have_no_distance(metric):
+    assert math.isnan(PatchFrechetDistance(metric.extract, extractor="colours").compute())
 
 
 def test_patches_are_means_of_features():

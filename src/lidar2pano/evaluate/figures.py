@@ -18,6 +18,11 @@ NAMES: dict[str, dict[str, str]] = {
     "classes": {"mIoU": "miou", "accuracy": "accuracy"},
     "ssim": {"SSIM": "ssim"},
     "swd": {"mean": "swd"} | {level: f"swd_{level}" for level in ("1024", "512", "256", "128", "64", "32", "16")},
+    "patches": {
+        "ratio": "patch_frechet_ratio",
+        "distance": "patch_frechet",
+        "real to real": "patch_frechet_real",
+    },
     "fid": {"FID": "fid"},
     "fsd": {"FSD": "fsd"},
     "resegmentation": {"mIoU": "resegmentation_miou", "accuracy": "resegmentation_accuracy"},

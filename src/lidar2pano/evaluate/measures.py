@@ -18,6 +18,7 @@ from lidar2pano.metrics.frechet import fingerprint
 from lidar2pano.metrics.inception import find_inception, load_inception
 from lidar2pano.models.camera_segmenter import CameraSegmenter
 from lidar2pano.models.card import load
+from lidar2pano.models.imagenet_features import LITE2, ImagenetFeatures
 from lidar2pano.models.sdnet import SdNet
 
 KINDS = ("points", "classes", "pictures", "depth", "seams", "time", "roll")
@@ -66,13 +67,14 @@ class Measures:
     kinds      of KINDS: points (classes of the scan's points), classes, pictures (SSIM, SWD, FID, FSD,
                re-segmentation), depth, seams, time (warping error), roll (everything again with the scan turned).
     sectors    of SECTORS: the camera's image, and all around.
-    inception  for FID;  eye: for FSD and re-segmentation. None: not measured.
+    inception  for FID;  eye: for FSD and re-segmentation;  patches: for the patch Frechet distance. None: not measured.
     """
 
     kinds: tuple[str, ...] = DEFAULT_KINDS
     sectors: tuple[str, ...] = SECTORS
     inception: Extractor | None = None
     eye: CameraEye | None = None
+    patches: Extractor | None = None
 
     @classmethod
     def of(
@@ -91,11 +93,13 @@ class Measures:
         kinds = tuple(kind for kind in KINDS if kind in named) or DEFAULT_KINDS
         sectors = tuple(sector for sector in SECTORS if sector in named) or SECTORS
         pictures, picked = "pictures" in kinds and "camera" in sectors, pick_device(device)
+        patches = _patches(picked) if "pictures" in kinds else None
         return cls(
             kinds=kinds,
             sectors=sectors,
             inception=_inception(inception, picked) if pictures else None,
             eye=_eye(sdnet, picked) if pictures and sdnet is not None else None,
+            patches=patches,
         )
 
     def asks(self, sector: str) -> bool:
@@ -114,6 +118,15 @@ def _inception(given: Path | None, device: torch.device) -> Extractor | None:
         return None
     network = load_inception(path, device)
     return Extractor(features=lambda pictures: network(pictures.to(device)), sha256=fingerprint(network))
+
+
+def _patches(device: torch.device) -> Extractor | None:
+    """Features of EfficientNet-Lite2, which nothing is trained against; None where it is not installed."""
+    try:
+        network = ImagenetFeatures.load(LITE2).to(device)
+    except InputError:
+        return None
+    return Extractor(features=lambda pictures: network(pictures.to(device) / 127.5 - 1)[-1], sha256=LITE2.sha256)
 
 
 def _eye(given: Path, device: torch.device) -> CameraEye:

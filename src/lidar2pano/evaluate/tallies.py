@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -21,6 +22,7 @@ from lidar2pano.metrics.classes import ClassCounts
 from lidar2pano.metrics.depth import DepthError
 from lidar2pano.metrics.frames import FrameMetric
 from lidar2pano.metrics.frechet import FrechetDistance
+from lidar2pano.metrics.patch_frechet import PATCH, PatchFrechetDistance
 from lidar2pano.metrics.resegmentation import Resegmentation
 from lidar2pano.metrics.samples import TwoSets
 from lidar2pano.metrics.seams import RollError, SeamRatio
@@ -75,6 +77,7 @@ class Tally:
         if "pictures" in kinds and truth.picture is not None:
             self._similar("camera", seen.colour, truth.picture, truth.name)
             self._of("camera", "swd", SlicedWasserstein).update(seen.colour, truth.picture, truth.name)
+            self._patches("camera", seen.colour, truth.picture, truth.name)
             self._judged(truth, seen.colour, truth.picture)
         if "time" in kinds and moved is not None:
             self.warped("camera", seen.colour, moved, truth.name)
@@ -91,6 +94,7 @@ class Tally:
             return
         if "pictures" in kinds and true.valid.any():
             self._similar("panorama", around.colour, true.colour, truth.name, true.valid)
+            self._patches("panorama", around.colour, true.colour, truth.name, true.valid)
             swd = self._of("panorama", "swd", SlicedWasserstein)
             for number, (mine, theirs) in enumerate(windows(around.colour, true.colour, true.valid)):
                 swd.update(mine, theirs, f"{truth.name}#{number}")
@@ -165,6 +169,14 @@ class Tally:
     ) -> None:
         if min(theirs.shape[:2]) >= WINDOW:
             self._of(sector, "ssim", SSIM).update(mine, theirs, name, valid=valid)
+
+    def _patches(
+        self, sector: str, mine: np.ndarray, theirs: np.ndarray, name: str, valid: np.ndarray | None = None
+    ) -> None:
+        patches = self.measures.patches
+        if patches is not None and min(theirs.shape[:2]) >= PATCH:
+            made = partial(PatchFrechetDistance, patches, extractor=patches.sha256)
+            self._of(sector, "patches", made).update(mine, theirs, name, valid)
 
     def _judged(self, truth: Truth, mine: np.ndarray, theirs: np.ndarray) -> None:
         """What needs somebody else's weights."""

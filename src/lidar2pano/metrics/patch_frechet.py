@@ -1,53 +1,106 @@
 """Patch Frechet distance: how far pictures are from real ones, patch by patch.
 
 Frechet distance (Heusel et al. 2017) between normal distributions of the features of patches, PATCH pixels wide at
-every STRIDE-th pixel: the features of EfficientNet-Lite2, at 1/16 of the raster, averaged over each patch. A few
-images hold many patches, and what is judged is texture and parts of things, not the layout. Divided by the same
-distance between two halves of the real images it says how many times farther they are than those from each other.
+every STRIDE-th pixel: features at 1/16 of the raster, averaged over each patch. A few images hold many patches, and
+what is judged is texture and parts of things, not the layout. Divided by the same distance between two halves of the
+real images it says how many times farther they are than those from each other.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
+from lidar2pano.metrics.inputs import Array, picture
+from lidar2pano.metrics.samples import SIDES, TwoSets
+
 PATCH, STRIDE, DOWN = 128, 64, 16  # pixels; DOWN: of the picture per pixel of the features
 
 
-def patch_features(features: Tensor, valid: np.ndarray | None = None) -> np.ndarray:
-    """Features (P, F) float64 of the patches of a picture.
+class PatchFrechetDistance(TwoSets):
+    """Of each picture count, sum and sum of products of its patches' features are kept."""
 
-    features  (F, H / DOWN, W / DOWN) of the whole picture.
+    def __init__(self, extract: Callable[[Tensor], Tensor], *, extractor: str) -> None:
+        """Take the features of pictures.
+
+        extract    (B, 3, H, W) uint8 -> (B, D, H / DOWN, W / DOWN) float.
+        extractor  SHA-256 of the weights that made the features: figures of different ones do not compare.
+        """
+        self.extract, self.extractor = extract, extractor
+        super().__init__()
+
+    def update(self, predicted: Array, target: Array, name: str, valid: np.ndarray | None = None) -> None:
+        """Take in two pictures (H, W, 3) uint8 of the frame `name`, but for patches with a pixel not `valid` (H, W)."""
+        for side, image in zip(SIDES, (predicted, target), strict=True):
+            self._check_new(name, side)
+            with torch.inference_mode():
+                features = self.extract(picture(image)[None])[0]
+            found = patch_features(features, valid)
+            self.kept[side][name] = np.vstack([found.sum(0), found.T @ found, np.full(found.shape[1], len(found))])
+
+    def figures(self) -> dict[str, float]:
+        """Distance over that between real pictures, and both; NaN for fewer than two patches."""
+        real = [self.kept["target"][name] for name in sorted(self.kept["target"])]
+        first, second = (_normal(half) for half in (real[: len(real) // 2], real[len(real) // 2 :]))
+        distance = normal_distance(_normal(list(self.kept["predicted"].values())), _normal(real))
+        among = normal_distance(first, second)
+        ratio = distance / among if among > 0 else float("nan")
+        return {"ratio": ratio, "distance": distance, "real to real": among}
+
+    def told(self) -> dict[str, Any]:
+        """What a result must say beside the figure, for JSON: the extractor."""
+        return {"extractor": self.extractor}
+
+    def _counted(self) -> tuple:
+        return (*super()._counted(), self.extractor)
+
+
+class Normal(NamedTuple):
+    """A normal distribution: mean (D,), covariance (D, D), and of how many samples it was estimated."""
+
+    mean: np.ndarray
+    spread: np.ndarray
+    samples: int
+
+
+def patch_features(features: Tensor, valid: np.ndarray | None = None) -> np.ndarray:
+    """Features (P, D) float64 of the patches of a picture.
+
+    features  (D, H / DOWN, W / DOWN) of the whole picture.
     valid     (H, W) bool: patches with any other pixel are left out.
     """
     found = avg_pool2d(features.float(), PATCH // DOWN, STRIDE // DOWN).flatten(1).T
     if valid is not None:
         rows, columns = (DOWN * size for size in features.shape[1:])
-        holes = np.ones((rows, columns), dtype=np.float32)
-        holes[: valid.shape[0], : valid.shape[1]] = ~valid[:rows, :columns]
-        found = found[avg_pool2d(torch.from_numpy(holes)[None], PATCH, STRIDE).flatten() == 0]
-    return found.double().numpy()
+        holes = torch.ones(rows, columns)
+        holes[: valid.shape[0], : valid.shape[1]] = torch.from_numpy(~valid[:rows, :columns]).float()
+        found = found[avg_pool2d(holes[None], PATCH, STRIDE).flatten() == 0]
+    return found.double().cpu().numpy()
 
 
-def frechet(one: np.ndarray, other: np.ndarray) -> float:
-    """Frechet distance between the normal distributions of two sets of features (P, F), (Q, F).
+def normal_distance(one: Normal, other: Normal) -> float:
+    """Frechet distance |m1 - m2|^2 + tr(C1 + C2 - 2 (C1^1/2 C2 C1^1/2)^1/2), after Dowson and Landau 1982.
 
-    |m1 - m2|^2 + tr(C1 + C2 - 2 (C1^1/2 C2 C1^1/2)^1/2): Dowson and Landau 1982.
+    NaN where one was estimated of fewer than two samples.
     """
-    means, spreads = zip(*((part.mean(0), np.cov(part.T)) for part in (one, other)), strict=True)
-    values, vectors = np.linalg.eigh(spreads[0])
+    if min(one.samples, other.samples) < 2:
+        return float("nan")
+    values, vectors = np.linalg.eigh(one.spread)
     root = (vectors * np.sqrt(values.clip(0))) @ vectors.T
-    cross = np.sqrt(np.linalg.eigvalsh(root @ spreads[1] @ root).clip(0)).sum()
-    return float(np.square(means[0] - means[1]).sum() + np.trace(spreads[0]) + np.trace(spreads[1]) - 2 * cross)
+    cross = np.sqrt(np.linalg.eigvalsh(root @ other.spread @ root).clip(0)).sum()
+    distance = np.square(one.mean - other.mean).sum() + np.trace(one.spread) + np.trace(other.spread) - 2 * cross
+    return max(float(distance), 0.0)
 
 
-def patch_frechet(painted: list[np.ndarray], real: list[np.ndarray]) -> tuple[float, float]:
-    """The distance of painted pictures from real ones, and that between the two halves of the real ones.
-
-    painted, real  features (P, F) per picture, in the same order: the halves are the first and the last pictures.
-    """
-    half = sum(len(part) for part in real) // 2
-    everything = np.concatenate(real)
-    return frechet(np.concatenate(painted), everything), frechet(everything[:half], everything[half:])
+def _normal(kept: list[np.ndarray]) -> Normal:
+    total = np.sum(kept, axis=0) if kept else np.zeros((2, 0))
+    samples = int(total[-1, 0]) if total.size else 0
+    if samples < 2:
+        return Normal(np.zeros(0), np.zeros((0, 0)), samples)
+    mean = total[0] / samples
+    return Normal(mean, (total[1:-1] - samples * np.outer(mean, mean)) / (samples - 1), samples)
