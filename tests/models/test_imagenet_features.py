@@ -49,7 +49,7 @@ def test_folded_norms_change_nothing(variant):
 def test_the_critic_mixes_at_random_and_learns_in_its_heads_only():
     critic = build("projected-critic", conditions=2, mixed=8, width=8)
     features = [torch.randn(1, c, 64 // 2**n, 96 // 2**n) for n, c in enumerate((24, 40, 112, 320))]
-    scores = critic(features, torch.randn(1, 2, 32, 48))
+    scores = critic(torch.randn(1, 2, 32, 48), *features)
     assert [score.shape[1] for score in scores] == [1] * 4
     sum(score.sum() for score in scores).backward()
     learning = {name.partition(".")[0] for name, weight in critic.named_parameters() if weight.grad is not None}

@@ -33,10 +33,10 @@ class ProjectedCritic(nn.Module):
             layer.requires_grad_(False)
         self.heads = nn.ModuleList([_head(mixed + conditions, width, down) for down in DOWN])
 
-    def forward(self, features: Sequence[Tensor], condition: Tensor) -> list[Tensor]:
-        """Scores (B, 1, h, w) per depth.
+    def forward(self, condition: Tensor, *features: Tensor) -> list[Tensor]:
+        """Scores (B, 1, h, w) per depth, from coarse to fine.
 
-        features   as ImagenetFeatures gives them;  condition (B, conditions, H, W) on any raster.
+        condition  (B, conditions, H, W) on any raster;  features: as ImagenetFeatures gives them.
         """
         scores: list[Tensor] = []
         coarser: Tensor | None = None

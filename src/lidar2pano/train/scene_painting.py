@@ -92,7 +92,7 @@ class ScenePainting:
         told = torch.cat([segments, depth_code(batch.depth_m)[:, None]], 1)
         critic = self.networks["critic"]
         if self.weights["adversarial"]:
-            scores = zip(critic(on_real, told), critic([part.detach() for part in on_fake], told), strict=True)
+            scores = zip(critic(told, *on_real), critic(told, *(part.detach() for part in on_fake)), strict=True)
             yield "critic", _mean([hinge_critic(one.float(), other.float()) for one, other in scores])
         pairs = [(one.float(), other.float()) for one, other in zip(on_real, on_fake, strict=True)]
         losses = {
@@ -104,7 +104,7 @@ class ScenePainting:
             learning = [weight for weight in critic.parameters() if weight.requires_grad]
             for weight in learning:
                 weight.requires_grad_(False)
-            losses["adversarial"] = _mean([hinge_generator(score.float()) for score in critic(on_fake, told)])
+            losses["adversarial"] = _mean([hinge_generator(score.float()) for score in critic(told, *on_fake)])
             for weight in learning:
                 weight.requires_grad_(True)
         self.logs = {name: loss.detach() for name, loss in losses.items()}
