@@ -28,7 +28,7 @@ def scene(look: str = "", columns: int = 0) -> Scene:
     pose = np.eye(4)
     pose[:2, :2] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
     segments, depth_m, image = (part.roll(columns, -1) for part in (segments, depth_m, image))
-    return Scene(segments=segments, depth_m=depth_m, image=image, view=VIEW, T_world_sensor=pose, look=look)
+    return Scene(segments=segments, depth_m=depth_m, channels=image, view=VIEW, T_world_sensor=pose, look=look)
 
 
 def painter(looks: tuple[str, ...] = ("day", "evening")) -> torch.nn.Module:
@@ -75,7 +75,7 @@ def test_an_unknown_look_is_named_with_those_there_are():
 
 def test_without_a_pose_noise_hangs_on_the_sensor():
     network, one = painter(), scene()
-    still = Scene(segments=one.segments, depth_m=one.depth_m, image=one.image, view=VIEW)
+    still = Scene(segments=one.segments, depth_m=one.depth_m, channels=one.channels, view=VIEW)
     assert torch.equal(painted(network, one), painted(network, still))
 
 

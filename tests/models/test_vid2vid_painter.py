@@ -177,7 +177,7 @@ def test_panoramas_come_at_twice_the_segments_raster_whatever_they_are_painted_o
     painter = Vid2VidPainter.all_around(generator, None, columns, 24)
     segments = one_hot_layers(maps(1, 8, 24), CLASSES)
     with torch.inference_mode():
-        scene = Scene(segments=segments, depth_m=torch.zeros(1, 8, 24), image=torch.zeros(1, 5, 8, 24), view=SMALL)
+        scene = Scene(segments=segments, depth_m=torch.zeros(1, 8, 24), channels=torch.zeros(1, 5, 8, 24), view=SMALL)
         past, picture = painter.paint(None, scene)
         _, first = Vid2VidPainter(generator).follow(None, past.ids[-1, : raster[0], -raster[1] :])
     assert picture.shape == (1, 3, 16, 48)

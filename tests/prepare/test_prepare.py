@@ -134,7 +134,7 @@ def test_both_teachers_label_what_they_see(root, weights, prepare):
     ]
     frame = Frame(folder=root / "sequences" / "00", stem="000000")
     scan = frame.scan()
-    expected = load_segmenter(weights / "segmenter.safetensors", torch.device("cpu")).points(scan)
+    expected = load_segmenter(weights / "segmenter.safetensors", torch.device("cpu"))[0].points(scan)
     assert np.array_equal(frame.labels(len(scan)), expected.numpy())
     raw = np.fromfile(root / "sequences" / SCANS[0], dtype="<u4")
     assert set(unpack_label(raw)[0]) <= set(SEMANTIC_KITTI.raw) and not unpack_label(raw)[1].any()
@@ -550,7 +550,7 @@ def test_a_place_that_cannot_be_written_to(root, prepare):
         (["--teacher", "{segmenter}"], "{segmenter} has weights of another network: 'salsanext' instead of 'sdnet'"),
         (["--teacher", "mask2former:a/b"], "a/b: neither a folder nor a model in the hub's cache"),
         (["--lidar", "nowhere"], "no weights 'nowhere'"),
-        (["--lidar", "{sdnet}"], "{sdnet}: a 'sdnet' has no part in the pipeline"),
+        (["--lidar", "{sdnet}"], "{sdnet}: a 'sdnet' has no part in a system"),
         (["--device", "gpu"], "no device 'gpu'"),
         (["--split", "vall"], "{root}/sequences: no split 'vall'; did you mean 'val'?"),
     ],

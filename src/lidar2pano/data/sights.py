@@ -15,7 +15,7 @@ from lidar2pano.data.optical_flow import seen_flow
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.data.sequences import UNSURE, Frame
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import DEPTH_STEPS
+from lidar2pano.formats.output_files import DEPTH_STEPS
 from lidar2pano.geometry.camera import at_camera, panorama_in_camera
 from lidar2pano.geometry.flow import Flow, ego_flow, scan_distances
 from lidar2pano.labels import COMMON15, TABLES

@@ -9,55 +9,46 @@ real images it says how many times farther they are than those from each other.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from lidar2pano.metrics.inputs import Array, picture
-from lidar2pano.metrics.samples import SIDES, TwoSets
+from lidar2pano.metrics.accumulation import SIDES, SetMetric
+from lidar2pano.metrics.input_checks import Array, image_tensor
 
 PATCH, STRIDE, DOWN = 128, 64, 16  # pixels; DOWN: of the picture per pixel of the features
 
 
-class PatchFrechetDistance(TwoSets):
-    """Of each picture count, sum and sum of products of its patches' features are kept."""
+class PatchFrechetDistance(SetMetric):
+    """Patch Frechet distance; of each image the count, sum and sum of products of its patches' features are kept."""
 
-    def __init__(self, extract: Callable[[Tensor], Tensor], *, extractor: str) -> None:
-        """Take the features of pictures.
+    MOST = 10_000  # images of a side
 
-        extract    (B, 3, H, W) uint8 -> (B, D, H / DOWN, W / DOWN) float.
-        extractor  SHA-256 of the weights that made the features: figures of different ones do not compare.
-        """
-        self.extract, self.extractor = extract, extractor
+    def __init__(self, extract: Callable[[Tensor], Tensor]) -> None:
+        """extract: (B, 3, H, W) uint8 -> (B, D, H / DOWN, W / DOWN) float features."""
+        self.extract = extract
         super().__init__()
 
     def update(self, predicted: Array, target: Array, name: str, valid: np.ndarray | None = None) -> None:
-        """Take in two pictures (H, W, 3) uint8 of the frame `name`, but for patches with a pixel not `valid` (H, W)."""
+        """Count two images (H, W, 3) uint8 of the frame `name`, but for patches with a pixel not `valid` (H, W)."""
         for side, image in zip(SIDES, (predicted, target), strict=True):
-            self._check_new(name, side)
-            with torch.inference_mode():
-                features = self.extract(picture(image)[None])[0]
-            found = patch_features(features, valid)
-            self.kept[side][name] = np.vstack([found.sum(0), found.T @ found, np.full(found.shape[1], len(found))])
+            if self._makes_room(name, side):
+                with torch.inference_mode():
+                    features = self.extract(image_tensor(image)[None])[0]
+                found = patch_features(features, valid)
+                count = np.full(found.shape[1], len(found))
+                self.kept[side][name] = np.vstack([found.sum(0), found.T @ found, count]).astype(np.float64)
 
-    def figures(self) -> dict[str, float]:
-        """Distance over that between real pictures, and both; NaN for fewer than two patches."""
-        real = [self.kept["target"][name] for name in sorted(self.kept["target"])]
+    def values(self) -> dict[str, float]:
+        """The distance over that between the halves of the real images by name, and both; NaN for too few patches."""
+        painted, real = ([self.kept[side][name] for name in sorted(self.kept[side])] for side in SIDES)
         first, second = (_normal(half) for half in (real[: len(real) // 2], real[len(real) // 2 :]))
-        distance = normal_distance(_normal(list(self.kept["predicted"].values())), _normal(real))
-        among = normal_distance(first, second)
+        distance, among = normal_distance(_normal(painted), _normal(real)), normal_distance(first, second)
         ratio = distance / among if among > 0 else float("nan")
         return {"ratio": ratio, "distance": distance, "real to real": among}
-
-    def told(self) -> dict[str, Any]:
-        """What a result must say beside the figure, for JSON: the extractor."""
-        return {"extractor": self.extractor}
-
-    def _counted(self) -> tuple:
-        return (*super()._counted(), self.extractor)
 
 
 class Normal(NamedTuple):

@@ -29,15 +29,14 @@ STRIDE = 4  # input pixels per pixel of the coarsest level
 class Scene:
     """What a painter paints, on the translator's raster H x W.
 
-    segments  (1, classes, H, W) probabilities;  depth_m: (1, H, W) metres;  image: (1, 5, H, W), a RangeImage's
-              channels.
+    segments  (1, classes, H, W) probabilities;  depth_m: (1, H, W) metres;  channels: (1, 5, H, W) of a RangeImage.
     view      the raster;  T_world_sensor: (4, 4) float64, the sensor's pose in a frame that stands still, if known.
     look      "A", or "A+B" for the mean of two; "": the painter's own.
     """
 
     segments: Tensor
     depth_m: Tensor
-    image: Tensor
+    channels: Tensor
     view: View
     T_world_sensor: np.ndarray | None = None
     look: str = ""
@@ -116,7 +115,7 @@ class Painter(nn.Module):
 
     def paint(self, past: object, scene: Scene) -> tuple[None, Tensor]:  # noqa: ARG002
         """Paint every scan for itself; arguments and answer as of StreamPainter."""
-        return None, self(scene.segments, scene.depth_m, scene.image)
+        return None, self(scene.segments, scene.depth_m, scene.channels)
 
     def _seen(self, segments: Tensor, depth_m: Tensor, image: Tensor) -> Tensor:
         if self.sharp != 1:

@@ -113,7 +113,7 @@ class ScenePainter(nn.Module):
     def paint(self, past: object, scene: Scene) -> tuple[None, Tensor]:  # noqa: ARG002
         """Paint every scan for itself; arguments and answer as of StreamPainter."""
         segments = sharpened(scene.segments, self.sharp)
-        shown, fine_noise = painter_inputs(segments, scene.depth_m, scene.image, scene.view, scene.T_world_sensor)
+        shown, fine_noise = painter_inputs(segments, scene.depth_m, scene.channels, scene.view, scene.T_world_sensor)
         shares = torch.tensor([self.look_shares(scene.look)], device=shown.device)
         return None, self(shown, fine_noise, shares, shares.new_zeros(1, TONE))
 

@@ -9,7 +9,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.output_files import write_whole
 from lidar2pano.prepare.journal import Journal, Record, Stamp, stamp_of
 from lidar2pano.prepare.materials import Material
 from lidar2pano.prepare.teachers import Teacher

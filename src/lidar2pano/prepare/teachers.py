@@ -15,7 +15,7 @@ from PIL import Image
 
 from lidar2pano.data.sequences import UNSURE
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import write_ids
+from lidar2pano.formats.output_files import write_ids
 from lidar2pano.formats.scan_files import write_label
 from lidar2pano.hardware import pick_device
 from lidar2pano.models.camera_segmenter import CameraSegmenter, CameraTeacher
@@ -78,7 +78,7 @@ class LidarTeacher:
     @cached_property
     def segmenter(self) -> Segmenter:
         """The network, loaded."""
-        return load_segmenter(self.weights[0], pick_device(self.device))
+        return load_segmenter(self.weights[0], pick_device(self.device))[0]
 
     def get_ready(self) -> None:
         """Load the network."""

@@ -1,12 +1,13 @@
-"""Frames to paint: segments and depth that the released networks make of a scan, and the picture that belongs to it.
+"""Frames to paint: segments and depth that the released networks make of a scan, and the image that belongs to it.
 
-Each frame is segmented and translated once, on its first draw, and kept in a file.
+Each frame is segmented and translated once, on its first use, and kept in a file.
 """
 
 from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -16,47 +17,45 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from lidar2pano.data.moments import read_moment
-from lidar2pano.data.sequences import UNSURE, Draw, Frame, frames, located
+from lidar2pano.data.frames import IGNORE, Frame, SampleIndex
+from lidar2pano.data.panorama_crops import PanoramaDataset
 from lidar2pano.errors import InputError
 from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
 from lidar2pano.pipeline import Pipeline
+from lidar2pano.train.options import ScenePaintingOptions
 
-MARGIN = 96  # columns of a camera's sector that are held beyond those of a crop
+MARGIN = 48  # columns of a camera's sector that are kept on each side beyond those of a crop
 
 
 class PaintingSample(NamedTuple):
-    """N crops, one of each kind of data; after collation every tensor gains a leading B, which `flat` joins with N.
+    """N crops, of which the first is real where real frames are; after collation with a leading B, see `flat`.
 
-    segments  (N, 16, H, W) float16 probabilities;  depth_m (N, H, W) float32;  image (N, 5, H, W) float32, of which
+    segments  (N, 16, H, W) float16 probabilities;  depth_m (N, H, W) float32;  channels (N, 5, H, W) float32, of which
               only validity (0 or 1 in place of the range) and remission are filled.
-    camera    (N, H, W) int64 ids of COMMON15, UNSURE where not known.
-    colour    (N, 3, 2H, 2W) float32 in [-1, 1];  seen (N, 2H, 2W) bool: where it is known.
+    labels    (N, H, W) int64 ids of COMMON15, IGNORE where not known.
+    image     (N, 3, 2H, 2W) float32 in [-1, 1];  valid (N, 2H, 2W) bool: where it is known.
     look      (N,) int64: number of the look;  tone (N, 3) float32: how much brighter than the mean of its look.
     """
 
     segments: Tensor
     depth_m: Tensor
+    channels: Tensor
+    labels: Tensor
     image: Tensor
-    camera: Tensor
-    colour: Tensor
-    seen: Tensor
+    valid: Tensor
     look: Tensor
     tone: Tensor
 
     def flat(self) -> Self:
-        """Join the first two dimensions."""
+        """Join the first two dimensions, batch and crops."""
         return type(self)(*(part.flatten(0, 1) for part in self))
 
 
 class PaintingFrames:
-    """Frames of some splits; a sample is a crop of a real frame, of a simulated one, or of each where there are both.
+    """Frames of some splits: crops of real and simulated frames; which share is which, and the rest, say the options.
 
-    columns  of a crop on the translator's raster.
-    looks    names;  look: that of frames that no simulator made (others: as world.json says).
-    cache    folder for what is made of each frame.
-    simulated  where there are both: how often the second crop is of a simulated frame and not of a real one as well.
+    pipeline  segments and translates;  looks: names of the looks, which frames are sorted into by their world.json.
     """
 
     def __init__(
@@ -64,41 +63,32 @@ class PaintingFrames:
         root: Path,
         splits: tuple[str, ...],
         pipeline: Pipeline,
-        *,
-        columns: int,
         looks: tuple[str, ...],
-        look: str,
-        cache: Path,
-        simulated: float = 1.0,
+        options: ScenePaintingOptions,
     ) -> None:
-        self.pipeline, self.columns, self.cache, self.simulated = pipeline, columns, cache, simulated
-        self.frames: list[Frame] = []
-        self.look: list[int] = []
-        for name in splits:
-            folder, split = located(root, name)
-            found = frames(folder, split)
-            own = look_of(folder) or look
-            if own not in looks:
-                raise InputError(f"{folder}: its look {own!r} is none of the painter's: {', '.join(looks)}")
-            self.frames += found
-            self.look += [looks.index(own)] * len(found)
-        around = [(frame.folder / "pano").is_dir() for frame in self.frames]
-        kinds = [[n for n, whole in enumerate(around) if whole == wanted] for wanted in (False, True)]
+        self.pipeline, self.options, self.cache = pipeline, options, Path(options.cache)
+        self.crops = PanoramaDataset(root, splits, pipeline.view, options.columns, image=True, shift_px=MARGIN)
+        simulated = [look_of(frame) for frame in self.crops.frames]
+        for frame, look in zip(self.crops.frames, simulated, strict=True):
+            if (look or options.look) not in looks:
+                raise InputError(f"{frame.name}: its look {look or options.look!r} is none of {', '.join(looks)}")
+        self.look = [looks.index(look or options.look) for look in simulated]
+        kinds = [[n for n, look in enumerate(simulated) if bool(look) == wanted] for wanted in (False, True)]
         self.kinds = [kind for kind in kinds if kind]
         self._means: dict[int, Tensor] = {}
 
     def __len__(self) -> int:
-        """Frames of the first kind: every one of them is drawn in an epoch."""
+        """Number of real frames or, where there are none, of simulated ones: each is used once in an epoch."""
         return len(self.kinds[0])
 
-    def __getitem__(self, draw: Draw | int) -> PaintingSample:
-        """A sample, cropped and mirrored by a Draw's seed; the crop in the middle of frame `draw` for an int."""
-        if isinstance(draw, int):
-            return self._joined([self._crop(self.kinds[0][draw], None)])
-        generator = np.random.default_rng(draw.seed)
-        chosen = [self.kinds[0][draw.index]]
+    def __getitem__(self, at: SampleIndex | int) -> PaintingSample:
+        """A sample, cropped and mirrored by the seed of a SampleIndex; for an int the middle of that frame."""
+        if isinstance(at, int):
+            return self._joined([self._crop(self.kinds[0][at], None)])
+        generator = np.random.default_rng(at.seed)
+        chosen = [self.kinds[0][at.index]]
         if len(self.kinds) > 1:
-            kind = self.kinds[generator.random() < self.simulated]
+            kind = self.kinds[generator.random() < self.options.simulated_probability]
             chosen.append(kind[generator.integers(len(kind))])
         return self._joined([self._crop(index, generator) for index in chosen])
 
@@ -107,19 +97,19 @@ class PaintingFrames:
         return PaintingSample(*(torch.stack(parts) for parts in zip(*samples, strict=True)))
 
     def _crop(self, index: int, generator: np.random.Generator | None) -> PaintingSample:
-        held = self.held(index)
-        spare = held["camera"].shape[1] - self.columns
+        kept, columns = self.kept(index), self.options.columns
+        spare = kept["camera"].shape[1] - columns
         start = spare // 2 if generator is None else int(generator.integers(spare + 1))
-        coarse, fine = slice(start, start + self.columns), slice(2 * start, 2 * (start + self.columns))
-        image = torch.zeros(5, len(held["valid"]), self.columns)
-        image[0], image[4] = held["valid"][:, coarse], held["remission"][:, coarse]
+        coarse, fine = slice(start, start + columns), slice(2 * start, 2 * (start + columns))
+        channels = torch.zeros(5, len(kept["valid"]), columns)
+        channels[0], channels[4] = kept["valid"][:, coarse], kept["remission"][:, coarse]
         sample = PaintingSample(
-            segments=held["segments"][..., coarse],
-            depth_m=held["depth_m"][:, coarse].float(),
-            image=image,
-            camera=held["camera"][:, coarse].long(),
-            colour=held["colour"][..., fine].float() / 127.5 - 1,
-            seen=held["seen"][:, fine],
+            segments=kept["segments"][..., coarse],
+            depth_m=kept["depth_m"][:, coarse].float(),
+            channels=channels,
+            labels=kept["camera"][:, coarse].long(),
+            image=kept["colour"][..., fine].float() / 127.5 - 1,
+            valid=kept["seen"][:, fine],
             look=torch.tensor(self.look[index]),
             tone=self._tone(index),
         )
@@ -128,45 +118,46 @@ class PaintingFrames:
         flipped = {name: getattr(sample, name).flip(-1) for name in sample._fields if name not in ("look", "tone")}
         return sample._replace(**flipped)
 
-    def held(self, index: int) -> dict[str, Tensor]:
-        """What is made of a frame, from its file, on whose first reading it is made."""
+    def kept(self, index: int) -> dict[str, Tensor]:
+        """What is made of a frame, from its file; the first use writes it."""
         file = self._file(index)
         if not file.is_file():
             self.cache.mkdir(parents=True, exist_ok=True)
             beside = file.with_suffix(f".{os.getpid()}")
-            save_file(self._made(self.frames[index]), beside)
+            save_file(self._made(index), beside)
             beside.replace(file)
         return load_file(file)
 
     def _file(self, index: int) -> Path:
-        frame = self.frames[index]
-        return self.cache / f"{frame.folder.parents[1].name}-{frame.folder.name}-{frame.stem}.safetensors"
+        frame = self.crops.frames[index]
+        root = frame.root.resolve().name if frame.root else ""
+        return self.cache / f"{root}-{frame.name.replace('/', '-')}.safetensors"
 
-    def _made(self, frame: Frame) -> dict[str, Tensor]:
-        """Picture, segments, depth, validity and remission of a frame in its window, the scene from the scan alone."""
-        moment = read_moment(frame, self.pipeline.view, MARGIN + self.columns, colour=True)
-        view, whole = moment.view, self.pipeline.at(frame.calibration((1, 1)))
-        seen = whole.translate(frame.scan(), Timer(whole.device))
-        start = round((whole.view.left - view.left) * whole.view.columns / (whole.view.left - whole.view.right))
-        window = slice(start, start + view.columns)
-        ids = moment.camera[1::4, 1::4].long()
-        known = moment.seen[2::8, 2::8] & (ids != UNSURE) & (ids != COMMON15.id_of("sky"))
-        colour = moment.colour[:, 2::8, 2::8].movedim(0, 2)[known].float() / 127.5 - 1
-        held = {
-            "segments": seen.logits[0, ..., window].float().softmax(0).half(),
-            "depth_m": seen.depth_m[0, :, window].half(),
-            "valid": seen.channels[0, 0, :, window] > 0,
-            "remission": seen.channels[0, 4, :, window].half(),
-            "camera": moment.camera,
-            "colour": moment.colour,
-            "seen": moment.seen,
+    def _made(self, index: int) -> dict[str, Tensor]:
+        """Image, segments, depth, validity and remission of a frame in its window, the scene from the scan alone."""
+        window, raster = self.crops.window(index), self.pipeline.view
+        whole = replace(self.pipeline, view=replace(raster, origin=window.view.origin))
+        found = whole.translate(self.crops.frames[index].scan, Timer(whole.device))
+        start = round((raster.left - window.view.left) * raster.columns / (raster.left - raster.right))
+        columns = slice(start, start + window.view.columns)
+        ids = window.camera_labels[1::4, 1::4].long()
+        known = window.valid[2::8, 2::8] & (ids != IGNORE) & (ids != COMMON15.id_of("sky"))
+        colour = window.image[:, 2::8, 2::8].movedim(0, 2)[known].float() / 127.5 - 1
+        kept = {
+            "segments": found.logits[0, ..., columns].float().softmax(0).half(),
+            "depth_m": found.depth_m[0, :, columns].half(),
+            "valid": found.channels[0, 0, :, columns] > 0,
+            "remission": found.channels[0, 4, :, columns].half(),
+            "camera": window.camera_labels,
+            "colour": window.image,
+            "seen": window.valid,
             "class_colours": torch.zeros(256, 3).index_add_(0, ids[known], colour),
             "class_pixels": torch.zeros(256).index_add_(0, ids[known], torch.ones(len(colour))),
         }
-        return {name: value.contiguous() for name, value in held.items()}
+        return {name: value.contiguous() for name, value in kept.items()}
 
     def _tone(self, index: int) -> Tensor:
-        """How much brighter a picture is than its classes are on average in its look: (3,) in [-1, 1]."""
+        """How much brighter an image is than its classes are on average in its look: (3,) in [-1, 1]."""
         look = self.look[index]
         if look not in self._means:
             files = {self._file(number) for number, one in enumerate(self.look) if one == look}
@@ -178,11 +169,13 @@ class PaintingFrames:
 
     @staticmethod
     def _sums(file: Path) -> tuple[Tensor, Tensor]:
-        with safe_open(file, "pt") as held:
-            return held.get_tensor("class_colours"), held.get_tensor("class_pixels")
+        with safe_open(file, "pt") as kept:
+            return kept.get_tensor("class_colours"), kept.get_tensor("class_pixels")
 
 
-def look_of(root: Path) -> str:
-    """The look of a simulated data set; "" for a real one."""
-    file = root / "world.json"
-    return str(json.loads(file.read_text(encoding="utf-8")).get("look", "")) if file.is_file() else ""
+def look_of(frame: Frame) -> str:
+    """The look of a simulated frame; "" for a real one."""
+    file = frame.root / "world.json" if frame.root else None
+    if file is None or not file.is_file():
+        return ""
+    return str(json.loads(file.read_text(encoding="utf-8")).get("look", ""))

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, l1_loss
 
-from lidar2pano.data.sequences import UNSURE
+from lidar2pano.data.frames import IGNORE
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
@@ -20,60 +20,40 @@ from lidar2pano.losses import hinge_critic, hinge_generator
 from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
 from lidar2pano.models.scene_painter import ScenePainter, painter_inputs, sharpened
 from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.pipeline import Pipeline, card_view, load_part, load_segmenter
+from lidar2pano.pipeline import Pipeline, load_part, load_segmenter
+from lidar2pano.train.options import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingFrames, PaintingSample
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import build_networks
 from lidar2pano.views import VIEWS
 
 POOLED = 4  # pixels: colours are compared as means over squares of this size
-LOSSES = ("perceptual", "pooled", "pixels", "adversarial")
 
 
 class ScenePainting:
     """Trains a scene painter: perceptual loss, pooled colours, pixels, hinge loss of a projected discriminator.
 
     Where a camera did not look, its picture is completed with what was painted, so that no loss arises there.
-
-    Options: columns of a crop on the translator's raster; translator and segmenter, weight files that make the scenes;
-    cache, folder that keeps what is made of each frame; trust, share of the draws that take the ground-truth classes
-    where they are known; sharpest, the largest power that probabilities are raised to; look of frames that no
-    simulator made; frozen, whether norms keep their statistics; and the weights of LOSSES.
     """
 
     released = ("painter",)
 
-    def __init__(self, recipe: Recipe, root: Path) -> None:
-        self.view = VIEWS[recipe.view].scaled(recipe.scale)
-        option = recipe.options
-        if not option["translator"] or not option["segmenter"]:
+    def __init__(self, recipe: Recipe[ScenePaintingOptions], root: Path) -> None:
+        self.view, self.options = VIEWS[recipe.view].scaled(recipe.scale), recipe.options
+        if not recipe.options.translator or not recipe.options.segmenter:
             raise InputError(f"recipe {recipe.name!r} needs --set options.translator=FILE and options.segmenter=FILE")
         self.features = ImagenetFeatures.load(LITE0)
         self.networks = build_networks(recipe)
-        painter = self.networks["painter"]
-        assert isinstance(painter, ScenePainter)
-        self.looks = painter.looks
+        painter = cast("ScenePainter", self.networks["painter"])
         device = torch.device("cpu")
-        file = Path(str(option["translator"]))
-        translator, card = load_part(file, device, expect="titan-pano")
-        pipeline = Pipeline(
-            segmenter=load_segmenter(Path(str(option["segmenter"])), device),
-            translator=translator,
-            painter=painter,
-            view=card_view(file, card, "panorama"),
-            device=device,
+        segmenter, _ = load_segmenter(Path(recipe.options.segmenter), device)
+        translator, _ = load_part(Path(recipe.options.translator), device, expect="titan-pano")
+        pipeline = Pipeline(segmenter=segmenter, translator=translator, painter=painter, view=self.view, device=device)
+        self.looks = painter.looks
+        self.dataset, self.validation = (
+            PaintingFrames(root, splits, pipeline, self.looks, recipe.options)
+            for splits in (recipe.data.train, recipe.data.val)
         )
-        settings = {
-            "columns": int(option["columns"]),
-            "looks": painter.looks,
-            "look": str(option["look"]),
-            "cache": Path(str(option["cache"])),
-            "simulated": float(option["simulated"]),
-        }
-        self.dataset = PaintingFrames(root, recipe.data.train, pipeline, **settings)
-        self.validation = PaintingFrames(root, recipe.data.val, pipeline, **settings)
-        self.weights = {name: float(option[name]) for name in LOSSES}
-        self.trust, self.sharpest, self.frozen = (float(option[name]) for name in ("trust", "sharpest", "frozen"))
         self.logs: dict[str, float | Tensor] = {}
 
     def updates(self, batch: PaintingSample) -> Iterator[tuple[str, Tensor]]:
@@ -83,15 +63,14 @@ class ScenePainting:
         self.features.to(device)
         segments = self.segments(batch)
         fake = self.painted(batch, segments)
-        seen = batch.seen[:, None]
-        real = torch.where(seen, batch.colour, fake.detach())
+        real = torch.where(batch.valid[:, None], batch.image, fake.detach())
         with fast_arithmetic(device):
             with torch.no_grad():
                 on_real = self.features(real.contiguous(memory_format=torch.channels_last))
             on_fake = self.features(fake.contiguous(memory_format=torch.channels_last))
         told = torch.cat([segments, depth_code(batch.depth_m)[:, None]], 1)
         critic = self.networks["critic"]
-        if self.weights["adversarial"]:
+        if self.options.adversarial:
             scores = zip(critic(told, *on_real), critic(told, *(part.detach() for part in on_fake)), strict=True)
             yield "critic", _mean([hinge_critic(one.float(), other.float()) for one, other in scores])
         pairs = [(one.float(), other.float()) for one, other in zip(on_real, on_fake, strict=True)]
@@ -100,7 +79,7 @@ class ScenePainting:
             "pooled": l1_loss(avg_pool2d(fake, POOLED), avg_pool2d(real, POOLED)),
             "pixels": l1_loss(fake, real),
         }
-        if self.weights["adversarial"]:
+        if self.options.adversarial:
             learning = [weight for weight in critic.parameters() if weight.requires_grad]
             for weight in learning:
                 weight.requires_grad_(False)
@@ -108,12 +87,12 @@ class ScenePainting:
             for weight in learning:
                 weight.requires_grad_(True)
         self.logs = {name: loss.detach() for name, loss in losses.items()}
-        yield "painter", torch.stack([self.weights[name] * loss for name, loss in losses.items()]).sum()
+        yield "painter", torch.stack([getattr(self.options, name) * loss for name, loss in losses.items()]).sum()
 
     def painted(self, batch: PaintingSample, segments: Tensor) -> Tensor:
         """Pictures (B, 3, 2H, 2W) float32 in [-1, 1] of a batch, at a place in the noise drawn anew."""
         painter = self.networks["painter"]
-        if self.frozen and painter.training:
+        if self.options.fixed_norms and painter.training:
             for part in painter.modules():
                 if isinstance(part, nn.BatchNorm2d):
                     part.eval()
@@ -122,15 +101,17 @@ class ScenePainting:
         shares = torch.eye(len(self.looks), device=segments.device)[batch.look]
         window = self.view.window(int(np.random.randint(self.view.columns)), segments.shape[3])  # noqa: NPY002
         with torch.no_grad():
-            inputs = painter_inputs(segments, batch.depth_m, batch.image, window, pose)
+            inputs = painter_inputs(segments, batch.depth_m, batch.channels, window, pose)
         return painter(*inputs, shares, batch.tone).float()
 
     def segments(self, batch: PaintingSample) -> Tensor:
         """Segments (B, 16, H, W) to paint: the translator's, sharpened at random, or the truth where it is drawn."""
-        power = 1 + (self.sharpest - 1) * torch.rand(len(batch.look), 1, 1, 1, device=batch.look.device)
+        power = 1 + (self.options.sharpest - 1) * torch.rand(len(batch.look), 1, 1, 1, device=batch.look.device)
         segments = sharpened(batch.segments, power)
-        sure = (batch.camera != UNSURE) & (torch.rand(len(batch.look), 1, 1, device=power.device) < self.trust)
-        return torch.where(sure[:, None], one_hot_layers(batch.camera.where(sure, 0), len(COMMON15)), segments)
+        sure = (batch.labels != IGNORE) & (
+            torch.rand(len(batch.look), 1, 1, device=power.device) < self.options.ground_truth_probability
+        )
+        return torch.where(sure[:, None], one_hot_layers(batch.labels.where(sure, 0), len(COMMON15)), segments)
 
     @torch.no_grad()
     def paint(self, index: int) -> tuple[Tensor, PaintingSample]:
@@ -146,8 +127,8 @@ class ScenePainting:
         gaps = []
         for index in range(min(6, len(self.validation))):
             fake, sample = self.paint(index)
-            gap = (fake - sample.colour[0]) * sample.seen[0]
-            gaps.append(float(avg_pool2d(gap, POOLED).abs().mean() / sample.seen[0].float().mean() / 2))
+            gap = (fake - sample.image[0]) * sample.valid[0]
+            gaps.append(float(avg_pool2d(gap, POOLED).abs().mean() / sample.valid[0].float().mean() / 2))
         return {"pooled": float(np.mean(gaps))}
 
     def preview(self) -> dict[str, np.ndarray]:
@@ -155,7 +136,7 @@ class ScenePainting:
         rows = []
         for index in range(min(3, len(self.validation))):
             fake, sample = self.paint(index)
-            rows += [sample.colour[0] * sample.seen[0], fake]
+            rows += [sample.image[0] * sample.valid[0], fake]
         return {"picture": ((torch.cat(rows, 1).movedim(0, 2) + 1) * 127.5).round().clamp(0, 255).byte().numpy()}
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
