@@ -106,12 +106,12 @@ class ScenePainting:
 
     def segments(self, batch: PaintingSample) -> Tensor:
         """Segments (B, 16, H, W) to paint: the translator's, sharpened at random, or the truth where it is drawn."""
-        power = 1 + (self.options.sharpest - 1) * torch.rand(len(batch.look), 1, 1, 1, device=batch.look.device)
-        segments = sharpened(batch.segments, power)
-        sure = (batch.labels != IGNORE) & (
-            torch.rand(len(batch.look), 1, 1, device=power.device) < self.options.ground_truth_probability
-        )
-        return torch.where(sure[:, None], one_hot_layers(batch.labels.where(sure, 0), len(COMMON15)), segments)
+        samples, device = len(batch.look), batch.look.device
+        power = 1 + (self.options.sharpest - 1) * torch.rand(samples, 1, 1, 1, device=device)
+        chosen = torch.rand(samples, 1, 1, device=device) < self.options.ground_truth_probability
+        known = (batch.labels != IGNORE) & chosen
+        labels = one_hot_layers(batch.labels.where(known, 0), len(COMMON15))
+        return torch.where(known[:, None], labels, sharpened(batch.segments, power))
 
     @torch.no_grad()
     def paint(self, index: int) -> tuple[Tensor, PaintingSample]:
