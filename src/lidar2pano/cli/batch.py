@@ -47,6 +47,7 @@ class Options:
     calibration: Calibration | None = None
     as_json: bool = False
     smooth: bool = False
+    look: str = ""
 
     def pipeline(self) -> Pipeline:
         """The pipeline with these weights, for this sensor and camera; says when the weights' licence is restricted."""
@@ -55,6 +56,8 @@ class Options:
         note_licence(pipeline.cards.values())
         if self.sensor:
             pipeline = pipeline.for_sensor(self.sensor)
+        if self.look:
+            pipeline = pipeline.in_look(self.look)
         return pipeline.at(self.calibration) if self.calibration else pipeline
 
 
