@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 from lidar2pano.data.clips import Clip, Clips, Framing, mirrored, pan, panned, runs
-from lidar2pano.data.sequences import Draw, Frame, frames
+from lidar2pano.data.sequences import SampleIndex, Frame, frames
 from lidar2pano.data.sights import Sight, camera_sight, distances_m, flow_to, panorama_sight
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.warp import warp
@@ -62,7 +62,7 @@ def test_runs_are_of_one_sequence_and_without_gaps(tmp_path):
 def test_a_window_is_one_place_in_all_frames(film):
     clips = Clips(film, ("train",), WINDOW, 4)
     assert len(clips) == FRAMES - 3
-    clip = clips[Draw(2, 7)]
+    clip = clips[SampleIndex(2, 7)]
     assert clip.name == "00/000005"
     assert clip.colour.shape == (4, 3, 48, 96) and clip.classes.shape == (4, 48, 96)
     assert clip.shift.shape == (4, 2, 48, 96) and clip.known.shape == (4, 48, 96)
@@ -72,8 +72,8 @@ def test_a_window_is_one_place_in_all_frames(film):
         middle = (slice(12, 60), slice(72, 168))
         assert torch.equal(plain.classes[k], sight.classes[middle].long())
         assert torch.allclose(plain.colour[k], sight.colour[:, *middle] / 127.5 - 1)
-    assert len({tuple(clips[Draw(2, seed)].colour[0, :, 0, 0].tolist()) for seed in range(6)}) > 3
-    assert torch.equal(clips[Draw(2, 7)].colour, clip.colour), "a function of the seed alone"
+    assert len({tuple(clips[SampleIndex(2, seed)].colour[0, :, 0, 0].tolist()) for seed in range(6)}) > 3
+    assert torch.equal(clips[SampleIndex(2, 7)].colour, clip.colour), "a function of the seed alone"
 
 
 @pytest.mark.usefixtures("_opencv")
@@ -97,7 +97,7 @@ def test_classes_stay_with_their_colours(film, around):
     ):
         starts = set()
         for seed in range(8):
-            clip = clips[Draw(1, seed)]
+            clip = clips[SampleIndex(1, seed)]
             sure = clip.classes > 0
             assert torch.equal((clip.colour[:, channel] * 127.5 > 1)[sure], (clip.classes == high)[sure])
             starts.add(round(clip.colour[0, :, :, :4].mean().item(), 4))
@@ -106,7 +106,7 @@ def test_classes_stay_with_their_colours(film, around):
 
 def test_draws_mirror_half_of_the_clips(around):
     clips = Clips(around, ("train",), Framing(rows=96, columns=96, view=QUARTER), 2)
-    ways = [clips[Draw(0, seed)].shift[1, 0].mean().sign().item() for seed in range(40)]
+    ways = [clips[SampleIndex(0, seed)].shift[1, 0].mean().sign().item() for seed in range(40)]
     assert 8 < ways.count(1.0) < 32
     assert set(ways) == {1.0, -1.0}
 
@@ -137,7 +137,7 @@ def test_stills_become_clips_whose_flow_is_exact(film):
     assert len(clips) == 3
     moved = set()
     for seed in range(6):
-        clip = clips[Draw(1, seed)]
+        clip = clips[SampleIndex(1, seed)]
         assert clip.colour.shape == (4, 3, 48, 96) and not clip.known[0].any()
         assert clip.known[1:].mean() > 0.5
         assert gap(clip, clip.shift) < 0.25 * gap(clip, torch.zeros_like(clip.shift))
@@ -194,7 +194,7 @@ def test_the_panorama_turns_with_the_car(around):
     assert torch.allclose(plain.shift[1:, 0], torch.full_like(plain.shift[1:, 0], -TURN), atol=1e-3)
     assert plain.shift[:, 1].abs().max() < 1e-3
     assert set(plain.classes.unique().tolist()) == {7, 15}
-    turned = clips[Draw(2, 0)].colour[0].sum((0, 1))
+    turned = clips[SampleIndex(2, 0)].colour[0].sum((0, 1))
     shifts = [(turned - plain.colour[0].sum((0, 1)).roll(n)).abs().max() for n in range(PANORAMA[1])]
     mirror = [(turned.flip(0) - plain.colour[0].sum((0, 1)).roll(n)).abs().max() for n in range(PANORAMA[1])]
     assert min(*shifts, *mirror) < 1e-3 < shifts[0], "draws turn it"

@@ -11,7 +11,7 @@ from lidar2pano.data.augment import drop_points, drop_rings, mirror, mirror_azim
 from lidar2pano.data.fronts import FrontSamples
 from lidar2pano.data.panoramas import PanoramaSamples, mirrored
 from lidar2pano.data.ranges import RangeSamples, Variation, augmented
-from lidar2pano.data.sequences import UNSURE, Draw, frames, frames_of
+from lidar2pano.data.sequences import UNSURE, SampleIndex, frames, frames_of
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON14, COMMON15
@@ -71,9 +71,9 @@ def test_range_samples_carry_each_points_label_to_its_pixel(root):
     image = project(samples.scan(0), VIEWS["hdl64e"])
     assert torch.equal(plain.labels, image.spread(torch.from_numpy(samples.scan(0).label)))
     assert set(plain.labels.unique().tolist()) == {0, ROAD, HOUSE}
-    assert samples[Draw(0, 1)].lidar.shape == (5, 64, 256)
-    assert torch.equal(samples[Draw(0, 1)].lidar, samples[Draw(0, 1)].lidar)
-    assert not torch.equal(samples[Draw(0, 1)].lidar, samples[Draw(0, 2)].lidar)
+    assert samples[SampleIndex(0, 1)].lidar.shape == (5, 64, 256)
+    assert torch.equal(samples[SampleIndex(0, 1)].lidar, samples[SampleIndex(0, 1)].lidar)
+    assert not torch.equal(samples[SampleIndex(0, 1)].lidar, samples[SampleIndex(0, 2)].lidar)
 
 
 def test_panorama_samples_line_scan_and_camera_up(root):
@@ -161,7 +161,7 @@ def test_the_truth_all_around_is_sampled_from_every_direction(tmp_path):
     whole = samples.moment(0).camera.long()
     starts = set()
     for seed in range(40):
-        camera = samples[Draw(0, seed)].camera
+        camera = samples[SampleIndex(0, seed)].camera
         found = [
             start
             for start in range(576 - 96 + 1)

@@ -29,10 +29,9 @@ from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15, TABLES
 from lidar2pano.models.card import Card, read_card, save
 from lidar2pano.pipeline import load
-from lidar2pano.train.direct import DirectColour
-from lidar2pano.train.front import FrontTranslation
-from lidar2pano.train.front_depth import FrontDepthTranslation
-from lidar2pano.train.task import build_task
+from lidar2pano.train.colour import ColourTask
+from lidar2pano.train.front import FrontDepthTranslation, FrontTask
+from lidar2pano.train.tasks import build_task
 from lidar2pano.views import VIEWS
 from miniature import SIZE as CAMERA
 from miniature import write_data_set
@@ -98,14 +97,14 @@ def released(recipe_name: str, root: Path, folder: Path, *further: str):
     task = build_task(recipe, root)
     (role,) = task.released
     network = spread_norms(task.networks[role]).eval()
-    if isinstance(task, FrontTranslation) and hasattr(network, "logits"):
+    if isinstance(task, FrontTask) and hasattr(network, "logits"):
         balance(task, network)
     card = Card(network=recipe.networks[role].model, settings=dict(recipe.networks[role].settings), **task.card(role))
     save(folder / f"{role}.safetensors", network, card, dtype=torch.float32)
     return task, folder
 
 
-def balance(task: FrontTranslation, network: nn.Module) -> None:
+def balance(task: FrontTask, network: nn.Module) -> None:
     """Let an untrained network name several classes: its scores have the same mean."""
     means: list[Tensor] = []
     hook = network.logits.register_forward_hook(lambda _, __, out: means.append(out.mean((0, 2, 3))))
@@ -133,7 +132,7 @@ def test_a_translator_answers_as_its_task_predicts(name, role, root, frame, tmp_
         name, root, tmp_path, f"networks.{role}.settings.size={RASTER}", f"options.segmenter={segmenter}"
     )
     one = system(folder, device="cpu")
-    assert isinstance(one, CameraTranslator) and not one.uses_ground_truth and isinstance(task, FrontTranslation)
+    assert isinstance(one, CameraTranslator) and not one.uses_ground_truth and isinstance(task, FrontTask)
     memory, prediction = one.predict(at(frame))
     sample = task.validation[0]
     wanted = TABLES["common-14", "common-15"][task.predict(sample).numpy()]
@@ -141,7 +140,7 @@ def test_a_translator_answers_as_its_task_predicts(name, role, root, frame, tmp_
     assert np.array_equal(prediction.camera_labels, wanted) and len(np.unique(wanted)) > 1
     assert np.array_equal(prediction.point_labels, task.validation.moment(0).scan.label)
     if isinstance(task, FrontDepthTranslation):
-        assert np.allclose(prediction.depth_m, task.both(sample)[1], atol=1e-4)
+        assert np.allclose(prediction.depth_m, task.predict_both(sample)[1], atol=1e-4)
     else:
         assert prediction.depth_m is None
     assert list(prediction.milliseconds) == FRONT_STAGES
@@ -158,7 +157,7 @@ def test_a_translator_answers_as_its_task_predicts(name, role, root, frame, tmp_
 def test_a_renderer_paints_as_its_task_does(name, further, root, frame, tmp_path):
     task, folder = released(name, root, tmp_path, further)
     one = system(folder, device="cpu")
-    assert isinstance(one, CameraRenderer) and not one.uses_ground_truth and isinstance(task, DirectColour)
+    assert isinstance(one, CameraRenderer) and not one.uses_ground_truth and isinstance(task, ColourTask)
     _, prediction = one.predict(at(frame))
     wanted = (task.render(0)[0].movedim(0, 2).numpy() + 1) * 127.5
     assert prediction.image is not None and np.abs(prediction.image - wanted).max() <= 0.501
@@ -180,10 +179,10 @@ def test_sc_unet_with_range_on_the_raster_of_its_card(root, frame, tmp_path):
 
     _, prediction = replace(one, renderer=_Function(render)).predict(at(frame))
     from lidar2pano.data.camera_rasters import camera_raster
-    from lidar2pano.train.direct import camera_evidence
+    from lidar2pano.train.colour import camera_inputs
 
     assert frame.calibration is not None and frame.calibration.size == CAMERA
-    wanted = camera_evidence(camera_raster(frame.scan, frame.calibration, (24, 80))[None], 2)
+    wanted = camera_inputs(camera_raster(frame.scan, frame.calibration, (24, 80))[None], 2)
     assert torch.equal(inputs[0], wanted) and (wanted[0, 1] > 0).any()
     assert (
         prediction.image is not None

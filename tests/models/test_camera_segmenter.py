@@ -18,20 +18,21 @@ from torch.utils.data import default_collate
 
 from golden_fill import fill
 from lidar2pano.data.cameras import BEYOND, Looks, PictureSample, PictureSamples, varied
-from lidar2pano.data.sequences import UNSURE, Draw
+from lidar2pano.data.sequences import UNSURE, SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.hardware import has_bfloat16
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.losses import lovasz_softmax
+from lidar2pano.losses.supervised import labelled_cross_entropy
 from lidar2pano.models import build, camera_segmenter
 from lidar2pano.models.camera_segmenter import CameraSegmenter, CameraTeacher, Colours
 from lidar2pano.models.card import Card, load, read_card, save
 from lidar2pano.models.sdnet import SdNet
-from lidar2pano.train.camera_segmentation import CameraSegmentation, labelled_entropy
+from lidar2pano.train.camera_segmentation import CameraSegmentation
 from lidar2pano.train.engine import train
 from lidar2pano.train.recipe import Recipe, override
 from lidar2pano.train.recipes import recipe_named
-from lidar2pano.train.task import build_task
+from lidar2pano.train.tasks import build_task
 from miniature import SIZE, camera_view, write_data_set
 
 TINY = {"classes": 19, "scales": [0.5, 1.0], "width": 4, "stem": 8, "blocks": 1, "modules": [1, 1, 1], "context": 16}
@@ -233,7 +234,7 @@ def test_jitter_changes_colours_only():
 
 def test_a_draw_is_its_seeds(root):
     samples = PictureSamples(root, ("train",), Looks(crop=(32, 64)))
-    one, again, other = (samples[Draw(1, seed)] for seed in (5, 5, 6))
+    one, again, other = (samples[SampleIndex(1, seed)] for seed in (5, 5, 6))
     assert one.image.shape == (3, 32, 64) and one.labels.shape == (32, 64)
     assert torch.equal(one.image, again.image) and torch.equal(one.labels, again.labels)
     assert not torch.equal(one.image, other.image)
@@ -270,11 +271,11 @@ def small(*further: str) -> Recipe:
 def prepared(root: Path, *further: str) -> tuple[CameraSegmentation, PictureSample]:
     task = build_task(small(*further), root)
     assert isinstance(task, CameraSegmentation)
-    return task, default_collate([task.dataset[Draw(index, index)] for index in range(2)])
+    return task, default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
 
 
 def test_the_loss_is_joint_auxiliary_each_and_lovasz(root):
-    task, batch = prepared(root, "options.auxiliary=0.4", "options.each=0.05", "options.lovasz=0.7")
+    task, batch = prepared(root, "options.auxiliary=0.4", "options.per_scale=0.05", "options.lovasz=0.7")
     network = task.networks["camera"].eval()
     network.training = True  # itself alone: the same answers twice
     answers = network(Colours()(batch.image))
@@ -298,8 +299,8 @@ def slow_entropy(logits: Tensor, labels: Tensor) -> Tensor:
 def test_pixels_that_nobody_knows_teach_nothing():
     logits, labels = torch.randn(1, 19, 4, 6, requires_grad=True), torch.randint(19, (1, 4, 6))
     labels[0, :, :2] = UNSURE
-    torch.testing.assert_close(labelled_entropy(logits, labels), slow_entropy(logits, labels))
-    nothing = labelled_entropy(logits, torch.full_like(labels, UNSURE))
+    torch.testing.assert_close(labelled_cross_entropy(logits, labels, UNSURE), slow_entropy(logits, labels))
+    nothing = labelled_cross_entropy(logits, torch.full_like(labels, UNSURE), UNSURE)
     nothing.backward()
     assert nothing == 0 and logits.grad is not None and not logits.grad.any()
 

@@ -89,7 +89,7 @@ def test_training_step_equals_the_recorded_one(golden, batch, weight):
     assert losses["critic"] == pytest.approx(expected, rel=1e-5)
     assert logs["wasserstein"].item() == pytest.approx(recorded["wdistance"], abs=2e-6)
     assert logs["penalty"].item() == pytest.approx(recorded["gp"], rel=1e-5)
-    assert logs["guide"].item() == pytest.approx(recorded["lovasz_guiding"], abs=2e-6)
+    assert logs["auxiliary"].item() == pytest.approx(recorded["lovasz_guiding"], abs=2e-6)
     assert logs["adversarial"].item() == pytest.approx(recorded["g_loss_reported"], abs=1e-3)  # the critic has moved
     assert losses["generator"] == pytest.approx(recorded["g_loss_reported"] + recorded["lovasz_guiding"], abs=1e-3)
     if batch == 1:

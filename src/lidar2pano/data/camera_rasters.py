@@ -12,7 +12,7 @@ from torch.nn.functional import interpolate
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.augment import drop_points
-from lidar2pano.data.sequences import Draw, frames_of
+from lidar2pano.data.sequences import SampleIndex, frames_of
 from lidar2pano.geometry.camera import points_in_camera
 from lidar2pano.geometry.projection import NOBODY
 from lidar2pano.scan import Scan
@@ -52,8 +52,8 @@ class CameraSamples:
             self._held[index] = frame.scan(), calibration, stretched(picture, self.size)
         return self._held[index]
 
-    def __getitem__(self, draw: Draw | int) -> CameraSample:
-        """Sample: with the paper's flip and point drop (each p = 0.5) by a Draw's seed, or plain for an int."""
+    def __getitem__(self, draw: SampleIndex | int) -> CameraSample:
+        """Sample: with the paper's flip and point drop (each p = 0.5) by a SampleIndex's seed, or plain for an int."""
         index = draw if isinstance(draw, int) else draw.index
         scan, calibration, picture = self.pair(index)
         flip = False

@@ -11,7 +11,7 @@ import torch
 from PIL import Image, ImageEnhance
 from torch import Tensor
 
-from lidar2pano.data.sequences import UNSURE, Draw, frames_of
+from lidar2pano.data.sequences import UNSURE, SampleIndex, frames_of
 from lidar2pano.errors import InputError
 
 BEYOND = (124, 116, 104)  # RGB beyond a picture's border: ImageNet's mean, which normalisation makes zero
@@ -70,8 +70,8 @@ class PictureSamples:
             )
         return image, ids
 
-    def __getitem__(self, draw: Draw | int) -> PictureSample:
-        """Sample: of the size `looks.crop`, augmented by a Draw's seed, or the plain whole picture for an int."""
+    def __getitem__(self, draw: SampleIndex | int) -> PictureSample:
+        """Sample: of the size `looks.crop`, augmented by a SampleIndex's seed, or the whole image for an int."""
         if isinstance(draw, int):
             return _sample(*self.pair(draw), self.frames[draw].name)
         generator = np.random.default_rng(draw.seed)

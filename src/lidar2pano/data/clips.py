@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.data.sequences import Draw, Frame, frames_of
+from lidar2pano.data.sequences import Frame, SampleIndex, frames_of
 from lidar2pano.data.sights import Sight, camera_sight, flow_to, panorama_sight
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import Lookup
@@ -81,7 +81,7 @@ class Clips:
         if not found and not alone:
             raise InputError(
                 f"{root}: no {length} frames of split {' or '.join(splits)} follow each other; choose another split or "
-                "fewer options.frames, or name the split in options.stills"
+                "fewer options.clip_length, or name the split in options.single_frame_splits"
             )
         self.clips = found * max(1, len(alone) // max(len(found), 1)) + alone
         self._sights: dict[Path, Sight] = {}
@@ -91,8 +91,8 @@ class Clips:
         """Number of clips, repeated ones counted."""
         return len(self.clips)
 
-    def __getitem__(self, draw: Draw | int) -> Clip:
-        """Clip: window, pan and mirror by a Draw's seed, or for an int the middle, unmirrored."""
+    def __getitem__(self, draw: SampleIndex | int) -> Clip:
+        """Clip: window, pan and mirror by a SampleIndex's seed, or for an int the middle, unmirrored."""
         plain = isinstance(draw, int)
         generator = np.random.default_rng(draw if plain else draw.seed)
         run = self.clips[draw if plain else draw.index]

@@ -15,7 +15,7 @@ from torch.nn.functional import interpolate
 from lidar2pano.data.augment import drop_points, mirror
 from lidar2pano.data.camera_rasters import camera_raster, in_unit, stretched
 from lidar2pano.data.ranges import labelled
-from lidar2pano.data.sequences import Draw, Frame, frames_of
+from lidar2pano.data.sequences import Frame, SampleIndex, frames_of
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import TABLES
@@ -105,8 +105,8 @@ class FrontSamples:
             label = label_points(moment.scan).cpu().numpy()
             self._held[index] = replace(moment, scan=replace(moment.scan, label=label))
 
-    def __getitem__(self, draw: Draw | int) -> FrontSample:
-        """Sample: with the paper's flip and point drop (each p = 0.5) by a Draw's seed, or plain for an int."""
+    def __getitem__(self, draw: SampleIndex | int) -> FrontSample:
+        """Sample: with the paper's flip and point drop (each p = 0.5) by a SampleIndex's seed, or plain for an int."""
         if isinstance(draw, int):
             return self._sample(self.moment(draw), self.frames[draw].name)
         generator = np.random.default_rng(draw.seed)

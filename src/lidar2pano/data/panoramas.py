@@ -13,7 +13,7 @@ from torch import Tensor
 
 from lidar2pano.data.augment import drop_points, drop_rings, mirror_azimuth
 from lidar2pano.data.moments import Moment, read_moment
-from lidar2pano.data.sequences import Draw, frames_of
+from lidar2pano.data.sequences import SampleIndex, frames_of
 from lidar2pano.geometry.projection import project
 from lidar2pano.scan import Scan
 from lidar2pano.views import View
@@ -81,8 +81,8 @@ class PanoramaSamples:
         for index in range(len(self)):
             self.predicted[index] = label_points(self.moment(index).scan).cpu().numpy()
 
-    def __getitem__(self, draw: Draw | int) -> PanoramaSample:
-        """Sample: augmented by a Draw's seed (points, labels, crop, mirror), or plain for an int."""
+    def __getitem__(self, draw: SampleIndex | int) -> PanoramaSample:
+        """Sample: augmented by a SampleIndex's seed (points, labels, crop, mirror), or plain for an int."""
         if isinstance(draw, int):
             moment = self.moment(draw)
             label = self.predicted.get(draw, moment.scan.label)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from lidar2pano.data.augment import drop_points, drop_rings, mirror, shift, turn, vary_remission
-from lidar2pano.data.sequences import Draw, Frame, frames_of
+from lidar2pano.data.sequences import Frame, SampleIndex, frames_of
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.geometry.projection import project
 from lidar2pano.scan import Scan
@@ -76,8 +76,8 @@ class RangeSamples:
             self._held[index] = labelled(self.frames[index])
         return self._held[index]
 
-    def __getitem__(self, draw: Draw | int) -> RangeSample:
-        """Sample: augmented by a Draw's seed, or the plain whole image for an int."""
+    def __getitem__(self, draw: SampleIndex | int) -> RangeSample:
+        """Sample: augmented by a SampleIndex's seed, or the plain whole image for an int."""
         if isinstance(draw, int):
             return self._sample(self.scan(draw), self.frames[draw].name)
         generator = np.random.default_rng(draw.seed)

@@ -28,8 +28,8 @@ SEQUENCES: dict[str, tuple[int, ...]] = {
 UNSURE = 255  # in camera labels: no class is known
 
 
-class Draw(NamedTuple):
-    """One sample asked of a data set: which, and the seed of its augmentation."""
+class SampleIndex(NamedTuple):
+    """Which sample of a data set is requested, and the seed of its augmentation."""
 
     index: int
     seed: int

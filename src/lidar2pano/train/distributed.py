@@ -1,4 +1,4 @@
-"""What the processes of one run say to each other; with a single process these are no-ops."""
+"""Communication between the processes of one run; with a single process these are no-ops."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lidar2pano.errors import InputError
 
 
 def world() -> int:
-    """How many processes train together."""
+    """The number of processes that train together."""
     return distributed.get_world_size() if distributed.is_available() and distributed.is_initialized() else 1
 
 
@@ -26,7 +26,7 @@ def check_launcher(processes: int) -> None:
 
 
 def largest(device: torch.device, *values: float) -> list[float]:
-    """The largest of the processes' values, one by one, so that all decide alike."""
+    """The largest of the processes' values, one by one, so that all decide alike; they meet here."""
     if world() == 1:
         return list(values)
     agreed = torch.tensor(values, dtype=torch.float64, device=device)
