@@ -271,6 +271,16 @@ def messages(source: Path = SOURCE) -> dict[str, str]:
     return found
 
 
+def texts(source: Path = SOURCE) -> set[str]:
+    """Every text in the code, with GAP for values: what the program can print."""
+    return {
+        _template(node)
+        for path in source.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant | ast.JoinedStr | ast.BinOp)
+    }
+
+
 def _template(node: ast.expr) -> str:
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value

@@ -35,19 +35,21 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--labels", action="store_true")
     parser.add_argument("--ground-truth", type=Path, metavar="FOLDER")
-    asked = parser.parse_args()
-    settings = WorldSettings(seed=asked.seed, frames=1, place="residential", save=("panorama",), views=("panorama/4",))
-    writer = SequenceWriter(asked.out.parent, settings, 0)
-    if asked.ground_truth:
-        write_ground_truth(asked.ground_truth, writer)
+    arguments = parser.parse_args()
+    settings = WorldSettings(
+        seed=arguments.seed, frames=1, place="residential", save=("panorama",), views=("panorama/4",)
+    )
+    writer = SequenceWriter(arguments.out.parent, settings, 0)
+    if arguments.ground_truth:
+        write_ground_truth(arguments.ground_truth, writer)
         return
     scan = writer.scan(0)
     points = scan.points.astype(np.float64)
     points[:, :3] = np.round(points[:, :3], 3)
-    points.astype("<f4").tofile(asked.out)
-    if asked.labels:
+    points.astype("<f4").tofile(arguments.out)
+    if arguments.labels:
         label = (scan.instance.astype(np.uint32) << 16) | scan.raw
-        label.astype("<u4").tofile(asked.out.with_suffix(".label"))
+        label.astype("<u4").tofile(arguments.out.with_suffix(".label"))
 
 
 def write_ground_truth(folder: Path, writer: SequenceWriter) -> None:

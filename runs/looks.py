@@ -13,7 +13,7 @@ from lidar2pano.simulate.layout.street_world import build_world
 from lidar2pano.simulate.render.looks import LOOKS, look
 from lidar2pano.simulate.render.renderer import pinhole, render
 
-SCALE, TIME = 0.6, 0.5  # of the camera's picture; seconds after the drive's start
+SCALE, TIME = 0.6, 0.5  # of the camera image; seconds after the drive's start
 
 
 def main() -> None:

@@ -71,3 +71,11 @@ def test_contributing_lists_the_floors():
     floors = [set(floor) - {"__main__"} for floor in house_rules.FLOORS]
     floors[0] |= house_rules.ANYWHERE
     assert listed == floors
+
+
+def test_the_tree_of_the_readme_has_every_module():
+    tree = README.partition("## The tree")[2].partition("\n## ")[0]
+    listed = set(re.findall(r"[\w.]+/?(?= )", tree.partition("src/lidar2pano/")[2].partition("docs/ ")[0]))
+    present = {f"{path.name}/" if path.is_dir() else path.name for path in house_rules.SOURCE.glob("[!_.]*")}
+    assert present - {"py.typed"} - listed == set()
+    assert {name for name in listed if name.endswith((".py", "/"))} - present == set()

@@ -21,13 +21,13 @@ from lidar2pano.models import build
 from lidar2pano.models.card import load
 from lidar2pano.models.circular import fold_norms
 from lidar2pano.scan import Scan
-from lidar2pano.views import VIEWS
 from lidar2pano.train.adversarial import pix2pix_updates
 from lidar2pano.train.colour import as_image, camera_inputs
 from lidar2pano.train.engine import train
 from lidar2pano.train.options import Pix2PixOptions
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.tasks import build_task
+from lidar2pano.views import VIEWS
 from miniature import street, write_data_set
 from small_recipes import SIZE, small, without_chance
 

@@ -11,7 +11,7 @@ from lidar2pano.errors import InputError, closest
 
 Value = bool | int | float | str | tuple
 SWITCH = {"true": True, "false": False}
-LARGEST = 2**53
+LARGEST = 2**53  # whole numbers that float64 represents
 
 
 def changed(node: Any, steps: list[str], text: str, path: str) -> Any:  # noqa: ANN401
@@ -65,9 +65,9 @@ def _parsed(text: str, wanted_type: Any, path: str) -> Value:  # noqa: ANN401
         return SWITCH[text.lower()]
     try:
         number = wanted_type(text)
-    except ValueError:
+    except ValueError:  # more digits than Python reads are one, too
         number = math.nan
-    if not abs(number) < LARGEST:  # not a number, infinite, or beyond what float64 counts exactly
+    if not abs(number) < (LARGEST if wanted_type is int else math.inf):
         wanted = "a whole number" if wanted_type is int else "a number"
         raise InputError(f"{path} wants {wanted}, not {text[:40]!r}")
     return number

@@ -77,8 +77,12 @@ def batches(dataset: Dataset, sampler: BatchSampler, workers: int, *, pinned: bo
         worker_init_fn=_ignore_interrupts,
         prefetch_factor=4 if workers else None,
     )
+    return _with_short_errors(iter(loader))  # made now: it draws a random number, which no step may lose
+
+
+def _with_short_errors(loaded: Iterator[Any]) -> Iterator[Any]:
     try:
-        yield from loader
+        yield from loaded
     except InputError as error:  # a worker's exception has its traceback as its text, the message last
         raise InputError(str(error).strip().rpartition("\n")[2].rpartition("InputError: ")[2]) from None
     except RuntimeError as error:

@@ -103,12 +103,14 @@ def test_same_seed_same_bytes_and_another_seed_another_thing(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", THINGS)
-def test_size_kinds_and_budget(name: str) -> None:
-    _, kinds, least, most, budget = THINGS[name]
+def test_size_object_types_and_budget(name: str) -> None:
+    _, object_types, least, most, budget = THINGS[name]
     for seed in SEEDS:
         mesh = made(name, seed)
         assert len(mesh) <= budget
-        assert {kind for kind, number in OBJECT_TYPE_IDS.items() if number in mesh.object_type} >= kinds
+        assert {
+            object_type for object_type, number in OBJECT_TYPE_IDS.items() if number in mesh.object_type
+        } >= object_types
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
         size = np.array([*(high - low)[:2], high[2]])
         assert (size >= least).all() and (size <= most).all(), size
@@ -239,10 +241,10 @@ def test_one_light_is_on() -> None:
 
 @pytest.mark.parametrize("name", BARRIERS)
 def test_barriers_follow_the_ground(name: str) -> None:
-    _, kind, least, most = BARRIERS[name]
+    _, object_type, least, most = BARRIERS[name]
     for seed in SEEDS:
         mesh = made(name, seed)
-        assert OBJECT_TYPE_IDS[kind] in mesh.object_type
+        assert OBJECT_TYPE_IDS[object_type] in mesh.object_type
         x, z = mesh.vertices[:, 0], mesh.vertices[:, 2]
         assert x.min() == pytest.approx(0, abs=0.2) and x.max() == pytest.approx(17, abs=0.2)
         high = []

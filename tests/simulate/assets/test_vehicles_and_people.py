@@ -104,7 +104,7 @@ def test_normals_agree_with_their_faces(made, name):
 
 
 @pytest.mark.parametrize("name", MAKERS)
-def test_who_looks_from_outside_sees_outsides(made, name):
+def test_outer_faces_point_outwards(made, name):
     pytest.importorskip("embreex")
     from lidar2pano.simulate.scene.raycast import Scene, SceneObject
 
@@ -134,8 +134,8 @@ def test_cars_have_two_equal_sides(made, body):
 @pytest.mark.parametrize("body", BODIES)
 def test_cars_are_cars_all_over_and_light(made, body):
     for mesh in made[body]:
-        materials, kinds = names(mesh)
-        assert kinds == {"car"}
+        materials, object_types = names(mesh)
+        assert object_types == {"car"}
         assert materials >= CAR_PARTS
         assert 1500 <= len(mesh) <= 4200
     glass = made[body][0].material == MATERIAL_IDS["window"]
@@ -175,11 +175,11 @@ def test_the_shares_of_colours_and_bodies_are_shares():
         (person, {"skin", "hair", "cloth", "rubber"}, {"person"}),
     ],
 )
-def test_materials_and_kinds(make, materials, kinds):
+def test_materials_and_object_types(make, materials, object_types):
     for seed in SEEDS:
         there = names(make(stream(seed, "parts")))
         assert there[0] >= materials
-        assert there[1] == kinds
+        assert there[1] == object_types
 
 
 def test_doors_of_a_bus_are_on_its_right():

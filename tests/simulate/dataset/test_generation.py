@@ -51,8 +51,8 @@ def test_readers_read_it_like_any_data_set(made):
     assert first.camera_labels().shape == (375, 1242)
     calibration = first.calibration((1242, 375))
     assert np.allclose(calibration.centre, KITTI_CAMERA, atol=1e-6), "the panorama's origin"
-    with Image.open(second.folder / "pano" / f"{second.stem}.png") as picture:
-        assert picture.size == (VIEWS["panorama"].columns // 4, VIEWS["panorama"].rows // 4)
+    with Image.open(second.folder / "pano" / f"{second.stem}.png") as image:
+        assert image.size == (VIEWS["panorama"].columns // 4, VIEWS["panorama"].rows // 4)
     assert json.loads((root / "splits.json").read_text())["val"] == ["00/000000", "00/000001"]
 
 
@@ -73,7 +73,7 @@ def test_instances_tell_things_apart(made):
         assert (high - low).max() < 6, "one car"
 
 
-def test_points_pictures_and_depths_agree(made):
+def test_points_images_and_depths_agree(made):
     sys.path.insert(0, str(RUNS))
     try:
         from check_world import agreement
@@ -87,7 +87,7 @@ def test_points_pictures_and_depths_agree(made):
         assert found.depth_error_m < 0.03
 
 
-def test_panorama_through_the_camera_is_the_camera_s_picture(made):
+def test_panorama_through_the_camera_is_the_camera_s_image(made):
     import torch
 
     from lidar2pano.geometry.camera import at_camera, panorama_in_camera
@@ -96,13 +96,13 @@ def test_panorama_through_the_camera_is_the_camera_s_picture(made):
     calibration = frame.calibration((1242, 375)).scaled(0.2)
     view = at_camera(VIEWS["panorama"].scaled(1 / 4), calibration)
     pano = np.array(Image.open(frame.folder / "pano" / f"{frame.stem}.png")).astype(np.float32)
-    seen = panorama_in_camera(view, calibration)
-    carried = seen.linear(torch.from_numpy(pano).movedim(2, 0)).numpy().transpose(1, 2, 0)
+    lookup = panorama_in_camera(view, calibration)
+    resampled = lookup.linear(torch.from_numpy(pano).movedim(2, 0)).numpy().transpose(1, 2, 0)
     small = Image.fromarray(frame.image()).resize(calibration.size, Image.Resampling.BOX)
-    gap = np.abs(carried - np.array(small).astype(np.float32))[seen.valid.numpy()]
+    gap = np.abs(resampled - np.array(small).astype(np.float32))[lookup.valid.numpy()]
     assert np.median(gap) < 6
     assert gap.mean() < 16
-    shifted = np.abs(np.roll(carried, 6, axis=1) - np.array(small).astype(np.float32))[seen.valid.numpy()]
+    shifted = np.abs(np.roll(resampled, 6, axis=1) - np.array(small).astype(np.float32))[lookup.valid.numpy()]
     assert shifted.mean() > 1.25 * gap.mean(), "the test sees a shift"
 
 

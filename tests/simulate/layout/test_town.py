@@ -59,7 +59,7 @@ def test_places_and_positions_are_inverse():
     assert np.abs(at.d - d).max() < 0.05
 
 
-def test_bends_are_no_tighter_than_asked():
+def test_bends_are_no_tighter_than_their_radius():
     _, heading = winding_centreline(np.random.default_rng(1), (0, 0), 0.0, 2000, 90)
     assert np.abs(np.diff(heading)).max() <= 1 / 90 + 1e-9
     assert np.abs(heading).max() < np.pi * 0.7, "keeps to its direction"
@@ -118,20 +118,20 @@ def test_ground_covers_everything_once_and_steps_up_at_the_kerb():
     corners = made.vertices[made.faces].astype(np.float64)
     inside = ((corners[:, :, :2] >= low - 1e-3) & (corners[:, :, :2] <= high + 1e-3)).all(axis=(1, 2))
     assert area(corners[inside]) == pytest.approx(80 * 50, rel=1e-4)
-    kinds = {
+    faces = {
         name: inside & (made.object_type == OBJECT_TYPE_IDS[name])
         for name in ("road", "sidewalk", "parking", "terrain")
     }
-    assert all(mask.any() for mask in kinds.values())
+    assert all(mask.any() for mask in faces.values())
     flat = made.normals[made.faces[:, 0], 2] > 0.5
-    assert np.abs(corners[kinds["road"]][:, :, 2]).max() < 1e-6
-    assert np.allclose(corners[kinds["sidewalk"] & flat][:, :, 2], 0.1, atol=1e-6)
+    assert np.abs(corners[faces["road"]][:, :, 2]).max() < 1e-6
+    assert np.allclose(corners[faces["sidewalk"] & flat][:, :, 2], 0.1, atol=1e-6)
     middle = corners.mean(axis=1)
     at = locate(roads, middle[:, :2])
-    assert at.kerb_distance[kinds["road"] & flat].max() < 0.05
-    walk = at.kerb_distance[kinds["sidewalk"] & flat]
+    assert at.kerb_distance[faces["road"] & flat].max() < 0.05
+    walk = at.kerb_distance[faces["sidewalk"] & flat]
     assert walk.min() > -0.2 and walk.max() < 2.2, "cells of a metre cut bevels short"
-    upright = kinds["sidewalk"] & ~flat
+    upright = faces["sidewalk"] & ~flat
     towards = middle[upright, :2] + 0.3 * made.normals[made.faces[upright, 0], :2]
     assert (locate(roads, towards).kerb_distance < at.kerb_distance[upright]).mean() > 0.97, (
         "kerbs face the carriageway"

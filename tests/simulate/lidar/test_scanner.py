@@ -72,28 +72,28 @@ def slow_point(sensor: SensorModel, beam: int, time: float, pose: Callable) -> n
 @pytest.mark.parametrize("name", SENSOR_MODELS)
 def test_beams_agree_with_their_slow_definition(name: str) -> None:
     pose = drive(speed=12.0, yaw_rate=0.4, at=(1.0, -0.5, 0.3))
-    seen = shot(room(), SENSOR_MODELS[name], pose, clean=True)
-    assert len(seen) == len(SENSOR_MODELS[name]) * SENSOR_MODELS[name].firings
-    some = stream(1, "some").choice(len(seen), 300, replace=False)
-    slow = np.array([slow_point(SENSOR_MODELS[name], int(seen.ring[i]), float(seen.time[i]), pose) for i in some])
-    away = np.linalg.norm(seen.points[some, :3] - slow, axis=1)
+    scan = shot(room(), SENSOR_MODELS[name], pose, clean=True)
+    assert len(scan) == len(SENSOR_MODELS[name]) * SENSOR_MODELS[name].firings
+    some = stream(1, "some").choice(len(scan), 300, replace=False)
+    slow = np.array([slow_point(SENSOR_MODELS[name], int(scan.ring[i]), float(scan.time[i]), pose) for i in some])
+    away = np.linalg.norm(scan.points[some, :3] - slow, axis=1)
     # The encoder's rounding may fall to the other side where time is exactly between two steps (float32).
     assert np.quantile(away, 0.98) < 1e-3
 
 
 def test_without_noise_points_lie_on_the_surface() -> None:
-    seen = shot(room(), clean=True)
-    off = np.abs(np.abs(seen.points[:, :3]) - HALF.astype(np.float32)).min(axis=1)
+    scan = shot(room(), clean=True)
+    off = np.abs(np.abs(scan.points[:, :3]) - HALF.astype(np.float32)).min(axis=1)
     assert np.median(off) < 1e-4
     assert off.max() < 2e-3
 
 
 def test_the_turn_is_centred_on_straight_ahead() -> None:
-    seen = shot(room(), clean=True)
-    azimuth = np.degrees(np.arctan2(seen.points[:, 1], seen.points[:, 0]))
-    assert np.abs(seen.time[np.abs(azimuth) < 1]).max() < 0.01 / HDL.hz
+    scan = shot(room(), clean=True)
+    azimuth = np.degrees(np.arctan2(scan.points[:, 1], scan.points[:, 0]))
+    assert np.abs(scan.time[np.abs(azimuth) < 1]).max() < 0.01 / HDL.hz
     left = (azimuth > 80) & (azimuth < 100)
-    assert seen.time[left].mean() == pytest.approx(0.25 / HDL.hz, rel=0.02)  # KITTI's turns to the left
+    assert scan.time[left].mean() == pytest.approx(0.25 / HDL.hz, rel=0.02)  # KITTI's turns to the left
     other = shot(room(), replace(HDL, rotation=-1), clean=True)
     azimuth = np.degrees(np.arctan2(other.points[:, 1], other.points[:, 0]))
     assert other.time[(azimuth > 80) & (azimuth < 170)].max() < 0
@@ -101,9 +101,9 @@ def test_the_turn_is_centred_on_straight_ahead() -> None:
 
 def test_a_driving_sensor_sees_the_wall_that_a_standing_one_sees() -> None:
     for pose in (drive(), drive(speed=15.0, yaw_rate=0.5)):
-        seen = shot(room(), pose=pose, clean=True)
-        assert np.abs(np.abs(seen.points[:, :3]) - HALF.astype(np.float32)).min(axis=1).max() < 3e-3
-    drawn = np.sort(seen.points[:, 0])
+        scan = shot(room(), pose=pose, clean=True)
+        assert np.abs(np.abs(scan.points[:, :3]) - HALF.astype(np.float32)).min(axis=1).max() < 3e-3
+    drawn = np.sort(scan.points[:, 0])
     assert drawn[-1] < HALF[0] + 3e-3
 
 
@@ -114,48 +114,48 @@ def test_a_moving_car_is_where_it_was_when_the_beam_passed() -> None:
         car = box((8.0 + speed * time, 0, 0), (2.0, 60.0, 4.0), "paint", "car")
         return Scene([SceneObject(mesh=floor(80))]).with_moving([SceneObject(mesh=car, instance=9, moving=True)])
 
-    seen = sweep(scene, HDL, drive(), stream(2, "test"), sectors=sectors, clean=True)
-    front = (seen.raw == 252) & (np.abs(seen.points[:, 1]) < 10)
+    scan = sweep(scene, HDL, drive(), stream(2, "test"), sectors=sectors, clean=True)
+    front = (scan.raw == 252) & (np.abs(scan.points[:, 1]) < 10)
     assert front.sum() > 5000
-    expected = 7.0 + speed * seen.time[front]
+    expected = 7.0 + speed * scan.time[front]
     tolerance = speed / HDL.hz / sectors / 2
-    assert np.abs(seen.points[front, 0] - expected).max() < 1.02 * tolerance
-    assert np.ptp(seen.points[front, 0]) > 2 * tolerance  # it is not seen at one moment only
+    assert np.abs(scan.points[front, 0] - expected).max() < 1.02 * tolerance
+    assert np.ptp(scan.points[front, 0]) > 2 * tolerance  # it is not seen at one moment only
 
 
 def test_the_beam_passes_places_when_passing_says() -> None:
-    seen, pose = shot(room(), clean=True), drive(at=(1.0, 2.0, 0.5), yaw_rate=0.3)
+    scan, pose = shot(room(), clean=True), drive(at=(1.0, 2.0, 0.5), yaw_rate=0.3)
     frame = pose(np.zeros(1))[0]
-    world = seen.points[:, :3] @ frame[:3, :3].T + frame[:3, 3]
-    off = passing_time(HDL, frame, world.astype(np.float64)) - seen.time
+    world = scan.points[:, :3] @ frame[:3, :3].T + frame[:3, 3]
+    off = passing_time(HDL, frame, world.astype(np.float64)) - scan.time
     assert np.quantile(np.abs(off), 0.99) < 0.002 / HDL.hz  # 0.7 degrees: parallax and the encoder's steps
 
 
 def test_labels_and_instances_are_those_of_what_was_met() -> None:
     things = [("car", 3, 10, 0.0), ("pole", 0, 80, 90.0), ("person", 7, 30, 180.0)]
     parts = [SceneObject(mesh=floor(60))]
-    for kind, instance, _, azimuth in things:
+    for object_type, instance, _, azimuth in things:
         x, y = 8 * math.cos(math.radians(azimuth)), 8 * math.sin(math.radians(azimuth))
-        parts.append(SceneObject(mesh=box((x, y, 0), (1, 1, 3), "cloth", kind), instance=instance))
-    seen = shot(Scene(parts), clean=True)
+        parts.append(SceneObject(mesh=box((x, y, 0), (1, 1, 3), "cloth", object_type), instance=instance))
+    scan = shot(Scene(parts), clean=True)
     for _, instance, raw, azimuth in things:
         x, y = 8 * math.cos(math.radians(azimuth)), 8 * math.sin(math.radians(azimuth))
         at = (
-            (np.abs(seen.points[:, 0] - x) < 0.49) & (np.abs(seen.points[:, 1] - y) < 0.49) & (seen.points[:, 2] > -1.6)
+            (np.abs(scan.points[:, 0] - x) < 0.49) & (np.abs(scan.points[:, 1] - y) < 0.49) & (scan.points[:, 2] > -1.6)
         )
-        at |= (np.hypot(seen.points[:, 0] - x, seen.points[:, 1] - y) < 0.71) & (np.abs(seen.points[:, 2]) < 1)
+        at |= (np.hypot(scan.points[:, 0] - x, scan.points[:, 1] - y) < 0.71) & (np.abs(scan.points[:, 2]) < 1)
         assert at.sum() > 50
-        assert set(seen.raw[at].tolist()) == {raw}
-        assert set(seen.instance[at].tolist()) == {instance}
-    assert set(seen.raw.tolist()) == {40, 10, 80, 30}
-    assert set(seen.instance[seen.raw == 40].tolist()) == {0}
+        assert set(scan.raw[at].tolist()) == {raw}
+        assert set(scan.instance[at].tolist()) == {instance}
+    assert set(scan.raw.tolist()) == {40, 10, 80, 30}
+    assert set(scan.instance[scan.raw == 40].tolist()) == {0}
 
 
 def test_the_sky_and_what_is_too_far_or_too_near_send_nothing_back() -> None:
-    seen = shot(Scene([SceneObject(mesh=floor(400))]))
-    assert (seen.raw == 40).all()
-    assert seen.points[:, 2].max() < -1.4
-    distance = np.linalg.norm(seen.points[:, :3], axis=1)
+    scan = shot(Scene([SceneObject(mesh=floor(400))]))
+    assert (scan.raw == 40).all()
+    assert scan.points[:, 2].max() < -1.4
+    distance = np.linalg.norm(scan.points[:, :3], axis=1)
     assert 70 < distance.max() < HDL.max_range + 0.5
     near = Scene([SceneObject(mesh=box((0, 0, 0), (2.2, 2.2, 2.2), "concrete", "building"))])
     assert np.linalg.norm(shot(near).points[:, :3], axis=1).min() > HDL.min_range - 0.3
@@ -171,19 +171,19 @@ def test_number_plates_are_near_one_and_glass_is_mostly_lost() -> None:
 
 
 def test_files_are_ordered_as_kittis() -> None:
-    seen = shot(room())
-    assert (np.diff(seen.ring.astype(int)) >= 0).all()
-    azimuth = np.degrees(np.arctan2(seen.points[:, 1], seen.points[:, 0])) % 360
+    scan = shot(room())
+    assert (np.diff(scan.ring.astype(int)) >= 0).all()
+    azimuth = np.degrees(np.arctan2(scan.points[:, 1], scan.points[:, 0])) % 360
     assert (np.diff(azimuth) < -180).sum() == 63  # what readers of KITTI's files take for the next ring
-    within = np.diff(seen.ring.astype(int)) == 0
+    within = np.diff(scan.ring.astype(int)) == 0
     assert np.diff(azimuth)[within].min() > -1e-3
-    assert set(np.unique(np.round(seen.points[:, 3] * 100, 3) % 1)) == {0}
+    assert set(np.unique(np.round(scan.points[:, 3] * 100, 3) % 1)) == {0}
 
 
 def test_other_sensors_write_firing_by_firing() -> None:
-    seen = shot(room(), SENSOR_MODELS["hdl32e"])
-    assert (np.diff(seen.time) >= 0).all()
-    assert (np.diff(seen.ring.astype(int))[np.diff(seen.time) == 0] > 0).all()
+    scan = shot(room(), SENSOR_MODELS["hdl32e"])
+    assert (np.diff(scan.time) >= 0).all()
+    assert (np.diff(scan.ring.astype(int))[np.diff(scan.time) == 0] > 0).all()
 
 
 def test_the_same_generator_gives_the_same_bytes() -> None:
@@ -196,43 +196,43 @@ def test_the_same_generator_gives_the_same_bytes() -> None:
 
 def test_beams_lose_what_the_table_says() -> None:
     sensor = replace(HDL, dropout=tuple(np.linspace(0.02, 0.3, 64).tolist()))
-    seen = shot(room(), sensor)
+    scan = shot(room(), sensor)
     open_ = sensor.firings * (1 - blind_table(sensor).mean(axis=1))
-    share = 1 - np.bincount(seen.ring, minlength=64) / open_
+    share = 1 - np.bincount(scan.ring, minlength=64) / open_
     assert np.abs(share - sensor.per_beam("dropout")).max() < 0.05
     assert np.abs(share - sensor.per_beam("dropout")).mean() < 0.01
 
 
 def test_the_recording_car_hides_its_directions() -> None:
-    seen = shot(room())
-    azimuth = np.degrees(np.arctan2(seen.points[:, 1], seen.points[:, 0])) % 360
+    scan = shot(room())
+    azimuth = np.degrees(np.arctan2(scan.points[:, 1], scan.points[:, 0])) % 360
     for beam, spans in HDL.blind_sectors:
         for start, stop in spans:
-            inside = (seen.ring == beam) & (azimuth > start + 0.8) & (azimuth < stop - 0.8)  # but for the parallax
+            inside = (scan.ring == beam) & (azimuth > start + 0.8) & (azimuth < stop - 0.8)  # but for the parallax
             assert not inside.any()
 
 
 def test_range_noise_and_bias_are_the_sensors() -> None:
-    seen, clean = shot(room()), shot(room(), clean=True)
-    error = np.abs(np.abs(seen.points[:, :3]) - HALF.astype(np.float32))
-    ahead = (seen.points[:, 0] > 0) & (np.abs(seen.points[:, 1]) < 3) & (np.abs(seen.points[:, 2]) < 2)
-    residual = seen.points[ahead, 0] - HALF[0]
+    scan, clean = shot(room()), shot(room(), clean=True)
+    error = np.abs(np.abs(scan.points[:, :3]) - HALF.astype(np.float32))
+    ahead = (scan.points[:, 0] > 0) & (np.abs(scan.points[:, 1]) < 3) & (np.abs(scan.points[:, 2]) < 2)
+    residual = scan.points[ahead, 0] - HALF[0]
     for beam in (5, 6, 20):
-        of = residual[seen.ring[ahead] == beam]
+        of = residual[scan.ring[ahead] == beam]
         assert np.mean(of) == pytest.approx(HDL.range_bias[beam], abs=0.004)
         assert np.std(of) == pytest.approx(HDL.range_noise, rel=0.25)
     assert error.min(axis=1).max() < 0.3
-    assert len(clean) > len(seen)
+    assert len(clean) > len(scan)
 
 
 def test_a_place_keeps_its_reflectance() -> None:
     flat = replace(HDL, remission_noise=0.0, dark_offset=(), bright_offset=(), dropout=(), encoder_step=0.0)
 
     def brightness(number: int, at: tuple[float, float, float]) -> dict[tuple[int, int], float]:
-        seen = sweep(room("brick"), flat, drive(at=at), stream(number, "test"))
-        front = np.abs(seen.points[:, 0] + at[0] - HALF[0]) < 0.1
-        place = np.round((seen.points[front, 1:3] + np.array(at)[1:]) / 0.1).astype(int)
-        return dict(zip(map(tuple, place.tolist()), seen.points[front, 3].tolist(), strict=True))
+        scan = sweep(room("brick"), flat, drive(at=at), stream(number, "test"))
+        front = np.abs(scan.points[:, 0] + at[0] - HALF[0]) < 0.1
+        place = np.round((scan.points[front, 1:3] + np.array(at)[1:]) / 0.1).astype(int)
+        return dict(zip(map(tuple, place.tolist()), scan.points[front, 3].tolist(), strict=True))
 
     here, there = brightness(1, (0, 0, 0)), brightness(2, (-2.0, 0.4, 0.1))
     both = sorted(set(here) & set(there))
@@ -243,9 +243,9 @@ def test_a_place_keeps_its_reflectance() -> None:
 def test_edges_have_points_between_their_sides() -> None:
     post = box((5, 0, 0), (0.3, 8, 12), "concrete", "wall")
     scene = Scene([SceneObject(mesh=box((0, 0, 0), (16, 16, 12), "concrete", "building")), SceneObject(mesh=post)])
-    seen = shot(scene)
-    between = (seen.points[:, 0] > 5.5) & (seen.points[:, 0] < 7.5) & (np.abs(seen.points[:, 1]) < 7.8)
-    between &= np.abs(seen.points[:, 2]) < 2
+    scan = shot(scene)
+    between = (scan.points[:, 0] > 5.5) & (scan.points[:, 0] < 7.5) & (np.abs(scan.points[:, 1]) < 7.8)
+    between &= np.abs(scan.points[:, 2]) < 2
     clean = shot(scene, clean=True)
     none = (clean.points[:, 0] > 5.5) & (clean.points[:, 0] < 7.5) & (np.abs(clean.points[:, 1]) < 7.8)
     assert not (none & (np.abs(clean.points[:, 2]) < 2)).any()

@@ -25,8 +25,8 @@ VIEW = View(rows=40, columns=240, up=0.3, down=-0.5, kind="cylinder", origin=(0.
 DOWN = np.array([[0.0, 0.0, -1.0]], dtype=np.float32)
 
 
-def ground(material="asphalt", kind="road"):
-    return SceneObject(mesh=box((0, 0, -0.5), (200, 200, 1), material, kind))
+def ground(material="asphalt", object_type="road"):
+    return SceneObject(mesh=box((0, 0, -0.5), (200, 200, 1), material, object_type))
 
 
 def street():
@@ -108,12 +108,12 @@ def test_a_box_throws_a_shadow():
     scene = Scene([ground("paving", "road"), SceneObject(mesh=box((0, 0, 1), (0.2, 40, 2), "concrete", "wall"))])
     light = plain(sun_direction=(0.5**0.5, 0.0, 0.5**0.5))
     x = np.array([-2.5, -1.7, -0.5, 0.5, 2.5])
-    seen = [
+    visible = [
         looked_down_upon(scene, np.column_stack([np.full(200, at), np.linspace(-9, 9, 200)]), light).mean() for at in x
     ]
-    sunny = np.array(seen) > 0.5 * max(seen)
+    sunny = np.array(visible) > 0.5 * max(visible)
     assert sunny.tolist() == [True, False, False, True, True]
-    assert max(seen[1], seen[2]) < 0.12 * max(seen)
+    assert max(visible[1], visible[2]) < 0.12 * max(visible)
 
 
 def test_leaves_let_light_through_and_walls_do_not():
@@ -179,7 +179,7 @@ def test_a_cylinder_looks_where_the_projection_says():
     assert np.allclose(origin, camera.pinhole(calibration(), T)[0])  # one optical centre
 
 
-def test_a_picture_tells_kinds_and_distances():
+def test_an_image_has_object_types_and_distances():
     scene, T = street(), pose()
     rendered = camera.render(scene, *camera.cylinder(VIEW, T), look("day"))
     hits = scene.cast(*(part.reshape(-1, 3)[:, :] if part.ndim > 1 else part for part in camera.cylinder(VIEW, T)[:2]))
@@ -191,7 +191,10 @@ def test_a_picture_tells_kinds_and_distances():
         rendered.object_type.reshape(-1).tolist()
     )
     assert np.isinf(rendered.distance[rendered.object_type == SKY]).all()
-    bright = {kind: rendered.image[rendered.object_type == kind].mean() for kind in (SKY, OBJECT_TYPE_IDS["road"])}
+    bright = {
+        object_type: rendered.image[rendered.object_type == object_type].mean()
+        for object_type in (SKY, OBJECT_TYPE_IDS["road"])
+    }
     assert bright[SKY] > bright[OBJECT_TYPE_IDS["road"]] > 40
 
 
@@ -231,8 +234,10 @@ def test_a_place_keeps_its_colour_from_frame_to_frame(monkeypatch):
     first = camera.render(scene, *camera.cylinder(view, pose()), light)
     second = camera.render(scene, *camera.cylinder(view, pose(x=1.0)), light)
     origin, ray, _ = camera.cylinder(view, pose())
-    seen = np.isfinite(first.distance) & (first.distance < 25) & (first.object_type != OBJECT_TYPE_IDS["car"])
-    away = torch.from_numpy(origin + ray[seen] * first.distance[seen, None] - camera.cylinder(view, pose(x=1.0))[0])
+    visible = np.isfinite(first.distance) & (first.distance < 25) & (first.object_type != OBJECT_TYPE_IDS["car"])
+    away = torch.from_numpy(
+        origin + ray[visible] * first.distance[visible, None] - camera.cylinder(view, pose(x=1.0))[0]
+    )
     row, column = (part.floor().long().numpy() for part in pixels(*away.unbind(1), view))
     inside = (row >= 0) & (row < 120)
     row, column, far = row[inside], column[inside] % 600, away.norm(dim=1).numpy()[inside]
@@ -240,10 +245,10 @@ def test_a_place_keeps_its_colour_from_frame_to_frame(monkeypatch):
     assert same.sum() > 5000
     a, b = (
         ((colour[same] / 255.0) ** 2.2).mean(axis=1)
-        for colour in (first.image[seen][inside], second.image[row, column])
+        for colour in (first.image[visible][inside], second.image[row, column])
     )
     assert np.median(np.abs(a - b) / (a + b)) < 0.03
-    near = (first.object_type[seen][inside][same] == OBJECT_TYPE_IDS["parking"]) & (far[same] < 4)
+    near = (first.object_type[visible][inside][same] == OBJECT_TYPE_IDS["parking"]) & (far[same] < 4)
     assert np.corrcoef(a[near], b[near])[0, 1] > 0.65  # 0.4 by the shadows alone
 
 

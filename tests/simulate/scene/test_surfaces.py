@@ -19,7 +19,7 @@ def test_streams_depend_on_every_name():
     assert stream(1, "a").integers(2**62) == stream(1, "a").integers(2**62)
 
 
-def test_kinds_name_the_class_of_every_label_set():
+def test_object_types_name_the_class_of_every_label_set():
     raw = {
         name: SEMANTIC_KITTI.classes[int(SEMANTIC_KITTI.from_raw(RAW_IDS[[OBJECT_TYPE_IDS[name]]])[0])]
         for name in OBJECT_TYPES

@@ -267,7 +267,7 @@ def _plate(layers: Plate) -> Mesh:
     """A plate in the plane x = 0 around the origin: its layers, each in front of the last, and its back."""
     parts = []
     for i, (outline, tint) in enumerate(layers):
-        # Strokes of one colour lie side by side; only the first few layers need to be told apart.
+        # Strokes of one colour lie side by side; only the first few layers need an offset.
         parts.append(_flat(outline, RAISED * min(i, 3), "sign", tint))
     parts.append(_flat(layers[0].outline[::-1], -0.012, "sign-back", (1.0, 1.0, 1.0)))
     return merged(parts)

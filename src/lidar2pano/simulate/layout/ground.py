@@ -122,11 +122,11 @@ def ground(
     corners, owner = _corners(roads, low, high)
     parts: list[Mesh] = []
     for index, road in enumerate(roads):
-        mine = corners[owner == index]
-        if len(mine):
+        own = corners[owner == index]
+        if len(own):
             # The first corner belongs to the road; between two roads the others may belong to another one.
-            mine[:, :, COVER] = cover_at(index, mine[:, 0, S], mine[:, 0, D])[:, None]
-            beyond, surfaces = _street(mine, road, terrain)
+            own[:, :, COVER] = cover_at(index, own[:, 0, S], own[:, 0, D])[:, None]
+            beyond, surfaces = _street(own, road, terrain)
             number = beyond[:, 0, COVER].astype(np.int64)
             parts += surfaces
             for cover in np.unique(number):

@@ -107,8 +107,8 @@ class Traffic:
         along = np.array([actor.along(time, road.length) for actor in self.actors])
         xy, _ = road.at(along, np.array([actor.offset for actor in self.actors]))
         away = np.hypot(*(xy - near).T)
-        seen = (away <= VIEW_RANGE + np.array([actor.half_length for actor in self.actors])) & (away >= MIN_DISTANCE)
-        for number in np.flatnonzero(seen).tolist():
+        visible = (away <= VIEW_RANGE + np.array([actor.half_length for actor in self.actors])) & (away >= MIN_DISTANCE)
+        for number in np.flatnonzero(visible).tolist():
             actor = self.actors[number]
             then = time + (delay(np.array(self._place(actor, time)[0])) if delay else 0.0)
             at, yaw = self._place(actor, then)

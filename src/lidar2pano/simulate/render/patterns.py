@@ -53,9 +53,9 @@ def _bonded(columns: int, rows: int, joint: float, shift: float = 0.5) -> tuple[
 
 
 def _asphalt() -> Drawing:
-    grain, cell_value = voronoi("asphalt", 128)
+    fine, cell_value = voronoi("asphalt", 128)
     speck = spectral("asphalt", 0.3, 30)
-    stone = (cell_value - 0.5) * _smooth(grain, 0, 0.25)
+    stone = (cell_value - 0.5) * _smooth(fine, 0, 0.25)
     cracks = _smooth(np.abs(spectral("cracks", 1.6, 2, 60)), 0.0, 0.018)
     cracks = np.maximum(cracks, _smooth(spectral("where cracks", 2, 1, 4), -0.2, 0.6))  # only in places
     factor = 1 + 0.5 * stone + 0.09 * speck + 0.05 * spectral("asphalt b", 1.5, 2, 30)
@@ -64,8 +64,8 @@ def _asphalt() -> Drawing:
 
 def _paint() -> Drawing:
     worn = _smooth(spectral("worn", 1.0, 4) + 0.5 * spectral("worn b", 0.4, 40), 1.1, 2.2)
-    grain = spectral("paint", 0.4, 20)
-    return 1 + 0.05 * grain - 0.55 * worn, 0.4 * grain - worn
+    fine = spectral("paint", 0.4, 20)
+    return 1 + 0.05 * fine - 0.55 * worn, 0.4 * fine - worn
 
 
 def _cobbles() -> Drawing:
@@ -77,16 +77,16 @@ def _cobbles() -> Drawing:
 
 def _paving() -> Drawing:
     inside, cell_value = _bonded(8, 16, 0.08)
-    grain = spectral("paving", 0.3, 20)
-    factor = (0.55 + 0.45 * inside) * (0.9 + 0.2 * cell_value + 0.07 * grain + 0.05 * spectral("paving b", 1.5, 2, 40))
-    return _coloured(factor, cell_value - 0.5, (0.05, 0, -0.05)), 3 * inside + 0.3 * grain
+    fine = spectral("paving", 0.3, 20)
+    factor = (0.55 + 0.45 * inside) * (0.9 + 0.2 * cell_value + 0.07 * fine + 0.05 * spectral("paving b", 1.5, 2, 40))
+    return _coloured(factor, cell_value - 0.5, (0.05, 0, -0.05)), 3 * inside + 0.3 * fine
 
 
 def _concrete() -> Drawing:
     stains = spectral("concrete", 1.5, 2, 80, 0.4)
-    grain = spectral("concrete b", 0.2, 30)
+    fine = spectral("concrete b", 0.2, 30)
     holes = _smooth(spectral("holes", 0.6, 30, 90), 2.6, 3.2)
-    return (1 + 0.09 * stains + 0.05 * grain) * (1 - 0.4 * holes), 0.5 * grain - 3 * holes
+    return (1 + 0.09 * stains + 0.05 * fine) * (1 - 0.4 * holes), 0.5 * fine - 3 * holes
 
 
 def _gravel() -> Drawing:
@@ -122,8 +122,8 @@ def _field() -> Drawing:
 
 
 def _plaster() -> Drawing:
-    grain, soft = spectral("plaster", 0.3, 40), spectral("plaster b", 1.6, 2, 30, 0.5)
-    return 1 + 0.035 * grain + 0.03 * soft, 0.6 * grain
+    fine, soft = spectral("plaster", 0.3, 40), spectral("plaster b", 1.6, 2, 30, 0.5)
+    return 1 + 0.035 * fine + 0.03 * soft, 0.6 * fine
 
 
 def _brick() -> Drawing:
@@ -162,9 +162,9 @@ def _planks(count: int, gap: float) -> Drawing:
     cell_value = cell_values[np.floor(u * count).astype(int)]
     across = u * count % 1
     edge = _smooth(np.minimum(across, 1 - across), gap * 0.3, gap)
-    grain = spectral("wood", 0.7, 3, 256, 14)
-    grain = np.roll(grain, 97, axis=0) * 0.5 + grain
-    return (0.4 + 0.6 * edge) * (0.8 + 0.4 * cell_value + 0.12 * grain), 3 * edge + 0.25 * grain
+    fine = spectral("wood", 0.7, 3, 256, 14)
+    fine = np.roll(fine, 97, axis=0) * 0.5 + fine
+    return (0.4 + 0.6 * edge) * (0.8 + 0.4 * cell_value + 0.12 * fine), 3 * edge + 0.25 * fine
 
 
 def _shutter() -> Drawing:

@@ -240,11 +240,11 @@ def _glossy(  # noqa: PLR0913 the arrays of the formula
     share = gloss + np.maximum(1 - rough - gloss, 0) * (1 - facing) ** 5  # Schlick (1994), reduced by roughness
     mirrored = points.direction + 2 * facing * normal
     above = sky(look)
-    seen = above.ambient(mirrored) * visibility.sky
+    reflected = above.ambient(mirrored) * visibility.sky
     clear = np.flatnonzero(_MIRRORS[material])
     if len(clear):
         start = points.position[:, clear] + ray_offset(points.hits, clear)
-        seen[:, clear] = _mirrored(scene, start, mirrored[:, clear], look, above)
+        reflected[:, clear] = _mirrored(scene, start, mirrored[:, clear], look, above)
     sun = np.array(look.sun_direction, dtype=np.float32)[:, None]
     half = sun - points.direction
     half /= np.sqrt(_dot(half, half)) + 1e-6
@@ -252,7 +252,7 @@ def _glossy(  # noqa: PLR0913 the arrays of the formula
     lobe = alpha**2 / (np.pi * (peak * peak * (alpha**2 - 1) + 1) ** 2)  # GGX (Walter 2007)
     glance = gloss + (1 - gloss) * (1 - np.clip(_dot(half, sun), 0, 1)) ** 5
     shine = np.pi * visibility.sun * np.maximum(_dot(normal, sun), 0) * lobe * glance * (0.25 + 0.25 * rough)
-    return matt * (1 - share) + seen * share + np.array(look.sun_colour, dtype=np.float32)[:, None] * shine
+    return matt * (1 - share) + reflected * share + np.array(look.sun_colour, dtype=np.float32)[:, None] * shine
 
 
 def _mirrored(scene: Scene, start: np.ndarray, direction: np.ndarray, look: Look, above: Sky) -> np.ndarray:
