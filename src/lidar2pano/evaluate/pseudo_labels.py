@@ -25,23 +25,21 @@ def pseudo_labels(frame: Frame) -> dict[str, str]:
     found, journal = {}, _journal(frame.folder / JOURNAL)
     for part, (folder, suffix) in PARTS.items():
         path = frame.file(folder, suffix)
-        entry = journal.get(f"{folder}/{path.name}")
-        if entry is not None and path.is_file():
-            state = path.stat()
-            if [state.st_size, state.st_mtime_ns] == [entry["stamp"]["size"], entry["stamp"]["changed_ns"]]:
-                found[part] = entry["made_by"]
+        stamp, teacher = journal.get(f"{folder}/{path.name}", (None, ""))
+        if stamp and path.is_file() and stamp == [path.stat().st_size, path.stat().st_mtime_ns]:
+            found[part] = teacher
     return found
 
 
 @lru_cache(maxsize=1)
-def _journal(path: Path) -> Mapping[str, Any]:
-    """The latest entry of each file; damaged lines are skipped, as `prepare` does."""
-    entries: dict[str, Any] = {}
+def _journal(path: Path) -> Mapping[str, tuple[list[Any], str]]:
+    """File -> its latest [size, modification time in ns], and the teacher; damaged lines are skipped."""
+    entries: dict[str, tuple[list[Any], str]] = {}
     for line in path.read_bytes().splitlines() if path.is_file() else ():
         try:
             entry = json.loads(line)
-            entries[entry["file"]] = {"made_by": str(entry["made_by"]), "stamp": {**entry["stamp"]}}
-            entry["stamp"]["size"], entry["stamp"]["changed_ns"]
+            stamp = [entry["stamp"][name] for name in ("size", "changed_ns")]
+            entries[entry["file"]] = (stamp, str(entry["made_by"]))
         except (ValueError, TypeError, KeyError):
             continue
     return entries

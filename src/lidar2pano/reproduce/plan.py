@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from lidar2pano.data.frames import frames
 from lidar2pano.data.semantic_kitti import SEQUENCES
@@ -80,7 +81,9 @@ class Plan:
         train = tuple(name for name in found.data.train if name in there) or ("train",)
         found = replace(found, data=replace(found.data, train=train, val=(SELECTION,)))
         given = {"segmenter": files.get(SEGMENTER), "translator": files.get("titan-pano")}
-        options = {name: str(file) for name, file in given.items() if file and hasattr(found.options, name)}
+        options: dict[str, Any] = {
+            name: str(file) for name, file in given.items() if file and hasattr(found.options, name)
+        }
         if isinstance(found.options, VideoOptions):
             single = (name for name in found.options.single_frame_splits if name in there - {self.split})
             options["single_frame_splits"] = tuple(single) or ("train",)

@@ -183,11 +183,11 @@ def _undecided(pair: Sequence[Mapping[str, Any]], steps: int) -> str:
     """Why two values decide nothing; "" where they do."""
     if steps < LEAST_STEPS:
         return f"{steps} steps of training are fewer than {LEAST_STEPS}"
-    ends = [(one.get("low"), one.get("high")) for one in pair]
-    if any(None in end for end in ends):  # distances of sets have no interval
+    ends = [one[end] for one in pair for end in ("low", "high") if one.get(end) is not None]
+    if len(ends) < 4:  # distances of sets have no interval
         frames = min(one.get("frames", 0) for one in pair)
         return f"{frames} frames are fewer than {LEAST_FRAMES}" if frames < LEAST_FRAMES else ""
-    (low, high), (other_low, other_high) = ends
+    low, high, other_low, other_high = ends
     return "the 95 % intervals overlap" if low <= other_high and other_low <= high else ""
 
 
