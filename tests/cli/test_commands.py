@@ -357,7 +357,7 @@ def test_train_hands_the_recipe_on(here, monkeypatch, capsys):
     words = ["--data", "d", "--out", "o", "--set", "training.batch=3", "--set", "options.depth=0.5", "--device", "cpu"]
     assert main(["train", "titan-pano", *words, "--devices", "2", "--nodes", "3"]) == 0
     ((recipe, root, out, rest),) = asked
-    assert (recipe.name, recipe.training.batch, recipe.options["depth"]) == ("titan-pano", 3, 0.5)
+    assert (recipe.name, recipe.training.batch, recipe.options.depth) == ("titan-pano", 3, 0.5)
     assert (root, out, rest) == (Path("d"), Path("o"), {"device": "cpu", "devices": 2, "num_nodes": 3})
     said = capsys.readouterr().out
     assert "recipe titan-pano: panorama on panorama x 0.5" in said and "of 3, seed 0" in said

@@ -47,6 +47,7 @@ class Options:
     calibration: Calibration | None = None
     as_json: bool = False
     smooth: bool = False
+    look: str = ""
 
     def pipeline(self) -> Pipeline:
         """The pipeline with these weights, for this sensor and camera."""
@@ -54,6 +55,8 @@ class Options:
         pipeline = load(self.files, self.device)
         if self.sensor:
             pipeline = pipeline.for_sensor(self.sensor)
+        if self.look:
+            pipeline = pipeline.in_look(self.look)
         return pipeline.at(self.calibration) if self.calibration else pipeline
 
 

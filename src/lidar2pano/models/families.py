@@ -19,6 +19,7 @@ ROLES: dict[str, str] = {
     "pix2pix": "translator",
     "scunet": "renderer",
     "painter": "painter",
+    "scene-painter": "painter",
     "vid2vid": "painter",
     "vid2vid-single": "first-frame painter",
 }

@@ -7,9 +7,11 @@ at twice the raster it reads.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
@@ -17,20 +19,36 @@ from torch.nn.functional import avg_pool2d
 from lidar2pano.errors import InputError
 from lidar2pano.models.circular import CircularConv, CircularResidual, conv_norm_act
 from lidar2pano.models.titan_pano import depth_code
+from lidar2pano.views import View
 
 WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
 STRIDE = 4  # input pixels per pixel of the coarsest level
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scene:
+    """What a painter paints, on the translator's raster H x W.
+
+    segments  (1, classes, H, W) probabilities;  depth_m: (1, H, W) metres;  channels: (1, 5, H, W) of a RangeImage.
+    view      the raster;  T_world_sensor: (4, 4) float64, the sensor's pose in a frame that stands still, if known.
+    look      "A", or "A+B" for the mean of two; "": the painter's own.
+    """
+
+    segments: Tensor
+    depth_m: Tensor
+    channels: Tensor
+    view: View
+    T_world_sensor: np.ndarray | None = None
+    look: str = ""
+
+
 class StreamPainter(Protocol):
     """What the pipeline asks of a painter."""
 
-    def paint(self, past: Any, segments: Tensor, depth_m: Tensor, image: Tensor) -> tuple[Any, Tensor]:  # noqa: ANN401
+    def paint(self, past: Any, scene: Scene) -> tuple[Any, Tensor]:  # noqa: ANN401
         """Paint the panorama of a scan that follows others.
 
-        past      what it returned with the scan before; None at the beginning of a stream.
-        segments  (1, classes, H, W) probabilities; depth_m (1, H, W) metres; image (1, 5, H, W): a RangeImage's
-                  channels.
+        past  what it returned with the scan before; None at the beginning of a stream.
         Returns what it wants back with the next scan, None if nothing, and (1, 3, 2H, 2W) in [-1, 1].
         """
         ...
@@ -95,9 +113,9 @@ class Painter(nn.Module):
         x = self.mix0(torch.cat([_channels_last(self.up0(x)), fine, inputs], 1))
         return torch.tanh(self.colour(x))
 
-    def paint(self, past: Any, segments: Tensor, depth_m: Tensor, image: Tensor) -> tuple[None, Tensor]:  # noqa: ANN401, ARG002
+    def paint(self, past: object, scene: Scene) -> tuple[None, Tensor]:  # noqa: ARG002
         """Paint every scan for itself; arguments and answer as of StreamPainter."""
-        return None, self(segments, depth_m, image)
+        return None, self(scene.segments, scene.depth_m, scene.channels)
 
     def _inputs(self, segments: Tensor, depth_m: Tensor, image: Tensor) -> Tensor:
         if self.sharp != 1:

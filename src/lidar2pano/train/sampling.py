@@ -14,7 +14,7 @@ import torch
 from torch.utils.data import DataLoader
 from torch.utils.data import Dataset as TorchDataset
 
-from lidar2pano.data.sequences import SampleIndex
+from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.train.recipe import Training
 from lidar2pano.train.task import Dataset
