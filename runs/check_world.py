@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from lidar2pano.data.sequences import Frame, frames
+from lidar2pano.data.frames import Frame, frames
 from lidar2pano.geometry.camera import points_in_camera
 from lidar2pano.geometry.projection import pixels
 from lidar2pano.labels import TABLES

@@ -15,7 +15,7 @@ from pathlib import Path
 from lidar2pano.data.frames import Frame, frames
 
 from lidar2pano.data.augment import bands
-from lidar2pano.data.ranges import BEAM_DEG
+from lidar2pano.data.range_images import BEAM_DEG
 from lidar2pano.evaluate import MetricConfig, score, system
 
 EVERY = (1, 2, 4)

@@ -18,7 +18,7 @@ from zipfile import ZIP_LZMA, ZIP_STORED, ZipFile
 
 import numpy as np
 
-from lidar2pano.data.sequences import Frame, frames
+from lidar2pano.data.semantic_kitti import SemanticKittiFrame, frames
 from lidar2pano.errors import InputError
 from lidar2pano.formats.scan_files import write_bin
 from lidar2pano.scan import Scan
@@ -64,7 +64,7 @@ def pack(root: Path, file: Path, splits: list[str]) -> None:
     found = {split: frames(root, split) for split in splits}
     every = {frame.name: frame for split in splits for frame in found[split]}
     with ZipFile(file, "w") as archive:
-        listing = {split: [frame.name for frame in found[split]] for split in splits}
+        listing = {split: found[split].names for split in splits}
         archive.writestr("splits.json", json.dumps(listing, indent=1))
         for folder in sorted({frame.folder for frame in every.values()}):
             for name in BESIDE:
@@ -74,8 +74,8 @@ def pack(root: Path, file: Path, splits: list[str]) -> None:
     print(f"{file}: {len(every)} frames, {file.stat().st_size / 2**20:.1f} MiB")
 
 
-def _pack_frame(archive: ZipFile, frame: Frame, root: Path) -> None:
-    scan, labels = frame.scan(), frame.folder / "labels" / f"{frame.stem}.label"
+def _pack_frame(archive: ZipFile, frame: SemanticKittiFrame, root: Path) -> None:
+    scan, labels = frame.scan, frame.folder / "labels" / f"{frame.stem}.label"
     told = io.BytesIO()
     np.save(told, packed(scan, np.fromfile(labels, "<u4") if labels.is_file() else None))
     name = (frame.folder / "scans" / f"{frame.stem}.npy").relative_to(root).as_posix()

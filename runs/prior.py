@@ -15,7 +15,7 @@ from pathlib import Path
 
 import torch
 
-from lidar2pano.data.panoramas import PanoramaSamples
+from lidar2pano.data.panorama_crops import PanoramaDataset
 from lidar2pano.models.card import load, save
 from lidar2pano.models.titan_pano import TitanPano
 from lidar2pano.train.panorama import camera_class_weights
@@ -34,7 +34,7 @@ def main() -> None:
     asked = parser.parse_args()
     network, card = load(asked.translator, expect="titan-pano")
     assert isinstance(network, TitanPano)
-    samples = PanoramaSamples(asked.data, ("train",), View(**card.views["panorama"]), COLUMNS)
+    samples = PanoramaDataset(asked.data, ("train",), View(**card.views["panorama"]), COLUMNS)
     weights = camera_class_weights(samples, EXPONENT).clamp(min=0.05)
     assert network.classes.bias is not None
     with torch.no_grad():

@@ -69,5 +69,5 @@ def smoothed(now: PreviousFrame, before: PreviousFrame, view: View) -> PreviousF
     weight, shift = (
         interpolate(part[None], scale_factor=2.0) for part in ((count / (count + 1))[None], 2 * flow.shift)
     )
-    past = warp(before.image, shift, closed=True)
+    past = warp(before.image, shift, circular=True)
     return now._replace(image=torch.lerp(now.image, past, weight), count=count + 1)

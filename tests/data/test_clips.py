@@ -1,15 +1,30 @@
-"""Clips: which frames make one, that all of its frames are cut alike, and that its flow leads to the frame before."""
+"""ClipDataset: which frames make one, that all of its frames are cut alike, and that its flow leads to the frame before."""
 
 from __future__ import annotations
+
+from shutil import copytree, rmtree
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
-from lidar2pano.data.clips import Clip, Clips, Framing, mirrored, pan, panned, runs
-from lidar2pano.data.sequences import SampleIndex, Frame, frames
-from lidar2pano.data.sights import Sight, camera_sight, distances_m, flow_to, panorama_sight
+from lidar2pano.data.clips import (
+    ClipDataset,
+    ClipSample,
+    Framing,
+    LabelledImage,
+    camera_image,
+    distances_m,
+    flow_to,
+    mirrored,
+    pan,
+    panned,
+    panorama_image,
+    runs,
+)
+from lidar2pano.data.frames import SampleIndex, frames
+from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.warp import warp
 from lidar2pano.views import VIEWS
@@ -34,51 +49,47 @@ def _opencv():
     pytest.importorskip("cv2", reason="flow between pictures needs opencv: pip install 'lidar2pano[flow]'")
 
 
-def gap(clip: Clip, shift: torch.Tensor, *, closed: bool = False) -> float:
+def gap(clip: ClipSample, shift: torch.Tensor, *, circular: bool = False) -> float:
     """Mean distance of each frame from the one before it, moved by `shift`, where the flow is known."""
-    moved = warp(clip.colour[:-1], shift[1:], closed=closed)
+    moved = warp(clip.image[:-1], shift[1:], circular=circular)
     known = clip.known[1:]
-    return (((moved - clip.colour[1:]).abs().mean(1) * known).sum() / known.sum()).item()
+    return (((moved - clip.image[1:]).abs().mean(1) * known).sum() / known.sum()).item()
 
 
-def test_runs_are_of_one_sequence_and_without_gaps(tmp_path):
-    def frame(name: str) -> Frame:
-        folder, stem = name.split("/")
-        return Frame(folder=tmp_path / folder, stem=stem)
-
+def test_runs_are_of_one_sequence_and_without_gaps():
     names = ["01/000003", "00/000009", "00/000010", "01/000001", "00/000011", "01/000002", "00/000013", "00/start"]
-    found = [[one.name for one in run] for run in runs([frame(name) for name in names], 2)]
+    found = [[names[index] for index in run] for run in runs(names, 2)]
     assert found == [
         ["00/000009", "00/000010"],
         ["00/000010", "00/000011"],
         ["01/000001", "01/000002"],
         ["01/000002", "01/000003"],
     ]
-    assert len(runs([frame(name) for name in names], 3)) == 2
-    assert runs([frame(name) for name in names], 4) == []
+    assert len(runs(names, 3)) == 2
+    assert runs(names, 4) == []
 
 
 @pytest.mark.usefixtures("_opencv")
 def test_a_window_is_one_place_in_all_frames(film):
-    clips = Clips(film, ("train",), WINDOW, 4)
+    clips = ClipDataset(film, ("train",), WINDOW, 4)
     assert len(clips) == FRAMES - 3
     clip = clips[SampleIndex(2, 7)]
     assert clip.name == "00/000005"
-    assert clip.colour.shape == (4, 3, 48, 96) and clip.classes.shape == (4, 48, 96)
+    assert clip.image.shape == (4, 3, 48, 96) and clip.labels.shape == (4, 48, 96)
     assert clip.shift.shape == (4, 2, 48, 96) and clip.known.shape == (4, 48, 96)
     plain = clips[2]
-    whole = [camera_sight(frame, 1.0) for frame in frames(film, "train")[2:6]]
-    for k, sight in enumerate(whole):
+    whole = [camera_image(frame, 1.0) for frame in frames(film, "train")[2:6]]
+    for k, image in enumerate(whole):
         middle = (slice(12, 60), slice(72, 168))
-        assert torch.equal(plain.classes[k], sight.classes[middle].long())
-        assert torch.allclose(plain.colour[k], sight.colour[:, *middle] / 127.5 - 1)
-    assert len({tuple(clips[SampleIndex(2, seed)].colour[0, :, 0, 0].tolist()) for seed in range(6)}) > 3
-    assert torch.equal(clips[SampleIndex(2, 7)].colour, clip.colour), "a function of the seed alone"
+        assert torch.equal(plain.labels[k], image.labels[middle].long())
+        assert torch.allclose(plain.image[k], image.image[:, *middle] / 127.5 - 1)
+    assert len({tuple(clips[SampleIndex(2, seed)].image[0, :, 0, 0].tolist()) for seed in range(6)}) > 3
+    assert torch.equal(clips[SampleIndex(2, 7)].image, clip.image), "a function of the seed alone"
 
 
 @pytest.mark.usefixtures("_opencv")
 def test_flow_of_the_pictures_leads_to_the_frame_before(film):
-    clips = Clips(film, ("train",), WINDOW, 4)
+    clips = ClipDataset(film, ("train",), WINDOW, 4)
     for clip, way in ((clips[1], 1), (mirrored(clips[1]), -1)):  # what moves left was farther right
         known = clip.known > 0
         assert not known[0].any() and known[1:].float().mean() > 0.9
@@ -91,54 +102,54 @@ def test_flow_of_the_pictures_leads_to_the_frame_before(film):
 def test_classes_stay_with_their_colours(film, around):
     """In these data sets a class says where one colour is over 128."""
     for clips, channel, high in (
-        (Clips(film, ("train",), Framing(rows=72, columns=96), 2), 0, 9),
-        (Clips(around, ("train",), Framing(rows=96, columns=200, view=QUARTER), 2), 1, 15),
-        (Clips(around, ("train",), Framing(rows=96, columns=1152, view=QUARTER), 2), 1, 15),
+        (ClipDataset(film, ("train",), Framing(rows=72, columns=96), 2), 0, 9),
+        (ClipDataset(around, ("train",), Framing(rows=96, columns=200, view=QUARTER), 2), 1, 15),
+        (ClipDataset(around, ("train",), Framing(rows=96, columns=1152, view=QUARTER), 2), 1, 15),
     ):
         starts = set()
         for seed in range(8):
             clip = clips[SampleIndex(1, seed)]
-            sure = clip.classes > 0
-            assert torch.equal((clip.colour[:, channel] * 127.5 > 1)[sure], (clip.classes == high)[sure])
-            starts.add(round(clip.colour[0, :, :, :4].mean().item(), 4))
+            sure = clip.labels > 0
+            assert torch.equal((clip.image[:, channel] * 127.5 > 1)[sure], (clip.labels == high)[sure])
+            starts.add(round(clip.image[0, :, :, :4].mean().item(), 4))
         assert len(starts) > 4, "windows begin anywhere"
 
 
 def test_draws_mirror_half_of_the_clips(around):
-    clips = Clips(around, ("train",), Framing(rows=96, columns=96, view=QUARTER), 2)
+    clips = ClipDataset(around, ("train",), Framing(rows=96, columns=96, view=QUARTER), 2)
     ways = [clips[SampleIndex(0, seed)].shift[1, 0].mean().sign().item() for seed in range(40)]
     assert 8 < ways.count(1.0) < 32
     assert set(ways) == {1.0, -1.0}
 
 
 def test_classes_are_common_ones_and_unsure_is_unlabeled(film):
-    clip = Clips(film, ("train",), Framing(rows=72, columns=240), 1 + 1, stills=("train",))[0]
+    clip = ClipDataset(film, ("train",), Framing(rows=72, columns=240), 1 + 1, stills=("train",))[0]
     frame = frames(film, "train")[0]
-    sight = camera_sight(frame, 1.0)
-    assert set(sight.classes.unique().tolist()) == {0, 7, 9}  # road and building of COMMON15
-    assert (sight.classes[:5] == 0).all() and (sight.classes[5:] > 0).all()
-    assert -1 <= clip.colour.min() < -0.3 and 0.3 < clip.colour.max() <= 1
+    image = camera_image(frame, 1.0)
+    assert set(image.labels.unique().tolist()) == {0, 7, 9}  # road and building of COMMON15
+    assert (image.labels[:5] == 0).all() and (image.labels[5:] > 0).all()
+    assert -1 <= clip.image.min() < -0.3 and 0.3 < clip.image.max() <= 1
 
 
 def test_pictures_are_scaled_before_they_are_cut(film):
     frame = frames(film, "train")[0]
-    sight = camera_sight(frame, 0.5)
-    assert sight.colour.shape == (3, 36, 120) and sight.classes.shape == (36, 120)
-    fine = torch.from_numpy(frame.image()).movedim(2, 0).float()
+    image = camera_image(frame, 0.5)
+    assert image.image.shape == (3, 36, 120) and image.labels.shape == (36, 120)
+    fine = torch.from_numpy(frame.image).movedim(2, 0).float()
     means = fine.unfold(1, 2, 2).unfold(2, 2, 2).mean((-1, -2))
-    assert (sight.colour - means).abs().max() < 1.01
-    assert sight.raster.K[0, 0] == pytest.approx(70)
+    assert (image.image - means).abs().max() < 1.01
+    assert image.raster.K[0, 0] == pytest.approx(70)
     with pytest.raises(InputError, match="36 x 120 pixels, fewer than the window of 48 x 96; set scale"):
-        Clips(film, (), Framing(rows=48, columns=96, scale=0.5), 2, stills=("train",))[0]
+        ClipDataset(film, (), Framing(rows=48, columns=96, scale=0.5), 2, stills=("train",))[0]
 
 
 def test_stills_become_clips_whose_flow_is_exact(film):
-    clips = Clips(film, (), WINDOW, 4, stills=("alone",))
+    clips = ClipDataset(film, (), WINDOW, 4, stills=("alone",))
     assert len(clips) == 3
     moved = set()
     for seed in range(6):
         clip = clips[SampleIndex(1, seed)]
-        assert clip.colour.shape == (4, 3, 48, 96) and not clip.known[0].any()
+        assert clip.image.shape == (4, 3, 48, 96) and not clip.known[0].any()
         assert clip.known[1:].mean() > 0.5
         assert gap(clip, clip.shift) < 0.25 * gap(clip, torch.zeros_like(clip.shift))
         assert gap(clip, -clip.shift) > gap(clip, clip.shift)
@@ -154,9 +165,9 @@ def test_a_still_s_flow_is_what_its_window_did():
     was = [(place[0] - middle[1, 0]) / size[1] + 23.5, (place[1] - middle[1, 1]) / size[1] + 47.5]
     grid = torch.from_numpy(np.indices((90, 300)).astype(np.float32))  # a picture of its own coordinates
     assert grid[:, 40, 200].tolist() == [40, 200]
-    sight = Sight(raster=QUARTER, colour=grid, classes=torch.zeros(90, 300, dtype=torch.uint8))
-    clip = panned(sight, np.random.default_rng(1), WINDOW, 3, "x")
-    seen = (clip.colour[k, :, row, column] + 1) * 127.5
+    image = LabelledImage(raster=QUARTER, image=grid, labels=torch.zeros(90, 300, dtype=torch.uint8))
+    clip = panned(image, np.random.default_rng(1), WINDOW, 3, "x")
+    seen = (clip.image[k, :, row, column] + 1) * 127.5
     assert seen.tolist() == pytest.approx([float(value) for value in place], abs=1e-2)
     shift = clip.shift[k, :, row, column]
     assert shift.tolist() == pytest.approx([float(was[1]) - column, float(was[0]) - row], abs=1e-3)
@@ -173,35 +184,35 @@ def test_a_pan_stays_inside_the_picture(whole):
 
 
 def test_runs_are_repeated_until_they_are_as_many_as_the_stills(film):
-    clips = Clips(film, ("train",), WINDOW, FRAMES - 1, stills=("val",))
+    clips = ClipDataset(film, ("train",), WINDOW, FRAMES - 1, stills=("val",))
     lengths = [len(run) for run in clips.clips]
     assert lengths.count(1) == FRAMES and lengths.count(FRAMES - 1) == 2 * 3
 
 
 def test_splits_without_neighbours_are_refused(film):
     with pytest.raises(InputError, match="no 2 frames of split alone follow each other; choose another split"):
-        Clips(film, ("alone",), WINDOW, 2)
+        ClipDataset(film, ("alone",), WINDOW, 2)
     with pytest.raises(InputError, match="has no split 'tain'; did you mean 'train'"):
-        Clips(film, ("tain",), WINDOW, 2)
+        ClipDataset(film, ("tain",), WINDOW, 2)
 
 
 def test_the_panorama_turns_with_the_car(around):
-    clips = Clips(around, ("train",), Framing(rows=PANORAMA[0], columns=PANORAMA[1], view=QUARTER), 3)
+    clips = ClipDataset(around, ("train",), Framing(rows=PANORAMA[0], columns=PANORAMA[1], view=QUARTER), 3)
     for clip in (clips[2], mirrored(clips[2])):
         assert clip.known[1:].all(), "there is no edge to come in at"
-        assert gap(clip, clip.shift, closed=True) < 0.01
+        assert gap(clip, clip.shift, circular=True) < 0.01
     plain = clips[2]
     assert torch.allclose(plain.shift[1:, 0], torch.full_like(plain.shift[1:, 0], -TURN), atol=1e-3)
     assert plain.shift[:, 1].abs().max() < 1e-3
-    assert set(plain.classes.unique().tolist()) == {7, 15}
-    turned = clips[SampleIndex(2, 0)].colour[0].sum((0, 1))
-    shifts = [(turned - plain.colour[0].sum((0, 1)).roll(n)).abs().max() for n in range(PANORAMA[1])]
-    mirror = [(turned.flip(0) - plain.colour[0].sum((0, 1)).roll(n)).abs().max() for n in range(PANORAMA[1])]
+    assert set(plain.labels.unique().tolist()) == {7, 15}
+    turned = clips[SampleIndex(2, 0)].image[0].sum((0, 1))
+    shifts = [(turned - plain.image[0].sum((0, 1)).roll(n)).abs().max() for n in range(PANORAMA[1])]
+    mirror = [(turned.flip(0) - plain.image[0].sum((0, 1)).roll(n)).abs().max() for n in range(PANORAMA[1])]
     assert min(*shifts, *mirror) < 1e-3 < shifts[0], "draws turn it"
 
 
 def test_a_window_of_the_panorama_has_edges(around):
-    clip = Clips(around, ("train",), Framing(rows=64, columns=128, view=QUARTER), 3)[0]
+    clip = ClipDataset(around, ("train",), Framing(rows=64, columns=128, view=QUARTER), 3)[0]
     known = clip.known[1:] > 0
     assert known[..., TURN:].all() and not known[..., : TURN - 1].any()
     assert gap(clip, clip.shift) < 0.01
@@ -209,30 +220,31 @@ def test_a_window_of_the_panorama_has_edges(around):
 
 def test_the_panorama_is_resized_to_the_raster(around):
     frame = frames(around, "train")[0]
-    half = panorama_sight(frame, VIEWS["panorama"].scaled(1 / 8))
-    assert half.colour.shape == (3, 48, 576) and half.classes.shape == (48, 576)
+    half = panorama_image(frame, VIEWS["panorama"].scaled(1 / 8))
+    assert half.image.shape == (3, 48, 576) and half.labels.shape == (48, 576)
     assert distances_m(frame, half).unique().tolist() == [10.0]
-    with pytest.raises(InputError, match="must both be panoramas like"):
-        panorama_sight(frame, VIEWS["hdl64e"])
+    with pytest.raises(InputError, match="its panorama is 1152x96; one like 2048x64 is needed"):
+        panorama_image(frame, VIEWS["hdl64e"])
 
 
 def test_the_camera_s_flow_takes_the_panorama_s_depths(around):
     frame = frames(around, "train")[3]
-    sight = camera_sight(frame, 1.0)
-    assert distances_m(frame, sight)[36].unique().tolist() == [10.0]
-    flow = Clips(around, ("train",), WINDOW, 2).flow(frames(around, "train")[2], frame)
+    image = camera_image(frame, 1.0)
+    assert distances_m(frame, image)[36].unique().tolist() == [10.0]
+    before = frames(around, "train")[2]
+    flow = flow_to(before, frame, camera_image(before, 1.0), image)
     angle = TURN * 2 * np.pi / PANORAMA[1]
     assert flow.shift[0, 33, 119].item() == pytest.approx(-140 * np.tan(angle), rel=0.02)  # P2's focal length
 
 
 def test_flow_leads_from_a_frame_to_the_one_before(around, monkeypatch):
     given = []
-    monkeypatch.setattr("lidar2pano.data.sights.ego_flow", lambda *arguments: given.extend(arguments))
-    monkeypatch.setattr("lidar2pano.data.sights.distances_m", lambda frame, sight: (frame.stem, sight))
+    monkeypatch.setattr("lidar2pano.data.clips.ego_flow", lambda *arguments: given.extend(arguments))
+    monkeypatch.setattr("lidar2pano.data.clips.distances_m", lambda frame, image: (frame.name, image))
     before, now = frames(around, "train")[2:4]
-    was, seen = camera_sight(before, 1.0), camera_sight(now, 1.0)
+    was, seen = camera_image(before, 1.0), camera_image(now, 1.0)
     flow_to(before, now, was, seen)
-    assert given[:2] == [(now.stem, seen), (before.stem, was)]
+    assert given[:2] == [(now.name, seen), (before.name, was)]
     turn = given[2].numpy()
     assert turn[:3, :3] @ [1, 0, 0] == pytest.approx([np.cos(0.0272708), np.sin(0.0272708), 0], abs=1e-5)
     assert given[3] is seen.raster
@@ -241,29 +253,37 @@ def test_flow_leads_from_a_frame_to_the_one_before(around, monkeypatch):
 def test_scans_stand_in_for_depths_and_the_sky_is_far(around, tmp_path):
     frame = frames(around, "train")[0]
     ids = np.full((72, 240), 10, dtype=np.uint8)  # all of it sky, as the camera says
-    bare = Frame(folder=tmp_path, stem=frame.stem)
+    assert isinstance(frame, SemanticKittiFrame)
+    bare = SemanticKittiFrame(tmp_path, frame.stem)
     for part in ("velodyne", "image_2"):
         (tmp_path / part).symlink_to(frame.folder / part)
     (tmp_path / "calib.txt").symlink_to(frame.folder / "calib.txt")
     (tmp_path / "camera_labels").mkdir()
     ids[40:] = 0
     Image.fromarray(ids).save(tmp_path / "camera_labels" / f"{frame.stem}.png")
-    distance = distances_m(bare, camera_sight(bare, 1.0))
+    distance = distances_m(bare, camera_image(bare, 1.0))
     assert distance[:40].isinf().all()
     road = distance[50:, 20:220]
     assert (road[road > 0] < 60).all() and (road > 0).float().mean() > 0.5
-    with pytest.raises(InputError, match="has no pano_depth/"):
-        distances_m(bare, panorama_sight(frame, QUARTER))
+    with pytest.raises(InputError, match="pano/000000.png: is missing"):
+        distances_m(bare, panorama_image(frame, QUARTER))
 
 
-def test_missing_truth_is_named(film):
-    with pytest.raises(InputError, match=r"pano_labels/000000.png: is missing; only data sets with the truth"):
-        Clips(film, ("train",), Framing(rows=96, columns=96, view=QUARTER), 2)[0]
+def test_a_panorama_without_depths_is_refused(around, tmp_path):
+    copytree(around, tmp_path / "set")
+    rmtree(tmp_path / "set/sequences/00/pano_depth")
+    with pytest.raises(InputError, match="its panorama has no labels or no depths"):
+        panorama_image(frames(tmp_path / "set", "train")[0], QUARTER)
+
+
+def test_a_missing_panorama_is_named(film):
+    with pytest.raises(InputError, match=r"pano/000000.png: is missing; only simulated data sets"):
+        ClipDataset(film, ("train",), Framing(rows=96, columns=96, view=QUARTER), 2)[0]
 
 
 def test_real_frames_of_a_drive(kitti_mini):
     pytest.importorskip("cv2", reason="flow between pictures needs opencv: pip install 'lidar2pano[flow]'")
-    clips = Clips(kitti_mini, ("drive",), Framing(rows=128, columns=384, scale=0.5), 3)
+    clips = ClipDataset(kitti_mini, ("drive",), Framing(rows=128, columns=384, scale=0.5), 3)
     assert len(clips) == 10
     clip = clips[4]
     assert clip.known[1:].mean() > 0.7

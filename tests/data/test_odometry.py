@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lidar2pano.data.poses import Poses
-from lidar2pano.data.sequences import frames
+from lidar2pano.data.frames import frames
 from lidar2pano.scan import Scan
 
 
@@ -45,7 +45,7 @@ def test_a_real_drive_goes_ahead(kitti_mini):
     pytest.importorskip("kiss_icp", reason="poses are estimated by KISS-ICP: pip install 'lidar2pano[odometry]'")
     drive = frames(kitti_mini, "drive")
     poses = Poses(drive[0].folder / "velodyne")
-    found = [poses.of(frame.folder / "velodyne" / f"{frame.stem}.bin", frame.scan()) for frame in drive]
+    found = [poses.of(frame.folder / "velodyne" / f"{frame.stem}.bin", frame.scan) for frame in drive]
     steps = np.array([np.linalg.inv(a) @ b for a, b in zip(found[3:], found[4:], strict=False)])
     assert (steps[:, 0, 3] > 0.1).all() and (steps[:, 0, 3] < 0.5).all(), "metres in a tenth of a second"
     assert np.abs(steps[:, 1:3, 3]).max() < 0.1

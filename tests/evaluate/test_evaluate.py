@@ -297,9 +297,9 @@ def test_a_camera_segmenters_file(tmp_path):
 def test_the_cameras_depth_is_compared_with_the_scans_own():
     scan, unknown = street(points=400), np.full((24, 80), IGNORE, np.uint8)
     frame = frame_of(scan=scan, calibration=camera(80, 24), camera_labels=unknown, point_labels=None)
-    from lidar2pano.data.camera_rasters import camera_raster
+    from lidar2pano.geometry.camera import project_to_camera
 
-    exact = camera_raster(scan, camera(80, 24), (24, 80))[1].numpy()
+    exact = project_to_camera(scan, camera(80, 24), (24, 80))[1].numpy()
     evaluation = scored([frame], Fixed(depth_m=exact), Fixed(depth_m=1.5 * exact + 1.0 * (exact == 0)))
     assert value_of(evaluation, "camera", "depth_abs_rel") == 0
     assert value_of(evaluation, "camera", "depth_abs_rel", 1) == pytest.approx(0.5)

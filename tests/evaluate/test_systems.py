@@ -178,11 +178,11 @@ def test_sc_unet_with_range_on_the_raster_of_its_card(root, frame, tmp_path):
         return torch.zeros(1, 3, *x.shape[2:])
 
     _, prediction = replace(one, renderer=_Function(render)).predict(at(frame))
-    from lidar2pano.data.camera_rasters import camera_raster
+    from lidar2pano.geometry.camera import project_to_camera
     from lidar2pano.train.colour import camera_inputs
 
     assert frame.calibration is not None and frame.calibration.size == CAMERA
-    wanted = camera_inputs(camera_raster(frame.scan, frame.calibration, (24, 80))[None], 2)
+    wanted = camera_inputs(project_to_camera(frame.scan, frame.calibration, (24, 80))[None], 2)
     assert torch.equal(inputs[0], wanted) and (wanted[0, 1] > 0).any()
     assert (
         prediction.image is not None

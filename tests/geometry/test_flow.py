@@ -151,7 +151,7 @@ def test_the_panorama_has_no_seam():
     assert torch.allclose(flow.shift[0], torch.full_like(flow.shift[0], -15.0), atol=1e-3)
     picture = torch.rand(1, 3, AROUND.rows, AROUND.columns)
     was = picture.roll(-15, -1)
-    assert torch.allclose(warp(was, flow.shift[None], closed=True), picture, atol=1e-3)
+    assert torch.allclose(warp(was, flow.shift[None], circular=True), picture, atol=1e-3)
 
 
 def replaced(view: View) -> View:
@@ -210,7 +210,7 @@ def test_chained_flows_lead_over_two_steps():
     known = both.known[0] > 0
     assert (both.shift[0, 0][known] == -3).all() and (both.shift[0, 1][known] == 1).all()
     assert (both.shift[0, :, ~known] == 0).all()
-    assert chained(later, earlier, closed=True).known[0, :7, :3].all()
+    assert chained(later, earlier, circular=True).known[0, :7, :3].all()
 
 
 def test_a_picture_ends_half_a_pixel_beyond_its_last_centres():
@@ -218,7 +218,7 @@ def test_a_picture_ends_half_a_pixel_beyond_its_last_centres():
     shift[0, 0, 0], shift[0, 0, 1], shift[0, 1, 2] = 0.75, 0.25, -2.25
     assert reaches(shift)[0].tolist() == [[True, True, True, False], [True] * 4, [True] * 4]
     assert reaches(-shift)[0].tolist() == [[False, True, True, True], [True] * 4, [False] * 4]
-    assert reaches(shift, closed=True).all() and not reaches(-shift, closed=True)[0, 2].any()
+    assert reaches(shift, circular=True).all() and not reaches(-shift, circular=True)[0, 2].any()
 
 
 def write_sequence(folder: Path, poses: list[np.ndarray]) -> list[SemanticKittiFrame]:
@@ -306,6 +306,6 @@ def test_a_rendered_picture_is_the_one_before_it_warped(tmp_path):
         return (picture - colours[0]).abs().mean(1)[0][flow.known].mean().item()
 
     still = gap(colours[1])
-    warped = gap(warp(colours[1], flow.shift[None], closed=True))
+    warped = gap(warp(colours[1], flow.shift[None], circular=True))
     assert still > 5 and warped < 0.5 * still, (still, warped)
-    assert gap(warp(colours[1], -flow.shift[None], closed=True)) > still, "the other way round it is worse"
+    assert gap(warp(colours[1], -flow.shift[None], circular=True)) > still, "the other way round it is worse"

@@ -17,8 +17,8 @@ from torch import Tensor
 from torch.utils.data import default_collate
 
 from golden_fill import fill
-from lidar2pano.data.cameras import BEYOND, Looks, PictureSample, PictureSamples, varied
-from lidar2pano.data.sequences import UNSURE, SampleIndex
+from lidar2pano.data.camera_images import BEYOND, Looks, CameraImageSample, CameraImageDataset, varied
+from lidar2pano.data.frames import IGNORE, SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.hardware import has_bfloat16
 from lidar2pano.labels import CITYSCAPES
@@ -164,14 +164,14 @@ def certain_view() -> tuple[np.ndarray, np.ndarray]:
 
 
 def class_of(image: np.ndarray) -> np.ndarray:
-    """Ids that the colours of the made-up pictures stand for, UNSURE for the border's."""
-    colours = {ROAD: (90, 90, 95), HOUSE: (180, 120, 90), SKY: (150, 190, 240), UNSURE: BEYOND}
+    """Ids that the colours of the made-up pictures stand for, IGNORE for the border's."""
+    colours = {ROAD: (90, 90, 95), HOUSE: (180, 120, 90), SKY: (150, 190, 240), IGNORE: BEYOND}
     distances = [np.abs(image.astype(int) - colour).sum(-1) for colour in colours.values()]
     return np.array(list(colours))[np.argmin(distances, 0)]
 
 
 def test_a_plain_sample_is_the_picture_with_its_ids(root):
-    samples = PictureSamples(root, ("train", "val"), Looks(crop=(8, 8)))
+    samples = CameraImageDataset(root, ("train", "val"), Looks(crop=(8, 8)))
     ids, colours = camera_view()
     sample = samples[3]
     assert len(samples) == 5 and sample.name == "01/000000"
@@ -188,14 +188,14 @@ def test_picture_and_ids_are_changed_alike(crop, scale, allowed):
         image, labels = varied(colours, ids, looks, np.random.default_rng(seed))
         assert image.shape == (*crop, 3) and labels.shape == crop
         assert (class_of(image) != labels).mean() <= allowed  # bilinear edges are of no class
-        assert set(np.unique(labels)) <= {ROAD, HOUSE, SKY, UNSURE}
+        assert set(np.unique(labels)) <= {ROAD, HOUSE, SKY, IGNORE}
 
 
 def test_a_picture_smaller_than_the_crop_is_filled_up_with_what_nobody_knows():
     ids, colours = certain_view()
     _, labels = varied(colours, ids, Looks(crop=(144, 480), scale=(0.5, 0.5)), np.random.default_rng(0))
-    assert (labels != UNSURE).sum() == 36 * 118
-    rows, columns = np.nonzero(labels != UNSURE)
+    assert (labels != IGNORE).sum() == 36 * 118
+    rows, columns = np.nonzero(labels != IGNORE)
     assert (np.ptp(rows), np.ptp(columns)) == (35, 117)
 
 
@@ -233,7 +233,7 @@ def test_jitter_changes_colours_only():
 
 
 def test_a_draw_is_its_seeds(root):
-    samples = PictureSamples(root, ("train",), Looks(crop=(32, 64)))
+    samples = CameraImageDataset(root, ("train",), Looks(crop=(32, 64)))
     one, again, other = (samples[SampleIndex(1, seed)] for seed in (5, 5, 6))
     assert one.image.shape == (3, 32, 64) and one.labels.shape == (32, 64)
     assert torch.equal(one.image, again.image) and torch.equal(one.labels, again.labels)
@@ -245,14 +245,14 @@ def test_labels_of_another_size_are_told(tmp_path):
     path = root / "sequences/00/camera_labels/000001.png"
     Image.fromarray(np.zeros((9, 10), np.uint8)).save(path)
     with pytest.raises(InputError, match=r"camera_labels/000001.png: is 10x9 and its image 240x72; label the image"):
-        PictureSamples(root, ("train",), Looks(crop=(8, 8)))[1]
+        CameraImageDataset(root, ("train",), Looks(crop=(8, 8)))[1]
 
 
 def test_real_pictures_and_their_labels_fit(kitti_mini):
-    samples = PictureSamples(kitti_mini, ("val",), Looks(crop=(8, 8)))
+    samples = CameraImageDataset(kitti_mini, ("val",), Looks(crop=(8, 8)))
     sizes = {samples.pair(index)[1].shape for index in range(len(samples))}  # refuses pairs that do not fit
     assert len(sizes) > 1
-    assert set(np.unique(samples.pair(0)[1])) <= {*range(len(CITYSCAPES)), UNSURE}
+    assert set(np.unique(samples.pair(0)[1])) <= {*range(len(CITYSCAPES)), IGNORE}
 
 
 # --- how it is trained -----------------------------------------------------------------------------------------------
@@ -268,7 +268,7 @@ def small(*further: str) -> Recipe:
     return recipe
 
 
-def prepared(root: Path, *further: str) -> tuple[CameraSegmentation, PictureSample]:
+def prepared(root: Path, *further: str) -> tuple[CameraSegmentation, CameraImageSample]:
     task = build_task(small(*further), root)
     assert isinstance(task, CameraSegmentation)
     return task, default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
@@ -290,7 +290,7 @@ def test_the_loss_is_joint_auxiliary_each_and_lovasz(root):
 def slow_entropy(logits: Tensor, labels: Tensor) -> Tensor:
     """Minus the mean logarithm of the right class's probability, over the pixels that have a class."""
     total, count = torch.zeros((), dtype=torch.float64), 0
-    for b, i, j in np.argwhere(labels.numpy() != UNSURE):
+    for b, i, j in np.argwhere(labels.numpy() != IGNORE):
         total = total - logits[b, :, i, j].double().log_softmax(0)[labels[b, i, j]]
         count += 1
     return (total / count).float()
@@ -298,9 +298,9 @@ def slow_entropy(logits: Tensor, labels: Tensor) -> Tensor:
 
 def test_pixels_that_nobody_knows_teach_nothing():
     logits, labels = torch.randn(1, 19, 4, 6, requires_grad=True), torch.randint(19, (1, 4, 6))
-    labels[0, :, :2] = UNSURE
-    torch.testing.assert_close(labelled_cross_entropy(logits, labels, UNSURE), slow_entropy(logits, labels))
-    nothing = labelled_cross_entropy(logits, torch.full_like(labels, UNSURE), UNSURE)
+    labels[0, :, :2] = IGNORE
+    torch.testing.assert_close(labelled_cross_entropy(logits, labels, IGNORE), slow_entropy(logits, labels))
+    nothing = labelled_cross_entropy(logits, torch.full_like(labels, IGNORE), IGNORE)
     nothing.backward()
     assert nothing == 0 and logits.grad is not None and not logits.grad.any()
 
@@ -348,7 +348,7 @@ def test_validation_scores_every_known_pixel_and_previews_show_them(root):
             return logits
 
     task.networks["camera"] = Knowing()
-    house, road, known = (ids == HOUSE).sum(), (ids == ROAD).sum(), (ids != UNSURE).sum()
+    house, road, known = (ids == HOUSE).sum(), (ids == ROAD).sum(), (ids != IGNORE).sum()
     scores = task.validate()
     assert scores["accuracy"] == pytest.approx(1 - road / known)
     assert scores["miou"] == scores["score"] == pytest.approx((1 + house / (house + road) + 0) / 3)

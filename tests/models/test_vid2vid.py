@@ -388,7 +388,7 @@ def warp_slowly(picture: Tensor, flow: Tensor, closed: bool) -> Tensor:
 def test_warping_agrees_with_its_definition(closed: bool) -> None:
     picture, flow = torch.randn(2, 3, 6, 9), 20 * torch.rand(2, 2, 6, 9) - 10
     expected = torch.stack([warp_slowly(*pair, closed) for pair in zip(picture, flow, strict=True)])
-    assert torch.allclose(warp(picture, flow, closed=closed), expected, atol=1e-5)
+    assert torch.allclose(warp(picture, flow, circular=closed), expected, atol=1e-5)
 
 
 def test_the_flow_points_to_where_a_pixel_was() -> None:
@@ -396,7 +396,7 @@ def test_the_flow_points_to_where_a_pixel_was() -> None:
     right, down = torch.zeros(1, 2, 3, 4), torch.zeros(1, 2, 3, 4)
     right[:, 0], down[:, 1] = 1, 1
     assert warp(picture, right)[0, 0, 0].tolist() == [1, 2, 3, 3]
-    assert warp(picture, right, closed=True)[0, 0, 0].tolist() == [1, 2, 3, 0]
+    assert warp(picture, right, circular=True)[0, 0, 0].tolist() == [1, 2, 3, 0]
     assert warp(picture, down)[0, 0, :, 0].tolist() == [4, 8, 8]
     assert warp(picture.half(), right).dtype == torch.float16
 
@@ -406,4 +406,4 @@ def test_todays_torch_stretches_what_it_warps() -> None:
     still = torch.zeros(1, 2, 5, 5)
     assert torch.allclose(warp(ramp, still), ramp, atol=1e-6)
     assert torch.allclose(warp(ramp, still, align_corners=False)[0, 0, 0], torch.tensor([0, 0.75, 2, 3.25, 4]))
-    assert torch.allclose(warp(ramp, still, closed=True, align_corners=False)[0, 0, 0], ramp[0, 0, 0], atol=1e-6)
+    assert torch.allclose(warp(ramp, still, circular=True, align_corners=False)[0, 0, 0], ramp[0, 0, 0], atol=1e-6)

@@ -14,9 +14,9 @@ import torch
 from PIL import Image
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.panoramas import PanoramaSamples
+from lidar2pano.data.frames import IGNORE, frames
+from lidar2pano.data.panorama_crops import PanoramaDataset
 from lidar2pano.data.poses import lidar_poses
-from lidar2pano.data.sequences import UNSURE, frames
 from lidar2pano.errors import InputError
 from lidar2pano.formats.scan_files import read, read_label, write_bin, write_label
 from lidar2pano.geometry.camera import at_camera, points_in_camera
@@ -229,9 +229,9 @@ def small_data(root: Path, grey: int, label: int) -> Path:
 
 
 def test_convention_255_is_unsure(tmp_path: Path):
-    assert UNSURE == 255
-    sample = PanoramaSamples(small_data(tmp_path, 0, 255), ("train",), VIEWS["panorama"].scaled(0.125), 128)[0]
-    assert sample.camera.unique().tolist() == [255]
+    assert IGNORE == 255
+    sample = PanoramaDataset(small_data(tmp_path, 0, 255), ("train",), VIEWS["panorama"].scaled(0.125), 128)[0]
+    assert sample.camera_labels.unique().tolist() == [255]
 
 
 def test_convention_the_clean_up_invents_nothing():
@@ -255,10 +255,10 @@ def test_convention_unlabeled_truth_is_not_scored():
 @pytest.mark.parametrize(("grey", "inside"), [(0, -1.0), (255, 1.0)])
 def test_convention_rgb(tmp_path: Path, grey, inside):
     root = small_data(tmp_path, grey, 0)
-    outside = frames(root, "train")[0].image()
+    outside = frames(root, "train")[0].require("image")[0]
     assert outside.dtype == np.uint8 and outside.shape == (40, 100, 3)
-    sample = PanoramaSamples(root, ("train",), VIEWS["panorama"].scaled(0.125), 128, colour=True)[0]
-    assert sample.colour.dtype == torch.float32 and sample.colour[:, sample.seen].unique().tolist() == [inside]
+    sample = PanoramaDataset(root, ("train",), VIEWS["panorama"].scaled(0.125), 128, image=True)[0]
+    assert sample.image.dtype == torch.float32 and sample.image[:, sample.valid].unique().tolist() == [inside]
 
 
 def test_convention_a_mistake_is_one_line(tmp_path: Path):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lidar2pano.data.sequences import frames
+from lidar2pano.data.semantic_kitti import frames
 from lidar2pano.errors import InputError
 from lidar2pano.scan import Scan
 from miniature import write_data_set

@@ -19,7 +19,8 @@ import torch
 from PIL import Image
 
 from lidar2pano.cli import main
-from lidar2pano.data.sequences import UNSURE, Frame
+from lidar2pano.data.frames import IGNORE
+from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
 from lidar2pano.formats.scan_files import read_bin, write_bin
 from lidar2pano.geometry.projection import project
@@ -28,7 +29,7 @@ from lidar2pano.models import build
 from lidar2pano.models.camera_segmenter import CameraSegmenter, Colours
 from lidar2pano.models.card import Card, load, save
 from lidar2pano.pipeline import Segmenter, load_segmenter
-from lidar2pano.prepare import Material, State, camera_teacher, label, lidar_teacher, materials
+from lidar2pano.prepare import State, camera_teacher, frames_to_label, label, lidar_teacher
 from lidar2pano.prepare.journal import NAME, Journal, Record
 from random_weights import street, write_segmenter
 
@@ -132,10 +133,10 @@ def test_both_teachers_label_what_they_see(root, weights, prepare):
         "labels: these weights are licensed CC-BY-NC-SA-4.0: not for commercial use",
         "camera_labels: these weights are licensed CC-BY-NC-4.0: not for commercial use",
     ]
-    frame = Frame(folder=root / "sequences" / "00", stem="000000")
-    scan = frame.scan()
-    expected = load_segmenter(weights / "segmenter.safetensors", torch.device("cpu"))[0].points(scan)
-    assert np.array_equal(frame.labels(len(scan)), expected.numpy())
+    frame = SemanticKittiFrame(root / "sequences" / "00", "000000")
+    scan = frame.scan
+    expected = load_segmenter(weights / "segmenter.safetensors", torch.device("cpu")).points(scan)
+    assert np.array_equal(frame.point_labels, expected.numpy())
     raw = np.fromfile(root / "sequences" / SCANS[0], dtype="<u4")
     assert set(unpack_label(raw)[0]) <= set(SEMANTIC_KITTI.raw) and not unpack_label(raw)[1].any()
     assert len(set(raw)) > 1
@@ -143,15 +144,15 @@ def test_both_teachers_label_what_they_see(root, weights, prepare):
 
 def test_camera_labels_are_the_teachers_best_and_255_where_unsure(root, weights, prepare):
     network, card = load(weights / "sdnet.safetensors")
-    frame = Frame(folder=root / "sequences" / "08", stem="000001")
-    best, ids = CameraSegmenter.from_card(network, card).probabilities(frame.image()).max(0)
+    frame = SemanticKittiFrame(root / "sequences" / "08", "000001")
+    best, ids = CameraSegmenter.from_card(network, card).probabilities(frame.image).max(0)
     unsure = float(best.median())
-    ids[best < unsure] = UNSURE
+    ids[best < unsure] = IGNORE
     prepare("--unsure", repr(unsure), "--lidar", "none")
-    found = frame.camera_labels()
+    found = frame.camera_labels
     assert found.shape == SIZE[::-1]
     assert np.array_equal(found, ids.numpy())
-    assert 0.4 < (found == UNSURE).mean() < 0.6
+    assert 0.4 < (found == IGNORE).mean() < 0.6
     with Image.open(root / "sequences" / PICTURES[1]) as picture:
         assert picture.mode == "L" and picture.format == "PNG"
 
@@ -160,9 +161,9 @@ def test_unsure_and_scales_reach_the_teacher(root, prepare):
     ids = {}
     for unsure, scales in [("0", "1"), ("0.9999", "1"), ("0", "1,2")]:
         prepare("--lidar", "none", "--unsure", unsure, "--scales", scales)
-        ids[unsure, scales] = Frame(folder=root / "sequences" / "00", stem="000000").camera_labels()
-    assert (ids["0", "1"] != UNSURE).all()
-    assert (ids["0.9999", "1"] == UNSURE).mean() > 0.9
+        ids[unsure, scales] = SemanticKittiFrame(root / "sequences" / "00", "000000").camera_labels
+    assert (ids["0", "1"] != IGNORE).all()
+    assert (ids["0.9999", "1"] == IGNORE).mean() > 0.9
     assert (ids["0", "1"] != ids["0", "1,2"]).any()
 
 
@@ -174,7 +175,7 @@ def test_people_are_told_in_words(root, weights, capsys):
     out, err = capsys.readouterr()
     assert out == "labels: 2 written, 1 kept\n"
     assert err.splitlines() == [
-        "lidar2pano: pictures are left alone: name who labels them with --teacher",
+        "lidar2pano: images are left alone: name who labels them with --teacher",
         "lidar2pano: labels: these weights are licensed CC-BY-NC-SA-4.0: not for commercial use",
         "lidar2pano: 1 files in labels/ are not prepare's own and stay as they are; to have labels beside them choose"
         " another --labels-folder",
@@ -204,8 +205,10 @@ def test_splits_of_a_listing(root, prepare):
     assert len(prepare()[0]) == 6  # without a split everything there is
 
 
-def test_materials(root):
-    found = {one.frame.name: (one.scan is not None, one.picture and one.picture.suffix) for one in materials(root)}
+def test_frames_to_label(root):
+    found = {
+        one.name: (one.scan_file.is_file(), one.image_file and one.image_file.suffix) for one in frames_to_label(root)
+    }
     assert found == {
         "00/000000": (True, ".png"),
         "00/000001": (True, None),
@@ -214,7 +217,7 @@ def test_materials(root):
         "08/000002": (False, ".png"),
     }
     (root / "sequences" / "00" / "velodyne" / "._000000.bin").write_bytes(b"")  # as some archivers leave
-    assert len(materials(root)) == 5
+    assert len(frames_to_label(root)) == 5
 
 
 # --- the second time ------------------------------------------------------------------------------------------------
@@ -360,17 +363,16 @@ class Copyist:
     def __init__(self, name: str) -> None:
         self.made_by = name
 
-    def source(self, material: Material) -> Path | None:
-        return material.scan
+    def source(self, frame: SemanticKittiFrame) -> Path | None:
+        return frame.scan_file
 
     def get_ready(self) -> None:
         pass
 
-    def write(self, material: Material, path: Path) -> None:
-        assert material.scan is not None
-        path.write_text(self.made_by + material.scan.read_bytes()[:9].hex())
+    def write(self, frame: SemanticKittiFrame, path: Path) -> None:
+        path.write_text(self.made_by + frame.scan_file.read_bytes()[:9].hex())
 
-    def whole(self, material: Material, path: Path) -> bool:
+    def whole(self, frame: SemanticKittiFrame, path: Path) -> bool:
         return len(path.read_text()) == 19
 
 
@@ -416,14 +418,14 @@ def killed(root: Path, teacher: Copyist, place: str, number: int) -> None:
     if child == 0:
         try:
             die_at(place, number, pytest.MonkeyPatch())
-            list(label(materials(root), [teacher]))
+            list(label(frames_to_label(root), [teacher]))
         finally:
             os._exit(7)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
 
 
 def states_of(root: Path, teacher: Copyist) -> list[str]:
-    return [one.state.value for _, done in label(materials(root), [teacher]) for one in done]
+    return [one.state.value for _, done in label(frames_to_label(root), [teacher]) for one in done]
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
@@ -510,7 +512,7 @@ def test_a_bad_scan_and_a_bad_picture_do_not_stop_the_rest(root, prepare):
     assert len(problems) == 3
     assert problems[0].startswith(f"{scan}: 9597 bytes are no whole number of points")
     assert problems[1].startswith(f"{blind}: none of its 5 points can be used")
-    assert problems[2].startswith(f"{picture}: is no readable picture")
+    assert problems[2].startswith(f"{picture}: is no readable image")
     assert not any((root / "sequences" / name).exists() for name in bad)
 
 
@@ -550,7 +552,7 @@ def test_a_place_that_cannot_be_written_to(root, prepare):
         (["--teacher", "{segmenter}"], "{segmenter} has weights of another network: 'salsanext' instead of 'sdnet'"),
         (["--teacher", "mask2former:a/b"], "a/b: neither a folder nor a model in the hub's cache"),
         (["--lidar", "nowhere"], "no weights 'nowhere'"),
-        (["--lidar", "{sdnet}"], "{sdnet}: a 'sdnet' has no part in a system"),
+        (["--lidar", "{sdnet}"], "{sdnet}: a 'sdnet' has no part in the pipeline"),
         (["--device", "gpu"], "no device 'gpu'"),
         (["--split", "vall"], "{root}/sequences: no split 'vall'; did you mean 'val'?"),
     ],
@@ -570,10 +572,10 @@ def test_mistakes_are_one_line_and_write_nothing(root, weights, capsys, options,
 
 def test_data_sets_that_are_none(tmp_path):
     with pytest.raises(InputError, match="has no folder sequences/"):
-        materials(tmp_path)
+        frames_to_label(tmp_path)
     (tmp_path / "sequences" / "00").mkdir(parents=True)
     with pytest.raises(InputError, match="has neither scans"):
-        materials(tmp_path)
+        frames_to_label(tmp_path)
 
 
 def test_a_run_is_a_camera_teacher(weights, tmp_path):
@@ -607,7 +609,7 @@ def test_a_mask2former_labels_pictures(root, tmp_path, capsys):
     words = ["prepare", str(root), "--lidar", "none", "--teacher", f"mask2former:{folder}", "--device", "cpu"]
     assert main([*words, "--unsure", "0"]) == 0
     assert capsys.readouterr() == ("camera_labels: 3 written\n", "")
-    ids = Frame(folder=root / "sequences" / "00", stem="000000").camera_labels()
+    ids = SemanticKittiFrame(root / "sequences" / "00", "000000").camera_labels
     assert ids.shape == SIZE[::-1] and ids.max() < len(CITYSCAPES)
     assert main([*words, "--unsure", "0"]) == 0
     assert capsys.readouterr().out == "camera_labels: 3 up to date\n"
@@ -622,12 +624,12 @@ def test_real_scans(kitti_mini, tmp_path, weights):
     shutil.copytree(kitti_mini / "sequences" / "00" / "velodyne", sequence / "velodyne")
     shutil.copytree(kitti_mini / "sequences" / "00" / "labels", sequence / "labels")
     teacher = lidar_teacher(str(weights / "segmenter.safetensors"), device="cpu")
-    states = {material.frame.stem: one.state for material, (one,) in label(materials(tmp_path), [teacher])}
+    states = {frame.stem: one.state for frame, (one,) in label(frames_to_label(tmp_path), [teacher])}
     kept = {"000000", "000001", "000002"}
     assert states == {stem: State.KEPT if stem in kept else State.WRITTEN for stem in states}
     for stem in states.keys() - kept:
         scan = read_bin(sequence / "velodyne" / f"{stem}.bin")
-        assert Frame(folder=sequence, stem=stem).labels(len(scan)).max() > 0
+        assert SemanticKittiFrame(sequence, stem).point_labels.max() > 0
     for stem in kept:
         assert (sequence / "labels" / f"{stem}.label").read_bytes() == (
             kitti_mini / "sequences" / "00" / "labels" / f"{stem}.label"

@@ -77,7 +77,7 @@ WHOLE_IDENTIFIERS = {
     "Average": "EMA",
     "Measures": "MetricConfig",
     "Surround": "GlobalContext",
-    "Clips": "ClipDataset",
+    "ClipDataset": "ClipDataset",
     "Photo": "Image",
 }
 # word -> files (relative, or folders ending in "/") in which it may stay, each with its reason

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from lidar2pano.data.sequences import SampleIndex
+from lidar2pano.data.frames import SampleIndex
 from lidar2pano.models import MODELS
 from lidar2pano.train.checkpoint import load_checkpoint
 from lidar2pano.train.options import TaskOptions

@@ -13,9 +13,9 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate
 from torch.utils.data import default_collate
 
-from lidar2pano.data.camera_rasters import camera_raster
-from lidar2pano.data.fronts import FrontSamples, Wanted
-from lidar2pano.data.sequences import SampleIndex
+from lidar2pano.geometry.camera import project_to_camera
+from lidar2pano.data.front_view import FrontViewDataset, SampleParts
+from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.models import build
@@ -119,31 +119,31 @@ def test_depths_are_bounded_and_coded_by_their_logarithm(level, depth_m):
 
 
 def test_front_samples_carry_what_is_wanted_and_nothing_else(root):
-    plain = FrontSamples(root, ("train",), VIEWS["titan-front-512"], SIZE)[0]
+    plain = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE)[0]
     assert plain.camera.shape == SIZE and not plain.colour.numel() and not plain.depth_m.numel()
-    whole = FrontSamples(root, ("train",), VIEWS["titan-front-512"], SIZE, Wanted(colour=True, depth=True))[0]
+    whole = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(colour=True, depth=True))[0]
     assert all(torch.equal(getattr(plain, name), getattr(whole, name)) for name in ("lidar", "segments", "camera"))
     assert whole.colour.shape == (3, *SIZE) and whole.depth_m.shape == SIZE
-    bare = FrontSamples(
-        root, ("train",), VIEWS["titan-front-512"], SIZE, Wanted(classes=False, colour=True, depth=True)
+    bare = FrontViewDataset(
+        root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(classes=False, colour=True, depth=True)
     )[0]
     assert not bare.segments.numel() and not bare.camera.numel()
     assert torch.equal(bare.colour, whole.colour) and torch.equal(bare.depth_m, whole.depth_m)
 
 
 def test_colours_and_depths_lie_where_the_classes_are(root):
-    samples = FrontSamples(root, ("train",), VIEWS["titan-front-512"], SIZE, Wanted(colour=True, depth=True))
+    samples = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(colour=True, depth=True))
     sample, road = samples[0], 7
     grey = (sample.colour[0] - sample.colour[2]).abs() < 0.1
     inner = slice(8, -8)  # the left edge is unsure, and edges are mixed
     assert (grey == (sample.camera == road))[:, inner].float().mean() > 0.9
     frame = samples.frames[0]
-    assert torch.equal(sample.depth_m, camera_raster(frame.scan(), frame.calibration(CAMERA), SIZE)[1])
+    assert torch.equal(sample.depth_m, project_to_camera(frame.scan(), frame.calibration(CAMERA), SIZE)[1])
     assert 0.02 < (sample.depth_m > 0).float().mean() < 0.6
 
 
 def test_both_sides_of_a_front_sample_are_mirrored_together(root):
-    samples = FrontSamples(root, ("train",), VIEWS["titan-front-512"], SIZE, Wanted(colour=True, depth=True))
+    samples = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(colour=True, depth=True))
     plain, seen = samples[0], set()
     for seed in range(12):
         drawn = samples[SampleIndex(0, seed)]

@@ -14,8 +14,8 @@ from torch.utils.data import default_collate
 from golden_fill import assert_filled_as_recorded, fill, key_rows, sym
 from golden_vectors import recorded as recorded_tensors
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.camera_rasters import CameraSamples, camera_raster, in_unit, stretched
-from lidar2pano.data.sequences import SampleIndex
+from lidar2pano.data.camera_projection import CameraProjectionDataset, camera_raster, in_unit, stretched
+from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
 from lidar2pano.models.card import load
@@ -214,25 +214,25 @@ def test_the_cameras_raster_agrees_with_its_definition(size):
     scan, calibration = street(7, points=3000), camera()
     expected = raster_slowly(scan, calibration, size)
     assert (expected[1] > 0).sum() > 30
-    np.testing.assert_allclose(camera_raster(scan, calibration, size).numpy(), expected, rtol=1e-5)
+    np.testing.assert_allclose(project_to_camera(scan, calibration, size).numpy(), expected, rtol=1e-5)
 
 
 def test_the_nearest_point_owns_a_pixel_and_at_equal_range_the_first():
     points = [(9, 0, 0), (5, 0, 0), (5, 0, 0), (-5, 0, 0), (0, 0, 0), (np.nan, 0, 0)]
     points += [(5, 0, 2), (5, 0, -2), (5, 5.8, 0), (5, -5.8, 0)]  # a pixel above, below, left, right of the picture
     remission = np.arange(1, 11, dtype=np.float32) / 10
-    raster = camera_raster(Scan(xyz=np.array(points, np.float32), remission=remission), camera(41, 13), (13, 41))
+    raster = project_to_camera(Scan(xyz=np.array(points, np.float32), remission=remission), camera(41, 13), (13, 41))
     assert raster[:, 6, 20].tolist() == pytest.approx([0.2, 5.5])
     assert (raster[1] > 0).sum() == 1
 
 
 def test_an_empty_scan_is_an_empty_raster():
     nothing = Scan(xyz=np.zeros((0, 3), np.float32), remission=np.zeros(0, np.float32))
-    assert not camera_raster(nothing, camera(), (12, 40)).any()
+    assert not project_to_camera(nothing, camera(), (12, 40)).any()
 
 
 def test_camera_samples_line_scan_and_picture_up_and_flip_them_together(root):
-    samples = CameraSamples(root, ("train",), (36, 120))
+    samples = CameraProjectionDataset(root, ("train",), (36, 120))
     plain = samples[0]
     below, above = plain.lidar[1, 20:], plain.lidar[1, :6]
     assert (below > 0).any() and not (above > 0).any()  # the road is there, the sky gives no echo

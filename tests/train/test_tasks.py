@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch.utils.data import default_collate
 
-from lidar2pano.data.sequences import SampleIndex
+from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.models.card import load
 from lidar2pano.models.families import weight_files

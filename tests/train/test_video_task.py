@@ -13,8 +13,8 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import default_collate
 
-from lidar2pano.data.clips import Clip
-from lidar2pano.data.sequences import SampleIndex
+from lidar2pano.data.clips import ClipSample
+from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.warp import warp
 from lidar2pano.losses.video import (
@@ -88,7 +88,7 @@ def made(root, *further: str) -> VideoPainting:
     return task
 
 
-def a_batch(task: VideoPainting, size: int = 2) -> Clip:
+def a_batch(task: VideoPainting, size: int = 2) -> ClipSample:
     return default_collate([task.dataset[SampleIndex(0, seed)] for seed in range(size)])
 
 

@@ -13,7 +13,9 @@ from lidar2pano.cli.app import MISTAKE, app, complain
 from lidar2pano.errors import InputError
 
 if TYPE_CHECKING:
-    from lidar2pano.prepare import Labelled, Material, Teacher
+    from lidar2pano.data.frames import FrameList
+    from lidar2pano.data.semantic_kitti import SemanticKittiFrame
+    from lidar2pano.prepare import LabelledFile, Teacher
 
 NOBODY = "none"
 OPTIONS = {".label": "--labels-folder", ".png": "--camera-labels-folder"}
@@ -62,7 +64,7 @@ def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
     if folders[0] == folders[1]:
         raise InputError(f"--camera-labels-folder {folders[1]}: is the folder for the labels of scans; choose another")
     factors = _factors(scales)
-    from lidar2pano.prepare import camera_teacher, lidar_teacher, materials
+    from lidar2pano.prepare import camera_teacher, frames_to_label, lidar_teacher
 
     teachers: list[Teacher] = []
     if lidar != NOBODY:
@@ -70,13 +72,13 @@ def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
     if teacher != NOBODY:
         made = camera_teacher(teacher, folder=folders[1], scales=factors, unsure=unsure, device=device)
         teachers.append(made)
-    found = materials(root, split or [])
-    if teacher == NOBODY and any(one.picture for one in found):
-        complain("pictures are left alone: name who labels them with --teacher")
+    found = frames_to_label(root, split or [])
+    if teacher == NOBODY and any(frame.image_file for frame in found):
+        complain("images are left alone: name who labels them with --teacher")
     raise typer.Exit(_work(found, teachers, as_json))
 
 
-def _work(found: list[Material], teachers: list[Teacher], as_json: bool) -> int:
+def _work(found: FrameList[SemanticKittiFrame], teachers: list[Teacher], as_json: bool) -> int:
     """Label everything, say so, and return the exit code."""
     from lidar2pano.cli.progress import bar
     from lidar2pano.hardware import keep_buffers
@@ -85,7 +87,7 @@ def _work(found: list[Material], teachers: list[Teacher], as_json: bool) -> int:
     keep_buffers()
     counts: dict[str, Counter[State]] = {teacher.folder: Counter() for teacher in teachers}
     with bar(len(found), "preparing") as advance:
-        for material, done in label(found, teachers):
+        for frame, done in label(found, teachers):
             for one in done:
                 counts[one.folder][one.state] += 1
                 if one.problem:
@@ -93,7 +95,7 @@ def _work(found: list[Material], teachers: list[Teacher], as_json: bool) -> int:
                 elif one.state is State.WRITTEN and counts[one.folder][State.WRITTEN] == 1:
                     _note_licence(next(teacher for teacher in teachers if teacher.folder == one.folder))
             if as_json:
-                print(json.dumps(record_of(material, done)), flush=True)
+                print(json.dumps(record_of(frame, done)), flush=True)
             advance()
     for teacher in teachers:
         count = counts[teacher.folder]
@@ -103,14 +105,14 @@ def _work(found: list[Material], teachers: list[Teacher], as_json: bool) -> int:
                 f" labels beside them choose another {OPTIONS[teacher.suffix]}"
             )
         if not as_json:
-            print(spoken(teacher.folder, count))
+            print(summary(teacher.folder, count))
     return MISTAKE if any(count[State.FAILED] for count in counts.values()) else 0
 
 
-def record_of(material: Material, done: list[Labelled]) -> dict[str, Any]:
+def record_of(frame: SemanticKittiFrame, done: list[LabelledFile]) -> dict[str, Any]:
     """What --json prints of one frame."""
     return {
-        "frame": material.frame.name,
+        "frame": frame.name,
         "outputs": [
             {"file": str(one.file), "state": one.state.value} | ({"problem": one.problem} if one.problem else {})
             for one in done
@@ -118,13 +120,13 @@ def record_of(material: Material, done: list[Labelled]) -> dict[str, Any]:
     }
 
 
-def spoken(folder: str, count: Counter[Any]) -> str:
+def summary(folder: str, count: Counter[Any]) -> str:
     """What is printed of one folder for people."""
     from lidar2pano.prepare import State
 
     words = {State.WRITTEN: "written", State.CURRENT: "up to date", State.KEPT: "kept", State.FAILED: "failed"}
     parts = [f"{count[state]} {word}" for state, word in words.items() if count[state]]
-    return f"{folder}: {', '.join(parts) or 'nothing to look at'}"
+    return f"{folder}: {', '.join(parts) or 'nothing to label'}"
 
 
 def _note_licence(teacher: Teacher) -> None:

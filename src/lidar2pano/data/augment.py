@@ -1,14 +1,16 @@
-"""Augmentation of scans (the paper's, and SalsaNext's) before they are projected, and of panoramas after."""
+"""Augmentation of scans (the paper's, and SalsaNext's) before they are projected."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from lidar2pano.scan import Scan
+
+# Heights of the bands of elevation that two augmentations leave out.
+HDL64E_BEAM_DEG = 0.42  # of one beam: between neighbours of an HDL-64E's 64 beams, which see 26.8 degrees
+COARSE_BAND_DEG = 0.8  # of about two beams
 
 
 def drop_points(scan: Scan, generator: np.random.Generator, share: float) -> Scan:
@@ -23,9 +25,12 @@ def drop_rings(scan: Scan, generator: np.random.Generator, steps_deg: float, sha
 
 
 def bands(scan: Scan, steps_deg: float) -> np.ndarray:
-    """The band of elevation that each point lies in, (N,) int64: bands are `steps_deg` degrees high, the nadir's is 0."""
+    """The band of elevation that each point lies in, (N,) int64: bands are `steps_deg` degrees high, the nadir's is 0.
+
+    Points that are NaN are in the nadir's.
+    """
     elevation = np.degrees(np.arctan2(scan.xyz[:, 2], np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])))
-    return np.floor((elevation + 90) / steps_deg).astype(np.int64)
+    return np.floor((np.nan_to_num(elevation, nan=-90.0) + 90) / steps_deg).astype(np.int64)
 
 
 def mirror(scan: Scan) -> Scan:
@@ -52,16 +57,6 @@ def vary_remission(scan: Scan, generator: np.random.Generator, reach: float) -> 
     factor, offset = generator.uniform(1 - reach, 1 + reach), generator.uniform(-reach, reach) / 5
     changed = np.clip(scan.remission * factor + offset, 0, 1).astype(np.float32)
     return replace(scan, remission=changed)
-
-
-def shift_azimuth(panorama: Tensor, columns: int) -> Tensor:
-    """Turn a circular picture (..., H, W) by whole columns: what leaves on the right comes back on the left."""
-    return torch.roll(panorama, columns, dims=-1)
-
-
-def mirror_azimuth(panorama: Tensor) -> Tensor:
-    """Swap left and right of a picture (..., H, W) of a view that is symmetric about straight ahead."""
-    return panorama.flip(-1)
 
 
 def _subset(scan: Scan, kept: np.ndarray) -> Scan:

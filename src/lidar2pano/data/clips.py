@@ -1,40 +1,46 @@
-"""Clips: frames that follow each other, their classes and the flow between them, for networks that paint films."""
+"""ClipDataset: consecutive frames, their labels and the flow between them, for networks that paint videos."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
+from PIL import Image
 from torch import Tensor
 
-from lidar2pano.data.sequences import Frame, SampleIndex, frames_of
-from lidar2pano.data.sights import Sight, camera_sight, flow_to, panorama_sight
+from lidar2pano.calibration import Calibration
+from lidar2pano.data.cache import LruCache
+from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame, FrameList, SampleIndex, frames_of
+from lidar2pano.data.optical_flow import optical_flow
+from lidar2pano.data.panorama_crops import panorama_on
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.camera import Lookup
-from lidar2pano.geometry.flow import Flow, reaches
+from lidar2pano.geometry.camera import Lookup, at_camera, panorama_in_camera
+from lidar2pano.geometry.flow import Flow, ego_flow, reaches, relative_pose, scan_distances
+from lidar2pano.labels import COMMON15
 from lidar2pano.views import View
 
-HELD = 128  # frames that stay in memory
-# How far a still's window moves from frame to frame at most: rows and columns in pixels, and by which share it grows.
+SKY = COMMON15.id_of("sky")
+# How far a single frame's window moves per step at most: rows and columns in pixels, and by which share it grows.
 PAN, ZOOM = (2.0, 12.0), 0.04
 
 
-class Clip(NamedTuple):
+class ClipSample(NamedTuple):
     """K frames, the earliest first; after collation every tensor gains a leading B.
 
-    colour   (K, 3, H, W) float32 in [-1, 1].
-    classes  (K, H, W) int64 ids of COMMON15, 0 where nobody knows.
-    shift    (K, 2, H, W) float32 pixels: flow of each frame to the one before it; zero where not known and in frame 0.
-    known    (K, H, W) float32, 1 where the flow is known; 0 in frame 0.
-    name     of the last frame, "seq/frame".
+    image   (K, 3, H, W) float32 in [-1, 1].
+    labels  (K, H, W) int64 ids of COMMON15, 0 where unknown.
+    shift   (K, 2, H, W) float32 pixels: flow of each frame to the one before it; zero where not known and in frame 0.
+    known   (K, H, W) float32, 1 where the flow is known; 0 in frame 0.
+    name    of the last frame, "seq/frame".
     """
 
-    colour: Tensor
-    classes: Tensor
+    image: Tensor
+    labels: Tensor
     shift: Tensor
     known: Tensor
     name: str
@@ -42,12 +48,12 @@ class Clip(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Framing:
-    """What of a frame a clip shows.
+    """The part of a frame that a clip shows.
 
     rows, columns  of the window that is cut out of every frame of a clip at one place.
-    scale          the camera's picture is first made this many times as wide and high.
-    view           the panorama's raster, to look all around instead; then `scale` is not used. Windows as wide as a
-                   circular view are turned by any angle instead of cut.
+    scale          factor by which the camera's image is resized first.
+    view           the panorama's raster, to take the true panorama instead; then `scale` is not used. Windows as wide
+                   as a circular view are turned by any angle instead of cut.
     """
 
     rows: int
@@ -56,19 +62,31 @@ class Framing:
     view: View | None = None
 
     @property
-    def closed(self) -> bool:
+    def circular(self) -> bool:
         """Whether the last column of a clip meets its first."""
         return self.view is not None and self.view.circular and self.columns == self.view.columns
 
 
-class Clips:
+class LabelledImage(NamedTuple):
+    """An image and its labels on one raster.
+
+    raster  the panorama's View, or the camera whose image it is.
+    image   (3, H, W) uint8 RGB;  labels: (H, W) uint8 ids of COMMON15, 0 where unknown.
+    """
+
+    raster: View | Calibration
+    image: Tensor
+    labels: Tensor
+
+
+class ClipDataset:
     """Clips of some splits.
 
     splits  every run of `length` frames whose numbers follow each other, in one sequence, is a clip; so frames must be
             numbered in time.
-    stills  splits whose frames have nothing to do with each other: each becomes a clip by itself, under a window that
-            pans and zooms over it, so that its flow is known. Where there are both kinds, runs are repeated until they
-            are as many as the stills.
+    stills  splits whose frames are unrelated to each other: each becomes a clip by itself, under a window that pans
+            and zooms over it, so that its flow is known. Where there are both kinds, runs are repeated until they are
+            as many as the stills.
     Raises InputError where the splits hold no clip.
     """
 
@@ -76,61 +94,64 @@ class Clips:
         self, root: Path, splits: tuple[str, ...], framing: Framing, length: int, stills: tuple[str, ...] = ()
     ) -> None:
         self.framing, self.length = framing, length
-        found = [run for split in splits for run in runs(frames_of(root, (split,)), length)]
-        alone = [[frame] for frame in frames_of(root, stills)]
+        self.frames = FrameList("semantic-kitti", ())
+        found: list[range | tuple[int, ...]] = []
+        for split in splits:
+            frames = frames_of(root, (split,))
+            found += [tuple(len(self.frames) + index for index in run) for run in runs(frames.names, length)]
+            self.frames += frames
+        single = frames_of(root, stills)
+        alone = [range(index, index + 1) for index in range(len(self.frames), len(self.frames) + len(single))]
+        self.frames += single
         if not found and not alone:
             raise InputError(
                 f"{root}: no {length} frames of split {' or '.join(splits)} follow each other; choose another split or "
-                "fewer options.clip_length, or name the split in options.single_frame_splits"
+                "fewer options.frames, or name the split in options.stills"
             )
-        self.clips = found * max(1, len(alone) // max(len(found), 1)) + alone
-        self._sights: dict[Path, Sight] = {}
-        self._flows: dict[Path, Flow] = {}
+        self.clips = found * max(1, len(alone) // max(len(found), 1)) + alone  # indices of frames
+        self._images, self._flows = LruCache(), LruCache()
 
     def __len__(self) -> int:
         """Number of clips, repeated ones counted."""
         return len(self.clips)
 
-    def __getitem__(self, draw: SampleIndex | int) -> Clip:
+    def __getitem__(self, at: SampleIndex | int) -> ClipSample:
         """Clip: window, pan and mirror by a SampleIndex's seed, or for an int the middle, unmirrored."""
-        plain = isinstance(draw, int)
-        generator = np.random.default_rng(draw if plain else draw.seed)
-        run = self.clips[draw if plain else draw.index]
-        sights = [self.sight(frame) for frame in run]
-        self._check(run[0], sights[0])
+        plain = isinstance(at, int)
+        generator = np.random.default_rng(at if plain else at.seed)
+        run = self.clips[at if plain else at.index]
+        frames = {index: self.frames[index] for index in run}
+        images = [self._images.get(index, lambda i=index: self._read(frames[i])) for index in run]
+        self._check(frames[run[0]], images[0])
         if len(run) == 1:
-            clip = panned(sights[0], generator, self.framing, self.length, run[0].name)
+            clip = panned(images[0], generator, self.framing, self.length, frames[run[0]].name)
         else:
-            clip = self._window(run, sights, None if plain else generator)
+            flows = [
+                self._flows.get(
+                    (before, now), lambda k=k, b=before, n=now: flow_to(frames[b], frames[n], images[k], images[k + 1])
+                )
+                for k, (before, now) in enumerate(pairwise(run))
+            ]
+            clip = self._window(frames[run[-1]].name, images, flows, None if plain else generator)
         return clip if plain or generator.random() < 0.5 else mirrored(clip)
 
-    def sight(self, frame: Frame) -> Sight:
-        """Read a frame; the last ones are held."""
-        key, framing = frame.folder / frame.stem, self.framing
-        if key not in self._sights:
-            seen = panorama_sight(frame, framing.view) if framing.view else camera_sight(frame, framing.scale)
-            _hold(self._sights, key, seen)
-        return self._sights[key]
+    def _read(self, frame: Frame) -> LabelledImage:
+        return panorama_image(frame, self.framing.view) if self.framing.view else camera_image(frame, self.framing.scale)
 
-    def flow(self, before: Frame, frame: Frame) -> Flow:
-        """Flow of a frame to the one before it, on the whole raster; the last ones are held."""
-        key = frame.folder / frame.stem
-        if key not in self._flows:
-            _hold(self._flows, key, flow_to(before, frame, self.sight(before), self.sight(frame)))
-        return self._flows[key]
-
-    def _check(self, frame: Frame, sight: Sight) -> None:
-        rows, columns = sight.classes.shape
+    def _check(self, frame: Frame, image: LabelledImage) -> None:
+        rows, columns = image.labels.shape
         wanted = self.framing
         if rows < wanted.rows or columns < wanted.columns:
             raise InputError(
-                f"{frame.name}: its picture at this scale has {rows} x {columns} pixels, fewer than the window of "
+                f"{frame.name}: its image at this scale has {rows} x {columns} pixels, fewer than the window of "
                 f"{wanted.rows} x {wanted.columns}; set scale, options.rows or options.columns"
             )
 
-    def _window(self, run: list[Frame], sights: list[Sight], generator: np.random.Generator | None) -> Clip:
-        """One window of a run of frames; in the middle where nothing is drawn."""
-        rows, columns = sights[0].classes.shape
+    def _window(
+        self, name: str, images: list[LabelledImage], flows: list[Flow], generator: np.random.Generator | None
+    ) -> ClipSample:
+        """One window of a run of frames; in the middle without a generator."""
+        rows, columns = images[0].labels.shape
         turn = top = left = 0
         if generator is None:
             top, left = (rows - self.framing.rows) // 2, (columns - self.framing.columns) // 2
@@ -140,55 +161,102 @@ class Clips:
             if self.framing.view and self.framing.view.circular:
                 turn = int(generator.integers(columns))
 
-        def cut(picture: Tensor) -> Tensor:
-            turned = picture.roll(turn, -1) if turn else picture
+        def cut(raster: Tensor) -> Tensor:
+            turned = raster.roll(turn, -1) if turn else raster
             return turned[..., top : top + self.framing.rows, left : left + self.framing.columns]
 
-        flows = [self.flow(before, frame) for before, frame in pairwise(run)]
         shift = torch.stack([torch.zeros_like(flows[0].shift), *(flow.shift for flow in flows)])
         known = torch.stack([torch.zeros_like(flows[0].known), *(flow.known for flow in flows)])
         shift, known = cut(shift), cut(known)
-        known = known & reaches(shift, closed=self.framing.closed)
+        known = known & reaches(shift, circular=self.framing.circular)
         return _clip(
-            torch.stack([cut(sight.colour) for sight in sights]).float(),
-            torch.stack([cut(sight.classes) for sight in sights]),
+            torch.stack([cut(one.image) for one in images]).float(),
+            torch.stack([cut(one.labels) for one in images]),
             Flow(shift=shift, known=known),
-            run[-1].name,
+            name,
         )
 
 
-def runs(found: list[Frame], length: int) -> list[list[Frame]]:
-    """Every run of `length` frames of one sequence whose numbers follow each other."""
-    ordered = sorted((frame for frame in found if frame.stem.isdecimal()), key=lambda f: (f.folder, int(f.stem)))
+def runs(names: Sequence[str], length: int) -> list[tuple[int, ...]]:
+    """Every run of `length` frames "seq/NNNNNN" of one sequence whose numbers follow each other, as indices."""
+    parts = [(sequence, int(stem), index) for index, name in enumerate(names) for sequence, stem in [name.split("/")] if stem.isdecimal()]
+    ordered = sorted(parts)
     windows = [ordered[first : first + length] for first in range(len(ordered) - length + 1)]
-    return [run for run in windows if all(_next(one, other) for one, other in pairwise(run))]
+    return [
+        tuple(index for _, _, index in window)
+        for window in windows
+        if all(one[0] == other[0] and other[1] == one[1] + 1 for one, other in pairwise(window))
+    ]
 
 
-def panned(sight: Sight, generator: np.random.Generator, framing: Framing, length: int, name: str) -> Clip:
+def camera_image(frame: Frame, scale: float) -> LabelledImage:
+    """The camera's image and labels, resized by the factor `scale`; InputError where a file is missing."""
+    image, ids, calibration = frame.require("image", "camera_labels", "calibration")
+    common = CITYSCAPES_TO_COMMON15[ids]
+    common[common == IGNORE] = 0
+    camera = calibration.scaled(scale)
+    resized = Image.fromarray(image).resize(camera.size, Image.Resampling.BOX)
+    labels = np.array(Image.fromarray(common).resize(camera.size, Image.Resampling.NEAREST))
+    return LabelledImage(camera, torch.from_numpy(np.array(resized)).movedim(2, 0).contiguous(), torch.from_numpy(labels))
+
+
+def panorama_image(frame: Frame, view: View) -> LabelledImage:
+    """The true panorama and its labels on the raster `view` around the camera; InputError where there is none."""
+    panorama = panorama_on(frame, view)
+    image = torch.from_numpy(panorama.image).movedim(2, 0).contiguous()
+    return LabelledImage(panorama.view, image, torch.from_numpy(panorama.labels))
+
+
+def flow_to(before: Frame, now: Frame, image_before: LabelledImage, image_now: LabelledImage) -> Flow:
+    """Flow of a frame to the one before: by poses and depths, else by the images themselves (optical flow)."""
+    if before.pose is None or now.pose is None:
+        return optical_flow(image_now.image, image_before.image)
+    distances = distances_m(now, image_now), distances_m(before, image_before)
+    return ego_flow(*distances, relative_pose(before.pose, now.pose), image_now.raster)
+
+
+def distances_m(frame: Frame, image: LabelledImage) -> Tensor:
+    """Distances (H, W) float32 as `ego_flow` takes them: of the true panorama if there is one, else of the scan."""
+    raster = image.raster
+    if isinstance(raster, View):
+        return _sky_is_far(panorama_on(frame, raster).depth_m)
+    if frame.panorama is not None:
+        depth_m = _sky_is_far(frame.panorama.depth_m)
+        return panorama_in_camera(at_camera(frame.panorama.view, raster), raster).nearest(depth_m)
+    distance = scan_distances(torch.from_numpy(frame.scan.xyz), raster)
+    return distance.where(image.labels != SKY, torch.inf)
+
+
+def _sky_is_far(depth_m: np.ndarray | None) -> Tensor:
+    assert depth_m is not None
+    return torch.from_numpy(np.where(depth_m > 0, depth_m, np.float32(np.inf)))
+
+
+def panned(image: LabelledImage, generator: np.random.Generator, framing: Framing, length: int, name: str) -> ClipSample:
     """One frame under a window that moves (see `pan`)."""
     rows, columns = framing.rows, framing.columns
-    size, middle = pan(generator, sight.classes.shape, (rows, columns), length)
+    size, middle = pan(generator, image.labels.shape, (rows, columns), length)
     row, column = torch.arange(rows) - (rows - 1) / 2, torch.arange(columns) - (columns - 1) / 2
     everywhere = torch.ones(rows, columns, dtype=torch.bool)
-    colours, classes, shifts = [], [], [torch.zeros(2, rows, columns)]
+    images, labels, shifts = [], [], [torch.zeros(2, rows, columns)]
     for k in range(length):
         places = torch.meshgrid(middle[k, 0] + size[k] * row, middle[k, 1] + size[k] * column, indexing="ij")
         lookup = Lookup(row=places[0] + 0.5, column=places[1] + 0.5, valid=everywhere, circular=False)
-        colours.append(lookup.linear(sight.colour.float()))
-        classes.append(lookup.nearest(sight.classes))
+        images.append(lookup.linear(image.image.float()))
+        labels.append(lookup.nearest(image.labels))
         if k:
             was = [(place - middle[k - 1, axis]) / size[k - 1] for axis, place in enumerate(places)]
             shifts.append(torch.stack([was[1] - column, was[0] - row[:, None]]))
     shift = torch.stack(shifts)
     known = reaches(shift)
     known[0] = False
-    return _clip(torch.stack(colours), torch.stack(classes), Flow(shift=shift, known=known), name)
+    return _clip(torch.stack(images), torch.stack(labels), Flow(shift=shift, known=known), name)
 
 
 def pan(
     generator: np.random.Generator, whole: tuple[int, ...], window: tuple[int, int], length: int
 ) -> tuple[Tensor, Tensor]:
-    """A window's way over a picture of `whole` (rows, columns): sizes (K,) in windows, middles (K, 2) (row, column).
+    """A window's way over an image of `whole` (rows, columns): sizes (K,) in windows, middles (K, 2) (row, column).
 
     Float32; it stays inside, and changes from frame to frame by the same steps. Pixel centres are at integers.
     """
@@ -209,29 +277,19 @@ def pan(
     return torch.from_numpy(size).float(), torch.from_numpy(middle).float()
 
 
-def mirrored(clip: Clip) -> Clip:
+def mirrored(clip: ClipSample) -> ClipSample:
     """The clip with left and right swapped."""
     shift = clip.shift.flip(-1) * torch.tensor([-1.0, 1.0])[:, None, None]
     return clip._replace(
-        colour=clip.colour.flip(-1), classes=clip.classes.flip(-1), shift=shift, known=clip.known.flip(-1)
+        image=clip.image.flip(-1), labels=clip.labels.flip(-1), shift=shift, known=clip.known.flip(-1)
     )
 
 
-def _clip(colour: Tensor, classes: Tensor, flow: Flow, name: str) -> Clip:
-    return Clip(
-        colour=colour / 127.5 - 1,
-        classes=classes.long(),
+def _clip(image: Tensor, labels: Tensor, flow: Flow, name: str) -> ClipSample:
+    return ClipSample(
+        image=image / 127.5 - 1,
+        labels=labels.long(),
         shift=(flow.shift * flow.known[:, None]).float(),
         known=flow.known.float(),
         name=name,
     )
-
-
-def _next(one: Frame, other: Frame) -> bool:
-    return one.folder == other.folder and int(other.stem) == int(one.stem) + 1
-
-
-def _hold(held: dict[Path, Any], key: Path, value: Sight | Flow) -> None:
-    while len(held) >= HELD:
-        del held[next(iter(held))]
-    held[key] = value

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar2pano.data.frames import FrameList
+from lidar2pano.data.frames import Frame, FrameList
 from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, matrix, moved, read_camera
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.json_files import read_json
@@ -35,7 +35,7 @@ class NuscenesFrame(SurroundFrame):
 
     def __init__(self, info: Path, view: View, entries: Mapping[str, Mapping[str, Any]], name: str) -> None:
         super().__init__(name, view)
-        self.info, self.entry = info, entries[name]
+        self.info, self.entry, self.root = info, entries[name], info.parent
 
     @cached_property
     def cameras(self) -> Mapping[str, CameraImage]:
@@ -78,7 +78,7 @@ class NuscenesFrame(SurroundFrame):
         return self.info.parent / part[name]
 
 
-def frames(root: Path, split: str, view: View) -> FrameList:
+def frames(root: Path, split: str, view: View) -> FrameList[Frame]:
     """Samples of a split, in the file's order: there is only "all". InputError where there is none."""
     info = root / "info.json"
     content = read_json(info)

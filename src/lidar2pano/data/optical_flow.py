@@ -1,4 +1,4 @@
-"""Flow seen in the pictures themselves, where nobody recorded how the sensor moved: OpenCV's DIS."""
+"""Optical flow of two images, where there are no poses: OpenCV's DIS."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from lidar2pano.geometry.flow import Flow, reaches
 from lidar2pano.geometry.warp import warp
 
 
-def seen_flow(now: Tensor, before: Tensor) -> Flow:
-    """Flow from a picture (3, H, W) uint8 RGB to the one before: (2, H, W) pixels and (H, W) bool.
+def optical_flow(now: Tensor, before: Tensor) -> Flow:
+    """Flow from an image (3, H, W) uint8 RGB to the one before: (2, H, W) pixels and (H, W) bool.
 
     Kroeger et al. 2016 (arXiv:1603.03590), preset "medium". Known where the flow forth and that back undo each other
     as far as Sundaram et al. 2010 (ECCV), equation 5, ask: |w + w'|^2 < 0.01 (|w|^2 + |w'|^2) + 0.5.

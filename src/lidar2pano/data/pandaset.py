@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from lidar2pano.data.frames import FrameList
+from lidar2pano.data.frames import Frame, FrameList
 from lidar2pano.data.semantic_kitti import stems
 from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, matrix, moved, read_camera
 from lidar2pano.errors import InputError, closest
@@ -59,7 +59,7 @@ class PandasetFrame(SurroundFrame):
 
     def __init__(self, root: Path, view: View, name: str) -> None:
         super().__init__(name, view)
-        self.root = root
+        self.root: Path = root
         sequence, _, self.stem = name.partition("/")
         self.folder = root / "sequences" / sequence
 
@@ -129,7 +129,7 @@ class PandasetFrame(SurroundFrame):
         return table[ids]
 
 
-def frames(root: Path, split: str, view: View) -> FrameList:
+def frames(root: Path, split: str, view: View) -> FrameList[Frame]:
     """Frames of a split, in time: "all", or the name of a sequence. InputError where there is none."""
     folder = root / "sequences"
     sequences = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
@@ -172,9 +172,8 @@ def class_table(path: Path) -> np.ndarray:
 
 
 def _camera_matrix(path: Path, camera: Mapping[str, Any]) -> np.ndarray:
-    K = camera.get("K")
     try:
-        fx, fy, cx, cy = (float(K[name]) for name in ("fx", "fy", "cx", "cy"))
+        fx, fy, cx, cy = (float(camera["K"][name]) for name in ("fx", "fy", "cx", "cy"))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{path}: a camera's K must hold fx, fy, cx and cy; take the file from the data set"

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from lidar2pano.data.camera_rasters import camera_raster
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate.interface import Prediction, SystemInfo, SystemInput
+from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.geometry.images import Normalisation, one_hot_layers
 from lidar2pano.geometry.projection import project
 from lidar2pano.hardware import Timer, fast_arithmetic
@@ -169,7 +169,7 @@ class CameraRenderer:
         if self.view is not None:
             return self.normalise(project(inputs.scan, self.view, device=self.device))[None]
         width, height = inputs.calibration.size
-        lidar = camera_raster(inputs.scan, inputs.calibration, self.size or (height, width)).to(self.device)
+        lidar = project_to_camera(inputs.scan, inputs.calibration, self.size or (height, width)).to(self.device)
         return torch.stack([lidar[0], depth_code(lidar[1])])[None, : self.channels]
 
 

@@ -11,11 +11,11 @@ from typing import TypeVar
 import numpy as np
 import torch
 
-from lidar2pano.data.camera_rasters import camera_raster
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame
 from lidar2pano.evaluate.interface import Prediction
 from lidar2pano.evaluate.metric_config import SECTORS, MetricConfig
 from lidar2pano.evaluate.resampling import Resampled, windows
+from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.geometry.flow import Flow
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.metrics.accumulation import FrameMetric, SetMetric
@@ -103,7 +103,7 @@ class MetricCollection:
         if "depth" in groups and prediction.depth_m is not None:
             assert frame.calibration is not None
             rows, columns = prediction.depth_m.shape
-            measured = camera_raster(frame.scan, frame.calibration, (rows, columns))[1]
+            measured = project_to_camera(frame.scan, frame.calibration, (rows, columns))[1]
             self._metric("camera", "depth", DepthError).update(prediction.depth_m, measured, frame.name)
         if image is None:
             return

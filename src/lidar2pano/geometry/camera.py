@@ -13,7 +13,9 @@ import torch
 from torch import Tensor
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.geometry.projection import directions, pixels
+from lidar2pano.geometry.projection import directions, nearest_points, pixels
+from lidar2pano.geometry.warp import sample
+from lidar2pano.scan import Scan
 from lidar2pano.views import View
 
 
@@ -40,18 +42,9 @@ class Lookup:
 
     def linear(self, picture: Tensor) -> Tensor:
         """Carry colours or other quantities over: picture (..., H, W) float -> (..., h, w), zero where not valid."""
-        rows, columns = picture.shape[-2:]
-        row, column = self.row - 0.5, self.column - 0.5
-        top, left = row.floor(), column.floor()
-        down, across = row - top, column - left
-
-        def at(i: Tensor, j: Tensor) -> Tensor:
-            j = j.long().remainder(columns) if self.circular else j.long().clamp(0, columns - 1)
-            return picture[..., i.long().clamp(0, rows - 1), j]
-
-        upper = at(top, left) * (1 - across) + at(top, left + 1) * across
-        lower = at(top + 1, left) * (1 - across) + at(top + 1, left + 1) * across
-        mixed = upper * (1 - down) + lower * down
+        flat = picture.reshape(1, -1, *picture.shape[-2:])
+        x, y = ((place - 0.5).reshape(1, 1, -1).to(picture.dtype) for place in (self.column, self.row))
+        mixed = sample(flat, x, y, circular=self.circular).reshape(*picture.shape[:-2], *self.row.shape)
         return mixed.where(self.valid, mixed.new_zeros(()))
 
     def to(self, device: str | torch.device) -> Lookup:
@@ -100,3 +93,22 @@ def points_in_camera(xyz: Tensor, calibration: Calibration) -> tuple[Tensor, Ten
     u, v, depth = (camera @ torch.from_numpy(calibration.K).to(xyz.device).T).unbind(-1)
     front = torch.where(depth > 0, depth, torch.nan)
     return u / front, v / front, depth
+
+
+def project_to_camera(scan: Scan, calibration: Calibration, size: tuple[int, int]) -> Tensor:
+    """Project a scan into a camera whose image is stretched to `size` (rows, columns).
+
+    Returns (2, rows, columns) float32: remission, and range from the optical centre in metres; zero where no point
+    fell. The nearest point owns a pixel, at equal range the first in file order; what is out of view is dropped.
+    """
+    xyz, remission = torch.from_numpy(scan.xyz), torch.from_numpy(scan.remission)
+    usable = torch.isfinite(xyz.sum(1) + remission) & xyz.any(1)  # the sensor's origin means: no echo
+    xyz, remission = xyz[usable], remission[usable]
+    u, v, _ = points_in_camera(xyz, calibration)  # NaN behind the camera, which is nowhere inside
+    (rows, columns), (width, height) = size, calibration.size
+    row, column = (((at + 0.5) * (to / of)).floor() for at, to, of in ((v, rows, height), (u, columns, width)))
+    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    cell = (row[inside] * columns + column[inside]).long()
+    range_m = (xyz[inside] - xyz.new_tensor(calibration.centre)).norm(dim=1)
+    index = nearest_points(cell, range_m, rows * columns)
+    return torch.cat([torch.stack([remission[inside], range_m]), xyz.new_zeros(2, 1)], 1)[:, index].view(2, *size)

@@ -1,7 +1,8 @@
-"""Where pixels were in the picture before: dense backward flow of standing scenery, in a camera and on the cylinder.
+"""Dense backward flow of static scenery between two frames, in a camera and on the cylinder.
 
-From the distances of both pictures and the motion of the sensor between them. Distances are measured along the ray
-from the point that looks, in metres: infinite for the sky, which only turns; 0 where nobody knows.
+It follows from the distances in both frames and the sensor's motion between them. Distances are measured along the ray
+from the view's origin or the camera's optical centre, in metres: infinite for the sky, which only turns; 0 where
+unknown.
 """
 
 from __future__ import annotations
@@ -15,40 +16,40 @@ from torch.nn.functional import avg_pool2d, interpolate
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.geometry.camera import points_in_camera
-from lidar2pano.geometry.projection import directions, pixels
+from lidar2pano.geometry.projection import directions, nearest_points, pixels
 from lidar2pano.geometry.warp import warp
 from lidar2pano.views import View
 
 SAME = 0.03  # share by which two distances of one surface may differ
-FAINT = 5e-4  # 1/m, likewise near the horizon: depth pictures end at 256 m, and beyond is the sky
+FAINT = 5e-4  # 1/m, likewise near the horizon: depth images end at 256 m, and beyond is the sky
 FILLED = 4  # halvings of the raster over which gaps between a scan's points are closed: 16 pixels
 
 
 class Flow(NamedTuple):
-    """Flow from each pixel to the place in the picture before that shows the same thing.
+    """Flow from each pixel to the place in the previous frame that shows the same surface.
 
     shift  (..., 2, H, W) float32 pixels: columns to the right, rows down; zero where not known.
-    known  (..., H, W) bool, or float32 in [0, 1] where it is a confidence: that thing was in sight.
+    known  (..., H, W) bool, or float32 in [0, 1] where it is a confidence: the surface was visible.
     """
 
     shift: Tensor
     known: Tensor
 
 
-def reaches(shift: Tensor, *, closed: bool = False) -> Tensor:
-    """(B, H, W) bool: the place that a shift (B, 2, H, W) points to lies in the picture; rims are half a pixel out."""
+def reaches(shift: Tensor, *, circular: bool = False) -> Tensor:
+    """(B, H, W) bool: the place that a shift (B, 2, H, W) points to lies in the image; rims are half a pixel out."""
     rows, columns = shift.shape[-2:]
     column = torch.arange(columns, device=shift.device) + shift[:, 0]
     row = torch.arange(rows, device=shift.device)[:, None] + shift[:, 1]
     inside = (row >= -0.5) & (row <= rows - 0.5)
-    return inside if closed else inside & (column >= -0.5) & (column <= columns - 0.5)
+    return inside if circular else inside & (column >= -0.5) & (column <= columns - 0.5)
 
 
-def chained(later: Flow, earlier: Flow, *, closed: bool = False) -> Flow:
-    """Flow over two steps: `later` (B, ...) leads to the picture from which `earlier` leads on; confidences too."""
-    shift = later.shift + warp(earlier.shift, later.shift, closed=closed)
-    on = warp(earlier.known.float()[:, None], later.shift, closed=closed)[:, 0]
-    known = later.known.float() * on * reaches(shift, closed=closed)
+def chained(later: Flow, earlier: Flow, *, circular: bool = False) -> Flow:
+    """Flow over two steps: `later` (B, ...) leads to the frame from which `earlier` leads on; confidences too."""
+    shift = later.shift + warp(earlier.shift, later.shift, circular=circular)
+    on = warp(earlier.known.float()[:, None], later.shift, circular=circular)[:, 0]
+    known = later.known.float() * on * reaches(shift, circular=circular)
     known = known.where(known > FAINT, 0.0)  # not what rounding leaves of zero
     return Flow(shift=shift * (known > 0)[:, None], known=known)
 
@@ -59,16 +60,15 @@ def relative_pose(T_world_before: np.ndarray, T_world_now: np.ndarray) -> Tensor
 
 
 def ego_flow(
-    now_m: Tensor, before_m: Tensor, motion: Tensor, raster: View | Calibration, *, same: float = SAME
+    now_m: Tensor, before_m: Tensor, T_before_now: Tensor, raster: View | Calibration, *, same: float = SAME
 ) -> Flow:
-    """Flow of everything that stands still, (2, H, W) and (H, W) bool.
+    """Flow of static scenery, (2, H, W) and (H, W) bool.
 
-    now_m, before_m  (H, W) distances from the raster's point of view (see the module) in this picture and in the one
-                     before.
-    motion           (4, 4) float64: the LiDAR's coordinates now -> its coordinates before, metres.
-    raster           of both pictures: a View (the panorama), or a camera.
+    now_m, before_m  (H, W) distances (see the module) in this frame and in the previous one.
+    T_before_now     (4, 4) float64: the sensor's coordinates now -> its coordinates before, metres.
+    raster           of both frames: a View (the panorama), or a camera.
     same             share by which two distances of one surface may differ.
-    Known where both distances are, and agree: a place that something hid, or where something moved, is not known.
+    Known where both distances are, and agree: what was occluded, or what moved, is not known.
     Raises ValueError where the shapes do not fit the raster.
     """
     size = (raster.rows, raster.columns) if isinstance(raster, View) else raster.size[::-1]
@@ -77,23 +77,23 @@ def ego_flow(
     device = now_m.device
     rays = directions(raster, device=device).double() if isinstance(raster, View) else camera_rays(raster).to(device)
     here = raster.origin if isinstance(raster, View) else raster.centre
-    origin, motion = torch.tensor(here, dtype=torch.float64, device=device), motion.to(device).double()
-    turn, step = motion[:3, :3], motion[:3, :3] @ origin + motion[:3, 3] - origin
+    origin, T = torch.tensor(here, dtype=torch.float64, device=device), T_before_now.to(device).double()
+    turn, step = T[:3, :3], T[:3, :3] @ origin + T[:3, 3] - origin
     far = now_m.isinf()
     # of a ray that ends nowhere only its direction moves
     ends = torch.where(
         far[..., None], rays @ turn.T, (now_m.double().where(~far, 0.0)[..., None] * rays) @ turn.T + step
     )
     row, column = _places(ends, origin, raster)
-    closed = isinstance(raster, View) and raster.circular
+    circular = isinstance(raster, View) and raster.circular
     rows, columns = size
     x, y = torch.arange(columns, device=device), torch.arange(rows, device=device)[:, None]
     shift = torch.stack([column - x - 0.5, row - y - 0.5])
-    if closed:
+    if circular:
         shift[0] = (shift[0] + columns / 2).remainder(columns) - columns / 2
     shift = shift.nan_to_num(nan=float(rows + columns)).float()  # behind the camera: outside
-    known = reaches(shift[None], closed=closed)[0] & (now_m > 0)
-    known &= _in_sight(before_m, shift, torch.where(far, 0.0, 1 / ends.norm(dim=-1)).float(), closed, same)
+    known = reaches(shift[None], circular=circular)[0] & (now_m > 0)
+    known &= _in_sight(before_m, shift, torch.where(far, 0.0, 1 / ends.norm(dim=-1)).float(), circular, same)
     return Flow(shift=shift * known, known=known)
 
 
@@ -120,7 +120,8 @@ def scan_distances(xyz: Tensor, calibration: Calibration) -> Tensor:
     inside = (depth > 0) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
     cell = (row * width + column)[inside].long()
     distance = (xyz[inside].double() - torch.tensor(calibration.centre)).norm(dim=1).float()
-    nearest = torch.full((height * width,), torch.inf).scatter_reduce_(0, cell, distance, "amin")
+    index = nearest_points(cell, distance, height * width)
+    nearest = torch.cat([distance, distance.new_full((1,), torch.inf)])[index]  # index -1 is the last
     filled = _filled((1 / nearest).view(height, width))
     return torch.where(filled > 0, 1 / filled, 0.0)
 
@@ -134,13 +135,13 @@ def _places(ends: Tensor, origin: Tensor, raster: View | Calibration) -> tuple[T
     return (v + 0.5).view(ends.shape[:-1]), (u + 0.5).view(ends.shape[:-1])
 
 
-def _in_sight(before_m: Tensor, shift: Tensor, expected: Tensor, closed: bool, same: float) -> Tensor:
-    """(H, W) bool: the picture before shows, at the shifted place, something at the distance 1 / `expected`.
+def _in_sight(before_m: Tensor, shift: Tensor, expected: Tensor, circular: bool, same: float) -> Tensor:
+    """(H, W) bool: the previous frame shows, at the shifted place, a surface at the distance 1 / `expected`.
 
     Compared are inverse distances, in which planes are straight: between pixels they can be looked up linearly.
     """
     seen = torch.stack([(1 / before_m).where(before_m > 0, 0.0), (before_m > 0).float()])
-    inverse, known = warp(seen[None], shift[None], closed=closed)[0]
+    inverse, known = warp(seen[None], shift[None], circular=circular)[0]
     return (known > 0.999) & ((inverse - expected).abs() <= same * torch.maximum(inverse, expected) + FAINT)
 
 

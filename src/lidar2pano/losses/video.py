@@ -57,7 +57,7 @@ def flow_loss(flow: Tensor, reference: Tensor, known: Tensor) -> Tensor:
 
 def warping_loss(flow: Tensor, before: Tensor, now: Tensor, known: Tensor, *, circular: bool = False) -> Tensor:
     """Distance of the real image (B, 3, H, W) from that before it, warped by a flow: equation 8, second part."""
-    return masked_l1(warp(before, flow, closed=circular), now, known)
+    return masked_l1(warp(before, flow, circular=circular), now, known)
 
 
 def coherence_loss(now: Tensor, before: Tensor, reference: Tensor, known: Tensor, *, circular: bool = False) -> Tensor:
@@ -65,7 +65,7 @@ def coherence_loss(now: Tensor, before: Tensor, reference: Tensor, known: Tensor
 
     In the published code only (G_Warp); no gradient goes into the image before.
     """
-    return masked_l1(now, warp(before, reference, closed=circular).detach(), known)
+    return masked_l1(now, warp(before, reference, circular=circular).detach(), known)
 
 
 def mask_loss(weight: Tensor, known: Tensor) -> Tensor:

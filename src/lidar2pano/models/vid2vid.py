@@ -318,7 +318,7 @@ class Vid2Vid(Closable, nn.Module):
         """Equations 3 and 4 of the paper, in float32 whatever the layers before ran in: flow is in pixels."""
         with torch.autocast(seen.device.type, enabled=False):
             raw, flow, weight, apart = scale.heads(features)
-            moved = warp(latest.float(), flow, closed=self.closed, align_corners=self.align_corners)
+            moved = warp(latest.float(), flow, circular=self.closed, align_corners=self.align_corners)
             picture = raw * weight + moved * (1 - weight)
             if apart is not None:
                 mask = seen[:, self.foreground].float().sum(1, keepdim=True).clamp(0, 1)

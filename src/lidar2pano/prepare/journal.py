@@ -32,7 +32,7 @@ class Record:
 
     file     its path within the sequence's folder, e.g. "labels/000000.label".
     made_by  the teacher: hash of its weights and settings.
-    source   the scan or picture that it was made from;  stamp: the file itself.
+    source   the scan or image that it was made from;  stamp: the file itself.
     """
 
     file: str
@@ -80,7 +80,7 @@ def _parsed(line: bytes) -> Record | None:
 
 
 def stamp_of(path: Path, known: Stamp | None = None) -> Stamp:
-    """The stamp of a file: `known` where its size and time of change still hold, otherwise read anew.
+    """The stamp of a file: `known` where its size and time of change still hold, otherwise read again.
 
     Raises InputError when the file cannot be read.
     """

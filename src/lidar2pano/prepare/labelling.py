@@ -1,4 +1,4 @@
-"""The work itself: what has to be written, what stands, and what is somebody else's."""
+"""Labels frames: which files have to be written, which are up to date, and which are somebody else's."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 
+from lidar2pano.data.frames import FrameList
+from lidar2pano.data.semantic_kitti import SEQUENCES, SemanticKittiFrame, frames, open_frame, sequences_of, stems
 from lidar2pano.errors import InputError
 from lidar2pano.formats.output_files import write_whole
 from lidar2pano.prepare.journal import Journal, Record, Stamp, stamp_of
-from lidar2pano.prepare.materials import Material
 from lidar2pano.prepare.teachers import Teacher
 
 
@@ -21,12 +23,12 @@ class State(StrEnum):
     WRITTEN = "written"  # now
     CURRENT = "current"  # written before, and nothing has changed since
     KEPT = "kept"  # there, and not ours
-    FAILED = "failed"  # its scan or picture cannot be used, or it cannot be written
+    FAILED = "failed"  # its scan or image cannot be used, or it cannot be written
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Labelled:
-    """What became of a teacher's file for one moment; `problem` says why it failed."""
+class LabelledFile:
+    """What became of a teacher's file for one frame; `problem` says why it failed."""
 
     folder: str
     file: Path
@@ -34,40 +36,68 @@ class Labelled:
     problem: str = ""
 
 
-def label(materials: Iterable[Material], teachers: Sequence[Teacher]) -> Iterator[tuple[Material, list[Labelled]]]:
-    """Let every teacher label every moment that it can see; each moment, and what became of its files.
+def frames_to_label(root: Path, splits: Sequence[str] = ()) -> FrameList[SemanticKittiFrame]:
+    """Every frame of the data set at `root` with a scan or an image, by sequence; or those of some splits.
 
-    A scan or picture that cannot be used is reported as FAILED and the rest goes on. Raises InputError when a
-    teacher's weights cannot be used.
+    A split that splits.json lists has the listed frames, whose scans must be there; one of SemanticKITTI's own has
+    whatever its sequences have. Raises InputError where there is no data set or split, or nothing to label.
     """
-    journals: dict[Path, Journal] = {}
-    for material in materials:
-        folder = material.frame.folder
-        if folder not in journals:
-            journals[folder] = Journal(folder)
-        yield material, [one for teacher in teachers if (one := _by(teacher, material, journals[folder]))]
+    folder = root / "sequences"
+    if not folder.is_dir():
+        raise InputError(f"{root}: has no folder sequences/; name the root of a data set in SemanticKITTI layout")
+    sequences: list[str] = []
+    names: dict[str, None] = {}
+    for split in splits:
+        if (root / "splits.json").is_file() or split not in SEQUENCES:
+            names |= dict.fromkeys(frames(root, split).names)
+        else:
+            sequences += sequences_of(folder, split)
+    if not splits:
+        sequences = sorted(path.name for path in folder.iterdir() if path.is_dir())
+    for sequence in sequences:
+        scans = stems(folder / sequence / "velodyne", ".bin")
+        images = stems(folder / sequence / "image_2", ".png", ".jpg")
+        names |= dict.fromkeys(f"{sequence}/{stem}" for stem in sorted({*scans, *images}))
+    if not names:
+        raise InputError(f"{root}: has neither scans (velodyne/*.bin) nor images (image_2/*.png or *.jpg)")
+    by_sequence = sorted(names, key=lambda name: name.partition("/")[0])  # stable; one journal at a time is open
+    return FrameList("semantic-kitti", ((name, partial(open_frame, folder)) for name in by_sequence))
 
 
-def _by(teacher: Teacher, material: Material, journal: Journal) -> Labelled | None:
-    source = teacher.source(material)
+def label(
+    frames: Iterable[SemanticKittiFrame], teachers: Sequence[Teacher]
+) -> Iterator[tuple[SemanticKittiFrame, list[LabelledFile]]]:
+    """Let every teacher label every frame that it can; yields each frame, and what became of its files.
+
+    A scan or image that cannot be used is reported as FAILED and the rest goes on. Raises InputError when a teacher's
+    weights cannot be used.
+    """
+    journal: Journal | None = None
+    for frame in frames:
+        if journal is None or journal.path.parent != frame.folder:
+            journal = Journal(frame.folder)
+        yield frame, [one for teacher in teachers if (one := _by(teacher, frame, journal))]
+
+
+def _by(teacher: Teacher, frame: SemanticKittiFrame, journal: Journal) -> LabelledFile | None:
+    source = teacher.source(frame)
     if source is None:
         return None
-    frame = material.frame
-    file = frame.folder / teacher.folder / f"{frame.stem}{teacher.suffix}"
+    file = frame.file(teacher.folder, teacher.suffix)
     try:
-        state = _standing(teacher, material, source, file, journal)
+        state = _standing(teacher, frame, source, file, journal)
     except InputError as error:
-        return Labelled(folder=teacher.folder, file=file, state=State.FAILED, problem=str(error))
+        return LabelledFile(folder=teacher.folder, file=file, state=State.FAILED, problem=str(error))
     if state is None:
         teacher.get_ready()  # its errors concern every frame: they end the work
         try:
-            _write(teacher, material, source, file, journal)
+            _write(teacher, frame, source, file, journal)
         except InputError as error:
-            return Labelled(folder=teacher.folder, file=file, state=State.FAILED, problem=str(error))
-    return Labelled(folder=teacher.folder, file=file, state=state or State.WRITTEN)
+            return LabelledFile(folder=teacher.folder, file=file, state=State.FAILED, problem=str(error))
+    return LabelledFile(folder=teacher.folder, file=file, state=state or State.WRITTEN)
 
 
-def _standing(teacher: Teacher, material: Material, source: Path, file: Path, journal: Journal) -> State | None:
+def _standing(teacher: Teacher, frame: SemanticKittiFrame, source: Path, file: Path, journal: Journal) -> State | None:
     """The state of a file that stays as it is; None for one that has to be written."""
     records = journal.of(_name(file))
     if not file.exists() and not file.is_symlink():
@@ -77,7 +107,7 @@ def _standing(teacher: Teacher, material: Material, source: Path, file: Path, jo
     stamp = stamp_of(file, records[0].stamp)
     ours = next((record for record in records if record.stamp.sha256 == stamp.sha256), None)
     if ours is None:  # ours once: now it is broken, or somebody put another one in its place
-        return State.KEPT if teacher.whole(material, file) else None
+        return State.KEPT if teacher.whole(frame, file) else None
     seen = stamp_of(source, ours.source)
     if ours.made_by != teacher.made_by or seen.sha256 != ours.source.sha256:
         return None
@@ -87,13 +117,13 @@ def _standing(teacher: Teacher, material: Material, source: Path, file: Path, jo
     return State.CURRENT
 
 
-def _write(teacher: Teacher, material: Material, source: Path, file: Path, journal: Journal) -> None:
+def _write(teacher: Teacher, frame: SemanticKittiFrame, source: Path, file: Path, journal: Journal) -> None:
     seen: Stamp = stamp_of(source)
 
     def write(beside: Path) -> None:
         for left in file.parent.glob(f".{file.name}.*"):  # of a run that was killed
             left.unlink(missing_ok=True)
-        teacher.write(material, beside)
+        teacher.write(frame, beside)
         journal.enter(Record(file=_name(file), made_by=teacher.made_by, source=seen, stamp=stamp_of(beside)))
 
     write_whole(file, write, "labels folder")

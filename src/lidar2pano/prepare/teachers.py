@@ -1,9 +1,10 @@
-"""The two who label: one looks at scans, one at pictures. Networks are loaded when there is something to do."""
+"""The two teachers: one labels scans, one images. Networks are loaded when there is something to label."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,9 +14,10 @@ from typing import Protocol
 import numpy as np
 from PIL import Image
 
-from lidar2pano.data.sequences import UNSURE
+from lidar2pano.data.frames import IGNORE
+from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
-from lidar2pano.formats.output_files import write_ids
+from lidar2pano.formats.output_files import read_image, write_ids
 from lidar2pano.formats.scan_files import write_label
 from lidar2pano.hardware import pick_device
 from lidar2pano.models.camera_segmenter import CameraSegmenter, CameraTeacher
@@ -25,17 +27,16 @@ from lidar2pano.models.families import weight_files
 from lidar2pano.models.sdnet import falling
 from lidar2pano.pipeline import Segmenter, load_segmenter
 from lidar2pano.prepare.journal import stamp_of
-from lidar2pano.prepare.materials import Material
 
-FORM = 1  # part of every teacher's name: raise it when the same weights give other labels, and all are made anew
+FORM = 1  # part of every teacher's name: raise it when the same weights give other labels, and all are made again
 PNG_END = b"IEND\xaeB`\x82"
 
 
 class Teacher(Protocol):
-    """Somebody who writes one file per moment.
+    """What writes one file per frame.
 
     folder   of a sequence, where the files go;  suffix: what they end with.
-    made_by  hash of weights and settings: files of another one are made anew.
+    made_by  hash of weights and settings: files of another one are made again.
     weights  files that the network comes from.
     """
 
@@ -44,20 +45,20 @@ class Teacher(Protocol):
     made_by: str
     weights: tuple[Path, ...]
 
-    def source(self, material: Material) -> Path | None:
-        """The file that this teacher looks at, None where there is none."""
+    def source(self, frame: SemanticKittiFrame) -> Path | None:
+        """The file that this teacher labels, None where there is none."""
         ...
 
     def get_ready(self) -> None:
         """Load the network, once; InputError when its weights cannot be used."""
         ...
 
-    def write(self, material: Material, path: Path) -> None:
-        """Write the labels of a moment to `path`; InputError when its scan or picture cannot be used."""
+    def write(self, frame: SemanticKittiFrame, path: Path) -> None:
+        """Write the labels of a frame to `path`; InputError when its scan or image cannot be used."""
         ...
 
-    def whole(self, material: Material, path: Path) -> bool:
-        """Whether `path` holds labels, whoever's, and not a piece of them."""
+    def whole(self, frame: SemanticKittiFrame, path: Path) -> bool:
+        """Whether `path` holds labels, whoever wrote them, and not a part of them."""
         ...
 
 
@@ -71,38 +72,38 @@ class LidarTeacher:
     device: str
     suffix: str = ".label"
 
-    def source(self, material: Material) -> Path | None:
+    def source(self, frame: SemanticKittiFrame) -> Path | None:
         """The scan."""
-        return material.scan
+        return frame.scan_file if os.path.lexists(frame.scan_file) else None
 
     @cached_property
     def segmenter(self) -> Segmenter:
         """The network, loaded."""
-        return load_segmenter(self.weights[0], pick_device(self.device))[0]
+        return load_segmenter(self.weights[0], pick_device(self.device))
 
     def get_ready(self) -> None:
         """Load the network."""
         _ = self.segmenter
 
-    def write(self, material: Material, path: Path) -> None:
+    def write(self, frame: SemanticKittiFrame, path: Path) -> None:
         """Write raw ids (N,) uint32 in file order; a scan without a usable point raises InputError."""
-        scan = material.frame.scan()
+        scan = frame.scan
         if not np.isfinite(scan.xyz).all(1).any():
-            raise InputError(f"{material.scan}: none of its {len(scan)} points can be used (NaN or Inf); replace it")
+            raise InputError(f"{frame.scan_file}: none of its {len(scan)} points can be used (NaN or Inf); replace it")
         write_label(path, self.segmenter.points(scan, pick_device(self.device)).cpu().numpy())
 
-    def whole(self, material: Material, path: Path) -> bool:
+    def whole(self, frame: SemanticKittiFrame, path: Path) -> bool:
         """Whether there is one label per point: 4 bytes for a scan's 16."""
-        return material.scan is not None and path.stat().st_size * 4 == material.scan.stat().st_size
+        return path.stat().st_size * 4 == frame.scan_file.stat().st_size
 
 
 @dataclass(kw_only=True)
-class PictureTeacher:
-    """A camera teacher: pictures -> Cityscapes train ids per pixel. Fields as in Teacher.
+class ImageTeacher:
+    """A camera teacher: images -> Cityscapes train ids per pixel. Fields as in Teacher.
 
     spec    "mask2former" or "oneformer" with a folder in `weights`, or "sdnet" with a file.
-    scales  of the picture that the network looks at; () for its own.
-    unsure  probability of the best class below which a pixel becomes UNSURE.
+    scales  of the image that the network labels; () for its own.
+    unsure  probability of the best class below which a pixel becomes IGNORE.
     """
 
     folder: str
@@ -114,9 +115,9 @@ class PictureTeacher:
     unsure: float
     suffix: str = ".png"
 
-    def source(self, material: Material) -> Path | None:
-        """The picture."""
-        return material.picture
+    def source(self, frame: SemanticKittiFrame) -> Path | None:
+        """The image."""
+        return frame.image_file
 
     @cached_property
     def teacher(self) -> CameraTeacher:
@@ -131,14 +132,15 @@ class PictureTeacher:
         """Load the network."""
         _ = self.teacher
 
-    def write(self, material: Material, path: Path) -> None:
+    def write(self, frame: SemanticKittiFrame, path: Path) -> None:
         """Write ids (h, w) uint8 as a PNG of grey values."""
-        best, ids = self.teacher.probabilities(material.frame.image()).max(0)
-        ids[best < self.unsure] = UNSURE
+        assert frame.image_file is not None
+        best, ids = self.teacher.probabilities(read_image(frame.image_file, "RGB")).max(0)
+        ids[best < self.unsure] = IGNORE
         write_ids(path, ids.cpu().numpy().astype(np.uint8))
 
-    def whole(self, material: Material, path: Path) -> bool:
-        """Whether it is a picture, to its end."""
+    def whole(self, frame: SemanticKittiFrame, path: Path) -> bool:
+        """Whether it is an image, to its end."""
         try:
             with Image.open(path) as picture:
                 picture.load()
@@ -164,12 +166,12 @@ def camera_teacher(
     scales: Sequence[float] = (),
     unsure: float = 0.4,
     device: str = "auto",
-) -> PictureTeacher:
+) -> ImageTeacher:
     """The camera teacher of a weight file or run of SD-Net, or of "mask2former:PATH" or "oneformer:PATH".
 
     PATH    a folder, or the name of a model in the hub's cache; nothing is downloaded.
-    scales  sizes of the picture to look at, as factors (without any: SD-Net its own, the others 1).
-    unsure  probability of the best class below which a pixel is labelled UNSURE.
+    scales  sizes of the image to label, as factors (without any: SD-Net its own, the others 1).
+    unsure  probability of the best class below which a pixel is labelled IGNORE.
     Raises InputError when the weights or the device are not there, or a setting cannot be.
     """
     pick_device(device)
@@ -185,9 +187,9 @@ def camera_teacher(
         kind, source = "sdnet", _sdnet_file(spec)
         hashed = [source]
         if scales:
-            falling(scales)  # refuses what the network would refuse picture by picture
+            falling(scales)  # refuses what the network would refuse image by image
     settings = {"kind": kind, "scales": list(scales), "unsure": unsure}
-    return PictureTeacher(
+    return ImageTeacher(
         folder=folder,
         made_by=_hash(hashed, settings),
         weights=(source,),

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.data.cameras import Looks, PictureSample, PictureSamples
-from lidar2pano.data.sequences import UNSURE
+from lidar2pano.data.camera_images import CameraImageDataset, CameraImageSample, ImageAugmentation
+from lidar2pano.data.frames import IGNORE
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import labelled_cross_entropy
@@ -31,29 +31,29 @@ class CameraSegmentation:
 
     def __init__(self, recipe: Recipe[CameraSegmentationOptions], root: Path) -> None:
         self.options = options = recipe.options
-        looks = Looks(
+        augmentation = ImageAugmentation(
             crop=(options.rows, options.columns),
             scale=(options.scale_min, options.scale_max),
-            jitter=options.colour_jitter,
+            colour_jitter=options.colour_jitter,
         )
-        self.dataset = PictureSamples(root, recipe.data.train, looks)
-        self.validation = PictureSamples(root, recipe.data.val, looks)
+        self.dataset = CameraImageDataset(root, recipe.data.train, augmentation)
+        self.validation = CameraImageDataset(root, recipe.data.val, augmentation)
         self.networks = build_networks(recipe)
         self.normalise = Colours()
         self.logs: dict[str, float | Tensor] = {}
 
-    def updates(self, batch: PictureSample) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: CameraImageSample) -> Iterator[tuple[str, Tensor]]:
         """One update: cross-entropy of all outputs, and Lovasz-Softmax of the joint one."""
         options = self.options
         images = self.normalise(batch.image).contiguous(memory_format=torch.channels_last)
         outputs = self.networks["camera"](images)
-        entropy = labelled_cross_entropy(outputs.joint, batch.labels, UNSURE)
-        loss = entropy + options.auxiliary * labelled_cross_entropy(outputs.auxiliary, batch.labels, UNSURE)
+        entropy = labelled_cross_entropy(outputs.joint, batch.labels, IGNORE)
+        loss = entropy + options.auxiliary * labelled_cross_entropy(outputs.auxiliary, batch.labels, IGNORE)
         for logits in outputs.each if options.per_scale else ():
-            loss = loss + options.per_scale * labelled_cross_entropy(logits, batch.labels, UNSURE)
+            loss = loss + options.per_scale * labelled_cross_entropy(logits, batch.labels, IGNORE)
         self.logs = {"cross_entropy": entropy.detach()}
         if options.lovasz:
-            lovasz = lovasz_softmax(outputs.joint.float().softmax(1), batch.labels, ignore=UNSURE)
+            lovasz = lovasz_softmax(outputs.joint.float().softmax(1), batch.labels, ignore=IGNORE)
             self.logs["lovasz"] = lovasz.detach()
             loss = loss + options.lovasz * lovasz
         yield "camera", loss

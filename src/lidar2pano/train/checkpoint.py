@@ -28,7 +28,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from lidar2pano import __version__
-from lidar2pano.data.sequences import located
+from lidar2pano.data.frames import located
 from lidar2pano.errors import InputError
 from lidar2pano.models.card import Card, save
 from lidar2pano.train.recipe import Network, Recipe, resolved

@@ -11,10 +11,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import mse_loss
 
-from lidar2pano.data.camera_rasters import CameraSample, CameraSamples
-from lidar2pano.data.fronts import FrontSample, FrontSamples, Wanted
+from lidar2pano.data.camera_projection import CameraProjectionDataset, CameraProjectionSample
+from lidar2pano.data.front_view import FrontViewDataset, FrontViewSample, SampleParts
 from lidar2pano.errors import InputError
-from lidar2pano.losses.supervised import pooled
 from lidar2pano.metrics.ssim import SSIM
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.train.adversarial import pix2pix_updates, renamed, wasserstein_updates
@@ -29,14 +28,14 @@ class ColourTask:
 
     released = ("renderer",)
     options: Any
-    dataset: FrontSamples | CameraSamples
-    validation: FrontSamples | CameraSamples
+    dataset: FrontViewDataset | CameraProjectionDataset
+    validation: FrontViewDataset | CameraProjectionDataset
 
     def __init__(self, recipe: Recipe) -> None:
         self.options, self.networks = recipe.options, build_networks(recipe)
         self.logs: dict[str, float | Tensor] = {}
 
-    def inputs(self, batch: FrontSample | CameraSample) -> Tensor:
+    def inputs(self, batch: FrontViewSample | CameraProjectionSample) -> Tensor:
         """The renderer's input (B, C, H, W) float32 for a batch."""
         return batch.lidar
 
@@ -45,7 +44,7 @@ class ColourTask:
         network, sample = self.networks["renderer"], self.validation[index]
         inputs = self.inputs(sample._replace(lidar=sample.lidar[None])).to(device_of(network))
         with torch.inference_mode():
-            return network(inputs)[0].float().cpu(), sample.colour
+            return network(inputs)[0].float().cpu(), sample.image
 
     def validate(self) -> dict[str, float]:
         """Mean distance of pooled colours in [0, 1], whose negative is the score; and structural similarity."""
@@ -71,9 +70,9 @@ class FrontColourTask(ColourTask):
     def __init__(self, recipe: Recipe, root: Path) -> None:
         super().__init__(recipe)
         self.view, size = VIEWS[recipe.view], image_size(self.networks["renderer"])
-        wanted = Wanted(classes=False, colour=True)
-        self.dataset = FrontSamples(root, recipe.data.train, self.view, size, wanted)
-        self.validation = FrontSamples(root, recipe.data.val, self.view, size, wanted)
+        wanted = SampleParts(labels=False, image=True)
+        self.dataset = FrontViewDataset(root, recipe.data.train, self.view, size, wanted)
+        self.validation = FrontViewDataset(root, recipe.data.val, self.view, size, wanted)
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """What a user of the renderer has to know: the view; it has no label set, its output is colour."""
@@ -85,15 +84,15 @@ class FrontColour(FrontColourTask):
 
     options: FrontColourOptions
 
-    def updates(self, batch: FrontSample) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: FrontViewSample) -> Iterator[tuple[str, Tensor]]:
         """The critic, then the renderer."""
         updates = wasserstein_updates(
             lambda: self.networks["renderer"](batch.lidar).float(),
             self.networks["critic"],
-            batch.colour,
+            batch.image,
             batch.lidar,
             penalty_weight=self.options.gradient_penalty,
-            auxiliary=lambda fake: self.options.mse * mse_loss(fake, batch.colour),
+            auxiliary=lambda fake: self.options.mse * mse_loss(fake, batch.image),
             logs=self.logs,
         )
         return renamed(updates, "renderer")
@@ -104,12 +103,12 @@ class Pix2PixColours(FrontColourTask):
 
     options: Pix2PixColoursOptions
 
-    def updates(self, batch: FrontSample) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: FrontViewSample) -> Iterator[tuple[str, Tensor]]:
         """The discriminator, then the renderer."""
         updates = pix2pix_updates(
             lambda: self.networks["renderer"](batch.lidar).float(),
             self.networks["critic"],
-            batch.colour,
+            batch.image,
             batch.lidar,
             self.options,
             logs=self.logs,
@@ -128,17 +127,17 @@ class CameraColour(ColourTask):
     def __init__(self, recipe: Recipe, root: Path) -> None:
         super().__init__(recipe)
         self.channels = int(recipe.networks["renderer"].settings.get("inputs", 1))
-        self.dataset = CameraSamples(root, recipe.data.train, self.options.size)
-        self.validation = CameraSamples(root, recipe.data.val, self.options.size)
+        self.dataset = CameraProjectionDataset(root, recipe.data.train, self.options.size)
+        self.validation = CameraProjectionDataset(root, recipe.data.val, self.options.size)
 
-    def inputs(self, batch: FrontSample | CameraSample) -> Tensor:
+    def inputs(self, batch: FrontViewSample | CameraProjectionSample) -> Tensor:
         """The renderer's input (B, 1 or 2, h, w) float32 for a batch."""
         return camera_inputs(batch.lidar, self.channels)
 
-    def updates(self, batch: CameraSample) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: CameraProjectionSample) -> Iterator[tuple[str, Tensor]]:
         """One update of the renderer."""
         fake = self.networks["renderer"](self.inputs(batch)).float()
-        yield "renderer", self.options.mse * mse_loss(fake, batch.colour)
+        yield "renderer", self.options.mse * mse_loss(fake, batch.image)
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """What a user of the renderer has to know: the size that camera images are resized to."""

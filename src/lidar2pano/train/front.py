@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import nll_loss
 
-from lidar2pano.data.fronts import FrontSample, FrontSamples, Wanted
+from lidar2pano.data.front_view import FrontViewDataset, FrontViewSample, SampleParts
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.labels import COMMON14, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
@@ -40,19 +40,19 @@ class FrontTask:
 
     released = ("translator",)
     options: Any
-    wanted: ClassVar[Wanted] = Wanted(classes=True)
+    wanted: ClassVar[SampleParts] = SampleParts(labels=True)
 
     def __init__(self, recipe: Recipe[FrontOptions] | Recipe[Pix2PixSegmentsOptions], root: Path) -> None:
         self.view, self.options = VIEWS[recipe.view], recipe.options
         self.networks = build_networks(recipe)
         size = image_size(self.networks["translator"])
-        self.dataset = FrontSamples(root, recipe.data.train, self.view, size, self.wanted)
-        self.validation = FrontSamples(root, recipe.data.val, self.view, size, self.wanted)
+        self.dataset = FrontViewDataset(root, recipe.data.train, self.view, size, self.wanted)
+        self.validation = FrontViewDataset(root, recipe.data.val, self.view, size, self.wanted)
         self.logs: dict[str, float | Tensor] = {}
         if recipe.options.segmenter:
-            self.validation.predict(load_segmenter(recipe.options.segmenter))
+            self.validation.predict(load_segmenter(recipe.options.segmenter), recipe.options.segmenter)
 
-    def output(self, sample: FrontSample) -> Any:  # noqa: ANN401 logits, or logits and depths
+    def output(self, sample: FrontViewSample) -> Any:  # noqa: ANN401 logits, or logits and depths
         """What the current translator gives for one sample, as a batch of one.
 
         In float32, since instance norms amplify the rounding of bfloat16.
@@ -63,14 +63,14 @@ class FrontTask:
         with torch.inference_mode():
             return network(sample.lidar[None].to(device), condition)
 
-    def predict(self, sample: FrontSample) -> Tensor:
+    def predict(self, sample: FrontViewSample) -> Tensor:
         """Class ids (h, w) that the current network predicts for a sample."""
         return self.output(sample)[0].argmax(0).cpu()
 
     def validate(self) -> dict[str, float]:
         """MIoU over the 14 classes on the network's image."""
         samples = (self.validation[index] for index in range(len(self.validation)))
-        pairs = ((self.predict(sample), sample.camera) for sample in samples)
+        pairs = ((self.predict(sample), sample.camera_labels) for sample in samples)
         return segmentation_scores(pairs, len(COMMON14), unscored=(0,))
 
     def preview(self) -> dict[str, np.ndarray]:
@@ -78,7 +78,7 @@ class FrontTask:
         rows = []
         for index in range(min(2, len(self.validation))):
             sample = self.validation[index]
-            rows += [COMMON14.paint(ids.numpy()) for ids in (sample.camera, self.predict(sample))]
+            rows += [COMMON14.paint(ids.numpy()) for ids in (sample.camera_labels, self.predict(sample))]
         return {"segments": np.concatenate(rows)}
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
@@ -94,17 +94,17 @@ class FrontTranslation(FrontTask):
 
     options: FrontOptions
 
-    def updates(self, batch: FrontSample) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: FrontViewSample) -> Iterator[tuple[str, Tensor]]:
         """The critic, then the translator."""
         condition = one_hot_layers(batch.segments, len(SEMANTIC_KITTI))
 
         def auxiliary(fake: Tensor) -> Tensor:
-            return self.options.lovasz * lovasz_softmax(fake, batch.camera, ignore=0)
+            return self.options.lovasz * lovasz_softmax(fake, batch.camera_labels, ignore=0)
 
         updates = wasserstein_updates(
             lambda: self.networks["translator"](batch.lidar, condition).float().softmax(1),
             self.networks["critic"],
-            one_hot_layers(batch.camera, len(COMMON14)),
+            one_hot_layers(batch.camera_labels, len(COMMON14)),
             condition,
             penalty_weight=self.options.gradient_penalty,
             auxiliary=auxiliary if self.options.lovasz else None,
@@ -121,11 +121,11 @@ class FrontDepthTranslation(FrontTask):
     absolute distance of depth codes where depth was measured.
     """
 
-    wanted: ClassVar[Wanted] = Wanted(classes=True, depth=True)
+    wanted: ClassVar[SampleParts] = SampleParts(labels=True, depth=True)
 
     options: FrontDepthOptions
 
-    def updates(self, batch: FrontSample) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: FrontViewSample) -> Iterator[tuple[str, Tensor]]:
         """The critic, then the translator."""
         condition, classes = one_hot_layers(batch.segments, len(SEMANTIC_KITTI)), len(COMMON14)
         measured = (batch.depth_m > 0)[:, None].float()
@@ -138,8 +138,8 @@ class FrontDepthTranslation(FrontTask):
 
         def auxiliary(fake: Tensor) -> Tensor:
             probabilities = fake[:, :classes]
-            lovasz = lovasz_softmax(probabilities, batch.camera, ignore=0)
-            entropy = nll_loss(probabilities.clamp(min=TINY).log(), batch.camera, ignore_index=0)
+            lovasz = lovasz_softmax(probabilities, batch.camera_labels, ignore=0)
+            entropy = nll_loss(probabilities.clamp(min=TINY).log(), batch.camera_labels, ignore_index=0)
             gap = (fake[:, classes:] - depth).abs().sum() / measured.sum().clamp(min=1)
             self.logs |= {"lovasz": lovasz.detach(), "cross_entropy": entropy.detach(), "depth": gap.detach()}
             parts = [options.lovasz * lovasz, options.cross_entropy * entropy, options.depth * gap]
@@ -148,7 +148,7 @@ class FrontDepthTranslation(FrontTask):
         updates = wasserstein_updates(
             forward,
             self.networks["critic"],
-            torch.cat([one_hot_layers(batch.camera, classes), depth], 1),
+            torch.cat([one_hot_layers(batch.camera_labels, classes), depth], 1),
             condition,
             penalty_weight=options.gradient_penalty,
             auxiliary=auxiliary,
@@ -156,12 +156,12 @@ class FrontDepthTranslation(FrontTask):
         )
         return renamed(updates, "translator")
 
-    def predict_both(self, sample: FrontSample) -> tuple[Tensor, Tensor]:
+    def predict_both(self, sample: FrontViewSample) -> tuple[Tensor, Tensor]:
         """Class ids (h, w) and depths (h, w), metres, that the current network predicts for a sample."""
         logits, depth_m = self.output(sample)
         return logits[0].argmax(0).cpu(), depth_m[0].cpu()
 
-    def predict(self, sample: FrontSample) -> Tensor:
+    def predict(self, sample: FrontViewSample) -> Tensor:
         """Class ids (h, w) that the current network predicts for a sample."""
         return self.predict_both(sample)[0]
 
@@ -175,7 +175,7 @@ class FrontDepthTranslation(FrontTask):
                 ids, depth_m = self.predict_both(sample)
                 measured = sample.depth_m > 0
                 errors.append(((depth_m - sample.depth_m).abs() / sample.depth_m)[measured].mean().item())
-                yield ids, sample.camera
+                yield ids, sample.camera_labels
 
         scores = segmentation_scores(pairs(), len(COMMON14), unscored=(0,))
         return {**scores, "depth_abs_rel": float(np.nanmean(errors))}
@@ -199,13 +199,13 @@ class Pix2PixSegments(FrontTask):
 
     options: Pix2PixSegmentsOptions
 
-    def updates(self, batch: FrontSample) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: FrontViewSample) -> Iterator[tuple[str, Tensor]]:
         """The discriminator, then the translator."""
         condition = one_hot_layers(batch.segments, len(SEMANTIC_KITTI))
         updates = pix2pix_updates(
             lambda: self.networks["translator"](batch.lidar, condition).float(),
             self.networks["critic"],
-            2 * one_hot_layers(batch.camera, len(COMMON14)) - 1,
+            2 * one_hot_layers(batch.camera_labels, len(COMMON14)) - 1,
             torch.cat([batch.lidar, condition], 1),
             self.options,
             logs=self.logs,

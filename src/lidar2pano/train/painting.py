@@ -12,15 +12,14 @@ from torch import Tensor
 from torch.nn.functional import interpolate, l1_loss, mse_loss
 from torch.utils.data import default_collate
 
-from lidar2pano.data.panoramas import PanoramaSample, PanoramaSamples
-from lidar2pano.data.sequences import UNSURE
+from lidar2pano.data.frames import IGNORE
+from lidar2pano.data.panorama_crops import PanoramaDataset, PanoramaSample
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
-from lidar2pano.losses import feature_matching, hinge_critic, hinge_generator
+from lidar2pano.losses import feature_matching, hinge_critic, hinge_generator, pooled
 from lidar2pano.losses.diff_augment import DiffAugment
-from lidar2pano.losses.supervised import pooled
 from lidar2pano.models.card import load
 from lidar2pano.models.titan_pano import STRIDE, depth_code
 from lidar2pano.train.options import PaintingOptions
@@ -43,32 +42,32 @@ class Painting:
         columns, shift_px = recipe.options.columns, recipe.options.shift_px
         if not recipe.options.translator or not recipe.options.segmenter:
             raise InputError(f"recipe {recipe.name!r} needs --set options.translator=FILE and options.segmenter=FILE")
-        self.dataset = PanoramaSamples(root, recipe.data.train, self.view, columns, colour=True, jitter=shift_px)
+        self.dataset = PanoramaDataset(root, recipe.data.train, self.view, columns, image=True, shift_px=shift_px)
         whole = (columns + 2 * shift_px) // STRIDE * STRIDE
-        self.validation = PanoramaSamples(root, recipe.data.val, self.view, whole, colour=True, jitter=0)
+        self.validation = PanoramaDataset(root, recipe.data.val, self.view, whole, image=True, shift_px=0)
         self.networks = build_networks(recipe)
         self.translator, _ = load(self.options.translator, expect="titan-pano")
         label_points = load_segmenter(self.options.segmenter)
         for samples in (self.dataset, self.validation):
-            samples.predict(label_points)
+            samples.predict(label_points, self.options.segmenter)
         self.logs: dict[str, float | Tensor] = {}
 
     def updates(self, batch: PanoramaSample) -> Iterator[tuple[str, Tensor]]:
         """Discriminator loss (if weighted), then generator loss."""
         options = self.options
-        teacher = torch.rand(len(batch.camera)) < options.teacher_label_probability
+        teacher = torch.rand(len(batch.camera_labels)) < options.teacher_label_probability
         segments, depth_m = self.painter_inputs(batch, teacher)
-        fake = self.networks["painter"](segments, depth_m, batch.image).float()
-        valid = batch.seen[:, None].float()
-        coarse = mse_loss(pooled(fake * valid), pooled(batch.colour * valid))
-        pixels = l1_loss(fake * valid, batch.colour * valid)
+        fake = self.networks["painter"](segments, depth_m, batch.range_image).float()
+        valid = batch.valid[:, None].float()
+        coarse = mse_loss(pooled(fake * valid), pooled(batch.image * valid))
+        pixels = l1_loss(fake * valid, batch.image * valid)
         self.logs = {"pooled": coarse.detach(), "pixels": pixels.detach()}
         loss = options.pooled * coarse + options.pixels * pixels
         if options.adversarial or options.feature_matching:
             condition = torch.cat([segments, depth_code(depth_m)[:, None]], 1)
             condition = interpolate(condition, scale_factor=2.0, mode="nearest")
             augment = DiffAugment.drawn(len(fake), options.augment_probability)
-            real, generated = (augment.apply(colour, valid, condition) for colour in (batch.colour, fake))
+            real, generated = (augment.apply(colour, valid, condition) for colour in (batch.image, fake))
             on_real, on_fake = (self.discriminated(image) for image in (real, generated.detach()))
             yield "critic", _mean([hinge_critic(r[-1], f[-1]) for r, f in zip(on_real, on_fake, strict=True)])
             with torch.no_grad():
@@ -90,13 +89,13 @@ class Painting:
 
         teacher  (B,) bool: samples whose segments are the camera teacher's labels, where it is sure.
         """
-        device = batch.image.device
+        device = batch.range_image.device
         self.translator.to(device)
         with fast_arithmetic(device):
             condition = one_hot_layers(batch.segments, len(SEMANTIC_KITTI))
-            logits, depth_m = self.translator(batch.image, condition)
-        sure = (batch.camera != UNSURE) & teacher.to(device)[:, None, None]
-        labels = one_hot_layers(batch.camera.where(sure, 0), len(COMMON15))
+            logits, depth_m = self.translator(batch.range_image, condition)
+        sure = (batch.camera_labels != IGNORE) & teacher.to(device)[:, None, None]
+        labels = one_hot_layers(batch.camera_labels.where(sure, 0), len(COMMON15))
         return torch.where(sure[:, None], labels, logits.float().softmax(1)), depth_m
 
     def paint(self, index: int) -> tuple[Tensor, PanoramaSample]:
@@ -105,18 +104,23 @@ class Painting:
         device = device_of(network)
         sample = self.validation[index]
         one = default_collate([sample])
-        one = one._replace(image=one.image.to(device), segments=one.segments.to(device), camera=one.camera.to(device))
+        moved = {part: getattr(one, part).to(device) for part in ("range_image", "segments", "camera_labels")}
+        one = one._replace(**moved)
+            range_image=one.range_image.to(device),
+            segments=one.segments.to(device),
+            camera_labels=one.camera_labels.to(device),
+        )
         segments, depth_m = self.painter_inputs(one, teacher=torch.zeros(1, dtype=torch.bool))
         with torch.inference_mode(), fast_arithmetic(device):
-            return network(segments, depth_m, one.image)[0].float().cpu(), sample
+            return network(segments, depth_m, one.range_image)[0].float().cpu(), sample
 
     def validate(self) -> dict[str, float]:
         """Mean distance of pooled colours in [0, 1] over the camera's sector; the score is its negative."""
         distances = []
         for index in range(len(self.validation)):
             fake, sample = self.paint(index)
-            valid = sample.seen.float()
-            gap = pooled((fake - sample.colour) * valid).abs().mean() / valid.mean() / 2
+            valid = sample.valid.float()
+            gap = pooled((fake - sample.image) * valid).abs().mean() / valid.mean() / 2
             distances.append(gap.item())
         distance = float(np.mean(distances))
         return {"score": -distance, "pooled_colour": distance}
@@ -126,7 +130,7 @@ class Painting:
         rows = []
         for index in range(min(3, len(self.validation))):
             fake, sample = self.paint(index)
-            rows += [sample.colour * sample.seen, fake]
+            rows += [sample.image * sample.valid, fake]
         return {"image": as_image(torch.cat(rows, 1))}
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released

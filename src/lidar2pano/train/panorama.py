@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import cross_entropy
 
-from lidar2pano.data.panoramas import PanoramaSample, PanoramaSamples
-from lidar2pano.data.sequences import UNSURE
+from lidar2pano.data.frames import IGNORE
+from lidar2pano.data.panorama_crops import PanoramaDataset, PanoramaSample
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
@@ -21,7 +21,6 @@ from lidar2pano.losses.supervised import class_weights
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.train.options import PanoramaOptions
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.sampling import evenly_spaced
 from lidar2pano.train.task import build_networks, device_of, load_segmenter, segmentation_scores
 from lidar2pano.views import VIEWS
 
@@ -34,22 +33,26 @@ class PanoramaTranslation:
     def __init__(self, recipe: Recipe[PanoramaOptions], root: Path) -> None:
         self.view, self.options = VIEWS[recipe.view].scaled(recipe.scale), recipe.options
         options = recipe.options
-        self.dataset = PanoramaSamples(root, recipe.data.train, self.view, options.columns)
-        self.validation = PanoramaSamples(root, recipe.data.val, self.view, options.columns)
+        self.dataset = PanoramaDataset(root, recipe.data.train, self.view, options.columns)
+        self.validation = PanoramaDataset(root, recipe.data.val, self.view, options.columns)
         self.networks = build_networks(recipe)
-        self.weights = camera_class_weights(self.dataset, options.class_weight_exponent)
+        self.weights = class_weights(
+            self.dataset.class_counts()[: len(COMMON15)], options.class_weight_exponent, least=1e-4, most=4.0
+        )
         self.logs: dict[str, float | Tensor] = {}
         if options.segmenter:
             label_points = load_segmenter(options.segmenter)
             for samples in (self.dataset, self.validation):
-                samples.predict(label_points)
+                samples.predict(label_points, options.segmenter)
 
     def updates(self, batch: PanoramaSample) -> Iterator[tuple[str, Tensor]]:
         """One update of the translator."""
-        logits, depth_m = self.networks["translator"](batch.image, one_hot_layers(batch.segments, len(SEMANTIC_KITTI)))
+        logits, depth_m = self.networks["translator"](
+            batch.range_image, one_hot_layers(batch.segments, len(SEMANTIC_KITTI))
+        )
         logits = logits.float()
-        entropy = cross_entropy(logits, batch.camera, weight=self.weights.to(logits.device), ignore_index=UNSURE)
-        lovasz = lovasz_softmax(logits.softmax(1), batch.camera, ignore=UNSURE)
+        entropy = cross_entropy(logits, batch.camera_labels, weight=self.weights.to(logits.device), ignore_index=IGNORE)
+        lovasz = lovasz_softmax(logits.softmax(1), batch.camera_labels, ignore=IGNORE)
         measured = batch.depth_m > 0
         gap = (depth_code(depth_m) - depth_code(batch.depth_m)).abs()
         depth = (gap * measured).sum() / measured.sum().clamp(min=1)
@@ -62,13 +65,13 @@ class PanoramaTranslation:
         device = device_of(network)
         condition = one_hot_layers(sample.segments[None].to(device), len(SEMANTIC_KITTI))
         with torch.inference_mode(), fast_arithmetic(device):
-            logits, _ = network(sample.image[None].to(device), condition)
+            logits, _ = network(sample.range_image[None].to(device), condition)
         return logits[0].argmax(0).cpu()
 
     def validate(self) -> dict[str, float]:
         """MIoU over the 14 classes in the camera's sector, on the raster; sky and unknown pixels are not scored."""
         samples = (self.validation[index] for index in range(len(self.validation)))
-        pairs = ((self.predict(sample), sample.camera) for sample in samples)
+        pairs = ((self.predict(sample), sample.camera_labels) for sample in samples)
         return segmentation_scores(pairs, len(COMMON15), unscored=(0, COMMON15.id_of("sky")))
 
     def preview(self) -> dict[str, np.ndarray]:
@@ -76,17 +79,9 @@ class PanoramaTranslation:
         rows = []
         for index in range(min(3, len(self.validation))):
             sample = self.validation[index]
-            rows += [COMMON15.paint(ids.numpy()) for ids in (sample.camera, self.predict(sample))]
+            rows += [COMMON15.paint(ids.numpy()) for ids in (sample.camera_labels, self.predict(sample))]
         return {"segments": np.concatenate(rows)}
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """What a user of the translator has to know: label set and raster."""
         return {"labels": COMMON15.name, "views": {"panorama": self.view.as_dict()}}
-
-
-def camera_class_weights(dataset: PanoramaSamples, exponent: float) -> Tensor:
-    """Weights (K,) of the camera's classes from their shares of the pixels in a sample of the frames."""
-    counts = np.zeros(256)
-    for index in evenly_spaced(len(dataset)):
-        counts += np.bincount(dataset.moment(index).camera.flatten().numpy(), minlength=256)
-    return class_weights(counts[: len(COMMON15)], exponent, least=1e-4, most=4.0)

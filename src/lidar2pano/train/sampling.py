@@ -14,7 +14,7 @@ import torch
 from torch.utils.data import DataLoader
 from torch.utils.data import Dataset as TorchDataset
 
-from lidar2pano.data.sequences import SampleIndex
+from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.train.recipe import Training
 from lidar2pano.train.task import Dataset
@@ -59,8 +59,8 @@ class BatchSampler:
             positions = range(step * self.batch + self.rank, (step + 1) * self.batch, self.world)
             share = len(positions) // self.accumulate
             for number in range(self.accumulate):
-                mine = positions[number * share : (number + 1) * share]
-                yield [sample_at(self.seed, position, self.samples) for position in mine]
+                micro_batch = positions[number * share : (number + 1) * share]
+                yield [sample_at(self.seed, position, self.samples) for position in micro_batch]
             step += 1
 
 

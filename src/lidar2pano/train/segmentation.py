@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from lidar2pano.data.ranges import RangeSample, RangeSamples, Variation
+from lidar2pano.data.range_images import RangeImageDataset, RangeImageSample, ScanAugmentation
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
@@ -19,7 +19,6 @@ from lidar2pano.losses.supervised import class_weights
 from lidar2pano.pipeline import Segmenter
 from lidar2pano.train.options import SegmentationOptions
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.sampling import evenly_spaced
 from lidar2pano.train.task import build_networks, device_of, range_view_card, segmentation_scores
 from lidar2pano.views import VIEWS
 
@@ -32,23 +31,23 @@ class Segmentation:
     def __init__(self, recipe: Recipe[SegmentationOptions], root: Path) -> None:
         self.view, self.options = VIEWS[recipe.view], recipe.options
         options = recipe.options
-        vary = Variation(
+        vary = ScanAugmentation(
             turn_deg=options.rotation_deg,
             chance=options.augment_probability,
             remission=options.remission_scale,
             rings=options.ring_drop_probability,
         )
-        self.dataset = RangeSamples(root, recipe.data.train, self.view, options.columns, vary)
-        self.validation = RangeSamples(root, recipe.data.val, self.view)
+        self.dataset = RangeImageDataset(root, recipe.data.train, self.view, options.columns, vary)
+        self.validation = RangeImageDataset(root, recipe.data.val, self.view)
         self.networks = build_networks(recipe)
         if not options.dropout:
             for module in self.networks["segmenter"].modules():
                 if isinstance(module, nn.Dropout2d):
                     module.p = 0.0
-        self.weights = class_weights(point_counts(self.dataset), options.class_weight_exponent, least=1e-5, most=6.0)
+        self.weights = class_weights(self.dataset.class_counts(), options.class_weight_exponent, least=1e-5, most=6.0)
         self.logs: dict[str, float | Tensor] = {}
 
-    def updates(self, batch: RangeSample) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: RangeImageSample) -> Iterator[tuple[str, Tensor]]:
         """One update: cross-entropy over labelled pixels + Lovasz-Softmax over the classes present."""
         logits = self.networks["segmenter"](batch.lidar).float()
         entropy = cross_entropy(logits, batch.labels, weight=self.weights.to(logits.device), ignore_index=0)
@@ -80,13 +79,3 @@ class Segmentation:
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """What a user of the segmenter has to know: label set, view, normalisation."""
         return {"labels": SEMANTIC_KITTI.name, **range_view_card(self.view)}
-
-
-def point_counts(dataset: RangeSamples) -> np.ndarray:
-    """Points per class (K,) of SEMANTIC_KITTI in a sample of the frames."""
-    counts = np.zeros(len(SEMANTIC_KITTI))
-    for index in evenly_spaced(len(dataset)):
-        label = dataset.scan(index).label
-        assert label is not None
-        counts += np.bincount(label, minlength=len(counts))
-    return counts

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from lidar2pano.data.sequences import SampleIndex
+from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.labels import LabelSet

@@ -11,14 +11,14 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import default_collate
 
-from lidar2pano.data.clips import Clip, Clips, Framing
+from lidar2pano.data.clips import ClipDataset, ClipSample, Framing
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.flow import Flow, chained
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.geometry.warp import warp
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
-from lidar2pano.losses.supervised import pooled
+from lidar2pano.losses import pooled
 from lidar2pano.models.card import load
 from lidar2pano.train.options import VideoOptions
 from lidar2pano.train.recipe import Recipe
@@ -51,21 +51,21 @@ class VideoPainting:
         )
         self.dataset, self.validation = (self._clips(root, splits) for splits in (recipe.data.train, recipe.data.val))
         self.networks = build_networks(recipe)
-        self.losses = VideoLosses(self.networks, options, circular=self.framing.closed)
+        self.losses = VideoLosses(self.networks, options, circular=self.framing.circular)
         self.steps = self.losses.steps(options.clip_length - PREVIOUS)
         self.first = _first_frames(options.first_frame_weights) if options.first_frame_weights else None
         self.logs: dict[str, float | Tensor] = {}
 
-    def _clips(self, root: Path, splits: tuple[str, ...]) -> Clips:
+    def _clips(self, root: Path, splits: tuple[str, ...]) -> ClipDataset:
         single = tuple(split for split in splits if split in self.options.single_frame_splits)
         sequences = tuple(split for split in splits if split not in single)
-        return Clips(root, sequences, self.framing, self.options.clip_length, single)
+        return ClipDataset(root, sequences, self.framing, self.options.clip_length, single)
 
-    def updates(self, batch: Clip) -> Iterator[tuple[str, Tensor]]:
+    def updates(self, batch: ClipSample) -> Iterator[tuple[str, Tensor]]:
         """For every painted frame: the critic, the temporal ones with enough frames, the painter."""
         labels = one_hot_clip(batch)
         blank = torch.rand(len(labels), device=labels.device) < self.options.no_previous_probability
-        previous = batch.colour[:, :PREVIOUS].masked_fill(blank[:, None, None, None, None], 0)
+        previous = batch.image[:, :PREVIOUS].masked_fill(blank[:, None, None, None, None], 0)
         painted: list[Tensor] = []
         sums: dict[str, list[Tensor]] = {}
         for now in range(PREVIOUS, self.options.clip_length):
@@ -79,7 +79,7 @@ class VideoPainting:
             previous = torch.cat([previous[:, 1:], painted[-1][:, None]], 1)
         self.logs = {name: torch.stack(values).mean() for name, values in sums.items()}
 
-    def frame(self, batch: Clip, labels: Tensor, previous: Tensor, now: int, first: Tensor) -> PaintedFrame:
+    def frame(self, batch: ClipSample, labels: Tensor, previous: Tensor, now: int, first: Tensor) -> PaintedFrame:
         """Paint frame `now` after the images `previous` (B, 2, 3, H, W).
 
         first  (B,) bool: samples without previous images; `raw` is all of their image, as published.
@@ -89,8 +89,8 @@ class VideoPainting:
         known = batch.known[:, now]
         return PaintedFrame(
             labels=labels[:, now],
-            real=batch.colour[:, now],
-            real_before=batch.colour[:, now - 1],
+            real=batch.image[:, now],
+            real_before=batch.image[:, now - 1],
             flow=Flow(shift=batch.shift[:, now], known=known),
             coherent=known.masked_fill(first[:, None, None], 0),
             fake=torch.where(first[:, None, None, None], raw, image),
@@ -100,23 +100,23 @@ class VideoPainting:
             weight=weight,
         )
 
-    def temporal(self, batch: Clip, painted: list[Tensor], step: int) -> TemporalInput:
+    def temporal(self, batch: ClipSample, painted: list[Tensor], step: int) -> TemporalInput:
         """The last painted image and two before it, `step` frames apart, and the same of the camera's."""
         now = PREVIOUS + len(painted) - 1
         flows = [self.flow_over(batch, now - step, step), self.flow_over(batch, now, step)]
-        real = [batch.colour[:, now - back * step] for back in (2, 1, 0)]
+        real = [batch.image[:, now - back * step] for back in (2, 1, 0)]
         fake = [painted[-1 - back * step] for back in (2, 1, 0)]
         return TemporalInput(real=temporal_input(real, flows), fake=temporal_input(fake, flows))
 
-    def flow_over(self, batch: Clip, now: int, step: int) -> Flow:
+    def flow_over(self, batch: ClipSample, now: int, step: int) -> Flow:
         """The reference flow of a frame to that `step` frames before it."""
         flow = Flow(shift=batch.shift[:, now], known=batch.known[:, now])
         for back in range(1, step):
             earlier = Flow(shift=batch.shift[:, now - back], known=batch.known[:, now - back])
-            flow = chained(flow, earlier, closed=self.framing.closed)
+            flow = chained(flow, earlier, circular=self.framing.circular)
         return flow
 
-    def paint(self, clip: Clip) -> tuple[Tensor, Tensor]:
+    def paint(self, clip: ClipSample) -> tuple[Tensor, Tensor]:
         """Paint a clip as a stream: images (K, 3, H, W) in [-1, 1] and flows (K, 2, H, W), on the CPU.
 
         It begins with the first-frame network, with no image (the first classes stand for those before), or with
@@ -132,7 +132,7 @@ class VideoPainting:
                 self.first.to(device)
                 images = [self.first(labels[:, now]).float() for now in range(PREVIOUS)]
             elif not self.options.no_previous_probability:
-                images = list(clip.colour[:PREVIOUS, None].to(device))
+                images = list(clip.image[:PREVIOUS, None].to(device))
             flows = flows[: len(images)]
             for now in range(len(images), self.options.clip_length):
                 recent = labels[:, [max(now - back, 0) for back in (2, 1, 0)]]
@@ -155,17 +155,17 @@ class VideoPainting:
         for index in evenly_spaced(len(self.validation), MOST_SCORED):
             clip = self.validation[index]
             images, flows = self.paint(clip)
-            gap = pooled(images - clip.colour)[PREVIOUS:].abs().mean() / 2
+            gap = pooled(images - clip.image)[PREVIOUS:].abs().mean() / 2
             wrong = (flows - clip.shift).norm(dim=1)[PREVIOUS:] * clip.known[PREVIOUS:]
             flow_px = wrong.sum() / clip.known[PREVIOUS:].sum().clamp(min=1)
-            rows.append([gap, self.flicker(images, clip), self.flicker(clip.colour, clip), flow_px])
+            rows.append([gap, self.flicker(images, clip), self.flicker(clip.image, clip), flow_px])
         means = torch.tensor(rows).mean(0).tolist()
         scores = dict(zip(("pooled_colour", "flicker", "flicker_of_real", "flow_px"), means, strict=True))
         return {"score": -scores["pooled_colour"] - scores["flicker"], **scores}
 
-    def flicker(self, images: Tensor, clip: Clip) -> Tensor:
+    def flicker(self, images: Tensor, clip: ClipSample) -> Tensor:
         """Distance of each image from the third on from the one before it, warped; see `validate`."""
-        warped = warp(images[PREVIOUS - 1 : -1], clip.shift[PREVIOUS:], closed=self.framing.closed)
+        warped = warp(images[PREVIOUS - 1 : -1], clip.shift[PREVIOUS:], circular=self.framing.circular)
         known = clip.known[PREVIOUS:]
         return ((images[PREVIOUS:] - warped).abs().mean(1) * known).sum() / known.sum().clamp(min=1) / 2
 
@@ -176,7 +176,7 @@ class VideoPainting:
         """
         strips = []
         for clip in (self.validation[0], self.validation[len(self.validation) // 2], self.dataset[0]):
-            for images in (clip.colour, self.paint(clip)[0]):
+            for images in (clip.image, self.paint(clip)[0]):
                 strips.append(torch.cat(list(images[PREVIOUS:]), 2))
         return {"video": as_image(torch.cat(strips, 1))}
 
@@ -193,6 +193,6 @@ def _first_frames(file: str) -> nn.Module:
     return network
 
 
-def one_hot_clip(batch: Clip) -> Tensor:
+def one_hot_clip(batch: ClipSample) -> Tensor:
     """One-hot classes (B, K, 16, H, W) of a batch of clips."""
-    return one_hot_layers(batch.classes.flatten(0, 1), len(COMMON15)).unflatten(0, batch.classes.shape[:2])
+    return one_hot_layers(batch.labels.flatten(0, 1), len(COMMON15)).unflatten(0, batch.labels.shape[:2])

@@ -1,0 +1,97 @@
+"""What data sets keep: in memory the frames that were read last, on disk a segmenter's predictions."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import zlib
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from torch import Tensor
+
+from lidar2pano.data.frames import Frame
+from lidar2pano.errors import InputError
+from lidar2pano.formats.output_files import write_whole
+from lidar2pano.scan import Scan
+
+T = TypeVar("T")
+LIMIT_BYTES = 256 * 2**20  # of one cache; every worker of a loader has its own
+
+
+class LruCache:
+    """The values that were used last, as many as fit into `limit` bytes of arrays; at least one."""
+
+    def __init__(self, limit: int = LIMIT_BYTES) -> None:
+        self.limit, self.held_bytes = limit, 0
+        self._held: OrderedDict[Hashable, Any] = OrderedDict()
+
+    def get(self, key: Hashable, read: Callable[[], T]) -> T:
+        """The value of `key`: the one that is held, else what `read` returns."""
+        if key in self._held:
+            self._held.move_to_end(key)
+            return self._held[key]
+        value = self._held[key] = read()
+        self.held_bytes += nbytes(value)
+        while self.held_bytes > self.limit and len(self._held) > 1:
+            self.held_bytes -= nbytes(self._held.popitem(last=False)[1])
+        return value
+
+
+def nbytes(value: object) -> int:
+    """Bytes of the arrays and tensors in a value: itself, or parts of a tuple or a dataclass."""
+    if isinstance(value, np.ndarray | Tensor):
+        return value.nbytes
+    if isinstance(value, tuple):
+        return sum(map(nbytes, value))
+    if is_dataclass(value):
+        return sum(nbytes(getattr(value, field.name)) for field in fields(value))
+    return 0
+
+
+class PredictedLabels:
+    """A segmenter's labels of scans: made when they are first requested, kept on disk, shared by all processes.
+
+    label_points  the segmenter: scan -> (N,) integer ids of SEMANTIC_KITTI.
+    weights       its weight file.
+    A file is found by the SHA-256 of the weights and of the scan, so that it is never out of date. It lies in the data
+    set's folder .lidar2pano/ or, where that may not be written, in the user's cache (XDG_CACHE_HOME).
+    """
+
+    def __init__(self, label_points: Callable[[Scan], Tensor], weights: str | Path) -> None:
+        self.label_points = label_points
+        with Path(weights).open("rb") as file:
+            self.key = hashlib.file_digest(file, "sha256").hexdigest()[:16]
+
+    def of(self, frame: Frame) -> np.ndarray:
+        """(N,) int64 ids of the points of a frame's scan."""
+        scan = frame.scan
+        digest = hashlib.sha256(scan.xyz.tobytes() + scan.remission.tobytes())
+        user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lidar2pano"
+        beside = [frame.root / ".lidar2pano"] if frame.root else []
+        name = Path("predictions", self.key, f"{digest.hexdigest()[:32]}.zlib")
+        paths = [folder / name for folder in (*beside, user)]
+        for path in paths:
+            if (labels := _read(path, len(scan))) is not None:
+                return labels
+        labels = self.label_points(scan).cpu().numpy().astype(np.int64)
+        packed = zlib.compress(labels.astype(np.uint8).tobytes(), 1)
+        for path in paths:
+            try:
+                write_whole(path, lambda file: file.write_bytes(packed))
+            except InputError:  # read-only: try the next place, or predict again next time
+                continue
+            break
+        return labels
+
+
+def _read(path: Path, points: int) -> np.ndarray | None:
+    try:
+        labels = np.frombuffer(zlib.decompress(path.read_bytes()), np.uint8)
+    except (OSError, zlib.error):
+        return None
+    return labels.astype(np.int64) if len(labels) == points else None

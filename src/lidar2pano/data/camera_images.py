@@ -1,0 +1,106 @@
+"""CameraImageDataset, for the camera's segmenter: images and their labels, at random sizes, places and colours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from PIL import Image, ImageEnhance
+from torch import Tensor
+
+from lidar2pano.data.frames import IGNORE, SampleIndex, frames_of
+
+PADDING_RGB = (124, 116, 104)  # beyond an image's border: ImageNet's mean, which normalisation makes zero
+
+
+class CameraImageSample(NamedTuple):
+    """An image and its labels; after collation every tensor gains a leading B.
+
+    image   (3, H, W) uint8 RGB.
+    labels  (H, W) int64 ids of CITYSCAPES, IGNORE where unknown or beyond the image.
+    name    "seq/frame".
+    """
+
+    image: Tensor
+    labels: Tensor
+    name: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImageAugmentation:
+    """How images are augmented; half of them are mirrored, too.
+
+    crop           (rows, columns) of the samples.
+    scale          smallest and largest factor by which an image is resized before it is cropped, drawn evenly.
+    colour_jitter  by how much brightness, contrast and saturation, in this order, are made more or less: factors in
+                   [1 - colour_jitter, 1 + colour_jitter].
+    """
+
+    crop: tuple[int, int]
+    scale: tuple[float, float] = (0.5, 2.0)
+    colour_jitter: float = 0.25
+
+
+class CameraImageDataset:
+    """Images of some splits with their labels; augmented when indexed by a SampleIndex, plain by an int."""
+
+    def __init__(self, root: Path, splits: tuple[str, ...], augmentation: ImageAugmentation) -> None:
+        self.frames = frames_of(root, splits)
+        self.augmentation = augmentation
+
+    def __len__(self) -> int:
+        """Number of images."""
+        return len(self.frames)
+
+    def pair(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """A frame's image (h, w, 3) uint8 RGB and labels (h, w) uint8.
+
+        InputError where their sizes differ, and where one is missing or damaged.
+        """
+        image, labels = self.frames[index].require("image", "camera_labels")
+        return image, labels
+
+    def __getitem__(self, at: SampleIndex | int) -> CameraImageSample:
+        """Sample: of the size `augmentation.crop`, augmented by a SampleIndex's seed, or the whole image for an int."""
+        if isinstance(at, int):
+            return _sample(*self.pair(at), self.frames[at].name)
+        generator = np.random.default_rng(at.seed)
+        image, labels = augmented(*self.pair(at.index), self.augmentation, generator)
+        return _sample(image, labels, self.frames[at.index].name)
+
+
+def augmented(
+    image: np.ndarray, ids: np.ndarray, by: ImageAugmentation, generator: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """An image (h, w, 3) uint8 and its ids (h, w) uint8: resized, cropped or padded, mirrored, recoloured."""
+    rows, columns = by.crop
+    factor = generator.uniform(*by.scale)
+    size = (max(round(image.shape[1] * factor), 1), max(round(image.shape[0] * factor), 1))
+    top, left = (
+        int(generator.integers(min(0, have - want), max(0, have - want) + 1))
+        for have, want in ((size[1], rows), (size[0], columns))
+    )
+    window = (left, top, left + columns, top + rows)
+    crop = _cut(Image.fromarray(image).resize(size, Image.Resampling.BILINEAR), window, PADDING_RGB)
+    labels = _cut(Image.fromarray(ids).resize(size, Image.Resampling.NEAREST), window, IGNORE)
+    for enhance in (ImageEnhance.Brightness, ImageEnhance.Contrast, ImageEnhance.Color):
+        crop = enhance(crop).enhance(generator.uniform(1 - by.colour_jitter, 1 + by.colour_jitter))
+    step = -1 if generator.random() < 0.5 else 1
+    return np.array(crop)[:, ::step], np.array(labels)[:, ::step]
+
+
+def _cut(image: Image.Image, window: tuple[int, int, int, int], padding: int | tuple[int, int, int]) -> Image.Image:
+    """The window (left, top, right, bottom) of an image, padded where it sticks out."""
+    left, top, right, bottom = window
+    cut = Image.new(image.mode, (right - left, bottom - top), padding)
+    cut.paste(image, (-left, -top))
+    return cut
+
+
+def _sample(image: np.ndarray, ids: np.ndarray, name: str) -> CameraImageSample:
+    return CameraImageSample(
+        torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1))), torch.from_numpy(ids.astype(np.int64)), name
+    )

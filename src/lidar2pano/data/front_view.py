@@ -1,0 +1,154 @@
+"""FrontViewDataset, TITAN-Net's own setting: the front range view in, the camera's perspective image out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from lidar2pano.data.augment import drop_points, mirror
+from lidar2pano.data.cache import LruCache, PredictedLabels
+from lidar2pano.data.camera_projection import in_unit, stretched
+from lidar2pano.data.frames import Frame, SampleIndex, frames_of
+from lidar2pano.data.range_images import labelled
+from lidar2pano.geometry.camera import project_to_camera
+from lidar2pano.geometry.images import Normalisation
+from lidar2pano.geometry.projection import project
+from lidar2pano.labels import TABLES
+from lidar2pano.scan import Scan
+from lidar2pano.views import View
+
+CITYSCAPES_TO_COMMON14 = np.zeros(256, dtype=np.uint8)  # unknown pixels and the sky are unlabeled, as in the paper
+CITYSCAPES_TO_COMMON14[:19] = TABLES["cityscapes", "common-14"]
+
+
+class FrontViewSample(NamedTuple):
+    """One training pair; after collation every tensor gains a leading B. What is not wanted is empty.
+
+    lidar          (5, H, W) float32, normalised range image.
+    segments       (H, W) int64 ids of SEMANTIC_KITTI, 0 where empty.
+    camera_labels  (h, w) int64 ids of COMMON14, stretched to the network's image.
+    image          (3, h, w) float32 in [-1, 1]: the camera's image, stretched likewise.
+    depth_m        (h, w) float32: distance of the whole scan's points from the camera, metres; zero where none.
+    name           "seq/frame".
+    """
+
+    lidar: Tensor
+    segments: Tensor
+    camera_labels: Tensor
+    image: Tensor
+    depth_m: Tensor
+    name: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleParts:
+    """What samples have beside the range view: labels on both sides, the camera's image, depths in the camera."""
+
+    labels: bool = True
+    image: bool = False
+    depth: bool = False
+
+
+class FrontViewPair(NamedTuple):
+    """A frame, stretched to the network's image; what is not wanted is empty.
+
+    scan           with its point labels, if labels are wanted.
+    camera_labels  (h, w) uint8 ids of COMMON14;  image (3, h, w) uint8;  depth_m (h, w) float32.
+    """
+
+    scan: Scan
+    camera_labels: Tensor
+    image: Tensor
+    depth_m: Tensor
+
+
+class FrontViewDataset:
+    """Scan/camera pairs of some splits in the paper's setting.
+
+    view   the front view;  size (rows, columns) of the image that the network writes.
+    parts  what samples have; files that hold nothing of it are not read and need not be there.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        splits: tuple[str, ...],
+        view: View,
+        size: tuple[int, int],
+        parts: SampleParts | None = None,
+    ) -> None:
+        self.frames = frames_of(root, splits)
+        self.view, self.size, self.parts = view, size, parts or SampleParts()
+        self.normalise = Normalisation()
+        self.predicted: PredictedLabels | None = None
+        self._cache = LruCache()
+
+    def __len__(self) -> int:
+        """Number of pairs."""
+        return len(self.frames)
+
+    def pair(self, index: int) -> FrontViewPair:
+        """A frame; InputError where a part that is wanted is missing or damaged."""
+        return self._cache.get(index, lambda: self._read(self.frames[index]))
+
+    def predict(self, label_points: Callable[[Scan], Tensor], weights: str | Path) -> None:
+        """Use a segmenter's labels of the scans instead of the data's.
+
+        weights  the segmenter's file: predictions are made once and kept on disk (PredictedLabels).
+        """
+        self.predicted, self._cache = PredictedLabels(label_points, weights), LruCache()
+
+    def __getitem__(self, at: SampleIndex | int) -> FrontViewSample:
+        """Sample: with the paper's flip and point drop (each p = 0.5) by a SampleIndex's seed, or plain for an int."""
+        if isinstance(at, int):
+            return self._sample(self.pair(at), self.frames[at].name)
+        generator = np.random.default_rng(at.seed)
+        pair = self.pair(at.index)
+        if generator.random() < 0.5:
+            pair = mirrored(pair)
+        if generator.random() < 0.5:
+            pair = pair._replace(scan=drop_points(pair.scan, generator, generator.uniform(0, 0.5)))
+        return self._sample(pair, self.frames[at.index].name)
+
+    def _sample(self, pair: FrontViewPair, name: str) -> FrontViewSample:
+        range_image = project(pair.scan, self.view)
+        segments = torch.zeros(0, 0, dtype=torch.int64)
+        if pair.scan.label is not None:
+            segments = range_image.spread(torch.from_numpy(pair.scan.label))
+        return FrontViewSample(
+            lidar=self.normalise(range_image),
+            segments=segments,
+            camera_labels=pair.camera_labels.long(),
+            image=in_unit(pair.image),
+            depth_m=pair.depth_m,
+            name=name,
+        )
+
+    def _read(self, frame: Frame) -> FrontViewPair:
+        scan, camera_labels = frame.scan, torch.zeros(0, 0, dtype=torch.uint8)
+        image, depth_m = torch.zeros(3, 0, 0, dtype=torch.uint8), torch.zeros(0, 0)
+        if self.parts.labels:
+            scan = labelled(frame)
+            if self.predicted is not None:
+                scan = replace(scan, label=self.predicted.of(frame))
+            ids = torch.from_numpy(CITYSCAPES_TO_COMMON14[frame.require("camera_labels")[0]])[None, None]
+            camera_labels = interpolate(ids, size=self.size, mode="nearest-exact")[0, 0]
+        if self.parts.image:
+            image = stretched(frame.require("image")[0], self.size)
+        if self.parts.depth:
+            (calibration,) = frame.require("calibration")
+            depth_m = project_to_camera(scan, calibration, self.size)[1]
+        return FrontViewPair(scan=scan, camera_labels=camera_labels, image=image, depth_m=depth_m)
+
+
+def mirrored(pair: FrontViewPair) -> FrontViewPair:
+    """The pair with left and right swapped, on both sides."""
+    scan, *rest = pair
+    return FrontViewPair(mirror(scan), *(part.flip(-1) for part in rest))

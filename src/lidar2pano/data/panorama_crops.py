@@ -1,0 +1,235 @@
+"""PanoramaDataset: the scan on the cylinder around the camera, and what the camera sees of it, cropped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from lidar2pano.calibration import Calibration
+from lidar2pano.data.augment import COARSE_BAND_DEG, drop_points, drop_rings
+from lidar2pano.data.cache import LruCache, PredictedLabels
+from lidar2pano.data.frames import (
+    CITYSCAPES_TO_COMMON15,
+    IGNORE,
+    Frame,
+    PanoramaGroundTruth,
+    SampleIndex,
+    evenly_spaced,
+    frames_of,
+)
+from lidar2pano.data.range_images import labelled
+from lidar2pano.errors import InputError
+from lidar2pano.geometry.camera import at_camera, camera_in_panorama
+from lidar2pano.geometry.projection import pixels, project
+from lidar2pano.scan import Scan
+from lidar2pano.views import View
+
+
+class PanoramaSample(NamedTuple):
+    """A sector of the panorama around the camera's; after collation every tensor gains a leading B.
+
+    range_image    (5, H, W) float32: a RangeImage's channels, metres; zero where empty.
+    segments       (H, W) int64 ids of SEMANTIC_KITTI of the points that own the pixels; 0 where empty.
+    camera_labels  (H, W) int64 ids of COMMON15, IGNORE where unknown or outside the camera's image.
+    depth_m        (H, W) float32: distance from the camera of the full scan's points, or of the true panorama where
+                   there is one, metres; zero where none.
+    image          (3, 2H, 2W) float32 in [-1, 1]: the camera's image on the raster twice as fine; empty unless wanted.
+    valid          (2H, 2W) bool: where `image` is known.
+    name           "seq/frame".
+    """
+
+    range_image: Tensor
+    segments: Tensor
+    camera_labels: Tensor
+    depth_m: Tensor
+    image: Tensor
+    valid: Tensor
+    name: str
+
+
+class PanoramaWindow(NamedTuple):
+    """A frame on the panorama's raster: in a window a little wider than the crops, or all of it.
+
+    scan           with its point labels;  view: the window or the whole raster, around the camera's optical centre.
+    camera_labels  (H, W) uint8, depth_m (H, W) float32, image (3, 2H, 2W) uint8, valid (2H, 2W) bool: see
+                   PanoramaSample.
+    """
+
+    scan: Scan
+    view: View
+    camera_labels: Tensor
+    depth_m: Tensor
+    image: Tensor
+    valid: Tensor
+
+
+class PanoramaDataset:
+    """Scan/camera pairs of some splits on `view`, cropped to `columns` around the camera's sector.
+
+    Of frames with a true panorama, crops come from every direction.
+
+    view      the raster of the translator (its origin is replaced by the camera's centre, frame by frame).
+    columns   width of the crop, a multiple of 16; shift_px: how far left or right of the camera's middle it may begin.
+    image     whether samples have the camera's image.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        splits: tuple[str, ...],
+        view: View,
+        columns: int = 640,
+        *,
+        image: bool = False,
+        shift_px: int = 24,
+    ) -> None:
+        self.frames = frames_of(root, splits)
+        self.view, self.columns, self.image, self.shift_px = view, columns, image, shift_px
+        self.predicted: PredictedLabels | None = None
+        self._cache, self._labels = LruCache(), LruCache()
+
+    def __len__(self) -> int:
+        """Number of pairs."""
+        return len(self.frames)
+
+    def window(self, index: int) -> PanoramaWindow:
+        """The frame on the raster; InputError where a part that is needed is missing, or parts do not fit together."""
+        return self._cache.get(index, lambda: self._read(self.frames[index]))
+
+    def predict(self, label_points: Callable[[Scan], Tensor], weights: str | Path) -> None:
+        """Use a segmenter's labels of the scans: half of the augmented samples do, and plain ones always.
+
+        weights  the segmenter's file: predictions are made once and kept on disk (PredictedLabels).
+        """
+        self.predicted = PredictedLabels(label_points, weights)
+
+    def class_counts(self) -> np.ndarray:
+        """(256,) int64: pixels of each camera label, in up to 500 frames that are evenly spaced."""
+        found = (self._camera_labels(self.frames[index])[1] for index in evenly_spaced(len(self)))
+        return sum((np.bincount(ids.flatten(), minlength=256) for ids in found), np.zeros(256))
+
+    def __getitem__(self, at: SampleIndex | int) -> PanoramaSample:
+        """Sample: augmented by the seed of a SampleIndex (points, labels, crop, mirror), or plain for an int."""
+        index = at if isinstance(at, int) else at.index
+        window, frame = self.window(index), self.frames[index]
+        if isinstance(at, int):
+            scan = window.scan if self.predicted is None else self._predicted(window.scan, index)
+            return self._sample(window, scan, frame.name, (window.view.columns - self.columns) // 2)
+        generator = np.random.default_rng(at.seed)
+        scan = window.scan
+        if self.predicted is not None and generator.random() < 0.5:
+            scan = self._predicted(scan, index)
+        scan = without_sector(scan, generator)
+        if generator.random() < 0.5:
+            scan = drop_points(scan, generator, generator.uniform(0, 0.5))
+        if generator.random() < 0.3:
+            scan = drop_rings(scan, generator, COARSE_BAND_DEG, generator.uniform(0, 0.5))
+        start = int(generator.integers(window.view.columns - self.columns + 1))
+        sample = self._sample(window, scan, frame.name, start)
+        return mirrored(sample) if generator.random() < 0.5 else sample
+
+    def _predicted(self, scan: Scan, index: int) -> Scan:
+        assert self.predicted is not None
+        predicted, frame = self.predicted, self.frames[index]
+        vars(frame)["scan"] = scan  # read already
+        return replace(scan, label=self._labels.get(index, lambda: predicted.of(frame)))
+
+    def _sample(self, window: PanoramaWindow, scan: Scan, name: str, start: int) -> PanoramaSample:
+        range_image = project(scan, window.view.window(start, self.columns))
+        assert scan.label is not None
+        coarse, fine = slice(start, start + self.columns), slice(2 * start, 2 * (start + self.columns))
+        return PanoramaSample(
+            range_image=range_image.channels,
+            segments=range_image.spread(torch.from_numpy(scan.label)),
+            camera_labels=window.camera_labels[:, coarse].long(),
+            depth_m=window.depth_m[:, coarse],
+            image=window.image[..., fine].float() / 127.5 - 1,
+            valid=window.valid[:, fine],
+            name=name,
+        )
+
+    def _read(self, frame: Frame) -> PanoramaWindow:
+        view, labels = self._camera_labels(frame)
+        image, valid = torch.zeros(3, 0, 0, dtype=torch.uint8), torch.zeros(0, 0, dtype=torch.bool)
+        scan = labelled(frame)
+        if frame.panorama is not None:
+            depth_m = torch.from_numpy(panorama_on(frame, self.view).depth_m)
+            if self.image:
+                fine = panorama_on(frame, self.view.scaled(2))
+                image, valid = torch.from_numpy(fine.image).movedim(2, 0), torch.from_numpy(fine.valid)
+        else:
+            depth_m = project(scan, view).channels[0]
+            if self.image:
+                pixels, calibration = frame.require("image", "calibration")
+                lookup = camera_in_panorama(view.scaled(2), calibration)
+                image = lookup.linear(torch.from_numpy(pixels).movedim(2, 0).float()).round().to(torch.uint8)
+                valid = lookup.valid
+        return PanoramaWindow(scan, view, labels, depth_m, image, valid)
+
+    def _camera_labels(self, frame: Frame) -> tuple[View, Tensor]:
+        """The part of the raster on which a frame is sampled, and its camera labels, uint8 of COMMON15 or IGNORE."""
+        if frame.panorama is not None:
+            panorama = panorama_on(frame, self.view)
+            labels = torch.from_numpy(panorama.labels)
+            return panorama.view, labels.where(labels != 0, IGNORE)
+        ids, calibration = frame.require("camera_labels", "calibration")
+        view = around_camera(at_camera(self.view, calibration), calibration, self.columns + 2 * self.shift_px)
+        return view, camera_in_panorama(view, calibration).nearest(torch.from_numpy(CITYSCAPES_TO_COMMON15[ids]), IGNORE)
+
+
+def without_sector(scan: Scan, generator: np.random.Generator) -> Scan:
+    """The scan, or with probability 0.15 one of which a sector ahead is unlabeled: there, geometry has to do."""
+    if scan.label is None or generator.random() >= 0.15:
+        return scan
+    azimuth = np.arctan2(scan.xyz[:, 1], scan.xyz[:, 0])
+    middle, half = generator.uniform(-0.8, 0.8), generator.uniform(0.05, 1.0)
+    return replace(scan, label=scan.label * (np.abs(azimuth - middle) >= half))
+
+
+def panorama_on(frame: Frame, view: View) -> PanoramaGroundTruth:
+    """A frame's true panorama, labels and depths included, on the raster `view` around the camera.
+
+    Colours are means of pixels, labels and depths the nearest pixel's. InputError where the frame has none of them, or
+    where its panorama is of another shape.
+    """
+    (panorama,) = frame.require("panorama")
+    rows, columns = panorama.valid.shape
+    if panorama.labels is None or panorama.depth_m is None:
+        raise InputError(f"{frame.name}: its panorama has no labels or no depths; simulate the world again")
+    if abs(columns * view.rows - rows * view.columns) > view.columns:
+        raise InputError(f"{frame.name}: its panorama is {columns}x{rows}; one like {view.columns}x{view.rows} is needed")
+    row = ((np.arange(view.rows) + 0.5) * rows / view.rows).astype(int)
+    column = ((np.arange(view.columns) + 0.5) * columns / view.columns).astype(int)
+    size = (view.columns, view.rows)
+    return PanoramaGroundTruth(
+        view=replace(view, origin=panorama.view.origin),
+        image=np.array(Image.fromarray(panorama.image).resize(size, Image.Resampling.BOX)),
+        valid=panorama.valid[row[:, None], column],
+        labels=np.array(Image.fromarray(panorama.labels).resize(size, Image.Resampling.NEAREST)),
+        depth_m=panorama.depth_m[row[:, None], column],
+    )
+
+
+def around_camera(view: View, calibration: Calibration, columns: int) -> View:
+    """The window of the raster, `columns` wide, in whose middle the camera looks."""
+    ahead = np.linalg.inv(calibration.K @ calibration.T_camera_lidar[:3, :3]) @ np.array(
+        [(calibration.size[0] - 1) / 2, (calibration.size[1] - 1) / 2, 1.0]
+    )
+    x, y, z = torch.from_numpy(ahead).unbind()
+    _, column = pixels(x, y, z, view)
+    start = min(max(round(float(column)) - columns // 2, 0), view.columns - columns)
+    return view.window(start, columns)
+
+
+def mirrored(sample: PanoramaSample) -> PanoramaSample:
+    """The sample with left and right swapped, its points' y included."""
+    flipped = {field: getattr(sample, field).flip(-1) for field in sample._fields if field != "name"}
+    flipped["range_image"] = flipped["range_image"] * torch.tensor([1.0, 1, -1, 1, 1])[:, None, None]
+    return sample._replace(**flipped)

@@ -1,0 +1,123 @@
+"""RangeImageDataset, for the LiDAR's segmenter: range images and the labels of the points that own their pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lidar2pano.data.augment import HDL64E_BEAM_DEG, drop_points, drop_rings, mirror, shift, turn, vary_remission
+from lidar2pano.data.cache import LruCache
+from lidar2pano.data.frames import Frame, SampleIndex, evenly_spaced, frames_of
+from lidar2pano.geometry.images import Normalisation
+from lidar2pano.geometry.projection import project
+from lidar2pano.labels import SEMANTIC_KITTI
+from lidar2pano.scan import Scan
+from lidar2pano.views import View
+
+
+class RangeImageSample(NamedTuple):
+    """One range image with its labels; after collation every tensor gains a leading B.
+
+    lidar   (5, H, W) float32, normalised range image.
+    labels  (H, W) int64 ids of SEMANTIC_KITTI, 0 where empty or unlabeled.
+    name    "seq/frame".
+    """
+
+    lidar: Tensor
+    labels: Tensor
+    name: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanAugmentation:
+    """How scans are augmented.
+
+    turn_deg  how far a scan is turned at most, either way.
+    chance    probability of each of moving, turning and dropping points; half of the scans are mirrored.
+    remission how much brighter or darker, as a share, all of a scan is made at most.
+    rings     probability that up to three quarters of its beams are left out, as sensors of fewer beams do.
+    """
+
+    turn_deg: float = 180.0
+    chance: float = 0.5
+    remission: float = 0.0
+    rings: float = 0.0
+
+
+class RangeImageDataset:
+    """Labelled scans of some splits, projected; augmented when indexed by a SampleIndex, plain by an int.
+
+    columns       width of the azimuth crop for training (all of the view where 0).
+    augmentation  how samples are augmented.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        splits: tuple[str, ...],
+        view: View,
+        columns: int = 0,
+        augmentation: ScanAugmentation | None = None,
+    ) -> None:
+        self.frames = frames_of(root, splits)
+        self.view = view
+        self.columns = columns or view.columns
+        self.augmentation = augmentation or ScanAugmentation()
+        self.normalise = Normalisation()
+        self._cache = LruCache()
+
+    def __len__(self) -> int:
+        """Number of scans."""
+        return len(self.frames)
+
+    def scan(self, index: int) -> Scan:
+        """The labelled scan of a frame."""
+        return self._cache.get(index, lambda: labelled(self.frames[index]))
+
+    def class_counts(self) -> np.ndarray:
+        """(K,) int64: points of each class of SEMANTIC_KITTI, in up to 500 frames that are evenly spaced."""
+        frames = (self.frames[index] for index in evenly_spaced(len(self)))
+        labels = (frame.require("point_labels")[0] for frame in frames)
+        return sum((np.bincount(ids, minlength=len(SEMANTIC_KITTI)) for ids in labels), np.zeros(len(SEMANTIC_KITTI)))
+
+    def __getitem__(self, at: SampleIndex | int) -> RangeImageSample:
+        """Sample: augmented by the seed of a SampleIndex, or the plain whole range image for an int."""
+        if isinstance(at, int):
+            return self._sample(self.scan(at), self.frames[at].name)
+        generator = np.random.default_rng(at.seed)
+        scan = augmented(self.scan(at.index), generator, self.augmentation)
+        sample = self._sample(scan, self.frames[at.index].name)
+        start = int(generator.integers(self.view.columns - self.columns + 1))
+        window = (..., slice(start, start + self.columns))
+        return sample._replace(lidar=sample.lidar[window], labels=sample.labels[window])
+
+    def _sample(self, scan: Scan, name: str) -> RangeImageSample:
+        range_image = project(scan, self.view)
+        assert scan.label is not None
+        return RangeImageSample(self.normalise(range_image), range_image.spread(torch.from_numpy(scan.label)), name)
+
+
+def labelled(frame: Frame) -> Scan:
+    """A frame's scan with its point labels; InputError where they are missing."""
+    scan, labels = frame.require("scan", "point_labels")
+    return replace(scan, label=labels)
+
+
+def augmented(scan: Scan, generator: np.random.Generator, by: ScanAugmentation) -> Scan:
+    """SalsaNext's augmentation: move, mirror, turn, drop up to half of the points; other remission, fewer beams."""
+    if by.rings and generator.random() < by.rings:  # before it moves: beams are those of where it was taken
+        scan = drop_rings(scan, generator, HDL64E_BEAM_DEG, generator.uniform(0, 0.75))
+    if generator.random() < by.chance:
+        scan = shift(scan, generator, (5.0, 3.0, 0.5))
+    if generator.random() < 0.5:
+        scan = mirror(scan)
+    if generator.random() < by.chance:
+        scan = turn(scan, np.radians(generator.uniform(-by.turn_deg, by.turn_deg)))
+    if generator.random() < by.chance:
+        scan = drop_points(scan, generator, generator.uniform(0, 0.5))
+    return vary_remission(scan, generator, by.remission) if by.remission else scan

@@ -1,0 +1,247 @@
+"""Data sets in SemanticKITTI's layout, simulated worlds among them.
+
+ROOT/sequences/<seq>/{velodyne/NNNNNN.bin, labels/NNNNNN.label, image_2/NNNNNN.png|jpg, camera_labels/NNNNNN.png,
+calib.txt, poses.txt}; of worlds also pano/, pano_labels/ and pano_depth/ with NNNNNN.png. ROOT/splits.json (split ->
+["seq/NNNNNN", ...]), without which SemanticKITTI's own splits hold.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+
+from lidar2pano.calibration import Calibration, read_calib
+from lidar2pano.data.frames import IGNORE, Frame, FrameList, PanoramaGroundTruth
+from lidar2pano.data.poses import lidar_poses
+from lidar2pano.errors import InputError, closest
+from lidar2pano.formats.scan_files import read_bin, read_label
+from lidar2pano.formats.output_files import DEPTH_STEPS, image_size, read_image
+from lidar2pano.formats.json_files import read_json
+from lidar2pano.geometry.camera import at_camera
+from lidar2pano.labels import CITYSCAPES
+from lidar2pano.scan import Scan
+from lidar2pano.views import VIEWS, View
+
+# Behley et al. 2019; the paper trains on 00-07, 09, 10, validates on 08 and tests on 11-21.
+SEQUENCES: dict[str, tuple[int, ...]] = {
+    "train": (0, 1, 2, 3, 4, 5, 6, 7, 9, 10),
+    "val": (8,),
+    "test": tuple(range(11, 22)),
+}
+BYTES_PER_POINT = 16
+
+
+class SemanticKittiFrame(Frame):
+    """A frame by its files: `folder` is ROOT/sequences/<seq>, `stem` NNNNNN."""
+
+    def __init__(self, folder: Path, stem: str) -> None:
+        super().__init__(f"{folder.name}/{stem}")
+        self.folder, self.stem = folder, stem
+        self.root: Path = folder.parents[1]
+
+    def file(self, part: str, suffix: str = ".png") -> Path:
+        """The frame's file in the folder `part` of its sequence."""
+        return self.folder / part / f"{self.stem}{suffix}"
+
+    @property
+    def scan_file(self) -> Path:
+        """The file of the scan."""
+        return self.file("velodyne", ".bin")
+
+    @cached_property
+    def image_file(self) -> Path | None:
+        """The file of the image: PNG or JPEG; None where there is none."""
+        return next((path for suffix in (".png", ".jpg") if (path := self.file("image_2", suffix)).is_file()), None)
+
+    @cached_property
+    def scan(self) -> Scan:
+        """See Frame."""
+        return replace(read_bin(self.scan_file), name=self.name)
+
+    @cached_property
+    def point_labels(self) -> np.ndarray | None:
+        """See Frame; the scan itself is not read for them."""
+        path = self.file("labels", ".label")
+        if not path.is_file():
+            return None
+        points = self.scan_file.stat().st_size // BYTES_PER_POINT if self.scan_file.is_file() else len(self.scan)
+        return read_label(path, points)
+
+    @cached_property
+    def image(self) -> np.ndarray | None:
+        """See Frame."""
+        return None if self.image_file is None or self._size is None else read_image(self.image_file, "RGB")
+
+    @cached_property
+    def camera_labels(self) -> np.ndarray | None:
+        """See Frame."""
+        path = self.file("camera_labels")
+        if not path.is_file() or self._size is None:
+            return None
+        ids = read_image(path)
+        if ids.ndim != 2 or ids.dtype != np.uint8:
+            raise InputError(f"{path}: is no image of class ids (one channel of 8 bits); write Cityscapes train ids")
+        strange = (ids >= len(CITYSCAPES)) & (ids != IGNORE)
+        if strange.any():
+            raise InputError(
+                f"{path}: holds class {ids[strange][0]}; write Cityscapes train ids, 0 to {len(CITYSCAPES) - 1}, and"
+                f" {IGNORE} where unknown"
+            )
+        return ids
+
+    @cached_property
+    def _size(self) -> tuple[int, int] | None:
+        """(width, height) of image and camera labels, by their headers; InputError where they differ."""
+        labels = self.file("camera_labels")
+        sizes = [image_size(path) for path in (self.image_file, labels) if path is not None and path.is_file()]
+        if sizes and sizes[0] != sizes[-1]:
+            (w, h), (width, height) = sizes
+            raise InputError(f"{labels}: is {width}x{height} and its image {w}x{h}; label the image again")
+        return sizes[0] if sizes else None
+
+    @cached_property
+    def calibration(self) -> Calibration | None:
+        """See Frame."""
+        return self._size and read_calib(self.folder / "calib.txt", self._size)
+
+    @cached_property
+    def pose(self) -> np.ndarray | None:
+        """See Frame; the world is the sensor's frame at the sequence's first pose. None without poses.txt."""
+        poses = lidar_poses(self.folder)
+        return None if poses is None else np.linalg.inv(poses.at("0")) @ poses.at(self.stem)
+
+    @cached_property
+    def panorama(self) -> PanoramaGroundTruth | None:
+        """See Frame; without world.json its rows cover the same directions as VIEWS["panorama"]."""
+        if not self.file("pano").is_file():
+            return None
+        image = read_image(self.file("pano"), "RGB")
+        view = _world_view(self.root / "world.json")
+        if view is None:
+            view = replace(VIEWS["panorama"], rows=image.shape[0], columns=image.shape[1])
+        size = (view.rows, view.columns)
+        _check(self.file("pano"), image, (*size, 3), np.uint8)
+        labels, steps = (self._beside(part, size, of) for part, of in _PANORAMA_PARTS.items())
+        return PanoramaGroundTruth(
+            view=at_camera(view, read_calib(self.folder / "calib.txt")),
+            image=image,
+            valid=np.ones(size, dtype=bool),
+            labels=labels,
+            depth_m=None if steps is None else steps.astype(np.float32) / DEPTH_STEPS,
+        )
+
+    def _beside(self, part: str, size: tuple[int, int], of: type[np.generic]) -> np.ndarray | None:
+        path = self.file(part)
+        if not path.parent.is_dir():
+            return None
+        values = read_image(path)
+        _check(path, values, size, of)
+        return values
+
+    def missing(self, part: str) -> str:
+        """See Frame."""
+        return {
+            "point_labels": f"{self.file('labels', '.label')}: is missing; label the scans: lidar2pano prepare ROOT",
+            "image": f"{self.file('image_2')}: no image (.png or .jpg) goes with this scan",
+            "camera_labels": f"{self.file('camera_labels')}: is missing; label the camera's images first:"
+            " lidar2pano prepare ROOT --teacher ...",
+            "calibration": f"{self.file('image_2')}: no image (.png or .jpg) goes with this scan, nor camera labels",
+            "pose": f"{self.folder / 'poses.txt'}: is missing; write a line of 12 numbers per frame, as KITTI does",
+            "panorama": f"{self.file('pano')}: is missing; only simulated data sets (lidar2pano world) have panoramas",
+        }.get(part) or super().missing(part)
+
+
+_PANORAMA_PARTS: dict[str, type[np.generic]] = {"pano_labels": np.uint8, "pano_depth": np.uint16}
+
+
+def frames(root: Path, split: str) -> FrameList[SemanticKittiFrame]:
+    """Frames of a split, in its order.
+
+    Raises InputError where the split, or a scan that it lists, is missing; a sequence's folder is listed once.
+    """
+    folder, listing = root / "sequences", root / "splits.json"
+    if listing.is_file():
+        names = _listed(listing, split)
+        there: dict[str, set[str]] = {}
+        for name in names:
+            sequence, _, stem = name.partition("/")
+            if sequence not in there:
+                there[sequence] = set(stems(folder / sequence / "velodyne", ".bin"))
+            if stem not in there[sequence]:
+                raise InputError(
+                    f"{folder / sequence}: scan {stem}.bin of split {split!r} is missing; complete the data"
+                )
+    else:
+        names = [
+            f"{sequence}/{stem}"
+            for sequence in sequences_of(folder, split)
+            for stem in stems(folder / sequence / "velodyne", ".bin")
+        ]
+    if not names:
+        raise InputError(f"{root}: split {split!r} has no scan")
+    layout = "simulated" if (root / "world.json").is_file() else "semantic-kitti"
+    return FrameList(layout, zip(names, [partial(open_frame, folder)] * len(names), strict=True))
+
+
+def open_frame(folder: Path, name: str) -> SemanticKittiFrame:
+    """The frame "seq/NNNNNN" of the data set whose sequences lie in `folder`; nothing is read."""
+    sequence, _, stem = name.partition("/")
+    return SemanticKittiFrame(folder / sequence, stem)
+
+
+def sequences_of(folder: Path, split: str) -> list[str]:
+    """The sequences of one of SemanticKITTI's own splits; InputError for another."""
+    if split not in SEQUENCES:
+        raise InputError(f"{folder}: no split {split!r}" + closest(split, SEQUENCES))
+    return [f"{number:02d}" for number in SEQUENCES[split]]
+
+
+def stems(folder: Path, *suffixes: str) -> list[str]:
+    """Sorted stems of the files in a folder that end in one of the suffixes; none where there is no such folder.
+
+    Files whose names begin with a dot do not count. Raises InputError where the folder may not be read.
+    """
+    try:
+        with os.scandir(folder) as entries:
+            names: Iterable[str] = [entry.name for entry in entries]
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be looked into ({error.strerror}); ask for permission") from error
+    found = {name[: -len(s)] for name in names for s in suffixes if name.endswith(s) and not name.startswith(".")}
+    return sorted(found)
+
+
+def _listed(listing: Path, split: str) -> list[str]:
+    splits = read_json(listing)
+    if not isinstance(splits, dict):
+        raise InputError(f"{listing}: must be an object of split -> list of seq/NNNNNN; write it so")
+    if split not in splits:
+        raise InputError(f"{listing}: has no split {split!r}" + closest(split, splits))
+    names = splits[split]
+    if not isinstance(names, list) or not all(isinstance(name, str) and name.count("/") == 1 for name in names):
+        raise InputError(f"{listing}: split {split!r} must be a list of seq/NNNNNN; write it so")
+    return names
+
+
+def _world_view(card: Path) -> View | None:
+    """The raster of pano/: the first of the views that a world's card names, such as "panorama" or "panorama/2"."""
+    if not card.is_file():
+        return None
+    settings = read_json(card)
+    names = settings.get("views") if isinstance(settings, dict) else None
+    name, _, part = str(names[0] if isinstance(names, list) and names else "").partition("/")
+    if name not in VIEWS or not (part or "1").isdecimal() or int(part or 1) < 1:
+        raise InputError(f"{card}: names no view of its panoramas; simulate the world again")
+    return VIEWS[name].scaled(1 / int(part or 1))
+
+
+def _check(path: Path, values: np.ndarray, shape: tuple[int, ...], of: type[np.generic]) -> None:
+    if values.shape != shape or values.dtype != of:
+        expected = "x".join(str(length) for length in shape)
+        raise InputError(f"{path}: is {values.shape} {values.dtype}, not {expected}; simulate the world again")
