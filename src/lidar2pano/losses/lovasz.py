@@ -97,13 +97,11 @@ def _on_cpu(probabilities: Tensor, owner: Tensor, every: bool) -> tuple[Tensor, 
     return torch.tensor(sum(losses) / max(len(chosen), 1), dtype=torch.float32), torch.from_numpy(slope)
 
 
-def _class_on_cpu(
-    error_P: np.ndarray, of_class_P: np.ndarray, left_out_P: np.ndarray | None
-) -> tuple[float, np.ndarray]:
+def _class_on_cpu(error_P: np.ndarray, owned_P: np.ndarray, left_out_P: np.ndarray | None) -> tuple[float, np.ndarray]:
     """Loss of one class and its slope (P,) by probability.
 
     error_P     (P,) float32: the class's probabilities; overwritten.
-    of_class_P      (P,) bool: pixels of the class.
+    owned_P      (P,) bool: pixels of the class.
     left_out_P  (P,) bool or None: pixels that do not count.
 
     With n pixels of the class, f of them and b others among the largest errors, the Jaccard loss of that set is
@@ -112,7 +110,7 @@ def _class_on_cpu(
     the smallest error of this class are therefore not sorted at all, nor are errors of exactly zero.
     """
     slope_P = np.zeros_like(error_P)
-    owned = np.flatnonzero(of_class_P)
+    owned = np.flatnonzero(owned_P)
     error_P[owned] = np.maximum(1 - error_P[owned], 0)
     if left_out_P is not None:
         error_P[left_out_P] = 0
@@ -127,7 +125,7 @@ def _class_on_cpu(
     key = POSITIVE_INFINITY - error_P.view(np.int32)[kept].astype(np.int64)
     key <<= bits
     key |= kept << 1
-    key |= of_class_P[kept]
+    key |= owned_P[kept]
     key.sort()
     error = (POSITIVE_INFINITY - (key >> bits)).astype(np.int32).view(np.float32)
     hit = (key & 1).astype(bool)
@@ -149,11 +147,11 @@ def _on_device(probabilities: Tensor, owner: Tensor, every: bool) -> tuple[Tenso
     owner_P, slope, losses, sizes = owner.flatten(), torch.empty_like(probabilities), [], []
     counted_P = owner_P >= 0
     for c in range(probabilities.shape[1]):
-        of_class_P = owner_P == c
+        owned_P = owner_P == c
         value_P = probabilities[:, c].flatten()
-        error_P = torch.where(of_class_P, 1 - value_P, value_P).clamp(min=0).masked_fill(~counted_P, 0)
+        error_P = torch.where(owned_P, 1 - value_P, value_P).clamp(min=0).masked_fill(~counted_P, 0)
         error, order = error_P.sort(descending=True)
-        hit, size = of_class_P[order], of_class_P.sum()
+        hit, size = owned_P[order], owned_P.sum()
         found = hit.cumsum(0)
         others = counted_P[order].cumsum(0) - found
         union = size + others

@@ -106,10 +106,6 @@ class Painting:
         one = default_collate([sample])
         moved = {part: getattr(one, part).to(device) for part in ("range_image", "segments", "camera_labels")}
         one = one._replace(**moved)
-            range_image=one.range_image.to(device),
-            segments=one.segments.to(device),
-            camera_labels=one.camera_labels.to(device),
-        )
         segments, depth_m = self.painter_inputs(one, teacher=torch.zeros(1, dtype=torch.bool))
         with torch.inference_mode(), fast_arithmetic(device):
             return network(segments, depth_m, one.range_image)[0].float().cpu(), sample
