@@ -39,7 +39,7 @@ format: setup
 	$(BIN)/ruff check --fix $(SOURCES)
 
 docs: setup
-	DISABLE_MKDOCS_2_WARNING=true $(BIN)/mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 dist: setup
 	rm -rf dist

@@ -180,20 +180,32 @@ def recipes() -> str:
         recipe = RECIPES[name]()
         networks = ", ".join(f"`{network.model}`" for network in recipe.networks.values())
         limit = f"{recipe.training.minutes:g} min" if recipe.training.minutes else f"{recipe.training.steps} steps"
-        return [f"`{name}`", _first(RECIPES[name].__doc__), networks, f"{limit}, batch {recipe.training.batch}"]
+        return [
+            f"`{name}`",
+            _first(RECIPES[name].__doc__) or _variant(name, set(RECIPES)),
+            networks,
+            f"{limit}, batch {recipe.training.batch}",
+        ]
 
     return table(["recipe", "what it is", "networks", "length"], map(row, RECIPES))
 
 
+def _variant(name: str, known: set[str]) -> str:
+    """What a recipe without a docstring is: the small form of another, or another with a part left out."""
+    if name.removesuffix("-mini") in known - {name}:
+        return f"`{name.removesuffix('-mini')}` for two CPU cores."
+    base, _, without = name.partition("-no-")
+    return f"`{base}` without {without}, the paper's ablation." if without and base in known else ""
+
+
 def paper_rows() -> str:
     """Every row of the paper's tables: the recipes behind it, and the command that makes it."""
-    from lidar2pano.reproduce.rows import ROWS
+    from lidar2pano.reproduce.plan import ROWS
 
     def row(name: str) -> list[str]:
         parts = " + ".join(f"`{part}`" for part in ROWS[name].parts)
-        wanted = [["table 1"] * ROWS[name].segments, ["table 2"] * ROWS[name].pictures]
         origin = "the paper" if ROWS[name].paper or ROWS[name].miou is not None else "ours, beside it"
-        return [ROWS[name].name, ", ".join(sum(wanted, [])), origin, parts, f"`--rows {name}`"]
+        return [ROWS[name].name, "1, 2" if ROWS[name].segments else "2", origin, parts, f"`--rows {name}`"]
 
     return table(["row", "tables", "from", "recipes", "option of `reproduce`"], map(row, ROWS))
 

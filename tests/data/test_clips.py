@@ -1,4 +1,4 @@
-"""ClipDataset: which frames make one, that all of its frames are cut alike, and that its flow leads to the frame before."""
+"""Clips: which frames make one, that all of its frames are cut alike, and that its flow leads to the frame before."""
 
 from __future__ import annotations
 

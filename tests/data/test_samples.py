@@ -8,10 +8,10 @@ import torch
 from PIL import Image
 
 from lidar2pano.data.augment import drop_points, drop_rings, mirror, turn, vary_remission
+from lidar2pano.data.frames import IGNORE, SampleIndex, evenly_spaced, frames, frames_of
 from lidar2pano.data.front_view import FrontViewDataset
 from lidar2pano.data.panorama_crops import PanoramaDataset, mirrored
 from lidar2pano.data.range_images import RangeImageDataset, ScanAugmentation, augmented
-from lidar2pano.data.frames import IGNORE, SampleIndex, frames, frames_of
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON14, COMMON15
@@ -62,7 +62,7 @@ def test_missing_and_broken_pictures_are_told(root):
         _ = frame.camera_labels
     (root / "sequences/00/image_2/000000.png").unlink()
     with pytest.raises(InputError, match="no image"):
-        frame.require("image")
+        frames(root, "train")[0].require("image")
 
 
 def test_range_samples_carry_each_points_label_to_its_pixel(root):
@@ -210,3 +210,53 @@ def test_beams_are_left_out_whole():
     assert min(kept) < 0.5 and max(kept) > 0.8
     for seed in range(9):
         assert len(augmented(scan, np.random.default_rng(seed), ScanAugmentation(**still, rings=0.0))) == len(scan)
+
+
+def test_a_point_that_is_nan_or_infinite_trains_like_any_other(root):
+    path = root / "sequences/00/velodyne/000000.bin"
+    points = np.fromfile(path, "<f4").reshape(-1, 4)
+    points[:3, :3] = [[np.nan] * 3, [np.inf, 1, 1], [1, 1, -np.inf]]
+    points[3, 3] = np.nan
+    points.tofile(path)
+    augmentation = ScanAugmentation(rings=1.0, remission=0.5)
+    for data in (
+        RangeImageDataset(root, ("train",), VIEWS["hdl64e"], augmentation=augmentation),
+        PanoramaDataset(root, ("train",), RASTER, columns=160),
+    ):
+        for seed in range(12):
+            with np.errstate(all="ignore"):
+                sample = data[SampleIndex(0, seed)]
+            assert all(part.isfinite().all() for part in sample if isinstance(part, torch.Tensor))
+
+
+def test_class_counts_are_of_all_frames_or_of_a_spread_sample(root):
+    scans = RangeImageDataset(root, ("train",), VIEWS["hdl64e"])
+    counts = sum(np.bincount(street(number).label, minlength=20) for number in range(3))
+    assert np.array_equal(scans.class_counts(), counts)
+    crops = PanoramaDataset(root, ("train",), RASTER, columns=160)
+    labels = torch.cat([crops.window(index).camera_labels.flatten() for index in range(3)])
+    assert np.array_equal(crops.class_counts(), np.bincount(labels, minlength=256))
+    assert evenly_spaced(3) == [0, 1, 2] and len(set(evenly_spaced(20_000))) == 500
+    assert evenly_spaced(20_000)[0] == 0 and evenly_spaced(20_000)[-1] == 19_999
+
+
+def test_labels_of_another_size_or_kind_do_not_train(root):
+    path = root / "sequences/00/camera_labels/000000.png"
+    for image, message in (
+        (Image.new("L", (12, 10)), "is 12x10 and its image 240x72"),
+        (Image.new("L", (240, 72), 33), "holds class 33"),
+    ):
+        image.save(path)
+        for data in (
+            PanoramaDataset(root, ("train",), RASTER, columns=160),
+            FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], (36, 120)),
+        ):
+            with pytest.raises(InputError, match=message):
+                data[0]
+
+
+def test_class_counts_of_panoramas_are_those_of_their_samples(tmp_path):
+    root = write_film(tmp_path, panorama=True)
+    crops = PanoramaDataset(root, ("train",), RASTER, columns=96)
+    labels = torch.cat([crops.window(index).camera_labels.flatten() for index in range(len(crops))])
+    assert np.array_equal(crops.class_counts(), np.bincount(labels, minlength=256))

@@ -80,6 +80,13 @@ def test_parts_are_tables(name):
     assert part.count("\n| ") >= 3, part
 
 
+def test_every_recipe_is_described():
+    rows = [row.split(" | ") for row in generated.recipes().splitlines()[2:]]
+    assert [row for row in rows if len(row) != 4 or not row[1].strip()] == []
+    assert generated._variant("titan-no-range", {"titan", "titan-no-range"}).startswith("`titan` without range")
+    assert generated._variant("a-mini", {"a", "a-mini"}) == "`a` for two CPU cores."
+
+
 def test_links_of_root_pages_lead_to_the_site_or_the_repository():
     text = "[a](docs/world.md) [b](CHANGELOG.md) [c](runs/release.sh) [d](https://x.org) ![e](docs/p.jpg) [f](#g)"
     repository = f"{generated.REPOSITORY}/runs/release.sh"
@@ -110,3 +117,8 @@ def test_columns_of_docstrings_are_fenced():
         "```text\nxyz        (N, 3) float32.\nremission  (N,) float32,\n           in [0, 1].\n```\n\nRaises."
     )
     assert fenced("Plain text.\n\nMore of it.") == "Plain text.\n\nMore of it."
+
+
+def test_docstrings_are_no_markdown():
+    fenced = hook("docstrings").fenced
+    assert fenced("P2 [x y z] * 2, `a[0] * b`, <stem>.png") == r"P2 \[x y z\] \* 2, `a[0] * b`, &lt;stem>.png"

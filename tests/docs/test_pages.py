@@ -6,6 +6,7 @@ import functools
 import re
 import shlex
 import shutil
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -14,6 +15,8 @@ from typer.main import get_command
 import house_rules
 from lidar2pano import demo
 from lidar2pano.cli import app
+from lidar2pano.train.recipe import override
+from lidar2pano.train.recipes import recipe_named
 
 PAGES = {
     path.relative_to(house_rules.ROOT).as_posix(): path.read_text(encoding="utf-8")
@@ -56,6 +59,15 @@ def unknown(words: list[str]) -> list[str]:
 @pytest.mark.parametrize("page", [name for name, text in PAGES.items() if typed(text)])
 def test_commands_have_the_options_that_are_shown(page):
     assert [(words, unknown(words)) for words in typed(PAGES[page]) if unknown(words)] == []
+
+
+@pytest.mark.parametrize("page", [name for name, text in PAGES.items() if "--set " in "\n".join(blocks(text, "sh"))])
+def test_changes_of_recipes_are_accepted(page):
+    for words in typed(PAGES[page]):
+        if words[1] == "train":
+            recipe = recipe_named(words[2])
+            for before, change in pairwise(words):
+                recipe = override(recipe, change) if before == "--set" else recipe
 
 
 def test_unknown_options_are_found():

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -233,3 +234,33 @@ def test_a_lookup_moves_to_another_device():
     assert moved.circular
     assert moved.linear(torch.zeros(3, 96, 1152, device="meta")).shape == (3, 94, 310)
     assert moved.nearest(torch.zeros(96, 1152, device="meta")).shape == (94, 310)
+
+
+def linear_slowly(image: Tensor, row: float, column: float, *, circular: bool) -> float:
+    """One bilinear sample of (H, W) at raster coordinates."""
+    rows, columns = image.shape
+    row, column = row - 0.5, column - 0.5
+    top, left = math.floor(row), math.floor(column)
+    value = 0.0
+    for i, down in ((top, 1 - (row - top)), (top + 1, row - top)):
+        for j, across in ((left, 1 - (column - left)), (left + 1, column - left)):
+            at = j % columns if circular else min(max(j, 0), columns - 1)
+            value += float(image[min(max(i, 0), rows - 1), at]) * down * across
+    return value
+
+
+@pytest.mark.parametrize("circular", [True, False])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_linear_agrees_with_its_slow_definition(circular, dtype):
+    generator = np.random.default_rng(5)
+    image = torch.from_numpy(generator.uniform(0, 255, (7, 4608))).to(dtype)
+    row = torch.from_numpy(generator.uniform(0, 7, (3, 90))).float()
+    column = torch.from_numpy(generator.uniform(0, 4608, (3, 90))).float()
+    column[0, :3] = torch.tensor([0.0, 0.2, 4607.9])
+    lookup = Lookup(row=row, column=column, valid=torch.ones(3, 90, dtype=torch.bool), circular=circular)
+    expected = [
+        linear_slowly(image, r, c, circular=circular) for r, c in zip(row.flatten(), column.flatten(), strict=True)
+    ]
+    found = lookup.linear(image[None])
+    assert found.dtype == dtype and (found.flatten() - torch.tensor(expected)).abs().max() < 0.2, "steps of 255"
+    assert not lookup.linear(image[None, :, :0].new_zeros(1, 7, 8)).any()

@@ -10,14 +10,15 @@ import torch
 
 from golden_vectors import facts, recorded
 from lidar2pano.calibration import read_calib
+from lidar2pano.errors import InputError
 from lidar2pano.formats.scan_files import read
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.images import Normalisation, RangeImage
-from lidar2pano.geometry.projection import back_project, directions, pixels, project
+from lidar2pano.geometry.projection import back_project, directions, nearest_points, pixels, project
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, View
 from published_projection import published_projection, synthetic_scan
-from slow_definitions import place_slowly, project_slowly
+from slow_definitions import nearest_slowly, place_slowly, project_slowly
 
 FRONT = View(rows=32, columns=512, up=3, down=-15, left=45, right=-45)
 BEHIND = View(rows=32, columns=90, up=10, down=-25, left=225, right=135)
@@ -313,3 +314,19 @@ def test_cuda_agrees_with_the_cpu(name):
     here, there = (project(scan, SMALL[name], device=device) for device in ("cpu", "cuda"))
     for field in ("channels", "valid", "index", "row", "column", "range_m", "usable"):
         assert torch.equal(getattr(here, field), getattr(there, field).cpu()), field
+
+
+def test_the_z_buffer_agrees_with_its_slow_definition():
+    generator = np.random.default_rng(2)
+    cell = torch.from_numpy(generator.integers(0, 61, 2000))  # 60 is out of view
+    distance = torch.from_numpy(generator.choice(np.float32([0, 1.5, 2, 7.25, np.inf]), 2000))
+    cell[cell == 17] = 18
+    assert nearest_points(cell, distance, 60).tolist() == nearest_slowly(cell.tolist(), distance.tolist(), 60)
+    assert nearest_points(cell[:0], distance[:0], 3).tolist() == [-1, -1, -1]
+
+
+def test_a_view_may_be_given_by_its_name():
+    scan = Scan(xyz=[[10, 0, 0], [0, 5, 0]], remission=[0.5, 0.2])
+    assert torch.equal(project(scan, "hdl64e").channels, project(scan, VIEWS["hdl64e"]).channels)
+    with pytest.raises(InputError, match="no view 'hdl64'; did you mean 'hdl64e'"):
+        project(scan, "hdl64")

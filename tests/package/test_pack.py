@@ -31,11 +31,11 @@ def test_a_data_set_comes_back(tmp_path: Path):
     for split in ("train", "val"):
         for before, after in zip(frames(root, split), frames(back, split), strict=True):
             assert before.name == after.name
-            a, b = before.scan(), after.scan()
+            a, b = before.scan, after.scan
             np.testing.assert_allclose(b.xyz, a.xyz, rtol=0, atol=0.5 / 128 + 1e-6)
             np.testing.assert_allclose(b.remission, a.remission, rtol=0, atol=0.5 / 200 + 1e-6)
-            assert np.array_equal(before.image(), after.image())
-            assert np.array_equal(before.camera_labels(), after.camera_labels())
+            assert np.array_equal(before.image, after.image)
+            assert np.array_equal(before.camera_labels, after.camera_labels)
             for name in (f"labels/{before.stem}.label", "calib.txt"):
                 assert (before.folder / name).read_bytes() == (after.folder / name).read_bytes()
 

@@ -46,6 +46,15 @@ def project_slowly(xyz: np.ndarray, view: View) -> dict[tuple[int, int], int]:
     return owner
 
 
+def nearest_slowly(cell: list[int], distance: list[float], cells: int) -> list[int]:
+    """Which point owns each cell: the nearest; of equals the first; -1 where there is none."""
+    owner = [-1] * cells
+    for number, (at, away) in enumerate(zip(cell, distance, strict=True)):
+        if at < cells and (owner[at] < 0 or away < distance[owner[at]]):
+            owner[at] = number
+    return owner
+
+
 def vote_slowly(
     ranges: np.ndarray, ids: np.ndarray, pixel: tuple[int, int], range_m: float, *, own: bool, circular: bool
 ) -> int:

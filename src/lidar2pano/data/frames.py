@@ -106,6 +106,11 @@ class Frame:
         """See the class."""
         return None
 
+    @cached_property
+    def panorama_labels(self) -> np.ndarray | None:
+        """The labels of the panorama; where they have a file of their own, nothing else is read."""
+        return None if self.panorama is None else self.panorama.labels
+
     def require(self, *parts: str) -> tuple[Any, ...]:
         """Parts by name; InputError that names the missing file and says what to do where one is None."""
         found = tuple(getattr(self, part) for part in parts)

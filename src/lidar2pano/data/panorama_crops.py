@@ -112,8 +112,15 @@ class PanoramaDataset:
 
     def class_counts(self) -> np.ndarray:
         """(256,) int64: pixels of each camera label, in up to 500 frames that are evenly spaced."""
-        found = (self._camera_labels(self.frames[index])[1] for index in evenly_spaced(len(self)))
-        return sum((np.bincount(ids.flatten(), minlength=256) for ids in found), np.zeros(256))
+        counts = np.zeros(256)
+        for frame in (self.frames[index] for index in evenly_spaced(len(self))):
+            if frame.panorama_labels is None:
+                labels = self._camera_labels(frame)[1].numpy()
+            else:  # as `_camera_labels` has them, without reading the panorama itself
+                labels = resized(frame.panorama_labels, self.view, Image.Resampling.NEAREST)
+                labels = np.where(labels == 0, IGNORE, labels)
+            counts += np.bincount(labels.ravel(), minlength=256)
+        return counts
 
     def __getitem__(self, at: SampleIndex | int) -> PanoramaSample:
         """Sample: augmented by the seed of a SampleIndex (points, labels, crop, mirror), or plain for an int."""
@@ -207,14 +214,18 @@ def panorama_on(frame: Frame, view: View) -> PanoramaGroundTruth:
         raise InputError(f"{frame.name}: its panorama is {columns}x{rows}; one like {view.columns}x{view.rows} is needed")
     row = ((np.arange(view.rows) + 0.5) * rows / view.rows).astype(int)
     column = ((np.arange(view.columns) + 0.5) * columns / view.columns).astype(int)
-    size = (view.columns, view.rows)
     return PanoramaGroundTruth(
         view=replace(view, origin=panorama.view.origin),
-        image=np.array(Image.fromarray(panorama.image).resize(size, Image.Resampling.BOX)),
+        image=resized(panorama.image, view, Image.Resampling.BOX),
         valid=panorama.valid[row[:, None], column],
-        labels=np.array(Image.fromarray(panorama.labels).resize(size, Image.Resampling.NEAREST)),
+        labels=resized(panorama.labels, view, Image.Resampling.NEAREST),
         depth_m=panorama.depth_m[row[:, None], column],
     )
+
+
+def resized(pixels: np.ndarray, view: View, resampling: Image.Resampling) -> np.ndarray:
+    """An image or ids (h, w, ...) uint8 at the size of the raster `view`."""
+    return np.array(Image.fromarray(pixels).resize((view.columns, view.rows), resampling))
 
 
 def around_camera(view: View, calibration: Calibration, columns: int) -> View:

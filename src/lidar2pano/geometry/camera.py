@@ -8,6 +8,7 @@ where its direction lies in the old one. Parallax is none where the panorama's o
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -60,11 +61,19 @@ def at_camera(view: View, calibration: Calibration) -> View:
 
 
 def camera_in_panorama(view: View, calibration: Calibration) -> Lookup:
-    """Look-up that resamples a camera image (height, width) onto the panorama: (H, W), valid in the camera's sector."""
-    R = torch.from_numpy(calibration.T_camera_lidar[:3, :3])
-    K = torch.from_numpy(calibration.K)
-    u, v, depth = (directions(view).double() @ (K @ R).T).unbind(-1)
-    width, height = calibration.size
+    """Look-up that resamples a camera image (height, width) onto the panorama: (H, W), valid in the camera's sector.
+
+    The last ones are kept, for the frames of a sequence share their calibration; do not write into them.
+    """
+    return _camera_in_panorama(view, (calibration.K @ calibration.T_camera_lidar[:3, :3]).tobytes(), calibration.size)
+
+
+@lru_cache(maxsize=8)
+def _camera_in_panorama(view: View, KR: bytes, size: tuple[int, int]) -> Lookup:
+    u, v, depth = (
+        directions(view).double() @ torch.frombuffer(bytearray(KR), dtype=torch.float64).view(3, 3).T
+    ).unbind(-1)
+    width, height = size
     row, column = v / depth + 0.5, u / depth + 0.5
     valid = (depth > 0) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
     row, column = (torch.where(valid, place, 0.0).float() for place in (row, column))

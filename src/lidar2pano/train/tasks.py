@@ -13,6 +13,7 @@ from lidar2pano.train.front import FrontDepthTranslation, FrontTranslation, Pix2
 from lidar2pano.train.painting import Painting
 from lidar2pano.train.panorama import PanoramaTranslation
 from lidar2pano.train.recipe import Recipe
+from lidar2pano.train.scene_painting import ScenePainting
 from lidar2pano.train.segmentation import Segmentation
 from lidar2pano.train.task import Task
 from lidar2pano.train.video import VideoPainting
@@ -28,6 +29,7 @@ TASKS: dict[str, Callable[[Recipe[Any], Path], Any]] = {
     "pix2pix-colours": Pix2PixColours,
     "panorama": PanoramaTranslation,
     "painting": Painting,
+    "scene-painting": ScenePainting,
     "video": VideoPainting,
 }
 

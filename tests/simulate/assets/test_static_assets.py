@@ -21,7 +21,7 @@ def slope(x: np.ndarray) -> np.ndarray:
     return 0.09 * x + 0.4 * np.sin(x / 7)
 
 
-# name: maker, kinds that it must have, its size at least and at most (along x, y, z), triangles at most
+# name: maker, object types that it must have, its size at least and at most (along x, y, z), triangles at most
 THINGS: dict[str, tuple[Maker, set[str], tuple[float, float, float], tuple[float, float, float], int]] = {
     "bush": (plants.bush, {"vegetation"}, (0.5, 0.5, 0.6), (4.5, 4.5, 3.4), 4500),
     "hedge": (lambda rng: plants.hedge(rng, 8, 1.6, 0.8), {"vegetation"}, (7.5, 0.6, 1.5), (8.8, 1.5, 2.4), 4000),

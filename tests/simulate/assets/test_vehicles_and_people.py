@@ -160,7 +160,7 @@ def test_the_shares_of_colours_and_bodies_are_shares():
 
 
 @pytest.mark.parametrize(
-    ("make", "materials", "kinds"),
+    ("make", "materials", "object_types"),
     [
         (truck, {"paint", "window", "rubber", "rim", "headlamp", "tail-lamp", "plate"}, {"truck"}),
         (trailer, {"rubber", "rim", "tail-lamp", "plate"}, {"trailer"}),
