@@ -17,6 +17,7 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.data.camera_projection import CameraProjectionDataset, in_unit, stretched
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.models import build
 from lidar2pano.models.card import load
 from lidar2pano.models.circular import fold_norms
