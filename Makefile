@@ -1,15 +1,16 @@
 # Everything happens in a virtual environment of the checkout's own, .venv; the first target that needs it makes it.
 #   make demo     one scan in, a panorama out          make test    the whole test suite
-#   make lint     format, lint, types, spelling        make clean   remove what was made, .venv too
+#   make lint     format, lint, types, spelling        make docs    the documentation, in site/
+#   make dist     wheel and sdist, in dist/            make clean   remove what was made, .venv too
 # PYTHON=python3.12 chooses the interpreter; TORCH_INDEX=URL another package index for torch, such as one of CPU builds
 # (on Linux the usual index has large CUDA ones).
 
 PYTHON ?= python3
 TORCH_INDEX ?=
 BIN := .venv/bin
-SOURCES := src tests runs
+SOURCES := src tests runs docs examples
 
-.PHONY: setup demo test lint format clean
+.PHONY: setup demo test lint format docs dist clean
 
 setup: .venv/.ready
 
@@ -18,7 +19,7 @@ setup: .venv/.ready
 	  { echo "lidar2pano needs Python 3.11 or newer and '$(PYTHON)' is not; try: make PYTHON=python3.11" >&2; exit 1; }
 	test -x $(BIN)/pip || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[train,world,teachers,odometry,dev]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[train,world,teachers,odometry,docs,dev]'
 	@touch $@
 
 demo: setup
@@ -37,6 +38,14 @@ format: setup
 	$(BIN)/ruff format $(SOURCES)
 	$(BIN)/ruff check --fix $(SOURCES)
 
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+
+dist: setup
+	rm -rf dist
+	$(BIN)/hatchling build -t sdist
+	$(BIN)/pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist dist/*.tar.gz
+
 clean:
-	rm -rf .venv build dist .pytest_cache .ruff_cache
+	rm -rf .venv build dist site .pytest_cache .ruff_cache
 	find src tests -name __pycache__ -prune -exec rm -rf {} +

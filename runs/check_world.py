@@ -1,12 +1,11 @@
-"""Does a simulated data set agree with itself? Points carried into the pictures by the package's own geometry.
+"""Consistency of a simulated data set: points of scans projected into the images by the package's own geometry.
 
     python runs/check_world.py ROOT [--frames N]
 
-For every point of a scan: the class of the panorama's and of the camera's pixel that it falls into, and the panorama's
-depth there. Pixels at edges (a neighbour of another class, or much nearer or farther) are left out: there a pixel's
-middle and the point are different things. So are points that stand behind what the panorama sees, by its own depth
-picture: the LiDAR looks over and past things from a third of a metre beside the camera; their share is told. Prints one
-Markdown table.
+Compares each point's class with the class of its pixel in the panorama and in the camera image, and its distance with
+the panorama's depth. Pixels at edges (a neighbour of another class, or much nearer or farther) are left out, because
+the pixel centre and the point may lie on different objects. Points hidden from the panorama, by its own depth image,
+are left out too: the LiDAR is a third of a metre beside the camera; their share is printed. Prints one Markdown table.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from lidar2pano.data.semantic_kitti import SemanticKittiFrame, frames
+from lidar2pano.data.frames import Frame, frames
 from lidar2pano.geometry.camera import points_in_camera
 from lidar2pano.geometry.projection import pixels
 from lidar2pano.labels import TABLES
@@ -34,7 +33,7 @@ EDGE = 0.06  # share of the depth by which neighbours differ at an edge
 class Agreement(NamedTuple):
     """Of one frame: points compared and share of them with the same class, in panorama and camera; depth error.
 
-    hidden  share of the points that the panorama's place does not see.
+    hidden  share of the points that are not visible from the panorama's origin.
     """
 
     panorama_points: int
@@ -69,14 +68,14 @@ def interpolated(depth: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.n
     return 1 / (upper * (1 - p) + (inverse[i2, j] * (1 - q) + inverse[i2, j2] * q) * p)
 
 
-def agreement(frame: SemanticKittiFrame, view: View) -> Agreement:
-    """Compare a frame's scan with its pictures; `view` is the raster of pano/."""
-    scan = frame.scan
-    labels = TABLES["semantic-kitti", "common-15"][frame.require("point_labels")[0]]
-    picture = {
+def agreement(frame: Frame, view: View) -> Agreement:
+    """Compare a frame's scan with its images; `view` is the raster of pano/."""
+    scan = frame.scan()
+    labels = TABLES["semantic-kitti", "common-15"][frame.labels(len(scan))]
+    images = {
         name: np.array(Image.open(frame.folder / name / f"{frame.stem}.png")) for name in ("pano_labels", "pano_depth")
     }
-    ids, depth = picture["pano_labels"], picture["pano_depth"].astype(np.float64) / STEPS
+    ids, depth = images["pano_labels"], images["pano_depth"].astype(np.float64) / STEPS
     away = torch.from_numpy(scan.xyz).double() - torch.tensor(view.origin, dtype=torch.float64)
     x, y, z = away.unbind(-1)
     row, column = (place.numpy() for place in pixels(x, y, z, view))
@@ -86,24 +85,26 @@ def agreement(frame: SemanticKittiFrame, view: View) -> Agreement:
     clear = ~edges(ids, depth)[r, c] & (depth[r, c] > 0)
     here, r, c = here[clear], r[clear], c[clear]
     gap = away[here].norm(dim=1).numpy() - interpolated(depth, row[here], column[here])
-    seen = gap < BEHIND * depth[r, c] + 0.1
-    same = ids[r, c][seen] == labels[here][seen]
+    visible = gap < BEHIND * depth[r, c] + 0.1
+    same = ids[r, c][visible] == labels[here][visible]
     # The camera stands where the panorama does: what is hidden from one is hidden from the other.
-    visible = np.zeros(len(scan), dtype=bool)
-    visible[here[seen]] = True
-    camera_points, camera_same = in_camera(frame, scan.xyz, np.where(visible, labels, 0))
-    error = float(np.median(np.abs(gap[seen][same])))
-    return Agreement(int(seen.sum()), float(1 - seen.mean()), float(same.mean()), camera_points, camera_same, error)
+    compared = np.zeros(len(scan), dtype=bool)
+    compared[here[visible]] = True
+    camera_points, camera_same = in_camera(frame, scan.xyz, np.where(compared, labels, 0))
+    error = float(np.median(np.abs(gap[visible][same])))
+    return Agreement(
+        int(visible.sum()), float(1 - visible.mean()), float(same.mean()), camera_points, camera_same, error
+    )
 
 
-def in_camera(frame: SemanticKittiFrame, xyz: np.ndarray, labels: np.ndarray) -> tuple[int, float]:
+def in_camera(frame: Frame, xyz: np.ndarray, labels: np.ndarray) -> tuple[int, float]:
     """Points compared in the camera's image, and the share of them with the same class; label 0: not compared."""
-    raw = frame.require("camera_labels")[0]
+    raw = frame.camera_labels()
     table = np.zeros(256, dtype=np.uint8)
     table[:19] = TABLES["cityscapes", "common-15"]
     ids = table[raw]
     height, width = ids.shape
-    u, v, depth = (part.numpy() for part in points_in_camera(torch.from_numpy(xyz), frame.require("calibration")[0]))
+    u, v, depth = (part.numpy() for part in points_in_camera(torch.from_numpy(xyz), frame.calibration((width, height))))
     with np.errstate(invalid="ignore"):
         inside = (depth > 0) & (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5) & (labels > 0)
     here = np.flatnonzero(inside)
@@ -117,15 +118,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("root", type=Path)
     parser.add_argument("--frames", type=int, default=10)
-    asked = parser.parse_args()
-    base, _, part = json.loads((asked.root / "world.json").read_text(encoding="utf-8"))["views"][0].partition("/")
+    arguments = parser.parse_args()
+    base, _, part = json.loads((arguments.root / "world.json").read_text(encoding="utf-8"))["views"][0].partition("/")
     view = VIEWS[base].scaled(1 / int(part or 1))
     print(
         "| frame | points in panorama | hidden | same class | points in camera | same class | median depth error, cm |"
     )
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
-    some = frames(asked.root, "all")
-    for frame in some[:: max(len(some) // asked.frames, 1)][: asked.frames]:
+    some = frames(arguments.root, "all")
+    for frame in some[:: max(len(some) // arguments.frames, 1)][: arguments.frames]:
         one = agreement(frame, view)
         print(
             f"| {frame.name} | {one.panorama_points} | {one.hidden:.2%} | {one.panorama_same:.2%} |"

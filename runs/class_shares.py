@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-
 from lidar2pano.data.frames import frames
+
 from lidar2pano.labels import SEMANTIC_KITTI
 
 
@@ -19,8 +19,8 @@ def shares(root: Path, splits: tuple[str, ...]) -> tuple[np.ndarray, int]:
     counts, scans = np.zeros(len(SEMANTIC_KITTI)), 0
     for split in splits:
         for frame in frames(root, split):
-            ids = frame.require("point_labels")[0]
-            counts += np.bincount(ids, minlength=len(counts))
+            (labels,) = frame.require("point_labels")
+            counts += np.bincount(labels, minlength=len(counts))
             scans += 1
     return counts / counts.sum(), scans
 
@@ -28,10 +28,15 @@ def shares(root: Path, splits: tuple[str, ...]) -> tuple[np.ndarray, int]:
 def main() -> None:
     """Print the table."""
     simulated, real = (Path(word) for word in sys.argv[1:3])
-    (ours, many), (theirs, some) = shares(simulated, ("all",)), shares(real, ("train", "val", "labelled"))
-    print(f"| class | simulated ({many} scans) | real ({some} scans, most of them labelled by a network) |")
+    (simulated_shares, simulated_scans), (real_shares, real_scans) = (
+        shares(simulated, ("all",)),
+        shares(real, ("train", "val", "labelled")),
+    )
+    print(
+        f"| class | simulated ({simulated_scans} scans) | real ({real_scans} scans, most of them with pseudo-labels) |"
+    )
     print("| --- | ---: | ---: |")
-    for name, a, b in zip(SEMANTIC_KITTI.classes, ours, theirs, strict=True):
+    for name, a, b in zip(SEMANTIC_KITTI.classes, simulated_shares, real_shares, strict=True):
         print(f"| {name} | {a:.2%} | {b:.2%} |")
 
 

@@ -1,8 +1,8 @@
-"""Write a table of how weights bear fewer beams: every beam of an HDL-64E, every second, every fourth.
+"""Write a table of scores with fewer beams: every beam of an HDL-64E, every second, every fourth.
 
     python runs/fewer_beams.py ROOT WEIGHTS... [--split val]
 
-Scored like `lidar2pano evaluate`: classes in the camera from the scan alone, and classes of the points that are left.
+Scored like `lidar2pano evaluate`: classes in the camera from the scan alone, and classes of the remaining points.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from lidar2pano.data.frames import Frame, frames
+
 from lidar2pano.data.augment import bands
 from lidar2pano.data.range_images import BEAM_DEG
-from lidar2pano.data.truths import Truth, truths
-from lidar2pano.evaluate.evaluation import score
-from lidar2pano.evaluate.measures import Measures
-from lidar2pano.evaluate.systems import system
+from lidar2pano.evaluate import MetricConfig, score, system
 
 EVERY = (1, 2, 4)
 ROWS = {
@@ -28,31 +27,38 @@ ROWS = {
 }
 
 
-def thinned(truth: Truth, every: int) -> Truth:
-    """The truth with a scan of which one beam in `every` is left; its pictures stay."""
-    scan = truth.scan
+def thinned(frame: Frame, every: int) -> Frame:
+    """The frame's camera labels, and its scan with one beam in `every`."""
+    scan, labels = frame.scan, frame.point_labels
     kept = bands(scan, BEAM_DEG) % every == 0
-    ids = None if truth.point_ids is None else truth.point_ids[kept]
-    scan = replace(scan, xyz=scan.xyz[kept], remission=scan.remission[kept])
-    return replace(truth, scan=scan, point_ids=ids)
+    return Frame(
+        frame.name,
+        scan=replace(scan, xyz=scan.xyz[kept], remission=scan.remission[kept]),
+        point_labels=None if labels is None else labels[kept],
+        camera_labels=frame.camera_labels,
+        calibration=frame.calibration,
+    )
 
 
 def rows(root: Path, split: str, weights: list[str]) -> Iterator[str]:
     """Lines of the table."""
-    yield "| beams | figure | " + " | ".join(weights) + " |"
+    yield "| beams | metric | " + " | ".join(weights) + " |"
     yield "| ---: | --- |" + " ---: |" * len(weights)
-    systems, measures = [system(name) for name in weights], Measures(kinds=("classes", "points"), sectors=("camera",))
+    systems, config = (
+        [system(name) for name in weights],
+        MetricConfig(groups=("classes", "points"), sectors=("camera",)),
+    )
     for every in EVERY:
         found = score(
             systems,
-            (thinned(one, every) for one in truths(root, split)),
+            (thinned(one, every) for one in frames(root, split)),
             data=root.name,
             split=split,
-            measures=measures,
+            config=config,
         )
-        told = [{(one.sector, one.name): one.value for one in found.figures(each.tally)} for each in found.contenders]
-        for title, figure in ROWS.items():
-            yield f"| {64 // every} | {title} | " + " | ".join(f"{each[figure]:.3f}" for each in told) + " |"
+        values = [{(one.sector, one.name): one.value for one in found.values(each.metrics)} for each in found.systems]
+        for title, key in ROWS.items():
+            yield f"| {64 // every} | {title} | " + " | ".join(f"{each[key]:.3f}" for each in values) + " |"
 
 
 def main() -> None:
@@ -61,8 +67,8 @@ def main() -> None:
     parser.add_argument("root", type=Path)
     parser.add_argument("weights", nargs="+")
     parser.add_argument("--split", default="val")
-    asked = parser.parse_args()
-    print("\n".join(rows(asked.root, asked.split, asked.weights)))
+    arguments = parser.parse_args()
+    print("\n".join(rows(arguments.root, arguments.split, arguments.weights)))
 
 
 if __name__ == "__main__":

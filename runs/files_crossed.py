@@ -20,17 +20,18 @@ PACKAGE = Path(lidar2pano.__file__).parent
 
 
 def trace(weights: str) -> dict[str, int]:
-    """Calls per file of the package between the second call of `read` and the end of the command."""
+    """Calls per file of the package between the second call of `read` and the second return of `Panorama.save`."""
     calls: dict[str, int] = {}
-    reads = 0
+    reads = saved = 0
 
     def note(frame: FrameType, event: str, _: object) -> None:
-        nonlocal reads
+        nonlocal reads, saved
         file = Path(frame.f_code.co_filename)
-        if event != "call" or PACKAGE not in file.parents:
+        if event not in ("call", "return") or PACKAGE not in file.parents:
             return
-        reads += frame.f_code.co_name == "read"
-        if reads > 1:
+        reads += (event, frame.f_code.co_name) == ("call", "read")
+        saved += (event, frame.f_code.co_name) == ("return", "save")
+        if event == "call" and reads > 1 and saved < 2:
             name = file.relative_to(PACKAGE).as_posix()
             calls[name] = calls.get(name, 0) + 1
 

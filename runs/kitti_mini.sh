@@ -10,12 +10,12 @@ weights() { echo "$out/$1/weights/$2.safetensors"; }
 
 # The segmenter: all directions alike and rare classes weighed heavily; then as streets lie; then without dropout.
 lidar2pano train salsanext-mini --data "$data" --out "$out/segmenter-1" --set training.minutes=22 \
-  --set options.turn_deg=180 --set options.rarity=0.5
+  --set options.rotation_deg=180 --set options.class_weight_exponent=0.5
 lidar2pano train salsanext-mini --data "$data" --out "$out/segmenter-2" --set training.minutes=23 \
   --set "networks.segmenter.start=$(weights segmenter-1 segmenter.last)" --set networks.segmenter.optimizer.rate=0.002
 lidar2pano train salsanext-mini --data "$data" --out "$out/segmenter-3" --set training.minutes=42 \
   --set "networks.segmenter.start=$(weights segmenter-2 segmenter)" --set networks.segmenter.optimizer.rate=0.002 \
-  --set options.dropout=false --set options.chance=0.2 --set training.validate_minutes=14
+  --set options.dropout=false --set options.augment_probability=0.2 --set training.validate_minutes=14
 first="options.segmenter=$(weights segmenter-2 segmenter)" labels="options.segmenter=$(weights segmenter-3 segmenter)"
 
 # The translator: on the second segmenter's labels, then on the third's; half of its class weights are taken back.
@@ -29,18 +29,18 @@ python "$(dirname "$0")/prior.py" "$(weights translator-2 translator)" "$out/fam
 # A third stage scored no better and is not released, but the painter learnt from its segments.
 lidar2pano train titan-pano-mini --data "$data" --out "$out/translator-3" --set training.minutes=10 --set "$labels" \
   --set "networks.translator.start=$(weights translator-2 translator)" --set networks.translator.optimizer.rate=0.0007 \
-  --set options.lovasz=1.5 --set options.rarity=0.25 --set training.validate_minutes=5
+  --set options.lovasz=1.5 --set options.class_weight_exponent=0.25 --set training.validate_minutes=5
 
 # The painter, twice in two stages: colours alone, then with a critic.
 paint() { # ROUND SEGMENTER TRANSLATOR-RUN COLOUR-MINUTES COLOUR-RATE CRITIC-MINUTES [START]
-  local seen
-  seen="options.translator=$(weights "$3" translator)"
+  local translator
+  translator="options.translator=$(weights "$3" translator)"
   lidar2pano train painter-mini --data "$data" --out "$out/colours-$1" --set "training.minutes=$4" --set "$2" \
-    --set "$seen" --set options.adversarial=0 --set options.features=0 --set options.pixels=10 \
+    --set "$translator" --set options.adversarial=0 --set options.feature_matching=0 --set options.pixels=10 \
     --set "networks.painter.optimizer.rate=$5" --set networks.painter.optimizer.betas=0.9,0.99 \
     ${7:+--set "networks.painter.start=$7" --set training.ema=0.99}
   lidar2pano train painter-mini --data "$data" --out "$out/painter-$1" --set "training.minutes=$6" --set "$2" \
-    --set "$seen" --set options.adversarial=0.5 --set options.features=5 --set options.pixels=1 --set training.ema=0.99 \
+    --set "$translator" --set options.adversarial=0.5 --set options.feature_matching=5 --set options.pixels=1 --set training.ema=0.99 \
     --set "networks.painter.start=$(weights "colours-$1" painter)" --set networks.painter.optimizer.rate=0.0006
 }
 paint 1 "$first" translator-1 4 0.002 14

@@ -1,4 +1,4 @@
-"""Compare the simulator's LiDAR with a real one: figures as a Markdown table, and a picture.
+"""Compare the simulator's LiDAR with a real one: figures as a Markdown table, and an image.
 
     python runs/lidar_comparison.py SIMULATED REAL OUT.png [--scans N]
 
@@ -199,27 +199,27 @@ def raster(points: np.ndarray, channel: str, size: tuple[int, int] = (1000, 128)
     azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) % 360
     ring = np.concatenate([[0], np.cumsum(np.diff(azimuth) < -180)]).clip(0, RINGS - 1)
     column = ((180 - azimuth) % 360 / 360 * 1000).astype(int).clip(0, 999)
-    picture = np.zeros((RINGS, 1000), dtype=np.uint8)
+    image = np.zeros((RINGS, 1000), dtype=np.uint8)
     distance = np.linalg.norm(points[:, :3], axis=1)
     value = points[:, 3] * 1.6 if channel == "remission" else np.log(np.maximum(distance, 1)) / np.log(80)
-    picture[ring, column] = (40 + 215 * np.clip(value, 0, 1)).astype(np.uint8)
-    return Image.fromarray(picture).convert("RGB").resize(size, Image.Resampling.NEAREST)
+    image[ring, column] = (40 + 215 * np.clip(value, 0, 1)).astype(np.uint8)
+    return Image.fromarray(image).convert("RGB").resize(size, Image.Resampling.NEAREST)
 
 
 def above(points: np.ndarray, side: int = 500, reach: float = 30.0) -> Image.Image:
     """One scan from above, forward is up, brightness is remission."""
     near = np.abs(points[:, :2]).max(axis=1) < reach
     x, y = (((reach - points[near, axis]) / (2 * reach) * side).astype(int).clip(0, side - 1) for axis in (0, 1))
-    picture = np.zeros((side, side), dtype=np.uint8)
-    np.maximum.at(picture, (x, y), (50 + 205 * np.clip(points[near, 3] * 1.6, 0, 1)).astype(np.uint8))
-    return Image.fromarray(picture).convert("RGB")
+    image = np.zeros((side, side), dtype=np.uint8)
+    np.maximum.at(image, (x, y), (50 + 205 * np.clip(points[near, 3] * 1.6, 0, 1)).astype(np.uint8))
+    return Image.fromarray(image).convert("RGB")
 
 
 def chart(title: str, simulated: np.ndarray, real: np.ndarray, ends: tuple[str, str]) -> Image.Image:
     """Two curves over the same places, from zero to the greater of both."""
     wide, high = 330, 150
-    picture = Image.new("RGB", (wide, high), "white")
-    draw = ImageDraw.Draw(picture)
+    image = Image.new("RGB", (wide, high), "white")
+    draw = ImageDraw.SampleIndex(image)
     top = max(float(np.nanmax(simulated)), float(np.nanmax(real)), 1e-9)
     for curve, colour in ((real, REAL), (simulated, SIMULATED)):
         x = np.linspace(8, wide - 8, len(curve))
@@ -228,7 +228,7 @@ def chart(title: str, simulated: np.ndarray, real: np.ndarray, ends: tuple[str, 
     draw.text((8, 3), f"{title} (top {top:.3g})", fill="black")
     draw.text((8, high - 14), ends[0], fill="gray")
     draw.text((wide - 8 - 6 * len(ends[1]), high - 14), ends[1], fill="gray")
-    return picture
+    return image
 
 
 def charts(simulated: Points, real: Points) -> list[Image.Image]:
@@ -266,11 +266,11 @@ def charts(simulated: Points, real: Points) -> list[Image.Image]:
     return out
 
 
-def picture(simulated: Points, real: Points) -> Image.Image:
+def figure_sheet(simulated: Points, real: Points) -> Image.Image:
     drawn = charts(simulated, real)
     rows = -(-len(drawn) // 3)
     sheet = Image.new("RGB", (1000, 20 + 4 * 132 + 524 + rows * 154), "white")
-    draw = ImageDraw.Draw(sheet)
+    draw = ImageDraw.SampleIndex(sheet)
     draw.text((8, 4), "simulated", fill=SIMULATED)
     draw.text((80, 4), "real", fill=REAL)
     draw.text((120, 4), "range of a simulated scan, of a real one; remission of both; both from above", fill="black")
@@ -293,7 +293,7 @@ def main() -> None:
     options = parser.parse_args()
     simulated, real = read(options.simulated, options.scans), read(options.real, options.scans)
     print("\n".join(table(simulated, real)))
-    picture(simulated, real).save(options.out)
+    figure_sheet(simulated, real).save(options.out)
 
 
 if __name__ == "__main__":

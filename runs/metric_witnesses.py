@@ -1,9 +1,9 @@
-"""Hold every metric against an independent implementation: a Markdown table of the largest differences.
+"""Compare every metric with an independent implementation: a Markdown table of the largest differences.
 
     python runs/metric_witnesses.py [OUT.md] [--pairs N] [--data FOLDER]
 
-The pictures are made up, or those of FOLDER (any PNG and JPEG below it, N pairs of neighbours, no two pictures twice).
-The witnesses live in tests/support/metric_definitions.py; torch-fidelity is asked when the environment names its folder
+The images are random, or those of FOLDER (any PNG and JPEG below it, N pairs of neighbours, no image twice). The other
+implementations are in tests/support/metric_definitions.py; torch-fidelity is used when the environment names its folder
 (TORCH_FIDELITY), and left out otherwise.
 """
 
@@ -21,20 +21,19 @@ import scipy.stats
 import torch
 from PIL import Image
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support"))
 
-import metric_definitions as truths  # pyright: ignore[reportMissingImports]
+import metric_definitions as definitions  # pyright: ignore[reportMissingImports]
 from golden_fill import fill  # pyright: ignore[reportMissingImports]
 from lidar2pano.hardware import keep_buffers
 from lidar2pano.metrics.bootstrap import interval
-from lidar2pano.metrics.classes import ClassCounts
-from lidar2pano.metrics.depth import DepthError
+from lidar2pano.metrics.confusion import MeanIoU
+from lidar2pano.metrics.consistency import RollError, SeamRatio, WarpingError
+from lidar2pano.metrics.depth_error import DepthError
 from lidar2pano.metrics.frechet import frechet_distance
 from lidar2pano.metrics.inception import Inception
-from lidar2pano.metrics.seams import RollError, SeamRatio
-from lidar2pano.metrics.similarity import SSIM
-from lidar2pano.metrics.time import WarpingError
-from lidar2pano.metrics.wasserstein import SlicedWasserstein
+from lidar2pano.metrics.sliced_wasserstein import SlicedWasserstein
+from lidar2pano.metrics.ssim import SSIM
 
 SIZE = (376, 1241)  # rows and columns
 WIDE = (1241, 376)  # as Pillow has it
@@ -42,7 +41,7 @@ Pairs = list[tuple[np.ndarray, np.ndarray]]
 
 
 class Row(NamedTuple):
-    """A metric, who else was asked, our figures and theirs, and how they are compared."""
+    """A metric, the other implementation, our values and the others."""
 
     metric: str
     witness: str
@@ -67,7 +66,7 @@ def main() -> None:
     keep_buffers()
     pairs = real(arguments.data, arguments.pairs) if arguments.data else made_up(arguments.pairs)
     head = [
-        "| metric | witness | figures | range | largest difference | over the largest figure |",
+        "| metric | compared with | values | range | largest difference | over the largest value |",
         "|---|---|---:|---|---:|---:|",
     ]
     table = "\n".join([*head, *(row.text() for row in rows(pairs))])
@@ -109,7 +108,7 @@ def real(folder: Path, number: int) -> Pairs:
             if image.mode == "RGB" and len(images) < 2 * number:
                 images.append(np.asarray(image.resize(WIDE)).copy())
     if len(images) < 2:
-        raise SystemExit(f"{folder}: has no two colour pictures; name a folder of PNG or JPEG files")
+        raise SystemExit(f"{folder}: has no two colour images; name a folder of PNG or JPEG files")
     return list(zip(images[::2], images[1::2], strict=False))
 
 
@@ -119,8 +118,8 @@ def similarity(pairs: Pairs) -> Iterator[Row]:
         metric = SSIM()
         metric.update(*pair, "frame")
         ours.append(metric.compute())
-    yield Row("SSIM", "scikit-image", ours, [truths.scikit_ssim(*pair) for pair in pairs])
-    inner, whole = zip(*(truths.torchmetrics_ssim(*pair) for pair in pairs), strict=True)
+    yield Row("SSIM", "scikit-image", ours, [definitions.scikit_ssim(*pair) for pair in pairs])
+    inner, whole = zip(*(definitions.torchmetrics_ssim(*pair) for pair in pairs), strict=True)
     yield Row("SSIM", "torchmetrics, inner windows", ours, list(inner))
     yield Row("SSIM", "torchmetrics, mirrored borders too (another definition)", ours, list(whole))
 
@@ -133,11 +132,11 @@ def wasserstein(pairs: Pairs) -> Iterator[Row]:
         if not side:
             continue
         metric = SlicedWasserstein()
-        for kind, images in (("predicted", predicted), ("target", side)):
+        for which, images in (("predicted", predicted), ("target", side)):
             for name, image in images.items():
-                metric.take(image, name, kind)
-        slow = truths.swd_slowly(predicted, side)
-        yield Row(f"SWD x 1000, {what}", "scipy, projection by projection", list(metric.figures().values()),
+                metric.take(image, name, which)
+        slow = definitions.swd_slowly(predicted, side)
+        yield Row(f"SWD x 1000, {what}", "scipy, projection by projection", list(metric.values().values()),
                   list(slow.values()))  # fmt: skip
 
 
@@ -147,18 +146,20 @@ def frechet() -> Iterator[Row]:
         mixing = generator.normal(size=(size, size)) / size**0.5
         sets.append([np.maximum(generator.normal(0.2, s, (count, size)) @ mixing, 0) for s in (1, 1.3)])
     ours = [frechet_distance(*pair) for pair in sets]
-    yield Row("Frechet distance", "scipy.linalg.sqrtm", ours, [truths.frechet_by_square_root(*pair) for pair in sets])
-    yield Row("Frechet distance", "torchmetrics", ours, [truths.frechet_by_torchmetrics(*pair) for pair in sets])
+    yield Row(
+        "Frechet distance", "scipy.linalg.sqrtm", ours, [definitions.frechet_by_square_root(*pair) for pair in sets]
+    )
+    yield Row("Frechet distance", "torchmetrics", ours, [definitions.frechet_by_torchmetrics(*pair) for pair in sets])
 
 
 def inception(pairs: Pairs) -> Iterator[Row]:
-    """Features under made-up weights: the published ones are not needed to compare networks."""
+    """Features with random weights: the published ones are not needed to compare networks."""
     network = Inception().eval()
     weights = fill(network.state_dict(), 1.4)
     network.load_state_dict(weights)
     with tempfile.TemporaryDirectory() as folder:
         torch.save(weights, Path(folder) / "weights.pth")
-        theirs = truths.fidelity_inception(Path(folder) / "weights.pth")
+        theirs = definitions.fidelity_inception(Path(folder) / "weights.pth")
     if theirs is None:
         return
     images = torch.stack([torch.from_numpy(image).movedim(2, 0) for image, _ in pairs])
@@ -177,7 +178,7 @@ def classes() -> Iterator[Row]:
         target,
         torch.randint(15, target.shape, generator=generator),
     )
-    metric = ClassCounts(15, unscored=(0,))
+    metric = MeanIoU(15, unscored=(0,))
     for number in range(4):
         metric.update(predicted[number], target[number], str(number))
     cells = multiclass_confusion_matrix(predicted, target, 15, ignore_index=0).double()
@@ -190,20 +191,20 @@ def classes() -> Iterator[Row]:
         [*iou[1:].tolist(), float(iou[1:].mean())],
     )
     right = multiclass_accuracy(predicted, target, 15, average="micro", ignore_index=0)
-    yield Row("accuracy", "torchmetrics", [metric.figures()["accuracy"]], [float(right)])
+    yield Row("accuracy", "torchmetrics", [metric.values()["accuracy"]], [float(right)])
 
 
 def depth() -> Row:
-    generator, metric, seen = np.random.default_rng(0), DepthError(), []
+    generator, metric, pairs = np.random.default_rng(0), DepthError(), []
     for number in range(3):
         target = generator.uniform(1, 80, (60, 200))
-        seen.append(
+        pairs.append(
             (target * generator.uniform(0.6, 1.5, target.shape), target * (generator.random(target.shape) < 0.7))
         )
-        predicted, true = seen[-1]
+        predicted, true = pairs[-1]
         metric.update(predicted, true, str(number))
-    slow = truths.depth_slowly(*zip(*seen, strict=True))
-    return Row("AbsRel, RMSE, delta1", "one pixel at a time", list(metric.figures().values()), list(slow.values()))
+    slow = definitions.depth_slowly(*zip(*pairs, strict=True))
+    return Row("AbsRel, RMSE, delta1", "one pixel at a time", list(metric.values().values()), list(slow.values()))
 
 
 def over_time(pairs: Pairs) -> Iterator[Row]:
@@ -214,11 +215,11 @@ def over_time(pairs: Pairs) -> Iterator[Row]:
         metric = WarpingError(circular=circular)
         metric.update(before, now, flow, "frame", valid=scored)
         ours.append(metric.compute())
-        slow.append(truths.warping_slowly(before, now, flow, scored, circular))
+        slow.append(definitions.warping_slowly(before, now, flow, scored, circular))
     yield Row("warping error", "one pixel at a time", ours, slow)
     seam, roll = SeamRatio(), RollError()
     seam.update(pairs[0][0][:60], "frame")
-    yield Row("seam ratio", "one pixel at a time", [seam.compute()], [truths.seam_slowly(pairs[0][0][:60])])
+    yield Row("seam ratio", "one pixel at a time", [seam.compute()], [definitions.seam_slowly(pairs[0][0][:60])])
     answers = generator.normal(size=(2, 5, 40))
     roll.update(answers[0], answers[1], 7, "frame")
     by_hand = np.mean([abs(answers[1, i, (j + 7) % 40] - answers[0, i, j]) for i in range(5) for j in range(40)])

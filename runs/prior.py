@@ -18,10 +18,10 @@ import torch
 from lidar2pano.data.panorama_crops import PanoramaDataset
 from lidar2pano.models.card import load, save
 from lidar2pano.models.titan_pano import TitanPano
-from lidar2pano.train.panorama import camera_rarity
+from lidar2pano.train.panorama import camera_class_weights
 from lidar2pano.views import View
 
-COLUMNS, RARITY = 576, 0.5  # of the recipe titan-pano
+COLUMNS, EXPONENT = 576, 0.5  # of the recipe titan-pano
 
 
 def main() -> None:
@@ -35,7 +35,7 @@ def main() -> None:
     network, card = load(asked.translator, expect="titan-pano")
     assert isinstance(network, TitanPano)
     samples = PanoramaDataset(asked.data, ("train",), View(**card.views["panorama"]), COLUMNS)
-    weights = camera_rarity(samples, RARITY).clamp(min=0.05)
+    weights = camera_class_weights(samples, EXPONENT).clamp(min=0.05)
     assert network.classes.bias is not None
     with torch.no_grad():
         network.classes.bias -= asked.share * weights.log()

@@ -10,8 +10,8 @@
 # are simulated there (extra `world`), `timeout 9m runs/release.sh KITTI OUT` again and again makes slices of it.
 # The released files were made on two CPU cores that were busy with other things as well, stage by stage and not by one
 # run of this script: `world-segmenter` in two stages of 17 and 8 minutes on earlier towns, `segmenter-4` and `-5` under
-# the name salsanext-mini and without `rings`, both `smooth` painters without grain, which runs/with_grain.py gave them;
-# painter-3 had features=3, broad=6, pixels=0.5 in its first half. Cards call day w9, drives w8 and overcast w9o.
+# the name salsanext-mini and without `ring_drop_probability`, both `smooth` painters without grain, which runs/with_grain.py gave them;
+# painter-3 had feature_matching=3, pooled=6, pixels=0.5 in its first half. Cards call day w9, drives w8 and overcast w9o.
 set -euo pipefail
 kitti=$1 out=$2
 form=${FORM--mini} longer=${MINUTES:-1} towns=${TOWNS:-60}
@@ -37,7 +37,7 @@ world test --sequences 5 --frames 4 --hz 10 --seed 909
 day=$out/towns/day drives=$out/towns/drives overcast=$out/towns/overcast
 
 # Family `world`: from simulated data alone.
-stage world-segmenter release-segmenter "$out/towns/scans" 25 data.train=all options.turn_deg=180 options.chance=0.5 \
+stage world-segmenter release-segmenter "$out/towns/scans" 25 data.train=all options.rotation_deg=180 options.augment_probability=0.5 \
   networks.segmenter.optimizer.rate=0.003 training.validate_minutes=0
 stage world-translator release-translator "$day" 25 data.train=train,"$drives:all" \
   options.segmenter="$(weights world-segmenter segmenter)" training.ema=0.99
@@ -47,12 +47,12 @@ paint() { # RUN RECIPE DATA MINUTES TRAIN SEGMENTER TRANSLATOR [OVERRIDE...]
 mean() { # OUT FILE FILE [SHARES]: what each stage forgets of the one before comes back in the mean of both
   python "$here/mean_weights.py" "$1" "$2" "$3" --shares "${4:-0.5,0.5}"
 }
-smooth=(options.adversarial=0.5 options.features=5 options.broad=20 options.pixels=1 options.augment=0)
-seen=("train,$drives:all,$overcast:all" "$(weights world-segmenter segmenter)" "$(weights world-translator translator)")
-paint world-colours release-colours "$day" 12 "${seen[@]}"
-paint world-smooth release-painter "$day" 16 "${seen[@]}" "${smooth[@]}" \
+smooth=(options.adversarial=0.5 options.feature_matching=5 options.pooled=20 options.pixels=1 options.augment_probability=0)
+inputs=("train,$drives:all,$overcast:all" "$(weights world-segmenter segmenter)" "$(weights world-translator translator)")
+paint world-colours release-colours "$day" 12 "${inputs[@]}"
+paint world-smooth release-painter "$day" 16 "${inputs[@]}" "${smooth[@]}" \
   networks.painter.start="$(weights world-colours painter)"
-paint world-painter release-painter "$day" 38 "train,$overcast:all" "${seen[@]:1}" \
+paint world-painter release-painter "$day" 38 "train,$overcast:all" "${inputs[@]:1}" \
   networks.painter.start="$(weights world-smooth painter)"
 painter=$out/mean/world-painter.safetensors
 mean "$painter" "$(weights world-smooth painter)" "$(weights world-painter painter)" # half the texture, half the calm
@@ -71,7 +71,7 @@ family world "$(weights world-segmenter segmenter)" "$(weights world-translator 
 # Family `kitti-mini`: goes on where runs/kitti_mini.sh ended (in the same OUT), towns beside real frames.
 stage segmenter-4 release-segmenter "$kitti" 34 data.train=train,train,labelled,"$out/towns/scans:all" \
   networks.segmenter.start="$(weights segmenter-3 segmenter)" training.validate_minutes=11
-stage segmenter-5 release-segmenter "$kitti" 14 data.train=train,labelled options.chance=0.2 training.ema=0.99 \
+stage segmenter-5 release-segmenter "$kitti" 14 data.train=train,labelled options.augment_probability=0.2 training.ema=0.99 \
   networks.segmenter.start="$(weights segmenter-4 segmenter)" networks.segmenter.optimizer.rate=0.001 \
   training.validate_minutes=7
 mean "$out/mean/segmenter.safetensors" "$(weights segmenter-3 segmenter)" "$(weights segmenter-5 segmenter)" 0.4,0.6
@@ -87,12 +87,12 @@ stage translator-4 release-translator "$kitti" 28 data.train=train,train,"$day:t
 python "$here/prior.py" "$(weights translator-4 translator)" "$out/prior/translator.safetensors" --data "$kitti"
 translator=$out/mean/translator.safetensors
 mean "$translator" "$out/family/translator.safetensors" "$out/prior/translator.safetensors"
-seen=("train,train,$day:train" "$segmenter" "$translator")
-paint colours-3 release-colours "$kitti" 7 "${seen[@]}" networks.painter.start="$(weights world-smooth painter)" \
+inputs=("train,train,$day:train" "$segmenter" "$translator")
+paint colours-3 release-colours "$kitti" 7 "${inputs[@]}" networks.painter.start="$(weights world-smooth painter)" \
   networks.painter.optimizer.rate=0.001
-paint smooth-3 release-painter "$kitti" 12 "${seen[@]}" "${smooth[@]}" \
+paint smooth-3 release-painter "$kitti" 12 "${inputs[@]}" "${smooth[@]}" \
   networks.painter.start="$(weights colours-3 painter)"
-paint painter-3 release-painter "$kitti" 58 "${seen[@]}" networks.painter.start="$(weights smooth-3 painter)"
+paint painter-3 release-painter "$kitti" 58 "${inputs[@]}" networks.painter.start="$(weights smooth-3 painter)"
 painter=$out/mean/painter.safetensors
 mean "$painter" "$(weights smooth-3 painter)" "$(weights painter-3 painter)"
 lidar2pano evaluate "$painter+$translator+$segmenter" --data "$kitti" --split val --json "$out/kitti.json"

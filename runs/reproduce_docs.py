@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Put a reproduction's report into docs/: python runs/reproduce_docs.py DIR (which `lidar2pano reproduce` wrote)."""
+"""Put a reproduction's report into docs/: python runs/reproduce_docs.py DIR (the output of `lidar2pano reproduce`)."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def main() -> None:
     folder.mkdir(exist_ok=True)
     text = (source / "RESULTS.md").read_text(encoding="utf-8")
     for found in re.findall(r"\(sheets/([^)]+)\)", text):
-        with Image.open(source / "sheets" / found) as picture:
-            size = (WIDE, round(WIDE * picture.height / picture.width))
-            small = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+        with Image.open(source / "sheets" / found) as image:
+            size = (WIDE, round(WIDE * image.height / image.width))
+            small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
         name = f"{Path(found).stem}.jpg"
         small.save(folder / name, quality=72)
         text = text.replace(f"(sheets/{found})", f"(reproduce/{name})")

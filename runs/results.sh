@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # Write RESULTS.md: scores of the released families (and of other weights beside them), and times on this machine.
 #   runs/results.sh KITTI TOWNS PANDASET NUSCENES [WEIGHTS|RUN...]
-# KITTI has the splits val and labelled; TOWNS is a simulated set that nothing was trained on (runs/release.sh makes it);
+# KITTI has the splits val and labelled; TOWNS is a simulated set that no network was trained on (runs/release.sh makes it);
 # PANDASET and NUSCENES have surround cameras. WEIGHTS are scored beside the families on KITTI.
 set -euo pipefail
 kitti=$1 towns=$2 pandaset=$3 nuscenes=$4
 shift 4
 cd "$(dirname "$0")/.."
-around() { # TITLE ROOT
+panorama() { # TITLE ROOT
   echo
   echo "## $1"
   echo
@@ -16,22 +16,22 @@ around() { # TITLE ROOT
 {
   echo '# Results'
   echo
-  echo 'Written by `runs/results.sh`; nothing here is typed.'
+  echo 'Written by `runs/results.sh`; not edited by hand.'
   echo
   echo '## Camera sector, from the scan alone'
   echo
   lidar2pano evaluate kitti-mini world "$@" --data "$kitti" --split val
   echo
-  echo '## Points, against classes given by hand'
+  echo '## Points, against manual labels'
   echo
   lidar2pano evaluate world --data "$kitti" --split labelled --metrics points
   echo
   echo '## Fewer beams: every, every second and every fourth beam of the scans of `val`'
   echo
   python runs/fewer_beams.py "$kitti" kitti-mini "$@"
-  around 'All around: towns of the street world that nothing was trained on' "$towns"
-  around 'All around: PandaSet' "$pandaset"
-  around 'All around: a nuScenes sample' "$nuscenes"
+  panorama 'Panorama: towns of the street world that no network was trained on' "$towns"
+  panorama 'Panorama: PandaSet' "$pandaset"
+  panorama 'Panorama: a nuScenes sample' "$nuscenes"
   echo
   echo '## Times'
   echo

@@ -6,7 +6,7 @@ set -euo pipefail
 kitti=$1 out=$2 sequences=${3:-60} minutes=${4:-20}
 lidar2pano world "$out/world" --sequences "$sequences" --frames 4 --hz 0.5 --seed 1 --save scans
 lidar2pano train salsanext-mini --data "$out/world" --out "$out/run" --set training.minutes="$minutes" \
-  --set data.train=train,val --set options.turn_deg=180 --set options.dropout=false --set training.validate_minutes=0
+  --set data.train=train,val --set options.rotation_deg=180 --set options.dropout=false --set training.validate_minutes=0
 for split in labelled val; do
   lidar2pano evaluate "$out/run" --data "$kitti" --split "$split" --json "$out/$split.json" | grep 'points:'
 done

@@ -1,13 +1,12 @@
-"""What does it cost to compose a panorama from cameras beside it with depths guessed from a scan?
+"""Errors of panoramas that are stitched from surround cameras with depths completed from a scan.
 
     python runs/surround_cost.py [--sensor pandar64] [--seeds 3] [--view panorama/2]
 
 In the street world everything is known: six cameras that stand as PandaSet's do are rendered, and the true panorama and
-its depth from the front camera's place. Stitched are panoramas with the true depth, with the scan's (`complete_depth`),
-and with none (all far). Prints one Markdown table: the share of pixels that are valid; the mean difference to the
-true panorama in steps of 8 bits there, and of the true panorama to itself a column aside, for scale; how far the
-look-ups of valid pixels are from where the true depth puts them, in pixels of the view: median, 90th percentile, share
-above 4.
+its depth from the front camera's place. Panoramas are stitched with the true depth, the scan's (`complete_depth`),
+and with none (everything far). Prints one Markdown table: the share of valid pixels; their mean difference to the true
+panorama in steps of 8 bits, and that of the true panorama to itself shifted by a column, for scale; the displacement of
+their sampling positions from those of the true depth, in pixels of the view: median, 90th percentile, share above 4.
 """
 
 from __future__ import annotations
@@ -25,10 +24,10 @@ from lidar2pano.geometry.camera import at_camera, points_in_camera
 from lidar2pano.geometry.depth_completion import complete_depth
 from lidar2pano.geometry.projection import directions
 from lidar2pano.geometry.stitching import CameraImage, stitch
-from lidar2pano.simulate.camera import cylinder, pinhole, render
-from lidar2pano.simulate.looks import look
-from lidar2pano.simulate.record import Recording
-from lidar2pano.simulate.settings import Settings, raster
+from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
+from lidar2pano.simulate.dataset.settings import WorldSettings, panorama_view
+from lidar2pano.simulate.render.looks import look
+from lidar2pano.simulate.render.renderer import cylinder, pinhole, render
 from lidar2pano.views import View
 
 SIZE = (960, 540)
@@ -79,22 +78,22 @@ def displaced(true_m: Tensor, guess_m: Tensor, view: View, mounts: list[Calibrat
     return gap.view(true_m.shape)
 
 
-def rows(settings: Settings, seed: int) -> dict[str, list[float]]:
-    """Of one street, per kind of depth: valid, difference, difference of the truth to itself, displacements."""
-    recording = Recording(Path("nowhere"), settings, 0)
-    scene, light = recording.scene(0), look(settings.look, recording.seed)
-    pose = recording.world.drive.poses(np.array([0.0]))[0]
+def rows(settings: WorldSettings, seed: int) -> dict[str, list[float]]:
+    """Of one street, per depth: valid share, difference, difference to itself when shifted, displacements."""
+    writer = SequenceWriter(Path("nowhere"), settings, 0)
+    scene, light = writer.scene(0), look(settings.look, writer.seed)
+    pose = writer.world.drive.poses(np.array([0.0]))[0]
     mounts = cameras()
-    view = at_camera(raster(settings.views[0]), mounts[0])
-    truth = render(scene, *cylinder(view, pose), light, seed=seed)
+    view = at_camera(panorama_view(settings.views[0]), mounts[0])
+    rendered = render(scene, *cylinder(view, pose), light, seed=seed)
     photos = [
-        CameraImage(image=render(scene, *pinhole(one, pose), light, seed=seed + 1 + n).colour, calibration=one)
+        CameraImage(image=render(scene, *pinhole(one, pose), light, seed=seed + 1 + n).image, calibration=one)
         for n, one in enumerate(mounts)
     ]
-    scan = torch.from_numpy(recording.scan(0).points[:, :3].astype(np.float32))
-    true_m = torch.from_numpy(truth.distance)
+    scan = torch.from_numpy(writer.scan(0).points[:, :3].astype(np.float32))
+    true_m = torch.from_numpy(rendered.distance)
     guesses = {"true": true_m, "scan": complete_depth(scan, view), "far": torch.full_like(true_m, torch.inf)}
-    colour = truth.colour.astype(np.int64)
+    colour = rendered.image.astype(np.int64)
     found = {}
     for name, guess in guesses.items():
         made, valid = stitch(photos, view, guess)
@@ -116,16 +115,16 @@ def main() -> None:
     parser.add_argument("--sensor", default="pandar64")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--view", default="panorama/2")
-    asked = parser.parse_args()
-    print(f"{asked.sensor}, {asked.view}, {asked.seeds} streets\n")
+    arguments = parser.parse_args()
+    print(f"{arguments.sensor}, {arguments.view}, {arguments.seeds} streets\n")
     print("| depth | valid | difference | a pixel's | median, px | 90 %, px | above 4 px |")
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
-    told = []
-    for seed in range(asked.seeds):
-        settings = Settings(seed=seed, frames=1, sensor=asked.sensor, views=(asked.view,))
-        told.append(rows(settings, seed))
-    for name in told[0]:
-        valid, off, aside, median, most, share = np.mean([one[name] for one in told], axis=0)
+    values = []
+    for seed in range(arguments.seeds):
+        settings = WorldSettings(seed=seed, frames=1, sensor=arguments.sensor, views=(arguments.view,))
+        values.append(rows(settings, seed))
+    for name in values[0]:
+        valid, off, aside, median, most, share = np.mean([one[name] for one in values], axis=0)
         print(f"| {name} | {valid:.1%} | {off:.2f} | {aside:.2f} | {median:.2f} | {most:.2f} | {share:.1%} |")
 
 

@@ -12,9 +12,9 @@ python runs/world_sheet.py "$world" docs/world.jpg
   echo
   echo 'Written by `runs/world_results.sh`; nothing here is typed.'
   echo
-  echo '![Twelve frames: picture, classes, range](world.jpg)'
+  echo '![Twelve frames: image, classes, range](world.jpg)'
   echo
-  echo '## Points, pictures and depths of one frame agree (`runs/check_world.py`)'
+  echo '## Points, images and depths of one frame agree (`runs/check_world.py`)'
   echo
   python runs/check_world.py "$world"
   echo

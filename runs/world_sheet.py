@@ -11,9 +11,10 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from lidar2pano.data.frames import frames
+from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from PIL import Image
 
-from lidar2pano.data.semantic_kitti import SemanticKittiFrame, frames
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15
 from lidar2pano.views import VIEWS
@@ -26,7 +27,7 @@ def cell(frame: SemanticKittiFrame) -> Image.Image:
     """One frame: three strips."""
     panorama = Image.open(frame.folder / "pano" / f"{frame.stem}.png").convert("RGB")
     ids = np.array(Image.open(frame.folder / "pano_labels" / f"{frame.stem}.png"))
-    strips = [panorama, Image.fromarray(COMMON15.paint(ids)), range_picture(frame)]
+    strips = [panorama, Image.fromarray(COMMON15.paint(ids)), shaded_range(frame)]
     heights = [round(WIDTH * strip.height / strip.width) for strip in strips[:2]] + [48]
     out = Image.new("RGB", (WIDTH, sum(heights) + 2 * 2), "white")
     top = 0
@@ -36,7 +37,7 @@ def cell(frame: SemanticKittiFrame) -> Image.Image:
     return out
 
 
-def range_picture(frame: SemanticKittiFrame) -> Image.Image:
+def shaded_range(frame: SemanticKittiFrame) -> Image.Image:
     """The range image: brightness falls with the logarithm of the distance."""
     image = project(frame.scan, VIEWS["hdl64e"])
     far = image.channels[0].clamp(min=1.0).numpy()
@@ -50,9 +51,9 @@ def main() -> None:
     parser.add_argument("root", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--frames", type=int, default=12)
-    asked = parser.parse_args()
-    there = frames(asked.root, "all")
-    picked = np.linspace(0, len(there) - 1, min(asked.frames, len(there))).round().astype(int)
+    arguments = parser.parse_args()
+    there = frames(arguments.root, "all")
+    picked = np.linspace(0, len(there) - 1, min(arguments.frames, len(there))).round().astype(int)
     cells = [cell(there[index]) for index in picked]
     width, height = cells[0].size
     rows = -(-len(cells) // COLUMNS)
@@ -60,7 +61,7 @@ def main() -> None:
     for number, one in enumerate(cells):
         row, column = divmod(number, COLUMNS)
         sheet.paste(one, (column * (width + GAP), row * (height + 2 * GAP)))
-    sheet.save(asked.out, quality=86)
+    sheet.save(arguments.out, quality=86)
 
 
 if __name__ == "__main__":

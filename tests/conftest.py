@@ -8,6 +8,8 @@ import os
 import random
 import socket
 import sys
+from collections import Counter
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -68,29 +70,96 @@ def _seeded():
         sys.modules["torch"].manual_seed(0)
 
 
-def _folder(path: Path, how: str) -> Path:
-    if not path.is_dir():
-        pytest.skip(f"{path} is missing: {how}")
-    return path
+# --- what a clone has, and what it has not ----------------------------------------------------------------------------
+
+DATA = ROOT / "data"
+REAL_DATA = {  # fixture -> folder; the licences of these data sets forbid to pass them on
+    "kitti_mini": DATA / "kitti-mini",
+    "pandaset_mini": DATA / "pandaset-mini",
+    "nuscenes": DATA / "other-sensors" / "nuscenes",
+}
+_left_out = pytest.StashKey[Counter[str]]()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--no-parity-skips", action="store_true", help="a skipped test marked `parity` fails (also: CI=1)")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "needs(there, what): left out of the run unless `there`; `what` says what to do")
+    config.stash[_left_out] = Counter()
+
+
+def _missing(item: pytest.Item) -> str | None:
+    """What has to be there before a test can run and is not, as an advice to the reader."""
+    for marker in item.iter_markers("needs"):
+        if not marker.args[0]:
+            return marker.args[1]
+    if any(not REAL_DATA[name].is_dir() for name in REAL_DATA.keys() & set(getattr(item, "fixturenames", ()))):
+        return "real data: unpack them into data/"
+    return None
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Deselect what needs more than the repository has; the summary says how many tests and why."""
+    missing = {item: _missing(item) for item in items}
+    out = [item for item in items if missing[item]]
+    items[:] = [item for item in items if not missing[item]]
+    config.stash[_left_out].update(missing[item] for item in out)
+    if out:
+        config.hook.pytest_deselected(items=out)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    for reason, count in sorted(config.stash[_left_out].items()):
+        terminalreporter.write_line(f"LEFT OUT [{count}] {reason}")
+
+
+def _parity_must_run(config: pytest.Config) -> bool:
+    return config.getoption("no_parity_skips") or bool(os.environ.get("CI"))
+
+
+def _fail(report: pytest.TestReport | pytest.CollectReport) -> None:
+    reason = report.longrepr[-1] if isinstance(report.longrepr, tuple) else getattr(report, "wasxfail", "")
+    report.outcome, report.longrepr = "failed", f"a parity test may not be skipped ({reason})"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """A skipped or expectedly failing parity test is a failure where parity must be tested."""
+    report = yield
+    if report.skipped and item.get_closest_marker("parity") and _parity_must_run(item.config):
+        _fail(report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """The same for a module with parity tests that is skipped as a whole."""
+    report = yield
+    if report.skipped and _parity_must_run(collector.config) and "mark.parity" in collector.path.read_text():
+        _fail(report)
+    return report
 
 
 @pytest.fixture(scope="session")
 def golden() -> Path:
-    """The recorded inputs and outputs of the published networks and operators."""
-    path = Path(os.environ.get("LIDAR2PANO_GOLDEN", ROOT.parent / "shared" / "golden"))
-    return _folder(path, "set LIDAR2PANO_GOLDEN to the folder of golden vectors")
+    """Recorded outputs of the published networks and operators: or the whole ones that LIDAR2PANO_GOLDEN names."""
+    return Path(os.environ.get("LIDAR2PANO_GOLDEN", ROOT / "tests" / "golden"))
 
 
 @pytest.fixture(scope="session")
 def kitti_mini() -> Path:
     """About a hundred real scan and image pairs of KITTI."""
-    return _folder(ROOT / "data" / "kitti-mini", "unpack the real data into data/")
+    return REAL_DATA["kitti_mini"]
 
 
 @pytest.fixture(scope="session")
 def pandaset_mini() -> Path:
     """Twelve real Pandar64 scans with six cameras all around."""
-    return _folder(ROOT / "data" / "pandaset-mini", "unpack the real data into data/")
+    return REAL_DATA["pandaset_mini"]
 
 
 @pytest.fixture(scope="session")

@@ -26,8 +26,10 @@ def fast_arithmetic(device: torch.device) -> AbstractContextManager[object]:
     return torch.autocast(device.type, dtype=torch.bfloat16, enabled=has_bfloat16(device))
 
 
-def pick_device(name: str) -> torch.device:
+def pick_device(name: str | torch.device) -> torch.device:
     """The device that "auto", "cpu" or "cuda" stands for; InputError where it is unknown or not there."""
+    if isinstance(name, torch.device):
+        return name
     if name not in ("auto", "cpu", "cuda"):
         raise InputError(f"no device {name!r}; there is auto, cpu and cuda")
     if name == "cuda" and not torch.cuda.is_available():

@@ -1,4 +1,4 @@
-"""What a stream of panoramas carries from one scan to the next, and how it steadies the next picture."""
+"""What a stream of panoramas carries from one scan to the next, and temporal smoothing."""
 
 from __future__ import annotations
 
@@ -13,59 +13,61 @@ from lidar2pano.geometry.flow import ego_flow
 from lidar2pano.geometry.warp import warp
 from lidar2pano.views import View
 
-MOST = 6  # pictures that a mean is taken of: more are sharper where poses are exact, and slower to believe a change
-SAME = 0.3  # share by which two depths of one surface may differ: a translator guesses them anew each time
+MOST = 6  # images that a mean is taken of; larger flickers less, adapts slower
+SAME = 0.3  # share by which two depths of one surface may differ: the translator predicts them for each scan
 
 
-class Shown(NamedTuple):
-    """A panorama as the next one is steadied by it, on the translator's raster H x W.
+class PreviousFrame(NamedTuple):
+    """A panorama as temporal smoothing needs it with the next scan, on the translator's raster H x W.
 
-    picture     (1, 3, 2H, 2W) float32 in [-1, 1].
-    ids         (H, W) uint8 ids of COMMON15.
-    distance_m  (H, W) float32 metres from the view's origin; infinite for the sky.
-    count       (H, W) float32: how many pictures each pixel is the mean of.
-    pose        (4, 4) float64: the sensor's coordinates -> coordinates that stand still.
+    image           (1, 3, 2H, 2W) float32 in [-1, 1].
+    ids             (H, W) uint8 ids of COMMON15.
+    distance_m      (H, W) float32 metres from the view's origin; infinite for the sky.
+    count           (H, W) float32: how many images each pixel is the mean of.
+    T_world_sensor  (4, 4) float64, metres.
     """
 
-    picture: Tensor
+    image: Tensor
     ids: Tensor
     distance_m: Tensor
     count: Tensor
-    pose: Tensor
+    T_world_sensor: Tensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Memory:
     """What a stream carries from one scan to the next. `Memory()` is its beginning.
 
-    frames   scans seen so far; a panorama's `frame` is its place in the stream.
-    painted  what the painter wants back with the next scan (StreamPainter).
-    shown    the latest panorama, where the sensor's pose was told.
+    frames    number of scans before; a panorama's `frame` is its place in the stream.
+    painted   what the painter gets back with the next scan (StreamPainter).
+    previous  the latest panorama, where the sensor's pose was given.
     """
 
     frames: int = 0
     painted: Any = None
-    shown: Shown | None = None
+    previous: PreviousFrame | None = None
 
 
-def steadied(now: Shown, before: Shown, view: View) -> Shown:
-    """`now` with its picture averaged with those before, carried over to where the same things are now.
+def smoothed(now: PreviousFrame, before: PreviousFrame, view: View) -> PreviousFrame:
+    """`now` with its image averaged with those before, which are warped to where the same surfaces are now.
 
-    Poses and distances say where a pixel was (geometry.flow.ego_flow). A pixel is averaged where both panoramas agree
-    on its distance and class; elsewhere it begins anew. The newest picture weighs 1 / count, at least 1 / MOST.
+    Poses and distances give the warp (geometry.flow.ego_flow). A pixel is averaged where both panoramas agree on its
+    distance and class; elsewhere the mean starts again. The newest image weighs 1 / count, at least 1 / MOST.
     view  the raster H x W of both.
     """
-    motion = torch.linalg.inv(before.pose) @ now.pose
-    flow = ego_flow(now.distance_m, before.distance_m, motion, view, same=SAME)
+    T_before_now = torch.linalg.inv(before.T_world_sensor) @ now.T_world_sensor
+    flow = ego_flow(now.distance_m, before.distance_m, T_before_now, view, same=SAME)
     rows, columns = torch.meshgrid(
         torch.arange(view.rows, device=flow.shift.device),
         torch.arange(view.columns, device=flow.shift.device),
         indexing="ij",
     )
-    there_row = (rows + flow.shift[1].round().long()).clamp(0, view.rows - 1)
-    there_column = (columns + flow.shift[0].round().long()).remainder(view.columns)
-    same = flow.known & (before.ids[there_row, there_column] == now.ids)
-    held = before.count[there_row, there_column].clamp(max=MOST - 1) * same
-    share, shift = (interpolate(part[None], scale_factor=2.0) for part in ((held / (held + 1))[None], 2 * flow.shift))
-    past = warp(before.picture, shift, circular=True)
-    return now._replace(picture=torch.lerp(now.picture, past, share), count=held + 1)
+    before_row = (rows + flow.shift[1].round().long()).clamp(0, view.rows - 1)
+    before_column = (columns + flow.shift[0].round().long()).remainder(view.columns)
+    same = flow.known & (before.ids[before_row, before_column] == now.ids)
+    count = before.count[before_row, before_column].clamp(max=MOST - 1) * same
+    weight, shift = (
+        interpolate(part[None], scale_factor=2.0) for part in ((count / (count + 1))[None], 2 * flow.shift)
+    )
+    past = warp(before.image, shift, circular=True)
+    return now._replace(image=torch.lerp(now.image, past, weight), count=count + 1)

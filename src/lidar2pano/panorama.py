@@ -11,12 +11,12 @@ import torch
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import write_depth, write_palette, write_png, write_whole
+from lidar2pano.formats.output_files import write_depth, write_palette, write_png, write_whole
 from lidar2pano.geometry.camera import panorama_in_camera
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.views import View
 
-WHAT = ("rgb", "segments", "labels", "depth")
+OUTPUTS = ("rgb", "segments", "labels", "depth")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,8 +75,8 @@ class Panorama:
               <stem>.camera.png beside rgb and <stem>.camera-segments.png beside segments.
         Raises InputError when a name is unknown or the folder cannot be written.
         """
-        if unknown := sorted(set(what) - set(WHAT)):
-            raise InputError(f"nothing to save is called {unknown[0]!r}; there is {', '.join(WHAT)}")
+        if unknown := sorted(set(what) - set(OUTPUTS)):
+            raise InputError(f"nothing to save is called {unknown[0]!r}; there is {', '.join(OUTPUTS)}")
         camera = self.to_camera(calibration) if calibration and {"rgb", "segments"} & set(what) else None
         stem = stem or self.name
         writers: dict[str, Callable[[Path], None]] = {}

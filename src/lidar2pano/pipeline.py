@@ -1,12 +1,12 @@
-"""The thing itself: a scan in, a panorama out. Projection, segments, translation, paint; the paper's figure 2."""
+"""A scan in, a panorama out: projection, segmentation, KNN clean-up, translation, painting; the paper's figure 2."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
@@ -14,23 +14,27 @@ from torch import Tensor, nn
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError
+from lidar2pano.formats.scan_files import read
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.images import Normalisation, RangeImage, one_hot_layers
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import project
 from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
-from lidar2pano.memory import Memory, Shown, steadied
-from lidar2pano.models.card import Card, read_card
+from lidar2pano.memory import Memory, PreviousFrame, smoothed
+from lidar2pano.models.card import Card
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
-from lidar2pano.models.families import DEFAULT, weight_files
+from lidar2pano.models.families import DEFAULT, role, weight_files
 from lidar2pano.models.painter import StreamPainter
 from lidar2pano.models.salsanext import STRIDE
+from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
 from lidar2pano.scan import OWN_VEHICLE_M, Scan
 from lidar2pano.views import View, sensor_view
+
+SKY, CONDITIONS = COMMON15.id_of("sky"), len(SEMANTIC_KITTI)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,10 +66,16 @@ class Segmenter:
             logits = self.network(x.contiguous(memory_format=torch.channels_last))[0]
         return logits[..., :columns].max(0).indices.to(torch.uint8)  # several times as fast as argmax
 
+    def label(self, image: RangeImage, timer: Timer) -> Tensor:
+        """Class ids (N,) int64 of the points of a range image on `view`: the network, then the KNN clean-up."""
+        with timer("segment"):
+            ids = self.raster(image)
+        with timer("clean_up"):
+            return clean_up(image, ids)
+
     def points(self, scan: Scan, device: str | torch.device = "cpu") -> Tensor:
         """Class ids (N,) int64 of a scan's points."""
-        image = project(scan, self.view, device=device)
-        return clean_up(image, self.raster(image))
+        return self.label(project(scan, self.view, device=device), Timer(torch.device(device)))
 
 
 class Translated(NamedTuple):
@@ -87,12 +97,13 @@ class Translated(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pipeline:
-    """Three networks and the raster they meet on.
+    """Three networks and the raster that they share.
 
     segmenter   scan -> a class of SEMANTIC_KITTI per point.
-    translator  (image (1, 5, H, W), condition (1, 20, H, W)) -> logits (1, 16, H, W) of COMMON15, depth (1, H, W) m.
-    painter     (what it remembers, segments (1, 16, H, W), depth (1, H, W), image) -> (that, (1, 3, 2H, 2W)).
-    view        the translator's raster, H x W, around the camera that the picture is taken from.
+    translator  (channels (1, 5, H, W), condition (1, 20, H, W)) -> logits (1, 16, H, W) of COMMON15, depth (1, H, W) m.
+    painter     (its memory, segments (1, 16, H, W), depth (1, H, W), channels) -> (its memory, (1, 3, 2H, 2W)).
+    view        the translator's raster, H x W, around the optical centre of the camera that the panorama stands for.
+    cards       of the weight files, by role.
     """
 
     segmenter: Segmenter
@@ -100,6 +111,7 @@ class Pipeline:
     painter: StreamPainter
     view: View
     device: torch.device
+    cards: Mapping[str, Card] = field(default_factory=dict)
 
     def at(self, calibration: Calibration) -> Pipeline:
         """The pipeline with its viewpoint moved to a camera's optical centre."""
@@ -109,12 +121,12 @@ class Pipeline:
         """The pipeline with the segmenter's view that fits a sensor of VIEWS; InputError where there is none."""
         return replace(self, segmenter=replace(self.segmenter, view=sensor_view(name)))
 
-    def __call__(self, scan: Scan) -> Panorama:
-        """The panorama of a single scan."""
-        return next(self.stream([scan]))
+    def __call__(self, scan: Scan | str | Path) -> Panorama:
+        """The panorama of a single scan, or of a scan file."""
+        return next(self.stream([read(scan) if isinstance(scan, str | Path) else scan]))
 
     def stream(self, scans: Iterable[Scan], poses: Iterable[np.ndarray] | None = None) -> Iterator[Panorama]:
-        """Panoramas of scans that follow each other; with a pose for each (see `step`), steadied."""
+        """Panoramas of consecutive scans; with a pose for each (see `paint`), temporally smoothed."""
         memory = Memory()
         for scan, pose in zip(scans, itertools.repeat(None) if poses is None else poses, strict=False):
             memory, panorama = self.step(memory, scan, pose)
@@ -123,28 +135,25 @@ class Pipeline:
     def step(
         self, memory: Memory, scan: Scan, pose: np.ndarray | None = None, timer: Timer | None = None
     ) -> tuple[Memory, Panorama]:
-        """One scan of a stream: `translate`, then `paint`. Returns the memory for the next scan, and the panorama.
-
-        Raises InputError when no point of the scan can be used, or none is in view. Points nearer than OWN_VEHICLE_M
-        are not used.
-        """
+        """One scan of a stream: `translate`, then `paint`. Returns the memory for the next scan, and the panorama."""
         timer = timer or Timer(self.device)
         return self.paint(self.translate(scan, timer), memory, pose, timer)
 
     @torch.inference_mode()
     def translate(self, scan: Scan, timer: Timer) -> Translated:
-        """Class scores and depths that a camera would see of the scan; raises like `step`."""
+        """Class scores and depths that a camera would see of the scan.
+
+        Points nearer than OWN_VEHICLE_M are not used. Raises InputError when no point of the scan can be used, or none
+        is in view.
+        """
         with timer("project"):
             scan = scan.beyond()
             image = self._checked(scan, project(scan, self.segmenter.view, device=self.device))
             around = self._checked(scan, project(scan, self.view, device=self.device))
-        with timer("segment"):
-            ids = self.segmenter.raster(image)
-        with timer("clean_up"):
-            labels = clean_up(image, ids)
+        labels = self.segmenter.label(image, timer)
         with timer("translate"), fast_arithmetic(self.device):
             channels = around.channels[None].contiguous(memory_format=torch.channels_last)
-            condition = one_hot_layers(around.spread(labels)[None], len(SEMANTIC_KITTI))
+            condition = one_hot_layers(around.spread(labels)[None], CONDITIONS)
             logits, depth_m = self.translator(channels, condition)
         return Translated(scan.name, labels, image.dropped, channels, logits, depth_m)
 
@@ -155,18 +164,18 @@ class Pipeline:
         """The panorama of a translated scan that follows those in `memory`, and the memory for the next one.
 
         pose  (4, 4) float64 `T_world_sensor`, metres. If it is always given, the output is temporally smoothed
-              (memory.steadied).
+              (memory.smoothed).
         """
         logits, depth_m = translated.logits, translated.depth_m
         with timer("paint"), fast_arithmetic(self.device):
-            painted, picture = self.painter.paint(memory.painted, logits.softmax(1), depth_m, translated.channels)
-        shown = None
+            painted, image = self.painter.paint(memory.painted, logits.softmax(1), depth_m, translated.channels)
+        previous = None
         if pose is not None:
             with timer("steady"):
-                shown = self._steadied(memory.shown, translated, picture, pose)
-                picture = shown.picture
+                previous = self._smoothed(memory.previous, translated, image, pose)
+                image = previous.image
         with timer("finish"):
-            colour = picture[0].float().add(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
+            colour = image[0].float().add(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
             segments, depth_m = self._finished(logits, depth_m)
             colour, segments, depth_m = (part.contiguous().cpu().numpy() for part in (colour, segments, depth_m))
         panorama = Panorama(
@@ -180,15 +189,21 @@ class Pipeline:
             dropped=translated.dropped,
             milliseconds=timer.milliseconds,
         )
-        return Memory(frames=memory.frames + 1, painted=painted, shown=shown), panorama
+        return Memory(frames=memory.frames + 1, painted=painted, previous=previous), panorama
 
-    def _steadied(self, before: Shown | None, seen: Translated, picture: Tensor, pose: np.ndarray) -> Shown:
-        ids = seen.logits[0].max(0).indices.to(torch.uint8)
-        distance_m = torch.where(ids == COMMON15.id_of("sky"), torch.inf, seen.depth_m[0].float())
-        here = torch.from_numpy(np.asarray(pose, dtype=np.float64)).to(ids.device)
-        count = torch.ones_like(distance_m)
-        now = Shown(picture=picture.float(), ids=ids, distance_m=distance_m, count=count, pose=here)
-        return now if before is None else steadied(now, before, self.view)
+    def _smoothed(
+        self, previous: PreviousFrame | None, translated: Translated, image: Tensor, pose: np.ndarray
+    ) -> PreviousFrame:
+        ids = translated.logits[0].max(0).indices.to(torch.uint8)
+        distance_m = torch.where(ids == SKY, torch.inf, translated.depth_m[0].float())
+        now = PreviousFrame(
+            image=image.float(),
+            ids=ids,
+            distance_m=distance_m,
+            count=torch.ones_like(distance_m),
+            T_world_sensor=torch.from_numpy(np.asarray(pose, dtype=np.float64)).to(ids.device),
+        )
+        return now if previous is None else smoothed(now, previous, self.view)
 
     @staticmethod
     def _checked(scan: Scan, image: RangeImage) -> RangeImage:
@@ -203,56 +218,64 @@ class Pipeline:
 
     @staticmethod
     def _finished(logits: Tensor, depth_m: Tensor) -> tuple[Tensor, Tensor]:
-        """Class ids and depth at the picture's raster; the sky has no depth."""
+        """Class ids and depth on the panorama's raster; the sky has no depth."""
         segments = grown_classes(logits, 2)
         depth_m = grow_circular(depth_m[None], 2)[0, 0]
-        return segments, torch.where(segments == COMMON15.id_of("sky"), 0.0, depth_m)
+        return segments, torch.where(segments == SKY, 0.0, depth_m)
 
 
-def load(weights: str | Path = DEFAULT, device: str = "auto") -> Pipeline:
+def load(weights: str | Path | Mapping[str, Path] = DEFAULT, device: str | torch.device = "auto") -> Pipeline:
     """A pipeline from a released family, a folder or run of weight files, or one file (the rest: default family).
 
-    device  "auto" (CUDA if there is one), "cpu" or "cuda".
+    weights  or what `models.families.weight_files` made of such a name.
+    device   "auto" (CUDA if there is one), "cpu" or "cuda".
     Raises InputError when weights or device cannot be had.
     """
     picked = pick_device(device)
-    files = weight_files(weights)
-    if missing := [role for role in ("segmenter", "translator", "painter") if role not in files]:
-        raise InputError(f"{weights}: no weights for the {' and the '.join(missing)}; name a family that has them")
+    files = weights if isinstance(weights, Mapping) else weight_files(weights)
+    if "renderer" in files:
+        raise InputError(f"{files['renderer']}: paints without classes, which `evaluate` can do only; name a family")
+    if missing := [part for part in ("segmenter", "translator", "painter") if part not in files]:
+        given = weights if isinstance(weights, str | Path) else ", ".join(map(str, files.values()))
+        raise InputError(f"{given}: no weights for the {' and the '.join(missing)}; name a family that has them")
+    segmenter, segmenter_card = load_segmenter(files["segmenter"], picked)
     translator, card = load_part(files["translator"], picked, expect="titan-pano")
     view = card_view(files["translator"], card, "panorama")
+    painter, painter_card = load_painter(files["painter"], files.get("first-frame painter"), view, picked)
     return Pipeline(
-        segmenter=load_segmenter(files["segmenter"], picked),
+        segmenter=segmenter,
         translator=translator,
-        painter=load_painter(files["painter"], files.get("first-frame painter"), view, picked),
+        painter=painter,
         view=view,
         device=picked,
+        cards={"segmenter": segmenter_card, "translator": card, "painter": painter_card},
     )
 
 
-def load_segmenter(file: Path, device: torch.device) -> Segmenter:
+def load_segmenter(file: Path, device: torch.device) -> tuple[Segmenter, Card]:
     """The segmenter of a weight file, ready for inference; InputError where the file holds something else."""
     network, card = load_part(file, device, expect="salsanext")
     card_view(file, card, "input")
-    return Segmenter.from_card(network, card)
+    return Segmenter.from_card(network, card), card
 
 
-def load_painter(file: Path, first: Path | None, view: View, device: torch.device) -> StreamPainter:
+def load_painter(file: Path, first: Path | None, view: View, device: torch.device) -> tuple[StreamPainter, Card]:
     """The painter of a weight file, ready for inference; InputError where the file holds something else.
 
     first  weights of vid2vid's network for first frames; view: raster of the segments that are painted.
     A vid2vid paints on the raster "panorama" of its card, if it has one; otherwise on the finished panorama's.
     """
-    if read_card(file).network != "vid2vid":
+    network, card = load_part(file, device)
+    if role(card) != "painter":
+        raise InputError(f"{file} has weights of another network: {card.network!r} instead of a painter")
+    if not isinstance(network, Vid2Vid):
         if first is not None:
             raise InputError(f"{first}: paints the first frames for a 'vid2vid', which {file} is not; name both")
-        painter, _ = load_part(file, device, expect="painter")
-        return painter  # pyright: ignore[reportReturnType] a Painter, since that was expected
-    generator, card = load_part(file, device)
+        return cast("StreamPainter", network), card
     single = load_part(first, device, expect="vid2vid-single")[0] if first is not None else None
     raster = card_view(file, card, "panorama") if "panorama" in card.views else view.scaled(2)
     try:
-        return Vid2VidPainter.all_around(generator, single, raster.columns, view.columns)
+        return Vid2VidPainter.all_around(network, single, raster.columns, view.columns), card
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
 
@@ -273,4 +296,4 @@ def card_view(file: Path, card: Card, role: str) -> View:
     try:
         return View(**card.views[role])
     except (KeyError, TypeError, ValueError):
-        raise InputError(f"{file}: its card has no view {role!r} that makes sense; fetch or make it anew") from None
+        raise InputError(f"{file}: its card has no view {role!r} that makes sense; fetch it or make it again") from None

@@ -1,4 +1,4 @@
-"""What evaluate counts, by hand, with systems that answer what they are told."""
+"""What evaluate counts, by hand, with systems whose predictions are given."""
 
 from __future__ import annotations
 
@@ -8,19 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.frames import IGNORE
-from lidar2pano.data.truths import TruePanorama, Truth
 from lidar2pano.errors import InputError
-from lidar2pano.evaluate import Measures, Question, Seen, score, system
-from lidar2pano.evaluate.contenders import ROLL, Contender, turned
-from lidar2pano.evaluate.measures import DEFAULT_KINDS, CameraEye, Extractor
-from lidar2pano.evaluate.questions import Origin
-from lidar2pano.evaluate.rasters import between, carried, same_raster, windows
-from lidar2pano.evaluate.streams import camera_flow, follows, panorama_flow
-from lidar2pano.evaluate.tallies import Moved, Tally
-from lidar2pano.evaluate.worst import Worst
+from lidar2pano.evaluate import MetricConfig, Prediction, SystemInput, score, system
+from lidar2pano.evaluate.evaluation import ROLL, EvaluatedSystem, rotated
+from lidar2pano.evaluate.ground_truth_flow import camera_distances, camera_flow, follows, panorama_flow
+from lidar2pano.evaluate.interface import SystemInfo
+from lidar2pano.evaluate.metric_config import DEFAULT_GROUPS, FeatureExtractor, ImageSegmenter
+from lidar2pano.evaluate.metric_values import MetricCollection, PreviousImage
+from lidar2pano.evaluate.resampling import resampled, resampling_lookup, same_raster, windows
+from lidar2pano.evaluate.worst_frames import WorstFrames
 from lidar2pano.geometry.flow import Flow
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import CITYSCAPES, COMMON15
@@ -30,7 +29,8 @@ from lidar2pano.views import VIEWS, View
 from random_weights import street, write_weights
 
 ROAD, CAR, SKY, BUS = (COMMON15.id_of(name) for name in ("road", "car", "sky", "other-vehicle"))
-TARGET = np.array([[ROAD] * 4 + [CAR] * 2, [SKY, IGNORE] + [CAR] * 4], np.uint8)
+TARGET = np.array([[ROAD] * 4 + [CAR] * 2, [SKY, IGNORE] + [CAR] * 4], np.uint8)  # of COMMON15
+CITY = {ROAD: "road", CAR: "car", SKY: "sky"}  # the same classes of CITYSCAPES
 POINTS = np.array([0, 1, 9, 9])  # unlabeled, car, road, road
 SCAN = street(points=4)
 RASTER = View(rows=16, columns=64, up=0.24, down=-0.24, kind="cylinder")
@@ -44,41 +44,56 @@ def camera(width: int = 6, height: int = 2) -> Calibration:
     return Calibration(K=K, T_camera_lidar=T, size=(width, height))
 
 
-class Told:
-    """A system that gives fixed answers and keeps the questions; its past is how many frames it has seen."""
+class Fixed:
+    """A system with fixed predictions that keeps its inputs; its memory is the number of frames so far."""
 
-    def __init__(self, name: str = "told", *, told: bool = False, **seen: object) -> None:
+    def __init__(self, name: str = "fixed", *, oracle: bool = False, **parts: object) -> None:
         networks = {"translator": {"recipe": "titan-pano-mini", "steps": 7, "hours": 0.5, "commit": "abc"}}
-        self.origin, self.told, self.answer = Origin(name=name, networks=networks), told, seen
-        self.asked: list[Question] = []
-        self.pasts: list[object] = []
+        self.info, self.uses_ground_truth, self.parts = SystemInfo(name=name, networks=networks), oracle, parts
+        self.inputs: list[SystemInput] = []
+        self.memories: list[object] = []
 
-    def see(self, question, past=None):
-        self.asked.append(question)
-        self.pasts.append(past)
-        answer = {name: value(question) if callable(value) else value for name, value in self.answer.items()}
-        if question.calibration is None:
-            answer = {name: value for name, value in answer.items() if name in ("labels", "panorama")}
-        return (past or 0) + 1, Seen(**answer)
-
-
-def told(ids=None, labels=(9, 1, 9, 1), **more) -> Told:
-    answer = {"ids": None if ids is None else np.array(ids), "labels": np.array(labels), **more}
-    return Told(**answer)
+    def predict(self, inputs, memory=None):
+        self.inputs.append(inputs)
+        self.memories.append(memory)
+        parts = {name: value(inputs) if callable(value) else value for name, value in self.parts.items()}
+        if inputs.calibration is None:
+            parts = {name: value for name, value in parts.items() if name in ("point_labels", "panorama")}
+        return (memory or 0) + 1, Prediction(**parts)
 
 
-def truth(name: str = "00/000000", **parts: object) -> Truth:
-    """A frame whose image has 6 x 2 pixels, and its scan 4 points."""
-    known = {"calibration": camera(), "camera_ids": TARGET, "point_ids": POINTS} | parts
-    return Truth(name=name, scan=replace(SCAN, name=name), **{k: v for k, v in known.items() if v is not None})
+def fixed(camera_labels=None, point_labels=(9, 1, 9, 1), **more) -> Fixed:
+    camera_labels = None if camera_labels is None else np.array(camera_labels)
+    return Fixed(camera_labels=camera_labels, point_labels=np.array(point_labels), **more)
 
 
-def scored(truths, *systems, **more):
-    return score(systems, truths, data="mini", split="val", **more)
+def cityscapes(ids: np.ndarray) -> np.ndarray:
+    """Train ids of CITYSCAPES for ids of COMMON15."""
+    found = np.full_like(ids, IGNORE)
+    for common, name in CITY.items():
+        found[ids == common] = CITYSCAPES.id_of(name)
+    return found
 
 
-def figure(evaluation, sector: str, name: str, which: int = 0) -> float:
-    found = {(one.sector, one.name): one.value for one in evaluation.figures(evaluation.contenders[which].tally)}
+def frame_of(name: str = "00/000000", **parts: object) -> Frame:
+    """A frame whose image has 6 x 2 pixels, and its scan 4 points; camera labels are ids of COMMON15."""
+    known = {"scan": SCAN, "calibration": camera(), "camera_labels": TARGET, "point_labels": POINTS} | parts
+    if known["camera_labels"] is not None:
+        known["camera_labels"] = cityscapes(known["camera_labels"])
+    return Frame(name, **known | {"scan": replace(known["scan"], name=name)})
+
+
+def changed(frame: Frame, name: str = "", **parts: object) -> Frame:
+    """The frame with other parts."""
+    return Frame(name or frame.name, **{key: value for key, value in vars(frame).items() if key != "name"} | parts)
+
+
+def scored(frames, *systems, **more):
+    return score(systems, frames, data="mini", split="val", **more)
+
+
+def value_of(evaluation, sector: str, name: str, which: int = 0) -> float:
+    found = {(one.sector, one.name): one.value for one in evaluation.values(evaluation.systems[which].metrics)}
     return found[sector, name]
 
 
@@ -86,9 +101,9 @@ def figure(evaluation, sector: str, name: str, which: int = 0) -> float:
 
 
 def test_counted_by_hand():
-    one = told([[ROAD, ROAD, SKY, 0, CAR, ROAD], [ROAD, ROAD] + [CAR] * 4])
-    evaluation = scored([truth()], one)
-    iou = evaluation.contenders[0].tally.classes("camera").confusion().iou()
+    one = fixed([[ROAD, ROAD, SKY, 0, CAR, ROAD], [ROAD, ROAD] + [CAR] * 4])
+    evaluation = scored([frame_of()], one)
+    iou = evaluation.systems[0].metrics.classes("camera").confusion().iou()
     assert iou[ROAD] == pytest.approx(2 / 5)  # 2 hits, 4 in the target, 1 more claimed; the last row's do not count
     assert iou[CAR] == pytest.approx(5 / 6)
     assert evaluation.as_dict()["results"][0]["score"] == {
@@ -99,43 +114,43 @@ def test_counted_by_hand():
             "split": "val",
         },
     }
-    assert one.asked[0].calibration.size == (6, 2)
+    assert one.inputs[0].calibration.size == (6, 2)
 
 
 def test_answers_of_absent_classes_do_not_change_what_is_averaged():
-    evaluation = scored([truth()], told([[ROAD] * 6] * 2, [1] * 4), told([[BUS] + [ROAD] * 5] * 2, [1] * 4))
-    assert evaluation.counted() == [CAR, ROAD]
+    evaluation = scored([frame_of()], fixed([[ROAD] * 6] * 2, [1] * 4), fixed([[BUS] + [ROAD] * 5] * 2, [1] * 4))
+    assert evaluation.target_classes() == [CAR, ROAD]
     mious = [one["score"]["translator"]["camera_miou"] for one in evaluation.as_dict()["results"]]
     assert mious == [pytest.approx(4 / 10 / 2), pytest.approx(3 / 10 / 2)]
     assert "the 2 of the paper's 14 classes" in evaluation.heading()
 
 
-def test_frames_with_one_kind_of_label():
-    points_only = scored([truth(calibration=None, camera_ids=None)], one := told([[ROAD] * 6] * 2, [9, 1, 9, 9]))
+def test_frames_with_camera_or_point_labels_only():
+    points_only = scored([frame_of(calibration=None, camera_labels=None)], one := fixed([[ROAD] * 6] * 2, [9, 1, 9, 9]))
     assert (points_only.images, points_only.scans) == (0, 1)
-    assert figure(points_only, "points", "accuracy") == 1 and one.asked[0].calibration is None
+    assert value_of(points_only, "points", "accuracy") == 1 and one.inputs[0].calibration is None
     assert "mIoU of 2 SemanticKITTI" in points_only.table() and "| road" not in points_only.table()
     json.dumps(points_only.as_dict(), allow_nan=False)
-    camera_only = scored([truth(point_ids=None)], told([[ROAD] * 6] * 2))
+    camera_only = scored([frame_of(point_labels=None)], fixed([[ROAD] * 6] * 2))
     assert (camera_only.images, camera_only.scans) == (1, 0)
     assert "SemanticKITTI" not in camera_only.table()
     with pytest.raises(InputError, match="00/000000 has neither camera_labels/ nor labels/"):
-        scored([truth(calibration=None, camera_ids=None, point_ids=None)], told())
+        scored([frame_of(calibration=None, camera_labels=None, point_labels=None)], fixed())
 
 
-def test_only_the_ceiling_is_told_the_classes():
-    asked = []
-    for ceiling in (False, True):
-        scored([truth()], one := Told(told=ceiling))
-        asked.append(one.asked[0].ids)
-    assert asked[0] is None
-    assert asked[1].tolist() == np.where(TARGET == IGNORE, 0, TARGET).tolist()
-    heading = scored([truth()], Told("truth+x", told=True)).heading()
-    assert "Told the camera's true classes, not the scan: truth+x." in heading
+def test_only_the_oracle_receives_the_ground_frame_of():
+    given = []
+    for oracle in (False, True):
+        scored([frame_of()], one := Fixed(oracle=oracle))
+        given.append(one.inputs[0].camera_labels)
+    assert given[0] is None
+    assert given[1].tolist() == np.where(TARGET == IGNORE, 0, TARGET).tolist()
+    heading = scored([frame_of()], Fixed("oracle+x", oracle=True)).heading()
+    assert "Input is the camera's ground-truth labels, not the scan: oracle+x." in heading
 
 
 def test_the_first_frame_warms_up():
-    one = Contender(system=told(), tally=Tally(Measures()), worst=Worst(0))
+    one = EvaluatedSystem(system=fixed(), metrics=MetricCollection(MetricConfig()), worst=WorstFrames(0))
     one.milliseconds = {"translate": [100.0, 2.0, 4.0], "camera": [7.0]}
     assert one.mean_milliseconds() == {"translate": 3.0, "camera": 7.0}
 
@@ -143,28 +158,31 @@ def test_the_first_frame_warms_up():
 def test_intervals_need_several_frames():
     ids = [[ROAD] * 6] * 2
     other = np.full_like(TARGET, ROAD)
-    alone, both = scored([truth()], told(ids)), scored([truth(), truth("00/000007", camera_ids=other)], told(ids))
+    alone, both = (
+        scored([frame_of()], fixed(ids)),
+        scored([frame_of(), frame_of("00/000007", camera_labels=other)], fixed(ids)),
+    )
     assert "In brackets" not in alone.heading() and "In brackets" in both.heading()
-    found = {(one.sector, one.name): one for one in both.figures(both.contenders[0].tally)}["camera", "accuracy"]
+    found = {(one.sector, one.name): one for one in both.values(both.systems[0].metrics)}["camera", "accuracy"]
     assert (found.value, found.low, found.high, found.frames) == (pytest.approx(16 / 22), 0.4, 1.0, 2)
     assert "| accuracy |  | 0.727 (0.400 to 1.000) |" in both.table()
 
 
-# --- what is asked ---------------------------------------------------------------------------------------------------
+# --- system inputs ---------------------------------------------------------------------------------------------------
 
 
-def test_measures_are_words():
-    every = Measures.of("", device="cpu")
-    assert every.kinds == DEFAULT_KINDS and "roll" not in every.kinds and every.painted
-    some = Measures.of("classes, points,camera", device="cpu")
-    assert (some.kinds, some.sectors, some.painted) == (("points", "classes"), ("camera",), False)
-    assert Measures.of("roll", device="cpu").kinds == ("roll",)
+def test_metrics_are_chosen_by_words():
+    every = MetricConfig.parse("", device="cpu")
+    assert every.groups == DEFAULT_GROUPS and "roll" not in every.groups and every.colours
+    some = MetricConfig.parse("classes, points,camera", device="cpu")
+    assert (some.groups, some.sectors, some.colours) == (("points", "classes"), ("camera",), False)
+    assert MetricConfig.parse("roll", device="cpu").groups == ("roll",)
     with pytest.raises(InputError, match="--metrics: nothing is called 'class'; did you mean 'classes'"):
-        Measures.of("class", device="cpu")
+        MetricConfig.parse("class", device="cpu")
 
 
 @pytest.mark.parametrize(
-    ("words", "asked", "sectors"),
+    ("words", "colours", "sectors"),
     [
         ("", True, {"camera", "panorama", "points"}),
         ("classes", False, {"camera", "panorama"}),
@@ -173,58 +191,54 @@ def test_measures_are_words():
         ("panorama,classes", False, {"panorama"}),
     ],
 )
-def test_measured_is_what_was_asked_for(words, asked, sectors):
-    one = told([[ROAD] * 6] * 2, panorama=lambda question: around(question) if question.origin else None)
-    evaluation = scored([truth(panorama=true_panorama())], one, measures=Measures.of(words, device="cpu"))
-    assert {sector for sector, _ in evaluation.contenders[0].tally.metrics} == sectors
-    assert one.asked[0].painted is asked
-    asked_for = {name for name, part in vars_of(one.asked[0]).items() if part is not None}
-    assert asked_for == sectors - {"points"}
+def test_only_the_requested_metrics_are_counted(words, colours, sectors):
+    one = fixed([[ROAD] * 6] * 2, panorama=lambda inputs: around(inputs) if inputs.origin else None)
+    evaluation = scored([frame_of(panorama=true_panorama())], one, config=MetricConfig.parse(words, device="cpu"))
+    assert {sector for sector, _ in evaluation.systems[0].metrics.metrics} == sectors
+    assert one.inputs[0].colours is colours
+    viewpoints = {"camera": one.inputs[0].calibration, "panorama": one.inputs[0].origin}
+    assert {name for name, part in viewpoints.items() if part is not None} == sectors - {"points"}
 
 
-def vars_of(question: Question) -> dict[str, object]:
-    return {"camera": question.calibration, "panorama": question.origin}
-
-
-# --- pictures --------------------------------------------------------------------------------------------------------
+# --- images ----------------------------------------------------------------------------------------------------------
 
 
 def noise(seed: int, rows: int = 24, columns: int = 80) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (rows, columns, 3), dtype=np.uint8)
 
 
-def pictured(name: str, seed: int, **parts: object) -> Truth:
-    return truth(name, calibration=camera(80, 24), camera_ids=None, point_ids=None, picture=noise(seed), **parts)
+def with_image(name: str, seed: int, **parts: object) -> Frame:
+    known = {"camera_labels": None, "point_labels": None, "image": noise(seed)} | parts
+    return frame_of(name, calibration=camera(80, 24), **known)
 
 
-def test_pictures_are_compared_with_the_cameras():
-    frames = [pictured("00/000000", 0), pictured("00/000005", 1)]
-    same = Told("same", colour=lambda question: noise({"00/000000": 0, "00/000005": 1}[question.scan.name]))
-    other = Told("other", colour=lambda question: noise(7))
-    blind = Told("blind")
-    evaluation = scored(frames, same, other, blind)
-    assert evaluation.pictures == 2 and evaluation.images == 0
-    assert figure(evaluation, "camera", "ssim") == pytest.approx(1)
-    assert figure(evaluation, "camera", "ssim", 1) < 0.1
-    assert figure(evaluation, "camera", "swd") < figure(evaluation, "camera", "swd", 1)
+def test_images_are_compared_with_the_cameras():
+    frames = [with_image("00/000000", 0), with_image("00/000005", 1)]
+    same = Fixed("same", image=lambda inputs: noise({"00/000000": 0, "00/000005": 1}[inputs.scan.name]))
+    other = Fixed("other", image=lambda inputs: noise(7))
+    evaluation = scored(frames, same, other, Fixed("nothing"))
+    assert evaluation.camera_images == 2 and evaluation.images == 0
+    assert value_of(evaluation, "camera", "ssim") == pytest.approx(1)
+    assert value_of(evaluation, "camera", "ssim", 1) < 0.1
+    assert value_of(evaluation, "camera", "swd") < value_of(evaluation, "camera", "swd", 1)
     table = evaluation.table()
     assert "| FID |  | no Inception weights | no Inception weights | - |" in table
     ssim = next(line for line in table.splitlines() if line.startswith("| SSIM"))
     assert ssim.startswith("| SSIM |  | 1.000 (1.000 to 1.000) | 0.0") and ssim.endswith("| - |")
-    assert "against the camera's pictures (2)" in evaluation.heading()
+    assert "against the camera's images (2)" in evaluation.heading()
     assert "mIoU of" not in table
     json.dumps(evaluation.as_dict(), allow_nan=False)
 
 
-def test_judges_with_weights_of_their_own(tmp_path):
+def test_metrics_by_other_networks(tmp_path):
     calls = []
 
-    def features(pictures):
-        calls.append(pictures)
-        return pictures.float().mean((2, 3))
+    def features(images):
+        calls.append(images)
+        return images.float().mean((2, 3))
 
     class Road(torch.nn.Module):
-        """Sees road where it is dark and sky elsewhere."""
+        """Predicts road where it is dark and sky elsewhere."""
 
         def __init__(self) -> None:
             super().__init__()
@@ -237,106 +251,108 @@ def test_judges_with_weights_of_their_own(tmp_path):
             return logits
 
     segmenter = CameraSegmenter(network=Road(), normalise=Colours(mean=(0.5,) * 3, deviation=(0.5,) * 3))
-    eye = CameraEye(segmenter=segmenter, features=Extractor(features=features, sha256="ab" * 32), sha256="ab" * 32)
-    measures = Measures(inception=Extractor(features=features, sha256="cd" * 32), eye=eye)
+    extractors = [FeatureExtractor(features=features, sha256=name * 32) for name in ("ab", "cd")]
+    image_segmenter = ImageSegmenter(segmenter=segmenter, features=extractors[0], sha256="ab" * 32)
+    config = MetricConfig(inception=extractors[1], image_segmenter=image_segmenter)
     ids = np.full((24, 80), ROAD, np.uint8)
     ids[:, 40:] = CAR
     true = np.zeros((24, 80, 3), np.uint8)
-    frames = [pictured("00/000000", 0), pictured("00/000005", 0)]
-    frames = [replace(frame, picture=true, camera_ids=ids) for frame in frames]
+    frames = [with_image(name, 0, image=true, camera_labels=ids) for name in ("00/000000", "00/000005")]
     bright = np.where(np.arange(80)[None, :, None] < 20, np.uint8(0), np.uint8(250)) * np.ones((24, 1, 3), np.uint8)
-    evaluation = scored(frames, Told("a", colour=bright), Told("b", colour=true), measures=measures)
-    assert figure(evaluation, "camera", "resegmentation_accuracy") == pytest.approx(0.25)
-    assert figure(evaluation, "camera", "fid") == pytest.approx(3 * (250 * 0.75) ** 2, rel=1e-6)
-    assert figure(evaluation, "camera", "fsd") == figure(evaluation, "camera", "fid")
-    assert figure(evaluation, "camera", "fid", 1) == 0
-    (own,) = [one for one in evaluation.figures(evaluation.reference) if one.name == "resegmentation_accuracy"]
-    assert own.value == pytest.approx(0.5)  # all of the truth is dark, half of it is road
+    evaluation = scored(frames, Fixed("a", image=bright), Fixed("b", image=true), config=config)
+    assert value_of(evaluation, "camera", "resegmentation_accuracy") == pytest.approx(0.25)
+    assert value_of(evaluation, "camera", "fid") == pytest.approx(3 * (250 * 0.75) ** 2, rel=1e-6)
+    assert value_of(evaluation, "camera", "fsd") == value_of(evaluation, "camera", "fid")
+    assert value_of(evaluation, "camera", "fid", 1) == 0
+    (own,) = [one for one in evaluation.values(evaluation.reference) if one.name == "resegmentation_accuracy"]
+    assert own.value == pytest.approx(0.5)  # all of the camera image is dark, half of it is road
     table = evaluation.table()
-    assert "| FSD (features of abababab) |" in table and "| re-segmentation mIoU | truth 0.250 |" in table
+    assert "| FSD (features of abababab) |" in table and "| re-segmentation mIoU | ground truth 0.250 |" in table
     assert (evaluation.as_dict()["inception"], evaluation.as_dict()["camera_segmenter"]) == ("cd" * 32, "ab" * 32)
-    assert len(calls) < 2 * 2 * 2 * 2  # frames, systems, sides, judges: the truth's are remembered
+    assert len(calls) < 2 * 2 * 2 * 2  # frames, systems, sides, networks: features of the ground truth are cached
 
 
 def test_a_camera_segmenters_file(tmp_path):
     sdnet = {"width": 4, "stem": 4, "blocks": 1, "modules": [1, 1, 1], "context": 8}
     normal = Colours().as_dict()
     write_weights(tmp_path / "weights", "camera", "sdnet", sdnet, labels="cityscapes", normalisation=normal)
-    eye = Measures.of(sdnet=tmp_path, device="cpu").eye
+    eye = MetricConfig.parse(sdnet=tmp_path, device="cpu").image_segmenter
     assert eye is not None and len(eye.sha256) == 64
-    picture = noise(3, 64, 96)
-    ids = eye.segment(picture)
+    image = noise(3, 64, 96)
+    ids = eye.segment(image)
     assert ids.shape == (64, 96) and int(ids.max()) < len(COMMON15)
-    features = eye.features(torch.from_numpy(picture).movedim(2, 0)[None])
-    network, images = eye.segmenter.network, torch.from_numpy(picture).movedim(2, 0)[None]
+    features = eye.features(torch.from_numpy(image).movedim(2, 0)[None])
+    network, images = eye.segmenter.network, torch.from_numpy(image).movedim(2, 0)[None]
     with torch.inference_mode():
         context = network.ocr(network.backbone(eye.segmenter.normalise(images))).features
     assert features.shape == (1, 8) and torch.allclose(features[0], context[0].flatten(1).mean(1), rtol=1e-4)
     assert context.shape[2] > 1 and context.std((2, 3)).max() > 0
-    assert Measures.of("classes", sdnet=tmp_path, device="cpu").eye is None  # nobody asks it
+    assert MetricConfig.parse("classes", sdnet=tmp_path, device="cpu").image_segmenter is None  # no metric needs it
     with pytest.raises(InputError, match="no weight file"):
-        Measures.of(sdnet=tmp_path / "none", device="cpu")
+        MetricConfig.parse(sdnet=tmp_path / "none", device="cpu")
     with pytest.raises(InputError, match="no such file; FID needs"):
-        Measures.of(inception=tmp_path / "none", device="cpu")
+        MetricConfig.parse(inception=tmp_path / "none", device="cpu")
 
 
 def test_the_cameras_depth_is_compared_with_the_scans_own():
-    scan = street(points=400)
-    frame = truth(calibration=camera(80, 24), camera_ids=np.zeros((24, 80), np.uint8), point_ids=None)
-    frame = replace(frame, scan=scan)
+    scan, unknown = street(points=400), np.full((24, 80), IGNORE, np.uint8)
+    frame = frame_of(scan=scan, calibration=camera(80, 24), camera_labels=unknown, point_labels=None)
     from lidar2pano.geometry.camera import project_to_camera
 
     exact = project_to_camera(scan, camera(80, 24), (24, 80))[1].numpy()
-    evaluation = scored([frame], Told(depth_m=exact), Told(depth_m=1.5 * exact + 1.0 * (exact == 0)))
-    assert figure(evaluation, "camera", "depth_abs_rel") == 0
-    assert figure(evaluation, "camera", "depth_abs_rel", 1) == pytest.approx(0.5)
+    evaluation = scored([frame], Fixed(depth_m=exact), Fixed(depth_m=1.5 * exact + 1.0 * (exact == 0)))
+    assert value_of(evaluation, "camera", "depth_abs_rel") == 0
+    assert value_of(evaluation, "camera", "depth_abs_rel", 1) == pytest.approx(0.5)
 
 
-# --- all around ------------------------------------------------------------------------------------------------------
+# --- panoramas --------------------------------------------------------------------------------------------------------
 
 
-def true_panorama(**parts: object) -> TruePanorama:
+def true_panorama(**parts: object) -> PanoramaGroundTruth:
     ids = np.full((16, 64), ROAD, np.uint8)
     ids[:4] = SKY
     ids[8:, :16] = CAR
     depth_m = np.where(ids == SKY, 0, 10).astype(np.float32)
-    colour = noise(5, 16, 64)
-    known = {"view": RASTER, "colour": colour, "valid": np.ones((16, 64), bool), "ids": ids, "depth_m": depth_m}
-    return TruePanorama(**known | parts)
+    image, valid = noise(5, 16, 64), np.ones((16, 64), bool)
+    known = {"view": RASTER, "image": image, "valid": valid, "labels": ids, "depth_m": depth_m}
+    return PanoramaGroundTruth(**known | parts)
 
 
-def around(question: Question, view: View = RASTER, **parts: object) -> Panorama:
-    """A panorama that says road everywhere, 8 m away."""
+def around(inputs: SystemInput, view: View = RASTER, **parts: object) -> Panorama:
+    """A panorama of road everywhere, 8 m away."""
     size = (view.rows, view.columns)
     known = {
-        "name": question.scan.name,
+        "name": inputs.scan.name,
         "frame": 0,
-        "view": replace(view, origin=question.origin),
+        "view": replace(view, origin=inputs.origin),
         "colour": noise(5, 16, 64) if size == (16, 64) else np.zeros((*size, 3), np.uint8),
         "segments": np.full(size, ROAD, np.uint8),
         "depth_m": np.full(size, 8, np.float32),
-        "labels": np.zeros(len(question.scan), np.int64),
+        "labels": np.zeros(len(inputs.scan), np.int64),
     }
     return Panorama(**known | parts)
 
 
-def test_all_around_by_hand():
-    ids = true_panorama().ids.copy()
-    ids[5, :7] = IGNORE
-    true = true_panorama(ids=ids)
-    evaluation = scored([truth(panorama=true)], Told(panorama=around))
+def test_panoramas_by_hand():
+    labels = true_panorama().labels.copy()
+    labels[5, :7] = IGNORE
+    true = true_panorama(labels=labels)
+    evaluation = scored([frame_of(panorama=true)], Fixed(panorama=around))
     assert evaluation.panoramas == 1
-    assert evaluation.counted("panorama") == [CAR, ROAD]
+    assert evaluation.target_classes("panorama") == [CAR, ROAD]
     scored_pixels = 12 * 64 - 7
     roads = scored_pixels - 8 * 16
-    assert figure(evaluation, "panorama", "accuracy") == pytest.approx(roads / scored_pixels)
-    assert figure(evaluation, "panorama", "miou") == pytest.approx(roads / scored_pixels / 2)
-    assert figure(evaluation, "panorama", "depth_abs_rel") == pytest.approx(0.2)
-    assert figure(evaluation, "panorama", "depth_rmse_m") == pytest.approx(2)
-    assert figure(evaluation, "panorama", "ssim") == pytest.approx(1)
+    assert value_of(evaluation, "panorama", "accuracy") == pytest.approx(roads / scored_pixels)
+    assert value_of(evaluation, "panorama", "miou") == pytest.approx(roads / scored_pixels / 2)
+    assert value_of(evaluation, "panorama", "depth_abs_rel") == pytest.approx(0.2)
+    assert value_of(evaluation, "panorama", "depth_rmse_m") == pytest.approx(2)
+    assert value_of(evaluation, "panorama", "ssim") == pytest.approx(1)
     table = evaluation.table()
-    assert "| all around: car | 16.8% | 0.000 |" in table and "| all around: **mIoU of 2** |" in table
-    assert "| all around: seam ratio | truth " in table and "against true panoramas (1)" in evaluation.heading()
+    assert "| panorama: car | 16.8% | 0.000 |" in table and "| panorama: **mIoU of 2** |" in table
+    assert (
+        "| panorama: seam ratio | ground truth " in table
+        and "against ground-truth panoramas (1)" in evaluation.heading()
+    )
     assert evaluation.as_dict()["panorama_classes"] == ["car", "road"]
     assert evaluation.as_dict()["results"][0]["score"]["translator"]["panorama_depth_abs_rel"] == pytest.approx(0.2)
 
@@ -344,23 +360,23 @@ def test_all_around_by_hand():
 def test_colours_count_where_they_are_known():
     valid = np.ones((16, 64), bool)
     valid[:, 40:] = False
-    colour = true_panorama().colour.copy()
-    colour[:, 40:] = 0
-    true = true_panorama(valid=valid, colour=colour)
-    frames = [truth(panorama=true), truth("00/000009", panorama=true)]
-    evaluation = scored(frames, Told(panorama=around))
-    assert figure(evaluation, "panorama", "ssim") == pytest.approx(1)
-    (swd,) = [one for one in evaluation.figures(evaluation.contenders[0].tally) if one.name == "swd"]
+    image = true_panorama().image.copy()
+    image[:, 40:] = 0
+    true = true_panorama(valid=valid, image=image)
+    frames = [frame_of(panorama=true), frame_of("00/000009", panorama=true)]
+    evaluation = scored(frames, Fixed(panorama=around))
+    assert value_of(evaluation, "panorama", "ssim") == pytest.approx(1)
+    (swd,) = [one for one in evaluation.values(evaluation.systems[0].metrics) if one.name == "swd"]
     assert swd.frames == 2 * 3  # quarters of which half is known; the third is
-    kept = list(windows(around(Question(scan=SCAN, origin=(0, 0, 0))).colour, colour, valid))
-    assert [mine.shape for mine, _ in kept] == [(16, 16, 3)] * 3
-    assert all(np.array_equal(mine, theirs) for mine, theirs in kept) and (kept[2][0][:, 8:] == 128).all()
-    assert not [one for one in evaluation.figures(evaluation.reference) if one.name == "seam_ratio"]  # it is not known
+    kept = list(windows(around(SystemInput(scan=SCAN, origin=(0, 0, 0))).colour, image, valid))
+    assert [one.shape for one, _ in kept] == [(16, 16, 3)] * 3
+    assert all(np.array_equal(one, other) for one, other in kept) and (kept[2][0][:, 8:] == 128).all()
+    assert not [one for one in evaluation.values(evaluation.reference) if one.name == "seam_ratio"]  # it is not known
 
 
 def test_an_unpainted_panorama_has_classes_but_no_colours():
-    evaluation = scored([truth(panorama=true_panorama())], Told(panorama=around, painted=False))
-    names = {name for sector, name in evaluation.contenders[0].tally.metrics if sector == "panorama"}
+    evaluation = scored([frame_of(panorama=true_panorama())], Fixed(panorama=around, painted=False))
+    names = {name for sector, name in evaluation.systems[0].metrics.metrics if sector == "panorama"}
     assert names == {"classes", "depth"}
 
 
@@ -372,50 +388,50 @@ def test_a_panorama_on_another_raster():
     column = np.arange(192)
     ids = np.broadcast_to((column // 2 % 14).astype(np.uint8), (16, 192))
     colour = np.broadcast_to((column // 2).astype(np.uint8)[:, None], (16, 192, 3))
-    question = Question(scan=SCAN, origin=(0.3, 0.0, 0.0))
+    inputs = SystemInput(scan=SCAN, origin=(0.3, 0.0, 0.0))
     depth_m = np.ones((16, 192), np.float32)
-    panorama = around(question, fine, segments=ids.copy(), colour=colour.copy(), depth_m=depth_m)
-    moved = carried(panorama, coarse)
-    assert moved.ids.shape == (8, 96) and (moved.ids == np.arange(96) % 14).all()
-    assert (moved.colour[..., 0] == np.arange(96)).all() and (moved.depth_m == 1).all()
-    assert carried(panorama, replace(fine, origin=(9.0, 9.0, 9.0))).colour is panorama.colour
-    higher = carried(panorama, replace(fine, rows=32, up=fine.up + (fine.up - fine.down)))
-    assert (higher.ids[:16] == 0).all() and (higher.depth_m[:16] == 0).all()  # it does not reach there
-    assert np.array_equal(higher.ids[16:], ids) and np.array_equal(higher.colour[16:], colour)
-    assert between(fine, coarse).valid.all()
+    panorama = around(inputs, fine, segments=ids.copy(), colour=colour.copy(), depth_m=depth_m)
+    moved = resampled(panorama, coarse)
+    assert moved.labels.shape == (8, 96) and (moved.labels == np.arange(96) % 14).all()
+    assert (moved.image[..., 0] == np.arange(96)).all() and (moved.depth_m == 1).all()
+    assert resampled(panorama, replace(fine, origin=(9.0, 9.0, 9.0))).image is panorama.colour
+    higher = resampled(panorama, replace(fine, rows=32, up=fine.up + (fine.up - fine.down)))
+    assert (higher.labels[:16] == 0).all() and (higher.depth_m[:16] == 0).all()  # it does not reach there
+    assert np.array_equal(higher.labels[16:], ids) and np.array_equal(higher.image[16:], colour)
+    assert resampling_lookup(fine, coarse).valid.all()
 
 
-# --- streams ---------------------------------------------------------------------------------------------------------
+# --- videos ----------------------------------------------------------------------------------------------------------
 
 
 def test_frames_follow_each_other_by_number_and_pose():
-    first, second, third = (truth(f"00/{number:06d}", pose=np.eye(4)) for number in (3, 4, 6))
+    first, second, third = (frame_of(f"00/{number:06d}", pose=np.eye(4)) for number in (3, 4, 6))
     assert follows(first, second) and not follows(second, third) and not follows(None, first)
-    assert not follows(first, replace(second, name="01/000004"))
-    assert not follows(first, replace(second, pose=None)) and not follows(replace(first, pose=None), second)
-    frames = [first, second, third, replace(third, name="00/000007")]
-    scored(frames, one := told([[ROAD] * 6] * 2))
-    assert one.pasts == [None, 1, None, 1]
+    assert not follows(first, changed(second, name="01/000004"))
+    assert not follows(first, changed(second, pose=None)) and not follows(changed(first, pose=None), second)
+    frames = [first, second, third, changed(third, name="00/000007")]
+    scored(frames, one := fixed([[ROAD] * 6] * 2))
+    assert one.memories == [None, 1, None, 1]
 
 
 def test_flicker_of_what_stands_still():
     ids = np.full((24, 80), ROAD, np.uint8)
     scan = street(points=6000)
     frames = [
-        replace(pictured(f"00/{number:06d}", 0, pose=np.eye(4), panorama=true_panorama()), scan=scan, camera_ids=ids)
+        with_image(f"00/{number:06d}", 0, pose=np.eye(4), panorama=true_panorama(), scan=scan, camera_labels=ids)
         for number in range(3)
     ]
     still = np.full((24, 80, 3), 100, np.uint8)
 
-    def flickering(question):
+    def flickering(inputs):
         return still + np.uint8(51 * (next(number) % 2))
 
     number = iter(range(9))
-    evaluation = scored(frames, Told(colour=still, panorama=around), Told(colour=flickering))
-    assert figure(evaluation, "camera", "warping_error") == 0
-    assert figure(evaluation, "camera", "warping_error", 1) == pytest.approx(3 * 0.2**2)
-    assert figure(evaluation, "panorama", "warping_error") == pytest.approx(0)
-    assert "| warping error x 1000 | truth 0.00 | 0.00 (0.00 to 0.00) | 120.00 (120.00 to 120.00) |" in (
+    evaluation = scored(frames, Fixed(image=still, panorama=around), Fixed(image=flickering))
+    assert value_of(evaluation, "camera", "warping_error") == 0
+    assert value_of(evaluation, "camera", "warping_error", 1) == pytest.approx(3 * 0.2**2)
+    assert value_of(evaluation, "panorama", "warping_error") == pytest.approx(0)
+    assert "| warping error x 1000 | ground truth 0.00 | 0.00 (0.00 to 0.00) | 120.00 (120.00 to 120.00) |" in (
         evaluation.table()
     )
 
@@ -426,9 +442,9 @@ def test_flicker_counts_where_the_flow_is_known():
     before, now = noise(0), noise(0)
     now[:, 40:] = noise(1)[:, 40:]
     for sector in ("camera", "panorama"):
-        moved = Moved(before=before, flow=Flow(shift=torch.zeros(2, 24, 80), known=known))
-        (tally := Tally(Measures())).warped(sector, now, moved, "00/000001")
-        metric = tally.metrics[sector, "warping"]
+        previous = PreviousImage(image=before, flow=Flow(shift=torch.zeros(2, 24, 80), known=known))
+        (metrics := MetricCollection(MetricConfig())).warping(sector, now, previous, "00/000001")
+        metric = metrics.metrics[sector, "warping"]
         assert metric.compute() == 0 and metric.circular == (sector == "panorama")
 
 
@@ -436,7 +452,7 @@ def test_the_flow_follows_the_pose():
     step = np.eye(4)
     step[0, 3] = 1.0  # one metre ahead
     true = true_panorama()
-    frames = [truth(f"00/{n:06d}", pose=pose, panorama=true) for n, pose in enumerate((np.eye(4), step))]
+    frames = [frame_of(f"00/{n:06d}", pose=pose, panorama=true) for n, pose in enumerate((np.eye(4), step))]
     flow = panorama_flow(*frames)
     assert flow is not None and flow.shift.shape == (2, 16, 64)
     side = flow.shift[0, 5][flow.known[5]]
@@ -444,45 +460,43 @@ def test_the_flow_follows_the_pose():
     assert flow.known[:3].all()  # of the sky only the direction counts, and that did not turn
     assert flow.shift[:, :3].abs().max() < 1e-4
     hidden = true_panorama(valid=np.zeros((16, 64), bool))
-    assert not panorama_flow(replace(frames[0], panorama=hidden), frames[1]).known.any()
-    assert panorama_flow(replace(frames[0], panorama=None), frames[1]) is None
+    assert not panorama_flow(changed(frames[0], panorama=hidden), frames[1]).known.any()
+    assert panorama_flow(changed(frames[0], panorama=None), frames[1]) is None
     for off, known in ((1e-9, True), (1.0, False)):
         near = true_panorama(view=replace(RASTER, origin=(off, 0.0, 0.0)))
-        assert (panorama_flow(replace(frames[0], panorama=near), frames[1]) is not None) == known
-    assert camera_flow(replace(frames[0], camera_ids=None), frames[1]) is None
+        assert (panorama_flow(changed(frames[0], panorama=near), frames[1]) is not None) == known
+    assert camera_flow(changed(frames[0], camera_labels=None), frames[1]) is None
     assert camera_flow(*frames).shift.shape == (2, 2, 6)
 
 
-def test_sparse_depths_are_filled_for_the_flow():
+def test_sparse_depths_are_completed_for_the_flow():
     depth_m = np.zeros((16, 64), np.float32)
     depth_m[5, ::7] = 10
-    sparse = true_panorama(ids=None, depth_m=depth_m)
+    sparse = true_panorama(labels=None, depth_m=depth_m)
     scan = street(points=4000)
-    pair = [replace(truth(f"00/{n:06d}", pose=np.eye(4), panorama=sparse), scan=scan) for n in (0, 1)]
+    pair = [frame_of(f"00/{n:06d}", pose=np.eye(4), panorama=sparse, scan=scan) for n in (0, 1)]
     flow = panorama_flow(*pair)
     assert flow is not None and flow.known.float().mean() > 0.5 and flow.shift.abs().max() < 1e-3
-    ball = true_panorama(ids=None, depth_m=depth_m, view=replace(RASTER, kind="sphere", up=10, down=-10))
-    assert panorama_flow(*(replace(one, panorama=ball) for one in pair)) is None  # gaps are filled on a cylinder
+    ball = true_panorama(labels=None, depth_m=depth_m, view=replace(RASTER, kind="sphere", up=10, down=-10))
+    assert panorama_flow(*(changed(one, panorama=ball) for one in pair)) is None  # gaps are filled on a cylinder
 
 
 def test_depths_of_the_camera_are_the_panoramas_where_it_stands_there():
-    from lidar2pano.evaluate.streams import camera_distances
-
     here = camera(8, 4)
-    frame = truth(calibration=here, camera_ids=np.full((4, 8), ROAD, np.uint8), panorama=true_panorama())
+    frame = frame_of(calibration=here, camera_labels=np.full((4, 8), ROAD, np.uint8), panorama=true_panorama())
     found = camera_distances(frame, here)
     assert set(found.unique().tolist()) <= {0.0, 10.0, float("inf")} and (found == 10).any()
-    apart = replace(frame, panorama=true_panorama(view=replace(RASTER, origin=(0.0, 0.0, 1.0))))
+    apart = changed(frame, panorama=true_panorama(view=replace(RASTER, origin=(0.0, 0.0, 1.0))))
     assert not (camera_distances(apart, here) == 10).any()  # only the scan's four points
 
 
-# --- turned ----------------------------------------------------------------------------------------------------------
+# --- rotation --------------------------------------------------------------------------------------------------------
 
 
-def test_a_turned_scan_makes_a_turned_range_image():
+def test_a_rotated_scan_makes_a_rotated_range_image():
     view = VIEWS["panorama"].scaled(1 / 8)
     columns = round(ROLL * view.columns)
-    scan, R = turned(street(), columns, view.columns)
+    scan, R = rotated(street(), columns, view.columns)
     origin = tuple((R @ np.array(view.origin)).tolist())
     straight, other = project(street(), view), project(scan, replace(view, origin=origin))
     same = (straight.index.roll(columns, 1) == other.index).float().mean()
@@ -490,49 +504,27 @@ def test_a_turned_scan_makes_a_turned_range_image():
     assert np.allclose(R @ R.T, np.eye(3)) and R[2, 2] == 1
 
 
-def test_roll_error_of_answers_that_turn_and_that_do_not():
-    def turning(question):
-        x, y, _ = question.scan.xyz[0].astype(float)
+def test_roll_error_of_panoramas_that_rotate_and_that_do_not():
+    def rotating(inputs):
+        x, y, _ = inputs.scan.xyz[0].astype(float)
         start = int(round(-np.arctan2(y, x) / (2 * np.pi) * 64))
-        return around(question, colour=np.roll(noise(5, 16, 64), start, 1), segments=np.roll(block, start, 1))
+        return around(inputs, colour=np.roll(noise(5, 16, 64), start, 1), segments=np.roll(block, start, 1))
 
-    block = true_panorama().ids
-    measures = Measures.of("roll", device="cpu")
+    block = true_panorama().labels
+    config = MetricConfig.parse("roll", device="cpu")
     evaluation = scored(
-        [truth(panorama=true_panorama())], Told(panorama=turning), Told(panorama=around), measures=measures
+        [frame_of(panorama=true_panorama())], Fixed(panorama=rotating), Fixed(panorama=around), config=config
     )
-    assert figure(evaluation, "panorama", "roll_error") == 0 == figure(evaluation, "panorama", "roll_error_ids")
-    assert figure(evaluation, "panorama", "roll_error", 1) > 50
-    scored([truth(panorama=true_panorama())], plain := Told(panorama=around))
-    assert len(plain.asked) == 1  # everything twice only when asked for
+    assert value_of(evaluation, "panorama", "roll_error") == 0 == value_of(evaluation, "panorama", "roll_error_ids")
+    assert value_of(evaluation, "panorama", "roll_error", 1) > 50
+    scored([frame_of(panorama=true_panorama())], plain := Fixed(panorama=around))
+    assert len(plain.inputs) == 1  # twice only on request
 
 
-# --- parts -----------------------------------------------------------------------------------------------------------
-
-
-def test_halves_make_the_whole():
-    def frame(number):
-        true = true_panorama(colour=noise(number, 16, 64))
-        return pictured(f"0{number}/000000", number, panorama=true)
-
-    frames = [replace(frame(n), camera_ids=np.full((24, 80), (ROAD, CAR)[n % 2], np.uint8)) for n in range(4)]
-
-    def answer():
-        ids = np.full((24, 80), ROAD)
-        return Told(ids=ids, colour=lambda q: noise(int(q.scan.name[1]) + 9), panorama=around, labels=np.zeros(4, int))
-
-    whole = scored(frames, answer(), worst=2)
-    second, first = scored(frames[2:], answer(), worst=2), scored(frames[:2], answer(), worst=2)
-    second.merge(first)
-    assert second.as_dict() == whole.as_dict()
-    assert second.table() == whole.table() and second.records() == whole.records()
-    with pytest.raises(ValueError, match="counted twice"):
-        second.merge(first)
-    with pytest.raises(ValueError, match="are not one system"):
-        second.merge(scored(frames[2:], Told("other")))
+# --- real weights ----------------------------------------------------------------------------------------------------
 
 
 def test_real_weights_score_through_and_through(random_weights):
-    (one,) = scored([truth(panorama=true_panorama())], system(random_weights, device="cpu")).as_dict()["results"]
+    (one,) = scored([frame_of(panorama=true_panorama())], system(random_weights, device="cpu")).as_dict()["results"]
     assert one["networks"]["translator"]["network"] == "titan-pano"
-    assert {figure["sector"] for figure in one["figures"]} == {"camera", "panorama", "points"}
+    assert {value["sector"] for value in one["values"]} == {"camera", "panorama", "points"}

@@ -1,4 +1,4 @@
-"""What evaluate prints and writes: the table, JSON, CSV and the worst frames, from the command line."""
+"""Outputs of evaluate: the table, JSON, CSV and the worst frames, from the command line."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lidar2pano.data.frames import Frame, PanoramaGroundTruth
 from PIL import Image
 
 from lidar2pano.cli import main
-from lidar2pano.data.truths import TruePanorama, Truth
-from lidar2pano.evaluate.questions import Seen
-from lidar2pano.evaluate.rasters import Carried
-from lidar2pano.evaluate.worst import Worst, sheet
-from lidar2pano.labels import COMMON15
+from lidar2pano.evaluate.interface import Prediction
+from lidar2pano.evaluate.resampling import Resampled
+from lidar2pano.evaluate.worst_frames import WorstFrame, WorstFrames, sheet
+from lidar2pano.labels import CITYSCAPES, COMMON15
 from lidar2pano.views import View
 from random_weights import street, write_data_set, write_weights
 
@@ -33,40 +33,40 @@ def run(data: Path, *words: object) -> int:
 
 
 def test_everything_that_is_written(data, random_weights, front_weights, tmp_path, capsys):
-    film = write_weights(tmp_path / "film", "painter", "vid2vid", VIDEO)
-    chain, ceiling = f"{front_weights}+{film}", f"truth+{film}"
-    said, figures, worst = tmp_path / "all.json", tmp_path / "all.csv", tmp_path / "worst"
+    video = write_weights(tmp_path / "video", "painter", "vid2vid", VIDEO)
+    chain, oracle = f"{front_weights}+{video}", f"oracle+{video}"
+    as_json, as_csv, worst = tmp_path / "all.json", tmp_path / "all.csv", tmp_path / "worst"
     assert (
-        run(data, random_weights, chain, ceiling, "--json", said, "--csv", figures, "--worst", 2, "--out", worst) == 0
+        run(data, random_weights, chain, oracle, "--json", as_json, "--csv", as_csv, "--worst", 2, "--out", worst) == 0
     )
     table = capsys.readouterr().out
     heading, _, head, *_ = table.splitlines()
-    assert head == f"| class | pixels | {random_weights} | {chain} | {ceiling} |"
-    assert f"Told the camera's true classes, not the scan: {ceiling}." in heading
-    told = json.loads(said.read_text())
-    assert [one["weights"] for one in told["results"]] == [str(random_weights), chain, ceiling]
-    assert set(told) >= {"data", "split", "images", "scans", "classes", "heading", "results"}
-    ours, front, top = told["results"]
+    assert head == f"| class | pixels | {random_weights} | {chain} | {oracle} |"
+    assert f"Input is the camera's ground-truth labels, not the scan: {oracle}." in heading
+    written = json.loads(as_json.read_text())
+    assert [one["weights"] for one in written["results"]] == [str(random_weights), chain, oracle]
+    assert set(written) >= {"data", "split", "images", "scans", "classes", "heading", "results"}
+    ours, front, top = written["results"]
     assert set(ours["score"]) == {"segmenter", "translator", "painter"}
     assert set(ours["score"]["painter"]) == {"camera_ssim", "camera_swd", "split"}
     assert top["score"]["translator"] == {"split": "val"} and top["classes"] == []
     assert set(front["networks"]) == {"segmenter", "translator", "painter"} and set(top["networks"]) == {"painter"}
-    check_records(figures, told)
+    check_records(as_csv, written)
     check_worst(worst, ours)
 
 
-def check_records(path: Path, told: dict) -> None:
-    """CSV says what JSON says."""
+def check_records(path: Path, written: dict) -> None:
+    """CSV has the values of JSON."""
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0]) == ["system", "sector", "figure", "value", "low", "high", "frames"]
-    found = {(row["system"], row["sector"], row["figure"]): row for row in rows}
+    assert list(rows[0]) == ["system", "sector", "metric", "value", "low", "high", "frames"]
+    found = {(row["system"], row["sector"], row["metric"]): row for row in rows}
     assert len(found) == len(rows)
-    for one in told["results"]:
-        for figure in one["figures"]:
-            row = found[one["weights"], figure["sector"], figure["name"]]
-            assert row["value"] == ("" if figure["value"] is None else str(figure["value"]))
-            assert row["low"] == ("" if figure["low"] is None else str(figure["low"]))
+    for one in written["results"]:
+        for value in one["values"]:
+            row = found[one["weights"], value["sector"], value["name"]]
+            assert row["value"] == ("" if value["value"] is None else str(value["value"]))
+            assert row["low"] == ("" if value["low"] is None else str(value["low"]))
         for stage in one["milliseconds"]:
             assert (one["weights"], "milliseconds", stage) in found
         for row in one["classes"]:
@@ -76,22 +76,22 @@ def check_records(path: Path, told: dict) -> None:
 
 
 def check_worst(folder: Path, ours: dict) -> None:
-    """The two worst of each system, with pictures."""
+    """The two worst of each system, with images."""
     with (folder / "worst.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["rank"] for row in rows] == ["1", "2"] * 3
-    mine = [row for row in rows if row["system"] == ours["weights"]]
-    assert [(row["frame"], float(row["value"])) for row in mine] == [
+    own = [row for row in rows if row["system"] == ours["weights"]]
+    assert [(row["frame"], float(row["value"])) for row in own] == [
         (one["frame"], one["value"]) for one in ours["worst"]
     ]
-    assert float(mine[0]["value"]) <= float(mine[1]["value"]) and mine[0]["figure"] == "camera mIoU"
-    assert rows[-1]["figure"] == "camera SSIM"  # the ceiling has no classes of its own
+    assert float(own[0]["value"]) <= float(own[1]["value"]) and own[0]["metric"] == "camera mIoU"
+    assert rows[-1]["metric"] == "camera SSIM"  # the oracle predicts no classes
     for row in rows:
-        with Image.open(folder / row["picture"]) as picture:
-            assert picture.size == (2 * SIZE[0], 2 * SIZE[1])
+        with Image.open(folder / row["image"]) as image:
+            assert image.size == (2 * SIZE[0], 2 * SIZE[1])
 
 
-def test_only_some_measures(data, random_weights, capsys):
+def test_only_some_metrics(data, random_weights, capsys):
     assert run(data, random_weights, "--metrics", "points") == 0
     points = capsys.readouterr().out
     assert "points: accuracy" in points and "accuracy |  | " in points
@@ -101,33 +101,32 @@ def test_only_some_measures(data, random_weights, capsys):
     assert "mIoU of 4" in classes and "points:" not in classes and "paint, ms" not in classes
 
 
-def truth(**parts: object) -> Truth:
-    return Truth(name="00/000001", scan=street(points=3), **parts)
+def frame_of(**parts: object) -> Frame:
+    return Frame("00/000001", scan=street(points=3), **parts)
 
 
-def test_a_sheet_shows_truth_beside_answer():
-    picture, colour = np.full((4, 6, 3), 10, np.uint8), np.full((4, 6, 3), 20, np.uint8)
-    ids = np.full((4, 6), COMMON15.id_of("car"), np.uint8)
-    found = sheet(truth(picture=picture, camera_ids=ids), Seen(colour=colour), None)
+def test_a_sheet_shows_ground_truth_beside_prediction():
+    true, image = np.full((4, 6, 3), 10, np.uint8), np.full((4, 6, 3), 20, np.uint8)
+    labels = np.full((4, 6), CITYSCAPES.id_of("car"), np.uint8)
+    found = sheet(frame_of(image=true, camera_labels=labels), Prediction(image=image), None)
     assert found.shape == (8, 12, 3)
     assert (found[:4, :6] == 10).all() and (found[:4, 6:] == 20).all()
-    assert (found[4:, :6] == COMMON15.colours[1]).all() and (found[4:, 6:] == 0).all()  # no classes are answered
+    assert (found[4:, :6] == COMMON15.colours[1]).all() and (found[4:, 6:] == 0).all()  # no classes are predicted
     view = View(rows=3, columns=16, up=0.2, down=-0.2, kind="cylinder")
     wide = np.full((3, 16, 3), 30, np.uint8)
-    true = TruePanorama(view=view, colour=wide, valid=np.ones((3, 16), bool))
-    ours = Carried(wide + 1, np.zeros((3, 16), np.uint8), np.zeros((3, 16), np.float32))
-    found = sheet(truth(picture=picture, panorama=true), Seen(colour=colour), ours)
+    around = PanoramaGroundTruth(view=view, image=wide, valid=np.ones((3, 16), bool))
+    ours = Resampled(wide + 1, np.zeros((3, 16), np.uint8), np.zeros((3, 16), np.float32))
+    found = sheet(frame_of(image=true, panorama=around), Prediction(image=image), ours)
     assert found.shape == (4 + 6 + 6, 16, 3) and (found[:4, 12:] == 0).all()
     assert (found[4:7] == 30).all() and (found[7:10] == 31).all()
-    assert sheet(truth(), Seen(), None) is None
+    assert sheet(frame_of(), Prediction(), None) is None
 
 
 def test_the_worst_are_held():
-    worst = Worst(2)
+    worst = WorstFrames(2)
     for name, value in (("b", 0.5), ("a", 0.5), ("c", 0.9), ("d", 0.1)):
-        judged = ("camera mIoU", value)
-        assert worst.wanted(judged) == (name != "c")
-        if worst.wanted(judged):
-            worst.take(name, judged, None)
+        assert worst.wanted(value) == (name != "c")
+        if worst.wanted(value):
+            worst.take(WorstFrame(name, "camera mIoU", value, None))
     assert [(name, value) for name, _, value in worst.rows()] == [("d", 0.1), ("a", 0.5)]
     assert worst.write(Path("nowhere")) == [None, None]

@@ -1,4 +1,4 @@
-"""Systems under evaluation: which one weights are, and that each sees what its training task says it sees."""
+"""Systems under evaluation: which system weights are, and that its inputs are those of its training task."""
 
 from __future__ import annotations
 
@@ -8,26 +8,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from lidar2pano.data.frames import Frame, frames
 from torch import Tensor, nn
 
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.data.augment import drop_points
-from lidar2pano.data.frames import Frame, frames
 from lidar2pano.errors import InputError
-from lidar2pano.evaluate import Question, system
-from lidar2pano.evaluate.around import Around
-from lidar2pano.evaluate.films import CameraPainter, learnt_scale
-from lidar2pano.evaluate.front import Ceiling, Direct, Front
+from lidar2pano.evaluate import SystemInput, system
+from lidar2pano.evaluate.camera_systems import (
+    CameraPainter,
+    CameraRenderer,
+    CameraTranslator,
+    Oracle,
+    training_scale,
+)
+from lidar2pano.evaluate.panorama_system import PanoramaSystem
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15, TABLES
 from lidar2pano.models.card import Card, read_card, save
 from lidar2pano.pipeline import load
-from lidar2pano.train.direct import DirectColour
-from lidar2pano.train.front import FrontTranslation
-from lidar2pano.train.front_depth import FrontDepthTranslation
-from lidar2pano.train.task import build_task
+from lidar2pano.train.colour import ColourTask
+from lidar2pano.train.front import FrontDepthTranslation, FrontTask
+from lidar2pano.train.tasks import build_task
 from lidar2pano.views import VIEWS
 from miniature import SIZE as CAMERA
 from miniature import write_data_set
@@ -45,7 +49,7 @@ from random_weights import (
 from small_recipes import small
 
 ROAD, CAR = COMMON15.id_of("road"), COMMON15.id_of("car")
-RASTER = f"[{CAMERA[1]},{CAMERA[0]}]"  # a network that writes pictures of the camera's own size: nothing is resized
+RASTER = f"[{CAMERA[1]},{CAMERA[0]}]"  # a network whose images have the camera's own size: nothing is resized
 VIDEO = {"channels": 16, "widths": [8], "downsamplings": 2, "blocks": [1, 1], "foreground": []}
 FRONT_STAGES = ["project", "segment", "clean_up", "translate", "camera"]
 
@@ -77,14 +81,14 @@ def kitti(tmp_path) -> Calibration:
 
 
 @pytest.fixture(scope="module")
-def film(tmp_path_factory) -> Path:
-    """A small vid2vid that learnt from pictures half KITTI's size."""
+def video(tmp_path_factory) -> Path:
+    """A small vid2vid that was trained on images of half KITTI's size."""
     views = {"panorama": VIEWS["panorama"].scaled(0.5).as_dict()}
-    return write_weights(tmp_path_factory.mktemp("film"), "painter", "vid2vid", VIDEO, views=views)
+    return write_weights(tmp_path_factory.mktemp("video"), "painter", "vid2vid", VIDEO, views=views)
 
 
-def at(frame: Frame, **more: object) -> Question:
-    return Question(scan=frame.scan, calibration=frame.calibration, **more)
+def at(frame: Frame, **more: object) -> SystemInput:
+    return SystemInput(scan=frame.scan, calibration=frame.calibration, **more)
 
 
 def released(recipe_name: str, root: Path, folder: Path, *further: str):
@@ -93,14 +97,14 @@ def released(recipe_name: str, root: Path, folder: Path, *further: str):
     task = build_task(recipe, root)
     (role,) = task.released
     network = spread_norms(task.networks[role]).eval()
-    if isinstance(task, FrontTranslation) and hasattr(network, "logits"):
+    if isinstance(task, FrontTask) and hasattr(network, "logits"):
         balance(task, network)
     card = Card(network=recipe.networks[role].model, settings=dict(recipe.networks[role].settings), **task.card(role))
     save(folder / f"{role}.safetensors", network, card, dtype=torch.float32)
     return task, folder
 
 
-def balance(task: FrontTranslation, network: nn.Module) -> None:
+def balance(task: FrontTask, network: nn.Module) -> None:
     """Let an untrained network name several classes: its scores have the same mean."""
     means: list[Tensor] = []
     hook = network.logits.register_forward_hook(lambda _, __, out: means.append(out.mean((0, 2, 3))))
@@ -109,7 +113,7 @@ def balance(task: FrontTranslation, network: nn.Module) -> None:
     network.logits.bias.data -= means[0]
 
 
-# --- the paper's systems see what their tasks see --------------------------------------------------------------------
+# --- the paper's systems predict as their tasks do ------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -128,18 +132,18 @@ def test_a_translator_answers_as_its_task_predicts(name, role, root, frame, tmp_
         name, root, tmp_path, f"networks.{role}.settings.size={RASTER}", f"options.segmenter={segmenter}"
     )
     one = system(folder, device="cpu")
-    assert isinstance(one, Front) and not one.told and isinstance(task, FrontTranslation)
-    past, seen = one.see(at(frame))
+    assert isinstance(one, CameraTranslator) and not one.uses_ground_truth and isinstance(task, FrontTask)
+    memory, prediction = one.predict(at(frame))
     sample = task.validation[0]
     wanted = TABLES["common-14", "common-15"][task.predict(sample).numpy()]
-    assert past is None and seen.colour is None and seen.panorama is None
-    assert np.array_equal(seen.ids, wanted) and len(np.unique(wanted)) > 1
-    assert np.array_equal(seen.labels, task.validation.moment(0).scan.label)
+    assert memory is None and prediction.image is None and prediction.panorama is None
+    assert np.array_equal(prediction.camera_labels, wanted) and len(np.unique(wanted)) > 1
+    assert np.array_equal(prediction.point_labels, task.validation.moment(0).scan.label)
     if isinstance(task, FrontDepthTranslation):
-        assert np.allclose(seen.depth_m, task.both(sample)[1], atol=1e-4)
+        assert np.allclose(prediction.depth_m, task.predict_both(sample)[1], atol=1e-4)
     else:
-        assert seen.depth_m is None
-    assert list(seen.milliseconds) == FRONT_STAGES
+        assert prediction.depth_m is None
+    assert list(prediction.milliseconds) == FRONT_STAGES
 
 
 @pytest.mark.parametrize(
@@ -153,34 +157,38 @@ def test_a_translator_answers_as_its_task_predicts(name, role, root, frame, tmp_
 def test_a_renderer_paints_as_its_task_does(name, further, root, frame, tmp_path):
     task, folder = released(name, root, tmp_path, further)
     one = system(folder, device="cpu")
-    assert isinstance(one, Direct) and not one.told and isinstance(task, DirectColour)
-    _, seen = one.see(at(frame))
+    assert isinstance(one, CameraRenderer) and not one.uses_ground_truth and isinstance(task, ColourTask)
+    _, prediction = one.predict(at(frame))
     wanted = (task.render(0)[0].movedim(0, 2).numpy() + 1) * 127.5
-    assert seen.colour is not None and np.abs(seen.colour - wanted).max() <= 0.501
+    assert prediction.image is not None and np.abs(prediction.image - wanted).max() <= 0.501
     assert wanted.std() > 0.1
-    assert (seen.labels, seen.ids, seen.panorama) == (None, None, None)
-    assert one.see(at(frame, painted=False))[1].colour is None
+    assert (prediction.point_labels, prediction.camera_labels, prediction.panorama) == (None, None, None)
+    assert one.predict(at(frame, colours=False))[1].image is None
 
 
 def test_sc_unet_with_range_on_the_raster_of_its_card(root, frame, tmp_path):
     card = {"views": {"camera": {"rows": 24, "columns": 80}}}
     path = write_weights(tmp_path, "renderer", "scunet", {"inputs": 2, "widths": [4, 8, 8]}, **card)
     one = system(path, device="cpu")
-    assert isinstance(one, Direct)
-    shown: list[Tensor] = []
+    assert isinstance(one, CameraRenderer)
+    inputs: list[Tensor] = []
 
-    def answer(x: Tensor) -> Tensor:
-        shown.append(x)
+    def render(x: Tensor) -> Tensor:
+        inputs.append(x)
         return torch.zeros(1, 3, *x.shape[2:])
 
-    _, seen = replace(one, renderer=_Function(answer)).see(at(frame))
+    _, prediction = replace(one, renderer=_Function(render)).predict(at(frame))
     from lidar2pano.geometry.camera import project_to_camera
-    from lidar2pano.train.direct import camera_evidence
+    from lidar2pano.train.colour import camera_inputs
 
-    calibration = frame.calibration
-    wanted = camera_evidence(project_to_camera(frame.scan, calibration, (24, 80))[None], 2)
-    assert torch.equal(shown[0], wanted) and (wanted[0, 1] > 0).any()
-    assert seen.colour is not None and seen.colour.shape == (CAMERA[1], CAMERA[0], 3) and (seen.colour == 128).all()
+    assert frame.calibration is not None and frame.calibration.size == CAMERA
+    wanted = camera_inputs(project_to_camera(frame.scan, frame.calibration, (24, 80))[None], 2)
+    assert torch.equal(inputs[0], wanted) and (wanted[0, 1] > 0).any()
+    assert (
+        prediction.image is not None
+        and prediction.image.shape == (CAMERA[1], CAMERA[0], 3)
+        and (prediction.image == 128).all()
+    )
 
 
 class _Function(nn.Module):
@@ -193,112 +201,116 @@ class _Function(nn.Module):
 
 
 class Sides(nn.Module):
-    """A translator: `left` in the left half of its picture, `right` in the right half; it keeps what it was shown."""
+    """A translator: `left` in the left half of its image, `right` in the right half; it keeps its inputs."""
 
     def __init__(self, left: int, right: int, size: tuple[int, int] | None = None) -> None:
         super().__init__()
         self.left, self.right, self.size = left, right, size
 
     def forward(self, image, condition):
-        self.shown = image, condition
+        self.inputs = image, condition
         height, width = self.size or image.shape[2:]
         logits = torch.zeros(1, 15 if self.size else 16, height, width)
         logits[:, self.left, :, : width // 2], logits[:, self.right, :, width // 2 :] = 1, 1
         return logits if self.size else (logits, torch.full((1, height, width), 7.0))
 
 
-def test_the_front_is_stretched_to_the_cameras_image(front_weights, frame):
+def test_the_front_view_is_resized_to_the_cameras_image(front_weights, frame):
     plain = system(front_weights, device="cpu")
-    assert isinstance(plain, Front)
-    question = Question(scan=street(), calibration=read_calib(frame.folder / "calib.txt", (320, 96)))
-    seen = replace(plain, translator=(sides := Sides(CAR, ROAD, size=(2, 4)))).see(question)[1]
-    assert seen.ids.shape == (96, 320) and seen.labels.shape == (len(street()),)
-    assert (seen.ids[:, :159] == CAR).all() and (seen.ids[:, 161:] == ROAD).all()
-    image, condition = sides.shown
+    assert isinstance(plain, CameraTranslator)
+    inputs = SystemInput(scan=street(), calibration=replace(frame.calibration, size=(320, 96)))
+    prediction = replace(plain, translator=(sides := Sides(CAR, ROAD, size=(2, 4)))).predict(inputs)[1]
+    assert prediction.camera_labels.shape == (96, 320) and prediction.point_labels.shape == (len(street()),)
+    assert (prediction.camera_labels[:, :159] == CAR).all() and (prediction.camera_labels[:, 161:] == ROAD).all()
+    image, condition = sides.inputs
     front = project(street(), FRONT_VIEW)
     assert torch.equal(image[0], Normalisation()(front))
-    assert torch.equal(condition[0].argmax(0), front.spread(torch.from_numpy(seen.labels)))
+    assert torch.equal(condition[0].argmax(0), front.spread(torch.from_numpy(prediction.point_labels)))
 
 
 # --- ours ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_panorama_is_looked_up_from_the_camera(random_weights, kitti):
+def test_a_panorama_is_resampled_to_the_camera(random_weights, kitti):
     plain = system(random_weights, device="cpu")
-    assert isinstance(plain, Around)
+    assert isinstance(plain, PanoramaSystem)
     one = replace(plain, pipeline=replace(plain.pipeline, translator=(sides := Sides(CAR, ROAD))))
-    _, seen = one.see(Question(scan=street(), calibration=kitti, painted=False))
-    assert torch.equal(sides.shown[0][0], project(street(), at_camera(one.pipeline.view, kitti)).channels)
-    assert seen.ids.shape == (376, 1241) and seen.labels.shape == (len(street()),)
-    assert (seen.ids[:5, 590:620] == 0).all()  # ahead, the panorama reaches up to tan 0.24: row 180 - 0.24 * 718.9
-    assert (seen.ids[16:, :600] == CAR).all() and (seen.ids[16:, 615:] == ROAD).all()  # ahead is column 607
-    assert (seen.depth_m[16:] == 7).all() and seen.depth_m[0, 600] == 0
-    assert seen.colour is None and seen.panorama is None
-    assert list(seen.milliseconds) == FRONT_STAGES
+    _, prediction = one.predict(SystemInput(scan=street(), calibration=kitti, colours=False))
+    assert torch.equal(sides.inputs[0][0], project(street(), at_camera(one.pipeline.view, kitti)).channels)
+    assert prediction.camera_labels.shape == (376, 1241) and prediction.point_labels.shape == (len(street()),)
+    assert (
+        prediction.camera_labels[:5, 590:620] == 0
+    ).all()  # ahead, the panorama reaches up to tan 0.24: row 180 - 0.24 * 718.9
+    assert (prediction.camera_labels[16:, :600] == CAR).all() and (
+        prediction.camera_labels[16:, 615:] == ROAD
+    ).all()  # ahead is column 607
+    assert (prediction.depth_m[16:] == 7).all() and prediction.depth_m[0, 600] == 0
+    assert prediction.image is None and prediction.panorama is None
+    assert list(prediction.milliseconds) == FRONT_STAGES
 
 
 def test_colours_are_those_of_the_pipeline(random_weights, kitti):
     one = system(random_weights, device="cpu")
-    question = Question(scan=street(), calibration=kitti, origin=kitti.centre)
-    memory, seen = one.see(question)
+    inputs = SystemInput(scan=street(), calibration=kitti, origin=kitti.centre)
+    memory, prediction = one.predict(inputs)
     wanted = load(random_weights, "cpu").at(kitti)(street())
-    assert seen.panorama is not None and seen.painted and seen.panorama.view == wanted.view
-    assert np.array_equal(seen.panorama.colour, wanted.colour)
-    assert np.array_equal(seen.panorama.depth_m, wanted.depth_m)
-    assert np.array_equal(seen.colour, wanted.to_camera(kitti).colour)
-    assert list(seen.milliseconds) == [*FRONT_STAGES[:-1], "paint", "finish", "camera"]
-    assert one.see(question, memory)[1].panorama.frame == 1  # the stream goes on
-    assert one.see(question)[1].panorama.frame == 0
+    assert prediction.panorama is not None and prediction.painted and prediction.panorama.view == wanted.view
+    assert np.array_equal(prediction.panorama.colour, wanted.colour)
+    assert np.array_equal(prediction.panorama.depth_m, wanted.depth_m)
+    assert np.array_equal(prediction.image, wanted.to_camera(kitti).colour)
+    assert list(prediction.milliseconds) == [*FRONT_STAGES[:-1], "paint", "finish", "camera"]
+    assert one.predict(inputs, memory)[1].panorama.frame == 1  # the stream goes on
+    assert one.predict(inputs)[1].panorama.frame == 0
 
 
-def test_steady_systems_are_told_the_poses(random_weights, front_weights, kitti):
+def test_steady_systems_get_the_poses(random_weights, front_weights, kitti):
     plain, steady = (system(f"{random_weights}{more}", device="cpu") for more in ("", "+steady"))
-    assert isinstance(steady, Around) and steady.origin.name == f"{random_weights}+steady" and not plain.steady
-    moments = [(street(), np.eye(4)), (drop_points(street(), np.random.default_rng(1), 0.3), np.eye(4))]
-    seen = {}
+    assert isinstance(steady, PanoramaSystem) and steady.info.name == f"{random_weights}+steady" and not plain.steady
+    recording = [(street(), np.eye(4)), (drop_points(street(), np.random.default_rng(1), 0.3), np.eye(4))]
+    prediction = {}
     for one in (plain, steady):
         memory = None
-        for scan, pose in moments:
-            memory, seen[one] = one.see(Question(scan=scan, origin=kitti.centre, pose=pose), memory)
-    wanted = list(load(random_weights, "cpu").at(kitti).stream([scan for scan, _ in moments], [np.eye(4)] * 2))[1]
-    assert np.array_equal(seen[steady].panorama.colour, wanted.colour)
-    assert not np.array_equal(seen[plain].panorama.colour, wanted.colour)
+        for scan, pose in recording:
+            memory, prediction[one] = one.predict(SystemInput(scan=scan, origin=kitti.centre, pose=pose), memory)
+    wanted = list(load(random_weights, "cpu").at(kitti).stream([scan for scan, _ in recording], [np.eye(4)] * 2))[1]
+    assert np.array_equal(prediction[steady].panorama.colour, wanted.colour)
+    assert not np.array_equal(prediction[plain].panorama.colour, wanted.colour)
     with pytest.raises(InputError, match="leave \\+steady out"):
         system(f"{front_weights}+steady", device="cpu")
 
 
 def test_a_panorama_around_another_point_is_a_run_of_its_own(random_weights, kitti):
     one = system(random_weights, device="cpu")
-    _, apart = one.see(Question(scan=street(), calibration=kitti, origin=(0.0, 0.0, 0.5)))
-    _, camera = one.see(Question(scan=street(), calibration=kitti, origin=kitti.centre))
-    _, alone = one.see(Question(scan=street(), origin=(0.0, 0.0, 0.5)))
+    _, apart = one.predict(SystemInput(scan=street(), calibration=kitti, origin=(0.0, 0.0, 0.5)))
+    _, camera = one.predict(SystemInput(scan=street(), calibration=kitti, origin=kitti.centre))
+    _, alone = one.predict(SystemInput(scan=street(), origin=(0.0, 0.0, 0.5)))
     assert apart.panorama.view.origin == (0.0, 0.0, 0.5) == alone.panorama.view.origin
     assert np.array_equal(apart.panorama.colour, alone.panorama.colour)
     assert not np.array_equal(apart.panorama.colour, camera.panorama.colour)
-    assert np.array_equal(apart.colour, camera.colour) and np.array_equal(apart.ids, camera.ids)
-    assert alone.ids is None and alone.colour is None
+    assert np.array_equal(apart.image, camera.image) and np.array_equal(apart.camera_labels, camera.camera_labels)
+    assert alone.camera_labels is None and alone.image is None
 
 
 def test_without_a_painter_there_are_no_colours(tmp_path, kitti):
     (write_family(tmp_path / "all") / "painter.safetensors").unlink()
     one = system(tmp_path / "all", device="cpu")
-    _, seen = one.see(Question(scan=street(), calibration=kitti, origin=kitti.centre))
-    assert seen.colour is None and not seen.painted
-    assert seen.panorama is not None and len(np.unique(seen.panorama.segments)) > 1
+    _, prediction = one.predict(SystemInput(scan=street(), calibration=kitti, origin=kitti.centre))
+    assert prediction.image is None and not prediction.painted
+    assert prediction.panorama is not None and len(np.unique(prediction.panorama.segments)) > 1
 
 
 def test_points_alone(random_weights, front_weights):
     for weights in (random_weights, front_weights):
         one = system(weights, device="cpu")
-        _, seen = one.see(Question(scan=street()))
-        assert seen.labels is not None and seen.labels.shape == (len(street()),)
-        assert seen.ids is None and seen.panorama is None and not seen.milliseconds
+        _, prediction = one.predict(SystemInput(scan=street()))
+        assert prediction.point_labels is not None and prediction.point_labels.shape == (len(street()),)
+        assert prediction.camera_labels is None and prediction.panorama is None and not prediction.milliseconds
 
 
 def test_another_sensor(random_weights, front_weights):
     for weights in (random_weights, front_weights):
         one = system(weights, device="cpu", sensor="pandar64")
-        segmenter = one.pipeline.segmenter if isinstance(one, Around) else one.segmenter
+        segmenter = one.pipeline.segmenter if isinstance(one, PanoramaSystem) else one.segmenter
         assert segmenter.view == VIEWS["pandar64"]
     with pytest.raises(InputError, match="no sensor 'pandar'; did you mean 'pandar64'"):
         system(random_weights, device="cpu", sensor="pandar")
@@ -307,81 +319,82 @@ def test_another_sensor(random_weights, front_weights):
 # --- chains ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_translator_and_a_painter_of_films(front_weights, film, frame):
-    one = system(f"{front_weights}+{film}", device="cpu")
-    assert one.origin.name == f"{front_weights}+{film}"
-    assert set(one.origin.networks) == {"segmenter", "translator", "painter"}
+def test_a_translator_and_a_video_painter(front_weights, video, frame):
+    one = system(f"{front_weights}+{video}", device="cpu")
+    assert one.info.name == f"{front_weights}+{video}"
+    assert set(one.info.networks) == {"segmenter", "translator", "painter"}
     bare = system(front_weights, device="cpu")
-    past, first = one.see(at(frame))
-    assert np.array_equal(first.ids, bare.see(at(frame))[1].ids)
-    painter = CameraPainter.from_files(film, None, torch.device("cpu"))
+    memory, first = one.predict(at(frame))
+    assert np.array_equal(first.camera_labels, bare.predict(at(frame))[1].camera_labels)
+    painter = CameraPainter.from_files(video, None, torch.device("cpu"))
     with torch.inference_mode():
-        remembered, wanted = painter.paint(None, torch.from_numpy(first.ids))
-        second = painter.paint(remembered, torch.from_numpy(first.ids))[1]
-    assert np.array_equal(first.colour, wanted) and first.colour.shape == (CAMERA[1], CAMERA[0], 3)
-    assert np.array_equal(one.see(at(frame), past)[1].colour, second) and not np.array_equal(second, wanted)
-    assert one.see(at(frame, painted=False))[1].colour is None
-    assert system(front_weights, painter=film, device="cpu").origin == one.origin
+        remembered, wanted = painter.paint(None, torch.from_numpy(first.camera_labels))
+        second = painter.paint(remembered, torch.from_numpy(first.camera_labels))[1]
+    assert np.array_equal(first.image, wanted) and first.image.shape == (CAMERA[1], CAMERA[0], 3)
+    assert np.array_equal(one.predict(at(frame), memory)[1].image, second) and not np.array_equal(second, wanted)
+    assert one.predict(at(frame, colours=False))[1].image is None
+    assert system(front_weights, painter=video, device="cpu").info == one.info
 
 
-def test_pictures_are_painted_as_large_as_they_were_learnt(film):
-    painter = CameraPainter.from_files(film, None, torch.device("cpu"))
+def test_images_are_painted_at_the_size_of_training(video):
+    painter = CameraPainter.from_files(video, None, torch.device("cpu"))
     assert painter.scale == 0.5 and not painter.painter.closed
-    seen: list[Tensor] = []
+    prediction: list[Tensor] = []
 
     class Spy:
         def follow(self, past, ids):
-            seen.append(ids)
+            prediction.append(ids)
             return past, torch.linspace(-1, 1, ids.shape[1]).expand(3, *ids.shape)
 
     ids = torch.arange(8)[:, None].expand(8, 12).to(torch.uint8)
     _, colour = replace(painter, painter=Spy()).paint(None, ids)
-    assert seen[0].shape == (4, 6) and seen[0][:, 0].tolist() in ([0, 2, 4, 6], [1, 3, 5, 7])
+    assert prediction[0].shape == (4, 6) and prediction[0][:, 0].tolist() in ([0, 2, 4, 6], [1, 3, 5, 7])
     assert colour.shape == (8, 12, 3) and colour[0, 0, 0] == 0 and colour[0, -1, 0] == 255
     assert (np.diff(colour[0, :, 0].astype(int)) >= 0).all()
-    assert learnt_scale(Card(network="vid2vid")) == 1
+    assert training_scale(Card(network="vid2vid")) == 1
 
 
-def test_the_ceiling_paints_what_it_is_told(film, frame):
-    one = system("truth", painter=film, device="cpu")
-    assert isinstance(one, Ceiling) and one.told and one.origin.name == f"truth+{film}"
+def test_the_oracle_paints_the_ground_truth(video, frame):
+    one = system("oracle", painter=video, device="cpu")
+    assert isinstance(system("truth", painter=video, device="cpu"), Oracle)  # its former name
+    assert isinstance(one, Oracle) and one.uses_ground_truth and one.info.name == f"oracle+{video}"
     ids = np.zeros((CAMERA[1], CAMERA[0]), np.uint8)
     ids[:, 100:] = ROAD
-    _, seen = one.see(at(frame, ids=ids))
+    _, prediction = one.predict(at(frame, camera_labels=ids))
     with torch.inference_mode():
         wanted = one.painter.paint(None, torch.from_numpy(ids))[1]
-    assert np.array_equal(seen.colour, wanted)
-    assert seen.ids is None and seen.labels is None
-    assert one.see(at(frame))[1].colour is None  # nobody knows the classes
+    assert np.array_equal(prediction.image, wanted)
+    assert prediction.camera_labels is None and prediction.point_labels is None
+    assert one.predict(at(frame))[1].image is None  # the labels are unknown
 
 
-def test_a_painter_takes_the_familys_place(random_weights, film, kitti, tmp_path):
-    one = system(random_weights, painter=film, device="cpu")
-    assert isinstance(one, Around)
-    assert one.origin.networks["painter"]["network"] == "vid2vid"
-    assert set(one.origin.networks) == {"segmenter", "translator", "painter"}
+def test_a_painter_takes_the_familys_place(random_weights, video, kitti, tmp_path):
+    one = system(random_weights, painter=video, device="cpu")
+    assert isinstance(one, PanoramaSystem)
+    assert one.info.networks["painter"]["network"] == "vid2vid"
+    assert set(one.info.networks) == {"segmenter", "translator", "painter"}
 
 
-def test_the_default_family_fills_what_a_run_lacks(random_weights, film, tmp_path, monkeypatch):
+def test_the_default_family_fills_what_a_run_lacks(random_weights, video, tmp_path, monkeypatch):
     monkeypatch.setattr("lidar2pano.models.families.RELEASED", random_weights.parent)
     monkeypatch.setattr("lidar2pano.models.families.DEFAULT", random_weights.name)
     run = tmp_path / "run"
     write_front(run / "weights")
     (run / "weights" / "segmenter.safetensors").unlink()
     front = system(run, device="cpu")
-    assert isinstance(front, Front) and front.painter is None  # the family's paints panoramas
-    assert front.origin.files["segmenter"].parent == random_weights
-    assert isinstance(system(random_weights.name, device="cpu"), Around)
+    assert isinstance(front, CameraTranslator) and front.painter is None  # the family's paints panoramas
+    assert front.info.files["segmenter"].parent == random_weights
+    assert isinstance(system(random_weights.name, device="cpu"), PanoramaSystem)
     only = tmp_path / "translator.safetensors"
     only.write_bytes((random_weights / "translator.safetensors").read_bytes())
-    assert set(system(only, device="cpu").origin.files) == {"segmenter", "translator", "painter"}
+    assert set(system(only, device="cpu").info.files) == {"segmenter", "translator", "painter"}
     assert read_card(only).network == "titan-pano"
 
 
 # --- what does not go together ---------------------------------------------------------------------------------------
 
 
-def test_what_cannot_be_a_system(random_weights, front_weights, film, tmp_path):
+def test_what_cannot_be_a_system(random_weights, front_weights, video, tmp_path):
     renderer = write_weights(tmp_path / "r", "renderer", "scunet", {"widths": [4, 8, 8]})
     sdnet = {"width": 4, "stem": 4, "blocks": 1, "modules": [1, 1, 1], "context": 8}
     eye = write_weights(tmp_path / "e", "camera", "sdnet", sdnet, labels="cityscapes")
@@ -391,13 +404,13 @@ def test_what_cannot_be_a_system(random_weights, front_weights, film, tmp_path):
     translator = random_weights / "translator.safetensors"
     for name, said in {
         str(translator): "translator.safetensors: no weights for the segmenter",
-        f"{renderer}+{film}": "a renderer makes colours by itself, so the painter has no place",
+        f"{renderer}+{video}": "a renderer predicts colours by itself, so the painter has no place",
         f"{front_weights}+{random_weights / 'painter.safetensors'}": "a 'painter' paints panoramas only",
-        "truth": "truth: the true classes have to be painted",
-        str(eye): "a 'sdnet' has no part in a system that is evaluated; name it by --sdnet",
+        "oracle": "oracle: the ground-truth labels have to be painted",
+        str(eye): "a 'sdnet' has no part in a system; evaluate takes it as --sdnet",
         str(tmp_path / "two"): "a.safetensors and b.safetensors are both a renderer; name one of them",
         str(tmp_path / "empty"): "holds no weights",
-        "trut": "no weights 'trut': neither a released family nor a file; did you mean 'truth'?",
+        "oracl": "no weights 'oracl': neither a released family nor a file",
     }.items():
         with pytest.raises(InputError) as caught:
             system(name, device="cpu")
@@ -411,4 +424,4 @@ def test_a_plus_in_a_files_own_name(random_weights, tmp_path):
     folder.mkdir()
     for file in random_weights.glob("*.safetensors"):
         (folder / file.name).write_bytes(file.read_bytes())
-    assert system(folder, device="cpu").origin.name == str(folder)
+    assert system(folder, device="cpu").info.name == str(folder)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.flow import Flow, camera_rays, chained, ego_flow, reaches, relative_pose, scan_distances
 from lidar2pano.geometry.projection import directions
@@ -288,18 +288,18 @@ def test_without_opencv_it_is_asked_for(monkeypatch):
 
 def test_a_rendered_picture_is_the_one_before_it_warped(tmp_path):
     pytest.importorskip("embreex", reason="the street world needs embreex: pip install 'lidar2pano[world]'")
-    from lidar2pano.simulate.record import Recording
-    from lidar2pano.simulate.settings import Settings
+    from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
+    from lidar2pano.simulate.dataset.settings import WorldSettings
 
-    settings = Settings(seed=5, frames=2, place="motorway", save=("panorama",), views=("panorama/4",))
-    recording = Recording(tmp_path, settings, 0)
-    recording.prepare()
-    before, now = (dict(recording.pictures(frame))["panorama/4"] for frame in (0, 1))
+    settings = WorldSettings(seed=5, frames=2, place="motorway", save=("panorama",), views=("panorama/4",))
+    writer = SequenceWriter(tmp_path, settings, 0)
+    writer.prepare()
+    before, now = (dict(writer.images(frame))["panorama/4"] for frame in (0, 1))
     one, other = (SemanticKittiFrame(tmp_path, f"{frame:06d}") for frame in (0, 1))
     found = T_before_now(one, other)
-    distances = [torch.from_numpy(picture.distance) for picture in (now, before)]
+    distances = [torch.from_numpy(image.distance) for image in (now, before)]
     flow = ego_flow(distances[0], distances[1], found, VIEWS["panorama"].scaled(1 / 4))
-    colours = [torch.from_numpy(picture.colour).movedim(2, 0)[None].float() for picture in (now, before)]
+    colours = [torch.from_numpy(image.image).movedim(2, 0)[None].float() for image in (now, before)]
     assert flow.known.float().mean() > 0.6
 
     def gap(picture: torch.Tensor) -> float:

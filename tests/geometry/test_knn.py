@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from safetensors.numpy import load_file
 from torch import Tensor
 
-from lidar2pano.formats.scan_files import read
+from golden_vectors import recorded
 from lidar2pano.geometry.images import RangeImage
 from lidar2pano.geometry.knn import clean_up, inverse_gaussian, vote
 from lidar2pano.geometry.projection import project
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, View
+from published_projection import published_projection, synthetic_scan
 from slow_definitions import vote_slowly
 
 AROUND = View(rows=16, columns=96, up=5, down=-25)
@@ -70,38 +70,46 @@ def test_clean_up_agrees_with_its_definition(view):
     assert len(ours[image.inside].unique()) == 6
 
 
-def test_golden_clean_up(golden: Path):
-    """Published code, fed with its own projection: equal but where it has no voter and answers 1, we unlabeled."""
-    published, scan = load_file(golden / "knn_synth.safetensors"), read(golden / "scan_synth_120000.bin")
-    seen = load_file(golden / "projection_salsa_synth.safetensors")
-    ranges = torch.from_numpy(seen["proj_range"])
+@pytest.fixture(scope="module")
+def class_image(golden: Path) -> Tensor:
+    """The class per pixel, (64, 2048) uint8, of the recorded clean-up."""
+    return recorded(golden, "knn_synth")["argmax_blocks_16x128"].values.repeat_interleave(4, 0).repeat_interleave(16, 1)
+
+
+@pytest.mark.parity
+def test_vote_is_the_published_one(golden: Path, class_image: Tensor) -> None:
+    """Given the published projection: equal but where it has no voter and answers 1, we unlabeled."""
+    published, scan = recorded(golden, "knn_synth")["labels"].values.numpy(), synthetic_scan()
+    projected = published_projection(scan, up=3.0, down=-25.0, half_width=180.0)
+    ranges = torch.from_numpy(projected.proj_range)
     ours = vote(
         ranges.where(ranges >= 0, torch.inf),
-        torch.from_numpy(published["argmax_blocks_16x128"].repeat(4, 0).repeat(16, 1)).int(),
-        (torch.from_numpy(seen["proj_y"]).long(), torch.from_numpy(seen["proj_x"]).long()),
+        class_image.int(),
+        (torch.from_numpy(projected.proj_y).long(), torch.from_numpy(projected.proj_x).long()),
         torch.from_numpy(scan.xyz).norm(dim=1),
         own=torch.ones(len(scan), dtype=torch.bool),
         circular=False,
         weights=inverse_gaussian(5, 1.0),
         limits=(5, 1.0),
     ).numpy()
-    differs = ours != published["labels"]
-    assert set(ours[differs]) == {0} and set(published["labels"][differs]) == {1} and differs.sum() == 4972
+    differs = ours != published
+    assert set(ours[differs]) == {0} and set(published[differs]) == {1} and differs.sum() == 4972
 
 
-def test_golden_clean_up_of_our_projection(golden: Path):
+@pytest.mark.parity
+def test_clean_up_of_our_projection_is_the_published_one(golden: Path, class_image: Tensor) -> None:
     """The whole way: also the points out of view (published: clamped) and the azimuth border (zero padding) differ."""
-    published, scan = load_file(golden / "knn_synth.safetensors"), read(golden / "scan_synth_120000.bin")
-    image = project(scan, VIEWS["hdl64e"])
-    ours = clean_up(image, torch.from_numpy(published["argmax_blocks_16x128"].repeat(4, 0).repeat(16, 1)))
+    published = recorded(golden, "knn_synth")["labels"].values.numpy()
+    image = project(synthetic_scan(), VIEWS["hdl64e"])
+    ours = clean_up(image, class_image)
     inner = (image.row >= 3) & (image.row < 61) & (image.column >= 3) & (image.column < 2045)
-    differs = (ours.numpy() != published["labels"]) & (ours.numpy() != 0) & inner.numpy()
+    differs = (ours.numpy() != published) & (ours.numpy() != 0) & inner.numpy()
     assert inner.sum() > 95_000 and differs.sum() <= 2
 
 
-def test_golden_inverse_gaussian(golden: Path):
-    published = load_file(golden / "knn_inv_gauss.safetensors")["inv_gauss"]
-    np.testing.assert_allclose(inverse_gaussian(5, 1.0).numpy(), published, atol=1e-7)
+@pytest.mark.parity
+def test_inverse_gaussian_is_the_published_one(golden: Path) -> None:
+    recorded(golden, "knn_inv_gauss")["inv_gauss"].assert_close(inverse_gaussian(5, 1.0), 1e-7)
 
 
 def test_a_hidden_point_takes_the_class_of_its_own_surface():

@@ -1,4 +1,4 @@
-"""Changes that critics see pictures with, against their definition pixel by pixel."""
+"""DiffAugment that critics see pictures with, against their definition pixel by pixel."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from lidar2pano.losses.diff_augment import Changes
+from lidar2pano.losses.diff_augment import DiffAugment
 
 ROWS, COLUMNS = 16, 24
 
@@ -17,40 +17,42 @@ ROWS, COLUMNS = 16, 24
 def pictures() -> tuple[Tensor, Tensor, Tensor]:
     generator = torch.Generator().manual_seed(0)
     colours = torch.rand(2, 3, ROWS, COLUMNS, generator=generator) * 2 - 1
-    seen = (torch.rand(2, 1, ROWS, COLUMNS, generator=generator) < 0.8).float()
-    return colours, seen, torch.rand(2, 4, ROWS, COLUMNS, generator=generator)
+    valid = (torch.rand(2, 1, ROWS, COLUMNS, generator=generator) < 0.8).float()
+    return colours, valid, torch.rand(2, 4, ROWS, COLUMNS, generator=generator)
 
 
-def changes(**told: tuple[float, float]) -> Changes:
-    """What is not told is left as it is."""
-    nothing = dict.fromkeys(("brighter", "down", "right"), torch.zeros(2))
+def augment(**given: tuple[float, float]) -> DiffAugment:
+    """Parameters that are not given change nothing."""
+    nothing = dict.fromkeys(("brightness", "down", "right"), torch.zeros(2))
     nothing |= dict.fromkeys(("saturation", "contrast"), torch.ones(2))
-    nothing |= dict.fromkeys(("hole_down", "hole_right"), torch.full((2,), torch.nan))
-    return Changes(**nothing | {name: torch.tensor(values) for name, values in told.items()})
+    nothing |= dict.fromkeys(("cut_row", "cut_column"), torch.full((2,), torch.nan))
+    return DiffAugment(**nothing | {name: torch.tensor(values) for name, values in given.items()})
 
 
-def test_without_changes_the_critic_sees_colours_where_they_count_and_what_they_were_painted_from(pictures):
-    colours, seen, told = pictures
-    torch.testing.assert_close(changes().of(colours, seen, told), torch.cat([colours * seen, told], 1))
-    torch.testing.assert_close(Changes.drawn(2, 0.0).of(colours, seen, told), torch.cat([colours * seen, told], 1))
+def test_without_augmentation_the_input_is_valid_colours_and_their_condition(pictures):
+    colours, valid, condition = pictures
+    torch.testing.assert_close(augment().apply(colours, valid, condition), torch.cat([colours * valid, condition], 1))
+    torch.testing.assert_close(
+        DiffAugment.drawn(2, 0.0).apply(colours, valid, condition), torch.cat([colours * valid, condition], 1)
+    )
 
 
-def test_colours_are_brighter_greyer_and_flatter_as_told(pictures):
-    colours, seen, told = pictures
-    shown = changes(brighter=(0.3, 0), saturation=(0.5, 1), contrast=(1.5, 1)).of(colours, seen, told)
+def test_colours_are_brighter_greyer_and_flatter(pictures):
+    colours, valid, condition = pictures
+    shown = augment(brightness=(0.3, 0), saturation=(0.5, 1), contrast=(1.5, 1)).apply(colours, valid, condition)
     bright = colours[0] + 0.3
     grey = (bright[0] + bright[1] + bright[2]) / 3
     faded = torch.stack([0.5 * grey + 0.5 * channel for channel in bright])
-    flat = 1.5 * faded - 0.5 * faded[:, seen[0, 0] == 1].mean()  # what nobody saw has no say
-    torch.testing.assert_close(shown[0, :3], flat * seen[0])
-    torch.testing.assert_close(shown[:, 3:], told)
-    torch.testing.assert_close(shown[1, :3], colours[1] * seen[1])
+    flat = 1.5 * faded - 0.5 * faded[:, valid[0, 0] == 1].mean()  # invalid pixels do not count
+    torch.testing.assert_close(shown[0, :3], flat * valid[0])
+    torch.testing.assert_close(shown[:, 3:], condition)
+    torch.testing.assert_close(shown[1, :3], colours[1] * valid[1])
 
 
 def test_a_picture_moves_down_and_right_with_what_it_was_painted_from(pictures):
-    colours, seen, told = pictures
-    shown = changes(down=(2 / ROWS, 0), right=(-3 / COLUMNS, 0)).of(colours, seen, told)
-    still = torch.cat([colours * seen, told], 1)
+    colours, valid, condition = pictures
+    shown = augment(down=(2 / ROWS, 0), right=(-3 / COLUMNS, 0)).apply(colours, valid, condition)
+    still = torch.cat([colours * valid, condition], 1)
     expected = torch.zeros_like(still[0])
     for row in range(2, ROWS):
         for column in range(COLUMNS - 3):
@@ -58,47 +60,47 @@ def test_a_picture_moves_down_and_right_with_what_it_was_painted_from(pictures):
     torch.testing.assert_close(shown, torch.stack([expected, still[1]]))
 
 
-def test_a_hole_is_half_as_high_and_wide_and_cut_off_at_the_border(pictures):
-    colours, seen, told = pictures
-    told = told + 1  # nothing is zero but the hole
-    shown = changes(hole_down=(0.5, torch.nan), hole_right=(0.0, torch.nan)).of(colours, seen, told)
-    holes = shown[:, 3] == 0
+def test_a_cutout_is_half_as_high_and_wide_and_cut_off_at_the_border(pictures):
+    colours, valid, condition = pictures
+    condition = condition + 1  # nothing is zero but the cutout
+    shown = augment(cut_row=(0.5, torch.nan), cut_column=(0.0, torch.nan)).apply(colours, valid, condition)
+    cutouts = shown[:, 3] == 0
     rows, columns = torch.linspace(0, 1, ROWS), torch.linspace(0, 1, COLUMNS)
     expected = ((rows - 0.5).abs() <= 0.25)[:, None] & (columns <= 0.25)
-    assert torch.equal(holes[0], expected)
-    assert not holes[1].any()
-    assert torch.equal(shown[0, 0] == 0, expected | (seen[0, 0] == 0))
+    assert torch.equal(cutouts[0], expected)
+    assert not cutouts[1].any()
+    assert torch.equal(shown[0, 0] == 0, expected | (valid[0, 0] == 0))
 
 
 def test_draws_stay_within_their_bounds_and_come_as_often_as_asked():
     torch.manual_seed(0)
-    drawn = Changes.drawn(4000, 0.3)
-    assert float(drawn.brighter.abs().max()) <= 0.5
-    assert abs(float(drawn.brighter.mean())) < 0.02 and abs(float(drawn.down.mean())) < 0.005
+    drawn = DiffAugment.drawn(4000, 0.3)
+    assert float(drawn.brightness.abs().max()) <= 0.5
+    assert abs(float(drawn.brightness.mean())) < 0.02 and abs(float(drawn.down.mean())) < 0.005
     assert drawn.saturation.min() >= 0 and drawn.saturation.max() <= 2
     assert drawn.contrast.min() >= 0.5 and drawn.contrast.max() <= 1.5
     assert max(float(drawn.down.abs().max()), float(drawn.right.abs().max())) <= 1 / 8
-    assert torch.equal(drawn.hole_down.isnan(), drawn.hole_right.isnan())
-    for happened in (drawn.brighter != 0, drawn.down != 0, ~drawn.hole_down.isnan()):
+    assert torch.equal(drawn.cut_row.isnan(), drawn.cut_column.isnan())
+    for happened in (drawn.brightness != 0, drawn.down != 0, ~drawn.cut_row.isnan()):
         assert float(happened.float().mean()) == pytest.approx(0.3, abs=0.03)
-    assert float(drawn.brighter.abs().max()) > 0.45 and float(drawn.right.abs().max()) > 0.11
+    assert float(drawn.brightness.abs().max()) > 0.45 and float(drawn.right.abs().max()) > 0.11
 
 
 def test_gradients_reach_what_was_painted_and_only_what_is_shown(pictures):
-    colours, seen, told = pictures
+    colours, valid, condition = pictures
     colours.requires_grad_()
-    changes(down=(4 / ROWS, 0), hole_down=(torch.nan, 0.5), hole_right=(torch.nan, 0.5)).of(
-        colours, seen, told
+    augment(down=(4 / ROWS, 0), cut_row=(torch.nan, 0.5), cut_column=(torch.nan, 0.5)).apply(
+        colours, valid, condition
     ).sum().backward()
     reached = colours.grad != 0
-    assert torch.equal(reached[0, 0, : ROWS - 4], seen[0, 0, : ROWS - 4] == 1)  # the rest has left the picture
+    assert torch.equal(reached[0, 0, : ROWS - 4], valid[0, 0, : ROWS - 4] == 1)  # the rest has left the picture
     assert not reached[0, 0, ROWS - 4 :].any()
     assert not reached[1, :, ROWS // 2, COLUMNS // 2].any()
 
 
 def test_every_number_is_one_a_picture():
-    drawn = Changes.drawn(3, 1.0)
+    drawn = DiffAugment.drawn(3, 1.0)
     assert {tuple(getattr(drawn, field.name).shape) for field in fields(drawn)} == {(3,)}
-    assert replace(drawn, down=torch.zeros(3)).of(
+    assert replace(drawn, down=torch.zeros(3)).apply(
         torch.ones(3, 3, 8, 8), torch.ones(3, 1, 8, 8), torch.ones(3, 1, 8, 8)
     ).shape == (3, 4, 8, 8)

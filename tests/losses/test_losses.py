@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 import torch
-from safetensors import safe_open
 from torch import nn
 
 from golden_fill import sym
+from golden_vectors import facts, recorded
 from lidar2pano.losses import (
     critic_wasserstein,
     feature_matching,
@@ -190,17 +190,15 @@ def test_lovasz_refuses_what_it_cannot_mean():
     ],
 )
 def test_lovasz_equals_the_recorded_one(golden, kernel, variant, value, settings):
-    with safe_open(golden / "lovasz.safetensors", "pt") as file:
-        expected = float(file.metadata()[value])
-        labels = file.get_tensor("labels").long()
-        gradient = file.get_tensor(f"grad_logits.{variant}") if variant else None
+    kept = recorded(golden, "lovasz")
+    labels = kept["labels"].values.long()
     if value.endswith("0_to_5_only"):
         labels[labels > 5] = 3
     logits = sym("lovasz.logits", (2, 15, 24, 40), 3).requires_grad_()
     loss = lovasz_softmax(logits.softmax(1), labels, **settings)
-    assert loss.item() == pytest.approx(expected, abs=2e-6)
+    assert loss.item() == pytest.approx(facts(golden, "lovasz")[value], abs=2e-6)
     if variant:
-        torch.testing.assert_close(slope(loss, logits), gradient, atol=2e-7, rtol=0)
+        kept[f"grad_logits.{variant}"].assert_close(slope(loss, logits), 2e-7)
 
 
 # --- generator and critic -------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The confusion matrix: tables worked by hand, the recorded one, a slow count, and halves that make the whole."""
+"""The confusion matrix: tables worked by hand, the recorded one, and a slow count."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from math import isnan, nan
 import numpy as np
 import pytest
 import torch
-from safetensors import safe_open
 
+from golden_vectors import facts
+from golden_vectors import recorded as recorded_tensors
 from lidar2pano.labels import COMMON14, COMMON15
 from lidar2pano.metrics.confusion import Confusion
 from slow_definitions import confusion_slowly
@@ -74,23 +75,6 @@ def test_confusion_agrees_with_a_slow_count(dtype, unscored):
     assert confusion.counts.tolist() == confusion_slowly(predicted, target, 16, unscored)
 
 
-def test_halves_make_the_whole():
-    predicted, target = torch.randint(5, (10, 300)), torch.randint(6, (10, 300))
-    whole, first, second = (counted(predicted[part], target[part], 5, unscored=(1,))
-                            for part in (slice(None), slice(3), slice(3, None)))  # fmt: skip
-    mean_of_halves = (first.miou() + second.miou()) / 2
-    first += second
-    assert torch.equal(first.counts, whole.counts)
-    assert first.miou() == whole.miou() != mean_of_halves
-
-
-def test_only_what_counts_the_same_is_added():
-    confusion = Confusion(15, unscored=(0,))
-    for other in (Confusion(16, unscored=(0,)), Confusion(15), Confusion(COMMON14, unscored=(0,))):
-        with pytest.raises(ValueError, match="do not count the same"):
-            confusion += other
-
-
 def test_table_names_every_scored_class():
     confusion = counted([1, 0, 1, 2, 1], [0, 1, 1, 1, 2], COMMON14, unscored=(0,))
     rows = json.loads(json.dumps(confusion.table(), allow_nan=False))
@@ -126,10 +110,8 @@ def test_classes_that_cannot_be_are_refused():
 
 @pytest.fixture(scope="module")
 def recorded(golden) -> dict:
-    with safe_open(golden / "ioueval.safetensors", "pt") as file:
-        names = ("ignore0", "noignore", "absent_class5_counts_as_zero")
-        figures = {name: json.loads(file.metadata()[name]) for name in names}
-        return figures | {name: file.get_tensor(name) for name in ("pred", "gt", "conf")}
+    tensors = recorded_tensors(golden, "ioueval")
+    return facts(golden, "ioueval") | {name: tensor.values for name, tensor in tensors.items()}
 
 
 def published_iou(counts: torch.Tensor, ignored: list[int]) -> torch.Tensor:

@@ -7,6 +7,7 @@ The published weights are not at hand, so both networks are filled by the rule o
 from __future__ import annotations
 
 import hashlib
+import os
 
 import numpy as np
 import pytest
@@ -37,34 +38,33 @@ def weights() -> dict[str, torch.Tensor]:
 @pytest.fixture(scope="module")
 def network(weights) -> Inception:
     ours = Inception()
-    ours.take(weights, "made-up weights")
+    ours.load_published(weights, "made-up weights")
     return ours.eval()
 
 
 @pytest.fixture(scope="module")
-def pictures() -> torch.Tensor:
+def images() -> torch.Tensor:
     return torch.from_numpy(np.floor(256 * unit("picture", 3 * 97 * 211)).astype(np.uint8).reshape(1, 3, 97, 211))
 
 
 @pytest.mark.parity
-def test_features_are_those_that_torch_fidelity_gave(network, pictures):
+def test_features_are_those_that_torch_fidelity_gave(network, images):
     with torch.inference_mode():
-        features = network(pictures)[0].double()
+        features = network(images)[0].double()
     assert features.shape == (2048,)
     assert features[::128].tolist() == pytest.approx(RECORDED, abs=1e-6)
     assert float(features.mean()) == pytest.approx(RECORDED_MEAN, rel=1e-6)
     assert float(features.norm()) == pytest.approx(RECORDED_NORM, rel=1e-6)
 
 
+@pytest.mark.needs(os.environ.get("TORCH_FIDELITY"), "torch-fidelity: TORCH_FIDELITY names the folder it is in")
 @pytest.mark.parity
 def test_features_are_those_of_torch_fidelity(network, weights, tmp_path):
     torch.save(weights, tmp_path / "weights.pth")
     theirs = fidelity_inception(tmp_path / "weights.pth")
-    if theirs is None:
-        pytest.skip("set TORCH_FIDELITY: pip install --no-deps --target $TORCH_FIDELITY torch-fidelity")
-    pictures = torch.randint(256, (2, 3, 120, 330), dtype=torch.uint8)
+    images = torch.randint(256, (2, 3, 120, 330), dtype=torch.uint8)
     with torch.inference_mode():
-        ours, (recorded,) = network(pictures), theirs(pictures)
+        ours, (recorded,) = network(images), theirs(images)
     assert float((ours - recorded).abs().max()) < 1e-5 * float(recorded.abs().max())
 
 
@@ -76,10 +76,10 @@ def test_resizing_worked_by_hand():
     assert rows.tolist() == [0, 4, 8, 8]
 
 
-def test_the_batch_is_each_picture_alone(network):
-    pictures = torch.randint(256, (2, 3, 80, 90), dtype=torch.uint8)
+def test_the_batch_is_each_image_alone(network):
+    images = torch.randint(256, (2, 3, 80, 90), dtype=torch.uint8)
     with torch.inference_mode():
-        together, alone = network(pictures), torch.cat([network(pictures[:1]), network(pictures[1:])])
+        together, alone = network(images), torch.cat([network(images[:1]), network(images[1:])])
     assert torch.allclose(together, alone, atol=1e-5)
 
 
@@ -92,14 +92,14 @@ def written(path, content) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def test_a_file_is_loaded_whole(tmp_path, weights, network, pictures):
+def test_a_file_is_loaded_whole(tmp_path, weights, network, images):
     path = tmp_path / "inception.pth"
     # some files have no counters; `network` was filled from a table with them
     sha256 = written(path, {key: value for key, value in weights.items() if "num_batches" not in key})
     loaded = load_inception(path, sha256=sha256)
     assert not loaded.training
     with torch.inference_mode():
-        assert torch.equal(loaded(pictures), network(pictures))
+        assert torch.equal(loaded(images), network(images))
 
 
 def test_another_file_is_refused(tmp_path):
@@ -114,10 +114,10 @@ def test_another_file_is_refused(tmp_path):
 def test_files_without_weights_are_refused(tmp_path):
     path = tmp_path / "inception.pth"
     sha256 = written(path, [1, 2])
-    with pytest.raises(InputError, match=r"inception\.pth: holds no table of weights"):
+    with pytest.raises(InputError, match=r"inception\.pth: holds no weights"):
         load_inception(path, sha256=sha256)
     path.write_bytes(path.read_bytes()[:-40])
-    with pytest.raises(InputError, match=r"inception\.pth: holds no table of weights"):
+    with pytest.raises(InputError, match=r"inception\.pth: holds no weights"):
         load_inception(path, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
 
 
@@ -131,7 +131,7 @@ def test_files_without_weights_are_refused(tmp_path):
 )
 def test_weights_that_do_not_fit_are_refused(network, weights, change, complaint):
     with pytest.raises(InputError, match=f"theirs.pth: .*{complaint}"):
-        network.take(change(weights), "theirs.pth")
+        network.load_published(change(weights), "theirs.pth")
 
 
 def test_the_file_is_looked_for_in_the_cache_and_never_fetched(tmp_path, monkeypatch):
@@ -141,8 +141,8 @@ def test_the_file_is_looked_for_in_the_cache_and_never_fetched(tmp_path, monkeyp
     cached.parent.mkdir()
     cached.touch()
     assert find_inception() == cached
-    mine = tmp_path / "mine.pth"
-    with pytest.raises(InputError, match=r"mine\.pth: no such file; FID needs the weights"):
-        find_inception(mine)
-    mine.touch()
-    assert find_inception(mine) == mine
+    given = tmp_path / "given.pth"
+    with pytest.raises(InputError, match=r"given\.pth: no such file; FID needs the weights"):
+        find_inception(given)
+    given.touch()
+    assert find_inception(given) == given

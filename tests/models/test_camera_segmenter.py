@@ -17,21 +17,22 @@ from torch import Tensor
 from torch.utils.data import default_collate
 
 from golden_fill import fill
-from lidar2pano.data.camera_images import BEYOND, CameraImageDataset, CameraImageSample, ImageAugmentation, varied
+from lidar2pano.data.camera_images import BEYOND, Looks, CameraImageSample, CameraImageDataset, varied
 from lidar2pano.data.frames import IGNORE, SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.hardware import has_bfloat16
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.losses import lovasz_softmax
+from lidar2pano.losses.supervised import labelled_cross_entropy
 from lidar2pano.models import build, camera_segmenter
 from lidar2pano.models.camera_segmenter import CameraSegmenter, CameraTeacher, Colours
 from lidar2pano.models.card import Card, load, read_card, save
 from lidar2pano.models.sdnet import SdNet
-from lidar2pano.train.camera_segmentation import CameraSegmentation, labelled_entropy
+from lidar2pano.train.camera_segmentation import CameraSegmentation
 from lidar2pano.train.engine import train
 from lidar2pano.train.recipe import Recipe, override
 from lidar2pano.train.recipes import recipe_named
-from lidar2pano.train.task import build_task
+from lidar2pano.train.tasks import build_task
 from miniature import SIZE, camera_view, write_data_set
 
 TINY = {"classes": 19, "scales": [0.5, 1.0], "width": 4, "stem": 8, "blocks": 1, "modules": [1, 1, 1], "context": 16}
@@ -170,7 +171,7 @@ def class_of(image: np.ndarray) -> np.ndarray:
 
 
 def test_a_plain_sample_is_the_picture_with_its_ids(root):
-    samples = CameraImageDataset(root, ("train", "val"), ImageAugmentation(crop=(8, 8)))
+    samples = CameraImageDataset(root, ("train", "val"), Looks(crop=(8, 8)))
     ids, colours = camera_view()
     sample = samples[3]
     assert len(samples) == 5 and sample.name == "01/000000"
@@ -183,7 +184,7 @@ def test_a_plain_sample_is_the_picture_with_its_ids(root):
 def test_picture_and_ids_are_changed_alike(crop, scale, allowed):
     ids, colours = certain_view()
     for seed in range(12):
-        looks = ImageAugmentation(crop=crop, scale=scale, jitter=0.0)
+        looks = Looks(crop=crop, scale=scale, jitter=0.0)
         image, labels = varied(colours, ids, looks, np.random.default_rng(seed))
         assert image.shape == (*crop, 3) and labels.shape == crop
         assert (class_of(image) != labels).mean() <= allowed  # bilinear edges are of no class
@@ -192,7 +193,7 @@ def test_picture_and_ids_are_changed_alike(crop, scale, allowed):
 
 def test_a_picture_smaller_than_the_crop_is_filled_up_with_what_nobody_knows():
     ids, colours = certain_view()
-    _, labels = varied(colours, ids, ImageAugmentation(crop=(144, 480), scale=(0.5, 0.5)), np.random.default_rng(0))
+    _, labels = varied(colours, ids, Looks(crop=(144, 480), scale=(0.5, 0.5)), np.random.default_rng(0))
     assert (labels != IGNORE).sum() == 36 * 118
     rows, columns = np.nonzero(labels != IGNORE)
     assert (np.ptp(rows), np.ptp(columns)) == (35, 117)
@@ -203,7 +204,7 @@ def test_crops_begin_anywhere_and_half_of_them_are_mirrored():
     image = np.zeros((5, 7, 3), np.uint8)
     corners, mirrored = set(), 0
     for seed in range(300):
-        _, labels = varied(image, ids, ImageAugmentation(crop=(4, 5), scale=(1.0, 1.0)), np.random.default_rng(seed))
+        _, labels = varied(image, ids, Looks(crop=(4, 5), scale=(1.0, 1.0)), np.random.default_rng(seed))
         mirrored += labels[0, 0] > labels[0, -1]
         corners.add(int(labels[0].min()))
     assert corners == {0, 1, 2, 7, 8, 9}
@@ -212,7 +213,7 @@ def test_crops_begin_anywhere_and_half_of_them_are_mirrored():
 
 def test_sizes_are_drawn_from_the_whole_range():
     image, ids = np.zeros((40, 40, 3), np.uint8), np.zeros((40, 40), np.uint8)
-    looks = ImageAugmentation(crop=(200, 200), scale=(0.5, 2.0))
+    looks = Looks(crop=(200, 200), scale=(0.5, 2.0))
     known = [(varied(image, ids, looks, np.random.default_rng(s))[1] == 0).sum() ** 0.5 / 40 for s in range(200)]
     assert min(known) < 0.55 and max(known) > 1.95 and 1.15 < np.mean(known) < 1.35
 
@@ -221,12 +222,7 @@ def test_jitter_changes_colours_only():
     ids, colours = camera_view()
     plain, shifted = (
         [
-            varied(
-                colours,
-                ids,
-                ImageAugmentation(crop=(SIZE[1], SIZE[0]), scale=(1, 1), jitter=j),
-                np.random.default_rng(s),
-            )
+            varied(colours, ids, Looks(crop=(SIZE[1], SIZE[0]), scale=(1, 1), jitter=j), np.random.default_rng(s))
             for s in range(40)
         ]
         for j in (0.0, 0.3)
@@ -237,7 +233,7 @@ def test_jitter_changes_colours_only():
 
 
 def test_a_draw_is_its_seeds(root):
-    samples = CameraImageDataset(root, ("train",), ImageAugmentation(crop=(32, 64)))
+    samples = CameraImageDataset(root, ("train",), Looks(crop=(32, 64)))
     one, again, other = (samples[SampleIndex(1, seed)] for seed in (5, 5, 6))
     assert one.image.shape == (3, 32, 64) and one.labels.shape == (32, 64)
     assert torch.equal(one.image, again.image) and torch.equal(one.labels, again.labels)
@@ -249,11 +245,11 @@ def test_labels_of_another_size_are_told(tmp_path):
     path = root / "sequences/00/camera_labels/000001.png"
     Image.fromarray(np.zeros((9, 10), np.uint8)).save(path)
     with pytest.raises(InputError, match=r"camera_labels/000001.png: is 10x9 and its image 240x72; label the image"):
-        CameraImageDataset(root, ("train",), ImageAugmentation(crop=(8, 8)))[1]
+        CameraImageDataset(root, ("train",), Looks(crop=(8, 8)))[1]
 
 
 def test_real_pictures_and_their_labels_fit(kitti_mini):
-    samples = CameraImageDataset(kitti_mini, ("val",), ImageAugmentation(crop=(8, 8)))
+    samples = CameraImageDataset(kitti_mini, ("val",), Looks(crop=(8, 8)))
     sizes = {samples.pair(index)[1].shape for index in range(len(samples))}  # refuses pairs that do not fit
     assert len(sizes) > 1
     assert set(np.unique(samples.pair(0)[1])) <= {*range(len(CITYSCAPES)), IGNORE}
@@ -279,7 +275,7 @@ def prepared(root: Path, *further: str) -> tuple[CameraSegmentation, CameraImage
 
 
 def test_the_loss_is_joint_auxiliary_each_and_lovasz(root):
-    task, batch = prepared(root, "options.auxiliary=0.4", "options.each=0.05", "options.lovasz=0.7")
+    task, batch = prepared(root, "options.auxiliary=0.4", "options.per_scale=0.05", "options.lovasz=0.7")
     network = task.networks["camera"].eval()
     network.training = True  # itself alone: the same answers twice
     answers = network(Colours()(batch.image))
@@ -303,8 +299,8 @@ def slow_entropy(logits: Tensor, labels: Tensor) -> Tensor:
 def test_pixels_that_nobody_knows_teach_nothing():
     logits, labels = torch.randn(1, 19, 4, 6, requires_grad=True), torch.randint(19, (1, 4, 6))
     labels[0, :, :2] = IGNORE
-    torch.testing.assert_close(labelled_entropy(logits, labels), slow_entropy(logits, labels))
-    nothing = labelled_entropy(logits, torch.full_like(labels, IGNORE))
+    torch.testing.assert_close(labelled_cross_entropy(logits, labels, IGNORE), slow_entropy(logits, labels))
+    nothing = labelled_cross_entropy(logits, torch.full_like(labels, IGNORE), IGNORE)
     nothing.backward()
     assert nothing == 0 and logits.grad is not None and not logits.grad.any()
 

@@ -20,7 +20,7 @@ from lidar2pano.cli import main
 from lidar2pano.errors import InputError
 from lidar2pano.models import MODELS, build
 from lidar2pano.models.camera_segmenter import CameraSegmenter
-from lidar2pano.models.card import load, save
+from lidar2pano.models.card import load, read_card, save
 from lidar2pano.models.families import licence_note
 from lidar2pano.models.published import PUBLISHED, import_published, published_card
 
@@ -500,7 +500,7 @@ def test_licences_that_restrict_are_recognised(tmp_path: Path) -> None:
         model = build(network, **(SMALL[network][0] if network in SMALL else {}))
         card = published_card(network, "file", SMALL[network][0] if network in SMALL else {})
         save(tmp_path / f"{network}.safetensors", model, card)
-        assert bool(licence_note({"role": tmp_path / f"{network}.safetensors"})) == restricted
+        assert bool(licence_note([read_card(tmp_path / f"{network}.safetensors")])) == restricted
 
 
 def test_an_imported_sdnet_labels_pictures(tmp_path: Path) -> None:

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
 from golden_fill import assert_filled_as_recorded, fill, key_rows, one_hot, randint, sym
+from golden_vectors import Recorded, recorded
 from lidar2pano.models import build
 
 # network -> file in the golden folder, gain of the fill rule, parameters; MANIFEST.md, section 2
@@ -44,9 +44,9 @@ def inputs(network: str, columns: int = 256) -> tuple[Tensor, ...]:
     return one_hot(randint("input.a", (1, 376, 1241), 15), 15), condition
 
 
-def compared(golden: Path, network: str) -> dict[str, tuple[Tensor, Tensor]]:
-    """Our tensor and the recorded one, by what they are; the first name of each is a key of TOLERANCE."""
-    model, kept = filled(network), load_file(golden / f"{RECORDED[network][0]}.safetensors")
+def compared(golden: Path, network: str) -> dict[str, tuple[Tensor, Recorded]]:
+    """Our tensor and the recorded one, by what they are."""
+    model, kept = filled(network), recorded(golden, RECORDED[network][0])
     with torch.inference_mode():
         if network == "salsanext":
             logits = model(*inputs(network))
@@ -58,7 +58,7 @@ def compared(golden: Path, network: str) -> dict[str, tuple[Tensor, Tensor]]:
                 "condition": (merged, kept["out.cond_conv1"]),
             }
         else:
-            wide = load_file(golden / "titan_g_2048.safetensors")
+            wide = recorded(golden, "titan_g_2048")
             raster, raster_2048 = model.raster(*inputs(network)), model.raster(*inputs(network, 2048))
             pairs = {
                 "softmax": (_published_image(raster)[:, :, ::8, ::8], kept["out.prob_s8"]),
@@ -82,32 +82,22 @@ def tolerance(network: str, what: str) -> float:
     return TOLERANCE[network]
 
 
-def deviations(golden: Path) -> dict[str, float]:
-    """The largest absolute deviation from the recorded runs, by network and tensor."""
-    return {
-        f"{network} {what}": (ours - theirs).abs().max().item()
-        for network in RECORDED
-        for what, (ours, theirs) in compared(golden, network).items()
-    }
-
-
 @pytest.mark.parity
 @pytest.mark.parametrize("network", RECORDED)
 def test_outputs_are_the_published_ones(golden: Path, network: str) -> None:
     for what, (ours, theirs) in compared(golden, network).items():
-        torch.testing.assert_close(
-            ours, theirs, atol=tolerance(network, what), rtol=0, msg=lambda text, w=what: w + text
-        )
+        theirs.assert_close(ours, tolerance(network, what), what)
 
 
 @pytest.mark.parity
 def test_titan_forward_is_the_resized_raster(golden: Path) -> None:
-    model, kept = filled("titan"), load_file(golden / "titan_g.safetensors")
+    model, kept = filled("titan"), recorded(golden, "titan_g")
     with torch.inference_mode():
         logits = model(*inputs("titan"))
     assert logits.shape == (1, 15, 376, 1241)
-    torch.testing.assert_close(logits.softmax(1)[:, :, ::8, ::8], kept["out.prob_s8"], atol=1e-4, rtol=0)
-    assert (logits.argmax(1) == kept["out.argmax"]).float().mean() > 0.999
+    kept["out.prob_s8"].assert_close(logits.softmax(1)[:, :, ::8, ::8], 1e-4)
+    argmax = kept["out.argmax"]
+    assert (argmax.of(logits.argmax(1)) == argmax.values).float().mean() > 0.999
 
 
 @pytest.mark.parity

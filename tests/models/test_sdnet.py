@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
 from golden_fill import assert_filled_as_recorded, fill, key_rows, sym
+from golden_vectors import recorded
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
 from lidar2pano.models.ocr import ObjectContext, gather
@@ -65,8 +65,7 @@ def _summary(out: Any) -> tuple[list[int], list[float]]:
 @pytest.mark.parity
 @pytest.mark.parametrize("name", ["pred", "pred_10x", "pred_05x", "attn_05x"])
 def test_outputs_are_the_published_ones(record, golden: Path, name: str) -> None:
-    theirs = load_file(golden / f"{FILE}.safetensors")[f"out.{name}"]
-    torch.testing.assert_close(record[0][name], theirs, atol=TOLERANCE, rtol=0)
+    recorded(golden, FILE)[f"out.{name}"].assert_close(record[0][name], TOLERANCE)
 
 
 @pytest.mark.parity

@@ -15,10 +15,10 @@ from typing import Any
 
 import pytest
 import torch
-from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from golden_fill import fill, key_rows, one_hot, randint
+from golden_fill import fill, key_rows, one_hot, randint, sym
+from golden_vectors import Recorded, recorded
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.warp import warp
 from lidar2pano.models import build
@@ -29,28 +29,31 @@ CAR, LABELS = 26, 35  # Cityscapes' label ids
 
 
 @dataclass(frozen=True)
-class Recorded:
-    """A row of the golden folder's MANIFEST.md, section 2."""
+class Row:
+    """A row of the table of networks in tests/golden/README.md; size: rows and columns of the recorded run."""
 
     network: str
     parameters: int
     settings: dict[str, Any] = field(default_factory=dict)
     gain: float = 1.0
+    size: tuple[int, int] = (64, 128)
 
 
 RECORDED = {
-    "vid2vid_512_scale1": Recorded("vid2vid", 411_335_241, {"widths": (128,)}),
-    "vid2vid_2048_scale3": Recorded("vid2vid", 415_075_371),
-    "vid2vid_1024_g1_scale3": Recorded("vid2vid", 142_763_835, {"downsamplings": 2}),
-    "vid2vid_single_512": Recorded("vid2vid-single", 45_693_699),
-    "vid2vid_single_2048": Recorded("vid2vid-single", 182_852_355, {"width": 32, "downsamplings": 4, "enhancers": 1}),
-    "vid2vid_D_image": Recorded("vid2vid-image-critic", 5_606_786, gain=1.4),
-    "vid2vid_D_temporal": Recorded("vid2vid-temporal-critic", 5_553_538, gain=1.4),
+    "vid2vid_512_scale1": Row("vid2vid", 411_335_241, {"widths": (128,)}),
+    "vid2vid_2048_scale3": Row("vid2vid", 415_075_371, size=(128, 256)),
+    "vid2vid_1024_g1_scale3": Row("vid2vid", 142_763_835, {"downsamplings": 2}, size=(128, 256)),
+    "vid2vid_single_512": Row("vid2vid-single", 45_693_699),
+    "vid2vid_single_2048": Row(
+        "vid2vid-single", 182_852_355, {"width": 32, "downsamplings": 4, "enhancers": 1}, size=(128, 256)
+    ),
+    "vid2vid_D_image": Row("vid2vid-image-critic", 5_606_786, gain=1.4),
+    "vid2vid_D_temporal": Row("vid2vid-temporal-critic", 5_553_538, gain=1.4),
 }
 # Absolute, MANIFEST.md; warping recorded noise amplifies the rounding of the flow.
 TOLERANCE = {"picture": 3e-3, "flow": 3e-3, "weight": 1e-4, "raw": 1e-4, "out": 1e-4, "logit": 1e-4}
 DEAR = ("vid2vid_512_scale1", "vid2vid_2048_scale3")
-dear = pytest.mark.skipif(not os.environ.get("LIDAR2PANO_ALL_STEPS"), reason="set LIDAR2PANO_ALL_STEPS for all steps")
+dear = pytest.mark.needs(os.environ.get("LIDAR2PANO_ALL_STEPS"), "heavy: set LIDAR2PANO_ALL_STEPS")
 
 
 def blank(name: str, **more: object) -> nn.Module:
@@ -111,17 +114,17 @@ def test_outputs_are_the_published_ones(golden: Path, filled: Filled) -> None:
 
 def deviations(golden: Path, filled: Filled) -> dict[str, float]:
     """The largest absolute deviation from the recorded run, by mode and tensor."""
-    kept = load_file(golden / f"{filled.name}.safetensors")
+    kept = recorded(golden, filled.name)
     compare = {"vid2vid": of_generator, "vid2vid-single": of_single}.get(RECORDED[filled.name].network, of_critic)
     with torch.inference_mode():
-        return {what: (ours - theirs).abs().max().item() for what, (ours, theirs) in compare(filled, kept)}
+        return {what: theirs.deviation(ours) for what, (ours, theirs) in compare(filled, kept)}
 
 
-Pairs = Iterator[tuple[str, tuple[Tensor, Tensor]]]
+Pairs = Iterator[tuple[str, tuple[Tensor, Recorded]]]
 
 
-def of_generator(filled: Filled, kept: dict[str, Tensor]) -> Pairs:
-    labels, previous = recorded_input(kept)
+def of_generator(filled: Filled, kept: dict[str, Recorded]) -> Pairs:
+    labels, previous = recorded_input(*RECORDED[filled.name].size)
     for mode in ("eval", "train"):
         for ac in (0, 1):
             # "train" is what the published test program runs: here, norms on batch statistics in evaluation mode
@@ -134,22 +137,24 @@ def of_generator(filled: Filled, kept: dict[str, Tensor]) -> Pairs:
                 yield f"{mode} scale{scale} picture", (painted.picture, kept[f"out.{mode}.ac0.scale{scale}.final"])
 
 
-def recorded_input(kept: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-    """Label maps (1, 3, 36, h, w) and previous pictures (1, 2, 3, h, w)."""
-    ids = kept["in.labels"][0, :, 0].long()
-    edges = randint("input.edge", (1, 3, 1, *ids.shape[1:]), 2).float()
-    return torch.cat([one_hot(ids, LABELS)[None], edges], 2), kept["in.prev"][None]
+def recorded_input(rows: int, columns: int) -> tuple[Tensor, Tensor]:
+    """Label maps (1, 3, 36, rows, columns) and previous pictures (1, 2, 3, rows, columns) of the recorded run."""
+    ids = randint("input.label", (1, 3, 1, rows, columns), LABELS)[0, :, 0]
+    edges = randint("input.edge", (1, 3, 1, rows, columns), 2).float()
+    return torch.cat([one_hot(ids, LABELS)[None], edges], 2), sym("input.prev", (2, 3, rows, columns))[None]
 
 
-def of_single(filled: Filled, kept: dict[str, Tensor]) -> Pairs:
+def of_single(filled: Filled, kept: dict[str, Recorded]) -> Pairs:
+    labels = one_hot(randint("input.label", (1, *RECORDED[filled.name].size), LABELS), LABELS)
     for mode in ("eval", "train"):
-        model = filled.network(batch_statistics=mode == "train")
-        yield f"{mode} out", (model(one_hot(kept["in.labels"].long(), LABELS)), kept[f"out.{mode}"])
+        yield f"{mode} out", (filled.network(batch_statistics=mode == "train")(labels), kept[f"out.{mode}"])
 
 
-def of_critic(filled: Filled, kept: dict[str, Tensor]) -> Pairs:
+def of_critic(filled: Filled, kept: dict[str, Recorded]) -> Pairs:
+    channels = 39 if filled.name == "vid2vid_D_image" else 13
+    x = sym("input.x", (1, channels, *RECORDED[filled.name].size))
     for mode in ("eval", "train"):
-        for scale, answers in enumerate(filled.network(train=mode == "train")(kept["in.x"])):
+        for scale, answers in enumerate(filled.network(train=mode == "train")(x)):
             yield f"{mode} {scale} logit", (answers[-1], kept[f"out.{mode}.scale{scale}.logit"])
 
 

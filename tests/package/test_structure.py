@@ -15,7 +15,7 @@ import lidar2pano
 from lidar2pano.models import MODELS
 
 NETWORKS = {network.__name__ for network in MODELS.values()}
-RECIPES = house_rules.SOURCE / "train" / "recipe.py"
+CONFIGS = [house_rules.SOURCE / "train" / name for name in ("recipe.py", "options.py")]
 HEAVY = ("torch", "lightning", "torchmetrics", "tensorboard", "transformers", "cv2", "matplotlib", "scipy", "skimage")
 PROMISED = {"demo", "translate", "world", "prepare", "train", "evaluate", "reproduce", "weights", "bench"}
 MOST_SECONDS = 1.0
@@ -186,9 +186,34 @@ def test_a_second_builder_is_seen(tree):
 # --- configuration --------------------------------------------------------------------------------------------------
 
 
-def test_every_config_field_is_read():
-    assert "class" in RECIPES.read_text(encoding="utf-8")
-    assert house_rules.unread(RECIPES, house_rules.SOURCE) == []
+@pytest.mark.parametrize("configs", CONFIGS, ids=lambda path: path.stem)
+def test_every_config_field_is_read(configs):
+    assert "@dataclass" in configs.read_text(encoding="utf-8")
+    assert house_rules.unread(configs, house_rules.SOURCE) == []
+
+
+@pytest.mark.parametrize(
+    ("configs", "readers", "read", "field"),
+    [
+        ("recipe.py", "*.py", "data.train", "Data.train"),
+        ("recipe.py", "*.py", "recipe.view", "Recipe.view"),
+        ("recipe.py", "*.py", "settings.algorithm", "Optimizer.algorithm"),
+        ("options.py", "*.py", "options.dropout", "SegmentationOptions.dropout"),
+        ("options.py", "front.py", "options.depth", "FrontDepthOptions.depth"),
+        ("options.py", "painting.py", "options.pooled", "PaintingOptions.pooled"),
+    ],
+)
+def test_a_field_counts_by_its_class_and_not_by_its_name(tmp_path, configs, readers, read, field):
+    """Without the reads of one class's field, those of another class's field of that name do not count."""
+    source = tmp_path / "train"
+    source.mkdir()
+    for path in (house_rules.SOURCE / "train").glob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        unread = text.replace(read, f"{read}_") if path.match(readers) else text
+        source.joinpath(path.name).write_text(unread, encoding="utf-8")
+    elsewhere = f"def read(frame):\n    return frame.{field.rpartition('.')[2]}\n"
+    source.joinpath("elsewhere.py").write_text(elsewhere, encoding="utf-8")
+    assert house_rules.unread(source / configs, source) == [f"{field} is read nowhere"]
 
 
 def test_an_unread_field_is_seen(tree):
@@ -196,11 +221,16 @@ def test_an_unread_field_is_seen(tree):
         train__recipes=(
             "@dataclass(frozen=True, kw_only=True)\nclass Training:\n"
             "    steps: int = 1\n    rate: float = 0.1\n    KINDS: ClassVar[int] = 2\n"
+            "@dataclass\nclass Recipe:\n    training: Training\n    name: str\n    view: str\n"
             "class Plain:\n    free: int = 3\n"
         ),
-        train__engine="def run(recipe):\n    recipe.rate = 2\n    return recipe.steps",
+        train__engine=(
+            "def run(recipe: Recipe, frame):\n    recipe.training.rate = 2\n    frame.view\n"
+            "    return recipe.training.steps, recipe.name\n"
+        ),
     )
-    assert house_rules.unread(source / "train" / "recipes.py", source) == ["Training.rate is read nowhere"]
+    unread = house_rules.unread(source / "train" / "recipes.py", source)
+    assert unread == ["Training.rate is read nowhere", "Recipe.view is read nowhere"]
 
 
 # --- the public names -----------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import torch
 
 from lidar2pano.geometry.projection import directions
 from lidar2pano.labels import COMMON15
-from lidar2pano.memory import MOST, Shown, steadied
+from lidar2pano.memory import MOST, PreviousFrame, smoothed
 from lidar2pano.views import View
 
 VIEW = View(rows=24, columns=96, up=0.24, down=-0.2836, kind="cylinder", origin=(0.3, 0.1, -0.1))
@@ -26,12 +26,12 @@ def turned(columns):
 
 def shown(picture, pose=STILL, ids=None, distance_m=None, count=1.0):
     rows, columns = VIEW.rows, VIEW.columns
-    return Shown(
-        picture=picture,
+    return PreviousFrame(
+        image=picture,
         ids=torch.full((rows, columns), ROAD, dtype=torch.uint8) if ids is None else ids,
         distance_m=torch.full((rows, columns), 10.0) if distance_m is None else distance_m,
         count=torch.full((rows, columns), count),
-        pose=pose,
+        T_world_sensor=pose,
     )
 
 
@@ -43,15 +43,15 @@ def test_a_sensor_that_stands_averages_all_its_pictures():
     pictures = [noise(seed) for seed in range(4)]
     memory = shown(pictures[0])
     for picture in pictures[1:]:
-        memory = steadied(shown(picture), memory, VIEW)
-    assert torch.allclose(memory.picture, torch.stack(pictures).mean(0), atol=1e-3)
+        memory = smoothed(shown(picture), memory, VIEW)
+    assert torch.allclose(memory.image, torch.stack(pictures).mean(0), atol=1e-3)
     assert (memory.count == 4).all()
 
 
 def test_the_newest_picture_never_weighs_less_than_one_of_most():
-    memory = steadied(shown(noise(0)), shown(noise(1), count=100.0), VIEW)
+    memory = smoothed(shown(noise(0)), shown(noise(1), count=100.0), VIEW)
     assert (memory.count == MOST).all()
-    assert torch.allclose(memory.picture, noise(1) + (noise(0) - noise(1)) / MOST, atol=1e-5)
+    assert torch.allclose(memory.image, noise(1) + (noise(0) - noise(1)) / MOST, atol=1e-5)
 
 
 def test_what_was_seen_is_carried_over_a_turn_and_across_the_seam():
@@ -59,11 +59,11 @@ def test_what_was_seen_is_carried_over_a_turn_and_across_the_seam():
     before = noise(2)
     now = torch.roll(before, 14, dims=3)
     ids = torch.tensor([ROAD, CAR, SKY], dtype=torch.uint8)[torch.arange(96) * 3 // 96].expand(24, -1)
-    memory = steadied(shown(now, turned(7), torch.roll(ids, 7, dims=1)), shown(before, ids=ids), VIEW)
+    memory = smoothed(shown(now, turned(7), torch.roll(ids, 7, dims=1)), shown(before, ids=ids), VIEW)
     assert (memory.count == 2).all()
-    assert (memory.picture - now).abs().max() < 1e-3
-    other = steadied(shown(now, turned(-7)), shown(before), VIEW)
-    assert (other.picture - now).abs().mean() > 0.1, "a turn the other way does not fit"
+    assert (memory.image - now).abs().max() < 1e-3
+    other = smoothed(shown(now, turned(-7)), shown(before), VIEW)
+    assert (other.image - now).abs().mean() > 0.1, "a turn the other way does not fit"
 
 
 def test_a_step_forward_carries_by_distance():
@@ -84,11 +84,11 @@ def test_a_step_forward_carries_by_distance():
     origin = np.array(VIEW.origin)
     before, now = look(origin), look(origin + [2, 0, 0])
     one = shown(before[0], distance_m=before[1].float())
-    memory = steadied(shown(torch.zeros_like(now[0]), pose, distance_m=now[1].float()), one, VIEW)
+    memory = smoothed(shown(torch.zeros_like(now[0]), pose, distance_m=now[1].float()), one, VIEW)
     averaged = memory.count == 2
     assert averaged.float().mean() > 0.9
     there = averaged.repeat_interleave(2, 0).repeat_interleave(2, 1)
-    carried, right, unmoved = 2 * memory.picture[0, 0], now[0][0, 0], before[0][0, 0]
+    carried, right, unmoved = 2 * memory.image[0, 0], now[0][0, 0], before[0][0, 0]
     assert (carried - right)[there].abs().mean() < 0.2 * (unmoved - right)[there].abs().mean()
 
 
@@ -96,9 +96,9 @@ def test_a_step_forward_carries_by_distance():
 def test_where_something_changed_the_picture_begins_anew(what):
     new = {"ids": torch.full((24, 96), ROAD, dtype=torch.uint8), "distance_m": torch.full((24, 96), 10.0)}
     new[what][5:9, 40:60] = {"ids": CAR, "distance_m": 5}[what]
-    memory = steadied(shown(noise(0), **new), shown(noise(1)), VIEW)
+    memory = smoothed(shown(noise(0), **new), shown(noise(1)), VIEW)
     assert (memory.count[5:9, 40:60] == 1).all() and memory.count[12:, :].min() == 2
-    assert torch.equal(memory.picture[..., 10:18, 80:120], noise(0)[..., 10:18, 80:120])
+    assert torch.equal(memory.image[..., 10:18, 80:120], noise(0)[..., 10:18, 80:120])
 
 
 def test_the_sky_is_steadied_by_the_turn_alone():
@@ -107,5 +107,5 @@ def test_the_sky_is_steadied_by_the_turn_alone():
     pose[:3, 3] += torch.tensor([5.0, 0.0, 0.0])
     before = noise(4)
     now = torch.roll(before, 6, dims=3)
-    memory = steadied(shown(now, pose, ids, far), shown(before, STILL, ids, far), VIEW)
-    assert (memory.count == 2).all() and (memory.picture - now).abs().max() < 1e-3
+    memory = smoothed(shown(now, pose, ids, far), shown(before, STILL, ids, far), VIEW)
+    assert (memory.count == 2).all() and (memory.image - now).abs().max() < 1e-3

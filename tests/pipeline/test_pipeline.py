@@ -92,8 +92,8 @@ def test_a_stream_with_poses_is_steadied(pipeline):
     assert list(steady[1].milliseconds)[-3:] == ["paint", "steady", "finish"]
     assert np.array_equal(steady[1].segments, steady[0].segments)
     memory, _ = replace(pipeline, painter=Moody()).step(Memory(), scan, still)
-    assert memory.shown is not None
-    assert replace(pipeline, painter=Moody()).step(memory, scan)[0].shown is None, "without a pose it begins anew"
+    assert memory.previous is not None
+    assert replace(pipeline, painter=Moody()).step(memory, scan)[0].previous is None, "without a pose it begins anew"
 
 
 def test_streams_share_nothing(pipeline):
@@ -382,11 +382,11 @@ def test_a_card_without_its_view_is_refused(random_weights, tmp_path, views):
 
 
 def test_a_strict_licence_is_noted(random_weights, tmp_path):
-    assert LICENCE in (licence_note(weight_files(random_weights)) or "")
+    assert LICENCE in (licence_note(map(read_card, weight_files(random_weights).values())) or "")
     network, card = load_weights(random_weights / "painter.safetensors")
     save(tmp_path / "painter.safetensors", network, replace(card, licence="Apache-2.0"))
     assert json.loads(read_card(tmp_path / "painter.safetensors").to_json())["licence"] == "Apache-2.0"
-    assert licence_note({"painter": tmp_path / "painter.safetensors"}) is None
+    assert licence_note([read_card(tmp_path / "painter.safetensors")]) is None
 
 
 # --- a painter with a memory ----------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""`lidar2pano reproduce`: plans, budgets, restarts, tables and what is said of the paper's orderings."""
+"""`lidar2pano reproduce`: plans, budgets, restarts, tables and the paper's orderings."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from lidar2pano.cli import main
 from lidar2pano.cli.app import BROKEN
 from lidar2pano.errors import InputError
 from lidar2pano.reproduce import Outcome, Plan
-from lidar2pano.reproduce.curves import scalars, write_curves
+from lidar2pano.reproduce.image_sheets import SAMPLES, WIDTH, sample_indices, write_sheets
+from lidar2pano.reproduce.paper_tables import CLAIMS, ROWS, chosen
 from lidar2pano.reproduce.plan import budget, splits
-from lidar2pano.reproduce.rows import CLAIMS, ROWS, chosen
-from lidar2pano.reproduce.sheets import SHOWN, WIDTH, shown, write_sheets
-from lidar2pano.reproduce.tables import figure, report
+from lidar2pano.reproduce.results_page import results_page, scalars, value_of, write_curves
 from lidar2pano.train.recipes import RECIPES
 from semantic_kitti import write_semantic_kitti
 
@@ -25,10 +24,10 @@ from semantic_kitti import write_semantic_kitti
 def test_every_row_is_made_of_recipes_that_exist_in_both_forms():
     for row in ROWS.values():
         for part in row.parts:
-            assert part == "truth" or {part, f"{part}-mini"} <= RECIPES.keys()
+            assert part == "oracle" or {part, f"{part}-mini"} <= RECIPES.keys()
 
 
-def test_the_papers_own_figures_are_those_of_its_tables():
+def test_the_papers_values_are_those_of_its_tables():
     # table 2, the last column; table 1, the mean of its columns about as it prints it
     means = {name: row.paper["swd"] for name, row in ROWS.items() if row.paper}
     assert means["titan"] == 2.38 and means["scunet"] == 2.59 and means["ceiling"] == 1.76
@@ -41,7 +40,7 @@ def test_the_papers_own_figures_are_those_of_its_tables():
             assert np.mean(levels) == pytest.approx(row.paper["swd"], abs=0.011)
 
 
-def test_claims_speak_of_rows():
+def test_claims_name_rows():
     assert all({claim.first, claim.second} <= ROWS.keys() for claim in CLAIMS)
 
 
@@ -79,7 +78,7 @@ def plan(tmp_path):
 
 def test_parts_come_once_and_a_painter_after_its_translator(plan):
     parts = plan.parts
-    assert len(set(parts)) == len(parts) and "truth" not in parts
+    assert len(set(parts)) == len(parts) and "oracle" not in parts
     assert parts[0] == "salsanext" and parts.index("painter") > parts.index("titan-pano")
     assert "salsanext" not in replace(plan, segmenter="kitti-mini").parts
 
@@ -87,8 +86,8 @@ def test_parts_come_once_and_a_painter_after_its_translator(plan):
 def test_recipes_fit_the_data_at_hand(plan, tmp_path):
     recipe = plan.recipe("salsanext", {})
     assert recipe.data.train == ("train",), "there is no split `labelled` here"
-    film = plan.recipe("vid2vid", {})
-    assert film.data.train == ("train",) and film.options["stills"] == ("train", "val")
+    video = plan.recipe("vid2vid", {})
+    assert video.data.train == ("train",) and video.options["stills"] == ("train", "val")
     files = {"salsanext": tmp_path / "s", "titan-pano": tmp_path / "t"}
     painter = plan.recipe("painter", files)
     assert painter.options["segmenter"] == str(tmp_path / "s") and painter.options["translator"] == str(tmp_path / "t")
@@ -102,35 +101,35 @@ def test_recipes_fit_the_data_at_hand(plan, tmp_path):
 def test_chains_name_runs_in_the_order_of_the_row(plan):
     runs = plan.out / "runs"
     assert plan.chain(ROWS["titan"]) == f"{runs / 'salsanext'}+{runs / 'titan'}+{runs / 'vid2vid'}"
-    assert plan.chain(ROWS["ceiling"]) == f"truth+{runs / 'vid2vid'}"
+    assert plan.chain(ROWS["ceiling"]) == f"oracle+{runs / 'vid2vid'}"
     assert plan.chain(ROWS["scunet"]) == str(runs / "scunet")
 
 
-def test_a_damaged_listing_of_splits_is_told(plan):
+def test_a_damaged_listing_of_splits_is_an_input_error(plan):
     (plan.data / "splits.json").write_text("{")
     with pytest.raises(InputError, match=r"splits\.json"):
         splits(plan.data)
 
 
-def result(**figures):
-    rows = [{"sector": "camera", "name": name, "value": value} for name, value in figures.items()]
+def result(**values):
+    rows = [{"sector": "camera", "name": name, "value": value} for name, value in values.items()]
     rows.append({"sector": "panorama", "name": "miou", "value": 0.25})
-    one = {"figures": rows, "milliseconds": {"translate": 12.4}, "classes": [{"class": "car", "iou": 0.5}]}
+    one = {"values": rows, "milliseconds": {"translate": 12.4}, "classes": [{"class": "car", "iou": 0.5}]}
     return {"heading": "`val` of data: 1 image.", "classes": ["car"], "results": [one]}
 
 
-def test_figures_are_found_by_sector_and_what_is_not_there_is_nan():
-    assert figure(result(swd=2.0), "swd") == 2.0
-    assert figure(result(swd=2.0), "miou", "panorama") == 0.25
-    assert math.isnan(figure(result(swd=None), "swd")) and math.isnan(figure(result(), "ssim"))
+def test_values_are_found_by_sector_and_missing_ones_are_nan():
+    assert value_of(result(swd=2.0), "swd") == 2.0
+    assert value_of(result(swd=2.0), "miou", "panorama") == 0.25
+    assert math.isnan(value_of(result(swd=None), "swd")) and math.isnan(value_of(result(), "ssim"))
 
 
-def test_the_report_has_every_row_and_judges_what_it_can(plan):
+def test_the_results_page_has_every_row_and_a_verdict_where_it_can(plan):
     outcome = Outcome(
         results={"titan": result(miou=0.3, swd=20.0), "pix2pix": result(miou=0.1, swd=10.0)},
         failures={"scunet": "no image goes with this scan"},
     )
-    text = report(plan, outcome, [], None)
+    text = results_page(plan, outcome, [], None)
     for row in ROWS.values():
         assert row.name in text
     assert "TITAN-Net beats Pix2Pix in mIoU: **confirmed** here (0.3 against 0.1)" in text
@@ -141,14 +140,14 @@ def test_the_report_has_every_row_and_judges_what_it_can(plan):
     assert "| 50.0 |" in titan and "**30.0**" in titan
 
 
-def test_sheets_stand_side_by_side_and_leave_out_what_nobody_has(tmp_path):
+def test_sheets_are_side_by_side_and_leave_out_missing_images(tmp_path):
     from PIL import Image
 
-    for row, grey in (("truth", 10), ("titan", 200)):
-        (tmp_path / "pictures" / row).mkdir(parents=True)
-        picture = np.full((30, 60, 3), grey, dtype=np.uint8)
-        Image.fromarray(picture).save(tmp_path / "pictures" / row / "00.colour.png")
-    paths = write_sheets(tmp_path / "pictures", tmp_path / "sheets", {"titan": "TITAN-Net"})
+    for row, grey in (("ground-truth", 10), ("titan", 200)):
+        (tmp_path / "images" / row).mkdir(parents=True)
+        image = np.full((30, 60, 3), grey, dtype=np.uint8)
+        Image.fromarray(image).save(tmp_path / "images" / row / "00.colour.png")
+    paths = write_sheets(tmp_path / "images", tmp_path / "sheets", {"titan": "TITAN-Net"})
     assert [path.stem for path in paths] == ["segments", "ablations"]
     sheet = np.array(Image.open(paths[0]))
     assert sheet.shape[1] == 2 * WIDTH
@@ -156,9 +155,9 @@ def test_sheets_stand_side_by_side_and_leave_out_what_nobody_has(tmp_path):
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2, 7])
-def test_pictures_are_kept_of_first_middle_and_last_frames(frames):
-    found = shown(frames)
-    assert len(found) == min(frames, SHOWN) and all(0 <= index < frames for index in found)
+def test_images_are_kept_of_first_middle_and_last_frames(frames):
+    found = sample_indices(frames)
+    assert len(found) == min(frames, SAMPLES) and all(0 <= index < frames for index in found)
     assert not frames or (found[0] == 0 and found[-1] == frames - 1)
 
 
@@ -189,19 +188,19 @@ def test_semantic_kitti_as_users_have_it_and_a_second_run_that_only_reads(semant
     text = (tmp_path / "RESULTS.md").read_text()
     row = next(line for line in text.splitlines() if line.startswith("| SC-UNET |"))
     assert 0 < float(row.split("|")[2]) < 1, "SSIM"
-    assert "`val`" in text and ": 1 camera images" in text and "the camera's pictures (1)" in text
-    assert (tmp_path / "pictures" / "truth" / "00.colour.png").is_file()
+    assert "`val`" in text and ": 1 camera images" in text and "the camera's images (1)" in text
+    assert (tmp_path / "images" / "ground-truth" / "00.colour.png").is_file()
     rows = tmp_path / "rows" / "scunet.json"
     held = {path: path.stat().st_mtime_ns for path in (rows, tmp_path / "runs/scunet/weights/renderer.safetensors")}
     assert main(words) == 0
     assert {path: path.stat().st_mtime_ns for path in held} == held
-    rows.write_text("{")  # a damaged row is scored anew
+    rows.write_text("{")  # a damaged row is scored again
     assert main(words) == 0
-    assert json.loads(rows.read_text())["result"]["pictures"] == 1
+    assert json.loads(rows.read_text())["result"]["camera_images"] == 1
     capsys.readouterr()
 
 
-def test_without_camera_labels_it_says_what_makes_them_and_reports_the_row(tmp_path, capsys):
+def test_without_camera_labels_the_page_names_the_command_that_makes_them(tmp_path, capsys):
     data = write_semantic_kitti(tmp_path / "data", camera_labels=False)
     words = ["reproduce", "--data", str(data), "--out", str(tmp_path / "out"), "--rows", "titan", "--device", "cpu"]
     assert main([*words, "--budget", "1steps", "--segmenter", "kitti-mini"]) == BROKEN

@@ -162,24 +162,61 @@ def _parameters(args: ast.arguments) -> int:
 
 
 def unread(configs: Path, source: Path) -> list[str]:
-    """Fields of the dataclasses in the file `configs` that no code below `source` reads as an attribute.
+    """Fields of the dataclasses in the file `configs` that no code below `source` reads from a value of their class.
 
-    It goes by name alone: a field that shares its name with something that is read elsewhere passes.
+    A value is known by what it is called: an annotation `name: Class` makes `name` one in its top-level function or
+    class, and everywhere if it is a field in `configs`; `Recipe[Class]` makes `options` one.
     """
+    classes = {
+        node.name: [item for item in node.body if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)]
+        for node in ast.parse(configs.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ClassDef) and any("dataclass" in ast.unparse(d) for d in node.decorator_list)
+    }
+    parts = {
+        name: {part.target.id for parts in classes.values() for part in parts if _mentions(part.annotation, name)}
+        for name in classes
+    }
     read = {
-        node.attr
+        (name, attribute)
         for _, tree in parsed(source)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load)
+        for scope in tree.body
+        for name, called in _names_of(scope, parts).items()
+        for base, attribute in _reads(scope)
+        if base in called
     }
     return [
-        f"{config.name}.{field.target.id} is read nowhere"
-        for config in ast.walk(ast.parse(configs.read_text(encoding="utf-8")))
-        if isinstance(config, ast.ClassDef) and any("dataclass" in ast.unparse(d) for d in config.decorator_list)
-        for field in config.body
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
-        if "ClassVar" not in ast.unparse(field.annotation) and field.target.id not in read
+        f"{name}.{field.target.id} is read nowhere"
+        for name, fields in classes.items()
+        for field in fields
+        if "ClassVar" not in ast.unparse(field.annotation) and (name, field.target.id) not in read
     ]
+
+
+def _mentions(annotation: ast.expr, name: str) -> bool:
+    return any(isinstance(node, ast.Name) and node.id == name for node in ast.walk(annotation))
+
+
+def _names_of(scope: ast.stmt, parts: dict[str, set[str]]) -> dict[str, set[str]]:
+    """Class -> what its values are called in a function or class: `parts`, and what is annotated there."""
+    found = {name: set(called) for name, called in parts.items()}
+    for node in ast.walk(scope):
+        if not isinstance(node, ast.arg | ast.AnnAssign) or node.annotation is None:
+            continue
+        target = node.arg if isinstance(node, ast.arg) else ast.unparse(node.target).rpartition(".")[2]
+        of_recipe = "Recipe[" in ast.unparse(node.annotation)
+        for name, called in found.items():
+            if _mentions(node.annotation, name):
+                called.add("options" if of_recipe and name != "Recipe" else target)
+    return found
+
+
+def _reads(scope: ast.stmt) -> Iterator[tuple[str, str]]:
+    """(what a value is called, attribute) of every attribute that is read; `a.b[c].d` reads (b, d)."""
+    for node in ast.walk(scope):
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
+            base = node.value.value if isinstance(node.value, ast.Subscript) else node.value
+            if isinstance(base, ast.Name | ast.Attribute):
+                yield (base.id if isinstance(base, ast.Name) else base.attr), node.attr
 
 
 def noisy(source: Path) -> list[str]:

@@ -1,4 +1,4 @@
-"""Other opinions about the metrics: slow definitions, and independent libraries brought to the same question."""
+"""Slow definitions of the metrics, and the same metrics of independent libraries."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import torch
 from PIL import Image
 from skimage.metrics import structural_similarity
 
-from lidar2pano.metrics.wasserstein import LEVELS, PATCH, REPEATS, draw_directions, draw_places
+from lidar2pano.metrics.sliced_wasserstein import LEVELS, PATCH, REPEATS, draw_directions, draw_places
 
 BINOMIAL = np.outer([1, 4, 6, 4, 1], [1, 4, 6, 4, 1]) / 256
 
@@ -46,11 +46,11 @@ def torchmetrics_ssim(predicted: np.ndarray, target: np.ndarray) -> tuple[float,
 # --- sliced Wasserstein distance ------------------------------------------------------------------------------------
 
 
-def laplacian_slowly(picture: np.ndarray) -> list[np.ndarray]:
+def laplacian_slowly(image: np.ndarray) -> list[np.ndarray]:
     """(H, W, 3) uint8 -> the Laplacian pyramid of Karras et al., (3, L, L) float64 each: whole convolutions."""
     side = (LEVELS[0], LEVELS[0])
     colours = [
-        Image.fromarray(picture[..., c].astype(np.float32)).resize(side, Image.Resampling.BILINEAR) for c in range(3)
+        Image.fromarray(image[..., c].astype(np.float32)).resize(side, Image.Resampling.BILINEAR) for c in range(3)
     ]
     pyramid = [np.stack([np.asarray(colour, dtype=np.float64) for colour in colours])]
     for _ in LEVELS[1:]:
@@ -62,12 +62,12 @@ def laplacian_slowly(picture: np.ndarray) -> list[np.ndarray]:
     return pyramid
 
 
-def patches_slowly(picture: np.ndarray, places: np.ndarray) -> list[np.ndarray]:
-    """Per level (PATCHES, 3, 7, 7) of a picture, one patch at a time."""
+def patches_slowly(image: np.ndarray, places: np.ndarray) -> list[np.ndarray]:
+    """Per level (PATCHES, 3, 7, 7) of a image, one patch at a time."""
     reach = PATCH // 2
     return [
         np.stack([level[:, i - reach : i + reach + 1, j - reach : j + reach + 1] for i, j in middles])
-        for level, middles in zip(laplacian_slowly(picture), places, strict=True)
+        for level, middles in zip(laplacian_slowly(image), places, strict=True)
     ]
 
 
@@ -76,7 +76,7 @@ def swd_slowly(predicted: dict[str, np.ndarray], target: dict[str, np.ndarray], 
     sides = []
     for side, images in (("predicted", predicted), ("target", target)):
         cut = [patches_slowly(image, draw_places(seed, name, side)) for name, image in images.items()]
-        sides.append([np.concatenate([of_picture[level] for of_picture in cut]) for level in range(len(LEVELS))])
+        sides.append([np.concatenate([of_image[level] for of_image in cut]) for level in range(len(LEVELS))])
     levels = {}
     for number, level in enumerate(LEVELS):
         normal = []

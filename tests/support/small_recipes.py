@@ -16,6 +16,7 @@ from unittest import mock
 import torch
 from torch import Tensor
 
+from lidar2pano.train.options import CameraColourOptions
 from lidar2pano.train.recipe import Recipe, override
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.views import VIEWS
@@ -52,8 +53,8 @@ def small(name: str, *further: str) -> Recipe:
         for role, network in recipe.networks.items()
     }
     recipe = replace(recipe, networks=networks)
-    if "size" in recipe.options:
-        recipe = replace(recipe, options={**recipe.options, "size": SIZE})
+    if isinstance(recipe.options, CameraColourOptions):
+        recipe = replace(recipe, options=replace(recipe.options, size=SIZE))
     for assignment in [*PLAIN, *further]:
         recipe = override(recipe, assignment)
     return recipe

@@ -16,10 +16,20 @@ from torch import Tensor, nn
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.models import MODELS
 from lidar2pano.train.checkpoint import load_checkpoint
+from lidar2pano.train.options import TaskOptions
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, override
-from lidar2pano.train.task import TASKS, build_networks
+from lidar2pano.train.task import build_networks
+from lidar2pano.train.tasks import TASKS
 
 SIZE = 6
+
+
+class ToyOptions(TaskOptions):
+    task = "toy"
+
+
+class ToyGanOptions(TaskOptions):
+    task = "toy-gan"
 
 
 class Sample(NamedTuple):
@@ -112,23 +122,21 @@ class Gan(Denoise):
 def toy_recipe(task: str, **training: Any) -> Recipe:
     """A recipe of a toy task: 12 steps of 4 pictures."""
     settings = {"steps": 12, "batch": 4, "workers": 0, "precision": "32-true", "ema": 0.9} | training
-    adam = Optimizer(kind="adam", rate=1e-2, warmup=3, clip=1.0)
+    adam = Optimizer(algorithm="adam", rate=1e-2, warmup=3, clip=1.0)
     generator = Network(model="toy", settings={"outputs": 3, "norm": True, "dropout": 0.1}, optimizer=adam)
     networks = {"generator": generator}
     if task == "toy-gan":
         networks["critic"] = replace(generator, settings={"outputs": 1, "norm": False, "dropout": 0.0})
-    return Recipe(name=task, task=task, view="hdl64e", networks=networks, training=Training(**settings))
+    options = ToyGanOptions() if task == "toy-gan" else ToyOptions()
+    return Recipe(name=task, view="hdl64e", networks=networks, options=options, training=Training(**settings))
 
 
 def entries() -> list[tuple[dict, str, Any]]:
     """(table, name, value) that make the toys known to the package by name."""
-    here = sys.modules[__name__]
-    names = {"toy": "toy:Denoise", "toy-gan": "toy:Gan"}
-    modules = ("lidar2pano.train.toy",)
     return [
         (MODELS, "toy", ToyNetwork),
-        *((TASKS, name, where) for name, where in names.items()),
-        *((sys.modules, name, here) for name in modules),
+        (TASKS, "toy", Denoise),
+        (TASKS, "toy-gan", Gan),
     ]
 
 

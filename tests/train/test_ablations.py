@@ -13,10 +13,10 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate
 from torch.utils.data import default_collate
 
-from lidar2pano.data.frames import SampleIndex
-from lidar2pano.data.front_view import FrontViewDataset, SampleParts
-from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import project_to_camera
+from lidar2pano.data.front_view import FrontViewDataset, SampleParts
+from lidar2pano.data.frames import SampleIndex
+from lidar2pano.errors import InputError
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.models import build
 from lidar2pano.models.card import load
@@ -25,8 +25,10 @@ from lidar2pano.train.checkpoint import load_checkpoint
 from lidar2pano.train.engine import train
 from lidar2pano.train.recipe import resolved
 from lidar2pano.train.recipes import recipe_named
-from lidar2pano.train.task import Task, build_task
+from lidar2pano.train.task import Task
+from lidar2pano.train.tasks import build_task
 from lidar2pano.views import VIEWS
+from miniature import SIZE as CAMERA
 from miniature import write_data_set
 from small_recipes import FRONT, alike, small, without_chance
 
@@ -118,37 +120,37 @@ def test_depths_are_bounded_and_coded_by_their_logarithm(level, depth_m):
 
 def test_front_samples_carry_what_is_wanted_and_nothing_else(root):
     plain = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE)[0]
-    assert plain.camera_labels.shape == SIZE and not plain.image.numel() and not plain.depth_m.numel()
-    whole = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(image=True, depth=True))[0]
+    assert plain.camera.shape == SIZE and not plain.colour.numel() and not plain.depth_m.numel()
+    whole = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(colour=True, depth=True))[0]
     assert all(torch.equal(getattr(plain, name), getattr(whole, name)) for name in ("lidar", "segments", "camera"))
-    assert whole.image.shape == (3, *SIZE) and whole.depth_m.shape == SIZE
+    assert whole.colour.shape == (3, *SIZE) and whole.depth_m.shape == SIZE
     bare = FrontViewDataset(
-        root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(labels=False, image=True, depth=True)
+        root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(classes=False, colour=True, depth=True)
     )[0]
-    assert not bare.segments.numel() and not bare.camera_labels.numel()
-    assert torch.equal(bare.image, whole.image) and torch.equal(bare.depth_m, whole.depth_m)
+    assert not bare.segments.numel() and not bare.camera.numel()
+    assert torch.equal(bare.colour, whole.colour) and torch.equal(bare.depth_m, whole.depth_m)
 
 
 def test_colours_and_depths_lie_where_the_classes_are(root):
-    samples = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(image=True, depth=True))
+    samples = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(colour=True, depth=True))
     sample, road = samples[0], 7
-    grey = (sample.image[0] - sample.image[2]).abs() < 0.1
+    grey = (sample.colour[0] - sample.colour[2]).abs() < 0.1
     inner = slice(8, -8)  # the left edge is unsure, and edges are mixed
-    assert (grey == (sample.camera_labels == road))[:, inner].float().mean() > 0.9
+    assert (grey == (sample.camera == road))[:, inner].float().mean() > 0.9
     frame = samples.frames[0]
-    assert torch.equal(sample.depth_m, project_to_camera(frame.scan, frame.calibration, SIZE)[1])
+    assert torch.equal(sample.depth_m, project_to_camera(frame.scan(), frame.calibration(CAMERA), SIZE)[1])
     assert 0.02 < (sample.depth_m > 0).float().mean() < 0.6
 
 
 def test_both_sides_of_a_front_sample_are_mirrored_together(root):
-    samples = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(image=True, depth=True))
+    samples = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(colour=True, depth=True))
     plain, seen = samples[0], set()
     for seed in range(12):
         drawn = samples[SampleIndex(0, seed)]
-        flip = torch.equal(drawn.camera_labels, plain.camera_labels.flip(-1))
-        assert flip or torch.equal(drawn.camera_labels, plain.camera_labels)
+        flip = torch.equal(drawn.camera, plain.camera.flip(-1))
+        assert flip or torch.equal(drawn.camera, plain.camera)
         assert torch.equal(drawn.depth_m, plain.depth_m.flip(-1) if flip else plain.depth_m)
-        assert torch.equal(drawn.image, plain.image.flip(-1) if flip else plain.image)
+        assert torch.equal(drawn.colour, plain.colour.flip(-1) if flip else plain.colour)
         mine = drawn.segments.flip(-1) if flip else drawn.segments
         there = mine > 0  # points may have been dropped, and some lie on the edge of a pixel
         assert (mine == plain.segments)[there].float().mean() > 0.9
@@ -199,13 +201,13 @@ def test_ablations_move_critic_and_generator_in_turn(root, name):
         loss.backward()
         assert all(weight.grad is not None for weight in task.networks[who].parameters())
         if who != "critic":
-            guide = float(task.logs.get("guide", 0.0))
-            assert loss.item() == pytest.approx(float(task.logs["adversarial"]) + guide, rel=1e-4, abs=1e-6)
+            auxiliary = float(task.logs.get("auxiliary", 0.0))
+            assert loss.item() == pytest.approx(float(task.logs["adversarial"]) + auxiliary, rel=1e-4, abs=1e-6)
     assert order == ["critic", task.released[0]]
-    assert ("guide" in task.logs) == (name != "titan-no-lovasz-mini")
+    assert ("auxiliary" in task.logs) == (name != "titan-no-lovasz-mini")
 
 
-def test_without_lovasz_classes_of_the_guide_do_not_matter(root):
+def test_without_lovasz_the_camera_s_classes_do_not_matter(root):
     losses = {}
     for name in ("titan-mini", "titan-no-lovasz-mini"):
         with without_chance():
@@ -216,14 +218,14 @@ def test_without_lovasz_classes_of_the_guide_do_not_matter(root):
     assert critic == 0 and translator > 500  # a thousand times Lovasz of an untrained network
 
 
-def test_without_segments_the_guide_is_the_squared_error(root):
+def test_without_segments_the_auxiliary_loss_is_the_squared_error(root):
     task = build_task(small("titan-no-segments-mini", "options.mse=3"), root)
     batch = batch_of(task)
     with without_chance():
         fake = task.networks["renderer"](batch.lidar).detach()
         list(task.updates(batch))
-    assert float(task.logs["guide"]) == pytest.approx(3 * (fake - batch.image).square().mean().item(), rel=1e-4)
-    assert fake.shape == batch.image.shape and fake.abs().max() <= 1
+    assert float(task.logs["auxiliary"]) == pytest.approx(3 * (fake - batch.colour).square().mean().item(), rel=1e-4)
+    assert fake.shape == batch.colour.shape and fake.abs().max() <= 1
 
 
 def test_without_range_only_segments_are_translated(root):
@@ -235,8 +237,8 @@ def test_without_range_only_segments_are_translated(root):
     assert torch.equal(ids, task.predict(moved[0])) and not torch.equal(ids, task.predict(moved[1]))
 
 
-def test_titan_next_is_guided_where_depth_was_measured(root):
-    weights = {"lovasz": 2.0, "entropy": 3.0, "depth": 5.0}
+def test_titan_next_s_auxiliary_losses_count_where_depth_was_measured(root):
+    weights = {"lovasz": 2.0, "cross_entropy": 3.0, "depth": 5.0}
     task = build_task(small("titan-next-mini", *(f"options.{name}={value}" for name, value in weights.items())), root)
     batch, order = batch_of(task), []
     with without_chance():
@@ -249,14 +251,14 @@ def test_titan_next_is_guided_where_depth_was_measured(root):
         logits, depth_m = task.networks["translator"](batch.lidar, one_hot(batch.segments))
     shares, measured = logits.softmax(1), batch.depth_m > 0
     expected = {
-        "lovasz": lovasz_softmax(shares, batch.camera_labels, ignore=0),
-        "entropy": nn.functional.cross_entropy(logits, batch.camera_labels, ignore_index=0),
+        "lovasz": lovasz_softmax(shares, batch.camera, ignore=0),
+        "cross_entropy": nn.functional.cross_entropy(logits, batch.camera, ignore_index=0),
         "depth": (depth_code(depth_m) - depth_code(batch.depth_m)).abs()[measured].mean(),
     }
     assert order == ["critic", "translator"] and 0 < measured.float().mean() < 1
     for part, value in expected.items():
         assert float(task.logs[part]) == pytest.approx(value.item(), rel=1e-4), part
-    assert float(task.logs["guide"]) == pytest.approx(
+    assert float(task.logs["auxiliary"]) == pytest.approx(
         sum(weights[part] * value.item() for part, value in expected.items()), rel=1e-4
     )
 
@@ -269,7 +271,7 @@ def test_titan_next_scores_classes_and_depths(root):
     task = build_task(small("titan-next-mini"), root)
     task.networks["translator"].eval()
     truth = {sample.name: sample for sample in map(task.validation.__getitem__, range(2))}
-    task.both = lambda sample: (truth[sample.name].camera, 1.25 * truth[sample.name].depth_m)
+    task.predict_both = lambda sample: (truth[sample.name].camera, 1.25 * truth[sample.name].depth_m)
     assert task.validate() == {"score": 1.0, "miou": 1.0, "accuracy": 1.0, "depth_abs_rel": pytest.approx(0.25)}
     pictures = task.preview()
     assert pictures["segments"].shape == pictures["depth"].shape == (4 * 68, 100, 3)

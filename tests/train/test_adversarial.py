@@ -33,8 +33,8 @@ def weights_and_gradients(*networks: nn.Module) -> list[Tensor | None]:
 def test_losses_are_the_papers(toys):
     generator, critic, z, real, condition = toys
     logs = {}
-    guide = lambda fake: 5 * fake.mean()  # noqa: E731
-    updates = wasserstein_updates(lambda: generator(z), critic, real, condition, 7.0, guide, 0.25, logs)
+    auxiliary = lambda fake: 5 * fake.mean()  # noqa: E731
+    updates = wasserstein_updates(lambda: generator(z), critic, real, condition, 7.0, auxiliary, 0.25, logs)
     fake = generator(z)
     distance = (critic(real, condition).mean() - critic(fake, condition).mean()).item()
     penalty = gradient_penalty(lambda image: critic(image, condition), real, fake, epsilon=0.25).item()
@@ -52,7 +52,7 @@ def test_losses_are_the_papers(toys):
     assert name == "generator"
     assert loss.item() == pytest.approx(adversarial + 5 * fake.mean().item(), rel=1e-5)
     assert logs["adversarial"].item() == pytest.approx(adversarial, rel=1e-5)
-    assert logs["guide"].item() == pytest.approx(5 * fake.mean().item(), rel=1e-5)
+    assert logs["auxiliary"].item() == pytest.approx(5 * fake.mean().item(), rel=1e-5)
     assert not any(part.requires_grad for part in logs.values())
     assert next(updates, None) is None
 

@@ -22,14 +22,19 @@ from torch.utils.data import default_collate
 
 from lidar2pano.errors import InputError
 from lidar2pano.models.card import load
-from lidar2pano.train.checkpoint import load_checkpoint
-from lidar2pano.train.draws import Places, seed_step
+from lidar2pano.train.checkpoint import load_checkpoint, save_checkpoint
 from lidar2pano.train.engine import train
+from lidar2pano.train.options import TaskOptions
 from lidar2pano.train.recipe import Recipe, override, resolved
+from lidar2pano.train.sampling import BatchSampler, seed_step
 from toy_training import Denoise, Gan, entries, gap, left, toy_recipe
 
 PLAIN = ("networks.generator.settings.norm=false", "networks.generator.settings.dropout=0")
 PROGRAM = Path(__file__).parents[1] / "support" / "toy_training.py"
+
+
+class MistypedOptions(TaskOptions):
+    task = "toi"
 
 
 @pytest.fixture(autouse=True)
@@ -119,7 +124,7 @@ def test_steps_are_those_done_by_hand(tmp_path):
     rules = recipe.networks["generator"].optimizer
     adams = {name: torch.optim.Adam(net.parameters(), lr=0.0, betas=rules.betas) for name, net in task.networks.items()}
     average = {name: value.clone() for name, value in task.networks["generator"].state_dict().items()}
-    for step, draws in enumerate(islice(Places(len(task.dataset), 0, recipe.training), 5)):
+    for step, draws in enumerate(islice(BatchSampler(len(task.dataset), 0, recipe.training), 5)):
         for name, loss in task.updates(default_collate([task.dataset[draw] for draw in draws])):
             for group in adams[name].param_groups:
                 group["lr"] = 1e-2 * min(1, (step + 1) / 3) * (1 + math.cos(math.pi * step / 5)) / 2
@@ -158,7 +163,7 @@ def test_updates_must_agree_over_micro_batches(tmp_path, monkeypatch):
         yield ("generator" if self.calls % 2 else "critic"), self.networks["generator"](batch.noisy).mean()
 
     monkeypatch.setattr(Gan, "updates", moody)
-    with pytest.raises(RuntimeError, match="'generator' for one micro-batch and 'critic'"):
+    with pytest.raises(RuntimeError, match="'generator' for one micro-batch and 'critic' next"):
         run(toy_recipe("toy-gan", accumulate=2), tmp_path)
 
 
@@ -258,6 +263,7 @@ def test_a_loss_that_is_not_finite_leaves_the_last_checkpoint(tmp_path, monkeypa
         yield "generator", loss * (float("nan") if self.calls > 8 else 1.0)
 
     monkeypatch.setattr(Denoise, "updates", breaks)
+    monkeypatch.setattr("lidar2pano.train.engine.SAVING_SHARE", 1.0)  # a checkpoint after every step
     with pytest.raises(FloatingPointError, match="generator is not finite near step 9; the last checkpoint is sound"):
         run(toy_recipe("toy", checkpoint_minutes=1e-9), tmp_path)
     step, tensors = left(tmp_path)
@@ -267,7 +273,7 @@ def test_a_loss_that_is_not_finite_leaves_the_last_checkpoint(tmp_path, monkeypa
 def test_networks_of_task_and_recipe_must_agree(tmp_path, monkeypatch):
     recipe = toy_recipe("toy")
     with pytest.raises(InputError, match="no task 'toi'.*'toy'"):
-        run(replace(recipe, task="toi"), tmp_path)
+        run(replace(recipe, options=MistypedOptions()), tmp_path)
     monkeypatch.setattr(Denoise, "__init__", lambda self, recipe, root: setattr(self, "networks", {"painter": None}))
     with pytest.raises(InputError, match="trains painter; the recipe has generator"):
         run(recipe, tmp_path)
@@ -277,7 +283,7 @@ def test_networks_of_task_and_recipe_must_agree(tmp_path, monkeypatch):
     ("settings", "message"),
     [
         ({"device": "gpu"}, "no device 'gpu'"),
-        ({"devices": 3}, "batch=4 cannot be shared by 3 devices.*multiple of 3"),
+        ({"devices": 3}, "batch=4 cannot be divided among 3 devices.*multiple of 3"),
     ],
 )
 def test_devices_that_cannot_be(tmp_path, settings, message):
@@ -289,3 +295,71 @@ def test_a_launcher_with_another_count_is_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("WORLD_SIZE", "4")
     with pytest.raises(InputError, match="started 4 processes"):
         run(toy_recipe("toy"), tmp_path)
+
+
+def test_weights_that_diverge_are_not_released(tmp_path, monkeypatch):
+    recipe = override(toy_recipe("toy", validate_minutes=1e-9, steps=3), "networks.generator.optimizer.rate=1e30")
+    recipe = override(override(recipe, "networks.generator.optimizer.clip=0"), "networks.generator.optimizer.warmup=0")
+    with pytest.raises(FloatingPointError, match="is not finite .* step [123]; the last checkpoint is sound"):
+        run(recipe, tmp_path)
+
+
+def test_a_recipe_that_took_no_step_binds_nobody(tmp_path, monkeypatch):
+    monkeypatch.setattr(Denoise, "before_step", refuse)
+    with pytest.raises(InputError, match="columns"):
+        run(toy_recipe("toy", steps=2), tmp_path)
+    assert (tmp_path / "recipe.json").exists()
+    monkeypatch.setattr(Denoise, "before_step", None)
+    run(toy_recipe("toy", steps=1), tmp_path)
+    assert left(tmp_path)[0] == 1
+
+
+def refuse(_):
+    raise InputError("options.columns cannot be used")
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(Denoise, "__init__", lambda *_: pytest.fail("the task was made"))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="file is a file; name a folder"):
+        run(toy_recipe("toy"), tmp_path / "file")
+    with pytest.raises(InputError, match="cannot be written"):
+        run(toy_recipe("toy"), tmp_path / "file" / "run")
+
+
+@pytest.mark.parametrize("change", ["absent", "shape", "optimizer"])
+def test_a_checkpoint_of_other_networks_is_refused(tmp_path, change):
+    recipe = toy_recipe("toy", steps=2)
+    run(recipe, tmp_path)
+    progress, weights, optimizers = load_checkpoint(tmp_path)
+    key = "network/generator/layers.0.weight"
+    if change == "absent":
+        del weights[key]
+    elif change == "shape":
+        weights[key] = weights[key][:1]
+    else:
+        optimizers = {"generator": {"state": 3}}
+    save_checkpoint(tmp_path, progress, weights, optimizers)
+    with pytest.raises(InputError, match="does not fit the recipe's networks .*; remove it to start again") as refusal:
+        run(toy_recipe("toy", steps=3), tmp_path)
+    assert "\n" not in str(refusal.value)
+
+
+def test_long_validations_leave_their_pause(tmp_path, monkeypatch):
+    """A validation that takes longer than validate_minutes is not due again right after it."""
+    seconds = [0.0]
+
+    def slow(self):
+        seconds[0] += 100.0
+        steps.append(self.calls)
+        return {"score": 0.0}
+
+    def a_second(_):
+        seconds[0] += 1.0
+
+    steps: list[int] = []
+    monkeypatch.setattr("lidar2pano.train.engine.clock", lambda used: lambda: used + seconds[0])
+    monkeypatch.setattr(Denoise, "validate", slow)
+    monkeypatch.setattr(Denoise, "before_step", a_second)
+    run(toy_recipe("toy", steps=12, validate_minutes=5 / 60), tmp_path)
+    assert steps == [5, 10, 12]

@@ -5,23 +5,38 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import pytest
 
 from lidar2pano.errors import InputError
 from lidar2pano.models import MODELS
+from lidar2pano.train.device import check_shares
+from lidar2pano.train.options import TaskOptions
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, override, resolved
 from lidar2pano.train.recipes import RECIPES, recipe_named
-from lidar2pano.train.task import TASKS
+from lidar2pano.train.tasks import TASKS
 from lidar2pano.views import VIEWS
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleOptions(TaskOptions):
+    task = "sample"
+    SIZES = ("columns",)
+    lovasz: float = 1.0
+    range: bool = True
+    columns: int = 256
+    mode: Literal["one", "two"] = "one"
+    drop_probability: float = 0.5
+    segmenter: str = ""
+
 
 SAMPLE = Recipe(
     name="sample",
-    task="painting",
     view="panorama",
     networks={"painter": Network(model="painter", settings={"classes": 16, "widths": (32, 80, 144)})},
-    options={"lovasz": 1.0, "range": True, "columns": 256, "segmenter": ""},
+    options=SampleOptions(),
 )
 
 
@@ -36,7 +51,7 @@ SAMPLE = Recipe(
         ("data.train=train, labelled", ("train", "labelled")),
         ("networks.painter.optimizer.rate=1e-4", 1e-4),
         ("networks.painter.optimizer.betas=0.5,0.9", (0.5, 0.9)),
-        ("networks.painter.optimizer.betas=(0, 1)", (0.0, 1.0)),
+        ("networks.painter.optimizer.betas=(0, 0.5)", (0.0, 0.5)),
         ("networks.painter.settings.classes=20", 20),
         ("networks.painter.settings.widths=[8,16]", (8, 16)),
         ("networks.painter.start=a=b.safetensors", "a=b.safetensors"),
@@ -87,8 +102,20 @@ def test_override_sets_one_value_of_the_right_type(assignment, value):
         ("training.batch", "is not of the form name=value"),
         ("=8", "is not of the form name=value"),
         ("training.batch=0", "must be at least 1"),
-        ("training.accumulate=3", "batch=8 cannot be taken in accumulate=3 equal turns"),
-        ("training.ema=1", "training.ema=1.0 must be at least 0 and below 1"),
+        ("training.ema=1", "training.ema=1.0 must be below 1"),
+        ("training.seed=-1", "training.seed=-1 must be at least 0"),
+        ("training.checkpoint_minutes=-1", "training.checkpoint_minutes=-1 must be at least 0"),
+        ("training.batch=1000000000", "training.batch=1000000000 must be at most 65536"),
+        ("training.steps=" + 400 * "9", "training.steps wants a whole number, not '9999"),
+        ("view=panorma", "no view 'panorma'; did you mean 'panorama'?"),
+        ("scale=0", "recipe.scale=0 must be at least 0.001"),
+        ("data.train=", "data.train and data.val must name at least one split each"),
+        ("networks.painter.optimizer.rate=-1", "optimizer.rate=-1 must be at least 0"),
+        ("networks.painter.optimizer.betas=0.5,1", "optimizer.betas=(0.5, 1.0) must be below 1"),
+        ("options.lovasz=-1", "options.lovasz=-1 must be at least 0"),
+        ("options.columns=0", "options.columns=0 must be at least 1"),
+        ("options.drop_probability=1.5", "options.drop_probability=1.5 must be at most 1"),
+        ("options.mode=tow", "options.mode cannot be 'tow'; did you mean 'two'?"),
     ],
 )
 def test_override_refuses_with_one_line_that_helps(assignment, message):
@@ -102,6 +129,28 @@ def test_override_leaves_the_recipe_as_it_was():
     override(SAMPLE, "networks.painter.settings.classes=3")
     override(SAMPLE, "options.lovasz=3")
     assert resolved(SAMPLE) == before
+
+
+@pytest.mark.parametrize("first", ["batch", "accumulate"])
+def test_batch_and_accumulate_are_compared_when_both_are_set(first):
+    recipe = recipe_named("titan")  # 10 in 10 micro-batches
+    for name in (first, {"batch": "accumulate", "accumulate": "batch"}[first]):
+        recipe = override(recipe, f"training.{name}=2")
+    check_shares(recipe.training, 1)
+
+
+@pytest.mark.parametrize(
+    ("batch", "accumulate", "processes", "hint"),
+    [
+        (10, 10, 2, "set training.accumulate=5, or make it a multiple of 20"),
+        (8, 3, 1, "set training.accumulate=1, or make it a multiple of 3"),
+        (9, 3, 2, "micro-batches; make it a multiple of 6"),
+    ],
+)
+def test_a_batch_that_cannot_be_divided_is_refused_with_what_can(batch, accumulate, processes, hint):
+    with pytest.raises(InputError) as refusal:
+        check_shares(Training(batch=batch, accumulate=accumulate), processes)
+    assert str(refusal.value).endswith(hint)
 
 
 @pytest.mark.parametrize("name", RECIPES)

@@ -15,7 +15,7 @@ from lidar2pano.models.families import weight_files
 from lidar2pano.train.engine import train
 from lidar2pano.train.recipe import Recipe, override
 from lidar2pano.train.recipes import recipe_named
-from lidar2pano.train.task import build_task
+from lidar2pano.train.tasks import build_task
 from miniature import write_data_set
 
 ONE_STEP = ["training.steps=1", "training.batch=2", "training.workers=0", "training.precision=32-true"]
@@ -23,7 +23,7 @@ SMALL = {
     "salsanext-mini": ["options.columns=64", "data.train=train"],
     "titan-pano-mini": ["scale=0.125", "options.columns=160"],
     "titan-mini": [],
-    "painter-mini": ["scale=0.125", "options.columns=64", "options.jitter=15"],
+    "painter-mini": ["scale=0.125", "options.columns=64", "options.shift_px=15"],
 }
 SETTINGS = {
     "translator": {
@@ -109,7 +109,7 @@ def test_titan_net_moves_critic_and_translator_in_turn(root):
         loss.backward()
         assert all(weight.grad is not None for weight in task.networks[who].parameters())
     assert order == ["critic", "translator"]
-    assert task.logs["guide"] > 0
+    assert task.logs["auxiliary"] > 0
     task.networks["translator"].eval()
     assert 0 <= task.validate()["score"] <= 1
     assert task.preview()["segments"].shape == (4 * 92, 160, 3)
@@ -122,17 +122,17 @@ def test_painted_pixels_that_no_camera_saw_teach_nothing(root, runs, augment):
             "painter-mini",
             f"options.segmenter={runs / 'segmenter/weights/segmenter.safetensors'}",
             f"options.translator={runs / 'translator/weights/translator.safetensors'}",
-            f"options.augment={augment}",
+            f"options.augment_probability={augment}",
         ),
         root,
     )
     batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
-    changed = batch._replace(image=torch.where(batch.valid[:, None], batch.image, torch.rand_like(batch.image)))
+    changed = batch._replace(colour=torch.where(batch.seen[:, None], batch.colour, torch.rand_like(batch.colour)))
     losses = []
     for each in (batch, changed):
         torch.manual_seed(0)
         for network in task.networks.values():
             network.eval()
         losses.append([loss.item() for _, loss in task.updates(each)])
-    assert not batch.valid.all()
+    assert not batch.seen.all()
     assert losses[0] == pytest.approx(losses[1], rel=1e-5)

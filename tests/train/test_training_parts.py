@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import random
 import shutil
+import signal
 from dataclasses import replace
 from itertools import islice
 
@@ -15,32 +17,32 @@ from torch import nn
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, save
-from lidar2pano.train.checkpoint import Progress, load_checkpoint, save_checkpoint
-from lidar2pano.train.clock import every
-from lidar2pano.train.draws import Places, draw_at, seed_step
-from lidar2pano.train.optimisation import Average, averaged, clip, learning_rate, make_optimizer
-from lidar2pano.train.placement import arithmetic
+from lidar2pano.train.checkpoint import Progress, commit, load_checkpoint, make_card, save_checkpoint, trained_on
+from lidar2pano.train.clock import Timer
+from lidar2pano.train.device import choose_precision
+from lidar2pano.train.optimisation import EMA, averaged, clip, learning_rate, make_optimizer
+from lidar2pano.train.options import PaintingOptions
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training
-from lidar2pano.train.release import commit, make_card, trained_on
+from lidar2pano.train.sampling import BatchSampler, batches, evenly_spaced, sample_at, seed_step
 from lidar2pano.train.task import build_networks
 
 
-def test_every_epoch_draws_each_sample_once_in_another_order():
-    epochs = [[draw_at(5, 11 * epoch + place, 11) for place in range(11)] for epoch in range(3)]
+def test_every_epoch_has_each_sample_once_in_another_order():
+    epochs = [[sample_at(5, 11 * epoch + place, 11) for place in range(11)] for epoch in range(3)]
     orders = [[draw.index for draw in epoch] for epoch in epochs]
     assert all(sorted(order) == list(range(11)) for order in orders)
     assert orders[0] != orders[1] != orders[2]
     assert len({draw.seed for epoch in epochs for draw in epoch}) == 33
-    assert [draw_at(5, place, 11) for place in range(11)] == epochs[0]
-    assert [draw_at(6, place, 11).index for place in range(11)] != orders[0]
+    assert [sample_at(5, place, 11) for place in range(11)] == epochs[0]
+    assert [sample_at(6, place, 11).index for place in range(11)] != orders[0]
 
 
 def test_draws_start_at_the_step_and_are_shared_out():
     training = Training(batch=12, accumulate=3)
-    whole = list(islice(Places(100, 0, training), 9))
+    whole = list(islice(BatchSampler(100, 0, training), 9))
     assert [len(turn) for turn in whole] == [4] * 9
-    assert list(islice(Places(100, 2, training), 3)) == whole[6:]
-    shares = [list(islice(Places(100, 1, training, rank, 2), 3)) for rank in range(2)]
+    assert list(islice(BatchSampler(100, 2, training), 3)) == whole[6:]
+    shares = [list(islice(BatchSampler(100, 1, training, rank, 2), 3)) for rank in range(2)]
     assert [len(turn) for share in shares for turn in share] == [2] * 6
     drawn = sorted(draw for share in shares for turn in share for draw in turn)
     assert drawn == sorted(draw for turn in whole[3:6] for draw in turn)
@@ -76,11 +78,11 @@ def test_learning_rate(settings, step, progress, rate):
 def test_optimisers_are_what_the_recipe_says():
     network = nn.Linear(2, 1)
     network.bias.requires_grad_(False)
-    settings = Optimizer(kind="adam", rate=0.5, betas=(0.1, 0.2), weight_decay=0.3)
+    settings = Optimizer(algorithm="adam", rate=0.5, betas=(0.1, 0.2), weight_decay=0.3)
     group = (made := make_optimizer(settings, network)).param_groups[0]
     assert type(made) is torch.optim.Adam and len(group["params"]) == 1
     assert (group["lr"], group["betas"], group["weight_decay"]) == (0.5, (0.1, 0.2), 0.3)
-    assert type(make_optimizer(replace(settings, kind="adamw"), network)) is torch.optim.AdamW
+    assert type(make_optimizer(replace(settings, algorithm="adamw"), network)) is torch.optim.AdamW
 
 
 @pytest.mark.parametrize(("largest", "norm"), [(0.0, 5.0), (1.0, 1.0), (9.0, 5.0)])
@@ -93,7 +95,7 @@ def test_clip(largest, norm):
 
 def test_average_follows_its_formula_and_copies_statistics():
     network = nn.BatchNorm1d(1)
-    average = Average(network, decay=0.5)
+    average = EMA(network, decay=0.5)
     for step, value in enumerate([1.0, 2.0, 4.0]):
         with torch.no_grad():
             network.weight.fill_(value)
@@ -116,7 +118,7 @@ def test_average_follows_its_formula_and_copies_statistics():
 def test_inside_averaged_the_network_carries_its_average_and_comes_back_exactly():
     network = nn.Sequential(nn.Linear(3, 3), nn.Dropout(0.5), nn.BatchNorm1d(3))
     network[2].eval()  # frozen statistics stay frozen
-    average = Average(network, decay=0.9)
+    average = EMA(network, decay=0.9)
     with torch.no_grad():
         network[0].weight.mul_(1 / 3)
     before = {name: value.clone() for name, value in network.state_dict().items()}
@@ -129,12 +131,20 @@ def test_inside_averaged_the_network_carries_its_average_and_comes_back_exactly(
     assert (network.training, network[1].training, network[2].training) == (True, True, False)
 
 
-def test_every_counts_from_the_last_time():
-    due = every(0.5, 100.0)
-    assert [due(seconds) for seconds in (100, 129, 130, 131, 159, 170, 199, 200)] == [
-        False, False, True, False, False, True, False, True,
-    ]  # fmt: skip
-    assert not every(0.0, 0.0)(1e9)
+def test_a_timer_counts_from_the_end_of_the_last_time():
+    timer = Timer(0.5, 100.0)
+    assert [timer.due(seconds) for seconds in (100, 129, 130, 131)] == [False, False, True, True]
+    timer.done(131, 231)  # it took longer than its pause
+    assert [timer.due(seconds) for seconds in (231, 260, 261)] == [False, False, True]
+    assert not Timer(0.0, 0.0).due(1e9)
+
+
+def test_a_timer_keeps_to_its_share_of_the_time():
+    timer = Timer(0.5, 0.0, share=0.05)
+    timer.done(30, 31)  # a twentieth of 20 seconds: the pause of 30 is enough
+    assert not timer.due(60) and timer.due(61)
+    timer.done(61, 71)  # ten seconds: a twentieth of 200
+    assert not timer.due(260) and timer.due(261)
 
 
 def checkpoint(run, step, value=1.0):
@@ -160,6 +170,83 @@ def test_the_newest_whole_checkpoint_counts(tmp_path):
     assert load_checkpoint(tmp_path)[0].step == 10
 
 
+@pytest.mark.parametrize(
+    "state",
+    [
+        '{"step": "4"}',
+        '{"step": -1}',
+        '{"seconds": NaN}',
+        '{"seconds": "x"}',
+        '{"best": []}',
+        '{"more": 1}',
+        "[]",
+        "[" * 9999,
+    ],
+)
+def test_a_state_that_no_run_writes_is_refused(tmp_path, state):
+    (checkpoint(tmp_path, 3) / "state.json").write_text(state)
+    with pytest.raises(InputError, match="000000003 is damaged .*; remove it to start again"):
+        load_checkpoint(tmp_path)
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), RuntimeError("PytorchStreamWriter failed")])
+def test_a_full_disk_is_one_line_and_leaves_the_last_checkpoint(tmp_path, monkeypatch, error):
+    checkpoint(tmp_path, 1)
+
+    def refuse(*_):
+        raise error
+
+    monkeypatch.setattr(torch, "save", refuse)
+    with pytest.raises(InputError, match=r"000000002.part: cannot be written \((No space left|Pytorch)"):
+        checkpoint(tmp_path, 2)
+    assert load_checkpoint(tmp_path)[0].step == 1
+
+
+def test_settings_that_no_network_can_have_are_refused():
+    recipe = small_critic(width=-1)
+    with pytest.raises(InputError, match="networks.critic.settings: patch-critic cannot be built with them"):
+        build_networks(recipe)
+
+
+@pytest.mark.parametrize(("count", "most"), [(3, 500), (500, 500), (20_000, 500), (1, 20), (7, 3)])
+def test_a_sample_of_frames_is_evenly_spaced(count, most):
+    found = evenly_spaced(count, most)
+    assert len(found) == len(set(found)) == min(count, most)
+    assert (found[0], found[-1]) == (0, count - 1)
+    assert found == list(range(count)) or np.ptp(np.diff(found)) <= 1
+
+
+class Broken:
+    """A data set whose every sample is the user's mistake."""
+
+    def __len__(self):
+        return 4
+
+    def __getitem__(self, index):
+        raise InputError("sequences/00/labels/000003.label: is missing; complete the data")
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_mistake_in_a_loader_worker_is_its_one_line(workers):
+    found = batches(Broken(), BatchSampler(4, 0, Training(batch=2)), workers, pinned=False)
+    with pytest.raises(InputError) as refusal:
+        next(found)
+    assert str(refusal.value) == "sequences/00/labels/000003.label: is missing; complete the data"
+
+
+class Killer(Broken):
+    """A data set that kills the process that reads it."""
+
+    def __getitem__(self, index):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_killed_loader_worker_is_one_line():
+    found = batches(Killer(), BatchSampler(4, 0, Training(batch=2)), 1, pinned=False)
+    with pytest.raises(InputError, match="samples was killed.*; repeat the command to go on"):
+        next(found)
+
+
 def test_weights_that_are_not_finite_are_not_kept(tmp_path):
     checkpoint(tmp_path, 1)
     with pytest.raises(FloatingPointError, match="network/a/w is not finite after step 2"):
@@ -171,7 +258,7 @@ def test_weights_that_are_not_finite_are_not_kept(tmp_path):
 @pytest.mark.parametrize("content", [b"", b"{", b"\x80\x02garbage"])
 def test_a_damaged_checkpoint_is_named(tmp_path, name, content):
     (checkpoint(tmp_path, 3) / name).write_bytes(content)
-    with pytest.raises(InputError, match="000000003 is damaged .*; remove it to start anew"):
+    with pytest.raises(InputError, match="000000003 is damaged .*; remove it to start again"):
         load_checkpoint(tmp_path)
 
 
@@ -188,7 +275,7 @@ def test_a_checkpoint_executes_nothing(tmp_path):
 
 def small_critic(start="", width=4):
     spec = Network(model="patch-critic", settings={"channels": 3, "width": width, "layers": 1}, start=str(start))
-    return Recipe(name="r", task="painting", view="panorama", networks={"critic": spec})
+    return Recipe(name="r", view="panorama", networks={"critic": spec}, options=PaintingOptions())
 
 
 def test_networks_start_fresh_or_from_a_weight_file(tmp_path):
@@ -225,6 +312,6 @@ def test_a_card_says_what_task_and_run_know():
 
 @pytest.mark.parametrize(("has", "precision"), [(True, "bf16-mixed"), (False, "32-true")])
 def test_bfloat16_only_where_the_device_has_it(monkeypatch, has, precision):
-    monkeypatch.setattr("lidar2pano.train.placement.has_bfloat16", lambda device: has)
-    assert arithmetic(Training(precision="bf16-mixed"), "cpu") == precision
-    assert arithmetic(Training(precision="32-true"), "cpu") == "32-true"
+    monkeypatch.setattr("lidar2pano.train.device.has_bfloat16", lambda device: has)
+    assert choose_precision(Training(precision="bf16-mixed"), torch.device("cpu")) == precision
+    assert choose_precision(Training(precision="32-true"), torch.device("cpu")) == "32-true"

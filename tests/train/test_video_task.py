@@ -37,19 +37,20 @@ from lidar2pano.train.checkpoint import load_checkpoint
 from lidar2pano.train.engine import train
 from lidar2pano.train.recipe import Network, Recipe, override
 from lidar2pano.train.recipes import recipe_named
-from lidar2pano.train.task import build_task
-from lidar2pano.train.video import VideoPainting, layers
+from lidar2pano.train.tasks import build_task
+from lidar2pano.train.video import VideoPainting, one_hot_clip
 from miniature_video import write_film
 
 LENGTH = 7
+NEVER_BLANK = "options.no_previous_probability=0"
 PAINTER = {"channels": 16, "widths": (8,), "downsamplings": 2, "blocks": (2, 1), "foreground": (1,)}
 SMALL = [
     "scale=1.0",
     "data.train=train",
-    f"options.frames={LENGTH}",
+    f"options.clip_length={LENGTH}",
     "options.rows=32",
     "options.columns=48",
-    "options.stills=",
+    "options.single_frame_splits=",
     "training.steps=1",
     "training.batch=1",
     "training.workers=0",
@@ -155,7 +156,7 @@ def test_warped_distances_look_where_the_flow_points():
     assert past.grad is None or not past.grad.any()
     known[0, 3, 4], known[0, 3, 8] = 0, 1
     around = (before[0, :, 2, 1] - now[0, :, 3, 8]).abs().sum() / before.numel()
-    assert coherence_loss(now, before, flow.detach(), known, closed=True).item() == pytest.approx(
+    assert coherence_loss(now, before, flow.detach(), known, circular=True).item() == pytest.approx(
         around.item(), rel=1e-4
     )
 
@@ -201,7 +202,7 @@ def test_every_frame_moves_critics_and_then_the_painter(root):
     early = ["critic", "painter"]
     films = ["critic", "temporal_1", "painter"]
     assert order == early * 2 + films * 2 + ["critic", "temporal_1", "temporal_2", "painter"]
-    assert set(task.logs) == {"flow", "coherence", "mask", "pixels", "adversarial", "features"}
+    assert set(task.logs) == {"flow", "coherence", "mask", "pixels", "adversarial", "feature_matching"}
     assert all(isinstance(value, Tensor) and value.isfinite() for value in task.logs.values())
 
 
@@ -213,25 +214,25 @@ def seen_by(network: nn.Module) -> list[tuple[Tensor, ...]]:
 
 
 def test_the_painter_sees_its_own_last_pictures(root):
-    task = made(root, "options.blank=0")
+    task = made(root, NEVER_BLANK)
     batch = a_batch(task)
     calls = seen_by(task.networks["painter"])
     for _ in task.updates(batch):
         pass
     assert len(calls) == LENGTH - 2
-    one_hot = layers(batch)
+    one_hot = one_hot_clip(batch)
     assert one_hot.shape == (2, LENGTH, 16, 32, 48)
-    assert torch.equal(one_hot.argmax(2), batch.labels) and torch.equal(one_hot.sum(2), torch.ones(2, LENGTH, 32, 48))
+    assert torch.equal(one_hot.argmax(2), batch.classes) and torch.equal(one_hot.sum(2), torch.ones(2, LENGTH, 32, 48))
     for number, (labels, previous, *_) in enumerate(calls):
         assert torch.equal(labels, one_hot[:, number : number + 3])
         assert not previous.requires_grad, "no gradient goes back in time"
-    assert torch.equal(calls[0][1], batch.image[:, :2])
-    assert torch.equal(calls[1][1], torch.stack([batch.image[:, 1], calls[0][2].detach()], 1))
+    assert torch.equal(calls[0][1], batch.colour[:, :2])
+    assert torch.equal(calls[1][1], torch.stack([batch.colour[:, 1], calls[0][2].detach()], 1))
     assert torch.equal(calls[4][1], torch.stack([calls[2][2], calls[3][2]], 1))
 
 
 def test_blank_clips_begin_from_nothing_and_are_painted_anew(root):
-    task = made(root, "options.blank=1")
+    task = made(root, "options.no_previous_probability=1")
     batch = a_batch(task)
     calls = seen_by(task.networks["painter"])
     for _ in task.updates(batch):
@@ -241,49 +242,56 @@ def test_blank_clips_begin_from_nothing_and_are_painted_anew(root):
     assert torch.equal(calls[1][1], torch.stack([torch.zeros_like(raw), raw], 1)), "as published with --no_first_img"
     assert torch.equal(calls[2][1], torch.stack([raw, calls[1][2]], 1)), "the second is a picture like any other"
     first = torch.tensor([True, False])
-    frame = task.frame(batch, layers(batch), batch.image[:, :2], 2, first)
-    assert not frame.remembered[0].any() and torch.equal(frame.remembered[1], batch.known[1, 2])
-    assert torch.equal(frame.painted[0], frame.raw[0]) and not torch.equal(frame.painted[1], frame.raw[1])
+    frame = task.frame(batch, one_hot_clip(batch), batch.colour[:, :2], 2, first)
+    assert not frame.coherent[0].any() and torch.equal(frame.coherent[1], batch.known[1, 2])
+    assert torch.equal(frame.fake[0], frame.raw[0]) and not torch.equal(frame.fake[1], frame.raw[1])
     assert torch.equal(frame.flow.known, batch.known[:, 2]), "the flow is asked for all the same"
 
 
 def test_losses_weigh_what_the_recipe_says(root):
-    task = made(root, "options.flow=3", "options.coherence=5", "options.mask=0", "options.pixels=7", "options.blank=0")
+    task = made(
+        root,
+        "options.flow=3",
+        "options.coherence=5",
+        "options.mask=0",
+        "options.pixels=7",
+        NEVER_BLANK,
+    )
     batch = a_batch(task, 1)
-    frame = task.frame(batch, layers(batch), batch.image[:, :2], 2, torch.tensor([False]))
-    losses = task.critics.from_truth(frame)
+    frame = task.frame(batch, one_hot_clip(batch), batch.colour[:, :2], 2, torch.tensor([False]))
+    losses = task.losses.reconstruction(frame)
     shift, known = batch.shift[:, 2], batch.known[:, 2]
-    flow = flow_loss(frame.moved, shift, known)
-    flow += warping_loss(frame.moved, batch.image[:, 1], batch.image[:, 2], known)
+    flow = flow_loss(frame.fake_flow, shift, known)
+    flow += warping_loss(frame.fake_flow, batch.colour[:, 1], batch.colour[:, 2], known)
     slow = {
         "flow": 3 * flow,
-        "coherence": 5 * coherence_loss(frame.painted, batch.image[:, 1], shift, known),
-        "pixels": 7 * sum((picture - batch.image[:, 2]).abs().mean() for picture in (frame.painted, frame.raw)),
+        "coherence": 5 * coherence_loss(frame.fake, batch.colour[:, 1], shift, known),
+        "pixels": 7 * sum((picture - batch.colour[:, 2]).abs().mean() for picture in (frame.fake, frame.raw)),
     }
     assert {name: loss.item() for name, loss in losses.items()} == pytest.approx({k: v.item() for k, v in slow.items()})
 
-    again = task.frame(batch, layers(batch), batch.image[:, :2], 2, torch.tensor([True]))
-    task.critics.share["mask"] = 1.0
-    first = task.critics.from_truth(again)
+    again = task.frame(batch, one_hot_clip(batch), batch.colour[:, :2], 2, torch.tensor([True]))
+    task.losses.options = replace(task.losses.options, mask=1.0)
+    first = task.losses.reconstruction(again)
     assert first["coherence"] == 0 == first["mask"], "there was no picture before it"
     assert first["flow"] > 0
 
 
 def test_critics_judge_the_picture_and_what_is_painted_anew(root):
-    task = made(root, "options.blank=0", "options.features=2")
+    task = made(root, NEVER_BLANK, "options.feature_matching=2")
     batch = a_batch(task, 1)
-    frame = task.frame(batch, layers(batch), batch.image[:, :2], 2, torch.tensor([False]))
+    frame = task.frame(batch, one_hot_clip(batch), batch.colour[:, :2], 2, torch.tensor([False]))
     critic = task.networks["critic"]
     real, *fakes = (
-        critic(torch.cat([layers(batch)[:, 2], picture], 1))
-        for picture in (batch.image[:, 2], frame.painted, frame.raw)
+        critic(torch.cat([one_hot_clip(batch)[:, 2], picture], 1))
+        for picture in (batch.colour[:, 2], frame.fake, frame.raw)
     )
-    turns = task.critics.updates(frame, {})
+    turns = task.losses.updates(frame, {})
     who, loss = next(turns)
     assert who == "critic"
     assert loss.item() == pytest.approx(sum(least_squares_critic(real, fake).item() for fake in fakes), rel=1e-4)
     who, loss = next(turns)
-    slow = sum(value.item() for value in task.critics.from_truth(frame).values())
+    slow = sum(value.item() for value in task.losses.reconstruction(frame).values())
     slow += sum((least_squares_generator(fake) + 2 * matched_features(real, fake)).item() for fake in fakes)
     assert who == "painter" and loss.item() == pytest.approx(slow, rel=1e-4)
 
@@ -291,28 +299,28 @@ def test_critics_judge_the_picture_and_what_is_painted_anew(root):
 def test_films_are_three_pictures_and_the_flows_between_them(root):
     task = made(root)
     batch = a_batch(task)
-    painted = [torch.full_like(batch.image[:, 0], number) for number in range(5)]  # frames 2 to 6
-    film = task.film(batch, painted, 2)
-    assert film.true.shape == film.painted.shape == (2, 13, 32, 48)
-    assert [film.painted[:, 3 * k].mean().item() for k in range(3)] == [0, 2, 4]
-    assert torch.equal(film.true[:, :9], torch.cat([batch.image[:, now] for now in (2, 4, 6)], 1))
-    assert torch.equal(film.true[:, 9:], film.painted[:, 9:])
+    painted = [torch.full_like(batch.colour[:, 0], number) for number in range(5)]  # frames 2 to 6
+    film = task.temporal(batch, painted, 2)
+    assert film.real.shape == film.fake.shape == (2, 13, 32, 48)
+    assert [film.fake[:, 3 * k].mean().item() for k in range(3)] == [0, 2, 4]
+    assert torch.equal(film.real[:, :9], torch.cat([batch.colour[:, now] for now in (2, 4, 6)], 1))
+    assert torch.equal(film.real[:, 9:], film.fake[:, 9:])
     for place, now in ((9, 4), (11, 6)):
-        shift = film.true[:, place : place + 2] * 20
+        shift = film.real[:, place : place + 2] * 20
         near = warp(batch.shift[:, now - 1], batch.shift[:, now])
         both = (shift != 0).any(1, keepdim=True)
         assert both.float().mean() > 0.5
         assert torch.allclose(shift * both, (batch.shift[:, now] + near) * both, atol=1e-4)
     known = torch.ones_like(batch.known)
     apart = torch.arange(LENGTH).float()[None, :, None, None, None].expand_as(batch.shift)
-    uniform = task.film(batch._replace(shift=apart, known=known), painted, 2).true[0, :, 4, 4] * 20
+    uniform = task.temporal(batch._replace(shift=apart, known=known), painted, 2).real[0, :, 4, 4] * 20
     assert uniform[9:].tolist() == pytest.approx([3 + 4, 3 + 4, 5 + 6, 5 + 6]), "frame 4 to 2, then 6 to 4"
-    near = task.film(batch, painted, 1)
-    assert torch.allclose(near.true[:, 9:] * 20, torch.cat([batch.shift[:, 5], batch.shift[:, 6]], 1), atol=1e-5)
+    near = task.temporal(batch, painted, 1)
+    assert torch.allclose(near.real[:, 9:] * 20, torch.cat([batch.shift[:, 5], batch.shift[:, 6]], 1), atol=1e-5)
 
 
 def test_the_loss_falls(root):
-    task = made(root, "options.blank=0.5", "options.flow=1")
+    task = made(root, "options.no_previous_probability=0.5", "options.flow=1")
     batch = a_batch(task, 1)
     adams = {name: torch.optim.Adam(net.parameters(), 2e-3, (0.5, 0.999)) for name, net in task.networks.items()}
     seen = []
@@ -336,53 +344,59 @@ def test_films_begin_as_the_pipeline_s_do(root, tmp_path, monkeypatch):
     save(tmp_path / "single", single, card, torch.float32)
     save(tmp_path / "other", single, replace(card, labels="cityscapes"), torch.float32)
     with pytest.raises(InputError, match="it reads cityscapes classes, not common-15"):
-        made(root, f"options.single={tmp_path / 'other'}")
-    for further in ((), (f"options.single={tmp_path / 'single'}",)):
+        made(root, f"options.first_frame_weights={tmp_path / 'other'}")
+    for further in ((), (f"options.first_frame_weights={tmp_path / 'single'}",)):
         task = made(root, *further)
         network = task.networks["painter"].eval()
         clip = task.validation[0]
-        pictures, flows = task.follow(clip)
+        pictures, flows = task.paint(clip)
         assert pictures.shape == (LENGTH, 3, 32, 48) and flows.shape == (LENGTH, 2, 32, 48)
-        painter = Vid2VidPainter(network, task.single, closed=False).eval()
+        painter = Vid2VidPainter(network, task.first, closed=False).eval()
         past = None
-        for ids, picture in zip(clip.labels, pictures, strict=True):
+        for ids, picture in zip(clip.classes, pictures, strict=True):
             with torch.inference_mode():
                 past, theirs = painter.follow(past, ids)
             assert torch.allclose(theirs, picture, atol=1e-4)
-    given = made(root, "options.blank=0")
+    given = made(root, NEVER_BLANK)
     given.networks["painter"].eval()
-    assert torch.equal(given.follow(clip)[0][:2], clip.image[:2])
+    assert torch.equal(given.paint(clip)[0][:2], clip.colour[:2])
 
 
 def test_scores_say_how_far_and_how_restless(root, monkeypatch):
     task = all_around(root)
     clip = task.validation[0]
-    assert task.flicker(clip.image, clip) < 0.002, "the seam is no edge"
-    assert task.flicker(torch.rand_like(clip.image) * 2 - 1, clip) > 0.1
-    monkeypatch.setattr(task, "follow", lambda clip: (clip.image, clip.shift))
+    assert task.flicker(clip.colour, clip) < 0.002, "the seam is no edge"
+    assert task.flicker(torch.rand_like(clip.colour) * 2 - 1, clip) > 0.1
+    monkeypatch.setattr(task, "paint", lambda clip: (clip.colour, clip.shift))
     truth = task.validate()
-    assert truth["broad_colour"] == 0 == truth["flow_px"] and truth["flicker"] == truth["flicker_of_truth"]
+    assert truth["pooled_colour"] == 0 == truth["flow_px"] and truth["flicker"] == truth["flicker_of_real"]
     off = torch.tensor([3.0, 4.0])[:, None, None]
-    monkeypatch.setattr(task, "follow", lambda clip: (clip.image + 0.5, clip.shift + off))
+    monkeypatch.setattr(task, "paint", lambda clip: (clip.colour + 0.5, clip.shift + off))
     found = task.validate()
-    assert found["broad_colour"] == pytest.approx(0.25, abs=1e-4) and found["flow_px"] == pytest.approx(5, abs=1e-4)
-    monkeypatch.setattr(task, "follow", lambda clip: (torch.rand_like(clip.image), clip.shift))
+    assert found["pooled_colour"] == pytest.approx(0.25, abs=1e-4) and found["flow_px"] == pytest.approx(5, abs=1e-4)
+    monkeypatch.setattr(task, "paint", lambda clip: (torch.rand_like(clip.colour), clip.shift))
     noise = task.validate()
-    assert noise["flicker"] > 0.1 and noise["score"] == pytest.approx(-noise["broad_colour"] - noise["flicker"])
+    assert noise["flicker"] > 0.1 and noise["score"] == pytest.approx(-noise["pooled_colour"] - noise["flicker"])
 
 
 def test_a_run_releases_a_painter_that_says_what_it_is(root, tmp_path):
-    train(small("options.blank=0.5"), root, tmp_path, device="cpu")
+    train(small("options.no_previous_probability=0.5"), root, tmp_path, device="cpu")
     network, card = load(tmp_path / "weights/painter.safetensors", expect="vid2vid")
     assert card.labels == "common-15" and card.settings["batch_statistics"] is True
     assert card.views["panorama"]["columns"] == 4608 and card.score["split"] == "val"
-    assert {"broad_colour", "flicker", "flow_px"} <= set(card.score)
-    assert [path.name for path in (tmp_path / "preview").iterdir()] == ["0000001-film.png"]
+    assert {"pooled_colour", "flicker", "flow_px"} <= set(card.score)
+    assert [path.name for path in (tmp_path / "preview").iterdir()] == ["0000001-video.png"]
     Vid2VidPainter(network, closed=False).follow(None, torch.zeros(32, 48, dtype=torch.uint8))
 
 
 def all_around(root) -> VideoPainting:
-    changes = ["options.field=panorama", "scale=0.25", "options.rows=96", "options.columns=1152", "options.frames=5"]
+    changes = [
+        "options.source=panorama",
+        "scale=0.25",
+        "options.rows=96",
+        "options.columns=1152",
+        "options.clip_length=5",
+    ]
     recipe = small(*changes)
     recipe = replace(recipe, networks={role: one for role, one in recipe.networks.items() if role != "temporal_2"})
     task = build_task(recipe, root)
@@ -393,20 +407,23 @@ def all_around(root) -> VideoPainting:
 def test_the_panorama_is_painted_all_around(root):
     task = all_around(root)
     clip = task.dataset[0]
-    assert clip.image.shape == (5, 3, 96, 1152) and task.framing.circular and clip.known[1:].all()
+    assert clip.colour.shape == (5, 3, 96, 1152) and task.framing.closed and clip.known[1:].all()
     assert task.card("painter")["views"]["panorama"]["columns"] == 1152
-    film = task.film(default_collate([clip]), [clip.image[None, now] for now in (2, 3, 4)], 1)
-    assert torch.equal(film.true, film.painted)
+    film = task.temporal(default_collate([clip]), [clip.colour[None, now] for now in (2, 3, 4)], 1)
+    assert torch.equal(film.real, film.fake)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("options.field=camra", "no options.field 'camra'; did you mean 'camera'"),
-        ("options.frames=6", "temporal_2: of 4 painted frames no three are 2 apart; set options.frames to 7 or more"),
-        ("options.frames=8", "no 8 frames of split train follow each other"),
-        ("options.single=nowhere", "no weight file nowhere"),
-        ("options.vgg=nowhere", "nowhere holds no weights of VGG-19"),
+        ("options.source=camra", "options.source cannot be 'camra'; did you mean 'camera'"),
+        (
+            "options.clip_length=6",
+            "of 4 painted frames no three are 2 apart; set options.clip_length to 7 or more",
+        ),
+        ("options.clip_length=8", "no 8 frames of split train follow each other"),
+        ("options.first_frame_weights=nowhere", "no weight file nowhere"),
+        ("options.vgg_weights=nowhere", "nowhere holds no weights of VGG-19"),
     ],
 )
 def test_what_cannot_be_is_named(root, change, message):
@@ -424,7 +441,13 @@ def test_temporal_critics_are_named_by_their_step(root):
 @pytest.mark.usefixtures("one_thread")
 def test_two_processes_equal_one_that_takes_two_turns(root, tmp_path):
     """Batch norms see one clip at a time either way; their running statistics are each process's own."""
-    changes = [*SMALL, "options.frames=5", "options.blank=1", "training.batch=2", "training.ema=0"]
+    changes = [
+        *SMALL,
+        "options.clip_length=5",
+        "options.no_previous_probability=1",
+        "training.batch=2",
+        "training.ema=0",
+    ]
     changes += [f"networks.painter.settings.{name}" for name in ("widths=4", "downsamplings=2", "blocks=1,1")]
     changes += [f"networks.{role}.settings.width=4" for role in ("critic", "temporal_1")]
     recipe = recipe_named("vid2vid-mini")

@@ -1,4 +1,4 @@
-"""How long the street world takes: to build a piece of it, a scan, a frame with everything, many frames at once."""
+"""Timings of the street world: building a scene, a scan, a whole frame, many frames in parallel."""
 
 from __future__ import annotations
 
@@ -9,33 +9,33 @@ from pathlib import Path
 from statistics import median
 
 from lidar2pano.bench.timings import Row
-from lidar2pano.simulate.production import produce
-from lidar2pano.simulate.record import Recording
-from lidar2pano.simulate.settings import Settings
+from lidar2pano.simulate.dataset.generation import generate
+from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
+from lidar2pano.simulate.dataset.settings import WorldSettings
 
 SEED, PLACE = 5, "residential"
 AIMS = {"scan": "< 150", "frame": "< 4000 on two cores"}
 
 
 def measure_world(runs: int, processes: int) -> list[Row]:
-    """Time one street: its build, `runs` scans and whole frames in this process, and frames over `processes`.
+    """Time one street: its scene, `runs` scans and whole frames in this process, and frames by `processes`.
 
-    A frame is an HDL-64E scan with labels, the 1242 x 375 camera and the 384 x 4608 panorama with their classes and
+    A frame is an HDL-64E scan with labels, the 1242 x 375 camera image and the 384 x 4608 panorama with labels and
     depth, written to files. Raises InputError without embreex.
     """
-    settings = Settings(seed=SEED, frames=max(runs + 1, 10 * processes), place=PLACE)
+    settings = WorldSettings(seed=SEED, frames=max(runs + 1, 10 * processes), place=PLACE)
     with tempfile.TemporaryDirectory() as folder:
-        recording = Recording(Path(folder) / "one", settings, 0)
-        build = _times(recording.scene, 1)
-        scans = _times(recording.scan, runs + 1)[1:]
-        whole = _times(recording.write, runs + 1)[1:]  # the first one makes the textures
+        writer = SequenceWriter(Path(folder) / "one", settings, 0)
+        build = _times(writer.scene, 1)
+        scans = _times(writer.scan, runs + 1)[1:]
+        whole = _times(writer.write, runs + 1)[1:]  # the first one makes the textures
         rows = [
             _row("world: build a piece of a town", build),
             _row("world: scan with labels", scans, AIMS["scan"]),
             _row("world: whole frame, one process", whole),
         ]
         begin = time.perf_counter()
-        frames = sum(produce(Path(folder) / "many", settings, 1, processes))
+        frames = sum(generate(Path(folder) / "many", settings, 1, processes))
         each = (time.perf_counter() - begin) * 1e3 / frames
         what = f"world: whole frame, {processes} processes, {frames} frames, start and build included"
         return [*rows, _row(what, [each], AIMS["frame"])]

@@ -1,11 +1,11 @@
-"""The program, and the one place where what went wrong becomes a line on stderr and an exit code."""
+"""The program, and the one place where an exception becomes a line on stderr and an exit code."""
 
 from __future__ import annotations
 
 import os
 import sys
 from collections.abc import Iterable, Sequence
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer.main import get_command
@@ -13,8 +13,11 @@ from typer.main import get_command
 from lidar2pano import __version__
 from lidar2pano.errors import InputError
 
-MISTAKE, BROKEN, INTERRUPTED = 2, 1, 130  # exit codes: the user can mend it; the run is lost; Ctrl-C
-FATES = {InputError: MISTAKE, FloatingPointError: BROKEN, KeyboardInterrupt: INTERRUPTED}
+if TYPE_CHECKING:
+    from lidar2pano.models.card import Card
+
+MISTAKE, BROKEN, INTERRUPTED = 2, 1, 130  # exit codes: a user's mistake; the run is lost; Ctrl-C
+EXIT_CODES = {InputError: MISTAKE, FloatingPointError: BROKEN, KeyboardInterrupt: INTERRUPTED}
 # module -> extra of the package that installs it
 EXTRAS = {"lightning": "train", "torchmetrics": "train", "tensorboard": "train", "matplotlib": "train"}
 
@@ -40,14 +43,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = get_command(app)
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        # not command.main(): that one has answers of its own to Ctrl-C and to a closed pipe
+        # not command.main(), which handles Ctrl-C and a closed pipe in its own way
         with command.make_context("lidar2pano", words) as context:
             command.invoke(context)
         sys.stdout.flush()
     except typer.Exit as leave:
         return leave.exit_code
     except (Exception, KeyboardInterrupt) as error:
-        code, line = judged(error)
+        code, line = exit_status(error)
         if not code:
             raise
         if line:
@@ -56,33 +59,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def judged(error: BaseException) -> tuple[int, str]:
-    """The exit code and the line that an error deserves; (0, "") for a bug, which keeps its traceback."""
-    for kind, code in FATES.items():
-        if isinstance(error, kind):
+def exit_status(error: BaseException) -> tuple[int, str]:
+    """Exit code and line on stderr for an exception; (0, "") for a bug, which keeps its traceback."""
+    for category, code in EXIT_CODES.items():
+        if isinstance(error, category):
             return code, str(error) or "interrupted"
     if isinstance(error, ModuleNotFoundError) and (extra := EXTRAS.get(_missing(error))):
         return MISTAKE, f"this command needs {_missing(error)}: pip install 'lidar2pano[{extra}]'"
-    if isinstance(error, BrokenPipeError):  # whoever read our output has seen enough, e.g. `| head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left to be flushed at exit goes there
+    if isinstance(error, BrokenPipeError):  # the reader of our output has closed it, e.g. `| head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the flush at exit goes there
         return BROKEN, ""
-    if spoken := getattr(error, "format_message", None):  # typer's own complaint about arguments
-        return MISTAKE, f"{spoken().rstrip('.')}; see lidar2pano --help"
+    if message := getattr(error, "format_message", None):  # typer's own complaint about arguments
+        return MISTAKE, f"{message().rstrip('.')}; see lidar2pano --help"
     return 0, ""
 
 
 def _missing(error: ModuleNotFoundError) -> str:
-    """The top module that was not found; our own messages say "training needs MODULE: ..."."""
+    """The top module that was not found; our own messages read "training needs MODULE: ..."."""
     return (error.name or str(error).partition(" needs ")[2].partition(":")[0]).partition(".")[0]
 
 
-def note_licences(weights: Iterable[str]) -> None:
-    """One line on stderr for each licence that restricts the use of these weights (names as `translate` takes them)."""
-    from lidar2pano.models.families import licence_note, weight_files
+def note_licence(cards: Iterable[Card]) -> None:
+    """One line on stderr where a licence restricts the use of the weights that have these cards."""
+    from lidar2pano.models.families import licence_note
 
-    for note in dict.fromkeys(licence_note(weight_files(name)) for name in weights):
-        if note:
-            complain(note)
+    if note := licence_note(cards):
+        complain(note)
 
 
 def complain(problem: object) -> None:

@@ -1,95 +1,78 @@
-"""Many scans through one pipeline: what each file is called, what is said about it, and what happens to bad ones."""
+"""Many scans through one pipeline: the names of their outputs, the summary of each, and what happens to bad ones."""
 
 from __future__ import annotations
 
 import json
 import re
-import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import torch
+
 from lidar2pano.calibration import Calibration, read_calib
-from lidar2pano.cli.app import MISTAKE, complain, note_licences
-from lidar2pano.cli.files import check_folder
+from lidar2pano.cli.app import MISTAKE, complain, note_licence
 from lidar2pano.cli.progress import bar
 from lidar2pano.data.poses import Poses
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.scan_files import read, scan_files
-from lidar2pano.hardware import keep_buffers, pick_device
-from lidar2pano.models.families import weight_files
-from lidar2pano.panorama import WHAT, Panorama
-from lidar2pano.pipeline import Memory, Pipeline, load
-from lidar2pano.scan import Scan
-from lidar2pano.views import sensor_view
+from lidar2pano.hardware import Timer, keep_buffers
+from lidar2pano.memory import Memory
+from lidar2pano.panorama import OUTPUTS
+from lidar2pano.pipeline import Pipeline, load
 
 KITTI_SIZE = "1242x375"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wish:
-    """What the user wants of every scan; `Wish.of` makes it from the options and refuses what cannot be."""
+class Options:
+    """What the user asked of every scan, checked.
+
+    weights  the name that was given;  files: the weight files by role that it stands for.
+    sensor   name in VIEWS of the scans' rows, "" for the weights' own.
+    smooth   whether a folder's panoramas are temporally smoothed.
+    """
 
     out: Path
     save: tuple[str, ...]
     weights: str
-    device: str
-    sensor: str
-    calibration: Calibration | None
-    as_json: bool
-    steady: bool = False
-
-    @classmethod
-    def of(
-        cls,
-        *,
-        out: Path,
-        save: str,
-        weights: str,
-        device: str,
-        sensor: str = "",
-        calib: Path | None = None,
-        image_size: str = "",
-        as_json: bool = False,
-    ) -> Wish:
-        """Check everything that can be checked before the first scan is read; InputError says what is wrong."""
-        check_folder(out, "--out")
-        if image_size and calib is None:
-            raise InputError(f"--image-size {image_size} is the size of a camera's image; name its --calib too")
-        size = parse_size(image_size or KITTI_SIZE)
-        pick_device(device)
-        weight_files(weights)
-        if sensor:
-            sensor_view(sensor)
-        return cls(
-            out=out,
-            save=parse_save(save),
-            weights=weights,
-            device=device,
-            sensor=sensor,
-            calibration=read_calib(calib, size) if calib else None,
-            as_json=as_json,
-        )
+    files: Mapping[str, Path]
+    device: torch.device
+    sensor: str = ""
+    calibration: Calibration | None = None
+    as_json: bool = False
+    smooth: bool = False
 
     def pipeline(self) -> Pipeline:
-        """The pipeline that fulfils it."""
-        pipeline = load(self.weights, self.device)
+        """The pipeline with these weights, for this sensor and camera; says when the weights' licence is restricted."""
+        keep_buffers()
+        pipeline = load(self.files, self.device)
+        note_licence(pipeline.cards.values())
         if self.sensor:
             pipeline = pipeline.for_sensor(self.sensor)
         return pipeline.at(self.calibration) if self.calibration else pipeline
 
 
+def parse_camera(calib: Path | None, image_size: str) -> Calibration | None:
+    """The camera of --calib with an image of --image-size."""
+    if image_size and calib is None:
+        raise InputError(f"--image-size {image_size} is the size of a camera's image; name its --calib too")
+    size = parse_size(image_size or KITTI_SIZE)
+    return read_calib(calib, size) if calib else None
+
+
 def parse_save(text: str) -> tuple[str, ...]:
-    """--save's list, in the order of WHAT."""
+    """--save's list, in the order of OUTPUTS."""
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
-        raise InputError(f"--save {text!r} names nothing; there is {', '.join(WHAT)} and all")
+        raise InputError(f"--save {text!r} names nothing; there is {', '.join(OUTPUTS)} and all")
     for name in names:
-        if name not in (*WHAT, "all"):
-            raise InputError(f"--save: nothing is called {name!r}{closest(name, (*WHAT, 'all'))}")
-    return WHAT if "all" in names else tuple(name for name in WHAT if name in names)
+        if name not in (*OUTPUTS, "all"):
+            raise InputError(f"--save: nothing is called {name!r}{closest(name, (*OUTPUTS, 'all'))}")
+    return OUTPUTS if "all" in names else tuple(name for name in OUTPUTS if name in names)
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -101,7 +84,7 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def stems(files: Sequence[Path]) -> dict[Path, str]:
-    """What the outputs of each file are called: its stem; where several share one, folders' names before it."""
+    """The name of each file's outputs: its stem; where several share one, with folders' names before it."""
     whole = {file: file.resolve().with_suffix("").parts[1:] for file in files}
     names = {file: file.stem for file in files}
     for depth in range(2, 2 + max((len(parts) for parts in whole.values()), default=0)):
@@ -120,7 +103,7 @@ def _telling(parts: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def gather(paths: Iterable[Path]) -> tuple[list[Path], bool]:
-    """Scan files that paths stand for, each once; and whether some path could not be used (said on stderr)."""
+    """Scan files that paths stand for, each once; and whether some path could not be used (reported on stderr)."""
     files: dict[Path, Path] = {}
     failed = False
     for path in paths:
@@ -133,101 +116,62 @@ def gather(paths: Iterable[Path]) -> tuple[list[Path], bool]:
     return list(files.values()), failed
 
 
-def translate_files(paths: Iterable[Path], wish: Wish) -> int:
+def translate_files(paths: Iterable[Path], options: Options) -> int:
     """Translate the scans that `paths` stand for and return the exit code: a bad scan is reported, the rest goes on.
 
-    Scans of one folder are one stream, steadied where that is wished. Weights are loaded when the first scan has been
-    read.
+    Scans of one folder are one stream. Weights are loaded when the first scan has been read.
     """
     files, failed = gather(paths)
     names = stems(files)
     if renamed := sum(names[file] != file.stem for file in files):
         complain(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
-    lazy = Lazy(wish)
+    pipeline: Pipeline | None = None
     memory, folder, poses = Memory(), None, None
     with bar(len(files), "translating") as advance:
         for file in files:
+            timer = Timer(options.device)
+            try:
+                with timer("read"):
+                    scan = replace(read(file), name=str(file))
+            except InputError as error:
+                complain(error)
+                failed = True
+                advance()
+                continue
+            pipeline = pipeline or options.pipeline()
             if file.parent != folder:
                 memory, folder = Memory(), file.parent
-                poses = Poses(folder) if wish.steady else None
+                poses = Poses(folder) if options.smooth else None
             try:
-                memory, record = one(lazy, memory, poses, file, names[file])
+                pose = _timed_pose(poses, file, scan, timer) if poses else None
+                memory, panorama = pipeline.step(memory, scan, pose, timer)
+                with timer("save"):
+                    outputs = panorama.save(options.out, options.save, options.calibration, names[file])
             except InputError as error:
-                if lazy.broken:
-                    raise
                 complain(error)
                 failed = True
             else:
-                print(json.dumps(record) if wish.as_json else spoken(record), flush=True)
+                record = {
+                    "input": str(file),
+                    "outputs": [str(path) for path in outputs],
+                    "points": len(scan),
+                    "dropped": panorama.dropped,
+                    "milliseconds": {stage: round(value, 2) for stage, value in timer.milliseconds.items()},
+                    "weights": options.weights,
+                    "device": str(options.device),
+                }
+                print(json.dumps(record) if options.as_json else summary(record), flush=True)
             advance()
     return MISTAKE if failed else 0
 
 
-class Lazy:
-    """The wished pipeline, loaded when it is first asked for.
-
-    broken  it was asked for and could not be had.
-    """
-
-    def __init__(self, wish: Wish) -> None:
-        self.wish = wish
-        self.broken = self.noted = False
-        self._held: Pipeline | None = None
-
-    def pipeline(self) -> Pipeline:
-        """The pipeline; raises InputError when the weights cannot be used."""
-        if self._held is None:
-            keep_buffers()
-            self.broken = True
-            self._held = self.wish.pipeline()
-            self.broken = False
-        return self._held
-
-    def note_licence(self) -> None:
-        """Say once, before the first picture is written, when the weights' licence restricts their use."""
-        if not self.noted:
-            note_licences([self.wish.weights])
-        self.noted = True
+def _timed_pose(poses: Poses, file: Path, scan: Scan, timer: Timer) -> np.ndarray:
+    with timer("pose"):
+        return poses.of(file, scan)
 
 
-def one(lazy: Lazy, memory: Memory, poses: Poses | None, file: Path, stem: str) -> tuple[Memory, dict[str, Any]]:
-    """Read, translate and save one scan: (the stream's memory, what there is to say about it)."""
-    wish, milliseconds = lazy.wish, {}
-    scan = timed(milliseconds, "read", lambda: replace(read(file), name=str(file)))
-    pipeline = lazy.pipeline()
-    pose = None if poses is None else timed(milliseconds, "pose", lambda: poses.of(file, scan))
-    memory, panorama = pipeline.step(memory, scan, pose)
-    milliseconds |= panorama.milliseconds
-    lazy.note_licence()
-    outputs = timed(milliseconds, "save", lambda: panorama.save(wish.out, wish.save, wish.calibration, stem))
-    return memory, record_of(file, outputs, scan, panorama, milliseconds, lazy)
-
-
-def record_of(
-    file: Path, outputs: list[Path], scan: Scan, panorama: Panorama, milliseconds: dict[str, float], lazy: Lazy
-) -> dict[str, Any]:
-    """What --json prints of one scan."""
-    return {
-        "input": str(file),
-        "outputs": [str(path) for path in outputs],
-        "points": len(scan),
-        "dropped": panorama.dropped,
-        "milliseconds": {stage: round(value, 2) for stage, value in milliseconds.items()},
-        "weights": lazy.wish.weights,
-        "device": str(lazy.pipeline().device),
-    }
-
-
-def timed(milliseconds: dict[str, float], stage: str, work: Callable[[], Any]) -> Any:  # noqa: ANN401
-    """What `work` returns; its time is entered under `stage`."""
-    begin = time.perf_counter()
-    result = work()
-    milliseconds[stage] = (time.perf_counter() - begin) * 1e3
-    return result
-
-
-def spoken(record: dict[str, Any]) -> str:
-    """What is printed of one scan for people."""
+def summary(record: dict[str, Any]) -> str:
+    """One scan's record as text."""
     stages = record["milliseconds"]
     times = ", ".join(f"{stage.replace('_', ' ')} {value:.0f}" for stage, value in stages.items())
     dropped = f", {record['dropped']} of them unusable" if record["dropped"] else ""

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from lidar2pano.cli.app import app, note_licences
+from lidar2pano.cli.app import app, note_licence
 
 
 @app.command()
@@ -26,6 +26,8 @@ def bench(
     from lidar2pano.bench import conditions, default_weights, measure, measure_world, table
     from lidar2pano.cli.files import check_file, write_json
     from lidar2pano.hardware import keep_buffers
+    from lidar2pano.models.card import read_card
+    from lidar2pano.models.families import weight_files
 
     if as_json:
         check_file(as_json, "--json")
@@ -36,7 +38,8 @@ def bench(
         name = weights or default_weights()
         rows = measure(runs, device, name)
         said = conditions(device, runs) | {"weights": name or "untrained", "buffers_kept": kept}
-        note_licences([name] if name else [])
+        if name:
+            note_licence(read_card(file) for file in weight_files(name).values())
     if as_json:
         write_json(as_json, said | {"rows": [row.as_dict() for row in rows]}, "--json")
     print(table(rows, said))

@@ -21,14 +21,14 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
         list[str],
         typer.Argument(
             metavar="WEIGHTS|RUN...",
-            help="Families, runs, weight files, or chains TRANSLATOR+PAINTER (truth+PAINTER: the true classes;"
-            " NAME+steady: films steadied by poses).",
+            help="Families, runs, weight files, or chains TRANSLATOR+PAINTER (oracle+PAINTER: ground-truth labels;"
+            " NAME+steady: video smoothed over time by poses).",
         ),
     ],
     data: Annotated[
         Path, typer.Option(metavar="ROOT", help="A data set: SemanticKITTI's layout, or surround cameras.")
     ],
-    split: Annotated[str, typer.Option(metavar="NAME", help="Which of its splits.")] = "val",
+    split: Annotated[str, typer.Option(metavar="NAME", help="One of its splits.")] = "val",
     metrics: Annotated[
         str,
         typer.Option(
@@ -36,7 +36,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
             help="Of points,classes,pictures,depth,seams,time,roll and camera,panorama; all but roll when not given.",
         ),
     ] = "",
-    sensor: Annotated[str, typer.Option(metavar="NAME", help="Sensor that scanned, e.g. pandar64.")] = "",
+    sensor: Annotated[str, typer.Option(metavar="NAME", help="Sensor of the scans, e.g. pandar64.")] = "",
     sdnet: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A camera segmenter: FSD, and re-segmentation mIoU.")
     ] = None,
@@ -46,18 +46,16 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     as_json: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Also write the scores as JSON.")
     ] = None,
-    as_csv: Annotated[
-        Path | None, typer.Option("--csv", metavar="FILE", help="Also write every figure as CSV.")
-    ] = None,
-    worst: Annotated[int, typer.Option(min=0, metavar="N", help="Also list the N worst frames, with pictures.")] = 0,
+    as_csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Also write every value as CSV.")] = None,
+    worst: Annotated[int, typer.Option(min=0, metavar="N", help="Also list the N worst frames, with images.")] = 0,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the worst frames.")] = Path("worst"),
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
 ) -> None:
-    """Score what is made from the scan alone against what cameras saw; print a table in Markdown."""
+    """Score predictions from the scan alone against camera images and labels; print a table in Markdown."""
     from lidar2pano.cli.files import check_file, check_folder
     from lidar2pano.cli.progress import bar
-    from lidar2pano.data.truths import truths
-    from lidar2pano.evaluate import Measures, score, system
+    from lidar2pano.data.frames import frames
+    from lidar2pano.evaluate import MetricConfig, score, system
     from lidar2pano.hardware import keep_buffers
 
     for path, option in ((as_json, "--json"), (as_csv, "--csv")):
@@ -66,19 +64,19 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     if worst:
         check_folder(out, "--out")
     keep_buffers()
-    found = truths(data, split)
-    measures = Measures.of(metrics, inception=inception, sdnet=sdnet, device=device)
+    scored = frames(data, split)
+    config = MetricConfig.parse(metrics, inception=inception, sdnet=sdnet, device=device)
     systems = [system(name, device=device, sensor=sensor) for name in dict.fromkeys(weights)]
-    with bar(len(found), f"evaluating {split}") as advance:
+    with bar(len(scored), f"evaluating {split}") as advance:
         name = data.resolve().name
-        evaluation = score(systems, found, data=name, split=split, measures=measures, worst=worst, after_each=advance)
+        evaluation = score(systems, scored, data=name, split=split, config=config, worst=worst, after_each=advance)
     write_files(evaluation, as_json, as_csv, out if worst else None)
     note_systems(systems)
     print(evaluation.table())
 
 
 def write_files(evaluation: Evaluation, as_json: Path | None, as_csv: Path | None, out: Path | None) -> None:
-    """Write what was asked for: every score, every figure, the worst frames."""
+    """Write the requested files: JSON, CSV, the worst frames."""
     from lidar2pano.cli.files import write_json
 
     if as_json:
@@ -92,23 +90,23 @@ def write_files(evaluation: Evaluation, as_json: Path | None, as_csv: Path | Non
 def write_worst(evaluation: Evaluation, out: Path) -> list[dict[str, object]]:
     """Write the sheets of the worst frames, a folder per system (1, 2, ...); return the list of them."""
     rows: list[dict[str, object]] = []
-    for number, one in enumerate(evaluation.contenders, 1):
+    for number, one in enumerate(evaluation.systems, 1):
         paths = one.worst.write(out / str(number))
-        for rank, ((frame, figure, value), path) in enumerate(zip(one.worst.rows(), paths, strict=True), 1):
+        for rank, ((frame, metric, value), path) in enumerate(zip(one.worst.rows(), paths, strict=True), 1):
             where = path.relative_to(out).as_posix() if path else ""
-            name = one.system.origin.name
+            name = one.system.info.name
             rows.append(
-                {"system": name, "rank": rank, "frame": frame, "figure": figure, "value": value, "picture": where}
+                {"system": name, "rank": rank, "frame": frame, "metric": metric, "value": value, "image": where}
             )
     return rows
 
 
 def write_csv(path: Path, rows: list[dict[str, object]], option: str) -> None:
-    """Write rows of one kind as CSV with a head, beside and then renamed; InputError where that cannot be done."""
+    """Write rows with the same keys as CSV, beside and then renamed; InputError where that fails."""
     import csv
     import io
 
-    from lidar2pano.formats.image_files import write_whole
+    from lidar2pano.formats.output_files import write_whole
 
     text = io.StringIO()
     writer = csv.DictWriter(text, rows[0] if rows else [], lineterminator="\n")
@@ -119,8 +117,9 @@ def write_csv(path: Path, rows: list[dict[str, object]], option: str) -> None:
 
 def note_systems(systems: Iterable[System]) -> None:
     """One line on stderr for each licence that restricts the use of these systems' weights."""
+    from lidar2pano.models.card import read_card
     from lidar2pano.models.families import licence_note
 
-    for note in dict.fromkeys(licence_note(dict(one.origin.files)) for one in systems):
+    for note in dict.fromkeys(licence_note(map(read_card, one.info.files.values())) for one in systems):
         if note:
             complain(note)

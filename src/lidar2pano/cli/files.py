@@ -1,4 +1,4 @@
-"""Files that commands write: where they may go, and JSON that is there completely or not at all."""
+"""Files that commands write: checks of where they may go, and JSON that is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 from lidar2pano.errors import InputError
 
 
-def check_folder(folder: Path, option: str) -> None:
-    """Raise InputError unless `folder` is, or can become, a folder to write into; nothing is made yet."""
+def check_folder(folder: Path, option: str) -> Path:
+    """Return `folder`; InputError unless it is, or can become, a folder to write into. Nothing is made yet."""
     above = folder
     while not above.exists() and above != above.parent:
         above = above.parent
@@ -19,6 +19,7 @@ def check_folder(folder: Path, option: str) -> None:
         raise InputError(f"{folder}: cannot be written ({above} is not a folder); choose another {option}")
     if not os.access(above, os.W_OK | os.X_OK):
         raise InputError(f"{folder}: cannot be written (no permission for {above}); choose another {option}")
+    return folder
 
 
 def check_file(path: Path, option: str) -> None:
@@ -30,7 +31,7 @@ def check_file(path: Path, option: str) -> None:
 
 def write_json(path: Path, value: Any, option: str) -> None:  # noqa: ANN401
     """Write `value` as JSON, beside and then renamed; InputError where that cannot be done."""
-    from lidar2pano.formats.image_files import write_whole
+    from lidar2pano.formats.output_files import write_whole
 
     text = json.dumps(value, indent=2, allow_nan=False) + "\n"
     write_whole(path, lambda beside: beside.write_text(text, encoding="utf-8"), option)

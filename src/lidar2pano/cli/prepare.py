@@ -130,10 +130,10 @@ def summary(folder: str, count: Counter[Any]) -> str:
 
 
 def _note_licence(teacher: Teacher) -> None:
+    from lidar2pano.models.card import read_card
     from lidar2pano.models.families import licence_note
 
-    files = {path.name: path for path in teacher.weights if path.suffix == ".safetensors"}
-    if note := licence_note(files):
+    if note := licence_note(read_card(path) for path in teacher.weights if path.suffix == ".safetensors"):
         complain(f"{teacher.folder}: {note}")
 
 

@@ -16,18 +16,16 @@ if TYPE_CHECKING:
 @app.command()
 def reproduce(  # noqa: PLR0913, PLR0917 one parameter per option
     data: Annotated[Path, typer.Option(metavar="ROOT", help="A data set in SemanticKITTI's layout.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for runs, rows, pictures and RESULTS.md.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for runs, rows, images and RESULTS.md.")],
     split: Annotated[str, typer.Option(metavar="NAME", help="Which of its splits is scored.")] = "val",
     budget: Annotated[
         str,
-        typer.Option(
-            metavar="90s|20m|2h|5000steps", help="Training of each network; as the recipe has it if not given."
-        ),
+        typer.Option(metavar="90s|20m|2h|5000steps", help="Training of each network; as in the recipe if not given."),
     ] = "",
     rows: Annotated[str, typer.Option(metavar="NAME,...", help="Rows of the tables; all when not given.")] = "",
     frames: Annotated[int, typer.Option(metavar="N", help="Score N frames, evenly over the split; 0 for all.")] = 0,
     segmenter: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="The LiDAR's segmenter; one is trained when not given.")
+        str, typer.Option(metavar="NAME|FILE", help="The LiDAR segmenter; one is trained when not given.")
     ] = "",
     form: Annotated[str, typer.Option(metavar="auto|mini|full", help="Which recipes; auto: mini on a CPU.")] = "auto",
     changes: Annotated[
@@ -37,12 +35,12 @@ def reproduce(  # noqa: PLR0913, PLR0917 one parameter per option
     inception: Annotated[Path | None, typer.Option(metavar="FILE", help="For FID, as for evaluate.")] = None,
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
 ) -> None:
-    """Make the paper's tables: train what is missing, score every row, write DIR/RESULTS.md. Repeat to go on."""
+    """Make the paper's tables: train what is missing, score every row, write DIR/RESULTS.md. Repeat to resume."""
     from lidar2pano.cli.files import check_folder
     from lidar2pano.errors import InputError
     from lidar2pano.hardware import keep_buffers, pick_device
     from lidar2pano.reproduce import Plan
-    from lidar2pano.reproduce.rows import chosen
+    from lidar2pano.reproduce.paper_tables import chosen
 
     if form not in ("auto", "mini", "full"):
         raise InputError(f"--form {form!r} is none of auto, mini and full")
@@ -63,22 +61,22 @@ def reproduce(  # noqa: PLR0913, PLR0917 one parameter per option
         inception=inception,
         changes=tuple(changes or ()),
     )
-    carry_out(plan)
+    run_plan(plan)
 
 
-def carry_out(plan: Plan) -> None:
-    """Run the plan and write what came of it; typer.Exit where a part or a row failed."""
+def run_plan(plan: Plan) -> None:
+    """Run the plan and write its results; typer.Exit where a part or a row failed."""
     import logging
     import sys
 
     from lidar2pano.cli.evaluate import write_csv
     from lidar2pano.cli.files import write_json
     from lidar2pano.reproduce import reproduce as run
-    from lidar2pano.reproduce.report import records, write_report
+    from lidar2pano.reproduce.results_page import records, write_results_page
 
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     outcome = run(plan)
-    written = write_report(plan, outcome)
+    written = write_results_page(plan, outcome)
     write_json(plan.out / "results.json", {"results": outcome.results, "failures": outcome.failures}, "--out")
     write_csv(plan.out / "results.csv", records(plan, outcome), "--out")
     print(written)

@@ -5,20 +5,22 @@ from __future__ import annotations
 import logging
 import os
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lidar2pano.cli.app import app
+from lidar2pano.train.recipes import RECIPES
 
 if TYPE_CHECKING:
     from lidar2pano.train.recipe import Recipe
 
 
-@app.command()
+@app.command(epilog=f"Recipes (-mini: minutes on two CPU cores): {', '.join(RECIPES)}.")
 def train(
-    recipe: Annotated[str, typer.Argument(metavar="RECIPE", help="Name of a recipe, e.g. titan-pano.")],
+    recipe: Annotated[str, typer.Argument(metavar="RECIPE", help="Name of a recipe (list below), e.g. titan-pano.")],
     data: Annotated[Path, typer.Option(metavar="ROOT", help="A data set in SemanticKITTI's layout.")],
     out: Annotated[Path, typer.Option(metavar="RUN", help="The run's folder; one that exists is resumed.")],
     changes: Annotated[
@@ -50,12 +52,12 @@ def train(
 
 def brief(recipe: Recipe) -> str:
     """The resolved recipe in a few lines."""
-    options = ", ".join(f"{name}={value}" for name, value in recipe.options.items() if value != "")
+    options = ", ".join(f"{name}={value}" for name, value in asdict(recipe.options).items() if value != "")
     lines = [f"recipe {recipe.name}: {recipe.task} on {recipe.view} x {recipe.scale:g}; {options}"]
     for name, network in recipe.networks.items():
         optimizer = network.optimizer
         start = f", from {network.start}" if network.start else ""
-        lines.append(f"  {name}: {network.model}, {optimizer.kind} {optimizer.rate:g} {optimizer.schedule}{start}")
+        lines.append(f"  {name}: {network.model}, {optimizer.algorithm} {optimizer.rate:g} {optimizer.schedule}{start}")
     training = recipe.training
     limit = f" or {training.minutes:g} minutes" if training.minutes else ""
     lines.append(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -23,10 +22,20 @@ DeviceOption = Annotated[
 @app.command()
 def demo(out: OutOption = OUT, weights: WeightsOption = "world", device: DeviceOption = "auto") -> None:
     """Turn the scan that ships with the package into a panorama; say where the pictures are."""
-    from lidar2pano.cli.batch import Wish, translate_files
+    from lidar2pano.cli.batch import OUTPUTS, Options, translate_files
+    from lidar2pano.cli.files import check_folder
     from lidar2pano.demo import street
+    from lidar2pano.hardware import pick_device
+    from lidar2pano.models.families import weight_files
 
-    raise typer.Exit(translate_files([street()], Wish.of(out=out, save="all", weights=weights, device=device)))
+    options = Options(
+        out=check_folder(out, "--out"),
+        save=OUTPUTS,
+        device=pick_device(device),
+        weights=weights,
+        files=weight_files(weights),
+    )
+    raise typer.Exit(translate_files([street()], options))
 
 
 @app.command()
@@ -50,20 +59,27 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per scan on stdout.")] = False,
     steady: Annotated[
         bool,
-        typer.Option("--steady", help="A folder's scans are a film: each picture goes on from those before."),
+        typer.Option("--steady", help="A folder's scans are a video: smooth it over time, without flicker."),
     ] = False,
 ) -> None:
     """Turn scans into panoramas: DIR/<stem>.png, .segments.png, .label, .depth.png, .camera.png."""
-    from lidar2pano.cli.batch import Wish, translate_files
+    from lidar2pano.cli.batch import Options, parse_camera, parse_save, translate_files
+    from lidar2pano.cli.files import check_folder
+    from lidar2pano.hardware import pick_device
+    from lidar2pano.models.families import weight_files
+    from lidar2pano.views import sensor_view
 
-    wish = Wish.of(
-        out=out,
-        save=save,
+    if sensor:
+        sensor_view(sensor)
+    options = Options(
+        out=check_folder(out, "--out"),
+        calibration=parse_camera(calib, image_size),
+        device=pick_device(device),
         weights=weights,
-        device=device,
+        files=weight_files(weights),
         sensor=sensor,
-        calib=calib,
-        image_size=image_size,
+        save=parse_save(save),
         as_json=as_json,
+        smooth=steady,
     )
-    raise typer.Exit(translate_files(scans, replace(wish, steady=steady)))
+    raise typer.Exit(translate_files(scans, options))

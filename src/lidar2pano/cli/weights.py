@@ -22,7 +22,7 @@ app.add_typer(weights, name="weights", help="Weights that are installed; the car
 def list_families() -> None:
     """List the installed families: networks, size, licence, score."""
     from lidar2pano.models.card import read_card
-    from lidar2pano.models.families import DEFAULT, ROLES, families
+    from lidar2pano.models.families import DEFAULT, families, role
 
     installed = families()
     if not installed:
@@ -34,8 +34,10 @@ def list_families() -> None:
         licences = ", ".join(sorted({card.licence or "not stated" for card in cards}))
         print(f"{name}{' (default)' if name == DEFAULT else ''}  {size:.1f} MiB  licence {licences}")
         for file, card in zip(files, cards, strict=True):
-            role = ROLES.get(card.network, "no part in the pipeline")
-            print(f"  {role}: {card.network}, {file.stat().st_size / MIB:.1f} MiB  {spoken_score(card)}".rstrip())
+            line = (
+                f"  {role(card) or 'no role'}: {card.network}, {file.stat().st_size / MIB:.1f} MiB  {score_line(card)}"
+            )
+            print(line.rstrip())
 
 
 @weights.command("info")
@@ -100,7 +102,7 @@ def import_files(
     print(f"{target}: {card.network}, licence: {card.licence}")
 
 
-def spoken_score(card: Card) -> str:
+def score_line(card: Card) -> str:
     """The card's score on one line."""
     return ", ".join(f"{name} {short(value)}" for name, value in card.score.items())
 

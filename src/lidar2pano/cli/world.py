@@ -37,13 +37,13 @@ def world(  # noqa: PLR0913, PLR0917 each is an option
     ] = None,
     processes: Annotated[int, typer.Option(min=0, metavar="N", help="Processes (0 = one a core).")] = 0,
 ) -> None:
-    """Make a simulated data set in SemanticKITTI's layout, with the truth all around."""
-    from lidar2pano.simulate.production import produce
-    from lidar2pano.simulate.settings import SAVES, Settings
+    """Make a simulated data set in SemanticKITTI's layout, with ground truth all around."""
+    from lidar2pano.simulate.dataset.generation import generate
+    from lidar2pano.simulate.dataset.settings import SAVES, WorldSettings
 
     check_folder(out, "OUT")
     words = tuple(word.strip() for word in save.split(",") if word.strip())
-    settings = Settings(
+    settings = WorldSettings(
         seed=seed,
         frames=frames,
         hz=hz,
@@ -54,7 +54,7 @@ def world(  # noqa: PLR0913, PLR0917 each is an option
         views=tuple(view or ["panorama"]),
     )
     with bar(sequences * frames, "frames") as advance:
-        for done in produce(out, settings, sequences, processes or os.cpu_count() or 1):
+        for done in generate(out, settings, sequences, processes or os.cpu_count() or 1):
             for _ in range(done):
                 advance()
     print(out)

@@ -1,24 +1,24 @@
-"""How good systems are, measured frame by frame: classes and pictures, in the camera's sector and all around.
+"""Evaluation of systems frame by frame: classes, images and depths, in the camera and in the 360-degree panorama.
 
     system(weights, painter=None, device="auto", sensor="") -> System
-    score(systems, truths, *, data, split, measures=None, after_each=...) -> Evaluation
+    score(systems, frames, *, data, split, config=None, after_each=...) -> Evaluation
     Evaluation.as_dict() -> dict[str, Any]     ready for JSON; `.table()` is Markdown, `.records()` rows for CSV
 
-weights   what `--weights` takes, or a chain "TRANSLATOR+PAINTER"; "truth" in front of a painter is the ceiling.
-systems   each sees scan and calibration and nothing else of a frame (`Question`); only the ceiling is told the classes.
-truths    `data.truths.truths(root, split)`: what is known of each frame decides what can be measured there.
+weights   an argument of `lidar2pano evaluate`, or a chain "TRANSLATOR+PAINTER"; "oracle" is a TRANSLATOR.
+systems   each gets the scan and the calibration of a frame (`SystemInput`); only the oracle gets ground-truth labels.
+frames    `data.frames.frames(root, split)`: the parts that a frame has decide what is measured on it.
 
-Scored in the camera is its whole image at its own size, in the paper's 14 classes: pixels whose target is unlabeled,
-sky or unsure do not count; answers of unlabeled or sky are wrong. mIoU is the mean over those of the 14 classes that
-the split's targets have. All around, likewise, on the truth's own raster. Colours count where they are known.
-What is counted merges over parts of a split to the last bit (`Evaluation.merge`), as long as no stream is cut.
+In the camera the whole image is scored at its own size, in the paper's 14 classes: pixels whose target is unlabeled,
+sky or IGNORE do not count; predictions of unlabeled or sky are wrong. mIoU is the mean over those of the 14 classes
+that the split's targets have. Panoramas likewise, on the ground truth's raster. Colours count where they are known.
+Frames are read one at a time, and what metrics keep of them is in temporary files: memory does not grow with the split.
 """
 
 from __future__ import annotations
 
 from lidar2pano.evaluate.evaluation import Evaluation, score
-from lidar2pano.evaluate.measures import Measures
-from lidar2pano.evaluate.questions import Question, Seen, System
+from lidar2pano.evaluate.interface import Prediction, System, SystemInput
+from lidar2pano.evaluate.metric_config import MetricConfig
 from lidar2pano.evaluate.systems import system
 
-__all__ = ["Evaluation", "Measures", "Question", "Seen", "System", "score", "system"]
+__all__ = ["Evaluation", "MetricConfig", "Prediction", "System", "SystemInput", "score", "system"]

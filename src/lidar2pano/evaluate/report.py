@@ -1,4 +1,4 @@
-"""What was counted, as Markdown, as rows for CSV and as JSON."""
+"""An evaluation as Markdown, as rows for CSV and as JSON."""
 
 from __future__ import annotations
 
@@ -6,18 +6,15 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from lidar2pano.evaluate.figures import NAMES, Figure, present
-from lidar2pano.evaluate.tallies import UNSCORED, Tally
+from lidar2pano.evaluate.metric_values import SECTOR_ORDER, SWD_LEVELS, UNSCORED, MetricCollection, MetricValue
 from lidar2pano.labels import COMMON15
 
 if TYPE_CHECKING:
-    from lidar2pano.evaluate.contenders import Contender
-    from lidar2pano.evaluate.evaluation import Evaluation
+    from lidar2pano.evaluate.evaluation import EvaluatedSystem, Evaluation
 
-Found = Mapping[tuple[str, str], Figure]
-LEVELS = tuple(name for name in NAMES["swd"].values() if name != "swd")
-# role -> sector, figure -> name in `score`, which cards take over
-ROLES = {
+Values = Mapping[tuple[str, str], MetricValue]
+# role -> (sector, value) -> name in "score", which cards of released weights take over
+CARD_SCORES = {
     "segmenter": {("points", "miou"): "point_miou", ("points", "accuracy"): "point_accuracy"},
     "translator": {
         ("camera", "miou"): "camera_miou",
@@ -27,15 +24,15 @@ ROLES = {
         ("panorama", "depth_abs_rel"): "panorama_depth_abs_rel",
     },
     "painter": {
-        (sector, figure): f"{sector}_{figure}"
+        (sector, name): f"{sector}_{name}"
         for sector in ("camera", "panorama")
-        for figure in ("ssim", "swd", "fid", "fsd", "resegmentation_miou", "warping_error")
+        for name in ("ssim", "swd", "fid", "fsd", "resegmentation_miou", "warping_error")
     },
 }
 
 
 class Row(NamedTuple):
-    """A figure's row: its title, how many decimals, by what it is multiplied, and whether its interval is shown."""
+    """Format of a value's row: title, decimals, factor, and whether the interval is shown."""
 
     title: str
     decimals: int = 3
@@ -58,236 +55,233 @@ ROWS: dict[str, Row] = {
     "roll_error": Row("roll error, grey levels", 2),
     "roll_error_ids": Row("roll error, share of classes", 4),
 }
-PREFIX = {"camera": "", "panorama": "all around: "}
+PREFIX = {"camera": "", "panorama": "panorama: "}
 
 
-def heading(one: Evaluation) -> str:
-    """What is scored and how."""
-    return _heading(one, [_by_name(one.figures(each.tally)) for each in one.contenders])
-
-
-def _heading(one: Evaluation, found: list[Found]) -> str:
-    there = one.counted() or ([] if one.images else one.counted("panorama"))
-    missing = [name for c, name in enumerate(COMMON15.classes) if c not in (*there, *UNSCORED)]
+def heading(one: Evaluation, values: list[Values]) -> str:
+    """What is scored and how; values: of every system."""
+    present = one.target_classes() or ([] if one.images else one.target_classes("panorama"))
+    missing = [name for c, name in enumerate(COMMON15.classes) if c not in (*present, *UNSCORED)]
     absent = f" (absent: {', '.join(missing)})" if missing else ""
     parts = [
-        f"`{one.split}` of {one.data}: {max(one.images, one.pictures)} camera images, all of each at its own size,"
-        f" from the scan alone; {one.scans} scans with point labels. Pixels whose target is unlabeled, sky or unsure"
-        f" are not scored; answers of unlabeled or sky count as wrong."
+        f"`{one.split}` of {one.data}: {max(one.images, one.camera_images)} camera images, each scored as a whole at"
+        f" its own size, predicted from the scan alone; {one.scans} scans with point labels. Pixels whose target is"
+        f" unlabeled, sky or unknown are not scored; predictions of unlabeled or sky count as wrong."
     ]
-    if there:
-        parts.append(f"mIoU: mean over the {len(there)} of the paper's 14 classes that occur{absent}.")
-    names = {name for each in found for _, name in each}
+    if present:
+        parts.append(f"mIoU: mean over the {len(present)} of the paper's 14 classes that occur{absent}.")
+    names = {name for each in values for _, name in each}
     if names & {"ssim", "swd"}:
-        parts.append(f"Colours: against the camera's pictures ({one.pictures}); SWD's are stretched to 1024 x 1024.")
+        parts.append(f"Colours: against the camera's images ({one.camera_images}), resized to 1024 x 1024 for SWD.")
     if one.panoramas:
         parts.append(
-            f"All around: against true panoramas ({one.panoramas}), on their raster, where they are known; "
+            f"Panorama: against ground-truth panoramas ({one.panoramas}), on their raster, where they are valid; "
             "SWD in quarters."
         )
-    if any(not math.isnan(figure.low) for each in found for figure in each.values()):
-        parts.append("In brackets: 95 % of the bootstrap's resamples of frames.")
-    if told := [each.system.origin.name for each in one.contenders if each.system.told]:
-        parts.append(f"Told the camera's true classes, not the scan: {', '.join(told)}.")
-    if steady := [each.system.origin.name for each in one.contenders if getattr(each.system, "steady", False)]:
-        parts.append(f"Told the sensor's poses beside the scan: {', '.join(steady)}.")
+    if any(not math.isnan(value.low) for each in values for value in each.values()):
+        parts.append("In brackets: 95 % bootstrap interval over frames.")
+    if oracles := [each.system.info.name for each in one.systems if each.system.uses_ground_truth]:
+        parts.append(f"Input is the camera's ground-truth labels, not the scan: {', '.join(oracles)}.")
+    if steady := [each.system.info.name for each in one.systems if getattr(each.system, "steady", False)]:
+        parts.append(f"Input is the sensor's pose beside the scan: {', '.join(steady)}.")
     return " ".join(parts)
 
 
 def table(one: Evaluation) -> str:
     """Markdown: the heading, then a column per system."""
-    names = [each.system.origin.name for each in one.contenders]
+    names = [each.system.info.name for each in one.systems]
     head = ["class", "pixels", *names]
     rows = [head, ["---", *["---:"] * (len(head) - 1)]]
-    found = [_by_name(one.figures(each.tally)) for each in one.contenders]
-    truth = _by_name(one.figures(one.reference))
+    values = [by_name(one.values(each.metrics)) for each in one.systems]
+    reference = by_name(one.values(one.reference))
     for sector, prefix in PREFIX.items():
-        rows += _class_rows(one, sector, prefix, found)
-        rows += _figure_rows(one, sector, prefix, found, truth)
-    rows += _point_rows(one, found)
-    times = [each.mean_milliseconds() for each in one.contenders]
+        rows += _class_rows(one, sector, prefix, values)
+        rows += _value_rows(one, sector, prefix, values, reference)
+    rows += _point_rows(one, values)
+    times = [each.mean_milliseconds() for each in one.systems]
     for stage in dict.fromkeys(stage for time in times for stage in time):
         cells = [f"{time[stage]:.0f}" if stage in time else "-" for time in times]
         rows.append([f"{stage.replace('_', ' ')}, ms", "", *cells])
-    rows += _origin_rows(one)
-    return "\n".join([_heading(one, found), "", *(f"| {' | '.join(row)} |" for row in rows)])
+    rows += _network_rows(one)
+    return "\n".join([heading(one, values), "", *(f"| {' | '.join(row)} |" for row in rows)])
 
 
 def records(one: Evaluation) -> list[dict[str, Any]]:
-    """One row per system and figure; classes' IoU and milliseconds too; the truth's own figures are of "truth"."""
+    """One row per system and value, with IoU of classes and milliseconds; the reference is system "ground truth"."""
     rows: list[dict[str, Any]] = []
 
-    def add(system: str, figure: Figure) -> None:
-        numbers = {name: _finite(getattr(figure, name)) for name in ("value", "low", "high")}
-        rows.append(
-            {"system": system, "sector": figure.sector, "figure": figure.name, **numbers, "frames": figure.frames}
-        )
+    def add(system: str, value: MetricValue) -> None:
+        plain = _plain(value)
+        rows.append({"system": system, "sector": plain.pop("sector"), "metric": plain.pop("name"), **plain})
 
-    for each in one.contenders:
-        name = each.system.origin.name
-        for figure in (*one.figures(each.tally), *_class_figures(each.tally)):
-            add(name, figure)
-        for stage, value in each.mean_milliseconds().items():
+    for each in one.systems:
+        name = each.system.info.name
+        for value in (*one.values(each.metrics), *_class_values(each.metrics)):
+            add(name, value)
+        for stage, mean in each.mean_milliseconds().items():
             frames = len(each.milliseconds[stage])
-            add(name, Figure(sector="milliseconds", name=stage, value=value, frames=frames))
-    for figure in one.figures(one.reference):
-        add("truth", figure)
+            add(name, MetricValue(sector="milliseconds", name=stage, value=mean, frames=frames))
+    for value in one.values(one.reference):
+        add("ground truth", value)
     return rows
 
 
 def as_dict(one: Evaluation) -> dict[str, Any]:
     """Everything, ready for JSON."""
-    measures = one.measures
-    found = [one.figures(each.tally) for each in one.contenders]
+    config = one.config
+    values = [one.values(each.metrics) for each in one.systems]
     return {
         "data": one.data,
         "split": one.split,
         "images": one.images,
         "scans": one.scans,
-        "pictures": one.pictures,
+        "camera_images": one.camera_images,
         "panoramas": one.panoramas,
-        "measures": list(measures.kinds),
-        "sectors": list(measures.sectors),
-        "inception": measures.inception.sha256 if measures.inception else None,
-        "camera_segmenter": measures.eye.sha256 if measures.eye else None,
-        "classes": [COMMON15.classes[c] for c in one.counted()],
-        "panorama_classes": [COMMON15.classes[c] for c in one.counted("panorama")],
-        "heading": _heading(one, [_by_name(each) for each in found]),
-        "results": [_result(one, each, figures) for each, figures in zip(one.contenders, found, strict=True)],
-        "truth": [_plain(figure) for figure in one.figures(one.reference)],
+        "metrics": list(config.groups),
+        "sectors": list(config.sectors),
+        "inception": config.inception.sha256 if config.inception else None,
+        "camera_segmenter": config.image_segmenter.sha256 if config.image_segmenter else None,
+        "classes": [COMMON15.classes[c] for c in one.target_classes()],
+        "panorama_classes": [COMMON15.classes[c] for c in one.target_classes("panorama")],
+        "heading": heading(one, [by_name(each) for each in values]),
+        "results": [_result(one, each, found) for each, found in zip(one.systems, values, strict=True)],
+        "ground_truth": [_plain(value) for value in one.values(one.reference)],
     }
 
 
-def _result(one: Evaluation, each: Contender, found: list[Figure]) -> dict[str, Any]:
-    values = {(figure.sector, figure.name): figure.value for figure in found}
+def _result(one: Evaluation, each: EvaluatedSystem, found: list[MetricValue]) -> dict[str, Any]:
+    values = {key: value.value for key, value in by_name(found).items()}
     scores = {
         role: {name: values[key] for key, name in wanted.items() if not math.isnan(values.get(key, math.nan))}
-        for role, wanted in ROLES.items()
+        for role, wanted in CARD_SCORES.items()
     }
     scores["renderer"] = scores["painter"]
-    made = {"segmenter", "translator", *(each.system.origin.networks.keys() & scores.keys())}
+    networks = each.system.info.networks
+    scored = {"segmenter", "translator", *(networks.keys() & scores.keys())}
     result = {
-        "weights": each.system.origin.name,
-        "networks": {role: dict(card) for role, card in each.system.origin.networks.items()},
-        "score": {role: part | {"split": one.split} for role, part in scores.items() if role in made},
+        "weights": each.system.info.name,
+        "networks": {role: dict(card) for role, card in networks.items()},
+        "score": {role: part | {"split": one.split} for role, part in scores.items() if role in scored},
         "milliseconds": {stage: round(value, 2) for stage, value in each.mean_milliseconds().items()},
-        "figures": [_plain(figure) for figure in found],
-        "worst": [{"frame": name, "figure": figure, "value": value} for name, figure, value in each.worst.rows()],
+        "values": [_plain(value) for value in found],
+        "worst": [{"frame": name, "metric": metric, "value": value} for name, metric, value in each.worst.rows()],
     }
     for sector, name in (("camera", "classes"), ("points", "point_classes"), ("panorama", "panorama_classes")):
-        counts = each.tally.classes(sector)
+        counts = each.metrics.classes(sector)
         result[name] = [] if counts is None else counts.confusion().table()
     return result
 
 
-def _class_rows(one: Evaluation, sector: str, prefix: str, found: Iterable[Found]) -> list[list[str]]:
+def _class_rows(one: Evaluation, sector: str, prefix: str, values: Iterable[Values]) -> list[list[str]]:
     """A row per class, and their mean."""
-    there = one.counted(sector)
-    counts = [each.tally.classes(sector) for each in one.contenders]
+    present = one.target_classes(sector)
+    counts = [each.metrics.classes(sector) for each in one.systems]
     tables = [None if each is None else each.confusion() for each in counts]
     first = next((each for each in tables if each is not None), None)
-    if first is None or not there:
+    if first is None or not present:
         return []
-    named = first.counts.sum(1)
+    targets = first.counts.sum(1)
     ious = [None if each is None else each.iou() for each in tables]
     rows = []
-    for c in there:
+    for c in present:
         cells = ["-" if iou is None else _number(float(iou[c]), Row("")) for iou in ious]
-        rows.append([prefix + COMMON15.classes[c], f"{named[c] / named.sum():.1%}", *cells])
+        rows.append([prefix + COMMON15.classes[c], f"{targets[c] / targets.sum():.1%}", *cells])
     cells = []
-    for each in found:
-        figure = each.get((sector, "miou"))
-        cells.append("-" if figure is None else f"**{_number(figure.value, Row(''))}**{_between(figure, Row(''))}")
-    rows.append([f"{prefix}**mIoU of {len(there)}**", "", *cells])
+    for each in values:
+        value = each.get((sector, "miou"))
+        cells.append("-" if value is None else f"**{_number(value.value, Row(''))}**{_between(value, Row(''))}")
+    rows.append([f"{prefix}**mIoU of {len(present)}**", "", *cells])
     return rows
 
 
-def _figure_rows(one: Evaluation, sector: str, prefix: str, found: list[Found], truth: Found) -> list[list[str]]:
-    """A row per figure that some system has."""
+def _value_rows(one: Evaluation, sector: str, prefix: str, values: list[Values], reference: Values) -> list[list[str]]:
+    """A row per value that some system has."""
     rows = []
     for name, row in ROWS.items():
         key = (sector, name)
-        if key == ("camera", "fid") and one.measures.inception is None:
-            if any((sector, "swd") in each for each in found):
-                cells = ["no Inception weights" if (sector, "swd") in each else "-" for each in found]
+        if key == ("camera", "fid") and one.config.inception is None:
+            if any((sector, "swd") in each for each in values):
+                cells = ["no Inception weights" if (sector, "swd") in each else "-" for each in values]
                 rows.append([row.title, "", *cells])
             continue
-        if not any(key in each for each in found):
+        if not any(key in each for each in values):
             continue
-        eye = one.measures.eye
-        title = f"{row.title} (features of {eye.sha256[:8]})" if name == "fsd" and eye is not None else row.title
-        own = f"truth {_number(truth[key].value, row)}" if key in truth else ""
-        rows.append([prefix + title, own, *(_cell(each.get(key), row) for each in found)])
+        segmenter, title = one.config.image_segmenter, row.title
+        if name == "fsd" and segmenter is not None:
+            title = f"{title} (features of {segmenter.sha256[:8]})"
+        own = f"ground truth {_number(reference[key].value, row)}" if key in reference else ""
+        rows.append([prefix + title, own, *(_cell(each.get(key), row) for each in values)])
         if name == "swd":
-            levels = " ".join(level.removeprefix("swd_") for level in LEVELS)
+            levels = " ".join(level.removeprefix("swd_") for level in SWD_LEVELS)
             cells = [
-                " ".join(_cell(each.get((sector, level)), row) for level in LEVELS) if key in each else "-"
-                for each in found
+                " ".join(_cell(each.get((sector, level)), row) for level in SWD_LEVELS) if key in each else "-"
+                for each in values
             ]
             rows.append([f"{prefix}SWD x 1000 by level, {levels}", "", *cells])
     return rows
 
 
-def _point_rows(one: Evaluation, found: list[Found]) -> list[list[str]]:
-    if not any(("points", "miou") in each for each in found):
+def _point_rows(one: Evaluation, values: list[Values]) -> list[list[str]]:
+    if not any(("points", "miou") in each for each in values):
         return []
-    there = len(one.counted("points"))
-    mious = (_cell(each.get(("points", "miou")), Row("", interval=True)) for each in found)
+    present = len(one.target_classes("points"))
+    mious = (_cell(each.get(("points", "miou")), Row("", interval=True)) for each in values)
     return [
-        [f"points: mIoU of {there} SemanticKITTI classes", "", *mious],
-        ["points: accuracy", "", *(_cell(each.get(("points", "accuracy")), ROWS["accuracy"]) for each in found)],
+        [f"points: mIoU of {present} SemanticKITTI classes", "", *mious],
+        ["points: accuracy", "", *(_cell(each.get(("points", "accuracy")), ROWS["accuracy"]) for each in values)],
     ]
 
 
-def _origin_rows(one: Evaluation) -> list[list[str]]:
-    """Where each system's networks come from, by their cards."""
+def _network_rows(one: Evaluation) -> list[list[str]]:
+    """Recipe and commit of each system's networks, by their cards."""
     rows = []
-    networks = [each.system.origin.networks for each in one.contenders]
+    networks = [each.system.info.networks for each in one.systems]
     for role in dict.fromkeys(role for each in networks for role in each):
         cards = [each.get(role) for each in networks]
-        made = [
+        training = [
             "-"
             if card is None
             else f"{card.get('recipe') or '?'}, {card.get('steps', 0)} steps, {card.get('hours', 0)} h"
             for card in cards
         ]
-        rows.append([f"{role}: recipe", "", *made])
+        rows.append([f"{role}: recipe", "", *training])
         rows.append([f"{role}: commit", "", *("-" if c is None else c.get("commit", "")[:12] or "?" for c in cards)])
     return rows
 
 
-def _class_figures(tally: Tally) -> Iterable[Figure]:
-    for sector in ("camera", "panorama", "points"):
-        counts = tally.classes(sector)
+def _class_values(metrics: MetricCollection) -> Iterable[MetricValue]:
+    for sector in SECTOR_ORDER:
+        counts = metrics.classes(sector)
         if counts is None:
             continue
-        whole, there = counts.confusion(), present(counts)
-        for c in there:
+        whole = counts.confusion()
+        for c in metrics.target_classes(sector) or ():
             iou = float(whole.iou()[c])
-            yield Figure(sector=sector, name=f"iou {whole.names[c]}", value=iou, frames=len(counts))
+            yield MetricValue(sector=sector, name=f"iou {whole.names[c]}", value=iou, frames=len(counts))
 
 
-def _by_name(found: Iterable[Figure]) -> Found:
-    return {(figure.sector, figure.name): figure for figure in found}
+def by_name(values: Iterable[MetricValue]) -> Values:
+    """Values by sector and name."""
+    return {(value.sector, value.name): value for value in values}
 
 
-def _cell(figure: Figure | None, row: Row) -> str:
-    return "-" if figure is None else _number(figure.value, row) + (_between(figure, row) if row.interval else "")
+def _cell(value: MetricValue | None, row: Row) -> str:
+    return "-" if value is None else _number(value.value, row) + (_between(value, row) if row.interval else "")
 
 
 def _number(value: float, row: Row) -> str:
     return "-" if math.isnan(value) else f"{value * row.times:.{row.decimals}f}"
 
 
-def _between(figure: Figure, row: Row) -> str:
-    if math.isnan(figure.low):
+def _between(value: MetricValue, row: Row) -> str:
+    if math.isnan(value.low):
         return ""
-    return f" ({_number(figure.low, row)} to {_number(figure.high, row)})"
+    return f" ({_number(value.low, row)} to {_number(value.high, row)})"
 
 
-def _plain(figure: Figure) -> dict[str, Any]:
-    numbers = {name: _finite(getattr(figure, name)) for name in ("value", "low", "high")}
-    return {"sector": figure.sector, "name": figure.name, **numbers, "frames": figure.frames}
+def _plain(value: MetricValue) -> dict[str, Any]:
+    numbers = {name: _finite(getattr(value, name)) for name in ("value", "low", "high")}
+    return {"sector": value.sector, "name": value.name, **numbers, "frames": value.frames}
 
 
 def _finite(value: float) -> float | None:

@@ -1,4 +1,4 @@
-"""From names to systems."""
+"""From names of weights to systems; roles of weight files are those of `models.families.role`."""
 
 from __future__ import annotations
 
@@ -10,98 +10,107 @@ from typing import Any
 import torch
 
 from lidar2pano.errors import InputError
-from lidar2pano.evaluate.around import Around, Blank
-from lidar2pano.evaluate.films import CameraPainter
-from lidar2pano.evaluate.front import Ceiling, Direct, Front
-from lidar2pano.evaluate.questions import Origin, System
-from lidar2pano.evaluate.weights import FRONT, ROLES, STEADY, TRUTH, default_files, links, named_files
+from lidar2pano.evaluate.camera_systems import CameraPainter, CameraRenderer, CameraTranslator, Oracle
+from lidar2pano.evaluate.interface import System, SystemInfo
+from lidar2pano.evaluate.panorama_system import NoPainter, PanoramaSystem
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.hardware import pick_device
+from lidar2pano.models import families
 from lidar2pano.models.card import Card, load, read_card
 from lidar2pano.pipeline import Pipeline, Segmenter, card_view, load_painter, load_part, load_segmenter
 from lidar2pano.views import sensor_view
 
-TOLD = ("network", "recipe", "data", "steps", "hours", "commit", "sha256")  # of a card, in results
+STEADY = "steady"  # last part of a chain: panoramas are smoothed over time by the sensor's poses
+ORACLE = ("oracle", "truth")  # first part of a chain: ground-truth camera labels; "truth" is its former name
+ROLES = ("segmenter", "translator", "renderer", "painter", "first-frame painter")
+FRONT_VIEW = ("titan", "titan-next", "pix2pix")  # translators of the paper's kind: front view in, camera's image out
+CARD_ENTRIES = ("network", "recipe", "data", "steps", "hours", "commit", "sha256")  # of each network, in results
 
 
 def system(weights: str | Path, painter: str | Path | None = None, device: str = "auto", sensor: str = "") -> System:
-    """A system, ready to be asked.
+    """A system, ready to predict.
 
     weights  a family, a run, a folder of weight files or a file; several joined by "+" are one system, in which later
-             ones take the places of earlier ones. By the cards: titan-pano (`Around`); titan, titan-next or pix2pix for
-             classes (`Front`); scunet, or titan or pix2pix for colours (`Direct`). "truth": `Ceiling`, with a painter.
-             Segmenters that are not named, and titan-pano's painter, are the default family's. "+steady" behind a
-             titan-pano: its pictures are steadied by the sensor's poses (memory.steadied).
-    painter  the same as "WEIGHTS+PAINTER". Behind a `Front` or the truth only vid2vid paints.
+             ones take the places of earlier ones. By the cards: titan-pano (`PanoramaSystem`); titan, titan-next or
+             pix2pix for classes (`CameraTranslator`); scunet, or titan or pix2pix for colours (`CameraRenderer`).
+             "oracle": `Oracle`, with a painter. Segmenters that are not named, and titan-pano's painter, are the
+             default family's. "+steady" behind a titan-pano: temporal smoothing by the sensor's poses.
+    painter  the same as "WEIGHTS+PAINTER". Behind a `CameraTranslator` or "oracle" only vid2vid paints.
     device   "auto" (CUDA if there is one), "cpu" or "cuda";  sensor: as for Pipeline.for_sensor, "" for the weights'.
     Raises InputError when something is missing, damaged, or does not belong together.
     """
-    parts = links(weights) + ([] if painter is None else [str(painter)])
+    parts = _chain(weights) + ([] if painter is None else [str(painter)])
     name, picked = "+".join(parts), pick_device(device)
     if STEADY in parts[1:]:
         return _steady(name, system("+".join(part for part in parts if part != STEADY), None, device, sensor))
     view = sensor_view(sensor) if sensor else None
-    if parts[0] == TRUTH:
-        return _ceiling(name, _merged(parts[1:]), picked)
-    mine = _merged(parts)
-    if "renderer" in mine:
-        return _direct(name, mine, picked)
-    files = default_files() | mine
+    if parts[0] in ORACLE:
+        return _oracle(name, _merged(parts[1:]), picked)
+    named = _merged(parts)
+    if "renderer" in named:
+        return _renderer(name, named, picked)
+    default = families.weight_files(families.DEFAULT) if families.DEFAULT in families.families() else {}
+    files = default | named
     if missing := [role for role in ("segmenter", "translator") if role not in files]:
         raise InputError(f"{name}: no weights for the {' and the '.join(missing)}; name a family that has them")
-    segmenter = load_segmenter(files["segmenter"], picked)
+    segmenter, _ = load_segmenter(files["segmenter"], picked)
     if view is not None:
         segmenter = replace(segmenter, view=view)
-    if read_card(files["translator"]).network in FRONT:
+    if read_card(files["translator"]).network in FRONT_VIEW:
         used = {role: files[role] for role in ("segmenter", "translator")}
-        used |= {role: mine[role] for role in ("painter", "first-frame painter") if role in mine}
-        return _front(name, used, segmenter, picked)
-    return _around(name, _own_painter(files, mine), segmenter, picked)
+        used |= {role: named[role] for role in ("painter", "first-frame painter") if role in named}
+        return _translator(name, used, segmenter, picked)
+    return _panorama(name, _own_painter(files, named), segmenter, picked)
+
+
+def _chain(name: str | Path) -> list[str]:
+    """The parts of a chain "A+B"; a file or folder whose own name has a plus is one part."""
+    return [str(name)] if Path(name).exists() else str(name).split("+")
 
 
 def _steady(name: str, plain: System) -> System:
-    if not isinstance(plain, Around) or not plain.paints:
-        raise InputError(f"{name}: only panoramas that are painted can be steadied; leave +{STEADY} out")
-    return replace(plain, origin=replace(plain.origin, name=name), steady=True)
+    if not isinstance(plain, PanoramaSystem) or not plain.paints:
+        raise InputError(f"{name}: only painted panoramas can be smoothed over time; leave +{STEADY} out")
+    return replace(plain, info=replace(plain.info, name=name), steady=True)
 
 
 def _merged(parts: list[str]) -> dict[str, Path]:
     files: dict[str, Path] = {}
     for part in parts:
-        files |= named_files(part)
+        files |= families.weight_files(part, fill=False)
     return files
 
 
-def _own_painter(files: dict[str, Path], mine: dict[str, Path]) -> dict[str, Path]:
-    """The files, less the default family's first-frame painter where a painter was named without one."""
-    if "painter" in mine and "first-frame painter" not in mine:
+def _own_painter(files: dict[str, Path], named: dict[str, Path]) -> dict[str, Path]:
+    """The files, without the default family's first-frame painter where a painter was named without one."""
+    if "painter" in named and "first-frame painter" not in named:
         return {role: file for role, file in files.items() if role != "first-frame painter"}
     return files
 
 
-def _origin(name: str, files: Mapping[str, Path]) -> Origin:
+def _info(name: str, files: Mapping[str, Path]) -> SystemInfo:
     files = {role: files[role] for role in ROLES if role in files}
     cards = {role: read_card(file) for role, file in files.items()}
-    networks = {role: {name: getattr(card, name) for name in TOLD} for role, card in cards.items()}
-    return Origin(name=name, files=files, networks=networks)
+    networks = {role: {name: getattr(card, name) for name in CARD_ENTRIES} for role, card in cards.items()}
+    return SystemInfo(name=name, files=files, networks=networks)
 
 
-def _around(name: str, files: dict[str, Path], segmenter: Segmenter, device: torch.device) -> Around:
+def _panorama(name: str, files: dict[str, Path], segmenter: Segmenter, device: torch.device) -> PanoramaSystem:
     translator, card = load_part(files["translator"], device, expect="titan-pano")
     view = card_view(files["translator"], card, "panorama")
     first = files.get("first-frame painter")
-    painter = load_painter(files["painter"], first, view, device) if "painter" in files else Blank()
-    return Around(
-        origin=_origin(name, files),
+    painter = load_painter(files["painter"], first, view, device)[0] if "painter" in files else NoPainter()
+    return PanoramaSystem(
+        info=_info(name, files),
         pipeline=Pipeline(segmenter=segmenter, translator=translator, painter=painter, view=view, device=device),
         paints="painter" in files,
     )
 
 
-def _front(name: str, files: dict[str, Path], segmenter: Segmenter, device: torch.device) -> Front:
+def _translator(name: str, files: dict[str, Path], segmenter: Segmenter, device: torch.device) -> CameraTranslator:
     translator, card = load(files["translator"], device)
-    return Front(
-        origin=_origin(name, files),
+    return CameraTranslator(
+        info=_info(name, files),
         segmenter=segmenter,
         translator=translator,
         view=card_view(files["translator"], card, "input"),
@@ -111,28 +120,30 @@ def _front(name: str, files: dict[str, Path], segmenter: Segmenter, device: torc
     )
 
 
-def _direct(name: str, files: dict[str, Path], device: torch.device) -> Direct:
+def _renderer(name: str, files: dict[str, Path], device: torch.device) -> CameraRenderer:
     if others := sorted(files.keys() - {"renderer"}):
-        raise InputError(f"{name}: a renderer makes colours by itself, so the {others[0]} has no place; leave it out")
+        raise InputError(
+            f"{name}: a renderer predicts colours by itself, so the {others[0]} has no place; leave it out"
+        )
     renderer, card = load(files["renderer"], device)
-    seen: dict[str, Any] = card.views.get("camera", {})
-    return Direct(
-        origin=_origin(name, files),
+    camera: dict[str, Any] = card.views.get("camera", {})
+    return CameraRenderer(
+        info=_info(name, files),
         renderer=renderer,
         view=card_view(files["renderer"], card, "input") if card.network != "scunet" else None,
         normalise=_normalise(card),
         device=device,
-        size=(int(seen["rows"]), int(seen["columns"])) if seen else None,
-        inputs=int(card.settings.get("inputs", 1)),
+        size=(int(camera["rows"]), int(camera["columns"])) if camera else None,
+        channels=int(card.settings.get("inputs", 1)),
     )
 
 
-def _ceiling(name: str, files: dict[str, Path], device: torch.device) -> Ceiling:
+def _oracle(name: str, files: dict[str, Path], device: torch.device) -> Oracle:
     painter = _camera_painter(files, device)
     if painter is None:
-        raise InputError(f"{name}: the true classes have to be painted; add +PAINTER, weights of a vid2vid")
+        raise InputError(f"{name}: the ground-truth labels have to be painted; add +PAINTER, weights of a vid2vid")
     used = {role: file for role, file in files.items() if role in ("painter", "first-frame painter")}
-    return Ceiling(origin=_origin(name, used), painter=painter)
+    return Oracle(info=_info(name, used), painter=painter)
 
 
 def _camera_painter(files: Mapping[str, Path], device: torch.device) -> CameraPainter | None:

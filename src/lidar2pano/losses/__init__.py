@@ -1,4 +1,4 @@
-"""What the networks are trained against: Lovasz-Softmax and the losses between a generator and its critic.
+"""Losses: Lovasz-Softmax and the adversarial ones.
 
 Every function takes tensors and returns a scalar tensor in float32 (or the dtype of the scores given), a mean over
 the batch, without any weight.

@@ -1,4 +1,4 @@
-"""Losses between a generator and its critic."""
+"""Adversarial losses of generators, critics and discriminators."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def gradient_penalty(
     Gulrajani et al. 2017 (arXiv:1704.00028), equation 3; epsilon is drawn per sample, Algorithm 1 line 4.
     Autocast is off inside: a gradient of a gradient in half precision is mostly rounding.
 
-    critic      image -> scores of any shape (summed: every patch counts); what conditions it is bound by the caller.
+    critic      image -> scores of any shape (summed: every patch counts); the caller binds its condition.
     real, fake  (B, ...) float; no gradient reaches what made them.
     epsilon     (B,) or a number to use in place of the draw.
     """

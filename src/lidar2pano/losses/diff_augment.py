@@ -1,7 +1,7 @@
-"""Augmentation that a critic sees of real and painted pictures alike, so that few real ones last longer.
+"""DiffAugment: the same random changes of real and generated images before the discriminator, for small data sets.
 
-Zhao et al. 2020 (DiffAugment, arXiv:2006.10738, section 3.3): colours, moves and holes, each differentiable. The draws
-are shared by the real and the painted picture of a sample: feature matching compares the two place by place.
+Zhao et al. 2020 (arXiv:2006.10738, section 3.3): colour, translation and cutout, each differentiable. A real and a
+generated image of one sample share their parameters, since feature matching compares them pixel by pixel.
 """
 
 from __future__ import annotations
@@ -13,79 +13,79 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-BRIGHTER, CONTRAST = 0.5, 0.5  # of colours in [-1, 1]: added, either way; factor 1 +- this
-REACH = 1 / 8  # of a picture's rows and columns: how far it moves at most
-HOLE = 1 / 2  # of its rows and columns: what a hole covers
+BRIGHTNESS, CONTRAST = 0.5, 0.5  # of colours in [-1, 1]: largest offset, either way; factor 1 +- this
+TRANSLATION = 1 / 8  # largest, as a share of an image's rows and columns
+CUTOUT = 1 / 2  # share of its rows and columns that is set to zero
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Changes:
-    """What happens to each of B pictures; a row of numbers each, (B,).
+class DiffAugment:
+    """Parameters of the augmentation of B images, (B,) each.
 
-    brighter  added to colours;  saturation, contrast: factors about the pixel's mean and the seen picture's.
-    down, right  moves in shares of the picture, in [-1/8, 1/8]; what comes in is zero.
-    hole_down, hole_right  middle of the hole in shares of the picture; NaN for no hole.
+    brightness            added to colours;  saturation, contrast: factors about the pixel's mean and the image's.
+    down, right           translation as a share of the image, in [-1/8, 1/8]; what comes in is zero.
+    cut_row, cut_column   middle of the cutout as a share of the image; NaN for none.
     """
 
-    brighter: Tensor
+    brightness: Tensor
     saturation: Tensor
     contrast: Tensor
     down: Tensor
     right: Tensor
-    hole_down: Tensor
-    hole_right: Tensor
+    cut_row: Tensor
+    cut_column: Tensor
 
     @classmethod
-    def drawn(cls, pictures: int, chance: float) -> Self:
-        """Draw, each of the three kinds (colours, move, hole) with probability `chance` per picture."""
+    def drawn(cls, images: int, probability: float) -> Self:
+        """Draw; each of the three kinds (colour, translation, cutout) applies with `probability` per image."""
 
-        def happens() -> Tensor:
-            return torch.rand(pictures) < chance
+        def applies() -> Tensor:
+            return torch.rand(images) < probability
 
-        def either_way(happens: Tensor, reach: float) -> Tensor:
-            return (torch.rand(pictures) * 2 - 1) * reach * happens
+        def symmetric(applies: Tensor, largest: float) -> Tensor:
+            return (torch.rand(images) * 2 - 1) * largest * applies
 
-        coloured, moved, holed = happens(), happens(), happens()
-        nowhere = torch.full((pictures,), torch.nan)
+        colour, translation, cutout = applies(), applies(), applies()
+        none = torch.full((images,), torch.nan)
         return cls(
-            brighter=either_way(coloured, BRIGHTER),
-            saturation=1 + either_way(coloured, 1.0),
-            contrast=1 + either_way(coloured, CONTRAST),
-            down=either_way(moved, REACH),
-            right=either_way(moved, REACH),
-            hole_down=torch.where(holed, torch.rand(pictures), nowhere),
-            hole_right=torch.where(holed, torch.rand(pictures), nowhere),
+            brightness=symmetric(colour, BRIGHTNESS),
+            saturation=1 + symmetric(colour, 1.0),
+            contrast=1 + symmetric(colour, CONTRAST),
+            down=symmetric(translation, TRANSLATION),
+            right=symmetric(translation, TRANSLATION),
+            cut_row=torch.where(cutout, torch.rand(images), none),
+            cut_column=torch.where(cutout, torch.rand(images), none),
         )
 
-    def of(self, colours: Tensor, seen: Tensor, told: Tensor) -> Tensor:
-        """What a critic is shown: (B, 3 + C, H, W).
+    def apply(self, colour: Tensor, valid: Tensor, condition: Tensor) -> Tensor:
+        """The discriminator's input (B, 3 + C, H, W): augmented colours and their condition.
 
-        colours  (B, 3, H, W) in [-1, 1];  seen: (B, 1, H, W) 0 or 1, where colours count: zero elsewhere.
-        told     (B, C, H, W), what the colours were painted from: it moves with them and has the same holes.
+        colour     (B, 3, H, W) in [-1, 1];  valid: (B, 1, H, W) 0 or 1; invalid colours become zero.
+        condition  (B, C, H, W), what the colours were painted from: translated and cut out alike.
         """
-        shown = torch.cat([self._coloured(colours, seen) * seen, told], 1)
-        return torch.stack([self._moved(one, number) for number, one in enumerate(shown)]) * self._kept(shown)
+        joined = torch.cat([self._recoloured(colour, valid) * valid, condition], 1)
+        return torch.stack([self._translated(one, number) for number, one in enumerate(joined)]) * self._kept(joined)
 
-    def _coloured(self, colours: Tensor, seen: Tensor) -> Tensor:
-        brighter, saturation, contrast = (
-            factor.to(colours)[:, None, None, None] for factor in (self.brighter, self.saturation, self.contrast)
+    def _recoloured(self, colour: Tensor, valid: Tensor) -> Tensor:
+        brightness, saturation, contrast = (
+            factor.to(colour)[:, None, None, None] for factor in (self.brightness, self.saturation, self.contrast)
         )
-        colours = colours + brighter
-        grey = colours.mean(1, keepdim=True)
-        colours = grey + (colours - grey) * saturation
-        mean = (grey * seen).sum((1, 2, 3), keepdim=True) / seen.sum((1, 2, 3), keepdim=True).clamp(min=1)
-        return mean + (colours - mean) * contrast
+        colour = colour + brightness
+        grey = colour.mean(1, keepdim=True)
+        colour = grey + (colour - grey) * saturation
+        mean = (grey * valid).sum((1, 2, 3), keepdim=True) / valid.sum((1, 2, 3), keepdim=True).clamp(min=1)
+        return mean + (colour - mean) * contrast
 
-    def _moved(self, picture: Tensor, number: int) -> Tensor:
-        """One picture (C, H, W)."""
-        rows, columns = picture.shape[-2:]
+    def _translated(self, image: Tensor, number: int) -> Tensor:
+        """One image (C, H, W)."""
+        rows, columns = image.shape[-2:]
         down, right = round(float(self.down[number]) * rows), round(float(self.right[number]) * columns)
-        return pad(picture, (right, -right, down, -down))
+        return pad(image, (right, -right, down, -down))
 
-    def _kept(self, shown: Tensor) -> Tensor:
-        """(B, 1, H, W), 0 in holes."""
+    def _kept(self, images: Tensor) -> Tensor:
+        """(B, 1, H, W), 0 in cutouts."""
         inside = [
-            (torch.linspace(0, 1, pixels)[None] - middle[:, None]).abs() <= HOLE / 2  # NaN is never inside
-            for pixels, middle in ((shown.shape[2], self.hole_down), (shown.shape[3], self.hole_right))
+            (torch.linspace(0, 1, pixels)[None] - middle[:, None]).abs() <= CUTOUT / 2  # NaN is never inside
+            for pixels, middle in ((images.shape[2], self.cut_row), (images.shape[3], self.cut_column))
         ]
-        return (~(inside[0][:, None, :, None] & inside[1][:, None, None, :])).to(shown)
+        return (~(inside[0][:, None, :, None] & inside[1][:, None, None, :])).to(images)

@@ -1,4 +1,4 @@
-"""What painters of films are trained against; each a scalar, a mean over the batch, without any weight.
+"""Losses of video painters; each a scalar, a mean over the batch, without any weight.
 
 Wang et al. 2018, Video-to-Video Synthesis (arXiv:1808.06601), section 3, and the code published with it
 (https://github.com/NVIDIA/vid2vid, vid2vid_model_D.py), which decides what the paper leaves open.
@@ -18,22 +18,22 @@ from lidar2pano.losses.adversarial import feature_matching
 # Published weights of the five layers of VGG-19 (Wang et al. 2018, arXiv:1711.11585: pix2pixHD's code).
 LAYERS = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1.0)
 
-Answers = Sequence[Sequence[Tensor]]
-"""A critic's answer: per scale, the features of every layer, the scores last."""
+Outputs = Sequence[Sequence[Tensor]]
+"""A discriminator's output: per scale, the features of every layer, the scores last."""
 
 
-def least_squares_critic(real: Answers, fake: Answers) -> Tensor:
+def least_squares_critic(real: Outputs, fake: Outputs) -> Tensor:
     """Sum over scales of (E[(D(real) - 1)^2] + E[D(fake)^2]) / 2: Mao et al. 2017 (arXiv:1611.04076), equation 9."""
     pairs = zip(real, fake, strict=True)
     return torch.stack([(r[-1] - 1).square().mean() + f[-1].square().mean() for r, f in pairs]).sum() / 2
 
 
-def least_squares_generator(fake: Answers) -> Tensor:
+def least_squares_generator(fake: Outputs) -> Tensor:
     """Sum over scales of E[(D(fake) - 1)^2]: Mao et al. 2017, equation 9, twice, as published."""
     return torch.stack([(f[-1] - 1).square().mean() for f in fake]).sum()
 
 
-def matched_features(real: Answers, fake: Answers) -> Tensor:
+def matched_features(real: Outputs, fake: Outputs) -> Tensor:
     """Feature matching of all scales: their mean, of 4 times the mean over layers, as published.
 
     Wang et al. 2018 (arXiv:1711.11585), equation 4; no gradient goes through the real side.
@@ -43,7 +43,7 @@ def matched_features(real: Answers, fake: Answers) -> Tensor:
 
 
 def masked_l1(one: Tensor, other: Tensor, known: Tensor) -> Tensor:
-    """Mean of known |one - other| over all pixels, also those that are not known, as published.
+    """Mean of known * |one - other| over all pixels, the unknown ones included, as published.
 
     one, other  (B, C, H, W);  known (B, H, W) in [0, 1].
     """
@@ -55,21 +55,21 @@ def flow_loss(flow: Tensor, reference: Tensor, known: Tensor) -> Tensor:
     return masked_l1(flow, reference, known)
 
 
-def warping_loss(flow: Tensor, before: Tensor, now: Tensor, known: Tensor, *, closed: bool = False) -> Tensor:
-    """Distance of the true picture (B, 3, H, W) from that before it, warped by a flow: equation 8, second part."""
-    return masked_l1(warp(before, flow, circular=closed), now, known)
+def warping_loss(flow: Tensor, before: Tensor, now: Tensor, known: Tensor, *, circular: bool = False) -> Tensor:
+    """Distance of the real image (B, 3, H, W) from that before it, warped by a flow: equation 8, second part."""
+    return masked_l1(warp(before, flow, circular=circular), now, known)
 
 
-def coherence_loss(now: Tensor, before: Tensor, reference: Tensor, known: Tensor, *, closed: bool = False) -> Tensor:
-    """Distance of a painted picture (B, 3, H, W) from that painted before it, warped by the reference flow.
+def coherence_loss(now: Tensor, before: Tensor, reference: Tensor, known: Tensor, *, circular: bool = False) -> Tensor:
+    """Distance of a painted image (B, 3, H, W) from that painted before it, warped by the reference flow.
 
-    In the published code only (G_Warp); no gradient goes into the picture before.
+    In the published code only (G_Warp); no gradient goes into the image before.
     """
-    return masked_l1(now, warp(before, reference, circular=closed).detach(), known)
+    return masked_l1(now, warp(before, reference, circular=circular).detach(), known)
 
 
 def mask_loss(weight: Tensor, known: Tensor) -> Tensor:
-    """Mean of the share (B, 1, H, W) that is painted anew although the flow is known: what was there should stay.
+    """Mean of the share (B, 1, H, W) of new pixels where the flow is known and the warped image should be kept.
 
     In the published code only (loss W, with --no_first_img).
     """

@@ -1,1 +1,1 @@
-"""metrics."""
+"""Metrics of label maps, images, depth maps and panoramas."""

@@ -1,13 +1,17 @@
-"""Intersection over union from one confusion matrix over a whole split."""
+"""Intersection over union from one confusion matrix over a whole split, also frame by frame, with an interval."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Any, Protocol
+import copy
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Protocol, Self
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from lidar2pano.metrics.accumulation import FrameMetric
+from lidar2pano.metrics.input_checks import Array, as_tensor, image_tensor
 
 
 class NamesClasses(Protocol):
@@ -20,13 +24,12 @@ class NamesClasses(Protocol):
 
 
 class Confusion:
-    """Counts over a whole split; classes first, averages last.
+    """A confusion matrix over a whole split.
 
     update    predicted, target: integer tensors or arrays of one shape; ids outside [0, K) in target are not scored,
-              nor are those of `unscored`. A predicted id of `unscored` is an answer like any other: wrong.
-    +=        adds the counts of another part of the split (another process, another half).
-    iou       (K,) float64, NaN for a class that neither side ever named where it was scored, and for `unscored`.
-    miou      the mean of iou over the classes asked for, without the NaN.
+              nor are those of `unscored`. A prediction of `unscored` counts as wrong.
+    iou       (K,) float64, NaN for a class that neither side ever has where it is scored, and for `unscored`.
+    miou      the mean of iou over the requested classes, without the NaN.
     counts    (K, K) int64 on the CPU; row = target, column = predicted.
 
     The paper's mIoU over common-14 is `Confusion(COMMON14, unscored=(0,)).miou()`: class 0 of the target is not scored,
@@ -55,33 +58,22 @@ class Confusion:
         if predicted.is_floating_point() or target.is_floating_point():
             raise ValueError("Confusion compares class ids: take the argmax of scores first")
         count = len(self.names)
-        target, given = target.flatten().long(), predicted.flatten().long()
+        target, predicted = target.flatten().long(), predicted.flatten().long()
         scored = self._scored(target)
-        outside = ((given < 0) | (given >= count)) & scored
+        outside = ((predicted < 0) | (predicted >= count)) & scored
         if outside.any():
-            raise ValueError(f"predicted id {int(given[outside][0])} is outside [0, {count})")
-        cell = (target * count + given).masked_fill_(~scored, count * count)  # one bin more for what is not scored
+            raise ValueError(f"predicted id {int(predicted[outside][0])} is outside [0, {count})")
+        cell = (target * count + predicted).masked_fill_(~scored, count * count)  # one more bin for unscored pixels
         self.counts += torch.bincount(cell, minlength=count * count + 1)[:-1].view(count, count).cpu()
 
     def _scored(self, target: Tensor) -> Tensor:
         scored = (target >= 0) & (target < len(self.names))
-        for left_out in self.unscored:
-            scored &= target != left_out
+        for ignored in self.unscored:
+            scored &= target != ignored
         return scored
 
-    def __iadd__(self, other: Confusion) -> Confusion:
-        """Take in the counts of another; ValueError when it does not count the same classes."""
-        if (self.names, self.unscored) != (other.names, other.unscored):
-            raise ValueError(f"{self!r} and {other!r} do not count the same")
-        self.counts += other.counts
-        return self
-
-    def __repr__(self) -> str:
-        """Classes, what is not scored and how many pixels have been."""
-        return f"Confusion(classes={len(self.names)}, unscored={self.unscored}, scored={int(self.counts.sum())})"
-
     def iou(self) -> Tensor:
-        """(K,) float64: hits / (named by either side)."""
+        """(K,) float64: intersection / union."""
         hit = self.counts.diag().double()
         iou = hit / (self.counts.sum(0) + self.counts.sum(1) - hit)
         iou[list(self.unscored)] = torch.nan
@@ -93,20 +85,91 @@ class Confusion:
         return float((iou if over is None else iou[list(over)]).nanmean())
 
     def accuracy(self) -> float:
-        """Share of scored pixels that are right; NaN when none was scored."""
+        """Share of scored pixels that are correct; NaN when none was scored."""
         return float(self.counts.diag().sum().double() / self.counts.sum())
 
     def table(self) -> list[dict[str, Any]]:
         """One row per scored class, ready for JSON: class, iou, precision, recall (None where undefined), pixels."""
-        hit, named, there = self.counts.diag().double(), self.counts.sum(0), self.counts.sum(1)
-        columns = (self.iou(), hit / named, hit / there)
+        hit, predicted, targets = self.counts.diag().double(), self.counts.sum(0), self.counts.sum(1)
+        columns = (self.iou(), hit / predicted, hit / targets)
         return [
             {"class": name}
             | {
                 key: None if column[c].isnan() else float(column[c])
                 for key, column in zip(("iou", "precision", "recall"), columns, strict=True)
             }
-            | {"pixels": int(there[c])}
+            | {"pixels": int(targets[c])}
             for c, name in enumerate(self.names)
             if c not in self.unscored
         ]
+
+
+class MeanIoU(FrameMetric):
+    """A `Confusion` per frame: "mIoU" and "accuracy" of their sum, with a value per frame and per resample.
+
+    A class that neither side has is undefined and not in the mean: with `over` None, the mean of one frame or of one
+    resample is over the classes that it has.
+    """
+
+    def __init__(
+        self, classes: int | NamesClasses, *, unscored: Iterable[int] = (), over: Sequence[int] | None = None
+    ) -> None:
+        """classes, unscored: as for Confusion; over: ids of the mean, None for all that are scored."""
+        self.blank = Confusion(classes, unscored=unscored)
+        self.over = tuple(range(len(self.blank.names)) if over is None else over)
+        names = self.blank.names
+        super().__init__(*(f"{target}/{predicted}" for target in names for predicted in names))
+
+    def update(self, predicted: Array, target: Array, name: str) -> None:
+        """Count the frame `name`: ids of one shape; raises what Confusion.update raises."""
+        frame = self._empty()
+        frame.update(as_tensor(predicted), as_tensor(target))
+        self._keep(name, *frame.counts.flatten().tolist())
+
+    def averaged_over(self, ids: Sequence[int]) -> Self:
+        """The same counts with the mean over other classes."""
+        metric = copy.copy(self)
+        metric.over = tuple(ids)
+        return metric
+
+    def values_of(self, sums: np.ndarray) -> dict[str, np.ndarray]:
+        """Mean IoU and accuracy from counts (..., K * K)."""
+        count = len(self.blank.names)
+        cells = sums.reshape(*sums.shape[:-1], count, count)
+        hit = cells.diagonal(axis1=-2, axis2=-1)
+        iou = hit / (cells.sum(-1) + cells.sum(-2) - hit)
+        iou[..., list(self.blank.unscored)] = np.nan
+        iou = iou[..., list(self.over)]
+        defined = ~np.isnan(iou)
+        miou = np.where(defined, iou, 0).sum(-1) / defined.sum(-1)
+        return {"mIoU": miou, "accuracy": hit.sum(-1) / cells.sum((-1, -2))}
+
+    def confusion(self) -> Confusion:
+        """The counts of all frames together."""
+        whole = self._empty()
+        whole.counts += torch.from_numpy(self.sums().sum(0).reshape(whole.counts.shape)).long()
+        return whole
+
+    def _empty(self) -> Confusion:
+        empty = copy.copy(self.blank)
+        empty.counts = torch.zeros_like(self.blank.counts)
+        return empty
+
+
+class Resegmentation(MeanIoU):
+    """mIoU and accuracy of the labels that a camera segmenter predicts in a painted image.
+
+    The segmenter errs too: its score on the camera's images is the upper bound.
+    """
+
+    def __init__(
+        self, segment: Callable[[np.ndarray], Array], classes: int | NamesClasses, *, unscored: Iterable[int] = ()
+    ) -> None:
+        """segment: image (H, W, 3) uint8 -> ids (H, W)."""
+        self.segment = segment
+        super().__init__(classes, unscored=unscored)
+
+    def update(self, predicted: Array, target: Array, name: str) -> None:
+        """Count the frame `name`: a painted image (H, W, 3) uint8 and the ids (H, W) that should be in it."""
+        image = image_tensor(predicted, "the painted image").movedim(0, 2).numpy()
+        super().update(as_tensor(self.segment(image)), target, name)

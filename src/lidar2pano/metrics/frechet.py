@@ -1,68 +1,55 @@
-"""Frechet distance between the features of two sets of pictures: FID, and FSD with a segmenter's features."""
+"""Frechet distance between the features of two sets of images: FID, and FSD with a segmenter's features."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from lidar2pano.metrics.inputs import Array, picture
-from lidar2pano.metrics.samples import SIDES, TwoSets
-
-Extract = Callable[[Tensor], Tensor]
+from lidar2pano.metrics.accumulation import SIDES, SetMetric
+from lidar2pano.metrics.input_checks import Array, image_tensor
 
 
-class FrechetDistance(TwoSets):
-    """Frechet distance of the Gaussians that fit the features of predicted and of true pictures.
+class FrechetDistance(SetMetric):
+    """Frechet distance of the Gaussians that fit the features of the predicted and of the target images.
 
-    Heusel et al. 2017 (arXiv:1706.08500), equation 6. It is biased: it falls with the number of pictures, so compare
-    only over equally many. Memory: four bytes per picture and feature.
+    Heusel et al. 2017 (arXiv:1706.08500), equation 6. It is biased: it falls with the number of images, so compare
+    only over equally many, and only values of the same feature extractor.
     """
 
-    def __init__(self, extract: Extract, *, name: str, extractor: str) -> None:
-        """Take the features of pictures.
+    MOST = 50_000  # images of a side, as in Heusel et al. 2017
 
-        extract    (B, 3, H, W) uint8 -> (B, D) float.
-        name       of the figure: "FID" for Inception's features and nothing else, "FSD" for a segmenter's.
-        extractor  SHA-256 of the weights that made the features (`fingerprint`): figures of different ones do not
-                   compare.
-        """
-        self.extract, self.name, self.extractor = extract, name, extractor
+    def __init__(self, extract: Callable[[Tensor], Tensor], *, name: str) -> None:
+        """extract: (B, 3, H, W) uint8 -> (B, D) float features; name: "FID" if Inception's, "FSD" if a segmenter's."""
+        self.extract, self.name = extract, name
         super().__init__()
 
     def update(self, predicted: Array, target: Array, name: str) -> None:
-        """Take in the frame `name`: two pictures (H, W, 3) uint8, not necessarily of one size."""
+        """Count the frame `name`: two images (H, W, 3) uint8, not necessarily of one size."""
         self.take(predicted, name, "predicted")
         self.take(target, name, "target")
 
     def take(self, image: Array, name: str, side: str) -> None:
-        """Take in one picture (H, W, 3) uint8 of the "predicted" or the "target"; the sets may differ in size.
+        """Count one image (H, W, 3) uint8 of the "predicted" or the "target"; the sets may differ in size.
 
         Raises ValueError when its features are not (1, D), or NaN or infinite.
         """
-        self._check_new(name, side)
+        if not self._makes_room(name, side):
+            return
         with torch.inference_mode():
-            features = self.extract(picture(image)[None])
+            features = self.extract(image_tensor(image)[None])
         if features.ndim != 2 or len(features) != 1 or not features.isfinite().all():
             raise ValueError(f"{self.name}: features of {name!r} are {tuple(features.shape)}, or NaN or infinite")
         self.kept[side][name] = features[0].float().cpu().numpy()
 
-    def figures(self) -> dict[str, float]:
-        """The distance under its own name; NaN while a side has fewer than two pictures."""
-        sides = [self._stacked(side) for side in SIDES]
-        enough = min(map(len, sides)) > 1
+    def values(self) -> dict[str, float]:
+        """The distance under its own name; NaN while a side has fewer than two images."""
+        enough = min(map(len, self.kept.values())) > 1
+        sides = (self.kept[side].stacked() for side in SIDES)
         return {self.name: frechet_distance(*sides) if enough else float("nan")}
-
-    def told(self) -> dict[str, Any]:
-        """What a result must say beside the figure, for JSON: the extractor and how many pictures of each side."""
-        return {"extractor": self.extractor, **{side: len(kept) for side, kept in self.kept.items()}}
-
-    def _counted(self) -> tuple:
-        return (*super()._counted(), self.name, self.extractor)
 
 
 def frechet_distance(first: np.ndarray, second: np.ndarray) -> float:
@@ -70,7 +57,7 @@ def frechet_distance(first: np.ndarray, second: np.ndarray) -> float:
 
     m: means, C: sample covariances (N - 1). With C = X^T X, X the centred features over (N - 1)^(1/2), the eigenvalues
     of C1 C2 are the squares of the singular values of X1 X2^T, so the trace of the root is their sum: no root of a
-    product of nearly singular matrices is taken, and with fewer pictures than features nothing is lost.
+    product of nearly singular matrices is taken, and with fewer images than features nothing is lost.
     Raises ValueError for fewer than two rows, for different D, and for NaN or infinite features.
     """
     sides = [torch.from_numpy(np.ascontiguousarray(side, dtype=np.float64)) for side in (first, second)]
@@ -84,7 +71,7 @@ def frechet_distance(first: np.ndarray, second: np.ndarray) -> float:
     short = [torch.linalg.qr(x, mode="r").R if len(x) > x.shape[1] else x for x in factors]  # the same X^T X
     root = torch.linalg.svdvals(short[0] @ short[1].T).sum()
     distance = (means[0] - means[1]).square().sum() + traces - 2 * root
-    return max(float(distance), 0.0)  # of equal sets: rounding either side of zero
+    return max(float(distance), 0.0)  # equal sets: rounding on either side of zero
 
 
 def fingerprint(network: nn.Module) -> str:

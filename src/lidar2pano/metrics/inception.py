@@ -1,13 +1,13 @@
-"""The Inception-v3 that FID is defined by, and its published weights, which only the user can bring.
+"""The Inception-v3 of FID, and its published weights, which the user has to supply.
 
 Szegedy et al. 2016 (arXiv:1512.00567), in the variant of TensorFlow's graph `inception-2015-12-05` that Heusel et al.
-2017 took the third pooling's 2048 features of. Its weights were ported to torch by M. Seitzer (pytorch-fid, Apache
+2017 took the third pooling's 2048 features of. The weights were ported to torch by M. Seitzer (pytorch-fid, Apache
 2.0); parameters are named as in that file. Where it differs from the network of the paper:
 
 * average pools do not count the border's zeros;
 * the last block pools by maximum, the one before by average;
 * batch norms have an epsilon of 0.001, and the classifier 1008 classes (it is in the file and not used here);
-* pictures are resized to 299 x 299 as TensorFlow 1 does it: bilinear, corners aligned at the top left, no widening.
+* images are resized to 299 x 299 as TensorFlow 1 does it: bilinear, corners aligned at the top left, no antialiasing.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ABSENT = f"FID needs the weights of Inception-v3, which are not downloaded: fetc
 
 
 def find_inception(given: Path | str | None = None) -> Path | None:
-    """The file with Inception's weights: the one given, else one in torch hub's cache folder, else None.
+    """The file with Inception's weights: the given one, else one in torch hub's cache folder, else None.
 
     Nothing is downloaded. InputError when a given file is not there.
     """
@@ -44,7 +44,7 @@ def find_inception(given: Path | str | None = None) -> Path | None:
 
 
 def load_inception(path: Path | str, device: torch.device | str = "cpu", sha256: str = SHA256) -> Inception:
-    """The network with the weights in `path`, in evaluation mode; a file that is another raises InputError."""
+    """The network with the weights in `path`, in evaluation mode; InputError for any other file."""
     try:
         with Path(path).open("rb") as file:
             found = hashlib.file_digest(file, "sha256").hexdigest()
@@ -53,7 +53,7 @@ def load_inception(path: Path | str, device: torch.device | str = "cpu", sha256:
     if found != sha256:
         raise InputError(f"{path}: is not the published file (SHA-256 {found[:8]}..., not {sha256[:8]}...); {ABSENT}")
     network = Inception()
-    network.take(_read(path), str(path))
+    network.load_published(_read(path), str(path))
     return network.to(device).eval()
 
 
@@ -63,12 +63,12 @@ def _read(path: Path | str) -> Mapping[str, Tensor]:
     except (pickle.UnpicklingError, EOFError, RuntimeError, ValueError):
         state = None
     if not isinstance(state, Mapping):
-        raise InputError(f"{path}: holds no table of weights; {ABSENT}")
+        raise InputError(f"{path}: holds no weights; {ABSENT}")
     return state
 
 
 class Inception(nn.Module):
-    """Pictures (B, 3, H, W) uint8 -> features (B, 2048) float32 of the last pooling."""
+    """Images (B, 3, H, W) uint8 -> features (B, 2048) float32 of the last pooling."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -77,34 +77,34 @@ class Inception(nn.Module):
         self.Conv2d_2b_3x3 = ConvNormAct(32, 64, 3, padding=1)
         self.Conv2d_3b_1x1 = ConvNormAct(64, 80, 1)
         self.Conv2d_4a_3x3 = ConvNormAct(80, 192, 3)
-        self.Mixed_5b = Fine(192, 32)
-        self.Mixed_5c = Fine(256, 64)
-        self.Mixed_5d = Fine(288, 64)
-        self.Mixed_6a = FineToMiddle(288)
-        self.Mixed_6b = Middle(768, 128)
-        self.Mixed_6c = Middle(768, 160)
-        self.Mixed_6d = Middle(768, 160)
-        self.Mixed_6e = Middle(768, 192)
-        self.Mixed_7a = MiddleToCoarse(768)
-        self.Mixed_7b = Coarse(1280, by_maximum=False)
-        self.Mixed_7c = Coarse(2048, by_maximum=True)
+        self.Mixed_5b = InceptionA(192, 32)
+        self.Mixed_5c = InceptionA(256, 64)
+        self.Mixed_5d = InceptionA(288, 64)
+        self.Mixed_6a = InceptionB(288)
+        self.Mixed_6b = InceptionC(768, 128)
+        self.Mixed_6c = InceptionC(768, 160)
+        self.Mixed_6d = InceptionC(768, 160)
+        self.Mixed_6e = InceptionC(768, 192)
+        self.Mixed_7a = InceptionD(768)
+        self.Mixed_7b = InceptionE(1280, max_pool=False)
+        self.Mixed_7c = InceptionE(2048, max_pool=True)
         self.fc = nn.Linear(FEATURES, CLASSES)
 
-    def take(self, state: Mapping[str, Tensor], whose: str) -> None:
-        """Load published weights, every one; `whose` begins the InputError for a table that does not fit."""
-        # the batch norms' counters are of no use in evaluation, and files differ in having them
+    def load_published(self, state: Mapping[str, Tensor], source: str) -> None:
+        """Load published weights, every one; `source` begins the InputError for tensors that do not fit."""
+        # batch-norm counters are not used in evaluation, and not every file has them
         known = {key: value for key, value in state.items() if not key.endswith(".num_batches_tracked")}
         ours = {key: value for key, value in self.state_dict().items() if not key.endswith(".num_batches_tracked")}
         if wrong := sorted(known.keys() ^ ours.keys()):
-            raise InputError(f"{whose}: {len(wrong)} tensors too many or too few, the first {wrong[0]!r}; {ABSENT}")
+            raise InputError(f"{source}: {len(wrong)} tensors too many or too few, the first {wrong[0]!r}; {ABSENT}")
         for key, value in known.items():
             if value.shape != ours[key].shape:
-                raise InputError(f"{whose}: {key!r} has shape {list(value.shape)}; {ABSENT}")
+                raise InputError(f"{source}: {key!r} has shape {list(value.shape)}; {ABSENT}")
         self.load_state_dict(known, strict=False)
 
-    def forward(self, pictures: Tensor) -> Tensor:
-        """Features of pictures of any size."""
-        x = (resized(pictures.to(self.fc.weight), SIDE) - 128) / 128
+    def forward(self, images: Tensor) -> Tensor:
+        """Features of images of any size."""
+        x = (resized(images.to(self.fc.weight), SIDE) - 128) / 128
         x = self.Conv2d_2b_3x3(self.Conv2d_2a_3x3(self.Conv2d_1a_3x3(x)))
         x = self.Conv2d_4a_3x3(self.Conv2d_3b_1x1(max_pool2d(x, 3, 2)))
         x = self.Mixed_5d(self.Mixed_5c(self.Mixed_5b(max_pool2d(x, 3, 2))))
@@ -113,7 +113,7 @@ class Inception(nn.Module):
 
 
 def resized(x: Tensor, side: int) -> Tensor:
-    """(B, C, H, W) float -> (B, C, side, side), bilinear as TensorFlow 1 has it: pixel i looks at i * H / side."""
+    """(B, C, H, W) float -> (B, C, side, side), bilinear as in TensorFlow 1: pixel i samples i * H / side."""
     for dim in (2, 3):
         length = x.shape[dim]
         place = torch.arange(side, dtype=x.dtype, device=x.device) * (length / side)
@@ -144,19 +144,19 @@ class ConvNormAct(nn.Module):
         return self.bn(self.conv(x)).relu()
 
 
-def _across(inputs: int, outputs: int) -> ConvNormAct:
+def _horizontal(inputs: int, outputs: int) -> ConvNormAct:
     return ConvNormAct(inputs, outputs, (1, 7), padding=(0, 3))
 
 
-def _down(inputs: int, outputs: int) -> ConvNormAct:
+def _vertical(inputs: int, outputs: int) -> ConvNormAct:
     return ConvNormAct(inputs, outputs, (7, 1), padding=(3, 0))
 
 
-def _averaged(x: Tensor) -> Tensor:
+def _average_pooled(x: Tensor) -> Tensor:
     return avg_pool2d(x, 3, stride=1, padding=1, count_include_pad=False)
 
 
-class Fine(nn.Module):
+class InceptionA(nn.Module):
     """The blocks at 35 x 35 (figure 5 of the paper): (B, inputs, H, W) -> (B, 224 + pooled, H, W)."""
 
     def __init__(self, inputs: int, pooled: int) -> None:
@@ -173,10 +173,10 @@ class Fine(nn.Module):
         """Four branches side by side."""
         five = self.branch5x5_2(self.branch5x5_1(x))
         three = self.branch3x3dbl_3(self.branch3x3dbl_2(self.branch3x3dbl_1(x)))
-        return torch.cat([self.branch1x1(x), five, three, self.branch_pool(_averaged(x))], 1)
+        return torch.cat([self.branch1x1(x), five, three, self.branch_pool(_average_pooled(x))], 1)
 
 
-class FineToMiddle(nn.Module):
+class InceptionB(nn.Module):
     """From 35 x 35 to 17 x 17 (figure 10): (B, inputs, H, W) -> (B, 480 + inputs, (H - 1) / 2, (W - 1) / 2)."""
 
     def __init__(self, inputs: int) -> None:
@@ -192,20 +192,20 @@ class FineToMiddle(nn.Module):
         return torch.cat([self.branch3x3(x), three, max_pool2d(x, 3, 2)], 1)
 
 
-class Middle(nn.Module):
+class InceptionC(nn.Module):
     """The blocks at 17 x 17 (figure 6), kernels of 7 as rows and columns: (B, inputs, H, W) -> (B, 768, H, W)."""
 
     def __init__(self, inputs: int, inner: int) -> None:
         super().__init__()
         self.branch1x1 = ConvNormAct(inputs, 192, 1)
         self.branch7x7_1 = ConvNormAct(inputs, inner, 1)
-        self.branch7x7_2 = _across(inner, inner)
-        self.branch7x7_3 = _down(inner, 192)
+        self.branch7x7_2 = _horizontal(inner, inner)
+        self.branch7x7_3 = _vertical(inner, 192)
         self.branch7x7dbl_1 = ConvNormAct(inputs, inner, 1)
-        self.branch7x7dbl_2 = _down(inner, inner)
-        self.branch7x7dbl_3 = _across(inner, inner)
-        self.branch7x7dbl_4 = _down(inner, inner)
-        self.branch7x7dbl_5 = _across(inner, 192)
+        self.branch7x7dbl_2 = _vertical(inner, inner)
+        self.branch7x7dbl_3 = _horizontal(inner, inner)
+        self.branch7x7dbl_4 = _vertical(inner, inner)
+        self.branch7x7dbl_5 = _horizontal(inner, 192)
         self.branch_pool = ConvNormAct(inputs, 192, 1)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -213,10 +213,10 @@ class Middle(nn.Module):
         seven = self.branch7x7_3(self.branch7x7_2(self.branch7x7_1(x)))
         twice = self.branch7x7dbl_3(self.branch7x7dbl_2(self.branch7x7dbl_1(x)))
         twice = self.branch7x7dbl_5(self.branch7x7dbl_4(twice))
-        return torch.cat([self.branch1x1(x), seven, twice, self.branch_pool(_averaged(x))], 1)
+        return torch.cat([self.branch1x1(x), seven, twice, self.branch_pool(_average_pooled(x))], 1)
 
 
-class MiddleToCoarse(nn.Module):
+class InceptionD(nn.Module):
     """From 17 x 17 to 8 x 8: (B, inputs, H, W) -> (B, 512 + inputs, (H - 1) / 2, (W - 1) / 2)."""
 
     def __init__(self, inputs: int) -> None:
@@ -224,8 +224,8 @@ class MiddleToCoarse(nn.Module):
         self.branch3x3_1 = ConvNormAct(inputs, 192, 1)
         self.branch3x3_2 = ConvNormAct(192, 320, 3, stride=2)
         self.branch7x7x3_1 = ConvNormAct(inputs, 192, 1)
-        self.branch7x7x3_2 = _across(192, 192)
-        self.branch7x7x3_3 = _down(192, 192)
+        self.branch7x7x3_2 = _horizontal(192, 192)
+        self.branch7x7x3_3 = _vertical(192, 192)
         self.branch7x7x3_4 = ConvNormAct(192, 192, 3, stride=2)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -235,12 +235,12 @@ class MiddleToCoarse(nn.Module):
         return torch.cat([three, self.branch7x7x3_4(seven), max_pool2d(x, 3, 2)], 1)
 
 
-class Coarse(nn.Module):
+class InceptionE(nn.Module):
     """The blocks at 8 x 8 (figure 7), two branches that end in two: (B, inputs, H, W) -> (B, 2048, H, W)."""
 
-    def __init__(self, inputs: int, *, by_maximum: bool) -> None:
+    def __init__(self, inputs: int, *, max_pool: bool) -> None:
         super().__init__()
-        self.by_maximum = by_maximum
+        self.max_pool = max_pool
         self.branch1x1 = ConvNormAct(inputs, 320, 1)
         self.branch3x3_1 = ConvNormAct(inputs, 384, 1)
         self.branch3x3_2a = ConvNormAct(384, 384, (1, 3), padding=(0, 1))
@@ -255,7 +255,7 @@ class Coarse(nn.Module):
         """Six branches side by side."""
         three = self.branch3x3_1(x)
         twice = self.branch3x3dbl_2(self.branch3x3dbl_1(x))
-        pooled = max_pool2d(x, 3, stride=1, padding=1) if self.by_maximum else _averaged(x)
+        pooled = max_pool2d(x, 3, stride=1, padding=1) if self.max_pool else _average_pooled(x)
         branches = [self.branch1x1(x), self.branch3x3_2a(three), self.branch3x3_2b(three)]
         branches += [self.branch3x3dbl_3a(twice), self.branch3x3dbl_3b(twice), self.branch_pool(pooled)]
         return torch.cat(branches, 1)

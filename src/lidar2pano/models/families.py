@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from lidar2pano.errors import InputError, closest
-from lidar2pano.models.card import read_card
+from lidar2pano.labels import COMMON14
+from lidar2pano.models.card import Card, read_card
 
 RELEASED = Path(__file__).parent.parent / "weights"
 DEFAULT = "kitti-mini"  # the better one on real scans
 ROLES: dict[str, str] = {
     "salsanext": "segmenter",
     "titan-pano": "translator",
+    "titan-next": "translator",
     "titan": "translator",
+    "pix2pix": "translator",
+    "scunet": "renderer",
     "painter": "painter",
     "vid2vid": "painter",
     "vid2vid-single": "first-frame painter",
 }
-"""The part that a network plays in the pipeline."""
+"""The part that a network plays; a translator of the paper's kind that gives colours is a renderer (see `role`)."""
 
 
 def families() -> dict[str, Path]:
@@ -27,15 +32,15 @@ def families() -> dict[str, Path]:
 
 
 def weight_files(name: str | Path, *, fill: bool = True) -> dict[str, Path]:
-    """Files by role (segmenter, translator, painter, first-frame painter) that a name or path stands for.
+    """Files by role (see `role`) that a name or path stands for.
 
     name  a released family; a folder of weight files or a training run (its `weights/`); or one weight file. Roles
           that a path does not fill are filled by the default family, where it is installed and `fill` is true.
-    Raises InputError when there is no such family, file or folder, or a folder has two files for one role.
+    Raises InputError when there is no such family, file or folder, or `by_role` refuses its files.
     """
     installed = families()
     if str(name) in installed:
-        return _by_role(sorted(installed[str(name)].glob("*.safetensors")))
+        return by_role(sorted(installed[str(name)].glob("*.safetensors")))
     path = Path(name)
     if path.is_dir():
         folder = path / "weights" if (path / "weights").is_dir() else path
@@ -48,26 +53,39 @@ def weight_files(name: str | Path, *, fill: bool = True) -> dict[str, Path]:
         raise InputError(
             f"no weights {str(name)!r}: neither a released family nor a file" + closest(str(name), installed)
         )
-    mine = _by_role(files)
-    rest = _by_role(sorted(installed[DEFAULT].glob("*.safetensors"))) if fill and DEFAULT in installed else {}
+    mine = by_role(files)
+    rest = by_role(sorted(installed[DEFAULT].glob("*.safetensors"))) if fill and DEFAULT in installed else {}
     return rest | mine
 
 
-def licence_note(files: dict[str, Path]) -> str | None:
-    """One line about a licence that restricts the use of these files, or None where none does."""
-    licences = {read_card(file).licence for file in files.values()}
-    strict = sorted(licence for licence in licences if "NC" in licence.upper().replace("-", " ").split())
-    return f"these weights are licensed {', '.join(strict)}: not for commercial use" if strict else None
+def role(card: Card) -> str | None:
+    """The part that a card's network plays; None when it plays none.
+
+    Roles: segmenter, translator (scan and segments -> classes), renderer (scan -> colours, without classes in between),
+    painter (classes -> colours), first-frame painter.
+    """
+    if card.network in ("titan", "pix2pix") and card.labels != COMMON14.name:
+        return "renderer"
+    return ROLES.get(card.network)
 
 
-def _by_role(files: list[Path]) -> dict[str, Path]:
+def by_role(files: Iterable[Path]) -> dict[str, Path]:
+    """Weight files by the roles of their networks; InputError where one has none, or two have the same."""
     roles: dict[str, Path] = {}
     for file in files:
-        network = read_card(file).network
-        if network not in ROLES:
-            raise InputError(f"{file}: a {network!r} has no part in the pipeline; name weights of {', '.join(ROLES)}")
-        role = ROLES[network]
-        if role in roles:
-            raise InputError(f"{file.parent}: {roles[role].name} and {file.name} are both a {role}; name one of them")
-        roles[role] = file
+        card = read_card(file)
+        part = role(card)
+        if part is None:
+            mend = "evaluate takes it as --sdnet" if card.network == "sdnet" else f"name weights of {', '.join(ROLES)}"
+            raise InputError(f"{file}: a {card.network!r} has no part in a system; {mend}")
+        if part in roles:
+            raise InputError(f"{file.parent}: {roles[part].name} and {file.name} are both a {part}; name one of them")
+        roles[part] = file
     return roles
+
+
+def licence_note(cards: Iterable[Card]) -> str | None:
+    """One line about a licence that restricts the use of these weights, or None where none does."""
+    licences = {card.licence for card in cards}
+    strict = sorted(licence for licence in licences if "NC" in licence.upper().replace("-", " ").split())
+    return f"these weights are licensed {', '.join(strict)}: not for commercial use" if strict else None

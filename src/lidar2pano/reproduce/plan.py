@@ -1,4 +1,4 @@
-"""What a reproduction is told, and the recipe that follows for each of its networks."""
+"""The options of a reproduction, and the recipe of each of its networks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from pathlib import Path
 
 from lidar2pano.data.semantic_kitti import SEQUENCES
 from lidar2pano.errors import InputError
-from lidar2pano.reproduce.rows import ROWS, Row
+from lidar2pano.reproduce.paper_tables import ROWS, PaperRow
+from lidar2pano.train.options import VideoOptions
 from lidar2pano.train.recipe import Recipe, override
 from lidar2pano.train.recipes import recipe_named
 
@@ -22,10 +23,10 @@ SEGMENTER = "salsanext"
 class Plan:
     """One reproduction.
 
-    data, out  the data set and the folder that everything goes into;  split: what rows are scored on.
-    budget     of every trained network alike: "90s", "20m", "2h" or "5000steps"; "" as the recipe has it.
-    rows       which rows;  mini: the recipes' small forms;  frames: how many of the split are scored (0 = all).
-    segmenter  weights of the LiDAR's segmenter; "" trains one like the rest.
+    data, out  the data set and the output folder;  split: the split on which rows are scored.
+    budget     training of every network: "90s", "20m", "2h" or "5000steps"; "" as in the recipe.
+    rows       which rows;  mini: the recipes' small forms;  frames: number of frames that are scored (0 = all).
+    segmenter  weights of the LiDAR segmenter; "" trains one.
     changes    "PART.a.b=c" for single recipes, e.g. "titan.training.batch=4".
     """
 
@@ -33,7 +34,7 @@ class Plan:
     out: Path
     split: str = "val"
     budget: str = ""
-    rows: Mapping[str, Row] = field(default_factory=lambda: ROWS)
+    rows: Mapping[str, PaperRow] = field(default_factory=lambda: ROWS)
     mini: bool = True
     frames: int = 0
     segmenter: str = ""
@@ -43,7 +44,7 @@ class Plan:
     changes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be (InputError)."""
+        """Raise InputError for impossible values."""
         budget(self.budget)
         if self.frames < 0:
             raise InputError(f"--frames {self.frames} cannot be negative")
@@ -51,36 +52,36 @@ class Plan:
     @property
     def parts(self) -> list[str]:
         """Every network that the rows need, in the order in which they can be trained."""
-        used = dict.fromkeys(part for row in self.rows.values() for part in row.parts if part != "truth")
+        used = dict.fromkeys(part for row in self.rows.values() for part in row.parts if part != "oracle")
         first = [] if self.segmenter else [SEGMENTER]
-        return [*first, *sorted(used, key=lambda part: part == "painter")]  # which learns behind a translator
+        return [*first, *sorted(used, key=lambda part: part == "painter")]  # which is trained behind a translator
 
     def run(self, part: str) -> Path:
-        """The folder that a network is trained in."""
+        """The folder in which a network is trained."""
         return self.out / "runs" / part
 
     def weights(self, part: str) -> str:
-        """Where a part's weights are: its run, or for the segmenter what was named."""
+        """Where a part's weights are: its run, or for the segmenter the given weights."""
         return self.segmenter if part == SEGMENTER and self.segmenter else str(self.run(part))
 
-    def chain(self, row: Row) -> str:
-        """The row's system, as `evaluate` takes it; what reads classes of the points is told by whom."""
-        runs = ["truth" if part == "truth" else str(self.run(part)) for part in row.parts]
-        reads = row.segments and row.parts[0] != "truth"
-        return "+".join([self.weights(SEGMENTER), *runs] if reads else runs)
+    def chain(self, row: PaperRow) -> str:
+        """The row's system, as an argument of `evaluate`; rows that use point labels get the segmenter prepended."""
+        runs = ["oracle" if part == "oracle" else str(self.run(part)) for part in row.parts]
+        uses_labels = row.segments and row.parts[0] != "oracle"
+        return "+".join([self.weights(SEGMENTER), *runs] if uses_labels else runs)
 
     def recipe(self, part: str, files: Mapping[str, Path]) -> Recipe:
-        """The recipe of a part on this data; files: weight files of what is trained already, by part."""
+        """The recipe of a part on this data; files: weight files of the trained parts."""
         found = recipe_named(f"{part}-mini" if self.mini else part)
         there = splits(self.data)
         train = tuple(name for name in found.data.train if name in there) or ("train",)
         found = replace(found, data=replace(found.data, train=train, val=(self.split,)))
-        stills = found.options.get("stills", ())
-        if stills:
-            found = replace(found, options={**found.options, "stills": tuple(n for n in stills if n in there)})
         given = {"segmenter": files.get(SEGMENTER), "translator": files.get("titan-pano")}
-        wants = {name: str(file) for name, file in given.items() if file and name in found.options}
-        found = replace(found, options={**found.options, **wants})
+        options = {name: str(file) for name, file in given.items() if file and hasattr(found.options, name)}
+        if isinstance(found.options, VideoOptions):
+            single = tuple(name for name in found.options.single_frame_splits if name in there)
+            options["single_frame_splits"] = single
+        found = replace(found, options=replace(found.options, **options))
         for change in budget(self.budget):
             found = override(found, change)
         for change in self.changes:
@@ -91,7 +92,7 @@ class Plan:
 
 
 def budget(text: str) -> list[str]:
-    """Changes of a recipe that give it "90s", "20m", "2h" or "5000steps"; InputError for other words."""
+    """Changes of a recipe that give it "90s", "20m", "2h" or "5000steps"; InputError for other text."""
     if not text:
         return []
     found = re.fullmatch(r"([0-9.]+)(s|m|h|steps)", text)

@@ -1,6 +1,7 @@
-"""What a run leaves on disk to go on from: its recipe and the last checkpoint, each complete or not there.
+"""A run's folder: recipe, last checkpoint and weight files, each complete or not there.
 
 RUN/recipe.json                       every value of the recipe
+RUN/weights/<network>.safetensors     the best released weights; <network>.last.safetensors: the last
 RUN/checkpoints/<step>/               one folder, the newest
     weights.safetensors               "network/<name>/<key>" and "average/<name>/<key>"
     optimizers.pt                     name -> state (loads without executing anything)
@@ -13,21 +14,27 @@ import json
 import os
 import pickle
 import shutil
-from collections.abc import Mapping
+import subprocess
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
-from torch import Tensor
+from torch import Tensor, nn
 
+from lidar2pano import __version__
+from lidar2pano.data.frames import located
 from lidar2pano.errors import InputError
-from lidar2pano.train.recipe import Recipe, resolved
+from lidar2pano.models.card import Card, save
+from lidar2pano.train.recipe import Network, Recipe, resolved
 
 FREE = {f"training.{name}" for name in ("workers", "checkpoint_minutes", "preview_minutes", "validate_minutes")}
-BROKEN = (SafetensorError, pickle.UnpicklingError)
+BROKEN = (SafetensorError, pickle.UnpicklingError, RuntimeError)  # RecursionError is one, too
 
 
 @dataclass
@@ -45,22 +52,35 @@ class Progress:
     finished: int = -1
     best: float | None = None
 
+    def __post_init__(self) -> None:
+        """Refuse what no run writes (TypeError)."""
+        counts = (self.step, self.validated, self.finished)
+        score = 0.0 if self.best is None else self.best
+        if not all(isinstance(count, int) for count in counts) or self.step < 0:
+            raise TypeError("counts of steps are not whole numbers")
+        if not all(isinstance(number, int | float) and isfinite(number) for number in (self.seconds, score)):
+            raise TypeError("seconds or score is no number")
+
 
 def check_recipe(run: Path, recipe: Recipe) -> None:
-    """Compare the recipe with the one that the run's folder holds already.
+    """Make the run's folder, or compare the recipe with the one that its checkpoint was trained with.
 
-    More steps or minutes than before, and what does not touch the result (FREE), may change; any other difference
-    raises InputError and says what differs.
+    More steps or minutes than before, and what does not affect the result (FREE), may change; any other difference
+    raises InputError and says what differs, as does a folder that cannot be written.
     """
     if run.exists() and not run.is_dir():
         raise InputError(f"{run} is a file; name a folder for the run")
+    with writing(run):
+        run.mkdir(parents=True, exist_ok=True)
+    if not os.access(run, os.W_OK | os.X_OK):
+        raise InputError(f"{run}: cannot be written (permission denied); name another folder")
     path = run / "recipe.json"
-    if not path.exists():
+    if not path.exists() or not _checkpoints(run):
         return
     try:
         before = _flat(json.loads(path.read_text(encoding="utf-8")))
-    except (ValueError, AttributeError):
-        raise InputError(f"{path} is damaged; mend it or train into another folder") from None
+    except (OSError, ValueError, AttributeError, RecursionError):
+        raise InputError(f"{path} is damaged; repair it or train into another folder") from None
     if changed := _differences(before, _flat(resolved(recipe))):
         raise InputError(
             f"{run} holds a run of another recipe ({'; '.join(changed)}); "
@@ -70,10 +90,10 @@ def check_recipe(run: Path, recipe: Recipe) -> None:
 
 def write_recipe(run: Path, recipe: Recipe) -> None:
     """Write every value of the recipe to RUN/recipe.json."""
-    run.mkdir(parents=True, exist_ok=True)
     beside = run / ".recipe.json"
-    beside.write_text(json.dumps(resolved(recipe), indent=2) + "\n", encoding="utf-8")
-    beside.replace(run / "recipe.json")
+    with writing(beside):
+        beside.write_text(json.dumps(resolved(recipe), indent=2) + "\n", encoding="utf-8")
+        beside.replace(run / "recipe.json")
 
 
 def _flat(tree: Mapping[str, Any], above: str = "") -> dict[str, Any]:
@@ -107,19 +127,26 @@ def save_checkpoint(
 
     A weight that is not finite raises FloatingPointError and changes nothing.
     """
-    if broken := [name for name, value in weights.items() if value.is_floating_point() and not value.isfinite().all()]:
-        raise FloatingPointError(f"{broken[0]} is not finite after step {progress.step}; the last checkpoint is sound")
+    check_weights(weights, progress.step)
     folder = run / "checkpoints"
     final, beside = folder / f"{progress.step:09d}", folder / f"{progress.step:09d}.part"
     shutil.rmtree(beside, ignore_errors=True)
-    beside.mkdir(parents=True)
-    save_file({name: value.detach().to("cpu", copy=True).contiguous() for name, value in weights.items()},
-              beside / "weights.safetensors")  # fmt: skip
-    torch.save(dict(optimizers), beside / "optimizers.pt")
-    (beside / "state.json").write_text(json.dumps(asdict(progress)), encoding="utf-8")
-    for file in beside.iterdir():
-        with file.open("rb+") as written:
-            os.fsync(written.fileno())
+    with writing(beside):
+        beside.mkdir(parents=True)
+        ours = {name: value.detach().to("cpu", copy=True).contiguous() for name, value in weights.items()}
+        save_file(ours, beside / "weights.safetensors")
+        torch.save(dict(optimizers), beside / "optimizers.pt")
+        (beside / "state.json").write_text(json.dumps(asdict(progress)), encoding="utf-8")
+        for file in beside.iterdir():
+            with file.open("rb+") as written:
+                os.fsync(written.fileno())
+        _exchange(beside, final)
+    return final
+
+
+def _exchange(beside: Path, final: Path) -> None:
+    """Make `beside` the folder `final` and remove every other checkpoint."""
+    folder = final.parent
     if final.exists():  # the same step again, with another clock or score
         aside = folder / f"{final.name}.old"
         shutil.rmtree(aside, ignore_errors=True)
@@ -128,13 +155,32 @@ def save_checkpoint(
     for other in folder.iterdir():
         if other != final:
             shutil.rmtree(other, ignore_errors=True)
-    return final
+
+
+def check_weights(weights: Mapping[str, Tensor], step: int) -> None:
+    """Raise FloatingPointError for a weight that is not finite."""
+    if broken := [name for name, value in weights.items() if value.is_floating_point() and not value.isfinite().all()]:
+        raise FloatingPointError(f"{broken[0]} is not finite after step {step}; the last checkpoint is sound")
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Inside, what the system refuses (a full disk, a folder that another process removes) raises InputError."""
+    try:
+        yield
+    except (OSError, RuntimeError, SafetensorError) as error:
+        reason = getattr(error, "strerror", None) or str(error).partition("\n")[0]
+        raise InputError(f"{path}: cannot be written ({reason}); mend that and repeat the command to go on") from None
+
+
+def _checkpoints(run: Path) -> list[Path]:
+    folder = run / "checkpoints"
+    return [path for path in folder.glob("[0-9]*") if path.suffix in ("", ".old")] if folder.is_dir() else []
 
 
 def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, dict]] | None:
     """The run's newest checkpoint (tensors on the CPU), or None; a damaged one raises InputError."""
-    folder = run / "checkpoints"
-    found = [path for path in folder.glob("[0-9]*") if path.suffix in ("", ".old")] if folder.is_dir() else []
+    found = _checkpoints(run)
     if not found:
         return None
     newest = max(found, key=lambda path: (int(path.stem), path.suffix == ""))
@@ -142,7 +188,41 @@ def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, d
         progress = Progress(**json.loads((newest / "state.json").read_text(encoding="utf-8")))
         weights = load_file(newest / "weights.safetensors")
         optimizers = torch.load(newest / "optimizers.pt", map_location="cpu", weights_only=True)
-    except (OSError, EOFError, ValueError, LookupError, TypeError, RuntimeError, *BROKEN) as error:
+    except (OSError, EOFError, ValueError, LookupError, TypeError, *BROKEN) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{newest} is damaged ({reason}); remove it to start anew") from None
+        raise InputError(f"{newest} is damaged ({reason}); remove it to start again") from None
     return progress, weights, optimizers
+
+
+def release(run: Path, name: str, network: nn.Module, card: Card, last: bool = False) -> Path:
+    """Write the weights of `network` with their card; `last` beside the best ones."""
+    path = run / "weights" / f"{name}{'.last' if last else ''}.safetensors"
+    with writing(path):
+        save(path, network, card)
+    return path
+
+
+def make_card(spec: Network, known: Mapping[str, Any], ours: Mapping[str, Any]) -> Card:
+    """The card of a network built from `spec`: the task's fields and the run's, which take precedence."""
+    settings = {key: list(value) if isinstance(value, tuple) else value for key, value in spec.settings.items()}
+    return Card(**{"network": spec.model, "settings": settings, "commit": commit(), **known, **ours})
+
+
+def trained_on(root: Path, splits: Iterable[str]) -> str:
+    """Names of the data sets that splits come from, joined by "+": `root`'s, and those of FOLDER:split."""
+    return "+".join(dict.fromkeys(located(root, name)[0].resolve().name for name in splits))
+
+
+def commit() -> str:
+    """The project's commit that runs, "-dirty" when files differ from it; the package's version outside of git."""
+    here = Path(__file__).parent
+    try:
+        git = ["git", "-C", str(here)]
+        subprocess.run([*git, "ls-files", "--error-unmatch", Path(__file__).name], check=True, capture_output=True)
+        described = subprocess.run(
+            [*git, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
+            check=True, capture_output=True, text=True,
+        )  # fmt: skip
+    except (OSError, subprocess.CalledProcessError):
+        return __version__
+    return described.stdout.strip()

@@ -2,14 +2,14 @@
 
 Gradients of several processes are averaged by one `all_reduce` per update, after the backward pass, instead of by
 DDP's hooks during it: gradient penalties, networks that are called several times or not at all before a backward
-pass, and partners whose gradients are thrown away then need no special care (StyleGAN3 does the same).
+pass, and networks whose gradients are discarded then need no special care (StyleGAN3 does the same).
 """
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from datetime import timedelta
 from math import inf, isfinite
 from pathlib import Path
@@ -20,16 +20,27 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lidar2pano.errors import InputError
-from lidar2pano.train.checkpoint import Progress, check_recipe, load_checkpoint, save_checkpoint, write_recipe
-from lidar2pano.train.clock import clock, every, interrupts
-from lidar2pano.train.draws import Places, loader, seed_step
-from lidar2pano.train.monitor import Meter, Monitor, Screen, Silent, check_finite
-from lidar2pano.train.optimisation import Average, averaged, clip, learning_rate, make_optimizer
-from lidar2pano.train.placement import arithmetic, check_shares, device_kind, device_name
-from lidar2pano.train.processes import average_gradients, check_launcher, largest
+from lidar2pano.hardware import pick_device
+from lidar2pano.train.checkpoint import (
+    Progress,
+    check_recipe,
+    check_weights,
+    load_checkpoint,
+    make_card,
+    release,
+    save_checkpoint,
+    trained_on,
+    write_recipe,
+)
+from lidar2pano.train.clock import Timer, clock, interrupts
+from lidar2pano.train.device import check_shares, choose_precision, device_name
+from lidar2pano.train.distributed import average_gradients, check_launcher, largest
+from lidar2pano.train.monitor import Meter, Monitor, check_finite
+from lidar2pano.train.optimisation import EMA, averaged, clip, learning_rate, make_optimizer
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.release import make_card, release, trained_on
-from lidar2pano.train.task import Task, build_task
+from lidar2pano.train.sampling import BatchSampler, batches, seed_step
+from lidar2pano.train.task import Task
+from lidar2pano.train.tasks import build_task
 
 try:
     from lightning.fabric import Fabric
@@ -37,8 +48,9 @@ try:
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("training needs lightning: pip install 'lidar2pano[train]'") from error
 
-NO_MORE = ("", torch.zeros(()))  # what a task yields after its last update
-VALIDATION_LIMIT = timedelta(hours=2)  # for so long the other processes wait for the one that validates
+LAST = ("", torch.zeros(()))  # what follows a task's last update
+VALIDATION_LIMIT = timedelta(hours=2)  # the other processes wait at most this long for the one that validates
+SAVING_SHARE = 0.05  # of the time, at most, goes into checkpoints
 
 
 def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: int = 1, num_nodes: int = 1) -> Path:
@@ -46,26 +58,23 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
 
     out      the run's folder: recipe.json, checkpoints/, weights/, preview/, tensorboard/.
     device   "auto", "cpu" or "cuda"; devices per node and num_nodes as for Fabric, which starts the processes.
-    Returns the folder of the weight files. Ctrl-C and SIGTERM save a checkpoint and raise KeyboardInterrupt; what the
-    user can mend raises InputError, a loss that is not finite FloatingPointError.
+    Returns the folder of the weight files. Ctrl-C and SIGTERM save a checkpoint and raise KeyboardInterrupt; mistakes
+    of the user raise InputError, a loss or weight that is not finite FloatingPointError.
     """
-    training, kind = recipe.training, device_kind(device)
-    check_shares(training, devices * num_nodes)
-    check_launcher(devices * num_nodes)
+    training, processes, chosen = recipe.training, devices * num_nodes, pick_device(device)
+    check_shares(training, processes)
+    check_launcher(processes)
     check_recipe(out, recipe)
-    seed_step(training.seed, 0, -1)  # fresh weights: the same in every process
-    task = build_task(recipe, root)
-    if set(task.networks) != set(recipe.networks):
-        ours, theirs = sorted(recipe.networks), sorted(task.networks)
-        raise InputError(f"task {recipe.task!r} trains {', '.join(theirs)}; the recipe has {', '.join(ours)}")
     fabric = Fabric(
-        accelerator=kind,
+        accelerator=chosen.type,
         devices=devices,
         num_nodes=num_nodes,
-        strategy=_many_processes() if devices * num_nodes > 1 else "auto",
-        precision=arithmetic(training, kind),
+        strategy=_many_processes() if processes > 1 else "auto",
+        precision=choose_precision(training, chosen),
     )
     fabric.launch()
+    seed_step(training.seed, 0, -1)  # fresh weights: the same in every process
+    task = build_task(recipe, root)
     if fabric.is_global_zero:
         write_recipe(out, recipe)
     run = Run(fabric, recipe, task, out, data=trained_on(root, recipe.data.train))
@@ -75,7 +84,7 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
 
 
 class Run:
-    """A task under way: its networks on their device, optimisers, averages and how far it is."""
+    """A task in training: its networks on their device, optimisers, moving averages and progress."""
 
     def __init__(self, fabric: Fabric, recipe: Recipe, task: Task, out: Path, data: str) -> None:
         self.fabric, self.recipe, self.task, self.out, self.data = fabric, recipe, task, out, data
@@ -83,7 +92,7 @@ class Run:
         self.clock = clock(0.0)
         self.meter = Meter()
         self.rates: dict[str, float] = {}
-        self.monitor: Monitor = Silent()
+        self.monitor: Monitor | None = None  # the first process has one
         self.networks: dict[str, nn.Module] = dict(task.networks)  # as the task made them
         self.optimizers: dict[str, torch.optim.Optimizer] = {}
         for name, network in self.networks.items():
@@ -92,10 +101,10 @@ class Run:
             optimizer = make_optimizer(recipe.networks[name].optimizer, network)
             task.networks[name], self.optimizers[name] = fabric.setup(network.train(), optimizer)
         decay = recipe.training.ema
-        self.averages = {name: Average(self.networks[name], decay) for name in task.released if decay > 0}
+        self.averages = {name: EMA(self.networks[name], decay) for name in task.released if decay > 0}
 
     def resume(self) -> None:
-        """Take up the last checkpoint, if there is one."""
+        """Load the last checkpoint, if there is one; one that does not fit raises InputError."""
         found = load_checkpoint(self.out)
         step = found[0].step if found else 0
         if largest(self.fabric.device, step, -step) != [step, -step]:
@@ -103,98 +112,110 @@ class Run:
         if found is None:
             return
         self.progress, weights, optimizers = found
-        for name, network in self.networks.items():
-            network.load_state_dict(_below(weights, f"network/{name}/"))
-            self.optimizers[name].load_state_dict(optimizers[name])
-        for name, average in self.averages.items():
-            average.load(_below(weights, f"average/{name}/"))
+        try:
+            for name, network in self.networks.items():
+                network.load_state_dict(_below(weights, f"network/{name}/"))
+                self.optimizers[name].load_state_dict(optimizers[name])
+            for name, average in self.averages.items():
+                average.load(_below(weights, f"average/{name}/"))
+        except (LookupError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+            reason = f"{type(error).__name__}: {error}".partition("\n")[0]
+            raise InputError(
+                f"{self.out}/checkpoints: does not fit the recipe's networks ({reason}); remove it to start again"
+            ) from None
 
     def go_on(self) -> None:
-        """Train to the end of the budget; interrupted, save and raise KeyboardInterrupt."""
-        if self._behind() >= 1 and self.progress.finished == self.progress.step:
+        """Train to the end of the budget; an interrupt saves a checkpoint and raises KeyboardInterrupt."""
+        if self._done() >= 1 and self.progress.finished == self.progress.step:
             return
         training, fabric = self.recipe.training, self.fabric
-        places = Places(len(self.task.dataset), self.progress.step, training, fabric.global_rank, fabric.world_size)
-        batches = iter(loader(self.task.dataset, places, training.workers, pinned=fabric.device.type == "cuda"))
+        samples, step = len(self.task.dataset), self.progress.step
+        sampler = BatchSampler(samples, step, training, fabric.global_rank, fabric.world_size)
+        loader = batches(self.task.dataset, sampler, training.workers, pinned=fabric.device.type == "cuda")
         if fabric.is_global_zero:
-            self.monitor = Screen(self.out, self.recipe.name, training.steps, self.progress.step)
+            self.monitor = Monitor(self.out, self.recipe.name, training.steps, step)
         self.clock = clock(self.progress.seconds)
         try:
             with interrupts() as interrupted:
-                if self._loop(batches, interrupted):
+                if self._loop(loader, interrupted):
                     self._checkpoint()
                     fabric.barrier()
                     raise KeyboardInterrupt(f"paused at step {self.progress.step}; repeat the command to go on")
             self._finish()
         finally:
-            self.monitor.close()
+            if self.monitor:
+                self.monitor.close()
 
-    def _loop(self, batches: Iterator, interrupted: Callable[[], bool]) -> bool:
-        """Steps until the budget is used (False) or somebody interrupts (True)."""
-        training = self.recipe.training
-        checkpoint, preview, validate = (
-            every(minutes, self.progress.seconds)
-            for minutes in (training.checkpoint_minutes, training.preview_minutes, training.validate_minutes)
-        )
+    def _loop(self, loader: Iterator, interrupted: Callable[[], bool]) -> bool:
+        """Steps until the budget is used (False) or an interrupt comes (True)."""
+        training, start = self.recipe.training, self.progress.seconds
+        checkpoint = Timer(training.checkpoint_minutes, start, SAVING_SHARE)
+        preview, validate = Timer(training.preview_minutes, start), Timer(training.validate_minutes, start)
         while True:
-            seconds, stop = largest(self.fabric.device, self.clock(), float(interrupted()))
-            self.progress.seconds = seconds
-            if self._behind() >= 1:
+            now, stop = largest(self.fabric.device, self.clock(), float(interrupted()))
+            self.progress.seconds = now
+            if self._done() >= 1:
                 return False
             if stop:
                 return True
-            if validate(seconds):
-                self._validate()
-                self._checkpoint()
-            elif checkpoint(seconds):
-                self._checkpoint()
-            if preview(seconds):
-                self._preview()
-            self._step(batches)
+            if not self._when_due(validate, now, self._validate, self._checkpoint):
+                self._when_due(checkpoint, now, self._checkpoint)
+            self._when_due(preview, now, self._preview)
+            self._step(loader)
 
-    def _behind(self) -> float:
-        """The part of the run that is done, 0 to 1 and over."""
+    def _when_due(self, timer: Timer, now: float, *actions: Callable[[], None]) -> bool:
+        """Do the actions if they are due, in all processes alike."""
+        if not timer.due(now):
+            return False
+        for action in actions:
+            action()
+        (ended,) = largest(self.fabric.device, self.clock())
+        timer.done(now, ended)
+        return True
+
+    def _done(self) -> float:
+        """The share of the run that is done, 0 to 1 and over."""
         training, progress = self.recipe.training, self.progress
         used = progress.seconds / (60 * training.minutes) if training.minutes > 0 else 0.0
         return max(progress.step / training.steps, used)
 
-    def _step(self, batches: Iterator) -> None:
+    def _step(self, loader: Iterator) -> None:
         """One optimiser step of every network that the task updates."""
-        training, step, behind = self.recipe.training, self.progress.step, self._behind()
+        training, step, done = self.recipe.training, self.progress.step, self._done()
         seed_step(training.seed, self.fabric.global_rank, step)
         for name, optimizer in self.optimizers.items():
-            rate = learning_rate(self.recipe.networks[name].optimizer, step, behind)
+            rate = learning_rate(self.recipe.networks[name].optimizer, step, done)
             self.rates[f"rate/{name}"] = rate
             for group in optimizer.param_groups:
                 group["lr"] = rate
-        micro_batches = [self.fabric.to_device(next(batches)) for _ in range(training.accumulate)]
+        micro_batches = [self.fabric.to_device(next(loader)) for _ in range(training.accumulate)]
         losses = self._update([self.task.updates(batch) for batch in micro_batches])
         for average in self.averages.values():
             average.update(step)
         self.progress.step += 1
         self.meter.add({**losses, **self.task.logs})
-        if self.monitor.wants():
+        if self.monitor and self.monitor.due():
             self._show()
 
-    def _update(self, turns: list[Iterator[tuple[str, Tensor]]]) -> dict[str, Tensor]:
+    def _update(self, micro_batches: list[Iterator[tuple[str, Tensor]]]) -> dict[str, Tensor]:
         """Advance the micro-batches' updates in lock-step: gradients add up over them, then the network moves."""
         losses: dict[str, Tensor] = {}
         while True:
             name = ""
-            for number, turn in enumerate(turns):
+            for number, updates in enumerate(micro_batches):
                 with self._without_sync():
-                    who, loss = next(turn, NO_MORE)
-                    if number and who != name:
-                        raise RuntimeError(f"updates() yielded {name!r} for one micro-batch and {who!r} for another")
-                    name = who
+                    network, loss = next(updates, LAST)
+                    if number and network != name:
+                        raise RuntimeError(f"updates() yielded {name!r} for one micro-batch and {network!r} next")
+                    name = network
                     if not name:
                         continue
                     if number == 0:
-                        for optimizer in self.optimizers.values():  # partners may have gradients of the last update
+                        for optimizer in self.optimizers.values():  # others may have gradients left
                             optimizer.zero_grad()
                         losses[name] = torch.zeros((), device=self.fabric.device)
-                    self.fabric.backward(loss / len(turns))
-                    losses[name] += loss.detach() / len(turns)
+                    self.fabric.backward(loss / len(micro_batches))
+                    losses[name] += loss.detach() / len(micro_batches)
             if not name:
                 return losses
             weights = [weight for weight in self.networks[name].parameters() if weight.requires_grad]
@@ -213,11 +234,17 @@ class Run:
         """Read the losses since the last time and show them; one that is not finite raises FloatingPointError."""
         losses = self.meter.read()
         check_finite(losses, self.progress.step)
-        self.monitor.step(self.progress.step, self._behind(), {**losses, **self.rates})
+        if self.monitor:
+            self.monitor.step(self.progress.step, self._done(), {**losses, **self.rates})
 
-    def _averaged(self) -> AbstractContextManager[None]:
+    @contextmanager
+    def _averaged(self) -> Iterator[None]:
+        """Inside, networks have their averaged weights; those that are not finite raise FloatingPointError."""
         seed_step(self.recipe.training.seed, self.fabric.global_rank, self.progress.step)
-        return averaged(self.networks.values(), self.averages.values())
+        with averaged(self.networks.values(), self.averages.values()):
+            for name in self.task.released:
+                check_weights(self.networks[name].state_dict(), self.progress.step)
+            yield
 
     def _checkpoint(self) -> None:
         """Save everything that the same command needs to go on; what is not finite is not saved."""
@@ -234,18 +261,18 @@ class Run:
         save_checkpoint(self.out, self.progress, weights, states)
 
     def _preview(self) -> None:
-        if self.fabric.is_global_zero:
+        if self.monitor:
             with self._averaged():
-                self.monitor.pictures(self.progress.step, self.task.preview())
+                self.monitor.previews(self.progress.step, self.task.preview())
         self.fabric.barrier()
 
     def _validate(self) -> None:
         """Score the (averaged) weights and release them if they are the best so far."""
         progress = self.progress
-        if self.fabric.is_global_zero:
+        if self.monitor:
             with self._averaged():
                 scores = self.task.validate()
-                score = scores.get("score", inf)  # a task that knows no score has its latest weights as the best
+                score = scores.get("score", inf)  # without a score the latest weights are the best
                 if progress.best is None or score >= progress.best:
                     progress.best = score if isfinite(score) else None
                     self._release(scores)
@@ -270,7 +297,7 @@ class Run:
             release(self.out, name, self.networks[name], card, last=last)
 
     def _finish(self) -> None:
-        """The end of the budget: score, pictures, the last weights."""
+        """The end of the budget: score, previews, the last weights."""
         if self.progress.validated != self.progress.step:
             self._validate()
         if self.fabric.is_global_zero:

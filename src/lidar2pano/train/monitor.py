@@ -1,4 +1,4 @@
-"""What one sees of a run: a line of progress, curves and pictures. Only the first process shows anything."""
+"""What is shown of a run: a line of progress, curves and previews. Only the first process has a monitor."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from PIL import Image
@@ -37,58 +36,14 @@ class Meter:
             self.counts[name] = self.counts.get(name, 0) + 1
 
     def read(self) -> dict[str, float]:
-        """Means by name; the count starts anew. A NaN among the values is a NaN here."""
+        """Means by name; the count starts again. A NaN among the values is a NaN here."""
         means = {name: float(total) / self.counts[name] for name, total in self.sums.items()}
         self.sums, self.counts = {}, {}
         return means
 
 
-class Monitor(Protocol):
-    """What the loop tells whoever watches."""
-
-    def step(self, step: int, progress: float, values: Mapping[str, float]) -> None:
-        """Step `step` is done, `progress` (0 to 1) of the run; `values`: means of losses, and rates under "rate/"."""
-        ...
-
-    def scores(self, step: int, scores: Mapping[str, float]) -> None:
-        """A validation's result."""
-        ...
-
-    def pictures(self, step: int, pictures: Mapping[str, np.ndarray]) -> None:
-        """Previews, name -> (H, W, 3) uint8."""
-        ...
-
-    def wants(self) -> bool:
-        """Whether somebody wants to see the losses now."""
-        ...
-
-    def close(self) -> None:
-        """The run is over or paused."""
-        ...
-
-
-class Silent:
-    """The monitor that shows nothing: every process but the first has it."""
-
-    def step(self, step: int, progress: float, values: Mapping[str, float]) -> None:
-        """Show nothing."""
-
-    def scores(self, step: int, scores: Mapping[str, float]) -> None:
-        """Show nothing."""
-
-    def pictures(self, step: int, pictures: Mapping[str, np.ndarray]) -> None:
-        """Show nothing."""
-
-    def wants(self) -> bool:
-        """Nobody does."""
-        return False
-
-    def close(self) -> None:
-        """Nothing to close."""
-
-
-class Screen:
-    """A bar on a terminal or lines in the log, TensorBoard curves in RUN/tensorboard, pictures in RUN/preview."""
+class Monitor:
+    """A bar on a terminal or lines in the log, TensorBoard curves in RUN/tensorboard, images in RUN/preview."""
 
     def __init__(self, run: Path, name: str, steps: int, step: int) -> None:
         from torch.utils.tensorboard import SummaryWriter
@@ -106,18 +61,18 @@ class Screen:
             self.line = self.bar.add_task(name, total=1.0, state="")
             self.bar.start()
 
-    def wants(self) -> bool:
+    def due(self) -> bool:
         """Whether it is time for a new line."""
         return time.monotonic() - self.shown >= (SHOW_EVERY_S if self.bar else LOG_EVERY_S)
 
     def step(self, step: int, progress: float, values: Mapping[str, float]) -> None:
-        """Renew the line and the curves."""
+        """Update the line and the curves: means of losses, and rates under "rate/"; `progress` of the run is 0 to 1."""
         now = time.monotonic()
-        if self.first is None:  # what went before the first line warms up: it does not count
+        if self.first is None:  # the steps before the first line warm up: they do not count
             self.first = (step, progress, now)
         self.shown = now
         self.losses |= {name: value for name, value in values.items() if "/" not in name}
-        state = f"{step}/{self.steps}  {_spoken(self.losses)}  {self._pace(step, progress, now)}"
+        state = f"{step}/{self.steps}  {_formatted(self.losses)}  {self._pace(step, progress, now)}"
         if self.bar:
             self.bar.update(self.line, completed=min(progress, 1.0), state=state)
         else:
@@ -126,36 +81,36 @@ class Screen:
             self.curves.add_scalar(name, value, step)
 
     def _pace(self, step: int, progress: float, now: float) -> str:
-        since, behind, began = self.first or (step, progress, now)
-        if step == since or progress <= behind:
+        since, done, began = self.first or (step, progress, now)
+        if step == since or progress <= done:
             return ""
-        left = (1 - min(progress, 1.0)) * (now - began) / (progress - behind)
+        left = (1 - min(progress, 1.0)) * (now - began) / (progress - done)
         return f"{(now - began) / (step - since):.2f} s/step  {_clock(left)} left"
 
     def scores(self, step: int, scores: Mapping[str, float]) -> None:
         """Curves under "val/" and a line in the log."""
         for name, value in scores.items():
             self.curves.add_scalar(f"val/{name}", value, step)
-        log.info("%s step %d validation: %s", self.name, step, _spoken(scores))
+        log.info("%s step %d validation: %s", self.name, step, _formatted(scores))
 
-    def pictures(self, step: int, pictures: Mapping[str, np.ndarray]) -> None:
-        """RUN/preview/<step>-<name>.png, and the same in TensorBoard."""
+    def previews(self, step: int, images: Mapping[str, np.ndarray]) -> None:
+        """Write RUN/preview/<step>-<name>.png, and the same to TensorBoard; images are (H, W, 3) uint8."""
         folder = self.run / "preview"
         folder.mkdir(exist_ok=True)
-        for name, picture in pictures.items():
+        for name, image in images.items():
             path = folder / f"{step:07d}-{name}.png"
-            Image.fromarray(picture).save(beside := path.with_suffix(".part"), format="png")
+            Image.fromarray(image).save(beside := path.with_suffix(".part"), format="png")
             beside.replace(path)
-            self.curves.add_image(name, picture, step, dataformats="HWC")
+            self.curves.add_image(name, image, step, dataformats="HWC")
 
     def close(self) -> None:
-        """Leave the bar as it stands and write what is still open."""
+        """Stop the bar and write what is still open."""
         if self.bar:
             self.bar.stop()
         self.curves.close()
 
 
-def _spoken(values: Mapping[str, float]) -> str:
+def _formatted(values: Mapping[str, float]) -> str:
     return "  ".join(f"{name} {value:.4g}" for name, value in values.items())
 
 

@@ -1,4 +1,4 @@
-"""Optimisers, learning rates over a run, and averaged weights."""
+"""Optimisers, learning rates over a run, and exponential moving averages of weights."""
 
 from __future__ import annotations
 
@@ -12,40 +12,41 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from lidar2pano.train.recipe import Optimizer
 
-KINDS = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}
+OPTIMIZERS = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}
 
 
 def make_optimizer(settings: Optimizer, network: nn.Module) -> torch.optim.Optimizer:
     """The optimiser of a network's trainable weights."""
     weights = [weight for weight in network.parameters() if weight.requires_grad]
-    return KINDS[settings.kind](weights, lr=settings.rate, betas=settings.betas, weight_decay=settings.weight_decay)
+    optimizer = OPTIMIZERS[settings.algorithm]
+    return optimizer(weights, lr=settings.rate, betas=settings.betas, weight_decay=settings.weight_decay)
 
 
 def learning_rate(settings: Optimizer, step: int, progress: float) -> float:
-    """The rate of step `step` (from 0), when `progress` (0 to 1) of the run lies behind."""
+    """The rate of step `step` (from 0), when `progress` (0 to 1) of the run is done."""
     rate = settings.rate * min(1.0, (step + 1) / max(settings.warmup, 1))
     return rate * (1 + math.cos(math.pi * min(progress, 1.0))) / 2 if settings.schedule == "cosine" else rate
 
 
-class Average:
+class EMA:
     """Exponential moving average of a network's weights; its other state (norm statistics) is copied as it is.
 
-    The decay of step s is min(decay, (1 + s) / (10 + s)), so that the fresh weights are soon forgotten.
+    The decay of step s is min(decay, (1 + s) / (10 + s)), so that the initial weights soon have no influence.
     """
 
     def __init__(self, network: nn.Module, decay: float) -> None:
         self.network, self.decay = network, decay
         self.state = {name: value.detach().clone() for name, value in network.state_dict().items()}
-        moving = {name for name, _ in network.named_parameters()}
-        self.moving = [name for name in self.state if name in moving]
-        self.copied = [name for name in self.state if name not in moving]
+        trained = {name for name, _ in network.named_parameters()}
+        self.averaged = [name for name in self.state if name in trained]
+        self.copied = [name for name in self.state if name not in trained]
 
     @torch.no_grad()
     def update(self, step: int) -> None:
-        """Take the weights after step `step` (from 0) in."""
+        """Add the weights after step `step` (from 0) to the average."""
         now = self.network.state_dict()
         mix = get_ema_multi_avg_fn(min(self.decay, (1 + step) / (10 + step)))
-        mix([self.state[name] for name in self.moving], [now[name] for name in self.moving], None)
+        mix([self.state[name] for name in self.averaged], [now[name] for name in self.averaged], None)
         for name in self.copied:
             self.state[name].copy_(now[name])
 
@@ -56,7 +57,7 @@ class Average:
 
     @torch.no_grad()
     def swap(self) -> None:
-        """Exchange the network's weights with the average; twice is as if never."""
+        """Exchange the network's weights with the average; doing it twice changes nothing."""
         for name, value in self.network.state_dict().items():
             kept = value.clone()
             value.copy_(self.state[name])
@@ -64,8 +65,8 @@ class Average:
 
 
 @contextmanager
-def averaged(networks: Iterable[nn.Module], averages: Iterable[Average]) -> Iterator[None]:
-    """Inside, the networks carry their averages, are in evaluation mode and record no gradients."""
+def averaged(networks: Iterable[nn.Module], averages: Iterable[EMA]) -> Iterator[None]:
+    """Inside, the networks have their averaged weights, are in evaluation mode and record no gradients."""
     networks, averages = list(networks), list(averages)
     modes = [(part, part.training) for network in networks for part in network.modules()]
     for average in averages:
@@ -83,6 +84,6 @@ def averaged(networks: Iterable[nn.Module], averages: Iterable[Average]) -> Iter
 
 
 def clip(weights: Iterable[Tensor], largest: float) -> None:
-    """Shorten the gradient of `weights` to the norm `largest`; 0 leaves it alone."""
+    """ClipSample the gradient of `weights` to the norm `largest`; 0 = no clipping."""
     if largest > 0:
         torch.nn.utils.clip_grad_norm_(list(weights), largest)

@@ -11,16 +11,17 @@ from lidar2pano.errors import InputError, closest
 
 Value = bool | int | float | str | tuple
 SWITCH = {"true": True, "false": False}
+LARGEST = 2**53  # whole numbers that float64 represents
 
 
 def changed(node: Any, steps: list[str], text: str, path: str) -> Any:  # noqa: ANN401
-    """`node` with the value at `steps` below it replaced by what `text` says."""
+    """A copy of `node` with the value at `steps` below it parsed from `text`; `path` is its full name in messages."""
     name, *rest = steps
     if is_dataclass(node):
         known: Any = {one.name: getattr(node, one.name) for one in fields(node)}
-        kind = get_type_hints(type(node)).get(name)
+        wanted_type = get_type_hints(type(node)).get(name)
     elif isinstance(node, Mapping):
-        known, kind = node, None
+        known, wanted_type = node, None
     else:
         raise InputError(f"{path}: {type(node).__name__} values have no parts; leave out {'.'.join(steps)!r}")
     if name not in known:
@@ -33,40 +34,40 @@ def changed(node: Any, steps: list[str], text: str, path: str) -> Any:  # noqa: 
         inner = [one.name for one in fields(old)] if is_dataclass(old) else list(old)
         raise InputError(f"{path} holds several values; set one of them: {', '.join(inner)}")
     else:
-        new = _parsed(text, kind or _kind_of(old), path)
+        new = _parsed(text, wanted_type or _type_of(old), path)
     return {**node, name: new} if isinstance(node, Mapping) else replace(cast(Any, node), **{name: new})
 
 
-def _kind_of(value: Any) -> Any:  # noqa: ANN401
+def _type_of(value: Any) -> Any:  # noqa: ANN401
     """The type to parse for a dictionary's entry: that of the value that is there."""
     if isinstance(value, tuple | list):
         return tuple[type(value[0]) if value else str, ...]
     return type(value)
 
 
-def _parsed(text: str, kind: Any, path: str) -> Value:  # noqa: ANN401
-    """`text` as a value of `kind`: bool, int, float, str, a Literal of strings, or a tuple of one of them."""
-    if get_origin(kind) is Literal:
-        if text not in get_args(kind):
-            raise InputError(f"{path} cannot be {text!r}{closest(text, get_args(kind))}")
+def _parsed(text: str, wanted_type: Any, path: str) -> Value:  # noqa: ANN401
+    """`text` as a value of `wanted_type`: bool, int, float, str, a Literal of strings, or a tuple of one of them."""
+    if get_origin(wanted_type) is Literal:
+        if text not in get_args(wanted_type):
+            raise InputError(f"{path} cannot be {text!r}{closest(text, get_args(wanted_type))}")
         return text
-    if get_origin(kind) is tuple:
-        first, *others = get_args(kind)
+    if get_origin(wanted_type) is tuple:
+        first, *others = get_args(wanted_type)
         parts = [part.strip() for part in text.strip("()[]").split(",") if part.strip()]
         if others and others[-1] is not Ellipsis and len(parts) != len(others) + 1:
             raise InputError(f"{path} wants {len(others) + 1} values with commas between, not {text!r}")
         return tuple(_parsed(part, first, path) for part in parts)
-    if kind is str:
+    if wanted_type is str:
         return text
-    if kind is bool:
+    if wanted_type is bool:
         if text.lower() not in SWITCH:
             raise InputError(f"{path} wants true or false, not {text!r}")
         return SWITCH[text.lower()]
     try:
-        number = kind(text)
-    except ValueError:
+        number = wanted_type(text)
+    except ValueError:  # more digits than Python reads are one, too
         number = math.nan
-    if not math.isfinite(number):
-        wanted = "a whole number" if kind is int else "a number"
-        raise InputError(f"{path} wants {wanted}, not {text!r}")
+    if not abs(number) < (LARGEST if wanted_type is int else math.inf):
+        wanted = "a whole number" if wanted_type is int else "a number"
+        raise InputError(f"{path} wants {wanted}, not {text[:40]!r}")
     return number

@@ -17,43 +17,39 @@ from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
-from lidar2pano.metrics.confusion import Confusion
-from lidar2pano.models.card import load
+from lidar2pano.losses.supervised import class_weights
 from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.pipeline import Segmenter
+from lidar2pano.train.options import PanoramaOptions
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.task import build_networks
+from lidar2pano.train.task import build_networks, device_of, load_segmenter, segmentation_scores
 from lidar2pano.views import VIEWS
 
 
 class PanoramaTranslation:
-    """Trains a translator: cross-entropy and Lovasz-Softmax where the camera looks, depth where the LiDAR measured.
-
-    Options: columns, the width of the crop around the camera's sector; lovasz and depth, weights of those losses;
-    rarity, the power of a class's rarity that weighs it in the cross-entropy (less of it is less generous to rare
-    classes); segmenter, a weight file whose labels are used beside the teacher's in training and alone in validation
-    ("": the teacher's everywhere).
-    """
+    """Trains a translator: cross-entropy and Lovasz-Softmax in the camera's sector, depth where the LiDAR measured."""
 
     released = ("translator",)
 
-    def __init__(self, recipe: Recipe, root: Path) -> None:
-        self.view = VIEWS[recipe.view].scaled(recipe.scale)
-        columns = int(recipe.options["columns"])
-        self.dataset = PanoramaDataset(root, recipe.data.train, self.view, columns)
-        self.validation = PanoramaDataset(root, recipe.data.val, self.view, columns)
+    def __init__(self, recipe: Recipe[PanoramaOptions], root: Path) -> None:
+        self.view, self.options = VIEWS[recipe.view].scaled(recipe.scale), recipe.options
+        options = recipe.options
+        self.dataset = PanoramaDataset(root, recipe.data.train, self.view, options.columns)
+        self.validation = PanoramaDataset(root, recipe.data.val, self.view, options.columns)
         self.networks = build_networks(recipe)
-        self.lovasz, self.depth = float(recipe.options["lovasz"]), float(recipe.options["depth"])
-        self.weights = camera_rarity(self.dataset, float(recipe.options["rarity"]))
+        self.weights = class_weights(
+            self.dataset.class_counts()[: len(COMMON15)], options.class_weight_exponent, least=1e-4, most=4.0
+        )
         self.logs: dict[str, float | Tensor] = {}
-        if recipe.options["segmenter"]:
-            segmenter = Segmenter.from_card(*load(str(recipe.options["segmenter"]), expect="salsanext"))
+        if options.segmenter:
+            label_points = load_segmenter(options.segmenter)
             for samples in (self.dataset, self.validation):
-                samples.predict(segmenter.points, str(recipe.options["segmenter"]))
+                samples.predict(label_points, options.segmenter)
 
     def updates(self, batch: PanoramaSample) -> Iterator[tuple[str, Tensor]]:
         """One update of the translator."""
-        logits, depth_m = self.networks["translator"](batch.range_image, conditions(batch.segments))
+        logits, depth_m = self.networks["translator"](
+            batch.range_image, one_hot_layers(batch.segments, len(SEMANTIC_KITTI))
+        )
         logits = logits.float()
         entropy = cross_entropy(logits, batch.camera_labels, weight=self.weights.to(logits.device), ignore_index=IGNORE)
         lovasz = lovasz_softmax(logits.softmax(1), batch.camera_labels, ignore=IGNORE)
@@ -61,24 +57,22 @@ class PanoramaTranslation:
         gap = (depth_code(depth_m) - depth_code(batch.depth_m)).abs()
         depth = (gap * measured).sum() / measured.sum().clamp(min=1)
         self.logs = {"cross_entropy": entropy.detach(), "lovasz": lovasz.detach(), "depth": depth.detach()}
-        yield "translator", entropy + self.lovasz * lovasz + self.depth * depth
+        yield "translator", entropy + self.options.lovasz * lovasz + self.options.depth * depth
 
     def predict(self, sample: PanoramaSample) -> Tensor:
-        """Class ids (H, W) of the sample's crop, from the network as it stands."""
+        """Class ids (H, W) that the current network predicts for the sample's crop."""
         network = self.networks["translator"]
-        device = next(network.parameters()).device
+        device = device_of(network)
+        condition = one_hot_layers(sample.segments[None].to(device), len(SEMANTIC_KITTI))
         with torch.inference_mode(), fast_arithmetic(device):
-            logits, _ = network(sample.range_image[None].to(device), conditions(sample.segments[None].to(device)))
+            logits, _ = network(sample.range_image[None].to(device), condition)
         return logits[0].argmax(0).cpu()
 
     def validate(self) -> dict[str, float]:
-        """MIoU over the 14 classes in the camera's sector, on the raster; sky and unsure pixels are not scored."""
-        confusion = Confusion(len(COMMON15), unscored=(0, COMMON15.id_of("sky")))
-        for index in range(len(self.validation)):
-            sample = self.validation[index]
-            confusion.update(self.predict(sample), sample.camera_labels)
-        score = confusion.miou()
-        return {"score": score, "miou": score, "accuracy": confusion.accuracy()}
+        """MIoU over the 14 classes in the camera's sector, on the raster; sky and unknown pixels are not scored."""
+        samples = (self.validation[index] for index in range(len(self.validation)))
+        pairs = ((self.predict(sample), sample.camera_labels) for sample in samples)
+        return segmentation_scores(pairs, len(COMMON15), unscored=(0, COMMON15.id_of("sky")))
 
     def preview(self) -> dict[str, np.ndarray]:
         """Camera's labels above the network's, for three validation frames, (H, W, 3) uint8."""
@@ -91,16 +85,3 @@ class PanoramaTranslation:
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """What a user of the translator has to know: label set and raster."""
         return {"labels": COMMON15.name, "views": {"panorama": self.view.as_dict()}}
-
-
-def conditions(segments: Tensor) -> Tensor:
-    """One-hot (B, 20, H, W) float32 of LiDAR segments (B, H, W)."""
-    return one_hot_layers(segments, len(SEMANTIC_KITTI))
-
-
-def camera_rarity(dataset: PanoramaDataset, power: float) -> Tensor:
-    """Weights (K,) of the camera's classes: one over a power of their share of the pixels, mean 1, at most 4."""
-    counts = dataset.class_counts()[: len(COMMON15)]
-    share = np.maximum(counts / counts.sum(), 1e-4)
-    weights = share**-power
-    return torch.from_numpy(np.minimum(weights / weights[1:].mean(), 4.0)).float()

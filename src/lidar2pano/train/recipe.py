@@ -4,28 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Generic, Literal, TypeVar
 
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, closest
+from lidar2pano.train.options import TaskOptions, check_least
 from lidar2pano.train.overrides import changed
+from lidar2pano.views import VIEWS
+
+Options_co = TypeVar("Options_co", bound=TaskOptions, covariant=True)
+LARGEST_BATCH = 65_536
 
 
 @dataclass(frozen=True, kw_only=True)
 class Optimizer:
-    """How one network's weights move.
+    """The optimiser of one network.
 
     schedule  "constant", or "cosine": half a cosine from `rate` to zero over the run.
     warmup    steps over which the rate rises from zero.
-    clip      largest norm of a step's gradient; 0 leaves it alone.
+    clip      largest norm of a step's gradient; 0 = no clipping.
     """
 
-    kind: Literal["adam", "adamw"] = "adamw"
+    algorithm: Literal["adam", "adamw"] = "adamw"
     rate: float = 1e-3
     betas: tuple[float, float] = (0.9, 0.999)
     weight_decay: float = 0.0
     schedule: Literal["constant", "cosine"] = "cosine"
     warmup: int = 0
     clip: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse values out of range (InputError)."""
+        rest = {"weight_decay": self.weight_decay, "warmup": self.warmup, "clip": self.clip}
+        check_least("optimizer", 0, rate=self.rate, betas=self.betas, **rest)
+        if max(self.betas) >= 1:
+            raise InputError(f"optimizer.betas={self.betas} must be below 1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,18 +57,24 @@ class Data:
     train: tuple[str, ...] = ("train",)
     val: tuple[str, ...] = ("val",)
 
+    def __post_init__(self) -> None:
+        """Refuse a run without data (InputError)."""
+        if not self.train or not self.val:
+            raise InputError("data.train and data.val must name at least one split each")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
     """The run. Sizes are totals over all devices.
 
-    steps        how many optimiser steps; minutes: wall clock over all sittings together (0 = no limit). Whichever
+    steps        number of optimiser steps; minutes: wall clock over all sittings together (0 = no limit). Whichever
                  comes first ends the run, and learning rates follow whichever is further.
-    batch        samples per step, taken in `accumulate` turns when they do not fit at once.
+    batch        samples per step, in `accumulate` micro-batches.
     workers      processes per device that prepare samples (0 = the training process does).
     precision    "bf16-mixed" or "32-true"; channels_last: layout of convolution weights.
     ema          decay per step of the averaged weights that are validated and released; 0 = no averaging.
-    *_minutes    how often to save, to draw pictures, to validate; 0 = at the end only.
+    *_minutes    from the end of one checkpoint, preview or validation to the next; 0 = at the end only. Checkpoints
+                 are rarer where saving would take more than a twentieth of the time.
     """
 
     steps: int = 100_000
@@ -73,43 +91,50 @@ class Training:
     validate_minutes: float = 10.0
 
     def __post_init__(self) -> None:
-        """Refuse sizes that cannot be (InputError)."""
-        if self.steps < 1 or self.batch < 1 or self.accumulate < 1 or self.workers < 0:
-            raise InputError("training.steps, batch and accumulate must be at least 1 and workers at least 0")
-        if self.batch % self.accumulate:
-            raise InputError(f"training.batch={self.batch} cannot be taken in accumulate={self.accumulate} equal turns")
-        if not 0 <= self.ema < 1:
-            raise InputError(f"training.ema={self.ema} must be at least 0 and below 1")
+        """Refuse values out of range (InputError); `device.check_shares` compares batch and accumulate."""
+        check_least("training", 1, steps=self.steps, batch=self.batch, accumulate=self.accumulate)
+        check_least("training", 0, workers=self.workers, seed=self.seed, minutes=self.minutes, ema=self.ema)
+        checkpoint, preview, validate = self.checkpoint_minutes, self.preview_minutes, self.validate_minutes
+        check_least("training", 0, checkpoint_minutes=checkpoint, preview_minutes=preview, validate_minutes=validate)
+        if self.batch > LARGEST_BATCH:
+            raise InputError(f"training.batch={self.batch} must be at most {LARGEST_BATCH}")
+        if self.ema >= 1:
+            raise InputError(f"training.ema={self.ema} must be below 1")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recipe:
+class Recipe(Generic[Options_co]):
     """One training run; `override` changes a copy, `resolved` writes it down.
 
     name      as in recipes.RECIPES; goes into the card.
-    task      as in TASKS; options: what that task can be told, name -> value.
     view      as in VIEWS, on a raster `scale` times as fine.
     networks  name within the task -> Network.
+    options   of the task; their class decides which task it is.
     """
 
-    name: str
-    task: str
+    name: str = ""
     view: str
     scale: float = 1.0
     data: Data = field(default_factory=Data)
     networks: Mapping[str, Network]
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Options_co
     training: Training = field(default_factory=Training)
 
+    def __post_init__(self) -> None:
+        """Refuse an unknown view and a raster without pixels (InputError)."""
+        if self.view not in VIEWS:
+            raise InputError(f"no view {self.view!r}{closest(self.view, VIEWS)}")
+        check_least("recipe", 1e-3, scale=self.scale)
 
-def on_two_cores(training: Training, *, minutes: float, batch: int, ema: float = 0.998) -> Training:
-    """A run of some minutes on a CPU that samples are prepared on as well."""
-    return replace(training, minutes=minutes, batch=batch, accumulate=1, workers=0, ema=ema)
+    @property
+    def task(self) -> str:
+        """The task's name in `tasks.TASKS`."""
+        return self.options.task
 
 
 def resolved(recipe: Recipe) -> dict[str, Any]:
-    """Every value of the recipe, nested, as JSON knows them (tuples become lists)."""
-    return _plain(asdict(replace(recipe, networks=dict(recipe.networks), options=dict(recipe.options))))
+    """Every value of the recipe, nested, as JSON represents them (tuples become lists)."""
+    return _plain({**asdict(replace(recipe, networks=dict(recipe.networks))), "task": recipe.task})
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401
@@ -121,9 +146,25 @@ def _plain(value: Any) -> Any:  # noqa: ANN401
 def override(recipe: Recipe, assignment: str) -> Recipe:
     """A copy with one value changed, e.g. "training.batch=8" or "networks.generator.optimizer.betas=0.5,0.9".
 
-    A name that is not there, or a value of another type than the field's, raises InputError.
+    An unknown name, a value of another type than the field's or one out of its range raises InputError.
     """
     path, equals, text = assignment.partition("=")
     if not equals or not path.strip():
         raise InputError(f"{assignment!r} is not of the form name=value, e.g. training.batch=8")
     return changed(recipe, path.strip().split("."), text.strip(), path.strip())
+
+
+def vary(
+    recipe: Recipe[Options_co], *, options: Mapping[str, Any] | None = None, **settings: Mapping[str, Any]
+) -> Recipe:
+    """A copy with other options and, by network, other settings: vary(titan(), options={"lovasz": 0}, critic={...})."""
+    networks = dict(recipe.networks)
+    for role, changes in settings.items():
+        networks[role] = replace(networks[role], settings={**networks[role].settings, **changes})
+    return replace(recipe, networks=networks, options=replace(recipe.options, **(options or {})))
+
+
+def on_two_cores(recipe: Recipe[Options_co], *, minutes: float, batch: int, ema: float = 0.998) -> Recipe[Options_co]:
+    """The recipe as a run of some minutes on two CPU cores, which prepare samples as well."""
+    training = replace(recipe.training, minutes=minutes, batch=batch, accumulate=1, workers=0, ema=ema)
+    return replace(recipe, training=training)

@@ -1,50 +1,44 @@
-"""What the loop needs to know about a task: its networks, who is updated by which loss, and how good they are."""
+"""The contract between the training loop and a task, and the pieces that several tasks share."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from importlib import import_module
-from pathlib import Path
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any, Protocol
 
+import torch
+from torch import Tensor, nn
+
 from lidar2pano.data.frames import SampleIndex
-from lidar2pano.errors import InputError, closest
+from lidar2pano.errors import InputError
+from lidar2pano.geometry.images import Normalisation
+from lidar2pano.labels import LabelSet
+from lidar2pano.metrics.confusion import Confusion
+from lidar2pano.models import build
+from lidar2pano.models.card import load
+from lidar2pano.models.titan import IMAGE_SIZE
+from lidar2pano.pipeline import Segmenter
+from lidar2pano.scan import Scan
+from lidar2pano.train.recipe import Network, Recipe
+from lidar2pano.views import View
 
 if TYPE_CHECKING:
     import numpy as np
-    from torch import Tensor, nn
-
-    from lidar2pano.train.recipe import Recipe
-
-# name -> module of this package and class in it, made as Class(recipe, root); imported on first use
-TASKS: dict[str, str] = {
-    "segmentation": "segmentation:Segmentation",
-    "front": "front:FrontTranslation",
-    "front-depth": "front_depth:FrontDepthTranslation",
-    "direct": "direct:DirectColour",
-    "pix2pix-segments": "pix2pix:Pix2PixSegments",
-    "pix2pix-colours": "pix2pix:Pix2PixColours",
-    "panorama": "panorama:PanoramaTranslation",
-    "painting": "painting:Painting",
-    "camera-segmentation": "camera_segmentation:CameraSegmentation",
-    "video": "video:VideoPainting",
-}
 
 
-class Samples(Protocol):
-    """A map-style data set: `samples[SampleIndex(index, seed)]` is a NamedTuple that default collation can stack."""
+class Dataset(Protocol):
+    """A map-style data set: `dataset[SampleIndex(index, seed)]` is a NamedTuple that default collation can stack."""
 
     def __len__(self) -> int:
         """How many samples there are."""
         ...
 
-    def __getitem__(self, draw: SampleIndex) -> Any:  # noqa: ANN401 a NamedTuple of the task's own
-        """Sample `draw.index`, augmented by the generator that starts from `draw.seed`."""
+    def __getitem__(self, index: SampleIndex) -> Any:  # noqa: ANN401 a NamedTuple of the task's own
+        """Sample `index.index`, augmented by the generator that starts from `index.seed`."""
         ...
 
 
 class Task(Protocol):
-    """One way to train networks; the loop asks nothing else.
+    """One way to train networks; the loop uses nothing else.
 
     networks  name -> network, each with the optimiser that the recipe gives it under the same name. The loop puts
               them on the device and replaces the entries by wrapped ones, so look them up here whenever they are
@@ -56,19 +50,19 @@ class Task(Protocol):
 
     networks: dict[str, nn.Module]
     released: tuple[str, ...]
-    dataset: Samples
+    dataset: Dataset
     logs: dict[str, float | Tensor]
 
     def updates(self, batch: Any) -> Iterator[tuple[str, Tensor]]:  # noqa: ANN401
-        """Yield (network name, loss to descend); between two yields that network's weights have moved.
+        """Yield (network name, loss to descend); between two yields that network's weights are updated.
 
-        A loss is a mean over samples. Gradients that a loss leaves in other networks are thrown away. The same names
+        A loss is a mean over samples. Gradients that a loss leaves in other networks are discarded. The same names
         must come in the same order for every batch.
         """
         ...
 
     def preview(self) -> dict[str, np.ndarray]:
-        """Pictures of how it stands, name -> (H, W, 3) uint8. Networks are averaged and in evaluation mode."""
+        """Images of the current output, name -> (H, W, 3) uint8. Networks are averaged and in evaluation mode."""
         ...
 
     def validate(self) -> dict[str, float]:
@@ -80,29 +74,68 @@ class Task(Protocol):
         ...
 
 
-def build_task(recipe: Recipe, root: Path) -> Task:
-    """The task that `recipe` names, over the data under `root`; an unknown name raises InputError."""
-    if recipe.task not in TASKS:
-        raise InputError(f"recipe {recipe.name!r}: no task {recipe.task!r}{closest(recipe.task, TASKS)}")
-    module, _, class_name = TASKS[recipe.task].partition(":")
-    return getattr(import_module(f"lidar2pano.train.{module}"), class_name)(recipe, root)
-
-
 def build_networks(recipe: Recipe) -> dict[str, nn.Module]:
-    """The recipe's networks by name: fresh ones, or those of the weight file that `start` names."""
-    from lidar2pano.models import build
-    from lidar2pano.models.card import load
+    """The recipe's networks by name: fresh ones, or those of the weight file that `start` names.
 
-    networks = {}
-    for name, spec in recipe.networks.items():
-        networks[name] = build(spec.model, **spec.settings)
-        if spec.start:
-            started, _ = load(spec.start, expect=spec.model)
-            try:
-                networks[name].load_state_dict(started.state_dict())
-            except RuntimeError:
-                raise InputError(
-                    f"networks.{name}.start: {spec.start} was trained with other settings than "
-                    f"{dict(spec.settings)}; change one of them"
-                ) from None
-    return networks
+    Settings that no network can be built with, and a weight file that does not fit, raise InputError.
+    """
+    return {name: _built(name, spec) for name, spec in recipe.networks.items()}
+
+
+def _built(name: str, spec: Network) -> nn.Module:
+    try:
+        network = build(spec.model, **spec.settings)
+    except InputError:
+        raise
+    except (TypeError, ValueError, RuntimeError, ArithmeticError, LookupError) as error:
+        reason = str(error).partition("\n")[0]
+        raise InputError(f"networks.{name}.settings: {spec.model} cannot be built with them ({reason})") from None
+    if spec.start:
+        started, _ = load(spec.start, expect=spec.model)
+        try:
+            network.load_state_dict(started.state_dict())
+        except RuntimeError:
+            raise InputError(
+                f"networks.{name}.start: {spec.start} was trained with other settings than "
+                f"{dict(spec.settings)}; change one of them"
+            ) from None
+    return network
+
+
+def device_of(network: nn.Module) -> torch.device:
+    """The device of a network's weights."""
+    return next(network.parameters()).device
+
+
+def image_size(network: nn.Module) -> tuple[int, int]:
+    """Rows and columns of the image that a network of the paper's setting predicts: its setting `size`, or KITTI's."""
+    rows, columns = getattr(network, "size", None) or IMAGE_SIZE
+    return int(rows), int(columns)
+
+
+def load_segmenter(file: str) -> Callable[[Scan], Tensor]:
+    """Read a LiDAR segmenter's weight file: scan -> labels (N,) of SEMANTIC_KITTI."""
+    return Segmenter.from_card(*load(file, expect="salsanext")).points
+
+
+def segmentation_scores(
+    pairs: Iterable[tuple[Tensor, Tensor]], classes: int | LabelSet, unscored: tuple[int, ...] = ()
+) -> dict[str, float]:
+    """MIoU, which is the score, and accuracy of (predicted ids, target ids) over all frames together."""
+    confusion = Confusion(classes, unscored=unscored)
+    for predicted, target in pairs:
+        confusion.update(predicted, target)
+    miou = confusion.miou()
+    return {"score": miou, "miou": miou, "accuracy": confusion.accuracy()}
+
+
+def as_image(colour: Tensor) -> np.ndarray:
+    """Colours (3, h, w) in [-1, 1] as an image (h, w, 3) uint8."""
+    return ((colour.movedim(0, 2) + 1) * 127.5).round().clamp(0, 255).to(torch.uint8).numpy()
+
+
+def range_view_card(view: View) -> dict[str, Any]:
+    """Fields of the card of a network that reads normalised range images of `view`."""
+    normalise = Normalisation()
+    normalisation = {"mean": list(normalise.mean), "deviation": list(normalise.deviation)}
+    return {"views": {"input": view.as_dict()}, "normalisation": normalisation}

@@ -1,4 +1,4 @@
-"""Task: a painter of films (vid2vid), from classes and its own last pictures, against critics of pictures and films."""
+"""Task: a video painter (vid2vid), from classes and its own previous images, against image and video discriminators."""
 
 from __future__ import annotations
 
@@ -9,117 +9,106 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import avg_pool2d
 from torch.utils.data import default_collate
 
 from lidar2pano.data.clips import ClipDataset, ClipSample, Framing
-from lidar2pano.errors import InputError, closest
+from lidar2pano.errors import InputError
 from lidar2pano.geometry.flow import Flow, chained
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.geometry.warp import warp
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
+from lidar2pano.losses.supervised import pooled
 from lidar2pano.models.card import load
-from lidar2pano.train.film_critics import Film, FilmCritics, Frame, film
+from lidar2pano.train.options import VideoOptions
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.task import build_networks
+from lidar2pano.train.sampling import evenly_spaced
+from lidar2pano.train.task import as_image, build_networks, device_of
+from lidar2pano.train.video_losses import PaintedFrame, TemporalInput, VideoLosses, temporal_input
 from lidar2pano.views import VIEWS
 
-GIVEN = 2  # pictures that the painter sees before the one it paints
-BROAD = 4  # pixels: colours are compared as means over squares of this size
+PREVIOUS = 2  # images that the painter reads before the one it paints
 MOST_SCORED = 20  # clips of the validation split
-FIELDS = ("camera", "panorama")
 
 
 class VideoPainting:
-    """Trains vid2vid frame after frame: every frame that is painted moves the critics and then the painter.
+    """Trains vid2vid frame after frame: every painted frame updates the discriminators and then the painter.
 
-    Networks: painter; critic, of a picture and its classes; temporal_N, of three painted pictures N frames apart and
-    the flow between them (published: N = 1, 3, 9).
-    Options: field, "camera" or "panorama" (the truth all around, which simulated data sets have); frames of a clip, of
-    which the first two are given; rows and columns of its window; stills, splits whose frames stand alone and are
-    panned over; blank, share of the clips before which the painter is shown nothing, as at a stream's beginning;
-    single, a weight file of the first-frame network, by which films begin when they are scored ("": by nothing, or
-    where blank is 0 by the truth); features, flow, coherence, mask, perceptual, pixels: weights of losses; vgg, the
-    file of VGG-19's weights, without which there is no perceptual loss.
+    Networks: painter; critic, of an image and its classes; temporal_N, of three painted images N frames apart and the
+    flow between them (published: N = 1, 3, 9).
     """
 
     released = ("painter",)
 
-    def __init__(self, recipe: Recipe, root: Path) -> None:
-        option = recipe.options
-        if option["field"] not in FIELDS:
-            raise InputError(f"no options.field {option['field']!r}{closest(str(option['field']), FIELDS)}")
-        self.view = VIEWS[recipe.view].scaled(recipe.scale)
+    def __init__(self, recipe: Recipe[VideoOptions], root: Path) -> None:
+        self.view, self.options = VIEWS[recipe.view].scaled(recipe.scale), recipe.options
+        options = recipe.options
         self.framing = Framing(
-            rows=int(option["rows"]),
-            columns=int(option["columns"]),
+            rows=options.rows,
+            columns=options.columns,
             scale=recipe.scale,
-            view=self.view if option["field"] == "panorama" else None,
+            view=self.view if options.source == "panorama" else None,
         )
-        self.length = int(option["frames"])
-        self.dataset, self.validation = (
-            self._clips(root, splits, option["stills"]) for splits in (recipe.data.train, recipe.data.val)
-        )
+        self.dataset, self.validation = (self._clips(root, splits) for splits in (recipe.data.train, recipe.data.val))
         self.networks = build_networks(recipe)
-        self.critics = FilmCritics(self.networks, option, closed=self.framing.circular)
-        self.steps = self.critics.steps(self.length - GIVEN)
-        self.blank = float(option["blank"])
-        self.single = _first_frames(str(option["single"])) if option["single"] else None
+        self.losses = VideoLosses(self.networks, options, circular=self.framing.circular)
+        self.steps = self.losses.steps(options.clip_length - PREVIOUS)
+        self.first = _first_frames(options.first_frame_weights) if options.first_frame_weights else None
         self.logs: dict[str, float | Tensor] = {}
 
-    def _clips(self, root: Path, splits: tuple[str, ...], stills: tuple[str, ...]) -> ClipDataset:
-        alone = tuple(split for split in splits if split in stills)
-        followed = tuple(split for split in splits if split not in stills)
-        return ClipDataset(root, followed, self.framing, self.length, alone)
+    def _clips(self, root: Path, splits: tuple[str, ...]) -> ClipDataset:
+        single = tuple(split for split in splits if split in self.options.single_frame_splits)
+        sequences = tuple(split for split in splits if split not in single)
+        return ClipDataset(root, sequences, self.framing, self.options.clip_length, single)
 
     def updates(self, batch: ClipSample) -> Iterator[tuple[str, Tensor]]:
-        """For every painted frame: the critic, the temporal critics whose films are long enough, the painter."""
-        labels = layers(batch)
-        blank = torch.rand(len(labels), device=labels.device) < self.blank
-        previous = batch.image[:, :GIVEN].masked_fill(blank[:, None, None, None, None], 0)
+        """For every painted frame: the critic, the temporal ones with enough frames, the painter."""
+        labels = one_hot_clip(batch)
+        blank = torch.rand(len(labels), device=labels.device) < self.options.no_previous_probability
+        previous = batch.image[:, :PREVIOUS].masked_fill(blank[:, None, None, None, None], 0)
         painted: list[Tensor] = []
         sums: dict[str, list[Tensor]] = {}
-        for now in range(GIVEN, self.length):
-            frame = self.frame(batch, labels, previous, now, blank & (now == GIVEN))
-            painted.append(frame.painted)
-            films = {step: self.film(batch, painted, step) for step in self.steps if len(painted) > 2 * step}
-            yield from self.critics.updates(frame, films)
-            for name, value in self.critics.logs.items():
+        for now in range(PREVIOUS, self.options.clip_length):
+            frame = self.frame(batch, labels, previous, now, blank & (now == PREVIOUS))
+            painted.append(frame.fake)
+            inputs = {step: self.temporal(batch, painted, step) for step in self.steps if len(painted) > 2 * step}
+            yield from self.losses.updates(frame, inputs)
+            for name, value in self.losses.logs.items():
                 sums.setdefault(name, []).append(value)
-            painted[-1] = frame.painted.detach()
+            painted[-1] = frame.fake.detach()
             previous = torch.cat([previous[:, 1:], painted[-1][:, None]], 1)
         self.logs = {name: torch.stack(values).mean() for name, values in sums.items()}
 
-    def frame(self, batch: ClipSample, labels: Tensor, previous: Tensor, now: int, first: Tensor) -> Frame:
-        """Paint frame `now` after the pictures `previous` (B, 2, 3, H, W).
+    def frame(self, batch: ClipSample, labels: Tensor, previous: Tensor, now: int, first: Tensor) -> PaintedFrame:
+        """Paint frame `now` after the images `previous` (B, 2, 3, H, W).
 
-        first  (B,) bool: samples that have none; what is painted anew is all of their picture, as published.
+        first  (B,) bool: samples without previous images; `raw` is all of their image, as published.
         """
-        answer = self.networks["painter"](labels[:, now - GIVEN : now + 1], previous)
-        picture, flow, weight, raw = (part.float() for part in answer)
+        output = self.networks["painter"](labels[:, now - PREVIOUS : now + 1], previous)
+        image, flow, weight, raw = (part.float() for part in output)
         known = batch.known[:, now]
-        return Frame(
+        return PaintedFrame(
             labels=labels[:, now],
-            true=batch.image[:, now],
-            true_before=batch.image[:, now - 1],
+            real=batch.image[:, now],
+            real_before=batch.image[:, now - 1],
             flow=Flow(shift=batch.shift[:, now], known=known),
-            remembered=known.masked_fill(first[:, None, None], 0),
-            painted=torch.where(first[:, None, None, None], raw, picture),
+            coherent=known.masked_fill(first[:, None, None], 0),
+            fake=torch.where(first[:, None, None, None], raw, image),
             raw=raw,
-            painted_before=previous[:, -1],
-            moved=flow,
+            fake_before=previous[:, -1],
+            fake_flow=flow,
             weight=weight,
         )
 
-    def film(self, batch: ClipSample, painted: list[Tensor], step: int) -> Film:
-        """The last painted picture and two before it, `step` frames apart, and the same of the truth."""
-        now = GIVEN + len(painted) - 1
-        flows = [self.over(batch, now - step, step), self.over(batch, now, step)]
-        true = [batch.image[:, now - back * step] for back in (2, 1, 0)]
-        return Film(true=film(true, flows), painted=film([painted[-1 - back * step] for back in (2, 1, 0)], flows))
+    def temporal(self, batch: ClipSample, painted: list[Tensor], step: int) -> TemporalInput:
+        """The last painted image and two before it, `step` frames apart, and the same of the camera's."""
+        now = PREVIOUS + len(painted) - 1
+        flows = [self.flow_over(batch, now - step, step), self.flow_over(batch, now, step)]
+        real = [batch.image[:, now - back * step] for back in (2, 1, 0)]
+        fake = [painted[-1 - back * step] for back in (2, 1, 0)]
+        return TemporalInput(real=temporal_input(real, flows), fake=temporal_input(fake, flows))
 
-    def over(self, batch: ClipSample, now: int, step: int) -> Flow:
+    def flow_over(self, batch: ClipSample, now: int, step: int) -> Flow:
         """The reference flow of a frame to that `step` frames before it."""
         flow = Flow(shift=batch.shift[:, now], known=batch.known[:, now])
         for back in range(1, step):
@@ -127,84 +116,83 @@ class VideoPainting:
             flow = chained(flow, earlier, circular=self.framing.circular)
         return flow
 
-    def follow(self, clip: ClipSample) -> tuple[Tensor, Tensor]:
-        """Paint a clip as a stream: pictures (K, 3, H, W) in [-1, 1] and flows (K, 2, H, W), on the CPU.
+    def paint(self, clip: ClipSample) -> tuple[Tensor, Tensor]:
+        """Paint a clip as a stream: images (K, 3, H, W) in [-1, 1] and flows (K, 2, H, W), on the CPU.
 
-        It begins by the first-frame network, by nothing (the first classes stand for those before), or by the truth,
-        whose two pictures are then the first.
+        It begins with the first-frame network, with no image (the first classes stand for those before), or with
+        ground truth, whose two images are then the first.
         """
         network = self.networks["painter"]
-        device = next(network.parameters()).device
-        labels = layers(default_collate([clip])).to(device)
-        pictures: list[Tensor] = []
-        flows = [torch.zeros_like(labels[:, 0, :2])] * GIVEN
+        device = device_of(network)
+        labels = one_hot_clip(default_collate([clip])).to(device)
+        images: list[Tensor] = []
+        flows = [torch.zeros_like(labels[:, 0, :2])] * PREVIOUS
         with torch.inference_mode(), fast_arithmetic(device):
-            if self.single is not None:
-                self.single.to(device)
-                pictures = [self.single(labels[:, now]).float() for now in range(GIVEN)]
-            elif not self.blank:
-                pictures = list(clip.image[:GIVEN, None].to(device))
-            flows = flows[: len(pictures)]
-            for now in range(len(pictures), self.length):
-                seen = labels[:, [max(now - back, 0) for back in (2, 1, 0)]]
-                black = [torch.zeros_like(labels[:, 0, :3])] * (GIVEN - now)
-                answer = network(seen, torch.stack([*black, *pictures[-GIVEN:]], 1))
-                pictures.append((answer.picture if now else answer.raw).float())
-                flows.append(answer.flow.float())
-        return torch.cat(pictures).cpu(), torch.cat(flows).cpu()
+            if self.first is not None:
+                self.first.to(device)
+                images = [self.first(labels[:, now]).float() for now in range(PREVIOUS)]
+            elif not self.options.no_previous_probability:
+                images = list(clip.image[:PREVIOUS, None].to(device))
+            flows = flows[: len(images)]
+            for now in range(len(images), self.options.clip_length):
+                recent = labels[:, [max(now - back, 0) for back in (2, 1, 0)]]
+                black = [torch.zeros_like(labels[:, 0, :3])] * (PREVIOUS - now)
+                output = network(recent, torch.stack([*black, *images[-PREVIOUS:]], 1))
+                images.append((output.picture if now else output.raw).float())
+                flows.append(output.flow.float())
+        return torch.cat(images).cpu(), torch.cat(flows).cpu()
 
     def validate(self) -> dict[str, float]:
-        """Broad colours, coherence of what is painted (and of the truth), the painter's flow.
+        """Pooled colours, temporal coherence of painted and of real images, and the painter's flow.
 
-        broad_colour  mean distance of broad colours in [0, 1] from the third frame on.
-        flicker       mean distance in [0, 1] of a picture from that before it, warped by the reference flow where that
-                      is known; flicker_of_truth likewise, of the camera's pictures: noise, and errors of the flow.
-        flow_px       mean length of the difference of the flows, likewise.
+        pooled_colour    mean distance of pooled colours in [0, 1] from the third frame on.
+        flicker          mean distance in [0, 1] of an image from the one before it, warped by the reference flow where
+                         that is known; flicker_of_real likewise, of the camera's: noise, and errors of the flow.
+        flow_px          mean length of the difference of the flows, likewise.
         The score is minus the first two.
         """
-        apart = np.linspace(0, len(self.validation) - 1, min(len(self.validation), MOST_SCORED)).round().astype(int)
         rows = []
-        for index in apart.tolist():
+        for index in evenly_spaced(len(self.validation), MOST_SCORED):
             clip = self.validation[index]
-            pictures, flows = self.follow(clip)
-            gap = avg_pool2d(pictures - clip.image, BROAD)[GIVEN:].abs().mean() / 2
-            wrong = (flows - clip.shift).norm(dim=1)[GIVEN:] * clip.known[GIVEN:]
-            flow_px = wrong.sum() / clip.known[GIVEN:].sum().clamp(min=1)
-            rows.append([gap, self.flicker(pictures, clip), self.flicker(clip.image, clip), flow_px])
+            images, flows = self.paint(clip)
+            gap = pooled(images - clip.image)[PREVIOUS:].abs().mean() / 2
+            wrong = (flows - clip.shift).norm(dim=1)[PREVIOUS:] * clip.known[PREVIOUS:]
+            flow_px = wrong.sum() / clip.known[PREVIOUS:].sum().clamp(min=1)
+            rows.append([gap, self.flicker(images, clip), self.flicker(clip.image, clip), flow_px])
         means = torch.tensor(rows).mean(0).tolist()
-        scores = dict(zip(("broad_colour", "flicker", "flicker_of_truth", "flow_px"), means, strict=True))
-        return {"score": -scores["broad_colour"] - scores["flicker"], **scores}
+        scores = dict(zip(("pooled_colour", "flicker", "flicker_of_real", "flow_px"), means, strict=True))
+        return {"score": -scores["pooled_colour"] - scores["flicker"], **scores}
 
-    def flicker(self, pictures: Tensor, clip: ClipSample) -> Tensor:
-        """Distance of each picture from the third on from the one before it, warped; see `validate`."""
-        was = warp(pictures[GIVEN - 1 : -1], clip.shift[GIVEN:], circular=self.framing.circular)
-        known = clip.known[GIVEN:]
-        return ((pictures[GIVEN:] - was).abs().mean(1) * known).sum() / known.sum().clamp(min=1) / 2
+    def flicker(self, images: Tensor, clip: ClipSample) -> Tensor:
+        """Distance of each image from the third on from the one before it, warped; see `validate`."""
+        warped = warp(images[PREVIOUS - 1 : -1], clip.shift[PREVIOUS:], circular=self.framing.circular)
+        known = clip.known[PREVIOUS:]
+        return ((images[PREVIOUS:] - warped).abs().mean(1) * known).sum() / known.sum().clamp(min=1) / 2
 
     def preview(self) -> dict[str, np.ndarray]:
-        """Truth above painted, frames of a clip side by side from the third on: two clips to validate on, one to train.
+        """Real above painted, a clip's frames side by side from the third on: two validation clips, one of training.
 
         (H, W, 3) uint8.
         """
         strips = []
         for clip in (self.validation[0], self.validation[len(self.validation) // 2], self.dataset[0]):
-            for pictures in (clip.image, self.follow(clip)[0]):
-                strips.append(torch.cat(list(pictures[GIVEN:]), 2))
-        sheet = torch.cat(strips, 1).movedim(0, 2)
-        return {"film": ((sheet + 1) * 127.5).round().clamp(0, 255).to(torch.uint8).numpy()}
+            for images in (clip.image, self.paint(clip)[0]):
+                strips.append(torch.cat(list(images[PREVIOUS:]), 2))
+        return {"video": as_image(torch.cat(strips, 1))}
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
-        """Its classes, and the panorama's raster on which things are as large as in the pictures it learned from."""
+        """Its classes, and the panorama's raster on which things are as large as in its training images."""
         return {"labels": COMMON15.name, "views": {"panorama": self.view.as_dict()}}
 
 
 def _first_frames(file: str) -> nn.Module:
     network, card = load(file, expect="vid2vid-single")
     if card.labels != COMMON15.name:
-        raise InputError(f"options.single={file}: it reads {card.labels or 'unnamed'} classes, not {COMMON15.name}")
+        labels = card.labels or "unnamed"
+        raise InputError(f"options.first_frame_weights={file}: it reads {labels} classes, not {COMMON15.name}")
     return network
 
 
-def layers(batch: ClipSample) -> Tensor:
-    """Classes of a batch of clips as layers (B, K, 16, H, W): one where a pixel is of the class, else zero."""
+def one_hot_clip(batch: ClipSample) -> Tensor:
+    """One-hot classes (B, K, 16, H, W) of a batch of clips."""
     return one_hot_layers(batch.labels.flatten(0, 1), len(COMMON15)).unflatten(0, batch.labels.shape[:2])

@@ -1,90 +1,96 @@
-"""Recipes of TITAN-Net as the paper has it, and of its follow-up TITAN-Next."""
+"""Recipes of TITAN-Net, of its ablations (section 4.5 and the supplement), and of its follow-up TITAN-Next.
+
+Rows of the paper's tables: "TITAN-Net (w/o L_ls)" is titan-no-lovasz, "TITAN-Net - w/o SegMap" is titan-no-segments,
+"TITAN-Net - w/o Rangeview -> Vid2Vid" is titan-no-range.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, on_two_cores
+from lidar2pano.train.options import FrontColourOptions, FrontDepthOptions, FrontOptions
+from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, on_two_cores, vary
 
 HALF = (188, 620)  # rows, columns: half of KITTI's images
-GUIDE = 1000.0  # how much more guides weigh in recipes for minutes on a CPU
+AUXILIARY = 1000.0  # factor of the auxiliary losses in recipes for minutes on a CPU
 
 
-def titan() -> Recipe:
-    """TITAN-Net with the paper's numbers: WGAN-GP (lambda 10) and Lovasz-Softmax, Adam 1e-4, batch 10."""
-    adam = Optimizer(kind="adam", rate=1e-4, betas=(0.5, 0.999), schedule="constant")
+def titan() -> Recipe[FrontOptions]:
+    """TITAN-Net: the paper's WGAN-GP (lambda 10), Lovasz-Softmax, Adam 1e-4 and batch 10.
+
+    The steps are 26 epochs of SemanticKITTI (the paper: 118), and Lovasz-Softmax is a mean over single images, since
+    the batch is taken in 10 micro-batches.
+    """
+    adam = Optimizer(algorithm="adam", rate=1e-4, betas=(0.5, 0.999), schedule="constant")
     return Recipe(
-        name="titan",
-        task="front",
         view="titan-front",
         networks={
             "translator": Network(model="titan", settings={"classes": 15, "conditions": 20}, optimizer=adam),
             "critic": Network(model="titan-critic", settings={"image_channels": 15, "conditions": 20}, optimizer=adam),
         },
-        options={"penalty": 10.0, "lovasz": 1.0, "segmenter": ""},
+        options=FrontOptions(),
         training=Training(steps=50_000, batch=10, accumulate=10, ema=0.0, precision="32-true"),
     )
 
 
-def titan_mini() -> Recipe:
+def titan_mini() -> Recipe[FrontOptions]:
     """TITAN-Net the paper's way on `kitti-mini`, for as long as `titan-pano-mini`; one pair a step, 512 columns.
 
-    Batch, columns and picture are the paper's only at a cost of minutes a step on a CPU, and a step more often teaches
-    more: the picture is half as large here and the critic a quarter as wide. The guide weighs GUIDE times as much and
-    the translator learns twenty times as fast: measured in its weights, the critic's slope was two hundred times that
-    of Lovasz-Softmax, so that with the paper's sum only the critic would teach in the few hundred steps of a CPU.
+    With the paper's batch, columns and image a step takes minutes on a CPU, and more steps teach more: the image is
+    half as large here and the critic a quarter as wide. Lovasz-Softmax weighs AUXILIARY times as much and the
+    translator's rate is twenty times as high: at the translator's weights the critic's gradient was measured to be two
+    hundred times that of Lovasz-Softmax, so with the paper's sum only the critic would teach in a few hundred steps.
     """
-    recipe = titan()
-    translator, critic = recipe.networks["translator"], recipe.networks["critic"]
-    return replace(
-        recipe,
-        name="titan-mini",
-        view="titan-front-512",
-        networks={
-            "translator": replace(
-                translator,
-                settings={**translator.settings, "size": HALF},
-                optimizer=replace(translator.optimizer, rate=2e-3, schedule="cosine"),
-            ),
-            "critic": replace(critic, settings={**critic.settings, "width": 16}),
-        },
-        options={**recipe.options, "lovasz": GUIDE},
-        training=on_two_cores(recipe.training, minutes=24.0, batch=1, ema=0.0),
-    )
+    recipe = vary(titan(), options={"lovasz": AUXILIARY}, translator={"size": HALF}, critic={"width": 16})
+    translator = recipe.networks["translator"]
+    faster = replace(translator, optimizer=replace(translator.optimizer, rate=2e-3, schedule="cosine"))
+    recipe = replace(recipe, view="titan-front-512", networks={**recipe.networks, "translator": faster})
+    return on_two_cores(recipe, minutes=24.0, batch=1, ema=0.0)
 
 
-def titan_next() -> Recipe:
+def titan_next() -> Recipe[FrontDepthOptions]:
     """TITAN-Next (Cortinhal and Aksoy 2023) with TITAN-Net's numbers: feature pyramid, depth head, 512 columns.
 
-    Guides weigh 0.1 each, as in what its authors made public; the true depth is the LiDAR's own (theirs is not
-    described), and their further guides (similarity and smoothness of depth, entropy of the prediction) are left out.
+    Auxiliary losses weigh 0.1 each, as in what its authors made public; the depth target is the LiDAR's own (theirs is
+    not described), and their further losses (similarity and smoothness of depth, entropy of the prediction) are left
+    out.
     """
-    recipe = titan()
-    translator, critic = recipe.networks["translator"], recipe.networks["critic"]
-    return replace(
-        recipe,
-        name="titan-next",
-        task="front-depth",
-        view="titan-front-512",
-        networks={
-            "translator": replace(translator, model="titan-next", settings={**translator.settings, "width": 64}),
-            "critic": replace(critic, settings={**critic.settings, "image_channels": 16}),
-        },
-        options={"penalty": 10.0, "lovasz": 0.1, "entropy": 0.1, "depth": 0.1, "segmenter": ""},
-    )
+    recipe = vary(titan(), translator={"width": 64}, critic={"image_channels": 16})
+    translator = replace(recipe.networks["translator"], model="titan-next")
+    networks = {**recipe.networks, "translator": translator}
+    return replace(recipe, view="titan-front-512", networks=networks, options=FrontDepthOptions())
 
 
-def titan_next_mini() -> Recipe:
-    """TITAN-Next as `titan-mini`, with half the channels; its guides weigh as much as there."""
-    recipe, small = titan_next(), titan_mini()
-    translator, critic = small.networks["translator"], small.networks["critic"]
-    return replace(
+def titan_next_mini() -> Recipe[FrontDepthOptions]:
+    """TITAN-Next as `titan-mini`, with half the channels; its auxiliary losses weigh as much as there."""
+    recipe = vary(titan_mini(), translator={"width": 32}, critic={"image_channels": 16})
+    translator = replace(recipe.networks["translator"], model="titan-next")
+    networks = {**recipe.networks, "translator": translator}
+    options = FrontDepthOptions(lovasz=AUXILIARY, cross_entropy=AUXILIARY / 10, depth=AUXILIARY)
+    return replace(recipe, networks=networks, options=options)
+
+
+def without_lovasz(recipe: Recipe[FrontOptions]) -> Recipe:
+    """TITAN-Net against its critic alone."""
+    return vary(recipe, options={"lovasz": 0.0})
+
+
+def without_range(recipe: Recipe[FrontOptions]) -> Recipe:
+    """TITAN-Net whose only input are the segments."""
+    return vary(recipe, translator={"channels": 0})
+
+
+def without_segments(recipe: Recipe[FrontOptions], mse: float = 1.0) -> Recipe[FrontColourOptions]:
+    """TITAN-Net from the range view straight to colours, with the squared error as its auxiliary loss.
+
+    The critic is conditioned on the range view, since there are no segments to condition it on. In few steps the
+    squared error teaches ten times less than Lovasz-Softmax, so the mini form gives it ten times the weight.
+    """
+    recipe = vary(
         recipe,
-        name="titan-next-mini",
-        networks={
-            "translator": replace(translator, model="titan-next", settings={**translator.settings, "width": 32}),
-            "critic": replace(critic, settings={**critic.settings, "image_channels": 16}),
-        },
-        options={**recipe.options, "lovasz": GUIDE, "entropy": GUIDE / 10, "depth": GUIDE},
-        training=small.training,
+        translator={"classes": 3, "conditions": 0, "picture": True},
+        critic={"image_channels": 3, "conditions": 5},
     )
+    networks = {"renderer": recipe.networks["translator"], "critic": recipe.networks["critic"]}
+    options = FrontColourOptions(mse=mse, gradient_penalty=recipe.options.gradient_penalty)
+    return replace(recipe, networks=networks, options=options)

@@ -1,0 +1,76 @@
+"""Write the table "What it costs" of README.md: python runs/readme.py.
+
+Time comes from RESULTS.md (`lidar2pano bench`), memory from running the demo, sizes and licences from the cards.
+"""
+
+from __future__ import annotations
+
+import re
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from lidar2pano.models.card import read_card
+from lidar2pano.models.families import DEFAULT, families
+
+ROOT = Path(__file__).resolve().parent.parent
+BEGIN, END = "<!-- costs: written by runs/readme.py -->", "<!-- end of costs -->"
+MIB = 2**20
+
+
+def time_of(results: str) -> tuple[str, str]:
+    """(milliseconds of a whole panorama, threads) in the table of times of RESULTS.md."""
+    found = re.search(r"^\| whole panorama \| ([\d.]+) \|", results, flags=re.MULTILINE)
+    threads = re.search(r"^device cpu, threads (\d+)", results, flags=re.MULTILINE)
+    if not found or not threads:
+        raise SystemExit("RESULTS.md has no row 'whole panorama' measured on a CPU; run runs/results.sh")
+    return found[1], threads[1]
+
+
+def peak_mib() -> float:
+    """Largest resident memory of `lidar2pano demo`."""
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run([sys.executable, "-m", "lidar2pano", "demo", "--out", folder], check=True, capture_output=True)
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+
+
+def licences() -> str:
+    """Family: licence, and its size."""
+    parts = []
+    for name, folder in families().items():
+        files = sorted(folder.glob("*.safetensors"))
+        licence = " and ".join(sorted({str(read_card(file).licence) for file in files}))
+        note = ", not for commercial use" if "NC" in licence else ""
+        default = " (default)" if name == DEFAULT else ""
+        size = sum(file.stat().st_size for file in files) / MIB
+        parts.append(f"`{name}`{default}: {licence}{note}, {size:.0f} MiB")
+    return "; ".join(parts)
+
+
+def costs(results: str, memory_mib: float) -> str:
+    """The table, with its markers."""
+    milliseconds, threads = time_of(results)
+    rows = [
+        ("time", f"{float(milliseconds) / 1000:.1f} s per panorama on {threads} CPU cores"),
+        ("memory", f"{memory_mib / 1024:.1f} GiB at most"),
+        ("download", "none: the weights are part of the package"),
+        ("licence", f"code Apache-2.0; weights {licences()}"),
+    ]
+    table = "\n".join(["| cost | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows)])
+    return f"{BEGIN}\n{table}\n{END}"
+
+
+def main() -> None:
+    """Replace the table in README.md."""
+    readme = ROOT / "README.md"
+    text = readme.read_text(encoding="utf-8")
+    before, _, rest = text.partition(BEGIN)
+    after = rest.partition(END)[2]
+    results = (ROOT / "RESULTS.md").read_text(encoding="utf-8")
+    readme.write_text(before + costs(results, peak_mib()) + after, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

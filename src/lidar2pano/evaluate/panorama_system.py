@@ -1,0 +1,110 @@
+"""Systems that predict panoramas: the pipeline itself; the camera's image is resampled from the panorama."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lidar2pano.calibration import Calibration
+from lidar2pano.evaluate.interface import Prediction, SystemInfo, SystemInput
+from lidar2pano.geometry.camera import panorama_in_camera
+from lidar2pano.hardware import Timer
+from lidar2pano.panorama import Panorama
+from lidar2pano.pipeline import Memory, Pipeline, Translated
+
+SAME_PLACE_M = 1e-6
+
+
+class NoPainter:
+    """A painter whose panoramas are grey, for systems without colours."""
+
+    def paint(self, past: Any, segments: Tensor, depth_m: Tensor, image: Tensor) -> tuple[Any, Tensor]:  # noqa: ANN401, ARG002
+        """As StreamPainter."""
+        rows, columns = segments.shape[-2:]
+        return past, segments.new_zeros(1, 3, 2 * rows, 2 * columns)
+
+
+class _View(NamedTuple):
+    """What the pipeline makes from one viewpoint."""
+
+    pipeline: Pipeline
+    translated: Translated
+    panorama: Panorama | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PanoramaSystem:
+    """`titan-pano` and a painter of panoramas.
+
+    The camera's classes are sampled from the class scores around the camera's optical centre, its colours from the
+    panorama. A panorama around another point is a second run.
+
+    paints  whether it has a painter;  steady: whether it uses the sensor's pose, where it is known, to smooth its
+            panoramas over time.
+    """
+
+    info: SystemInfo
+    pipeline: Pipeline
+    paints: bool = True
+    uses_ground_truth: bool = False
+    steady: bool = False
+
+    @torch.inference_mode()
+    def predict(self, inputs: SystemInput, memory: Any = None) -> tuple[Any, Prediction]:  # noqa: ANN401
+        """As System."""
+        pipeline, calibration = self.pipeline, inputs.calibration
+        viewpoints = _viewpoints(inputs)
+        if not viewpoints:
+            return memory, Prediction(
+                point_labels=pipeline.segmenter.points(inputs.scan, pipeline.device).cpu().numpy()
+            )
+        memories: dict[str, Memory] = dict(memory or {})
+        views: dict[str, _View] = {}
+        timer = Timer(pipeline.device)
+        for number, (name, place) in enumerate(viewpoints.items()):
+            moved = replace(pipeline, view=replace(pipeline.view, origin=place))
+            if not inputs.colours:
+                moved = replace(moved, painter=NoPainter())
+            own_timer = Timer(pipeline.device) if number else timer
+            translated, panorama = moved.translate(inputs.scan, own_timer), None
+            if inputs.colours or name == "panorama" or (len(viewpoints) == 1 and inputs.origin is not None):
+                pose = inputs.pose if self.steady else None
+                memories[name], panorama = moved.paint(translated, memories.get(name, Memory()), pose, own_timer)
+            views[name] = _View(moved, translated, panorama)
+        around = views.get("panorama", views.get("camera")) if inputs.origin is not None else None
+        prediction = Prediction(
+            point_labels=next(iter(views.values())).translated.labels.cpu().numpy(),
+            panorama=around.panorama if around else None,
+            painted=self.paints and inputs.colours,
+            milliseconds=timer.milliseconds,
+        )
+        if calibration is None:
+            return memories, prediction
+        return memories, self._in_camera(prediction, views["camera"], calibration, timer)
+
+    def _in_camera(self, prediction: Prediction, view: _View, calibration: Calibration, timer: Timer) -> Prediction:
+        """The prediction with the camera's image."""
+        with timer("camera"):
+            lookup = panorama_in_camera(view.pipeline.view, calibration).to(view.pipeline.device)
+            ids = lookup.linear(view.translated.logits[0].float()).max(0).indices
+            depth_m = lookup.linear(view.translated.depth_m[0].float())
+        image: np.ndarray | None = None
+        if prediction.painted and view.panorama is not None:
+            image = view.panorama.to_camera(calibration).colour
+        return replace(prediction, camera_labels=ids.cpu().numpy(), depth_m=depth_m.cpu().numpy(), image=image)
+
+
+def _viewpoints(inputs: SystemInput) -> dict[str, tuple[float, float, float]]:
+    """Origins of "camera" and "panorama"; where they are the same, only "camera"."""
+    viewpoints: dict[str, tuple[float, float, float]] = {}
+    if inputs.calibration is not None:
+        viewpoints["camera"] = inputs.calibration.centre
+    if inputs.origin is not None:
+        apart = np.abs(np.subtract(viewpoints.get("camera", np.inf), inputs.origin)).max()
+        if apart > SAME_PLACE_M:
+            viewpoints["panorama"] = inputs.origin
+    return viewpoints

@@ -1,0 +1,30 @@
+"""Parts of supervised losses: class weights, cross-entropy over labelled pixels, and pooled colours."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, cross_entropy
+
+POOL = 4  # pixels
+
+
+def class_weights(counts: np.ndarray, exponent: float, *, least: float, most: float) -> Tensor:
+    """Weights (K,) float32 of classes seen `counts` (K,) times: share ** -exponent, their mean without class 0 at 1.
+
+    Shares below `least` count as that; weights are at most `most`.
+    """
+    weights = np.maximum(counts / counts.sum(), least) ** -exponent
+    return torch.from_numpy(np.minimum(weights / weights[1:].mean(), most)).float()
+
+
+def labelled_cross_entropy(logits: Tensor, labels: Tensor, ignore: int) -> Tensor:
+    """Mean cross-entropy of logits (B, K, H, W) over the pixels of labels (B, H, W) unlike `ignore`; 0 without any."""
+    total = cross_entropy(logits.float(), labels, ignore_index=ignore, reduction="sum")
+    return total / (labels != ignore).sum().clamp(min=1)
+
+
+def pooled(image: Tensor) -> Tensor:
+    """Means over squares of POOL x POOL pixels of (B, C, H, W) or (C, H, W): colours without their fine texture."""
+    return avg_pool2d(image, POOL)

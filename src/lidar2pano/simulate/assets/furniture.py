@@ -1,0 +1,279 @@
+"""Street furniture: lamps, poles, traffic lights, signs, bins, benches, shelters and cabinets; they face +x."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from lidar2pano.simulate.assets.traffic_signs import street_sign
+from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, ellipsoid, loft, merged, polygons, tube
+
+GREEN: Tint = (1.0, 3.0, 1.8)  # times dark metal: the green of old lamp posts
+
+
+def _round(
+    points: Sequence[tuple[float, float, float]], radius: float | Sequence[float], material: str, tint: Tint
+) -> Mesh:
+    return tube(np.array(points), radius, material, "pole", sides=8, tint=tint)
+
+
+def street_lamp(rng: np.random.Generator) -> Mesh:
+    """A lamp whose arm reaches to +x: a curved mast, a mast with a bracket, or a low post with a lantern."""
+    form = str(rng.choice(("curved", "flat", "post", "mushroom"), p=(0.35, 0.3, 0.15, 0.2)))
+    if form in ("post", "mushroom"):
+        return _low_lamp(rng, form)
+    height, reach = rng.uniform(5.5, 9.5), rng.uniform(0.6, 1.8)
+    material, tint = ("metal", (0.9, 0.9, 0.9)) if rng.uniform() < 0.7 else ("dark-metal", GREEN)
+    parts = [_round([(0, 0, -0.2), (0, 0, 1.1)], 0.085, material, tint)]
+    if form == "curved":
+        turn = np.linspace(0, 0.5 * np.pi, 6)
+        bend = np.column_stack([reach * (1 - np.cos(turn)), 0 * turn, height - 0.8 + 0.8 * np.sin(turn)])
+        course = np.concatenate([[(0, 0, 1.0)], bend])
+        parts.append(_round([(x, y, z) for x, y, z in course], [0.075, 0.055, *[0.04] * 5], material, tint))
+    else:
+        parts.append(_round([(0, 0, 1.0), (0, 0, height)], [0.07, 0.045], material, tint))
+        parts.append(_round([(0, 0, height - 0.05), (reach, 0, height + 0.05)], 0.035, material, tint))
+    long, wide, flat = rng.uniform(0.5, 0.8), rng.uniform(0.2, 0.3), rng.uniform(0.08, 0.16)
+    z = height if form == "curved" else height + 0.05
+    parts.append(box((reach + long / 2 - 0.1, 0, z), (long, wide, flat), "plastic", "pole", tint=(1.2, 1.2, 1.2)))
+    parts.append(box((reach + long / 2 - 0.05, 0, z - flat / 2 - 0.02), (0.7 * long, 0.8 * wide, 0.04), "lamp", "pole"))
+    return merged(parts)
+
+
+def _low_lamp(rng: np.random.Generator, form: str) -> Mesh:
+    height = rng.uniform(3.4, 4.6)
+    tint = GREEN if rng.uniform() < 0.5 else (1.5, 1.5, 1.6)
+    parts = [
+        _round([(0, 0, -0.2), (0, 0, 0.8), (0, 0, 0.85), (0, 0, height)], [0.09, 0.08, 0.05, 0.04], "dark-metal", tint)
+    ]
+    if form == "post":
+        parts.append(tube(np.array([(0, 0, height), (0, 0, height + 0.45)]), [0.12, 0.2], "lamp", "pole", sides=6))
+        parts.append(
+            tube(
+                np.array([(0, 0, height + 0.45), (0, 0, height + 0.65)]),
+                [0.24, 0.03],
+                "dark-metal",
+                "pole",
+                sides=6,
+                tint=tint,
+            )
+        )
+    else:
+        parts.append(tube(np.array([(0, 0, height - 0.02), (0, 0, height + 0.22)]), 0.13, "lamp", "pole", sides=10))
+        parts.append(
+            tube(np.array([(0, 0, height + 0.22), (0, 0, height + 0.32)]), [0.42, 0.2], "plastic", "pole", sides=12)
+        )
+    return merged(parts)
+
+
+def pole(rng: np.random.Generator) -> Mesh:
+    """A pole of wood or concrete for wires, with cross-arms along y and insulators."""
+    height, lean = rng.uniform(7.0, 9.5), rng.normal(0, 0.05, 2)
+    wooden = rng.uniform() < 0.75
+    course = [(0.0, 0.0, -0.3), (float(lean[0]), float(lean[1]), height)]
+    finish: tuple[str, Tint] = ("wood", (0.8, 0.8, 0.85)) if wooden else ("concrete", (1.0, 1.0, 1.0))
+    parts = [_round(course, [0.14, 0.09] if wooden else [0.2, 0.11], *finish)]
+    for i in range(int(rng.integers(1, 3))):
+        z = height - 0.35 - 0.7 * i
+        parts.append(box((lean[0], lean[1], z), (0.09, 1.5, 0.1), *(finish[0], "pole"), tint=finish[1]))
+        for side in (-0.65, -0.3, 0.3, 0.65):
+            foot = (lean[0], lean[1] + side, z + 0.05)
+            parts.append(_round([foot, (foot[0], foot[1], foot[2] + 0.16)], 0.035, "plastic", (1.6, 1.6, 1.6)))
+    return merged(parts)
+
+
+def traffic_light(rng: np.random.Generator) -> Mesh:
+    """Lights that are seen from +x, on a post; sometimes a second head on an arm over the road, to -y."""
+    lit = int(rng.choice(3, p=(0.5, 0.1, 0.4)))
+    arm = bool(rng.uniform() < 0.3)
+    height = rng.uniform(5.4, 5.8) if arm else rng.uniform(3.2, 3.6)
+    paint: tuple[str, Tint] = ("metal", (0.85, 0.85, 0.85)) if rng.uniform() < 0.6 else ("dark-metal", GREEN)
+    parts = [_round([(0, 0, -0.2), (0, 0, height)], 0.1 if arm else 0.06, *paint)]
+    parts.append(_head((0.16, 0, 2.65), lit, (1, 0)))
+    if rng.uniform() < 0.6:
+        parts.append(_head((0, 0.16, 2.4), 2 if lit == 0 else 0, (0, 1), lamps=2, size=0.8))  # for those on foot
+    if arm:
+        reach = rng.uniform(2.5, 4.5)
+        parts.append(_round([(0, 0, height - 0.15), (0, -reach, height + 0.15)], [0.07, 0.045], *paint))
+        parts.append(_head((0.14, 0.3 - reach, height + 0.05), lit, (1, 0), board=True))
+    return merged(parts)
+
+
+def _head(
+    at: tuple[float, float, float],
+    lit: int,
+    way: tuple[int, int],
+    *,
+    lamps: int = 3,
+    size: float = 1.0,
+    board: bool = False,
+) -> Mesh:
+    """A housing with lamps, red at the top; `at` is its middle, `lit` the lamp that is on, `way` its direction."""
+    step = 0.3 * size
+    colours = ["light-red", "light-yellow", "light-green"] if lamps == 3 else ["light-red", "light-green"]
+    lit = lit if lamps == 3 else min(lit, 1)
+    parts = [
+        box((0, 0, 0), (0.18, 0.3 * size, step * lamps + 0.04), "dark-metal", "traffic-light", tint=(0.7, 0.8, 0.7))
+    ]
+    if board:
+        parts.append(
+            box((-0.04, 0, 0), (0.02, 0.55, step * lamps + 0.3), "dark-metal", "traffic-light", tint=(0.6, 0.6, 0.6))
+        )
+    for i, colour in enumerate(colours):
+        z = step * ((lamps - 1) / 2 - i)
+        material = colour if i == lit else "light-off"
+        tint: Tint = (
+            (1, 1, 1) if i == lit else ((2.5, 0.7, 0.7), (2.2, 1.6, 0.5), (0.5, 1.7, 1.0))[i if lamps == 3 else 2 * i]
+        )
+        lens = np.array([(0.09, 0, z), (0.1, 0, z)])
+        parts.append(tube(lens, 0.1 * size, material, "traffic-light", sides=10, tint=tint))
+        turn = np.linspace(-0.1, np.pi + 0.1, 7)
+        rim = np.column_stack([np.zeros(7), 0.12 * size * np.cos(turn), z + 0.12 * size * np.sin(turn)])
+        parts.append(_hood(rim, 0.09, 0.26))
+    x, y, z = at
+    return merged(parts).placed((x, y, z), float(np.arctan2(way[1], way[0])))
+
+
+def _hood(rim: np.ndarray, near: float, far: float) -> Mesh:
+    return loft(np.stack([rim + (near, 0, 0), rim + (far, 0, 0)]), "dark-metal", "traffic-light", tint=(0.6, 0.7, 0.6))
+
+
+def bollard(rng: np.random.Generator) -> Mesh:
+    """A bollard, of metal or stone."""
+    height, radius = rng.uniform(0.75, 1.05), rng.uniform(0.05, 0.09)
+    if rng.uniform() < 0.25:
+        stone = tube(np.array([(0, 0, -0.1), (0, 0, 0.45)]), [0.2, 0.17], "concrete", "pole", sides=10)
+        return merged([stone, ellipsoid((0, 0, 0.45), (0.17, 0.17, 0.1), "concrete", "pole", 6)])
+    tint = [(1.5, 1.5, 1.6), GREEN, (9.0, 1.0, 0.8)][int(rng.integers(3))]
+    shaft = _round([(0, 0, -0.1), (0, 0, height)], radius, "dark-metal", tint)
+    band = _round([(0, 0, height - 0.25), (0, 0, height - 0.15)], radius + 0.004, "sign", (1.0, 1.0, 1.0))
+    return merged(
+        [shaft, band, ellipsoid((0, 0, height), (radius, radius, 0.5 * radius), "dark-metal", "pole", 6, tint)]
+    )
+
+
+def bin(rng: np.random.Generator) -> Mesh:  # noqa: A001 the builtin is not needed here
+    """One to three wheelie bins side by side along y."""
+    lids: list[tuple[Tint, Tint]] = [
+        ((0.3, 0.31, 0.32), (0.3, 0.31, 0.32)), ((0.3, 0.31, 0.32), (2.0, 1.5, 0.1)),
+        ((0.3, 0.31, 0.32), (0.2, 0.5, 1.4)), ((0.5, 0.35, 0.22), (0.5, 0.35, 0.22)),
+        ((0.25, 0.6, 0.3), (0.25, 0.6, 0.3)),
+    ]  # fmt: skip
+    count = int(rng.choice((1, 2, 3), p=(0.4, 0.35, 0.25)))
+    parts = []
+    for i in range(count):
+        body, lid = lids[int(rng.integers(len(lids)))]
+        large = rng.uniform() < 0.25
+        width, deep, high = (0.58, 0.72, 1.0) if large else (0.48, 0.54, 0.93)
+        one = _tapered((0.78 * deep, 0.8 * width), (deep, width), 0.06, high, body)
+        cover = box((0.02, 0, high + 0.035), (deep + 0.06, width + 0.04, 0.07), "plastic", "other-object", tint=lid)
+        grip = box((-deep / 2 - 0.06, 0, high - 0.02), (0.08, 0.7 * width, 0.04), "plastic", "other-object", tint=body)
+        wheels = [
+            tube(
+                np.array([(-deep / 2 + 0.08, y, 0.1), (-deep / 2 + 0.08, y + 0.05, 0.1)]),
+                0.1,
+                "rubber",
+                "other-object",
+                sides=8,
+            )
+            for y in (-0.45 * width, 0.45 * width - 0.05)
+        ]
+        foot = box((0.3 * deep, 0, 0.03), (0.08, 0.6 * width, 0.08), "plastic", "other-object", tint=body)
+        place = (float(rng.normal(0, 0.05)), 0.66 * (i - (count - 1) / 2), 0.0)
+        parts.append(merged([one, cover, grip, foot, *wheels]).placed(place, float(rng.normal(0, 0.08))))
+    return merged(parts)
+
+
+def _tapered(low: tuple[float, float], high: tuple[float, float], foot: float, top: float, tint: Tint) -> Mesh:
+    unit = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
+    points = np.concatenate([np.column_stack([unit * size, np.full(4, z)]) for size, z in ((low, foot), (high, top))])
+    sides = np.array([(0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (3, 2, 1, 0)])
+    return polygons(points, sides, "plastic", "other-object", tint=tint)
+
+
+def bench(rng: np.random.Generator) -> Mesh:
+    """A bench that faces +x: slats of wood on feet of iron or concrete."""
+    length = rng.uniform(1.6, 2.0)
+    tint = (1.0, 1.0, 1.0) if rng.uniform() < 0.7 else (0.5, 0.9, 0.7)
+    slats = [
+        box((x, 0, 0.45), (0.09, length, 0.035), "wood", "other-object", tint=tint) for x in (-0.15, -0.04, 0.07, 0.18)
+    ]
+    backed = bool(rng.uniform() < 0.75)
+    if backed:
+        slats += [
+            box((-0.27 - 0.03 * i, 0, 0.58 + 0.13 * i), (0.035, length, 0.1), "wood", "other-object", tint=tint)
+            for i in range(3)
+        ]
+    feet = []
+    for y in (-0.36 * length, 0.36 * length):
+        feet.append(box((0.0, y, 0.2), (0.42, 0.07, 0.48), "concrete", "other-object"))
+        if backed:
+            feet.append(box((-0.31, y, 0.6), (0.05, 0.06, 0.55), "dark-metal", "other-object"))
+    return merged([*slats, *feet])
+
+
+def bus_stop(rng: np.random.Generator) -> Mesh:
+    """A glass shelter along y that is open to +x, with a bench, and the stop's sign beside it."""
+    length, deep, high = rng.uniform(3.0, 4.5), 1.4, 2.4
+    grey: Tint = (2.0, 2.0, 2.1) if rng.uniform() < 0.6 else (1.0, 2.5, 1.6)
+    parts = [
+        box((0, 0, high + 0.06), (deep + 0.3, length + 0.2, 0.12), "plastic", "other-object", tint=(1.2, 1.2, 1.2))
+    ]
+    for x, y in [
+        (-deep / 2, -length / 2),
+        (-deep / 2, 0),
+        (-deep / 2, length / 2),
+        (deep / 2, -length / 2),
+        (deep / 2, length / 2),
+    ]:
+        parts.append(box((x, y, high / 2 - 0.05), (0.06, 0.06, high + 0.1), "dark-metal", "pole", tint=grey))
+    glass: Tint = (3.0, 3.4, 3.4)
+    parts.append(box((-deep / 2, 0, 1.3), (0.02, length - 0.1, 1.9), "pane", "other-object", tint=glass))
+    parts += [
+        box((0, side * length / 2, 1.3), (deep - 0.1, 0.02, 1.9), "pane", "other-object", tint=glass)
+        for side in (-1, 1)
+    ]
+    poster: Tint = (1.6 * rng.uniform(), 1.6 * rng.uniform(), 1.6 * rng.uniform())
+    parts.append(box((0.02, length / 2 - 0.04, 1.35), (1.15, 0.06, 1.7), "plastic", "other-object", tint=poster))
+    parts.append(box((-0.4, 0, 0.45), (0.4, 0.6 * length, 0.04), "wood", "other-object"))
+    parts += [
+        box((-0.4, y, 0.2), (0.06, 0.06, 0.5), "dark-metal", "other-object") for y in (-0.25 * length, 0.25 * length)
+    ]
+    return merged([*parts, street_sign("bus stop").placed((0.75, -length / 2 - 0.6, 0.0), np.pi / 2)])
+
+
+def advertising_column(rng: np.random.Generator) -> Mesh:
+    """A round column with posters."""
+    radius, high = rng.uniform(0.55, 0.7), rng.uniform(2.5, 3.2)
+    parts = [tube(np.array([(0, 0, -0.1), (0, 0, high)]), radius, "concrete", "other-object", sides=24)]
+    parts.append(tube(np.array([(0, 0, -0.1), (0, 0, 0.3)]), radius + 0.06, "stone", "other-object", sides=24))
+    parts.append(tube(np.array([(0, 0, high), (0, 0, high + 0.12)]), radius + 0.08, "metal", "other-object", sides=24))
+    parts.append(ellipsoid((0, 0, high + 0.1), (radius, radius, 0.3), "metal", "other-object", 8))
+    for i in range(6):
+        for low in (0.4, 0.45 + (high - 0.5) / 2):
+            parts.append(_poster(rng, radius, 1.05 * i, low, (high - 0.7) / 2))
+    return merged(parts)
+
+
+def _poster(rng: np.random.Generator, radius: float, turn: float, low: float, high: float) -> Mesh:
+    angle = np.linspace(turn + 0.05, turn + rng.uniform(0.7, 1.0), 5)
+    rim = (radius + 0.012) * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(5)])
+    light, hue = rng.uniform(0.3, 1.8), rng.uniform(0.5, 1.3, 3)
+    tint: Tint = (light * hue[0], light * hue[1], light * hue[2])
+    return loft(np.stack([rim + (0, 0, low + high), rim + (0, 0, low)]), "plastic", "other-object", tint=tint)
+
+
+def junction_box(rng: np.random.Generator) -> Mesh:
+    """A grey cabinet for telephone or power."""
+    width, deep, high = rng.uniform(0.5, 1.6), rng.uniform(0.3, 0.45), rng.uniform(0.85, 1.4)
+    light = rng.uniform(0.9, 1.6)
+    tint: Tint = (light, light, 0.95 * light) if rng.uniform() < 0.75 else (0.5, 0.7, 0.5)
+    parts = [box((0, 0, high / 2), (deep, width, high), "plastic", "other-object", tint=tint)]
+    parts.append(box((0, 0, 0.0), (deep + 0.06, width + 0.06, 0.24), "concrete", "other-object"))
+    parts.append(box((0, 0, high + 0.02), (deep + 0.06, width + 0.06, 0.05), "plastic", "other-object", tint=tint))
+    doors = max(round(width / 0.6), 1)
+    for i in range(1, doors):
+        y = width * (i / doors - 0.5)
+        parts.append(box((deep / 2, y, high / 2 + 0.05), (0.01, 0.015, high - 0.2), "dark-metal", "other-object"))
+    return merged(parts)

@@ -1,0 +1,280 @@
+"""Houses, garages and sheds; the front faces +x, the width is along y."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lidar2pano.simulate.assets.building_shells import (
+    COVERS,
+    DOORS,
+    PLASTERS,
+    Roof,
+    Shell,
+    chimney,
+    closed_walls,
+    dormer,
+    flat_roof,
+    gutters,
+    has_gable,
+    pick,
+    plinth,
+    skylight,
+    slabs,
+    window_columns,
+    window_style,
+)
+from lidar2pano.simulate.assets.facades import (
+    DEEP,
+    PLAIN,
+    Boards,
+    Opening,
+    Wall,
+    balcony,
+    canopy,
+    fill_opening,
+    four_walls,
+    rows,
+    steps,
+    wall_with_openings,
+)
+from lidar2pano.simulate.scene.mesh import Mesh, Tint, merged
+
+
+def _holes(rng: np.random.Generator, shell: Shell, roof: Roof, name: str, front: bool) -> list[Opening]:
+    """Windows of one wall; the front has the door, the others are emptier."""
+    wall = shell.walls[name]
+    columns = window_columns(rng, wall.length, rng.uniform(2.3, 3.2))
+    if not front:
+        columns = [middle for middle in columns if rng.uniform() < (0.85 if name == "back" else 0.55)]
+    widths = (0.9, 1.0, 1.1) if shell.style.shutters == "swing" else (0.95, 1.1, 1.3, 1.6)
+    width, height = float(rng.choice(widths)), rng.uniform(1.15, 1.45)
+    holes: list[Opening] = []
+    for floor in range(shell.storeys):
+        holes += rows(wall, columns, shell.sill(floor), (width, height))
+    top, bends = roof.gable(wall.length)
+    if top(np.array([wall.length / 2]))[0] > shell.eaves + 2.0 and has_gable(roof, name):
+        near = [middle for middle in (wall.length / 2 - 1.3, wall.length / 2 + 1.3) if 0 < middle < wall.length]
+        weighted_choice = near if roof.ridge - shell.eaves > 3.2 else [wall.length / 2]
+        sill = shell.eaves + 0.45
+        holes += [
+            hole
+            for hole in rows(wall, weighted_choice, sill, (0.95, 1.2))
+            if (top(np.array(hole.along)) > hole.high + 0.3).all()
+        ]
+    if front:
+        place = columns[int(rng.integers(len(columns)))]
+        holes = [
+            hole
+            for hole in holes
+            if hole.low > shell.base + shell.storey or abs(hole.middle - place) > hole.width / 2 + 0.7
+        ]
+        holes.append(Opening(float(np.clip(place, 0.8, wall.length - 0.8)), 1.05, shell.base, shell.base + 2.1, "door"))
+    return holes
+
+
+def house(rng: np.random.Generator, width: float, depth: float) -> Mesh:
+    """A detached or terraced house of `width` (y) times `depth` (x) metres with a pitched roof."""
+    turned = bool(width < 1.25 * depth and rng.uniform() < 0.35)  # its gable faces the street
+    if turned:
+        return _house(rng, depth, width, front="right").placed((0, 0, 0), np.pi / 2)
+    return _house(rng, width, depth, front="front")
+
+
+def _house(rng: np.random.Generator, width: float, depth: float, front: str) -> Mesh:
+    finish = ("brick", PLAIN) if rng.uniform() < 0.06 else ("plaster", pick(rng, PLASTERS))
+    shutters = str(rng.choice(("none", "swing", "roller"), p=(0.2, 0.3, 0.5)))
+    shell = Shell(
+        walls=four_walls(width, depth),
+        finish=finish,
+        style=window_style(rng, shutters, finish[1]),
+        base=rng.uniform(0.2, 0.9),
+        storeys=int(rng.choice((1, 2, 3), p=(0.36, 0.54, 0.1))),
+        storey=rng.uniform(2.65, 2.95),
+    )
+    roof = _roof(rng, shell, width, depth)
+    holes = {name: _holes(rng, shell, roof, name, name == front) for name in shell.walls}
+    boards = Boards()
+    wing = _wing(rng, boards, shell, holes, roof) if front == "front" and rng.uniform() < 0.3 else []
+    timbered = finish[0] == "plaster" and shutters != "swing" and not wing and rng.uniform() < 0.1
+    if not timbered and not wing and shell.storeys > 1 and rng.uniform() < 0.35:
+        _porch(rng, boards, shell, holes, front)
+    parts = [*closed_walls(rng, boards, shell, holes, roof), *wing]
+    if finish[0] == "plaster" and rng.uniform() < 0.8:
+        plinth(boards, shell, holes, (0.55, 0.54, 0.53) if rng.uniform() < 0.5 else (0.8, 0.78, 0.74))
+    _entrance(rng, boards, shell.walls[front], holes[front][-1])
+    if timbered:
+        _timber(boards, shell, roof, holes)
+    parts += [roof.mesh(), gutters(roof), *_on_roof(rng, roof, shell.finish, plain=bool(wing))]
+    return merged([*parts, boards.mesh()])
+
+
+def _roof(rng: np.random.Generator, shell: Shell, width: float, depth: float) -> Roof:
+    form = str(rng.choice(("gable", "hip", "half-hip"), p=(0.7, 0.16, 0.14))) if width > depth + 1.0 else "gable"
+    steep = rng.uniform(0.45, 0.7) if form == "hip" or shell.storeys == 3 else rng.uniform(0.6, 1.1)
+    material, tint = COVERS[int(rng.choice(len(COVERS), p=(0.35, 0.2, 0.15, 0.1, 0.12, 0.08)))]
+    overhang = (rng.uniform(0.35, 0.7), rng.uniform(0.12, 0.5))
+    return Roof(form, width, depth, shell.eaves, min(steep, 9.0 / depth), overhang, material, tint)
+
+
+def _entrance(rng: np.random.Generator, boards: Boards, wall: Wall, door: Opening) -> None:
+    steps(boards, wall, door)
+    if rng.uniform() < 0.55:
+        canopy(boards, wall, door, (1.0, 1.0, 1.0) if rng.uniform() < 0.5 else (2.2, 3.2, 5.0))
+    if rng.uniform() < 0.5:
+        side = door.along[1] + 0.35
+        boards.add(wall, (side, side + 0.14), (0.0, 0.14), (door.low + 1.7, door.low + 1.95), "lamp")
+
+
+def _timber(boards: Boards, shell: Shell, roof: Roof, holes: dict[str, list[Opening]]) -> None:
+    """Half timber on the upper storey (or the gables): posts beside the windows, rails above and below them."""
+    out, dark = (0.0, 0.025), (0.42, 0.38, 0.35)
+    low = shell.eaves - shell.storey
+    for name, wall in shell.walls.items():
+        level = [hole for hole in holes[name] if hole.low >= low and hole.high < shell.eaves]
+        sill, lintel = low + 0.78, low + shell.storey - 0.32
+        for up in (
+            (low - 0.1, low + 0.08),
+            (sill - 0.07, sill + 0.07),
+            (lintel - 0.07, lintel + 0.07),
+            (shell.eaves - 0.18, shell.eaves),
+        ):
+            edges = sorted(
+                [
+                    0.0,
+                    wall.length,
+                    *(edge for hole in level if up[0] < hole.high and up[1] > hole.low for edge in hole.along),
+                ]
+            )
+            for span in zip(edges[::2], edges[1::2], strict=True):
+                boards.add(wall, span, out, up, "wood", dark)
+        posts = np.linspace(0.09, wall.length - 0.09, max(round(wall.length / 1.3), 2) + 1)
+        clear = [post for post in posts if all(abs(post - hole.middle) > hole.width / 2 + 0.1 for hole in level)]
+        beside = [edge + side for hole in level for edge, side in zip(hole.along, (-0.09, 0.09), strict=True)]
+        for post in [*clear, *beside]:
+            boards.add(wall, (post - 0.08, post + 0.08), out, (low, shell.eaves), "wood", dark, "flr")
+        if has_gable(roof, name):
+            top = roof.gable(wall.length)[0]
+            for post in [post for post in clear if top(np.array([post]))[0] > shell.eaves + 0.4]:
+                high = float(top(np.array([post]))[0])
+                if all(
+                    abs(post - hole.middle) > hole.width / 2 + 0.1 for hole in holes[name] if hole.high > shell.eaves
+                ):
+                    boards.add(wall, (post - 0.08, post + 0.08), out, (shell.eaves, high - 0.1), "wood", dark, "flr")
+
+
+def _porch(rng: np.random.Generator, boards: Boards, shell: Shell, holes: dict[str, list[Opening]], front: str) -> None:
+    """A balcony on the first floor, in front of a window that becomes a glass door; changes `holes`."""
+    wall, floor = shell.walls[front], shell.base + shell.storey
+    level = [i for i, hole in enumerate(holes[front]) if floor < hole.low < floor + 1.5]
+    if not level:
+        return
+    weighted_choice = level[int(rng.integers(len(level)))]
+    hole = holes[front][weighted_choice]
+    holes[front][weighted_choice] = hole._replace(low=floor + 0.03, what="glass-door")
+    wide = min(rng.uniform(2.5, 4.5), wall.length - 1.0)
+    left = float(np.clip(hole.middle - wide * rng.uniform(0.3, 0.7), 0.2, wall.length - wide - 0.2))
+    finish = [("railing", PLAIN), ("wood", PLAIN), ("plaster", shell.finish[1])][int(rng.integers(3))]
+    balcony(boards, wall, (left, left + wide), floor, 1.3, finish)
+
+
+def _wing(
+    rng: np.random.Generator, boards: Boards, shell: Shell, holes: dict[str, list[Opening]], roof: Roof
+) -> list[Mesh]:
+    """A part of the front that stands out under a gable of its own, away from the door; changes `holes`."""
+    wall, door = shell.walls["front"], holes["front"][-1]
+    wide, out = rng.uniform(2.6, 3.6), rng.uniform(0.7, 1.4)
+    middle = wall.length * (0.25 if door.middle > wall.length / 2 else 0.75)
+    eaves = shell.eaves + rng.uniform(0.3, 1.2)
+    slope = min(1.0, 2 * (roof.ridge - 0.3 - eaves) / wide)
+    if abs(middle - door.middle) < wide / 2 + 1.0 or slope < 0.4 or roof.form == "hip":
+        return []
+    holes["front"] = [hole for hole in holes["front"] if abs(hole.middle - middle) > (wide + hole.width) / 2 + 0.3]
+    front, y = roof.span / 2 + out, middle - wall.length / 2
+    back = roof.span / 2 - (eaves + slope * wide / 2 - roof.eaves) / roof.slope - 0.3
+    walls = four_walls(wide, front - back, ((front + back) / 2, y))
+    gable = Roof("gable", front - back, wide, eaves, slope, (0.3, 0.3), roof.material, roof.tint)
+    parts = []
+    for name in ("front", "left", "right"):
+        top, bends = gable.gable(wide) if name == "front" else (lambda along: np.full(len(along), eaves + 0.04), [])
+        sills = [shell.sill(floor) for floor in range(shell.storeys + int(eaves > shell.eaves + 0.8))]
+        own = (
+            [hole for sill in sills for hole in rows(walls[name], [wide / 2], sill, (1.3, 1.3))]
+            if name == "front"
+            else []
+        )
+        own = [hole for hole in own if (top(np.array(hole.along)) > hole.high + 0.1).all()]
+        parts.append(wall_with_openings(walls[name], DEEP, top, bends, own, *shell.finish))
+        for hole in own:
+            fill_opening(boards, walls[name], hole, shell.style, rng)
+    x, ridge, low = front + 0.3, eaves + slope * wide / 2, eaves - 0.3 * slope
+    half = wide / 2 + 0.3
+    points = np.array(
+        [(x, -half, low), (x, 0, ridge), (x, half, low), (back, -half, low), (back, 0, ridge), (back, half, low)]
+    )
+    return [*parts, slabs(points + (0, y, 0), [[2, 5, 4, 1], [3, 0, 1, 4]], (roof.material, roof.tint))]
+
+
+def _on_roof(rng: np.random.Generator, roof: Roof, finish: tuple[str, Tint], *, plain: bool) -> list[Mesh]:
+    """A chimney, and dormers or roof windows where the roof is not `plain`."""
+    ridge = roof.ridge + 0.2
+    parts = [
+        chimney(rng, (-0.1 * roof.span, rng.uniform(-0.3, 0.3) * roof.long), ridge - 2.0, ridge + rng.uniform(0.4, 0.9))
+    ]
+    tall = roof.ridge - roof.eaves
+    reach = roof.long / 2 - 1.2 if roof.form != "hip" else (roof.long - roof.span) / 2
+    if plain or roof.slope < 0.6 or reach < 1.0 or tall < 2.6:
+        return parts
+    rise = min(0.5 * roof.slope + 0.2, tall - 2.0)
+    if rng.uniform() < 0.45:
+        wide = float(rng.choice((1.2, 1.5, 2.6, 3.4)))
+        count = 1 if wide > 2 or reach < 2.2 else 2
+        cheeks = finish if rng.uniform() < 0.5 else ("slate", PLAIN)
+        if wide / 2 < reach:
+            places = [0.0] if count == 1 else [-0.55 * reach, 0.55 * reach]
+            parts += [dormer(roof, place, rise, (wide, 1.25), cheeks) for place in places]
+    elif rng.uniform() < 0.6:
+        parts += [
+            skylight(roof, float(place), 0.8 * roof.slope)
+            for place in rng.permutation(np.linspace(-reach, reach, 4))[:2]
+        ]
+    return [
+        part if side else part.placed((0, 0, 0), np.pi)
+        for part, side in zip(parts, [True] + [rng.uniform() < 0.8] * len(parts), strict=False)
+    ]
+
+
+def garage(rng: np.random.Generator) -> Mesh:
+    """A single garage, 3 m wide and 6 m deep, its gate to +x."""
+    width, depth = rng.uniform(2.9, 3.2), rng.uniform(5.6, 6.2)
+    finish = ("plaster", pick(rng, PLASTERS)) if rng.uniform() < 0.8 else ("concrete", (1.2, 1.2, 1.2))
+    style = window_style(rng, "none", finish[1])._replace(surround="", door=pick(rng, DOORS))
+    shell = Shell(four_walls(width, depth), finish, style, 0.03, 1, 2.45)
+    holes: dict[str, list[Opening]] = {name: [] for name in shell.walls}
+    holes["front"] = [Opening(width / 2, width - 0.5, 0.03, 2.1, "gate")]
+    boards = Boards()
+    if rng.uniform() < 0.75:
+        parts = closed_walls(rng, boards, shell, holes, None)
+        parts.append(flat_roof(width, depth, shell.eaves - 0.2, (0.6, 0.6, 0.6)))
+    else:
+        roof = Roof(
+            "gable", depth, width, shell.eaves, rng.uniform(0.4, 0.7), (0.25, 0.2), *COVERS[int(rng.integers(4))]
+        )
+        shell = shell._replace(walls=four_walls(depth, width))
+        holes = {name: holes["front"] if name == "right" else [] for name in shell.walls}
+        parts = [*closed_walls(rng, boards, shell, holes, roof), roof.mesh(), boards.mesh()]
+        return merged(parts).placed((0, 0, 0), np.pi / 2)
+    return merged([*parts, boards.mesh()])
+
+
+def shed(rng: np.random.Generator) -> Mesh:
+    """A wooden garden shed with a door and a window to +x."""
+    width, depth, height = rng.uniform(2.2, 3.8), rng.uniform(2.0, 3.0), rng.uniform(2.0, 2.3)
+    tint = [(1.2, 1.2, 1.2), (0.6, 0.65, 0.7), (0.9, 0.4, 0.35), (0.6, 0.9, 0.7)][int(rng.integers(4))]
+    style = window_style(rng, "none", tint)._replace(surround="", deep=0.04, door=tint)
+    shell = Shell(four_walls(width, depth), ("wood", tint), style, 0.08, 1, height)
+    roof = Roof("gable", width, depth, shell.eaves, rng.uniform(0.35, 0.8), (0.25, 0.2), "slate", (1.6, 1.5, 1.4))
+    holes: dict[str, list[Opening]] = {name: [] for name in shell.walls}
+    holes["front"] = [Opening(0.7, 0.8, 0.08, 1.95, "door"), Opening(width - 0.7, 0.6, 1.1, 1.7)]
+    boards = Boards()
+    parts = [*closed_walls(rng, boards, shell, holes, roof), roof.mesh()]
+    return merged([*parts, boards.mesh()])

@@ -1,0 +1,1 @@
+"""Where everything is: roads, ground, buildings, kerbside objects, traffic and the recording car."""

@@ -1,0 +1,227 @@
+"""Ground: rolling terrain, cut along kerbs into carriageway, sidewalk, parking bays, lawns and fields."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lidar2pano.simulate.layout.roads import Road, locate
+from lidar2pano.simulate.scene.mesh import Mesh, merged
+from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, OBJECT_TYPE_IDS
+
+CELL, FAR_CELL = 1.0, 10.0  # metres: cells of the grid, and of the rim around it
+FAR = 420.0  # metres: width of the rim
+KERBSTONE = 0.14  # metres
+OBJECT_TYPE_OF_COVER = {"cobbles": "sidewalk", "gravel": "other-ground"}  # forecourts and yards; others are terrain
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Terrain:
+    """Height as a sum of waves: (n, 4) rows of wave numbers x and y (1/m), phase, amplitude (m)."""
+
+    waves: np.ndarray
+
+    @classmethod
+    def random(cls, rng: np.random.Generator, slope: float) -> Terrain:
+        """Seven waves of 90 to 700 metres whose slopes add up to about `slope`."""
+        length, way = np.geomspace(90, 700, 7), rng.uniform(0, 2 * np.pi, 7)
+        number = 2 * np.pi / length
+        slopes = slope * rng.uniform(0.15, 0.55, 7)
+        return cls(np.stack([number * np.cos(way), number * np.sin(way), rng.uniform(0, 6.28, 7), slopes / number], 1))
+
+    def height(self, xy: np.ndarray) -> np.ndarray:
+        """Heights (...) in metres at points (..., 2)."""
+        x, y = np.asarray(xy)[..., 0, None], np.asarray(xy)[..., 1, None]
+        return (self.waves[:, 3] * np.sin(x * self.waves[:, 0] + y * self.waves[:, 1] + self.waves[:, 2])).sum(-1)
+
+    def normal(self, xy: np.ndarray) -> np.ndarray:
+        """Unit normals (..., 3) at points (..., 2)."""
+        x, y = np.asarray(xy)[..., 0, None], np.asarray(xy)[..., 1, None]
+        wave = self.waves[:, 3] * np.cos(x * self.waves[:, 0] + y * self.waves[:, 1] + self.waves[:, 2])
+        slope = np.stack([(wave * self.waves[:, 0]).sum(-1), (wave * self.waves[:, 1]).sum(-1)], axis=-1)
+        normal = np.concatenate([-slope, np.ones((*slope.shape[:-1], 1))], axis=-1)
+        return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+
+
+def split_triangles(corners: np.ndarray, value: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cut triangles (T, 3, C) along the zero of their column `value`; all columns are interpolated linearly.
+
+    Returns the negative and the other parts, and the cuts (K, 2, C) with the positive side on their left.
+    """
+    positive = corners[:, :, value] >= 0
+    count = positive.sum(axis=1)
+    negatives, positives, cuts = [corners[count == 0]], [corners[count == 3]], []
+    for many, lone_is_positive in ((1, True), (2, False)):
+        mixed = corners[count == many]
+        if not len(mixed):
+            continue
+        lone = (positive[count == many] == lone_is_positive).argmax(axis=1)
+        order = (lone[:, None] + np.arange(3)) % 3
+        a, b, c = (np.take_along_axis(mixed, order[:, i, None, None], axis=1)[:, 0] for i in range(3))
+        ab, ac = _crossing(a, b, value), _crossing(a, c, value)
+        tip, rest = np.stack([a, ab, ac], 1), [np.stack([ab, b, c], 1), np.stack([ab, c, ac], 1)]
+        (positives if lone_is_positive else negatives).append(tip)
+        (negatives if lone_is_positive else positives).extend(rest)
+        cuts.append(np.stack([ab, ac] if lone_is_positive else [ac, ab], 1))
+    none = np.zeros((0, 2, corners.shape[2]))
+    return np.concatenate(negatives), np.concatenate(positives), np.concatenate([none, *cuts])
+
+
+def _crossing(a: np.ndarray, b: np.ndarray, value: int) -> np.ndarray:
+    part = a[:, value] / (a[:, value] - b[:, value])
+    out = a + (b - a) * part[:, None]
+    out[:, value] = 0
+    return out
+
+
+X, Y, BEYOND_KERB, S, D, CARRIAGEWAY, SIDEWALK, MEDIAN, BEYOND, COVER = range(10)  # columns of the corners
+
+
+def _corners(roads: Sequence[Road], low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles (T, 3, 10) of the grid, and the index (T,) of their road."""
+    xs, ys = np.arange(low[0], high[0] + CELL / 2, CELL), np.arange(low[1], high[1] + CELL / 2, CELL)
+    x, y = np.meshgrid(xs, ys, indexing="ij")
+    at = locate(roads, np.stack([x, y], -1))
+    half = np.array([road.half_width for road in roads])[at.road]
+    walk = np.array([road.sidewalk for road in roads])[at.road]
+    median = np.array([road.median for road in roads])[at.road]
+    fields = [x.ravel(), y.ravel(), at.kerb_distance, at.s, at.d]
+    # At junctions the rounded corner is carriageway, not a bay.
+    bay = np.where(at.other_road < 2.0, -1.0, np.abs(at.d) - half)
+    fields += [bay, at.kerb_distance - walk, np.abs(at.d) - median, at.kerb_distance - 14.0, np.zeros(x.size)]
+    table = np.stack(fields, axis=1)
+    index = np.arange(x.size).reshape(x.shape)
+    a, b, c, e = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, e], -1).reshape(-1, 3)])
+    return table[faces], at.road[faces[:, 0]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GroundCover:
+    """Materials of the land beyond the sidewalk: of the first 14 metres and of the rest."""
+
+    near: str = "grass"
+    far: str = "meadow"
+
+
+CoverAt = Callable[[int, np.ndarray, np.ndarray], np.ndarray]
+"""(road, s (N,), d (N,)) -> index of the ground cover (N,) there."""
+
+
+def ground(
+    roads: Sequence[Road],
+    terrain: Terrain,
+    low: np.ndarray,
+    high: np.ndarray,
+    covers: Sequence[GroundCover],
+    cover_at: CoverAt,
+) -> Mesh:
+    """The ground between the corners low and high (2,), metres, and a coarse rim around it."""
+    corners, owner = _corners(roads, low, high)
+    parts: list[Mesh] = []
+    for index, road in enumerate(roads):
+        own = corners[owner == index]
+        if len(own):
+            # The first corner belongs to the road; between two roads the others may belong to another one.
+            own[:, :, COVER] = cover_at(index, own[:, 0, S], own[:, 0, D])[:, None]
+            beyond, surfaces = _street(own, road, terrain)
+            number = beyond[:, 0, COVER].astype(np.int64)
+            parts += surfaces
+            for cover in np.unique(number):
+                parts += _land(beyond[number == cover], road, terrain, covers[cover])
+    return merged([*parts, *_rim(terrain, low, high, covers[0])])
+
+
+def _street(corners: np.ndarray, road: Road, terrain: Terrain) -> tuple[np.ndarray, list[Mesh]]:
+    """Surfaces of one road from the middle outwards, and the triangles beyond its sidewalk."""
+    along = (S, D)
+    level, beyond, cuts = split_triangles(corners, BEYOND_KERB)
+    carriageway, bays, _ = split_triangles(level, CARRIAGEWAY)
+    parts = []
+    if road.median:
+        strip, carriageway, _ = split_triangles(carriageway, MEDIAN)
+        parts.append(_surface(strip, terrain, 0.04, "grass", "terrain", (X, Y)))
+    parts.append(_surface(carriageway, terrain, 0.0, road.surface, "road", along))
+    parts.append(_surface(bays, terrain, 0.0, "cobbles" if road.kerb else road.surface, "parking", along))
+    if road.sidewalk:
+        beyond[:, :, BEYOND_KERB] -= KERBSTONE
+        stone, beyond, _ = split_triangles(beyond, BEYOND_KERB)
+        walk, beyond, _ = split_triangles(beyond, SIDEWALK)
+        parts.append(_surface(stone, terrain, road.kerb, "kerb", "sidewalk", along))
+        parts.append(_surface(walk, terrain, road.kerb, road.paving, "sidewalk", along))
+        parts.append(_kerb(cuts, terrain, road.kerb))
+    return beyond, parts
+
+
+def _land(corners: np.ndarray, road: Road, terrain: Terrain, cover: GroundCover) -> list[Mesh]:
+    near, far, _ = split_triangles(corners, BEYOND)
+    return [
+        _surface(part, terrain, road.kerb, material, OBJECT_TYPE_OF_COVER.get(material, "terrain"), (X, Y))
+        for part, material in ((near, cover.near), (far, cover.far))
+    ]
+
+
+def _surface(
+    corners: np.ndarray, terrain: Terrain, rise: float, material: str, object_type: str, texture: tuple[int, int]
+) -> Mesh:
+    a, b = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
+    corners = corners[a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] > 1e-9].reshape(-1, corners.shape[-1])
+    xy = corners[:, :2]
+    return _mesh(
+        np.column_stack([xy, terrain.height(xy) + rise]),
+        terrain.normal(xy),
+        corners[:, list(texture)],
+        material,
+        object_type,
+    )
+
+
+def _mesh(vertices: np.ndarray, normals: np.ndarray, uv: np.ndarray, material: str, object_type: str) -> Mesh:
+    count = len(vertices) // 3
+    return Mesh(
+        vertices=vertices.astype(np.float32),
+        normals=normals.astype(np.float32),
+        uv=uv.astype(np.float32),
+        faces=np.arange(3 * count, dtype=np.int32).reshape(-1, 3),
+        material=np.full(count, MATERIAL_IDS[material], np.uint8),
+        object_type=np.full(count, OBJECT_TYPE_IDS[object_type], np.uint8),
+        tint=np.ones((count, 3), np.float32),
+    )
+
+
+def _kerb(cuts: np.ndarray, terrain: Terrain, height: float) -> Mesh:
+    """Upright faces along the cuts (K, 2, C), from the carriageway up to the sidewalk on their left."""
+    a, b = cuts[:, 0, :2], cuts[:, 1, :2]
+    run = b - a
+    length = np.linalg.norm(run, axis=1, keepdims=True)
+    a, b, run, along = (part[length[:, 0] > 1e-6] for part in (a, b, run / np.maximum(length, 1e-9), cuts[:, :, S]))
+    outwards = np.column_stack([run[:, 1], -run[:, 0], np.zeros(len(run))])
+    low_a, low_b = (np.column_stack([end, terrain.height(end) - 0.02]) for end in (a, b))
+    high_a, high_b = low_a + (0, 0, height + 0.02), low_b + (0, 0, height + 0.02)
+    corners = np.stack([low_a, low_b, high_b, low_a, high_b, high_a], axis=1).reshape(-1, 3)
+    u = along[:, [0, 1, 1, 0, 1, 0]]
+    v = np.tile([0.0, 0.0, height, 0.0, height, height], (len(a), 1))
+    uv = np.stack([u, v], -1).reshape(-1, 2)
+    return _mesh(corners, np.repeat(outwards, 6, axis=0), uv, "kerb", "sidewalk")
+
+
+def _rim(terrain: Terrain, low: np.ndarray, high: np.ndarray, cover: GroundCover) -> list[Mesh]:
+    """Four coarse pieces of land around the grid."""
+    boxes = [
+        (low - FAR, np.array([high[0] + FAR, low[1]])),
+        (np.array([low[0] - FAR, high[1]]), high + FAR),
+        (np.array([low[0] - FAR, low[1]]), np.array([low[0], high[1]])),
+        (np.array([high[0], low[1]]), np.array([high[0] + FAR, high[1]])),
+    ]
+    return [_field(terrain, first, last, cover) for first, last in boxes]
+
+
+def _field(terrain: Terrain, low: np.ndarray, high: np.ndarray, cover: GroundCover) -> Mesh:
+    xs, ys = (np.linspace(low[i], high[i], max(int((high[i] - low[i]) / FAR_CELL), 1) + 1) for i in range(2))
+    x, y = np.meshgrid(xs, ys, indexing="ij")
+    grid = np.stack([x, y], -1)
+    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
+    corners = np.concatenate([np.stack([a, b, c], -2), np.stack([a, c, d], -2)]).reshape(-1, 3, 2)
+    return _surface(corners, terrain, 0.0, cover.far, "terrain", (0, 1))

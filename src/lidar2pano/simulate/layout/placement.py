@@ -1,0 +1,165 @@
+"""Placement of objects in a town, without overlaps, and their meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from lidar2pano.simulate.layout.places import LAND_USES, LandUse
+from lidar2pano.simulate.layout.roads import Road
+from lidar2pano.simulate.layout.town import Stretch, Town
+from lidar2pano.simulate.scene.mesh import Mesh
+from lidar2pano.simulate.scene.random_streams import stream
+
+COARSE, SHAPES = 0.3, 6  # below this detail plants of one maker share so many meshes
+CELL = 8.0  # metres: cells of the occupancy grid
+PLANTS = ("tree", "far tree", "bush")
+
+Maker = Callable[[np.random.Generator, float], Mesh]
+"""(random generator, detail in (0, 1]) -> a mesh in the object frame (Mesh)."""
+
+
+class ObjectTemplate(NamedTuple):
+    """An object that can be placed: its maker, name (of its random streams) and radius of its footprint in metres.
+
+    on_sidewalk    stands at the level of the sidewalk, not of the carriageway.
+    follows_slope  its z axis is the normal of the ground (vehicles);  has_instance: it has an instance number.
+    """
+
+    make: Maker
+    name: str
+    radius: float
+    on_sidewalk: bool = True
+    follows_slope: bool = False
+    has_instance: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlacedObject:
+    """An object in the world frame.
+
+    make          its maker;  name, number: of its random stream.
+    at            (x, y, z) metres;  yaw: radians;  normal: of the ground, for objects that follow its slope.
+    radius        of its footprint, metres.
+    has_instance  whether it has an instance number (the "things" of SemanticKITTI).
+    """
+
+    make: Maker
+    name: str
+    number: int
+    at: tuple[float, float, float]
+    yaw: float
+    radius: float
+    normal: tuple[float, float, float] | None = None
+    has_instance: bool = False
+
+    def mesh(self, seed: int, detail: float) -> Mesh:
+        """Its mesh in the world frame; distant plants of one maker share a few meshes."""
+        if detail < COARSE and self.name in PLANTS:
+            made = _shape(self.make, self.name, self.number % SHAPES, detail)
+        else:
+            made = self.make(stream(seed, self.name, self.number), detail)
+        return made.placed(self.at, self.yaw) if self.normal is None else on_slope(made, self.at, self.yaw, self.normal)
+
+
+@lru_cache(maxsize=256)
+def _shape(make: Maker, name: str, number: int, detail: float) -> Mesh:
+    return make(stream(0, "far", name, number), detail)
+
+
+def on_slope(mesh: Mesh, at: tuple[float, float, float], yaw: float, normal: tuple[float, float, float]) -> Mesh:
+    """The mesh moved to `at`, its x axis towards `yaw`, its z axis along the `normal` of the ground."""
+    up = np.asarray(normal)
+    ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    ahead = ahead - up * (ahead @ up)
+    ahead /= np.linalg.norm(ahead)
+    return mesh.transformed(np.stack([ahead, np.cross(up, ahead), up], axis=1), at)
+
+
+@dataclass(slots=True, eq=False)
+class OccupancyGrid:
+    """Occupied footprints: circles (x, y, radius) in the cells of a grid that they reach into."""
+
+    cells: dict[tuple[int, int], list[tuple[float, float, float]]] = field(
+        default_factory=dict[tuple[int, int], list[tuple[float, float, float]]]
+    )
+
+    def is_free(self, x: float, y: float, radius: float) -> bool:
+        """Whether a circle overlaps no occupied one."""
+        return all(
+            (a - x) ** 2 + (b - y) ** 2 > (r + radius) ** 2
+            for cell in _cells(x, y, radius)
+            for a, b, r in self.cells.get(cell, ())
+        )
+
+    def occupy(self, x: float, y: float, radius: float) -> None:
+        """Occupy a circle."""
+        for cell in _cells(x, y, radius):
+            self.cells.setdefault(cell, []).append((x, y, radius))
+
+    def covering_circles(
+        self, x: float, y: float, yaw: float, size: tuple[float, float]
+    ) -> list[tuple[float, float, float]]:
+        """Circles that cover a rectangle of `size` (along its x, along its y), except its corners."""
+        deep, wide = size
+        radius = min(deep, wide) / 2
+        reach = max(deep, wide) / 2 - radius
+        steps = np.linspace(-reach, reach, max(int(np.ceil(reach / max(radius, 0.1))), 1) * 2 + 1)
+        turn = yaw if deep >= wide else yaw + np.pi / 2
+        return [(x + step * np.cos(turn), y + step * np.sin(turn), radius) for step in steps]
+
+
+def _cells(x: float, y: float, radius: float) -> Iterator[tuple[int, int]]:
+    for i in range(int((x - radius) // CELL), int((x + radius) // CELL) + 1):
+        for j in range(int((y - radius) // CELL), int((y + radius) // CELL) + 1):
+            yield i, j
+
+
+@dataclass(slots=True, eq=False)
+class Planner:
+    """The objects placed so far, and their footprints."""
+
+    town: Town
+    objects: list[PlacedObject] = field(default_factory=list[PlacedObject])
+    occupied: OccupancyGrid = field(default_factory=OccupancyGrid)
+
+    def rng(self, *names: str | int) -> np.random.Generator:
+        """A random stream of this town."""
+        return stream(self.town.seed, *names)
+
+    def stretches(self) -> list[tuple[int, Road, Stretch, LandUse]]:
+        """All stretches: index of the road, road, stretch, land use."""
+        return [
+            (index, self.town.roads[index], stretch, LAND_USES[stretch.land_use])
+            for index, row in enumerate(self.town.stretches)
+            for stretch in row
+        ]
+
+    def add(self, piece: ObjectTemplate, xy: np.ndarray, yaw: float) -> None:
+        """Place an object at a point (2,)."""
+        z = float(self.town.height(xy, on_sidewalk=piece.on_sidewalk))
+        self.objects.append(
+            PlacedObject(
+                make=piece.make,
+                name=piece.name,
+                number=len(self.objects),
+                at=(float(xy[0]), float(xy[1]), z),
+                yaw=yaw,
+                radius=piece.radius,
+                normal=tuple(self.town.terrain.normal(xy).tolist()) if piece.follows_slope else None,
+                has_instance=piece.has_instance,
+            )
+        )
+
+    def add_if_free(self, piece: ObjectTemplate, xy: np.ndarray, yaw: float) -> bool:
+        """Place an object if its footprint is free, and occupy it; whether it was placed."""
+        circle = (float(xy[0]), float(xy[1]), piece.radius)
+        if not self.occupied.is_free(*circle):
+            return False
+        self.occupied.occupy(*circle)
+        self.add(piece, xy, yaw)
+        return True

@@ -1,0 +1,1 @@
+"""The simulated cameras: light, sky, textures and rendering."""

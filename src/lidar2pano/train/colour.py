@@ -1,0 +1,157 @@
+"""Tasks: colours straight from the scan, without segments in between; the paper's "w/o SegMap" and SC-UNET."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import mse_loss
+
+from lidar2pano.data.camera_projection import CameraProjectionDataset, CameraProjectionSample
+from lidar2pano.data.front_view import FrontViewDataset, FrontViewSample, SampleParts
+from lidar2pano.errors import InputError
+from lidar2pano.losses.supervised import pooled
+from lidar2pano.metrics.ssim import SSIM
+from lidar2pano.models.titan_pano import depth_code
+from lidar2pano.train.adversarial import pix2pix_updates, renamed, wasserstein_updates
+from lidar2pano.train.options import CameraColourOptions, FrontColourOptions, Pix2PixColoursOptions
+from lidar2pano.train.recipe import Recipe
+from lidar2pano.train.task import as_image, build_networks, device_of, image_size, range_view_card
+from lidar2pano.views import VIEWS
+
+
+class ColourTask:
+    """Scores and previews that the tasks of this file share; subclasses have data sets, `inputs` and `updates`."""
+
+    released = ("renderer",)
+    dataset: FrontViewDataset | CameraProjectionDataset
+    validation: FrontViewDataset | CameraProjectionDataset
+
+    def __init__(self, recipe: Recipe) -> None:
+        self.networks = build_networks(recipe)
+        self.logs: dict[str, float | Tensor] = {}
+
+    def inputs(self, batch: FrontViewSample | CameraProjectionSample) -> Tensor:
+        """The renderer's input (B, C, H, W) float32 for a batch."""
+        return batch.lidar
+
+    def render(self, index: int) -> tuple[Tensor, Tensor]:
+        """A validation frame's image as the network makes it, and the camera's: (3, h, w) in [-1, 1] each."""
+        network, sample = self.networks["renderer"], self.validation[index]
+        inputs = self.inputs(sample._replace(lidar=sample.lidar[None])).to(device_of(network))
+        with torch.inference_mode():
+            return network(inputs)[0].float().cpu(), sample.image
+
+    def validate(self) -> dict[str, float]:
+        """Mean distance of pooled colours in [0, 1], whose negative is the score; and structural similarity."""
+        distances, similarity = [], SSIM()
+        for index in range(len(self.validation)):
+            fake, colour = self.render(index)
+            distances.append(pooled(fake - colour).abs().mean().item() / 2)
+            similarity.update(as_image(fake), as_image(colour), str(index))
+        distance = float(np.mean(distances))
+        return {"score": -distance, "pooled_colour": distance, "ssim": similarity.compute()}
+
+    def preview(self) -> dict[str, np.ndarray]:
+        """Camera above renderer, for three validation frames, (H, W, 3) uint8."""
+        rows: list[Tensor] = []
+        for index in range(min(3, len(self.validation))):
+            rows += reversed(self.render(index))
+        return {"image": as_image(torch.cat(rows, 1))}
+
+
+class FrontColourTask(ColourTask):
+    """A task whose renderer reads the front range view; the renderer's `size` is that of its image."""
+
+    def __init__(self, recipe: Recipe, root: Path) -> None:
+        super().__init__(recipe)
+        self.view, size = VIEWS[recipe.view], image_size(self.networks["renderer"])
+        wanted = SampleParts(labels=False, image=True)
+        self.dataset = FrontViewDataset(root, recipe.data.train, self.view, size, wanted)
+        self.validation = FrontViewDataset(root, recipe.data.val, self.view, size, wanted)
+
+    def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
+        """What a user of the renderer has to know: the view; it has no label set, its output is colour."""
+        return {"labels": None, **range_view_card(self.view)}
+
+
+class FrontColour(FrontColourTask):
+    """Trains a renderer by squared error and WGAN-GP, as TITAN-Net is; the critic is conditioned on the range view."""
+
+    def __init__(self, recipe: Recipe[FrontColourOptions], root: Path) -> None:
+        super().__init__(recipe, root)
+        self.options = recipe.options
+
+    def updates(self, batch: FrontViewSample) -> Iterator[tuple[str, Tensor]]:
+        """The critic, then the renderer."""
+        updates = wasserstein_updates(
+            lambda: self.networks["renderer"](batch.lidar).float(),
+            self.networks["critic"],
+            batch.image,
+            batch.lidar,
+            penalty_weight=self.options.gradient_penalty,
+            auxiliary=lambda fake: self.options.mse * mse_loss(fake, batch.image),
+            logs=self.logs,
+        )
+        return renamed(updates, "renderer")
+
+
+class Pix2PixColours(FrontColourTask):
+    """Trains Pix2Pix from the range view to the camera's image."""
+
+    def __init__(self, recipe: Recipe[Pix2PixColoursOptions], root: Path) -> None:
+        super().__init__(recipe, root)
+        self.options = recipe.options
+
+    def updates(self, batch: FrontViewSample) -> Iterator[tuple[str, Tensor]]:
+        """The discriminator, then the renderer."""
+        updates = pix2pix_updates(
+            lambda: self.networks["renderer"](batch.lidar).float(),
+            self.networks["critic"],
+            batch.image,
+            batch.lidar,
+            self.options,
+            logs=self.logs,
+        )
+        return renamed(updates, "renderer")
+
+
+class CameraColour(ColourTask):
+    """Trains a renderer of the scan projected into the camera by squared error.
+
+    Its setting `inputs` says what it reads: 1 is remission, 2 is remission and range.
+    """
+
+    def __init__(self, recipe: Recipe[CameraColourOptions], root: Path) -> None:
+        super().__init__(recipe)
+        self.options = recipe.options
+        self.channels = int(recipe.networks["renderer"].settings.get("inputs", 1))
+        self.dataset = CameraProjectionDataset(root, recipe.data.train, self.options.size)
+        self.validation = CameraProjectionDataset(root, recipe.data.val, self.options.size)
+
+    def inputs(self, batch: FrontViewSample | CameraProjectionSample) -> Tensor:
+        """The renderer's input (B, 1 or 2, h, w) float32 for a batch."""
+        return camera_inputs(batch.lidar, self.channels)
+
+    def updates(self, batch: CameraProjectionSample) -> Iterator[tuple[str, Tensor]]:
+        """One update of the renderer."""
+        fake = self.networks["renderer"](self.inputs(batch)).float()
+        yield "renderer", self.options.mse * mse_loss(fake, batch.image)
+
+    def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
+        """What a user of the renderer has to know: the size that camera images are resized to."""
+        rows, columns = self.options.size
+        return {"labels": None, "views": {"camera": {"rows": rows, "columns": columns}}}
+
+
+def camera_inputs(lidar: Tensor, channels: int) -> Tensor:
+    """The first `channels` (1 or 2) of (B, 2, h, w): remission as it is, and range in the code of depths."""
+    if channels == 1:
+        return lidar[:, :1]
+    if channels != 2:
+        raise InputError(f"a scan in the camera has remission and range: inputs must be 1 or 2, not {channels}")
+    return torch.stack([lidar[:, 0], depth_code(lidar[:, 1])], 1)

@@ -1,0 +1,44 @@
+"""Where a run computes: its device and precision, and how a batch is divided."""
+
+from __future__ import annotations
+
+import logging
+from math import gcd
+from typing import Literal
+
+import torch
+
+from lidar2pano.errors import InputError
+from lidar2pano.hardware import has_bfloat16
+from lidar2pano.train.recipe import Training
+
+log = logging.getLogger(__name__)
+
+
+def choose_precision(training: Training, device: torch.device) -> Literal["bf16-mixed", "32-true"]:
+    """The recipe's precision, or "32-true" on a device that would only emulate bfloat16, slowly."""
+    if training.precision == "bf16-mixed" and not has_bfloat16(device):
+        log.info("training in float32: this %s has no bfloat16", device.type)
+        return "32-true"
+    return training.precision
+
+
+def check_shares(training: Training, processes: int) -> None:
+    """Raise InputError unless every process gets the same number of samples in each micro-batch."""
+    batch, accumulate = training.batch, training.accumulate
+    if batch % (processes * accumulate) == 0:
+        return
+    hint = f"make it a multiple of {processes * accumulate}"
+    if batch % processes == 0:
+        hint = f"set training.accumulate={gcd(batch // processes, accumulate)}, or {hint}"
+    raise InputError(
+        f"training.batch={batch} cannot be divided among {processes} devices and training.accumulate={accumulate} "
+        f"micro-batches; {hint}"
+    )
+
+
+def device_name(device: torch.device) -> str:
+    """What to call `device` in a card."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    return f"{device.type}, {torch.get_num_threads()} threads"

@@ -1,0 +1,234 @@
+"""The options of every task, one frozen dataclass each, checked when they are made. No torch is imported here."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import ClassVar, Literal
+
+from lidar2pano.errors import InputError
+
+
+def check_least(owner: str, least: float, **values: float | tuple[float, ...]) -> None:
+    """Raise InputError for the first value (or part of a tuple) that is not finite or is below `least`."""
+    for name, value in values.items():
+        for number in value if isinstance(value, tuple) else (value,):
+            if not least <= number < math.inf:
+                raise InputError(f"{owner}.{name}={number:g} must be at least {least:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskOptions:
+    """Options of one task; numbers are not negative, and names that end in _probability hold at most 1.
+
+    task   the task's name in `tasks.TASKS`;  SIZES: names of the options that must be at least 1.
+    """
+
+    task: ClassVar[str]
+    SIZES: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse values out of range and words that are not offered (InputError)."""
+        for name in (field.name for field in fields(self)):
+            value = getattr(self, name)
+            numbers = value if isinstance(value, tuple) else (value,)
+            if not all(isinstance(number, int | float) for number in numbers):
+                continue
+            check_least("options", 1 if name in self.SIZES else 0, **{name: numbers})
+            if name.endswith("_probability") and value > 1:
+                raise InputError(f"options.{name}={value:g} must be at most 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentationOptions(TaskOptions):
+    """A range-view segmenter.
+
+    columns                width of the azimuth crop; 0: all of the view.
+    rotation_deg           largest rotation about the vertical axis, either way.
+    augment_probability    of each of shifting, rotating and dropping points.
+    remission_scale        largest relative change of a scan's remission.
+    ring_drop_probability  of leaving out up to three quarters of the beams.
+    lovasz                 weight of Lovasz-Softmax beside the cross-entropy.
+    class_weight_exponent  class weights in the cross-entropy are (share of the points) ** -exponent.
+    dropout                whether the network's dropout is on.
+    """
+
+    task = "segmentation"
+    columns: int = 1024
+    rotation_deg: float = 180.0
+    augment_probability: float = 0.5
+    remission_scale: float = 0.0
+    ring_drop_probability: float = 0.0
+    lovasz: float = 1.0
+    class_weight_exponent: float = 0.5
+    dropout: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSegmentationOptions(TaskOptions):
+    """A camera segmenter (SD-Net).
+
+    rows, columns         size of the crops, pixels;  scale_min, scale_max: range of the random resizing.
+    colour_jitter         brightness, contrast and saturation change by factors in [1 - jitter, 1 + jitter].
+    lovasz                weight of Lovasz-Softmax of the joint output.
+    auxiliary, per_scale  weights of the cross-entropies of OCR's first output and of every scale by itself.
+    """
+
+    task = "camera-segmentation"
+    SIZES = ("rows", "columns")
+    rows: int = 1024
+    columns: int = 2048
+    scale_min: float = 0.5
+    scale_max: float = 2.0
+    colour_jitter: float = 0.25
+    lovasz: float = 1.0
+    auxiliary: float = 0.4
+    per_scale: float = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrontOptions(TaskOptions):
+    """TITAN-Net.
+
+    gradient_penalty  weight (lambda) of the WGAN's gradient penalty;  lovasz: weight of Lovasz-Softmax; 0: none.
+    segmenter         weight file whose labels validation takes; "": the labels of the data, as in training.
+    """
+
+    task = "front"
+    gradient_penalty: float = 10.0
+    lovasz: float = 1.0
+    segmenter: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrontDepthOptions(FrontOptions):
+    """TITAN-Next: beside TITAN-Net's options the weights of cross-entropy and of the distance of depth codes."""
+
+    task = "front-depth"
+    lovasz: float = 0.1
+    cross_entropy: float = 0.1
+    depth: float = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrontColourOptions(TaskOptions):
+    """Colours from the front view: weights of the squared error and of the WGAN's gradient penalty."""
+
+    task = "front-colour"
+    mse: float = 1.0
+    gradient_penalty: float = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraColourOptions(TaskOptions):
+    """Colours from the scan projected into the camera (SC-UNET).
+
+    mse   weight of the squared error;  size: rows and columns of the image.
+    """
+
+    task = "camera-colour"
+    SIZES = ("size",)
+    mse: float = 1.0
+    size: tuple[int, int] = (376, 1241)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pix2PixOptions(TaskOptions):
+    """Pix2Pix: the discriminator's loss, the auxiliary loss of the generator and its weight."""
+
+    gan_mode: Literal["vanilla", "lsgan"] = "vanilla"
+    auxiliary: Literal["l1", "mse"] = "l1"
+    auxiliary_weight: float = 100.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pix2PixSegmentsOptions(Pix2PixOptions):
+    """Pix2Pix in TITAN-Net's place; segmenter: as for TITAN-Net."""
+
+    task = "pix2pix-segments"
+    segmenter: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pix2PixColoursOptions(Pix2PixOptions):
+    """Pix2Pix from the front view to colours."""
+
+    task = "pix2pix-colours"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PanoramaOptions(TaskOptions):
+    """TITAN-pano.
+
+    columns                width of the crop around the camera's sector.
+    lovasz, depth          weights of Lovasz-Softmax and of the distance of depth codes.
+    class_weight_exponent  class weights in the cross-entropy are (share of the pixels) ** -exponent.
+    segmenter              weight file whose labels take half of the training samples and all of validation;
+                           "": the labels of the data everywhere.
+    """
+
+    task = "panorama"
+    SIZES = ("columns",)
+    columns: int = 576
+    lovasz: float = 1.0
+    depth: float = 2.0
+    class_weight_exponent: float = 0.5
+    segmenter: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaintingOptions(TaskOptions):
+    """The painter; columns and shift_px are on the translator's raster.
+
+    columns, shift_px                    width of the crop, and how far it may lie from the camera's middle.
+    adversarial, feature_matching,
+    pooled, pixels                       weights of the losses; no discriminator where the first two are 0.
+    teacher_label_probability            of samples painted from the camera teacher's labels, where it is sure.
+    augment_probability                  of each kind of DiffAugment.
+    translator, segmenter                weight files of the networks whose output is painted.
+    """
+
+    task = "painting"
+    SIZES = ("columns",)
+    columns: int = 256
+    shift_px: int = 130
+    adversarial: float = 1.0
+    feature_matching: float = 10.0
+    pooled: float = 20.0
+    pixels: float = 2.0
+    teacher_label_probability: float = 0.5
+    augment_probability: float = 0.0
+    translator: str = ""
+    segmenter: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoOptions(TaskOptions):
+    """vid2vid.
+
+    source                   "camera" images, or the "panorama" ground truth that simulated data sets have.
+    clip_length              frames of a clip, of which the first two are given;  rows, columns: of its window.
+    single_frame_splits      splits whose frames do not follow each other; a window pans over each.
+    no_previous_probability  of clips that begin without previous images, as a stream does.
+    first_frame_weights      weight file of the first-frame network that begins the clips of validation; "": they begin
+                             with nothing or, where no_previous_probability is 0, with ground truth.
+    feature_matching, flow, coherence, mask, perceptual, pixels: weights of losses.
+    vgg_weights              file of VGG-19's weights; "": no perceptual loss.
+    """
+
+    task = "video"
+    SIZES = ("clip_length", "rows", "columns")
+    source: Literal["camera", "panorama"] = "camera"
+    clip_length: int = 12
+    rows: int = 160
+    columns: int = 512
+    single_frame_splits: tuple[str, ...] = ()
+    no_previous_probability: float = 0.33
+    first_frame_weights: str = ""
+    feature_matching: float = 10.0
+    flow: float = 10.0
+    coherence: float = 10.0
+    mask: float = 1.0
+    perceptual: float = 10.0
+    pixels: float = 0.0
+    vgg_weights: str = ""

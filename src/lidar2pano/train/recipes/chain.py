@@ -1,0 +1,106 @@
+"""Recipes of our own chain: SalsaNext, TITAN-pano and the painter, and the forms in which families are released.
+
+Released families (runs/release.sh) learn from real and simulated frames together: the street world's towns join with
+`--set data.train=train,WORLD:all`. They show rare classes and all directions, real frames how things look. A split
+named twice counts twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from lidar2pano.train.options import PaintingOptions, PanoramaOptions, SegmentationOptions
+from lidar2pano.train.recipe import Data, Network, Optimizer, Recipe, Training, on_two_cores, vary
+
+PAINTER = {"filled": True, "sharp": 4.0, "grain": True}
+
+
+def salsanext() -> Recipe[SegmentationOptions]:
+    """SalsaNext on LiDAR labels: cross-entropy with class weights, and Lovasz-Softmax."""
+    optimizer = Optimizer(rate=3e-3, weight_decay=1e-2, warmup=50, clip=5.0)
+    settings = {"classes": 20, "channels": 5}
+    return Recipe(
+        view="hdl64e",
+        networks={"segmenter": Network(model="salsanext", settings=settings, optimizer=optimizer)},
+        options=SegmentationOptions(),
+        training=Training(steps=20_000, batch=2),
+    )
+
+
+def salsanext_mini() -> Recipe:
+    """SalsaNext as `kitti-mini` was released: all labelled scans, some minutes of two CPU cores.
+
+    Streets run along x in so small a set, and little time is left for rare classes.
+    """
+    recipe = vary(salsanext(), options={"rotation_deg": 20.0, "class_weight_exponent": 0.3})
+    return replace(on_two_cores(recipe, minutes=22.0, batch=2), data=Data(train=("train", "labelled")))
+
+
+def titan_pano() -> Recipe[PanoramaOptions]:
+    """Our translator, trained in panorama coordinates at half the raster."""
+    optimizer = Optimizer(rate=2e-3, weight_decay=1e-2, warmup=50, clip=5.0)
+    settings = {"classes": 16, "conditions": 20}
+    return Recipe(
+        view="panorama",
+        scale=0.5,
+        networks={"translator": Network(model="titan-pano", settings=settings, optimizer=optimizer)},
+        options=PanoramaOptions(),
+        training=Training(steps=20_000, batch=4),
+    )
+
+
+def painter() -> Recipe[PaintingOptions]:
+    """Our painter: colour from segments, depth and remission, against a patch discriminator."""
+    adam = Optimizer(algorithm="adam", rate=4e-4, betas=(0.5, 0.999), schedule="cosine")
+    return Recipe(
+        view="panorama",
+        scale=0.5,
+        networks={
+            "painter": Network(model="painter", settings={"classes": 16}, optimizer=adam),
+            "critic": Network(model="patch-critic", settings={"channels": 20, "width": 32}, optimizer=adam),
+        },
+        options=PaintingOptions(),
+        training=Training(steps=50_000, batch=2),
+    )
+
+
+def release_segmenter() -> Recipe:
+    """SalsaNext without dropout, which lowers scores in short runs, and with scans of fewer beams now and then."""
+    augmentation = {"rotation_deg": 20.0, "augment_probability": 0.3, "ring_drop_probability": 0.3}
+    options = {**augmentation, "remission_scale": 0.1, "class_weight_exponent": 0.3, "dropout": False}
+    return _release(salsanext(), "segmenter", 2e-3, options)
+
+
+def release_translator() -> Recipe:
+    """TITAN-pano with half as much weight again on Lovasz-Softmax."""
+    return _release(titan_pano(), "translator", 2e-3, {"lovasz": 1.5})
+
+
+def release_colours() -> Recipe:
+    """The painter's first stage: colours alone, no discriminator."""
+    losses = {"adversarial": 0.0, "feature_matching": 0.0, "pixels": 10.0}
+    return _release(vary(painter(), painter=PAINTER), "painter", 2e-3, losses, betas=(0.9, 0.99))
+
+
+def release_painter() -> Recipe:
+    """The painter's second stage: against its discriminator, from the first stage's weights.
+
+    The pooled loss weighs half as much as in `painter`, so that leaves and gravel can be made from the noise input.
+    """
+    losses = {"pooled": 10.0, "augment_probability": 0.5}
+    return _release(vary(painter(), painter=PAINTER), "painter", 6e-4, losses)
+
+
+def _release(
+    recipe: Recipe, role: str, rate: float, options: Mapping[str, Any], betas: tuple[float, float] | None = None
+) -> Recipe:
+    """`recipe` with other options, another rate for the network `role`, and a GPU's batch."""
+    network = recipe.networks[role]
+    optimizer = replace(network.optimizer, rate=rate, betas=betas or network.optimizer.betas)
+    return replace(
+        vary(recipe, options=options),
+        networks={**recipe.networks, role: replace(network, optimizer=optimizer)},
+        training=replace(recipe.training, batch=16, workers=12),
+    )

@@ -1,0 +1,103 @@
+"""Which sample comes when, and with which random numbers: functions of the seed and the position in the run alone."""
+
+from __future__ import annotations
+
+import random
+import signal
+import zlib
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Any, cast
+
+import numpy as np
+import torch
+from torch.utils.data import DataLoader
+from torch.utils.data import Dataset as TorchDataset
+
+from lidar2pano.data.frames import SampleIndex
+from lidar2pano.errors import InputError
+from lidar2pano.train.recipe import Training
+from lidar2pano.train.task import Dataset
+
+MOST_COUNTED = 500  # frames that class statistics are taken from
+
+
+def seed_step(seed: int, rank: int, step: int) -> None:
+    """Seed step `step` of process `rank`, so that its random numbers do not depend on interruptions before it."""
+    number = zlib.crc32(f"{seed}/{rank}/{step}".encode())
+    random.seed(number)
+    np.random.seed(number)  # noqa: NPY002 libraries of others may draw from the global generator
+    torch.manual_seed(number)
+
+
+def sample_at(seed: int, position: int, samples: int) -> SampleIndex:
+    """The sample at `position` of an endless run through `samples` samples, shuffled again in each epoch."""
+    epoch, place = divmod(position, samples)
+    state = np.random.SeedSequence([seed, zlib.crc32(b"draw"), position]).generate_state(1, np.uint64)
+    return SampleIndex(int(_order(seed, epoch, samples)[place]), int(state[0] >> np.uint64(1)))
+
+
+@lru_cache(maxsize=4)
+def _order(seed: int, epoch: int, samples: int) -> np.ndarray:
+    return np.random.default_rng([seed, zlib.crc32(b"epoch"), epoch]).permutation(samples)
+
+
+class BatchSampler:
+    """Endless batch sampler of one process: from `step` on, `training.accumulate` micro-batches per step.
+
+    Process `rank` takes every `world`-th position, so that all processes together take what one would.
+    """
+
+    def __init__(self, samples: int, step: int, training: Training, rank: int = 0, world: int = 1) -> None:
+        self.samples, self.step, self.rank, self.world = samples, step, rank, world
+        self.seed, self.batch, self.accumulate = training.seed, training.batch, training.accumulate
+
+    def __iter__(self) -> Iterator[list[SampleIndex]]:
+        """Lists of samples, one per micro-batch."""
+        step = self.step
+        while True:
+            positions = range(step * self.batch + self.rank, (step + 1) * self.batch, self.world)
+            share = len(positions) // self.accumulate
+            for number in range(self.accumulate):
+                mine = positions[number * share : (number + 1) * share]
+                yield [sample_at(self.seed, position, self.samples) for position in mine]
+            step += 1
+
+
+def batches(dataset: Dataset, sampler: BatchSampler, workers: int, *, pinned: bool) -> Iterator[Any]:
+    """Collated micro-batches in the order of `sampler`; workers leave Ctrl-C to the process that trains.
+
+    A user's mistake that a worker meets, and the loss of a worker, raise InputError with one line.
+    """
+    loader = DataLoader(
+        cast(TorchDataset, dataset),
+        batch_sampler=sampler,
+        num_workers=workers,
+        pin_memory=pinned,
+        worker_init_fn=_ignore_interrupts,
+        prefetch_factor=4 if workers else None,
+    )
+    return _with_short_errors(iter(loader))  # made now: it draws a random number, which no step may lose
+
+
+def _with_short_errors(loaded: Iterator[Any]) -> Iterator[Any]:
+    try:
+        yield from loaded
+    except InputError as error:  # a worker's exception has its traceback as its text, the message last
+        raise InputError(str(error).strip().rpartition("\n")[2].rpartition("InputError: ")[2]) from None
+    except RuntimeError as error:
+        if "DataLoader worker" not in str(error):
+            raise
+        raise InputError(
+            "a process that prepares samples was killed, often for lack of memory; repeat the command to go on, with "
+            "fewer training.workers"
+        ) from None
+
+
+def _ignore_interrupts(_: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def evenly_spaced(count: int, most: int = MOST_COUNTED) -> list[int]:
+    """All of `count` indices, or `most` of them, evenly spaced."""
+    return np.linspace(0, count - 1, min(count, most)).round().astype(int).tolist()

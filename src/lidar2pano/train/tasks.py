@@ -1,0 +1,46 @@
+"""The tasks by name; importing this imports all of them, and torch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from lidar2pano.errors import InputError, closest
+from lidar2pano.train.camera_segmentation import CameraSegmentation
+from lidar2pano.train.colour import CameraColour, FrontColour, Pix2PixColours
+from lidar2pano.train.front import FrontDepthTranslation, FrontTranslation, Pix2PixSegments
+from lidar2pano.train.painting import Painting
+from lidar2pano.train.panorama import PanoramaTranslation
+from lidar2pano.train.recipe import Recipe
+from lidar2pano.train.segmentation import Segmentation
+from lidar2pano.train.task import Task
+from lidar2pano.train.video import VideoPainting
+
+TASKS: dict[str, Callable[[Recipe[Any], Path], Task]] = {
+    "segmentation": Segmentation,
+    "camera-segmentation": CameraSegmentation,
+    "front": FrontTranslation,
+    "front-depth": FrontDepthTranslation,
+    "pix2pix-segments": Pix2PixSegments,
+    "front-colour": FrontColour,
+    "camera-colour": CameraColour,
+    "pix2pix-colours": Pix2PixColours,
+    "panorama": PanoramaTranslation,
+    "painting": Painting,
+    "video": VideoPainting,
+}
+
+
+def build_task(recipe: Recipe, root: Path) -> Task:
+    """The recipe's task over the data under `root`.
+
+    Raises InputError for an unknown task, and where its networks are not those of the recipe.
+    """
+    if recipe.task not in TASKS:
+        raise InputError(f"recipe {recipe.name!r}: no task {recipe.task!r}{closest(recipe.task, TASKS)}")
+    task = TASKS[recipe.task](recipe, root)
+    if set(task.networks) != set(recipe.networks):
+        ours, theirs = sorted(recipe.networks), sorted(task.networks)
+        raise InputError(f"task {recipe.task!r} trains {', '.join(theirs)}; the recipe has {', '.join(ours)}")
+    return task

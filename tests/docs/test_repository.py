@@ -1,0 +1,81 @@
+"""What the repository says about itself: one version everywhere, costs as measured, licences as they are."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import tomllib
+
+import pytest
+
+import house_rules
+import lidar2pano
+from lidar2pano.models.families import families
+
+ROOT = house_rules.ROOT
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def project():
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+def test_the_citation_names_this_version():
+    lines = (ROOT / "CITATION.cff").read_text(encoding="utf-8").splitlines()
+    assert f"version: {lidar2pano.__version__}" in lines
+
+
+def test_the_licence_names_that_of_every_family_and_of_the_code(project):
+    expression = project["license"].split(" AND ")
+    assert expression[0] == "Apache-2.0"
+    for name, folder in families().items():
+        text = (folder / "LICENSE").read_text(encoding="utf-8")
+        assert any(f"SPDX: {licence}" in text for licence in expression), name
+    assert "SPDX: CC-BY-NC-SA-4.0" in (families()["kitti-mini"] / "LICENSE").read_text(encoding="utf-8")
+    assert "CC-BY-NC-SA-4.0" in expression
+
+
+def test_the_readme_states_the_measured_costs():
+    readme = runpy.run_path(str(ROOT / "runs" / "readme.py"))
+    results = (ROOT / "RESULTS.md").read_text(encoding="utf-8")
+    written = README.partition(readme["BEGIN"])[2].partition(readme["END"])[0]
+    expected = readme["costs"](results, 1024.0).partition(readme["BEGIN"])[2].partition(readme["END"])[0]
+    skipping_memory = [[line for line in text.splitlines() if "| memory" not in line] for text in (written, expected)]
+    assert skipping_memory[0] == skipping_memory[1], "run runs/readme.py"
+    assert "| memory | " in written
+
+
+def test_the_time_is_that_of_the_whole_panorama():
+    time_of = runpy.run_path(str(ROOT / "runs" / "readme.py"))["time_of"]
+    text = (
+        "device cpu, threads 4, runs 9\n\n| stage save | 5.0 | 4 |  |\n| whole panorama | 1161.4 | 1117.6 | < 1500 |\n"
+    )
+    assert time_of(text) == ("1161.4", "4")
+    with pytest.raises(SystemExit, match="whole panorama"):
+        time_of("device cuda, threads 4\n| whole panorama | 1.0 | 1 | |\n")
+
+
+def test_links_of_root_pages_lead_somewhere():
+    missing = []
+    for page in [*ROOT.glob("*.md"), *(ROOT / "examples").glob("*.md")]:
+        links = runpy.run_path(str(ROOT / "docs" / "generated.py"))["LINK"].findall(page.read_text(encoding="utf-8"))
+        missing += [(page.name, link) for link in links if not (page.parent / link).exists()]
+    assert missing == []
+
+
+def test_contributing_lists_the_floors():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| (\d) \| (.*?) \|", text, flags=re.MULTILINE))
+    listed = [set(re.findall(r"`(\w+)`", rows[str(floor)])) for floor in range(len(house_rules.FLOORS))]
+    floors = [set(floor) - {"__main__"} for floor in house_rules.FLOORS]
+    floors[0] |= house_rules.ANYWHERE
+    assert listed == floors
+
+
+def test_the_tree_of_the_readme_has_every_module():
+    tree = README.partition("## The tree")[2].partition("\n## ")[0]
+    listed = set(re.findall(r"[\w.]+/?(?= )", tree.partition("src/lidar2pano/")[2].partition("docs/ ")[0]))
+    present = {f"{path.name}/" if path.is_dir() else path.name for path in house_rules.SOURCE.glob("[!_.]*")}
+    assert present - {"py.typed"} - listed == set()
+    assert {name for name in listed if name.endswith((".py", "/"))} - present == set()

@@ -1,0 +1,127 @@
+"""Every metric gives the same value, to the last bit, in whatever order its frames were counted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import isnan
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import torch
+
+from lidar2pano.metrics.accumulation import StoredArrays
+from lidar2pano.metrics.confusion import MeanIoU, Resegmentation
+from lidar2pano.metrics.consistency import RollError, SeamRatio, WarpingError
+from lidar2pano.metrics.depth_error import DepthError
+from lidar2pano.metrics.frechet import FrechetDistance
+from lidar2pano.metrics.sliced_wasserstein import SlicedWasserstein
+from lidar2pano.metrics.ssim import SSIM
+
+FRAMES = [f"08/{number:06d}" for number in range(7)]
+
+
+def drawn(name: str) -> np.random.Generator:
+    return np.random.default_rng(list(name.encode()))
+
+
+def image(name: str, side: int) -> np.ndarray:
+    return (drawn(name).integers(0, 256, (2, 16, 24, 3)) // (1 + side)).astype(np.uint8)[side]
+
+
+def pair(name: str) -> tuple[np.ndarray, np.ndarray]:
+    return image(name, 0), image(name, 1)
+
+
+def ids(name: str) -> tuple[np.ndarray, np.ndarray]:
+    first, second = drawn(name).integers(0, 5, (2, 16, 24))
+    return first, np.where(drawn(name).random((16, 24)) < 0.6, first, second)
+
+
+def features(images: torch.Tensor) -> torch.Tensor:
+    return images[:, :, :2, 0].flatten(1).float()
+
+
+def reds(image: np.ndarray) -> np.ndarray:
+    return image[..., 0] // 64
+
+
+class Case(NamedTuple):
+    """How to make a metric, and the arguments of `update` for one frame."""
+
+    make: Callable[[], Any]
+    arguments: Callable[[str], tuple]
+
+
+CASES = {
+    "ssim": Case(SSIM, pair),
+    "classes": Case(lambda: MeanIoU(5, unscored=(0,)), ids),
+    "resegmentation": Case(lambda: Resegmentation(reds, 5), lambda name: (image(name, 0), ids(name)[1])),
+    "depth": Case(DepthError, lambda name: tuple(drawn(name).uniform(1, 50, (2, 16, 24)))),
+    "time": Case(lambda: WarpingError(circular=True), lambda name: (*pair(name), drawn(name).normal(size=(2, 16, 24)))),
+    "seam": Case(SeamRatio, lambda name: (image(name, 0),)),
+    "roll": Case(RollError, lambda name: (*drawn(name).normal(size=(2, 3, 9)), 2)),
+    "wasserstein": Case(lambda: SlicedWasserstein(seed=1), pair),
+    "frechet": Case(lambda: FrechetDistance(features, name="FSD"), pair),
+}
+
+
+@pytest.fixture(params=CASES, scope="module")
+def case(request) -> Case:
+    return CASES[request.param]
+
+
+def counted(case: Case, names: list[str]) -> Any:
+    metric = case.make()
+    for name in names:
+        metric.update(*case.arguments(name), name)
+    return metric
+
+
+@pytest.fixture(scope="module")
+def whole(case) -> Any:
+    return counted(case, FRAMES)
+
+
+def test_the_order_of_frames_does_not_matter(case, whole):
+    other = counted(case, [FRAMES[3], *FRAMES[5:3:-1], FRAMES[6], *FRAMES[:3]])
+    assert len(other) == len(whole) == len(FRAMES)
+    assert other.values() == whole.values()  # equal, not nearly
+    assert other.compute() == whole.compute()
+    assert not isnan(whole.compute())
+
+
+def test_every_frame_counts(case, whole):
+    assert counted(case, FRAMES[1:]).compute() != whole.compute()
+
+
+def test_a_frame_counts_once(case):
+    twice = counted(case, FRAMES[:2])
+    with pytest.raises(ValueError, match=f"'{FRAMES[1]}' was counted twice"):
+        twice.update(*case.arguments(FRAMES[1]), FRAMES[1])
+
+
+def test_nothing_counted_is_not_a_number(case):
+    assert isnan(case.make().compute())
+    assert all(isnan(value) for value in case.make().values().values())
+
+
+@pytest.mark.parametrize("name", ["SSIM", "AbsRel", "RMSE"])
+def test_values_of_one_frame(name):
+    metric = counted(case := CASES["ssim" if name == "SSIM" else "depth"], FRAMES[:3])
+    for frame in FRAMES[:3]:
+        assert metric.value_of_frame(frame, name) == pytest.approx(counted(case, [frame]).values()[name])
+
+
+def test_arrays_on_disk_are_those_that_were_stored():
+    stored, arrays = StoredArrays(), {name: drawn(name).normal(size=(3, 4, 5)).astype(np.float32) for name in "dbca"}
+    assert stored.stacked().shape == (0,)
+    for name, array in arrays.items():
+        stored[name] = array
+    assert list(stored) == list("dbca") and all(np.array_equal(stored[name], arrays[name]) for name in arrays)
+    assert np.array_equal(stored.stacked(), np.stack([arrays[name] for name in "abcd"]))
+    assert np.array_equal(stored.stacked(2), np.stack([arrays[name][2] for name in "abcd"]))
+    del stored["b"]
+    stored["e"], stored["a"] = arrays["b"], arrays["d"]  # the first takes the free place, the second its own
+    assert np.array_equal(stored.stacked(), np.stack([arrays[name] for name in "dcdb"]))
+    assert "b" not in stored and len(stored) == 4

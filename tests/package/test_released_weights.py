@@ -1,0 +1,162 @@
+"""The weights that ship with the package, on the demo scan: a simulated street, whose ground truth is known.
+
+The ground truth (tests/demo_ground_truth) is made by `runs/demo_scan.py --ground-truth`. Each floor lies a little below
+what the weights reach. Colours are compared as the mean of a class, so that the texture of a painter does not matter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lidar2pano
+from lidar2pano.demo import street
+from lidar2pano.labels import COMMON15
+from lidar2pano.metrics.confusion import Confusion
+
+FOLDER = Path(__file__).resolve().parents[1] / "demo_ground_truth"
+SCORED = ("car", "road", "sidewalk", "building", "vegetation", "terrain", "sky")  # at least 3,000 of 110,592 pixels
+
+
+@dataclass(frozen=True)
+class Figures:
+    """A panorama of the demo scan against the ground truth, at a quarter of its raster.
+
+    miou, accuracy    of the segments, over SCORED and over all pixels.
+    point_accuracy    share of the labelled points that have their class.
+    abs_rel           mean of |depth - true| / true where both are known.
+    no_depth          IoU of the pixels without a depth: the sky.
+    colours           class -> mean RGB of where the panorama has that class.
+    colour_distance   mean over SCORED of the distance between the mean RGBs of ours and of the true image, 0 to 441,
+                      where segments and ground truth agree on the class.
+    """
+
+    miou: float
+    accuracy: float
+    point_accuracy: float
+    abs_rel: float
+    no_depth: float
+    colours: dict[str, np.ndarray]
+    colour_distance: float
+
+
+# measured: world 0.592, 0.721, 0.717, 0.422, 0.197, 24; kitti-mini 0.515, 0.630, 0.639, 0.457, 0.192, 42
+FLOORS = {
+    "world": {"miou": 0.57, "accuracy": 0.70, "point_accuracy": 0.69, "no_depth": 0.39},
+    "kitti-mini": {"miou": 0.49, "accuracy": 0.60, "point_accuracy": 0.61, "no_depth": 0.42},
+}
+# The colours of kitti-mini are those of KITTI's camera, not of the simulated one.
+CEILINGS = {
+    "world": {"abs_rel": 0.22, "colour_distance": 40.0},
+    "kitti-mini": {"abs_rel": 0.22, "colour_distance": 60.0},
+}
+
+
+def read(name: str) -> np.ndarray:
+    with Image.open(FOLDER / name) as image:
+        return np.asarray(image).copy()
+
+
+def distance(one: np.ndarray, other: np.ndarray, mask: np.ndarray) -> float:
+    """Between the mean RGBs of two images in a mask; 442, the largest there is, where the mask is empty."""
+    return float(np.linalg.norm(one[mask].mean(0) - other[mask].mean(0))) if mask.any() else 442.0
+
+
+def figures_of(panorama: lidar2pano.Panorama) -> Figures:
+    true, image, depth_m = read("segments.png"), read("image.jpg").astype(float), read("depth.png") / 256
+    rows, columns = true.shape
+    ours = panorama.segments[2::4, 2::4]
+    colour = panorama.colour.reshape(rows, 4, columns, 4, 3).mean((1, 3))
+    confusion = Confusion(COMMON15)
+    confusion.update(ours, true)
+    points = read("point_labels.png").ravel()[: len(panorama.labels)]
+    depth = panorama.depth_m[2::8, 2::8]
+    both = (depth > 0) & (depth_m > 0)
+    agreed = {name: (ours == COMMON15.id_of(name)) & (true == COMMON15.id_of(name)) for name in SCORED}
+    return Figures(
+        miou=confusion.miou(over=[COMMON15.id_of(name) for name in SCORED]),
+        accuracy=float((ours == true).mean()),
+        point_accuracy=float((panorama.labels == points)[points > 0].mean()),
+        abs_rel=float((np.abs(depth - depth_m)[both] / depth_m[both]).mean()),
+        no_depth=float(((depth == 0) & (depth_m == 0)).sum() / ((depth == 0) | (depth_m == 0)).sum()),
+        colours={name: colour[ours == COMMON15.id_of(name)].mean(0) for name in SCORED},
+        colour_distance=float(np.mean([distance(colour, image, mask) for mask in agreed.values()])),
+    )
+
+
+def missed_bounds(family: str, found: Figures) -> set[str]:
+    """The figures below their floor or above their ceiling."""
+    low = {name for name, bound in FLOORS[family].items() if not getattr(found, name) >= bound}
+    return low | {name for name, bound in CEILINGS[family].items() if not getattr(found, name) <= bound}
+
+
+def wrong_colours(found: Figures) -> list[str]:
+    """What is not as in any street by day."""
+    brightness = {name: rgb.mean() for name, rgb in found.colours.items()}
+    blue = {name: rgb[2] - rgb[0] for name, rgb in found.colours.items()}
+    green = {name: rgb[1] - (rgb[0] + rgb[2]) / 2 for name, rgb in found.colours.items()}
+    expected = {
+        "the sky is brighter than the road": brightness["sky"] > brightness["road"] + 20,
+        "the sky is bluer than the road": blue["sky"] > blue["road"] + 5,
+        "the road is brighter than the vegetation": brightness["road"] > brightness["vegetation"] + 30,
+        "the vegetation is greener than the road": green["vegetation"] > green["road"] + 3,
+        "the terrain is greener than the road": green["terrain"] > green["road"] + 3,
+        "the road is grey": np.ptp(found.colours["road"]) < 25,
+    }
+    return [what for what, holds in expected.items() if not holds]
+
+
+@pytest.fixture(scope="module", params=FLOORS)
+def made(request: pytest.FixtureRequest) -> tuple[str, lidar2pano.Panorama]:
+    return request.param, lidar2pano.load(request.param)(lidar2pano.read(street()))
+
+
+def test_segments_labels_depth_and_colours_are_as_good_as_they_were(made: tuple[str, lidar2pano.Panorama]) -> None:
+    family, panorama = made
+    found = figures_of(panorama)
+    assert missed_bounds(family, found) == set(), found
+
+
+def test_classes_have_the_colours_of_a_street(made: tuple[str, lidar2pano.Panorama]) -> None:
+    found = figures_of(made[1])
+    assert wrong_colours(found) == [], found
+
+
+ROLLED, TURNED = 1152, (slice(None, None, -1),)  # a quarter turn; upside down
+
+
+@pytest.mark.parametrize(
+    ("change", "missed"),
+    [
+        (lambda p: {"segments": np.roll(p.segments, ROLLED, 1)}, {"miou", "accuracy"}),
+        (lambda p: {"segments": p.segments[TURNED].copy()}, {"miou", "accuracy"}),
+        (lambda p: {"labels": np.roll(p.labels, 1000)}, {"point_accuracy"}),
+        (lambda p: {"depth_m": 1.2 * p.depth_m}, {"abs_rel"}),
+        (lambda p: {"depth_m": p.depth_m.clip(1)}, {"no_depth"}),
+        (lambda p: {"colour": 255 - p.colour}, {"colour_distance"}),
+        (lambda p: {"colour": p.colour // 4}, {"colour_distance"}),
+    ],
+)
+def test_worse_panoramas_miss_their_floors(made: tuple[str, lidar2pano.Panorama], change, missed: set[str]) -> None:
+    family, panorama = made
+    assert missed <= missed_bounds(family, figures_of(replace(panorama, **change(panorama))))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda colour: colour[..., ::-1],
+        lambda colour: colour[TURNED],
+        lambda colour: np.roll(colour, ROLLED, 1),
+        lambda colour: colour.mean(-1, keepdims=True).repeat(3, -1).astype(np.uint8),
+        lambda colour: 255 - colour,
+        lambda colour: colour // 4,
+        lambda colour: np.full_like(colour, 110),
+    ],
+)
+def test_wrong_colours_are_noticed(made: tuple[str, lidar2pano.Panorama], change) -> None:
+    assert wrong_colours(figures_of(replace(made[1], colour=change(made[1].colour))))

@@ -1,0 +1,53 @@
+"""Every script of runs/ can be imported without doing anything, and explains itself."""
+
+from __future__ import annotations
+
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SUPPORT = Path(__file__).resolve().parents[1] / "support"
+RUNS = Path(__file__).resolve().parents[2] / "runs"
+SCRIPTS = [path.name for path in sorted(RUNS.glob("*.py"))]
+WITH_OPTIONS = [name for name in SCRIPTS if "argparse" in (RUNS / name).read_text(encoding="utf-8")]
+
+
+@pytest.fixture
+def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder, and no help from pytest's own path: a script has to find tests/support itself."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if Path(entry).resolve() != SUPPORT])
+    for path in SUPPORT.glob("*.py"):
+        monkeypatch.delitem(sys.modules, path.stem, raising=False)
+    return tmp_path
+
+
+def test_scripts_are_found() -> None:
+    assert len(SCRIPTS) > len(WITH_OPTIONS) > 10
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_importing_a_script_does_nothing(name: str, alone: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    found = runpy.run_path(str(RUNS / name))
+    assert callable(found["main"]) and found["__doc__"]
+    assert capfd.readouterr() == ("", "")
+    assert list(alone.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", WITH_OPTIONS)
+def test_a_script_with_options_explains_them(
+    name: str, alone: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", [str(RUNS / name), "--help"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(RUNS / name), run_name="__main__")
+    assert ended.value.code == 0
+    assert name in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("path", sorted(RUNS.glob("*.sh")), ids=lambda path: path.name)
+def test_shell_scripts_parse(path: Path) -> None:
+    assert subprocess.run(["bash", "-n", path], capture_output=True, text=True, check=False).stderr == ""
