@@ -13,10 +13,10 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from lidar2pano.data.frames import Frame, frames
 from PIL import Image
 
 from lidar2pano import load
+from lidar2pano.data.frames import Frame, frames
 from lidar2pano.labels import COMMON15
 
 GAP = 4  # pixels

@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from lidar2pano.data.frames import frames
 
+from lidar2pano.data.frames import frames
 from lidar2pano.labels import SEMANTIC_KITTI
 
 

@@ -12,9 +12,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from lidar2pano.data.frames import Frame, frames
-
 from lidar2pano.data.augment import bands
+from lidar2pano.data.frames import Frame, frames
 from lidar2pano.data.range_images import BEAM_DEG
 from lidar2pano.evaluate import MetricConfig, score, system
 

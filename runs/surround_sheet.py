@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from lidar2pano.data.frames import Frame, PanoramaGroundTruth, frames
 from PIL import Image
 
+from lidar2pano.data.frames import Frame, PanoramaGroundTruth, frames
 from lidar2pano.geometry.depth_completion import complete_depth
 from lidar2pano.labels import COMMON15
 from lidar2pano.views import VIEWS

@@ -11,10 +11,10 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from lidar2pano.data.frames import frames
-from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from PIL import Image
 
+from lidar2pano.data.frames import frames
+from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15
 from lidar2pano.views import VIEWS

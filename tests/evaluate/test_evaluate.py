@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
 
 from lidar2pano.calibration import Calibration
+from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import MetricConfig, Prediction, SystemInput, score, system
 from lidar2pano.evaluate.evaluation import ROLL, EvaluatedSystem, rotated

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lidar2pano.data.frames import Frame, PanoramaGroundTruth
 from PIL import Image
 
 from lidar2pano.cli import main
+from lidar2pano.data.frames import Frame, PanoramaGroundTruth
 from lidar2pano.evaluate.interface import Prediction
 from lidar2pano.evaluate.resampling import Resampled
 from lidar2pano.evaluate.worst_frames import WorstFrame, WorstFrames, sheet

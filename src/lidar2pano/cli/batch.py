@@ -23,7 +23,9 @@ from lidar2pano.hardware import Timer, keep_buffers
 from lidar2pano.memory import Memory
 from lidar2pano.panorama import OUTPUTS
 from lidar2pano.pipeline import Pipeline, load
+from lidar2pano.scan import Scan
 
+ENDINGS = (".segments", ".depth", ".camera", ".camera-segments")  # of outputs' stems
 KITTI_SIZE = "1242x375"
 
 
@@ -45,6 +47,7 @@ class Options:
     calibration: Calibration | None = None
     as_json: bool = False
     smooth: bool = False
+    look: str = ""
 
     def pipeline(self) -> Pipeline:
         """The pipeline with these weights, for this sensor and camera; says when the weights' licence is restricted."""
@@ -53,6 +56,8 @@ class Options:
         note_licence(pipeline.cards.values())
         if self.sensor:
             pipeline = pipeline.for_sensor(self.sensor)
+        if self.look:
+            pipeline = pipeline.in_look(self.look)
         return pipeline.at(self.calibration) if self.calibration else pipeline
 
 
@@ -92,7 +97,8 @@ def stems(files: Sequence[Path]) -> dict[Path, str]:
         if not shared:
             break
         names |= {file: "-".join(_telling(whole[file])[-depth:]) for file in files if names[file] in shared}
-    if len(set(names.values())) < len(files):  # the same place and stem, another suffix
+    taken = {f"{name}{ending}" for name in names.values() for ending in ("", *ENDINGS)}
+    if len(taken) < (1 + len(ENDINGS)) * len(files):  # another suffix only, or "a" beside "a.segments"
         names = {file: "-".join(file.resolve().parts[1:]) for file in files}
     return names
 
