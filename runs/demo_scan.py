@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lidar2pano.formats.output_files import write_depth, write_ids
+from lidar2pano.formats.image_files import write_depth, write_ids
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
 from lidar2pano.simulate.dataset.settings import WorldSettings

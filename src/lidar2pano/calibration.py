@@ -49,12 +49,13 @@ class Calibration:
         return Calibration(K=K, T_camera_lidar=self.T_camera_lidar, size=(width, height))
 
 
-def read_calib(path: Path, size: tuple[int, int] = (1242, 375)) -> Calibration:
+def read_calib(path: str | Path, size: tuple[int, int] = (1242, 375)) -> Calibration:
     """Read KITTI odometry's calib.txt: P2 (3x4) and Tr (3x4, LiDAR -> rectified camera 0).
 
     pixel ~ P2 [Tr; 0 0 0 1] [x y z 1]^T. P2 = K [I | b]: the colour camera stands b away from camera 0.
     Raises InputError where the file, P2 or Tr is missing, not numbers, or no camera matrix and rotation.
     """
+    path = Path(path)
     rows = _rows(path)
     P2, Tr = (_matrix(path, rows, name) for name in ("P2", "Tr"))
     K, R = P2[:, :3], Tr[:, :3]

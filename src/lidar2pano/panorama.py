@@ -1,8 +1,8 @@
-"""Panorama: the picture all around, what is in it and how far, and its files."""
+"""Panorama: the colour image all around, its classes and depths, and its files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import torch
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError
-from lidar2pano.formats.output_files import write_depth, write_palette, write_png, write_whole
+from lidar2pano.formats.image_files import write_depth, write_palette, write_png, write_whole
 from lidar2pano.geometry.camera import panorama_in_camera
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.views import View
@@ -20,8 +20,8 @@ OUTPUTS = ("rgb", "segments", "labels", "depth")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CameraPicture:
-    """What a camera of some calibration would see of a panorama.
+class CameraImage:
+    """A panorama resampled into a perspective camera.
 
     colour    (h, w, 3) uint8 RGB.
     segments  (h, w) uint8 ids of COMMON15, 0 where the panorama does not reach.
@@ -33,7 +33,7 @@ class CameraPicture:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Panorama:
-    """The picture of a place, on the raster `view` (h rows, w columns; left edge and right edge are straight behind).
+    """The panorama of one scan, on the raster `view` (h rows, w columns; left edge and right edge are straight behind).
 
     name          of the scan;  frame: its number in the stream.
     colour        (h, w, 3) uint8 RGB.
@@ -54,17 +54,17 @@ class Panorama:
     dropped: int = 0
     milliseconds: Mapping[str, float] = field(default_factory=dict)
 
-    def to_camera(self, calibration: Calibration) -> CameraPicture:
+    def to_camera(self, calibration: Calibration) -> CameraImage:
         """Look into the panorama through a perspective camera at its origin."""
         lookup = panorama_in_camera(self.view, calibration)
         colour = lookup.linear(torch.from_numpy(self.colour).movedim(2, 0).float())
         segments = lookup.nearest(torch.from_numpy(self.segments))
-        return CameraPicture(colour=colour.round().movedim(0, 2).to(torch.uint8).numpy(), segments=segments.numpy())
+        return CameraImage(colour=colour.round().movedim(0, 2).to(torch.uint8).numpy(), segments=segments.numpy())
 
     def save(
         self,
         out: str | Path,
-        what: tuple[str, ...] = ("rgb",),
+        what: str | Collection[str] = ("rgb",),
         calibration: Calibration | None = None,
         stem: str | None = None,
     ) -> list[Path]:
@@ -75,6 +75,7 @@ class Panorama:
               <stem>.camera.png beside rgb and <stem>.camera-segments.png beside segments.
         Raises InputError when a name is unknown or the folder cannot be written.
         """
+        what = (what,) if isinstance(what, str) else what
         if unknown := sorted(set(what) - set(OUTPUTS)):
             raise InputError(f"nothing to save is called {unknown[0]!r}; there is {', '.join(OUTPUTS)}")
         camera = self.to_camera(calibration) if calibration and {"rgb", "segments"} & set(what) else None

@@ -26,8 +26,9 @@ from lidar2pano.models.card import Card
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import DEFAULT, role, weight_files
-from lidar2pano.models.painter import StreamPainter
+from lidar2pano.models.painter import Scene, StreamPainter
 from lidar2pano.models.salsanext import STRIDE
+from lidar2pano.models.scene_painter import ScenePainter
 from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
@@ -101,9 +102,10 @@ class Pipeline:
 
     segmenter   scan -> a class of SEMANTIC_KITTI per point.
     translator  (channels (1, 5, H, W), condition (1, 20, H, W)) -> logits (1, 16, H, W) of COMMON15, depth (1, H, W) m.
-    painter     (its memory, segments (1, 16, H, W), depth (1, H, W), channels) -> (its memory, (1, 3, 2H, 2W)).
+    painter     (its memory, Scene) -> (its memory, (1, 3, 2H, 2W)).
     view        the translator's raster, H x W, around the optical centre of the camera that the panorama stands for.
     cards       of the weight files, by role.
+    look        which of the painter's looks is painted: "A", "A+B" for the mean of two, "" for its own.
     """
 
     segmenter: Segmenter
@@ -112,6 +114,7 @@ class Pipeline:
     view: View
     device: torch.device
     cards: Mapping[str, Card] = field(default_factory=dict)
+    look: str = ""
 
     def at(self, calibration: Calibration) -> Pipeline:
         """The pipeline with its viewpoint moved to a camera's optical centre."""
@@ -120,6 +123,13 @@ class Pipeline:
     def for_sensor(self, name: str) -> Pipeline:
         """The pipeline with the segmenter's view that fits a sensor of VIEWS; InputError where there is none."""
         return replace(self, segmenter=replace(self.segmenter, view=sensor_view(name)))
+
+    def in_look(self, look: str) -> Pipeline:
+        """The pipeline that paints a look, "A" or "A+B" for the mean of two; InputError where the painter lacks it."""
+        if not isinstance(self.painter, ScenePainter):
+            raise InputError(f"no look {look!r}: these weights paint one look only; choose a scene painter's")
+        self.painter.look_shares(look)
+        return replace(self, look=look)
 
     def __call__(self, scan: Scan | str | Path) -> Panorama:
         """The panorama of a single scan, or of a scan file."""
@@ -168,7 +178,15 @@ class Pipeline:
         """
         logits, depth_m = translated.logits, translated.depth_m
         with timer("paint"), fast_arithmetic(self.device):
-            painted, image = self.painter.paint(memory.painted, logits.softmax(1), depth_m, translated.channels)
+            scene = Scene(
+                segments=logits.softmax(1),
+                depth_m=depth_m,
+                channels=translated.channels,
+                view=self.view,
+                T_world_sensor=pose,
+                look=self.look,
+            )
+            painted, image = self.painter.paint(memory.painted, scene)
         previous = None
         if pose is not None:
             with timer("steady"):

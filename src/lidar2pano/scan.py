@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -16,8 +17,8 @@ class Scan:
 
     xyz        (N, 3) float32, metres; sensor frame: x forward, y left, z up.
     remission  (N,)   float32, in [0, 1].
-    label      (N,)   int64 ids of SEMANTIC_KITTI, or None when nobody labelled it.
-    stamp      seconds since the epoch, or None.
+    label      (N,)   int64 ids of SEMANTIC_KITTI, or None when there are no labels.
+    stamp      deprecated, not used.
     name       where it came from (a file's stem), for messages and output names.
     """
 
@@ -28,12 +29,17 @@ class Scan:
     name: str = "scan"
 
     def __post_init__(self) -> None:
-        """Refuse arrays of another type, or that do not belong together (ValueError)."""
+        """Turn lists into arrays; refuse arrays of another type, or that do not belong together (ValueError)."""
+        if self.stamp is not None:
+            warnings.warn("Scan.stamp goes with the next version", DeprecationWarning, stacklevel=4)
+        for name, dtype in (("xyz", np.float32), ("remission", np.float32), ("label", np.int64)):
+            if isinstance(values := getattr(self, name), list | tuple):
+                object.__setattr__(self, name, np.asarray(values, dtype=dtype))
         if self.xyz.ndim != 2 or self.xyz.shape[1] != 3 or self.xyz.dtype != np.float32:
             raise ValueError(f"Scan.xyz must be (N, 3) float32, got {self.xyz.shape} {self.xyz.dtype}")
-        for name, array, kind in (("remission", self.remission, np.float32), ("label", self.label, np.int64)):
-            if array is not None and (array.shape != self.xyz.shape[:1] or array.dtype != kind):
-                wanted = f"({len(self.xyz)},) {np.dtype(kind)}"
+        for name, array, dtype in (("remission", self.remission, np.float32), ("label", self.label, np.int64)):
+            if array is not None and (array.shape != self.xyz.shape[:1] or array.dtype != dtype):
+                wanted = f"({len(self.xyz)},) {np.dtype(dtype)}"
                 raise ValueError(f"Scan.{name} must be {wanted} like Scan.xyz, got {array.shape} {array.dtype}")
 
     def __len__(self) -> int:

@@ -83,6 +83,13 @@ VIEWS: dict[str, View] = {
 }
 
 
+def view_of(name: str) -> View:
+    """The view of that name in VIEWS; InputError for another name."""
+    if name not in VIEWS:
+        raise InputError(f"no view {name!r}{closest(name, VIEWS)}")
+    return VIEWS[name]
+
+
 def sensor_view(name: str) -> View:
     """The raster of a sensor's rows in VIEWS (spheres only: the panorama is no sensor); InputError for another name."""
     sensors = {sensor: view for sensor, view in VIEWS.items() if view.kind == "sphere"}

@@ -1,6 +1,6 @@
 """The command line, from arguments to files, stdout, stderr and exit code.
 
-Run this file to write cli_options.txt anew after a wanted change.
+Run this file to write cli_options.txt again after a wanted change.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from PIL import Image
 import lidar2pano
 from lidar2pano.bench import default_weights, untrained
 from lidar2pano.cli import app, main
-from lidar2pano.cli.batch import parse_save, stems
+from lidar2pano.cli.app import complain
+from lidar2pano.cli.batch import ENDINGS, parse_save, stems
 from lidar2pano.cli.progress import bar
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.models import build
@@ -63,7 +64,7 @@ def files_in(folder: Path) -> list[str]:
 # --- translate ------------------------------------------------------------------------------------------------------
 
 
-def test_a_scan_becomes_a_picture(here, translate, random_weights):
+def test_a_scan_becomes_a_image(here, translate, random_weights):
     write_scan(here / "a.bin")
     code, out, err = translate("a.bin")
     assert code == 0
@@ -93,11 +94,11 @@ def test_the_camera_has_kittis_size_and_a_place_of_its_own(here, translate, rand
     assert translate("a.bin", "--calib", "calib.txt")[0] == 0
     assert pixels(here / "panoramas" / "a.camera.png").shape == (375, 1242, 3)
     around = pixels(here / "panoramas" / "a.png")
-    assert (around != load(random_weights, "cpu")(street()).colour).any()  # seen from that camera
+    assert (around != load(random_weights, "cpu")(street()).colour).any()  # sensors from that camera
 
 
 @pytest.mark.parametrize(
-    ("text", "kinds"),
+    ("text", "outputs"),
     [
         ("rgb", ("rgb",)),
         ("depth, rgb", ("rgb", "depth")),
@@ -106,8 +107,8 @@ def test_the_camera_has_kittis_size_and_a_place_of_its_own(here, translate, rand
         ("rgb,all", ("rgb", "segments", "labels", "depth")),
     ],
 )
-def test_what_to_save(text, kinds):
-    assert parse_save(text) == kinds
+def test_what_to_save(text, outputs):
+    assert parse_save(text) == outputs
 
 
 def test_json_lines(here, translate, random_weights):
@@ -175,6 +176,17 @@ def test_names_of_outputs_always_differ(here, files):
     assert len(set(stems([Path(file) for file in files]).values())) == len(files)
 
 
+def test_outputs_of_a_and_of_a_dot_segments_differ(here):
+    names = stems([Path("a.bin"), Path("a.segments.bin")]).values()
+    assert len({f"{name}{ending}" for name in names for ending in ("", *ENDINGS)}) == 2 * (1 + len(ENDINGS))
+
+
+def test_a_message_is_short_and_printable(capsys):
+    complain("a\x1b[31mred\n" + "b" * 100_000)
+    said = capsys.readouterr().err
+    assert said.startswith("lidar2pano: a?[31mred bbb") and len(said) < 2100 and said.count("\n") == 1
+
+
 def test_scans_of_a_folder_are_one_stream(here, translate, monkeypatch):
     frames = []
     keep = lidar2pano.Panorama.save
@@ -185,13 +197,13 @@ def test_scans_of_a_folder_are_one_stream(here, translate, monkeypatch):
     assert frames == [0, 1, 0]
 
 
-def test_steady_streams_are_told_where_the_sensor_was(here, translate, monkeypatch):
-    told = []
+def test_smoothed_streams_get_the_poses(here, translate, monkeypatch):
+    given = []
     step = lidar2pano.Pipeline.step
     monkeypatch.setattr(
         lidar2pano.Pipeline,
         "step",
-        lambda self, memory, scan, pose=None: told.append(pose) or step(self, memory, scan, pose),
+        lambda self, memory, scan, pose, timer: given.append(pose) or step(self, memory, scan, pose, timer),
     )
     for name in ("000000", "000002"):
         write_scan(here / "seq" / "velodyne" / f"{name}.bin")
@@ -201,10 +213,10 @@ def test_steady_streams_are_told_where_the_sensor_was(here, translate, monkeypat
     (here / "seq" / "poses.txt").write_text("".join(" ".join(map(str, row[:3].ravel())) + "\n" for row in rows))
     code, out, _ = translate("seq", "--steady", "--json")
     assert code == 0 and "steady" in json.loads(out.splitlines()[0])["milliseconds"]
-    moved = np.linalg.inv(told[0]) @ told[1]
+    moved = np.linalg.inv(given[0]) @ given[1]
     assert np.allclose(moved[:3, :3], np.eye(3), atol=0.05) and np.allclose(moved[:3, 3], [5, 0, 0], atol=0.3)
-    told.clear()
-    assert translate("seq")[0] == 0 and told == [None, None]
+    given.clear()
+    assert translate("seq")[0] == 0 and given == [None, None]
     (here / "seq" / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
     code, _, err = translate("seq", "--steady")
     assert code == 2 and "none for frame 000002" in err
@@ -218,11 +230,11 @@ def test_without_poses_they_are_estimated(here, translate, monkeypatch):
 
 
 def test_a_sensor_is_used(here, translate, monkeypatch):
-    seen = []
-    monkeypatch.setattr(lidar2pano.Pipeline, "for_sensor", lambda self, name: seen.append(name) or self)
+    sensors = []
+    monkeypatch.setattr(lidar2pano.Pipeline, "for_sensor", lambda self, name: sensors.append(name) or self)
     write_scan(here / "a.bin")
     assert translate("a.bin", "--sensor", "vlp16")[0] == 0
-    assert seen == ["vlp16"]
+    assert sensors == ["vlp16"]
 
 
 def test_demo_paints_the_shipped_scan(here, random_weights, capsys, monkeypatch):
@@ -345,7 +357,7 @@ def test_train_hands_the_recipe_on(here, monkeypatch, capsys):
     words = ["--data", "d", "--out", "o", "--set", "training.batch=3", "--set", "options.depth=0.5", "--device", "cpu"]
     assert main(["train", "titan-pano", *words, "--devices", "2", "--nodes", "3"]) == 0
     ((recipe, root, out, rest),) = asked
-    assert (recipe.name, recipe.training.batch, recipe.options["depth"]) == ("titan-pano", 3, 0.5)
+    assert (recipe.name, recipe.training.batch, recipe.options.depth) == ("titan-pano", 3, 0.5)
     assert (root, out, rest) == (Path("d"), Path("o"), {"device": "cpu", "devices": 2, "num_nodes": 3})
     said = capsys.readouterr().out
     assert "recipe titan-pano: panorama on panorama x 0.5" in said and "of 3, seed 0" in said
@@ -381,7 +393,7 @@ class Terminal(io.StringIO):
 
 
 @pytest.mark.parametrize(("total", "shown"), [(3, True), (1, False)])
-def test_a_bar_for_whoever_looks(monkeypatch, capsys, total, shown):
+def test_a_bar_on_a_terminal(monkeypatch, capsys, total, shown):
     monkeypatch.setattr(sys, "stderr", Terminal())
     with bar(total, "working") as advance:
         advance()
@@ -390,7 +402,7 @@ def test_a_bar_for_whoever_looks(monkeypatch, capsys, total, shown):
     assert capsys.readouterr().out == "a line for a program\n"
 
 
-def test_no_bar_where_nobody_looks(capsys):
+def test_no_bar_without_a_terminal(capsys):
     with bar(3, "working") as advance:
         advance()
     assert capsys.readouterr() == ("", "")

@@ -195,7 +195,7 @@ def test_tampered_weights(own, refused):
     assert said.startswith("own/painter.safetensors was changed or damaged: its checksum is wrong")
 
 
-def test_a_card_of_another_kind(own, refused):
+def test_a_card_of_another_network(own, refused):
     network, card = load_weights(own / "segmenter.safetensors")
     save(own / "segmenter.safetensors", network, replace(card, views={}))
     said = refused("translate good.bin --weights own --device cpu")
@@ -301,7 +301,7 @@ def test_bad_recipes(data, refused, words, said):
 
 
 @pytest.fixture
-def spoken(here, capsys):
+def message(here, capsys):
     """A function that runs `train`, which says the recipe before it fails: the line on stderr."""
 
     def run(words: str, code: int = 2) -> str:
@@ -313,30 +313,30 @@ def spoken(here, capsys):
     return run
 
 
-def test_training_needs_data(spoken):
-    assert spoken("salsanext --data small --out run").startswith("small: has no folder sequences/")
+def test_training_needs_data(message):
+    assert message("salsanext --data small --out run").startswith("small: has no folder sequences/")
 
 
-def test_training_needs_labels_that_fit(data, spoken):
+def test_training_needs_labels_that_fit(data, message):
     shorten_labels(data / "sequences" / "00")
-    said = spoken("salsanext --data data --out run --set data.train=val --device cpu")
+    said = message("salsanext --data data --out run --set data.train=val --device cpu")
     assert "labels/000000.label: 15996 bytes, but its scan has 4000 points" in said
 
 
-def test_training_needs_a_folder(data, spoken):
-    assert spoken("salsanext --data data --out file --set data.train=val").startswith("file is a file")
+def test_training_needs_a_folder(data, message):
+    assert message("salsanext --data data --out file --set data.train=val").startswith("file is a file")
 
 
-def test_a_missing_extra_is_named(data, spoken, monkeypatch):
+def test_a_missing_extra_is_named(data, message, monkeypatch):
     monkeypatch.setitem(sys.modules, "lightning.fabric", None)
     monkeypatch.setitem(sys.modules, "lightning", None)
     monkeypatch.delitem(sys.modules, "lidar2pano.train.engine", raising=False)
-    said = spoken("salsanext --data data --out run")
+    said = message("salsanext --data data --out run")
     assert said == "this command needs lightning: pip install 'lidar2pano[train]'\n"
 
 
 def test_bugs_are_not_hidden(here, monkeypatch):
-    def broken(paths, wish):
+    def broken(paths, options):
         raise RuntimeError("a bug")
 
     monkeypatch.setattr("lidar2pano.cli.batch.translate_files", broken)
@@ -346,7 +346,7 @@ def test_bugs_are_not_hidden(here, monkeypatch):
 
 @pytest.mark.parametrize(("words", "said"), [((), "interrupted"), (("paused at step 3",), "paused at step 3")])
 def test_ctrl_c_says_so(refused, monkeypatch, words, said):
-    def interrupted(paths, wish):
+    def interrupted(paths, options):
         raise KeyboardInterrupt(*words)
 
     monkeypatch.setattr("lidar2pano.cli.batch.translate_files", interrupted)
@@ -361,7 +361,7 @@ def test_a_closed_pipe_is_quiet(here):
 
 
 def test_a_loss_that_is_not_finite_is_no_mistake_of_options(refused, monkeypatch):
-    def diverged(paths, wish):
+    def diverged(paths, options):
         raise FloatingPointError("loss is not finite near step 3")
 
     monkeypatch.setattr("lidar2pano.cli.batch.translate_files", diverged)

@@ -23,7 +23,7 @@ from lidar2pano.evaluate.worst_frames import WorstFrames
 from lidar2pano.geometry.flow import Flow
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import CITYSCAPES, COMMON15
-from lidar2pano.models.camera_segmenter import CameraSegmenter, Colours
+from lidar2pano.models.camera_segmenter import CameraSegmenter, ImageNormalisation
 from lidar2pano.panorama import Panorama
 from lidar2pano.views import VIEWS, View
 from random_weights import street, write_weights
@@ -250,7 +250,7 @@ def test_metrics_by_other_networks(tmp_path):
             logits[:, CITYSCAPES.id_of("road")], logits[:, CITYSCAPES.id_of("sky")] = 9 * dark, 9 * (1 - dark)
             return logits
 
-    segmenter = CameraSegmenter(network=Road(), normalise=Colours(mean=(0.5,) * 3, deviation=(0.5,) * 3))
+    segmenter = CameraSegmenter(network=Road(), normalise=ImageNormalisation(mean=(0.5,) * 3, deviation=(0.5,) * 3))
     extractors = [FeatureExtractor(features=features, sha256=name * 32) for name in ("ab", "cd")]
     image_segmenter = ImageSegmenter(segmenter=segmenter, features=extractors[0], sha256="ab" * 32)
     config = MetricConfig(inception=extractors[1], image_segmenter=image_segmenter)
@@ -274,7 +274,7 @@ def test_metrics_by_other_networks(tmp_path):
 
 def test_a_camera_segmenters_file(tmp_path):
     sdnet = {"width": 4, "stem": 4, "blocks": 1, "modules": [1, 1, 1], "context": 8}
-    normal = Colours().as_dict()
+    normal = ImageNormalisation().as_dict()
     write_weights(tmp_path / "weights", "camera", "sdnet", sdnet, labels="cityscapes", normalisation=normal)
     eye = MetricConfig.parse(sdnet=tmp_path, device="cpu").image_segmenter
     assert eye is not None and len(eye.sha256) == 64

@@ -130,3 +130,16 @@ def test_the_worst_are_held():
             worst.take(WorstFrame(name, "camera mIoU", value, None))
     assert [(name, value) for name, _, value in worst.rows()] == [("d", 0.1), ("a", 0.5)]
     assert worst.write(Path("nowhere")) == [None, None]
+
+
+def test_labels_that_a_teacher_wrote_are_flagged(data, random_weights, capsys):
+    folder = data / "sequences" / "00"
+    labels = sorted((folder / "labels").glob("*.label"))
+    lines = []
+    for number, path in enumerate(labels):
+        stamp = {"sha256": "", "size": path.stat().st_size, "changed_ns": path.stat().st_mtime_ns + (number == 1)}
+        lines.append(json.dumps({"file": f"labels/{path.name}", "made_by": "0123456789", "stamp": stamp}))
+    (folder / "prepared.jsonl").write_text("\n".join(["torn {", *lines]))
+    assert run(data, random_weights, "--metrics", "points") == 0
+    said = f"Pseudo-labels of networks, not ground truth: point labels of {len(labels) - 1} frames by 01234567."
+    assert len(labels) > 1 and said in capsys.readouterr().out

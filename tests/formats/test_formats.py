@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import math
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.errors import InputError, closest
+from lidar2pano.formats.image_files import HOST, PART, write_whole
 from lidar2pano.formats.scan_files import READERS, read, read_bin, read_label, scan_files, scans, write_bin, write_label
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, View
@@ -254,3 +257,46 @@ def test_a_scaled_view_covers_the_same():
     assert (half.rows, half.columns, half.up, half.circular) == (192, 2304, 0.24, True)
     assert VIEWS["panorama"].focal_px == pytest.approx(733.4, abs=0.05)
     assert not VIEWS["titan-front"].circular
+
+
+# --- complete or not at all -----------------------------------------------------------------------------------------
+
+
+def test_a_sparse_giant_is_refused_before_it_is_read(tmp_path):
+    giant = tmp_path / "giant.bin"
+    with giant.open("wb") as file:
+        file.truncate(100 << 30)
+    with pytest.raises(InputError, match=r"giant.bin: \d+ bytes are no single scan"):
+        read(giant)
+    with pytest.raises(InputError, match="but its scan has 5 points"):
+        read_label(giant, 5)
+
+
+def test_a_name_that_is_too_long_is_one_line(tmp_path):
+    with pytest.raises(InputError, match="cannot be written"):
+        write_whole(tmp_path / f"{'n' * 252}.png", lambda path: path.write_bytes(b"1"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unfinished_files_of_dead_processes_are_removed(tmp_path):
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    left = tmp_path / f".{HOST}-{dead.pid}-1{PART}"
+    running = tmp_path / f".{HOST}-{os.getpid()}-1{PART}"
+    elsewhere = tmp_path / f".another-{HOST}-{dead.pid}-1{PART}"
+    for part in (left, running, elsewhere):
+        part.write_bytes(b"half")
+    assert write_whole(tmp_path / "a", lambda path: path.write_bytes(b"1")).read_bytes() == b"1"
+    assert sorted(tmp_path.iterdir()) == sorted([running, elsewhere, tmp_path / "a"])
+
+
+def test_a_calibration_may_be_named_by_a_string(tmp_path):
+    (tmp_path / "calib.txt").write_text(f"P2: {P2}\nTr: {TR}\n")
+    assert np.array_equal(read_calib(str(tmp_path / "calib.txt")).K, read_calib(tmp_path / "calib.txt").K)
+
+
+def test_a_scan_takes_lists_and_warns_of_its_stamp():
+    scan = Scan(xyz=[[1, 2, 3]], remission=[0.5], label=[7])
+    assert (scan.xyz.dtype, scan.remission.dtype, scan.label.dtype) == (np.float32, np.float32, np.int64)
+    with pytest.warns(DeprecationWarning, match="Scan.stamp goes with the next version"):
+        Scan(xyz=[[1, 2, 3]], remission=[0.5], stamp=1.0)

@@ -10,6 +10,7 @@ import torch
 
 from golden_vectors import facts, recorded
 from lidar2pano.calibration import read_calib
+from lidar2pano.errors import InputError
 from lidar2pano.formats.scan_files import read
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.images import Normalisation, RangeImage
@@ -322,3 +323,10 @@ def test_the_z_buffer_agrees_with_its_slow_definition():
     cell[cell == 17] = 18
     assert nearest_points(cell, distance, 60).tolist() == nearest_slowly(cell.tolist(), distance.tolist(), 60)
     assert nearest_points(cell[:0], distance[:0], 3).tolist() == [-1, -1, -1]
+
+
+def test_a_view_may_be_given_by_its_name():
+    scan = Scan(xyz=[[10, 0, 0], [0, 5, 0]], remission=[0.5, 0.2])
+    assert torch.equal(project(scan, "hdl64e").channels, project(scan, VIEWS["hdl64e"]).channels)
+    with pytest.raises(InputError, match="no view 'hdl64'; did you mean 'hdl64e'"):
+        project(scan, "hdl64")

@@ -25,7 +25,7 @@ from lidar2pano.labels import CITYSCAPES
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import labelled_cross_entropy
 from lidar2pano.models import build, camera_segmenter
-from lidar2pano.models.camera_segmenter import CameraSegmenter, CameraTeacher, Colours
+from lidar2pano.models.camera_segmenter import CameraSegmenter, CameraTeacher, ImageNormalisation
 from lidar2pano.models.card import Card, load, read_card, save
 from lidar2pano.models.sdnet import SdNet
 from lidar2pano.train.camera_segmentation import CameraSegmentation
@@ -62,7 +62,7 @@ def picture(rows: int = 45, columns: int = 71) -> np.ndarray:
 @pytest.mark.parametrize("scales", [None, (1.0,), (0.5, 1.0, 2.0)])
 def test_probabilities_are_the_softmax_of_the_networks_logits(network, exact, scales):
     image = picture()
-    teacher: CameraTeacher = CameraSegmenter(network=network, normalise=Colours(), scales=scales)
+    teacher: CameraTeacher = CameraSegmenter(network=network, normalise=ImageNormalisation(), scales=scales)
     x = np.zeros((1, 3, 45, 71), np.float32)
     for channel, (mean, deviation) in enumerate([(0.485, 0.229), (0.456, 0.224), (0.406, 0.225)]):  # R, G, B
         x[0, channel] = (image[:, :, channel] / 255 - mean) / deviation
@@ -77,7 +77,7 @@ def test_probabilities_are_the_softmax_of_the_networks_logits(network, exact, sc
 
 @pytest.mark.skipif(not has_bfloat16(torch.device("cpu")), reason="the fast arithmetic is float32 here")
 def test_fast_arithmetic_says_nearly_the_same(network, monkeypatch):
-    segmenter = CameraSegmenter(network=network, normalise=Colours())
+    segmenter = CameraSegmenter(network=network, normalise=ImageNormalisation())
     fast = segmenter.probabilities(picture())
     monkeypatch.setattr(camera_segmenter, "fast_arithmetic", lambda _: nullcontext())
     exact = segmenter.probabilities(picture())
@@ -85,8 +85,8 @@ def test_fast_arithmetic_says_nearly_the_same(network, monkeypatch):
     assert (fast - exact).abs().mean() < 0.01
 
 
-def test_a_weight_file_says_how_pictures_are_normalised_and_looked_at(network, exact, tmp_path):
-    colours = Colours(mean=(0.1, 0.2, 0.3), deviation=(0.5, 0.6, 0.7))
+def test_a_weight_file_says_how_images_are_normalised_and_looked_at(network, exact, tmp_path):
+    colours = ImageNormalisation(mean=(0.1, 0.2, 0.3), deviation=(0.5, 0.6, 0.7))
     card = Card(network="sdnet", settings=TINY, labels=CITYSCAPES.name, normalisation=colours.as_dict())
     save(tmp_path / "camera.safetensors", network, card, torch.float32)
     loaded, card = load(tmp_path / "camera.safetensors", expect="sdnet")
@@ -106,13 +106,13 @@ def test_weights_of_other_labels_are_refused(network):
 @pytest.mark.parametrize(
     "image", [np.zeros((8, 9), np.uint8), np.zeros((3, 8, 9), np.uint8), np.zeros((8, 9, 3), np.float32)]
 )
-def test_what_is_no_rgb_picture_is_refused(network, image):
+def test_what_is_no_rgb_image_is_refused(network, image):
     with pytest.raises(ValueError, match=r"a picture is \(h, w, 3\) uint8 RGB, got"):
-        CameraSegmenter(network=network, normalise=Colours()).probabilities(image)
+        CameraSegmenter(network=network, normalise=ImageNormalisation()).probabilities(image)
 
 
-def test_read_only_and_mirrored_pictures_are_taken_as_they_are(network):
-    segmenter, image = CameraSegmenter(network=network, normalise=Colours()), picture()
+def test_read_only_and_mirrored_images_are_taken_as_they_are(network):
+    segmenter, image = CameraSegmenter(network=network, normalise=ImageNormalisation()), picture()
     expected = segmenter.probabilities(image)
     image.flags.writeable = False
     assert torch.equal(segmenter.probabilities(image), expected)
@@ -129,7 +129,7 @@ def peak():  # not ru_maxrss: a process begins with that of the one that started
 keep_buffers()
 camera_segmenter.fast_arithmetic = lambda _: nullcontext()
 network = build("sdnet").eval()
-colours = camera_segmenter.Colours()
+colours = camera_segmenter.ImageNormalisation()
 segmenter = camera_segmenter.CameraSegmenter(network=network, normalise=colours, scales=(0.5, 1.0, 2.0))
 before = peak()
 segmenter.probabilities(np.zeros((94, 310, 3), np.uint8))
@@ -138,7 +138,7 @@ print(before, peak())
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux")
-def test_a_kitti_picture_at_three_scales_fits_four_gibibytes():
+def test_a_kitti_image_at_three_scales_fits_four_gibibytes():
     """A sixteenth of the picture in float32, from which the whole follows: activations grow as the pixels do.
 
     The whole 376 x 1241 took 2.84 GiB so, and 2.12 GiB in bfloat16.
@@ -170,7 +170,7 @@ def class_of(image: np.ndarray) -> np.ndarray:
     return np.array(list(colours))[np.argmin(distances, 0)]
 
 
-def test_a_plain_sample_is_the_picture_with_its_ids(root):
+def test_a_plain_sample_is_the_image_with_its_ids(root):
     samples = CameraImageDataset(root, ("train", "val"), Looks(crop=(8, 8)))
     ids, colours = camera_view()
     sample = samples[3]
@@ -181,7 +181,7 @@ def test_a_plain_sample_is_the_picture_with_its_ids(root):
 
 @pytest.mark.parametrize(("scale", "allowed"), [((1.0, 1.0), 0.0), ((0.4, 2.5), 0.04)])
 @pytest.mark.parametrize("crop", [(40, 90), (90, 300), (72, 235)])
-def test_picture_and_ids_are_changed_alike(crop, scale, allowed):
+def test_image_and_ids_are_changed_alike(crop, scale, allowed):
     ids, colours = certain_view()
     for seed in range(12):
         looks = Looks(crop=crop, scale=scale, jitter=0.0)
@@ -191,7 +191,7 @@ def test_picture_and_ids_are_changed_alike(crop, scale, allowed):
         assert set(np.unique(labels)) <= {ROAD, HOUSE, SKY, IGNORE}
 
 
-def test_a_picture_smaller_than_the_crop_is_filled_up_with_what_nobody_knows():
+def test_an_image_smaller_than_the_crop_is_padded_with_what_is_unknown():
     ids, colours = certain_view()
     _, labels = varied(colours, ids, Looks(crop=(144, 480), scale=(0.5, 0.5)), np.random.default_rng(0))
     assert (labels != IGNORE).sum() == 36 * 118
@@ -240,7 +240,7 @@ def test_a_draw_is_its_seeds(root):
     assert not torch.equal(one.image, other.image)
 
 
-def test_labels_of_another_size_are_told(tmp_path):
+def test_labels_of_another_size_are_reported(tmp_path):
     root = write_data_set(tmp_path)
     path = root / "sequences/00/camera_labels/000001.png"
     Image.fromarray(np.zeros((9, 10), np.uint8)).save(path)
@@ -248,7 +248,7 @@ def test_labels_of_another_size_are_told(tmp_path):
         CameraImageDataset(root, ("train",), Looks(crop=(8, 8)))[1]
 
 
-def test_real_pictures_and_their_labels_fit(kitti_mini):
+def test_real_images_and_their_labels_fit(kitti_mini):
     samples = CameraImageDataset(kitti_mini, ("val",), Looks(crop=(8, 8)))
     sizes = {samples.pair(index)[1].shape for index in range(len(samples))}  # refuses pairs that do not fit
     assert len(sizes) > 1
@@ -278,7 +278,7 @@ def test_the_loss_is_joint_auxiliary_each_and_lovasz(root):
     task, batch = prepared(root, "options.auxiliary=0.4", "options.per_scale=0.05", "options.lovasz=0.7")
     network = task.networks["camera"].eval()
     network.training = True  # itself alone: the same answers twice
-    answers = network(Colours()(batch.image))
+    answers = network(ImageNormalisation()(batch.image))
     expected = 0.7 * lovasz_softmax(answers.joint.softmax(1), batch.labels)
     for weight, logits in [(1, answers.joint), (0.4, answers.auxiliary), *((0.05, each) for each in answers.each)]:
         expected = expected + weight * slow_entropy(logits, batch.labels)
@@ -296,7 +296,7 @@ def slow_entropy(logits: Tensor, labels: Tensor) -> Tensor:
     return (total / count).float()
 
 
-def test_pixels_that_nobody_knows_teach_nothing():
+def test_unknown_pixels_teach_nothing():
     logits, labels = torch.randn(1, 19, 4, 6, requires_grad=True), torch.randint(19, (1, 4, 6))
     labels[0, :, :2] = IGNORE
     torch.testing.assert_close(labelled_cross_entropy(logits, labels, IGNORE), slow_entropy(logits, labels))
@@ -318,7 +318,7 @@ def test_the_loss_falls(root):
     assert losses[-1] < 0.7 * losses[0]
 
 
-def test_what_is_released_labels_pictures(root, tmp_path):
+def test_what_is_released_labels_images(root, tmp_path):
     train(small(), root, tmp_path / "run", device="cpu")
     path = tmp_path / "run/weights/camera.safetensors"
     card = read_card(path)

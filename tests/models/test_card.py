@@ -42,7 +42,7 @@ def _written(path: Path, **changes: object) -> tuple[torch.nn.Module, Card]:
 
 
 def _tampered(path: Path, text: str | None = None, **tensors: torch.Tensor | None) -> None:
-    """Write `path` anew with another card or other tensors (None removes one), as anybody's tool could."""
+    """Write `path` again with another card or other tensors (None removes one), as anybody's tool could."""
     with safe_open(path, "pt") as file:
         metadata = file.metadata()
     kept = load_file(path) | tensors

@@ -34,7 +34,7 @@ def test_convolution_agrees_with_its_definition(kernel, stride, dilation, column
 
 
 @pytest.mark.parametrize(("kernel", "dilation"), [(1, 1), (3, 1), (3, 2), (5, 1)])
-def test_a_turned_picture_gives_a_turned_answer(kernel, dilation):
+def test_a_turned_image_gives_a_turned_answer(kernel, dilation):
     conv = CircularConv(2, 3, kernel, dilation=dilation)
     x = torch.randn(1, 2, 6, 16)
     assert torch.allclose(conv(x).roll(5, -1), conv(x.roll(5, -1)), atol=1e-6)

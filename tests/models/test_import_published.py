@@ -503,7 +503,7 @@ def test_licences_that_restrict_are_recognised(tmp_path: Path) -> None:
         assert bool(licence_note([read_card(tmp_path / f"{network}.safetensors")])) == restricted
 
 
-def test_an_imported_sdnet_labels_pictures(tmp_path: Path) -> None:
+def test_an_imported_sdnet_labels_images(tmp_path: Path) -> None:
     theirs = look_alike("sdnet", SMALL["sdnet"][0])
     (file,) = write_published(tmp_path, "sdnet", theirs)
     settings, state = import_published(file, "sdnet")

@@ -97,8 +97,8 @@ def test_grain_stands_still_but_in_training():
 def test_grain_is_as_strong_at_every_scale(pixels):
     painter = Painter(grain=True).eval()
     segments, depth_m, image = (part.repeat(1, *[1] * (part.ndim - 3), 8, 8) for part in even())
-    seen = painter._seen(segments, depth_m, image)
-    coarser = painter._coarser(seen, pixels)
-    assert seen[:, -1].std() == pytest.approx(1, abs=0.02) and coarser[:, -1].std() == pytest.approx(1, abs=0.05)
-    assert torch.allclose(coarser[:, :-1], torch.nn.functional.avg_pool2d(seen[:, :-1], pixels))
-    assert abs(float(seen[:, -1].mean())) < 0.02
+    inputs = painter._inputs(segments, depth_m, image)
+    coarser = painter._coarser(inputs, pixels)
+    assert inputs[:, -1].std() == pytest.approx(1, abs=0.02) and coarser[:, -1].std() == pytest.approx(1, abs=0.05)
+    assert torch.allclose(coarser[:, :-1], torch.nn.functional.avg_pool2d(inputs[:, :-1], pixels))
+    assert abs(float(inputs[:, -1].mean())) < 0.02

@@ -18,7 +18,7 @@ from golden_vectors import recorded
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
 from lidar2pano.models.ocr import ObjectContext, gather
-from lidar2pano.models.sdnet import SdNet, Sight
+from lidar2pano.models.sdnet import ScalePrediction, SdNet
 
 FILE, GAIN, PARAMETERS = "hrnet_ocr_mscale_two", 0.85, 72_143_430  # MANIFEST.md, section 2
 TOLERANCE = 1e-4
@@ -40,18 +40,18 @@ def published(golden: Path):
 def record(published: SdNet, golden: Path) -> tuple[dict[str, Tensor], dict[str, list]]:
     """Our outputs by the names of the recorded ones, and every recorded layer's outputs at 1.0 and then at 0.5."""
     names, layers = json.loads((golden / f"{FILE}.taps.json").read_text()).keys() - NOT_LAYERS, {}
-    modules, sights, hooks = dict(published.named_modules()), [], []
+    modules, predictions, hooks = dict(published.named_modules()), [], []
     for name in names:  # summed up at once, since what comes after works in place
         layers[name] = []
         hooks.append(modules[name].register_forward_hook(lambda _, __, out, n=name: layers[n].append(_summary(out))))
     look = published.look
-    published.look = lambda images: sights.append(look(images)) or sights[-1]
+    published.look = lambda images: predictions.append(look(images)) or predictions[-1]
     with torch.inference_mode():
         joint = published(sym("input.images", (1, 3, 128, 256), 2))
     del published.look
     for hook in hooks:
         hook.remove()
-    full, half = sights
+    full, half = predictions
     outputs = {"pred": joint, "pred_10x": full.logits, "pred_05x": half.logits, "attn_05x": half.attention}
     return outputs, layers
 
@@ -104,7 +104,7 @@ def stretched(x: Tensor, size: tuple[int, int]) -> Tensor:
     return interpolate(x, size, mode="bilinear", align_corners=False)
 
 
-def looks(model: SdNet, images: Tensor, scales: tuple[float, ...]) -> dict[float, Sight]:
+def looks(model: SdNet, images: Tensor, scales: tuple[float, ...]) -> dict[float, ScalePrediction]:
     """What the network sees of pictures resized by torch itself."""
     resize = {"mode": "bilinear", "align_corners": False, "recompute_scale_factor": True}
     return {scale: model.look(interpolate(images, scale_factor=scale, **resize)) for scale in scales}
@@ -115,15 +115,15 @@ def test_four_scales_are_joined_as_the_published_formula_says(size: tuple[int, i
     """p = a1.5 p1.5 + (1 - a1.5) down(p2); p = a1 p1 + (1 - a1) down(p); p = up(a.5 p.5) + (1 - up(a.5)) p."""
     model, images = tiny(scales=(1.0, 0.5, 2.0, 1.5)), torch.randn(1, 3, *size)
     with torch.inference_mode():
-        sights = looks(model, images, (2.0, 1.5, 1.0, 0.5))
+        predictions = looks(model, images, (2.0, 1.5, 1.0, 0.5))
         middle = (int(size[0] * 1.5), int(size[1] * 1.5))
-        joint, one = sights[2.0].logits, sights[1.5]
+        joint, one = predictions[2.0].logits, predictions[1.5]
         joint = one.attention * one.logits + (1 - one.attention) * stretched(joint, middle)
-        one = sights[1.0]
+        one = predictions[1.0]
         joint = one.attention * one.logits + (1 - one.attention) * stretched(joint, size)
-        one = sights[0.5]
+        one = predictions[0.5]
         joint = stretched(one.attention * one.logits, size) + (1 - stretched(one.attention, size)) * joint
-        assert sights[0.5].attention.std() > 0.01  # or it could not be told from any other weight
+        assert predictions[0.5].attention.std() > 0.01  # or it could not be distinguished from any other weight
         torch.testing.assert_close(model(images), joint, atol=1e-5, rtol=0)
 
 
@@ -146,7 +146,7 @@ def test_scales_that_cannot_be_are_refused(scales: tuple[float, ...]) -> None:
 
 
 @pytest.mark.parametrize("size", [(1, 1), (7, 33), (61, 30)])
-def test_pictures_of_any_size_are_answered_at_their_size(size: tuple[int, int]) -> None:
+def test_images_of_any_size_are_answered_at_their_size(size: tuple[int, int]) -> None:
     with torch.inference_mode():
         logits = tiny()(torch.randn(2, 3, *size), (0.5, 1.0, 2.0))
     assert logits.shape == (2, TINY["classes"], *size) and logits.isfinite().all()
@@ -155,11 +155,11 @@ def test_pictures_of_any_size_are_answered_at_their_size(size: tuple[int, int]) 
 def test_training_gets_the_joint_the_auxiliary_and_each_scales_answer() -> None:
     model, images, size = tiny(), torch.randn(2, 3, 40, 56), (40, 56)
     with torch.no_grad():
-        expected, sights = model(images), looks(model, images, (0.5, 1.0))
+        expected, predictions = model(images), looks(model, images, (0.5, 1.0))
         model.training = True  # itself alone: norms and dropout stay as in evaluation
         answers = model(images)
     torch.testing.assert_close(answers.joint, expected)
-    half, full = sights[0.5], sights[1.0]
+    half, full = predictions[0.5], predictions[1.0]
     torch.testing.assert_close(answers.each, (full.logits, stretched(half.logits, size)))
     guess = half.attention * stretched(half.auxiliary, (20, 28))
     auxiliary = stretched(full.auxiliary, size) * (1 - stretched(half.attention, size)) + stretched(guess, size)

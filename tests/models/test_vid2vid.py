@@ -333,7 +333,7 @@ def test_a_closed_part_sees_what_an_open_one_sees_amid_copies(kind: str, columns
         assert torch.allclose(part(x), amid.chunk(3, 3)[1], atol=1e-6)
 
 
-def test_halving_a_closed_picture_means_over_the_seam() -> None:
+def test_halving_a_closed_image_means_over_the_seam() -> None:
     x = torch.randn(2, 3, 6, 10)
     amid = halved(torch.cat([x] * 3, 3))
     assert torch.allclose(halved(x, True), amid.chunk(3, 3)[1], atol=1e-6)
@@ -342,7 +342,7 @@ def test_halving_a_closed_picture_means_over_the_seam() -> None:
 
 @pytest.mark.parametrize("statistics", [False, True])
 @pytest.mark.parametrize("turn", [8, -24])
-def test_a_turned_panorama_gives_a_turned_picture(statistics: bool, turn: int) -> None:
+def test_a_turned_panorama_gives_a_turned_image(statistics: bool, turn: int) -> None:
     model, (labels, previous) = generator(batch_statistics=statistics), inputs()
     close(model, True)
     with torch.inference_mode():
@@ -355,7 +355,7 @@ def test_a_turned_panorama_gives_a_turned_picture(statistics: bool, turn: int) -
         assert (still.raw.roll(turn, -1) - cut).abs().max() > 0.01 * still.raw.std()
 
 
-def test_a_turned_panorama_gives_a_turned_first_picture() -> None:
+def test_a_turned_panorama_gives_a_turned_first_image() -> None:
     torch.manual_seed(0)
     model = build("vid2vid-single", classes=5, width=8, downsamplings=2, blocks=1, enhancers=1, batch_statistics=True)
     close(model.eval(), True)

@@ -10,9 +10,12 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.labels import CITYSCAPES_IDS, COMMON15
 from lidar2pano.models import build
+from lidar2pano.models.painter import Scene
 from lidar2pano.models.vid2vid_painter import LabelChannels, Past, Vid2VidPainter, edges
+from lidar2pano.views import VIEWS
 
 CLASSES = len(COMMON15)
+SMALL = VIEWS["panorama"].scaled(1 / 192)
 LOUD = 3.0  # published starting weights are small: so that what is far away can be seen in the answer
 
 
@@ -47,7 +50,7 @@ def painted(painter: Vid2VidPainter, ids: Tensor) -> list[Tensor]:
 # --- a stream -------------------------------------------------------------------------------------------------------
 
 
-def test_without_a_network_for_first_frames_the_first_is_painted_anew_from_black():
+def test_without_a_network_for_first_frames_the_first_is_painted_again_from_black():
     generator, _ = networks()
     ids = maps(1)
     (picture,) = painted(Vid2VidPainter(generator), ids)
@@ -58,7 +61,7 @@ def test_without_a_network_for_first_frames_the_first_is_painted_anew_from_black
     assert (out.raw - out.picture).abs().max() > 0.01
 
 
-def test_the_generator_goes_on_from_the_last_two_pictures_and_label_maps():
+def test_the_generator_goes_on_from_the_last_two_images_and_label_maps():
     generator, _ = networks()
     ids = maps(4)
     pictures = painted(Vid2VidPainter(generator), ids)
@@ -82,7 +85,7 @@ def test_the_network_for_first_frames_paints_two_and_the_generator_goes_on():
             assert torch.equal(pictures[frame], generator(one_hot[frame - 2 : frame + 1][None], before).picture[0])
 
 
-def test_every_scale_goes_on_from_its_own_pictures():
+def test_every_scale_goes_on_from_its_own_images():
     generator, _ = networks(scales=2)
     painter, ids = Vid2VidPainter(generator), maps(3)
     past = None
@@ -100,7 +103,7 @@ def test_every_scale_goes_on_from_its_own_pictures():
     assert (pooled.picture - coarse.picture).abs().max() > 1e-3, "made smaller they would be others"
 
 
-def test_a_stream_remembers_its_own_pictures_whatever_is_done_to_those_it_gave():
+def test_a_stream_remembers_its_own_images_whatever_is_done_to_those_it_gave():
     painter, ids = Vid2VidPainter(networks()[0]), maps(2)
     expected = painted(painter, ids)[1]
     with torch.inference_mode():
@@ -125,7 +128,7 @@ def test_a_stream_has_one_size():
 @pytest.mark.parametrize("begin", ["single", "black"])
 @pytest.mark.parametrize("statistics", [False, True])
 @pytest.mark.parametrize("turn", [8, -24])
-def test_turning_a_stream_turns_its_pictures(begin: str, statistics: bool, turn: int):
+def test_turning_a_stream_turns_its_images(begin: str, statistics: bool, turn: int):
     generator, single = networks(scales=2, batch_statistics=statistics)
     painter = Vid2VidPainter(generator, single if begin == "single" else None)
     ids = maps(4)
@@ -174,7 +177,8 @@ def test_panoramas_come_at_twice_the_segments_raster_whatever_they_are_painted_o
     painter = Vid2VidPainter.all_around(generator, None, columns, 24)
     segments = one_hot_layers(maps(1, 8, 24), CLASSES)
     with torch.inference_mode():
-        past, picture = painter.paint(None, segments, torch.zeros(1, 8, 24), torch.zeros(1, 5, 8, 24))
+        scene = Scene(segments=segments, depth_m=torch.zeros(1, 8, 24), channels=torch.zeros(1, 5, 8, 24), view=SMALL)
+        past, picture = painter.paint(None, scene)
         _, first = Vid2VidPainter(generator).follow(None, past.ids[-1, : raster[0], -raster[1] :])
     assert picture.shape == (1, 3, 16, 48)
     assert isinstance(past, Past) and past.ids.shape[2] >= raster[1]

@@ -48,7 +48,7 @@ def counts(suite: pytest.Pytester, *options: str) -> dict[str, int]:
     return suite.runpytest_inprocess("-p", "no:cacheprovider", *options).parseoutcomes()
 
 
-def test_skipped_parity_tests_fail_when_told_to(suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_skipped_parity_tests_fail_when_reported_to(suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
     suite.makepyfile(SKIPPING)
     assert counts(suite) == {"passed": 1, "skipped": 3, "xfailed": 1}
     failing = {"passed": 1, "skipped": 1, "failed": 2, "errors": 1}  # a mark skips while the test is set up

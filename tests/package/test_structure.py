@@ -56,7 +56,7 @@ def tree(tmp_path):
 # --- floors ---------------------------------------------------------------------------------------------------------
 
 
-def test_nobody_imports_upwards():
+def test_nothing_imports_upwards():
     assert house_rules.climbs(house_rules.SOURCE) == []
 
 
@@ -74,7 +74,7 @@ def test_nobody_imports_upwards():
         ("pipeline", "from lidar2pano.odd import x", "'odd' is on no floor"),
     ],
 )
-def test_climbing_is_seen(tree, importer, statement, complaint):
+def test_climbing_is_found(tree, importer, statement, complaint):
     others = ("pipeline", "geometry__knn", "train__engine", "metrics____init", "cli_demo", "scan")
     source = tree(**dict.fromkeys(others, ""), **{"formats__kitti": "from lidar2pano.scan import Scan"})
     (source / "metrics" / "__init__.py").write_text("")
@@ -101,7 +101,7 @@ def test_floor_0_knows_numpy_only():
     assert house_rules.foreign(house_rules.SOURCE) == []
 
 
-def test_a_stranger_on_floor_0_is_seen(tree):
+def test_a_foreign_package_on_floor_0_is_found(tree):
     source = tree(
         scan="import numpy as np\nimport json", labels="def f():\n    from torch import nn", losses="import torch"
     )
@@ -121,7 +121,7 @@ def test_functions_stay_small():
     assert house_rules.too_big(house_rules.SOURCE) == []
 
 
-def test_big_things_are_seen(tree):
+def test_big_things_are_found(tree):
     body = "    x = 1\n"
     source = tree(
         tall="def f():\n" + body * 60,
@@ -139,7 +139,7 @@ def test_names_say_contents():
     assert house_rules.empty_names(house_rules.SOURCE) == []
 
 
-def test_empty_names_are_seen(tree):
+def test_empty_names_are_found(tree):
     source = tree(core__titan="", models__train_utils="", commonplace="", database="")
     assert house_rules.empty_names(source) == [
         "core/titan.py: the name says nothing",
@@ -151,7 +151,7 @@ def test_no_two_files_share_a_name():
     assert house_rules.repeated_names(house_rules.SOURCE) == []
 
 
-def test_a_repeated_name_is_seen(tree):
+def test_a_repeated_name_is_found(tree):
     source = tree(models__card="", evaluate__card="", cli__card="")
     (source / "models" / "__init__.py").write_text("")
     (source / "evaluate" / "__init__.py").write_text("")
@@ -162,7 +162,7 @@ def test_only_the_door_speaks():
     assert house_rules.noisy(house_rules.SOURCE) == []
 
 
-def test_noise_is_seen(tree):
+def test_noise_is_found(tree):
     noise = "print(1)\nconsole.print(2)\nsys.exit(3)\nlogging.basicConfig()\nlog.info(4)\nprinted(5)"
     found = house_rules.noisy(tree(losses=noise, cli=noise, cli_world=noise))
     assert [line.split(":")[1] for line in found] == [
@@ -178,7 +178,7 @@ def test_networks_have_one_builder():
     assert house_rules.second_builders(house_rules.SOURCE, NETWORKS) == []
 
 
-def test_a_second_builder_is_seen(tree):
+def test_a_second_builder_is_found(tree):
     source = tree(models__titan="Titan()", pipeline="titan.Titan(classes=15)", evaluate="Titan: object\nbuild('titan')")
     assert house_rules.second_builders(source, {"Titan"}) == ["pipeline.py:1 constructs Titan: call models.build"]
 
@@ -216,7 +216,7 @@ def test_a_field_counts_by_its_class_and_not_by_its_name(tmp_path, configs, read
     assert house_rules.unread(source / configs, source) == [f"{field} is read nowhere"]
 
 
-def test_an_unread_field_is_seen(tree):
+def test_an_unread_field_is_found(tree):
     source = tree(
         train__recipes=(
             "@dataclass(frozen=True, kw_only=True)\nclass Training:\n"

@@ -74,7 +74,7 @@ def test_folding_by_hand_is_the_stream_and_its_first_is_the_single(pipeline):
     assert not same(pipeline(scans[1]), streamed[0])
 
 
-def test_a_stream_with_poses_is_steadied(pipeline):
+def test_a_stream_with_poses_is_smoothed(pipeline):
     """The second picture of a sensor that stands, of the same scan with another painter's taste, is the mean."""
 
     class Moody:
@@ -93,7 +93,7 @@ def test_a_stream_with_poses_is_steadied(pipeline):
     assert np.array_equal(steady[1].segments, steady[0].segments)
     memory, _ = replace(pipeline, painter=Moody()).step(Memory(), scan, still)
     assert memory.previous is not None
-    assert replace(pipeline, painter=Moody()).step(memory, scan)[0].previous is None, "without a pose it begins anew"
+    assert replace(pipeline, painter=Moody()).step(memory, scan)[0].previous is None, "without a pose it begins again"
 
 
 def test_streams_share_nothing(pipeline):
@@ -131,16 +131,16 @@ def test_every_point_has_a_label_and_dropped_ones_have_none(pipeline):
     assert (broken.labels != 0).mean() > 0.5
 
 
-def test_the_vehicle_itself_is_not_in_the_picture(pipeline):
+def test_the_vehicle_itself_is_not_in_the_image(pipeline):
     scan = street()
     own = np.random.default_rng(0).uniform(-0.5, 0.5, (400, 3)).astype(np.float32)  # a roof, or "no echo" as some write
     more = replace(
         scan, xyz=np.concatenate([own, scan.xyz]), remission=np.pad(scan.remission, (400, 0), constant_values=0.5)
     )
-    plain, seen = pipeline(scan), pipeline(more)
-    assert seen.dropped == plain.dropped + 400 and not seen.labels[:400].any()
-    assert np.array_equal(seen.labels[400:], plain.labels) and np.array_equal(seen.colour, plain.colour)
-    assert np.array_equal(seen.depth_m, plain.depth_m)
+    plain, found = pipeline(scan), pipeline(more)
+    assert found.dropped == plain.dropped + 400 and not found.labels[:400].any()
+    assert np.array_equal(found.labels[400:], plain.labels) and np.array_equal(found.colour, plain.colour)
+    assert np.array_equal(found.depth_m, plain.depth_m)
 
 
 @pytest.mark.parametrize("point", [(np.nan, 0, 0), (0, 0, 0), (np.inf, 1, 1), (0.3, 0.3, -0.2)])
@@ -156,7 +156,7 @@ def test_a_scan_out_of_view_is_refused(pipeline):
         pipeline(scan)
 
 
-class Told(nn.Module):
+class Fixed(nn.Module):
     """A translator that says sky above the third row, road below, and 10 m everywhere."""
 
     def forward(self, image, condition):
@@ -166,9 +166,9 @@ class Told(nn.Module):
 
 
 def test_the_sky_has_no_depth(pipeline):
-    seen = replace(pipeline, translator=Told())(street())
-    assert (seen.segments[:6] == SKY).all() and (seen.segments[6:] == 7).all()
-    assert (seen.depth_m[:6] == 0).all() and (seen.depth_m[6:] == 10).all()
+    found = replace(pipeline, translator=Fixed())(street())
+    assert (found.segments[:6] == SKY).all() and (found.segments[6:] == 7).all()
+    assert (found.depth_m[:6] == 0).all() and (found.depth_m[6:] == 10).all()
 
 
 def test_the_viewpoint_can_be_moved_to_a_camera(pipeline):
@@ -188,20 +188,20 @@ def test_a_sensor_has_its_own_rows(pipeline):
 # --- all directions are alike ---------------------------------------------------------------------------------------
 
 
-def seen_by(pipeline, scan):
+def inputs_of(pipeline, scan):
     around = project(scan, pipeline.view)
     classes = torch.randint(0, 20, (len(scan),), generator=torch.Generator().manual_seed(0))
     return around.channels[None], one_hot_layers(around.spread(classes)[None], 20)
 
 
 @pytest.mark.parametrize("columns", [16, -160])
-def test_turning_the_scene_turns_the_picture(pipeline, columns):
+def test_turning_the_scene_turns_the_image(pipeline, columns):
     def picture(image, condition):
         with torch.inference_mode():
             logits, depth_m = pipeline.translator(image, condition)
             return logits, depth_m, pipeline.painter(logits.softmax(1), depth_m, image)
 
-    image, condition = seen_by(pipeline, street())
+    image, condition = inputs_of(pipeline, street())
     still, turned = picture(image, condition), picture(image.roll(columns, 3), condition.roll(columns, 3))
     for before, after, factor in zip(still, turned, (1, 1, 2), strict=True):
         spread = before.std()
@@ -210,7 +210,7 @@ def test_turning_the_scene_turns_the_picture(pipeline, columns):
 
 
 def test_there_is_no_seam(pipeline):
-    image, condition = (seen[..., :1].expand_as(seen).contiguous() for seen in seen_by(pipeline, street()))
+    image, condition = (found[..., :1].expand_as(found).contiguous() for found in inputs_of(pipeline, street()))
     with torch.inference_mode():  # a scene that is the same in every direction
         logits, depth_m = pipeline.translator(image, condition)
         picture = pipeline.painter(logits.softmax(1), depth_m, image)[0]
@@ -337,6 +337,15 @@ def test_what_to_save_is_checked(panorama, tmp_path):
         panorama.save(tmp_path, ("colour",))
 
 
+def test_one_sort_of_output_may_be_given_as_a_word(panorama, tmp_path):
+    assert [file.name for file in panorama.save(tmp_path, "depth")] == ["street.depth.png"]
+
+
+def test_a_scan_file_may_be_given_by_its_path(pipeline, tmp_path):
+    file = write_scan(tmp_path / "street.bin")
+    assert same(pipeline(file), pipeline(street())) and same(pipeline(str(file)), pipeline(street()))
+
+
 # --- weights --------------------------------------------------------------------------------------------------------
 
 
@@ -349,12 +358,12 @@ def test_weights_without_a_painter_say_so(random_weights, tmp_path, monkeypatch)
 def test_a_default_family_fills_what_is_missing(random_weights, tmp_path, monkeypatch):
     monkeypatch.setattr("lidar2pano.models.families.RELEASED", random_weights.parent)
     monkeypatch.setattr("lidar2pano.models.families.DEFAULT", random_weights.name)
-    mine = write_weights(tmp_path, "other", "painter", {"widths": [8, 8, 8]})
-    files = weight_files(mine)
+    own = write_weights(tmp_path, "other", "painter", {"widths": [8, 8, 8]})
+    files = weight_files(own)
     assert files == {role: random_weights / f"{role}.safetensors" for role in ("segmenter", "translator")} | {
-        "painter": mine
+        "painter": own
     }
-    assert weight_files(mine, fill=False) == {"painter": mine}
+    assert weight_files(own, fill=False) == {"painter": own}
     assert weight_files(random_weights.name) == weight_files(random_weights)
 
 
@@ -427,9 +436,9 @@ def test_a_video_painter_paints_the_stream_frame_after_frame(random_weights, tmp
 
 def test_the_panorama_is_what_the_video_painter_painted(random_weights, tmp_path):
     pipeline = load(video_weights(random_weights, tmp_path / "video"), "cpu")
-    seen = pipeline.translate(street(), Timer(pipeline.device))
+    found = pipeline.translate(street(), Timer(pipeline.device))
     with torch.inference_mode(), fast_arithmetic(pipeline.device):
-        _, picture = pipeline.painter.follow(None, grown_classes(seen.logits.softmax(1), 1))
+        _, picture = pipeline.painter.follow(None, grown_classes(found.logits.softmax(1), 1))
     expected = ((grow_circular(picture[None], 2)[0] + 1) * 127.5).round().movedim(0, 2)
     assert np.array_equal(pipeline(street()).colour, expected.numpy())
 

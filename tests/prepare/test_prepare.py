@@ -26,7 +26,7 @@ from lidar2pano.formats.scan_files import write_bin
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import CITYSCAPES, SEMANTIC_KITTI, unpack_label
 from lidar2pano.models import build
-from lidar2pano.models.camera_segmenter import CameraSegmenter, Colours
+from lidar2pano.models.camera_segmenter import CameraSegmenter, ImageNormalisation
 from lidar2pano.models.card import Card, load, save
 from lidar2pano.pipeline import Segmenter, load_segmenter
 from lidar2pano.prepare import State, camera_teacher, frames_to_label, label, lidar_teacher
@@ -44,7 +44,7 @@ def write_sdnet(path: Path, seed: int = 0) -> Path:
         if parameter.ndim > 1:
             torch.nn.init.kaiming_normal_(parameter)
             parameter.data *= 0.85  # sure here and unsure there
-    card = {"labels": CITYSCAPES.name, "normalisation": Colours().as_dict(), "licence": "CC-BY-NC-4.0"}
+    card = {"labels": CITYSCAPES.name, "normalisation": ImageNormalisation().as_dict(), "licence": "CC-BY-NC-4.0"}
     save(path, network, Card(network="sdnet", settings=SDNET, **card))
     return path
 

@@ -11,11 +11,12 @@ import pytest
 
 from lidar2pano.cli import main
 from lidar2pano.cli.app import BROKEN
+from lidar2pano.data.frames import frames
 from lidar2pano.errors import InputError
 from lidar2pano.reproduce import Outcome, Plan
 from lidar2pano.reproduce.image_sheets import SAMPLES, WIDTH, sample_indices, write_sheets
 from lidar2pano.reproduce.paper_tables import CLAIMS, ROWS, chosen
-from lidar2pano.reproduce.plan import budget, splits
+from lidar2pano.reproduce.plan import budget, splits, training_data
 from lidar2pano.reproduce.results_page import results_page, scalars, value_of, write_curves
 from lidar2pano.train.recipes import RECIPES
 from semantic_kitti import write_semantic_kitti
@@ -87,10 +88,10 @@ def test_recipes_fit_the_data_at_hand(plan, tmp_path):
     recipe = plan.recipe("salsanext", {})
     assert recipe.data.train == ("train",), "there is no split `labelled` here"
     video = plan.recipe("vid2vid", {})
-    assert video.data.train == ("train",) and video.options["stills"] == ("train", "val")
+    assert video.data.train == ("train",) and video.options.single_frame_splits == ("train",)
     files = {"salsanext": tmp_path / "s", "titan-pano": tmp_path / "t"}
     painter = plan.recipe("painter", files)
-    assert painter.options["segmenter"] == str(tmp_path / "s") and painter.options["translator"] == str(tmp_path / "t")
+    assert (painter.options.segmenter, painter.options.translator) == (str(tmp_path / "s"), str(tmp_path / "t"))
     changed = replace(plan, changes=("titan.training.batch=3", "scunet.training.seed=5"))
     assert changed.recipe("titan", {}).training.batch == 3 and changed.recipe("scunet", {}).training.seed == 5
     assert plan.recipe("titan", {}).training.batch != 3
@@ -111,10 +112,41 @@ def test_a_damaged_listing_of_splits_is_an_input_error(plan):
         splits(plan.data)
 
 
-def result(**values):
-    rows = [{"sector": "camera", "name": name, "value": value} for name, value in values.items()]
+@pytest.mark.parametrize(
+    ("sequences", "kept", "selected"),
+    [({"00": 3, "01": 2}, ["00/000000", "00/000001", "00/000002"], ["01/000000", "01/000001"]),
+     ({"00": 20}, [f"00/{number:06d}" for number in range(18)], ["00/000018", "00/000019"]),
+     ({"00": 1}, ["00/000000"], ["00/000000"])],
+)  # fmt: skip
+def test_checkpoints_are_selected_on_training_frames_that_are_not_trained_on(tmp_path, sequences, kept, selected):
+    names = [f"{sequence}/{number:06d}" for sequence, count in sequences.items() for number in range(count)]
+    for name in [*names, "08/000000"]:
+        path = tmp_path / "data" / "sequences" / name.replace("/", "/velodyne/")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.with_suffix(".bin").touch()
+    listing = {"train": names, "val": ["08/000000"], "all": [*names, "08/000000"]}
+    (tmp_path / "data" / "splits.json").write_text(json.dumps(listing))
+    plan = Plan(data=tmp_path / "data", out=tmp_path / "out")
+    folder = training_data(plan)
+    found = {split: list(frames(folder, split).names) for split in ("train", "selection", "val")}
+    assert found == {"train": kept, "selection": selected, "val": ["08/000000"]}
+    assert plan.recipe("titan", {}).data.val == ("selection",) and training_data(plan) == folder
+    assert json.loads((plan.data / "splits.json").read_text()) == listing
+    with pytest.raises(InputError, match="all frames of `train` are in `all`, which is scored"):
+        training_data(replace(plan, split="all"))
+
+
+def result(steps=1000, low=None, high=None, frames=50, **values):
+    more = {"low": low, "high": high, "frames": frames}
+    rows = [{"sector": "camera", "name": name, "value": value, **more} for name, value in values.items()]
     rows.append({"sector": "panorama", "name": "miou", "value": 0.25})
-    one = {"values": rows, "milliseconds": {"translate": 12.4}, "classes": [{"class": "car", "iou": 0.5}]}
+    networks = {"segmenter": {"steps": 1}, "translator": {"steps": steps}, "painter": {"steps": 2000}}
+    one = {
+        "networks": networks,
+        "values": rows,
+        "milliseconds": {"translate": 12.4},
+        "classes": [{"class": "car", "iou": 0.5}],
+    }
     return {"heading": "`val` of data: 1 image.", "classes": ["car"], "results": [one]}
 
 
@@ -138,6 +170,21 @@ def test_the_results_page_has_every_row_and_a_verdict_where_it_can(plan):
     assert "scunet: no image goes with this scan" in text and "no Inception weights" in text
     titan = next(line for line in text.splitlines() if line.startswith("| TITAN-Net -> Vid2Vid |"))
     assert "| 50.0 |" in titan and "**30.0**" in titan
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "verdict"),
+    [
+        (result(miou=0.3, low=0.25, high=0.35), result(miou=0.1, low=0.05, high=0.2), "**confirmed** here (0.3"),
+        (result(miou=0.3, low=0.15, high=0.35), result(miou=0.1, low=0.05, high=0.2), "**not decided** here: the 95 %"),
+        (result(miou=0.1, low=0.05, high=0.2), result(miou=0.3, low=0.25, high=0.35), "**contradicted** here (0.1"),
+        (result(miou=0.3, steps=20), result(miou=0.1), "**not decided** here: 20 steps of training"),
+        (result(miou=0.3), result(miou=0.1, frames=6), "**not decided** here: 6 frames are fewer than 50"),
+    ],
+)
+def test_orderings_are_decided_by_disjoint_intervals_after_enough_training(plan, first, second, verdict):
+    text = results_page(plan, Outcome(results={"titan": first, "pix2pix": second}), [], None)
+    assert f"TITAN-Net beats Pix2Pix in mIoU: {verdict}" in text
 
 
 def test_sheets_are_side_by_side_and_leave_out_missing_images(tmp_path):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lidar2pano.formats.output_files import write_depth
+from lidar2pano.formats.image_files import write_depth
 from lidar2pano.formats.scan_files import write_bin, write_label
 from miniature import CALIB, SIZE, street
 

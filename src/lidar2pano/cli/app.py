@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from collections.abc import Iterable, Sequence
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 MISTAKE, BROKEN, INTERRUPTED = 2, 1, 130  # exit codes: a user's mistake; the run is lost; Ctrl-C
 EXIT_CODES = {InputError: MISTAKE, FloatingPointError: BROKEN, KeyboardInterrupt: INTERRUPTED}
+MOST_CHARACTERS = 2000  # of a message
 # module -> extra of the package that installs it
 EXTRAS = {"lightning": "train", "torchmetrics": "train", "tensorboard": "train", "matplotlib": "train"}
 
@@ -41,6 +43,8 @@ def program(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program with `arguments` (the process's own when None) and return its exit code."""
     command = get_command(app)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a file's name may be no text; stderr does so by itself
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         # not command.main(), which handles Ctrl-C and a closed pipe in its own way
@@ -88,5 +92,7 @@ def note_licence(cards: Iterable[Card]) -> None:
 
 
 def complain(problem: object) -> None:
-    """One line on stderr."""
-    print(f"lidar2pano: {' '.join(str(problem).split())}", file=sys.stderr)
+    """One line of printable characters on stderr, MOST_CHARACTERS at most."""
+    line = " ".join(str(problem).split())
+    line = "".join(one if one.isprintable() else "?" for one in line)
+    print(f"lidar2pano: {line if len(line) <= MOST_CHARACTERS else line[:MOST_CHARACTERS] + ' ...'}", file=sys.stderr)

@@ -106,7 +106,7 @@ def write_csv(path: Path, rows: list[dict[str, object]], option: str) -> None:
     import csv
     import io
 
-    from lidar2pano.formats.output_files import write_whole
+    from lidar2pano.formats.image_files import write_whole
 
     text = io.StringIO()
     writer = csv.DictWriter(text, rows[0] if rows else [], lineterminator="\n")

@@ -31,7 +31,7 @@ def check_file(path: Path, option: str) -> None:
 
 def write_json(path: Path, value: Any, option: str) -> None:  # noqa: ANN401
     """Write `value` as JSON, beside and then renamed; InputError where that cannot be done."""
-    from lidar2pano.formats.output_files import write_whole
+    from lidar2pano.formats.image_files import write_whole
 
     text = json.dumps(value, indent=2, allow_nan=False) + "\n"
     write_whole(path, lambda beside: beside.write_text(text, encoding="utf-8"), option)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from lidar2pano.data.frames import Frame
 from lidar2pano.errors import InputError
-from lidar2pano.formats.output_files import write_whole
+from lidar2pano.formats.image_files import write_whole
 from lidar2pano.scan import Scan
 
 T = TypeVar("T")

@@ -20,7 +20,7 @@ from lidar2pano.data.frames import IGNORE, Frame, FrameList, PanoramaGroundTruth
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.scan_files import read_bin, read_label
-from lidar2pano.formats.output_files import DEPTH_STEPS, image_size, read_image
+from lidar2pano.formats.image_files import DEPTH_STEPS, image_size, read_image
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.labels import CITYSCAPES

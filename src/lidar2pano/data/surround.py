@@ -14,7 +14,7 @@ import torch
 from lidar2pano.calibration import ROTATION_TOLERANCE, Calibration
 from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
 from lidar2pano.errors import InputError
-from lidar2pano.formats.output_files import read_image
+from lidar2pano.formats.image_files import read_image
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.depth_completion import complete_depth
 from lidar2pano.geometry.projection import project

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,6 +17,7 @@ from lidar2pano.evaluate.ground_truth_flow import camera_flow, follows, panorama
 from lidar2pano.evaluate.interface import Prediction, System, SystemInput
 from lidar2pano.evaluate.metric_config import MetricConfig
 from lidar2pano.evaluate.metric_values import SECTOR_ORDER, MetricCollection, MetricValue, PreviousImage
+from lidar2pano.evaluate.pseudo_labels import pseudo_labels
 from lidar2pano.evaluate.resampling import Resampled, resampled
 from lidar2pano.evaluate.worst_frames import WorstFrame, WorstFrames, sheet
 from lidar2pano.geometry.flow import Flow
@@ -101,6 +103,7 @@ class Evaluation:
 
     images     number of frames with camera labels;  scans: with point labels;  camera_images: with a camera image;
                panoramas: with a ground-truth panorama.
+    pseudo_labels  number of frames by part ("point labels", ...) and hash of the teacher that predicted it.
     reference  metrics of the ground truth itself: seams, warping error, re-segmentation.
     """
 
@@ -113,6 +116,7 @@ class Evaluation:
     scans: int = 0
     camera_images: int = 0
     panoramas: int = 0
+    pseudo_labels: Counter[tuple[str, str]] = field(default_factory=Counter)
 
     def target_classes(self, sector: str = "camera") -> list[int]:
         """The classes that the sector's targets have: mIoU is the mean over them, whatever is predicted."""
@@ -210,6 +214,7 @@ def _count_parts(result: Evaluation, frame: Frame) -> None:
         raise InputError(f"{frame.name} has neither camera_labels/ nor labels/, and no image; label it first")
     for name, part in zip(("images", "scans", "camera_images", "panoramas"), parts, strict=True):
         setattr(result, name, getattr(result, name) + (part is not None))
+    result.pseudo_labels.update(pseudo_labels(frame).items())
 
 
 def _flows(before: Frame | None, now: Frame, config: MetricConfig) -> Flows:

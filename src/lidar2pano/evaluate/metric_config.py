@@ -18,6 +18,7 @@ from lidar2pano.metrics.frechet import fingerprint
 from lidar2pano.metrics.inception import find_inception, load_inception
 from lidar2pano.models.camera_segmenter import CameraSegmenter
 from lidar2pano.models.card import load
+from lidar2pano.models.imagenet_features import LITE2, ImagenetFeatures
 from lidar2pano.models.sdnet import SdNet
 
 GROUPS = ("points", "classes", "pictures", "depth", "seams", "time", "roll")
@@ -67,13 +68,15 @@ class MetricConfig:
                      re-segmentation of images), depth, seams, time (warping error), roll (every prediction again for
                      the rotated scan).
     sectors          of SECTORS: the camera's image, and the panorama.
-    inception        for FID;  image_segmenter: for FSD and re-segmentation. None: these metrics are left out.
+    inception        for FID;  image_segmenter: for FSD and re-segmentation;  patches: for the patch Frechet distance.
+                     None: these metrics are left out.
     """
 
     groups: tuple[str, ...] = DEFAULT_GROUPS
     sectors: tuple[str, ...] = SECTORS
     inception: FeatureExtractor | None = None
     image_segmenter: ImageSegmenter | None = None
+    patches: FeatureExtractor | None = None
 
     @classmethod
     def parse(
@@ -97,6 +100,7 @@ class MetricConfig:
             sectors=sectors,
             inception=_inception(inception, picked) if images else None,
             image_segmenter=_image_segmenter(sdnet, picked) if images and sdnet is not None else None,
+            patches=_patches(picked) if "pictures" in groups else None,
         )
 
     def has(self, sector: str) -> bool:
@@ -115,6 +119,15 @@ def _inception(given: Path | None, device: torch.device) -> FeatureExtractor | N
         return None
     network = load_inception(path, device)
     return FeatureExtractor(features=lambda images: network(images.to(device)), sha256=fingerprint(network))
+
+
+def _patches(device: torch.device) -> FeatureExtractor | None:
+    """Features of EfficientNet-Lite2, which nothing is trained against; None where it is not installed."""
+    try:
+        network = ImagenetFeatures.load(LITE2).to(device)
+    except InputError:
+        return None
+    return FeatureExtractor(features=lambda images: network(images.to(device) / 127.5 - 1)[-1], sha256=LITE2.sha256)
 
 
 def _image_segmenter(given: Path, device: torch.device) -> ImageSegmenter:

@@ -24,6 +24,7 @@ from lidar2pano.metrics.confusion import MeanIoU, Resegmentation
 from lidar2pano.metrics.consistency import RollError, SeamRatio, WarpingError
 from lidar2pano.metrics.depth_error import DepthError
 from lidar2pano.metrics.frechet import FrechetDistance
+from lidar2pano.metrics.patch_frechet import PATCH, PatchFrechetDistance
 from lidar2pano.metrics.sliced_wasserstein import LEVELS, SlicedWasserstein
 from lidar2pano.metrics.ssim import SSIM, WINDOW
 
@@ -35,6 +36,11 @@ NAMES: dict[str, dict[str, str]] = {
     "classes": {"mIoU": "miou", "accuracy": "accuracy"},
     "ssim": {"SSIM": "ssim"},
     "swd": {"mean": "swd"} | dict(zip(map(str, LEVELS), SWD_LEVELS, strict=True)),
+    "patches": {
+        "ratio": "patch_frechet_ratio",
+        "distance": "patch_frechet",
+        "real to real": "patch_frechet_real",
+    },
     "fid": {"FID": "fid"},
     "fsd": {"FSD": "fsd"},
     "resegmentation": {"mIoU": "resegmentation_miou", "accuracy": "resegmentation_accuracy"},
@@ -110,6 +116,7 @@ class MetricCollection:
         if "pictures" in groups and frame.image is not None:
             self._ssim("camera", image, frame.image, frame.name)
             self._metric("camera", "swd", SlicedWasserstein).update(image, frame.image, frame.name)
+            self._patches("camera", image, frame.image, frame.name)
             if (segmenter := self.config.image_segmenter) is not None:
                 make = partial(FrechetDistance, segmenter.features, name="FSD")
                 self._metric("camera", "fsd", make).update(image, frame.image, frame.name)
@@ -132,6 +139,7 @@ class MetricCollection:
             return
         if "pictures" in groups and true.valid.any():
             self._ssim("panorama", around.image, true.image, frame.name, true.valid)
+            self._patches("panorama", around.image, true.image, frame.name, true.valid)
             swd = self._metric("panorama", "swd", SlicedWasserstein)
             for number, (predicted, target) in enumerate(windows(around.image, true.image, true.valid)):
                 swd.update(predicted, target, f"{frame.name}#{number}")
@@ -208,6 +216,13 @@ class MetricCollection:
     ) -> None:
         if min(target.shape[:2]) >= WINDOW:
             self._metric(sector, "ssim", SSIM).update(predicted, target, name, valid=valid)
+
+    def _patches(
+        self, sector: str, predicted: np.ndarray, target: np.ndarray, name: str, valid: np.ndarray | None = None
+    ) -> None:
+        if self.config.patches is not None and min(target.shape[:2]) >= PATCH:
+            make = partial(PatchFrechetDistance, self.config.patches)
+            self._metric(sector, "patches", make).update(predicted, target, name, valid)
 
 
 def _mean_iou() -> MeanIoU:

@@ -13,6 +13,7 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.evaluate.interface import Prediction, SystemInfo, SystemInput
 from lidar2pano.geometry.camera import panorama_in_camera
 from lidar2pano.hardware import Timer
+from lidar2pano.models.painter import Scene
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline import Memory, Pipeline, Translated
 
@@ -22,10 +23,10 @@ SAME_PLACE_M = 1e-6
 class NoPainter:
     """A painter whose panoramas are grey, for systems without colours."""
 
-    def paint(self, past: Any, segments: Tensor, depth_m: Tensor, image: Tensor) -> tuple[Any, Tensor]:  # noqa: ANN401, ARG002
+    def paint(self, past: Any, scene: Scene) -> tuple[Any, Tensor]:  # noqa: ANN401
         """As StreamPainter."""
-        rows, columns = segments.shape[-2:]
-        return past, segments.new_zeros(1, 3, 2 * rows, 2 * columns)
+        rows, columns = scene.segments.shape[-2:]
+        return past, scene.segments.new_zeros(1, 3, 2 * rows, 2 * columns)
 
 
 class _View(NamedTuple):

@@ -44,6 +44,9 @@ ROWS: dict[str, Row] = {
     "accuracy": Row("accuracy", interval=True),
     "ssim": Row("SSIM", interval=True),
     "swd": Row("SWD x 1000", 1),
+    "patch_frechet_ratio": Row("patch Frechet / real-to-real", 2),
+    "patch_frechet": Row("patch Frechet distance", 3),
+    "patch_frechet_real": Row("patch Frechet, real-to-real", 3),
     "fid": Row("FID", 1),
     "fsd": Row("FSD", 1),
     "resegmentation_miou": Row("re-segmentation mIoU", interval=True),
@@ -68,6 +71,8 @@ def heading(one: Evaluation, values: list[Values]) -> str:
         f" its own size, predicted from the scan alone; {one.scans} scans with point labels. Pixels whose target is"
         f" unlabeled, sky or unknown are not scored; predictions of unlabeled or sky count as wrong."
     ]
+    if pseudo := [f"{part} of {n} frames by {name[:8]}" for (part, name), n in sorted(one.pseudo_labels.items())]:
+        parts.append(f"**Pseudo-labels of networks, not ground truth: {', '.join(pseudo)}.**")
     if present:
         parts.append(f"mIoU: mean over the {len(present)} of the paper's 14 classes that occur{absent}.")
     names = {name for each in values for _, name in each}
@@ -137,6 +142,9 @@ def as_dict(one: Evaluation) -> dict[str, Any]:
         "scans": one.scans,
         "camera_images": one.camera_images,
         "panoramas": one.panoramas,
+        "pseudo_labels": [
+            {"part": part, "made_by": name, "frames": count} for (part, name), count in one.pseudo_labels.items()
+        ],
         "metrics": list(config.groups),
         "sectors": list(config.sectors),
         "inception": config.inception.sha256 if config.inception else None,

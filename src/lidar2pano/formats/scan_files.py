@@ -14,6 +14,8 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
 
+MOST_BYTES = 1 << 30  # 67 million points: a sparse or wrong file must not fill the memory
+
 
 def read_bin(path: Path) -> Scan:
     """Read a KITTI .bin: (N, 4) float32 x, y, z in metres and remission in [0, 1].
@@ -21,6 +23,8 @@ def read_bin(path: Path) -> Scan:
     Raises InputError when the file cannot be read, is empty, or its length is not a whole number of points.
     """
     try:
+        if (length := path.stat().st_size) > MOST_BYTES:
+            raise InputError(f"{path}: {length} bytes are no single scan (at most {MOST_BYTES}); name a scan file")
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); name a scan file that exists") from error
@@ -41,8 +45,8 @@ def read_label(path: Path, points: int) -> np.ndarray:
     Raises InputError when the file cannot be read or was made for another number of points.
     """
     try:
-        values = np.fromfile(path, dtype="<u4")
         length = path.stat().st_size
+        values = np.fromfile(path, dtype="<u4", count=points)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); name a label file that exists") from error
     if length != 4 * points:

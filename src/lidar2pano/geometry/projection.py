@@ -13,19 +13,21 @@ from torch import Tensor
 
 from lidar2pano.geometry.images import RangeImage
 from lidar2pano.scan import Scan
-from lidar2pano.views import View
+from lidar2pano.views import View, view_of
 
 FULL_TURN = 2 * math.pi  # radians
 FAR_OUT = 1_000_000.0  # rows: a bound for points straight above or below, so that they fit an integer
 NOBODY = torch.iinfo(torch.int64).max  # a pixel's key where no point fell into it; its low 32 bits say -1
 
 
-def project(scan: Scan, view: View, *, device: str | torch.device = "cpu") -> RangeImage:
+def project(scan: Scan, view: View | str, *, device: str | torch.device = "cpu") -> RangeImage:
     """Project a scan onto a view's raster.
 
     The nearest point owns a pixel; at equal range the first in file order. Points that are NaN or Inf or at the
     sensor's or the view's origin are left out and counted (`RangeImage.dropped`); points out of view own no pixel.
+    view  or its name in VIEWS; InputError for another name.
     """
+    view = view_of(view) if isinstance(view, str) else view
     xyz = torch.from_numpy(scan.xyz).to(device)
     remission = torch.from_numpy(scan.remission).to(device)
     return project_points(xyz, remission, view)

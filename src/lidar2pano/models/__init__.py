@@ -8,7 +8,9 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.models.painter import Painter
 from lidar2pano.models.patch_critic import PatchCritic
 from lidar2pano.models.pix2pix import PatchGan, Pix2Pix
+from lidar2pano.models.projected_critic import ProjectedCritic
 from lidar2pano.models.salsanext import SalsaNext
+from lidar2pano.models.scene_painter import ScenePainter
 from lidar2pano.models.scunet import ScUnet
 from lidar2pano.models.sdnet import SdNet
 from lidar2pano.models.titan import Titan, TitanCritic
@@ -23,6 +25,8 @@ MODELS: dict[str, type[nn.Module]] = {
     "titan-next": TitanNext,
     "titan-pano": TitanPano,
     "painter": Painter,
+    "scene-painter": ScenePainter,
+    "projected-critic": ProjectedCritic,
     "patch-critic": PatchCritic,
     "vid2vid": Vid2Vid,
     "vid2vid-single": Vid2VidSingle,

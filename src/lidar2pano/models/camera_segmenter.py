@@ -16,7 +16,7 @@ from lidar2pano.models.card import Card
 
 
 class CameraTeacher(Protocol):
-    """Whoever knows what a camera sees."""
+    """A network that labels camera images."""
 
     def probabilities(self, image: np.ndarray) -> Tensor:
         """Probabilities (19, h, w) float32 of the Cityscapes train ids, summing to 1, of a picture.
@@ -27,7 +27,7 @@ class CameraTeacher(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Colours:
+class ImageNormalisation:
     """Means and deviations of the channels of RGB pictures in [0, 1]; the defaults are those of ImageNet."""
 
     mean: tuple[float, ...] = (0.485, 0.456, 0.406)
@@ -55,7 +55,7 @@ class CameraSegmenter:
     """
 
     network: nn.Module
-    normalise: Colours
+    normalise: ImageNormalisation
     scales: tuple[float, ...] | None = None
 
     @classmethod
@@ -70,7 +70,7 @@ class CameraSegmenter:
                 f"weights of network {card.network!r} speak {card.labels!r}, not {CITYSCAPES.name!r}: "
                 "they cannot label cameras; name others"
             )
-        normalise = Colours(**{name: tuple(values) for name, values in card.normalisation.items()})
+        normalise = ImageNormalisation(**{name: tuple(values) for name, values in card.normalisation.items()})
         return cls(network=network, normalise=normalise, scales=scales)
 
     @torch.inference_mode()

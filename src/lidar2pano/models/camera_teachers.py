@@ -24,7 +24,7 @@ from torch.nn.functional import interpolate, pad
 
 from lidar2pano.errors import InputError
 from lidar2pano.labels import CITYSCAPES
-from lidar2pano.models.camera_segmenter import Colours
+from lidar2pano.models.camera_segmenter import ImageNormalisation
 
 # kind -> class of transformers
 KINDS: dict[str, str] = {
@@ -34,7 +34,7 @@ KINDS: dict[str, str] = {
 STRIDE = 32  # of the coarsest features of the backbones
 WEIGHTS = ("*.safetensors", "*.bin")
 SETTINGS = ("*.json", "*.txt")
-TASK = "the task is semantic"  # what OneFormer is told
+TASK = "the task is semantic"  # what OneFormer is given
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,7 +50,7 @@ class MaskSegmenter:
 
     network: nn.Module
     classes: Tensor
-    normalise: Colours
+    normalise: ImageNormalisation
     scales: tuple[float, ...] = (1.0,)
     task: Tensor | None = None
 
@@ -97,13 +97,13 @@ def load_teacher(kind: str, folder: Path, device: torch.device, scales: Sequence
         options["is_training"] = False  # its text encoder is for training only
     try:
         with _quiet(transformers):
-            network, told = getattr(transformers, KINDS[kind]).from_pretrained(folder, **options)
+            network, info = getattr(transformers, KINDS[kind]).from_pretrained(folder, **options)
             task = _task(transformers, folder, network.config.task_seq_len) if kind == "oneformer" else None
     except Exception as error:  # a broken file can break it anywhere
         reason = (str(error) or type(error).__name__).strip().splitlines()[0]
-        raise InputError(f"{folder}: cannot be loaded as a {kind} ({reason}); fetch it anew") from error
-    if missing := sorted(told["missing_keys"]):
-        raise InputError(f"{folder}: {len(missing)} weights are missing, the first is {missing[0]!r}; fetch it anew")
+        raise InputError(f"{folder}: cannot be loaded as a {kind} ({reason}); fetch it again") from error
+    if missing := sorted(info["missing_keys"]):
+        raise InputError(f"{folder}: {len(missing)} weights are missing, the first is {missing[0]!r}; fetch it again")
     classes = torch.tensor(cityscapes_classes(network.config.id2label, folder), device=device)
     network = network.to(device).eval()
     return MaskSegmenter(
@@ -184,7 +184,7 @@ def _json(path: Path) -> dict[str, Any]:
     return content
 
 
-def _normalisation(folder: Path) -> Colours:
+def _normalisation(folder: Path) -> ImageNormalisation:
     """Mean and deviation of the model's pictures, from the settings of its image processor."""
     path = folder / "preprocessor_config.json"
     if path.is_file():
@@ -197,12 +197,12 @@ def _normalisation(folder: Path) -> Colours:
     except (KeyError, TypeError, ValueError):
         mean, deviation = (), ()
     if len(mean) != 3 or len(deviation) != 3 or min(deviation) <= 0:
-        raise InputError(f"{path}: has no image_mean and image_std of three channels; fetch the model anew")
-    return Colours(mean=mean, deviation=deviation)
+        raise InputError(f"{path}: has no image_mean and image_std of three channels; fetch the model again")
+    return ImageNormalisation(mean=mean, deviation=deviation)
 
 
 def _task(transformers: Any, folder: Path, length: int) -> Tensor:  # noqa: ANN401
-    """(1, length) float32: what OneFormer is told, in its own tokens, zero after the end."""
+    """(1, length) float32: what OneFormer is given, in its own tokens, zero after the end."""
     tokenizer = transformers.AutoTokenizer.from_pretrained(folder, local_files_only=True)
     tokens = tokenizer([TASK], padding="max_length", max_length=length, truncation=True, return_tensors="pt")
     return (tokens["input_ids"] * tokens["attention_mask"]).float()

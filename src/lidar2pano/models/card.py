@@ -35,7 +35,7 @@ class Card:
     recipe         name of the training recipe; commit of this project that ran it
     data           what it was trained on; steps of how many batches; on which device; for how many hours
     score          measured quality, by name, with the split it was measured on
-    licence        of the weights; upstream: address of whoever published them
+    licence        of the weights; upstream: address of its publisher
     sha256         checksum of the tensors; `save` fills it in
     """
 
@@ -57,9 +57,9 @@ class Card:
 
     def __post_init__(self) -> None:
         """Check every field's type."""
-        for name, kind in get_type_hints(Card).items():
-            if not isinstance(value := getattr(self, name), kind):
-                raise InputError(f"the card's field {name!r} is of type {type(value).__name__}; make the file anew")
+        for name, expected in get_type_hints(Card).items():
+            if not isinstance(value := getattr(self, name), expected):
+                raise InputError(f"the card's field {name!r} is of type {type(value).__name__}; make the file again")
 
     def to_json(self) -> str:
         """The card as one JSON object; NaN and infinity raise ValueError."""
@@ -71,15 +71,15 @@ class Card:
         try:
             entries = json.loads(text, parse_constant=_refuse)
         except (ValueError, RecursionError) as error:
-            raise InputError(f"its card is not JSON ({error}); fetch or make the file anew") from None
+            raise InputError(f"its card is not JSON ({error}); fetch or make the file again") from None
         if not isinstance(entries, dict):
-            raise InputError("its card is not a JSON object; fetch or make the file anew")
+            raise InputError("its card is not a JSON object; fetch or make the file again")
         known = [one.name for one in fields(cls)]
         for name in entries:
             if name not in known:
                 raise InputError(f"its card has an unknown field {name!r}{closest(name, known)}; update lidar2pano")
         if "network" not in entries:
-            raise InputError("its card names no network; fetch or make the file anew")
+            raise InputError("its card names no network; fetch or make the file again")
         return cls(**entries)
 
 
@@ -126,9 +126,9 @@ def load(path: Path | str, device: torch.device | str = "cpu", expect: str | Non
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     if wrong := mismatch(tensors, blank):
-        raise InputError(f"{path} does not fit network {card.network!r}: {wrong}; fetch or make the file anew")
+        raise InputError(f"{path} does not fit network {card.network!r}: {wrong}; fetch or make the file again")
     if card.sha256 != _checksum(tensors):
-        raise InputError(f"{path} was changed or damaged: its checksum is wrong; fetch or make the file anew")
+        raise InputError(f"{path} was changed or damaged: its checksum is wrong; fetch or make the file again")
     model = build(card.network, **card.settings)
     model.load_state_dict(tensors)  # into float32, which the network is made of
     return model.to(device).eval(), card
@@ -149,9 +149,9 @@ def _read(path: Path | str, with_tensors: bool = True) -> tuple[Card, dict[str, 
             tensors = {key: file.get_tensor(key) for key in keys}
     except (SafetensorError, OSError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path} is cut off or not a weight file ({reason}); fetch or make it anew") from None
+        raise InputError(f"{path} is cut off or not a weight file ({reason}); fetch or make it again") from None
     if text is None:
-        raise InputError(f"{path} has no card, so lidar2pano did not write it; fetch or make it anew")
+        raise InputError(f"{path} has no card, so lidar2pano did not write it; fetch or make it again")
     try:
         return Card.from_json(text), tensors
     except InputError as error:
@@ -163,7 +163,7 @@ def _blank(card: Card) -> dict[str, Tensor]:
     if card.network not in MODELS:
         raise InputError(f"no network {card.network!r}{closest(card.network, MODELS)}; update lidar2pano")
     try:
-        with torch.device("meta"):  # settings are a stranger's: they must not be able to fill the memory
+        with torch.device("meta"):  # settings come from outside: they must not be able to fill the memory
             return build(card.network, **card.settings).state_dict()
     except InputError:
         raise

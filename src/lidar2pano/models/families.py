@@ -19,6 +19,7 @@ ROLES: dict[str, str] = {
     "pix2pix": "translator",
     "scunet": "renderer",
     "painter": "painter",
+    "scene-painter": "painter",
     "vid2vid": "painter",
     "vid2vid-single": "first-frame painter",
 }
@@ -53,9 +54,9 @@ def weight_files(name: str | Path, *, fill: bool = True) -> dict[str, Path]:
         raise InputError(
             f"no weights {str(name)!r}: neither a released family nor a file" + closest(str(name), installed)
         )
-    mine = by_role(files)
+    own = by_role(files)
     rest = by_role(sorted(installed[DEFAULT].glob("*.safetensors"))) if fill and DEFAULT in installed else {}
-    return rest | mine
+    return rest | own
 
 
 def role(card: Card) -> str | None:

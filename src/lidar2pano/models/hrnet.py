@@ -3,7 +3,7 @@
 Paper     Wang et al.: Deep High-Resolution Representation Learning for Visual Recognition, 2019 (arXiv:1908.07919),
           section 3 (HRNetV2).
 Upstream  https://github.com/NVIDIA/semantic-segmentation, commit 7726b14 (BSD-3), which has it from
-          https://github.com/HRNet/HRNet-Semantic-Segmentation (MIT). Written anew here; parameter names are the
+          https://github.com/HRNet/HRNet-Semantic-Segmentation (MIT). Reimplemented here; parameter names are the
           published ones.
 """
 
@@ -23,7 +23,7 @@ def resized(x: Tensor, size: tuple[int, int] | torch.Size) -> Tensor:
 
 
 def conv_norm(inputs: int, outputs: int, size: int = 3, stride: int = 1, act: bool = True) -> nn.Sequential:
-    """Convolution without bias, batch norm and, unless told otherwise, ReLU."""
+    """Convolution without bias, batch norm and, unless `act` is false, ReLU."""
     parts = [nn.Conv2d(inputs, outputs, size, stride, size // 2, bias=False), nn.BatchNorm2d(outputs)]
     return nn.Sequential(*parts, *([nn.ReLU(inplace=True)] if act else []))
 

@@ -7,9 +7,11 @@ at twice the raster it reads.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
@@ -17,20 +19,36 @@ from torch.nn.functional import avg_pool2d
 from lidar2pano.errors import InputError
 from lidar2pano.models.circular import CircularConv, CircularResidual, conv_norm_act
 from lidar2pano.models.titan_pano import depth_code
+from lidar2pano.views import View
 
 WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
 STRIDE = 4  # input pixels per pixel of the coarsest level
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scene:
+    """What a painter paints, on the translator's raster H x W.
+
+    segments  (1, classes, H, W) probabilities;  depth_m: (1, H, W) metres;  channels: (1, 5, H, W) of a RangeImage.
+    view      the raster;  T_world_sensor: (4, 4) float64, the sensor's pose in a frame that stands still, if known.
+    look      "A", or "A+B" for the mean of two; "": the painter's own.
+    """
+
+    segments: Tensor
+    depth_m: Tensor
+    channels: Tensor
+    view: View
+    T_world_sensor: np.ndarray | None = None
+    look: str = ""
+
+
 class StreamPainter(Protocol):
     """What the pipeline asks of a painter."""
 
-    def paint(self, past: Any, segments: Tensor, depth_m: Tensor, image: Tensor) -> tuple[Any, Tensor]:  # noqa: ANN401
+    def paint(self, past: Any, scene: Scene) -> tuple[Any, Tensor]:  # noqa: ANN401
         """Paint the panorama of a scan that follows others.
 
-        past      what it returned with the scan before; None at the beginning of a stream.
-        segments  (1, classes, H, W) probabilities; depth_m (1, H, W) metres; image (1, 5, H, W): a RangeImage's
-                  channels.
+        past  what it returned with the scan before; None at the beginning of a stream.
         Returns what it wants back with the next scan, None if nothing, and (1, 3, 2H, 2W) in [-1, 1].
         """
         ...
@@ -42,11 +60,11 @@ class Painter(nn.Module):
     classes  of the segments (common-15: 16 with unlabeled).
     widths   channels at 1/1, 1/2, 1/4 of the input raster.
     blocks   residual blocks at 1/4.
-    filled   whether remission is spread over the gaps between the beams, so that the picture does not show them.
+    filled   whether remission is spread over the gaps between the beams, so that the image does not show them.
     sharp    power that class probabilities are raised to before they sum to 1 again: above 1, what is likeliest stands
              out, and edges between classes are drawn where the translator hesitates.
-    grain    whether it sees noise, too, to make leaves and gravel of: where no point fell all else is even. Drawn anew
-             in training; afterwards always the same, fixed to the raster, so that films do not flicker.
+    grain    whether a noise channel is added, for texture: drawn for each batch in training, afterwards always the same
+             and fixed to the raster, so that videos do not flicker.
     """
 
     def __init__(
@@ -61,16 +79,16 @@ class Painter(nn.Module):
     ) -> None:
         super().__init__()
         self.classes, self.filled, self.sharp, self.grain = classes, filled, sharp, grain
-        seen = classes + 4 + grain
+        inputs = classes + 4 + grain
         fine, middle, coarse = widths
-        self.stem = conv_norm_act(seen, fine)
+        self.stem = conv_norm_act(inputs, fine)
         self.down1 = nn.Sequential(conv_norm_act(fine, middle, stride=2), CircularResidual(middle))
         self.down2 = conv_norm_act(middle, coarse, stride=2)
         self.trunk = nn.ModuleList([CircularResidual(coarse, dilation=(1, 2, 4)[i % 3]) for i in range(blocks)])
-        self.up1 = nn.Sequential(conv_norm_act(coarse + seen, 4 * middle, 1), nn.PixelShuffle(2))
-        self.mix1 = nn.Sequential(conv_norm_act(2 * middle + seen, middle), CircularResidual(middle))
+        self.up1 = nn.Sequential(conv_norm_act(coarse + inputs, 4 * middle, 1), nn.PixelShuffle(2))
+        self.mix1 = nn.Sequential(conv_norm_act(2 * middle + inputs, middle), CircularResidual(middle))
         self.up0 = nn.Sequential(conv_norm_act(middle, 4 * fine, 1), nn.PixelShuffle(2))
-        self.mix0 = nn.Sequential(conv_norm_act(2 * fine + seen, fine), conv_norm_act(fine, fine))
+        self.mix0 = nn.Sequential(conv_norm_act(2 * fine + inputs, fine), conv_norm_act(fine, fine))
         self.colour = nn.Sequential(CircularConv(fine, 12), nn.PixelShuffle(2))
 
     def forward(self, segments: Tensor, depth_m: Tensor, image: Tensor) -> Tensor:
@@ -83,23 +101,23 @@ class Painter(nn.Module):
         """
         if segments.shape[-2] % STRIDE or segments.shape[-1] % STRIDE:
             raise InputError(f"segments of {tuple(segments.shape[-2:])} pixels: rows, columns must divide by {STRIDE}")
-        seen = self._seen(segments, depth_m, image)
-        fine = self.stem(seen)
-        seen = seen.to(fine.dtype)  # under autocast: one float32 part would make every joined picture float32
-        seen2, seen4 = self._coarser(seen, 2), self._coarser(seen, 4)
+        inputs = self._inputs(segments, depth_m, image)
+        fine = self.stem(inputs)
+        inputs = inputs.to(fine.dtype)  # under autocast: one float32 part would make every joined tensor float32
+        inputs2, inputs4 = self._coarser(inputs, 2), self._coarser(inputs, 4)
         middle = self.down1(fine)
         x = self.down2(middle)
         for block in self.trunk:
             x = block(x)
-        x = self.mix1(torch.cat([_channels_last(self.up1(torch.cat([x, seen4], 1))), middle, seen2], 1))
-        x = self.mix0(torch.cat([_channels_last(self.up0(x)), fine, seen], 1))
+        x = self.mix1(torch.cat([_channels_last(self.up1(torch.cat([x, inputs4], 1))), middle, inputs2], 1))
+        x = self.mix0(torch.cat([_channels_last(self.up0(x)), fine, inputs], 1))
         return torch.tanh(self.colour(x))
 
-    def paint(self, past: Any, segments: Tensor, depth_m: Tensor, image: Tensor) -> tuple[None, Tensor]:  # noqa: ANN401, ARG002
+    def paint(self, past: object, scene: Scene) -> tuple[None, Tensor]:  # noqa: ARG002
         """Paint every scan for itself; arguments and answer as of StreamPainter."""
-        return None, self(segments, depth_m, image)
+        return None, self(scene.segments, scene.depth_m, scene.channels)
 
-    def _seen(self, segments: Tensor, depth_m: Tensor, image: Tensor) -> Tensor:
+    def _inputs(self, segments: Tensor, depth_m: Tensor, image: Tensor) -> Tensor:
         if self.sharp != 1:
             raised = segments.float().pow(self.sharp)
             segments = (raised / raised.sum(1, keepdim=True)).to(segments.dtype)
@@ -114,9 +132,9 @@ class Painter(nn.Module):
             )
         return torch.cat([segments, torch.stack(extra, 1)], 1)
 
-    def _coarser(self, seen: Tensor, pixels: int) -> Tensor:
+    def _coarser(self, inputs: Tensor, pixels: int) -> Tensor:
         """Means over squares of so many pixels; of the grain, that is last, as strong as before."""
-        means = avg_pool2d(seen, pixels)
+        means = avg_pool2d(inputs, pixels)
         return torch.cat([means[:, :-1], means[:, -1:] * pixels], 1) if self.grain else means
 
 
@@ -132,10 +150,10 @@ def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     values, valid  (B, H, W), valid 0 or 1; columns are circular.
     Returns the means, 0 where no window holds anything, and (B, H, W) 1 where one does.
     """
-    told = torch.stack([values * valid, valid], 1)
+    sums = torch.stack([values * valid, valid], 1)
     mean, found = torch.zeros_like(values), torch.zeros_like(values)
     for rows, columns in WINDOWS:
-        around = torch.cat([told[..., -(columns // 2) :], told, told[..., : columns // 2]], 3)
+        around = torch.cat([sums[..., -(columns // 2) :], sums, sums[..., : columns // 2]], 3)
         across = avg_pool2d(around, (1, columns), stride=1)  # one way and then the other: a quarter of the sums
         total, count = avg_pool2d(across, (rows, 1), stride=1, padding=(rows // 2, 0)).unbind(1)
         here = (count > 0) & (found == 0)

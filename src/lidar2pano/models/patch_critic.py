@@ -11,11 +11,11 @@ from torch.nn.utils.parametrizations import spectral_norm
 
 
 class PatchCritic(nn.Module):
-    """Scores of patches: is this picture real, given its condition?
+    """Scores of patches: is this image real, given its condition?
 
-    channels  of picture and condition together.
+    channels  of image and condition together.
     width     channels of the first layer; each layer doubles them, up to eight times.
-    scales    pictures of the pyramid that are judged, each half the size of the one before.
+    scales    images of the pyramid, each half the size of the one before.
     """
 
     def __init__(self, channels: int = 22, width: int = 48, layers: int = 3, scales: int = 2) -> None:
@@ -23,16 +23,16 @@ class PatchCritic(nn.Module):
         critics = [_patches(channels, width, layers) for _ in range(scales)]
         self.scales: list[nn.ModuleList] = nn.ModuleList(critics)  # pyright: ignore[reportAttributeAccessIssue] no generic
 
-    def forward(self, picture: Tensor) -> list[list[Tensor]]:
+    def forward(self, image: Tensor) -> list[list[Tensor]]:
         """(B, channels, H, W) -> per scale, the features of every layer, the last being the scores (B, 1, h, w)."""
         answers = []
         for critic in self.scales:
-            features, x = [], picture
+            features, x = [], image
             for layer in critic:
                 x = layer(x)
                 features.append(x)
             answers.append(features)
-            picture = avg_pool2d(picture, 2)
+            image = avg_pool2d(image, 2)
         return answers
 
 

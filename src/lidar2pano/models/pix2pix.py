@@ -2,7 +2,7 @@
 
 Paper     Isola, Zhu, Zhou, Efros: Image-to-Image Translation with Conditional Adversarial Networks, 2017
           (arXiv:1611.07004), sections 3.2 and 6.1.
-Upstream  https://github.com/junyanz/pytorch-CycleGAN-and-pix2pix (BSD-2), `unet_256` and `basic`. Written anew here;
+Upstream  https://github.com/junyanz/pytorch-CycleGAN-and-pix2pix (BSD-2), `unet_256` and `basic`. Reimplemented here;
           parameter names are the published ones.
 Deviates  from the published code in three points:
           any number of pictures is taken, which are joined channel by channel (published: one, joined by the caller);

@@ -19,7 +19,7 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.geometry.images import Normalisation
 from lidar2pano.labels import CITYSCAPES, CITYSCAPES_IDS, COMMON14, SEMANTIC_KITTI
 from lidar2pano.models import build
-from lidar2pano.models.camera_segmenter import Colours
+from lidar2pano.models.camera_segmenter import ImageNormalisation
 from lidar2pano.models.card import Card, mismatch
 from lidar2pano.views import VIEWS
 
@@ -224,7 +224,7 @@ PUBLISHED: dict[str, Published] = {
         data="Cityscapes",
         view=None,
         labels=CITYSCAPES.name,
-        normalisation=Colours().as_dict(),
+        normalisation=ImageNormalisation().as_dict(),
         settings=sdnet,
     ),
     "vid2vid": _VID2VID,
@@ -364,9 +364,9 @@ class _PlainDict(_Bystander):
         return {}
 
 
-def _stand_in(name: str, kind: type[_Bystander] = _Bystander) -> type:
+def _stand_in(name: str, base: type[_Bystander] = _Bystander) -> type:
     module, _, last = name.rpartition(".")
-    return type(last, (kind,), {"__module__": module, "__qualname__": last})
+    return type(last, (base,), {"__module__": module, "__qualname__": last})
 
 
 # SalsaNext's checkpoints hold the whole warm-up scheduler (common/warmupLR.py) and, through it, the optimizer; SD-Net's
@@ -408,7 +408,7 @@ def _content(path: Path) -> Mapping:
     except Exception:  # a broken or hostile file can break torch's restricted reader anywhere
         raise InputError(
             f"{path} cannot be read as weights: it is cut off, no torch checkpoint, or holds more than weights; "
-            "fetch it anew from its authors"
+            "fetch it again from its authors"
         ) from None
     if not isinstance(content, Mapping):
         raise InputError(f"{path} has no table of weights; give the checkpoint file that the authors published")

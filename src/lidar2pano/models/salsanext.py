@@ -3,7 +3,7 @@
 Paper     Cortinhal, Tzelepis, Aksoy: SalsaNext: Fast, Uncertainty-aware Semantic Segmentation of LiDAR Point Clouds,
           2020 (arXiv:2003.03653), Fig. 3.
 Upstream  https://github.com/TiagoCortinhal/SalsaNext, commit 062cc71 (code MIT; the authors' weights were trained on
-          SemanticKITTI, CC BY-NC-SA 4.0). Written anew here; parameter names are the published ones.
+          SemanticKITTI, CC BY-NC-SA 4.0). Reimplemented here; parameter names are the published ones.
 Deviates  from the published code in three points:
           logits come out instead of softmax (losses and arg-max want them; softmax restores the published output);
           activations work in place (half of a CPU forward goes into getting and returning large buffers);

@@ -3,7 +3,7 @@
 Paper     Tao, Sapra, Catanzaro: Hierarchical Multi-Scale Attention for Semantic Segmentation, 2020 (arXiv:2005.10821),
           section 3.1, equation 1.
 Upstream  https://github.com/NVIDIA/semantic-segmentation, commit 7726b14 (code BSD-3; the authors' weights were
-          trained on Cityscapes, non-commercial). Written anew here; parameter names are the published ones.
+          trained on Cityscapes, non-commercial). Reimplemented here; parameter names are the published ones.
 Deviates  from the published code in two points: it takes and gives tensors instead of dictionaries, and training
           returns logits, of which `train.camera_segmentation` makes the loss.
 """
@@ -22,7 +22,7 @@ from lidar2pano.models.hrnet import HRNet, resized
 from lidar2pano.models.ocr import Ocr
 
 
-class Sight(NamedTuple):
+class ScalePrediction(NamedTuple):
     """What one scale sees, at the size of its own picture.
 
     logits     (B, classes, h, w).
@@ -91,21 +91,23 @@ class SdNet(nn.Module):
         size = images.shape[-2:]
         joint, auxiliary, each = None, None, []
         for scale in self.scales if scales is None else falling(scales):
-            sight = self.look(resized(images, scaled(size, scale)))
-            joint = joined(joint, sight.logits, sight.attention, size)
+            scale_prediction = self.look(resized(images, scaled(size, scale)))
+            joint = joined(joint, scale_prediction.logits, scale_prediction.attention, size)
             if self.training:
-                guess = resized(sight.auxiliary, sight.logits.shape[-2:])
-                auxiliary = joined(auxiliary, guess, sight.attention, size)
-                each.append(resized(sight.logits, size))
+                guess = resized(scale_prediction.auxiliary, scale_prediction.logits.shape[-2:])
+                auxiliary = joined(auxiliary, guess, scale_prediction.attention, size)
+                each.append(resized(scale_prediction.logits, size))
         assert joint is not None
         return Answers(joint, auxiliary, tuple(each)) if auxiliary is not None else joint
 
-    def look(self, images: Tensor) -> Sight:
+    def look(self, images: Tensor) -> ScalePrediction:
         """What the pictures (B, 3, h, w) are at this size alone, everything in float32."""
         found = self.ocr(self.backbone(images))
         attention = self.scale_attn(found.features)
         size = images.shape[-2:]
-        return Sight(resized(found.logits.float(), size), found.auxiliary.float(), resized(attention.float(), size))
+        return ScalePrediction(
+            resized(found.logits.float(), size), found.auxiliary.float(), resized(attention.float(), size)
+        )
 
 
 def joined(larger: Tensor | None, logits: Tensor, attention: Tensor, target: torch.Size) -> Tensor:

@@ -3,7 +3,7 @@
 Paper     Cortinhal, Kurnaz, Aksoy: Semantics-aware Multi-modal Domain Translation: From LiDAR Point Clouds to
           Panoramic Color Images, 2021 (arXiv:2106.13974), section 3.
 Upstream  https://github.com/TiagoCortinhal/TITAN-NET, commit 5e00db9 (no licence file; its README says MIT; the
-          authors' weights were trained on SemanticKITTI, CC BY-NC-SA 4.0). Written anew here; parameter names are
+          authors' weights were trained on SemanticKITTI, CC BY-NC-SA 4.0). Reimplemented here; parameter names are
           the published ones.
 Deviates  from the published code in five points:
           logits come out instead of softmax, as in SalsaNext;
@@ -69,7 +69,7 @@ class Titan(Trunk):
     def raster(self, z: Tensor | None, condition: Tensor | None = None) -> Tensor:
         """(B, channels, H, W) and (B, conditions, H, W) -> (B, classes, 2H, 2W) logits, before the resize."""
         inputs = ((self.project_z, z), (self.project_cond, condition))
-        merged = self.project_zcond(torch.cat([project(seen) for project, seen in inputs if project is not None], 1))
+        merged = self.project_zcond(torch.cat([project(part) for project, part in inputs if project is not None], 1))
         return self.logits(self.upResBlock1(self.upsampling1(self.features(merged))))
 
     def forward(self, z: Tensor | None, condition: Tensor | None = None) -> Tensor:

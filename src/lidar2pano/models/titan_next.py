@@ -87,12 +87,12 @@ class TitanNext(nn.Module):
                 f"a range image of {z.shape[-2]} x {z.shape[-1]} pixels does not fit the network: "
                 f"choose a view whose rows and columns are multiples of {STRIDE}"
             )
-        seen = self.project_zcond(torch.cat([self.project_z(z), self.project_cond(condition)], 1))
-        x, skips = self.context(seen), []
+        merged = self.project_zcond(torch.cat([self.project_z(z), self.project_cond(condition)], 1))
+        x, skips = self.context(merged), []
         for block in self.down:
-            x, skip = block(_beside(seen, x))
+            x, skip = block(_beside(merged, x))
             skips.append(skip)
-        x = _beside(seen, self.bottom(_beside(seen, x)))
+        x = _beside(merged, self.bottom(_beside(merged, x)))
         image: Tensor | None = None
         for up, block, merge in zip(self.up, self.pyramid, self.merge, strict=True):
             x = up(x, skips.pop())
@@ -104,6 +104,6 @@ class TitanNext(nn.Module):
         return self.logits(image), depth_m
 
 
-def _beside(seen: Tensor, x: Tensor) -> Tensor:
+def _beside(merged: Tensor, x: Tensor) -> Tensor:
     """x with the merged input at its size beside it."""
-    return torch.cat([interpolate(seen, x.shape[-2:], mode="bilinear", align_corners=True), x], 1)
+    return torch.cat([interpolate(merged, x.shape[-2:], mode="bilinear", align_corners=True), x], 1)

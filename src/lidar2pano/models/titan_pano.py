@@ -48,7 +48,7 @@ class TitanPano(nn.Module):
             levels.append(nn.Sequential(*blocks))
             inputs = width
         self.levels = nn.ModuleList(levels)
-        self.surround = Surround(inputs)
+        self.surround = GlobalContext(inputs)
         self.laterals = nn.ModuleList([CircularConv(width, pyramid, 1) for width in deeper])
         self.smooth = nn.ModuleList([conv_norm_act(pyramid, pyramid) for _ in deeper])
         self.fuse = conv_norm_act(pyramid, 4 * stem)
@@ -81,7 +81,7 @@ class TitanPano(nn.Module):
         return self.classes(x), depth_m
 
 
-class Surround(nn.Module):
+class GlobalContext(nn.Module):
     """Adds what the whole picture says: means over the azimuth per row, and over everything."""
 
     def __init__(self, channels: int) -> None:

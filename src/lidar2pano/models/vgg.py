@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from lidar2pano.errors import InputError
 
-WIDTHS = (64, 64, 0, 128, 128, 0, 256, 256, 256, 256, 0, 512, 512, 512, 512, 0, 512)  # 0: the picture is halved
+WIDTHS = (64, 64, 0, 128, 128, 0, 256, 256, 256, 256, 0, 512, 512, 512, 512, 0, 512)  # 0: the image is halved
 TAPS = (1, 6, 11, 20, 29)  # relu1_1, relu2_1, relu3_1, relu4_1, relu5_1
 
 
@@ -28,13 +28,13 @@ class Vgg19(nn.Module):
             channels = width
         self.features = nn.Sequential(*layers)
 
-    def forward(self, picture: Tensor) -> list[Tensor]:
+    def forward(self, image: Tensor) -> list[Tensor]:
         """(B, 3, H, W) in [-1, 1], taken as it is (so does vid2vid's code) -> five layers' features."""
         found = []
         for place, layer in enumerate(self.features):
-            picture = layer(picture)
+            image = layer(image)
             if place in TAPS:
-                found.append(picture)
+                found.append(image)
         return found
 
 

@@ -8,7 +8,7 @@ Papers    Wang, Liu, Zhu, Liu, Tao, Kautz, Catanzaro: Video-to-Video Synthesis, 
           Conditional GANs, 2018 (arXiv:1711.11585), section 3.1: the global generator and the local enhancers, which
           vid2vid paints first frames with.
 Upstream  https://github.com/NVIDIA/vid2vid, commit 2e6d137 (code and weights CC BY-NC-SA 4.0): models/networks.py.
-          Written anew here; places in a `Sequential`, and with them the parameters' names, are the published ones,
+          Reimplemented here; places in a `Sequential`, and with them the parameters' names, are the published ones,
           those of netG<n> behind "<n>.".
 Deviates  from the published code in four points:
           all scales are one network (the published one is a list that its training program walks through);
@@ -136,8 +136,8 @@ def batch_norms(batch_statistics: bool) -> Norm:
 
 def instance_norms(own_statistics: bool) -> Norm:
     """The first-frame network's norm, without scale or shift: running statistics in evaluation mode, or its own."""
-    kind = InstanceStatistics if own_statistics else nn.InstanceNorm2d
-    return lambda width: kind(width, affine=False, track_running_stats=True)
+    norm = InstanceStatistics if own_statistics else nn.InstanceNorm2d
+    return lambda width: norm(width, affine=False, track_running_stats=True)
 
 
 def entry(inputs: int, width: int, norm: Norm) -> list[nn.Module]:
@@ -216,10 +216,10 @@ def start_as_published(network: nn.Module) -> None:
 class Painted(NamedTuple):
     """What the generator says of a frame, on the raster of its scale.
 
-    picture  (B, 3, H, W) in [-1, 1]: where `weight` is one, what is painted anew; else what was there before, warped.
+    picture  (B, 3, H, W) in [-1, 1]: where `weight` is one, the new image; else the previous one, warped.
     flow     (B, 2, H, W) pixels, backward: where in the previous picture a pixel was (u to the right, v down).
     weight   (B, 1, H, W) in [0, 1].
-    raw      (B, 3, H, W) in [-1, 1]: the picture painted anew everywhere.
+    raw      (B, 3, H, W) in [-1, 1]: the new image everywhere.
     """
 
     picture: Tensor
@@ -296,9 +296,9 @@ class Vid2Vid(Closable, nn.Module):
         """
         painted, features = [], None
         for scale, maps, pictures in zip(self._scales(), labels, previous, strict=True):
-            seen = maps.flatten(1, 2)
-            features = scale(seen, pictures.flatten(1, 2), features)
-            painted.append(self._composed(scale, features, pictures[:, -1], seen))
+            label_maps = maps.flatten(1, 2)
+            features = scale(label_maps, pictures.flatten(1, 2), features)
+            painted.append(self._composed(scale, features, pictures[:, -1], label_maps))
         return painted
 
     def pyramid(self, pictures: Tensor) -> list[Tensor]:
@@ -314,14 +314,14 @@ class Vid2Vid(Closable, nn.Module):
         """Coarse to fine."""
         return list(self.children())  # pyright: ignore[reportReturnType]
 
-    def _composed(self, scale: Heads, features: Features, latest: Tensor, seen: Tensor) -> Painted:
+    def _composed(self, scale: Heads, features: Features, latest: Tensor, label_maps: Tensor) -> Painted:
         """Equations 3 and 4 of the paper, in float32 whatever the layers before ran in: flow is in pixels."""
-        with torch.autocast(seen.device.type, enabled=False):
+        with torch.autocast(label_maps.device.type, enabled=False):
             raw, flow, weight, apart = scale.heads(features)
             moved = warp(latest.float(), flow, circular=self.closed, align_corners=self.align_corners)
             picture = raw * weight + moved * (1 - weight)
             if apart is not None:
-                mask = seen[:, self.foreground].float().sum(1, keepdim=True).clamp(0, 1)
+                mask = label_maps[:, self.foreground].float().sum(1, keepdim=True).clamp(0, 1)
                 picture, raw = apart * mask + picture * (1 - mask), apart * mask + raw * (1 - mask)
         return Painted(picture=picture, flow=flow, weight=weight, raw=raw)
 
@@ -478,10 +478,10 @@ class Vid2VidSingle(Closable, nn.Module):
 class ImageCritic(nn.Module):
     """Scores of patches, and the features that feature matching compares.
 
-    channels  of what is judged: label maps (published: 35 ids and the edges of instances) and a picture.
+    channels  of its input: label maps (published: 35 ids and the edges of instances) and a picture.
     width     of the first layer on the whole picture; twice that on the halved one and so on, up to 64, as published.
     layers    layers of stride 2.
-    scales    pictures that are judged, each half the size of the one before.
+    scales    images of the pyramid, each half the size of the one before.
     """
 
     def __init__(self, channels: int = 39, width: int = 64, layers: int = 3, scales: int = 2) -> None:

@@ -1,7 +1,7 @@
 """Paints a stream of label maps with vid2vid: on any raster, in the camera or all around, each frame after the last.
 
 How a stream begins. Published code (vid2vid_model_G.py, generate_first_frame) paints the first two frames with the
-network for single pictures, and the generator goes on from there; where it is told that there is no such network
+network for single pictures, and the generator goes on from there; where there is no such network
 (no_first_img), the generator begins from black pictures and its first frame is what it paints anew (`raw`), unwarped.
 So do we, with and without a `vid2vid-single`. Published code never shows the first two frames, and asks for the label
 maps before the first one; a stream has none, so its first label map stands for them.
@@ -20,6 +20,7 @@ from torch.nn.functional import avg_pool2d, pad
 from lidar2pano.errors import InputError
 from lidar2pano.labels import CITYSCAPES_IDS, COMMON15, TABLES, LabelSet
 from lidar2pano.models.circular import grow_circular, grown_classes
+from lidar2pano.models.painter import Scene
 from lidar2pano.models.vid2vid import Vid2Vid, Vid2VidSingle, close
 
 TWICE = Fraction(2)  # the finished panorama's raster is twice that of the segments
@@ -124,16 +125,10 @@ class Vid2VidPainter(nn.Module):
             )
         return cls(cast("Vid2Vid", generator), cast("Vid2VidSingle | None", single), finer=finer)
 
-    def paint(
-        self,
-        past: Past | None,
-        segments: Tensor,
-        depth_m: Tensor,  # noqa: ARG002 vid2vid sees classes only
-        image: Tensor,  # noqa: ARG002 likewise
-    ) -> tuple[Past, Tensor]:
-        """Paint the panorama that follows; arguments and answer as of models.painter.StreamPainter."""
+    def paint(self, past: Past | None, scene: Scene) -> tuple[Past, Tensor]:
+        """Paint the panorama that follows, from its classes alone; as of models.painter.StreamPainter."""
         grow, shrink = self.finer.as_integer_ratio()
-        past, picture = self.follow(past, grown_classes(_shrunk(segments, shrink), grow))
+        past, picture = self.follow(past, grown_classes(_shrunk(scene.segments, shrink), grow))
         grow, shrink = (TWICE / self.finer).as_integer_ratio()
         picture = _shrunk(picture[None], shrink)
         return past, picture if grow == 1 else grow_circular(picture, grow)

@@ -17,7 +17,7 @@ from PIL import Image
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
-from lidar2pano.formats.output_files import read_image, write_ids
+from lidar2pano.formats.image_files import read_image, write_ids
 from lidar2pano.formats.scan_files import write_label
 from lidar2pano.hardware import pick_device
 from lidar2pano.models.camera_segmenter import CameraSegmenter, CameraTeacher

@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame, FrameList
 from lidar2pano.evaluate import MetricConfig, Prediction, System
 from lidar2pano.evaluate.evaluation import system_input
-from lidar2pano.formats.output_files import write_png, write_whole
+from lidar2pano.formats.image_files import write_png, write_whole
 from lidar2pano.labels import COMMON15
 
 SAMPLES = 3  # frames of the split whose images are kept

@@ -7,14 +7,18 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
+from lidar2pano.data.frames import frames
 from lidar2pano.data.semantic_kitti import SEQUENCES
 from lidar2pano.errors import InputError
+from lidar2pano.formats.output_files import write_whole
 from lidar2pano.reproduce.paper_tables import ROWS, PaperRow
 from lidar2pano.train.options import VideoOptions
 from lidar2pano.train.recipe import Recipe, override
 from lidar2pano.train.recipes import recipe_named
 
+SELECTION = "selection"  # split of training frames on which checkpoints are selected
 UNITS = {"s": 1 / 60, "m": 1.0, "h": 60.0}
 SEGMENTER = "salsanext"
 
@@ -75,12 +79,14 @@ class Plan:
         found = recipe_named(f"{part}-mini" if self.mini else part)
         there = splits(self.data)
         train = tuple(name for name in found.data.train if name in there) or ("train",)
-        found = replace(found, data=replace(found.data, train=train, val=(self.split,)))
+        found = replace(found, data=replace(found.data, train=train, val=(SELECTION,)))
         given = {"segmenter": files.get(SEGMENTER), "translator": files.get("titan-pano")}
-        options = {name: str(file) for name, file in given.items() if file and hasattr(found.options, name)}
+        options: dict[str, Any] = {
+            name: str(file) for name, file in given.items() if file and hasattr(found.options, name)
+        }
         if isinstance(found.options, VideoOptions):
-            single = tuple(name for name in found.options.single_frame_splits if name in there)
-            options["single_frame_splits"] = single
+            single = (name for name in found.options.single_frame_splits if name in there - {self.split})
+            options["single_frame_splits"] = tuple(single) or ("train",)
         found = replace(found, options=replace(found.options, **options))
         for change in budget(self.budget):
             found = override(found, change)
@@ -89,6 +95,32 @@ class Plan:
             if name == part:
                 found = override(found, rest)
         return found
+
+
+def training_data(plan: Plan) -> Path:
+    """DIR/data, the data set with a split `selection`: the last training sequence, or the last tenth of the only one.
+
+    No checkpoint is selected on frames that are scored: other splits but the scored one lose these frames, and the
+    training splits lose those of the scored one. Everything but splits.json are links.
+    """
+    lists = {name: list(frames(plan.data, name).names) for name in dict.fromkeys(["train", *sorted(splits(plan.data))])}
+    scored = set(lists[plan.split])
+    train = [name for name in lists["train"] if name not in scored]
+    if not train:
+        raise InputError(f"{plan.data}: all frames of `train` are in `{plan.split}`, which is scored; name another")
+    sequences = [name.partition("/")[0] for name in train]
+    first = sequences.index(sequences[-1]) or len(train) - max(1, len(train) // 10)
+    held = set(train[first:])
+    kept = {name: [one for one in found if one not in held | scored] for name, found in lists.items()}
+    rest = kept | {"train": kept["train"] or train, SELECTION: train[first:], plan.split: lists[plan.split]}
+    folder = plan.out / "data"
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in plan.data.resolve().iterdir():
+        if path.name != "splits.json" and not (folder / path.name).is_symlink():
+            (folder / path.name).symlink_to(path)
+    text = json.dumps(rest, indent=1)
+    write_whole(folder / "splits.json", lambda beside: beside.write_text(text, encoding="utf-8"))
+    return folder
 
 
 def budget(text: str) -> list[str]:

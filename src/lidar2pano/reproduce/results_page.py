@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.output_files import write_whole
+from lidar2pano.formats.image_files import write_whole
 from lidar2pano.labels import COMMON14
 from lidar2pano.models.card import read_card
 from lidar2pano.models.families import weight_files
@@ -20,6 +20,7 @@ from lidar2pano.reproduce.run import Outcome
 from lidar2pano.train.checkpoint import commit
 
 CLASSES = COMMON14.classes[1:]
+LEAST_STEPS, LEAST_FRAMES = 1000, 50  # of training, and of scoring: below, an ordering is not decided
 IMAGE_METRICS = {
     "ssim": "SSIM",
     "fid": "FID",
@@ -58,10 +59,14 @@ def records(plan: Plan, outcome: Outcome) -> list[dict[str, Any]]:
 
 def value_of(result: Mapping[str, Any], name: str, sector: str = "camera") -> float:
     """A value of a row's result; NaN where it has none."""
-    for one in result["results"][0]["values"]:
-        if one["sector"] == sector and one["name"] == name and one["value"] is not None:
-            return one["value"]
-    return math.nan
+    return _entry(result, name, sector).get("value", math.nan)
+
+
+def _entry(result: Mapping[str, Any], name: str, sector: str) -> Mapping[str, Any]:
+    """A value of a row's result with its interval; empty where it has none."""
+    values = result["results"][0]["values"]
+    wanted = (one for one in values if (one["sector"], one["name"]) == (sector, name) and one["value"] is not None)
+    return next(wanted, {})
 
 
 def results_page(plan: Plan, outcome: Outcome, sheets: Sequence[Path], curves: Path | None) -> str:
@@ -162,12 +167,34 @@ def _claims(outcome: Outcome) -> Iterable[str]:
 
 
 def _verdict(claim: Claim, outcome: Outcome) -> str:
-    pair = [outcome.results.get(name) for name in (claim.first, claim.second)]
-    values = [math.nan if one is None else value_of(one, claim.metric) for one in pair]
-    if any(map(math.isnan, values)):
+    results = [outcome.results.get(name) for name in (claim.first, claim.second)]
+    pair = [{} if one is None else _entry(one, claim.metric, "camera") for one in results]
+    if not all(pair):
         return "not measured here"
-    better = values[0] > values[1] if claim.higher else values[0] < values[1]
-    return f"**{'confirmed' if better else 'contradicted'}** here ({values[0]:.4g} against {values[1]:.4g})"
+    first, second = (one["value"] for one in pair)
+    numbers = f"({first:.4g} against {second:.4g})"
+    if reason := _undecided(pair, min(_steps(one) for one in results if one is not None)):
+        return f"**not decided** here: {reason} {numbers}"
+    better = first > second if claim.higher else first < second
+    return f"**{'confirmed' if better else 'contradicted'}** here {numbers}"
+
+
+def _undecided(pair: Sequence[Mapping[str, Any]], steps: int) -> str:
+    """Why two values decide nothing; "" where they do."""
+    if steps < LEAST_STEPS:
+        return f"{steps} steps of training are fewer than {LEAST_STEPS}"
+    ends = [one[end] for one in pair for end in ("low", "high") if one.get(end) is not None]
+    if len(ends) < 4:  # distances of sets have no interval
+        frames = min(one.get("frames", 0) for one in pair)
+        return f"{frames} frames are fewer than {LEAST_FRAMES}" if frames < LEAST_FRAMES else ""
+    low, high, other_low, other_high = ends
+    return "the 95 % intervals overlap" if low <= other_high and other_low <= high else ""
+
+
+def _steps(result: Mapping[str, Any]) -> int:
+    """Steps of the row's least trained network beside the LiDAR segmenter."""
+    networks = result["results"][0].get("networks", {})
+    return min((card.get("steps", 0) for role, card in networks.items() if role != "segmenter"), default=0)
 
 
 def _times(plan: Plan, outcome: Outcome) -> str:

@@ -13,12 +13,12 @@ from typing import Any
 from lidar2pano.data.frames import FrameList, frames
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import MetricConfig, score, system
-from lidar2pano.formats.output_files import write_whole
+from lidar2pano.formats.image_files import write_whole
 from lidar2pano.models.card import read_card
 from lidar2pano.models.families import weight_files
 from lidar2pano.reproduce.image_sheets import write_images
 from lidar2pano.reproduce.paper_tables import PaperRow
-from lidar2pano.reproduce.plan import SEGMENTER, Plan
+from lidar2pano.reproduce.plan import SEGMENTER, Plan, training_data
 
 log = logging.getLogger(__name__)
 
@@ -70,7 +70,7 @@ def train_part(plan: Plan, part: str, files: Mapping[str, Path]) -> Path:
         if part == "painter" and not getattr(recipe.options, option):
             raise InputError(f"the painter is trained behind a {option}, and there is none")
     log.info("training %s", recipe.name)
-    folder = train(recipe, plan.data, plan.run(part), device=plan.device)
+    folder = train(recipe, training_data(plan), plan.run(part), device=plan.device)
     return folder / f"{_released(part)}.safetensors"
 
 

@@ -15,7 +15,7 @@ from lidar2pano.data.frames import IGNORE
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import labelled_cross_entropy
-from lidar2pano.models.camera_segmenter import CameraSegmenter, Colours
+from lidar2pano.models.camera_segmenter import CameraSegmenter, ImageNormalisation
 from lidar2pano.train.options import CameraSegmentationOptions
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import build_networks, segmentation_scores
@@ -39,7 +39,7 @@ class CameraSegmentation:
         self.dataset = CameraImageDataset(root, recipe.data.train, augmentation)
         self.validation = CameraImageDataset(root, recipe.data.val, augmentation)
         self.networks = build_networks(recipe)
-        self.normalise = Colours()
+        self.normalise = ImageNormalisation()
         self.logs: dict[str, float | Tensor] = {}
 
     def updates(self, batch: CameraImageSample) -> Iterator[tuple[str, Tensor]]:

@@ -28,11 +28,12 @@ class ColourTask:
     """Scores and previews that the tasks of this file share; subclasses have data sets, `inputs` and `updates`."""
 
     released = ("renderer",)
+    options: Any
     dataset: FrontViewDataset | CameraProjectionDataset
     validation: FrontViewDataset | CameraProjectionDataset
 
     def __init__(self, recipe: Recipe) -> None:
-        self.networks = build_networks(recipe)
+        self.options, self.networks = recipe.options, build_networks(recipe)
         self.logs: dict[str, float | Tensor] = {}
 
     def inputs(self, batch: FrontViewSample | CameraProjectionSample) -> Tensor:
@@ -82,9 +83,7 @@ class FrontColourTask(ColourTask):
 class FrontColour(FrontColourTask):
     """Trains a renderer by squared error and WGAN-GP, as TITAN-Net is; the critic is conditioned on the range view."""
 
-    def __init__(self, recipe: Recipe[FrontColourOptions], root: Path) -> None:
-        super().__init__(recipe, root)
-        self.options = recipe.options
+    options: FrontColourOptions
 
     def updates(self, batch: FrontViewSample) -> Iterator[tuple[str, Tensor]]:
         """The critic, then the renderer."""
@@ -103,9 +102,7 @@ class FrontColour(FrontColourTask):
 class Pix2PixColours(FrontColourTask):
     """Trains Pix2Pix from the range view to the camera's image."""
 
-    def __init__(self, recipe: Recipe[Pix2PixColoursOptions], root: Path) -> None:
-        super().__init__(recipe, root)
-        self.options = recipe.options
+    options: Pix2PixColoursOptions
 
     def updates(self, batch: FrontViewSample) -> Iterator[tuple[str, Tensor]]:
         """The discriminator, then the renderer."""
@@ -126,9 +123,10 @@ class CameraColour(ColourTask):
     Its setting `inputs` says what it reads: 1 is remission, 2 is remission and range.
     """
 
-    def __init__(self, recipe: Recipe[CameraColourOptions], root: Path) -> None:
+    options: CameraColourOptions
+
+    def __init__(self, recipe: Recipe, root: Path) -> None:
         super().__init__(recipe)
-        self.options = recipe.options
         self.channels = int(recipe.networks["renderer"].settings.get("inputs", 1))
         self.dataset = CameraProjectionDataset(root, recipe.data.train, self.options.size)
         self.validation = CameraProjectionDataset(root, recipe.data.val, self.options.size)

@@ -39,10 +39,11 @@ class FrontTask:
     """
 
     released = ("translator",)
+    options: Any
     wanted: ClassVar[SampleParts] = SampleParts(labels=True)
 
     def __init__(self, recipe: Recipe[FrontOptions] | Recipe[Pix2PixSegmentsOptions], root: Path) -> None:
-        self.view = VIEWS[recipe.view]
+        self.view, self.options = VIEWS[recipe.view], recipe.options
         self.networks = build_networks(recipe)
         size = image_size(self.networks["translator"])
         self.dataset = FrontViewDataset(root, recipe.data.train, self.view, size, self.wanted)
@@ -91,9 +92,7 @@ class FrontTranslation(FrontTask):
     Ablations without one of the inputs are settings of the network.
     """
 
-    def __init__(self, recipe: Recipe[FrontOptions], root: Path) -> None:
-        super().__init__(recipe, root)
-        self.options = recipe.options
+    options: FrontOptions
 
     def updates(self, batch: FrontViewSample) -> Iterator[tuple[str, Tensor]]:
         """The critic, then the translator."""
@@ -124,9 +123,7 @@ class FrontDepthTranslation(FrontTask):
 
     wanted: ClassVar[SampleParts] = SampleParts(labels=True, depth=True)
 
-    def __init__(self, recipe: Recipe[FrontDepthOptions], root: Path) -> None:
-        super().__init__(recipe, root)
-        self.options = recipe.options
+    options: FrontDepthOptions
 
     def updates(self, batch: FrontViewSample) -> Iterator[tuple[str, Tensor]]:
         """The critic, then the translator."""
@@ -200,9 +197,7 @@ class Pix2PixSegments(FrontTask):
     Every pixel counts, those of class 0 too: Pix2Pix ignores no class.
     """
 
-    def __init__(self, recipe: Recipe[Pix2PixSegmentsOptions], root: Path) -> None:
-        super().__init__(recipe, root)
-        self.options = recipe.options
+    options: Pix2PixSegmentsOptions
 
     def updates(self, batch: FrontViewSample) -> Iterator[tuple[str, Tensor]]:
         """The discriminator, then the translator."""

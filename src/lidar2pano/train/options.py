@@ -35,8 +35,8 @@ class TaskOptions:
             if not all(isinstance(number, int | float) for number in numbers):
                 continue
             check_least("options", 1 if name in self.SIZES else 0, **{name: numbers})
-            if name.endswith("_probability") and value > 1:
-                raise InputError(f"options.{name}={value:g} must be at most 1")
+            if name.endswith("_probability") and max(numbers) > 1:
+                raise InputError(f"options.{name}={value} must be at most 1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,6 +198,40 @@ class PaintingOptions(TaskOptions):
     pixels: float = 2.0
     teacher_label_probability: float = 0.5
     augment_probability: float = 0.0
+    translator: str = ""
+    segmenter: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenePaintingOptions(TaskOptions):
+    """The scene painter.
+
+    columns                    width of a crop on the translator's raster.
+    perceptual, pooled,
+    pixels, adversarial        weights of the losses; no discriminator where the last is 0.
+    ground_truth_probability   of samples painted from the ground truth's classes, where they are known.
+    sharpest                   largest power that class probabilities are raised to.
+    simulated_probability      where there are real and simulated frames: of the second of a sample's two crops being
+                               of a simulated frame; otherwise it is of a real one, as the first.
+    fixed_norms                whether norms keep their statistics.
+    look                       of frames that no simulator made.
+    cache                      folder that keeps what is made of each frame.
+    translator, segmenter      weight files of the networks whose output is painted.
+    """
+
+    task = "scene-painting"
+    SIZES = ("columns",)
+    columns: int = 256
+    perceptual: float = 2.0
+    pooled: float = 2.0
+    pixels: float = 0.5
+    adversarial: float = 0.35
+    ground_truth_probability: float = 0.6
+    sharpest: float = 4.0
+    simulated_probability: float = 0.5
+    fixed_norms: bool = False
+    look: str = ""
+    cache: str = "painting-frames"
     translator: str = ""
     segmenter: str = ""
 

@@ -119,7 +119,7 @@ def load_segmenter(file: str) -> Callable[[Scan], Tensor]:
 
 
 def segmentation_scores(
-    pairs: Iterable[tuple[Tensor, Tensor]], classes: int | LabelSet, unscored: tuple[int, ...] = ()
+    pairs: Iterable[tuple[Tensor, Tensor | np.ndarray]], classes: int | LabelSet, unscored: tuple[int, ...] = ()
 ) -> dict[str, float]:
     """MIoU, which is the score, and accuracy of (predicted ids, target ids) over all frames together."""
     confusion = Confusion(classes, unscored=unscored)

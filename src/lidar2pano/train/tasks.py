@@ -13,11 +13,12 @@ from lidar2pano.train.front import FrontDepthTranslation, FrontTranslation, Pix2
 from lidar2pano.train.painting import Painting
 from lidar2pano.train.panorama import PanoramaTranslation
 from lidar2pano.train.recipe import Recipe
+from lidar2pano.train.scene_painting import ScenePainting
 from lidar2pano.train.segmentation import Segmentation
 from lidar2pano.train.task import Task
 from lidar2pano.train.video import VideoPainting
 
-TASKS: dict[str, Callable[[Recipe[Any], Path], Task]] = {
+TASKS: dict[str, Callable[[Recipe[Any], Path], Any]] = {
     "segmentation": Segmentation,
     "camera-segmentation": CameraSegmentation,
     "front": FrontTranslation,
@@ -28,6 +29,7 @@ TASKS: dict[str, Callable[[Recipe[Any], Path], Task]] = {
     "pix2pix-colours": Pix2PixColours,
     "panorama": PanoramaTranslation,
     "painting": Painting,
+    "scene-painting": ScenePainting,
     "video": VideoPainting,
 }
 
@@ -39,7 +41,7 @@ def build_task(recipe: Recipe, root: Path) -> Task:
     """
     if recipe.task not in TASKS:
         raise InputError(f"recipe {recipe.name!r}: no task {recipe.task!r}{closest(recipe.task, TASKS)}")
-    task = TASKS[recipe.task](recipe, root)
+    task: Task = TASKS[recipe.task](recipe, root)
     if set(task.networks) != set(recipe.networks):
         ours, theirs = sorted(recipe.networks), sorted(task.networks)
         raise InputError(f"task {recipe.task!r} trains {', '.join(theirs)}; the recipe has {', '.join(ours)}")

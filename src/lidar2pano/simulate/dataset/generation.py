@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.output_files import write_whole
+from lidar2pano.formats.image_files import write_whole
 from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
 from lidar2pano.simulate.dataset.settings import WorldSettings, claim_folder
 

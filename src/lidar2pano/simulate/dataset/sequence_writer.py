@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar2pano.formats.output_files import write_depth, write_palette, write_png, write_whole
+from lidar2pano.formats.image_files import write_depth, write_palette, write_png, write_whole
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.simulate.dataset.settings import WorldSettings, panorama_view, recording_camera
 from lidar2pano.simulate.layout.street_world import World, build_world

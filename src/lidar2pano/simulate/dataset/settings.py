@@ -11,7 +11,7 @@ import numpy as np
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.output_files import write_whole
+from lidar2pano.formats.image_files import write_whole
 from lidar2pano.simulate.layout.places import PLACES
 from lidar2pano.simulate.lidar.sensor_models import SENSOR_MODELS
 from lidar2pano.simulate.render.looks import LOOKS

@@ -17,6 +17,8 @@ RECIPES: dict[str, Callable[[], Recipe]] = {
     "titan-pano-mini": lambda: on_two_cores(chain.titan_pano(), minutes=24, batch=4),
     "painter": chain.painter,
     "painter-mini": lambda: on_two_cores(chain.painter(), minutes=26, batch=2),
+    "scene-painter": chain.scene_painter,
+    "scene-painter-mini": lambda: on_two_cores(chain.scene_painter(), minutes=40, batch=2, ema=0.99),
     "release-segmenter": chain.release_segmenter,
     "release-segmenter-mini": lambda: on_two_cores(chain.release_segmenter(), minutes=40, batch=2, ema=0.997),
     "release-translator": chain.release_translator,

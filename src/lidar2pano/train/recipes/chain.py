@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from lidar2pano.train.options import PaintingOptions, PanoramaOptions, SegmentationOptions
+from lidar2pano.train.options import PaintingOptions, PanoramaOptions, ScenePaintingOptions, SegmentationOptions
 from lidar2pano.train.recipe import Data, Network, Optimizer, Recipe, Training, on_two_cores, vary
 
 PAINTER = {"filled": True, "sharp": 4.0, "grain": True}
@@ -63,6 +63,23 @@ def painter() -> Recipe[PaintingOptions]:
         },
         options=PaintingOptions(),
         training=Training(steps=50_000, batch=2),
+    )
+
+
+def scene_painter() -> Recipe[ScenePaintingOptions]:
+    """The scene painter: colour from segments and the shape of things, against heads on frozen features."""
+    painter = Optimizer(algorithm="adam", rate=1e-3, betas=(0.5, 0.99), warmup=10, clip=5.0)
+    critic = Optimizer(algorithm="adam", rate=5e-4, betas=(0.0, 0.99), schedule="constant")
+    settings = {"looks": ("day", "overcast", "autumn", "evening"), "look": "day"}
+    return Recipe(
+        view="panorama",
+        scale=0.5,
+        networks={
+            "painter": Network(model="scene-painter", settings=settings, optimizer=painter),
+            "critic": Network(model="projected-critic", optimizer=critic),
+        },
+        options=ScenePaintingOptions(),
+        training=Training(steps=50_000, batch=8),
     )
 
 

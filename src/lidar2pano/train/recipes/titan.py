@@ -80,7 +80,7 @@ def without_range(recipe: Recipe[FrontOptions]) -> Recipe:
     return vary(recipe, translator={"channels": 0})
 
 
-def without_segments(recipe: Recipe[FrontOptions], mse: float = 1.0) -> Recipe[FrontColourOptions]:
+def without_segments(recipe: Recipe[FrontOptions], mse: float = 1.0) -> Recipe:
     """TITAN-Net from the range view straight to colours, with the squared error as its auxiliary loss.
 
     The critic is conditioned on the range view, since there are no segments to condition it on. In few steps the

@@ -1,10 +1,13 @@
-"""Pictures on disk: RGB and class ids as PNG, depth as KITTI's 16 bit PNG; each file complete or not at all."""
+"""Image files: RGB, class ids and 16 bit depth as PNG; and files that are written completely or not at all."""
 
 from __future__ import annotations
 
 import os
+import platform
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +18,8 @@ from lidar2pano.labels import COMMON15, LabelSet
 
 DEPTH_STEPS = 256  # per metre, KITTI's form of 16 bit depth
 FAST_PNG = 1  # zlib's level: a third of the default's time for a tenth more bytes
+PART = ".lidar2pano-part"  # ending of unfinished files
+HOST = platform.node()[:64]
 SMALL_PNG = 9  # for what is written once and read often
 
 
@@ -34,15 +39,15 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def write_png(path: Path, colour: np.ndarray) -> None:
-    """Write an RGB picture (h, w, 3) uint8."""
+    """Write an RGB image (h, w, 3) uint8."""
     Image.fromarray(colour).save(path, format="PNG", compress_level=FAST_PNG)
 
 
 def write_palette(path: Path, ids: np.ndarray, labels: LabelSet = COMMON15) -> None:
     """Write ids (h, w) uint8 as a palette PNG: the pixels are the ids, the palette the colours of their label set."""
-    picture = Image.fromarray(ids, mode="P")
-    picture.putpalette(labels.palette())
-    picture.save(path, format="PNG", compress_level=FAST_PNG)
+    image = Image.fromarray(ids, mode="P")
+    image.putpalette(labels.palette())
+    image.save(path, format="PNG", compress_level=FAST_PNG)
 
 
 def write_ids(path: Path, ids: np.ndarray) -> None:
@@ -57,21 +62,35 @@ def write_depth(path: Path, depth_m: np.ndarray) -> None:
 
 
 def write_whole(path: Path, write: Callable[[Path], object], option: str = "--out") -> Path:
-    """Call `write` with a file beside `path`, then rename that: nobody ever sees half a file. Returns `path`.
+    """Call `write` with a file beside `path`, flush it to the disk, then rename it: no half file is ever seen.
+
+    What a killed process left half written in the same folder is removed. Returns `path`.
 
     Raises InputError where the file cannot be written; `option` is what the user should choose differently.
     """
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    beside = path.with_name(f".{HOST}-{os.getpid()}-{threading.get_native_id()}{PART}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write(beside)
-        beside.replace(path)
+        _sweep(path.parent)
+        try:
+            write(beside)
+            with beside.open("rb+") as file:
+                os.fsync(file.fileno())
+            beside.replace(path)
+        finally:
+            beside.unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another {option}") from error
-    finally:
-        if path.parent.is_dir():
-            beside.unlink(missing_ok=True)
     return path
+
+
+@cache
+def _sweep(folder: Path) -> None:
+    """Remove the unfinished files of processes of this machine that no longer run; once per folder and process."""
+    for part in folder.glob(f".{HOST}-*{PART}"):
+        process = part.name.removeprefix(f".{HOST}-").partition("-")[0]
+        if process.isdecimal() and not Path(f"/proc/{process}").exists() and Path("/proc/self").exists():
+            part.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -1,0 +1,94 @@
+"""Noise that hangs in space: a random field, read at the point that each pixel of a panorama shows.
+
+After Perlin 1985 (solid texture): leaves and gravel get the scene's perspective, look the same from every side and
+stay where they are when the sensor moves. One periodic tile of voxels serves all wavelengths: it is smooth over a few
+voxels, so that the nearest voxel will do. A wavelength that a pixel could not show is faded out (band limiting, as in
+Norton et al. 1982).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lidar2pano.geometry.surface import azimuths, slopes
+from lidar2pano.views import View
+
+BITS = 6  # the tile has 2^BITS voxels along each axis
+VOXELS = 4  # per wavelength
+FARTHEST_M = 200.0  # nothing stands farther away
+SKY_M = 4.0  # the sky is a sphere of this radius that goes with the viewer
+STRIP = 16  # rows that are looked up at a time, so that they stay in the processor's cache
+AWAY_M = 4096.0  # added to coordinates, a multiple of every period: whole numbers are cut off, not rounded down
+
+
+@lru_cache(maxsize=4)
+def noise_tile(device: torch.device, dtype: torch.dtype) -> Tensor:
+    """The tile (2^(3 BITS),): periodic normal noise without what is finer than a wavelength, variance 1, fixed seed."""
+    side = 2**BITS
+    white = torch.randn(side, side, side, generator=torch.Generator().manual_seed(7))
+    axis = torch.fft.fftfreq(side)
+    squared = axis[:, None, None] ** 2 + axis[:, None] ** 2 + axis[: side // 2 + 1].abs() ** 2
+    kept = torch.exp(-squared / (2 * (0.5 / VOXELS) ** 2))
+    tile = torch.fft.irfftn(torch.fft.rfftn(white) * kept, s=white.shape)
+    tile = (tile - tile.mean()) / tile.std()
+    return tile.flatten().to(device=device, dtype=dtype)
+
+
+def solid_noise(
+    depth_m: Tensor, sky: Tensor, view: View, wavelengths_m: Sequence[float], T_world_sensor: np.ndarray | None = None
+) -> Tensor:
+    """Noise (K, H, W) of K wavelengths at the points of a panorama, about normal, in the depths' dtype.
+
+    depth_m        (H, W) metres from the view's origin;  sky: (H, W) bool, read by direction alone.
+    wavelengths_m  each a power of two, at most 64 m.
+    T_world_sensor  (4, 4): where the noise hangs; None: on the sensor frame.
+    A wavelength is at full strength where it is twice as long as a pixel is wide, and gone where it is as long.
+    """
+    finest = min(wavelengths_m) / VOXELS
+    shifts = [round(float(np.log2(wave / VOXELS / finest))) for wave in wavelengths_m]
+    column, row, start, sky_start = _axes(view, T_world_sensor, finest, depth_m.device)
+    tile = noise_tile(depth_m.device, depth_m.dtype)
+    slope = slopes(view, device=depth_m.device)
+    per_depth = torch.rsqrt(1 + slope * slope)[:, None]
+    out = depth_m.new_empty(len(wavelengths_m), *depth_m.shape)
+    mask = 2**BITS - 1
+    for top in range(0, view.rows, STRIP):
+        rows = slice(top, top + STRIP)
+        is_sky = sky[rows]
+        distance = depth_m[rows].float().clamp(0.1, FARTHEST_M)
+        radius = distance.masked_fill(is_sky, SKY_M) * per_depth[rows]
+        q = []
+        for axis in range(3):
+            place = (column[axis] + row[axis, rows, None]).mul_(radius).add_(start[axis])
+            q.append(place.to(torch.int32))
+        # of the sky the sensor's place does not matter: take it back
+        if any(sky_start):
+            q = [part.sub_(is_sky.to(torch.int32).mul_(move)) for part, move in zip(q, sky_start, strict=True)]
+        inverse = distance.masked_fill_(is_sky, 1e-3).reciprocal_().mul_(view.focal_px)
+        for number, (wave, shift) in enumerate(zip(wavelengths_m, shifts, strict=True)):
+            x, y, z = (part.bitwise_right_shift(shift).bitwise_and_(mask) for part in q)
+            place = x.bitwise_left_shift_(BITS).add_(y).bitwise_left_shift_(BITS).add_(z)
+            noise = tile.index_select(0, place.flatten()).view(place.shape)
+            share = (inverse * wave).sub_(1).clamp_(0, 1)
+            torch.mul(noise, share, out=out[number, rows])
+    return out
+
+
+def _axes(
+    view: View, T_world_sensor: np.ndarray | None, voxel_m: float, device: torch.device
+) -> tuple[Tensor, Tensor, list[float], list[int]]:
+    """What a point is made of, in voxels: radius x (column (3, W) + row (3, H)) + start; and start without AWAY_M."""
+    pose = np.eye(4) if T_world_sensor is None else np.asarray(T_world_sensor, dtype=np.float64)
+    rotation = torch.from_numpy(pose[:3, :3].copy())
+    angle = azimuths(view)
+    flat = torch.stack([angle.cos(), angle.sin(), torch.zeros_like(angle)])
+    column = (rotation @ flat / voxel_m).float().to(device)
+    row = (rotation[:, 2:] * slopes(view).double() / voxel_m).float().to(device)
+    place = (pose[:3, :3] @ np.array(view.origin) + pose[:3, 3]) % AWAY_M
+    moved = [round(value) for value in (place / voxel_m).tolist()]
+    return column, row, [AWAY_M / voxel_m + value for value in moved], moved

@@ -1,0 +1,165 @@
+"""Scene painter: a colour panorama from segments and depth, with texture that hangs on the scene.
+
+An encoder-decoder, circular in azimuth, that sees the shape of things (normals, height above the road) and solid noise
+at each pixel's own point, coarse at the translator's raster and fine at the picture's own, on which its last layers
+work. Several looks in one network: a learned code per look scales and shifts features (FiLM, Perez et al. 2018).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import avg_pool2d
+
+from lidar2pano.errors import InputError, closest
+from lidar2pano.geometry.solid_noise import solid_noise
+from lidar2pano.geometry.surface import cylinder_points, normals, road_height
+from lidar2pano.labels import COMMON15
+from lidar2pano.models.circular import CircularConv, CircularResidual, conv_norm_act
+from lidar2pano.models.painter import STRIDE, Scene, spread_out
+from lidar2pano.models.titan_pano import FAR_M, depth_code
+from lidar2pano.views import View
+
+SKY, ROAD = COMMON15.id_of("sky"), COMMON15.id_of("road")
+COARSE_M = (0.25, 1.0, 4.0)  # wavelengths of the noise on the translator's raster
+FINE_M = (0.0625, 0.125, 0.5)  # and on the picture's
+SHAPE = 8  # channels beside segments and noise: depth, remission, validity, row, height, normals
+MOMENTUM = 0.02  # of norm statistics: batches are two small crops
+TONE = 3  # red, green, blue: how much brighter a picture is than the mean of its look
+
+
+class ScenePainter(nn.Module):
+    """RGB from segments and geometry.
+
+    classes  of the segments (common-15: 16 with unlabeled).
+    looks    names of the looks it knows;  look: the one that is painted where none is given (default: the first).
+    widths   channels at 1/1, 1/2, 1/4 of the input raster;  last: at the picture's raster.
+    blocks   residual blocks at 1/4;  code: numbers per look.
+    sharp    power that class probabilities are raised to before they sum to 1 again.
+    """
+
+    def __init__(
+        self,
+        classes: int = 16,
+        looks: Sequence[str] = ("day",),
+        look: str = "",
+        widths: Sequence[int] = (32, 80, 144),
+        blocks: int = 4,
+        last: int = 16,
+        code: int = 16,
+        sharp: float = 2.0,
+    ) -> None:
+        super().__init__()
+        fine, middle, coarse = widths
+        self.looks, self.look, self.sharp = tuple(looks), look or looks[0], sharp
+        self.look_shares(self.look)
+        shown = classes + SHAPE + len(COARSE_M)
+        self.codes = nn.Embedding(len(self.looks), code)
+        self.stem = conv_norm_act(shown, fine)
+        self.down1 = nn.Sequential(conv_norm_act(fine, middle, stride=2), CircularResidual(middle))
+        self.down2 = conv_norm_act(middle, coarse, stride=2)
+        self.trunk = nn.ModuleList([CircularResidual(coarse, dilation=(1, 2, 4)[i % 3]) for i in range(blocks)])
+        self.up1 = nn.Sequential(conv_norm_act(coarse + shown, 4 * middle, 1), nn.PixelShuffle(2))
+        self.mix1 = nn.Sequential(conv_norm_act(2 * middle + shown, middle), CircularResidual(middle))
+        self.up0 = nn.Sequential(conv_norm_act(middle, 4 * fine, 1), nn.PixelShuffle(2))
+        self.mix0 = conv_norm_act(2 * fine + shown, fine)
+        self.up = nn.Sequential(conv_norm_act(fine, 4 * last), nn.PixelShuffle(2))
+        self.texture = conv_norm_act(last + len(FINE_M), last)
+        self.colour = CircularConv(last, 3)
+        self.tuned = nn.ModuleList([nn.Linear(code + TONE, 2 * width) for width in (coarse, middle, fine)])
+        for part in self.modules():
+            if isinstance(part, nn.BatchNorm2d):
+                part.momentum = MOMENTUM
+        for layer in self.tuned:
+            nn.init.normal_(layer.weight, std=0.05)
+            nn.init.zeros_(layer.bias)
+
+    def look_shares(self, look: str) -> list[float]:
+        """Shares of each look in what a name stands for, "A" or "A+B" (their mean); InputError for an unknown name."""
+        names = [name.strip() for name in (look or self.look).split("+")]
+        for name in names:
+            if name not in self.looks:
+                known = ", ".join(self.looks)
+                raise InputError(f"the painter knows no look {name!r}{closest(name, self.looks)}; it knows {known}")
+        return [names.count(look) / len(names) for look in self.looks]
+
+    def forward(self, shown: Tensor, fine_noise: Tensor, shares: Tensor, tone: Tensor) -> Tensor:
+        """Paint.
+
+        shown, fine_noise  (B, classes + SHAPE + 3, H, W) and (B, 3, 2H, 2W) of `painter_inputs`.
+        shares  (B, looks): shares of each look;  tone: (B, 3), how much brighter than the mean of its look, in [-1, 1].
+        Returns (B, 3, 2H, 2W) in [-1, 1]. Raises InputError unless H and W are multiples of 4.
+        """
+        if shown.shape[-2] % STRIDE or shown.shape[-1] % STRIDE:
+            raise InputError(f"segments of {tuple(shown.shape[-2:])} pixels: rows, columns must divide by {STRIDE}")
+        code = torch.cat([shares @ self.codes.weight, tone], 1)
+        fine = self.stem(shown)
+        shown, fine_noise = shown.to(fine.dtype), fine_noise.to(fine.dtype)  # one float32 part would make all float32
+        shown2 = avg_pool2d(shown, 2)
+        shown4 = avg_pool2d(shown2, 2)
+        middle = self.down1(fine)
+        x = self._tuned(0, self.down2(middle), code)
+        for block in self.trunk:
+            x = block(x)
+        x = self.mix1(torch.cat([_channels_last(self.up1(torch.cat([x, shown4], 1))), middle, shown2], 1))
+        x = self._tuned(1, x, code)
+        x = self.mix0(torch.cat([_channels_last(self.up0(x)), fine, shown], 1))
+        x = _channels_last(self.up(self._tuned(2, x, code)))
+        return torch.tanh(self.colour(self.texture(torch.cat([x, fine_noise], 1))))
+
+    def paint(self, past: object, scene: Scene) -> tuple[None, Tensor]:  # noqa: ARG002
+        """Paint every scan for itself; arguments and answer as of StreamPainter."""
+        segments = sharpened(scene.segments, self.sharp)
+        shown, fine_noise = painter_inputs(segments, scene.depth_m, scene.channels, scene.view, scene.T_world_sensor)
+        shares = torch.tensor([self.look_shares(scene.look)], device=shown.device)
+        return None, self(shown, fine_noise, shares, shares.new_zeros(1, TONE))
+
+    def _tuned(self, number: int, x: Tensor, code: Tensor) -> Tensor:
+        factor, shift = self.tuned[number](code)[..., None, None].to(x.dtype).chunk(2, 1)
+        return torch.addcmul(shift, x, 1 + factor)
+
+
+def sharpened(segments: Tensor, power: Tensor | float) -> Tensor:
+    """Probabilities (B, classes, H, W) raised to a power, so that they sum to 1 again."""
+    raised = segments.float().pow(power)
+    return raised / raised.sum(1, keepdim=True)
+
+
+def painter_inputs(
+    segments: Tensor, depth_m: Tensor, image: Tensor, view: View, T_world_sensor: np.ndarray | None = None
+) -> tuple[Tensor, Tensor]:
+    """What the network sees: (B, classes + SHAPE + 3, H, W) and fine noise (B, 3, 2H, 2W), float32, channels last.
+
+    segments  (B, classes, H, W): probabilities.
+    depth_m   (B, H, W): metres, everywhere.
+    image     (B, 5, H, W): a RangeImage's channels, of which remission and validity are used.
+    view      the raster H x W;  T_world_sensor: (4, 4), where the noise hangs (None: on the sensor's frame).
+    """
+    depth_m = depth_m.float()
+    best = segments.max(1).indices
+    sky = best == SKY
+    radius_m, z_m = cylinder_points(depth_m, view)
+    sensor_z_m = z_m + view.origin[2]
+    height_m = sensor_z_m - road_height(radius_m, sensor_z_m, best == ROAD)[:, None, None]
+    shape = torch.cat([(height_m / 4).clamp(-1, 4)[:, None], normals(radius_m, z_m, view)], 1)
+    shape.masked_fill_(sky[:, None], 0)
+    remission, valid = spread_out(image[:, 4].float(), (image[:, 0] > 0).float())
+    row = torch.linspace(1, -1, segments.shape[2], device=segments.device)[None, :, None].expand_as(valid)
+    flat = torch.stack([depth_code(depth_m.clamp(max=FAR_M)), remission, valid, row], 1)
+    twice = depth_m.repeat_interleave(2, 1).repeat_interleave(2, 2)
+    sky_twice = sky.repeat_interleave(2, 1).repeat_interleave(2, 2)
+    coarse = _noise(depth_m, sky, view, COARSE_M, T_world_sensor)
+    fine = _noise(twice, sky_twice, view.scaled(2), FINE_M, T_world_sensor)
+    return _channels_last(torch.cat([segments.float(), flat, shape, coarse], 1)), _channels_last(fine)
+
+
+def _noise(depths: Tensor, skies: Tensor, view: View, waves: Sequence[float], pose: np.ndarray | None) -> Tensor:
+    return torch.stack([solid_noise(*scene, view, waves, pose) for scene in zip(depths, skies, strict=True)])
+
+
+def _channels_last(x: Tensor) -> Tensor:
+    """What is joined takes its first part's layout, and pixel shuffles give the slow one."""
+    return x.contiguous(memory_format=torch.channels_last)

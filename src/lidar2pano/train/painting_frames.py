@@ -1,0 +1,181 @@
+"""Frames to paint: segments and depth that the released networks make of a scan, and the image that belongs to it.
+
+Each frame is segmented and translated once, on its first use, and kept in a file.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple, Self
+
+import numpy as np
+import torch
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from lidar2pano.data.frames import IGNORE, Frame, SampleIndex
+from lidar2pano.data.panorama_crops import PanoramaDataset
+from lidar2pano.errors import InputError
+from lidar2pano.hardware import Timer
+from lidar2pano.labels import COMMON15
+from lidar2pano.pipeline import Pipeline
+from lidar2pano.train.options import ScenePaintingOptions
+
+MARGIN = 48  # columns of a camera's sector that are kept on each side beyond those of a crop
+
+
+class PaintingSample(NamedTuple):
+    """N crops, of which the first is real where real frames are; after collation with a leading B, see `flat`.
+
+    segments  (N, 16, H, W) float16 probabilities;  depth_m (N, H, W) float32;  channels (N, 5, H, W) float32, of which
+              only validity (0 or 1 in place of the range) and remission are filled.
+    labels    (N, H, W) int64 ids of COMMON15, IGNORE where not known.
+    image     (N, 3, 2H, 2W) float32 in [-1, 1];  valid (N, 2H, 2W) bool: where it is known.
+    look      (N,) int64: number of the look;  tone (N, 3) float32: how much brighter than the mean of its look.
+    """
+
+    segments: Tensor
+    depth_m: Tensor
+    channels: Tensor
+    labels: Tensor
+    image: Tensor
+    valid: Tensor
+    look: Tensor
+    tone: Tensor
+
+    def flat(self) -> Self:
+        """Join the first two dimensions, batch and crops."""
+        return type(self)(*(part.flatten(0, 1) for part in self))
+
+
+class PaintingFrames:
+    """Frames of some splits: crops of real and simulated frames; which share is which, and the rest, say the options.
+
+    pipeline  segments and translates;  looks: names of the looks, which frames are sorted into by their world.json.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        splits: tuple[str, ...],
+        pipeline: Pipeline,
+        looks: tuple[str, ...],
+        options: ScenePaintingOptions,
+    ) -> None:
+        self.pipeline, self.options, self.cache = pipeline, options, Path(options.cache)
+        self.crops = PanoramaDataset(root, splits, pipeline.view, options.columns, image=True, shift_px=MARGIN)
+        simulated = [look_of(frame) for frame in self.crops.frames]
+        for frame, look in zip(self.crops.frames, simulated, strict=True):
+            if (look or options.look) not in looks:
+                raise InputError(f"{frame.name}: its look {look or options.look!r} is none of {', '.join(looks)}")
+        self.look = [looks.index(look or options.look) for look in simulated]
+        kinds = [[n for n, look in enumerate(simulated) if bool(look) == wanted] for wanted in (False, True)]
+        self.kinds = [kind for kind in kinds if kind]
+        self._means: dict[int, Tensor] = {}
+
+    def __len__(self) -> int:
+        """Number of real frames or, where there are none, of simulated ones: each is used once in an epoch."""
+        return len(self.kinds[0])
+
+    def __getitem__(self, at: SampleIndex | int) -> PaintingSample:
+        """A sample, cropped and mirrored by the seed of a SampleIndex; for an int the middle of that frame."""
+        if isinstance(at, int):
+            return self._joined([self._crop(self.kinds[0][at], None)])
+        generator = np.random.default_rng(at.seed)
+        chosen = [self.kinds[0][at.index]]
+        if len(self.kinds) > 1:
+            kind = self.kinds[generator.random() < self.options.simulated_probability]
+            chosen.append(kind[generator.integers(len(kind))])
+        return self._joined([self._crop(index, generator) for index in chosen])
+
+    @staticmethod
+    def _joined(samples: list[PaintingSample]) -> PaintingSample:
+        return PaintingSample(*(torch.stack(parts) for parts in zip(*samples, strict=True)))
+
+    def _crop(self, index: int, generator: np.random.Generator | None) -> PaintingSample:
+        kept, columns = self.kept(index), self.options.columns
+        spare = kept["camera"].shape[1] - columns
+        start = spare // 2 if generator is None else int(generator.integers(spare + 1))
+        coarse, fine = slice(start, start + columns), slice(2 * start, 2 * (start + columns))
+        channels = torch.zeros(5, len(kept["valid"]), columns)
+        channels[0], channels[4] = kept["valid"][:, coarse], kept["remission"][:, coarse]
+        sample = PaintingSample(
+            segments=kept["segments"][..., coarse],
+            depth_m=kept["depth_m"][:, coarse].float(),
+            channels=channels,
+            labels=kept["camera"][:, coarse].long(),
+            image=kept["colour"][..., fine].float() / 127.5 - 1,
+            valid=kept["seen"][:, fine],
+            look=torch.tensor(self.look[index]),
+            tone=self._tone(index),
+        )
+        if generator is None or generator.random() < 0.5:
+            return sample
+        flipped = {name: getattr(sample, name).flip(-1) for name in sample._fields if name not in ("look", "tone")}
+        return sample._replace(**flipped)
+
+    def kept(self, index: int) -> dict[str, Tensor]:
+        """What is made of a frame, from its file; the first use writes it."""
+        file = self._file(index)
+        if not file.is_file():
+            self.cache.mkdir(parents=True, exist_ok=True)
+            beside = file.with_suffix(f".{os.getpid()}")
+            save_file(self._made(index), beside)
+            beside.replace(file)
+        return load_file(file)
+
+    def _file(self, index: int) -> Path:
+        frame = self.crops.frames[index]
+        root = frame.root.resolve().name if frame.root else ""
+        return self.cache / f"{root}-{frame.name.replace('/', '-')}.safetensors"
+
+    def _made(self, index: int) -> dict[str, Tensor]:
+        """Image, segments, depth, validity and remission of a frame in its window, the scene from the scan alone."""
+        window, raster = self.crops.window(index), self.pipeline.view
+        whole = replace(self.pipeline, view=replace(raster, origin=window.view.origin))
+        found = whole.translate(self.crops.frames[index].scan, Timer(whole.device))
+        start = round((raster.left - window.view.left) * raster.columns / (raster.left - raster.right))
+        columns = slice(start, start + window.view.columns)
+        ids = window.camera_labels[1::4, 1::4].long()
+        known = window.valid[2::8, 2::8] & (ids != IGNORE) & (ids != COMMON15.id_of("sky"))
+        colour = window.image[:, 2::8, 2::8].movedim(0, 2)[known].float() / 127.5 - 1
+        kept = {
+            "segments": found.logits[0, ..., columns].float().softmax(0).half(),
+            "depth_m": found.depth_m[0, :, columns].half(),
+            "valid": found.channels[0, 0, :, columns] > 0,
+            "remission": found.channels[0, 4, :, columns].half(),
+            "camera": window.camera_labels,
+            "colour": window.image,
+            "seen": window.valid,
+            "class_colours": torch.zeros(256, 3).index_add_(0, ids[known], colour),
+            "class_pixels": torch.zeros(256).index_add_(0, ids[known], torch.ones(len(colour))),
+        }
+        return {name: value.contiguous() for name, value in kept.items()}
+
+    def _tone(self, index: int) -> Tensor:
+        """How much brighter an image is than its classes are on average in its look: (3,) in [-1, 1]."""
+        look = self.look[index]
+        if look not in self._means:
+            files = {self._file(number) for number, one in enumerate(self.look) if one == look}
+            sums = [self._sums(file) for file in sorted(files) if file.is_file()]
+            total, count = (torch.stack(part).sum(0) for part in zip(*sums, strict=True))
+            self._means[look] = total / count.clamp(min=1)[:, None]
+        total, count = self._sums(self._file(index))
+        return (total - self._means[look] * count[:, None]).sum(0) / count.sum().clamp(min=1)
+
+    @staticmethod
+    def _sums(file: Path) -> tuple[Tensor, Tensor]:
+        with safe_open(file, "pt") as kept:
+            return kept.get_tensor("class_colours"), kept.get_tensor("class_pixels")
+
+
+def look_of(frame: Frame) -> str:
+    """The look of a simulated frame; "" for a real one."""
+    file = frame.root / "world.json" if frame.root else None
+    if file is None or not file.is_file():
+        return ""
+    return str(json.loads(file.read_text(encoding="utf-8")).get("look", ""))

@@ -1,0 +1,148 @@
+"""Task: the scene painter on real and simulated pictures at once, against heads on frozen features."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import avg_pool2d, l1_loss
+
+from lidar2pano.data.frames import IGNORE
+from lidar2pano.errors import InputError
+from lidar2pano.geometry.images import one_hot_layers
+from lidar2pano.hardware import fast_arithmetic
+from lidar2pano.labels import COMMON15
+from lidar2pano.losses import hinge_critic, hinge_generator
+from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
+from lidar2pano.models.scene_painter import ScenePainter, painter_inputs, sharpened
+from lidar2pano.models.titan_pano import depth_code
+from lidar2pano.pipeline import Pipeline, load_part, load_segmenter
+from lidar2pano.train.options import ScenePaintingOptions
+from lidar2pano.train.painting_frames import PaintingFrames, PaintingSample
+from lidar2pano.train.recipe import Recipe
+from lidar2pano.train.task import build_networks
+from lidar2pano.views import VIEWS
+
+POOLED = 4  # pixels: colours are compared as means over squares of this size
+
+
+class ScenePainting:
+    """Trains a scene painter: perceptual loss, pooled colours, pixels, hinge loss of a projected discriminator.
+
+    Where a camera did not look, its picture is completed with what was painted, so that no loss arises there.
+    """
+
+    released = ("painter",)
+
+    def __init__(self, recipe: Recipe[ScenePaintingOptions], root: Path) -> None:
+        self.view, self.options = VIEWS[recipe.view].scaled(recipe.scale), recipe.options
+        if not recipe.options.translator or not recipe.options.segmenter:
+            raise InputError(f"recipe {recipe.name!r} needs --set options.translator=FILE and options.segmenter=FILE")
+        self.features = ImagenetFeatures.load(LITE0)
+        self.networks = build_networks(recipe)
+        painter = cast("ScenePainter", self.networks["painter"])
+        device = torch.device("cpu")
+        segmenter, _ = load_segmenter(Path(recipe.options.segmenter), device)
+        translator, _ = load_part(Path(recipe.options.translator), device, expect="titan-pano")
+        pipeline = Pipeline(segmenter=segmenter, translator=translator, painter=painter, view=self.view, device=device)
+        self.looks = painter.looks
+        self.dataset, self.validation = (
+            PaintingFrames(root, splits, pipeline, self.looks, recipe.options)
+            for splits in (recipe.data.train, recipe.data.val)
+        )
+        self.logs: dict[str, float | Tensor] = {}
+
+    def updates(self, batch: PaintingSample) -> Iterator[tuple[str, Tensor]]:
+        """The critic, then the painter."""
+        batch = batch.flat()
+        device = batch.depth_m.device
+        self.features.to(device)
+        segments = self.segments(batch)
+        fake = self.painted(batch, segments)
+        real = torch.where(batch.valid[:, None], batch.image, fake.detach())
+        with fast_arithmetic(device):
+            with torch.no_grad():
+                on_real = self.features(real.contiguous(memory_format=torch.channels_last))
+            on_fake = self.features(fake.contiguous(memory_format=torch.channels_last))
+        told = torch.cat([segments, depth_code(batch.depth_m)[:, None]], 1)
+        critic = self.networks["critic"]
+        if self.options.adversarial:
+            scores = zip(critic(told, *on_real), critic(told, *(part.detach() for part in on_fake)), strict=True)
+            yield "critic", _mean([hinge_critic(one.float(), other.float()) for one, other in scores])
+        pairs = [(one.float(), other.float()) for one, other in zip(on_real, on_fake, strict=True)]
+        losses = {
+            "perceptual": _mean([l1_loss(fake, real) / (real.std() + 1e-3) for real, fake in pairs]),
+            "pooled": l1_loss(avg_pool2d(fake, POOLED), avg_pool2d(real, POOLED)),
+            "pixels": l1_loss(fake, real),
+        }
+        if self.options.adversarial:
+            learning = [weight for weight in critic.parameters() if weight.requires_grad]
+            for weight in learning:
+                weight.requires_grad_(False)
+            losses["adversarial"] = _mean([hinge_generator(score.float()) for score in critic(told, *on_fake)])
+            for weight in learning:
+                weight.requires_grad_(True)
+        self.logs = {name: loss.detach() for name, loss in losses.items()}
+        yield "painter", torch.stack([getattr(self.options, name) * loss for name, loss in losses.items()]).sum()
+
+    def painted(self, batch: PaintingSample, segments: Tensor) -> Tensor:
+        """Pictures (B, 3, 2H, 2W) float32 in [-1, 1] of a batch, at a place in the noise drawn anew."""
+        painter = self.networks["painter"]
+        if self.options.fixed_norms and painter.training:
+            for part in painter.modules():
+                if isinstance(part, nn.BatchNorm2d):
+                    part.eval()
+        pose = np.eye(4)
+        pose[:3, 3] = np.random.uniform(0, 64, 3)  # noqa: NPY002 seeded by the loop, step by step
+        shares = torch.eye(len(self.looks), device=segments.device)[batch.look]
+        window = self.view.window(int(np.random.randint(self.view.columns)), segments.shape[3])  # noqa: NPY002
+        with torch.no_grad():
+            inputs = painter_inputs(segments, batch.depth_m, batch.channels, window, pose)
+        return painter(*inputs, shares, batch.tone).float()
+
+    def segments(self, batch: PaintingSample) -> Tensor:
+        """Segments (B, 16, H, W) to paint: the translator's, sharpened at random, or the truth where it is drawn."""
+        samples, device = len(batch.look), batch.look.device
+        power = 1 + (self.options.sharpest - 1) * torch.rand(samples, 1, 1, 1, device=device)
+        chosen = torch.rand(samples, 1, 1, device=device) < self.options.ground_truth_probability
+        known = (batch.labels != IGNORE) & chosen
+        labels = one_hot_layers(batch.labels.where(known, 0), len(COMMON15))
+        return torch.where(known[:, None], labels, sharpened(batch.segments, power))
+
+    @torch.no_grad()
+    def paint(self, index: int) -> tuple[Tensor, PaintingSample]:
+        """A validation frame's crop painted from the scan alone: (3, 2H, 2W) in [-1, 1]; and the sample."""
+        device = next(self.networks["painter"].parameters()).device
+        sample = self.validation[index]
+        one = PaintingSample(*(part[None].to(device) for part in sample)).flat()
+        one = one._replace(tone=torch.zeros_like(one.tone))
+        return self.painted(one, sharpened(one.segments, 2.0))[0].cpu(), sample
+
+    def validate(self) -> dict[str, float]:
+        """Mean distance of pooled colours in [0, 1]; no score, since that is not what is wanted: the latest counts."""
+        gaps = []
+        for index in range(min(6, len(self.validation))):
+            fake, sample = self.paint(index)
+            gap = (fake - sample.image[0]) * sample.valid[0]
+            gaps.append(float(avg_pool2d(gap, POOLED).abs().mean() / sample.valid[0].float().mean() / 2))
+        return {"pooled": float(np.mean(gaps))}
+
+    def preview(self) -> dict[str, np.ndarray]:
+        """Ground truth above painted, for three validation frames, (H, W, 3) uint8."""
+        rows = []
+        for index in range(min(3, len(self.validation))):
+            fake, sample = self.paint(index)
+            rows += [sample.image[0] * sample.valid[0], fake]
+        return {"picture": ((torch.cat(rows, 1).movedim(0, 2) + 1) * 127.5).round().clamp(0, 255).byte().numpy()}
+
+    def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
+        """What a user of the painter has to know: the raster it reads segments on."""
+        return {"labels": None, "views": {"panorama": self.view.as_dict()}}
+
+
+def _mean(losses: list[Tensor]) -> Tensor:
+    return torch.stack(losses).mean()

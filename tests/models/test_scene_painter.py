@@ -1,0 +1,89 @@
+"""The scene painter: every direction alike, noise in the world, several looks."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from lidar2pano.errors import InputError
+from lidar2pano.models import build
+from lidar2pano.models.painter import Scene
+from lidar2pano.models.scene_painter import sharpened
+from lidar2pano.views import View
+
+VIEW = View(rows=16, columns=64, up=0.24, down=-0.28, kind="cylinder")
+SMALL = {"widths": [8, 16, 24], "blocks": 1, "last": 8, "code": 4}
+
+
+def scene(look: str = "", columns: int = 0) -> Scene:
+    """A street seen after a turn to the left by so many columns."""
+    generator = torch.Generator().manual_seed(5)
+    segments = torch.rand(1, 16, 16, 64, generator=generator).softmax(1)
+    depth_m = 2 + 20 * torch.rand(1, 16, 64, generator=generator)
+    image = torch.rand(1, 5, 16, 64, generator=generator)
+    angle = columns / 64 * 2 * math.pi
+    pose = np.eye(4)
+    pose[:2, :2] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+    segments, depth_m, image = (part.roll(columns, -1) for part in (segments, depth_m, image))
+    return Scene(segments=segments, depth_m=depth_m, channels=image, view=VIEW, T_world_sensor=pose, look=look)
+
+
+def painter(looks: tuple[str, ...] = ("day", "evening")) -> torch.nn.Module:
+    torch.manual_seed(0)
+    network = build("scene-painter", looks=looks, **SMALL).eval()
+    for norm in network.modules():
+        if isinstance(norm, torch.nn.BatchNorm2d):
+            norm.running_mean.normal_(0, 0.2)
+    return network
+
+
+@torch.inference_mode()
+def painted(network, one: Scene) -> torch.Tensor:
+    return network.paint(None, one)[1]
+
+
+def test_a_turned_scene_is_painted_turned():
+    network = painter()
+    here, there = (painted(network, scene(columns=columns)) for columns in (0, 8))
+    assert here.shape == (1, 3, 32, 128)
+    apart = (here.roll(16, 3) - there).abs()
+    assert apart.median() < 1e-5 and apart.mean() < 0.02 * here.std(), "but for points on the border of two voxels"
+
+
+def test_the_mean_of_two_looks_lies_between_them():
+    network = painter()
+    shares = [network.look_shares(name) for name in ("", "day", "evening", "day+evening")]
+    assert shares == [[1, 0], [1, 0], [0, 1], [0.5, 0.5]]
+    day, evening, both = (painted(network, scene(look)) for look in ("day", "evening", "day + evening"))
+    assert not torch.allclose(day, evening, atol=1e-4)
+    codes = network.codes.weight.mean(0, keepdim=True)
+    one = painter(("one", "other"))
+    with torch.no_grad():
+        one.codes.weight.copy_(codes.expand(2, -1))
+    assert torch.allclose(painted(one, scene("one")), both, atol=1e-5)
+
+
+def test_an_unknown_look_is_named_with_those_there_are():
+    with pytest.raises(InputError, match=r"no look 'nigth'.*day, night"):
+        painter(("day", "night")).look_shares("day+nigth")
+    with pytest.raises(InputError, match="no look 'dusk'"):
+        build("scene-painter", looks=["day"], look="dusk")
+
+
+def test_without_a_pose_noise_hangs_on_the_sensor():
+    network, one = painter(), scene()
+    still = Scene(segments=one.segments, depth_m=one.depth_m, channels=one.channels, view=VIEW)
+    assert torch.equal(painted(network, one), painted(network, still))
+
+
+def test_sharpening_is_a_power():
+    segments = torch.tensor([0.5, 0.3, 0.2]).view(1, 3, 1, 1)
+    assert sharpened(segments, 2.0).flatten().tolist() == pytest.approx([25 / 38, 9 / 38, 4 / 38])
+
+
+def test_sizes_that_do_not_divide_are_refused():
+    with pytest.raises(InputError, match="must divide by 4"):
+        painter()(torch.zeros(1, 27, 10, 64), torch.zeros(1, 3, 20, 128), torch.ones(1, 2), torch.zeros(1, 3))
