@@ -12,9 +12,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from lidar2pano.data.augment import bands
+from lidar2pano.data.augment import HDL64E_BEAM_DEG, bands
 from lidar2pano.data.frames import Frame, frames
-from lidar2pano.data.augment import HDL64E_BEAM_DEG
 from lidar2pano.evaluate import MetricConfig, score, system
 
 EVERY = (1, 2, 4)
