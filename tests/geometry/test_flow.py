@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 
 from lidar2pano.calibration import Calibration
+from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.flow import Flow, camera_rays, chained, ego_flow, reaches, relative_pose, scan_distances
 from lidar2pano.geometry.projection import directions

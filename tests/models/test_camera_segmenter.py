@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.utils.data import default_collate
 
 from golden_fill import fill
-from lidar2pano.data.camera_images import BEYOND, Looks, CameraImageSample, CameraImageDataset, varied
+from lidar2pano.data.camera_images import BEYOND, CameraImageDataset, CameraImageSample, Looks, varied
 from lidar2pano.data.frames import IGNORE, SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.hardware import has_bfloat16

@@ -13,10 +13,10 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate
 from torch.utils.data import default_collate
 
-from lidar2pano.geometry.camera import project_to_camera
-from lidar2pano.data.front_view import FrontViewDataset, SampleParts
 from lidar2pano.data.frames import SampleIndex
+from lidar2pano.data.front_view import FrontViewDataset, SampleParts
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.models import build
 from lidar2pano.models.card import load

@@ -14,9 +14,10 @@ from torch.utils.data import default_collate
 from golden_fill import assert_filled_as_recorded, fill, key_rows, sym
 from golden_vectors import recorded as recorded_tensors
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.camera_projection import CameraProjectionDataset, camera_raster, in_unit, stretched
+from lidar2pano.data.camera_projection import CameraProjectionDataset, in_unit, stretched
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.models import build
 from lidar2pano.models.card import load
 from lidar2pano.models.circular import fold_norms

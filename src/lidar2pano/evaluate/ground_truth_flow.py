@@ -65,7 +65,7 @@ def panorama_flow(before: Frame, now: Frame) -> Flow | None:
         return None
     flow = ego_flow(distances[0], distances[1], relative_pose(before, now), one.view)
     valid = torch.from_numpy(np.array(other.valid))[None, None].float()
-    valid_before = warp(valid, flow.shift[None], closed=one.view.circular)[0, 0] > 0.999
+    valid_before = warp(valid, flow.shift[None], circular=one.view.circular)[0, 0] > 0.999
     return Flow(shift=flow.shift, known=flow.known & valid_before & torch.from_numpy(np.array(one.valid)))
 
 

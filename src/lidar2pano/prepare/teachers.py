@@ -79,7 +79,7 @@ class LidarTeacher:
     @cached_property
     def segmenter(self) -> Segmenter:
         """The network, loaded."""
-        return load_segmenter(self.weights[0], pick_device(self.device))
+        return load_segmenter(self.weights[0], pick_device(self.device))[0]
 
     def get_ready(self) -> None:
         """Load the network."""
