@@ -12,9 +12,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from lidar2pano.data.augment import bands
+from lidar2pano.data.augment import HDL64E_BEAM_DEG, bands
 from lidar2pano.data.frames import Frame, frames
-from lidar2pano.data.range_images import BEAM_DEG
 from lidar2pano.evaluate import MetricConfig, score, system
 
 EVERY = (1, 2, 4)
@@ -29,7 +28,7 @@ ROWS = {
 def thinned(frame: Frame, every: int) -> Frame:
     """The frame's camera labels, and its scan with one beam in `every`."""
     scan, labels = frame.scan, frame.point_labels
-    kept = bands(scan, BEAM_DEG) % every == 0
+    kept = bands(scan, HDL64E_BEAM_DEG) % every == 0
     return Frame(
         frame.name,
         scan=replace(scan, xyz=scan.xyz[kept], remission=scan.remission[kept]),

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.losses.supervised import POOL, class_weights, pooled
+from lidar2pano.losses.adversarial import POOL, pooled
+from lidar2pano.losses.supervised import class_weights
 
 
 def test_class_weights_are_a_power_of_the_shares():

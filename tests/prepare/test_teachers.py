@@ -144,7 +144,8 @@ def test_what_nobody_claims_is_spread_over_all_classes() -> None:
     sure = torch.full((2, 21), -30.0)
     sure[0, 3], sure[1, 0] = 30.0, 30.0  # one query says class 3, one says class 0, which Cityscapes has not
     network = Answering(sure, torch.log(torch.tensor([0.5 / 0.5, 0.3 / 0.7])))  # masks of 0.5 and 0.3
-    teacher = MaskSegmenter(network=network, classes=torch.arange(1, 20), normalise=camera_teachers.Colours())
+    normalise = camera_teachers.ImageNormalisation()
+    teacher = MaskSegmenter(network=network, classes=torch.arange(1, 20), normalise=normalise)
     answer = teacher.probabilities(picture(20, 40))
     rest = (1 - 0.5) / 19
     torch.testing.assert_close(answer[2], torch.full((20, 40), 0.5 + rest))
@@ -153,7 +154,7 @@ def test_what_nobody_claims_is_spread_over_all_classes() -> None:
 
 def test_pictures_are_padded_with_their_border_and_looked_at_in_every_scale() -> None:
     network = Answering(torch.randn(3, 20), torch.randn(3))
-    plain = camera_teachers.Colours(mean=(0, 0, 0), deviation=(1, 1, 1))
+    plain = camera_teachers.ImageNormalisation(mean=(0, 0, 0), deviation=(1, 1, 1))
     teacher = MaskSegmenter(network=network, classes=torch.arange(19), normalise=plain, scales=(0.5, 1.0, 2.0))
     image = picture(20, 40)
     teacher.probabilities(image)

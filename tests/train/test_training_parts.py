@@ -14,6 +14,7 @@ import pytest
 import torch
 from torch import nn
 
+from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, save
@@ -23,7 +24,7 @@ from lidar2pano.train.device import choose_precision
 from lidar2pano.train.optimisation import EMA, averaged, clip, learning_rate, make_optimizer
 from lidar2pano.train.options import PaintingOptions
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training
-from lidar2pano.train.sampling import BatchSampler, batches, evenly_spaced, sample_at, seed_step
+from lidar2pano.train.sampling import BatchSampler, batches, sample_at, seed_step
 from lidar2pano.train.task import build_networks
 
 

@@ -50,10 +50,9 @@ class Options:
     look: str = ""
 
     def pipeline(self) -> Pipeline:
-        """The pipeline with these weights, for this sensor and camera; says when the weights' licence is restricted."""
+        """The pipeline with these weights, for this sensor and camera."""
         keep_buffers()
         pipeline = load(self.files, self.device)
-        note_licence(pipeline.cards.values())
         if self.sensor:
             pipeline = pipeline.for_sensor(self.sensor)
         if self.look:
@@ -132,7 +131,7 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
     if renamed := sum(names[file] != file.stem for file in files):
         complain(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
     pipeline: Pipeline | None = None
-    memory, folder, poses = Memory(), None, None
+    memory, folder, poses, noted = Memory(), None, None, False
     with bar(len(files), "translating") as advance:
         for file in files:
             timer = Timer(options.device)
@@ -151,6 +150,9 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
             try:
                 pose = _timed_pose(poses, file, scan, timer) if poses else None
                 memory, panorama = pipeline.step(memory, scan, pose, timer)
+                if not noted:  # before the first panorama is written
+                    note_licence(pipeline.cards.values())
+                noted = True
                 with timer("save"):
                     outputs = panorama.save(options.out, options.save, options.calibration, names[file])
             except InputError as error:

@@ -14,6 +14,7 @@ from lidar2pano.losses.adversarial import (
     gradient_penalty,
     hinge_critic,
     hinge_generator,
+    pooled,
 )
 from lidar2pano.losses.lovasz import lovasz_softmax
 
@@ -25,4 +26,5 @@ __all__ = [
     "hinge_critic",
     "hinge_generator",
     "lovasz_softmax",
+    "pooled",
 ]

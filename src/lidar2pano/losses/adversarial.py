@@ -1,4 +1,4 @@
-"""Adversarial losses of generators, critics and discriminators."""
+"""Losses of generated images: adversarial ones, feature matching, and pooled colours."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 from torch.nn import functional as F
+
+POOL = 4  # pixels
 
 
 def gradient_penalty(
@@ -62,3 +64,8 @@ def feature_matching(real_features: Sequence[Tensor], fake_features: Sequence[Te
     """
     pairs = zip(real_features, fake_features, strict=True)
     return torch.stack([F.l1_loss(fake, real.detach()) for real, fake in pairs]).sum()
+
+
+def pooled(image: Tensor) -> Tensor:
+    """Means over squares of POOL x POOL pixels of (B, C, H, W) or (C, H, W): colours without their fine texture."""
+    return F.avg_pool2d(image, POOL)

@@ -97,11 +97,11 @@ def _on_cpu(probabilities: Tensor, owner: Tensor, every: bool) -> tuple[Tensor, 
     return torch.tensor(sum(losses) / max(len(chosen), 1), dtype=torch.float32), torch.from_numpy(slope)
 
 
-def _class_on_cpu(error_P: np.ndarray, mine_P: np.ndarray, left_out_P: np.ndarray | None) -> tuple[float, np.ndarray]:
+def _class_on_cpu(error_P: np.ndarray, owned_P: np.ndarray, left_out_P: np.ndarray | None) -> tuple[float, np.ndarray]:
     """Loss of one class and its slope (P,) by probability.
 
     error_P     (P,) float32: the class's probabilities; overwritten.
-    mine_P      (P,) bool: pixels of the class.
+    owned_P      (P,) bool: pixels of the class.
     left_out_P  (P,) bool or None: pixels that do not count.
 
     With n pixels of the class, f of them and b others among the largest errors, the Jaccard loss of that set is
@@ -110,31 +110,31 @@ def _class_on_cpu(error_P: np.ndarray, mine_P: np.ndarray, left_out_P: np.ndarra
     the smallest error of this class are therefore not sorted at all, nor are errors of exactly zero.
     """
     slope_P = np.zeros_like(error_P)
-    mine = np.flatnonzero(mine_P)
-    error_P[mine] = np.maximum(1 - error_P[mine], 0)
+    owned = np.flatnonzero(owned_P)
+    error_P[owned] = np.maximum(1 - error_P[owned], 0)
     if left_out_P is not None:
         error_P[left_out_P] = 0
-    if not len(mine):  # the first pixel of the order takes the whole loss
+    if not len(owned):  # the first pixel of the order takes the whole loss
         worst = error_P.argmax()
         slope_P[worst] = error_P[worst] > 0
         return float(error_P[worst]), slope_P
-    floor = np.maximum(error_P[mine].min(), TINIEST)
+    floor = np.maximum(error_P[owned].min(), TINIEST)
     kept = np.flatnonzero(~(error_P < floor))  # not >=, so that NaN stays and shows in the loss
     # positive floats order like their bits: the error, upside down, above the pixel's index, above "of the class"
     bits = error_P.size.bit_length() + 1
     key = POSITIVE_INFINITY - error_P.view(np.int32)[kept].astype(np.int64)
     key <<= bits
     key |= kept << 1
-    key |= mine_P[kept]
+    key |= owned_P[kept]
     key.sort()
     error = (POSITIVE_INFINITY - (key >> bits)).astype(np.int32).view(np.float32)
     hit = (key & 1).astype(bool)
     key >>= 1
     key &= (1 << bits - 1) - 1
     found = np.cumsum(hit, dtype=np.int32)
-    union = np.arange(len(mine) + 1, len(mine) + 1 + len(key), dtype=np.int32) - found
+    union = np.arange(len(owned) + 1, len(owned) + 1 + len(key), dtype=np.int32) - found
     union = union.astype(np.float32)
-    rise = (len(mine) - found).astype(np.float32) / union
+    rise = (len(owned) - found).astype(np.float32) / union
     rise /= union - ~hit
     rise[hit] = -1 / union[hit]
     slope_P[key] = rise
@@ -147,11 +147,11 @@ def _on_device(probabilities: Tensor, owner: Tensor, every: bool) -> tuple[Tenso
     owner_P, slope, losses, sizes = owner.flatten(), torch.empty_like(probabilities), [], []
     counted_P = owner_P >= 0
     for c in range(probabilities.shape[1]):
-        mine_P = owner_P == c
+        owned_P = owner_P == c
         value_P = probabilities[:, c].flatten()
-        error_P = torch.where(mine_P, 1 - value_P, value_P).clamp(min=0).masked_fill(~counted_P, 0)
+        error_P = torch.where(owned_P, 1 - value_P, value_P).clamp(min=0).masked_fill(~counted_P, 0)
         error, order = error_P.sort(descending=True)
-        hit, size = mine_P[order], mine_P.sum()
+        hit, size = owned_P[order], owned_P.sum()
         found = hit.cumsum(0)
         others = counted_P[order].cumsum(0) - found
         union = size + others

@@ -1,13 +1,11 @@
-"""Parts of supervised losses: class weights, cross-entropy over labelled pixels, and pooled colours."""
+"""Parts of supervised losses: class weights, and cross-entropy over labelled pixels."""
 
 from __future__ import annotations
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, cross_entropy
-
-POOL = 4  # pixels
+from torch.nn.functional import cross_entropy
 
 
 def class_weights(counts: np.ndarray, exponent: float, *, least: float, most: float) -> Tensor:
@@ -23,8 +21,3 @@ def labelled_cross_entropy(logits: Tensor, labels: Tensor, ignore: int) -> Tenso
     """Mean cross-entropy of logits (B, K, H, W) over the pixels of labels (B, H, W) unlike `ignore`; 0 without any."""
     total = cross_entropy(logits.float(), labels, ignore_index=ignore, reduction="sum")
     return total / (labels != ignore).sum().clamp(min=1)
-
-
-def pooled(image: Tensor) -> Tensor:
-    """Means over squares of POOL x POOL pixels of (B, C, H, W) or (C, H, W): colours without their fine texture."""
-    return avg_pool2d(image, POOL)

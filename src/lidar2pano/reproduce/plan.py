@@ -12,7 +12,7 @@ from typing import Any
 from lidar2pano.data.frames import frames
 from lidar2pano.data.semantic_kitti import SEQUENCES
 from lidar2pano.errors import InputError
-from lidar2pano.formats.output_files import write_whole
+from lidar2pano.formats.image_files import write_whole
 from lidar2pano.reproduce.paper_tables import ROWS, PaperRow
 from lidar2pano.train.options import VideoOptions
 from lidar2pano.train.recipe import Recipe, override

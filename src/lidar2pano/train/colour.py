@@ -14,7 +14,7 @@ from torch.nn.functional import mse_loss
 from lidar2pano.data.camera_projection import CameraProjectionDataset, CameraProjectionSample
 from lidar2pano.data.front_view import FrontViewDataset, FrontViewSample, SampleParts
 from lidar2pano.errors import InputError
-from lidar2pano.losses.supervised import pooled
+from lidar2pano.losses import pooled
 from lidar2pano.metrics.ssim import SSIM
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.train.adversarial import pix2pix_updates, renamed, wasserstein_updates

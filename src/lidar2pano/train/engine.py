@@ -219,7 +219,8 @@ class Run:
             if not name:
                 return losses
             weights = [weight for weight in self.networks[name].parameters() if weight.requires_grad]
-            average_gradients(weights)
+            if self.fabric.world_size > 1:
+                average_gradients(weights)
             clip(weights, self.recipe.networks[name].optimizer.clip)
             self.optimizers[name].step()
 

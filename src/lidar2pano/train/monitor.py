@@ -52,7 +52,7 @@ class Monitor:
         self.curves = SummaryWriter(str(run / "tensorboard"), purge_step=step)
         self.losses: dict[str, float] = {}
         self.first: tuple[int, float, float] | None = None
-        self.shown = time.monotonic()
+        self.last_line = time.monotonic()
         self.bar: Progress | None = None
         if sys.stderr.isatty():
             line = TextColumn("{task.fields[state]}", table_column=Column(no_wrap=True, overflow="ellipsis"))
@@ -63,14 +63,14 @@ class Monitor:
 
     def due(self) -> bool:
         """Whether it is time for a new line."""
-        return time.monotonic() - self.shown >= (SHOW_EVERY_S if self.bar else LOG_EVERY_S)
+        return time.monotonic() - self.last_line >= (SHOW_EVERY_S if self.bar else LOG_EVERY_S)
 
     def step(self, step: int, progress: float, values: Mapping[str, float]) -> None:
         """Update the line and the curves: means of losses, and rates under "rate/"; `progress` of the run is 0 to 1."""
         now = time.monotonic()
         if self.first is None:  # the steps before the first line warm up: they do not count
             self.first = (step, progress, now)
-        self.shown = now
+        self.last_line = now
         self.losses |= {name: value for name, value in values.items() if "/" not in name}
         state = f"{step}/{self.steps}  {_formatted(self.losses)}  {self._pace(step, progress, now)}"
         if self.bar:

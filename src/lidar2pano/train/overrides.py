@@ -25,8 +25,8 @@ def changed(node: Any, steps: list[str], text: str, path: str) -> Any:  # noqa: 
     else:
         raise InputError(f"{path}: {type(node).__name__} values have no parts; leave out {'.'.join(steps)!r}")
     if name not in known:
-        whose = type(node).__name__ if is_dataclass(node) else "this recipe"
-        raise InputError(f"{path}: {whose} has no {name!r}{closest(name, known)}")
+        owner = type(node).__name__ if is_dataclass(node) else "this recipe"
+        raise InputError(f"{path}: {owner} has no {name!r}{closest(name, known)}")
     old = known[name]
     if rest:
         new = changed(old, rest, text, path)

@@ -18,9 +18,8 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
-from lidar2pano.losses import feature_matching, hinge_critic, hinge_generator
+from lidar2pano.losses import feature_matching, hinge_critic, hinge_generator, pooled
 from lidar2pano.losses.diff_augment import DiffAugment
-from lidar2pano.losses.supervised import pooled
 from lidar2pano.models.card import load
 from lidar2pano.models.titan_pano import STRIDE, depth_code
 from lidar2pano.train.options import PaintingOptions

@@ -19,8 +19,6 @@ from lidar2pano.errors import InputError
 from lidar2pano.train.recipe import Training
 from lidar2pano.train.task import Dataset
 
-MOST_COUNTED = 500  # frames that class statistics are taken from
-
 
 def seed_step(seed: int, rank: int, step: int) -> None:
     """Seed step `step` of process `rank`, so that its random numbers do not depend on interruptions before it."""
@@ -59,8 +57,8 @@ class BatchSampler:
             positions = range(step * self.batch + self.rank, (step + 1) * self.batch, self.world)
             share = len(positions) // self.accumulate
             for number in range(self.accumulate):
-                mine = positions[number * share : (number + 1) * share]
-                yield [sample_at(self.seed, position, self.samples) for position in mine]
+                micro_batch = positions[number * share : (number + 1) * share]
+                yield [sample_at(self.seed, position, self.samples) for position in micro_batch]
             step += 1
 
 
@@ -96,8 +94,3 @@ def _with_short_errors(loaded: Iterator[Any]) -> Iterator[Any]:
 
 def _ignore_interrupts(_: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def evenly_spaced(count: int, most: int = MOST_COUNTED) -> list[int]:
-    """All of `count` indices, or `most` of them, evenly spaced."""
-    return np.linspace(0, count - 1, min(count, most)).round().astype(int).tolist()

@@ -12,17 +12,17 @@ from torch import Tensor, nn
 from torch.utils.data import default_collate
 
 from lidar2pano.data.clips import ClipDataset, ClipSample, Framing
+from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.flow import Flow, chained
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.geometry.warp import warp
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
-from lidar2pano.losses.supervised import pooled
+from lidar2pano.losses import pooled
 from lidar2pano.models.card import load
 from lidar2pano.train.options import VideoOptions
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.sampling import evenly_spaced
 from lidar2pano.train.task import as_image, build_networks, device_of
 from lidar2pano.train.video_losses import PaintedFrame, TemporalInput, VideoLosses, temporal_input
 from lidar2pano.views import VIEWS

@@ -90,12 +90,12 @@ class VideoLosses:
         real = self.discriminated("critic", true)
         fakes = [self.discriminated("critic", fake.detach()) for fake in generated]
         yield "critic", _sum([least_squares_critic(real, fake) for fake in fakes])
-        for step, shown in inputs.items():
+        for step, triple in inputs.items():
             role = f"{TEMPORAL}{step}"
-            real, fake = self.discriminated(role, shown.real), self.discriminated(role, shown.fake.detach())
+            real, fake = self.discriminated(role, triple.real), self.discriminated(role, triple.fake.detach())
             yield role, least_squares_critic(real, fake)
         pairs = [("critic", true, fake) for fake in generated]
-        pairs += [(f"{TEMPORAL}{step}", shown.real, shown.fake) for step, shown in inputs.items()]
+        pairs += [(f"{TEMPORAL}{step}", triple.real, triple.fake) for step, triple in inputs.items()]
         losses = self.reconstruction(frame)
         adversarial = [self.adversarial(*pair) for pair in pairs]
         losses["adversarial"] = _sum([loss for loss, _ in adversarial])
