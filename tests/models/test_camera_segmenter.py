@@ -17,7 +17,13 @@ from torch import Tensor
 from torch.utils.data import default_collate
 
 from golden_fill import fill
-from lidar2pano.data.camera_images import BEYOND, CameraImageDataset, CameraImageSample, Looks, varied
+from lidar2pano.data.camera_images import (
+    PADDING_RGB,
+    CameraImageDataset,
+    CameraImageSample,
+    ImageAugmentation,
+    augmented,
+)
 from lidar2pano.data.frames import IGNORE, SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.hardware import has_bfloat16
@@ -165,13 +171,13 @@ def certain_view() -> tuple[np.ndarray, np.ndarray]:
 
 def class_of(image: np.ndarray) -> np.ndarray:
     """Ids that the colours of the made-up pictures stand for, IGNORE for the border's."""
-    colours = {ROAD: (90, 90, 95), HOUSE: (180, 120, 90), SKY: (150, 190, 240), IGNORE: BEYOND}
+    colours = {ROAD: (90, 90, 95), HOUSE: (180, 120, 90), SKY: (150, 190, 240), IGNORE: PADDING_RGB}
     distances = [np.abs(image.astype(int) - colour).sum(-1) for colour in colours.values()]
     return np.array(list(colours))[np.argmin(distances, 0)]
 
 
 def test_a_plain_sample_is_the_image_with_its_ids(root):
-    samples = CameraImageDataset(root, ("train", "val"), Looks(crop=(8, 8)))
+    samples = CameraImageDataset(root, ("train", "val"), ImageAugmentation(crop=(8, 8)))
     ids, colours = camera_view()
     sample = samples[3]
     assert len(samples) == 5 and sample.name == "01/000000"
@@ -184,8 +190,8 @@ def test_a_plain_sample_is_the_image_with_its_ids(root):
 def test_image_and_ids_are_changed_alike(crop, scale, allowed):
     ids, colours = certain_view()
     for seed in range(12):
-        looks = Looks(crop=crop, scale=scale, jitter=0.0)
-        image, labels = varied(colours, ids, looks, np.random.default_rng(seed))
+        augmentation = ImageAugmentation(crop=crop, scale=scale, colour_jitter=0.0)
+        image, labels = augmented(colours, ids, augmentation, np.random.default_rng(seed))
         assert image.shape == (*crop, 3) and labels.shape == crop
         assert (class_of(image) != labels).mean() <= allowed  # bilinear edges are of no class
         assert set(np.unique(labels)) <= {ROAD, HOUSE, SKY, IGNORE}
@@ -193,7 +199,7 @@ def test_image_and_ids_are_changed_alike(crop, scale, allowed):
 
 def test_an_image_smaller_than_the_crop_is_padded_with_what_is_unknown():
     ids, colours = certain_view()
-    _, labels = varied(colours, ids, Looks(crop=(144, 480), scale=(0.5, 0.5)), np.random.default_rng(0))
+    _, labels = augmented(colours, ids, ImageAugmentation(crop=(144, 480), scale=(0.5, 0.5)), np.random.default_rng(0))
     assert (labels != IGNORE).sum() == 36 * 118
     rows, columns = np.nonzero(labels != IGNORE)
     assert (np.ptp(rows), np.ptp(columns)) == (35, 117)
@@ -204,7 +210,7 @@ def test_crops_begin_anywhere_and_half_of_them_are_mirrored():
     image = np.zeros((5, 7, 3), np.uint8)
     corners, mirrored = set(), 0
     for seed in range(300):
-        _, labels = varied(image, ids, Looks(crop=(4, 5), scale=(1.0, 1.0)), np.random.default_rng(seed))
+        _, labels = augmented(image, ids, ImageAugmentation(crop=(4, 5), scale=(1.0, 1.0)), np.random.default_rng(seed))
         mirrored += labels[0, 0] > labels[0, -1]
         corners.add(int(labels[0].min()))
     assert corners == {0, 1, 2, 7, 8, 9}
@@ -213,8 +219,10 @@ def test_crops_begin_anywhere_and_half_of_them_are_mirrored():
 
 def test_sizes_are_drawn_from_the_whole_range():
     image, ids = np.zeros((40, 40, 3), np.uint8), np.zeros((40, 40), np.uint8)
-    looks = Looks(crop=(200, 200), scale=(0.5, 2.0))
-    known = [(varied(image, ids, looks, np.random.default_rng(s))[1] == 0).sum() ** 0.5 / 40 for s in range(200)]
+    augmentation = ImageAugmentation(crop=(200, 200), scale=(0.5, 2.0))
+    known = [
+        (augmented(image, ids, augmentation, np.random.default_rng(s))[1] == 0).sum() ** 0.5 / 40 for s in range(200)
+    ]
     assert min(known) < 0.55 and max(known) > 1.95 and 1.15 < np.mean(known) < 1.35
 
 
@@ -222,7 +230,12 @@ def test_jitter_changes_colours_only():
     ids, colours = camera_view()
     plain, shifted = (
         [
-            varied(colours, ids, Looks(crop=(SIZE[1], SIZE[0]), scale=(1, 1), jitter=j), np.random.default_rng(s))
+            augmented(
+                colours,
+                ids,
+                ImageAugmentation(crop=(SIZE[1], SIZE[0]), scale=(1, 1), colour_jitter=j),
+                np.random.default_rng(s),
+            )
             for s in range(40)
         ]
         for j in (0.0, 0.3)
@@ -233,7 +246,7 @@ def test_jitter_changes_colours_only():
 
 
 def test_a_draw_is_its_seeds(root):
-    samples = CameraImageDataset(root, ("train",), Looks(crop=(32, 64)))
+    samples = CameraImageDataset(root, ("train",), ImageAugmentation(crop=(32, 64)))
     one, again, other = (samples[SampleIndex(1, seed)] for seed in (5, 5, 6))
     assert one.image.shape == (3, 32, 64) and one.labels.shape == (32, 64)
     assert torch.equal(one.image, again.image) and torch.equal(one.labels, again.labels)
@@ -245,11 +258,11 @@ def test_labels_of_another_size_are_reported(tmp_path):
     path = root / "sequences/00/camera_labels/000001.png"
     Image.fromarray(np.zeros((9, 10), np.uint8)).save(path)
     with pytest.raises(InputError, match=r"camera_labels/000001.png: is 10x9 and its image 240x72; label the image"):
-        CameraImageDataset(root, ("train",), Looks(crop=(8, 8)))[1]
+        CameraImageDataset(root, ("train",), ImageAugmentation(crop=(8, 8)))[1]
 
 
 def test_real_images_and_their_labels_fit(kitti_mini):
-    samples = CameraImageDataset(kitti_mini, ("val",), Looks(crop=(8, 8)))
+    samples = CameraImageDataset(kitti_mini, ("val",), ImageAugmentation(crop=(8, 8)))
     sizes = {samples.pair(index)[1].shape for index in range(len(samples))}  # refuses pairs that do not fit
     assert len(sizes) > 1
     assert set(np.unique(samples.pair(0)[1])) <= {*range(len(CITYSCAPES)), IGNORE}

@@ -67,8 +67,8 @@ def test_the_mean_of_two_looks_lies_between_them():
 
 
 def test_an_unknown_look_is_named_with_those_there_are():
-    with pytest.raises(InputError, match=r"no look 'nigth'.*day, night"):
-        painter(("day", "night")).look_shares("day+nigth")
+    with pytest.raises(InputError, match=r"no look 'nite'.*day, night"):
+        painter(("day", "night")).look_shares("day+nite")
     with pytest.raises(InputError, match="no look 'dusk'"):
         build("scene-painter", looks=["day"], look="dusk")
 

@@ -135,7 +135,7 @@ def test_both_teachers_label_what_they_see(root, weights, prepare):
     ]
     frame = SemanticKittiFrame(root / "sequences" / "00", "000000")
     scan = frame.scan
-    expected = load_segmenter(weights / "segmenter.safetensors", torch.device("cpu")).points(scan)
+    expected = load_segmenter(weights / "segmenter.safetensors", torch.device("cpu"))[0].points(scan)
     assert np.array_equal(frame.point_labels, expected.numpy())
     raw = np.fromfile(root / "sequences" / SCANS[0], dtype="<u4")
     assert set(unpack_label(raw)[0]) <= set(SEMANTIC_KITTI.raw) and not unpack_label(raw)[1].any()

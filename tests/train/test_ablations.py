@@ -251,8 +251,8 @@ def test_titan_next_s_auxiliary_losses_count_where_depth_was_measured(root):
         logits, depth_m = task.networks["translator"](batch.lidar, one_hot(batch.segments))
     shares, measured = logits.softmax(1), batch.depth_m > 0
     expected = {
-        "lovasz": lovasz_softmax(shares, batch.camera, ignore=0),
-        "cross_entropy": nn.functional.cross_entropy(logits, batch.camera, ignore_index=0),
+        "lovasz": lovasz_softmax(shares, batch.camera_labels, ignore=0),
+        "cross_entropy": nn.functional.cross_entropy(logits, batch.camera_labels, ignore_index=0),
         "depth": (depth_code(depth_m) - depth_code(batch.depth_m)).abs()[measured].mean(),
     }
     assert order == ["critic", "translator"] and 0 < measured.float().mean() < 1

@@ -349,7 +349,7 @@ def test_pix2pixs_auxiliary_loss_is_the_weighted_distance_to_what_the_camera_has
         segments = torch.nn.functional.one_hot(batch.segments, 20).movedim(-1, 1)
         fake = task.networks["translator"](batch.lidar, segments.float()).detach()
         list(task.updates(batch))
-        truth = torch.full_like(fake, -1.0).scatter_(1, batch.camera[:, None], 1.0)
+        truth = torch.full_like(fake, -1.0).scatter_(1, batch.camera_labels[:, None], 1.0)
         assert float(task.logs["auxiliary"]) == pytest.approx(7 * (fake - truth).abs().mean().item(), rel=1e-4)
         task = build_task(small("pix2pix-rgb-mini", "options.auxiliary_weight=7", "options.auxiliary=mse"), root)
         batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])

@@ -127,12 +127,12 @@ def test_painted_pixels_that_no_camera_saw_teach_nothing(root, runs, augment):
         root,
     )
     batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
-    changed = batch._replace(colour=torch.where(batch.seen[:, None], batch.colour, torch.rand_like(batch.colour)))
+    changed = batch._replace(image=torch.where(batch.valid[:, None], batch.image, torch.rand_like(batch.image)))
     losses = []
     for each in (batch, changed):
         torch.manual_seed(0)
         for network in task.networks.values():
             network.eval()
         losses.append([loss.item() for _, loss in task.updates(each)])
-    assert not batch.seen.all()
+    assert not batch.valid.all()
     assert losses[0] == pytest.approx(losses[1], rel=1e-5)
