@@ -32,6 +32,8 @@ world() { # NAME [OPTION...]: a simulated data set below OUT
 world scans --sequences "$towns" --frames 4 --hz 0.5 --seed 1 --save scans
 world day --sequences $((towns * 2 / 5)) --frames 2 --hz 0.5 --seed 101
 world overcast --sequences $((towns * 2 / 15)) --frames 2 --hz 0.5 --seed 202 --look overcast
+world autumn --sequences $((towns * 2 / 15)) --frames 2 --hz 0.5 --seed 303 --look autumn
+world evening --sequences $((towns * 2 / 15)) --frames 2 --hz 0.5 --seed 404 --look evening
 world drives --sequences $((towns / 6)) --frames 6 --hz 5 --seed 11
 world test --sequences 5 --frames 4 --hz 10 --seed 909
 day=$out/towns/day drives=$out/towns/drives overcast=$out/towns/overcast
@@ -56,6 +58,15 @@ paint world-painter release-painter "$day" 38 "train,$overcast:all" "${inputs[@]
   networks.painter.start="$(weights world-smooth painter)"
 painter=$out/mean/world-painter.safetensors
 mean "$painter" "$(weights world-smooth painter)" "$(weights world-painter painter)" # half the texture, half the calm
+scene() { # RUN DATA MINUTES TRAIN SEGMENTER TRANSLATOR START [OVERRIDE...]: a painter of several looks
+  stage "$1" scene-painter "$2" "$3" data.train="$4" options.segmenter="$5" options.translator="$6" \
+    options.cache="$out/frames/$1" networks.painter.start="$7" training.validate_minutes=0 "${@:8}"
+}
+looks=day,overcast,autumn,evening
+python "$here/scene_from_painter.py" "$painter" "$out/start/world.safetensors" ${looks//,/ } # what both have in common
+all=$overcast:all,$out/towns/autumn:all,$out/towns/evening:all
+scene world-scene "$day" 40 "train,$all" "${inputs[@]:1}" "$out/start/world.safetensors"
+painter=$(weights world-scene painter)
 lidar2pano evaluate "$painter+$out/world-translator+$out/world-segmenter" --data "$out/towns/test" --split all \
   --json "$out/world.json"
 family() { # NAME SEGMENTER TRANSLATOR PAINTER SCORES LICENCE
@@ -87,13 +98,9 @@ stage translator-4 release-translator "$kitti" 28 data.train=train,train,"$day:t
 python "$here/prior.py" "$(weights translator-4 translator)" "$out/prior/translator.safetensors" --data "$kitti"
 translator=$out/mean/translator.safetensors
 mean "$translator" "$out/family/translator.safetensors" "$out/prior/translator.safetensors"
-inputs=("train,train,$day:train" "$segmenter" "$translator")
-paint colours-3 release-colours "$kitti" 7 "${inputs[@]}" networks.painter.start="$(weights world-smooth painter)" \
-  networks.painter.optimizer.rate=0.001
-paint smooth-3 release-painter "$kitti" 12 "${inputs[@]}" "${smooth[@]}" \
-  networks.painter.start="$(weights colours-3 painter)"
-paint painter-3 release-painter "$kitti" 58 "${inputs[@]}" networks.painter.start="$(weights smooth-3 painter)"
-painter=$out/mean/painter.safetensors
-mean "$painter" "$(weights smooth-3 painter)" "$(weights painter-3 painter)"
+python "$here/add_look.py" "$(weights world-scene painter)" "$out/start/kitti.safetensors" kitti
+scene scene "$kitti" 43 "train,$day:train,$all" "$segmenter" "$translator" "$out/start/kitti.safetensors" \
+  options.look=kitti networks.painter.settings.looks="$looks,kitti" networks.painter.settings.look=kitti training.batch=1
+painter=$(weights scene painter)
 lidar2pano evaluate "$painter+$translator+$segmenter" --data "$kitti" --split val --json "$out/kitti.json"
 family kitti-mini "$segmenter" "$translator" "$painter" "$out/kitti.json" CC-BY-NC-SA-4.0

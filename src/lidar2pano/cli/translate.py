@@ -54,9 +54,6 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         Path | None,
         typer.Option(metavar="FILE", help="KITTI's calib.txt (P2, Tr): look from that camera, and save its view too."),
     ] = None,
-    look: Annotated[
-        str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
-    ] = "",
     image_size: Annotated[str, typer.Option(metavar="WxH", help="Size of that camera's image (1242x375).")] = "",
     save: Annotated[str, typer.Option(metavar="LIST", help="What to write: rgb,segments,labels,depth or all.")] = "rgb",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per scan on stdout.")] = False,
@@ -64,6 +61,9 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         bool,
         typer.Option("--steady", help="A folder's scans are a video: smooth it over time, without flicker."),
     ] = False,
+    look: Annotated[
+        str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
+    ] = "",
 ) -> None:
     """Turn scans into panoramas: DIR/<stem>.png, .segments.png, .label, .depth.png, .camera.png."""
     from lidar2pano.cli.batch import Options, parse_camera, parse_save, translate_files

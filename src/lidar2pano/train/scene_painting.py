@@ -73,21 +73,23 @@ class ScenePainting:
         if self.options.adversarial:
             scores = zip(critic(told, *on_real), critic(told, *(part.detach() for part in on_fake)), strict=True)
             yield "critic", _mean([hinge_critic(one.float(), other.float()) for one, other in scores])
+        options = self.options
         pairs = [(one.float(), other.float()) for one, other in zip(on_real, on_fake, strict=True)]
-        losses = {
-            "perceptual": _mean([l1_loss(fake, real) / (real.std() + 1e-3) for real, fake in pairs]),
-            "pooled": l1_loss(avg_pool2d(fake, POOLED), avg_pool2d(real, POOLED)),
-            "pixels": l1_loss(fake, real),
-        }
-        if self.options.adversarial:
+        perceptual = _mean([l1_loss(fake, real) / (real.std() + 1e-3) for real, fake in pairs])
+        pooled = l1_loss(avg_pool2d(fake, POOLED), avg_pool2d(real, POOLED))
+        pixels = l1_loss(fake, real)
+        self.logs = {"perceptual": perceptual.detach(), "pooled": pooled.detach(), "pixels": pixels.detach()}
+        loss = options.perceptual * perceptual + options.pooled * pooled + options.pixels * pixels
+        if options.adversarial:
             learning = [weight for weight in critic.parameters() if weight.requires_grad]
-            for weight in learning:
+            for weight in learning:  # its gradients would be discarded
                 weight.requires_grad_(False)
-            losses["adversarial"] = _mean([hinge_generator(score.float()) for score in critic(told, *on_fake)])
+            adversarial = _mean([hinge_generator(score.float()) for score in critic(told, *on_fake)])
             for weight in learning:
                 weight.requires_grad_(True)
-        self.logs = {name: loss.detach() for name, loss in losses.items()}
-        yield "painter", torch.stack([getattr(self.options, name) * loss for name, loss in losses.items()]).sum()
+            self.logs["adversarial"] = adversarial.detach()
+            loss = loss + options.adversarial * adversarial
+        yield "painter", loss
 
     def painted(self, batch: PaintingSample, segments: Tensor) -> Tensor:
         """Pictures (B, 3, 2H, 2W) float32 in [-1, 1] of a batch, at a place in the noise drawn anew."""

@@ -1,0 +1,104 @@
+"""The scene painter's losses, on a made-up batch with small networks and random features."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from lidar2pano.data.frames import IGNORE
+from lidar2pano.models import build
+from lidar2pano.train.options import ScenePaintingOptions
+from lidar2pano.train.painting_frames import PaintingSample
+from lidar2pano.train.scene_painting import ScenePainting
+from lidar2pano.views import VIEWS
+
+WIDTHS = (4, 6, 8, 10)
+
+
+class RandomFeatures(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        inputs = (3, *WIDTHS)
+        strides = (4, 2, 2, 2)
+        layers = zip(inputs, WIDTHS, strides, strict=False)
+        self.layers = nn.ModuleList([nn.Conv2d(one, other, 3, step, 1) for one, other, step in layers])
+        self.requires_grad_(False)
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        found = []
+        for layer in self.layers:
+            x = torch.relu(layer(x))
+            found.append(x)
+        return found
+
+
+@pytest.fixture
+def task() -> ScenePainting:
+    torch.manual_seed(0)
+    one = object.__new__(ScenePainting)
+    one.view, one.options, one.looks = VIEWS["panorama"].scaled(0.5), ScenePaintingOptions(columns=64), ("day", "real")
+    one.features = RandomFeatures()
+    painter = build("scene-painter", looks=one.looks, widths=(8, 12, 16), blocks=1, last=8)
+    one.networks = {"painter": painter, "critic": build("projected-critic", features=WIDTHS, mixed=8, width=8)}
+    return one
+
+
+@pytest.fixture
+def batch() -> PaintingSample:
+    """Two samples of one crop each: sky above, road below, coloured accordingly."""
+    torch.manual_seed(1)
+    rows, columns = 32, 64
+    labels = torch.ones(2, 1, rows, columns, dtype=torch.int64)
+    labels[:, :, :12] = 15
+    image = torch.full((2, 1, 3, 2 * rows, 2 * columns), -0.3)
+    image[..., :24, :] = 0.8
+    return PaintingSample(
+        segments=nn.functional.one_hot(labels, 16).movedim(-1, 2).half() * 0.8 + 0.2 / 16,
+        depth_m=torch.full((2, 1, rows, columns), 9.0),
+        channels=torch.rand(2, 1, 5, rows, columns),
+        labels=labels,
+        image=image,
+        valid=torch.ones(2, 1, 2 * rows, 2 * columns, dtype=torch.bool),
+        look=torch.tensor([[0], [1]]),
+        tone=torch.zeros(2, 1, 3),
+    )
+
+
+def test_the_painter_learns_what_the_scene_looks_like(task, batch):
+    task.view = replace(task.view, rows=32)
+    optimizers = {name: torch.optim.Adam(network.parameters(), 5e-3) for name, network in task.networks.items()}
+    course = []
+    for _ in range(25):
+        names = []
+        with torch.autocast("cpu", torch.bfloat16):  # as Fabric does
+            for name, loss in task.updates(batch):
+                names.append(name)
+                for optimizer in optimizers.values():
+                    optimizer.zero_grad()
+                loss.backward()
+                optimizers[name].step()
+        assert names == ["critic", "painter"]
+        course.append(float(task.logs["pixels"]))
+    assert course[-1] < 0.5 * course[0]
+
+
+def test_unknown_pixels_have_no_loss(task, batch):
+    task.view = replace(task.view, rows=32)
+    task.options = replace(task.options, adversarial=0.0)
+    blind = batch._replace(valid=torch.zeros_like(batch.valid))
+    ((name, loss),) = list(task.updates(blind))
+    assert name == "painter" and loss.item() == 0
+
+
+def test_ground_truth_is_painted_where_it_is_known_and_drawn(task, batch):
+    half = batch._replace(labels=batch.labels.clone()).flat()
+    half.labels[:, 20:] = IGNORE
+    task.options = replace(task.options, ground_truth_probability=1.0, sharpest=1.0)
+    segments = task.segments(half)
+    assert torch.equal(segments[:, :, :20].max(1).values, torch.ones(2, 20, 64))
+    assert torch.allclose(segments[:, :, 20:], half.segments[:, :, 20:].float(), atol=1e-3)
+    task.options = replace(task.options, ground_truth_probability=0.0)
+    assert torch.allclose(task.segments(half), half.segments.float(), atol=1e-3)
