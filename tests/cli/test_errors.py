@@ -314,7 +314,9 @@ def message(here, capsys):
 
 
 def test_training_needs_data(message):
-    assert message("salsanext --data small --out run").startswith("small: is no data set; name one in SemanticKITTI layout")
+    assert message("salsanext --data small --out run").startswith(
+        "small: is no data set; name one in SemanticKITTI layout"
+    )
 
 
 def test_training_needs_labels_that_fit(data, message):
