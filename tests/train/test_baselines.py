@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from lidar2pano.train.image import as_image, camera_inputs
+from lidar2pano.train.colour import as_image, camera_inputs
 from torch import Tensor, nn
 from torch.utils.data import default_collate
 

@@ -407,7 +407,7 @@ def all_around(root) -> VideoPainting:
 def test_the_panorama_is_painted_all_around(root):
     task = all_around(root)
     clip = task.dataset[0]
-    assert clip.image.shape == (5, 3, 96, 1152) and task.framing.closed and clip.known[1:].all()
+    assert clip.image.shape == (5, 3, 96, 1152) and task.framing.circular and clip.known[1:].all()
     assert task.card("painter")["views"]["panorama"]["columns"] == 1152
     film = task.temporal(default_collate([clip]), [clip.image[None, now] for now in (2, 3, 4)], 1)
     assert torch.equal(film.real, film.fake)
