@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from lidar2pano.train.colour import as_image, camera_inputs
 from torch import Tensor, nn
 from torch.utils.data import default_collate
 
@@ -24,6 +23,7 @@ from lidar2pano.models.card import load
 from lidar2pano.models.circular import fold_norms
 from lidar2pano.scan import Scan
 from lidar2pano.train.adversarial import pix2pix_updates
+from lidar2pano.train.colour import as_image, camera_inputs
 from lidar2pano.train.engine import train
 from lidar2pano.train.options import Pix2PixOptions
 from lidar2pano.train.recipes import recipe_named
