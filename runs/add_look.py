@@ -20,4 +20,5 @@ def main(weights: str, out: str, look: str) -> None:
     save(Path(out), wider, replace(card, settings=settings))
 
 
-main(*sys.argv[1:])
+if __name__ == "__main__":
+    main(*sys.argv[1:])

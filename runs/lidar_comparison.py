@@ -219,7 +219,7 @@ def chart(title: str, simulated: np.ndarray, real: np.ndarray, ends: tuple[str, 
     """Two curves over the same places, from zero to the greater of both."""
     wide, high = 330, 150
     image = Image.new("RGB", (wide, high), "white")
-    draw = ImageDraw.SampleIndex(image)
+    draw = ImageDraw.Draw(image)
     top = max(float(np.nanmax(simulated)), float(np.nanmax(real)), 1e-9)
     for curve, colour in ((real, REAL), (simulated, SIMULATED)):
         x = np.linspace(8, wide - 8, len(curve))
@@ -270,7 +270,7 @@ def figure_sheet(simulated: Points, real: Points) -> Image.Image:
     drawn = charts(simulated, real)
     rows = -(-len(drawn) // 3)
     sheet = Image.new("RGB", (1000, 20 + 4 * 132 + 524 + rows * 154), "white")
-    draw = ImageDraw.SampleIndex(sheet)
+    draw = ImageDraw.Draw(sheet)
     draw.text((8, 4), "simulated", fill=SIMULATED)
     draw.text((80, 4), "real", fill=REAL)
     draw.text((120, 4), "range of a simulated scan, of a real one; remission of both; both from above", fill="black")

@@ -16,9 +16,10 @@ from pathlib import Path
 import torch
 
 from lidar2pano.data.panorama_crops import PanoramaDataset
+from lidar2pano.labels import COMMON15
+from lidar2pano.losses.supervised import class_weights
 from lidar2pano.models.card import load, save
 from lidar2pano.models.titan_pano import TitanPano
-from lidar2pano.train.panorama import camera_class_weights
 from lidar2pano.views import View
 
 COLUMNS, EXPONENT = 576, 0.5  # of the recipe titan-pano
@@ -35,7 +36,8 @@ def main() -> None:
     network, card = load(asked.translator, expect="titan-pano")
     assert isinstance(network, TitanPano)
     samples = PanoramaDataset(asked.data, ("train",), View(**card.views["panorama"]), COLUMNS)
-    weights = camera_class_weights(samples, EXPONENT).clamp(min=0.05)
+    counts = samples.class_counts()[: len(COMMON15)]
+    weights = class_weights(counts, EXPONENT, least=1e-4, most=4.0).clamp(min=0.05)
     assert network.classes.bias is not None
     with torch.no_grad():
         network.classes.bias -= asked.share * weights.log()

@@ -46,4 +46,5 @@ def main(old: str, out: str, *looks: str) -> None:
     save(Path(out), scene, begun)
 
 
-main(*sys.argv[1:])
+if __name__ == "__main__":
+    main(*sys.argv[1:])

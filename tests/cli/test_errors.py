@@ -277,7 +277,7 @@ BAD_DATA: dict[str, tuple[Callable[[Path], object], str]] = {
     "no scan": (lambda seq: (seq / "velodyne" / "000000.bin").unlink(), "scan 000000.bin of split 'val' is missing"),
     "calib": (lambda seq: (seq / "calib.txt").unlink(), "calib.txt: cannot be read"),
     "picture": (lambda seq: (seq / "camera_labels" / "000000.png").write_bytes(b"no"), "is no readable image"),
-    "colours": (colour_labels, "camera_labels/000000.png: is no picture of class ids"),
+    "colours": (colour_labels, "camera_labels/000000.png: is no image of class ids"),
 }
 
 
@@ -314,7 +314,9 @@ def message(here, capsys):
 
 
 def test_training_needs_data(message):
-    assert message("salsanext --data small --out run").startswith("small: has no folder sequences/")
+    assert message("salsanext --data small --out run").startswith(
+        "small: is no data set; name one in SemanticKITTI layout"
+    )
 
 
 def test_training_needs_labels_that_fit(data, message):

@@ -262,28 +262,28 @@ def test_damaged_poses_are_named(tmp_path, content, message):
 
 def test_flow_seen_in_pictures():
     pytest.importorskip("cv2", reason="flow between pictures needs opencv: pip install 'lidar2pano[flow]'")
-    from lidar2pano.data.optical_flow import seen_flow
+    from lidar2pano.data.optical_flow import optical_flow
     from miniature_video import texture
 
     wide = torch.from_numpy(texture(0, 80, 200)).movedim(2, 0)
     before, now = wide[:, 4:68, 10:170].contiguous(), wide[:, 2:66, 13:173].contiguous()  # it moved left and down
-    flow = seen_flow(now, before)
+    flow = optical_flow(now, before)
     middle = (slice(8, 56), slice(8, 152))
     assert flow.known[middle].float().mean() > 0.95
     assert flow.shift[0][middle][flow.known[middle]].median() == pytest.approx(3, abs=0.2)
     assert flow.shift[1][middle][flow.known[middle]].median() == pytest.approx(-2, abs=0.2)
     assert not flow.known[:, -2:].any(), "it came into sight"
-    unlike = seen_flow(now, torch.from_numpy(texture(1, 64, 160)).movedim(2, 0))
+    unlike = optical_flow(now, torch.from_numpy(texture(1, 64, 160)).movedim(2, 0))
     assert unlike.known.float().mean() < 0.5
 
 
 def test_without_opencv_it_is_asked_for(monkeypatch):
-    from lidar2pano.data.optical_flow import seen_flow
+    from lidar2pano.data.optical_flow import optical_flow
 
     monkeypatch.setitem(sys.modules, "cv2", None)
     picture = torch.zeros(3, 8, 8, dtype=torch.uint8)
     with pytest.raises(InputError, match=r"needs OpenCV: pip install 'lidar2pano\[flow\]'"):
-        seen_flow(picture, picture)
+        optical_flow(picture, picture)
 
 
 def test_a_rendered_picture_is_the_one_before_it_warped(tmp_path):

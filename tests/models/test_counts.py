@@ -32,7 +32,14 @@ PARAMETERS: dict[str, tuple[str, Settings, int]] = {
     "vid2vid_D_image": ("vid2vid-image-critic", {}, 5_606_786),
     "vid2vid_D_temporal": ("vid2vid-temporal-critic", {}, 5_553_538),
 }
-OURS = {"titan-pano", "titan-next", "painter", "patch-critic"}  # nothing published to compare with
+OURS = {
+    "scene-painter",
+    "projected-critic",
+    "titan-pano",
+    "titan-next",
+    "painter",
+    "patch-critic",
+}  # nothing published to compare with
 
 # network, inputs without the batch, 10^9 multiplications, as counted on the published networks
 GMACS: list[tuple[str, list[tuple[int, ...]], float]] = [

@@ -81,8 +81,9 @@ def test_a_stream_with_poses_is_smoothed(pipeline):
         def __init__(self):
             self.moods = iter((-0.5, 0.1, 0.1))
 
-        def paint(self, past, segments, depth_m, image):
-            return past, torch.full((1, 3, 2 * segments.shape[2], 2 * segments.shape[3]), next(self.moods))
+        def paint(self, past, scene):
+            rows, columns = scene.segments.shape[2:]
+            return past, torch.full((1, 3, 2 * rows, 2 * columns), next(self.moods))
 
     scan, still = street(seed=1), np.eye(4)
     plain = [one.colour for one in replace(pipeline, painter=Moody()).stream([scan] * 2)]

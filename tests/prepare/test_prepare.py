@@ -22,6 +22,7 @@ from lidar2pano.cli import main
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
+from lidar2pano.formats import image_files
 from lidar2pano.formats.scan_files import write_bin
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import CITYSCAPES, SEMANTIC_KITTI, unpack_label
@@ -425,6 +426,7 @@ def killed(root: Path, teacher: Copyist, place: str, number: int) -> None:
 
 
 def states_of(root: Path, teacher: Copyist) -> list[str]:
+    image_files._sweep.cache_clear()  # as in a new process: what a killed one left is removed once per folder
     return [one.state.value for _, done in label(frames_to_label(root), [teacher]) for one in done]
 
 

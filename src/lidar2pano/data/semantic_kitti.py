@@ -69,8 +69,9 @@ class SemanticKittiFrame(Frame):
         path = self.file("labels", ".label")
         if not path.is_file():
             return None
-        points = self.scan_file.stat().st_size // BYTES_PER_POINT if self.scan_file.is_file() else len(self.scan)
-        return read_label(path, points)
+        size = self.scan_file.stat().st_size if self.scan_file.is_file() else 0
+        whole = size > 0 and size % BYTES_PER_POINT == 0  # otherwise reading the scan says what is wrong with it
+        return read_label(path, size // BYTES_PER_POINT if whole else len(self.scan))
 
     @cached_property
     def image(self) -> np.ndarray | None:

@@ -88,7 +88,8 @@ class ImagenetFeatures(nn.Module):
 
     def forward(self, picture: Tensor) -> list[Tensor]:
         """Features of pictures (B, 3, H, W) in [-1, 1], one tensor per block."""
-        network, found = self.network, []
+        network: Any = self.network
+        found = []
         x = network._swish(network._bn0(network._conv_stem(picture)))
         for number, block in enumerate(network._blocks):
             x = block(x)

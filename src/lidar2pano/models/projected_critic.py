@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -29,7 +30,7 @@ class ProjectedCritic(nn.Module):
         self.across = nn.ModuleList([nn.Conv2d(channels, mixed, 1, bias=False) for channels in features])
         self.scales = nn.ModuleList([nn.Conv2d(mixed, mixed, 3, 1, 1, bias=False) for _ in features])
         for layer in (*self.across, *self.scales):
-            nn.init.kaiming_normal_(layer.weight, nonlinearity="linear")
+            nn.init.kaiming_normal_(cast(Tensor, layer.weight), nonlinearity="linear")
             layer.requires_grad_(False)
         self.heads = nn.ModuleList([_head(mixed + conditions, width, down) for down in DOWN])
 

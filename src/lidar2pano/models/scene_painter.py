@@ -8,6 +8,7 @@ work. Several looks in one network: a learned code per look scales and shifts fe
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 import torch
@@ -74,8 +75,8 @@ class ScenePainter(nn.Module):
             if isinstance(part, nn.BatchNorm2d):
                 part.momentum = MOMENTUM
         for layer in self.tuned:
-            nn.init.normal_(layer.weight, std=0.05)
-            nn.init.zeros_(layer.bias)
+            nn.init.normal_(cast(Tensor, layer.weight), std=0.05)
+            nn.init.zeros_(cast(Tensor, layer.bias))
 
     def look_shares(self, look: str) -> list[float]:
         """Shares of each look in what a name stands for, "A" or "A+B" (their mean); InputError for an unknown name."""

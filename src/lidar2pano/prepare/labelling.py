@@ -121,8 +121,6 @@ def _write(teacher: Teacher, frame: SemanticKittiFrame, source: Path, file: Path
     seen: Stamp = stamp_of(source)
 
     def write(beside: Path) -> None:
-        for left in file.parent.glob(f".{file.name}.*"):  # of a run that was killed
-            left.unlink(missing_ok=True)
         teacher.write(frame, beside)
         journal.enter(Record(file=_name(file), made_by=teacher.made_by, source=seen, stamp=stamp_of(beside)))
 

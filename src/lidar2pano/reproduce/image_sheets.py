@@ -117,7 +117,7 @@ def _read(path: Path) -> np.ndarray | None:
 
 def _headed(image: np.ndarray, heads: Iterable[str]) -> np.ndarray:
     strip = Image.new("RGB", (image.shape[1], HEAD), "white")
-    draw = ImageDraw.SampleIndex(strip)
+    draw = ImageDraw.Draw(strip)
     for number, head in enumerate(heads):
         draw.text((number * WIDTH + 4, 3), head, fill="black")
     return np.concatenate([np.array(strip), image])
