@@ -269,7 +269,9 @@ def test_evaluate_side_by_side(here, random_weights, front_weights, capsys):
     assert head == f"| class | pixels | {both[0]} | {both[1]} |"
     names = [row.split(" | ")[0].removeprefix("| ") for row in rows]
     assert names == ["car", "road", "building", "vegetation", "**mIoU of 4**", "accuracy", "SSIM", "SWD x 1000",
-                     "SWD x 1000 by level, 1024 512 256 128 64 32 16", "patch Frechet / real-to-real", "patch Frechet distance", "FID", "depth AbsRel", "depth RMSE, m",
+                     "SWD x 1000 by level, 1024 512 256 128 64 32 16", "patch Frechet / real-to-real",
+                     "patch Frechet distance", "patch Frechet, real-to-real", "FID",
+                     "depth AbsRel", "depth RMSE, m",
                      "points: mIoU of 19 SemanticKITTI classes", "points: accuracy",
                      "project, ms", "segment, ms", "clean up, ms", "translate, ms", "paint, ms", "finish, ms",
                      "camera, ms", "segmenter: recipe", "segmenter: commit", "translator: recipe",

@@ -23,6 +23,7 @@ from lidar2pano.data.frames import IGNORE
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
 from lidar2pano.formats import image_files
+from lidar2pano.formats.image_files import PART
 from lidar2pano.formats.scan_files import write_bin
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import CITYSCAPES, SEMANTIC_KITTI, unpack_label
@@ -453,7 +454,7 @@ def test_killed_before_a_file_is_replaced_the_older_one_is_known(root):
     before = contents(root)
     killed(root, Copyist("b"), "before", 0)  # b's line is in the journal, a's file is in the folder
     assert states_of(root, Copyist("a")) == ["current"] * 3
-    assert {name for name in contents(root).keys() - before.keys() if "/.0" not in name} == set()
+    assert {name for name in contents(root).keys() - before.keys() if not name.endswith(PART)} == set()
     assert states_of(root, Copyist("b")) == ["written"] * 3
     assert contents(root).keys() == before.keys()
 
@@ -554,7 +555,7 @@ def test_a_place_that_cannot_be_written_to(root, prepare):
         (["--teacher", "{segmenter}"], "{segmenter} has weights of another network: 'salsanext' instead of 'sdnet'"),
         (["--teacher", "mask2former:a/b"], "a/b: neither a folder nor a model in the hub's cache"),
         (["--lidar", "nowhere"], "no weights 'nowhere'"),
-        (["--lidar", "{sdnet}"], "{sdnet}: a 'sdnet' has no part in the pipeline"),
+        (["--lidar", "{sdnet}"], "{sdnet}: a 'sdnet' has no part in a system"),
         (["--device", "gpu"], "no device 'gpu'"),
         (["--split", "vall"], "{root}/sequences: no split 'vall'; did you mean 'val'?"),
     ],
@@ -604,7 +605,7 @@ def test_a_teachers_name_is_its_weights_and_settings(weights):
 
 def test_a_mask2former_labels_pictures(root, tmp_path, capsys):
     pytest.importorskip("transformers")
-    from test_teachers import write_model
+    from teacher_models import write_model
 
     folder = write_model(tmp_path / "model", "mask2former")
     capsys.readouterr()

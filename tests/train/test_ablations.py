@@ -28,7 +28,6 @@ from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.task import Task
 from lidar2pano.train.tasks import build_task
 from lidar2pano.views import VIEWS
-from miniature import SIZE as CAMERA
 from miniature import write_data_set
 from small_recipes import FRONT, alike, small, without_chance
 
@@ -120,37 +119,39 @@ def test_depths_are_bounded_and_coded_by_their_logarithm(level, depth_m):
 
 def test_front_samples_carry_what_is_wanted_and_nothing_else(root):
     plain = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE)[0]
-    assert plain.camera.shape == SIZE and not plain.colour.numel() and not plain.depth_m.numel()
-    whole = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(colour=True, depth=True))[0]
-    assert all(torch.equal(getattr(plain, name), getattr(whole, name)) for name in ("lidar", "segments", "camera"))
-    assert whole.colour.shape == (3, *SIZE) and whole.depth_m.shape == SIZE
+    assert plain.camera_labels.shape == SIZE and not plain.image.numel() and not plain.depth_m.numel()
+    whole = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(image=True, depth=True))[0]
+    assert all(
+        torch.equal(getattr(plain, name), getattr(whole, name)) for name in ("lidar", "segments", "camera_labels")
+    )
+    assert whole.image.shape == (3, *SIZE) and whole.depth_m.shape == SIZE
     bare = FrontViewDataset(
-        root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(classes=False, colour=True, depth=True)
+        root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(labels=False, image=True, depth=True)
     )[0]
-    assert not bare.segments.numel() and not bare.camera.numel()
-    assert torch.equal(bare.colour, whole.colour) and torch.equal(bare.depth_m, whole.depth_m)
+    assert not bare.segments.numel() and not bare.camera_labels.numel()
+    assert torch.equal(bare.image, whole.image) and torch.equal(bare.depth_m, whole.depth_m)
 
 
 def test_colours_and_depths_lie_where_the_classes_are(root):
-    samples = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(colour=True, depth=True))
+    samples = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(image=True, depth=True))
     sample, road = samples[0], 7
-    grey = (sample.colour[0] - sample.colour[2]).abs() < 0.1
+    grey = (sample.image[0] - sample.image[2]).abs() < 0.1
     inner = slice(8, -8)  # the left edge is unsure, and edges are mixed
-    assert (grey == (sample.camera == road))[:, inner].float().mean() > 0.9
+    assert (grey == (sample.camera_labels == road))[:, inner].float().mean() > 0.9
     frame = samples.frames[0]
-    assert torch.equal(sample.depth_m, project_to_camera(frame.scan(), frame.calibration(CAMERA), SIZE)[1])
+    assert torch.equal(sample.depth_m, project_to_camera(frame.scan, frame.calibration, SIZE)[1])
     assert 0.02 < (sample.depth_m > 0).float().mean() < 0.6
 
 
 def test_both_sides_of_a_front_sample_are_mirrored_together(root):
-    samples = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(colour=True, depth=True))
+    samples = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(image=True, depth=True))
     plain, seen = samples[0], set()
     for seed in range(12):
         drawn = samples[SampleIndex(0, seed)]
-        flip = torch.equal(drawn.camera, plain.camera.flip(-1))
-        assert flip or torch.equal(drawn.camera, plain.camera)
+        flip = torch.equal(drawn.camera_labels, plain.camera_labels.flip(-1))
+        assert flip or torch.equal(drawn.camera_labels, plain.camera_labels)
         assert torch.equal(drawn.depth_m, plain.depth_m.flip(-1) if flip else plain.depth_m)
-        assert torch.equal(drawn.colour, plain.colour.flip(-1) if flip else plain.colour)
+        assert torch.equal(drawn.image, plain.image.flip(-1) if flip else plain.image)
         mine = drawn.segments.flip(-1) if flip else drawn.segments
         there = mine > 0  # points may have been dropped, and some lie on the edge of a pixel
         assert (mine == plain.segments)[there].float().mean() > 0.9
@@ -224,8 +225,8 @@ def test_without_segments_the_auxiliary_loss_is_the_squared_error(root):
     with without_chance():
         fake = task.networks["renderer"](batch.lidar).detach()
         list(task.updates(batch))
-    assert float(task.logs["auxiliary"]) == pytest.approx(3 * (fake - batch.colour).square().mean().item(), rel=1e-4)
-    assert fake.shape == batch.colour.shape and fake.abs().max() <= 1
+    assert float(task.logs["auxiliary"]) == pytest.approx(3 * (fake - batch.image).square().mean().item(), rel=1e-4)
+    assert fake.shape == batch.image.shape and fake.abs().max() <= 1
 
 
 def test_without_range_only_segments_are_translated(root):
@@ -271,7 +272,7 @@ def test_titan_next_scores_classes_and_depths(root):
     task = build_task(small("titan-next-mini"), root)
     task.networks["translator"].eval()
     truth = {sample.name: sample for sample in map(task.validation.__getitem__, range(2))}
-    task.predict_both = lambda sample: (truth[sample.name].camera, 1.25 * truth[sample.name].depth_m)
+    task.predict_both = lambda sample: (truth[sample.name].camera_labels, 1.25 * truth[sample.name].depth_m)
     assert task.validate() == {"score": 1.0, "miou": 1.0, "accuracy": 1.0, "depth_abs_rel": pytest.approx(0.25)}
     pictures = task.preview()
     assert pictures["segments"].shape == pictures["depth"].shape == (4 * 68, 100, 3)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from lidar2pano.train.colour import as_image, camera_inputs
 from torch import Tensor, nn
 from torch.utils.data import default_collate
 
@@ -23,7 +24,6 @@ from lidar2pano.models.card import load
 from lidar2pano.models.circular import fold_norms
 from lidar2pano.scan import Scan
 from lidar2pano.train.adversarial import pix2pix_updates
-from lidar2pano.train.colour import as_image, camera_inputs
 from lidar2pano.train.engine import train
 from lidar2pano.train.options import Pix2PixOptions
 from lidar2pano.train.recipes import recipe_named
@@ -237,10 +237,10 @@ def test_camera_samples_line_scan_and_picture_up_and_flip_them_together(root):
     plain = samples[0]
     below, above = plain.lidar[1, 20:], plain.lidar[1, :6]
     assert (below > 0).any() and not (above > 0).any()  # the road is there, the sky gives no echo
-    assert plain.colour.shape == (3, 36, 120) and plain.colour.min() >= -1 and plain.colour.max() <= 1
+    assert plain.image.shape == (3, 36, 120) and plain.image.min() >= -1 and plain.image.max() <= 1
     drawn = [samples[SampleIndex(0, seed)] for seed in range(12)]
     counts = {int((one.lidar[1] > 0).sum()) for one in drawn}
-    flipped = [torch.equal(one.colour, plain.colour.flip(-1)) for one in drawn]
+    flipped = [torch.equal(one.image, plain.image.flip(-1)) for one in drawn]
     assert len(counts) > 3 and {True, False} == set(flipped)
     for one, flip in zip(drawn, flipped, strict=True):  # the left strip of the made-up picture is another colour
         kept = one.lidar.flip(-1) if flip else one.lidar
@@ -355,9 +355,7 @@ def test_pix2pixs_auxiliary_loss_is_the_weighted_distance_to_what_the_camera_has
         batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
         fake = task.networks["renderer"](batch.lidar).detach()
         list(task.updates(batch))
-        assert float(task.logs["auxiliary"]) == pytest.approx(
-            7 * (fake - batch.colour).square().mean().item(), rel=1e-4
-        )
+        assert float(task.logs["auxiliary"]) == pytest.approx(7 * (fake - batch.image).square().mean().item(), rel=1e-4)
 
 
 def test_pix2pixs_critic_sees_beside_the_image_what_the_generator_sees(root):
@@ -393,7 +391,7 @@ def test_what_is_released_says_what_it_is(root, name, tmp_path):
 
 def test_a_perfect_renderer_has_no_distance(root):
     task = build_task(small("scunet-mini"), root)
-    task.render = lambda index: (task.validation[index].colour,) * 2
+    task.render = lambda index: (task.validation[index].image,) * 2
     assert task.validate() == {"score": 0.0, "pooled_colour": 0.0, "ssim": pytest.approx(1.0)}
     task.render = lambda index: (-torch.ones(3, *SIZE), torch.ones(3, *SIZE))
     assert task.validate()["pooled_colour"] == 1.0
@@ -406,7 +404,7 @@ def test_colour_tasks_need_no_labels(root, tmp_path):
             for path in bare.glob(f"sequences/*/{folder}/*"):
                 path.unlink()
         task = build_task(small(name), bare)
-        assert task.dataset[SampleIndex(0, 1)].colour.shape == (3, *SIZE)
+        assert task.dataset[SampleIndex(0, 1)].image.shape == (3, *SIZE)
         assert [who for who, _ in task.updates(default_collate([task.dataset[0]]))][-1] == "renderer"
 
 

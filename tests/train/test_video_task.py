@@ -222,12 +222,12 @@ def test_the_painter_sees_its_own_last_pictures(root):
     assert len(calls) == LENGTH - 2
     one_hot = one_hot_clip(batch)
     assert one_hot.shape == (2, LENGTH, 16, 32, 48)
-    assert torch.equal(one_hot.argmax(2), batch.classes) and torch.equal(one_hot.sum(2), torch.ones(2, LENGTH, 32, 48))
+    assert torch.equal(one_hot.argmax(2), batch.labels) and torch.equal(one_hot.sum(2), torch.ones(2, LENGTH, 32, 48))
     for number, (labels, previous, *_) in enumerate(calls):
         assert torch.equal(labels, one_hot[:, number : number + 3])
         assert not previous.requires_grad, "no gradient goes back in time"
-    assert torch.equal(calls[0][1], batch.colour[:, :2])
-    assert torch.equal(calls[1][1], torch.stack([batch.colour[:, 1], calls[0][2].detach()], 1))
+    assert torch.equal(calls[0][1], batch.image[:, :2])
+    assert torch.equal(calls[1][1], torch.stack([batch.image[:, 1], calls[0][2].detach()], 1))
     assert torch.equal(calls[4][1], torch.stack([calls[2][2], calls[3][2]], 1))
 
 
@@ -242,7 +242,7 @@ def test_blank_clips_begin_from_nothing_and_are_painted_anew(root):
     assert torch.equal(calls[1][1], torch.stack([torch.zeros_like(raw), raw], 1)), "as published with --no_first_img"
     assert torch.equal(calls[2][1], torch.stack([raw, calls[1][2]], 1)), "the second is a picture like any other"
     first = torch.tensor([True, False])
-    frame = task.frame(batch, one_hot_clip(batch), batch.colour[:, :2], 2, first)
+    frame = task.frame(batch, one_hot_clip(batch), batch.image[:, :2], 2, first)
     assert not frame.coherent[0].any() and torch.equal(frame.coherent[1], batch.known[1, 2])
     assert torch.equal(frame.fake[0], frame.raw[0]) and not torch.equal(frame.fake[1], frame.raw[1])
     assert torch.equal(frame.flow.known, batch.known[:, 2]), "the flow is asked for all the same"
@@ -258,19 +258,19 @@ def test_losses_weigh_what_the_recipe_says(root):
         NEVER_BLANK,
     )
     batch = a_batch(task, 1)
-    frame = task.frame(batch, one_hot_clip(batch), batch.colour[:, :2], 2, torch.tensor([False]))
+    frame = task.frame(batch, one_hot_clip(batch), batch.image[:, :2], 2, torch.tensor([False]))
     losses = task.losses.reconstruction(frame)
     shift, known = batch.shift[:, 2], batch.known[:, 2]
     flow = flow_loss(frame.fake_flow, shift, known)
-    flow += warping_loss(frame.fake_flow, batch.colour[:, 1], batch.colour[:, 2], known)
+    flow += warping_loss(frame.fake_flow, batch.image[:, 1], batch.image[:, 2], known)
     slow = {
         "flow": 3 * flow,
-        "coherence": 5 * coherence_loss(frame.fake, batch.colour[:, 1], shift, known),
-        "pixels": 7 * sum((picture - batch.colour[:, 2]).abs().mean() for picture in (frame.fake, frame.raw)),
+        "coherence": 5 * coherence_loss(frame.fake, batch.image[:, 1], shift, known),
+        "pixels": 7 * sum((picture - batch.image[:, 2]).abs().mean() for picture in (frame.fake, frame.raw)),
     }
     assert {name: loss.item() for name, loss in losses.items()} == pytest.approx({k: v.item() for k, v in slow.items()})
 
-    again = task.frame(batch, one_hot_clip(batch), batch.colour[:, :2], 2, torch.tensor([True]))
+    again = task.frame(batch, one_hot_clip(batch), batch.image[:, :2], 2, torch.tensor([True]))
     task.losses.options = replace(task.losses.options, mask=1.0)
     first = task.losses.reconstruction(again)
     assert first["coherence"] == 0 == first["mask"], "there was no picture before it"
@@ -280,11 +280,11 @@ def test_losses_weigh_what_the_recipe_says(root):
 def test_critics_judge_the_picture_and_what_is_painted_anew(root):
     task = made(root, NEVER_BLANK, "options.feature_matching=2")
     batch = a_batch(task, 1)
-    frame = task.frame(batch, one_hot_clip(batch), batch.colour[:, :2], 2, torch.tensor([False]))
+    frame = task.frame(batch, one_hot_clip(batch), batch.image[:, :2], 2, torch.tensor([False]))
     critic = task.networks["critic"]
     real, *fakes = (
         critic(torch.cat([one_hot_clip(batch)[:, 2], picture], 1))
-        for picture in (batch.colour[:, 2], frame.fake, frame.raw)
+        for picture in (batch.image[:, 2], frame.fake, frame.raw)
     )
     turns = task.losses.updates(frame, {})
     who, loss = next(turns)
@@ -299,11 +299,11 @@ def test_critics_judge_the_picture_and_what_is_painted_anew(root):
 def test_films_are_three_pictures_and_the_flows_between_them(root):
     task = made(root)
     batch = a_batch(task)
-    painted = [torch.full_like(batch.colour[:, 0], number) for number in range(5)]  # frames 2 to 6
+    painted = [torch.full_like(batch.image[:, 0], number) for number in range(5)]  # frames 2 to 6
     film = task.temporal(batch, painted, 2)
     assert film.real.shape == film.fake.shape == (2, 13, 32, 48)
     assert [film.fake[:, 3 * k].mean().item() for k in range(3)] == [0, 2, 4]
-    assert torch.equal(film.real[:, :9], torch.cat([batch.colour[:, now] for now in (2, 4, 6)], 1))
+    assert torch.equal(film.real[:, :9], torch.cat([batch.image[:, now] for now in (2, 4, 6)], 1))
     assert torch.equal(film.real[:, 9:], film.fake[:, 9:])
     for place, now in ((9, 4), (11, 6)):
         shift = film.real[:, place : place + 2] * 20
@@ -353,28 +353,28 @@ def test_films_begin_as_the_pipeline_s_do(root, tmp_path, monkeypatch):
         assert pictures.shape == (LENGTH, 3, 32, 48) and flows.shape == (LENGTH, 2, 32, 48)
         painter = Vid2VidPainter(network, task.first, closed=False).eval()
         past = None
-        for ids, picture in zip(clip.classes, pictures, strict=True):
+        for ids, picture in zip(clip.labels, pictures, strict=True):
             with torch.inference_mode():
                 past, theirs = painter.follow(past, ids)
             assert torch.allclose(theirs, picture, atol=1e-4)
     given = made(root, NEVER_BLANK)
     given.networks["painter"].eval()
-    assert torch.equal(given.paint(clip)[0][:2], clip.colour[:2])
+    assert torch.equal(given.paint(clip)[0][:2], clip.image[:2])
 
 
 def test_scores_say_how_far_and_how_restless(root, monkeypatch):
     task = all_around(root)
     clip = task.validation[0]
-    assert task.flicker(clip.colour, clip) < 0.002, "the seam is no edge"
-    assert task.flicker(torch.rand_like(clip.colour) * 2 - 1, clip) > 0.1
-    monkeypatch.setattr(task, "paint", lambda clip: (clip.colour, clip.shift))
+    assert task.flicker(clip.image, clip) < 0.002, "the seam is no edge"
+    assert task.flicker(torch.rand_like(clip.image) * 2 - 1, clip) > 0.1
+    monkeypatch.setattr(task, "paint", lambda clip: (clip.image, clip.shift))
     truth = task.validate()
     assert truth["pooled_colour"] == 0 == truth["flow_px"] and truth["flicker"] == truth["flicker_of_real"]
     off = torch.tensor([3.0, 4.0])[:, None, None]
-    monkeypatch.setattr(task, "paint", lambda clip: (clip.colour + 0.5, clip.shift + off))
+    monkeypatch.setattr(task, "paint", lambda clip: (clip.image + 0.5, clip.shift + off))
     found = task.validate()
     assert found["pooled_colour"] == pytest.approx(0.25, abs=1e-4) and found["flow_px"] == pytest.approx(5, abs=1e-4)
-    monkeypatch.setattr(task, "paint", lambda clip: (torch.rand_like(clip.colour), clip.shift))
+    monkeypatch.setattr(task, "paint", lambda clip: (torch.rand_like(clip.image), clip.shift))
     noise = task.validate()
     assert noise["flicker"] > 0.1 and noise["score"] == pytest.approx(-noise["pooled_colour"] - noise["flicker"])
 
@@ -407,9 +407,9 @@ def all_around(root) -> VideoPainting:
 def test_the_panorama_is_painted_all_around(root):
     task = all_around(root)
     clip = task.dataset[0]
-    assert clip.colour.shape == (5, 3, 96, 1152) and task.framing.closed and clip.known[1:].all()
+    assert clip.image.shape == (5, 3, 96, 1152) and task.framing.circular and clip.known[1:].all()
     assert task.card("painter")["views"]["panorama"]["columns"] == 1152
-    film = task.temporal(default_collate([clip]), [clip.colour[None, now] for now in (2, 3, 4)], 1)
+    film = task.temporal(default_collate([clip]), [clip.image[None, now] for now in (2, 3, 4)], 1)
     assert torch.equal(film.real, film.fake)
 
 
