@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
 
-from lidar2pano.errors import InputError, closest
+from lidar2pano.errors import InputError
 from lidar2pano.geometry.solid_noise import solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals, road_height
 from lidar2pano.labels import COMMON15
@@ -84,7 +84,7 @@ class ScenePainter(nn.Module):
         for name in names:
             if name not in self.looks:
                 known = ", ".join(self.looks)
-                raise InputError(f"the painter knows no look {name!r}{closest(name, self.looks)}; it knows {known}")
+                raise InputError(f"the painter knows no look {name!r}; it knows {known}")
         return [names.count(look) / len(names) for look in self.looks]
 
     def forward(self, shown: Tensor, fine_noise: Tensor, shares: Tensor, tone: Tensor) -> Tensor:
