@@ -154,19 +154,19 @@ def main() -> None:
     parser.add_argument("--families", default=",".join(FAMILIES))
     parser.add_argument("--recipe", nargs="+", help=argparse.SUPPRESS)
     parser.add_argument("--out", type=Path, default=Path("docs/any_size.md"))
-    asked = parser.parse_args()
-    if asked.recipe:
-        few_steps(asked.recipe, asked.data, asked.out)
+    arguments = parser.parse_args()
+    if arguments.recipe:
+        few_steps(arguments.recipe, arguments.data, arguments.out)
         return
-    sizes, families = [int(size) for size in asked.frames.split(",")], asked.families.split(",")
+    sizes, families = [int(size) for size in arguments.frames.split(",")], arguments.families.split(",")
     found: dict[tuple[str, int], list[float]] = {}
     with tempfile.TemporaryDirectory() as folder:
-        roots = {size: linked(asked.data, Path(folder) / f"data{size}", size) for size in sizes}
+        roots = {size: linked(arguments.data, Path(folder) / f"data{size}", size) for size in sizes}
         speed = rates(roots[sizes[-1]])
         for family in families:
             for size, root in roots.items():
                 found[family, size] = train(FAMILIES[family], root, Path(folder) / f"{family}{size}")
-                asked.out.write_text(tables(found, sizes, families, speed))
+                arguments.out.write_text(tables(found, sizes, families, speed))
 
 
 def tables(

@@ -20,11 +20,12 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("files", type=Path, nargs="+")
     parser.add_argument("--shares", default="")
-    asked = parser.parse_args()
-    shares = [float(share) for share in asked.shares.split(",") if share] or [1 / len(asked.files)] * len(asked.files)
-    if len(shares) != len(asked.files) or abs(sum(shares) - 1) > 1e-6:
+    arguments = parser.parse_args()
+    count = len(arguments.files)
+    shares = [float(share) for share in arguments.shares.split(",") if share] or [1 / count] * count
+    if len(shares) != count or abs(sum(shares) - 1) > 1e-6:
         parser.error("--shares must be as many as files, and 1 together")
-    loaded = [load(file) for file in asked.files]
+    loaded = [load(file) for file in arguments.files]
     network, card = loaded[-1]
     states = [one.state_dict() for one, _ in loaded]
     mean = {name: value for name, value in states[-1].items() if not value.is_floating_point()}  # norms' counters
@@ -32,7 +33,7 @@ def main() -> None:
         mean[name] = sum(share * state[name] for share, state in zip(shares, states, strict=True))
     network.load_state_dict(mean)
     parts = " and ".join(f"{share:g} x {one.recipe}" for share, (_, one) in zip(shares, loaded, strict=True))
-    save(asked.out, network, replace(card, recipe=f"mean of {parts}"))
+    save(arguments.out, network, replace(card, recipe=f"mean of {parts}"))
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from lidar2pano.scan import Scan
 
 STEPS_PER_M, STEPS_OF_REMISSION = 128, 200
 BESIDE = ("calib.txt", "poses.txt", "times.txt")  # of a sequence
-PICTURES = ("image_2", "camera_labels", "pano", "pano_labels", "pano_depth")
+IMAGE_FOLDERS = ("image_2", "camera_labels", "pano", "pano_labels", "pano_depth")
 
 
 def packed(scan: Scan, label: np.ndarray | None) -> np.ndarray:
@@ -55,8 +55,8 @@ def _bytes(differences: np.ndarray) -> np.ndarray:
     return differences.view(np.uint8).reshape(len(differences), -1).T
 
 
-def _numbers(rows: np.ndarray, kind: str) -> np.ndarray:
-    return np.ascontiguousarray(rows.T).view(kind)[:, 0].cumsum(dtype=kind)  # wraps round, as differences did
+def _numbers(rows: np.ndarray, dtype: str) -> np.ndarray:
+    return np.ascontiguousarray(rows.T).view(dtype)[:, 0].cumsum(dtype=dtype)  # wraps round, as differences did
 
 
 def pack(root: Path, file: Path, splits: list[str]) -> None:
@@ -76,11 +76,11 @@ def pack(root: Path, file: Path, splits: list[str]) -> None:
 
 def _pack_frame(archive: ZipFile, frame: SemanticKittiFrame, root: Path) -> None:
     scan, labels = frame.scan, frame.folder / "labels" / f"{frame.stem}.label"
-    told = io.BytesIO()
-    np.save(told, packed(scan, np.fromfile(labels, "<u4") if labels.is_file() else None))
+    buffer = io.BytesIO()
+    np.save(buffer, packed(scan, np.fromfile(labels, "<u4") if labels.is_file() else None))
     name = (frame.folder / "scans" / f"{frame.stem}.npy").relative_to(root).as_posix()
-    archive.writestr(name, told.getvalue(), ZIP_LZMA)
-    for folder in PICTURES:
+    archive.writestr(name, buffer.getvalue(), ZIP_LZMA)
+    for folder in IMAGE_FOLDERS:
         for path in sorted((frame.folder / folder).glob(f"{frame.stem}.*")):
             _copy(archive, path, root)
 
@@ -115,11 +115,11 @@ def main() -> None:
     parser.add_argument("source", type=Path)
     parser.add_argument("target", type=Path)
     parser.add_argument("--splits", default="train,val,labelled")
-    asked = parser.parse_args()
-    if asked.what == "pack":
-        pack(asked.source, asked.target, asked.splits.split(","))
+    arguments = parser.parse_args()
+    if arguments.what == "pack":
+        pack(arguments.source, arguments.target, arguments.splits.split(","))
     else:
-        unpack(asked.source, asked.target)
+        unpack(arguments.source, arguments.target)
 
 
 if __name__ == "__main__":

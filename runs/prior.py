@@ -32,16 +32,20 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--share", type=float, default=0.5)
-    asked = parser.parse_args()
-    network, card = load(asked.translator, expect="titan-pano")
+    arguments = parser.parse_args()
+    network, card = load(arguments.translator, expect="titan-pano")
     assert isinstance(network, TitanPano)
-    samples = PanoramaDataset(asked.data, ("train",), View(**card.views["panorama"]), COLUMNS)
+    samples = PanoramaDataset(arguments.data, ("train",), View(**card.views["panorama"]), COLUMNS)
     counts = samples.class_counts()[: len(COMMON15)]
     weights = class_weights(counts, EXPONENT, least=1e-4, most=4.0).clamp(min=0.05)
     assert network.classes.bias is not None
     with torch.no_grad():
-        network.classes.bias -= asked.share * weights.log()
-    save(asked.out, network, replace(card, recipe=f"{card.recipe}, {asked.share:g} of the class weights taken back"))
+        network.classes.bias -= arguments.share * weights.log()
+    save(
+        arguments.out,
+        network,
+        replace(card, recipe=f"{card.recipe}, {arguments.share:g} of the class weights taken back"),
+    )
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@
 # are simulated there (extra `world`), `timeout 9m runs/release.sh KITTI OUT` again and again makes slices of it.
 # The released files were made on two CPU cores that were busy with other things as well, stage by stage and not by one
 # run of this script: `world-segmenter` in two stages of 17 and 8 minutes on earlier towns, `segmenter-4` and `-5` under
-# the name salsanext-mini and without `ring_drop_probability`, both `smooth` painters without grain, which runs/with_grain.py gave them;
+# the name salsanext-mini and without `ring_drop_probability`, both `smooth` painters without grain, which runs/add_noise_input.py gave them;
 # painter-3 had feature_matching=3, pooled=6, pixels=0.5 in its first half. Cards call day w9, drives w8 and overcast w9o.
 # `scene` had 869 steps on crops of 79 real and 28 simulated frames (every fourth of each town set); world-scene had 245
 # steps of a run that was meant to be longer, so that its rate had not fallen.

@@ -23,12 +23,16 @@ def main() -> None:
     parser.add_argument("name")
     parser.add_argument("scores", type=Path)
     parser.add_argument("--licence", required=True)
-    asked = parser.parse_args()
-    measured = json.loads(asked.scores.read_text(encoding="utf-8"))["results"][0]["score"]
-    for role, file in weight_files(asked.folder).items():
+    arguments = parser.parse_args()
+    measured = json.loads(arguments.scores.read_text(encoding="utf-8"))["results"][0]["score"]
+    for role, file in weight_files(arguments.folder).items():
         network, card = load(file)
         score = {name: value for name, value in card.score.items() if name != "score"} | measured.get(role, {})
-        save(RELEASED / asked.name / f"{role}.safetensors", network, replace(card, licence=asked.licence, score=score))
+        save(
+            RELEASED / arguments.name / f"{role}.safetensors",
+            network,
+            replace(card, licence=arguments.licence, score=score),
+        )
 
 
 if __name__ == "__main__":

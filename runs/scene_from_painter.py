@@ -14,7 +14,7 @@ from lidar2pano.models import build
 from lidar2pano.models.card import load, save
 
 
-def carried(old: dict[str, torch.Tensor], new: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+def transferred(old: dict[str, torch.Tensor], new: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """The new state with what fits of the old."""
     result = dict(new)
     for name, value in new.items():
@@ -39,7 +39,7 @@ def main(old: str, out: str, *looks: str) -> None:
     torch.manual_seed(0)
     scene = build("scene-painter", **settings)
     fresh = scene.state_dict()
-    state = carried(network.state_dict(), fresh)
+    state = transferred(network.state_dict(), fresh)
     print(f"{sum(state[name] is not fresh[name] for name in fresh)} of {len(fresh)} tensors carried over")
     scene.load_state_dict(state)
     begun = replace(card, network="scene-painter", settings=settings, recipe=f"begun from {card.recipe}")

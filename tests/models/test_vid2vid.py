@@ -130,11 +130,11 @@ def of_generator(filled: Filled, kept: dict[str, Recorded]) -> Pairs:
             # "train" is what the published test program runs: here, norms on batch statistics in evaluation mode
             model = filled.network(batch_statistics=mode == "train", align_corners=bool(ac))
             *coarse, finest = model.scales(model.pyramid(labels), model.pyramid(previous))
-            yield f"{mode} ac{ac} picture", (finest.picture, kept[f"out.{mode}.ac{ac}.final"])
+            yield f"{mode} ac{ac} picture", (finest.image, kept[f"out.{mode}.ac{ac}.final"])
             for name in ("flow", "weight", "raw"):
                 yield f"{mode} ac{ac} {name}", (getattr(finest, name), kept[f"out.{mode}.{name}"])
             for scale, painted in enumerate(coarse if ac == 0 else []):
-                yield f"{mode} scale{scale} picture", (painted.picture, kept[f"out.{mode}.ac0.scale{scale}.final"])
+                yield f"{mode} scale{scale} picture", (painted.image, kept[f"out.{mode}.ac0.scale{scale}.final"])
 
 
 def recorded_input(rows: int, columns: int) -> tuple[Tensor, Tensor]:
@@ -187,7 +187,7 @@ def test_the_answer_is_the_finest_scale_and_follows_equation_3() -> None:
     assert {name: tuple(getattr(out, name).shape) for name in shapes} == shapes
     assert all(torch.equal(one, other) for one, other in zip(out, finest, strict=True))
     moved = warp(previous[:, -1], out.flow)
-    assert torch.allclose(out.picture, (1 - out.weight) * moved + out.weight * out.raw, atol=1e-6)
+    assert torch.allclose(out.image, (1 - out.weight) * moved + out.weight * out.raw, atol=1e-6)
     assert out.weight.min() > 0 and out.weight.max() < 1
     assert (moved - previous[:, -1]).abs().max() > 0.01
 
@@ -199,9 +199,9 @@ def test_the_foreground_is_painted_apart_where_the_present_map_has_it() -> None:
         before = model(labels, previous)
         for part in [model.get_submodule("1.model_final_img.1"), model.get_submodule("1.model_final_w.1")]:
             part.bias.add_(0.3)
-        background = (model(labels, previous).picture - before.picture).abs().amax(1, keepdim=True)
+        background = (model(labels, previous).image - before.image).abs().amax(1, keepdim=True)
         model.get_submodule("1.indv_final.1").bias.add_(0.3)
-        both = (model(labels, previous).picture - before.picture).abs().amax(1, keepdim=True)
+        both = (model(labels, previous).image - before.image).abs().amax(1, keepdim=True)
     assert background[present].max() == 0 and background[~present].min() > 0
     assert both[present].min() > 0 and torch.equal(both[~present], background[~present])
 
@@ -275,19 +275,19 @@ def test_training_begins_as_published() -> None:
 @pytest.mark.parametrize(("rows", "columns", "wanted"), [(36, 64, "40 x 64"), (32, 66, "32 x 72"), (8, 64, "16 x 64")])
 def test_a_raster_that_does_not_fit_is_named(rows: int, columns: int, wanted: str) -> None:
     with pytest.raises(
-        InputError, match=rf"picture of {rows} x {columns} pixels .* multiples of 8 .* pad it to {wanted}"
+        InputError, match=rf"image of {rows} x {columns} pixels .* multiples of 8 .* pad it to {wanted}"
     ):
         generator()(*inputs(1, rows, columns))
     single = build("vid2vid-single", classes=5, width=8, downsamplings=2, blocks=1, enhancers=1)
     with pytest.raises(
-        InputError, match=rf"picture of {rows} x {columns} pixels .* multiples of 8 .* pad it to {wanted}"
+        InputError, match=rf"image of {rows} x {columns} pixels .* multiples of 8 .* pad it to {wanted}"
     ):
         single(inputs(1, rows, columns)[0][:, 0])
 
 
 def test_the_smallest_raster_that_is_said_to_fit_fits() -> None:
     with torch.inference_mode():
-        assert generator()(*inputs(1, 16, 16)).picture.shape == (1, 3, 16, 16)
+        assert generator()(*inputs(1, 16, 16)).image.shape == (1, 3, 16, 16)
 
 
 @pytest.mark.parametrize(

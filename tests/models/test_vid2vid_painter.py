@@ -58,7 +58,7 @@ def test_without_a_network_for_first_frames_the_first_is_painted_again_from_blac
     with torch.inference_mode():
         out = generator(labels, torch.zeros(1, 2, 3, 16, 48))
     assert torch.equal(picture, out.raw[0])
-    assert (out.raw - out.picture).abs().max() > 0.01
+    assert (out.raw - out.image).abs().max() > 0.01
 
 
 def test_the_generator_goes_on_from_the_last_two_images_and_label_maps():
@@ -68,8 +68,8 @@ def test_the_generator_goes_on_from_the_last_two_images_and_label_maps():
     one_hot = one_hot_layers(ids, CLASSES)
     black = torch.zeros(3, 16, 48)
     with torch.inference_mode():
-        second = generator(one_hot[[0, 0, 1]][None], torch.stack([black, pictures[0]])[None]).picture[0]
-        fourth = generator(one_hot[[1, 2, 3]][None], torch.stack(pictures[1:3])[None]).picture[0]
+        second = generator(one_hot[[0, 0, 1]][None], torch.stack([black, pictures[0]])[None]).image[0]
+        fourth = generator(one_hot[[1, 2, 3]][None], torch.stack(pictures[1:3])[None]).image[0]
     assert torch.equal(pictures[1], second) and torch.equal(pictures[3], fourth)
 
 
@@ -82,7 +82,7 @@ def test_the_network_for_first_frames_paints_two_and_the_generator_goes_on():
         assert all(torch.equal(pictures[frame], single(one_hot[[frame]])[0]) for frame in (0, 1))
         for frame in (2, 3):
             before = torch.stack(pictures[frame - 2 : frame])[None]
-            assert torch.equal(pictures[frame], generator(one_hot[frame - 2 : frame + 1][None], before).picture[0])
+            assert torch.equal(pictures[frame], generator(one_hot[frame - 2 : frame + 1][None], before).image[0])
 
 
 def test_every_scale_goes_on_from_its_own_images():
@@ -98,9 +98,9 @@ def test_every_scale_goes_on_from_its_own_images():
         labels = generator.pyramid(one_hot_layers(ids, CLASSES)[None])
         coarse, fine = generator.scales(labels, levels)
         pooled = generator.scales(labels, generator.pyramid(levels[-1]))[0]
-    assert torch.equal(picture, fine.picture[0])
-    assert torch.equal(after.levels[0][0, -1], coarse.picture[0])
-    assert (pooled.picture - coarse.picture).abs().max() > 1e-3, "made smaller they would be others"
+    assert torch.equal(picture, fine.image[0])
+    assert torch.equal(after.levels[0][0, -1], coarse.image[0])
+    assert (pooled.image - coarse.image).abs().max() > 1e-3, "made smaller they would be others"
 
 
 def test_a_stream_remembers_its_own_images_whatever_is_done_to_those_it_gave():

@@ -540,7 +540,7 @@ def test_a_place_that_cannot_be_written_to(root, prepare):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--lidar", "none", "--teacher", "none"], "--lidar none --teacher none: nobody is left"),
+        (["--lidar", "none", "--teacher", "none"], "--lidar none --teacher none: no teacher is left"),
         (["--labels-folder", "velodyne"], "--labels-folder velodyne: is no name for a folder of labels"),
         (["--labels-folder", "a/b"], "--labels-folder a/b: is no name"),
         (["--labels-folder", ""], "--labels-folder : is no name"),

@@ -17,7 +17,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.models import camera_teachers
 from lidar2pano.models.camera_teachers import (
-    KINDS,
+    MODEL_TYPES,
     MaskSegmenter,
     cityscapes_classes,
     load_teacher,
@@ -36,7 +36,7 @@ CPU = torch.device("cpu")
 def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A folder per kind."""
     transformers.utils.logging.disable_progress_bar()
-    return {kind: write_model(tmp_path_factory.mktemp(kind), kind) for kind in KINDS}
+    return {kind: write_model(tmp_path_factory.mktemp(kind), kind) for kind in MODEL_TYPES}
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def picture(rows: int, columns: int) -> np.ndarray:
     return coarse.repeat(8, 0).repeat(8, 1)[:rows, :columns]
 
 
-every_kind = pytest.mark.parametrize("kind", KINDS)
+every_kind = pytest.mark.parametrize("kind", MODEL_TYPES)
 
 
 @every_kind
@@ -70,7 +70,7 @@ def test_answers_are_those_of_transformers_own_way(models: dict[str, Path], kind
 
     image = picture(384, 384)
     processor = Mask2FormerImageProcessorPil(do_resize=False, image_mean=MEAN, image_std=DEVIATION)
-    network = getattr(transformers, KINDS[kind]).from_pretrained(models[kind]).eval()
+    network = getattr(transformers, MODEL_TYPES[kind]).from_pretrained(models[kind]).eval()
     given = {"pixel_values": processor(image, return_tensors="pt")["pixel_values"]}
     if kind == "oneformer":
         reader = transformers.AutoTokenizer.from_pretrained(models[kind])

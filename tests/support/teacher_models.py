@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from lidar2pano.labels import CITYSCAPES
-from lidar2pano.models.camera_teachers import KINDS
+from lidar2pano.models.camera_teachers import MODEL_TYPES
 
 transformers = pytest.importorskip("transformers")
 
@@ -44,7 +44,7 @@ def write_model(folder: Path, kind: str, **more: Any) -> Path:
         vocabulary = ["<|startoftext|>", "<|endoftext|>", *letters, *(f"{letter}</w>" for letter in letters)]
         tokens = {token: number for number, token in enumerate(vocabulary, 5)}
         transformers.CLIPTokenizer(vocab=tokens, merges=[]).save_pretrained(folder)
-    network = getattr(transformers, KINDS[kind])(config)
+    network = getattr(transformers, MODEL_TYPES[kind])(config)
     for parameter in network.parameters():  # fresh networks answer the same everywhere
         if parameter.ndim > 1:
             torch.nn.init.normal_(parameter, std=3 * (parameter.shape[0] / parameter.numel()) ** 0.5)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from lidar2pano.data.semantic_kitti import SemanticKittiFrame
     from lidar2pano.prepare import LabelledFile, Teacher
 
-NOBODY = "none"
+NO_TEACHER = "none"
 OPTIONS = {".label": "--labels-folder", ".png": "--camera-labels-folder"}
 TAKEN = ("velodyne", "image_2", "image_3", "calib", "pano")  # folders of a sequence that hold something else
 
@@ -35,15 +35,16 @@ def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
             help="Who labels pictures: weights of sdnet, mask2former:PATH or oneformer:PATH (a folder, or a model in"
             " the hub's cache).",
         ),
-    ] = NOBODY,
+    ] = NO_TEACHER,
     split: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Only this split; repeatable (all sequences).")
     ] = None,
     scales: Annotated[
         str, typer.Option(metavar="LIST", help="Sizes at which pictures are looked at, e.g. 0.5,1,2 (the teacher's).")
     ] = "",
-    unsure: Annotated[
-        float, typer.Option(metavar="P", help="Pixels whose best class is less probable than this become 255.")
+    min_probability: Annotated[
+        float,
+        typer.Option("--unsure", metavar="P", help="Pixels whose best class is less probable than this become 255."),
     ] = 0.4,
     labels_folder: Annotated[
         str, typer.Option(metavar="NAME", help="Folder of each sequence for the labels of scans.")
@@ -55,8 +56,8 @@ def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per frame on stdout.")] = False,
 ) -> None:
     """Let teachers label a data set's scans and pictures. Repeat the command to go on; files of others stay."""
-    if lidar == NOBODY == teacher:
-        raise InputError("--lidar none --teacher none: nobody is left to label anything; name one of the two")
+    if lidar == NO_TEACHER == teacher:
+        raise InputError("--lidar none --teacher none: no teacher is left; name one of the two")
     folders = (
         _folder_name(labels_folder, "--labels-folder"),
         _folder_name(camera_labels_folder, "--camera-labels-folder"),
@@ -67,13 +68,15 @@ def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.prepare import camera_teacher, frames_to_label, lidar_teacher
 
     teachers: list[Teacher] = []
-    if lidar != NOBODY:
+    if lidar != NO_TEACHER:
         teachers.append(lidar_teacher(lidar, folder=folders[0], device=device))
-    if teacher != NOBODY:
-        made = camera_teacher(teacher, folder=folders[1], scales=factors, unsure=unsure, device=device)
+    if teacher != NO_TEACHER:
+        made = camera_teacher(
+            teacher, folder=folders[1], scales=factors, min_probability=min_probability, device=device
+        )
         teachers.append(made)
     found = frames_to_label(root, split or [])
-    if teacher == NOBODY and any(frame.image_file for frame in found):
+    if teacher == NO_TEACHER and any(frame.image_file for frame in found):
         complain("images are left alone: name who labels them with --teacher")
     raise typer.Exit(_work(found, teachers, as_json))
 

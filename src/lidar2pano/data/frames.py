@@ -1,6 +1,6 @@
 """Frame: everything that a data set knows about one moment, read when it is asked for; and the frames of a split.
 
-Four layouts are told apart by what lies in their root: SemanticKITTI's (sequences/), worlds that `lidar2pano world`
+Four layouts are distinguished by what lies in their root: SemanticKITTI's (sequences/), worlds that `lidar2pano world`
 simulated (the same, and world.json), PandaSet (classes.json) and nuScenes (info.json).
 """
 

@@ -34,18 +34,18 @@ class Lookup:
     valid: Tensor
     circular: bool
 
-    def nearest(self, picture: Tensor, empty: float = 0) -> Tensor:
-        """Carry ids over: picture (..., H, W) -> (..., h, w), `empty` where not valid."""
-        row = self.row.floor().long().clamp(0, picture.shape[-2] - 1)
+    def nearest(self, values: Tensor, empty: float = 0) -> Tensor:
+        """Carry ids over: values (..., H, W) -> (..., h, w), `empty` where not valid."""
+        row = self.row.floor().long().clamp(0, values.shape[-2] - 1)
         column = self.column.floor().long()
-        column = column.remainder(picture.shape[-1]) if self.circular else column.clamp(0, picture.shape[-1] - 1)
-        return picture[..., row, column].where(self.valid, picture.new_full((), empty))
+        column = column.remainder(values.shape[-1]) if self.circular else column.clamp(0, values.shape[-1] - 1)
+        return values[..., row, column].where(self.valid, values.new_full((), empty))
 
-    def linear(self, picture: Tensor) -> Tensor:
-        """Carry colours or other quantities over: picture (..., H, W) float -> (..., h, w), zero where not valid."""
-        flat = picture.reshape(1, -1, *picture.shape[-2:])
-        x, y = ((place - 0.5).reshape(1, 1, -1).to(picture.dtype) for place in (self.column, self.row))
-        mixed = sample(flat, x, y, circular=self.circular).reshape(*picture.shape[:-2], *self.row.shape)
+    def linear(self, values: Tensor) -> Tensor:
+        """Carry colours or other quantities over: values (..., H, W) float -> (..., h, w), zero where not valid."""
+        flat = values.reshape(1, -1, *values.shape[-2:])
+        x, y = ((place - 0.5).reshape(1, 1, -1).to(values.dtype) for place in (self.column, self.row))
+        mixed = sample(flat, x, y, circular=self.circular).reshape(*values.shape[:-2], *self.row.shape)
         return mixed.where(self.valid, mixed.new_zeros(()))
 
     def to(self, device: str | torch.device) -> Lookup:

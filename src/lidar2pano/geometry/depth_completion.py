@@ -55,8 +55,8 @@ def complete_depth(xyz: Tensor, view: View) -> Tensor:
     inverse = _closed_rings(inverse, max(1, round(BESIDE * view.focal_px)), circular=view.circular)
     ray = directions(view)
     ray = ray / torch.hypot(ray[..., :1], ray[..., 1:2])  # as far as one metre on the ground
-    filled = _filled(inverse, ray, xyz, view)
-    depth = torch.where(image.valid, image.channels[0], ray.norm(dim=2) / filled)  # 1/0: infinite
+    completed = _completed(inverse, ray, xyz, view)
+    depth = torch.where(image.valid, image.channels[0], ray.norm(dim=2) / completed)  # 1/0: infinite
     return depth[inner].contiguous()
 
 
@@ -96,7 +96,7 @@ def _closed_rings(inverse: Tensor, reach: int, *, circular: bool) -> Tensor:
     return closed
 
 
-def _filled(inverse: Tensor, ray: Tensor, xyz: Tensor, view: View) -> Tensor:
+def _completed(inverse: Tensor, ray: Tensor, xyz: Tensor, view: View) -> Tensor:
     """Fill a picture (H, W) of inverse horizontal distances down its columns; zero stays where the sky is."""
     rows = view.rows
     row = torch.arange(rows)[:, None].expand_as(inverse)
@@ -118,8 +118,8 @@ def _filled(inverse: Tensor, ray: Tensor, xyz: Tensor, view: View) -> Tensor:
     between = torch.where(one_surface, upper + (lower - upper) * share, between)
     over = torch.where(row >= _rims(inverse, below, ray, xyz, view), lower, ground)
     under = torch.maximum(ground, upper)
-    filled = torch.where(above < 0, over, between).where(below < rows, under)
-    return torch.where(there, inverse, filled)
+    completed = torch.where(above < 0, over, between).where(below < rows, under)
+    return torch.where(there, inverse, completed)
 
 
 def _rims(inverse: Tensor, below: Tensor, ray: Tensor, xyz: Tensor, view: View) -> Tensor:
@@ -128,11 +128,11 @@ def _rims(inverse: Tensor, below: Tensor, ray: Tensor, xyz: Tensor, view: View) 
     rim = top - RIM * view.rows / (view.up - view.down)
     distance = torch.hypot(xyz[:, 0], xyz[:, 1])
     slope = xyz[:, 2] / distance
-    seen = slope[(distance > CLEAR_OF_CAR) & slope.isfinite()]
-    if not len(seen):
+    slopes = slope[(distance > CLEAR_OF_CAR) & slope.isfinite()]
+    if not len(slopes):
         return rim
     point = ray[top, column] / inverse[top, column, None] + ray.new_tensor(view.origin)
-    cut_off = point[:, 2] / torch.hypot(point[:, 0], point[:, 1]) > seen.max() - RIM
+    cut_off = point[:, 2] / torch.hypot(point[:, 0], point[:, 1]) > slopes.max() - RIM
     return torch.where(cut_off, 0.0, rim)
 
 

@@ -22,7 +22,7 @@ from lidar2pano.views import View
 
 SAME = 0.03  # share by which two distances of one surface may differ
 FAINT = 5e-4  # 1/m, likewise near the horizon: depth images end at 256 m, and beyond is the sky
-FILLED = 4  # halvings of the raster over which gaps between a scan's points are closed: 16 pixels
+GAP_HALVINGS = 4  # halvings of the raster over which gaps between a scan's points are closed: 16 pixels
 
 
 class Flow(NamedTuple):
@@ -93,7 +93,7 @@ def ego_flow(
         shift[0] = (shift[0] + columns / 2).remainder(columns) - columns / 2
     shift = shift.nan_to_num(nan=float(rows + columns)).float()  # behind the camera: outside
     known = reaches(shift[None], circular=circular)[0] & (now_m > 0)
-    known &= _in_sight(before_m, shift, torch.where(far, 0.0, 1 / ends.norm(dim=-1)).float(), circular, same)
+    known &= _unoccluded(before_m, shift, torch.where(far, 0.0, 1 / ends.norm(dim=-1)).float(), circular, same)
     return Flow(shift=shift * known, known=known)
 
 
@@ -122,8 +122,8 @@ def scan_distances(xyz: Tensor, calibration: Calibration) -> Tensor:
     distance = (xyz[inside].double() - torch.tensor(calibration.centre)).norm(dim=1).float()
     index = nearest_points(cell, distance, height * width)
     nearest = torch.cat([distance, distance.new_full((1,), torch.inf)])[index]  # index -1 is the last
-    filled = _filled((1 / nearest).view(height, width))
-    return torch.where(filled > 0, 1 / filled, 0.0)
+    completed = _completed((1 / nearest).view(height, width))
+    return torch.where(completed > 0, 1 / completed, 0.0)
 
 
 def _places(ends: Tensor, origin: Tensor, raster: View | Calibration) -> tuple[Tensor, Tensor]:
@@ -135,27 +135,27 @@ def _places(ends: Tensor, origin: Tensor, raster: View | Calibration) -> tuple[T
     return (v + 0.5).view(ends.shape[:-1]), (u + 0.5).view(ends.shape[:-1])
 
 
-def _in_sight(before_m: Tensor, shift: Tensor, expected: Tensor, circular: bool, same: float) -> Tensor:
+def _unoccluded(before_m: Tensor, shift: Tensor, expected: Tensor, circular: bool, same: float) -> Tensor:
     """(H, W) bool: the previous frame shows, at the shifted place, a surface at the distance 1 / `expected`.
 
     Compared are inverse distances, in which planes are straight: between pixels they can be looked up linearly.
     """
-    seen = torch.stack([(1 / before_m).where(before_m > 0, 0.0), (before_m > 0).float()])
-    inverse, known = warp(seen[None], shift[None], circular=circular)[0]
+    inverse_and_valid = torch.stack([(1 / before_m).where(before_m > 0, 0.0), (before_m > 0).float()])
+    inverse, known = warp(inverse_and_valid[None], shift[None], circular=circular)[0]
     return (known > 0.999) & ((inverse - expected).abs() <= same * torch.maximum(inverse, expected) + FAINT)
 
 
-def _filled(values: Tensor) -> Tensor:
+def _completed(values: Tensor) -> Tensor:
     """Fill the zeros of (h, w) with the mean of what is about them, from the coarsest level of a pyramid up."""
     height, width = values.shape
-    padded = values.new_zeros(1, 2, *(-(-length // 2**FILLED) * 2**FILLED for length in (height, width)))
+    padded = values.new_zeros(1, 2, *(-(-length // 2**GAP_HALVINGS) * 2**GAP_HALVINGS for length in (height, width)))
     padded[0, 0, :height, :width] = values
     padded[0, 1, :height, :width] = values > 0
     levels = [padded]  # sums, and how many: their ratio is the mean
-    for _ in range(FILLED):
+    for _ in range(GAP_HALVINGS):
         levels.append(avg_pool2d(levels[-1], 2))
-    filled = levels[-1]
+    completed = levels[-1]
     for level in reversed(levels[:-1]):
-        filled = interpolate(filled, scale_factor=2.0, mode="bilinear")
-        filled = torch.where(level[:, 1:] > 0, level, filled)
-    return torch.where(filled[:, 1] > 0, filled[:, 0] / filled[:, 1], 0.0)[0, :height, :width]
+        completed = interpolate(completed, scale_factor=2.0, mode="bilinear")
+        completed = torch.where(level[:, 1:] > 0, level, completed)
+    return torch.where(completed[:, 1] > 0, completed[:, 0] / completed[:, 1], 0.0)[0, :height, :width]

@@ -50,7 +50,7 @@ class RangeImage:
 
     def spread(self, values: Tensor, empty: int = 0) -> Tensor:
         """Carry one value per point (N,) to the pixels (H, W) that the points own; `empty` elsewhere."""
-        return torch.cat([values, values.new_full((1,), empty)])[self.index]  # index -1, nobody's, is the last
+        return torch.cat([values, values.new_full((1,), empty)])[self.index]  # where no point is, -1: the last
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

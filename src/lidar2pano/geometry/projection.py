@@ -17,7 +17,7 @@ from lidar2pano.views import View, view_of
 
 FULL_TURN = 2 * math.pi  # radians
 FAR_OUT = 1_000_000.0  # rows: a bound for points straight above or below, so that they fit an integer
-NOBODY = torch.iinfo(torch.int64).max  # a pixel's key where no point fell into it; its low 32 bits say -1
+UNOWNED = torch.iinfo(torch.int64).max  # a pixel's key where no point fell into it; its low 32 bits say -1
 
 
 def project(scan: Scan, view: View | str, *, device: str | torch.device = "cpu") -> RangeImage:
@@ -128,5 +128,5 @@ def nearest_points(cell: Tensor, distance_m: Tensor, cells: int) -> Tensor:
     nearest point and, at equal distance, the first.
     """
     key = (distance_m.view(torch.int32).long() << 32) | torch.arange(len(cell), device=cell.device)
-    least = torch.full((cells + 1,), NOBODY, device=cell.device).scatter_reduce_(0, cell, key, "amin")
+    least = torch.full((cells + 1,), UNOWNED, device=cell.device).scatter_reduce_(0, cell, key, "amin")
     return least[:cells].bitwise_left_shift(32).bitwise_right_shift_(32)  # the low 32 bits with their sign

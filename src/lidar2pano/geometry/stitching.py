@@ -109,13 +109,13 @@ def _project(camera: CameraImage, points: Tensor, focal_px: float) -> _Projected
     inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
     distance = xyz.norm(dim=0).where(points[3, pixel] > 0, torch.inf)
     scale = min(1.0, COARSE * focal_px / float(calibration.K[0, 0]))
-    seen = inside.clone()
-    seen[inside] = ~_hidden(row[inside] * scale, column[inside] * scale, distance[inside])
+    visible = inside.clone()
+    visible[inside] = ~_hidden(row[inside] * scale, column[inside] * scale, distance[inside])
     if camera.ego_mask is not None:
-        seen[inside] &= ~torch.from_numpy(camera.ego_mask)[row[inside].long(), column[inside].long()]
-    angle = torch.atan2(torch.hypot(x, y), ahead)[seen]
-    lookup = Lookup(row=row[seen], column=column[seen], valid=torch.ones_like(angle).bool(), circular=False)
-    return _Projected(pixel=pixel[seen], lookup=lookup, angle=angle)
+        visible[inside] &= ~torch.from_numpy(camera.ego_mask)[row[inside].long(), column[inside].long()]
+    angle = torch.atan2(torch.hypot(x, y), ahead)[visible]
+    lookup = Lookup(row=row[visible], column=column[visible], valid=torch.ones_like(angle).bool(), circular=False)
+    return _Projected(pixel=pixel[visible], lookup=lookup, angle=angle)
 
 
 def _hidden(row: Tensor, column: Tensor, distance: Tensor) -> Tensor:

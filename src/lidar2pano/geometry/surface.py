@@ -13,7 +13,7 @@ from torch import Tensor
 
 from lidar2pano.views import View
 
-ROAD_Z_M = -1.73  # of the road in the sensor frame where none is in sight: KITTI's LiDAR stands so high
+ROAD_Z_M = -1.73  # of the road in the sensor frame where no road is visible: KITTI's LiDAR stands so high
 ROAD_NEAR_M, ROAD_FAR_M = 3.0, 20.0  # distances at which the road's height is read
 ROAD_LOWEST_M, ROAD_HIGHEST_M = -4.0, -0.5  # heights beyond these are no road below a vehicle's roof
 ROAD_PIXELS = 50  # fewer say nothing

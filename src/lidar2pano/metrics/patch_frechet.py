@@ -2,7 +2,7 @@
 
 Frechet distance (Heusel et al. 2017) between normal distributions of the features of patches, PATCH pixels wide at
 every STRIDE-th pixel: features at 1/16 of the raster, averaged over each patch. A few images hold many patches, and
-what is judged is texture and parts of things, not the layout. Divided by the same distance between two halves of the
+what is compared is texture and parts of things, not the layout. Divided by the same distance between two halves of the
 real images it says how many times farther they are than those from each other.
 """
 

@@ -84,8 +84,8 @@ class CameraSegmenter:
         if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
             raise ValueError(f"a picture is (h, w, 3) uint8 RGB, got {image.shape} {image.dtype}")
         device = next(self.network.parameters()).device
-        picture = torch.from_numpy(np.array(image, order="C")).to(device)  # a copy: pictures may be read-only
-        x = self.normalise(picture.movedim(2, 0))[None]
+        pixels = torch.from_numpy(np.array(image, order="C")).to(device)  # a copy: pictures may be read-only
+        x = self.normalise(pixels.movedim(2, 0))[None]
         with fast_arithmetic(device):
             logits = self.network(x.contiguous(memory_format=torch.channels_last), self.scales)[0]
         return logits.float().softmax(0)

@@ -26,8 +26,8 @@ from lidar2pano.errors import InputError
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.models.camera_segmenter import ImageNormalisation
 
-# kind -> class of transformers
-KINDS: dict[str, str] = {
+# model_type -> class of transformers
+MODEL_TYPES: dict[str, str] = {
     "mask2former": "Mask2FormerForUniversalSegmentation",
     "oneformer": "OneFormerForUniversalSegmentation",
 }
@@ -81,27 +81,29 @@ class MaskSegmenter:
         return interpolate(known[None], size, mode="bilinear", align_corners=False)[0]
 
 
-def load_teacher(kind: str, folder: Path, device: torch.device, scales: Sequence[float] = (1.0,)) -> MaskSegmenter:
-    """A teacher of KINDS from a folder as `transformers` saves them; nothing is downloaded, nothing executed.
+def load_teacher(
+    model_type: str, folder: Path, device: torch.device, scales: Sequence[float] = (1.0,)
+) -> MaskSegmenter:
+    """A teacher of MODEL_TYPES from a folder as `transformers` saves them; nothing is downloaded, nothing executed.
 
     Raises InputError when `transformers` is not installed, the folder does not hold such a network, weights are
     missing, or its classes have not all of Cityscapes'.
     """
     transformers = _transformers()
     settings = _json(folder / "config.json")
-    if settings.get("model_type") != kind:
-        raise InputError(f"{folder}: holds a {settings.get('model_type')!r}, not a {kind!r}; name another folder")
+    if settings.get("model_type") != model_type:
+        raise InputError(f"{folder}: holds a {settings.get('model_type')!r}, not a {model_type!r}; name another folder")
     normalise = _normalisation(folder)
     options: dict[str, Any] = {"local_files_only": True, "output_loading_info": True, "dtype": torch.float32}
-    if kind == "oneformer":
+    if model_type == "oneformer":
         options["is_training"] = False  # its text encoder is for training only
     try:
         with _quiet(transformers):
-            network, info = getattr(transformers, KINDS[kind]).from_pretrained(folder, **options)
-            task = _task(transformers, folder, network.config.task_seq_len) if kind == "oneformer" else None
+            network, info = getattr(transformers, MODEL_TYPES[model_type]).from_pretrained(folder, **options)
+            task = _task(transformers, folder, network.config.task_seq_len) if model_type == "oneformer" else None
     except Exception as error:  # a broken file can break it anywhere
         reason = (str(error) or type(error).__name__).strip().splitlines()[0]
-        raise InputError(f"{folder}: cannot be loaded as a {kind} ({reason}); fetch it again") from error
+        raise InputError(f"{folder}: cannot be loaded as a {model_type} ({reason}); fetch it again") from error
     if missing := sorted(info["missing_keys"]):
         raise InputError(f"{folder}: {len(missing)} weights are missing, the first is {missing[0]!r}; fetch it again")
     classes = torch.tensor(cityscapes_classes(network.config.id2label, folder), device=device)

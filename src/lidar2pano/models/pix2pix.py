@@ -1,11 +1,11 @@
-"""Pix2Pix: a U-Net that turns one picture into another, and the 70 x 70 PatchGAN that judges the pair.
+"""Pix2Pix: a U-Net that turns one image into another, and the 70 x 70 PatchGAN that judges the pair.
 
 Paper     Isola, Zhu, Zhou, Efros: Image-to-Image Translation with Conditional Adversarial Networks, 2017
           (arXiv:1611.07004), sections 3.2 and 6.1.
 Upstream  https://github.com/junyanz/pytorch-CycleGAN-and-pix2pix (BSD-2), `unet_256` and `basic`. Reimplemented here;
           parameter names are the published ones.
 Deviates  from the published code in three points:
-          any number of pictures is taken, which are joined channel by channel (published: one, joined by the caller);
+          any number of images is taken, which are joined channel by channel (published: one, joined by the caller);
           sizes that the U-Net cannot halve are padded or resized (published: refused), see `Pix2Pix`;
           evaluation is deterministic: no dropout, and running statistics unless `batch_statistics` says otherwise (the
           published test command leaves both as in training).
@@ -28,7 +28,7 @@ MOST_WIDTHS = 8  # no level has more than this many times `width` channels
 
 
 class Pix2Pix(nn.Module):
-    """A picture of `outputs` channels in [-1, 1] (tanh) from pictures of `inputs` channels together.
+    """An image of `outputs` channels in [-1, 1] (tanh) from images of `inputs` channels together.
 
     inputs, outputs   channels. For classes, `outputs` of them; the largest names the class.
     width             channels of the first level; the next ones have 2, 4, 8, 8, ... times as many.
@@ -36,9 +36,9 @@ class Pix2Pix(nn.Module):
     dropout           share of the values that training zeroes in the deep levels (the paper's only noise).
     norm              "batch" or "instance" (whose convolutions have biases, as published).
     batch_statistics  normalise by the batch at hand in evaluation as well, as the published test command does; then
-                      pictures of one batch know each other.
-    size              (rows, columns) of the picture to write: the input is stretched to the next multiple of 2^depth
-                      (means over areas, so that no point of a sparse picture is lost) and the output is resized to
+                      images of one batch know each other.
+    size              (rows, columns) of the image to write: the input is stretched to the next multiple of 2^depth
+                      (means over areas, so that no point of a sparse image is lost) and the output is resized to
                       `size` bilinearly. None: the output is as large as the input, which is padded at its lower and
                       right edge by repeating the last pixels, and cut back afterwards.
     """
@@ -69,9 +69,9 @@ class Pix2Pix(nn.Module):
         self.model = _Outermost(inputs, widths[0], below, outputs, bias)
         start_as_published(self)
 
-    def forward(self, *pictures: Tensor) -> Tensor:
+    def forward(self, *images: Tensor) -> Tensor:
         """(B, C, H, W) each, of `inputs` channels together -> (B, outputs, *size), or as large as the input."""
-        x = torch.cat(pictures, 1)
+        x = torch.cat(images, 1)
         rows, columns = self.size or x.shape[-2:]
         down, across = -rows % self.stride, -columns % self.stride
         if self.size is None:
@@ -84,9 +84,9 @@ class Pix2Pix(nn.Module):
 
 
 class PatchGan(nn.Module):
-    """Scores of patches (70 x 70 pixels with three layers): are these pictures a true pair? Without sigmoid.
+    """Scores of patches (70 x 70 pixels with three layers): are these images a true pair? Without sigmoid.
 
-    channels  of all pictures together;  width: channels of the first layer;  layers: of stride two.
+    channels  of all images together;  width: channels of the first layer;  layers: of stride two.
     """
 
     def __init__(
@@ -105,9 +105,9 @@ class PatchGan(nn.Module):
         self.model = nn.Sequential(*blocks, nn.Conv2d(inner, 1, 4, padding=1))
         start_as_published(self)
 
-    def forward(self, *pictures: Tensor) -> Tensor:
+    def forward(self, *images: Tensor) -> Tensor:
         """(B, C, H, W) each, of `channels` together -> (B, 1, h, w) scores; the condition comes first as published."""
-        return self.model(torch.cat(pictures, 1))
+        return self.model(torch.cat(images, 1))
 
 
 class _Level(nn.Module):

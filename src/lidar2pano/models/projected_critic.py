@@ -46,8 +46,8 @@ class ProjectedCritic(nn.Module):
             if coarser is not None:
                 x = (x + interpolate(coarser, size=x.shape[-2:], mode="bilinear", align_corners=False)) * 0.5**0.5
             x = coarser = self.scales[number](x)
-            told = adaptive_avg_pool2d(condition, x.shape[-2:]).to(x.dtype)
-            scores.append(self.heads[number](torch.cat([x, told], 1)))
+            resized = adaptive_avg_pool2d(condition, x.shape[-2:]).to(x.dtype)
+            scores.append(self.heads[number](torch.cat([x, resized], 1)))
         return scores
 
 

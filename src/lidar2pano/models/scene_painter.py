@@ -57,16 +57,16 @@ class ScenePainter(nn.Module):
         fine, middle, coarse = widths
         self.looks, self.look, self.sharp = tuple(looks), look or looks[0], sharp
         self.look_shares(self.look)
-        shown = classes + SHAPE + len(COARSE_M)
+        inputs = classes + SHAPE + len(COARSE_M)
         self.codes = nn.Embedding(len(self.looks), code)
-        self.stem = conv_norm_act(shown, fine)
+        self.stem = conv_norm_act(inputs, fine)
         self.down1 = nn.Sequential(conv_norm_act(fine, middle, stride=2), CircularResidual(middle))
         self.down2 = conv_norm_act(middle, coarse, stride=2)
         self.trunk = nn.ModuleList([CircularResidual(coarse, dilation=(1, 2, 4)[i % 3]) for i in range(blocks)])
-        self.up1 = nn.Sequential(conv_norm_act(coarse + shown, 4 * middle, 1), nn.PixelShuffle(2))
-        self.mix1 = nn.Sequential(conv_norm_act(2 * middle + shown, middle), CircularResidual(middle))
+        self.up1 = nn.Sequential(conv_norm_act(coarse + inputs, 4 * middle, 1), nn.PixelShuffle(2))
+        self.mix1 = nn.Sequential(conv_norm_act(2 * middle + inputs, middle), CircularResidual(middle))
         self.up0 = nn.Sequential(conv_norm_act(middle, 4 * fine, 1), nn.PixelShuffle(2))
-        self.mix0 = conv_norm_act(2 * fine + shown, fine)
+        self.mix0 = conv_norm_act(2 * fine + inputs, fine)
         self.up = nn.Sequential(conv_norm_act(fine, 4 * last), nn.PixelShuffle(2))
         self.texture = conv_norm_act(last + len(FINE_M), last)
         self.colour = CircularConv(last, 3)
@@ -87,36 +87,36 @@ class ScenePainter(nn.Module):
                 raise InputError(f"the painter knows no look {name!r}; it knows {known}")
         return [names.count(look) / len(names) for look in self.looks]
 
-    def forward(self, shown: Tensor, fine_noise: Tensor, shares: Tensor, tone: Tensor) -> Tensor:
+    def forward(self, inputs: Tensor, fine_noise: Tensor, shares: Tensor, tone: Tensor) -> Tensor:
         """Paint.
 
-        shown, fine_noise  (B, classes + SHAPE + 3, H, W) and (B, 3, 2H, 2W) of `painter_inputs`.
+        inputs, fine_noise  (B, classes + SHAPE + 3, H, W) and (B, 3, 2H, 2W) of `painter_inputs`.
         shares  (B, looks): shares of each look;  tone: (B, 3), how much brighter than the mean of its look, in [-1, 1].
         Returns (B, 3, 2H, 2W) in [-1, 1]. Raises InputError unless H and W are multiples of 4.
         """
-        if shown.shape[-2] % STRIDE or shown.shape[-1] % STRIDE:
-            raise InputError(f"segments of {tuple(shown.shape[-2:])} pixels: rows, columns must divide by {STRIDE}")
+        if inputs.shape[-2] % STRIDE or inputs.shape[-1] % STRIDE:
+            raise InputError(f"segments of {tuple(inputs.shape[-2:])} pixels: rows, columns must divide by {STRIDE}")
         code = torch.cat([shares @ self.codes.weight, tone], 1)
-        fine = self.stem(shown)
-        shown, fine_noise = shown.to(fine.dtype), fine_noise.to(fine.dtype)  # one float32 part would make all float32
-        shown2 = avg_pool2d(shown, 2)
-        shown4 = avg_pool2d(shown2, 2)
+        fine = self.stem(inputs)
+        inputs, fine_noise = inputs.to(fine.dtype), fine_noise.to(fine.dtype)  # one float32 part would make all float32
+        inputs2 = avg_pool2d(inputs, 2)
+        inputs4 = avg_pool2d(inputs2, 2)
         middle = self.down1(fine)
         x = self._tuned(0, self.down2(middle), code)
         for block in self.trunk:
             x = block(x)
-        x = self.mix1(torch.cat([_channels_last(self.up1(torch.cat([x, shown4], 1))), middle, shown2], 1))
+        x = self.mix1(torch.cat([_channels_last(self.up1(torch.cat([x, inputs4], 1))), middle, inputs2], 1))
         x = self._tuned(1, x, code)
-        x = self.mix0(torch.cat([_channels_last(self.up0(x)), fine, shown], 1))
+        x = self.mix0(torch.cat([_channels_last(self.up0(x)), fine, inputs], 1))
         x = _channels_last(self.up(self._tuned(2, x, code)))
         return torch.tanh(self.colour(self.texture(torch.cat([x, fine_noise], 1))))
 
     def paint(self, past: object, scene: Scene) -> tuple[None, Tensor]:  # noqa: ARG002
         """Paint every scan for itself; arguments and answer as of StreamPainter."""
         segments = sharpened(scene.segments, self.sharp)
-        shown, fine_noise = painter_inputs(segments, scene.depth_m, scene.channels, scene.view, scene.T_world_sensor)
-        shares = torch.tensor([self.look_shares(scene.look)], device=shown.device)
-        return None, self(shown, fine_noise, shares, shares.new_zeros(1, TONE))
+        inputs, fine_noise = painter_inputs(segments, scene.depth_m, scene.channels, scene.view, scene.T_world_sensor)
+        shares = torch.tensor([self.look_shares(scene.look)], device=inputs.device)
+        return None, self(inputs, fine_noise, shares, shares.new_zeros(1, TONE))
 
     def _tuned(self, number: int, x: Tensor, code: Tensor) -> Tensor:
         factor, shift = self.tuned[number](code)[..., None, None].to(x.dtype).chunk(2, 1)

@@ -41,7 +41,7 @@ CRITIC_WIDEST, CRITIC_FIRST = 512, 64  # nor any layer of a discriminator, nor t
 
 
 class Closable:
-    """A layer or network that looks past its picture's edges.
+    """A layer or network that looks past its image's edges.
 
     closed  past the left and right one, it sees the other end.
     """
@@ -146,7 +146,7 @@ def entry(inputs: int, width: int, norm: Norm) -> list[nn.Module]:
 
 
 def halvings(widths: Sequence[int], norm: Norm) -> list[nn.Module]:
-    """Layers that halve the picture from each of `widths` to the next."""
+    """Layers that halve the image from each of `widths` to the next."""
     layers: list[nn.Module] = []
     for inputs, outputs in zip(widths, widths[1:], strict=False):
         layers += [Halving(inputs, outputs), norm(outputs), nn.ReLU(inplace=True)]
@@ -154,7 +154,7 @@ def halvings(widths: Sequence[int], norm: Norm) -> list[nn.Module]:
 
 
 def doublings(widths: Sequence[int], norm: Norm) -> list[nn.Module]:
-    """Layers that double the picture from each of `widths` to the next."""
+    """Layers that double the image from each of `widths` to the next."""
     layers: list[nn.Module] = []
     for inputs, outputs in zip(widths, widths[1:], strict=False):
         layers += [Doubling(inputs, outputs), norm(outputs), nn.ReLU(inplace=True)]
@@ -171,19 +171,19 @@ def head(width: int, outputs: int, *activation: nn.Module) -> nn.Sequential:
     return nn.Sequential(Padding(3), nn.Conv2d(width, outputs, 7), *activation)
 
 
-def halved(picture: Tensor, all_around: bool = False) -> Tensor:
+def halved(image: Tensor, all_around: bool = False) -> Tensor:
     """The next coarser level of a pyramid, means over 3x3 pixels: (B, C, H, W) -> (B, C, H/2, W/2), rounded up.
 
-    all_around  the picture closes in azimuth; its W must be even.
+    all_around  the image closes in azimuth; its W must be even.
     """
     if not all_around:
-        return avg_pool2d(picture, 3, stride=2, padding=1, count_include_pad=False)
-    around = torch.cat([picture[..., -1:], picture], 3)  # stride 2 never reads past the right edge
+        return avg_pool2d(image, 3, stride=2, padding=1, count_include_pad=False)
+    around = torch.cat([image[..., -1:], image], 3)  # stride 2 never reads past the right edge
     return avg_pool2d(around, 3, stride=2, padding=(1, 0), count_include_pad=False)
 
 
 def close(network: nn.Module, whether: bool) -> None:
-    """Let the pictures of a network of these parts close in azimuth, or not; its weights do not change."""
+    """Let the images of a network of these parts close in azimuth, or not; its weights do not change."""
     for part in network.modules():
         if isinstance(part, Closable):
             part.closed = whether
@@ -193,7 +193,7 @@ def check_size(rows: int, columns: int, stride: int) -> None:
     """Raise InputError unless the raster fits a network whose coarsest pixel is `stride` pixels wide."""
     if rows % stride or columns % stride or min(rows, columns) < 2 * stride:
         raise InputError(
-            f"a picture of {rows} x {columns} pixels does not fit the network: rows and columns must be multiples of "
+            f"an image of {rows} x {columns} pixels does not fit the network: rows and columns must be multiples of "
             f"{stride} and at least {2 * stride}; pad it to {_fitting(rows, stride)} x {_fitting(columns, stride)}"
         )
 
@@ -216,13 +216,13 @@ def start_as_published(network: nn.Module) -> None:
 class Painted(NamedTuple):
     """What the generator says of a frame, on the raster of its scale.
 
-    picture  (B, 3, H, W) in [-1, 1]: where `weight` is one, the new image; else the previous one, warped.
-    flow     (B, 2, H, W) pixels, backward: where in the previous picture a pixel was (u to the right, v down).
+    image    (B, 3, H, W) in [-1, 1]: where `weight` is one, the new image; else the previous one, warped.
+    flow     (B, 2, H, W) pixels, backward: where in the previous image a pixel was (u to the right, v down).
     weight   (B, 1, H, W) in [0, 1].
     raw      (B, 3, H, W) in [-1, 1]: the new image everywhere.
     """
 
-    picture: Tensor
+    image: Tensor
     flow: Tensor
     weight: Tensor
     raw: Tensor
@@ -231,13 +231,13 @@ class Painted(NamedTuple):
 class Features(NamedTuple):
     """What a scale hands to the next finer one, each (B, width, H, W); no foreground where there is no such branch."""
 
-    picture: Tensor
+    image: Tensor
     flow: Tensor
     foreground: Tensor | None
 
 
 class Vid2Vid(Closable, nn.Module):
-    """The generator; defaults are the published street network for pictures 2048 pixels wide.
+    """The generator; defaults are the published street network for images 2048 pixels wide.
 
     channels          of one label map: 35 ids of Cityscapes one-hot and the edges of instances.
     widths            of each spatial scale's first layer, coarse to fine (published as ngf), each half of the one
@@ -245,9 +245,9 @@ class Vid2Vid(Closable, nn.Module):
     downsamplings     halvings inside the coarsest scale (finer ones halve once).
     blocks            residual blocks of the coarsest scale and of each finer one.
     foreground        label channels that a branch of its own paints (26 is Cityscapes' car); empty: no such branch.
-    frames            label maps it sees, the present one last; it sees one picture less.
+    frames            label maps it sees, the present one last; it sees one image less.
     batch_statistics  norms use the batch's statistics in evaluation mode, too: what published weights need.
-    align_corners     how the previous picture is warped (see geometry.warp): True is what the code was written for.
+    align_corners     how the previous image is warped (see geometry.warp): True is what the code was written for.
     """
 
     def __init__(
@@ -282,7 +282,7 @@ class Vid2Vid(Closable, nn.Module):
         """Paint a frame.
 
         labels    (B, frames, channels, H, W) float: one-hot label maps, the present one last.
-        previous  (B, frames - 1, 3, H, W) in [-1, 1]: pictures before it, the latest last.
+        previous  (B, frames - 1, 3, H, W) in [-1, 1]: images before it, the latest last.
         H and W must be multiples of `stride` and at least twice that, otherwise InputError.
         The answer is the finest scale's, so the heads of coarser ones get no gradient (as published, where a coarse
         scale is trained as the finest first).
@@ -290,24 +290,24 @@ class Vid2Vid(Closable, nn.Module):
         return self.scales(self.pyramid(labels), self.pyramid(previous))[-1]
 
     def scales(self, labels: Sequence[Tensor], previous: Sequence[Tensor]) -> list[Painted]:
-        """What every scale paints, coarse to fine, from label maps and previous pictures on the raster of each.
+        """What every scale paints, coarse to fine, from label maps and previous images on the raster of each.
 
-        A stream gives each scale its own earlier pictures, as published; `forward` those of the finest, made smaller.
+        A stream gives each scale its own earlier images, as published; `forward` those of the finest, made smaller.
         """
         painted, features = [], None
-        for scale, maps, pictures in zip(self._scales(), labels, previous, strict=True):
+        for scale, maps, images in zip(self._scales(), labels, previous, strict=True):
             label_maps = maps.flatten(1, 2)
-            features = scale(label_maps, pictures.flatten(1, 2), features)
-            painted.append(self._composed(scale, features, pictures[:, -1], label_maps))
+            features = scale(label_maps, images.flatten(1, 2), features)
+            painted.append(self._composed(scale, features, images[:, -1], label_maps))
         return painted
 
-    def pyramid(self, pictures: Tensor) -> list[Tensor]:
-        """Pictures (B, T, C, H, W) on the rasters of all scales, coarse to fine; InputError where they do not fit."""
-        check_size(pictures.shape[-2], pictures.shape[-1], self.stride)
-        levels = [pictures]
+    def pyramid(self, images: Tensor) -> list[Tensor]:
+        """Images (B, T, C, H, W) on the rasters of all scales, coarse to fine; InputError where they do not fit."""
+        check_size(images.shape[-2], images.shape[-1], self.stride)
+        levels = [images]
         for _ in self._scales()[1:]:
             coarser = halved(levels[0].flatten(0, 1), self.closed)
-            levels.insert(0, coarser.unflatten(0, pictures.shape[:2]))
+            levels.insert(0, coarser.unflatten(0, images.shape[:2]))
         return levels
 
     def _scales(self) -> list[Coarsest | Finer]:
@@ -319,15 +319,15 @@ class Vid2Vid(Closable, nn.Module):
         with torch.autocast(label_maps.device.type, enabled=False):
             raw, flow, weight, apart = scale.heads(features)
             moved = warp(latest.float(), flow, circular=self.closed, align_corners=self.align_corners)
-            picture = raw * weight + moved * (1 - weight)
+            image = raw * weight + moved * (1 - weight)
             if apart is not None:
                 mask = label_maps[:, self.foreground].float().sum(1, keepdim=True).clamp(0, 1)
-                picture, raw = apart * mask + picture * (1 - mask), apart * mask + raw * (1 - mask)
-        return Painted(picture=picture, flow=flow, weight=weight, raw=raw)
+                image, raw = apart * mask + image * (1 - mask), apart * mask + raw * (1 - mask)
+        return Painted(image=image, flow=flow, weight=weight, raw=raw)
 
 
 class Heads(nn.Module):
-    """What all scales have: the heads of picture, flow and mask, and the foreground's.
+    """What all scales have: the heads of image, flow and mask, and the foreground's.
 
     width, foreground  channels of the features that the heads read; foreground 0: there is no such branch.
     flow_px            pixels that the flow head's one stands for.
@@ -343,17 +343,17 @@ class Heads(nn.Module):
             self.indv_final = head(foreground, 3, nn.Tanh())
 
     def heads(self, features: Features) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
-        """Picture (B, 3, H, W), flow (B, 2, H, W) in pixels, weight (B, 1, H, W), the foreground's picture or None."""
-        picture, flow = features.picture.float(), features.flow.float()
+        """Image (B, 3, H, W), flow (B, 2, H, W) in pixels, weight (B, 1, H, W), the foreground's image or None."""
+        image, flow = features.image.float(), features.flow.float()
         apart = None if features.foreground is None else self.indv_final(features.foreground.float())
         flow_px = self.model_final_flow(flow) * self.flow_px
-        return self.model_final_img(picture), flow_px, self.model_final_w(flow), apart
+        return self.model_final_img(image), flow_px, self.model_final_w(flow), apart
 
 
 class Coarsest(Heads):
     """Scale 0: an encoder-decoder.
 
-    inputs      channels of all label maps and of all previous pictures.
+    inputs      channels of all label maps and of all previous images.
     width       after the first layer; foreground: likewise in that branch, 0 for none.
     """
 
@@ -380,11 +380,11 @@ class Coarsest(Heads):
             self.indv_res = nn.Sequential(*residuals(blocks, thin[-1], norm))
             self.indv_up = nn.Sequential(*doublings(thin[::-1], norm))
 
-    def forward(self, labels: Tensor, pictures: Tensor, coarser: None) -> Features:  # there is none coarser
-        """(B, labels, H, W) and (B, pictures, H, W) -> features (B, width, H, W)."""
-        joined = self.model_down_seg(labels) + self.model_down_img(pictures)
+    def forward(self, labels: Tensor, images: Tensor, coarser: None) -> Features:  # there is none coarser
+        """(B, labels, H, W) and (B, images, H, W) -> features (B, width, H, W)."""
+        joined = self.model_down_seg(labels) + self.model_down_img(images)
         return Features(
-            picture=self.model_up_img(self.model_res_img(joined)),
+            image=self.model_up_img(self.model_res_img(joined)),
             flow=self.model_up_flow(self.model_res_flow(joined)),
             foreground=self.indv_up(self.indv_res(self.indv_down(labels))) if self.apart else None,
         )
@@ -409,26 +409,26 @@ class Finer(Heads):
         if foreground:
             self.indv_down, self.indv_up = down(inputs[0], foreground), up(foreground)
 
-    def forward(self, labels: Tensor, pictures: Tensor, coarser: Features) -> Features:
-        """(B, labels, H, W), (B, pictures, H, W) and features on half the raster -> features (B, width, H, W)."""
-        down = self.model_down_seg(labels) + self.model_down_img(pictures)
+    def forward(self, labels: Tensor, images: Tensor, coarser: Features) -> Features:
+        """(B, labels, H, W), (B, images, H, W) and features on half the raster -> features (B, width, H, W)."""
+        down = self.model_down_seg(labels) + self.model_down_img(images)
         foreground = coarser.foreground
         return Features(
-            picture=self.model_up_img(down + coarser.picture),
+            image=self.model_up_img(down + coarser.image),
             flow=self.model_up_flow(down + coarser.flow),
             foreground=None if foreground is None else self.indv_up(self.indv_down(labels) + foreground),
         )
 
 
 class Vid2VidSingle(Closable, nn.Module):
-    """Defaults are the published network for pictures 512 pixels wide (2048: width 32, downsamplings 4, enhancers 1).
+    """Defaults are the published network for images 512 pixels wide (2048: width 32, downsamplings 4, enhancers 1).
 
     classes           of the label map, one-hot (no edges of instances).
     width             of the finest scale's first layer (published as ngf).
     downsamplings     halvings inside the coarsest scale.
     blocks            residual blocks of the coarsest scale; local_blocks: of each enhancer.
     enhancers         finer scales, each on twice the raster.
-    batch_statistics  norms use the statistics of the picture itself in evaluation mode, too: what published weights
+    batch_statistics  norms use the statistics of the image itself in evaluation mode, too: what published weights
                       need. (They are instance norms; the setting has the name that it has in `vid2vid`.)
     """
 
@@ -478,8 +478,8 @@ class Vid2VidSingle(Closable, nn.Module):
 class ImageCritic(nn.Module):
     """Scores of patches, and the features that feature matching compares.
 
-    channels  of its input: label maps (published: 35 ids and the edges of instances) and a picture.
-    width     of the first layer on the whole picture; twice that on the halved one and so on, up to 64, as published.
+    channels  of its input: label maps (published: 35 ids and the edges of instances) and an image.
+    width     of the first layer on the whole image; twice that on the halved one and so on, up to 64, as published.
     layers    layers of stride 2.
     scales    images of the pyramid, each half the size of the one before.
     """
@@ -495,12 +495,12 @@ class ImageCritic(nn.Module):
                 self.add_module(name, layer)
         start_as_published(self)
 
-    def forward(self, picture: Tensor) -> list[list[Tensor]]:
+    def forward(self, image: Tensor) -> list[list[Tensor]]:
         """(B, channels, H, W) -> per scale, the features of every layer, the last being the scores (B, 1, h, w)."""
         answers = []
         for level, names in enumerate(self.levels):
-            picture = halved(picture) if level else picture
-            features, x = [], picture
+            image = halved(image) if level else image
+            features, x = [], image
             for name in names:
                 x = self.get_submodule(name)(x)
                 features.append(x)
@@ -509,7 +509,7 @@ class ImageCritic(nn.Module):
 
 
 class TemporalCritic(ImageCritic):
-    """The same for clips; channels: of the pictures, three each, and of the flows between them, two each."""
+    """The same for clips; channels: of the images, three each, and of the flows between them, two each."""
 
     def __init__(self, channels: int = 13, width: int = 64, layers: int = 3, scales: int = 2) -> None:
         super().__init__(channels, width, layers, scales)

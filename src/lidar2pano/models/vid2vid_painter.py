@@ -1,8 +1,8 @@
 """Paints a stream of label maps with vid2vid: on any raster, in the camera or all around, each frame after the last.
 
 How a stream begins. Published code (vid2vid_model_G.py, generate_first_frame) paints the first two frames with the
-network for single pictures, and the generator goes on from there; where there is no such network
-(no_first_img), the generator begins from black pictures and its first frame is what it paints anew (`raw`), unwarped.
+network for single images, and the generator goes on from there; where there is no such network
+(no_first_img), the generator begins from black images and its first frame is its unwarped image (`raw`).
 So do we, with and without a `vid2vid-single`. Published code never shows the first two frames, and asks for the label
 maps before the first one; a stream has none, so its first label map stands for them.
 """
@@ -32,8 +32,8 @@ class Past:
     """What a painter needs of the frames before, on its padded raster.
 
     ids     (T, H, W) uint8: the latest label maps, ids of COMMON15; T is one less than the generator's frames.
-    levels  coarse to fine, each scale's latest pictures (1, T, 3, h, w) in [-1, 1]; as long as there are fewer than T
-            pictures, only those of the finest scale.
+    levels  coarse to fine, each scale's latest images (1, T, 3, h, w) in [-1, 1]; as long as there are fewer than T
+            images, only those of the finest scale.
     """
 
     ids: Tensor
@@ -92,7 +92,7 @@ def edges(ids: Tensor, closed: bool) -> Tensor:
 class Vid2VidPainter(nn.Module):
     """vid2vid's generator, and the network for first frames if there is one; InputError where the two do not match.
 
-    closed  pictures close in azimuth (panoramas), otherwise they end (cameras).
+    closed  images close in azimuth (panoramas), otherwise they end (cameras).
     finer   pixels of the raster that `paint` works on per pixel of the segments' raster.
     """
 
@@ -128,17 +128,17 @@ class Vid2VidPainter(nn.Module):
     def paint(self, past: Past | None, scene: Scene) -> tuple[Past, Tensor]:
         """Paint the panorama that follows, from its classes alone; as of models.painter.StreamPainter."""
         grow, shrink = self.finer.as_integer_ratio()
-        past, picture = self.follow(past, grown_classes(_shrunk(scene.segments, shrink), grow))
+        past, image = self.follow(past, grown_classes(_shrunk(scene.segments, shrink), grow))
         grow, shrink = (TWICE / self.finer).as_integer_ratio()
-        picture = _shrunk(picture[None], shrink)
-        return past, picture if grow == 1 else grow_circular(picture, grow)
+        image = _shrunk(image[None], shrink)
+        return past, image if grow == 1 else grow_circular(image, grow)
 
     def follow(self, past: Past | None, ids: Tensor) -> tuple[Past, Tensor]:
         """Paint a label map that follows others.
 
         past  what the frame before returned; None at the beginning of a stream.
         ids   (H, W) integer ids of COMMON15, any size; every frame of a stream of the same.
-        Returns what the next frame wants, and the picture (3, H, W) float32 in [-1, 1].
+        Returns what the next frame wants, and the image (3, H, W) float32 in [-1, 1].
         """
         framed = _framed(ids.to(torch.uint8), self.stride, self.closed)
         keep = self.generator.frames - 1
@@ -146,28 +146,28 @@ class Vid2VidPainter(nn.Module):
             past = Past(ids=framed.ids.expand(keep, -1, -1), levels=[])
         if past.ids.shape[1:] != framed.ids.shape[1:]:
             raise ValueError(f"a stream's frames have one size, not {tuple(ids.shape)} after another")
-        shown = torch.cat([past.ids, framed.ids])
+        label_maps = torch.cat([past.ids, framed.ids])
         if self.single is not None and (not past.levels or past.levels[-1].shape[1] < keep):
             levels = self._begun(self.single, past.levels, framed.ids)
         else:
-            levels = self._gone_on(past.levels, shown)
-        picture = levels[-1][0, -1, :, framed.rows, framed.columns].clone()  # the caller's own: levels are remembered
-        return Past(ids=shown[1:], levels=levels), picture
+            levels = self._gone_on(past.levels, label_maps)
+        image = levels[-1][0, -1, :, framed.rows, framed.columns].clone()  # the caller's own: levels are remembered
+        return Past(ids=label_maps[1:], levels=levels), image
 
     def _begun(self, single: Vid2VidSingle, levels: list[Tensor], ids: Tensor) -> list[Tensor]:
-        """One of the first frames, by the network for single pictures."""
+        """One of the first frames, by the network for single images."""
         one_hot = LabelChannels(labels=self.reads.labels, edges=False)(ids, self.closed)[0]
-        pictures = torch.cat([*levels, single(one_hot).float()[None]], 1)
-        return self.generator.pyramid(pictures) if pictures.shape[1] == self.generator.frames - 1 else [pictures]
+        images = torch.cat([*levels, single(one_hot).float()[None]], 1)
+        return self.generator.pyramid(images) if images.shape[1] == self.generator.frames - 1 else [images]
 
     def _gone_on(self, levels: list[Tensor], ids: Tensor) -> list[Tensor]:
-        """A frame by the generator; the very first of a stream from black pictures, unwarped."""
+        """A frame by the generator; the very first of a stream from black images, unwarped."""
         labels = self.reads(ids, self.closed)
         first = not levels
         if first:
             levels = self.generator.pyramid(labels.new_zeros(1, len(ids) - 1, 3, *ids.shape[1:]))
         painted = self.generator.scales(self.generator.pyramid(labels), levels)
-        latest = [one.raw if first else one.picture for one in painted]
+        latest = [one.raw if first else one.image for one in painted]
         return [torch.cat([level[:, 1:], new[:, None]], 1) for level, new in zip(levels, latest, strict=True)]
 
 

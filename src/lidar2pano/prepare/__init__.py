@@ -1,4 +1,4 @@
-"""Labels that nobody has to draw: teachers label a data set's scans and images.
+"""Labels without drawing them by hand: teachers label a data set's scans and images.
 
 What is there and was not written by this package is never touched; what was is done again when its scan, its image,
 the weights or the settings have changed. Each sequence has a journal that says which files are ours, and of what.

@@ -108,21 +108,22 @@ def _standing(teacher: Teacher, frame: SemanticKittiFrame, source: Path, file: P
     ours = next((record for record in records if record.stamp.sha256 == stamp.sha256), None)
     if ours is None:  # ours once: now it is broken, or somebody put another one in its place
         return State.KEPT if teacher.whole(frame, file) else None
-    seen = stamp_of(source, ours.source)
-    if ours.made_by != teacher.made_by or seen.sha256 != ours.source.sha256:
+    source_stamp = stamp_of(source, ours.source)
+    if ours.made_by != teacher.made_by or source_stamp.sha256 != ours.source.sha256:
         return None
-    if (seen, stamp) != (records[0].source, records[0].stamp):  # copied or touched: next time need not read them
+    if (source_stamp, stamp) != (records[0].source, records[0].stamp):
+        # copied or touched: next time need not read them
         with suppress(OSError):  # it only saves time
-            journal.enter(Record(file=_name(file), made_by=teacher.made_by, source=seen, stamp=stamp))
+            journal.enter(Record(file=_name(file), made_by=teacher.made_by, source=source_stamp, stamp=stamp))
     return State.CURRENT
 
 
 def _write(teacher: Teacher, frame: SemanticKittiFrame, source: Path, file: Path, journal: Journal) -> None:
-    seen: Stamp = stamp_of(source)
+    source_stamp: Stamp = stamp_of(source)
 
     def write(beside: Path) -> None:
         teacher.write(frame, beside)
-        journal.enter(Record(file=_name(file), made_by=teacher.made_by, source=seen, stamp=stamp_of(beside)))
+        journal.enter(Record(file=_name(file), made_by=teacher.made_by, source=source_stamp, stamp=stamp_of(beside)))
 
     write_whole(file, write, "labels folder")
 

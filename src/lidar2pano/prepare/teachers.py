@@ -21,7 +21,7 @@ from lidar2pano.formats.image_files import read_image, write_ids
 from lidar2pano.formats.scan_files import write_label
 from lidar2pano.hardware import pick_device
 from lidar2pano.models.camera_segmenter import CameraSegmenter, CameraTeacher
-from lidar2pano.models.camera_teachers import KINDS, load_teacher, local_folder, parts_of
+from lidar2pano.models.camera_teachers import MODEL_TYPES, load_teacher, local_folder, parts_of
 from lidar2pano.models.card import load, read_card
 from lidar2pano.models.families import weight_files
 from lidar2pano.models.sdnet import falling
@@ -58,7 +58,7 @@ class Teacher(Protocol):
         ...
 
     def whole(self, frame: SemanticKittiFrame, path: Path) -> bool:
-        """Whether `path` holds labels, whoever wrote them, and not a part of them."""
+        """Whether `path` holds complete labels, of any origin."""
         ...
 
 
@@ -101,9 +101,9 @@ class LidarTeacher:
 class ImageTeacher:
     """A camera teacher: images -> Cityscapes train ids per pixel. Fields as in Teacher.
 
-    spec    "mask2former" or "oneformer" with a folder in `weights`, or "sdnet" with a file.
-    scales  of the image that the network labels; () for its own.
-    unsure  probability of the best class below which a pixel becomes IGNORE.
+    spec             "mask2former" or "oneformer" with a folder in `weights`, or "sdnet" with a file.
+    scales           of the image that the network labels; () for its own.
+    min_probability  of the best class; a pixel below it becomes IGNORE.
     """
 
     folder: str
@@ -112,7 +112,7 @@ class ImageTeacher:
     device: str
     spec: str
     scales: tuple[float, ...]
-    unsure: float
+    min_probability: float
     suffix: str = ".png"
 
     def source(self, frame: SemanticKittiFrame) -> Path | None:
@@ -123,7 +123,7 @@ class ImageTeacher:
     def teacher(self) -> CameraTeacher:
         """The network, loaded."""
         device = pick_device(self.device)
-        if self.spec in KINDS:
+        if self.spec in MODEL_TYPES:
             return load_teacher(self.spec, self.weights[0], device, self.scales or (1.0,))
         network, card = load(self.weights[0], device, expect="sdnet")
         return CameraSegmenter.from_card(network, card, self.scales or None)
@@ -136,17 +136,17 @@ class ImageTeacher:
         """Write ids (h, w) uint8 as a PNG of grey values."""
         assert frame.image_file is not None
         best, ids = self.teacher.probabilities(read_image(frame.image_file, "RGB")).max(0)
-        ids[best < self.unsure] = IGNORE
+        ids[best < self.min_probability] = IGNORE
         write_ids(path, ids.cpu().numpy().astype(np.uint8))
 
     def whole(self, frame: SemanticKittiFrame, path: Path) -> bool:
         """Whether it is an image, to its end."""
         try:
-            with Image.open(path) as picture:
-                picture.load()
+            with Image.open(path) as image:
+                image.load()
         except (OSError, SyntaxError, ValueError):
             return False
-        return picture.format != "PNG" or PNG_END in path.read_bytes()
+        return image.format != "PNG" or PNG_END in path.read_bytes()
 
 
 def lidar_teacher(weights: str, *, folder: str = "labels", device: str = "auto") -> LidarTeacher:
@@ -164,39 +164,40 @@ def camera_teacher(
     *,
     folder: str = "camera_labels",
     scales: Sequence[float] = (),
-    unsure: float = 0.4,
+    min_probability: float = 0.4,
     device: str = "auto",
 ) -> ImageTeacher:
     """The camera teacher of a weight file or run of SD-Net, or of "mask2former:PATH" or "oneformer:PATH".
 
-    PATH    a folder, or the name of a model in the hub's cache; nothing is downloaded.
-    scales  sizes of the image to label, as factors (without any: SD-Net its own, the others 1).
-    unsure  probability of the best class below which a pixel is labelled IGNORE.
+    PATH             a folder, or the name of a model in the hub's cache; nothing is downloaded.
+    scales           sizes of the image to label, as factors (without any: SD-Net its own, the others 1).
+    min_probability  of the best class; a pixel below it is labelled IGNORE.
     Raises InputError when the weights or the device are not there, or a setting cannot be.
     """
     pick_device(device)
-    if not 0 <= unsure < 1:
-        raise InputError(f"--unsure {unsure:g} is no probability; choose one from 0 up to, not including, 1")
+    if not 0 <= min_probability < 1:
+        raise InputError(f"--unsure {min_probability:g} is no probability; choose one from 0 up to, not including, 1")
     if any(not 0 < scale <= 4 for scale in scales) or len(set(scales)) < len(scales):
         raise InputError(f"--scales {','.join(f'{s:g}' for s in scales)} cannot be: name factors up to 4, each once")
-    kind, _, place = spec.partition(":")
-    if kind in KINDS and place:
+    model_type, _, place = spec.partition(":")
+    if model_type in MODEL_TYPES and place:
         source = local_folder(place)
         hashed = parts_of(source)
     else:
-        kind, source = "sdnet", _sdnet_file(spec)
+        model_type, source = "sdnet", _sdnet_file(spec)
         hashed = [source]
         if scales:
             falling(scales)  # refuses what the network would refuse image by image
-    settings = {"kind": kind, "scales": list(scales), "unsure": unsure}
+    # these keys are hashed into made_by, which journals keep: they stay
+    settings = {"kind": model_type, "scales": list(scales), "unsure": min_probability}
     return ImageTeacher(
         folder=folder,
         made_by=_hash(hashed, settings),
         weights=(source,),
         device=device,
-        spec=kind,
+        spec=model_type,
         scales=tuple(scales),
-        unsure=unsure,
+        min_probability=min_probability,
     )
 
 

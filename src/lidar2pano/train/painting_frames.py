@@ -73,23 +73,23 @@ class PaintingFrames:
             if (look or options.look) not in looks:
                 raise InputError(f"{frame.name}: its look {look or options.look!r} is none of {', '.join(looks)}")
         self.look = [looks.index(look or options.look) for look in simulated]
-        kinds = [[n for n, look in enumerate(simulated) if bool(look) == wanted] for wanted in (False, True)]
-        self.kinds = [kind for kind in kinds if kind]
+        groups = [[n for n, look in enumerate(simulated) if bool(look) == wanted] for wanted in (False, True)]
+        self.groups = [group for group in groups if group]
         self._means: dict[int, Tensor] = {}
 
     def __len__(self) -> int:
         """Number of real frames or, where there are none, of simulated ones: each is used once in an epoch."""
-        return len(self.kinds[0])
+        return len(self.groups[0])
 
     def __getitem__(self, at: SampleIndex | int) -> PaintingSample:
         """A sample, cropped and mirrored by the seed of a SampleIndex; for an int the middle of that frame."""
         if isinstance(at, int):
-            return self._joined([self._crop(self.kinds[0][at], None)])
+            return self._joined([self._crop(self.groups[0][at], None)])
         generator = np.random.default_rng(at.seed)
-        chosen = [self.kinds[0][at.index]]
-        if len(self.kinds) > 1:
-            kind = self.kinds[generator.random() < self.options.simulated_probability]
-            chosen.append(kind[generator.integers(len(kind))])
+        chosen = [self.groups[0][at.index]]
+        if len(self.groups) > 1:
+            group = self.groups[generator.random() < self.options.simulated_probability]
+            chosen.append(group[generator.integers(len(group))])
         return self._joined([self._crop(index, generator) for index in chosen])
 
     @staticmethod

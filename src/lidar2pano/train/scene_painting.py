@@ -68,10 +68,12 @@ class ScenePainting:
             with torch.no_grad():
                 on_real = self.features(real.contiguous(memory_format=torch.channels_last))
             on_fake = self.features(fake.contiguous(memory_format=torch.channels_last))
-        told = torch.cat([segments, depth_code(batch.depth_m)[:, None]], 1)
+        condition = torch.cat([segments, depth_code(batch.depth_m)[:, None]], 1)
         critic = self.networks["critic"]
         if self.options.adversarial:
-            scores = zip(critic(told, *on_real), critic(told, *(part.detach() for part in on_fake)), strict=True)
+            scores = zip(
+                critic(condition, *on_real), critic(condition, *(part.detach() for part in on_fake)), strict=True
+            )
             yield "critic", _mean([hinge_critic(one.float(), other.float()) for one, other in scores])
         options = self.options
         pairs = [(one.float(), other.float()) for one, other in zip(on_real, on_fake, strict=True)]
@@ -84,7 +86,7 @@ class ScenePainting:
             learning = [weight for weight in critic.parameters() if weight.requires_grad]
             for weight in learning:  # its gradients would be discarded
                 weight.requires_grad_(False)
-            adversarial = _mean([hinge_generator(score.float()) for score in critic(told, *on_fake)])
+            adversarial = _mean([hinge_generator(score.float()) for score in critic(condition, *on_fake)])
             for weight in learning:
                 weight.requires_grad_(True)
             self.logs["adversarial"] = adversarial.detach()
@@ -92,7 +94,7 @@ class ScenePainting:
         yield "painter", loss
 
     def painted(self, batch: PaintingSample, segments: Tensor) -> Tensor:
-        """Pictures (B, 3, 2H, 2W) float32 in [-1, 1] of a batch, at a place in the noise drawn anew."""
+        """Pictures (B, 3, 2H, 2W) float32 in [-1, 1] of a batch, at a random place in the noise."""
         painter = self.networks["painter"]
         if self.options.fixed_norms and painter.training:
             for part in painter.modules():
@@ -107,7 +109,7 @@ class ScenePainting:
         return painter(*inputs, shares, batch.tone).float()
 
     def segments(self, batch: PaintingSample) -> Tensor:
-        """Segments (B, 16, H, W) to paint: the translator's, sharpened at random, or the truth where it is drawn."""
+        """Segments (B, 16, H, W) to paint: the translator's, sharpened at random, or by chance the ground truth."""
         samples, device = len(batch.look), batch.look.device
         power = 1 + (self.options.sharpest - 1) * torch.rand(samples, 1, 1, 1, device=device)
         chosen = torch.rand(samples, 1, 1, device=device) < self.options.ground_truth_probability

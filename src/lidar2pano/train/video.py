@@ -138,7 +138,7 @@ class VideoPainting:
                 recent = labels[:, [max(now - back, 0) for back in (2, 1, 0)]]
                 black = [torch.zeros_like(labels[:, 0, :3])] * (PREVIOUS - now)
                 output = network(recent, torch.stack([*black, *images[-PREVIOUS:]], 1))
-                images.append((output.picture if now else output.raw).float())
+                images.append((output.image if now else output.raw).float())
                 flows.append(output.flow.float())
         return torch.cat(images).cpu(), torch.cat(flows).cpu()
 

@@ -1,6 +1,6 @@
 """A painter that was trained without grain, given weights for it, so that its training can go on from there.
 
-    python runs/with_grain.py PAINTER.safetensors OUT.safetensors
+    python runs/add_noise_input.py PAINTER.safetensors OUT.safetensors
 
 The grain is the last of the channels that every convolution joins; its weights begin as those of a fresh painter, so
 much weaker that the picture hardly changes at first.
@@ -25,8 +25,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("painter", type=Path)
     parser.add_argument("out", type=Path)
-    asked = parser.parse_args()
-    before, card = load(asked.painter, expect="painter")
+    arguments = parser.parse_args()
+    before, card = load(arguments.painter, expect="painter")
     settings = {**card.settings, "grain": True}
     torch.manual_seed(0)
     painter = build("painter", **settings)
@@ -36,7 +36,7 @@ def main() -> None:
             value = torch.cat([value, WEAKER * state[name][:, value.shape[1] :]], 1)  # noqa: PLW2901
         state[name] = value
     painter.load_state_dict(state)
-    save(asked.out, painter, replace(card, settings=settings, recipe=f"{card.recipe}, given grain"))
+    save(arguments.out, painter, replace(card, settings=settings, recipe=f"{card.recipe}, given grain"))
 
 
 if __name__ == "__main__":
