@@ -38,7 +38,7 @@ def texture(seed: int, rows: int, columns: int) -> np.ndarray:
 
 
 def write_video(root: Path, *, panorama: bool = False) -> Path:
-    """Write two sequences below `root`; with `panorama`, the ground truth all around and poses of a car that turns in place.
+    """Write two sequences below `root`; with `panorama`, ground truth all around and poses of a turning car.
 
     The turn is to the left, so that the panorama's pictures move to the right; everything is 10 m away.
     """
