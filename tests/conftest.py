@@ -18,16 +18,16 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def _refuse_strangers(address: object) -> None:
+def _refuse_other_machines(address: object) -> None:
     """Raise RuntimeError unless the address is of this machine (loopback, or a path: a Unix socket)."""
     if not isinstance(address, tuple):
         return
     host = str(address[0])
     try:
-        mine = host in {"", "localhost"} or ipaddress.ip_address(host).is_loopback
+        own = host in {"", "localhost"} or ipaddress.ip_address(host).is_loopback
     except ValueError:
-        mine = False
-    if not mine:
+        own = False
+    if not own:
         raise RuntimeError(f"a test tried to connect to {host!r}; the suite runs without a network")
 
 
@@ -37,7 +37,7 @@ def close_network(patch: pytest.MonkeyPatch) -> None:
     def guarded(original: Any, position: int) -> Any:
         @functools.wraps(original)
         def connect(*args: Any, **settings: Any) -> Any:
-            _refuse_strangers(args[position])
+            _refuse_other_machines(args[position])
             return original(*args, **settings)
 
         return connect

@@ -53,8 +53,8 @@ def translate(random_weights, capsys):
 
 
 def pixels(path: Path) -> np.ndarray:
-    with Image.open(path) as picture:
-        return np.array(picture)
+    with Image.open(path) as image:
+        return np.array(image)
 
 
 def files_in(folder: Path) -> list[str]:
@@ -349,16 +349,16 @@ def test_weights_import(here, capsys):
 def test_train_hands_the_recipe_on(here, monkeypatch, capsys):
     import lidar2pano.train.engine
 
-    asked = []
+    calls = []
 
     def train(recipe, root, out, **rest):
-        asked.append((recipe, root, out, rest))
+        calls.append((recipe, root, out, rest))
         return out / "weights"
 
     monkeypatch.setattr(lidar2pano.train.engine, "train", train)
     words = ["--data", "d", "--out", "o", "--set", "training.batch=3", "--set", "options.depth=0.5", "--device", "cpu"]
     assert main(["train", "titan-pano", *words, "--devices", "2", "--nodes", "3"]) == 0
-    ((recipe, root, out, rest),) = asked
+    ((recipe, root, out, rest),) = calls
     assert (recipe.name, recipe.training.batch, recipe.options.depth) == ("titan-pano", 3, 0.5)
     assert (root, out, rest) == (Path("d"), Path("o"), {"device": "cpu", "devices": 2, "num_nodes": 3})
     said = capsys.readouterr().out
@@ -394,13 +394,13 @@ class Terminal(io.StringIO):
         return True
 
 
-@pytest.mark.parametrize(("total", "shown"), [(3, True), (1, False)])
-def test_a_bar_on_a_terminal(monkeypatch, capsys, total, shown):
+@pytest.mark.parametrize(("total", "visible"), [(3, True), (1, False)])
+def test_a_bar_on_a_terminal(monkeypatch, capsys, total, visible):
     monkeypatch.setattr(sys, "stderr", Terminal())
     with bar(total, "working") as advance:
         advance()
         print("a line for a program")
-    assert ("working" in sys.stderr.getvalue() and f"1/{total}" in sys.stderr.getvalue()) == shown
+    assert ("working" in sys.stderr.getvalue() and f"1/{total}" in sys.stderr.getvalue()) == visible
     assert capsys.readouterr().out == "a line for a program\n"
 
 

@@ -70,11 +70,11 @@ BAD_SCANS: dict[str, tuple[Callable[[Path], object], str]] = {
 }
 
 
-@pytest.mark.parametrize("kind", BAD_SCANS)
-def test_bad_scans(here, refused, kind):
-    make, said = BAD_SCANS[kind]
+@pytest.mark.parametrize("fault", BAD_SCANS)
+def test_bad_scans(here, refused, fault):
+    make, said = BAD_SCANS[fault]
     make(here / "bad.bin")
-    name = "bad.xyz" if kind == "suffix" else "bad.bin"
+    name = "bad.xyz" if fault == "suffix" else "bad.bin"
     assert refused(f"translate {name} --weights small --device cpu").startswith(said)
 
 
@@ -147,7 +147,7 @@ def test_bad_calibrations(here, refused, text, said):
         ("translate", "Missing argument"),
         ("translato good.bin", "No such command 'translato'"),
         ("bench --runs 0", "Invalid value for '--runs'"),
-        ("weights info nobody", "no weights 'nobody'"),
+        ("weights info unknown", "no weights 'unknown'"),
         ("train salsanext", "Missing option '--data'"),
     ],
 )
@@ -281,9 +281,9 @@ BAD_DATA: dict[str, tuple[Callable[[Path], object], str]] = {
 }
 
 
-@pytest.mark.parametrize("kind", BAD_DATA)
-def test_bad_data_sets(data, refused, kind):
-    damage, said = BAD_DATA[kind]
+@pytest.mark.parametrize("fault", BAD_DATA)
+def test_bad_data_sets(data, refused, fault):
+    damage, said = BAD_DATA[fault]
     damage(data / "sequences" / "00")
     assert said in refused("evaluate small --data data --device cpu")
 

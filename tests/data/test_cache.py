@@ -90,7 +90,7 @@ def test_a_damaged_prediction_is_made_again(root):
 def test_predictions_of_a_read_only_data_set_go_to_the_users_cache(root, user_cache):
     segmenter = Segmenter()
     labels = PredictedLabels(segmenter, weights(root, b"one"))
-    (root / ".lidar2pano").write_bytes(b"")  # a file: no folder can be made there, whoever asks (root, too)
+    (root / ".lidar2pano").write_bytes(b"")  # a file: no folder can be made there, not even by root
     for _ in range(2):
         labels.of(frames(root, "train")[0])
     assert segmenter.scans == 1 and len(list(user_cache.rglob("*.zlib"))) == 1

@@ -28,20 +28,20 @@ from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.warp import warp
 from lidar2pano.views import VIEWS
-from miniature_video import FRAMES, PANORAMA, STEP, TURN, write_film
+from miniature_video import FRAMES, PANORAMA, STEP, TURN, write_video
 
 QUARTER = VIEWS["panorama"].scaled(1 / 4)
 WINDOW = Framing(rows=48, columns=96)
 
 
 @pytest.fixture(scope="module")
-def film(tmp_path_factory):
-    return write_film(tmp_path_factory.mktemp("film"))
+def video(tmp_path_factory):
+    return write_video(tmp_path_factory.mktemp("video"))
 
 
 @pytest.fixture(scope="module")
 def around(tmp_path_factory):
-    return write_film(tmp_path_factory.mktemp("around"), panorama=True)
+    return write_video(tmp_path_factory.mktemp("around"), panorama=True)
 
 
 @pytest.fixture
@@ -70,15 +70,15 @@ def test_runs_are_of_one_sequence_and_without_gaps():
 
 
 @pytest.mark.usefixtures("_opencv")
-def test_a_window_is_one_place_in_all_frames(film):
-    clips = ClipDataset(film, ("train",), WINDOW, 4)
+def test_a_window_is_one_place_in_all_frames(video):
+    clips = ClipDataset(video, ("train",), WINDOW, 4)
     assert len(clips) == FRAMES - 3
     clip = clips[SampleIndex(2, 7)]
     assert clip.name == "00/000005"
     assert clip.image.shape == (4, 3, 48, 96) and clip.labels.shape == (4, 48, 96)
     assert clip.shift.shape == (4, 2, 48, 96) and clip.known.shape == (4, 48, 96)
     plain = clips[2]
-    whole = [camera_image(frame, 1.0) for frame in frames(film, "train")[2:6]]
+    whole = [camera_image(frame, 1.0) for frame in frames(video, "train")[2:6]]
     for k, image in enumerate(whole):
         middle = (slice(12, 60), slice(72, 168))
         assert torch.equal(plain.labels[k], image.labels[middle].long())
@@ -88,8 +88,8 @@ def test_a_window_is_one_place_in_all_frames(film):
 
 
 @pytest.mark.usefixtures("_opencv")
-def test_flow_of_the_pictures_leads_to_the_frame_before(film):
-    clips = ClipDataset(film, ("train",), WINDOW, 4)
+def test_flow_of_the_images_leads_to_the_frame_before(video):
+    clips = ClipDataset(video, ("train",), WINDOW, 4)
     for clip, way in ((clips[1], 1), (mirrored(clips[1]), -1)):  # what moves left was farther right
         known = clip.known > 0
         assert not known[0].any() and known[1:].float().mean() > 0.9
@@ -99,10 +99,10 @@ def test_flow_of_the_pictures_leads_to_the_frame_before(film):
 
 
 @pytest.mark.usefixtures("_opencv")
-def test_classes_stay_with_their_colours(film, around):
+def test_classes_stay_with_their_colours(video, around):
     """In these data sets a class says where one colour is over 128."""
     for clips, channel, high in (
-        (ClipDataset(film, ("train",), Framing(rows=72, columns=96), 2), 0, 9),
+        (ClipDataset(video, ("train",), Framing(rows=72, columns=96), 2), 0, 9),
         (ClipDataset(around, ("train",), Framing(rows=96, columns=200, view=QUARTER), 2), 1, 15),
         (ClipDataset(around, ("train",), Framing(rows=96, columns=1152, view=QUARTER), 2), 1, 15),
     ):
@@ -122,17 +122,17 @@ def test_draws_mirror_half_of_the_clips(around):
     assert set(ways) == {1.0, -1.0}
 
 
-def test_classes_are_common_ones_and_unsure_is_unlabeled(film):
-    clip = ClipDataset(film, ("train",), Framing(rows=72, columns=240), 1 + 1, stills=("train",))[0]
-    frame = frames(film, "train")[0]
+def test_classes_are_common_ones_and_ignored_is_unlabeled(video):
+    clip = ClipDataset(video, ("train",), Framing(rows=72, columns=240), 1 + 1, stills=("train",))[0]
+    frame = frames(video, "train")[0]
     image = camera_image(frame, 1.0)
     assert set(image.labels.unique().tolist()) == {0, 7, 9}  # road and building of COMMON15
     assert (image.labels[:5] == 0).all() and (image.labels[5:] > 0).all()
     assert -1 <= clip.image.min() < -0.3 and 0.3 < clip.image.max() <= 1
 
 
-def test_pictures_are_scaled_before_they_are_cut(film):
-    frame = frames(film, "train")[0]
+def test_images_are_scaled_before_they_are_cut(video):
+    frame = frames(video, "train")[0]
     image = camera_image(frame, 0.5)
     assert image.image.shape == (3, 36, 120) and image.labels.shape == (36, 120)
     fine = torch.from_numpy(frame.image).movedim(2, 0).float()
@@ -140,11 +140,11 @@ def test_pictures_are_scaled_before_they_are_cut(film):
     assert (image.image - means).abs().max() < 1.01
     assert image.raster.K[0, 0] == pytest.approx(70)
     with pytest.raises(InputError, match="36 x 120 pixels, fewer than the window of 48 x 96; set scale"):
-        ClipDataset(film, (), Framing(rows=48, columns=96, scale=0.5), 2, stills=("train",))[0]
+        ClipDataset(video, (), Framing(rows=48, columns=96, scale=0.5), 2, stills=("train",))[0]
 
 
-def test_stills_become_clips_whose_flow_is_exact(film):
-    clips = ClipDataset(film, (), WINDOW, 4, stills=("alone",))
+def test_stills_become_clips_with_exact_flow(video):
+    clips = ClipDataset(video, (), WINDOW, 4, stills=("alone",))
     assert len(clips) == 3
     moved = set()
     for seed in range(6):
@@ -167,14 +167,14 @@ def test_a_still_s_flow_is_what_its_window_did():
     assert grid[:, 40, 200].tolist() == [40, 200]
     image = LabelledImage(raster=QUARTER, image=grid, labels=torch.zeros(90, 300, dtype=torch.uint8))
     clip = panned(image, np.random.default_rng(1), WINDOW, 3, "x")
-    seen = (clip.image[k, :, row, column] + 1) * 127.5
-    assert seen.tolist() == pytest.approx([float(value) for value in place], abs=1e-2)
+    found = (clip.image[k, :, row, column] + 1) * 127.5
+    assert found.tolist() == pytest.approx([float(value) for value in place], abs=1e-2)
     shift = clip.shift[k, :, row, column]
     assert shift.tolist() == pytest.approx([float(was[1]) - column, float(was[0]) - row], abs=1e-3)
 
 
 @pytest.mark.parametrize("whole", [(48, 96), (50, 200), (300, 97)])
-def test_a_pan_stays_inside_the_picture(whole):
+def test_a_pan_stays_inside_the_image(whole):
     for seed in range(30):
         size, middle = pan(np.random.default_rng(seed), whole, (48, 96), 5)
         half = size[:, None] * (torch.tensor([48.0, 96.0]) - 1) / 2
@@ -183,17 +183,17 @@ def test_a_pan_stays_inside_the_picture(whole):
         assert (middle.diff(dim=0).abs() <= torch.tensor([2.0, 12.0]) + 0.05 * torch.tensor(whole)).all()
 
 
-def test_runs_are_repeated_until_they_are_as_many_as_the_stills(film):
-    clips = ClipDataset(film, ("train",), WINDOW, FRAMES - 1, stills=("val",))
+def test_runs_are_repeated_until_they_are_as_many_as_the_stills(video):
+    clips = ClipDataset(video, ("train",), WINDOW, FRAMES - 1, stills=("val",))
     lengths = [len(run) for run in clips.clips]
     assert lengths.count(1) == FRAMES and lengths.count(FRAMES - 1) == 2 * 3
 
 
-def test_splits_without_neighbours_are_refused(film):
+def test_splits_without_neighbours_are_refused(video):
     with pytest.raises(InputError, match="no 2 frames of split alone follow each other; choose another split"):
-        ClipDataset(film, ("alone",), WINDOW, 2)
+        ClipDataset(video, ("alone",), WINDOW, 2)
     with pytest.raises(InputError, match="has no split 'tain'; did you mean 'train'"):
-        ClipDataset(film, ("tain",), WINDOW, 2)
+        ClipDataset(video, ("tain",), WINDOW, 2)
 
 
 def test_the_panorama_turns_with_the_car(around):
@@ -242,12 +242,12 @@ def test_flow_leads_from_a_frame_to_the_one_before(around, monkeypatch):
     monkeypatch.setattr("lidar2pano.data.clips.ego_flow", lambda *arguments: given.extend(arguments))
     monkeypatch.setattr("lidar2pano.data.clips.distances_m", lambda frame, image: (frame.name, image))
     before, now = frames(around, "train")[2:4]
-    was, seen = camera_image(before, 1.0), camera_image(now, 1.0)
-    flow_to(before, now, was, seen)
-    assert given[:2] == [(now.name, seen), (before.name, was)]
+    was, current = camera_image(before, 1.0), camera_image(now, 1.0)
+    flow_to(before, now, was, current)
+    assert given[:2] == [(now.name, current), (before.name, was)]
     turn = given[2].numpy()
     assert turn[:3, :3] @ [1, 0, 0] == pytest.approx([np.cos(0.0272708), np.sin(0.0272708), 0], abs=1e-5)
-    assert given[3] is seen.raster
+    assert given[3] is current.raster
 
 
 def test_scans_stand_in_for_depths_and_the_sky_is_far(around, tmp_path):
@@ -276,9 +276,9 @@ def test_a_panorama_without_depths_is_refused(around, tmp_path):
         panorama_image(frames(tmp_path / "set", "train")[0], QUARTER)
 
 
-def test_a_missing_panorama_is_named(film):
+def test_a_missing_panorama_is_named(video):
     with pytest.raises(InputError, match=r"pano/000000.png: is missing; only simulated data sets"):
-        ClipDataset(film, ("train",), Framing(rows=96, columns=96, view=QUARTER), 2)[0]
+        ClipDataset(video, ("train",), Framing(rows=96, columns=96, view=QUARTER), 2)[0]
 
 
 def test_real_frames_of_a_drive(kitti_mini):

@@ -201,10 +201,10 @@ def painted(tmp_path_factory) -> Path:
     return root
 
 
-@pytest.mark.parametrize("kind", ["pandaset", "nuscenes"])
-def test_surround_frames_tell_the_panorama(painted, kind):
-    (frame,) = frames(painted / kind, "all", QUARTER)
-    labelled = {"point_labels"} if kind == "pandaset" else set()
+@pytest.mark.parametrize("data_set", ["pandaset", "nuscenes"])
+def test_surround_frames_tell_the_panorama(painted, data_set):
+    (frame,) = frames(painted / data_set, "all", QUARTER)
+    labelled = {"point_labels"} if data_set == "pandaset" else set()
     assert known(frame) == {"name", "scan", "calibration", "image", "panorama", "pose"} | labelled
     assert frame.scan.label is None and frame.scan.name == frame.name
     around, front = frame.panorama, frame.calibration
@@ -245,7 +245,7 @@ def test_surround_ids_are_those_of_labelled_points(painted):
     assert none.panorama is not None and none.panorama.labels is None
 
 
-def test_unlabeled_points_are_unsure(painted, tmp_path):
+def test_unlabeled_points_are_ignored(painted, tmp_path):
     root = tmp_path / "set"
     copytree(painted / "pandaset", root)
     path = root / "sequences/002/labels_pandaset/000000.label"

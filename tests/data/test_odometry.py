@@ -1,4 +1,4 @@
-"""Poses of scans: told by poses.txt, else estimated from the scans."""
+"""Poses of scans: read from poses.txt, else estimated from the scans."""
 
 import numpy as np
 import pytest

@@ -18,7 +18,7 @@ from lidar2pano.labels import COMMON14, COMMON15
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS
 from miniature import HOUSE, ROAD, SPLITS, street, write_data_set
-from miniature_video import write_film
+from miniature_video import write_video
 
 RASTER = VIEWS["panorama"].scaled(1 / 8)
 
@@ -49,13 +49,13 @@ def test_without_a_listing_semantic_kittis_own_splits_hold(root):
         (lambda root: (root / "sequences/00/velodyne/000001.bin").unlink(), "000001.bin of split 'train' is missing"),
     ],
 )
-def test_a_damaged_data_set_is_told(root, damage, message):
+def test_a_damaged_data_set_is_reported(root, damage, message):
     damage(root)
     with pytest.raises(InputError, match=message):
         frames(root, "train")
 
 
-def test_missing_and_broken_pictures_are_told(root):
+def test_missing_and_broken_images_are_reported(root):
     frame = frames(root, "train")[0]
     (root / "sequences/00/camera_labels/000000.png").write_bytes(b"no picture")
     with pytest.raises(InputError, match="no readable image"):
@@ -96,13 +96,13 @@ def test_mirrored_twice_is_the_sample_again(root):
     assert all(torch.equal(a, b) for a, b in zip(mirrored(once)[:6], sample[:6], strict=True))
 
 
-def test_a_mirrored_scan_projects_to_the_mirrored_picture():
+def test_a_mirrored_scan_projects_to_the_mirrored_range_image():
     scan = street(3)
     plain, flipped = (project(s, VIEWS["hdl64e"]).channels[0] for s in (scan, mirror(scan)))
     assert (plain != flipped.flip(-1)).float().mean() < 1e-3  # points on a pixel's edge
 
 
-def test_a_turned_scan_projects_to_the_shifted_picture():
+def test_a_turned_scan_projects_to_the_shifted_range_image():
     scan = street(4)
     plain, turned = (project(s, VIEWS["hdl64e"]).valid for s in (scan, turn(scan, 2 * np.pi * 100 / 2048)))
     assert (plain.roll(-100, -1) != turned).float().mean() < 1e-3
@@ -120,7 +120,7 @@ def test_another_scale_of_remission_keeps_points_order_and_range():
     assert min(means) < 0.33 and max(means) > 0.62 and abs(np.mean(means) - 0.5) < 0.06
 
 
-def test_dropping_leaves_out_about_the_share_asked_for_with_their_labels():
+def test_dropping_leaves_out_about_the_given_share_with_their_labels():
     scan = street(5)
     kept = drop_points(scan, np.random.default_rng(0), 0.3)
     assert len(kept) == pytest.approx(0.7 * len(scan), rel=0.05)
@@ -148,8 +148,8 @@ def test_a_segmenters_labels_take_the_teachers_place(root):
     assert set(fronts[0].segments.unique().tolist()) == {0, 5}
 
 
-def test_the_truth_all_around_is_sampled_from_every_direction(tmp_path):
-    root = write_film(tmp_path, panorama=True)
+def test_the_ground_truth_all_around_is_sampled_from_every_direction(tmp_path):
+    root = write_video(tmp_path, panorama=True)
     (frame, *_), view = frames(root, "train"), VIEWS["panorama"].scaled(1 / 8)
     samples = PanoramaDataset(root, ("train",), view, columns=96, image=True)
     pixels = {name: np.array(Image.open(frame.folder / name / f"{frame.stem}.png")) for name in ("pano", "pano_labels")}
@@ -174,8 +174,8 @@ def test_the_truth_all_around_is_sampled_from_every_direction(tmp_path):
     assert min(starts) < 100 and max(starts) > 380
 
 
-def test_unknown_classes_all_around_are_unsure(tmp_path):
-    root = write_film(tmp_path, panorama=True)
+def test_unknown_classes_all_around_are_ignored(tmp_path):
+    root = write_video(tmp_path, panorama=True)
     frame = frames(root, "train")[0]
     path = frame.folder / "pano_labels" / f"{frame.stem}.png"
     ids = np.array(Image.open(path))
@@ -187,7 +187,7 @@ def test_unknown_classes_all_around_are_unsure(tmp_path):
 
 
 def test_splits_of_other_data_sets_join(root, tmp_path):
-    other = write_film(tmp_path / "other")
+    other = write_video(tmp_path / "other")
     joined = [*frames(root, "train").names, *frames(other, "train").names, *frames(root, "train").names]
     assert list(frames_of(root, ("train", f"{other}:train", "train")).names) == joined
     samples = RangeImageDataset(root, ("train", f"{other}:train"), VIEWS["hdl64e"])
@@ -240,7 +240,7 @@ def test_class_counts_are_of_all_frames_or_of_a_spread_sample(root):
     assert evenly_spaced(20_000)[0] == 0 and evenly_spaced(20_000)[-1] == 19_999
 
 
-def test_labels_of_another_size_or_kind_do_not_train(root):
+def test_labels_of_another_size_or_type_do_not_train(root):
     path = root / "sequences/00/camera_labels/000000.png"
     for image, message in (
         (Image.new("L", (12, 10)), "is 12x10 and its image 240x72"),
@@ -256,7 +256,7 @@ def test_labels_of_another_size_or_kind_do_not_train(root):
 
 
 def test_class_counts_of_panoramas_are_those_of_their_samples(tmp_path):
-    root = write_film(tmp_path, panorama=True)
+    root = write_video(tmp_path, panorama=True)
     crops = PanoramaDataset(root, ("train",), RASTER, columns=96)
     labels = torch.cat([crops.window(index).camera_labels.flatten() for index in range(len(crops))])
     assert np.array_equal(crops.class_counts(), np.bincount(labels, minlength=256))

@@ -28,7 +28,7 @@ from miniature_surround import (
     camera,
     distances,
     painting,
-    picture,
+    camera_view,
     six,
     sweep,
     write_nuscenes,
@@ -50,10 +50,10 @@ def nuscenes() -> Path:
 
 @pytest.fixture(scope="module")
 def photos() -> dict[str, CameraImage]:
-    return {name: CameraImage(image=picture(one), calibration=one) for name, one in six().items()}
+    return {name: CameraImage(image=camera_view(one), calibration=one) for name, one in six().items()}
 
 
-def truth(view: View) -> tuple[np.ndarray, torch.Tensor]:
+def ground_truth(view: View) -> tuple[np.ndarray, torch.Tensor]:
     """The painted place on a view: colours (H, W, 3) float, depths (H, W) float32."""
     rays, origin = directions(view).double().numpy(), np.array(view.origin)
     depth = distances(origin, rays)
@@ -69,9 +69,9 @@ def flat(calibration, colour: tuple[int, int, int]) -> CameraImage:
 
 
 @pytest.mark.parametrize("origin", [QUARTER.origin, (0.0, 0.0, 0.0), (-0.8, 0.3, 0.2)])
-def test_a_painted_place_is_composed_again_from_six_pictures_of_it(photos, origin):
+def test_a_painted_place_is_composed_again_from_six_images_of_it(photos, origin):
     view = replace(QUARTER, origin=origin)
-    expected, depth = truth(view)
+    expected, depth = ground_truth(view)
     colour, valid = stitch(list(photos.values()), view, depth)
     assert colour.dtype == np.uint8 and valid.dtype == bool and colour.shape == (*valid.shape, 3)
     assert valid.mean() > 0.97
@@ -81,8 +81,8 @@ def test_a_painted_place_is_composed_again_from_six_pictures_of_it(photos, origi
     assert off.max() < 1.2, "half a step for each of two roundings, and what lies between pixels"
     assert off.mean() < 0.4 and crease.mean() < 0.06
     assert (colour[~valid] == 0).all()
-    wrong, seen = stitch(list(photos.values()), view, torch.full_like(depth, torch.inf))
-    assert np.abs(wrong - expected)[seen].mean() > 5 * off.mean(), "without depths the cameras' places matter"
+    wrong, covered = stitch(list(photos.values()), view, torch.full_like(depth, torch.inf))
+    assert np.abs(wrong - expected)[covered].mean() > 5 * off.mean(), "without depths the cameras' places matter"
 
 
 def test_a_place_falls_where_it_is_put_by_hand():
@@ -97,10 +97,10 @@ def test_a_place_falls_where_it_is_put_by_hand():
     row = (0.24 - 0.5 / math.hypot(1, 5)) / (0.24 + 0.2836) * 96
     assert bright == pytest.approx([row, column], abs=0.6)
     assert colour[bright.astype(int)[0], bright.astype(int)[1]].tolist() == [255, 9, 7]
-    assert not valid[:, 600:].any(), "nobody looks to the right"
+    assert not valid[:, 600:].any(), "no camera looks to the right"
 
 
-def test_the_camera_whose_axis_is_nearer_is_taken_and_few_columns_are_mixed():
+def test_the_camera_with_the_nearer_axis_is_taken_and_few_columns_are_mixed():
     turned = [flat(camera(left, (0.0, 0.0, 0.0)), colour) for left, colour in ((0, (200, 0, 0)), (60, (0, 0, 100)))]
     view = replace(QUARTER, origin=(0.0, 0.0, 0.0))
     for pair in (turned, turned[::-1]):
@@ -125,8 +125,8 @@ def test_pixels_that_no_camera_sees_are_not_valid():
     inside[570:580] = False
     assert (valid[44] == inside)[np.abs(np.abs(column) - half) > 1].all()
     assert (colour[valid] == (1, 2, 3)).all() and not colour[~valid].any()
-    nobody = stitch([], view, depth)
-    assert not nobody[1].any() and not nobody[0].any()
+    unknown = stitch([], view, depth)
+    assert not unknown[1].any() and not unknown[0].any()
     with pytest.raises(ValueError, match="depths must be"):
         stitch([ahead], view, depth[1:])
 
@@ -183,7 +183,7 @@ def test_from_the_cameras_own_place_nothing_is_hidden():
 
 
 def test_depths_of_the_painted_place_come_from_its_scan():
-    _, expected = truth(QUARTER)
+    _, expected = ground_truth(QUARTER)
     points = torch.from_numpy(sweep()[0])
     depth = complete_depth(points, QUARTER)
     assert depth.dtype == torch.float32 and (depth > 0).all()
@@ -194,7 +194,7 @@ def test_depths_of_the_painted_place_come_from_its_scan():
 
 
 def test_few_rings_are_enough_for_a_place_of_ground_and_walls():
-    _, expected = truth(QUARTER)
+    _, expected = ground_truth(QUARTER)
     off = (complete_depth(torch.from_numpy(sweep(rings=16)[0]), QUARTER) / expected - 1).abs()
     assert off.max() < 0.07 and off.mean() < 0.01, "also between the last ring on the ground and the first on the wall"
 
@@ -255,7 +255,7 @@ def test_the_grounds_plane_is_found_under_cars_and_houses():
     assert ground_plane(points[:4]) is None
 
 
-def filled_slowly(xyz: np.ndarray, view: View) -> np.ndarray:
+def depth_completed_slowly(xyz: np.ndarray, view: View) -> np.ndarray:
     """`complete_depth` pixel by pixel, for a scan whose ground is not known."""
     measured = np.zeros((view.rows, view.columns))
     flat_m = np.zeros_like(measured)
@@ -314,7 +314,7 @@ def test_filling_agrees_with_its_slow_definition():
     distance = generator.choice([26.0, 29.0, 45.0, 47.0], 900)  # too far for a ground
     xyz = np.column_stack([distance * np.cos(azimuth), distance * np.sin(azimuth), distance * slope]).astype(np.float32)
     tall = replace(view, rows=42, up=0.42, down=-0.42)  # BEYOND is 6 rows of 0.02
-    fast, slow = complete_depth(torch.from_numpy(xyz), view).numpy(), filled_slowly(xyz, tall)[6:-6]
+    fast, slow = complete_depth(torch.from_numpy(xyz), view).numpy(), depth_completed_slowly(xyz, tall)[6:-6]
     assert np.isinf(slow).mean() > 0.05
     assert np.array_equal(np.isinf(fast), np.isinf(slow))
     assert np.allclose(fast, slow, rtol=1e-4)
@@ -329,7 +329,7 @@ def painted(tmp_path_factory) -> dict[str, Path]:
     return {"pandaset": write_pandaset(root / "pandaset", 2), "nuscenes": write_nuscenes(root / "nuscenes")}
 
 
-def first(kind: str, root: Path) -> SurroundFrame:
+def first(layout: str, root: Path) -> SurroundFrame:
     return surround(root)[0]
 
 
@@ -345,25 +345,25 @@ def read(frame: SurroundFrame) -> None:
         getattr(frame, part)
 
 
-@pytest.mark.parametrize("kind", ["pandaset", "nuscenes"])
-def test_a_painted_place_is_read_in_our_frame(painted, kind):
-    frame = first(kind, painted[kind])
-    points, _ = sweep() if kind == "pandaset" else sweep(32, 1000)
+@pytest.mark.parametrize("layout", ["pandaset", "nuscenes"])
+def test_a_painted_place_is_read_in_our_frame(painted, layout):
+    frame = first(layout, painted[layout])
+    points, _ = sweep() if layout == "pandaset" else sweep(32, 1000)
     assert np.abs(frame.whole_scan.xyz - points).max() < 1e-4
-    assert frame.whole_scan.remission == pytest.approx(0.5 if kind == "pandaset" else 0.2)
+    assert frame.whole_scan.remission == pytest.approx(0.5 if layout == "pandaset" else 0.2)
     assert len(frame.cameras) == 6 and frame.front == list(frame.cameras)[0]
     for photo, mount in zip(frame.cameras.values(), six().values(), strict=True):
         assert photo.calibration.T_camera_lidar == pytest.approx(mount.T_camera_lidar, abs=1e-6)
         assert pytest.approx(mount.K) == photo.calibration.K and photo.calibration.size == SIZE
     view = at_camera(QUARTER, frame.cameras[frame.front].calibration)
-    expected, _ = truth(view)
+    expected, _ = ground_truth(view)
     depth = complete_depth(torch.from_numpy(frame.whole_scan.xyz), view)
     colour, valid = stitch(list(frame.cameras.values()), view, depth)
     off = np.abs(colour - expected)[valid]
     assert valid.mean() > 0.9 and off.mean() < 1.5, "JPEG's loss and what lies between the rings"
 
 
-def test_pandaset_says_who_and_where(painted):
+def test_pandaset_frames_have_names_labels_and_poses(painted):
     found = surround(painted["pandaset"], "002")
     assert [frame.name for frame in found] == ["002/000000", "002/000001"]
     one, other = found
@@ -380,7 +380,7 @@ def test_pandaset_says_who_and_where(painted):
     assert one.pose[:3, 0] == pytest.approx([0, 1, 0], abs=1e-6)
 
 
-def test_nuscenes_says_who_and_where(painted):
+def test_nuscenes_frames_have_names_and_poses(painted):
     (frame,) = surround(painted["nuscenes"])
     assert frame.name == frame.whole_scan.name == "nuscenes/000007" and frame.point_labels is None
     assert frame.pose[:3, 3] == pytest.approx([100, 200, 0.5]) and frame.pose[:3, 0] == pytest.approx([0, 1, 0])
@@ -401,10 +401,10 @@ def test_the_own_car_is_masked_in_the_cameras_that_see_it(pandaset_mini, nuscene
 
 
 def test_every_class_of_pandaset_has_a_name_here(pandaset_mini):
-    told = json.loads((pandaset_mini / "classes.json").read_text())
-    assert set(told.values()) == set(CLASSES)
+    names = json.loads((pandaset_mini / "classes.json").read_text())
+    assert set(names.values()) == set(CLASSES)
     table = class_table(pandaset_mini / "classes.json")
-    by_name = {name: SEMANTIC_KITTI.classes[table[int(index)]] for index, name in told.items()}
+    by_name = {name: SEMANTIC_KITTI.classes[table[int(index)]] for index, name in names.items()}
     assert (
         by_name["Lane Line Marking"] == "road"
         and by_name["Pickup Truck"] == "truck"
@@ -421,9 +421,9 @@ REAL = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", ["pandaset", "nuscenes"])
-def test_in_every_real_camera_left_is_left_and_up_is_up(pandaset_mini, nuscenes, kind):
-    frame = first(kind, pandaset_mini if kind == "pandaset" else nuscenes)
+@pytest.mark.parametrize("layout", ["pandaset", "nuscenes"])
+def test_in_every_real_camera_left_is_left_and_up_is_up(pandaset_mini, nuscenes, layout):
+    frame = first(layout, pandaset_mini if layout == "pandaset" else nuscenes)
     for name, photo in frame.cameras.items():
         at, high = math.radians(REAL[name]), photo.calibration.centre[2]
         places = [(at, high), (at + 0.1, high), (at, high + 1.0)]
@@ -471,18 +471,18 @@ def test_pandasets_poses_put_houses_on_houses(pandaset_mini):
     assert with_poses > 0.4 and with_poses > 2 * shared(blocks(one, one.pose), blocks(other, one.pose))
 
 
-@pytest.mark.parametrize("kind", ["pandaset", "nuscenes"])
-def test_neighbouring_real_cameras_agree_where_both_see(pandaset_mini, nuscenes, kind):
+@pytest.mark.parametrize("layout", ["pandaset", "nuscenes"])
+def test_neighbouring_real_cameras_agree_where_both_see(pandaset_mini, nuscenes, layout):
     """The same grey pattern in both; the scan's depth brings them together."""
-    frame = first(kind, pandaset_mini if kind == "pandaset" else nuscenes)
+    frame = first(layout, pandaset_mini if layout == "pandaset" else nuscenes)
     view = at_camera(VIEWS["panorama"].scaled(0.25), frame.cameras[frame.front].calibration)
     scan = complete_depth(torch.from_numpy(frame.whole_scan.xyz), view)
     agreement = []
     for depth in (scan, torch.full_like(scan, torch.inf)):
-        seen = [stitch([photo], view, depth) for photo in frame.cameras.values()]
+        stitched = [stitch([photo], view, depth) for photo in frame.cameras.values()]
         found = []
-        for n, (one, here) in enumerate(seen):
-            for other, there in seen[:n]:
+        for n, (one, here) in enumerate(stitched):
+            for other, there in stitched[:n]:
                 both = here & there
                 if both.sum() > 1000:
                     a, b = (part[both].mean(-1) for part in (one, other))
@@ -496,9 +496,9 @@ def test_neighbouring_real_cameras_agree_where_both_see(pandaset_mini, nuscenes,
 
 
 def edit(path: Path, change: Callable[[dict], object]) -> None:
-    told = json.loads(path.read_text())
-    change(told)
-    path.write_text(json.dumps(told))
+    values = json.loads(path.read_text())
+    change(values)
+    path.write_text(json.dumps(values))
 
 
 S = "sequences/002"

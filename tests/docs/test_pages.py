@@ -57,7 +57,7 @@ def unknown(words: list[str]) -> list[str]:
 
 
 @pytest.mark.parametrize("page", [name for name, text in PAGES.items() if typed(text)])
-def test_commands_have_the_options_that_are_shown(page):
+def test_commands_have_the_options_on_the_page(page):
     assert [(words, unknown(words)) for words in typed(PAGES[page]) if unknown(words)] == []
 
 

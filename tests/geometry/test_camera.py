@@ -47,32 +47,32 @@ def smooth(height: int, width: int) -> Tensor:
     return torch.stack([u.sin(), v.cos(), (u + 2 * v).sin()]) / 2 + 0.5
 
 
-def there_and_back(picture: Tensor, calibration: Calibration, view: View) -> tuple[Tensor, Tensor]:
+def there_and_back(image: Tensor, calibration: Calibration, view: View) -> tuple[Tensor, Tensor]:
     """Camera -> panorama -> camera; and where the picture came back from inside of both."""
     into, back = camera_in_panorama(view, calibration), panorama_in_camera(view, calibration)
-    returned, came = back.linear(into.linear(picture)), back.linear(into.valid.float())
+    returned, came = back.linear(into.linear(image)), back.linear(into.valid.float())
     return returned, came > 0.999
 
 
 @pytest.mark.parametrize("turn", [0.0, 2.0, np.pi])
 def test_a_smooth_image_survives_the_way_to_the_panorama_and_back(turn):
     calibration = camera(turn=turn, focal=220.0)
-    picture = smooth(94, 310)
-    returned, seen = there_and_back(picture, calibration, panorama(calibration, 0.25))
-    assert seen.float().mean() > 0.9
-    inner = seen[2:-2, 2:-2]  # the image's outer half pixel has no neighbour to mix with
-    assert (returned - picture)[:, 2:-2, 2:-2].abs()[:, inner].max() < 0.005
+    image = smooth(94, 310)
+    returned, valid = there_and_back(image, calibration, panorama(calibration, 0.25))
+    assert valid.float().mean() > 0.9
+    inner = valid[2:-2, 2:-2]  # the image's outer half pixel has no neighbour to mix with
+    assert (returned - image)[:, 2:-2, 2:-2].abs()[:, inner].max() < 0.005
 
 
 def test_a_real_image_survives_the_way_to_the_panorama_and_back(kitti_mini: Path):
     with Image.open(kitti_mini / "sequences" / "00" / "image_2" / "000000.png") as image:
-        picture = torch.from_numpy(np.array(image.convert("RGB"))).movedim(2, 0).float()
-    calibration = read_calib(kitti_mini / "sequences" / "00" / "calib.txt", (picture.shape[2], picture.shape[1]))
-    returned, seen = there_and_back(picture, calibration, panorama(calibration, 1.0))
-    assert seen.float().mean() > 0.85
-    assert (returned - picture).abs()[:, seen].mean() < 8, "levels out of 255: two interpolations blur"
-    shifted = (returned[..., 1:] - picture[..., :-1]).abs()[:, seen[:, 1:]].mean()
-    assert shifted > 1.3 * (returned - picture).abs()[:, seen].mean(), "half a pixel of offset would not be better"
+        colours = torch.from_numpy(np.array(image.convert("RGB"))).movedim(2, 0).float()
+    calibration = read_calib(kitti_mini / "sequences" / "00" / "calib.txt", (colours.shape[2], colours.shape[1]))
+    returned, valid = there_and_back(colours, calibration, panorama(calibration, 1.0))
+    assert valid.float().mean() > 0.85
+    assert (returned - colours).abs()[:, valid].mean() < 8, "levels out of 255: two interpolations blur"
+    shifted = (returned[..., 1:] - colours[..., :-1]).abs()[:, valid[:, 1:]].mean()
+    assert shifted > 1.3 * (returned - colours).abs()[:, valid].mean(), "half a pixel of offset would not be better"
 
 
 @pytest.mark.parametrize("turn", [0.0, 1.0, np.pi, 4.0])
@@ -111,53 +111,53 @@ def test_real_points_land_on_the_labels_that_the_camera_sees(kitti_mini: Path):
     scan = read(kitti_mini / "sequences" / "drive" / "velodyne" / "000000.bin")
     image = project(scan, view)
     v, u = torch.meshgrid(torch.arange(375.0), torch.arange(1242.0), indexing="ij")
-    carried = camera_in_panorama(view, calibration).linear(torch.stack([u, v]))
+    resampled = camera_in_panorama(view, calibration).linear(torch.stack([u, v]))
     owner = image.index[image.valid]
     x, y, depth = points_in_camera(torch.from_numpy(scan.xyz)[owner], calibration)
     inside = (depth > 0) & (x > 1) & (x < 1240) & (y > 1) & (y < 373)
     assert inside.sum() > 10_000
-    away = torch.hypot(carried[0][image.valid][inside] - x[inside], carried[1][image.valid][inside] - y[inside])
+    away = torch.hypot(resampled[0][image.valid][inside] - x[inside], resampled[1][image.valid][inside] - y[inside])
     assert away.max() < 1.1 and away.mean() < 0.5, "image pixels: the point is anywhere in its panorama pixel"
 
 
-def test_ids_are_carried_by_the_nearest_pixel():
+def test_ids_are_resampled_by_the_nearest_pixel():
     calibration = camera()
     ids = torch.arange(94 * 310).view(94, 310)
     lookup = camera_in_panorama(panorama(calibration, 0.25), calibration)
-    carried = lookup.nearest(ids, empty=-1)
-    assert carried.dtype == torch.int64 and torch.equal(carried >= 0, lookup.valid)
-    seen = carried[lookup.valid]
-    row, column = seen // 310, seen % 310
+    resampled = lookup.nearest(ids, empty=-1)
+    assert resampled.dtype == torch.int64 and torch.equal(resampled >= 0, lookup.valid)
+    found = resampled[lookup.valid]
+    row, column = found // 310, found % 310
     assert ((lookup.row[lookup.valid] - 0.5 - row).abs() <= 0.5001).all()
     assert ((lookup.column[lookup.valid] - 0.5 - column).abs() <= 0.5001).all()
     assert lookup.nearest(torch.full((94, 310), 3, dtype=torch.uint8), empty=255).unique().tolist() == [3, 255]
 
 
 def test_linear_mixes_by_distance():
-    picture = torch.tensor([[[0.0, 4.0], [8.0, 12.0]]])
+    image = torch.tensor([[[0.0, 4.0], [8.0, 12.0]]])
     row, column = torch.tensor([[1.0, 0.5, 1.5, 0.0]]), torch.tensor([[1.0, 0.75, 1.5, 0.2]])
     lookup = Lookup(row=row, column=column, valid=torch.tensor([[True, True, False, True]]), circular=False)
-    assert lookup.linear(picture).flatten().tolist() == [6, 1, 0, 0]
-    assert lookup.nearest(picture).flatten().tolist() == [12, 0, 0, 0]
+    assert lookup.linear(image).flatten().tolist() == [6, 1, 0, 0]
+    assert lookup.nearest(image).flatten().tolist() == [12, 0, 0, 0]
 
 
-def test_a_circular_picture_is_mixed_across_its_seam():
-    picture = torch.tensor([[[0.0, 1.0, 2.0, 10.0]]])
+def test_a_circular_image_is_mixed_across_its_seam():
+    image = torch.tensor([[[0.0, 1.0, 2.0, 10.0]]])
     column = torch.tensor([[0.0, 3.75, 4.0]])
     around, flat = (
         Lookup(row=torch.full((1, 3), 0.5), column=column, valid=torch.ones(1, 3, dtype=torch.bool), circular=circular)
         for circular in (True, False)
     )
-    assert around.linear(picture).flatten().tolist() == [5, 7.5, 5]
-    assert flat.linear(picture).flatten().tolist() == [0, 10, 10]
-    assert around.nearest(picture).flatten().tolist() == [0, 10, 0]
+    assert around.linear(image).flatten().tolist() == [5, 7.5, 5]
+    assert flat.linear(image).flatten().tolist() == [0, 10, 10]
+    assert around.nearest(image).flatten().tolist() == [0, 10, 0]
 
 
 def test_nothing_from_outside_leaks_in():
     calibration = camera()
     lookup = camera_in_panorama(panorama(calibration, 0.25), calibration)
-    picture = torch.full((1, 94, 310), torch.nan)
-    assert not lookup.valid.all() and not lookup.linear(picture)[:, ~lookup.valid].any()
+    image = torch.full((1, 94, 310), torch.nan)
+    assert not lookup.valid.all() and not lookup.linear(image)[:, ~lookup.valid].any()
 
 
 def test_the_camera_sees_its_own_sector_only():

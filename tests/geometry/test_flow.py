@@ -149,9 +149,9 @@ def test_the_panorama_has_no_seam():
     flow = ego_flow(distance, distance, torch.from_numpy(pose(30, 0, 0)), replaced(AROUND))
     assert flow.known.all()
     assert torch.allclose(flow.shift[0], torch.full_like(flow.shift[0], -15.0), atol=1e-3)
-    picture = torch.rand(1, 3, AROUND.rows, AROUND.columns)
-    was = picture.roll(-15, -1)
-    assert torch.allclose(warp(was, flow.shift[None], circular=True), picture, atol=1e-3)
+    image = torch.rand(1, 3, AROUND.rows, AROUND.columns)
+    was = image.roll(-15, -1)
+    assert torch.allclose(warp(was, flow.shift[None], circular=True), image, atol=1e-3)
 
 
 def replaced(view: View) -> View:
@@ -187,15 +187,15 @@ def test_unknown_distances_give_no_flow(scene):
 
 def test_scans_give_distances_and_gaps_are_closed():
     origin, rays = looks(CAMERA)
-    truth = rendered(CAMERA, np.eye(4))
-    kept = (torch.arange(32)[:, None] % 3 == 0) & (torch.arange(80) % 2 == 0) & truth.isfinite()
-    points = torch.from_numpy(origin + truth[kept].double().numpy()[:, None] * rays[kept.numpy()]).float()
+    ground_truth = rendered(CAMERA, np.eye(4))
+    kept = (torch.arange(32)[:, None] % 3 == 0) & (torch.arange(80) % 2 == 0) & ground_truth.isfinite()
+    points = torch.from_numpy(origin + ground_truth[kept].double().numpy()[:, None] * rays[kept.numpy()]).float()
     behind = torch.from_numpy(origin + 2 * (points.numpy() - origin)).float()  # what the nearest point hides
     found = scan_distances(torch.cat([behind, points, -points]), CAMERA)
-    assert torch.allclose(found[kept], truth[kept], rtol=1e-4)
+    assert torch.allclose(found[kept], ground_truth[kept], rtol=1e-4)
     road = torch.zeros_like(kept)
     road[24:30, 45:76] = True
-    assert ((found - truth).abs() / truth)[road].mean() < 0.02
+    assert ((found - ground_truth).abs() / ground_truth)[road].mean() < 0.02
     alone = scan_distances(points[:1], CAMERA)
     assert 0 < (alone > 0).sum() < alone.numel(), "far from every point nothing is known"
 
@@ -213,7 +213,7 @@ def test_chained_flows_lead_over_two_steps():
     assert chained(later, earlier, circular=True).known[0, :7, :3].all()
 
 
-def test_a_picture_ends_half_a_pixel_beyond_its_last_centres():
+def test_an_image_ends_half_a_pixel_beyond_its_last_centres():
     shift = torch.zeros(1, 2, 3, 4)
     shift[0, 0, 0], shift[0, 0, 1], shift[0, 1, 2] = 0.75, 0.25, -2.25
     assert reaches(shift)[0].tolist() == [[True, True, True, False], [True] * 4, [True] * 4]
@@ -260,7 +260,7 @@ def test_damaged_poses_are_named(tmp_path, content, message):
         T_before_now(one, other)
 
 
-def test_flow_seen_in_pictures():
+def test_flow_between_images():
     pytest.importorskip("cv2", reason="flow between pictures needs opencv: pip install 'lidar2pano[flow]'")
     from lidar2pano.data.optical_flow import optical_flow
     from miniature_video import texture
@@ -272,21 +272,21 @@ def test_flow_seen_in_pictures():
     assert flow.known[middle].float().mean() > 0.95
     assert flow.shift[0][middle][flow.known[middle]].median() == pytest.approx(3, abs=0.2)
     assert flow.shift[1][middle][flow.known[middle]].median() == pytest.approx(-2, abs=0.2)
-    assert not flow.known[:, -2:].any(), "it came into sight"
+    assert not flow.known[:, -2:].any(), "it came into view"
     unlike = optical_flow(now, torch.from_numpy(texture(1, 64, 160)).movedim(2, 0))
     assert unlike.known.float().mean() < 0.5
 
 
-def test_without_opencv_it_is_asked_for(monkeypatch):
+def test_without_opencv_its_installation_is_suggested(monkeypatch):
     from lidar2pano.data.optical_flow import optical_flow
 
     monkeypatch.setitem(sys.modules, "cv2", None)
-    picture = torch.zeros(3, 8, 8, dtype=torch.uint8)
+    image = torch.zeros(3, 8, 8, dtype=torch.uint8)
     with pytest.raises(InputError, match=r"needs OpenCV: pip install 'lidar2pano\[flow\]'"):
-        optical_flow(picture, picture)
+        optical_flow(image, image)
 
 
-def test_a_rendered_picture_is_the_one_before_it_warped(tmp_path):
+def test_a_rendered_image_is_the_one_before_it_warped(tmp_path):
     pytest.importorskip("embreex", reason="the street world needs embreex: pip install 'lidar2pano[world]'")
     from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
     from lidar2pano.simulate.dataset.settings import WorldSettings
@@ -302,8 +302,8 @@ def test_a_rendered_picture_is_the_one_before_it_warped(tmp_path):
     colours = [torch.from_numpy(image.image).movedim(2, 0)[None].float() for image in (now, before)]
     assert flow.known.float().mean() > 0.6
 
-    def gap(picture: torch.Tensor) -> float:
-        return (picture - colours[0]).abs().mean(1)[0][flow.known].mean().item()
+    def gap(image: torch.Tensor) -> float:
+        return (image - colours[0]).abs().mean(1)[0][flow.known].mean().item()
 
     still = gap(colours[1])
     warped = gap(warp(colours[1], flow.shift[None], circular=True))

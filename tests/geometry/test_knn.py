@@ -42,7 +42,7 @@ def crowded_scan(points: int = 2000) -> Scan:
     return Scan(xyz=xyz, remission=np.zeros(points, np.float32))
 
 
-def class_picture(view: View, classes: int = 6) -> Tensor:
+def class_map(view: View, classes: int = 6) -> Tensor:
     return torch.from_numpy(np.random.default_rng(2).integers(0, classes, (view.rows, view.columns)))
 
 
@@ -63,7 +63,7 @@ def slowly(image: RangeImage, ids: Tensor) -> list[int]:
 
 @pytest.mark.parametrize("view", [AROUND, FRONT])
 def test_clean_up_agrees_with_its_definition(view):
-    image, ids = project(crowded_scan(), view), class_picture(view)
+    image, ids = project(crowded_scan(), view), class_map(view)
     ours = clean_up(image, ids)
     assert ours.dtype == torch.int64 and ours.shape == (2000,)
     assert ours.tolist() == slowly(image, ids)
@@ -174,7 +174,7 @@ def test_every_id_up_to_255_survives(label):
 
 
 def test_a_window_of_one_pixel_gives_the_pixels_class():
-    image, ids = project(crowded_scan(), AROUND), class_picture(AROUND)
+    image, ids = project(crowded_scan(), AROUND), class_map(AROUND)
     ours = clean_up(image, ids, search=1)
     inside = image.inside
     assert torch.equal(ours[inside], ids[image.row[inside], image.column[inside]])
@@ -189,19 +189,19 @@ def test_cut_off():
 
 
 def test_an_empty_scan_has_no_labels():
-    assert clean_up(project(scan_of(), AROUND), class_picture(AROUND)).shape == (0,)
+    assert clean_up(project(scan_of(), AROUND), class_map(AROUND)).shape == (0,)
 
 
 @pytest.mark.parametrize("setting", [{"search": 4}, {"neighbours": 0}])
 def test_settings_without_a_meaning_are_refused(setting):
     image = project(crowded_scan(10), AROUND)
     with pytest.raises(ValueError, match="odd search window and at least one neighbour"):
-        clean_up(image, class_picture(AROUND), **setting)
+        clean_up(image, class_map(AROUND), **setting)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 def test_cuda_agrees_with_the_cpu():
-    ids = class_picture(AROUND)
+    ids = class_map(AROUND)
     here, there = (
         clean_up(project(crowded_scan(), AROUND, device=device), ids.to(device)) for device in ("cpu", "cuda")
     )

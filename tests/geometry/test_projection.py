@@ -71,7 +71,7 @@ def test_project_agrees_with_its_definition(name):
 
 
 @pytest.mark.parametrize("name", SMALL)
-def test_channels_are_the_owning_points_seen_from_the_origin(name):
+def test_channels_are_the_owning_points_relative_to_the_origin(name):
     scan, view = random_scan(), SMALL[name]
     image = project(scan, view)
     owner = image.index[image.valid]

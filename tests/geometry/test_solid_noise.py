@@ -79,7 +79,7 @@ def test_noise_stays_on_a_wall_when_the_sensor_moves():
     """Points of a wall at y = 8 m, seen from two places: the same noise, but for the rounding to voxels."""
     view = View(rows=16, columns=3600, up=0.2, down=-0.2, kind="cylinder")
     ahead_m = torch.linspace(-9, 9, 150)
-    seen = []
+    found = []
     for x_m in (0.0, 2.0):
         azimuth = torch.atan2(torch.tensor(8.0), ahead_m - x_m)
         column = ((math.pi - azimuth) / (2 * math.pi) * 3600).long()
@@ -87,9 +87,9 @@ def test_noise_stays_on_a_wall_when_the_sensor_moves():
         pose = np.eye(4)
         pose[0, 3] = x_m
         noise = solid_noise(depth_m, torch.zeros_like(depth_m, dtype=torch.bool), view, (4.0,), pose)
-        seen.append(noise[0, 7, column])
-    assert seen[0].std() > 0.3
-    assert np.corrcoef(torch.stack(seen))[0, 1] > 0.98
+        found.append(noise[0, 7, column])
+    assert found[0].std() > 0.3
+    assert np.corrcoef(torch.stack(found))[0, 1] > 0.98
 
 
 def test_the_sky_does_not_move_with_the_sensor():

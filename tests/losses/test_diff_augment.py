@@ -14,7 +14,7 @@ ROWS, COLUMNS = 16, 24
 
 
 @pytest.fixture
-def pictures() -> tuple[Tensor, Tensor, Tensor]:
+def images() -> tuple[Tensor, Tensor, Tensor]:
     generator = torch.Generator().manual_seed(0)
     colours = torch.rand(2, 3, ROWS, COLUMNS, generator=generator) * 2 - 1
     valid = (torch.rand(2, 1, ROWS, COLUMNS, generator=generator) < 0.8).float()
@@ -29,50 +29,50 @@ def augment(**given: tuple[float, float]) -> DiffAugment:
     return DiffAugment(**nothing | {name: torch.tensor(values) for name, values in given.items()})
 
 
-def test_without_augmentation_the_input_is_valid_colours_and_their_condition(pictures):
-    colours, valid, condition = pictures
+def test_without_augmentation_the_input_is_valid_colours_and_their_condition(images):
+    colours, valid, condition = images
     torch.testing.assert_close(augment().apply(colours, valid, condition), torch.cat([colours * valid, condition], 1))
     torch.testing.assert_close(
         DiffAugment.drawn(2, 0.0).apply(colours, valid, condition), torch.cat([colours * valid, condition], 1)
     )
 
 
-def test_colours_are_brighter_greyer_and_flatter(pictures):
-    colours, valid, condition = pictures
-    shown = augment(brightness=(0.3, 0), saturation=(0.5, 1), contrast=(1.5, 1)).apply(colours, valid, condition)
+def test_colours_are_brighter_greyer_and_flatter(images):
+    colours, valid, condition = images
+    augmented = augment(brightness=(0.3, 0), saturation=(0.5, 1), contrast=(1.5, 1)).apply(colours, valid, condition)
     bright = colours[0] + 0.3
     grey = (bright[0] + bright[1] + bright[2]) / 3
     faded = torch.stack([0.5 * grey + 0.5 * channel for channel in bright])
     flat = 1.5 * faded - 0.5 * faded[:, valid[0, 0] == 1].mean()  # invalid pixels do not count
-    torch.testing.assert_close(shown[0, :3], flat * valid[0])
-    torch.testing.assert_close(shown[:, 3:], condition)
-    torch.testing.assert_close(shown[1, :3], colours[1] * valid[1])
+    torch.testing.assert_close(augmented[0, :3], flat * valid[0])
+    torch.testing.assert_close(augmented[:, 3:], condition)
+    torch.testing.assert_close(augmented[1, :3], colours[1] * valid[1])
 
 
-def test_a_picture_moves_down_and_right_with_what_it_was_painted_from(pictures):
-    colours, valid, condition = pictures
-    shown = augment(down=(2 / ROWS, 0), right=(-3 / COLUMNS, 0)).apply(colours, valid, condition)
+def test_an_image_moves_down_and_right_with_what_it_was_painted_from(images):
+    colours, valid, condition = images
+    augmented = augment(down=(2 / ROWS, 0), right=(-3 / COLUMNS, 0)).apply(colours, valid, condition)
     still = torch.cat([colours * valid, condition], 1)
     expected = torch.zeros_like(still[0])
     for row in range(2, ROWS):
         for column in range(COLUMNS - 3):
             expected[:, row, column] = still[0, :, row - 2, column + 3]
-    torch.testing.assert_close(shown, torch.stack([expected, still[1]]))
+    torch.testing.assert_close(augmented, torch.stack([expected, still[1]]))
 
 
-def test_a_cutout_is_half_as_high_and_wide_and_cut_off_at_the_border(pictures):
-    colours, valid, condition = pictures
+def test_a_cutout_is_half_as_high_and_wide_and_cut_off_at_the_border(images):
+    colours, valid, condition = images
     condition = condition + 1  # nothing is zero but the cutout
-    shown = augment(cut_row=(0.5, torch.nan), cut_column=(0.0, torch.nan)).apply(colours, valid, condition)
-    cutouts = shown[:, 3] == 0
+    augmented = augment(cut_row=(0.5, torch.nan), cut_column=(0.0, torch.nan)).apply(colours, valid, condition)
+    cutouts = augmented[:, 3] == 0
     rows, columns = torch.linspace(0, 1, ROWS), torch.linspace(0, 1, COLUMNS)
     expected = ((rows - 0.5).abs() <= 0.25)[:, None] & (columns <= 0.25)
     assert torch.equal(cutouts[0], expected)
     assert not cutouts[1].any()
-    assert torch.equal(shown[0, 0] == 0, expected | (valid[0, 0] == 0))
+    assert torch.equal(augmented[0, 0] == 0, expected | (valid[0, 0] == 0))
 
 
-def test_draws_stay_within_their_bounds_and_come_as_often_as_asked():
+def test_draws_stay_within_their_bounds_and_come_as_often_as_requested():
     torch.manual_seed(0)
     drawn = DiffAugment.drawn(4000, 0.3)
     assert float(drawn.brightness.abs().max()) <= 0.5
@@ -86,8 +86,8 @@ def test_draws_stay_within_their_bounds_and_come_as_often_as_asked():
     assert float(drawn.brightness.abs().max()) > 0.45 and float(drawn.right.abs().max()) > 0.11
 
 
-def test_gradients_reach_what_was_painted_and_only_what_is_shown(pictures):
-    colours, valid, condition = pictures
+def test_gradients_reach_what_was_painted_and_only_what_is_visible(images):
+    colours, valid, condition = images
     colours.requires_grad_()
     augment(down=(4 / ROWS, 0), cut_row=(torch.nan, 0.5), cut_column=(torch.nan, 0.5)).apply(
         colours, valid, condition
@@ -98,7 +98,7 @@ def test_gradients_reach_what_was_painted_and_only_what_is_shown(pictures):
     assert not reached[1, :, ROWS // 2, COLUMNS // 2].any()
 
 
-def test_every_number_is_one_a_picture():
+def test_every_number_is_one_an_image():
     drawn = DiffAugment.drawn(3, 1.0)
     assert {tuple(getattr(drawn, field.name).shape) for field in fields(drawn)} == {(3,)}
     assert replace(drawn, down=torch.zeros(3)).apply(

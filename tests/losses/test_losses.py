@@ -85,9 +85,9 @@ def test_lovasz_agrees_with_its_definition(kernel, ignore, classes, reach):
     probabilities = untied(target, 6, reach)
     loss = lovasz_softmax(probabilities, target, ignore=ignore, classes=classes)
     precise = probabilities.detach().double().requires_grad_()
-    truth = lovasz_softmax_slowly(precise, target, ignore, classes)
-    assert loss.item() == pytest.approx(truth.item(), abs=2e-7)
-    torch.testing.assert_close(slope(loss, probabilities), slope(truth, precise).float(), rtol=1e-5, atol=1e-10)
+    expected = lovasz_softmax_slowly(precise, target, ignore, classes)
+    assert loss.item() == pytest.approx(expected.item(), abs=2e-7)
+    torch.testing.assert_close(slope(loss, probabilities), slope(expected, precise).float(), rtol=1e-5, atol=1e-10)
 
 
 def test_lovasz_gradient_reaches_only_what_counts(kernel):
@@ -107,8 +107,8 @@ def test_lovasz_leaves_out_ids_that_are_ignored_or_no_class(kernel, ignore, dtyp
     strange[:, 3:9], strange[:, 9], strange[:, 10] = 7, 200 if dtype == torch.uint8 else -1, 250
     probabilities = scores(9, 1, 16, 16)
     kept = torch.cat([torch.arange(3), torch.arange(11, 16)])
-    truth = lovasz_softmax(probabilities[:, :, kept], target[:, kept])
-    assert lovasz_softmax(probabilities, strange, ignore=ignore).item() == pytest.approx(truth.item(), abs=1e-6)
+    expected = lovasz_softmax(probabilities[:, :, kept], target[:, kept])
+    assert lovasz_softmax(probabilities, strange, ignore=ignore).item() == pytest.approx(expected.item(), abs=1e-6)
 
 
 @pytest.mark.parametrize("classes", ["present", "all"])
@@ -141,10 +141,10 @@ def test_lovasz_of_half_precision_is_computed_in_float32(kernel, dtype, layout):
     wide = narrow.detach().float().requires_grad_()
     with torch.autocast("cpu", dtype=torch.bfloat16):
         loss = lovasz_softmax(narrow, target)
-    truth = lovasz_softmax(wide, target)
+    expected = lovasz_softmax(wide, target)
     assert loss.dtype == torch.float32
-    assert loss == truth
-    assert torch.equal(slope(loss, narrow), slope(truth, wide).to(dtype))
+    assert loss == expected
+    assert torch.equal(slope(loss, narrow), slope(expected, wide).to(dtype))
 
 
 def test_lovasz_does_not_depend_on_threads():
@@ -227,7 +227,7 @@ def test_gradient_penalty_is_of_each_sample_over_all_patches():
     assert gradient_penalty(bowl, real, torch.zeros_like(real), epsilon=1.0).item() == pytest.approx(8.0)
 
 
-def test_gradient_penalty_teaches_the_critic_and_nobody_else():
+def test_gradient_penalty_teaches_the_critic_and_nothing_else():
     critic = nn.Sequential(nn.Conv2d(2, 3, 3), nn.Tanh())  # bent, so that its slope depends on the image
     real, fake = torch.rand(2, 2, 6, 6, requires_grad=True), torch.rand(2, 2, 6, 6, requires_grad=True)
     gradient_penalty(critic, real, 2 * fake).backward()
@@ -256,8 +256,8 @@ def test_gradient_penalty_knows_no_autocast():
     real, fake = torch.rand(2, 2, 9, 9), torch.rand(2, 2, 9, 9)
     with torch.autocast("cpu", dtype=torch.bfloat16):
         penalty = gradient_penalty(critic, real, fake, epsilon=0.5).item()
-    truth = gradient_penalty(critic.double(), real.double(), fake.double(), epsilon=0.5).item()
-    assert penalty == pytest.approx(truth, rel=1e-5)
+    expected = gradient_penalty(critic.double(), real.double(), fake.double(), epsilon=0.5).item()
+    assert penalty == pytest.approx(expected, rel=1e-5)
 
 
 def test_wasserstein_and_hinge_of_two_patches():

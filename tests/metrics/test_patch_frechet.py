@@ -25,8 +25,8 @@ def frechet_slowly(one: np.ndarray, other: np.ndarray) -> float:
 def metric() -> PatchFrechetDistance:
     """Over 3 features of colours: four pictures of 200 x 264 pixels."""
 
-    def extract(pictures: torch.Tensor) -> torch.Tensor:
-        x = torch.nn.functional.avg_pool2d(pictures.float() / 100, 16, ceil_mode=True)
+    def extract(images: torch.Tensor) -> torch.Tensor:
+        x = torch.nn.functional.avg_pool2d(images.float() / 100, 16, ceil_mode=True)
         return torch.cat([x, x[:, :1] * x[:, 1:2]], 1)
 
     generator = np.random.default_rng(0)
@@ -57,7 +57,7 @@ def test_it_agrees_with_its_definition(metric):
     assert metric.values() == pytest.approx(wanted, rel=1e-5)
 
 
-def test_real_pictures_are_at_no_distance_from_themselves(metric):
+def test_real_images_are_at_no_distance_from_themselves(metric):
     same = PatchFrechetDistance(metric.extract)
     same.kept = {"predicted": metric.kept["target"], "target": metric.kept["target"]}
     assert same.values()["distance"] == pytest.approx(0, abs=1e-9)

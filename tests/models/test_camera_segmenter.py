@@ -58,7 +58,7 @@ def exact(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera_segmenter, "fast_arithmetic", lambda _: nullcontext())
 
 
-def picture(rows: int = 45, columns: int = 71) -> np.ndarray:
+def random_image(rows: int = 45, columns: int = 71) -> np.ndarray:
     return np.random.default_rng(3).integers(0, 256, (rows, columns, 3), dtype=np.uint8)
 
 
@@ -67,7 +67,7 @@ def picture(rows: int = 45, columns: int = 71) -> np.ndarray:
 
 @pytest.mark.parametrize("scales", [None, (1.0,), (0.5, 1.0, 2.0)])
 def test_probabilities_are_the_softmax_of_the_networks_logits(network, exact, scales):
-    image = picture()
+    image = random_image()
     teacher: CameraTeacher = CameraSegmenter(network=network, normalise=ImageNormalisation(), scales=scales)
     x = np.zeros((1, 3, 45, 71), np.float32)
     for channel, (mean, deviation) in enumerate([(0.485, 0.229), (0.456, 0.224), (0.406, 0.225)]):  # R, G, B
@@ -84,9 +84,9 @@ def test_probabilities_are_the_softmax_of_the_networks_logits(network, exact, sc
 @pytest.mark.skipif(not has_bfloat16(torch.device("cpu")), reason="the fast arithmetic is float32 here")
 def test_fast_arithmetic_says_nearly_the_same(network, monkeypatch):
     segmenter = CameraSegmenter(network=network, normalise=ImageNormalisation())
-    fast = segmenter.probabilities(picture())
+    fast = segmenter.probabilities(random_image())
     monkeypatch.setattr(camera_segmenter, "fast_arithmetic", lambda _: nullcontext())
-    exact = segmenter.probabilities(picture())
+    exact = segmenter.probabilities(random_image())
     assert 0 < (fast - exact).abs().max() < 0.1
     assert (fast - exact).abs().mean() < 0.01
 
@@ -98,8 +98,8 @@ def test_a_weight_file_says_how_images_are_normalised_and_looked_at(network, exa
     loaded, card = load(tmp_path / "camera.safetensors", expect="sdnet")
     segmenter = CameraSegmenter.from_card(loaded, card)
     assert segmenter.normalise == colours and segmenter.scales is None
-    mine = CameraSegmenter(network=network, normalise=colours, scales=(0.5, 1.0))
-    assert torch.equal(segmenter.probabilities(picture()), mine.probabilities(picture()))
+    own = CameraSegmenter(network=network, normalise=colours, scales=(0.5, 1.0))
+    assert torch.equal(segmenter.probabilities(random_image()), own.probabilities(random_image()))
     assert CameraSegmenter.from_card(loaded, card, (1.0, 2.0)).scales == (1.0, 2.0)
 
 
@@ -118,7 +118,7 @@ def test_what_is_no_rgb_image_is_refused(network, image):
 
 
 def test_read_only_and_mirrored_images_are_taken_as_they_are(network):
-    segmenter, image = CameraSegmenter(network=network, normalise=ImageNormalisation()), picture()
+    segmenter, image = CameraSegmenter(network=network, normalise=ImageNormalisation()), random_image()
     expected = segmenter.probabilities(image)
     image.flags.writeable = False
     assert torch.equal(segmenter.probabilities(image), expected)
@@ -149,8 +149,8 @@ def test_a_kitti_image_at_three_scales_fits_four_gibibytes():
 
     The whole 376 x 1241 took 2.84 GiB so, and 2.12 GiB in bfloat16.
     """
-    told = subprocess.run([sys.executable, "-c", MEMORY], check=True, capture_output=True, text=True).stdout
-    before, peak = (float(number) for number in told.split())
+    printed = subprocess.run([sys.executable, "-c", MEMORY], check=True, capture_output=True, text=True).stdout
+    before, peak = (float(number) for number in printed.split())
     assert peak > before + 0.05  # or it measured nothing
     assert before + (peak - before) * (376 * 1241) / (94 * 310) < 4.0
 
@@ -164,7 +164,7 @@ def root(tmp_path_factory):
 
 
 def certain_view() -> tuple[np.ndarray, np.ndarray]:
-    """The made-up picture without its strip that nobody knows."""
+    """The made-up image without its unlabelled strip."""
     ids, colours = camera_view()
     return ids[:, 5:], colours[:, 5:]
 
@@ -295,8 +295,8 @@ def test_the_loss_is_joint_auxiliary_each_and_lovasz(root):
     expected = 0.7 * lovasz_softmax(answers.joint.softmax(1), batch.labels)
     for weight, logits in [(1, answers.joint), (0.4, answers.auxiliary), *((0.05, each) for each in answers.each)]:
         expected = expected + weight * slow_entropy(logits, batch.labels)
-    ((who, loss),) = task.updates(batch)
-    assert who == "camera" and len(answers.each) == 2
+    ((name, loss),) = task.updates(batch)
+    assert name == "camera" and len(answers.each) == 2
     torch.testing.assert_close(loss, expected)
 
 
@@ -340,8 +340,8 @@ def test_what_is_released_labels_images(root, tmp_path):
     _, colours = camera_view()
     given = CameraSegmenter.from_card(*load(path, expect="sdnet")).probabilities(colours)
     assert given.shape == (19, *colours.shape[:2])
-    shown = sorted((tmp_path / "run/preview").glob("*-camera-01-00000?.png"))
-    assert [np.array(Image.open(file)).shape for file in shown] == [(3 * SIZE[1], SIZE[0], 3)] * 2
+    previews = sorted((tmp_path / "run/preview").glob("*-camera-01-00000?.png"))
+    assert [np.array(Image.open(file)).shape for file in previews] == [(3 * SIZE[1], SIZE[0], 3)] * 2
 
 
 def test_validation_scores_every_known_pixel_and_previews_show_them(root):
@@ -365,9 +365,9 @@ def test_validation_scores_every_known_pixel_and_previews_show_them(root):
     scores = task.validate()
     assert scores["accuracy"] == pytest.approx(1 - road / known)
     assert scores["miou"] == scores["score"] == pytest.approx((1 + house / (house + road) + 0) / 3)
-    shown = task.preview()
-    assert list(shown) == ["camera-01-000000", "camera-01-000001"]
-    above, middle, below = np.split(shown["camera-01-000000"], 3)
+    previews = task.preview()
+    assert list(previews) == ["camera-01-000000", "camera-01-000001"]
+    above, middle, below = np.split(previews["camera-01-000000"], 3)
     assert np.array_equal(above, colours) and np.array_equal(middle, CITYSCAPES.paint(ids))
     assert np.array_equal(below[20], np.tile(CITYSCAPES.colours[HOUSE], (SIZE[0], 1)))
 

@@ -58,9 +58,9 @@ def test_translator_and_painter_turn_with_their_input(turn):
         turned, turned_m = translator(image.roll(turn, -1), segments.roll(turn, -1))
         assert torch.allclose(logits.roll(turn, -1), turned, atol=1e-4)
         assert torch.allclose(depth_m.roll(turn, -1), turned_m, atol=1e-3)
-        picture = painter(logits.softmax(1), depth_m, image)
+        colours = painter(logits.softmax(1), depth_m, image)
         again = painter(turned.softmax(1), turned_m, image.roll(turn, -1))
-        assert torch.allclose(picture.roll(2 * turn, -1), again, atol=1e-3)
+        assert torch.allclose(colours.roll(2 * turn, -1), again, atol=1e-3)
 
 
 def test_folding_norms_changes_nothing_but_the_number_of_modules():

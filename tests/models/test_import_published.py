@@ -1,4 +1,4 @@
-"""Checkpoint files as the authors' trainers write them, and as nobody should."""
+"""Checkpoint files as the authors' trainers write them, and malformed ones."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def test_settings_of_the_published_networks(golden: Path, name: str) -> None:
     assert {key: tuple(value.shape) for key, value in ours.items()} == shapes
 
 
-# network -> settings of small instances; all but the default ones must be told from the weights
+# network -> settings of small instances; all but the default ones must be recognised from the weights
 SMALL: dict[str, list[dict[str, Any]]] = {
     "sdnet": [
         {"width": 4, "stem": 8, "blocks": 1, "modules": [1, 1, 1], "context": 16},
@@ -437,14 +437,14 @@ def test_every_key_must_be_used_up(tmp_path: Path, network: str, settings: dict[
         import_published(write_published(tmp_path, network, theirs), network)
 
 
-@pytest.mark.parametrize("asked", [network for network in PUBLISHED if network != "salsanext"])
+@pytest.mark.parametrize("expected", [network for network in PUBLISHED if network != "salsanext"])
 @pytest.mark.parametrize("given", ["sdnet", "vid2vid-single", "pix2pix", "pix2pix-critic", "vid2vid-image-critic"])
-def test_weights_of_another_network(tmp_path: Path, given: str, asked: str) -> None:
-    if asked == given or "critic" in asked and given == "vid2vid-image-critic" and asked.startswith("vid2vid"):
+def test_weights_of_another_network(tmp_path: Path, given: str, expected: str) -> None:
+    if expected == given or "critic" in expected and given == "vid2vid-image-critic" and expected.startswith("vid2vid"):
         return  # the critics of pictures and clips differ in nothing but what they are shown
     (file,) = write_published(tmp_path, given, look_alike(given, SMALL[given][0]))
     with pytest.raises(InputError) as caught:
-        import_published(file, asked)
+        import_published(file, expected)
     assert str(file) in str(caught.value) and "\n" not in str(caught.value)
 
 

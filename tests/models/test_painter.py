@@ -33,46 +33,46 @@ def test_remission_is_spread_as_defined(share):
     valid = (torch.rand(2, 30, 24, generator=generator) < share).float()
     valid[:, :10] = 0  # above the beams
     mean, found = spread_out(values, valid)
-    for picture in range(2):
-        slow_mean, slow_found = slowly(values[picture], valid[picture])
-        assert torch.equal(found[picture], slow_found)
-        assert torch.allclose(mean[picture], slow_mean, atol=1e-6)
+    for number in range(2):
+        slow_mean, slow_found = slowly(values[number], valid[number])
+        assert torch.equal(found[number], slow_found)
+        assert torch.allclose(mean[number], slow_mean, atol=1e-6)
     assert not found[:, :4].any() and found[:, 20:].any()
 
 
-def test_a_filled_painter_does_not_see_which_beam_hit():
+def test_an_inpainting_painter_does_not_see_which_beam_hit():
     """Of an even surface it sees the same, whether every row or every third was measured."""
     segments = torch.randn(1, 16, 24, 32).softmax(1)
     depth_m = torch.full((1, 24, 32), 10.0)
     every = torch.zeros(1, 5, 24, 32)
     every[:, 0], every[:, 4] = 10.0, 0.4
     third = every * (torch.arange(24) % 3 == 1)[:, None]
-    for filled, apart in ((True, False), (False, True)):
-        painter = Painter(filled=filled).eval()
+    for inpainted, apart in ((True, False), (False, True)):
+        painter = Painter(filled=inpainted).eval()
         with torch.inference_mode():
-            pictures = [painter(segments, depth_m, image) for image in (every, third)]
-        assert (not torch.allclose(*pictures, atol=1e-5)) == apart
+            painted = [painter(segments, depth_m, image) for image in (every, third)]
+        assert (not torch.allclose(*painted, atol=1e-5)) == apart
 
 
-def test_a_sharp_painter_sees_what_is_likeliest():
+def test_a_sharpening_painter_sees_what_is_likeliest():
     torch.manual_seed(0)
-    painter, sharp = Painter().eval(), Painter(sharp=4.0).eval()
-    sharp.load_state_dict(painter.state_dict())
+    painter, sharpening = Painter().eval(), Painter(sharp=4.0).eval()
+    sharpening.load_state_dict(painter.state_dict())
     segments = torch.randn(1, 16, 8, 16).softmax(1)
     rest = torch.full((1, 8, 16), 10.0), torch.zeros(1, 5, 8, 16)
     raised = segments**4 / (segments**4).sum(1, keepdim=True)
     with torch.inference_mode():
-        assert torch.allclose(sharp(segments, *rest), painter(raised, *rest), atol=1e-6)
-        assert not torch.allclose(sharp(segments, *rest), painter(segments, *rest), atol=1e-3)
+        assert torch.allclose(sharpening(segments, *rest), painter(raised, *rest), atol=1e-6)
+        assert not torch.allclose(sharpening(segments, *rest), painter(segments, *rest), atol=1e-3)
 
 
-def even(pictures: int = 1) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def even(count: int = 1) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Segments, depth and image of a place that looks the same in every direction, without a point."""
-    segments = torch.linspace(0, 1, 16).softmax(0)[None, :, None, None].expand(pictures, 16, 24, 32)
-    return segments, torch.full((pictures, 24, 32), 10.0), torch.zeros(pictures, 5, 24, 32)
+    segments = torch.linspace(0, 1, 16).softmax(0)[None, :, None, None].expand(count, 16, 24, 32)
+    return segments, torch.full((count, 24, 32), 10.0), torch.zeros(count, 5, 24, 32)
 
 
-def test_grain_makes_a_texture_of_what_is_even():
+def test_noise_makes_a_texture_of_what_is_even():
     torch.manual_seed(0)
     plain, grained = Painter().eval(), Painter(grain=True).eval()
     with torch.inference_mode():
@@ -81,7 +81,7 @@ def test_grain_makes_a_texture_of_what_is_even():
         assert grained(*even())[..., same_place].std(3).min() > 1e-3
 
 
-def test_grain_stands_still_but_in_training():
+def test_noise_stands_still_but_in_training():
     painter = Painter(grain=True)
     with torch.inference_mode():
         first, second = (painter(*even()) for _ in range(2))
@@ -94,7 +94,7 @@ def test_grain_stands_still_but_in_training():
 
 
 @pytest.mark.parametrize("pixels", [2, 4])
-def test_grain_is_as_strong_at_every_scale(pixels):
+def test_noise_is_as_strong_at_every_scale(pixels):
     painter = Painter(grain=True).eval()
     segments, depth_m, image = (part.repeat(1, *[1] * (part.ndim - 3), 8, 8) for part in even())
     inputs = painter._inputs(segments, depth_m, image)

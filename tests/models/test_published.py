@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from golden_fill import assert_filled_as_recorded, fill, key_rows, one_hot, randint, sym
+from golden_fill import assert_weights_as_recorded, fill, key_rows, one_hot, randint, sym
 from golden_vectors import Recorded, recorded
 from lidar2pano.models import build
 
@@ -27,7 +27,7 @@ RECORDED = {
 TOLERANCE = {"salsanext": 1e-4, "titan": 1e-4, "titan-2048": 5e-4, "titan-critic": 1e-4, "titan-logits": 1e-3}
 
 
-def filled(network: str) -> nn.Module:
+def with_fill_rule(network: str) -> nn.Module:
     """`network` in evaluation mode, with the weights of the fill rule."""
     model = build(network).eval()
     model.load_state_dict(fill(model.state_dict(), RECORDED[network][1]))
@@ -46,7 +46,7 @@ def inputs(network: str, columns: int = 256) -> tuple[Tensor, ...]:
 
 def compared(golden: Path, network: str) -> dict[str, tuple[Tensor, Recorded]]:
     """Our tensor and the recorded one, by what they are."""
-    model, kept = filled(network), recorded(golden, RECORDED[network][0])
+    model, kept = with_fill_rule(network), recorded(golden, RECORDED[network][0])
     with torch.inference_mode():
         if network == "salsanext":
             logits = model(*inputs(network))
@@ -91,7 +91,7 @@ def test_outputs_are_the_published_ones(golden: Path, network: str) -> None:
 
 @pytest.mark.parity
 def test_titan_forward_is_the_resized_raster(golden: Path) -> None:
-    model, kept = filled("titan"), recorded(golden, "titan_g")
+    model, kept = with_fill_rule("titan"), recorded(golden, "titan_g")
     with torch.inference_mode():
         logits = model(*inputs("titan"))
     assert logits.shape == (1, 15, 376, 1241)
@@ -104,9 +104,9 @@ def test_titan_forward_is_the_resized_raster(golden: Path) -> None:
 @pytest.mark.parametrize("network", RECORDED)
 def test_keys_shapes_and_fill_are_the_published_ones(golden: Path, network: str) -> None:
     rows = key_rows(golden, RECORDED[network][0])
-    state = filled(network).state_dict()
+    state = with_fill_rule(network).state_dict()
     assert sorted(state) == sorted(row[0] for row in rows)
-    assert_filled_as_recorded(state, rows)
+    assert_weights_as_recorded(state, rows)
 
 
 @pytest.mark.parametrize("network", RECORDED)
@@ -120,16 +120,16 @@ def test_parameters_are_as_many_as_published(network: str) -> None:
 @pytest.mark.parametrize("network", RECORDED)
 def test_every_layer_gives_what_the_published_one_gave(golden: Path, network: str) -> None:
     taps = json.loads((golden / f"{RECORDED[network][0]}.taps.json").read_text())
-    model, seen = filled(network), {}
+    model, found = with_fill_rule(network), {}
     layers = dict(model.named_modules())
     for name in taps:  # summed up at once, since the next activation works in place
-        layers[name].register_forward_hook(lambda _, __, out, name=name: seen.update({name: _summary(out)}))
+        layers[name].register_forward_hook(lambda _, __, out, name=name: found.update({name: _summary(out)}))
     with torch.inference_mode():
         model(*inputs(network))
-    assert seen.keys() == taps.keys()
+    assert found.keys() == taps.keys()
     allowed = TOLERANCE["titan-logits" if network == "titan" else network]
     for name, (row,) in taps.items():
-        shape, numbers = seen[name]
+        shape, numbers = found[name]
         assert shape == row["shape"], name
         theirs = [row["mean"], row["std"], *row["first"], *row["last"]]
         np.testing.assert_allclose(numbers, theirs, atol=allowed, rtol=0, err_msg=name)

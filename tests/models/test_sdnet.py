@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from golden_fill import assert_filled_as_recorded, fill, key_rows, sym
+from golden_fill import assert_weights_as_recorded, fill, key_rows, sym
 from golden_vectors import recorded
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
@@ -83,7 +83,7 @@ def test_keys_shapes_and_fill_are_the_published_ones(published: SdNet, golden: P
     rows = key_rows(golden, FILE)
     state = published.state_dict()
     assert sorted(state) == sorted(row[0] for row in rows)
-    assert_filled_as_recorded(state, rows)
+    assert_weights_as_recorded(state, rows)
 
 
 def test_parameters_are_as_many_as_published() -> None:

@@ -63,7 +63,7 @@ def blank(name: str, **more: object) -> nn.Module:
 
 
 @dataclass(frozen=True)
-class Filled:
+class FixedNetwork:
     """A network with the weights of the fill rule; they are there once, whatever the settings."""
 
     name: str
@@ -80,11 +80,11 @@ class Filled:
 
 
 @pytest.fixture(scope="module", params=[pytest.param(name, marks=dear) if name in DEAR else name for name in RECORDED])
-def filled(request, golden: Path) -> Iterator[Filled]:
+def fixed(request, golden: Path) -> Iterator[FixedNetwork]:
     weights = {key: torch.empty_like(tensor, device="cpu") for key, tensor in blank(request.param).state_dict().items()}
     for key, tensor in weights.items():
         tensor.copy_(fill({key: tensor}, RECORDED[request.param].gain)[key])
-    yield Filled(request.param, weights)
+    yield FixedNetwork(request.param, weights)
     weights.clear()  # up to 1.7 GB
 
 
@@ -98,37 +98,37 @@ def test_keys_shapes_and_parameters_are_the_published_ones(golden: Path, name: s
 
 
 @pytest.mark.parity
-def test_the_fill_is_the_recorded_one(golden: Path, filled: Filled) -> None:
-    for key, _, _, total, first in key_rows(golden, filled.name):
-        values = filled.weights[key]
+def test_the_fill_is_the_recorded_one(golden: Path, fixed: FixedNetwork) -> None:
+    for key, _, _, total, first in key_rows(golden, fixed.name):
+        values = fixed.weights[key]
         assert values.sum(dtype=torch.float64).item() == pytest.approx(float(total), abs=1e-6, rel=1e-8), key
         assert values.flatten()[0].item() == pytest.approx(float(first), rel=1e-6), key
 
 
 @pytest.mark.parity
-def test_outputs_are_the_published_ones(golden: Path, filled: Filled) -> None:
-    found = deviations(golden, filled)
+def test_outputs_are_the_published_ones(golden: Path, fixed: FixedNetwork) -> None:
+    found = deviations(golden, fixed)
     assert found
     assert {what: gap for what, gap in found.items() if not gap <= TOLERANCE[what.split()[-1]]} == {}
 
 
-def deviations(golden: Path, filled: Filled) -> dict[str, float]:
+def deviations(golden: Path, fixed: FixedNetwork) -> dict[str, float]:
     """The largest absolute deviation from the recorded run, by mode and tensor."""
-    kept = recorded(golden, filled.name)
-    compare = {"vid2vid": of_generator, "vid2vid-single": of_single}.get(RECORDED[filled.name].network, of_critic)
+    kept = recorded(golden, fixed.name)
+    compare = {"vid2vid": of_generator, "vid2vid-single": of_single}.get(RECORDED[fixed.name].network, of_critic)
     with torch.inference_mode():
-        return {what: theirs.deviation(ours) for what, (ours, theirs) in compare(filled, kept)}
+        return {what: theirs.deviation(ours) for what, (ours, theirs) in compare(fixed, kept)}
 
 
 Pairs = Iterator[tuple[str, tuple[Tensor, Recorded]]]
 
 
-def of_generator(filled: Filled, kept: dict[str, Recorded]) -> Pairs:
-    labels, previous = recorded_input(*RECORDED[filled.name].size)
+def of_generator(fixed: FixedNetwork, kept: dict[str, Recorded]) -> Pairs:
+    labels, previous = recorded_input(*RECORDED[fixed.name].size)
     for mode in ("eval", "train"):
         for ac in (0, 1):
             # "train" is what the published test program runs: here, norms on batch statistics in evaluation mode
-            model = filled.network(batch_statistics=mode == "train", align_corners=bool(ac))
+            model = fixed.network(batch_statistics=mode == "train", align_corners=bool(ac))
             *coarse, finest = model.scales(model.pyramid(labels), model.pyramid(previous))
             yield f"{mode} ac{ac} picture", (finest.image, kept[f"out.{mode}.ac{ac}.final"])
             for name in ("flow", "weight", "raw"):
@@ -144,17 +144,17 @@ def recorded_input(rows: int, columns: int) -> tuple[Tensor, Tensor]:
     return torch.cat([one_hot(ids, LABELS)[None], edges], 2), sym("input.prev", (2, 3, rows, columns))[None]
 
 
-def of_single(filled: Filled, kept: dict[str, Recorded]) -> Pairs:
-    labels = one_hot(randint("input.label", (1, *RECORDED[filled.name].size), LABELS), LABELS)
+def of_single(fixed: FixedNetwork, kept: dict[str, Recorded]) -> Pairs:
+    labels = one_hot(randint("input.label", (1, *RECORDED[fixed.name].size), LABELS), LABELS)
     for mode in ("eval", "train"):
-        yield f"{mode} out", (filled.network(batch_statistics=mode == "train")(labels), kept[f"out.{mode}"])
+        yield f"{mode} out", (fixed.network(batch_statistics=mode == "train")(labels), kept[f"out.{mode}"])
 
 
-def of_critic(filled: Filled, kept: dict[str, Recorded]) -> Pairs:
-    channels = 39 if filled.name == "vid2vid_D_image" else 13
-    x = sym("input.x", (1, channels, *RECORDED[filled.name].size))
+def of_critic(fixed: FixedNetwork, kept: dict[str, Recorded]) -> Pairs:
+    channels = 39 if fixed.name == "vid2vid_D_image" else 13
+    x = sym("input.x", (1, channels, *RECORDED[fixed.name].size))
     for mode in ("eval", "train"):
-        for scale, answers in enumerate(filled.network(train=mode == "train")(x)):
+        for scale, answers in enumerate(fixed.network(train=mode == "train")(x)):
             yield f"{mode} {scale} logit", (answers[-1], kept[f"out.{mode}.scale{scale}.logit"])
 
 
@@ -255,9 +255,9 @@ def test_running_statistics_fold_into_the_convolutions() -> None:
         norm.running_mean.normal_(0, 0.1)
     with torch.inference_mode():
         before, after = model(*given), fold_norms(model)(*given)
-    kinds = [type(block[place + 1]) for block in model.modules() if isinstance(block, nn.Sequential)
+    types = [type(block[place + 1]) for block in model.modules() if isinstance(block, nn.Sequential)
              for place in range(len(block) - 1) if isinstance(block[place], nn.Conv2d)]  # fmt: skip
-    assert nn.BatchNorm2d not in kinds and nn.Identity in kinds
+    assert nn.BatchNorm2d not in types and nn.Identity in types
     assert all(torch.allclose(one, other, atol=2e-3) for one, other in zip(before, after, strict=True))
 
 
@@ -322,10 +322,10 @@ PARTS: dict[str, Callable[[], nn.Module]] = {
 }
 
 
-@pytest.mark.parametrize("kind", PARTS)
+@pytest.mark.parametrize("name", PARTS)
 @pytest.mark.parametrize("columns", [4, 8, 14])
-def test_a_closed_part_sees_what_an_open_one_sees_amid_copies(kind: str, columns: int) -> None:
-    part, x = PARTS[kind]().eval(), torch.randn(2, 4, 8, columns)
+def test_a_closed_part_sees_what_an_open_one_sees_amid_copies(name: str, columns: int) -> None:
+    part, x = PARTS[name]().eval(), torch.randn(2, 4, 8, columns)
     with torch.inference_mode():
         amid = part(torch.cat([x] * 3, 3))
         assert not torch.allclose(part(x), amid.chunk(3, 3)[1], atol=1e-6)
@@ -367,10 +367,10 @@ def test_a_turned_panorama_gives_a_turned_first_image() -> None:
 # --- warping --------------------------------------------------------------------------------------------------------
 
 
-def warp_slowly(picture: Tensor, flow: Tensor, closed: bool) -> Tensor:
+def warp_slowly(image: Tensor, flow: Tensor, closed: bool) -> Tensor:
     """One pixel at a time, with weights worked out by hand: (C, H, W) and (2, H, W) -> (C, H, W)."""
-    _, rows, columns = picture.shape
-    out = torch.zeros_like(picture)
+    _, rows, columns = image.shape
+    out = torch.zeros_like(image)
     for row in range(rows):
         for column in range(columns):
             x, y = column + flow[0, row, column].item(), row + flow[1, row, column].item()
@@ -380,25 +380,25 @@ def warp_slowly(picture: Tensor, flow: Tensor, closed: bool) -> Tensor:
             for i, down in ((top, 1 - (y - top)), (min(top + 1, rows - 1), y - top)):
                 beside = (left + 1) % columns if closed else min(left + 1, columns - 1)
                 for j, across in ((left % columns, 1 - (x - left)), (beside, x - left)):
-                    out[:, row, column] += down * across * picture[:, i, j]
+                    out[:, row, column] += down * across * image[:, i, j]
     return out
 
 
 @pytest.mark.parametrize("closed", [False, True])
 def test_warping_agrees_with_its_definition(closed: bool) -> None:
-    picture, flow = torch.randn(2, 3, 6, 9), 20 * torch.rand(2, 2, 6, 9) - 10
-    expected = torch.stack([warp_slowly(*pair, closed) for pair in zip(picture, flow, strict=True)])
-    assert torch.allclose(warp(picture, flow, circular=closed), expected, atol=1e-5)
+    image, flow = torch.randn(2, 3, 6, 9), 20 * torch.rand(2, 2, 6, 9) - 10
+    expected = torch.stack([warp_slowly(*pair, closed) for pair in zip(image, flow, strict=True)])
+    assert torch.allclose(warp(image, flow, circular=closed), expected, atol=1e-5)
 
 
 def test_the_flow_points_to_where_a_pixel_was() -> None:
-    picture = torch.arange(12.0).view(1, 1, 3, 4)
+    image = torch.arange(12.0).view(1, 1, 3, 4)
     right, down = torch.zeros(1, 2, 3, 4), torch.zeros(1, 2, 3, 4)
     right[:, 0], down[:, 1] = 1, 1
-    assert warp(picture, right)[0, 0, 0].tolist() == [1, 2, 3, 3]
-    assert warp(picture, right, circular=True)[0, 0, 0].tolist() == [1, 2, 3, 0]
-    assert warp(picture, down)[0, 0, :, 0].tolist() == [4, 8, 8]
-    assert warp(picture.half(), right).dtype == torch.float16
+    assert warp(image, right)[0, 0, 0].tolist() == [1, 2, 3, 3]
+    assert warp(image, right, circular=True)[0, 0, 0].tolist() == [1, 2, 3, 0]
+    assert warp(image, down)[0, 0, :, 0].tolist() == [4, 8, 8]
+    assert warp(image.half(), right).dtype == torch.float16
 
 
 def test_todays_torch_stretches_what_it_warps() -> None:

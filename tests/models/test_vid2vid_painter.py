@@ -40,11 +40,11 @@ def maps(frames: int, rows: int = 16, columns: int = 48, seed: int = 3) -> Tenso
 
 @torch.inference_mode()
 def painted(painter: Vid2VidPainter, ids: Tensor) -> list[Tensor]:
-    past, pictures = None, []
+    past, images = None, []
     for one in ids:
-        past, picture = painter.follow(past, one)
-        pictures.append(picture)
-    return pictures
+        past, image = painter.follow(past, one)
+        images.append(image)
+    return images
 
 
 # --- a stream -------------------------------------------------------------------------------------------------------
@@ -53,36 +53,36 @@ def painted(painter: Vid2VidPainter, ids: Tensor) -> list[Tensor]:
 def test_without_a_network_for_first_frames_the_first_is_painted_again_from_black():
     generator, _ = networks()
     ids = maps(1)
-    (picture,) = painted(Vid2VidPainter(generator), ids)
+    (image,) = painted(Vid2VidPainter(generator), ids)
     labels = one_hot_layers(ids, CLASSES).expand(3, -1, -1, -1)[None]
     with torch.inference_mode():
         out = generator(labels, torch.zeros(1, 2, 3, 16, 48))
-    assert torch.equal(picture, out.raw[0])
+    assert torch.equal(image, out.raw[0])
     assert (out.raw - out.image).abs().max() > 0.01
 
 
 def test_the_generator_goes_on_from_the_last_two_images_and_label_maps():
     generator, _ = networks()
     ids = maps(4)
-    pictures = painted(Vid2VidPainter(generator), ids)
+    images = painted(Vid2VidPainter(generator), ids)
     one_hot = one_hot_layers(ids, CLASSES)
     black = torch.zeros(3, 16, 48)
     with torch.inference_mode():
-        second = generator(one_hot[[0, 0, 1]][None], torch.stack([black, pictures[0]])[None]).image[0]
-        fourth = generator(one_hot[[1, 2, 3]][None], torch.stack(pictures[1:3])[None]).image[0]
-    assert torch.equal(pictures[1], second) and torch.equal(pictures[3], fourth)
+        second = generator(one_hot[[0, 0, 1]][None], torch.stack([black, images[0]])[None]).image[0]
+        fourth = generator(one_hot[[1, 2, 3]][None], torch.stack(images[1:3])[None]).image[0]
+    assert torch.equal(images[1], second) and torch.equal(images[3], fourth)
 
 
 def test_the_network_for_first_frames_paints_two_and_the_generator_goes_on():
     generator, single = networks()
     ids = maps(4)
-    pictures = painted(Vid2VidPainter(generator, single), ids)
+    images = painted(Vid2VidPainter(generator, single), ids)
     one_hot = one_hot_layers(ids, CLASSES)
     with torch.inference_mode():
-        assert all(torch.equal(pictures[frame], single(one_hot[[frame]])[0]) for frame in (0, 1))
+        assert all(torch.equal(images[frame], single(one_hot[[frame]])[0]) for frame in (0, 1))
         for frame in (2, 3):
-            before = torch.stack(pictures[frame - 2 : frame])[None]
-            assert torch.equal(pictures[frame], generator(one_hot[frame - 2 : frame + 1][None], before).image[0])
+            before = torch.stack(images[frame - 2 : frame])[None]
+            assert torch.equal(images[frame], generator(one_hot[frame - 2 : frame + 1][None], before).image[0])
 
 
 def test_every_scale_goes_on_from_its_own_images():
@@ -94,11 +94,11 @@ def test_every_scale_goes_on_from_its_own_images():
             past, _ = painter.follow(past, one)
         levels = past.levels
         assert [tuple(level.shape) for level in levels] == [(1, 2, 3, 8, 24), (1, 2, 3, 16, 48)]
-        after, picture = painter.follow(past, ids[2])
+        after, image = painter.follow(past, ids[2])
         labels = generator.pyramid(one_hot_layers(ids, CLASSES)[None])
         coarse, fine = generator.scales(labels, levels)
         pooled = generator.scales(labels, generator.pyramid(levels[-1]))[0]
-    assert torch.equal(picture, fine.image[0])
+    assert torch.equal(image, fine.image[0])
     assert torch.equal(after.levels[0][0, -1], coarse.image[0])
     assert (pooled.image - coarse.image).abs().max() > 1e-3, "made smaller they would be others"
 
@@ -107,8 +107,8 @@ def test_a_stream_remembers_its_own_images_whatever_is_done_to_those_it_gave():
     painter, ids = Vid2VidPainter(networks()[0]), maps(2)
     expected = painted(painter, ids)[1]
     with torch.inference_mode():
-        past, picture = painter.follow(None, ids[0])
-        picture.zero_()
+        past, image = painter.follow(None, ids[0])
+        image.zero_()
         assert torch.equal(painter.follow(past, ids[1])[1], expected)
         assert torch.equal(painter.follow(past, ids[1])[1], expected), "the past can be gone on from again"
         assert (painter.follow(None, ids[1])[1] - expected).abs().max() > 1e-3
@@ -152,21 +152,21 @@ def test_beside_the_seam_is_painted_as_anywhere_else(columns: int):
 @pytest.mark.parametrize("closed", [True, False])
 @pytest.mark.parametrize(("rows", "columns"), [(17, 48), (5, 7), (30, 65), (16, 9)])
 def test_any_size_is_painted_in_its_own_size(rows: int, columns: int, closed: bool):
-    pictures = painted(Vid2VidPainter(*networks(scales=2), closed=closed), maps(4, rows, columns))
-    assert all(picture.shape == (3, rows, columns) and picture.isfinite().all() for picture in pictures)
+    images = painted(Vid2VidPainter(*networks(scales=2), closed=closed), maps(4, rows, columns))
+    assert all(image.shape == (3, rows, columns) and image.isfinite().all() for image in images)
 
 
 def test_the_raster_fits_the_network_for_first_frames_too():
     painter = Vid2VidPainter(*networks(downsamplings=1))  # the generator's coarsest pixel is 2 wide, the other's 8
-    assert [picture.shape for picture in painted(painter, maps(4, 18, 46))] == [(3, 18, 46)] * 4
+    assert [image.shape for image in painted(painter, maps(4, 18, 46))] == [(3, 18, 46)] * 4
 
 
 def test_what_is_added_below_and_beside_goes_on_and_is_cut_off():
     generator, _ = networks()
     ids = maps(1, 18, 46)
     whole = torch.nn.functional.pad(ids.float(), (0, 2, 0, 2), mode="replicate").to(torch.uint8)
-    (picture,), (more,) = (painted(Vid2VidPainter(generator, closed=False), one) for one in (ids, whole))
-    assert torch.equal(picture, more[:, :18, :46])
+    (image,), (more,) = (painted(Vid2VidPainter(generator, closed=False), one) for one in (ids, whole))
+    assert torch.equal(image, more[:, :18, :46])
 
 
 @pytest.mark.parametrize(("columns", "raster"), [(48, (16, 48)), (24, (8, 24)), (12, (4, 12)), (96, (32, 96))])
@@ -178,12 +178,12 @@ def test_panoramas_come_at_twice_the_segments_raster_whatever_they_are_painted_o
     segments = one_hot_layers(maps(1, 8, 24), CLASSES)
     with torch.inference_mode():
         scene = Scene(segments=segments, depth_m=torch.zeros(1, 8, 24), channels=torch.zeros(1, 5, 8, 24), view=SMALL)
-        past, picture = painter.paint(None, scene)
+        past, image = painter.paint(None, scene)
         _, first = Vid2VidPainter(generator).follow(None, past.ids[-1, : raster[0], -raster[1] :])
-    assert picture.shape == (1, 3, 16, 48)
+    assert image.shape == (1, 3, 16, 48)
     assert isinstance(past, Past) and past.ids.shape[2] >= raster[1]
     if columns == 48:
-        assert torch.equal(picture[0], first)
+        assert torch.equal(image[0], first)
 
 
 @pytest.mark.parametrize("columns", [36, 72, 25])
@@ -247,5 +247,5 @@ def test_edges_are_where_a_neighbour_is_of_another_class(closed: bool):
 
 def test_published_shapes_are_painted_with_cityscapes_ids_and_edges():
     generator, single = networks(channels=36, classes=35, foreground=(26,), batch_statistics=True)
-    pictures = painted(Vid2VidPainter(generator, single), maps(3))
-    assert all(picture.shape == (3, 16, 48) for picture in pictures)
+    images = painted(Vid2VidPainter(generator, single), maps(3))
+    assert all(image.shape == (3, 16, 48) for image in images)

@@ -9,14 +9,14 @@ import pytest
 import torch
 
 # An address that is set aside for documentation (RFC 5737); nothing is there, and nothing is sent.
-STRANGER = ("192.0.2.1", 9)
+OTHER_MACHINE = ("192.0.2.1", 9)
 
 
 def test_no_test_reaches_another_machine():
     with socket.socket() as plain, pytest.raises(RuntimeError, match="without a network"):
-        plain.connect(STRANGER)
+        plain.connect(OTHER_MACHINE)
     with socket.socket() as plain, pytest.raises(RuntimeError, match="without a network"):
-        plain.connect_ex(STRANGER)
+        plain.connect_ex(OTHER_MACHINE)
     with pytest.raises(RuntimeError, match="lidar2pano.invalid"):
         socket.create_connection(("lidar2pano.invalid", 443))
 

@@ -117,11 +117,11 @@ def test_convention_a_turn_is_a_shift():
     azimuth = math.pi - (column + 0.5) / view.columns * 2 * math.pi
     heights, ranges = generator.uniform(-0.2, 0.2, 300), generator.uniform(2, 60, 300)
 
-    def seen(turn: float) -> torch.Tensor:
+    def turned(turn: float) -> torch.Tensor:
         flat = np.stack([np.cos(azimuth + turn), np.sin(azimuth + turn), heights], axis=1) * ranges[:, None]
         return project(scan_of(*flat.tolist()), view).index
 
-    assert torch.equal(seen(math.radians(30)), seen(0.0).roll(-view.columns // 12, dims=1))
+    assert torch.equal(turned(math.radians(30)), turned(0.0).roll(-view.columns // 12, dims=1))
 
 
 def test_convention_channels():
@@ -129,7 +129,7 @@ def test_convention_channels():
     torch.testing.assert_close(image.channels[:, image.valid][:, 0], torch.tensor([5.0, 3, 4, 0, 0.25]))
 
 
-def test_convention_channels_are_seen_from_the_origin():
+def test_convention_channels_are_relative_to_the_origin():
     image = project(scan_of((3, 4, 2)), replace(SENSOR, origin=(0.0, 0.0, 2.0)))
     torch.testing.assert_close(image.channels[:, image.valid][:, 0], torch.tensor([5.0, 3, 4, 0, 0.25]))
     assert image.range_m.tolist() == [5]
@@ -207,8 +207,8 @@ def test_convention_moving_classes_fold():
 
 def test_convention_label_bits(tmp_path: Path):
     values = np.array([0x0003_0028], dtype="<u4")
-    kind, instance = unpack_label(values)
-    assert (kind.tolist(), instance.tolist()) == ([40], [3])
+    class_id, instance = unpack_label(values)
+    assert (class_id.tolist(), instance.tolist()) == ([40], [3])
     values.tofile(tmp_path / "a.label")
     assert [SEMANTIC_KITTI.classes[i] for i in read_label(tmp_path / "a.label", 1)] == ["road"]
 
@@ -228,7 +228,7 @@ def small_data(root: Path, grey: int, label: int) -> Path:
     return root
 
 
-def test_convention_255_is_unsure(tmp_path: Path):
+def test_convention_255_is_ignored(tmp_path: Path):
     assert IGNORE == 255
     sample = PanoramaDataset(small_data(tmp_path, 0, 255), ("train",), VIEWS["panorama"].scaled(0.125), 128)[0]
     assert sample.camera_labels.unique().tolist() == [255]
@@ -246,7 +246,7 @@ def test_convention_miou_counts_first_and_averages_last():
     assert split.miou() == pytest.approx((4 / 5 + 1 / 2) / 2), "the mean over images would be (1 + 1/4) / 2"
 
 
-def test_convention_unlabeled_truth_is_not_scored():
+def test_convention_unlabeled_ground_truth_is_not_scored():
     split = Confusion(COMMON14, unscored=(0,))
     split.update(np.array([1, 1, 0, 2]), np.array([0, 1, 1, 2]))
     assert split.miou() == pytest.approx((1 / 2 + 1) / 2)
@@ -279,7 +279,7 @@ def test_convention_poses_carry_to_where_things_stand(tmp_path: Path):
     assert poses.at("000000") @ [5, 0, 0, 1] == pytest.approx(poses.at("000001") @ [3, 0, 0, 1])
 
 
-def test_convention_the_vehicle_itself_is_not_seen():
+def test_convention_the_vehicle_itself_is_masked():
     scan = scan_of((0.99, 0, 0), (0, -1.01, 0), (0.6, 0.6, 0.6), (0.5, -0.5, 0.5), (10, 0, 0), (math.nan, 0, 0))
     image = project(scan.beyond(), SENSOR)
     assert image.usable.tolist() == [False, True, True, False, True, False]  # the third is 1.04 m away

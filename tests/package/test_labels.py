@@ -169,8 +169,8 @@ def test_moving_classes_fold_into_their_static_ones():
 def test_instances_are_the_high_bits():
     values = np.array([(7 << 16) | 10, (0xFFFF << 16) | 252, 40], dtype=np.uint32)
     assert SEMANTIC_KITTI.from_raw(values).tolist() == [1, 1, 9]
-    kind, instance = unpack_label(values)
-    assert kind.tolist() == [10, 252, 40] and instance.tolist() == [7, 0xFFFF, 0]
+    class_id, instance = unpack_label(values)
+    assert class_id.tolist() == [10, 252, 40] and instance.tolist() == [7, 0xFFFF, 0]
 
 
 def test_raw_values_there_and_back():
@@ -199,7 +199,7 @@ def test_palette_and_paint(name):
     assert painted.dtype == np.uint8 and painted.shape == (2, 2, 3)
     assert painted[0].tolist() == [list(labels.colours[1]), list(labels.colours[2])] and not painted[1].any()
     assert not labels.paint(np.array([-255, -1, 256, 257])).any(), "no id wraps around"
-    repeated = 6 if labels is CITYSCAPES_IDS else 0  # published so: what nobody labels, and two kinds of poles and cars
+    repeated = 6 if labels is CITYSCAPES_IDS else 0  # published so: what is unlabelled, and two kinds of poles and cars
     assert len(set(labels.colours)) == len(labels) - repeated, "colours tell the classes apart"
 
 

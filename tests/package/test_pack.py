@@ -20,10 +20,10 @@ pack, unpack, packed, unpacked = (PACK[name] for name in ("pack", "unpack", "pac
 
 def test_a_data_set_comes_back(tmp_path: Path):
     root, back = write_data_set(tmp_path / "data"), tmp_path / "back"
-    told = next(iter(root.glob("sequences/*/labels/*.label")))
-    raw = np.fromfile(told, "<u4")
+    labels = next(iter(root.glob("sequences/*/labels/*.label")))
+    raw = np.fromfile(labels, "<u4")
     raw[:3] = [2**31 + 40, 0, 0xFFFF0001]  # instances stand in the high bits
-    raw.tofile(told)
+    raw.tofile(labels)
     pack(root, tmp_path / "small.zip", ["train", "val"])
     unpack(tmp_path / "small.zip", back)
     assert {path.relative_to(back) for path in back.rglob("*")} <= {path.relative_to(root) for path in root.rglob("*")}

@@ -43,9 +43,9 @@ def test_every_required_package_has_a_tested_version():
     lines = (house_rules.ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     pinned = {name(line) for line in lines if "==" in line}
     extras = project["optional-dependencies"].values()
-    asked = {name(line) for group in [project["dependencies"], *extras] for line in group}
-    assert asked >= {"torch", "numpy", "lightning", "pytest"}
-    assert asked <= pinned
+    required = {name(line) for group in [project["dependencies"], *extras] for line in group}
+    assert required >= {"torch", "numpy", "lightning", "pytest"}
+    assert required <= pinned
 
 
 def name(requirement: str) -> str:

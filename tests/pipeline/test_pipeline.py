@@ -51,10 +51,10 @@ def panorama(pipeline) -> Panorama:
 
 
 def same(one: Panorama, other: Panorama) -> bool:
-    pictures = all(
+    same_arrays = all(
         np.array_equal(getattr(one, name), getattr(other, name)) for name in ("colour", "segments", "depth_m", "labels")
     )
-    return pictures and (one.name, one.frame, one.view) == (other.name, other.frame, other.view)
+    return same_arrays and (one.name, one.frame, one.view) == (other.name, other.frame, other.view)
 
 
 # --- single, sequence and stream are one function -------------------------------------------------------------------
@@ -197,13 +197,13 @@ def inputs_of(pipeline, scan):
 
 @pytest.mark.parametrize("columns", [16, -160])
 def test_turning_the_scene_turns_the_image(pipeline, columns):
-    def picture(image, condition):
+    def outputs(image, condition):
         with torch.inference_mode():
             logits, depth_m = pipeline.translator(image, condition)
             return logits, depth_m, pipeline.painter(logits.softmax(1), depth_m, image)
 
     image, condition = inputs_of(pipeline, street())
-    still, turned = picture(image, condition), picture(image.roll(columns, 3), condition.roll(columns, 3))
+    still, turned = outputs(image, condition), outputs(image.roll(columns, 3), condition.roll(columns, 3))
     for before, after, factor in zip(still, turned, (1, 1, 2), strict=True):
         spread = before.std()
         assert spread > 0
@@ -214,8 +214,8 @@ def test_there_is_no_seam(pipeline):
     image, condition = (found[..., :1].expand_as(found).contiguous() for found in inputs_of(pipeline, street()))
     with torch.inference_mode():  # a scene that is the same in every direction
         logits, depth_m = pipeline.translator(image, condition)
-        picture = pipeline.painter(logits.softmax(1), depth_m, image)[0]
-    jump = (picture - picture.roll(1, -1)).abs().mean((0, 1))[::32]  # where one coarsest cell meets the next
+        colours = pipeline.painter(logits.softmax(1), depth_m, image)[0]
+    jump = (colours - colours.roll(1, -1)).abs().mean((0, 1))[::32]  # where one coarsest cell meets the next
     assert jump[0] > 0
     assert torch.allclose(jump, jump[0].expand_as(jump), rtol=1e-3)
 
@@ -254,7 +254,7 @@ class Copies(nn.Module):
     """A network whose class is what the range channel says; it keeps what it was shown."""
 
     def forward(self, x):
-        self.shown = x
+        self.inputs = x
         return one_hot_layers(x[:, 0].round().long().clamp(0, 19), 20)
 
 
@@ -270,8 +270,8 @@ def test_columns_need_not_divide(turn, beyond):
     ids = segmenter.raster(project(Scan(xyz=xyz, remission=np.zeros(200, np.float32)), view))
     assert ids.shape == (16, 200) and ids.dtype == torch.uint8
     assert ids.max(0).values.tolist() == range_m.tolist()
-    assert network.shown.shape == (1, 5, 16, 208)
-    assert network.shown[0, 0].max(0).values[200:].round().tolist() == beyond
+    assert network.inputs.shape == (1, 5, 16, 208)
+    assert network.inputs[0, 0].max(0).values[200:].round().tolist() == beyond
 
 
 def test_rows_must_divide(pipeline):
@@ -284,8 +284,8 @@ def test_rows_must_divide(pipeline):
 
 
 def pixels(path: Path, mode: str | None = None) -> np.ndarray:
-    with Image.open(path) as picture:
-        return np.array(picture.convert(mode) if mode else picture)
+    with Image.open(path) as image:
+        return np.array(image.convert(mode) if mode else image)
 
 
 def test_saved_files_read_back(panorama, tmp_path):
@@ -422,14 +422,14 @@ def test_a_video_painter_paints_the_stream_frame_after_frame(random_weights, tmp
     assert isinstance(pipeline.painter, Vid2VidPainter)
     assert (pipeline.painter.single is not None) == single
     scans = [street(seed=seed) for seed in (1, 2, 3)]
-    pictures = list(pipeline.stream(scans))
+    panoramas = list(pipeline.stream(scans))
     shape = (2 * TRANSLATOR_VIEW.rows, 2 * TRANSLATOR_VIEW.columns, 3)
-    assert all(one.colour.shape == shape and one.colour.std() > 0 for one in pictures)
-    assert same(pipeline(scans[0]), pictures[0])
-    assert not np.array_equal(pipeline(scans[2]).colour, pictures[2].colour)
-    assert np.array_equal(pipeline(scans[2]).segments, pictures[2].segments)
+    assert all(one.colour.shape == shape and one.colour.std() > 0 for one in panoramas)
+    assert same(pipeline(scans[0]), panoramas[0])
+    assert not np.array_equal(pipeline(scans[2]).colour, panoramas[2].colour)
+    assert np.array_equal(pipeline(scans[2]).segments, panoramas[2].segments)
     memory = Memory()
-    for scan, expected in zip(scans, pictures, strict=True):
+    for scan, expected in zip(scans, panoramas, strict=True):
         memory, panorama = pipeline.step(memory, scan)
         assert same(panorama, expected)
     assert same(pipeline.step(memory, scans[0])[1], pipeline.step(memory, scans[0])[1])
@@ -439,8 +439,8 @@ def test_the_panorama_is_what_the_video_painter_painted(random_weights, tmp_path
     pipeline = load(video_weights(random_weights, tmp_path / "video"), "cpu")
     found = pipeline.translate(street(), Timer(pipeline.device))
     with torch.inference_mode(), fast_arithmetic(pipeline.device):
-        _, picture = pipeline.painter.follow(None, grown_classes(found.logits.softmax(1), 1))
-    expected = ((grow_circular(picture[None], 2)[0] + 1) * 127.5).round().movedim(0, 2)
+        _, colours = pipeline.painter.follow(None, grown_classes(found.logits.softmax(1), 1))
+    expected = ((grow_circular(colours[None], 2)[0] + 1) * 127.5).round().movedim(0, 2)
     assert np.array_equal(pipeline(street()).colour, expected.numpy())
 
 

@@ -77,12 +77,12 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
     """Two sequences: 00 with two scans and a picture, 08 with a scan and two other pictures."""
-    pictures = {"00": {"000000": ".png"}, "08": {"000001": ".jpg", "000002": ".png"}}
+    images = {"00": {"000000": ".png"}, "08": {"000001": ".jpg", "000002": ".png"}}
     for number, (sequence, stem) in enumerate([("00", "000000"), ("00", "000001"), ("08", "000000")]):
         folder = tmp_path / "data" / "sequences" / sequence
         (folder / "velodyne").mkdir(parents=True, exist_ok=True)
         write_bin(folder / "velodyne" / f"{stem}.bin", street(600, number))
-    for sequence, files in pictures.items():
+    for sequence, files in images.items():
         folder = tmp_path / "data" / "sequences" / sequence / "image_2"
         folder.mkdir()
         for number, (stem, suffix) in enumerate(files.items()):
@@ -92,7 +92,7 @@ def root(tmp_path: Path) -> Path:
 
 
 SCANS = ["00/labels/000000.label", "00/labels/000001.label", "08/labels/000000.label"]
-PICTURES = ["00/camera_labels/000000.png", "08/camera_labels/000001.png", "08/camera_labels/000002.png"]
+IMAGE_LABELS = ["00/camera_labels/000000.png", "08/camera_labels/000001.png", "08/camera_labels/000002.png"]
 
 
 @pytest.fixture
@@ -129,7 +129,7 @@ def touched(path: Path) -> None:
 def test_both_teachers_label_what_they_see(root, weights, prepare):
     before = contents(root)
     states, said = prepare()
-    assert states == dict.fromkeys(SCANS + PICTURES, "written")
+    assert states == dict.fromkeys(SCANS + IMAGE_LABELS, "written")
     assert contents(root).keys() - before.keys() == {f"sequences/{name}" for name in states}
     assert said == [
         "labels: these weights are licensed CC-BY-NC-SA-4.0: not for commercial use",
@@ -144,35 +144,35 @@ def test_both_teachers_label_what_they_see(root, weights, prepare):
     assert len(set(raw)) > 1
 
 
-def test_camera_labels_are_the_teachers_best_and_255_where_unsure(root, weights, prepare):
+def test_camera_labels_are_the_teachers_best_and_255_below_the_threshold(root, weights, prepare):
     network, card = load(weights / "sdnet.safetensors")
     frame = SemanticKittiFrame(root / "sequences" / "08", "000001")
     best, ids = CameraSegmenter.from_card(network, card).probabilities(frame.image).max(0)
-    unsure = float(best.median())
-    ids[best < unsure] = IGNORE
-    prepare("--unsure", repr(unsure), "--lidar", "none")
+    threshold = float(best.median())
+    ids[best < threshold] = IGNORE
+    prepare("--unsure", repr(threshold), "--lidar", "none")
     found = frame.camera_labels
     assert found.shape == SIZE[::-1]
     assert np.array_equal(found, ids.numpy())
     assert 0.4 < (found == IGNORE).mean() < 0.6
-    with Image.open(root / "sequences" / PICTURES[1]) as picture:
-        assert picture.mode == "L" and picture.format == "PNG"
+    with Image.open(root / "sequences" / IMAGE_LABELS[1]) as image:
+        assert image.mode == "L" and image.format == "PNG"
 
 
-def test_unsure_and_scales_reach_the_teacher(root, prepare):
+def test_threshold_and_scales_reach_the_teacher(root, prepare):
     ids = {}
-    for unsure, scales in [("0", "1"), ("0.9999", "1"), ("0", "1,2")]:
-        prepare("--lidar", "none", "--unsure", unsure, "--scales", scales)
-        ids[unsure, scales] = SemanticKittiFrame(root / "sequences" / "00", "000000").camera_labels
+    for threshold, scales in [("0", "1"), ("0.9999", "1"), ("0", "1,2")]:
+        prepare("--lidar", "none", "--unsure", threshold, "--scales", scales)
+        ids[threshold, scales] = SemanticKittiFrame(root / "sequences" / "00", "000000").camera_labels
     assert (ids["0", "1"] != IGNORE).all()
     assert (ids["0.9999", "1"] == IGNORE).mean() > 0.9
     assert (ids["0", "1"] != ids["0", "1,2"]).any()
 
 
-def test_people_are_told_in_words(root, weights, capsys):
+def test_people_are_informed_in_words(root, weights, capsys):
     words = ["prepare", str(root), "--lidar", str(weights / "segmenter.safetensors"), "--device", "cpu"]
     (root / "sequences" / "08" / "labels").mkdir()
-    (root / "sequences" / SCANS[2]).write_bytes(b"truth")
+    (root / "sequences" / SCANS[2]).write_bytes(b"ground truth")
     assert main(words) == 0
     out, err = capsys.readouterr()
     assert out == "labels: 2 written, 1 kept\n"
@@ -190,20 +190,20 @@ def test_people_are_told_in_words(root, weights, capsys):
 
 
 def test_splits_without_a_listing_are_semantickittis(prepare):
-    assert list(prepare("--split", "val")[0]) == [SCANS[2], *PICTURES[1:]]
+    assert list(prepare("--split", "val")[0]) == [SCANS[2], *IMAGE_LABELS[1:]]
     assert list(prepare("--split", "train", "--split", "val")[0]) == [
         SCANS[0],
-        PICTURES[0],
+        IMAGE_LABELS[0],
         SCANS[1],
         SCANS[2],
-        *PICTURES[1:],
+        *IMAGE_LABELS[1:],
     ]
 
 
 def test_splits_of_a_listing(root, prepare):
     (root / "splits.json").write_text(json.dumps({"val": ["00/000001"], "more": ["00/000001", "00/000000"]}))
     assert list(prepare("--split", "val")[0]) == [SCANS[1]]
-    assert list(prepare("--split", "val", "--split", "more")[0]) == [SCANS[1], SCANS[0], PICTURES[0]]
+    assert list(prepare("--split", "val", "--split", "more")[0]) == [SCANS[1], SCANS[0], IMAGE_LABELS[0]]
     assert len(prepare()[0]) == 6  # without a split everything there is
 
 
@@ -244,7 +244,7 @@ def test_a_second_run_does_nothing(root, prepare, no_network):
     before = {path: path.stat().st_mtime_ns for path in root.rglob("*")}
     no_network()
     states, said = prepare()
-    assert states == dict.fromkeys(SCANS + PICTURES, "current") and said == []
+    assert states == dict.fromkeys(SCANS + IMAGE_LABELS, "current") and said == []
     assert {path: path.stat().st_mtime_ns for path in root.rglob("*")} == before
 
 
@@ -254,7 +254,9 @@ def test_a_copied_data_set_is_read_once_and_then_known(root, prepare, no_network
         touched(path)
     no_network()
     read, digest = [], hashlib.file_digest
-    monkeypatch.setattr(hashlib, "file_digest", lambda file, kind: read.append(file.name) or digest(file, kind))
+    monkeypatch.setattr(
+        hashlib, "file_digest", lambda file, algorithm: read.append(file.name) or digest(file, algorithm)
+    )
     assert set(prepare()[0].values()) == {"current"}
     of_weights = 2
     assert len(read) == 12 + of_weights
@@ -263,14 +265,14 @@ def test_a_copied_data_set_is_read_once_and_then_known(root, prepare, no_network
     assert len(read) == of_weights
 
 
-def test_other_weights_make_their_files_anew(root, weights, tmp_path, prepare):
+def test_other_weights_make_their_files_again(root, weights, tmp_path, prepare):
     prepare()
     before = contents(root)
     other = write_sdnet(tmp_path / "other.safetensors", seed=5)
     states, _ = prepare("--teacher", str(other))
-    assert {states[name] for name in PICTURES} == {"written"} and {states[name] for name in SCANS} == {"current"}
+    assert {states[name] for name in IMAGE_LABELS} == {"written"} and {states[name] for name in SCANS} == {"current"}
     changed = {name for name, content in contents(root).items() if content != before[name]}
-    assert changed == {f"sequences/{name}" for name in PICTURES}
+    assert changed == {f"sequences/{name}" for name in IMAGE_LABELS}
     assert set(prepare("--teacher", str(other))[0].values()) == {"current"}
     prepare()
     assert contents(root) == before
@@ -279,7 +281,7 @@ def test_other_weights_make_their_files_anew(root, weights, tmp_path, prepare):
     assert {path: path.read_bytes() for path in journals} == journals  # the latest line is the one that counts
 
 
-def test_a_changed_scan_is_labelled_anew(root, prepare):
+def test_a_changed_scan_is_labelled_again(root, prepare):
     prepare()
     scan = root / "sequences" / "00" / "velodyne" / "000001.bin"
     write_bin(scan, street(600, 77))
@@ -289,48 +291,48 @@ def test_a_changed_scan_is_labelled_anew(root, prepare):
 
 
 @pytest.mark.parametrize("kept", [0, 5, -1])
-def test_damaged_outputs_are_made_anew(root, prepare, kept):
+def test_damaged_outputs_are_made_again(root, prepare, kept):
     prepare()
     before = contents(root)
-    for name in (SCANS[0], PICTURES[0]):
+    for name in (SCANS[0], IMAGE_LABELS[0]):
         path = root / "sequences" / name
         path.write_bytes(path.read_bytes()[:kept])
     (root / "sequences" / SCANS[1]).unlink()
     states, _ = prepare()
-    assert {name for name, state in states.items() if state == "written"} == {SCANS[0], SCANS[1], PICTURES[0]}
+    assert {name for name, state in states.items() if state == "written"} == {SCANS[0], SCANS[1], IMAGE_LABELS[0]}
     assert contents(root) == before
 
 
 # --- what is not ours -----------------------------------------------------------------------------------------------
 
 
-def test_the_truth_is_never_touched(root, tmp_path, prepare):
-    for name, content in [(SCANS[0], b"truth"), (PICTURES[2], b"drawn by hand")]:
+def test_the_ground_truth_is_never_touched(root, tmp_path, prepare):
+    for name, content in [(SCANS[0], b"ground truth"), (IMAGE_LABELS[2], b"drawn by hand")]:
         path = root / "sequences" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
     states, said = prepare()
-    assert states[SCANS[0]] == states[PICTURES[2]] == "kept" and states[SCANS[1]] == "written"
+    assert states[SCANS[0]] == states[IMAGE_LABELS[2]] == "kept" and states[SCANS[1]] == "written"
     assert sum("not prepare's own" in line for line in said) == 2
     write_sdnet(tmp_path / "other.safetensors", seed=5)
     prepare("--teacher", str(tmp_path / "other.safetensors"), "--unsure", "0.1")
-    assert (root / "sequences" / SCANS[0]).read_bytes() == b"truth"
-    assert (root / "sequences" / PICTURES[2]).read_bytes() == b"drawn by hand"
+    assert (root / "sequences" / SCANS[0]).read_bytes() == b"ground truth"
+    assert (root / "sequences" / IMAGE_LABELS[2]).read_bytes() == b"drawn by hand"
 
 
-def test_predictions_go_beside_the_truth(root, prepare):
-    truth = root / "sequences" / SCANS[0]
-    truth.parent.mkdir()
-    truth.write_bytes(b"truth")
+def test_predictions_go_beside_the_ground_truth(root, prepare):
+    existing = root / "sequences" / SCANS[0]
+    existing.parent.mkdir()
+    existing.write_bytes(b"ground truth")
     states, _ = prepare("--labels-folder", "predicted_labels", "--teacher", "none")
     assert states == dict.fromkeys((name.replace("labels", "predicted_labels") for name in SCANS), "written")
-    assert truth.read_bytes() == b"truth" and sorted(truth.parent.iterdir()) == [truth]
+    assert existing.read_bytes() == b"ground truth" and sorted(existing.parent.iterdir()) == [existing]
 
 
 def test_a_file_that_somebody_corrected_is_theirs(root, tmp_path, prepare):
     """Whole, but no longer what was written: a mended label must survive other weights."""
     prepare()
-    labels, camera = root / "sequences" / SCANS[0], root / "sequences" / PICTURES[0]
+    labels, camera = root / "sequences" / SCANS[0], root / "sequences" / IMAGE_LABELS[0]
     raw = np.fromfile(labels, dtype="<u4")
     raw[::2] = 10
     raw.tofile(labels)
@@ -339,7 +341,7 @@ def test_a_file_that_somebody_corrected_is_theirs(root, tmp_path, prepare):
     other = write_sdnet(tmp_path / "other.safetensors", seed=5)
     for options in ([], ["--teacher", str(other), "--unsure", "0"]):
         states, _ = prepare(*options)
-        assert states[SCANS[0]] == states[PICTURES[0]] == "kept"
+        assert states[SCANS[0]] == states[IMAGE_LABELS[0]] == "kept"
         assert {path: path.read_bytes() for path in mended} == mended
 
 
@@ -434,7 +436,7 @@ def states_of(root: Path, teacher: Copyist) -> list[str]:
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.parametrize("number", [0, 1, 2])
 @pytest.mark.parametrize("place", PLACES)
-def test_killed_at_any_moment_it_goes_on(root, tmp_path, place, number):
+def test_killed_at_any_time_it_goes_on(root, tmp_path, place, number):
     """Killed between writing, entering and naming a file, new or replacing an older one: as if never stopped."""
     aim = Path(shutil.copytree(root, tmp_path / "aim"))
     for name in ("a", "b", "a"):
@@ -500,22 +502,22 @@ def test_strange_lines_of_a_journal_are_passed_over(tmp_path):
 # --- what cannot be used --------------------------------------------------------------------------------------------
 
 
-def test_a_bad_scan_and_a_bad_picture_do_not_stop_the_rest(root, prepare):
+def test_a_bad_scan_and_a_bad_image_do_not_stop_the_rest(root, prepare):
     scan = root / "sequences" / "00" / "velodyne" / "000000.bin"
     scan.write_bytes(scan.read_bytes()[:-3])
     blind = root / "sequences" / "08" / "velodyne" / "000000.bin"
     np.full((5, 4), np.nan, "<f4").tofile(blind)
-    picture = root / "sequences" / "08" / "image_2" / "000001.jpg"
-    picture.write_bytes(b"no picture")
+    image = root / "sequences" / "08" / "image_2" / "000001.jpg"
+    image.write_bytes(b"no picture")
     states, said = prepare(code=2)
-    bad = {SCANS[0], SCANS[2], PICTURES[1]}
+    bad = {SCANS[0], SCANS[2], IMAGE_LABELS[1]}
     assert {name for name, state in states.items() if state == "failed"} == bad
     assert {states[name] for name in states.keys() - bad} == {"written"}
     problems = [line for line in said if "licensed" not in line]
     assert len(problems) == 3
     assert problems[0].startswith(f"{scan}: 9597 bytes are no whole number of points")
     assert problems[1].startswith(f"{blind}: none of its 5 points can be used")
-    assert problems[2].startswith(f"{picture}: is no readable image")
+    assert problems[2].startswith(f"{image}: is no readable image")
     assert not any((root / "sequences" / name).exists() for name in bad)
 
 
@@ -603,7 +605,7 @@ def test_a_teachers_name_is_its_weights_and_settings(weights):
     assert lidar_teacher(str(weights / "segmenter.safetensors")).made_by not in names
 
 
-def test_a_mask2former_labels_pictures(root, tmp_path, capsys):
+def test_a_mask2former_labels_images(root, tmp_path, capsys):
     pytest.importorskip("transformers")
     from teacher_models import write_model
 
@@ -622,7 +624,7 @@ def test_a_mask2former_labels_pictures(root, tmp_path, capsys):
 
 
 def test_real_scans(kitti_mini, tmp_path, weights):
-    """SemanticKITTI's own truth stays; scans without it get labels of the right length."""
+    """SemanticKITTI's own ground truth stays; scans without it get labels of the right length."""
     sequence = tmp_path / "sequences" / "00"
     shutil.copytree(kitti_mini / "sequences" / "00" / "velodyne", sequence / "velodyne")
     shutil.copytree(kitti_mini / "sequences" / "00" / "labels", sequence / "labels")

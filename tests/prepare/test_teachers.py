@@ -36,44 +36,44 @@ CPU = torch.device("cpu")
 def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A folder per kind."""
     transformers.utils.logging.disable_progress_bar()
-    return {kind: write_model(tmp_path_factory.mktemp(kind), kind) for kind in MODEL_TYPES}
+    return {family: write_model(tmp_path_factory.mktemp(family), family) for family in MODEL_TYPES}
 
 
 @pytest.fixture
-def mine(models: dict[str, Path], tmp_path: Path) -> Path:
+def own_copy(models: dict[str, Path], tmp_path: Path) -> Path:
     """A copy of the Mask2Former that may be damaged."""
     return Path(shutil.copytree(models["mask2former"], tmp_path / "mine"))
 
 
-def picture(rows: int, columns: int) -> np.ndarray:
+def coarse_image(rows: int, columns: int) -> np.ndarray:
     coarse = np.random.default_rng(1).integers(0, 256, (rows // 8 + 1, columns // 8 + 1, 3), dtype=np.uint8)
     return coarse.repeat(8, 0).repeat(8, 1)[:rows, :columns]
 
 
-every_kind = pytest.mark.parametrize("kind", MODEL_TYPES)
+every_family = pytest.mark.parametrize("family", MODEL_TYPES)
 
 
-@every_kind
+@every_family
 @pytest.mark.parametrize("size", [(50, 70), (32, 64), (33, 97)])
-def test_probabilities_of_any_size(models: dict[str, Path], kind: str, size: tuple[int, int]) -> None:
-    answer = load_teacher(kind, models[kind], CPU).probabilities(picture(*size))
+def test_probabilities_of_any_size(models: dict[str, Path], family: str, size: tuple[int, int]) -> None:
+    answer = load_teacher(family, models[family], CPU).probabilities(coarse_image(*size))
     assert answer.shape == (19, *size) and answer.dtype == torch.float32
     assert (answer >= 0).all()
     torch.testing.assert_close(answer.sum(0), torch.ones(size))
     assert answer.std(0).mean() > 1e-3
 
 
-@every_kind
-def test_answers_are_those_of_transformers_own_way(models: dict[str, Path], kind: str) -> None:
+@every_family
+def test_answers_are_those_of_transformers_own_way(models: dict[str, Path], family: str) -> None:
     """Its image processor and semantic inference, on a picture of the one size that its Mask2Former can answer in."""
     from transformers.models.mask2former.image_processing_pil_mask2former import Mask2FormerImageProcessorPil
 
-    image = picture(384, 384)
+    image = coarse_image(384, 384)
     processor = Mask2FormerImageProcessorPil(do_resize=False, image_mean=MEAN, image_std=DEVIATION)
-    network = getattr(transformers, MODEL_TYPES[kind]).from_pretrained(models[kind]).eval()
+    network = getattr(transformers, MODEL_TYPES[family]).from_pretrained(models[family]).eval()
     given = {"pixel_values": processor(image, return_tensors="pt")["pixel_values"]}
-    if kind == "oneformer":
-        reader = transformers.AutoTokenizer.from_pretrained(models[kind])
+    if family == "oneformer":
+        reader = transformers.AutoTokenizer.from_pretrained(models[family])
         (ids,) = reader([TEXT], padding="max_length", max_length=24, truncation=True)["input_ids"]
         end = ids.index(reader.eos_token_id)
         assert 10 < end < 23
@@ -85,7 +85,7 @@ def test_answers_are_those_of_transformers_own_way(models: dict[str, Path], kind
     total = scores.sum(0, keepdim=True)
     expected = torch.stack([scores[NAMES.index(name)] for name in CITYSCAPES.classes]) / total.clamp(min=1)
     expected = expected + (1 - expected.sum(0)) / 19
-    ours = load_teacher(kind, models[kind], CPU).probabilities(image)
+    ours = load_teacher(family, models[family], CPU).probabilities(image)
     torch.testing.assert_close(ours, expected, atol=2e-5, rtol=0)
     assert (ours.argmax(0) == expected.argmax(0)).float().mean() > 0.999
     assert expected.argmax(0).unique().numel() > 1
@@ -96,41 +96,41 @@ class Answering(torch.nn.Module):
 
     def __init__(self, classes: torch.Tensor, masks: torch.Tensor) -> None:
         super().__init__()
-        self.classes, self.masks, self.seen = classes, masks, []
+        self.classes, self.masks, self.inputs = classes, masks, []
 
     def forward(self, pixel_values: torch.Tensor) -> Any:
-        self.seen.append(pixel_values)
+        self.inputs.append(pixel_values)
         rows, columns = pixel_values.shape[-2] // 4, pixel_values.shape[-1] // 4
         masks = self.masks[None, :, None, None].expand(1, -1, rows, columns)
         return type("Answer", (), {"class_queries_logits": self.classes[None], "masks_queries_logits": masks})()
 
 
-def test_what_nobody_claims_is_spread_over_all_classes() -> None:
+def test_unclaimed_probability_is_spread_over_all_classes() -> None:
     sure = torch.full((2, 21), -30.0)
     sure[0, 3], sure[1, 0] = 30.0, 30.0  # one query says class 3, one says class 0, which Cityscapes has not
     network = Answering(sure, torch.log(torch.tensor([0.5 / 0.5, 0.3 / 0.7])))  # masks of 0.5 and 0.3
     normalise = camera_teachers.ImageNormalisation()
     teacher = MaskSegmenter(network=network, classes=torch.arange(1, 20), normalise=normalise)
-    answer = teacher.probabilities(picture(20, 40))
+    answer = teacher.probabilities(coarse_image(20, 40))
     rest = (1 - 0.5) / 19
     torch.testing.assert_close(answer[2], torch.full((20, 40), 0.5 + rest))
     torch.testing.assert_close(answer[0], torch.full((20, 40), rest))
 
 
-def test_pictures_are_padded_with_their_border_and_looked_at_in_every_scale() -> None:
+def test_images_are_padded_with_their_border_and_used_in_every_scale() -> None:
     network = Answering(torch.randn(3, 20), torch.randn(3))
     plain = camera_teachers.ImageNormalisation(mean=(0, 0, 0), deviation=(1, 1, 1))
     teacher = MaskSegmenter(network=network, classes=torch.arange(19), normalise=plain, scales=(0.5, 1.0, 2.0))
-    image = picture(20, 40)
+    image = coarse_image(20, 40)
     teacher.probabilities(image)
-    assert [tuple(seen.shape) for seen in network.seen] == [(1, 3, 32, 32), (1, 3, 32, 64), (1, 3, 64, 96)]
-    whole = network.seen[1]
+    assert [tuple(one.shape) for one in network.inputs] == [(1, 3, 32, 32), (1, 3, 32, 64), (1, 3, 64, 96)]
+    whole = network.inputs[1]
     torch.testing.assert_close(whole[0, :, :20, :40], torch.from_numpy(image).movedim(2, 0) / 255)
     assert torch.equal(whole[0, :, 20:, 40:], whole[0, :, 19:20, 39:40].expand(3, 12, 24))
 
 
 def test_scales_are_averaged(models: dict[str, Path]) -> None:
-    image = picture(64, 96)
+    image = coarse_image(64, 96)
     one, two = (load_teacher("mask2former", models["mask2former"], CPU, (s,)).probabilities(image) for s in (1.0, 2.0))
     both = load_teacher("mask2former", models["mask2former"], CPU, (1.0, 2.0)).probabilities(image)
     torch.testing.assert_close(both, (one + two) / 2)
@@ -147,16 +147,16 @@ def test_classes_go_by_name() -> None:
 
 def test_a_oneformer_saved_while_training_is_a_teacher_too(tmp_path: Path) -> None:
     folder = write_model(tmp_path / "one", "oneformer", is_training=True)
-    answer = load_teacher("oneformer", folder, CPU).probabilities(picture(40, 40))
+    answer = load_teacher("oneformer", folder, CPU).probabilities(coarse_image(40, 40))
     assert answer.isfinite().all()
 
 
-def test_a_processor_saved_in_the_newer_way(mine: Path) -> None:
-    old = load_teacher("mask2former", mine, CPU)
-    values = json.loads((mine / "preprocessor_config.json").read_text())
-    (mine / "preprocessor_config.json").unlink()
-    (mine / "processor_config.json").write_text(json.dumps({"image_processor": values}))
-    assert load_teacher("mask2former", mine, CPU).normalise == old.normalise
+def test_a_processor_saved_in_the_newer_way(own_copy: Path) -> None:
+    old = load_teacher("mask2former", own_copy, CPU)
+    values = json.loads((own_copy / "preprocessor_config.json").read_text())
+    (own_copy / "preprocessor_config.json").unlink()
+    (own_copy / "processor_config.json").write_text(json.dumps({"image_processor": values}))
+    assert load_teacher("mask2former", own_copy, CPU).normalise == old.normalise
     assert old.normalise.mean == tuple(MEAN) and old.normalise.deviation == tuple(DEVIATION)
 
 
@@ -209,41 +209,41 @@ BAD = {
 
 
 @pytest.mark.parametrize("how", BAD)
-def test_a_bad_folder_is_refused_in_one_line(mine: Path, how: str) -> None:
+def test_a_bad_folder_is_refused_in_one_line(own_copy: Path, how: str) -> None:
     damage, said = BAD[how]
-    damage(mine)
+    damage(own_copy)
     with pytest.raises(InputError) as caught:
-        load_teacher("mask2former", mine, CPU)
-    assert str(caught.value).startswith(str(mine)) and said in str(caught.value)
+        load_teacher("mask2former", own_copy, CPU)
+    assert str(caught.value).startswith(str(own_copy)) and said in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_another_kind_is_refused(models: dict[str, Path]) -> None:
+def test_another_family_is_refused(models: dict[str, Path]) -> None:
     with pytest.raises(InputError, match="holds a 'mask2former', not a 'oneformer'; name another folder"):
         load_teacher("oneformer", models["mask2former"], CPU)
 
 
-def test_hostile_weights_run_nothing(mine: Path) -> None:
+def test_hostile_weights_run_nothing(own_copy: Path) -> None:
     class Hostile:
         def __reduce__(self) -> Any:
-            return Path.touch, (mine / "marker",)
+            return Path.touch, (own_copy / "marker",)
 
-    (mine / "model.safetensors").unlink()
-    torch.save({"class_predictor.weight": Hostile()}, mine / "pytorch_model.bin")
+    (own_copy / "model.safetensors").unlink()
+    torch.save({"class_predictor.weight": Hostile()}, own_copy / "pytorch_model.bin")
     with pytest.raises(InputError, match="cannot be loaded as a mask2former"):
-        load_teacher("mask2former", mine, CPU)
-    assert not (mine / "marker").exists()
-    torch.load(mine / "pytorch_model.bin", weights_only=False)
-    assert (mine / "marker").exists()  # it would have
+        load_teacher("mask2former", own_copy, CPU)
+    assert not (own_copy / "marker").exists()
+    torch.load(own_copy / "pytorch_model.bin", weights_only=False)
+    assert (own_copy / "marker").exists()  # it would have
 
 
-def test_weights_of_the_older_form_are_read(mine: Path) -> None:
+def test_weights_of_the_older_form_are_read(own_copy: Path) -> None:
     from safetensors.torch import load_file
 
-    expected = load_teacher("mask2former", mine, CPU).probabilities(picture(40, 40))
-    torch.save(load_file(mine / "model.safetensors"), mine / "pytorch_model.bin")
-    (mine / "model.safetensors").unlink()
-    torch.testing.assert_close(load_teacher("mask2former", mine, CPU).probabilities(picture(40, 40)), expected)
+    expected = load_teacher("mask2former", own_copy, CPU).probabilities(coarse_image(40, 40))
+    torch.save(load_file(own_copy / "model.safetensors"), own_copy / "pytorch_model.bin")
+    (own_copy / "model.safetensors").unlink()
+    torch.testing.assert_close(load_teacher("mask2former", own_copy, CPU).probabilities(coarse_image(40, 40)), expected)
     with pytest.raises(pickle.UnpicklingError):
         pickle.loads(b"not a pickle")
 

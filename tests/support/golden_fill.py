@@ -78,7 +78,7 @@ def key_rows(golden: Path, name: str) -> list[list[str]]:
     return [line.split("\t") for line in (golden / f"{name}.keys.txt").read_text().splitlines()[2:]]
 
 
-def assert_filled_as_recorded(state: Mapping[str, Tensor], rows: list[list[str]]) -> None:
+def assert_weights_as_recorded(state: Mapping[str, Tensor], rows: list[list[str]]) -> None:
     """Every row's tensor has its shape, type, sum and first element."""
     for key, shape, dtype, total, first in rows:
         tensor = state[key]

@@ -1,7 +1,7 @@
 """The house rules as functions over a source tree: each returns its violations as lines of text, [] when there is none.
 
 `test_structure.py` applies them to the package, and to small bad trees to see that they bite.
-Run this file to write `api_inventory.txt` anew after a wanted change of the public names.
+Run this file to write `api_inventory.txt` again after a wanted change of the public names.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def at_door(module: str) -> bool:
 
 
 def floor_of(module: str) -> int | None:
-    """The floor of a module or subpackage; None when nobody has entered it."""
+    """The floor of a module or subpackage; None when it is not entered."""
     if at_door(module):
         return DOOR
     return next((floor for floor, modules in enumerate(FLOORS) if module in modules), None)
@@ -91,16 +91,16 @@ def climbs(source: Path) -> list[str]:
     """Imports that do not go strictly downwards, and modules that stand on no floor."""
     found: list[str] = []
     for path, tree in parsed(source):
-        mine = module_of(path)
-        if not mine:
+        ours = module_of(path)
+        if not ours:
             continue  # the package itself only hands names on, on first use
-        if mine not in ANYWHERE and floor_of(mine) is None:
-            found.append(f"{path}: {mine!r} is on no floor; enter it in FLOORS of tests/support/house_rules.py")
+        if ours not in ANYWHERE and floor_of(ours) is None:
+            found.append(f"{path}: {ours!r} is on no floor; enter it in FLOORS of tests/support/house_rules.py")
             continue
         for name in sorted(set(imports(tree, path))):
             theirs = _inner_module(name, source)
-            if theirs is not None and (fault := _climb(mine, theirs)):
-                found.append(f"{path} ({mine}) imports {name}: {fault}")
+            if theirs is not None and (fault := _climb(ours, theirs)):
+                found.append(f"{path} ({ours}) imports {name}: {fault}")
     return found
 
 
@@ -114,11 +114,11 @@ def _inner_module(name: str, source: Path) -> str | None:
     return first if known or "." in rest else "" if first != "__version__" else None
 
 
-def _climb(mine: str, theirs: str) -> str | None:
+def _climb(ours: str, theirs: str) -> str | None:
     """Say what is wrong with `mine` importing `theirs`, or None."""
-    if mine == theirs or theirs in ANYWHERE:
+    if ours == theirs or theirs in ANYWHERE:
         return None
-    here, there = -1 if mine in ANYWHERE else floor_of(mine), floor_of(theirs)
+    here, there = -1 if ours in ANYWHERE else floor_of(ours), floor_of(theirs)
     if not theirs:
         return None if here == DOOR else "inside the package, import from the module itself"
     if there is None or here is None:

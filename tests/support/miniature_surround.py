@@ -67,13 +67,13 @@ def six() -> dict[str, Calibration]:
     return found
 
 
-def picture(calibration: Calibration) -> np.ndarray:
+def camera_view(calibration: Calibration) -> np.ndarray:
     """(h, w, 3) uint8: the place as a camera sees it."""
     width, height = calibration.size
     u, v = np.meshgrid(np.arange(width), np.arange(height))
     (fx, _, cx), (_, fy, cy), _ = calibration.K.tolist()
-    seen = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)], axis=-1)
-    rays = seen @ calibration.T_camera_lidar[:3, :3]  # rows times R: the inverse of a rotation
+    in_camera = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)], axis=-1)
+    rays = in_camera @ calibration.T_camera_lidar[:3, :3]  # rows times R: the inverse of a rotation
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     centre = np.array(calibration.centre)
     return painting(centre + distances(centre, rays)[..., None] * rays).round().astype(np.uint8)
@@ -98,12 +98,12 @@ def write_pandaset(root: Path, frames: int = 1) -> Path:
     mounts, (points, ground) = six(), sweep()
     to_theirs = np.eye(4)
     to_theirs[:3, :3], to_theirs[:3, 3] = OURS.T, SENSOR
-    told = {}
+    calibrations = {}
     for name, calibration in mounts.items():
         (fx, _, cx), (_, fy, cy), _ = calibration.K.tolist()
         mount = calibration.T_camera_lidar @ np.linalg.inv(to_theirs)
         K = {"fx": fx, "fy": fy, "cx": cx, "cy": cy}
-        told[name] = {"K": K, "cam_from_lidar": mount.tolist(), "size": list(SIZE)}
+        calibrations[name] = {"K": K, "cam_from_lidar": mount.tolist(), "size": list(SIZE)}
     theirs = points @ OURS + to_theirs[:3, 3]
     scan = np.column_stack([theirs, np.full(len(points), 0.5)]).astype("<f4")
     for frame in range(frames):
@@ -112,10 +112,10 @@ def write_pandaset(root: Path, frames: int = 1) -> Path:
         stem = f"{frame:06d}"
         scan.tofile(folder / "velodyne" / f"{stem}.bin")
         np.where(ground, ROAD, BUILDING).astype("<u4").tofile(folder / "labels_pandaset" / f"{stem}.label")
-        card = {"world_from_lidar": world.tolist(), "cameras": told}
+        card = {"world_from_lidar": world.tolist(), "cameras": calibrations}
         (folder / "calib" / f"{stem}.json").write_text(json.dumps(card))
         for name, calibration in mounts.items():
-            Image.fromarray(picture(calibration)).save(folder / name / f"{stem}.jpg", quality=98, subsampling=0)
+            Image.fromarray(camera_view(calibration)).save(folder / name / f"{stem}.jpg", quality=98, subsampling=0)
     return root
 
 
@@ -130,7 +130,7 @@ def write_nuscenes(root: Path) -> Path:
     images = {}
     for name, calibration in six().items():
         file = f"{name}.jpg"
-        Image.fromarray(picture(calibration)).save(root / file, quality=98, subsampling=0)
+        Image.fromarray(camera_view(calibration)).save(root / file, quality=98, subsampling=0)
         key = "CAM_FRONT" if name == CAMERAS[0] else "CAM_" + name.removesuffix("_camera").upper()
         mount = (calibration.T_camera_lidar @ turn).tolist()
         images[key] = {"img_path": file, "cam2img": calibration.K.tolist(), "lidar2cam": mount}

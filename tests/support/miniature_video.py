@@ -37,8 +37,8 @@ def texture(seed: int, rows: int, columns: int) -> np.ndarray:
     return np.clip(128 + 300 * waves, 0, 255).astype(np.uint8)
 
 
-def write_film(root: Path, *, panorama: bool = False) -> Path:
-    """Write two sequences below `root`; with `panorama`, the truth all around and poses of a car that turns in place.
+def write_video(root: Path, *, panorama: bool = False) -> Path:
+    """Write two sequences below `root`; with `panorama`, ground truth all around and poses of a turning car.
 
     The turn is to the left, so that the panorama's pictures move to the right; everything is 10 m away.
     """

@@ -22,7 +22,7 @@ def size_of(sequence: int) -> tuple[int, int]:
 
 
 def write_semantic_kitti(root: Path, *, camera_labels: bool = True) -> Path:
-    """Write sequences 00 to 21, a frame each, without splits.json; truth of the points in 00 to 10 alone."""
+    """Write sequences 00 to 21, a frame each, without splits.json; ground truth of the points in 00 to 10 alone."""
     ids, colours = camera_view()
     for sequence in range(22):
         folder, (width, height) = root / "sequences" / f"{sequence:02d}", size_of(sequence)

@@ -88,12 +88,12 @@ def lovasz_softmax_slowly(
     kept = torch.ones_like(target, dtype=torch.bool) if ignore is None else target != ignore
     losses = []
     for c in range(probabilities.shape[1]):
-        mine = (target == c)[kept].to(probabilities.dtype)
-        if classes == "present" and not mine.any():
+        own = (target == c)[kept].to(probabilities.dtype)
+        if classes == "present" and not own.any():
             continue
-        error, order = (mine - probabilities[:, c][kept]).abs().sort(descending=True)
-        mine = mine[order]
-        jaccard_loss = 1 - (mine.sum() - mine.cumsum(0)) / (mine.sum() + (1 - mine).cumsum(0))  # of the i + 1 worst
+        error, order = (own - probabilities[:, c][kept]).abs().sort(descending=True)
+        own = own[order]
+        jaccard_loss = 1 - (own.sum() - own.cumsum(0)) / (own.sum() + (1 - own).cumsum(0))  # of the i + 1 worst
         rises = torch.cat([jaccard_loss[:1], jaccard_loss[1:] - jaccard_loss[:-1]])
         losses.append(torch.dot(error, rises))
     return torch.stack(losses).mean()

@@ -31,10 +31,10 @@ def settings(**more: Any) -> dict[str, Any]:
     )
 
 
-def write_model(folder: Path, kind: str, **more: Any) -> Path:
+def write_model(folder: Path, family: str, **more: Any) -> Path:
     """A small untrained model with settings of its image processor and, for OneFormer, a tokenizer."""
     torch.manual_seed(3)
-    if kind == "mask2former":
+    if family == "mask2former":
         config = transformers.Mask2FormerConfig(feature_size=32, mask_feature_size=32, **settings(**more))
     else:
         text = {"text_encoder_width": 64, "text_encoder_num_layers": 1, "text_encoder_vocab_size": 60}
@@ -44,7 +44,7 @@ def write_model(folder: Path, kind: str, **more: Any) -> Path:
         vocabulary = ["<|startoftext|>", "<|endoftext|>", *letters, *(f"{letter}</w>" for letter in letters)]
         tokens = {token: number for number, token in enumerate(vocabulary, 5)}
         transformers.CLIPTokenizer(vocab=tokens, merges=[]).save_pretrained(folder)
-    network = getattr(transformers, MODEL_TYPES[kind])(config)
+    network = getattr(transformers, MODEL_TYPES[family])(config)
     for parameter in network.parameters():  # fresh networks answer the same everywhere
         if parameter.ndim > 1:
             torch.nn.init.normal_(parameter, std=3 * (parameter.shape[0] / parameter.numel()) ** 0.5)

@@ -33,23 +33,23 @@ class ToyGanOptions(TaskOptions):
 
 
 class Sample(NamedTuple):
-    """picture (3, H, W) and noisy (3, H, W) float; after collation with a leading B."""
+    """image (3, H, W) and noisy (3, H, W) float; after collation with a leading B."""
 
-    picture: Tensor
+    image: Tensor
     noisy: Tensor
     name: str
 
 
-class Pictures:
-    """Eleven pictures whose noise is the draw's own."""
+class NoisyImages:
+    """Eleven images whose noise is the draw's own."""
 
     def __len__(self) -> int:
         return 11
 
     def __getitem__(self, draw: SampleIndex) -> Sample:
-        picture = np.random.default_rng(draw.index).normal(size=(3, SIZE, SIZE)).astype(np.float32)
-        noise = np.random.default_rng(draw.seed).normal(size=picture.shape).astype(np.float32)
-        return Sample(torch.from_numpy(picture), torch.from_numpy(picture + 0.3 * noise), str(draw.index))
+        image = np.random.default_rng(draw.index).normal(size=(3, SIZE, SIZE)).astype(np.float32)
+        noise = np.random.default_rng(draw.seed).normal(size=image.shape).astype(np.float32)
+        return Sample(torch.from_numpy(image), torch.from_numpy(image + 0.3 * noise), str(draw.index))
 
 
 class ToyNetwork(nn.Module):
@@ -75,7 +75,7 @@ class Denoise:
 
     def __init__(self, recipe: Recipe, root: Path) -> None:
         self.networks = build_networks(recipe)
-        self.dataset = Pictures()
+        self.dataset = NoisyImages()
         self.logs: dict[str, float | Tensor] = {}
         self.calls = 0
 
@@ -87,7 +87,7 @@ class Denoise:
 
     def updates(self, batch: Sample) -> Iterator[tuple[str, Tensor]]:
         self.begin()
-        yield "generator", (self.networks["generator"](batch.noisy) - batch.picture).square().mean()
+        yield "generator", (self.networks["generator"](batch.noisy) - batch.image).square().mean()
 
     def preview(self) -> dict[str, np.ndarray]:
         return {"grey": np.full((4, 5, 3), 128, np.uint8)}
@@ -96,9 +96,9 @@ class Denoise:
         if self.scores:
             return {"score": self.scores.pop(0)}
         samples = [self.dataset[SampleIndex(index, 99)] for index in range(4)]
-        noisy, truth = (torch.stack([getattr(one, name) for one in samples]) for name in ("noisy", "picture"))
+        noisy, clean = (torch.stack([getattr(one, name) for one in samples]) for name in ("noisy", "image"))
         with torch.inference_mode():
-            return {"score": -(self.networks["generator"](noisy) - truth).square().mean().item()}
+            return {"score": -(self.networks["generator"](noisy) - clean).square().mean().item()}
 
     def card(self, network: str) -> dict[str, Any]:
         return {"labels": None, "licence": "none"}
@@ -111,12 +111,12 @@ class Gan(Denoise):
         self.begin()
         critic = self.networks["critic"]
         fake = self.networks["generator"](batch.noisy)
-        between = ((batch.picture + fake.detach()) / 2).requires_grad_()
+        between = ((batch.image + fake.detach()) / 2).requires_grad_()
         (slope,) = torch.autograd.grad(critic(between).sum(), between, create_graph=True)
         penalty = (slope.flatten(1).norm(dim=1) - 1).square().mean()
-        yield "critic", critic(fake.detach()).mean() - critic(batch.picture).mean() + 10 * penalty
+        yield "critic", critic(fake.detach()).mean() - critic(batch.image).mean() + 10 * penalty
         self.logs = {"penalty": penalty.detach()}
-        yield "generator", (fake - batch.picture).square().mean() - critic(fake).mean()
+        yield "generator", (fake - batch.image).square().mean() - critic(fake).mean()
 
 
 def toy_recipe(task: str, **training: Any) -> Recipe:

@@ -59,12 +59,12 @@ def titan(**settings: object) -> nn.Module:
 def test_the_networks_without_an_input_lack_its_layers_and_no_others():
     with torch.device("meta"):
         whole, blind, mute = (
-            set(build("titan", **kind).state_dict()) for kind in ({}, {"channels": 0}, {"conditions": 0})
+            set(build("titan", **settings).state_dict()) for settings in ({}, {"channels": 0}, {"conditions": 0})
         )
-        picture = set(build("titan", picture=True).state_dict())
+        squashed = set(build("titan", picture=True).state_dict())
     assert whole - blind == {"project_z.0.weight", "project_z.0.bias"}
     assert whole - mute == {"project_cond.0.weight", "project_cond.0.bias"}
-    assert blind < whole and mute < whole and picture == whole
+    assert blind < whole and mute < whole and squashed == whole
 
 
 def test_without_an_input_its_content_does_not_matter():
@@ -82,7 +82,7 @@ def test_without_an_input_its_content_does_not_matter():
         build("titan", channels=0, conditions=0)
 
 
-def test_a_picture_is_the_logits_squashed():
+def test_an_image_is_the_logits_squashed():
     z, condition = torch.randn(1, 5, 32, 64), torch.rand(1, 20, 32, 64)
     with torch.inference_mode():
         torch.testing.assert_close(titan(picture=True)(z, condition), titan()(z, condition).tanh())
@@ -145,18 +145,18 @@ def test_colours_and_depths_lie_where_the_classes_are(root):
 
 def test_both_sides_of_a_front_sample_are_mirrored_together(root):
     samples = FrontViewDataset(root, ("train",), VIEWS["titan-front-512"], SIZE, SampleParts(image=True, depth=True))
-    plain, seen = samples[0], set()
+    plain, found = samples[0], set()
     for seed in range(12):
         drawn = samples[SampleIndex(0, seed)]
         flip = torch.equal(drawn.camera_labels, plain.camera_labels.flip(-1))
         assert flip or torch.equal(drawn.camera_labels, plain.camera_labels)
         assert torch.equal(drawn.depth_m, plain.depth_m.flip(-1) if flip else plain.depth_m)
         assert torch.equal(drawn.image, plain.image.flip(-1) if flip else plain.image)
-        mine = drawn.segments.flip(-1) if flip else drawn.segments
-        there = mine > 0  # points may have been dropped, and some lie on the edge of a pixel
-        assert (mine == plain.segments)[there].float().mean() > 0.9
-        seen.add((flip, bool(there.sum() < 0.95 * (plain.segments > 0).sum())))
-    assert seen == {(False, False), (False, True), (True, False), (True, True)}
+        segments = drawn.segments.flip(-1) if flip else drawn.segments
+        there = segments > 0  # points may have been dropped, and some lie on the edge of a pixel
+        assert (segments == plain.segments)[there].float().mean() > 0.9
+        found.add((flip, bool(there.sum() < 0.95 * (plain.segments > 0).sum())))
+    assert found == {(False, False), (False, True), (True, False), (True, True)}
 
 
 # --- recipes and tasks -----------------------------------------------------------------------------------------------
@@ -196,12 +196,12 @@ def test_without_segments_all_but_the_goal_is_titans():
 @pytest.mark.parametrize("name", ABLATIONS)
 def test_ablations_move_critic_and_generator_in_turn(root, name):
     task, order = build_task(small(name), root), []
-    for who, loss in task.updates(batch_of(task)):
-        order.append(who)
-        task.networks[who].zero_grad()
+    for role, loss in task.updates(batch_of(task)):
+        order.append(role)
+        task.networks[role].zero_grad()
         loss.backward()
-        assert all(weight.grad is not None for weight in task.networks[who].parameters())
-        if who != "critic":
+        assert all(weight.grad is not None for weight in task.networks[role].parameters())
+        if role != "critic":
             auxiliary = float(task.logs.get("auxiliary", 0.0))
             assert loss.item() == pytest.approx(float(task.logs["adversarial"]) + auxiliary, rel=1e-4, abs=1e-6)
     assert order == ["critic", task.released[0]]
@@ -244,11 +244,11 @@ def test_titan_next_s_auxiliary_losses_count_where_depth_was_measured(root):
     batch, order = batch_of(task), []
     with without_chance():
         torch.manual_seed(0)
-        for who, loss in task.updates(batch):
-            order.append(who)
-            task.networks[who].zero_grad()
+        for role, loss in task.updates(batch):
+            order.append(role)
+            task.networks[role].zero_grad()
             loss.backward()
-            assert all(weight.grad is not None and weight.grad.any() for weight in task.networks[who].parameters())
+            assert all(weight.grad is not None and weight.grad.any() for weight in task.networks[role].parameters())
         logits, depth_m = task.networks["translator"](batch.lidar, one_hot(batch.segments))
     shares, measured = logits.softmax(1), batch.depth_m > 0
     expected = {
@@ -271,11 +271,11 @@ def one_hot(segments: Tensor) -> Tensor:
 def test_titan_next_scores_classes_and_depths(root):
     task = build_task(small("titan-next-mini"), root)
     task.networks["translator"].eval()
-    truth = {sample.name: sample for sample in map(task.validation.__getitem__, range(2))}
-    task.predict_both = lambda sample: (truth[sample.name].camera_labels, 1.25 * truth[sample.name].depth_m)
+    samples = {sample.name: sample for sample in map(task.validation.__getitem__, range(2))}
+    task.predict_both = lambda sample: (samples[sample.name].camera_labels, 1.25 * samples[sample.name].depth_m)
     assert task.validate() == {"score": 1.0, "miou": 1.0, "accuracy": 1.0, "depth_abs_rel": pytest.approx(0.25)}
-    pictures = task.preview()
-    assert pictures["segments"].shape == pictures["depth"].shape == (4 * 68, 100, 3)
+    previews = task.preview()
+    assert previews["segments"].shape == previews["depth"].shape == (4 * 68, 100, 3)
 
 
 @pytest.mark.parametrize("name", [*ABLATIONS, "titan-next-mini"])

@@ -44,7 +44,7 @@ def test_losses_are_the_papers(toys):
     assert {key: value.item() for key, value in logs.items()} == pytest.approx(
         {"wasserstein": distance, "penalty": penalty}, rel=1e-5
     )
-    with torch.no_grad():  # the critic moves, and the generator is told by the one that has moved
+    with torch.no_grad():  # the critic moves, and the generator is trained by the one that has moved
         for weight in critic.parameters():
             weight.mul_(0.5)
     name, loss = next(updates)
@@ -101,7 +101,7 @@ def test_frozen_thaws_after_an_error(toys):
     assert all(weight.requires_grad for weight in critic.parameters())
 
 
-def test_a_generator_is_asked_for_a_fake_per_loss_and_may_give_the_same(toys):
+def test_a_generator_gives_a_fake_per_loss_and_may_give_the_same(toys):
     generator, critic, z, real, condition = toys
     graphs = []
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import default_collate
 
-from golden_fill import assert_filled_as_recorded, fill, key_rows, sym
+from golden_fill import assert_weights_as_recorded, fill, key_rows, sym
 from golden_vectors import recorded as recorded_tensors
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.camera_projection import CameraProjectionDataset, in_unit, stretched
@@ -41,7 +41,7 @@ RECORDED = {
         "scunet_assumed",
         1.4,
         (1, 1, 64, 208),
-    ),  # a regression vector of an assumption: nobody published this network
+    ),  # a regression vector of an assumption: this network was not published
 }
 
 
@@ -89,7 +89,7 @@ def test_keys_shapes_and_fill_are_the_recorded_ones(golden: Path, recorded: tupl
     network, model = recorded
     state, rows = model.state_dict(), key_rows(golden, RECORDED[network][1])
     assert list(state) == [row[0] for row in rows]
-    assert_filled_as_recorded(state, rows)
+    assert_weights_as_recorded(state, rows)
 
 
 @pytest.mark.parity
@@ -118,16 +118,16 @@ def test_sizes_that_do_not_divide_are_padded_by_their_last_pixels_and_cut_back()
         torch.testing.assert_close(unet()(x), whole[..., :13, :30])
 
 
-def test_a_picture_of_another_size_is_stretched_without_losing_a_point():
-    network, seen = unet(size=(13, 30)), []
-    network.model.register_forward_hook(lambda _, inputs, __: seen.append(inputs[0]))
+def test_an_image_of_another_size_is_stretched_without_losing_a_point():
+    network, inputs = unet(size=(13, 30)), []
+    network.model.register_forward_hook(lambda _, given, __: inputs.append(given[0]))
     x = torch.zeros(1, 5, 8, 64)
     x[0, :, 3, 41] = 7.0
     with torch.inference_mode():
         assert network(x).shape == (1, 2, 13, 30)
-    assert seen[0].shape == (1, 5, 16, 32)
-    assert (seen[0][0, 0] > 0).sum() == 2  # a row became two, two columns one
-    assert seen[0].max() == 3.5
+    assert inputs[0].shape == (1, 5, 16, 32)
+    assert (inputs[0][0, 0] > 0).sum() == 2  # a row became two, two columns one
+    assert inputs[0].max() == 3.5
 
 
 def test_inputs_are_joined_in_their_order():
@@ -173,11 +173,11 @@ def test_instance_norms_have_no_weights_and_convolutions_have_biases():
 
 def test_scunets_upper_levels_hear_of_the_encoder_only_from_below():
     network = build("scunet", widths=(4, 4, 4, 4), connected=1).eval()
-    heard = []
+    received = []
     for blocks in network.dec:
-        blocks.register_forward_pre_hook(lambda _, inputs: heard.append(inputs[0].shape[1]))
+        blocks.register_forward_pre_hook(lambda _, inputs: received.append(inputs[0].shape[1]))
     network(torch.rand(1, 1, 16, 16))
-    assert heard == [8, 4, 4]
+    assert received == [8, 4, 4]
 
 
 # --- what SC-UNET reads ----------------------------------------------------------------------------------------------
@@ -232,7 +232,7 @@ def test_an_empty_scan_is_an_empty_raster():
     assert not project_to_camera(nothing, camera(), (12, 40)).any()
 
 
-def test_camera_samples_line_scan_and_picture_up_and_flip_them_together(root):
+def test_camera_samples_line_scan_and_image_up_and_flip_them_together(root):
     samples = CameraProjectionDataset(root, ("train",), (36, 120))
     plain = samples[0]
     below, above = plain.lidar[1, 20:], plain.lidar[1, :6]
@@ -254,11 +254,11 @@ def test_colours_go_from_minus_one_to_one():
 
 
 def test_stretching_keeps_what_is_even_and_what_has_the_size():
-    picture = np.full((7, 9, 3), 93, np.uint8)
-    assert (stretched(picture, (4, 5)) == 93).all()
-    picture = np.random.default_rng(0).integers(0, 255, (4, 6, 3), dtype=np.uint8)
-    assert (stretched(picture, (4, 6)).movedim(0, 2).numpy() == picture).all()
-    assert (as_image(stretched(picture, (4, 6)).float() / 127.5 - 1) == picture).all()
+    image = np.full((7, 9, 3), 93, np.uint8)
+    assert (stretched(image, (4, 5)) == 93).all()
+    image = np.random.default_rng(0).integers(0, 255, (4, 6, 3), dtype=np.uint8)
+    assert (stretched(image, (4, 6)).movedim(0, 2).numpy() == image).all()
+    assert (as_image(stretched(image, (4, 6)).float() / 127.5 - 1) == image).all()
 
 
 def test_what_the_renderer_sees_of_the_camera():
@@ -273,7 +273,7 @@ def test_what_the_renderer_sees_of_the_camera():
 # --- the adversarial step --------------------------------------------------------------------------------------------
 
 
-class Judge(nn.Module):
+class Discriminator(nn.Module):
     """Scores a condition and an image."""
 
     def __init__(self) -> None:
@@ -286,7 +286,7 @@ class Judge(nn.Module):
 
 @pytest.mark.parametrize("mode", ["vanilla", "lsgan"])
 def test_losses_are_pix2pixs(mode):
-    generator, critic = nn.Conv2d(1, 2, 1), Judge()
+    generator, critic = nn.Conv2d(1, 2, 1), Discriminator()
     z, real, condition = torch.randn(2, 1, 8, 8), torch.rand(2, 2, 8, 8), torch.rand(2, 1, 8, 8)
     logs: dict[str, float | Tensor] = {}
     options = Pix2PixOptions(gan_mode=mode, auxiliary="mse", auxiliary_weight=100.0)
@@ -300,16 +300,16 @@ def test_losses_are_pix2pixs(mode):
         share = scores.sigmoid()
         return -(goal * share.log() + (1 - goal) * (1 - share).log()).mean()
 
-    who, loss = next(updates)
-    assert who == "critic"
+    role, loss = next(updates)
+    assert role == "critic"
     torch.testing.assert_close(loss, (loss_to(on_real, 1) + loss_to(on_fake, 0)) / 2)
     loss.backward()
     assert all(weight.grad is None for weight in generator.parameters())
     critic.zero_grad()
     with torch.no_grad():
         critic.scores.weight.mul_(-0.5)
-    who, loss = next(updates)
-    assert who == "generator"
+    role, loss = next(updates)
+    assert role == "generator"
     torch.testing.assert_close(loss, loss_to(critic(condition, fake), 1) + 100 * (fake - real).square().mean())
     loss.backward()
     assert all(weight.grad.any() for weight in generator.parameters())
@@ -330,14 +330,14 @@ NAMES = ["pix2pix-segments-mini", "pix2pix-rgb-mini", "scunet-mini"]
 def test_the_auxiliary_loss_falls(root, name, steps):
     task = build_task(small(name), root)
     batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
-    optimizers = {who: torch.optim.Adam(net.parameters(), lr=3e-3) for who, net in task.networks.items()}
+    optimizers = {role: torch.optim.Adam(net.parameters(), lr=3e-3) for role, net in task.networks.items()}
     losses = []
     for _ in range(steps):
-        for who, loss in task.updates(batch):
-            task.networks[who].zero_grad()
+        for role, loss in task.updates(batch):
+            task.networks[role].zero_grad()
             loss.backward()
-            assert all(weight.grad is not None for weight in task.networks[who].parameters())
-            optimizers[who].step()
+            assert all(weight.grad is not None for weight in task.networks[role].parameters())
+            optimizers[role].step()
         losses.append(float(task.logs.get("auxiliary", loss.detach())))
     assert 0 < losses[-1] < 0.6 * losses[0]
 
@@ -349,8 +349,8 @@ def test_pix2pixs_auxiliary_loss_is_the_weighted_distance_to_what_the_camera_has
         segments = torch.nn.functional.one_hot(batch.segments, 20).movedim(-1, 1)
         fake = task.networks["translator"](batch.lidar, segments.float()).detach()
         list(task.updates(batch))
-        truth = torch.full_like(fake, -1.0).scatter_(1, batch.camera_labels[:, None], 1.0)
-        assert float(task.logs["auxiliary"]) == pytest.approx(7 * (fake - truth).abs().mean().item(), rel=1e-4)
+        expected = torch.full_like(fake, -1.0).scatter_(1, batch.camera_labels[:, None], 1.0)
+        assert float(task.logs["auxiliary"]) == pytest.approx(7 * (fake - expected).abs().mean().item(), rel=1e-4)
         task = build_task(small("pix2pix-rgb-mini", "options.auxiliary_weight=7", "options.auxiliary=mse"), root)
         batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
         fake = task.networks["renderer"](batch.lidar).detach()
@@ -359,14 +359,16 @@ def test_pix2pixs_auxiliary_loss_is_the_weighted_distance_to_what_the_camera_has
 
 
 def test_pix2pixs_critic_sees_beside_the_image_what_the_generator_sees(root):
-    task, heard = build_task(small("pix2pix-segments-mini"), root), []
-    task.networks["critic"].register_forward_pre_hook(lambda _, pictures: heard.append(pictures))
+    task, received = build_task(small("pix2pix-segments-mini"), root), []
+    task.networks["critic"].register_forward_pre_hook(lambda _, inputs: received.append(inputs))
     batch = default_collate([task.dataset[0]])
     list(task.updates(batch))
-    seen = torch.cat([batch.lidar, torch.nn.functional.one_hot(batch.segments, 20).movedim(-1, 1).float()], 1)
-    assert len(heard) == 3  # a true pair, a made one, and that again for the generator
-    for condition, image in heard:
-        torch.testing.assert_close(condition, torch.nn.functional.adaptive_avg_pool2d(seen, SIZE))
+    condition_at_input = torch.cat(
+        [batch.lidar, torch.nn.functional.one_hot(batch.segments, 20).movedim(-1, 1).float()], 1
+    )
+    assert len(received) == 3  # a true pair, a made one, and that again for the generator
+    for condition, image in received:
+        torch.testing.assert_close(condition, torch.nn.functional.adaptive_avg_pool2d(condition_at_input, SIZE))
         assert image.shape == (1, 15, *SIZE) and image.abs().max() <= 1
 
 
@@ -405,7 +407,7 @@ def test_colour_tasks_need_no_labels(root, tmp_path):
                 path.unlink()
         task = build_task(small(name), bare)
         assert task.dataset[SampleIndex(0, 1)].image.shape == (3, *SIZE)
-        assert [who for who, _ in task.updates(default_collate([task.dataset[0]]))][-1] == "renderer"
+        assert [role for role, _ in task.updates(default_collate([task.dataset[0]]))][-1] == "renderer"
 
 
 @pytest.mark.parametrize(

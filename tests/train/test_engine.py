@@ -146,10 +146,10 @@ def test_steps_are_those_done_by_hand(tmp_path):
 
 @pytest.mark.parametrize("channels_last", [True, False])
 def test_channels_last_is_the_layout_of_the_weights(tmp_path, monkeypatch, channels_last):
-    seen = []
-    monkeypatch.setattr(Denoise, "preview", lambda self: seen.extend(self.networks["generator"].parameters()) or {})
+    weights = []
+    monkeypatch.setattr(Denoise, "preview", lambda self: weights.extend(self.networks["generator"].parameters()) or {})
     run(toy_recipe("toy", steps=1, channels_last=channels_last), tmp_path)
-    wide = [weight for weight in seen if weight.ndim == 4]
+    wide = [weight for weight in weights if weight.ndim == 4]
     assert wide and all(w.is_contiguous(memory_format=torch.channels_last) is channels_last for w in wide)
 
 
@@ -227,7 +227,7 @@ def test_sigterm_saves_and_leaves(tmp_path, monkeypatch):
     assert signal.getsignal(signal.SIGTERM) is handler
 
 
-def test_a_run_leaves_weights_pictures_and_curves(tmp_path, caplog):
+def test_a_run_leaves_weights_previews_and_curves(tmp_path, caplog):
     with caplog.at_level(logging.INFO, "lidar2pano"):
         run(toy_recipe("toy", preview_minutes=0.00001), tmp_path)
     weights, averaged = left(tmp_path)[1], "average/generator/layers.0.weight"
@@ -239,9 +239,9 @@ def test_a_run_leaves_weights_pictures_and_curves(tmp_path, caplog):
         assert torch.allclose(ours, weights[averaged], atol=1e-3)
         assert not torch.allclose(ours, weights["network/generator/layers.0.weight"], atol=1e-3)
     assert set(load(tmp_path / "weights/generator.safetensors")[1].score) == {"score", "split"}
-    pictures = sorted((tmp_path / "preview").iterdir())
-    assert len(pictures) > 1 and pictures[-1].name == "0000012-grey.png"
-    assert (np.asarray(Image.open(pictures[-1])) == np.full((4, 5, 3), 128)).all()
+    previews = sorted((tmp_path / "preview").iterdir())
+    assert len(previews) > 1 and previews[-1].name == "0000012-grey.png"
+    assert (np.asarray(Image.open(previews[-1])) == np.full((4, 5, 3), 128)).all()
     curves = b"".join(path.read_bytes() for path in (tmp_path / "tensorboard").iterdir())
     assert all(name in curves for name in (b"generator", b"rate/generator", b"val/score", b"grey"))
     assert any("12/12" in line for line in caplog.messages)
@@ -259,7 +259,7 @@ def test_the_best_weights_stay_when_later_ones_are_worse(tmp_path, monkeypatch):
 def test_a_loss_that_is_not_finite_leaves_the_last_checkpoint(tmp_path, monkeypatch):
     def breaks(self, batch):
         self.begin()
-        loss = (self.networks["generator"](batch.noisy) - batch.picture).square().mean()
+        loss = (self.networks["generator"](batch.noisy) - batch.image).square().mean()
         yield "generator", loss * (float("nan") if self.calls > 8 else 1.0)
 
     monkeypatch.setattr(Denoise, "updates", breaks)
@@ -304,7 +304,7 @@ def test_weights_that_diverge_are_not_released(tmp_path, monkeypatch):
         run(recipe, tmp_path)
 
 
-def test_a_recipe_that_took_no_step_binds_nobody(tmp_path, monkeypatch):
+def test_a_recipe_that_took_no_step_binds_no_later_run(tmp_path, monkeypatch):
     monkeypatch.setattr(Denoise, "before_step", refuse)
     with pytest.raises(InputError, match="columns"):
         run(toy_recipe("toy", steps=2), tmp_path)

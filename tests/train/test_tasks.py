@@ -63,8 +63,8 @@ def runs(root, tmp_path_factory):
     train(small("salsanext-mini"), root, out / "segmenter", device="cpu")
     labels = f"options.segmenter={out / 'segmenter/weights/segmenter.safetensors'}"
     train(small("titan-pano-mini", labels), root, out / "translator", device="cpu")
-    seen = f"options.translator={out / 'translator/weights/translator.safetensors'}"
-    train(small("painter-mini", labels, seen), root, out / "painter", device="cpu")
+    translator = f"options.translator={out / 'translator/weights/translator.safetensors'}"
+    train(small("painter-mini", labels, translator), root, out / "painter", device="cpu")
     return out
 
 
@@ -103,11 +103,11 @@ def test_titan_net_moves_critic_and_translator_in_turn(root):
     task = build_task(small("titan-mini"), root)
     batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
     order = []
-    for who, loss in task.updates(batch):
-        order.append(who)
-        task.networks[who].zero_grad()
+    for role, loss in task.updates(batch):
+        order.append(role)
+        task.networks[role].zero_grad()
         loss.backward()
-        assert all(weight.grad is not None for weight in task.networks[who].parameters())
+        assert all(weight.grad is not None for weight in task.networks[role].parameters())
     assert order == ["critic", "translator"]
     assert task.logs["auxiliary"] > 0
     task.networks["translator"].eval()

@@ -76,11 +76,11 @@ def test_training_step_equals_the_recorded_one(golden, batch, weight):
     for name, loss in updates:
         loss.backward()
         losses[name] = loss.item()
-        mine = list(networks[name].named_parameters())
-        before = {key: parameter.detach().clone() for key, parameter in mine}
+        own = list(networks[name].named_parameters())
+        before = {key: parameter.detach().clone() for key, parameter in own}
         optimizers[name].step()
-        gradients = lengths((key, parameter.grad) for key, parameter in mine)
-        moves = lengths((key, parameter.detach() - before[key]) for key, parameter in mine)
+        gradients = lengths((key, parameter.grad) for key, parameter in own)
+        moves = lengths((key, parameter.detach() - before[key]) for key, parameter in own)
         letter = name[0].upper().replace("C", "D")
         assert_close(gradients, recorded[f"{letter}_grad_l2"], WORST[name], TYPICAL[name])
         assert_close(moves, recorded[f"{letter}_step_delta_l2"], 2e-2, 1e-4)

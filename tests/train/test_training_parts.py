@@ -57,7 +57,7 @@ def test_each_step_and_process_has_numbers_of_its_own():
     places = [(0, 0, 0), (0, 0, 1), (0, 1, 0), (1, 0, 0)]
     drawn = [numbers(*place) for place in places]
     assert [numbers(*place) for place in places] == drawn
-    assert all(len(set(kind)) == 4 for kind in zip(*drawn, strict=True))
+    assert all(len(set(values)) == 4 for values in zip(*drawn, strict=True))
 
 
 @pytest.mark.parametrize(

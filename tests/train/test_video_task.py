@@ -1,4 +1,4 @@
-"""Training of the painter of films: its losses, the order of its updates, how films begin and what is released."""
+"""Training of the painter of videos: its losses, the order of its updates, how videos begin and what is released."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from lidar2pano.train.recipe import Network, Recipe, override
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.tasks import build_task
 from lidar2pano.train.video import VideoPainting, one_hot_clip
-from miniature_video import write_film
+from miniature_video import write_video
 
 LENGTH = 7
 NEVER_BLANK = "options.no_previous_probability=0"
@@ -59,17 +59,17 @@ SMALL = [
 
 
 def small(*further: str) -> Recipe:
-    """The mini recipe with networks and rasters small enough for a test, and critics of films 1 and 2 frames apart."""
+    """The mini recipe with networks and rasters small enough for a test, and critics of videos 1 and 2 frames apart."""
     recipe = recipe_named("vid2vid-mini")
     adam = recipe.networks["painter"].optimizer
-    film = Network(model="vid2vid-temporal-critic", settings={"width": 4, "layers": 2}, optimizer=adam)
+    temporal_critic = Network(model="vid2vid-temporal-critic", settings={"width": 4, "layers": 2}, optimizer=adam)
     networks = {
         "painter": Network(model="vid2vid", settings={**PAINTER, "batch_statistics": True}, optimizer=adam),
         "critic": Network(
             model="vid2vid-image-critic", settings={"channels": 19, "width": 4, "layers": 2}, optimizer=adam
         ),
-        "temporal_1": film,
-        "temporal_2": film,
+        "temporal_1": temporal_critic,
+        "temporal_2": temporal_critic,
     }
     recipe = replace(recipe, networks=networks)
     for assignment in [*SMALL, *further]:
@@ -79,7 +79,7 @@ def small(*further: str) -> Recipe:
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory):
-    return write_film(tmp_path_factory.mktemp("film"), panorama=True)
+    return write_video(tmp_path_factory.mktemp("video"), panorama=True)
 
 
 def made(root, *further: str) -> VideoPainting:
@@ -191,32 +191,32 @@ def test_perceptual_distance_weighs_vgg_s_layers(tmp_path):
 def test_every_frame_moves_critics_and_then_the_painter(root):
     task = made(root)
     order = []
-    for who, loss in task.updates(a_batch(task)):
-        order.append(who)
+    for role, loss in task.updates(a_batch(task)):
+        order.append(role)
         for network in task.networks.values():
             network.zero_grad()
         loss.backward()
         assert loss.isfinite()
-        missing = [name for name, weight in task.networks[who].named_parameters() if weight.grad is None]
+        missing = [name for name, weight in task.networks[role].named_parameters() if weight.grad is None]
         assert missing == []
     early = ["critic", "painter"]
-    films = ["critic", "temporal_1", "painter"]
-    assert order == early * 2 + films * 2 + ["critic", "temporal_1", "temporal_2", "painter"]
+    later = ["critic", "temporal_1", "painter"]
+    assert order == early * 2 + later * 2 + ["critic", "temporal_1", "temporal_2", "painter"]
     assert set(task.logs) == {"flow", "coherence", "mask", "pixels", "adversarial", "feature_matching"}
     assert all(isinstance(value, Tensor) and value.isfinite() for value in task.logs.values())
 
 
-def seen_by(network: nn.Module) -> list[tuple[Tensor, ...]]:
+def calls_of(network: nn.Module) -> list[tuple[Tensor, ...]]:
     """What the network is called with from now on, and what it answers, call by call."""
     calls: list[tuple[Tensor, ...]] = []
     network.register_forward_hook(lambda _, given, answer: calls.append((*given, *answer)) if len(given) > 1 else None)
     return calls
 
 
-def test_the_painter_sees_its_own_last_pictures(root):
+def test_the_painter_sees_its_own_last_images(root):
     task = made(root, NEVER_BLANK)
     batch = a_batch(task)
-    calls = seen_by(task.networks["painter"])
+    calls = calls_of(task.networks["painter"])
     for _ in task.updates(batch):
         pass
     assert len(calls) == LENGTH - 2
@@ -231,10 +231,10 @@ def test_the_painter_sees_its_own_last_pictures(root):
     assert torch.equal(calls[4][1], torch.stack([calls[2][2], calls[3][2]], 1))
 
 
-def test_blank_clips_begin_from_nothing_and_are_painted_anew(root):
+def test_blank_clips_begin_from_nothing_and_are_painted_again(root):
     task = made(root, "options.no_previous_probability=1")
     batch = a_batch(task)
-    calls = seen_by(task.networks["painter"])
+    calls = calls_of(task.networks["painter"])
     for _ in task.updates(batch):
         pass
     assert not calls[0][1].any()
@@ -266,7 +266,7 @@ def test_losses_weigh_what_the_recipe_says(root):
     slow = {
         "flow": 3 * flow,
         "coherence": 5 * coherence_loss(frame.fake, batch.image[:, 1], shift, known),
-        "pixels": 7 * sum((picture - batch.image[:, 2]).abs().mean() for picture in (frame.fake, frame.raw)),
+        "pixels": 7 * sum((image - batch.image[:, 2]).abs().mean() for image in (frame.fake, frame.raw)),
     }
     assert {name: loss.item() for name, loss in losses.items()} == pytest.approx({k: v.item() for k, v in slow.items()})
 
@@ -277,36 +277,35 @@ def test_losses_weigh_what_the_recipe_says(root):
     assert first["flow"] > 0
 
 
-def test_critics_judge_the_picture_and_what_is_painted_anew(root):
+def test_critics_score_the_image_and_what_is_painted_again(root):
     task = made(root, NEVER_BLANK, "options.feature_matching=2")
     batch = a_batch(task, 1)
     frame = task.frame(batch, one_hot_clip(batch), batch.image[:, :2], 2, torch.tensor([False]))
     critic = task.networks["critic"]
     real, *fakes = (
-        critic(torch.cat([one_hot_clip(batch)[:, 2], picture], 1))
-        for picture in (batch.image[:, 2], frame.fake, frame.raw)
+        critic(torch.cat([one_hot_clip(batch)[:, 2], image], 1)) for image in (batch.image[:, 2], frame.fake, frame.raw)
     )
     turns = task.losses.updates(frame, {})
-    who, loss = next(turns)
-    assert who == "critic"
+    role, loss = next(turns)
+    assert role == "critic"
     assert loss.item() == pytest.approx(sum(least_squares_critic(real, fake).item() for fake in fakes), rel=1e-4)
-    who, loss = next(turns)
+    role, loss = next(turns)
     slow = sum(value.item() for value in task.losses.reconstruction(frame).values())
     slow += sum((least_squares_generator(fake) + 2 * matched_features(real, fake)).item() for fake in fakes)
-    assert who == "painter" and loss.item() == pytest.approx(slow, rel=1e-4)
+    assert role == "painter" and loss.item() == pytest.approx(slow, rel=1e-4)
 
 
-def test_films_are_three_pictures_and_the_flows_between_them(root):
+def test_videos_are_three_images_and_the_flows_between_them(root):
     task = made(root)
     batch = a_batch(task)
     painted = [torch.full_like(batch.image[:, 0], number) for number in range(5)]  # frames 2 to 6
-    film = task.temporal(batch, painted, 2)
-    assert film.real.shape == film.fake.shape == (2, 13, 32, 48)
-    assert [film.fake[:, 3 * k].mean().item() for k in range(3)] == [0, 2, 4]
-    assert torch.equal(film.real[:, :9], torch.cat([batch.image[:, now] for now in (2, 4, 6)], 1))
-    assert torch.equal(film.real[:, 9:], film.fake[:, 9:])
+    video = task.temporal(batch, painted, 2)
+    assert video.real.shape == video.fake.shape == (2, 13, 32, 48)
+    assert [video.fake[:, 3 * k].mean().item() for k in range(3)] == [0, 2, 4]
+    assert torch.equal(video.real[:, :9], torch.cat([batch.image[:, now] for now in (2, 4, 6)], 1))
+    assert torch.equal(video.real[:, 9:], video.fake[:, 9:])
     for place, now in ((9, 4), (11, 6)):
-        shift = film.real[:, place : place + 2] * 20
+        shift = video.real[:, place : place + 2] * 20
         near = warp(batch.shift[:, now - 1], batch.shift[:, now])
         both = (shift != 0).any(1, keepdim=True)
         assert both.float().mean() > 0.5
@@ -323,20 +322,20 @@ def test_the_loss_falls(root):
     task = made(root, "options.no_previous_probability=0.5", "options.flow=1")
     batch = a_batch(task, 1)
     adams = {name: torch.optim.Adam(net.parameters(), 2e-3, (0.5, 0.999)) for name, net in task.networks.items()}
-    seen = []
+    logged = []
     for _ in range(6):
-        for who, loss in task.updates(batch):
-            adams[who].zero_grad()
+        for role, loss in task.updates(batch):
+            adams[role].zero_grad()
             loss.backward()
-            adams[who].step()
-        seen.append((task.logs["pixels"], task.logs["flow"]))
-    assert seen[-1][0] < 0.8 * seen[0][0] and seen[-1][1] < seen[0][1]
+            adams[role].step()
+        logged.append((task.logs["pixels"], task.logs["flow"]))
+    assert logged[-1][0] < 0.8 * logged[0][0] and logged[-1][1] < logged[0][1]
 
 
 # --- scoring and what is released ------------------------------------------------------------------------------------
 
 
-def test_films_begin_as_the_pipeline_s_do(root, tmp_path, monkeypatch):
+def test_videos_begin_as_the_pipeline_s_do(root, tmp_path, monkeypatch):
     monkeypatch.setattr("lidar2pano.train.video.fast_arithmetic", lambda device: nullcontext())
     settings = {"classes": 16, "width": 4, "downsamplings": 2, "blocks": 1, "batch_statistics": True}
     single = build("vid2vid-single", **settings)
@@ -349,14 +348,14 @@ def test_films_begin_as_the_pipeline_s_do(root, tmp_path, monkeypatch):
         task = made(root, *further)
         network = task.networks["painter"].eval()
         clip = task.validation[0]
-        pictures, flows = task.paint(clip)
-        assert pictures.shape == (LENGTH, 3, 32, 48) and flows.shape == (LENGTH, 2, 32, 48)
+        images, flows = task.paint(clip)
+        assert images.shape == (LENGTH, 3, 32, 48) and flows.shape == (LENGTH, 2, 32, 48)
         painter = Vid2VidPainter(network, task.first, closed=False).eval()
         past = None
-        for ids, picture in zip(clip.labels, pictures, strict=True):
+        for ids, image in zip(clip.labels, images, strict=True):
             with torch.inference_mode():
                 past, theirs = painter.follow(past, ids)
-            assert torch.allclose(theirs, picture, atol=1e-4)
+            assert torch.allclose(theirs, image, atol=1e-4)
     given = made(root, NEVER_BLANK)
     given.networks["painter"].eval()
     assert torch.equal(given.paint(clip)[0][:2], clip.image[:2])
@@ -368,8 +367,8 @@ def test_scores_say_how_far_and_how_restless(root, monkeypatch):
     assert task.flicker(clip.image, clip) < 0.002, "the seam is no edge"
     assert task.flicker(torch.rand_like(clip.image) * 2 - 1, clip) > 0.1
     monkeypatch.setattr(task, "paint", lambda clip: (clip.image, clip.shift))
-    truth = task.validate()
-    assert truth["pooled_colour"] == 0 == truth["flow_px"] and truth["flicker"] == truth["flicker_of_real"]
+    ideal = task.validate()
+    assert ideal["pooled_colour"] == 0 == ideal["flow_px"] and ideal["flicker"] == ideal["flicker_of_real"]
     off = torch.tensor([3.0, 4.0])[:, None, None]
     monkeypatch.setattr(task, "paint", lambda clip: (clip.image + 0.5, clip.shift + off))
     found = task.validate()
@@ -409,8 +408,8 @@ def test_the_panorama_is_painted_all_around(root):
     clip = task.dataset[0]
     assert clip.image.shape == (5, 3, 96, 1152) and task.framing.circular and clip.known[1:].all()
     assert task.card("painter")["views"]["panorama"]["columns"] == 1152
-    film = task.temporal(default_collate([clip]), [clip.image[None, now] for now in (2, 3, 4)], 1)
-    assert torch.equal(film.real, film.fake)
+    video = task.temporal(default_collate([clip]), [clip.image[None, now] for now in (2, 3, 4)], 1)
+    assert torch.equal(video.real, video.fake)
 
 
 @pytest.mark.parametrize(
