@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from lidar2pano.data.frames import Frame, frames
+from lidar2pano.data.semantic_kitti import SemanticKittiFrame, frames
 from lidar2pano.geometry.camera import points_in_camera
 from lidar2pano.geometry.projection import pixels
 from lidar2pano.labels import TABLES
@@ -68,10 +68,10 @@ def interpolated(depth: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.n
     return 1 / (upper * (1 - p) + (inverse[i2, j] * (1 - q) + inverse[i2, j2] * q) * p)
 
 
-def agreement(frame: Frame, view: View) -> Agreement:
+def agreement(frame: SemanticKittiFrame, view: View) -> Agreement:
     """Compare a frame's scan with its images; `view` is the raster of pano/."""
-    scan = frame.scan()
-    labels = TABLES["semantic-kitti", "common-15"][frame.labels(len(scan))]
+    scan = frame.scan
+    labels = TABLES["semantic-kitti", "common-15"][frame.require("point_labels")[0]]
     images = {
         name: np.array(Image.open(frame.folder / name / f"{frame.stem}.png")) for name in ("pano_labels", "pano_depth")
     }
@@ -97,14 +97,14 @@ def agreement(frame: Frame, view: View) -> Agreement:
     )
 
 
-def in_camera(frame: Frame, xyz: np.ndarray, labels: np.ndarray) -> tuple[int, float]:
+def in_camera(frame: SemanticKittiFrame, xyz: np.ndarray, labels: np.ndarray) -> tuple[int, float]:
     """Points compared in the camera's image, and the share of them with the same class; label 0: not compared."""
-    raw = frame.camera_labels()
+    raw = frame.require("camera_labels")[0]
     table = np.zeros(256, dtype=np.uint8)
     table[:19] = TABLES["cityscapes", "common-15"]
     ids = table[raw]
     height, width = ids.shape
-    u, v, depth = (part.numpy() for part in points_in_camera(torch.from_numpy(xyz), frame.calibration((width, height))))
+    u, v, depth = (part.numpy() for part in points_in_camera(torch.from_numpy(xyz), frame.require("calibration")[0]))
     with np.errstate(invalid="ignore"):
         inside = (depth > 0) & (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5) & (labels > 0)
     here = np.flatnonzero(inside)

@@ -183,7 +183,7 @@ def test_the_answer_is_the_finest_scale_and_follows_equation_3() -> None:
     with torch.inference_mode():
         out = model(labels, previous)
         *_, finest = model.scales(model.pyramid(labels), model.pyramid(previous))
-    shapes = {"picture": (1, 3, 32, 64), "flow": (1, 2, 32, 64), "weight": (1, 1, 32, 64), "raw": (1, 3, 32, 64)}
+    shapes = {"image": (1, 3, 32, 64), "flow": (1, 2, 32, 64), "weight": (1, 1, 32, 64), "raw": (1, 3, 32, 64)}
     assert {name: tuple(getattr(out, name).shape) for name in shapes} == shapes
     assert all(torch.equal(one, other) for one, other in zip(out, finest, strict=True))
     moved = warp(previous[:, -1], out.flow)

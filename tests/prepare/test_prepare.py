@@ -599,7 +599,7 @@ def test_a_run_is_a_camera_teacher(weights, tmp_path):
 
 def test_a_teachers_name_is_its_weights_and_settings(weights):
     file = str(weights / "sdnet.safetensors")
-    names = {camera_teacher(file, **options).made_by for options in ({}, {"unsure": 0.3}, {"scales": [1.0]})}
+    names = {camera_teacher(file, **options).made_by for options in ({}, {"min_probability": 0.3}, {"scales": [1.0]})}
     assert len(names) == 3
     assert camera_teacher(file).made_by == camera_teacher(file, folder="other", device="cpu").made_by
     assert lidar_teacher(str(weights / "segmenter.safetensors")).made_by not in names

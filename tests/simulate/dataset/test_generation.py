@@ -44,12 +44,12 @@ def contents(root: Path) -> dict[str, bytes]:
 def test_readers_read_it_like_any_data_set(made):
     root, _ = made
     first, second = frames(root, "all")
-    scan = first.scan()
+    scan = first.scan
     assert 60_000 < len(scan) < 140_000
-    assert len(np.unique(first.labels(len(scan)))) >= 8
-    assert first.image().shape == (375, 1242, 3)
-    assert first.camera_labels().shape == (375, 1242)
-    calibration = first.calibration((1242, 375))
+    assert len(np.unique(first.point_labels)) >= 8
+    assert first.image.shape == (375, 1242, 3)
+    assert first.camera_labels.shape == (375, 1242)
+    calibration = first.calibration
     assert np.allclose(calibration.centre, KITTI_CAMERA, atol=1e-6), "the panorama's origin"
     with Image.open(second.folder / "pano" / f"{second.stem}.png") as image:
         assert image.size == (VIEWS["panorama"].columns // 4, VIEWS["panorama"].rows // 4)
@@ -64,7 +64,7 @@ def test_instances_tell_things_apart(made):
     assert (instance[np.isin(raw, [40, 48, 50, 70, 72])] == 0).all()
     cars = instance[raw == 10]
     assert len(np.unique(cars)) > 3
-    xyz = frame.scan().xyz
+    xyz = frame.scan.xyz
     for number in np.unique(cars):
         # A few points at a car's edge lie between it and what is behind it.
         if (instance == number).sum() < 30:
@@ -93,12 +93,12 @@ def test_panorama_through_the_camera_is_the_camera_s_image(made):
     from lidar2pano.geometry.camera import at_camera, panorama_in_camera
 
     frame = frames(made[0], "all")[0]
-    calibration = frame.calibration((1242, 375)).scaled(0.2)
+    calibration = frame.calibration.scaled(0.2)
     view = at_camera(VIEWS["panorama"].scaled(1 / 4), calibration)
     pano = np.array(Image.open(frame.folder / "pano" / f"{frame.stem}.png")).astype(np.float32)
     lookup = panorama_in_camera(view, calibration)
     resampled = lookup.linear(torch.from_numpy(pano).movedim(2, 0)).numpy().transpose(1, 2, 0)
-    small = Image.fromarray(frame.image()).resize(calibration.size, Image.Resampling.BOX)
+    small = Image.fromarray(frame.image).resize(calibration.size, Image.Resampling.BOX)
     gap = np.abs(resampled - np.array(small).astype(np.float32))[lookup.valid.numpy()]
     assert np.median(gap) < 6
     assert gap.mean() < 16
@@ -116,8 +116,8 @@ def test_poses_carry_standing_points_onto_each_other(made):
     step = np.linalg.inv(Tr) @ pose @ Tr  # second frame -> first
     assert np.allclose(rows[0], np.eye(4)[:3], atol=1e-9)
     depth = np.array(Image.open(first.folder / "pano_depth" / f"{first.stem}.png")) / 256
-    scan = second.scan()
-    labels = second.labels(len(scan))
+    scan = second.scan
+    labels = second.point_labels
     fixed = np.isin(labels, [9, 11, 13])  # road, sidewalk, building
     xyz = scan.xyz[fixed] @ step[:3, :3].T + step[:3, 3] - np.array(KITTI_CAMERA)
     view = VIEWS["panorama"].scaled(1 / 4)
