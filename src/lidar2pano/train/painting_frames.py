@@ -5,9 +5,8 @@ Each frame is segmented and translated once, on its first use, and kept in a fil
 
 from __future__ import annotations
 
-import json
-import os
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -20,6 +19,8 @@ from torch import Tensor
 from lidar2pano.data.frames import IGNORE, Frame, SampleIndex
 from lidar2pano.data.panorama_crops import PanoramaDataset
 from lidar2pano.errors import InputError
+from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.json_files import read_json
 from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
 from lidar2pano.pipeline import Pipeline
@@ -122,10 +123,8 @@ class PaintingFrames:
         """What is made of a frame, from its file; the first use writes it."""
         file = self._file(index)
         if not file.is_file():
-            self.cache.mkdir(parents=True, exist_ok=True)
-            beside = file.with_suffix(f".{os.getpid()}")
-            save_file(self._made(index), beside)
-            beside.replace(file)
+            made = self._made(index)
+            write_whole(file, lambda beside: save_file(made, beside), "options.cache")
         return load_file(file)
 
     def _file(self, index: int) -> Path:
@@ -175,7 +174,11 @@ class PaintingFrames:
 
 def look_of(frame: Frame) -> str:
     """The look of a simulated frame; "" for a real one."""
-    file = frame.root / "world.json" if frame.root else None
-    if file is None or not file.is_file():
-        return ""
-    return str(json.loads(file.read_text(encoding="utf-8")).get("look", ""))
+    return _look_of_data_set(frame.root) if frame.root else ""
+
+
+@cache
+def _look_of_data_set(root: Path) -> str:
+    """What `look_of` is for all frames of one data set: its world.json is read once, not once per frame."""
+    file = root / "world.json"
+    return str(read_json(file).get("look", "")) if file.is_file() else ""

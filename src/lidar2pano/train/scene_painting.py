@@ -9,25 +9,24 @@ from typing import Any, cast
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import avg_pool2d, l1_loss
+from torch.nn.functional import l1_loss
 
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
-from lidar2pano.losses import hinge_critic, hinge_generator
+from lidar2pano.losses import hinge_critic, hinge_generator, pooled
 from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
 from lidar2pano.models.scene_painter import ScenePainter, painter_inputs, sharpened
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.pipeline import Pipeline, load_part, load_segmenter
+from lidar2pano.train.adversarial import frozen
 from lidar2pano.train.options import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingFrames, PaintingSample
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.task import build_networks
+from lidar2pano.train.task import as_image, build_networks, device_of
 from lidar2pano.views import VIEWS
-
-POOLED = 4  # pixels: colours are compared as means over squares of this size
 
 
 class ScenePainting:
@@ -78,17 +77,13 @@ class ScenePainting:
         options = self.options
         pairs = [(one.float(), other.float()) for one, other in zip(on_real, on_fake, strict=True)]
         perceptual = _mean([l1_loss(fake, real) / (real.std() + 1e-3) for real, fake in pairs])
-        pooled = l1_loss(avg_pool2d(fake, POOLED), avg_pool2d(real, POOLED))
+        coarse = l1_loss(pooled(fake), pooled(real))
         pixels = l1_loss(fake, real)
-        self.logs = {"perceptual": perceptual.detach(), "pooled": pooled.detach(), "pixels": pixels.detach()}
-        loss = options.perceptual * perceptual + options.pooled * pooled + options.pixels * pixels
+        self.logs = {"perceptual": perceptual.detach(), "pooled": coarse.detach(), "pixels": pixels.detach()}
+        loss = options.perceptual * perceptual + options.pooled * coarse + options.pixels * pixels
         if options.adversarial:
-            learning = [weight for weight in critic.parameters() if weight.requires_grad]
-            for weight in learning:  # its gradients would be discarded
-                weight.requires_grad_(False)
-            adversarial = _mean([hinge_generator(score.float()) for score in critic(condition, *on_fake)])
-            for weight in learning:
-                weight.requires_grad_(True)
+            with frozen(critic):  # its gradients would be discarded
+                adversarial = _mean([hinge_generator(score.float()) for score in critic(condition, *on_fake)])
             self.logs["adversarial"] = adversarial.detach()
             loss = loss + options.adversarial * adversarial
         yield "painter", loss
@@ -120,7 +115,7 @@ class ScenePainting:
     @torch.no_grad()
     def paint(self, index: int) -> tuple[Tensor, PaintingSample]:
         """A validation frame's crop painted from the scan alone: (3, 2H, 2W) in [-1, 1]; and the sample."""
-        device = next(self.networks["painter"].parameters()).device
+        device = device_of(self.networks["painter"])
         sample = self.validation[index]
         one = PaintingSample(*(part[None].to(device) for part in sample)).flat()
         one = one._replace(tone=torch.zeros_like(one.tone))
@@ -132,7 +127,7 @@ class ScenePainting:
         for index in range(min(6, len(self.validation))):
             fake, sample = self.paint(index)
             gap = (fake - sample.image[0]) * sample.valid[0]
-            gaps.append(float(avg_pool2d(gap, POOLED).abs().mean() / sample.valid[0].float().mean() / 2))
+            gaps.append(float(pooled(gap).abs().mean() / sample.valid[0].float().mean() / 2))
         return {"pooled": float(np.mean(gaps))}
 
     def preview(self) -> dict[str, np.ndarray]:
@@ -141,7 +136,7 @@ class ScenePainting:
         for index in range(min(3, len(self.validation))):
             fake, sample = self.paint(index)
             rows += [sample.image[0] * sample.valid[0], fake]
-        return {"picture": ((torch.cat(rows, 1).movedim(0, 2) + 1) * 127.5).round().clamp(0, 255).byte().numpy()}
+        return {"picture": as_image(torch.cat(rows, 1))}
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """What a user of the painter has to know: the raster it reads segments on."""
