@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import avg_pool2d
+from torch.nn.functional import avg_pool2d, interpolate
 
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.solid_noise import solid_noise
@@ -67,8 +67,8 @@ class ScenePainter(nn.Module):
         self.mix1 = nn.Sequential(conv_norm_act(2 * middle + inputs, middle), CircularResidual(middle))
         self.up0 = nn.Sequential(conv_norm_act(middle, 4 * fine, 1), nn.PixelShuffle(2))
         self.mix0 = conv_norm_act(2 * fine + inputs, fine)
-        self.up = nn.Sequential(conv_norm_act(fine, 4 * last), nn.PixelShuffle(2))
-        self.texture = conv_norm_act(last + len(FINE_M), last)
+        self.narrow = conv_norm_act(fine, last)
+        self.texture = nn.Sequential(conv_norm_act(last + len(FINE_M), last), conv_norm_act(last, last))
         self.colour = CircularConv(last, 3)
         self.tuned = nn.ModuleList([nn.Linear(code + TONE, 2 * width) for width in (coarse, middle, fine)])
         for part in self.modules():
@@ -108,7 +108,8 @@ class ScenePainter(nn.Module):
         x = self.mix1(torch.cat([_channels_last(self.up1(torch.cat([x, inputs4], 1))), middle, inputs2], 1))
         x = self._tuned(1, x, code)
         x = self.mix0(torch.cat([_channels_last(self.up0(x)), fine, inputs], 1))
-        x = _channels_last(self.up(self._tuned(2, x, code)))
+        # enlarged, not shuffled: a pixel shuffle leaves a weave of lines two pixels apart (Odena et al. 2016)
+        x = interpolate(self.narrow(self._tuned(2, x, code)), scale_factor=2)
         return torch.tanh(self.colour(self.texture(torch.cat([x, fine_noise], 1))))
 
     def paint(self, past: object, scene: Scene) -> tuple[None, Tensor]:  # noqa: ARG002

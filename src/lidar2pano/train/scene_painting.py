@@ -17,6 +17,7 @@ from lidar2pano.geometry.images import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.losses import hinge_critic, hinge_generator, pooled
+from lidar2pano.losses.diff_augment import DiffAugment
 from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
 from lidar2pano.models.scene_painter import ScenePainter, painter_inputs, sharpened
 from lidar2pano.models.titan_pano import depth_code
@@ -63,11 +64,13 @@ class ScenePainting:
         segments = self.segments(batch)
         fake = self.painted(batch, segments)
         real = torch.where(batch.valid[:, None], batch.image, fake.detach())
+        condition = torch.cat([segments, depth_code(batch.depth_m)[:, None]], 1)
+        if self.options.augment_probability:
+            real, fake, condition = self._augmented(real, fake, condition)
         with fast_arithmetic(device):
             with torch.no_grad():
                 on_real = self.features(real.contiguous(memory_format=torch.channels_last))
             on_fake = self.features(fake.contiguous(memory_format=torch.channels_last))
-        condition = torch.cat([segments, depth_code(batch.depth_m)[:, None]], 1)
         critic = self.networks["critic"]
         if self.options.adversarial:
             scores = zip(
@@ -87,6 +90,14 @@ class ScenePainting:
             self.logs["adversarial"] = adversarial.detach()
             loss = loss + options.adversarial * adversarial
         yield "painter", loss
+
+    def _augmented(self, real: Tensor, fake: Tensor, condition: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The same DiffAugment of real and painted pictures, which all losses then compare, and of the condition."""
+        augment = DiffAugment.drawn(len(fake), self.options.augment_probability)
+        everywhere = torch.ones_like(fake[:, :1])
+        large = condition.repeat_interleave(2, 2).repeat_interleave(2, 3)
+        joined = augment.apply(fake, everywhere, large)
+        return augment.apply(real, everywhere, large[:, :0])[:, :3], joined[:, :3], joined[:, 3:]
 
     def painted(self, batch: PaintingSample, segments: Tensor) -> Tensor:
         """Pictures (B, 3, 2H, 2W) float32 in [-1, 1] of a batch, at a random place in the noise."""
