@@ -97,7 +97,7 @@ class ScenePainting:
         everywhere = torch.ones_like(fake[:, :1])
         large = condition.repeat_interleave(2, 2).repeat_interleave(2, 3)
         joined = augment.apply(fake, everywhere, large)
-        return augment.apply(real, everywhere, large[:, :0])[:, :3], joined[:, :3], joined[:, 3:]
+        return augment.apply(real, everywhere, large[:, :0])[:, :3], joined[:, :3], joined[:, 3:].detach()
 
     def painted(self, batch: PaintingSample, segments: Tensor) -> Tensor:
         """Pictures (B, 3, 2H, 2W) float32 in [-1, 1] of a batch, at a random place in the noise."""
