@@ -64,6 +64,7 @@ def batch() -> PaintingSample:
         valid=torch.ones(2, 1, 2 * rows, 2 * columns, dtype=torch.bool),
         look=torch.tensor([[0], [1]]),
         tone=torch.zeros(2, 1, 3),
+        class_tones=torch.zeros(2, 1, 16, 3),
     )
 
 

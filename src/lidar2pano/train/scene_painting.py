@@ -99,8 +99,12 @@ class ScenePainting:
         joined = augment.apply(fake, everywhere, large)
         return augment.apply(real, everywhere, large[:, :0])[:, :3], joined[:, :3], joined[:, 3:].detach()
 
-    def painted(self, batch: PaintingSample, segments: Tensor) -> Tensor:
-        """Pictures (B, 3, 2H, 2W) float32 in [-1, 1] of a batch, at a random place in the noise."""
+    def painted(self, batch: PaintingSample, segments: Tensor, *, as_used: bool = False) -> Tensor:
+        """Pictures (B, 3, 2H, 2W) float32 in [-1, 1] of a batch, at a random place in the noise.
+
+        as_used  whether tones are the pipeline's instead of the images'.
+        """
+        tones = None if as_used else batch.class_tones
         painter = self.networks["painter"]
         if self.options.fixed_norms and painter.training:
             for part in painter.modules():
@@ -111,7 +115,7 @@ class ScenePainting:
         shares = torch.eye(len(self.looks), device=segments.device)[batch.look]
         window = self.view.window(int(np.random.randint(self.view.columns)), segments.shape[3])  # noqa: NPY002
         with torch.no_grad():
-            inputs = painter_inputs(segments, batch.depth_m, batch.channels, window, pose)
+            inputs = painter_inputs(segments, batch.depth_m, batch.channels, window, pose, tones)
         return painter(*inputs, shares, batch.tone).float()
 
     def segments(self, batch: PaintingSample) -> Tensor:
@@ -130,7 +134,7 @@ class ScenePainting:
         sample = self.validation[index]
         one = PaintingSample(*(part[None].to(device) for part in sample)).flat()
         one = one._replace(tone=torch.zeros_like(one.tone))
-        return self.painted(one, sharpened(one.segments, 2.0))[0].cpu(), sample
+        return self.painted(one, sharpened(one.segments, 2.0), as_used=True)[0].cpu(), sample
 
     def validate(self) -> dict[str, float]:
         """Mean distance of pooled colours in [0, 1]; no score, since that is not what is wanted: the latest counts."""
