@@ -224,8 +224,8 @@ class ScenePaintingOptions(TaskOptions):
     SIZES = ("columns",)
     columns: int = 256
     perceptual: float = 2.0
-    pooled: float = 2.0
-    pixels: float = 0.5
+    pooled: float = 6.0
+    pixels: float = 0.2
     adversarial: float = 0.35
     ground_truth_probability: float = 0.6
     sharpest: float = 4.0
