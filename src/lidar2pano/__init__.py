@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from lidar2pano.calibration import Calibration, read_calib
     from lidar2pano.errors import InputError
-    from lidar2pano.formats.scan_files import read, scans
+    from lidar2pano.formats.readers import read, scans
     from lidar2pano.geometry.images import RangeImage
     from lidar2pano.geometry.projection import project
     from lidar2pano.labels import CITYSCAPES, COMMON14, COMMON15, SEMANTIC_KITTI, LabelSet
@@ -42,9 +42,9 @@ _HOME = {
     "View": "views",
     "load": "pipeline",
     "project": "geometry.projection",
-    "read": "formats.scan_files",
+    "read": "formats.readers",
     "read_calib": "calibration",
-    "scans": "formats.scan_files",
+    "scans": "formats.readers",
 }
 # names that the next version no longer has
 _DEPRECATED = {"SegmentMap": "geometry.images", "back_project": "geometry.projection"}

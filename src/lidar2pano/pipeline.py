@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError
-from lidar2pano.formats.scan_files import read
+from lidar2pano.formats.readers import read
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.images import Normalisation, RangeImage, one_hot_layers
 from lidar2pano.geometry.knn import clean_up

@@ -18,7 +18,7 @@ from lidar2pano.cli.app import MISTAKE, complain, note_licence
 from lidar2pano.cli.progress import bar
 from lidar2pano.data.poses import Poses
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.scan_files import read, scan_files
+from lidar2pano.formats.readers import read, scan_files
 from lidar2pano.hardware import Timer, keep_buffers
 from lidar2pano.memory import Memory
 from lidar2pano.panorama import OUTPUTS

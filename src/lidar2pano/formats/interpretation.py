@@ -1,4 +1,4 @@
-"""What a cloud's numbers mean: remission scale, axes, height of the ground, units, points that are none, field of view."""
+"""What a cloud's numbers mean: remission, axes, height of the ground, units, points that are none, field of view."""
 
 from __future__ import annotations
 

@@ -51,16 +51,28 @@ class PointCloud:
 
 
 def cloud_of_columns(
-    columns: Mapping[str, np.ndarray], *, format: str, name: str, frame: str = "", stamp_s: float | None = None
+    columns: Mapping[str, np.ndarray],
+    *,
+    format: str,
+    name: str,
+    source: str = "",
+    frame: str = "",
+    stamp_s: float | None = None,
 ) -> PointCloud:
     """The PointCloud whose fields are `columns`: name -> (N,) of any numeric dtype and byte order.
 
-    Fields are found by the names above; others are only listed. Raises InputError where x, y or z is missing.
+    Fields are found by the names above; others are only listed. Raises InputError where x, y or z is missing or there
+    is no point; `source` is what its message begins with, else the name.
     """
     known = {_plain(key): key for key in reversed(columns)}
     if missing := [axis for axis in "xyz" if axis not in known]:
-        raise InputError(f"{name}: has no field {missing[0]!r} (it has {', '.join(columns) or 'none'}); name a scan")
+        held = ", ".join(columns) or "none"
+        raise InputError(f"{source or name}: has no field {missing[0]!r} (it has {held}); name a scan with x, y and z")
     axes = [columns[known[axis]] for axis in "xyz"]
+    if not 0 < len(axes[0]) <= MOST_POINTS:
+        raise InputError(
+            f"{source or name}: {len(axes[0])} points are no single sweep (1 to {MOST_POINTS}); name a scan"
+        )
     exact = any(axis.dtype.itemsize > 4 or (axis.dtype.kind in "iu" and axis.dtype.itemsize > 2) for axis in axes)
     xyz = np.empty((len(axes[0]), 3), np.float64 if exact else np.float32)
     for column, axis in enumerate(axes):
@@ -87,7 +99,7 @@ def seconds(name: str, values: np.ndarray, stamp_s: float | None) -> tuple[np.nd
     Times since an epoch become relative to `stamp_s`, or to the first one where there is none.
     """
     finite = values[np.isfinite(values)] if values.dtype.kind == "f" else values
-    if not len(finite):
+    if not len(finite) or finite.min() == finite.max():
         return None, stamp_s
     low, high = finite.min().item(), finite.max().item()
     unit = next((unit for unit in (1.0, 1e-3, 1e-6) if (high - low) * unit < 3.2), 1e-9)
