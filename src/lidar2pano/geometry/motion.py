@@ -1,4 +1,4 @@
-"""Motion of a sensor: poses between recorded ones, and scans with their points where they belong at one time (deskew)."""
+"""Motion of a sensor: poses between recorded ones, and scans without the skew of a moving sensor."""
 
 from __future__ import annotations
 
@@ -41,6 +41,11 @@ class Trajectory:
         table = table[np.append(np.diff(table[:, 0]) > 0, True)]
         return cls(table[:, 0], table[:, 1:4], table[:, 4:])
 
+    @classmethod
+    def of_poses(cls, stamp_s: np.ndarray, T: np.ndarray) -> Trajectory:
+        """The trajectory of rigid poses (N, 4, 4) at ascending stamps (N,)."""
+        return cls(stamp_s, T[:, :3, 3], np.array([quaternion(R) for R in T[:, :3, :3]]))
+
     def at(self, stamp_s: np.ndarray) -> np.ndarray:
         """(M, 4, 4) float64 poses at stamps (M,); beyond the first and last recorded one these themselves."""
         after = np.clip(np.searchsorted(self.stamp_s, stamp_s), 1, max(len(self.stamp_s) - 1, 1))
@@ -73,9 +78,7 @@ class SensorMotion:
     def pose(self, stamp_s: float) -> np.ndarray | None:
         """(4, 4) float64 T_world_sensor; None further than FAR_S from what was recorded."""
         for link in self.links:
-            if isinstance(link, Trajectory) and not (
-                link.stamp_s[0] - FAR_S <= stamp_s <= link.stamp_s[-1] + FAR_S
-            ):
+            if isinstance(link, Trajectory) and not (link.stamp_s[0] - FAR_S <= stamp_s <= link.stamp_s[-1] + FAR_S):
                 return None
         return self.at(np.array([stamp_s]))[0]
 
@@ -107,6 +110,20 @@ def rotation_matrices(rotation: np.ndarray) -> np.ndarray:
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
     return np.moveaxis(np.array(rows), 2, 0)
+
+
+def quaternion(R: np.ndarray) -> np.ndarray:
+    """Unit quaternion (4,) x y z w of a rotation (3, 3): the eigenvector of Bar-Itzhack 2000, equation 2."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R
+    K = np.array(
+        [
+            [xx - yy - zz, yx + xy, zx + xz, zy - yz],
+            [yx + xy, yy - xx - zz, zy + yz, xz - zx],
+            [zx + xz, zy + yz, zz - xx - yy, yx - xy],
+            [zy - yz, xz - zx, yx - xy, xx + yy + zz],
+        ]
+    )
+    return np.linalg.eigh(K)[1][:, 3]
 
 
 def _slerp(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarray:

@@ -67,9 +67,10 @@ def choose_topic(path: Path, topics: Sequence[Topic], wanted: str, type: str = P
     names = [topic.name for topic in topics]
     clouds = [topic for topic in topics if topic.type == type]
     if wanted:
-        found = [topic for topic in topics if topic.name == wanted or topic.name == f"/{wanted}"]
-        if not found:
+        named = [topic for topic in topics if topic.name in {wanted, f"/{wanted}"}]
+        if not named:
             raise InputError(f"{path}: has no topic {wanted!r}{closest(wanted, names[:MOST_NAMED])}")
+        found = [topic for topic in named if topic.type == type] or named[:1]
     else:
         found = [topic for topic in clouds if topic.count] or clouds
     if not found:

@@ -13,7 +13,7 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns
-from lidar2pano.recordings.description import damage
+from lidar2pano.recordings.description import Description, Topic, damage
 
 OSF = b"OSF!"  # at byte 4 of a FlatBuffers file, 8 where its size comes before
 REPAIR = "it needs the sensor's metadata .json beside it (ouster-cli source FILE info)"
@@ -42,14 +42,28 @@ def scans(path: Path) -> Iterator[Any]:
             source.close()
 
 
+def stamp_s(scan: Any) -> float:  # noqa: ANN401
+    """When the first column was measured, seconds by the sensor's clock; 0 where none was."""
+    stamps_ns = np.asarray(scan.timestamp)
+    return float(stamps_ns[stamps_ns > 0].min(initial=2**63)) * 1e-9 if stamps_ns.any() else 0.0
+
+
+def describe(path: Path) -> Description:
+    """What an OSF holds; InputError as `scans`."""
+    stamps_s = [stamp_s(scan) for scan in scans(path)]
+    topic = Topic(name="lidar", type="Ouster packets", count=len(stamps_s))
+    duration_s = max(stamps_s) - min(stamps_s) if stamps_s else 0.0
+    return Description(format="OSF", topics=(topic,), start_s=min(stamps_s, default=None), duration_s=duration_s)
+
+
 def cloud_of_scan(scan: Any, name: str) -> PointCloud:  # noqa: ANN401
     """The points of a LidarScan in the sensor's frame: beam after beam; no return is at the origin."""
     from ouster.sdk.core import XYZLut
 
     xyz = XYZLut(scan.sensor_info, use_extrinsics=False)(scan.field("RANGE")).reshape(-1, 3)
     stamps_ns = np.asarray(scan.timestamp)
-    measured = stamps_ns[stamps_ns > 0]
-    if not len(measured):
+    start_s = stamp_s(scan)
+    if not start_s:
         raise InputError(f"{name}: holds no points; name a scan that has some")
     columns = dict(zip("xyz", xyz.T.astype(np.float32), strict=True))
     for field in ("REFLECTIVITY", "SIGNAL"):
@@ -57,6 +71,5 @@ def cloud_of_scan(scan: Any, name: str) -> PointCloud:  # noqa: ANN401
             columns["intensity"] = np.asarray(scan.field(field)).reshape(-1)
             break
     columns["ring"] = np.repeat(np.arange(scan.h), scan.w)
-    columns["offset_ns"] = np.tile(stamps_ns.astype(np.int64) - int(measured[0]), scan.h)
-    stamp_s = float(measured[0]) * 1e-9
-    return cloud_of_columns(columns, format="Ouster packets", name=name, frame="os_sensor", stamp_s=stamp_s)
+    columns["offset_ns"] = np.tile(stamps_ns.astype(np.int64) - round(start_s * 1e9), scan.h)
+    return cloud_of_columns(columns, format="Ouster packets", name=name, frame="os_sensor", stamp_s=start_s)

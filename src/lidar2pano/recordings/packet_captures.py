@@ -20,7 +20,7 @@ PCAPNG = b"\x0a\x0d\x0d\x0a"
 PAYLOAD = 1206  # bytes of a Velodyne data packet, of every model
 MOST_CAPTURED = 1 << 18  # bytes of a packet, libpcap's own limit
 REPAIR = "try `editcap` on it, or record it again"
-TYPE = "Velodyne packets"
+VELODYNE, OTHER = "Velodyne packets", "other packets"
 
 
 class Packet(NamedTuple):
@@ -38,25 +38,22 @@ class Packet(NamedTuple):
         return f"{'.'.join(map(str, source))}:{port}" if length == PAYLOAD + 8 else ""
 
 
-class VelodyneCapture:
-    """A capture of one or several Velodyne sensors; each is a topic ADDRESS:PORT."""
+class PacketCapture:
+    """A capture of the packets of one or several sensors: each Velodyne is a topic ADDRESS:PORT."""
 
     def __init__(self, path: Path) -> None:
-        """Look through the whole capture. Raises InputError where it is cut short or holds no Velodyne packet."""
+        """Look through the whole capture. Raises InputError where it is damaged, cut short or holds no packet."""
         self.path = path
-        counts, first_s, last_s, others = Counter[str](), None, 0.0, Counter[int]()
+        counts, first_s, last_s = Counter[tuple[str, str]](), 0.0, 0.0
         for packet in packets(path):
-            if stream := packet.stream:
-                counts[stream] += 1
-                first_s, last_s = packet.stamp_s if first_s is None else first_s, packet.stamp_s
-            else:
-                others[len(packet.frame)] += 1
-        if first_s is None:
-            sizes = ", ".join(f"{count} of {size} bytes" for size, count in others.most_common(3))
-            raise InputError(f"{path}: holds no Velodyne packet ({sizes or 'no packet at all'}); name another capture")
+            first_s, last_s = packet.stamp_s if not counts else first_s, packet.stamp_s
+            stream = packet.stream
+            counts[(stream, VELODYNE) if stream else (f"{len(packet.frame)} bytes", OTHER)] += 1
+        if not counts:
+            raise InputError(f"{path}: holds no packet; record it again")
         self.description = Description(
-            format="pcap of Velodyne packets",
-            topics=tuple(Topic(name=stream, type=TYPE, count=counts[stream]) for stream in sorted(counts)),
+            format="packet capture",
+            topics=tuple(Topic(name=name, type=type, count=count) for (name, type), count in sorted(counts.items())),
             start_s=first_s,
             duration_s=last_s - first_s,
         )
@@ -81,9 +78,6 @@ class VelodyneCapture:
             if turn is not None:
                 yield turn[0].host, turn[1]
 
-    def close(self) -> None:
-        """Nothing is open between turns."""
-
     def _configuration(self, velodyne_decoder: Any) -> Any:  # noqa: ANN401
         """The model and calibration that an HDL-64E sends itself; the other models are known by each packet."""
         configuration = velodyne_decoder.Config()
@@ -99,7 +93,7 @@ def cloud_of_turn(stamp_s: float, points: np.ndarray, name: str) -> PointCloud:
     if not len(points):
         raise InputError(f"{name}: holds no points; name a scan that has some")
     columns = {field: points[field] for field in points.dtype.names or ()}
-    return cloud_of_columns(columns, format=TYPE, name=name, frame="velodyne", stamp_s=stamp_s)
+    return cloud_of_columns(columns, format=VELODYNE, name=name, frame="velodyne", stamp_s=stamp_s)
 
 
 def packets(path: Path) -> Iterator[Packet]:
