@@ -16,7 +16,7 @@ import lidar2pano
 from lidar2pano.cli import main
 from lidar2pano.demo import street
 
-PACKAGE = Path(lidar2pano.__file__).parent
+PACKAGE = f"{Path(lidar2pano.__file__).parent}/"
 
 
 def trace(weights: str) -> dict[str, int]:
@@ -26,13 +26,13 @@ def trace(weights: str) -> dict[str, int]:
 
     def note(frame: FrameType, event: str, _: object) -> None:
         nonlocal reads, saved
-        file = Path(frame.f_code.co_filename)
-        if event not in ("call", "return") or PACKAGE not in file.parents:
+        file = frame.f_code.co_filename
+        if event not in ("call", "return") or not file.startswith(PACKAGE):
             return
         reads += (event, frame.f_code.co_name) == ("call", "read")
         saved += (event, frame.f_code.co_name) == ("return", "save")
         if event == "call" and reads > 1 and saved < 2:
-            name = file.relative_to(PACKAGE).as_posix()
+            name = file.removeprefix(PACKAGE)
             calls[name] = calls.get(name, 0) + 1
 
     with tempfile.TemporaryDirectory() as folder:

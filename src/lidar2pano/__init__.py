@@ -13,8 +13,7 @@ if TYPE_CHECKING:
     from lidar2pano.calibration import Calibration, read_calib
     from lidar2pano.errors import InputError
     from lidar2pano.formats.readers import read, scans
-    from lidar2pano.geometry.images import RangeImage
-    from lidar2pano.geometry.projection import project
+    from lidar2pano.geometry.projection import RangeImage, project
     from lidar2pano.labels import CITYSCAPES, COMMON14, COMMON15, SEMANTIC_KITTI, LabelSet
     from lidar2pano.memory import Memory
     from lidar2pano.panorama import Panorama
@@ -37,7 +36,7 @@ _HOME = {
     "Memory": "memory",
     "Panorama": "panorama",
     "Pipeline": "pipeline",
-    "RangeImage": "geometry.images",
+    "RangeImage": "geometry.projection",
     "Scan": "scan",
     "View": "views",
     "load": "pipeline",
@@ -47,7 +46,7 @@ _HOME = {
     "scans": "formats.readers",
 }
 # names that the next version no longer has
-_DEPRECATED = {"SegmentMap": "geometry.images", "back_project": "geometry.projection"}
+_DEPRECATED = {"SegmentMap": "geometry.projection", "back_project": "geometry.projection"}
 
 __all__ = [
     "CITYSCAPES",

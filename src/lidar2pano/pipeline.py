@@ -16,9 +16,8 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import read
 from lidar2pano.geometry.camera import at_camera
-from lidar2pano.geometry.images import Normalisation, RangeImage, one_hot_layers
 from lidar2pano.geometry.knn import clean_up
-from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.projection import Normalisation, RangeImage, one_hot_layers, project
 from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import Memory, PreviousFrame, smoothed
@@ -26,9 +25,8 @@ from lidar2pano.models.card import Card
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import DEFAULT, role, weight_files
-from lidar2pano.models.painter import Scene, StreamPainter
 from lidar2pano.models.salsanext import STRIDE
-from lidar2pano.models.scene_painter import ScenePainter
+from lidar2pano.models.scene_painter import Scene, ScenePainter, StreamPainter
 from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama

@@ -24,8 +24,7 @@ from lidar2pano.evaluate.camera_systems import (
 )
 from lidar2pano.evaluate.panorama_system import PanoramaSystem
 from lidar2pano.geometry.camera import at_camera
-from lidar2pano.geometry.images import Normalisation
-from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.projection import Normalisation, project
 from lidar2pano.labels import COMMON15, TABLES
 from lidar2pano.models.card import Card, read_card, save
 from lidar2pano.pipeline import load

@@ -13,8 +13,15 @@ from lidar2pano.calibration import read_calib
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import read
 from lidar2pano.geometry.camera import at_camera
-from lidar2pano.geometry.images import Normalisation, RangeImage
-from lidar2pano.geometry.projection import back_project, directions, nearest_points, pixels, project
+from lidar2pano.geometry.projection import (
+    Normalisation,
+    RangeImage,
+    back_project,
+    directions,
+    nearest_points,
+    pixels,
+    project,
+)
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, View
 from published_projection import published_projection, synthetic_scan

@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from lidar2pano.models.painter import WINDOWS, Painter, spread_out
+from lidar2pano.models.painter import Painter
+from lidar2pano.models.scene_painter import WINDOWS, spread_out
 
 
 def slowly(values, valid):

@@ -10,8 +10,7 @@ import torch
 
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
-from lidar2pano.models.painter import Scene
-from lidar2pano.models.scene_painter import sharpened
+from lidar2pano.models.scene_painter import Scene, sharpened
 from lidar2pano.views import View
 
 VIEW = View(rows=16, columns=64, up=0.24, down=-0.28, kind="cylinder")

@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.images import one_hot_layers
+from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.labels import CITYSCAPES_IDS, COMMON15
 from lidar2pano.models import build
-from lidar2pano.models.painter import Scene
+from lidar2pano.models.scene_painter import Scene
 from lidar2pano.models.vid2vid_painter import LabelChannels, Past, Vid2VidPainter, edges
 from lidar2pano.views import VIEWS
 

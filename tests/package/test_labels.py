@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.geometry.images import SegmentMap
+from lidar2pano.geometry.projection import SegmentMap
 from lidar2pano.labels import (
     CITYSCAPES,
     CITYSCAPES_IDS,

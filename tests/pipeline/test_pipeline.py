@@ -16,8 +16,7 @@ from torch import nn
 from lidar2pano.calibration import Calibration
 from lidar2pano.cli import main
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.images import Normalisation, one_hot_layers
-from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.projection import Normalisation, one_hot_layers, project
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.models import build

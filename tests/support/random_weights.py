@@ -13,7 +13,7 @@ from PIL import Image
 from torch import nn
 
 from lidar2pano.formats.scan_files import write_bin
-from lidar2pano.geometry.images import Normalisation
+from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, save

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from lidar2pano.geometry.images import Normalisation
 from lidar2pano.geometry.knn import clean_up
-from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.projection import Normalisation, project
 from lidar2pano.hardware import has_bfloat16, pick_device
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.models import build

@@ -18,7 +18,7 @@ from lidar2pano.data.camera_projection import in_unit, stretched
 from lidar2pano.data.frames import Frame, SampleIndex, frames_of
 from lidar2pano.data.range_images import labelled
 from lidar2pano.geometry.camera import project_to_camera
-from lidar2pano.geometry.images import Normalisation
+from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import TABLES
 from lidar2pano.scan import Scan

@@ -13,7 +13,7 @@ from torch import Tensor
 from lidar2pano.data.augment import HDL64E_BEAM_DEG, drop_points, drop_rings, mirror, shift, turn, vary_remission
 from lidar2pano.data.cache import LruCache
 from lidar2pano.data.frames import Frame, SampleIndex, evenly_spaced, frames_of
-from lidar2pano.geometry.images import Normalisation
+from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan

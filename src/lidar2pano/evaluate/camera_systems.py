@@ -14,8 +14,7 @@ from torch.nn.functional import interpolate
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate.interface import Prediction, SystemInfo, SystemInput
 from lidar2pano.geometry.camera import project_to_camera
-from lidar2pano.geometry.images import Normalisation, one_hot_layers
-from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.projection import Normalisation, one_hot_layers, project
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import SEMANTIC_KITTI, TABLES
 from lidar2pano.models.card import Card, load, read_card

@@ -13,7 +13,7 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.evaluate.interface import Prediction, SystemInfo, SystemInput
 from lidar2pano.geometry.camera import panorama_in_camera
 from lidar2pano.hardware import Timer
-from lidar2pano.models.painter import Scene
+from lidar2pano.models.scene_painter import Scene
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline import Memory, Pipeline, Translated
 

@@ -13,7 +13,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.evaluate.camera_systems import CameraPainter, CameraRenderer, CameraTranslator, Oracle
 from lidar2pano.evaluate.interface import System, SystemInfo
 from lidar2pano.evaluate.panorama_system import NoPainter, PanoramaSystem
-from lidar2pano.geometry.images import Normalisation
+from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.hardware import pick_device
 from lidar2pano.models import families
 from lidar2pano.models.card import Card, load, read_card

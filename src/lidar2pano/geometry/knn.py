@@ -12,7 +12,7 @@ import sys
 import torch
 from torch import Tensor
 
-from lidar2pano.geometry.images import RangeImage
+from lidar2pano.geometry.projection import RangeImage
 
 LABEL_BITS = 8
 LAST_LABEL = (1 << LABEL_BITS) - 1

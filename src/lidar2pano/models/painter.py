@@ -7,51 +7,16 @@ at twice the raster it reads.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
 
 from lidar2pano.errors import InputError
 from lidar2pano.models.circular import CircularConv, CircularResidual, conv_norm_act
+from lidar2pano.models.scene_painter import STRIDE, Scene, spread_out
 from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.views import View
-
-WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
-STRIDE = 4  # input pixels per pixel of the coarsest level
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scene:
-    """What a painter paints, on the translator's raster H x W.
-
-    segments  (1, classes, H, W) probabilities;  depth_m: (1, H, W) metres;  channels: (1, 5, H, W) of a RangeImage.
-    view      the raster;  T_world_sensor: (4, 4) float64, the sensor's pose in a frame that stands still, if known.
-    look      "A", or "A+B" for the mean of two; "": the painter's own.
-    """
-
-    segments: Tensor
-    depth_m: Tensor
-    channels: Tensor
-    view: View
-    T_world_sensor: np.ndarray | None = None
-    look: str = ""
-
-
-class StreamPainter(Protocol):
-    """What the pipeline asks of a painter."""
-
-    def paint(self, past: Any, scene: Scene) -> tuple[Any, Tensor]:  # noqa: ANN401
-        """Paint the panorama of a scan that follows others.
-
-        past  what it returned with the scan before; None at the beginning of a stream.
-        Returns what it wants back with the next scan, None if nothing, and (1, 3, 2H, 2W) in [-1, 1].
-        """
-        ...
 
 
 class Painter(nn.Module):
@@ -142,24 +107,6 @@ class Painter(nn.Module):
 def fixed_grain(rows: int, columns: int) -> Tensor:
     """(rows, columns) float32 normal noise, always the same."""
     return torch.randn(rows, columns, generator=torch.Generator().manual_seed(0))
-
-
-def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
-    """Means over WINDOWS of what is valid, around every pixel; the first window that holds anything counts.
-
-    values, valid  (B, H, W), valid 0 or 1; columns are circular.
-    Returns the means, 0 where no window holds anything, and (B, H, W) 1 where one does.
-    """
-    sums = torch.stack([values * valid, valid], 1)
-    mean, found = torch.zeros_like(values), torch.zeros_like(values)
-    for rows, columns in WINDOWS:
-        around = torch.cat([sums[..., -(columns // 2) :], sums, sums[..., : columns // 2]], 3)
-        across = avg_pool2d(around, (1, columns), stride=1)  # one way and then the other: a quarter of the sums
-        total, count = avg_pool2d(across, (rows, 1), stride=1, padding=(rows // 2, 0)).unbind(1)
-        here = (count > 0) & (found == 0)
-        mean = torch.where(here, total / count.clamp(min=1e-6), mean)
-        found = torch.where(here, 1.0, found)
-    return mean, found
 
 
 def _channels_last(x: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.errors import InputError, closest
-from lidar2pano.geometry.images import Normalisation
+from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.labels import CITYSCAPES, CITYSCAPES_IDS, COMMON14, SEMANTIC_KITTI
 from lidar2pano.models import build
 from lidar2pano.models.camera_segmenter import ImageNormalisation

@@ -8,7 +8,8 @@ work. Several looks in one network: a learned code per look scales and shifts fe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import cast
+from dataclasses import dataclass
+from typing import Any, Protocol, cast
 
 import numpy as np
 import torch
@@ -20,7 +21,6 @@ from lidar2pano.geometry.solid_noise import solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals, road_height
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.circular import CircularConv, CircularResidual, conv_norm_act
-from lidar2pano.models.painter import STRIDE, Scene, spread_out
 from lidar2pano.models.titan_pano import FAR_M, depth_code
 from lidar2pano.views import View
 
@@ -28,8 +28,39 @@ SKY, ROAD = COMMON15.id_of("sky"), COMMON15.id_of("road")
 COARSE_M = (0.25, 1.0, 4.0)  # wavelengths of the noise on the translator's raster
 FINE_M = (0.0625, 0.125, 0.5)  # and on the picture's
 SHAPE = 8  # channels beside segments and noise: depth, remission, validity, row, height, normals
+WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
+STRIDE = 4  # input pixels per pixel of the coarsest level
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
 TONE = 3  # red, green, blue: how much brighter a picture is than the mean of its look
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scene:
+    """What a painter paints, on the translator's raster H x W.
+
+    segments  (1, classes, H, W) probabilities;  depth_m: (1, H, W) metres;  channels: (1, 5, H, W) of a RangeImage.
+    view      the raster;  T_world_sensor: (4, 4) float64, the sensor's pose in a frame that stands still, if known.
+    look      "A", or "A+B" for the mean of two; "": the painter's own.
+    """
+
+    segments: Tensor
+    depth_m: Tensor
+    channels: Tensor
+    view: View
+    T_world_sensor: np.ndarray | None = None
+    look: str = ""
+
+
+class StreamPainter(Protocol):
+    """What the pipeline asks of a painter."""
+
+    def paint(self, past: Any, scene: Scene) -> tuple[Any, Tensor]:  # noqa: ANN401
+        """Paint the panorama of a scan that follows others.
+
+        past  what it returned with the scan before; None at the beginning of a stream.
+        Returns what it wants back with the next scan, None if nothing, and (1, 3, 2H, 2W) in [-1, 1].
+        """
+        ...
 
 
 class ScenePainter(nn.Module):
@@ -155,6 +186,24 @@ def painter_inputs(
     coarse = _noise(depth_m, sky, view, COARSE_M, T_world_sensor)
     fine = _noise(twice, sky_twice, view.scaled(2), FINE_M, T_world_sensor)
     return _channels_last(torch.cat([segments.float(), flat, shape, coarse], 1)), _channels_last(fine)
+
+
+def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    """Means over WINDOWS of what is valid, around every pixel; the first window that holds anything counts.
+
+    values, valid  (B, H, W), valid 0 or 1; columns are circular.
+    Returns the means, 0 where no window holds anything, and (B, H, W) 1 where one does.
+    """
+    sums = torch.stack([values * valid, valid], 1)
+    mean, found = torch.zeros_like(values), torch.zeros_like(values)
+    for rows, columns in WINDOWS:
+        around = torch.cat([sums[..., -(columns // 2) :], sums, sums[..., : columns // 2]], 3)
+        across = avg_pool2d(around, (1, columns), stride=1)  # one way and then the other: a quarter of the sums
+        total, count = avg_pool2d(across, (rows, 1), stride=1, padding=(rows // 2, 0)).unbind(1)
+        here = (count > 0) & (found == 0)
+        mean = torch.where(here, total / count.clamp(min=1e-6), mean)
+        found = torch.where(here, 1.0, found)
+    return mean, found
 
 
 def _noise(depths: Tensor, skies: Tensor, view: View, waves: Sequence[float], pose: np.ndarray | None) -> Tensor:

@@ -20,7 +20,7 @@ from torch.nn.functional import avg_pool2d, pad
 from lidar2pano.errors import InputError
 from lidar2pano.labels import CITYSCAPES_IDS, COMMON15, TABLES, LabelSet
 from lidar2pano.models.circular import grow_circular, grown_classes
-from lidar2pano.models.painter import Scene
+from lidar2pano.models.scene_painter import Scene
 from lidar2pano.models.vid2vid import Vid2Vid, Vid2VidSingle, close
 
 TWICE = Fraction(2)  # the finished panorama's raster is twice that of the segments

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.functional import nll_loss
 
 from lidar2pano.data.front_view import FrontViewDataset, FrontViewSample, SampleParts
-from lidar2pano.geometry.images import one_hot_layers
+from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.labels import COMMON14, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.models.titan_pano import depth_code

@@ -13,7 +13,7 @@ from torch.nn.functional import cross_entropy
 
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.data.panorama_crops import PanoramaDataset, PanoramaSample
-from lidar2pano.geometry.images import one_hot_layers
+from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax

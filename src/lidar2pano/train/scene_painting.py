@@ -13,7 +13,7 @@ from torch.nn.functional import l1_loss
 
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.images import one_hot_layers
+from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.losses import hinge_critic, hinge_generator, pooled

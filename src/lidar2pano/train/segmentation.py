@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
 from lidar2pano.data.range_images import RangeImageDataset, RangeImageSample, ScanAugmentation
-from lidar2pano.geometry.images import Normalisation
+from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import class_weights

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.images import Normalisation
+from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.labels import LabelSet
 from lidar2pano.metrics.confusion import Confusion
 from lidar2pano.models import build

@@ -15,7 +15,7 @@ from lidar2pano.data.clips import ClipDataset, ClipSample, Framing
 from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.flow import Flow, chained
-from lidar2pano.geometry.images import one_hot_layers
+from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.geometry.warp import warp
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
