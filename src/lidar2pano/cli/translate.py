@@ -41,7 +41,8 @@ def demo(out: OutOption = OUT, weights: WeightsOption = "world", device: DeviceO
 @app.command()
 def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     scans: Annotated[
-        list[Path], typer.Argument(metavar="SCAN...", help="Scan files, folders of scans, sequence folders.")
+        list[Path],
+        typer.Argument(metavar="SCAN...", help="Scan files, folders of scans, sequence folders, recordings."),
     ],
     out: OutOption = OUT,
     weights: WeightsOption = "kitti-mini",
@@ -59,15 +60,30 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per scan on stdout.")] = False,
     steady: Annotated[
         bool,
-        typer.Option("--steady", help="A folder's scans are a video: smooth it over time, without flicker."),
+        typer.Option(
+            "--steady", help="A folder's or recording's scans are a video: smooth it over time, without flicker."
+        ),
     ] = False,
     look: Annotated[
         str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
     ] = "",
+    topic: Annotated[
+        str, typer.Option(metavar="NAME", help="The recording's topic or sensor, where it has several.")
+    ] = "",
+    every: Annotated[int, typer.Option(min=1, metavar="N", help="One of N scans of a recording or folder.")] = 1,
+    start_s: Annotated[
+        float | None,
+        typer.Option("--from", min=0, metavar="SECONDS", help="Scans from so long after a recording's start."),
+    ] = None,
+    end_s: Annotated[
+        float | None,
+        typer.Option("--to", min=0, metavar="SECONDS", help="Scans before so long after a recording's start."),
+    ] = None,
 ) -> None:
     """Turn scans into panoramas: DIR/<stem>.png, .segments.png, .label, .depth.png, .camera.png."""
     from lidar2pano.cli.batch import Options, parse_camera, parse_save, translate_files
     from lidar2pano.cli.files import check_folder
+    from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.families import weight_files
     from lidar2pano.views import sensor_view
@@ -85,5 +101,6 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         as_json=as_json,
         smooth=steady,
         look=look,
+        selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
     )
     raise typer.Exit(translate_files(scans, options))

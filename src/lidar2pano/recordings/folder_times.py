@@ -10,7 +10,7 @@ from pathlib import Path
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.readers import ReadOptions, scan_files
-from lidar2pano.recordings.drive import ENDINGS, METADATA, none_within
+from lidar2pano.recordings.recorded_scans import ENDINGS, METADATA, none_within
 
 TIMES = ("times.txt", "timestamps.txt", "timestamps.json")  # KITTI odometry, KITTI raw, PandaSet
 UNIT_S = {19: 1e-9, 18: 1e-9, 16: 1e-6}  # digits of a name that is a time since the epoch -> its unit

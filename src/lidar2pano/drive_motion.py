@@ -13,7 +13,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import FORWARD, Interpretation
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.motion import SensorMotion, Trajectory, deskewed
-from lidar2pano.recordings.drive import recorded_motion
+from lidar2pano.recordings.recorded_scans import recorded_motion
 from lidar2pano.scan import Scan
 
 CITY_POSES = "city_SE3_egovehicle.feather"  # of an Argoverse 2 log, above sensors/lidar/
@@ -37,17 +37,17 @@ class DriveMotion:
     @classmethod
     def of_recording(cls, path: Path, options: ReadOptions, frame: str, estimate: bool) -> DriveMotion:
         """The motion of the scans of a recording, which are in the coordinate frame `frame`; InputError at damage."""
-        found = recorded_motion(path, options, frame)
-        return cls(*found, estimate) if found else cls(None, "", estimate)
+        recorded = recorded_motion(path, options, frame)
+        return cls(*recorded, estimate) if recorded else cls(None, "", estimate)
 
-    def step(self, scan: Scan, how: Interpretation, stamp_s: float) -> tuple[Scan, np.ndarray | None]:
+    def step(self, scan: Scan, found: Interpretation, stamp_s: float) -> tuple[Scan, np.ndarray | None]:
         """The scan as a sensor at rest at its stamp would have measured it, and T_world_sensor (4, 4) float64 then.
 
-        how  how the scan was read from its cloud.
+        found  how the scan was read from its cloud.
         A scan without times stays as it is. The pose is None where the motion is unknown at that time.
         """
         if self._recorded is not None:
-            motion = SensorMotion((*self._recorded.links, np.linalg.inv(T_scan_cloud(how))))
+            motion = SensorMotion((*self._recorded.links, np.linalg.inv(T_scan_cloud(found))))
             pose = motion.pose(stamp_s)
             return (self._without_skew(scan, stamp_s, motion) if pose is not None else scan), pose
         if self._estimated is None:
@@ -73,12 +73,12 @@ class DriveMotion:
         return replace(scan, xyz=deskewed(scan.xyz, scan.time_s, stamp_s, motion))
 
 
-def T_scan_cloud(how: Interpretation) -> np.ndarray:
+def T_scan_cloud(found: Interpretation) -> np.ndarray:
     """(4, 4) float64 pose of a cloud's own frame in its scan's frame, metres."""
-    cosine, sine = FORWARD[how.forward]
+    cosine, sine = FORWARD[found.forward]
     T = np.eye(4)
     T[:2, :2] = [[cosine, sine], [-sine, cosine]]
-    T[:3, 3] = -T[:3, :3] @ np.asarray(how.viewpoint_m)
+    T[:3, 3] = -T[:3, :3] @ np.asarray(found.viewpoint_m)
     return T
 
 
