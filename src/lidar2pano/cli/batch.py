@@ -6,7 +6,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import torch
 
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.cli.app import MISTAKE, complain, note_licence
+from lidar2pano.cli.follow import followed, until_interrupted
 from lidar2pano.cli.progress import bar
 from lidar2pano.cli.scan_queue import Complaints, Motion, QueuedScan, motion_of, queued
 from lidar2pano.errors import InputError, closest
@@ -137,6 +138,12 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
         complain(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
     failed |= translate_queue(queued(files, names, options.selection), len(files), options)
     return MISTAKE if failed else 0
+
+
+def translate_followed(folder: Path, options: Options) -> int:
+    """Translate what is written into a folder, as it is completed, until interrupted; the exit code."""
+    with until_interrupted() as stopped:
+        return MISTAKE if translate_queue(followed(folder, options.selection, stopped), 0, options) else 0
 
 
 def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -> bool:

@@ -11,8 +11,8 @@ from typing import Any, NoReturn
 import numpy as np
 
 from lidar2pano.cli.app import complain
-from lidar2pano.drive_motion import DriveMotion, city_motion
 from lidar2pano.data.poses import Poses
+from lidar2pano.drive_motion import DriveMotion, city_motion
 from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud

@@ -17,6 +17,19 @@ WeightsOption = Annotated[
 DeviceOption = Annotated[
     str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute; auto: CUDA if there is one.")
 ]
+TopicOption = Annotated[
+    str, typer.Option(metavar="NAME", help="The recording's topic or sensor, where it has several.")
+]
+EveryOption = Annotated[int, typer.Option(min=1, metavar="N", help="One of N scans of a recording or folder.")]
+FromOption = Annotated[
+    float | None, typer.Option("--from", min=0, metavar="SECONDS", help="Scans from so long after the start on.")
+]
+ToOption = Annotated[
+    float | None, typer.Option("--to", min=0, metavar="SECONDS", help="Scans until so long after the start.")
+]
+FollowOption = Annotated[
+    bool, typer.Option("--follow", help="Go on with what is written into the folder, until interrupted.")
+]
 
 
 @app.command()
@@ -67,22 +80,16 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     look: Annotated[
         str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
     ] = "",
-    topic: Annotated[
-        str, typer.Option(metavar="NAME", help="The recording's topic or sensor, where it has several.")
-    ] = "",
-    every: Annotated[int, typer.Option(min=1, metavar="N", help="One of N scans of a recording or folder.")] = 1,
-    start_s: Annotated[
-        float | None,
-        typer.Option("--from", min=0, metavar="SECONDS", help="Scans from so long after a recording's start."),
-    ] = None,
-    end_s: Annotated[
-        float | None,
-        typer.Option("--to", min=0, metavar="SECONDS", help="Scans before so long after a recording's start."),
-    ] = None,
+    topic: TopicOption = "",
+    every: EveryOption = 1,
+    start_s: FromOption = None,
+    end_s: ToOption = None,
+    follow: FollowOption = False,
 ) -> None:
     """Turn scans into panoramas: DIR/<stem>.png, .segments.png, .label, .depth.png, .camera.png."""
-    from lidar2pano.cli.batch import Options, parse_camera, parse_save, translate_files
+    from lidar2pano.cli.batch import Options, parse_camera, parse_save, translate_files, translate_followed
     from lidar2pano.cli.files import check_folder
+    from lidar2pano.cli.follow import check_followed
     from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.families import weight_files
@@ -103,4 +110,6 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         look=look,
         selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
     )
+    if follow:
+        raise typer.Exit(translate_followed(check_followed(scans, options.selection), options))
     raise typer.Exit(translate_files(scans, options))

@@ -45,13 +45,23 @@ class Description:
 
     format   for people, e.g. "ROS 1 bag".
     topics   in order of their names.
-    start_s  seconds since the epoch of its first message, None where it holds none;  duration_s: to its last one.
+    first_ns, last_ns  when its first and last message were recorded, nanoseconds since the epoch; 0 without messages.
     """
 
     format: str
     topics: tuple[Topic, ...]
-    start_s: float | None
-    duration_s: float
+    first_ns: int
+    last_ns: int
+
+    @property
+    def start_s(self) -> float:
+        """When its first message was recorded, seconds since the epoch."""
+        return self.first_ns * 1e-9
+
+    @property
+    def duration_s(self) -> float:
+        """From its first message to its last one, seconds."""
+        return max(self.last_ns - self.first_ns, 0) * 1e-9
 
     @property
     def messages(self) -> int:

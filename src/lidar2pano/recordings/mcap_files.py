@@ -46,8 +46,8 @@ class McapFile:
         self.description = Description(
             format="MCAP" if self._chunks else "MCAP without an index",
             topics=tuple(Topic(name=name, type=type, count=totals[name, type]) for name, type in sorted(totals)),
-            start_s=first_ns * 1e-9 if totals.total() else None,
-            duration_s=(last_ns - first_ns) * 1e-9 if totals.total() else 0.0,
+            first_ns=first_ns if totals.total() else 0,
+            last_ns=last_ns if totals.total() else 0,
         )
 
     def messages(

@@ -52,8 +52,12 @@ def describe(path: Path) -> Description:
     """What an OSF holds; InputError as `scans`."""
     stamps_s = [stamp_s(scan) for scan in scans(path)]
     topic = Topic(name="lidar", type="Ouster packets", count=len(stamps_s))
-    duration_s = max(stamps_s) - min(stamps_s) if stamps_s else 0.0
-    return Description(format="OSF", topics=(topic,), start_s=min(stamps_s, default=None), duration_s=duration_s)
+    return Description(
+        format="OSF",
+        topics=(topic,),
+        first_ns=round(min(stamps_s, default=0) * 1e9),
+        last_ns=round(max(stamps_s, default=0) * 1e9),
+    )
 
 
 def cloud_of_scan(scan: Any, name: str) -> PointCloud:  # noqa: ANN401

@@ -54,8 +54,8 @@ class PacketCapture:
         self.description = Description(
             format="packet capture",
             topics=tuple(Topic(name=name, type=type, count=count) for (name, type), count in sorted(counts.items())),
-            start_s=first_s,
-            duration_s=last_s - first_s,
+            first_ns=round(first_s * 1e9),
+            last_ns=round(last_s * 1e9),
         )
 
     def turns(self, topic: Topic) -> Iterator[tuple[float, np.ndarray]]:

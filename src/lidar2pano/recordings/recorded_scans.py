@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -15,7 +16,7 @@ from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.motion import SensorMotion
 from lidar2pano.recordings import ouster, transforms
-from lidar2pano.recordings.description import Description, choose_topic, damage
+from lidar2pano.recordings.description import MOST_NAMED, Description, choose_topic, damage
 from lidar2pano.recordings.mcap_files import MAGIC, McapFile
 from lidar2pano.recordings.packet_captures import PCAP, PCAPNG, VELODYNE, PacketCapture, cloud_of_turn
 from lidar2pano.recordings.ros_bags import ROSBAG, SQLITE, open_folder, open_ros1, open_sqlite
@@ -121,10 +122,11 @@ def _ros_cloud(recording: Recording, message: RawMessage, title: str) -> PointCl
 
 def _span_ns(about: Description, options: ReadOptions) -> tuple[int | None, int | None]:
     """--from and --to in nanoseconds since the epoch."""
-    start_s, end_s = (
-        None if offset_s is None else (about.start_s or 0.0) + offset_s for offset_s in (options.start_s, options.end_s)
+    start_ns, end_ns = (
+        None if offset_s is None else about.first_ns + round(offset_s * 1e9)
+        for offset_s in (options.start_s, options.end_s)
     )
-    return (None if start_s is None else round(start_s * 1e9)), (None if end_s is None else round(end_s * 1e9))
+    return start_ns, end_ns
 
 
 def _captured_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
@@ -132,11 +134,21 @@ def _captured_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
     capture = PacketCapture(path)
     about = capture.description
     if not any(topic.type == VELODYNE for topic in about.topics):
+        if not any(path.parent.glob(f"{glob.escape(path.stem)}*.json")):  # of which Ouster's captures have need
+            raise InputError(_other_packets(path, about))
         yield from _ouster_frames(path, options)
         return
     topic = choose_topic(path, about.topics, options.topic, VELODYNE)
     turns = ((stamp_s, partial(cloud_of_turn, stamp_s, points)) for stamp_s, points in capture.turns(topic))
     yield from _selected(path, turns, options)
+
+
+def _other_packets(path: Path, about: Description) -> str:
+    sizes = ", ".join(f"{topic.count} of {topic.name}" for topic in about.topics[:MOST_NAMED])
+    return (
+        f"{path}: holds packets of another sensor ({sizes}); Velodyne's are decoded, and Ouster's with their .json"
+        " beside them; record points instead (a bag, PCD)"
+    )
 
 
 def _ouster_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:

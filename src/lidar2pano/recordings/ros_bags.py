@@ -43,8 +43,8 @@ class RosBag:
             self.description = Description(
                 format=format,
                 topics=tuple(Topic(name=name, type=type, count=counts[name, type]) for name, type in sorted(counts)),
-                start_s=None if empty else span.start_time * 1e-9,
-                duration_s=0.0 if empty else max(span.end_time - 1 - span.start_time, 0) * 1e-9,
+                first_ns=0 if empty else span.start_time,
+                last_ns=0 if empty else span.end_time - 1,
             )
 
     def messages(
