@@ -10,12 +10,13 @@ import numpy as np
 from rosbags.rosbag1 import Writer as Bag1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from lidar2pano.scan import Scan
 
 POINTS, ODOMETRY, TF = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
+ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
 START_NS, STEP_NS = 1_700_000_000_000_000_000, 100_000_000
 FORMATS = ("bag", "bag-bz2", "bag-lz4", "db3", "folder", "folder-mcap", "mcap", "mcap-lz4", "mcap-plain", "mcap-ros1")
 DTYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 from lidar2pano.recordings.description import Description, Topic
 
 MOST_CHUNK_BYTES = 1 << 28  # unpacked; recorders write chunks of about a megabyte, or of one message
+TF = "tf2_msgs/msg/TFMessage"
 ROS1, CDR = "ros1", "cdr"  # encodings of messages, by MCAP's names
 
 
@@ -49,8 +50,10 @@ class Recording(Protocol):
 @cache
 def deserializer(encoding: str) -> Callable[[bytes, str], Any]:
     """(bytes, type) -> message, for the standard types: neither ROS 1 nor ROS 2 changed those that are read here."""
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     if encoding == ROS1:
-        return get_typestore(Stores.ROS1_NOETIC).deserialize_ros1
+        store = get_typestore(Stores.ROS1_NOETIC)
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))  # which it lacks
+        return store.deserialize_ros1
     return get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr

@@ -11,9 +11,8 @@ import numpy as np
 
 from lidar2pano.geometry.motion import SensorMotion, Trajectory
 from lidar2pano.recordings.description import Topic, damage
-from lidar2pano.recordings.ros_messages import RawMessage, Recording
+from lidar2pano.recordings.ros_messages import TF, RawMessage, Recording
 
-TF = "tf2_msgs/msg/TFMessage"
 TF_TYPES = (TF, "tf/msg/tfMessage")  # which has the same fields
 ODOMETRY = "nav_msgs/msg/Odometry"
 STATIC = "tf_static"
