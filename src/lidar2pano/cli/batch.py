@@ -19,6 +19,7 @@ from lidar2pano.cli.follow import followed, until_interrupted
 from lidar2pano.cli.progress import bar
 from lidar2pano.cli.scan_queue import Complaints, Motion, QueuedScan, motion_of, queued
 from lidar2pano.errors import InputError, closest
+from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.interpretation import Interpretation, Overrides
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.hardware import Timer, keep_buffers
@@ -95,8 +96,8 @@ def parse_size(text: str) -> tuple[int, int]:
 
 def stems(files: Sequence[Path]) -> dict[Path, str]:
     """The name of each file's outputs: its stem; where several share one, with folders' names before it."""
-    whole = {file: file.resolve().with_suffix("").parts[1:] for file in files}
-    names = {file: file.stem for file in files}
+    whole = {file: (*file.resolve().parts[1:-1], stem_of(file)) for file in files}
+    names = {file: stem_of(file) for file in files}
     for depth in range(2, 2 + max((len(parts) for parts in whole.values()), default=0)):
         shared = {name for name, count in Counter(names.values()).items() if count > 1}
         if not shared:
@@ -134,7 +135,7 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
     """
     files, failed = gather(paths, options.selection)
     names = stems(files)
-    if renamed := sum(names[file] != file.stem for file in files):
+    if renamed := sum(names[file] != stem_of(file) for file in files):
         complain(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
     failed |= translate_queue(queued(files, names, options.selection), len(files), options)
     return MISTAKE if failed else 0
@@ -182,6 +183,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
                     "outputs": [str(path) for path in outputs],
                     "points": len(scan),
                     "dropped": panorama.dropped,
+                    "reading": found.as_dict(),
                     "milliseconds": {stage: round(value, 2) for stage, value in timer.milliseconds.items()},
                     "weights": options.weights,
                     "device": str(options.device),

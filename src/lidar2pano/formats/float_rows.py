@@ -11,7 +11,7 @@ from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud
 
 MOST_RINGS = 256
-SAMPLE = 20_000  # rows by which a file is judged; rings and remissions are alike all through it
+SAMPLE = 20_000  # rows that tell what a file is; rings and remissions are alike all through it
 FAR_M = 1e6  # no coordinate of a scan is beyond: neither in millimetres
 
 

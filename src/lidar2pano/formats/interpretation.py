@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.ground import Ground, blind_radii, fit_ground
+from lidar2pano.formats.ground_plane import Ground, blind_radii, fit_ground
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.viewpoint import horizontal_centre, sharpest_origin
 from lidar2pano.scan import Scan
@@ -28,7 +28,9 @@ FLAT_SHARE, FLAT_FROM_M = 0.45, 30.0
 VEHICLE_GROUND_M = 0.65  # the ground is so near to z = 0 in a vehicle's frame (Argoverse 2: rear axle, 0.35 m above it)
 VEHICLE_DOWN_DEG = -9.0  # and no point lies far below the origin's horizon, as points do below a sensor
 STANDING_M = 0.3  # above the ground; what is lower is ground
-SAMPLE = 40_000  # points by which geometry is judged
+ALIKE_DEG, ALIKE_POINTS = 2.0, 1.5  # between scans of one sensor: lowest beam, factor of counts
+SLIVER_DEG = 2.0  # a few stray points between two gaps
+SAMPLE = 40_000  # points that geometry is found by
 FORWARD_RATIO, FORWARD_RATIO_OF_THREE = 1.2, 1.5  # of the ground that a car hides before and behind to that beside it
 CAR_BLIND_M, CAR_HEIGHT_M = 3.7, (1.4, 2.6)  # it hides so much of the ground; sensors stand so high on cars
 
@@ -72,6 +74,7 @@ class Interpretation:
                          that became 1, None where all points have the stand-in.
     gaps_deg             sectors (left, right) of azimuth out of the field of view, counter-clockwise from forward.
     invented             whether the panorama claims what lies in the gaps.
+    lowest_deg           elevation above which 99 of 100 points lie, from the cloud's origin.
     """
 
     format: str
@@ -91,6 +94,7 @@ class Interpretation:
     remission_full: float | None = 1.0
     gaps_deg: tuple[tuple[float, float], ...] = ()
     invented: bool = False
+    lowest_deg: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -102,7 +106,8 @@ def interpret(
 ) -> tuple[Scan, Interpretation]:
     """The scan in the sensor's frame (x forward, metres, remission in [0, 1]), and how it was found out.
 
-    like  how the first cloud of the same stream was read: unit, axes, height and remission are taken from it.
+    like  how the first cloud of the same stream was read: unit, axes, height and remission are taken from it, unless
+          the two are of different sensors.
     A cloud that needs no change keeps its numbers exactly. Raises InputError for a cloud that is no sweep.
     """
     overrides = overrides or Overrides()
@@ -118,10 +123,12 @@ def interpret(
         no_returns=len(cloud) - int(np.count_nonzero(returns)),
         invented=overrides.invent,
     )
+    step = max(1, len(xyz) // SAMPLE)
+    sample = xyz[::step][returns[::step]].astype(np.float64)
+    found = replace(found, lowest_deg=_lowest(sample))
+    like = like if like and _alike(found, like) else None
     remission, found = _remission(cloud, overrides, like, found)
     if len(cloud) - found.no_returns >= FEWEST:
-        step = max(1, len(xyz) // SAMPLE)
-        sample = xyz[::step][returns[::step]].astype(np.float64)
         found = _geometry(sample, cloud, overrides, like, found)
         xyz = _moved(xyz, returns, found)
         found = replace(found, gaps_deg=_gaps(xyz[returns], overrides))
@@ -138,6 +145,19 @@ def interpret(
         gaps_deg=() if overrides.invent else found.gaps_deg,
     )
     return scan, found
+
+
+def _lowest(sample: np.ndarray) -> float | None:
+    elevation = np.arctan2(sample[:, 2], np.hypot(sample[:, 0], sample[:, 1]))
+    return round(float(np.degrees(np.percentile(elevation, 1))), 2) if len(sample) else None
+
+
+def _alike(found: Interpretation, like: Interpretation) -> bool:
+    """Whether two clouds are of one sensor: form, fields, lowest beam, and about as many points."""
+    if (found.format, found.fields) != (like.format, like.fields) or None in (found.lowest_deg, like.lowest_deg):
+        return False
+    few, many = sorted((found.points - found.no_returns, like.points - like.no_returns))
+    return abs((found.lowest_deg or 0) - (like.lowest_deg or 0)) < ALIKE_DEG and many < ALIKE_POINTS * few
 
 
 def _remission(
@@ -198,7 +218,7 @@ def _geometry(
         range_m = np.sqrt(np.einsum("ij,ij->i", sample, sample))
     if _is_map(range_m):
         raise InputError(
-            f"{cloud.name}: is no sweep of a LiDAR (its points do not thin out with distance: a map, an airborne scan"
+            "is no sweep of a LiDAR (its points do not thin out with distance: a map, an airborne scan"
             " or an object); name a single scan from the sensor's place"
         )
     ground = fit_ground(sample)
@@ -286,12 +306,13 @@ def _gaps(xyz: np.ndarray, overrides: Overrides) -> tuple[tuple[float, float], .
         return ()
     begin = int(np.argmin(empty))  # a bin that has points
     runs = np.flatnonzero(np.diff(np.r_[False, np.roll(empty, -begin), False].astype(np.int8)))
-    gaps = []
+    gaps: list[tuple[float, float]] = []
     for first, end in zip(runs[::2], runs[1::2], strict=True):
-        if (end - first) * 360 / bins >= GAP_DEG:
-            right, left = ((edge + begin) * 360 / bins - 180 for edge in (first, end))
-            turns = 360 if left > 180 else 0
-            gaps.append((float(left - turns), float(right - turns)))
+        right, left = ((edge + begin) * 360 / bins - 180 for edge in (first, end))
+        if gaps and right - gaps[-1][0] < SLIVER_DEG and min(left - right, gaps[-1][0] - gaps[-1][1]) >= SLIVER_DEG:
+            right = gaps.pop()[1]
+        gaps.append((float(left), float(right)))
+    gaps = [(left - 360 * (left > 180), right - 360 * (left > 180)) for left, right in gaps if left - right >= GAP_DEG]
     view_deg = 360 - sum(left - right for left, right in gaps)
     if view_deg < NARROWEST_DEG and not overrides.invent:
         raise InputError(

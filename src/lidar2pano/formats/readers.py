@@ -105,15 +105,21 @@ def interpreted(
     path: str | Path,
     options: ReadOptions | None = None,
     overrides: Overrides | None = None,
+    like: Interpretation | None = None,
     readers: Sequence[Reader] = READERS,
 ) -> Iterator[tuple[Scan, Interpretation]]:
-    """The scans of a file or recording, one at a time, each with how it was read."""
+    """The scans of a file or recording, one at a time, each with how it was read.
+
+    like  how the first scan of the same stream was read; what is found out once holds for all scans of a stream.
+    """
     path = Path(path)
     for cloud in open_path(path, readers).clouds(path, options or ReadOptions()):
         try:
-            yield interpret(cloud, overrides)
+            scan, found = interpret(cloud, overrides, like)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
+        like = like or found
+        yield scan, found
 
 
 def read(source: Any, overrides: Overrides | None = None) -> Scan:  # noqa: ANN401
@@ -154,9 +160,11 @@ def scan_files(path: str | Path) -> list[Path]:
 
 
 def scans(path: str | Path, overrides: Overrides | None = None) -> Iterator[Scan]:
-    """Yield the scans of the files that `scan_files` finds, read one at a time."""
+    """Yield the scans of the files that `scan_files` finds, read one at a time and all alike, as one sensor's."""
+    like = None
     for file in scan_files(path):
-        for scan, _ in interpreted(file, overrides=overrides):
+        for scan, found in interpreted(file, overrides=overrides, like=like):
+            like = like or found
             yield scan
 
 
