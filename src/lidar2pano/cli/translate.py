@@ -103,7 +103,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.cli.batch import Options, parse_camera, parse_save, translate_files, translate_followed
     from lidar2pano.cli.files import check_folder
     from lidar2pano.cli.follow import check_followed
-        from lidar2pano.formats.interpretation import Overrides
+    from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.families import weight_files
