@@ -59,10 +59,11 @@ def followed(folder: Path, selection: ReadOptions, stopped: threading.Event) -> 
     A file that changes after it was taken is taken again; one that cannot be read fails after GIVE_UP_S only.
     """
     taken: dict[Path, Version] = {}
+    first_look: dict[Path, tuple[Version, float]] = {}
     names: dict[str, Path] = {}
     arrived = 0
     while not stopped.is_set():
-        for file, version, age_s in _settled(folder, taken):
+        for file, version, age_s in _settled(folder, taken, first_look):
             if stopped.is_set():
                 return
             stem = stem_of(file)
@@ -79,8 +80,13 @@ def followed(folder: Path, selection: ReadOptions, stopped: threading.Event) -> 
         stopped.wait(LOOK_S)
 
 
-def _settled(folder: Path, taken: dict[Path, Version]) -> list[tuple[Path, Version, float]]:
-    """Files that are complete and were not taken like this: path, version, seconds since their last change."""
+def _settled(
+    folder: Path, taken: dict[Path, Version], first_look: dict[Path, tuple[Version, float]]
+) -> list[tuple[Path, Version, float]]:
+    """Files that are complete and were not taken like this: path, version, seconds since their last change.
+
+    first_look  when each file was first found like this, by our own clock: that of a file server may be ahead of it.
+    """
     try:
         files = drive_files(folder, ReadOptions())
     except InputError:
@@ -93,8 +99,13 @@ def _settled(folder: Path, taken: dict[Path, Version]) -> list[tuple[Path, Versi
             status = file.stat()
         except FileNotFoundError:
             continue  # renamed or removed since
-        version, age_s = (status.st_size, status.st_mtime_ns), time.time() - status.st_mtime
-        if taken.get(file) != version and not 0 <= age_s < SETTLED_S:
+        version, now_s = (status.st_size, status.st_mtime_ns), time.monotonic()
+        if taken.get(file) == version:
+            continue
+        if first_look.get(file, (None, 0.0))[0] != version:
+            first_look[file] = version, now_s
+        age_s = max(time.time() - status.st_mtime, now_s - first_look[file][1])
+        if age_s >= SETTLED_S:
             found.append((file, version, age_s))
     return found
 
