@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from lidar2pano.errors import InputError, closest
 
@@ -62,6 +63,11 @@ class Description:
     def duration_s(self) -> float:
         """From its first message to its last one, seconds."""
         return max(self.last_ns - self.first_ns, 0) * 1e-9
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        topics = [asdict(topic) for topic in self.topics]
+        return {"format": self.format, "start_s": self.start_s, "duration_s": self.duration_s, "topics": topics}
 
     @property
     def messages(self) -> int:

@@ -214,6 +214,14 @@ def describe(path: str | Path) -> Description | None:
     return reader.describe(Path(path)) if reader else None
 
 
+def frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
+    """The scans of a recording in time, not decoded yet. Raises InputError where it is damaged or is none."""
+    reader = recording_reader(path)
+    if reader is None:
+        raise InputError(f"{path}: is no recording ({', '.join(one.name for one in RECORDINGS)}); name one")
+    return reader.frames(path, options)
+
+
 def recorded_motion(path: Path, options: ReadOptions, frame: str) -> tuple[SensorMotion, str] | None:
     """The motion of a coordinate frame as a recording holds it, and the name of what it is from; None without one.
 
