@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError
-from lidar2pano.formats.scan_files import read
+from lidar2pano.formats.readers import read
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import Normalisation, RangeImage, one_hot_layers, project
@@ -31,7 +31,7 @@ from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
 from lidar2pano.scan import OWN_VEHICLE_M, Scan
-from lidar2pano.views import View, sensor_view
+from lidar2pano.views import View, columns_between, sensor_view
 
 SKY, CONDITIONS = COMMON15.id_of("sky"), len(SEMANTIC_KITTI)
 
@@ -84,6 +84,7 @@ class Translated(NamedTuple):
     labels    (N,) int64 ids of SEMANTIC_KITTI of the scan's points; dropped: how many of them could not be used.
     channels  (1, 5, H, W) float32: the scan's RangeImage.
     logits    (1, 16, H, W) of COMMON15;  depth_m (1, H, W) float32, metres.
+    gaps_deg  sectors (left, right) of azimuth out of the sensor's field of view.
     """
 
     name: str
@@ -92,6 +93,7 @@ class Translated(NamedTuple):
     channels: Tensor
     logits: Tensor
     depth_m: Tensor
+    gaps_deg: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -163,7 +165,7 @@ class Pipeline:
             channels = around.channels[None].contiguous(memory_format=torch.channels_last)
             condition = one_hot_layers(around.spread(labels)[None], CONDITIONS)
             logits, depth_m = self.translator(channels, condition)
-        return Translated(scan.name, labels, image.dropped, channels, logits, depth_m)
+        return Translated(scan.name, labels, image.dropped, channels, logits, depth_m, scan.gaps_deg)
 
     @torch.inference_mode()
     def paint(
@@ -193,6 +195,9 @@ class Pipeline:
         with timer("finish"):
             colour = image[0].float().add(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
             segments, depth_m = self._finished(logits, depth_m)
+            for left, right in translated.gaps_deg:  # nothing is claimed there
+                columns = columns_between(self.view.scaled(2), left, right)
+                segments[:, columns], depth_m[:, columns] = 0, 0.0
             colour, segments, depth_m = (part.contiguous().cpu().numpy() for part in (colour, segments, depth_m))
         panorama = Panorama(
             name=translated.name,

@@ -243,7 +243,7 @@ def test_public_names_are_the_recorded_ones():
 
 def test_a_changed_signature_changes_the_inventory(monkeypatch):
     before = house_rules.inventory()
-    assert "def read(path: str | Path) -> Scan\n" in before
+    assert "def read(source: Any, overrides: Overrides | None = None) -> Scan\n" in before
     assert "View(*, rows: int, columns: int, up: float, down: float" in before
     assert "\n    scaled(self, factor: float) -> View\n" in before
     monkeypatch.setattr(lidar2pano, "read", lambda path, strict: None)

@@ -6,7 +6,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,9 @@ from lidar2pano.cli.app import MISTAKE, complain, note_licence
 from lidar2pano.cli.progress import bar
 from lidar2pano.data.poses import Poses
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.scan_files import read, scan_files
+from lidar2pano.formats.file_contents import stem_of
+from lidar2pano.formats.interpretation import Interpretation, Overrides
+from lidar2pano.formats.readers import interpreted, scan_files
 from lidar2pano.hardware import Timer, keep_buffers
 from lidar2pano.memory import Memory
 from lidar2pano.panorama import OUTPUTS
@@ -36,6 +38,7 @@ class Options:
     weights  the name that was given;  files: the weight files by role that it stands for.
     sensor   name in VIEWS of the scans' rows, "" for the weights' own.
     smooth   whether a folder's panoramas are temporally smoothed.
+    overrides  what the user knows of the scans' numbers.
     """
 
     out: Path
@@ -48,6 +51,7 @@ class Options:
     as_json: bool = False
     smooth: bool = False
     look: str = ""
+    overrides: Overrides = field(default_factory=Overrides)
 
     def pipeline(self) -> Pipeline:
         """The pipeline with these weights, for this sensor and camera."""
@@ -89,8 +93,8 @@ def parse_size(text: str) -> tuple[int, int]:
 
 def stems(files: Sequence[Path]) -> dict[Path, str]:
     """The name of each file's outputs: its stem; where several share one, with folders' names before it."""
-    whole = {file: file.resolve().with_suffix("").parts[1:] for file in files}
-    names = {file: file.stem for file in files}
+    whole = {file: (*file.resolve().parts[1:-1], stem_of(file)) for file in files}
+    names = {file: stem_of(file) for file in files}
     for depth in range(2, 2 + max((len(parts) for parts in whole.values()), default=0)):
         shared = {name for name, count in Counter(names.values()).items() if count > 1}
         if not shared:
@@ -128,16 +132,17 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
     """
     files, failed = gather(paths)
     names = stems(files)
-    if renamed := sum(names[file] != file.stem for file in files):
+    if renamed := sum(names[file] != stem_of(file) for file in files):
         complain(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
     pipeline: Pipeline | None = None
-    memory, folder, poses, noted = Memory(), None, None, False
+    memory, folder, poses, noted, reading = Memory(), None, None, False, None
     with bar(len(files), "translating") as advance:
         for file in files:
             timer = Timer(options.device)
             try:
                 with timer("read"):
-                    scan = replace(read(file), name=str(file))
+                    like = reading if file.parent == folder else None
+                    scan, found = _read(file, options, like)
             except InputError as error:
                 complain(error)
                 failed = True
@@ -145,7 +150,7 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
                 continue
             pipeline = pipeline or options.pipeline()
             if file.parent != folder:
-                memory, folder = Memory(), file.parent
+                memory, folder, reading = Memory(), file.parent, found
                 poses = Poses(folder) if options.smooth else None
             try:
                 pose = _timed_pose(poses, file, scan, timer) if poses else None
@@ -164,6 +169,7 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
                     "outputs": [str(path) for path in outputs],
                     "points": len(scan),
                     "dropped": panorama.dropped,
+                    "reading": found.as_dict(),
                     "milliseconds": {stage: round(value, 2) for stage, value in timer.milliseconds.items()},
                     "weights": options.weights,
                     "device": str(options.device),
@@ -171,6 +177,13 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
                 print(json.dumps(record) if options.as_json else summary(record), flush=True)
             advance()
     return MISTAKE if failed else 0
+
+
+def _read(file: Path, options: Options, like: Interpretation | None) -> tuple[Scan, Interpretation]:
+    """The scan of a file, named by its path, and how it was read."""
+    for scan, found in interpreted(file, overrides=options.overrides, like=like):
+        return replace(scan, name=str(file)), found
+    raise InputError(f"{file}: holds no scan; name another file")
 
 
 def _timed_pose(poses: Poses, file: Path, scan: Scan, timer: Timer) -> np.ndarray:

@@ -17,6 +17,16 @@ WeightsOption = Annotated[
 DeviceOption = Annotated[
     str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute; auto: CUDA if there is one.")
 ]
+HeightOption = Annotated[
+    float | None, typer.Option(metavar="METRES", help="Height of the viewpoint above the ground; else found out.")
+]
+ForwardOption = Annotated[str, typer.Option(metavar="AXIS", help="What points forward: x, y, -x, -y; else found out.")]
+RemissionOption = Annotated[
+    str, typer.Option(metavar="FULL", help="Full remission: 1, 255, 65535; or none, if unusable; else found out.")
+]
+InventOption = Annotated[
+    bool, typer.Option("--invent", help="Depth and segments outside the field of view too; else they are unknown.")
+]
 
 
 @app.command()
@@ -41,7 +51,7 @@ def demo(out: OutOption = OUT, weights: WeightsOption = "world", device: DeviceO
 @app.command()
 def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     scans: Annotated[
-        list[Path], typer.Argument(metavar="SCAN...", help="Scan files, folders of scans, sequence folders.")
+        list[Path], typer.Argument(metavar="SCAN...", help="Scans of any format, folders of them, sequence folders.")
     ],
     out: OutOption = OUT,
     weights: WeightsOption = "kitti-mini",
@@ -61,6 +71,10 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         bool,
         typer.Option("--steady", help="A folder's scans are a video: smooth it over time, without flicker."),
     ] = False,
+    sensor_height: HeightOption = None,
+    forward: ForwardOption = "",
+    remission: RemissionOption = "",
+    invent: InventOption = False,
     look: Annotated[
         str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
     ] = "",
@@ -68,6 +82,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     """Turn scans into panoramas: DIR/<stem>.png, .segments.png, .label, .depth.png, .camera.png."""
     from lidar2pano.cli.batch import Options, parse_camera, parse_save, translate_files
     from lidar2pano.cli.files import check_folder
+    from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.families import weight_files
     from lidar2pano.views import sensor_view
@@ -85,5 +100,6 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         as_json=as_json,
         smooth=steady,
         look=look,
+        overrides=Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission, invent=invent),
     )
     raise typer.Exit(translate_files(scans, options))
