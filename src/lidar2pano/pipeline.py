@@ -150,9 +150,10 @@ class Pipeline:
         return self.paint(self.translate(scan, timer), memory, pose, timer)
 
     @torch.inference_mode()
-    def translate(self, scan: Scan, timer: Timer) -> Translated:
+    def translate(self, scan: Scan, timer: Timer, labels: np.ndarray | None = None) -> Translated:
         """Class scores and depths that a camera would see of the scan.
 
+        labels  (N,) int64 ids of SEMANTIC_KITTI of its points, where they are known better than by the segmenter.
         Points nearer than OWN_VEHICLE_M are not used. Raises InputError when no point of the scan can be used, or none
         is in view.
         """
@@ -160,12 +161,12 @@ class Pipeline:
             scan = scan.beyond()
             image = self._checked(scan, project(scan, self.segmenter.view, device=self.device))
             around = self._checked(scan, project(scan, self.view, device=self.device))
-        labels = self.segmenter.label(image, timer)
+        ids = self.segmenter.label(image, timer) if labels is None else torch.from_numpy(labels).to(self.device)
         with timer("translate"), fast_arithmetic(self.device):
             channels = around.channels[None].contiguous(memory_format=torch.channels_last)
-            condition = one_hot_layers(around.spread(labels)[None], CONDITIONS)
+            condition = one_hot_layers(around.spread(ids)[None], CONDITIONS)
             logits, depth_m = self.translator(channels, condition)
-        return Translated(scan.name, labels, image.dropped, channels, logits, depth_m, scan.gaps_deg)
+        return Translated(scan.name, ids, image.dropped, channels, logits, depth_m, scan.gaps_deg)
 
     @torch.inference_mode()
     def paint(

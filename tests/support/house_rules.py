@@ -24,7 +24,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"formats", "geometry", "hardware", "demo"}),
     frozenset({"models", "losses", "metrics", "data", "panorama", "memory", "simulate", "recordings"}),
     frozenset({"pipeline", "drive_motion"}),
-    frozenset({"prepare", "train", "evaluate", "bench"}),
+    frozenset({"prepare", "train", "evaluate", "bench", "bulk", "serve"}),
     frozenset({"reproduce"}),
     frozenset({"cli", "__main__"}),
 )

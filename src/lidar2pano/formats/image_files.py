@@ -51,7 +51,7 @@ def write_palette(path: Path, ids: np.ndarray, labels: LabelSet = COMMON15) -> N
 
 
 def write_ids(path: Path, ids: np.ndarray) -> None:
-    """Write ids (h, w) uint8 as they are, as the grey values of a PNG: for programs, not for the eye."""
+    """Write ids (h, w) uint8 or uint16 as they are, as the grey values of a PNG: for programs, not for the eye."""
     Image.fromarray(ids).save(path, format="PNG", compress_level=SMALL_PNG)
 
 
