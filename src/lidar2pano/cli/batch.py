@@ -18,6 +18,7 @@ from lidar2pano.cli.app import MISTAKE, complain, note_licence
 from lidar2pano.cli.progress import bar
 from lidar2pano.data.poses import Poses
 from lidar2pano.errors import InputError, closest
+from lidar2pano.formats.image_files import COLOUR_FORMATS
 from lidar2pano.formats.scan_files import read, scan_files
 from lidar2pano.hardware import Timer, keep_buffers
 from lidar2pano.memory import Memory
@@ -48,11 +49,13 @@ class Options:
     as_json: bool = False
     smooth: bool = False
     look: str = ""
+    engine: str = "auto"
+    image_format: str = "png"
 
     def pipeline(self) -> Pipeline:
         """The pipeline with these weights, for this sensor and camera."""
         keep_buffers()
-        pipeline = load(self.files, self.device)
+        pipeline = load(self.files, self.device, self.engine)
         if self.sensor:
             pipeline = pipeline.for_sensor(self.sensor)
         if self.look:
@@ -77,6 +80,13 @@ def parse_save(text: str) -> tuple[str, ...]:
         if name not in (*OUTPUTS, "all"):
             raise InputError(f"--save: nothing is called {name!r}{closest(name, (*OUTPUTS, 'all'))}")
     return OUTPUTS if "all" in names else tuple(name for name in OUTPUTS if name in names)
+
+
+def parse_format(name: str) -> str:
+    """--format's name, one of COLOUR_FORMATS."""
+    if name not in COLOUR_FORMATS:
+        raise InputError(f"--format {name!r}: no format for colour images{closest(name, COLOUR_FORMATS)}")
+    return name
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -154,7 +164,9 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
                     note_licence(pipeline.cards.values())
                 noted = True
                 with timer("save"):
-                    outputs = panorama.save(options.out, options.save, options.calibration, names[file])
+                    outputs = panorama.save(
+                        options.out, options.save, options.calibration, names[file], options.image_format
+                    )
             except InputError as error:
                 complain(error)
                 failed = True
@@ -167,6 +179,7 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
                     "milliseconds": {stage: round(value, 2) for stage, value in timer.milliseconds.items()},
                     "weights": options.weights,
                     "device": str(options.device),
+                    "engine": pipeline.engine,
                 }
                 print(json.dumps(record) if options.as_json else summary(record), flush=True)
             advance()

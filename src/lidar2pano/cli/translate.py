@@ -18,6 +18,14 @@ DeviceOption = Annotated[
     str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute; auto: CUDA if there is one.")
 ]
 
+EngineOption = Annotated[
+    str,
+    typer.Option(
+        metavar="auto|torch|compile|onnx|openvino",
+        help="What runs the networks; auto: OpenVINO where it is installed and the CPU multiplies bfloat16, else torch.",
+    ),
+]
+
 
 @app.command()
 def demo(out: OutOption = OUT, weights: WeightsOption = "world", device: DeviceOption = "auto") -> None:
@@ -64,10 +72,15 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     look: Annotated[
         str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
     ] = "",
+    engine: EngineOption = "auto",
+    image_format: Annotated[
+        str, typer.Option("--format", metavar="png|webp|jpeg", help="Format of the colour images.")
+    ] = "png",
 ) -> None:
     """Turn scans into panoramas: DIR/<stem>.png, .segments.png, .label, .depth.png, .camera.png."""
-    from lidar2pano.cli.batch import Options, parse_camera, parse_save, translate_files
+    from lidar2pano.cli.batch import Options, parse_camera, parse_format, parse_save, translate_files
     from lidar2pano.cli.files import check_folder
+    from lidar2pano.engines import pick_engine
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.families import weight_files
     from lidar2pano.views import sensor_view
@@ -85,5 +98,8 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         as_json=as_json,
         smooth=steady,
         look=look,
+        engine=engine,
+        image_format=parse_format(image_format),
     )
+    pick_engine(engine, options.device)
     raise typer.Exit(translate_files(scans, options))
