@@ -43,15 +43,15 @@ def compare(runs: int, device: str, weights: str, engines: Sequence[str]) -> lis
             for name, pipeline in pipelines.items():
                 taken[name].append(_stages(pipeline, scan, folder))
     stages = next(iter(taken.values()))[0]
-    return [
-        Comparison(
-            what=stage if stage == WHOLE else f"stage {stage}",
-            median_ms={
-                name: round(statistics.median(one[stage] for one in times[1:]), 2) for name, times in taken.items()
-            },
-        )
-        for stage in stages
-    ]
+    return [_row(stage, taken) for stage in stages]
+
+
+def _row(stage: str, taken: dict[str, list[dict[str, float]]]) -> Comparison:
+    warm = {name: [one[stage] for one in times[1:]] for name, times in taken.items()}
+    return Comparison(
+        what=stage if stage == WHOLE else f"stage {stage}",
+        median_ms={name: round(statistics.median(times), 2) for name, times in warm.items()},
+    )
 
 
 def _stages(pipeline: Pipeline, scan: Scan, folder: str) -> dict[str, float]:

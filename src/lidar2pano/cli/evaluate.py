@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lidar2pano.cli.app import app, complain
+from lidar2pano.cli.translate import EngineOption
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -50,13 +51,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     worst: Annotated[int, typer.Option(min=0, metavar="N", help="Also list the N worst frames, with images.")] = 0,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the worst frames.")] = Path("worst"),
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
-    engine: Annotated[
-        str,
-        typer.Option(
-            metavar="auto|torch|compile|onnx|openvino",
-            help="What runs the networks of panoramas; torch: scores do not depend on what is installed.",
-        ),
-    ] = "torch",
+    engine: EngineOption = "torch",  # scores do not depend on what is installed
 ) -> None:
     """Score predictions from the scan alone against camera images and labels; print a table in Markdown."""
     from lidar2pano.cli.files import check_file, check_folder

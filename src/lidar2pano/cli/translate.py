@@ -22,7 +22,7 @@ EngineOption = Annotated[
     str,
     typer.Option(
         metavar="auto|torch|compile|onnx|openvino",
-        help="What runs the networks; auto: OpenVINO where it is installed and the CPU multiplies bfloat16, else torch.",
+        help="What runs the networks; auto: OpenVINO where it is installed and the CPU has bfloat16, else torch.",
     ),
 ]
 

@@ -92,9 +92,8 @@ class CompiledForward:
         except UnfitError as unfit:
             if self.optional:
                 return None
-            raise InputError(
-                f"engine {self.engine.name}, network {self.model!r}: {unfit}; use --engine torch"
-            ) from unfit
+            name = f"engine {self.engine.name}, network {self.model!r}"
+            raise InputError(f"{name}: {unfit}; use --engine torch") from unfit
 
     def _stored(self, key: str, device: torch.device) -> Run | None:
         stored = disk_cache.fetch(key) if key else None

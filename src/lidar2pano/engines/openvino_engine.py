@@ -8,13 +8,12 @@ import sys
 from functools import cache, cached_property
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from lidar2pano.engines.compiled import Run
 from lidar2pano.engines.signatures import Shape
-from lidar2pano.engines.tracing import example, traced
+from lidar2pano.engines.tracing import example, recordable, recording
 from lidar2pano.hardware import has_bfloat16
 
 DTYPES = {"f32": torch.float32, "bf16": torch.bfloat16}  # of what compiled models give
@@ -30,14 +29,13 @@ class OpenVino:
         """Versions, processor, arithmetic; not the number of threads."""
         names = ("FULL_DEVICE_NAME", "OPTIMIZATION_CAPABILITIES")
         processor = [self._core.get_property("CPU", name) for name in names]
-        return json.dumps(
-            [openvino().__version__, torch.__version__, processor, _settings()["INFERENCE_PRECISION_HINT"]]
-        )
+        return json.dumps([openvino().__version__, torch.__version__, processor, _precision()])
 
     def build(self, network: nn.Module, model: str, shapes: tuple[Shape, ...]) -> bytes:  # noqa: ARG002
         """The network for inputs of these shapes, as OpenVINO writes compiled models."""
-        program = traced(network, example(shapes))
-        graph = openvino().convert_model(program)
+        with recording():
+            program = torch.export.export(recordable(network), example(shapes), strict=False)
+            graph = openvino().convert_model(program)
         graph.reshape(dict(zip(graph.inputs, map(list, shapes), strict=True)))
         stream = io.BytesIO()
         self._core.compile_model(graph, "CPU", _settings()).export_model(stream)
@@ -72,9 +70,13 @@ def _shared(x: Tensor) -> Any:  # noqa: ANN401
     return openvino().Tensor(x.numpy(), shared_memory=True)
 
 
+def _precision() -> str:
+    return "bf16" if has_bfloat16(torch.device("cpu")) else "f32"
+
+
 def _settings() -> dict[str, Any]:
     return {
-        "INFERENCE_PRECISION_HINT": "bf16" if has_bfloat16(torch.device("cpu")) else "f32",
+        "INFERENCE_PRECISION_HINT": _precision(),
         "PERFORMANCE_HINT": "LATENCY",
         "INFERENCE_NUM_THREADS": torch.get_num_threads(),
         "ENABLE_CPU_PINNING": False,  # cores may be shared with other processes

@@ -35,19 +35,19 @@ def pick_engine(name: str, device: torch.device) -> str:
     if asked == "auto":
         fast = device.type == "cpu" and _is_installed("openvino") and has_bfloat16(device)
         return "openvino" if fast else "torch"
-    if asked in EXTRAS and not all(map(_is_installed, EXTRAS[asked][1])):
-        raise InputError(
-            f"engine {asked} needs the extra {EXTRAS[asked][0]!r}: pip install 'lidar2pano[{EXTRAS[asked][0]}]'"
-        )
+    if extra := missing_extra(asked):
+        raise InputError(f"engine {asked} needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'")
     if asked == "onnx" and PROVIDERS[device.type] not in _providers():
-        raise InputError(
-            "engine onnx: onnxruntime has no CUDA here; install onnxruntime-gpu instead, or use --device cpu"
-        )
+        raise InputError("engine onnx: onnxruntime has no CUDA here; install onnxruntime-gpu, or use --device cpu")
     if asked == "openvino" and device.type != "cpu":
-        raise InputError(
-            f"engine openvino computes on the CPU, not on {device.type}; use --device cpu, or --engine torch"
-        )
+        raise InputError(f"engine openvino does not compute on {device.type}; use --device cpu, or --engine torch")
     return asked
+
+
+def missing_extra(engine: str) -> str:
+    """The extra that has to be installed for an engine; "" where none has."""
+    extra, modules = EXTRAS.get(engine, ("", ()))
+    return "" if all(map(_is_installed, modules)) else extra
 
 
 def accelerated(network: nn.Module, model: str, weights: str, engine: str, device: torch.device) -> nn.Module:

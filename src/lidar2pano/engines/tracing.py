@@ -1,4 +1,4 @@
-"""Networks as graphs: what torch.export records of a `forward`, whatever contexts the caller is in."""
+"""Recording a network as a graph, whatever contexts the caller is in."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import copy
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -36,9 +35,3 @@ def recordable(network: nn.Module) -> nn.Module:
     """A copy of a network on the CPU that may take part in recording, wherever the original was made."""
     with recording():
         return copy.deepcopy(network).cpu()
-
-
-def traced(network: nn.Module, inputs: tuple[Tensor, ...]) -> Any:  # noqa: ANN401 torch.export.ExportedProgram
-    """What torch.export records of a network for inputs of these shapes."""
-    with recording():
-        return torch.export.export(recordable(network), inputs, strict=False)

@@ -63,8 +63,8 @@ def write_png(path: Path, colour: np.ndarray) -> None:
 def fast_png(colour: np.ndarray) -> bytes:
     """An RGB image (h, w, 3) uint8 as PNG, in a third of the time that Pillow takes, of about the same size.
 
-    Every row is filtered by "Sub" (PNG specification, 9.2) where Pillow tries all filters, and compressed by run lengths
-    and Huffman codes alone.
+    Every row is filtered by "Sub" (PNG specification, 9.2) where Pillow tries all filters, and compressed by run
+    lengths and Huffman codes alone.
     """
     rows, columns, _ = colour.shape
     lines = np.empty((rows, 1 + 3 * columns), dtype=np.uint8)
@@ -73,11 +73,12 @@ def fast_png(colour: np.ndarray) -> bytes:
     np.subtract(colour[:, 1:], colour[:, :-1], out=lines[:, 4:].reshape(rows, columns - 1, 3))
     deflate = zlib.compressobj(FAST_PNG, strategy=zlib.Z_RLE)
     header = struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)  # 8 bits per channel, RGB, not interlaced
-    parts = ((b"IHDR", header), (b"IDAT", deflate.compress(lines) + deflate.flush()), (b"IEND", b""))
-    chunks = (
-        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)) for name, data in parts
-    )
-    return PNG_SIGNATURE + b"".join(chunks)
+    pixels = deflate.compress(lines) + deflate.flush()
+    return PNG_SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", pixels) + _chunk(b"IEND", b"")
+
+
+def _chunk(name: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
 
 def write_palette(path: Path, ids: np.ndarray, labels: LabelSet = COMMON15) -> None:

@@ -162,9 +162,9 @@ def _read(path: Path | str, with_tensors: bool = True) -> tuple[Card, dict[str, 
 
 
 class _Uninitialised(TorchFunctionMode):
-    """A context in which networks are built without random numbers: those of a file follow, and drawing them takes long.
+    """A context in which networks are built without random numbers: those of a file follow.
 
-    On the device "meta" some draws also import torch's compiler, which takes longer than all else.
+    Drawing takes long; on the device "meta" it can import torch's compiler, which takes longer than all else.
     """
 
     def __torch_function__(self, func, types, args=(), kwargs=None):  # noqa: ANN001, ANN204, ARG002 as torch calls it
@@ -178,10 +178,8 @@ def _blank(card: Card) -> dict[str, Tensor]:
     if card.network not in MODELS:
         raise InputError(f"no network {card.network!r}{closest(card.network, MODELS)}; update lidar2pano")
     try:
-        with (
-            torch.device("meta"),
-            _Uninitialised(),
-        ):  # settings come from outside: they must not be able to fill the memory
+        # settings come from outside: they must not be able to fill the memory
+        with torch.device("meta"), _Uninitialised():
             return build(card.network, **card.settings).state_dict()
     except InputError:
         raise
