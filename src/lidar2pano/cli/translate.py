@@ -17,6 +17,16 @@ WeightsOption = Annotated[
 DeviceOption = Annotated[
     str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute; auto: CUDA if there is one.")
 ]
+SensorOption = Annotated[
+    str, typer.Option(metavar="NAME", help="Rows of this sensor, for weights that know them; else the weights'.")
+]
+CalibOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="KITTI's calib.txt (P2, Tr): look from that camera, and save its view too."),
+]
+LookOption = Annotated[
+    str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
+]
 SteadyOption = Annotated[
     bool,
     typer.Option("--steady", help="A folder's or recording's scans are a video: smooth it over time, without flicker."),
@@ -74,25 +84,27 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     out: OutOption = OUT,
     weights: WeightsOption = "kitti-mini",
     device: DeviceOption = "auto",
-    sensor: Annotated[
-        str,
-        typer.Option(metavar="NAME", help="Rows of this sensor, for weights that know them; else the weights'."),
-    ] = "",
-    calib: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="KITTI's calib.txt (P2, Tr): look from that camera, and save its view too."),
-    ] = None,
+    sensor: SensorOption = "",
+    calib: CalibOption = None,
     image_size: Annotated[str, typer.Option(metavar="WxH", help="Size of that camera's image (1242x375).")] = "",
     save: Annotated[str, typer.Option(metavar="LIST", help="What to write: rgb,segments,labels,depth or all.")] = "rgb",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per scan on stdout.")] = False,
-    steady: SteadyOption = False,
+    steady: SensorOption = Annotated[
+    str, typer.Option(metavar="NAME", help="Rows of this sensor, for weights that know them; else the weights'.")
+]
+CalibOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="KITTI's calib.txt (P2, Tr): look from that camera, and save its view too."),
+]
+LookOption = Annotated[
+    str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
+]
+SteadyOption = False,
     sensor_height: HeightOption = None,
     forward: ForwardOption = "",
     remission: RemissionOption = "",
     invent: InventOption = False,
-    look: Annotated[
-        str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
-    ] = "",
+    look: LookOption = "",
     topic: TopicOption = "",
     every: EveryOption = 1,
     start_s: FromOption = None,
