@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lidar2pano.calibration import Calibration, read_calib
+    from lidar2pano.calibration import Calibration, LensCalibration, read_calib
     from lidar2pano.drive_motion import posed_scans
     from lidar2pano.errors import InputError
     from lidar2pano.geometry.projection import RangeImage, project
@@ -34,6 +34,7 @@ _HOME = {
     "Calibration": "calibration",
     "InputError": "errors",
     "LabelSet": "labels",
+    "LensCalibration": "calibration",
     "Memory": "memory",
     "Panorama": "panorama",
     "Pipeline": "pipeline",
@@ -59,6 +60,7 @@ __all__ = [
     "Calibration",
     "InputError",
     "LabelSet",
+    "LensCalibration",
     "Memory",
     "Panorama",
     "Pipeline",

@@ -143,3 +143,24 @@ def deskewed_slowly(xyz: np.ndarray, time_s: np.ndarray, stamp_s: float, motion)
         if np.isfinite(time):
             found[number] = (back @ motion.at(np.array([stamp_s + time]))[0] @ [*point, 1])[:3]
     return found
+
+
+# --- instances on panoramas -----------------------------------------------------------------------------------------
+
+
+def grow_slowly(seeds: torch.Tensor, inside: torch.Tensor, steps: int) -> torch.Tensor:
+    """Ids spread to the pixels `inside`, by the way to the nearest seed through them; of equals the greatest id."""
+    rows, columns = seeds.shape
+    grown = seeds.clone()
+    front = {tuple(place): int(seeds[tuple(place)]) for place in seeds.nonzero().tolist()}
+    for _ in range(steps):
+        reached: dict[tuple[int, int], int] = {}
+        for (row, column), number in front.items():
+            for down, right in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
+                place = (row + down, (column + right) % columns)
+                if 0 <= place[0] < rows and inside[place] and not grown[place]:
+                    reached[place] = max(reached.get(place, 0), number)
+        for place, number in reached.items():
+            grown[place] = number
+        front = reached
+    return grown

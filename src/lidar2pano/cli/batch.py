@@ -21,6 +21,7 @@ from lidar2pano.cli.scan_queue import Complaints, QueuedScan, queued
 from lidar2pano.drive_motion import Motion, motion_of
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.file_contents import stem_of
+from lidar2pano.formats.image_files import COLOUR_FORMATS
 from lidar2pano.formats.interpretation import Interpretation, Overrides
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.hardware import Timer, keep_buffers
@@ -57,11 +58,13 @@ class Options:
     look: str = ""
     selection: ReadOptions = field(default_factory=ReadOptions)
     overrides: Overrides = field(default_factory=Overrides)
+    engine: str = "auto"
+    image_format: str = "png"
 
     def pipeline(self) -> Pipeline:
         """The pipeline with these weights, for this sensor and camera."""
         keep_buffers()
-        pipeline = load(self.files, self.device)
+        pipeline = load(self.files, self.device, self.engine)
         if self.sensor:
             pipeline = pipeline.for_sensor(self.sensor)
         if self.look:
@@ -86,6 +89,13 @@ def parse_save(text: str) -> tuple[str, ...]:
         if name not in (*OUTPUTS, "all"):
             raise InputError(f"--save: nothing is called {name!r}{closest(name, (*OUTPUTS, 'all'))}")
     return OUTPUTS if "all" in names else tuple(name for name in OUTPUTS if name in names)
+
+
+def parse_format(name: str) -> str:
+    """--format's name, one of COLOUR_FORMATS."""
+    if name not in COLOUR_FORMATS:
+        raise InputError(f"--format {name!r}: no format for colour images{closest(name, COLOUR_FORMATS)}")
+    return name
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -176,7 +186,9 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
                     note_licence(pipeline.cards.values())
                 noted = True
                 with timer("save"):
-                    outputs = panorama.save(options.out, options.save, options.calibration, waiting.stem)
+                    outputs = panorama.save(
+                        options.out, options.save, options.calibration, waiting.stem, options.image_format
+                    )
             except InputError as error:
                 complaints.add(error, waiting)
             else:
@@ -190,6 +202,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
                     "milliseconds": {stage: round(value, 2) for stage, value in timer.milliseconds.items()},
                     "weights": options.weights,
                     "device": str(options.device),
+                    "engine": pipeline.engine,
                 }
                 print(json.dumps(record) if options.as_json else summary(record), flush=True)
             advance()

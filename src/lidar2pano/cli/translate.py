@@ -55,6 +55,14 @@ InventOption = Annotated[
     bool, typer.Option("--invent", help="Depth and segments outside the field of view too; else they are unknown.")
 ]
 
+EngineOption = Annotated[
+    str,
+    typer.Option(
+        metavar="auto|torch|compile|onnx|openvino",
+        help="What runs the networks; auto: OpenVINO where it is installed and the CPU has bfloat16, else torch.",
+    ),
+]
+
 
 @app.command()
 def demo(out: OutOption = OUT, weights: WeightsOption = "world", device: DeviceOption = "auto") -> None:
@@ -110,11 +118,23 @@ SteadyOption = False,
     start_s: FromOption = None,
     end_s: ToOption = None,
     follow: FollowOption = False,
+    engine: EngineOption = "auto",
+    image_format: Annotated[
+        str, typer.Option("--format", metavar="png|webp|jpeg", help="Format of the colour images.")
+    ] = "png",
 ) -> None:
     """Turn scans into panoramas: DIR/<stem>.png, .segments.png, .label, .depth.png, .camera.png."""
-    from lidar2pano.cli.batch import Options, parse_camera, parse_save, translate_files, translate_followed
+    from lidar2pano.cli.batch import (
+        Options,
+        parse_camera,
+        parse_format,
+        parse_save,
+        translate_files,
+        translate_followed,
+    )
     from lidar2pano.cli.files import check_folder
     from lidar2pano.cli.follow import check_followed
+    from lidar2pano.engines import pick_engine
     from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.hardware import pick_device
@@ -136,7 +156,10 @@ SteadyOption = False,
         look=look,
         selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
         overrides=Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission, invent=invent),
+        engine=engine,
+        image_format=parse_format(image_format),
     )
+    pick_engine(engine, options.device)
     if follow:
         raise typer.Exit(translate_followed(check_followed(scans, options.selection), options))
     raise typer.Exit(translate_files(scans, options))
