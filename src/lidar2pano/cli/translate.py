@@ -97,17 +97,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     image_size: Annotated[str, typer.Option(metavar="WxH", help="Size of that camera's image (1242x375).")] = "",
     save: Annotated[str, typer.Option(metavar="LIST", help="What to write: rgb,segments,labels,depth or all.")] = "rgb",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per scan on stdout.")] = False,
-    steady: SensorOption = Annotated[
-    str, typer.Option(metavar="NAME", help="Rows of this sensor, for weights that know them; else the weights'.")
-]
-CalibOption = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="KITTI's calib.txt (P2, Tr): look from that camera, and save its view too."),
-]
-LookOption = Annotated[
-    str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
-]
-SteadyOption = False,
+    steady: SteadyOption = False,
     sensor_height: HeightOption = None,
     forward: ForwardOption = "",
     remission: RemissionOption = "",
