@@ -134,7 +134,7 @@ def _write_bag(path: Path, sent: Iterable[Sent], compression: str) -> Path:
 
 
 def _write_mcap(path: Path, sent: Iterable[Sent], variant: str) -> Path:
-    """With an index and zstd; "lz4"; "raw": not packed; "plain": neither chunks nor index; "ros1": messages of ROS 1."""
+    """Indexed, with zstd; "lz4"; "raw": not packed; "plain": neither chunks nor index; "ros1": messages of ROS 1."""
     from mcap.writer import CompressionType, IndexType, Writer
 
     packers = {"lz4": CompressionType.LZ4, "raw": CompressionType.NONE}
