@@ -24,7 +24,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"formats", "geometry", "hardware", "demo"}),
     frozenset({"models", "losses", "metrics", "data", "panorama", "memory", "simulate"}),
     frozenset({"pipeline"}),
-    frozenset({"prepare", "train", "evaluate", "bench"}),
+    frozenset({"prepare", "train", "evaluate", "bench", "viewer"}),
     frozenset({"reproduce"}),
     frozenset({"cli", "__main__"}),
 )

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from lidar2pano.memory import Memory
 from lidar2pano.panorama import OUTPUTS
 from lidar2pano.pipeline import Pipeline, load
 from lidar2pano.scan import Scan
+from lidar2pano.viewer.outputs import Output, PageOutput, RerunOutput, VideoOutput
 
 ENDINGS = (".segments", ".depth", ".camera", ".camera-segments")  # of outputs' stems
 KITTI_SIZE = "1242x375"
@@ -36,6 +38,8 @@ class Options:
     weights  the name that was given;  files: the weight files by role that it stands for.
     sensor   name in VIEWS of the scans' rows, "" for the weights' own.
     smooth   whether a folder's panoramas are temporally smoothed.
+    ply      whether the points of each scan are written, too.
+    page, video, rerun  files about all scans together, and the page's title.
     """
 
     out: Path
@@ -48,6 +52,27 @@ class Options:
     as_json: bool = False
     smooth: bool = False
     look: str = ""
+    ply: bool = False
+    page: Path | None = None
+    title: str = ""
+    video: Path | None = None
+    rerun: Path | None = None
+
+    @contextmanager
+    def common_outputs(self, frames: int) -> Iterator[list[Output]]:
+        """The files about all of so many scans together; they are written in the end, and reported."""
+        with ExitStack() as stack:
+            outputs: list[Output] = []
+            if self.page:
+                outputs.append(stack.enter_context(closing(PageOutput(self.page, self.title, frames))))
+            if self.video:
+                outputs.append(stack.enter_context(closing(VideoOutput(self.video))))
+            if self.rerun:
+                outputs.append(stack.enter_context(closing(RerunOutput(self.rerun))))
+            yield outputs
+            for path in [output.finish() for output in outputs]:
+                if path and not self.as_json:
+                    print(path, flush=True)
 
     def pipeline(self) -> Pipeline:
         """The pipeline with these weights, for this sensor and camera."""
@@ -132,7 +157,7 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
         complain(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
     pipeline: Pipeline | None = None
     memory, folder, poses, noted = Memory(), None, None, False
-    with bar(len(files), "translating") as advance:
+    with options.common_outputs(len(files)) as common, bar(len(files), "translating") as advance:
         for file in files:
             timer = Timer(options.device)
             try:
@@ -155,6 +180,10 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
                 noted = True
                 with timer("save"):
                     outputs = panorama.save(options.out, options.save, options.calibration, names[file])
+                    if options.ply:
+                        outputs.append(panorama.save_points(options.out / f"{names[file]}.ply", scan))
+                    for output in common:
+                        output.add(panorama, scan, file)
             except InputError as error:
                 complain(error)
                 failed = True

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import platform
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, PngImagePlugin
 
 from lidar2pano.errors import InputError
 from lidar2pano.labels import COMMON15, LabelSet
@@ -38,9 +38,20 @@ def image_size(path: Path) -> tuple[int, int]:
         return image.size
 
 
-def write_png(path: Path, colour: np.ndarray) -> None:
-    """Write an RGB image (h, w, 3) uint8."""
-    Image.fromarray(colour).save(path, format="PNG", compress_level=FAST_PNG)
+def image_text(path: Path) -> dict[str, str]:
+    """Texts by keyword that a PNG has beside its pixels, as `write_png` wrote them; raises like `read_image`."""
+    with _opened(path) as image:
+        image.load()  # they may stand behind the pixels
+        found = {key: value for key, value in getattr(image, "text", {}).items() if isinstance(value, str)}
+    return {str(key): str(value) for key, value in found.items()}
+
+
+def write_png(path: Path, colour: np.ndarray, text: Mapping[str, str] | None = None) -> None:
+    """Write an RGB image (h, w, 3) uint8; `text` by keyword is written beside the pixels."""
+    chunks = PngImagePlugin.PngInfo()
+    for keyword, value in (text or {}).items():
+        chunks.add_text(keyword, value)
+    Image.fromarray(colour).save(path, format="PNG", compress_level=FAST_PNG, pnginfo=chunks)
 
 
 def write_palette(path: Path, ids: np.ndarray, labels: LabelSet = COMMON15) -> None:
