@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from lidar2pano import demo
-from lidar2pano.formats.scan_files import read
+from lidar2pano.formats.readers import read
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.pipeline import load

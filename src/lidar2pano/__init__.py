@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from lidar2pano.calibration import Calibration, LensCalibration, read_calib
     from lidar2pano.errors import InputError
-    from lidar2pano.formats.scan_files import read, scans
+    from lidar2pano.formats.readers import read, scans
     from lidar2pano.geometry.projection import RangeImage, project
     from lidar2pano.labels import CITYSCAPES, COMMON14, COMMON15, SEMANTIC_KITTI, LabelSet
     from lidar2pano.memory import Memory
@@ -42,9 +42,9 @@ _HOME = {
     "View": "views",
     "load": "pipeline",
     "project": "geometry.projection",
-    "read": "formats.scan_files",
+    "read": "formats.readers",
     "read_calib": "calibration",
-    "scans": "formats.scan_files",
+    "scans": "formats.readers",
 }
 # names that the next version no longer has
 _DEPRECATED = {"SegmentMap": "geometry.projection", "back_project": "geometry.projection"}

@@ -12,7 +12,7 @@ import torch
 
 from lidar2pano.calibration import Calibration, LensCalibration
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import write_depth, write_palette, write_png, write_whole
+from lidar2pano.formats.image_files import COLOUR_FORMATS, write_colour, write_depth, write_palette, write_whole
 from lidar2pano.formats.ply_writer import write_ply
 from lidar2pano.geometry.camera import panorama_in_camera
 from lidar2pano.geometry.projection import project
@@ -144,6 +144,7 @@ class Panorama:
         what: str | Collection[str] = ("rgb",),
         calibration: Calibration | None = None,
         stem: str | None = None,
+        image_format: str = "png",
     ) -> list[Path]:
         """Write the files that `what` names into the folder `out`, each complete or not at all; return their paths.
 
@@ -151,19 +152,23 @@ class Panorama:
               palette of COMMON15), "labels" (<stem>.label, raw uint32 per point), "depth" (<stem>.depth.png, 16 bit,
               metres x 256). With a calibration also <stem>.camera.png beside rgb and <stem>.camera-segments.png beside
               segments.
+        image_format  of the colour images: "png", "webp" (.webp) or "jpeg" (.jpg), which lose a little.
         Raises InputError when a name is unknown or the folder cannot be written.
         """
         what = (what,) if isinstance(what, str) else what
         if unknown := sorted(set(what) - set(OUTPUTS)):
             raise InputError(f"nothing to save is called {unknown[0]!r}; there is {', '.join(OUTPUTS)}")
+        if image_format not in COLOUR_FORMATS:
+            raise InputError(f"no image format {image_format!r}; there is {', '.join(COLOUR_FORMATS)}")
+        ending = COLOUR_FORMATS[image_format][0]
         camera = self.to_camera(calibration) if calibration and {"rgb", "segments"} & set(what) else None
         stem = stem or self.name
         writers: dict[str, Callable[[Path], None]] = {}
         if "rgb" in what:
             text = {VIEW_KEYWORD: json.dumps(self.view.as_dict())}
-            writers[f"{stem}.png"] = lambda path: write_png(path, self.colour, text)
+            writers[stem + ending] = lambda path: write_colour(path, self.colour, image_format, text)
             if camera:
-                writers[f"{stem}.camera.png"] = lambda path: write_png(path, camera.colour)
+                writers[f"{stem}.camera{ending}"] = lambda path: write_colour(path, camera.colour, image_format)
         if "segments" in what:
             writers[f"{stem}.segments.png"] = lambda path: write_palette(path, self.segments)
             if camera:

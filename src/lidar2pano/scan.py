@@ -20,6 +20,9 @@ class Scan:
     label      (N,)   int64 ids of SEMANTIC_KITTI, or None when there are no labels.
     stamp      deprecated, not used.
     name       where it came from (a file's stem), for messages and output names.
+    ring       (N,) int64 numbers of the beams, or None.
+    time_s     (N,) float64 seconds of the points from the scan's own stamp, or None.
+    gaps_deg   sectors (left, right) of azimuth, degrees, out of the sensor's field of view.
     """
 
     xyz: np.ndarray
@@ -27,6 +30,9 @@ class Scan:
     label: np.ndarray | None = None
     stamp: float | None = None
     name: str = "scan"
+    ring: np.ndarray | None = None
+    time_s: np.ndarray | None = None
+    gaps_deg: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         """Turn lists into arrays; refuse arrays of another type, or that do not belong together (ValueError)."""
@@ -37,7 +43,12 @@ class Scan:
                 object.__setattr__(self, name, np.asarray(values, dtype=dtype))
         if self.xyz.ndim != 2 or self.xyz.shape[1] != 3 or self.xyz.dtype != np.float32:
             raise ValueError(f"Scan.xyz must be (N, 3) float32, got {self.xyz.shape} {self.xyz.dtype}")
-        for name, array, dtype in (("remission", self.remission, np.float32), ("label", self.label, np.int64)):
+        for name, array, dtype in (
+            ("remission", self.remission, np.float32),
+            ("label", self.label, np.int64),
+            ("ring", self.ring, np.int64),
+            ("time_s", self.time_s, np.float64),
+        ):
             if array is not None and (array.shape != self.xyz.shape[:1] or array.dtype != dtype):
                 wanted = f"({len(self.xyz)},) {np.dtype(dtype)}"
                 raise ValueError(f"Scan.{name} must be {wanted} like Scan.xyz, got {array.shape} {array.dtype}")

@@ -83,6 +83,13 @@ VIEWS: dict[str, View] = {
 }
 
 
+def columns_between(view: View, left: float, right: float) -> list[int]:
+    """Columns of a view whose centres lie in a sector of azimuth: degrees, from `left` down to `right`."""
+    step = (view.left - view.right) / view.columns
+    turns = ((left - view.left + (column + 0.5) * step) % FULL_TURN for column in range(view.columns))
+    return [column for column, turn in enumerate(turns) if turn < left - right]
+
+
 def view_of(name: str) -> View:
     """The view of that name in VIEWS; InputError for another name."""
     if name not in VIEWS:

@@ -65,7 +65,7 @@ BAD_SCANS: dict[str, tuple[Callable[[Path], object], str]] = {
     "origin": (lambda path: write_scan(path, points((0, 0, 0), (0, 0, 0))), "bad.bin: none of its 2 points"),
     "view": (lambda path: write_scan(path, points((0.1, 0, 50), (0, 0.1, 50))), "bad.bin: no point is in view"),
     "missing": (lambda path: None, "bad.bin: does not exist"),
-    "suffix": (lambda path: write_scan(path).rename("bad.xyz"), "bad.xyz: no reader for files that end in '.xyz'"),
+    "format": (lambda path: path.with_name("bad.gif").write_bytes(b"GIF89a" * 99), "bad.gif: is of no format that is"),
     "folder": (lambda path: Path("bad.bin").mkdir(), "bad.bin: holds no scan (known endings: .bin"),
 }
 
@@ -74,7 +74,7 @@ BAD_SCANS: dict[str, tuple[Callable[[Path], object], str]] = {
 def test_bad_scans(here, refused, fault):
     make, said = BAD_SCANS[fault]
     make(here / "bad.bin")
-    name = "bad.xyz" if fault == "suffix" else "bad.bin"
+    name = "bad.gif" if fault == "format" else "bad.bin"
     assert refused(f"translate {name} --weights small --device cpu").startswith(said)
 
 
@@ -335,6 +335,20 @@ def test_a_missing_extra_is_named(data, message, monkeypatch):
     monkeypatch.delitem(sys.modules, "lidar2pano.train.engine", raising=False)
     said = message("salsanext --data data --out run")
     assert said == "this command needs lightning: pip install 'lidar2pano[train]'\n"
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ("--engine onnx", "engine onnx needs the extra 'onnx': pip install 'lidar2pano[onnx]'"),
+        ("--engine openvino", "engine openvino needs the extra 'fast': pip install 'lidar2pano[fast]'"),
+        ("--engine onyx", "no engine 'onyx'; did you mean 'onnx'?"),
+        ("--format tiff", "--format 'tiff': no format for colour images; there is jpeg, png, webp"),
+    ],
+)
+def test_engines_and_formats(refused, monkeypatch, options, says):
+    monkeypatch.setattr("lidar2pano.engines.selection._is_installed", lambda module: False)
+    assert refused(f"translate good.bin --weights small {options}") == says
 
 
 def test_bugs_are_not_hidden(here, monkeypatch):

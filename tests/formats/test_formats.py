@@ -12,7 +12,8 @@ import pytest
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import HOST, PART, write_whole
-from lidar2pano.formats.scan_files import READERS, read, read_bin, read_label, scan_files, scans, write_bin, write_label
+from lidar2pano.formats.readers import ENDINGS, read, scan_files, scans
+from lidar2pano.formats.scan_files import read_bin, read_label, write_bin, write_label
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, View
 
@@ -101,11 +102,9 @@ def test_what_is_no_label(tmp_path: Path):
     assert "cannot be read (Is a directory" in complaint(lambda: read_label(tmp_path, 1))
 
 
-def test_an_unknown_suffix_names_the_nearest(tmp_path: Path):
-    assert "no reader for files that end in '.bim'; did you mean '.bin'?" in complaint(lambda: read(tmp_path / "a.bim"))
-    assert "no reader for files that end in ''" in complaint(lambda: read(tmp_path / "a"))
-    (tmp_path / "a.pcd.bin").write_bytes(bytes(16 * 5))  # four points of nuScenes would pass for five of KITTI
-    assert "no reader yet" in complaint(lambda: read(tmp_path / "a.pcd.bin"))
+def test_what_is_of_no_format(tmp_path: Path):
+    (tmp_path / "a").write_bytes(b"GIF89a" + bytes(500))
+    assert "is of no format that is read (PCD, PLY, NPY" in complaint(lambda: read(tmp_path / "a"))
 
 
 def test_closest():
@@ -196,7 +195,7 @@ def test_a_source_is_read_one_scan_at_a_time(tmp_path: Path):
 
 def test_sources_that_are_none(tmp_path: Path):
     assert complaint(lambda: scan_files(tmp_path / "nowhere")).startswith(f"{tmp_path / 'nowhere'}: does not exist")
-    assert complaint(lambda: scan_files(tmp_path)) == f"{tmp_path}: holds no scan (known endings: {', '.join(READERS)})"
+    assert complaint(lambda: scan_files(tmp_path)).startswith(f"{tmp_path}: holds no scan (known endings: {ENDINGS[0]}")
     (tmp_path / "velodyne").mkdir()
     assert complaint(lambda: scan_files(tmp_path)).startswith(f"{tmp_path / 'velodyne'}: holds no scan")
 

@@ -10,7 +10,7 @@ from PIL import Image
 from torch import Tensor
 
 from lidar2pano.calibration import Calibration, read_calib
-from lidar2pano.formats.scan_files import read
+from lidar2pano.formats.readers import read
 from lidar2pano.geometry.camera import (
     Lookup,
     at_camera,

@@ -11,7 +11,7 @@ import torch
 from golden_vectors import facts, recorded
 from lidar2pano.calibration import read_calib
 from lidar2pano.errors import InputError
-from lidar2pano.formats.scan_files import read
+from lidar2pano.formats.readers import read
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.projection import (
     Normalisation,

@@ -18,7 +18,8 @@ from lidar2pano.data.frames import IGNORE, frames
 from lidar2pano.data.panorama_crops import PanoramaDataset
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.errors import InputError
-from lidar2pano.formats.scan_files import read, read_label, write_bin, write_label
+from lidar2pano.formats.readers import read
+from lidar2pano.formats.scan_files import read_label, write_bin, write_label
 from lidar2pano.geometry.camera import at_camera, points_in_camera
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import Normalisation, directions, pixels, project

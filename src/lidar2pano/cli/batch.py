@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +15,21 @@ import torch
 
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.cli.app import MISTAKE, complain, note_licence
+from lidar2pano.cli.follow import followed, until_interrupted
 from lidar2pano.cli.progress import bar
-from lidar2pano.data.poses import Poses
+from lidar2pano.cli.scan_queue import Complaints, Motion, QueuedScan, motion_of, queued
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.scan_files import read, scan_files
+from lidar2pano.formats.file_contents import stem_of
+from lidar2pano.formats.image_files import COLOUR_FORMATS
+from lidar2pano.formats.interpretation import Interpretation, Overrides
+from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.hardware import Timer, keep_buffers
 from lidar2pano.memory import Memory
-from lidar2pano.panorama import OUTPUTS
+from lidar2pano.panorama import OUTPUTS, Panorama
 from lidar2pano.pipeline import Pipeline, load
+from lidar2pano.recordings.folder_times import drive_files
 from lidar2pano.scan import Scan
-from lidar2pano.viewer.outputs import Output, PageOutput, RerunOutput, VideoOutput
+from lidar2pano.viewer.outputs import Output, OutputFiles
 
 ENDINGS = (".segments", ".depth", ".camera", ".camera-segments")  # of outputs' stems
 KITTI_SIZE = "1242x375"
@@ -37,9 +41,9 @@ class Options:
 
     weights  the name that was given;  files: the weight files by role that it stands for.
     sensor   name in VIEWS of the scans' rows, "" for the weights' own.
-    smooth   whether a folder's panoramas are temporally smoothed.
-    ply      whether the points of each scan are written, too.
-    page, video, rerun  files about all scans together, and the page's title.
+    smooth   whether a folder's or recording's panoramas are temporally smoothed.
+    selection  which scans of a recording or folder;  overrides: what is known about them.
+    ply        whether the points of each scan are written, too;  common: files about all panoramas.
     """
 
     out: Path
@@ -52,32 +56,17 @@ class Options:
     as_json: bool = False
     smooth: bool = False
     look: str = ""
+    selection: ReadOptions = field(default_factory=ReadOptions)
+    overrides: Overrides = field(default_factory=Overrides)
+    engine: str = "auto"
+    image_format: str = "png"
     ply: bool = False
-    page: Path | None = None
-    title: str = ""
-    video: Path | None = None
-    rerun: Path | None = None
-
-    @contextmanager
-    def common_outputs(self, frames: int) -> Iterator[list[Output]]:
-        """The files about all of so many scans together; they are written in the end, and reported."""
-        with ExitStack() as stack:
-            outputs: list[Output] = []
-            if self.page:
-                outputs.append(stack.enter_context(closing(PageOutput(self.page, self.title, frames))))
-            if self.video:
-                outputs.append(stack.enter_context(closing(VideoOutput(self.video))))
-            if self.rerun:
-                outputs.append(stack.enter_context(closing(RerunOutput(self.rerun))))
-            yield outputs
-            for path in [output.finish() for output in outputs]:
-                if path and not self.as_json:
-                    print(path, flush=True)
+    common: OutputFiles = field(default_factory=OutputFiles)
 
     def pipeline(self) -> Pipeline:
         """The pipeline with these weights, for this sensor and camera."""
         keep_buffers()
-        pipeline = load(self.files, self.device)
+        pipeline = load(self.files, self.device, self.engine)
         if self.sensor:
             pipeline = pipeline.for_sensor(self.sensor)
         if self.look:
@@ -104,6 +93,13 @@ def parse_save(text: str) -> tuple[str, ...]:
     return OUTPUTS if "all" in names else tuple(name for name in OUTPUTS if name in names)
 
 
+def parse_format(name: str) -> str:
+    """--format's name, one of COLOUR_FORMATS."""
+    if name not in COLOUR_FORMATS:
+        raise InputError(f"--format {name!r}: no format for colour images{closest(name, COLOUR_FORMATS)}")
+    return name
+
+
 def parse_size(text: str) -> tuple[int, int]:
     """--image-size's width and height in pixels."""
     found = re.fullmatch(r"([1-9]\d{0,4})[xX]([1-9]\d{0,4})", text.strip())
@@ -114,8 +110,8 @@ def parse_size(text: str) -> tuple[int, int]:
 
 def stems(files: Sequence[Path]) -> dict[Path, str]:
     """The name of each file's outputs: its stem; where several share one, with folders' names before it."""
-    whole = {file: file.resolve().with_suffix("").parts[1:] for file in files}
-    names = {file: file.stem for file in files}
+    whole = {file: (*file.resolve().parts[1:-1], stem_of(file)) for file in files}
+    names = {file: stem_of(file) for file in files}
     for depth in range(2, 2 + max((len(parts) for parts in whole.values()), default=0)):
         shared = {name for name, count in Counter(names.values()).items() if count > 1}
         if not shared:
@@ -132,13 +128,13 @@ def _telling(parts: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(part for part in parts[:-1] if part != "velodyne") + parts[-1:]
 
 
-def gather(paths: Iterable[Path]) -> tuple[list[Path], bool]:
-    """Scan files that paths stand for, each once; and whether some path could not be used (reported on stderr)."""
+def gather(paths: Iterable[Path], selection: ReadOptions) -> tuple[list[Path], bool]:
+    """Scan files and recordings that paths stand for, each once; and whether some could not be used (on stderr)."""
     files: dict[Path, Path] = {}
     failed = False
     for path in paths:
         try:
-            for file in scan_files(path):
+            for file in drive_files(path, selection):
                 files.setdefault(file.resolve(), file)
         except InputError as error:
             complain(error)
@@ -151,60 +147,87 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
 
     Scans of one folder are one stream. Weights are loaded when the first scan has been read.
     """
-    files, failed = gather(paths)
+    files, failed = gather(paths, options.selection)
     names = stems(files)
-    if renamed := sum(names[file] != file.stem for file in files):
+    if renamed := sum(names[file] != stem_of(file) for file in files):
         complain(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
+    failed |= translate_queue(queued(files, names, options.selection), len(files), options)
+    return MISTAKE if failed else 0
+
+
+def translate_followed(folder: Path, options: Options) -> int:
+    """Translate what is written into a folder, as it is completed, until interrupted; the exit code."""
+    with until_interrupted() as stopped:
+        return MISTAKE if translate_queue(followed(folder, options.selection, stopped), 0, options) else 0
+
+
+def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -> bool:
+    """Translate scans one after the other; whether one failed. Those of one stream share a memory."""
     pipeline: Pipeline | None = None
-    memory, folder, poses, noted = Memory(), None, None, False
-    with options.common_outputs(len(files)) as common, bar(len(files), "translating") as advance:
-        for file in files:
+    memory, stream, like, motion, noted = Memory(), None, None, None, False
+    complaints = Complaints()
+    with options.common.opened() as common, bar(total, "translating") as advance:
+        for waiting in scans:
             timer = Timer(options.device)
             try:
                 with timer("read"):
-                    scan = replace(read(file), name=str(file))
+                    scan, found = waiting.read(options.overrides, like if waiting.stream == stream else None)
             except InputError as error:
-                complain(error)
-                failed = True
+                complaints.add(error, waiting)
                 advance()
                 continue
             pipeline = pipeline or options.pipeline()
-            if file.parent != folder:
-                memory, folder = Memory(), file.parent
-                poses = Poses(folder) if options.smooth else None
+            if waiting.stream != stream:
+                memory, stream, like = Memory(), waiting.stream, found
+                motion = motion_of(waiting, scan, found, options.selection, options.smooth)
             try:
-                pose = _timed_pose(poses, file, scan, timer) if poses else None
-                memory, panorama = pipeline.step(memory, scan, pose, timer)
+                scan, pose = _timed_pose(motion, waiting, scan, found, timer) if motion else (scan, None)
+                memory, panorama = pipeline.step(memory, scan, pose if options.smooth else None, timer)
                 if not noted:  # before the first panorama is written
                     note_licence(pipeline.cards.values())
                 noted = True
                 with timer("save"):
-                    outputs = panorama.save(options.out, options.save, options.calibration, names[file])
-                    if options.ply:
-                        outputs.append(panorama.save_points(options.out / f"{names[file]}.ply", scan))
-                    for output in common:
-                        output.add(panorama, scan, file)
+                    outputs = _save(panorama, scan, waiting, options, common)
             except InputError as error:
-                complain(error)
-                failed = True
+                complaints.add(error, waiting)
             else:
                 record = {
-                    "input": str(file),
+                    "input": str(waiting.input),
+                    **waiting.place(found),
                     "outputs": [str(path) for path in outputs],
                     "points": len(scan),
                     "dropped": panorama.dropped,
+                    "reading": found.as_dict(),
                     "milliseconds": {stage: round(value, 2) for stage, value in timer.milliseconds.items()},
                     "weights": options.weights,
                     "device": str(options.device),
+                    "engine": pipeline.engine,
                 }
                 print(json.dumps(record) if options.as_json else summary(record), flush=True)
             advance()
-    return MISTAKE if failed else 0
+        complaints.flush()
+        for path in [output.finish() for output in common]:
+            if path and not options.as_json:
+                print(path, flush=True)
+    return complaints.failed
 
 
-def _timed_pose(poses: Poses, file: Path, scan: Scan, timer: Timer) -> np.ndarray:
+def _save(
+    panorama: Panorama, scan: Scan, waiting: QueuedScan, options: Options, common: Iterable[Output]
+) -> list[Path]:
+    outputs = panorama.save(options.out, options.save, options.calibration, waiting.stem, options.image_format)
+    if options.ply:
+        outputs.append(panorama.save_points(options.out / f"{waiting.stem}.ply", scan))
+    for output in common:
+        output.add(panorama, scan, waiting.input, waiting.stem)
+    return outputs
+
+
+def _timed_pose(
+    motion: Motion, waiting: QueuedScan, scan: Scan, found: Interpretation, timer: Timer
+) -> tuple[Scan, np.ndarray | None]:
     with timer("pose"):
-        return poses.of(file, scan)
+        return motion(waiting.input, scan, found)
 
 
 def summary(record: dict[str, Any]) -> str:

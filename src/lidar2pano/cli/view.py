@@ -5,15 +5,19 @@ from __future__ import annotations
 import os
 import sys
 import webbrowser
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lidar2pano.cli.app import app
 from lidar2pano.cli.translate import DeviceOption, WeightsOption
 from lidar2pano.errors import InputError
+
+if TYPE_CHECKING:
+    from lidar2pano.viewer.outputs import OutputFiles
 
 
 @app.command()
@@ -45,8 +49,8 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
         code = _view_scans(scans, out, title, weights, device, calib)
     else:
         code = _view_panoramas([file for files in found.values() for file in files], out, title)
-    if not no_open and not code:
-        open_page(out)
+    if not no_open:
+        open_page(out, code)
     raise typer.Exit(code)
 
 
@@ -55,7 +59,7 @@ def _view_panoramas(panoramas: list[Path], out: Path, title: str) -> int:
     from lidar2pano.viewer.page import PageWriter
     from lidar2pano.viewer.saved_frames import read_frame
 
-    with closing(PageWriter(title, len(panoramas))) as writer:
+    with closing(PageWriter(title)) as writer:
         with bar(len(panoramas), "reading") as advance:
             for file in panoramas:
                 writer.add(read_frame(file))
@@ -68,6 +72,7 @@ def _view_scans(scans: list[Path], out: Path, title: str, weights: str, device: 
     from lidar2pano.cli.batch import Options, parse_camera, translate_files
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.families import weight_files
+    from lidar2pano.viewer.outputs import OutputFiles
 
     options = Options(
         out=out.parent,
@@ -76,14 +81,25 @@ def _view_scans(scans: list[Path], out: Path, title: str, weights: str, device: 
         weights=weights,
         files=weight_files(weights),
         calibration=parse_camera(calib, ""),
-        page=out,
-        title=title,
+        common=OutputFiles(page=out, title=title),
     )
     return translate_files(scans, options)
 
 
-def open_page(path: Path) -> None:
-    """Open a page in the user's browser; nothing is done where there is no screen."""
+def common_files(page: Path | None, scans: Sequence[Path], video: Path | None, rerun: Path | None) -> OutputFiles:
+    """The files about all scans that `translate` was asked for; InputError where one cannot be written."""
+    from lidar2pano.cli.files import check_file
+    from lidar2pano.viewer.outputs import OutputFiles
+    from lidar2pano.viewer.page import title_of
+
+    for file, option in ((page, "--out"), (video, "--video"), (rerun, "--rerun")):
+        if file:
+            check_file(file, option)
+    return OutputFiles(page=page, title=title_of(scans), video=video, rerun=rerun)
+
+
+def open_page(path: Path | None, code: int) -> None:
+    """Open a page in the user's browser, if it was written (exit code 0) and there is a screen."""
     headless = sys.platform.startswith("linux") and not ({"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys())
-    if not headless:
+    if path and not code and not headless:
         webbrowser.open(path.resolve().as_uri())

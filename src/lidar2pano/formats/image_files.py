@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 import platform
+import struct
 import threading
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, PngImagePlugin
+from PIL import Image
 
 from lidar2pano.errors import InputError
 from lidar2pano.labels import COMMON15, LabelSet
@@ -20,6 +22,13 @@ DEPTH_STEPS = 256  # per metre, KITTI's form of 16 bit depth
 FAST_PNG = 1  # zlib's level: a third of the default's time for a tenth more bytes
 PART = ".lidar2pano-part"  # ending of unfinished files
 HOST = platform.node()[:64]
+# name of a format for colour images -> ending of its files, what Pillow writes it with
+COLOUR_FORMATS = {
+    "png": (".png", {}),
+    "webp": (".webp", {"quality": 90, "method": 0}),
+    "jpeg": (".jpg", {"quality": 95}),
+}
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 SMALL_PNG = 9  # for what is written once and read often
 
 
@@ -39,19 +48,48 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def image_text(path: Path) -> dict[str, str]:
-    """Texts by keyword that a PNG has beside its pixels, as `write_png` wrote them; raises like `read_image`."""
+    """Texts by keyword that a PNG has beside its pixels, as `write_png` writes them; raises like `read_image`."""
     with _opened(path) as image:
         image.load()  # they may stand behind the pixels
-        found = {key: value for key, value in getattr(image, "text", {}).items() if isinstance(value, str)}
-    return {str(key): str(value) for key, value in found.items()}
+        return {str(key): str(value) for key, value in getattr(image, "text", {}).items()}
+
+
+def write_colour(
+    path: Path, colour: np.ndarray, image_format: str = "png", text: Mapping[str, str] | None = None
+) -> None:
+    """Write an RGB image (h, w, 3) uint8 in a format of COLOUR_FORMATS; only "png" keeps every value, and the text."""
+    if image_format == "png":
+        write_png(path, colour, text)
+    else:
+        Image.fromarray(colour).save(path, format=image_format.upper(), **COLOUR_FORMATS[image_format][1])
 
 
 def write_png(path: Path, colour: np.ndarray, text: Mapping[str, str] | None = None) -> None:
-    """Write an RGB image (h, w, 3) uint8; `text` by keyword is written beside the pixels."""
-    chunks = PngImagePlugin.PngInfo()
-    for keyword, value in (text or {}).items():
-        chunks.add_text(keyword, value)
-    Image.fromarray(colour).save(path, format="PNG", compress_level=FAST_PNG, pnginfo=chunks)
+    """Write an RGB image (h, w, 3) uint8; `text` by keyword, both Latin-1, is written beside the pixels."""
+    path.write_bytes(fast_png(colour, text))
+
+
+def fast_png(colour: np.ndarray, text: Mapping[str, str] | None = None) -> bytes:
+    """An RGB image (h, w, 3) uint8 as PNG, in a third of the time that Pillow takes, of about the same size.
+
+    Every row is filtered by "Sub" (PNG specification, 9.2) where Pillow tries all filters, and compressed by run
+    lengths and Huffman codes alone.
+    """
+    rows, columns, _ = colour.shape
+    lines = np.empty((rows, 1 + 3 * columns), dtype=np.uint8)
+    lines[:, 0] = 1  # the filter's number
+    lines[:, 1:4] = colour[:, 0]
+    np.subtract(colour[:, 1:], colour[:, :-1], out=lines[:, 4:].reshape(rows, columns - 1, 3))
+    deflate = zlib.compressobj(FAST_PNG, strategy=zlib.Z_RLE)
+    header = struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)  # 8 bits per channel, RGB, not interlaced
+    pixels = deflate.compress(lines) + deflate.flush()
+    texts = [_chunk(b"tEXt", f"{key}\0{value}".encode("latin-1")) for key, value in (text or {}).items()]
+    parts = (PNG_SIGNATURE, _chunk(b"IHDR", header), *texts, _chunk(b"IDAT", pixels), _chunk(b"IEND", b""))
+    return b"".join(parts)
+
+
+def _chunk(name: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
 
 def write_palette(path: Path, ids: np.ndarray, labels: LabelSet = COMMON15) -> None:
@@ -62,7 +100,7 @@ def write_palette(path: Path, ids: np.ndarray, labels: LabelSet = COMMON15) -> N
 
 
 def write_ids(path: Path, ids: np.ndarray) -> None:
-    """Write ids (h, w) uint8 as they are, as the grey values of a PNG: for programs, not for the eye."""
+    """Write ids (h, w) uint8 or uint16 as they are, as the grey values of a PNG: for programs, not for the eye."""
     Image.fromarray(ids).save(path, format="PNG", compress_level=SMALL_PNG)
 
 

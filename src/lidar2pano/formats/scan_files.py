@@ -1,16 +1,12 @@
-"""Scan files: readers by suffix, KITTI's .bin (x y z remission, float32) and SemanticKITTI's .label (uint32).
-
-A path may be one file, a folder of files or a sequence folder.
-"""
+"""Files of data sets in KITTI's layout: .bin (x y z remission, float32) and SemanticKITTI's .label (uint32)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
-from lidar2pano.errors import InputError, closest
+from lidar2pano.errors import InputError
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
 
@@ -62,47 +58,3 @@ def write_bin(path: Path, scan: Scan) -> None:
 def write_label(path: Path, ids: np.ndarray) -> None:
     """Write ids (N,) of SEMANTIC_KITTI as raw uint32 values in file order."""
     SEMANTIC_KITTI.to_raw(ids).astype("<u4").tofile(path)
-
-
-READERS: dict[str, Callable[[Path], Scan]] = {".bin": read_bin}
-
-
-def read(path: str | Path) -> Scan:
-    """Read one scan file of a known suffix.
-
-    Raises InputError for a file that is missing, of an unknown suffix or damaged.
-    """
-    path = Path(path)
-    if path.name.endswith(".pcd.bin"):
-        raise InputError(
-            f"{path}: nuScenes' sweeps (five numbers a point) have no reader yet; write it as KITTI's .bin"
-        )
-    if path.suffix not in READERS:
-        raise InputError(f"{path}: no reader for files that end in {path.suffix!r}" + closest(path.suffix, READERS))
-    return READERS[path.suffix](path)
-
-
-def scan_files(path: str | Path) -> list[Path]:
-    """Return scan files in order of their names: the file itself, a folder's, or a sequence folder's `velodyne/`.
-
-    Raises InputError when the path does not exist or may not be read, or the folder holds no scan.
-    """
-    path = Path(path)
-    try:
-        if path.is_file():
-            return [path]
-        if not path.is_dir():
-            raise InputError(f"{path}: does not exist; name a scan file, a folder of scans or a sequence folder")
-        folder = path / "velodyne" if (path / "velodyne").is_dir() else path
-        files = sorted(file for file in folder.iterdir() if file.suffix in READERS and file.is_file())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be looked into ({error.strerror}); ask for permission") from error
-    if not files:
-        raise InputError(f"{folder}: holds no scan (known endings: {', '.join(READERS)})")
-    return files
-
-
-def scans(path: str | Path) -> Iterator[Scan]:
-    """Yield the scans that `scan_files` finds, read one at a time."""
-    for file in scan_files(path):
-        yield read(file)

@@ -12,7 +12,10 @@ from PIL import Image
 NEAREST_M, FARTHEST_M = 1.0, 256.0  # depths of the codes 1 and 255; equal steps of the logarithm, 2.2 % each
 STEPS = 254
 CENTIMETRE = 0.01  # of point coordinates, which thus reach 327 m
-MOST_POINTS = 1_200_000  # of a page: those of ten scans; a longer drive shows a part of each scan's
+FEW_FRAMES = 4  # so many are coded exactly
+MOST_FRAMES = 60  # more than that, and every image is coarser
+MANY_POINTS = 4000  # of a scan, where there are more than MOST_FRAMES of them
+MOST_POINTS = 1_200_000  # of a page with fewer: those of ten scans
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,12 +36,12 @@ class Coding:
 
 def coding_for(frames: int) -> Coding:
     """Coding of a page with so many frames: exact for few; such that 300 frames are about 30 MB."""
+    if frames > MOST_FRAMES:
+        return Coding(quality=75, coarser=2, depth_coarser=4, points=MANY_POINTS)
     points = MOST_POINTS // max(frames, 1)
-    if frames <= 4:
-        return Coding(quality=None, coarser=1, depth_coarser=1, points=points)
-    if frames <= 60:
+    if frames > FEW_FRAMES:
         return Coding(quality=70, coarser=1, depth_coarser=2, points=points)
-    return Coding(quality=75, coarser=2, depth_coarser=4, points=points)
+    return Coding(quality=None, coarser=1, depth_coarser=1, points=points)
 
 
 def colour_image(colour: np.ndarray, coding: Coding) -> tuple[bytes, str]:

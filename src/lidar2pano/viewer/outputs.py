@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
@@ -23,11 +26,37 @@ VIDEO_COLUMNS = 3840  # at most: wider H.264 is not decoded by hardware
 VIDEO_QUALITY = 20  # x264's constant rate factor
 
 
+@dataclass(frozen=True, kw_only=True)
+class OutputFiles:
+    """The files about all panoramas of a run that are wanted; None: not wanted.  title: of the page."""
+
+    page: Path | None = None
+    title: str = ""
+    video: Path | None = None
+    rerun: Path | None = None
+
+    @contextmanager
+    def opened(self) -> Iterator[list[Output]]:
+        """Outputs for these files, closed in the end; InputError where an extra is missing."""
+        with ExitStack() as stack:
+            outputs: list[Output] = []
+            if self.page:
+                outputs.append(stack.enter_context(closing(PageOutput(self.page, self.title))))
+            if self.video:
+                outputs.append(stack.enter_context(closing(VideoOutput(self.video))))
+            if self.rerun:
+                outputs.append(stack.enter_context(closing(RerunOutput(self.rerun))))
+            yield outputs
+
+
 class Output(Protocol):
     """A file that is made of all panoramas of a run."""
 
-    def add(self, panorama: Panorama, scan: Scan, source: Path) -> None:
-        """Take the next panorama, its scan and the scan's file; InputError where that cannot be done."""
+    def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
+        """Take the next panorama, its scan, the file or recording of that, and its name among all.
+
+        Raises InputError where that cannot be done.
+        """
 
     def finish(self) -> Path | None:
         """Write the file, complete or not at all, and return its path; None where no panorama was added."""
@@ -39,14 +68,14 @@ class Output(Protocol):
 class PageOutput:
     """The page to look around in."""
 
-    def __init__(self, path: Path, title: str, frames: int) -> None:
+    def __init__(self, path: Path, title: str) -> None:
         self.path = path
-        self.writer = PageWriter(title, frames)
+        self.writer = PageWriter(title)
 
-    def add(self, panorama: Panorama, scan: Scan, source: Path) -> None:
+    def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
         """See Output."""
         frame = PageFrame(
-            name=source.name,
+            name=name,
             view=panorama.view,
             colour=panorama.colour,
             segments=panorama.segments,
@@ -77,7 +106,7 @@ class VideoOutput:
         self._container = av.open(str(self._part), "w")
         self._stream: Any = None
 
-    def add(self, panorama: Panorama, scan: Scan, source: Path) -> None:
+    def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
         """See Output."""
         rows, columns = panorama.colour.shape[:2]
         if self._stream is None:
@@ -125,7 +154,7 @@ class RerunOutput:
         self._log.log("/", self._rerun.AnnotationContext(names), static=True)
         self._log.log("/", self._rerun.ViewCoordinates.FLU, static=True)
 
-    def add(self, panorama: Panorama, scan: Scan, source: Path) -> None:
+    def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
         """See Output."""
         rr, log = self._rerun, self._log
         log.set_time("frame", sequence=self._frames)
@@ -137,7 +166,7 @@ class RerunOutput:
         log.log("panorama/colour", rr.Image(panorama.colour).compress(jpeg_quality=90))
         log.log("panorama/classes", rr.SegmentationImage(panorama.segments))
         log.log("panorama/depth", rr.DepthImage(steps, meter=DEPTH_STEPS))
-        log.log("name", rr.TextLog(str(source)))
+        log.log("name", rr.TextLog(f"{source}: {name}"))
         self._frames += 1
 
     def finish(self) -> Path | None:

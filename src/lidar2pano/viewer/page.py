@@ -7,6 +7,7 @@ import hashlib
 import html
 import json
 import math
+import pickle
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ from lidar2pano.labels import COMMON15
 from lidar2pano.panorama import OCCLUDED_FACTOR, OCCLUDED_M
 from lidar2pano.viewer.layers import (
     FARTHEST_M,
+    MOST_FRAMES,
     NEAREST_M,
     Coding,
     class_image,
@@ -74,31 +76,53 @@ def title_of(paths: Sequence[Path]) -> str:
 class PageWriter:
     """Collects frames on the disk and writes the page: memory does not depend on the number of frames.
 
-    title   of the page.
-    frames  how many will be added, about: decides how exactly each is coded.
+    How exactly frames are coded depends on how many there are, so MOST_FRAMES of them wait as they are.
     """
 
-    def __init__(self, title: str, frames: int) -> None:
+    def __init__(self, title: str) -> None:
         self.title = title
-        self.coding: Coding = coding_for(frames)
-        self._data: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 kept until the page is written
+        self._waiting: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 both are kept until the page is written
+        self._data: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115
+        self._coding: Coding | None = None
+        self._count = self._blocks = 0
         self._frames: list[dict[str, Any]] = []
-        self._blocks = 0
         self._present = np.zeros(256, dtype=bool)
 
     def add(self, frame: PageFrame) -> None:
         """Add the next frame; InputError where its view is no cylinder."""
-        view = frame.view
-        if view.kind != "cylinder":
+        if frame.view.kind != "cylinder":
             raise InputError(f"{frame.name}: is no cylinder (its rows are not tangents of elevation); view a panorama")
-        layers = {"colour": self._block(*colour_image(frame.colour, self.coding))}
+        self._count += 1
+        if self._coding is None:
+            pickle.dump(frame, self._waiting, protocol=pickle.HIGHEST_PROTOCOL)
+            if self._count > MOST_FRAMES:
+                self._code_waiting()
+        else:
+            self._frames.append(self._coded(frame, self._coding))
+
+    def __len__(self) -> int:
+        """Number of frames so far."""
+        return self._count
+
+    def _code_waiting(self) -> None:
+        """Code the frames that wait; now it is known how."""
+        self._coding = coding_for(self._count)
+        self._waiting.seek(0)
+        for _ in range(self._count):
+            self._frames.append(self._coded(pickle.load(self._waiting), self._coding))
+        self._waiting.truncate(0)
+
+    def _coded(self, frame: PageFrame, coding: Coding) -> dict[str, Any]:
+        """Write a frame's blocks; its entry in the page's index."""
+        view = frame.view
+        layers = {"colour": self._block(*colour_image(frame.colour, coding))}
         if frame.segments is not None:
-            layers["classes"] = self._block(*class_image(frame.segments, self.coding))
+            layers["classes"] = self._block(*class_image(frame.segments, coding))
             self._present[np.unique(frame.segments)] = True
         if frame.depth_m is not None:
-            layers["depth"] = self._block(*depth_image(frame.depth_m, self.coding))
+            layers["depth"] = self._block(*depth_image(frame.depth_m, coding))
         if frame.camera is not None:
-            layers["camera"] = self._block(*colour_image(frame.camera, self.coding))
+            layers["camera"] = self._block(*colour_image(frame.camera, coding))
         entry: dict[str, Any] = {
             "name": frame.name,
             "size": list(frame.colour.shape[:2]),
@@ -107,18 +131,16 @@ class PageWriter:
             "layers": layers,
         }
         if frame.xyz is not None:
-            data, count = point_bytes(frame.xyz, self.coding)
+            data, count = point_bytes(frame.xyz, coding)
             entry["points"] = [*self._block(data, "")[:1], count, len(frame.xyz)]
-        self._frames.append(entry)
-
-    def __len__(self) -> int:
-        """Number of frames so far."""
-        return len(self._frames)
+        return entry
 
     def write(self, path: Path) -> Path:
         """Write the page, complete or not at all, and return `path`; InputError where it cannot be written."""
-        if not self._frames:
+        if not self._count:
             raise ValueError("a page needs a frame")
+        if self._coding is None:
+            self._code_waiting()
         head, tail = (part.encode("utf-8", "replace") for part in self._document())
 
         def write(beside: Path) -> None:
@@ -132,6 +154,7 @@ class PageWriter:
 
     def close(self) -> None:
         """Forget the frames."""
+        self._waiting.close()
         self._data.close()
 
     def _block(self, data: bytes, mime: str) -> list[str]:

@@ -1,0 +1,123 @@
+"""The bytes of a file, unpacked where it is compressed (gzip, zstd), never more than a scan can have."""
+
+from __future__ import annotations
+
+import io
+import zlib
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+from lidar2pano.errors import InputError
+
+HEAD_BYTES = 4096  # of a file, by which readers decide
+MOST_FILE_BYTES = 1 << 30  # a sparse or wrong file must not fill the memory
+MOST_BYTES = 1 << 28  # of what is unpacked: 16 million points of 16 bytes
+CHUNK_BYTES = 1 << 20
+GZIP, ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
+OTHER_PACKERS = {
+    b"BZh": "bzip2",
+    b"\xfd7zXZ\0": "xz",
+    b"\x04\x22\x4d\x18": "lz4",
+    b"7z\xbc\xaf\x27\x1c": "7z",
+    b"Rar!": "rar",
+    b"\x1f\x9d": "compress",
+}
+
+
+class Inflater(Protocol):
+    """Gives out unpacked bytes like a file."""
+
+    def read(self, size: int, /) -> bytes:
+        """At most `size` further bytes; b"" at the end."""
+        ...
+
+
+class GzipStream:
+    """Reads gzip, of one or several members; zlib.error or EOFError where it is damaged."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self._left, self._member = file, b"", zlib.decompressobj(31)
+
+    def read(self, size: int, /) -> bytes:
+        """At most `size` further bytes; b"" at the end."""
+        while True:
+            self._left = self._left or self._file.read(CHUNK_BYTES)
+            if self._member.eof:
+                if not self._left.startswith(GZIP):
+                    return b""  # the end, or padding behind it
+                self._member = zlib.decompressobj(31)
+            elif not self._left:
+                raise EOFError("it ends too early")
+            found = self._member.decompress(self._left, size)
+            self._left = self._member.unused_data if self._member.eof else self._member.unconsumed_tail
+            if found:
+                return found
+
+
+def head_of(path: Path) -> bytes:
+    """The first HEAD_BYTES, unpacked; InputError where the file cannot be read or is packed in an unknown way."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES)
+            for magic, packer in OTHER_PACKERS.items():
+                if head.startswith(magic):
+                    raise InputError(
+                        f"{path}: is packed with {packer}, which is not read; unpack it (gzip and zstd are)"
+                    )
+            if not head.startswith((GZIP, ZSTD)):
+                return head
+            file.seek(0)
+            return _unpacked(path, file, head, HEAD_BYTES)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); name a scan file that exists") from error
+
+
+def contents(path: Path) -> bytes:
+    """All bytes, unpacked; InputError where the file cannot be read, is damaged or too large for a scan."""
+    try:
+        if (length := path.stat().st_size) > MOST_FILE_BYTES:
+            raise InputError(f"{path}: {length} bytes are no single scan (at most {MOST_FILE_BYTES}); name a scan file")
+        with path.open("rb") as file:
+            head = file.read(len(ZSTD))
+            file.seek(0)
+            if not head.startswith((GZIP, ZSTD)):
+                return file.read()
+            data = _unpacked(path, file, head, MOST_BYTES + 1)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); name a scan file that exists") from error
+    if len(data) > MOST_BYTES:
+        raise InputError(f"{path}: unpacks to more than {MOST_BYTES} bytes, which is no single scan; name a scan file")
+    return data
+
+
+def _unpacked(path: Path, file: BinaryIO, head: bytes, most: int) -> bytes:
+    """At most so many bytes of a packed file."""
+    stream = GzipStream(file) if head.startswith(GZIP) else _zstd_stream(path, file)
+    found = io.BytesIO()
+    try:
+        while (left := most - found.tell()) > 0 and (chunk := stream.read(min(left, CHUNK_BYTES))):
+            found.write(chunk)
+    except Exception as error:  # each library has errors of its own
+        if isinstance(error, OSError):
+            raise
+        raise InputError(f"{path}: cannot be unpacked ({error}); it is damaged or cut off, fetch it again") from error
+    return found.getvalue()
+
+
+def _zstd_stream(path: Path, file: BinaryIO) -> Inflater:
+    try:
+        from zstandard import ZstdDecompressor
+    except ModuleNotFoundError:
+        raise InputError(f"{path}: needs the extra 'zstd': pip install 'lidar2pano[zstd]'") from None
+    return ZstdDecompressor(max_window_size=1 << 27).stream_reader(file, read_across_frames=True)
+
+
+def stem_of(path: Path) -> str:
+    """A scan file's name without its endings: "a.pcd.bin", "a.bin.gz" and "a.pcd" are all "a"."""
+    name = path.name
+    for ending in (".gz", ".zst", ".zstd", ".bin"):
+        if name.lower().endswith(ending) and len(name) > len(ending):
+            name = name[: -len(ending)]
+            if ending == ".bin":
+                return name[:-4] if name.lower().endswith(".pcd") and len(name) > 4 else name
+    return Path(name).stem

@@ -1,0 +1,337 @@
+"""What a cloud's numbers mean: remission, axes, height of the ground, units, points that are none, field of view."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lidar2pano.errors import InputError
+from lidar2pano.formats.ground_plane import Ground, blind_radii, fit_ground
+from lidar2pano.formats.point_cloud import PointCloud
+from lidar2pano.formats.viewpoint import horizontal_centre, sharpest_origin
+from lidar2pano.scan import Scan
+
+NO_RETURN = 0.01  # nearer to the origin, in the cloud's unit, there was no echo
+FEWEST = 1000  # usable points; fewer decide nothing: they are taken as they are
+SENSOR_HEIGHT_M = 1.73  # above the road, of the sensor that the networks were trained with (KITTI's HDL-64E)
+STAND_IN = 0.25  # remission of all points where there is none: costs least, see runs/remission_stand_in.py
+SCALES = (1.0, 255.0, 65535.0)
+FULL_SHARE = 1 / 16  # the 99th percentile of 16 bit remissions is not below this share of the scale
+FORWARD = {"x": (1, 0), "y": (0, 1), "-x": (-1, 0), "-y": (0, -1)}  # (cos, sin) of the axis that points forward
+NUSCENES_FORMAT = "float32 rows, nuScenes"
+GAP_DEG = 15.0  # a sector of so many degrees without any point is out of the field of view
+NARROWEST_DEG = 60.0  # in view; less is no sweep
+FAR_M = 1000.0  # beyond this no LiDAR of a vehicle measures: coordinates are millimetres, or have an offset
+# Median over 99th percentile of ranges, from which on points do not thin out with distance as those of sweeps do.
+FLAT_SHARE, FLAT_FROM_M = 0.45, 30.0
+DENSE, FEWEST_DENSE = 4, 300  # points of a direction (1 x 1 degree), and such directions, that say something
+MAP_SPREAD = 0.12  # standard deviation of the logarithm of ranges within a direction: sweeps 0.02 to 0.06 if flat
+VEHICLE_GROUND_M = 0.65  # the ground is so near to z = 0 in a vehicle's frame (Argoverse 2: rear axle, 0.35 m above it)
+VEHICLE_DOWN_DEG = -9.0  # and no point lies far below the origin's horizon, as points do below a sensor
+STANDING_M = 0.3  # above the ground; what is lower is ground
+ALIKE_DEG, ALIKE_POINTS = 2.0, 1.5  # between scans of one sensor: lowest beam, factor of counts
+SLIVER_DEG = 2.0  # a few stray points between two gaps
+SAMPLE = 40_000  # points that geometry is found by
+FORWARD_RATIO, FORWARD_RATIO_OF_THREE = 1.2, 1.5  # of the ground that a car hides before and behind to that beside it
+CAR_BLIND_M, CAR_HEIGHT_M = 3.7, (1.4, 2.6)  # it hides so much of the ground; sensors stand so high on cars
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overrides:
+    """What the user knows better than can be found out from the scan itself.
+
+    sensor_height_m  height of the viewpoint above the ground: the cloud is lowered or lifted so; None: found out.
+    forward          the axis that points forward: "x", "y", "-x", "-y"; "": found out.
+    remission        value that stands for full remission: "1", "255", "65535", or "none"; "": found out.
+    invent           whether the panorama also claims what lies outside the field of view.
+    """
+
+    sensor_height_m: float | None = None
+    forward: str = ""
+    remission: str = ""
+    invent: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse values that are none (InputError)."""
+        if self.forward not in ("", *FORWARD):
+            raise InputError(f"--forward {self.forward!r} is no axis; there is {', '.join(FORWARD)}")
+        if self.remission not in ("", "1", "255", "65535", "none"):
+            raise InputError(f"--remission {self.remission!r} is no scale; there is 1, 255, 65535 and none")
+        if self.sensor_height_m is not None and not 0 <= self.sensor_height_m <= 100:
+            raise InputError(f"--sensor-height {self.sensor_height_m} is no height above the ground in metres")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Interpretation:
+    """How a cloud was read.
+
+    points, no_returns   how many there are, and how many of them are at the origin, NaN or Inf.
+    unit_m               length of one unit of the coordinates.
+    viewpoint_m          the point of the cloud, in metres and its own axes, that became the sensor's origin.
+    viewpoint_by         why that one.
+    forward, forward_by  the axis that points forward, and why that one.
+    ground_m             height of the sensor's origin above the ground, None where none was found; tilt_deg of it.
+    remission            how it was scaled: "0-1", "0-255", "0-65535", "min-max" or "none"; remission_full: the value
+                         that became 1, None where all points have the stand-in.
+    gaps_deg             sectors (left, right) of azimuth out of the field of view, counter-clockwise from forward.
+    invented             whether the panorama claims what lies in the gaps.
+    lowest_deg           elevation above which 99 of 100 points lie, from the cloud's origin.
+    """
+
+    format: str
+    fields: tuple[str, ...]
+    frame: str
+    stamp_s: float | None
+    points: int
+    no_returns: int
+    unit_m: float = 1.0
+    viewpoint_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    viewpoint_by: str = "the cloud's origin"
+    forward: str = "x"
+    forward_by: str = "convention"
+    ground_m: float | None = None
+    tilt_deg: float | None = None
+    remission: str = "0-1"
+    remission_full: float | None = 1.0
+    gaps_deg: tuple[tuple[float, float], ...] = ()
+    invented: bool = False
+    lowest_deg: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return asdict(self)
+
+
+def interpret(
+    cloud: PointCloud, overrides: Overrides | None = None, like: Interpretation | None = None
+) -> tuple[Scan, Interpretation]:
+    """The scan in the sensor's frame (x forward, metres, remission in [0, 1]), and how it was found out.
+
+    like  how the first cloud of the same stream was read: unit, axes, height and remission are taken from it, unless
+          the two are of different sensors.
+    A cloud that needs no change keeps its numbers exactly. Raises InputError for a cloud that is no sweep.
+    """
+    overrides = overrides or Overrides()
+    xyz = cloud.xyz
+    squared = np.einsum("ij,ij->i", xyz, xyz)
+    returns = np.isfinite(squared) & (squared > NO_RETURN**2)
+    found = Interpretation(
+        format=cloud.format,
+        fields=cloud.fields,
+        frame=cloud.frame,
+        stamp_s=cloud.stamp_s,
+        points=len(cloud),
+        no_returns=len(cloud) - int(np.count_nonzero(returns)),
+        invented=overrides.invent,
+    )
+    step = max(1, len(xyz) // SAMPLE)
+    sample = xyz[::step][returns[::step]].astype(np.float64)
+    found = replace(found, lowest_deg=_lowest(sample))
+    like = like if like and _alike(found, like) else None
+    remission, found = _remission(cloud, overrides, like, found)
+    if len(cloud) - found.no_returns >= FEWEST:
+        found = _geometry(sample, cloud, overrides, like, found)
+        xyz = _moved(xyz, returns, found)
+        found = replace(found, gaps_deg=_gaps(xyz[returns], overrides))
+    elif overrides.forward:
+        found = replace(found, forward=overrides.forward, forward_by="--forward")
+        xyz = _moved(xyz, returns, found)
+    scan = Scan(
+        xyz=np.ascontiguousarray(xyz, np.float32),
+        remission=remission,
+        label=cloud.label,
+        name=cloud.name,
+        ring=cloud.ring,
+        time_s=cloud.time_s,
+        gaps_deg=() if overrides.invent else found.gaps_deg,
+    )
+    return scan, found
+
+
+def _lowest(sample: np.ndarray) -> float | None:
+    elevation = np.arctan2(sample[:, 2], np.hypot(sample[:, 0], sample[:, 1]))
+    return round(float(np.degrees(np.percentile(elevation, 1))), 2) if len(sample) else None
+
+
+def _alike(found: Interpretation, like: Interpretation) -> bool:
+    """Whether two clouds are of one sensor: form, fields, lowest beam, and about as many points."""
+    if (found.format, found.fields) != (like.format, like.fields) or None in (found.lowest_deg, like.lowest_deg):
+        return False
+    few, many = sorted((found.points - found.no_returns, like.points - like.no_returns))
+    return abs((found.lowest_deg or 0) - (like.lowest_deg or 0)) < ALIKE_DEG and many < ALIKE_POINTS * few
+
+
+def _remission(
+    cloud: PointCloud, overrides: Overrides, like: Interpretation | None, found: Interpretation
+) -> tuple[np.ndarray, Interpretation]:
+    values = cloud.intensity
+    none = replace(found, remission="none", remission_full=None)
+    if values is None or overrides.remission == "none" or (like and like.remission == "none"):
+        return np.full(len(cloud), STAND_IN, np.float32), none
+    with np.errstate(invalid="ignore"):
+        low, high = (float(edge) for edge in (np.fmin.reduce(values), np.fmax.reduce(values)))
+    if overrides.remission:
+        full, how = float(overrides.remission), f"0-{overrides.remission}"
+    elif like:
+        full, how = like.remission_full or 1.0, like.remission
+    elif not low < high and len(cloud) >= FEWEST:
+        return np.full(len(cloud), STAND_IN, np.float32), none
+    else:
+        full, how = _scale(values, low, high)
+    if how == "min-max":
+        return ((values.astype(np.float64) - low) / full).astype(np.float32), replace(
+            found, remission=how, remission_full=full
+        )
+    scaled = values.astype(np.float32)
+    if full != 1:
+        scaled = np.minimum(scaled / np.float32(full), 1)
+    return scaled, replace(found, remission=how, remission_full=full)
+
+
+def _scale(values: np.ndarray, low: float, high: float) -> tuple[float, str]:
+    """The value that stands for full remission, and how that scale is called."""
+    if low < 0:
+        return high - low, "min-max"
+    integers = values.dtype.kind in "iu"
+    for full in SCALES[1 if integers else 0 :]:
+        if high <= full:
+            if full == SCALES[-1] and (most := float(np.nanpercentile(values, 99))) < full * FULL_SHARE:
+                return max(most, 255.0), "0-99th percentile"  # photon counts, or 12 bit
+            return full, f"0-{full:.0f}"
+    return float(np.nanpercentile(values, 99)), "0-99th percentile"
+
+
+def _geometry(
+    sample: np.ndarray, cloud: PointCloud, overrides: Overrides, like: Interpretation | None, found: Interpretation
+) -> Interpretation:
+    """Unit, viewpoint, ground and forward axis of a cloud, by (N, 3) float64 of its points."""
+    away = _is_offset(sample)
+    if like and not away and overrides.sensor_height_m is None:
+        same = ("unit_m", "viewpoint_m", "viewpoint_by", "forward", "forward_by", "ground_m", "tilt_deg")
+        return replace(found, **{name: getattr(like, name) for name in same})
+    most = float(np.percentile(np.linalg.norm(sample, axis=1), 99))
+    if not away and FAR_M < most < 1000 * FAR_M:
+        found = replace(found, unit_m=1e-3)
+        sample = sample * 1e-3
+    centre = horizontal_centre(sample) if away else np.zeros(3)
+    sample = sample - centre
+    if _is_map(sample, away):
+        raise InputError(
+            "is no sweep of a LiDAR (its points do not thin out with distance: a map, an airborne scan"
+            " or an object); name a single scan from the sensor's place"
+        )
+    ground = fit_ground(sample)
+    viewpoint, why = _viewpoint(sample, ground, overrides, away)
+    sample = sample - viewpoint
+    if ground:
+        height_m = float(viewpoint[2]) - ground.height_m
+        ground = replace(ground, height_m=-height_m)
+        found = replace(found, ground_m=round(height_m, 2), tilt_deg=round(ground.tilt_deg, 1))
+    forward, forward_by = _forward(sample, cloud, ground, overrides)
+    x, y, z = (round(float(value), 3) for value in centre + viewpoint)
+    return replace(found, viewpoint_m=(x, y, z), viewpoint_by=why, forward=forward, forward_by=forward_by)
+
+
+def _is_offset(sample: np.ndarray) -> bool:
+    """Whether the points lie together and all far from the origin, as in UTM coordinates."""
+    centre = np.median(sample, axis=0)
+    spread = np.percentile(np.abs(sample - centre), 90)
+    return float(np.abs(centre).max()) > 5 * spread
+
+
+def _is_map(sample: np.ndarray, away: bool) -> bool:
+    """Whether points do not thin out with distance, and lie behind each other in one direction, as no sweep's do.
+
+    away  whether they had an offset, as a survey's do: then the former alone is enough.
+    """
+    range_m = np.sqrt(np.einsum("ij,ij->i", sample, sample))
+    middle, most = np.percentile(range_m, (50, 99))
+    if most < FLAT_FROM_M or middle < FLAT_SHARE * most or away:
+        return bool(most >= FLAT_FROM_M and middle >= FLAT_SHARE * most)
+    azimuth = np.arctan2(sample[:, 1], sample[:, 0])
+    elevation = np.arcsin(np.clip(sample[:, 2] / np.maximum(range_m, 1e-9), -1, 1))
+    cell = np.floor(np.degrees(azimuth) + 180) * 181 + np.floor(np.degrees(elevation) + 90)
+    _, cell, counts = np.unique(cell, return_inverse=True, return_counts=True)
+    mean = np.bincount(cell, np.log(range_m)) / counts
+    spread = np.bincount(cell, (np.log(range_m) - mean[cell]) ** 2)
+    dense = counts >= DENSE
+    if np.count_nonzero(dense) < FEWEST_DENSE:
+        return False
+    return bool(np.sqrt(spread[dense].sum() / counts[dense].sum()) > MAP_SPREAD)
+
+
+def _viewpoint(sample: np.ndarray, ground: Ground | None, overrides: Overrides, away: bool) -> tuple[np.ndarray, str]:
+    """The point that becomes the sensor's origin, and why; the origin where it is the sensor's already."""
+    floor_m = ground.height_m if ground else 0.0
+    if overrides.sensor_height_m is not None:
+        return np.array([0, 0, floor_m + overrides.sensor_height_m]), "--sensor-height"
+    if not away:
+        if ground is None or abs(floor_m) > VEHICLE_GROUND_M:
+            return np.zeros(3), "the cloud's origin"
+        down = np.degrees(np.arctan2(sample[:, 2], np.hypot(sample[:, 0], sample[:, 1])))
+        if np.percentile(down, 1) < VEHICLE_DOWN_DEG:
+            return np.zeros(3), "the cloud's origin"
+    why = "coordinates have an offset" if away else "the ground is at z = 0: a vehicle's frame"
+    start = np.array([0, 0, floor_m + SENSOR_HEIGHT_M])
+    standing = sample[np.abs(sample[:, 2] - floor_m) > STANDING_M]  # from the ground itself, the ground is a sharp line
+    found = sharpest_origin(standing, start)
+    if (found == start).all():
+        return start, f"assumed {SENSOR_HEIGHT_M} m above the ground, since {why}"
+    return found, f"found by the beams, since {why}"
+
+
+def _forward(sample: np.ndarray, cloud: PointCloud, ground: Ground | None, overrides: Overrides) -> tuple[str, str]:
+    """The axis that points forward, and why: a car hides more of the ground before and behind it than beside it."""
+    if overrides.forward:
+        return overrides.forward, "--forward"
+    if cloud.format == NUSCENES_FORMAT:
+        return "y", "nuScenes' convention"
+    if ground and CAR_HEIGHT_M[0] <= -ground.height_m <= CAR_HEIGHT_M[1]:
+        along, across = blind_radii(sample, ground)
+        known = [radius for radius in across if radius is not None]
+        if known and None not in along:
+            ratio = FORWARD_RATIO if len(known) == 2 else FORWARD_RATIO_OF_THREE
+            if min(known) > max(CAR_BLIND_M, ratio * max(radius or 0 for radius in along)):
+                return "y", "the vehicle hides more of the ground along y than along x"
+    return "x", "convention"
+
+
+def _moved(xyz: np.ndarray, returns: np.ndarray, found: Interpretation) -> np.ndarray:
+    """The points in metres, from the viewpoint, x forward, no returns NaN; `xyz` itself where nothing moves."""
+    if found.unit_m == 1 and not any(found.viewpoint_m) and found.forward == "x":
+        return xyz
+    moved = xyz.astype(np.float64) * found.unit_m - found.viewpoint_m
+    moved[~returns] = np.nan
+    cosine, sine = FORWARD[found.forward]
+    x, y = moved[:, 0].copy(), moved[:, 1].copy()
+    moved[:, 0], moved[:, 1] = cosine * x + sine * y, cosine * y - sine * x
+    return moved
+
+
+def _gaps(xyz: np.ndarray, overrides: Overrides) -> tuple[tuple[float, float], ...]:
+    """Sectors (left, right) of azimuth, degrees, in which no point lies: left in (-180, 180], right below it.
+
+    Raises InputError where little else is left.
+    """
+    bins = 1440
+    turn = np.floor((np.arctan2(xyz[:, 1], xyz[:, 0]) / np.pi + 1) * (bins / 2)).astype(np.int64) % bins
+    empty = np.bincount(turn, minlength=bins) == 0
+    if not empty.any():
+        return ()
+    begin = int(np.argmin(empty))  # a bin that has points
+    runs = np.flatnonzero(np.diff(np.r_[False, np.roll(empty, -begin), False].astype(np.int8)))
+    gaps: list[tuple[float, float]] = []
+    for first, end in zip(runs[::2], runs[1::2], strict=True):
+        right, left = ((edge + begin) * 360 / bins - 180 for edge in (first, end))
+        if gaps and right - gaps[-1][0] < SLIVER_DEG and min(left - right, gaps[-1][0] - gaps[-1][1]) >= SLIVER_DEG:
+            right = gaps.pop()[1]
+        gaps.append((float(left), float(right)))
+    gaps = [(left - 360 * (left > 180), right - 360 * (left > 180)) for left, right in gaps if left - right >= GAP_DEG]
+    view_deg = 360 - sum(left - right for left, right in gaps)
+    if view_deg < NARROWEST_DEG and not overrides.invent:
+        raise InputError(
+            f"is no sweep all around: only {view_deg:.0f} of 360 degrees hold points; --invent paints the rest anyway"
+        )
+    return tuple(gaps)

@@ -1,0 +1,57 @@
+"""LAS and LAZ, through laspy with lazrs (extra `las`)."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from lidar2pano.errors import InputError
+from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
+from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+
+
+def accepts(head: bytes, path: Path) -> bool:
+    """Whether a file begins like a LAS."""
+    return head.startswith(b"LASF")
+
+
+def decode(data: bytes, path: Path) -> PointCloud:
+    """The points; InputError where the file is damaged, or laspy is not installed."""
+    try:
+        import laspy
+        import lazrs  # noqa: F401 laspy takes it for LAZ
+    except ModuleNotFoundError:
+        raise InputError(f"{path}: needs the extra 'las': pip install 'lidar2pano[las]'") from None
+    try:
+        with laspy.open(io.BytesIO(data), closefd=False, laz_backend=laspy.LazBackend.Lazrs) as reader:
+            header = reader.header
+            size = header.point_format.size
+            _check(header.point_count, size, len(data) - header.offset_to_point_data, header, path)
+            points = reader.read()
+        if len(points) != header.point_count:
+            raise ValueError(f"{len(points)} of {header.point_count} points")
+        columns = {axis: np.asarray(getattr(points, axis), np.float64) for axis in "xyz"}
+        names = [name for name in points.point_format.dimension_names if name not in {"X", "Y", "Z"}]
+        columns |= {name: np.asarray(points[name]) for name in names}
+    except InputError:
+        raise
+    except BaseException as error:  # laspy and lazrs raise many, a panic of the latter is no Exception
+        if isinstance(error, KeyboardInterrupt | SystemExit):
+            raise
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: is no LAS that can be read ({reason}); it is damaged or cut off") from None
+    version = f"{header.version.major}.{header.version.minor}"
+    packed = "LAZ" if header.are_points_compressed else "LAS"
+    columns = {name: column for name, column in columns.items() if column.ndim == 1}
+    return cloud_of_columns(columns, format=f"{packed} {version}", name=stem_of(path), source=str(path))
+
+
+def _check(points: int, size: int, left: int, header: object, path: Path) -> None:
+    """Refuse a header that says more than the file holds, or than fits the memory."""
+    packed = getattr(header, "are_points_compressed", False)
+    if not 0 < points <= MOST_POINTS or points * size > MOST_BYTES * 2:
+        raise InputError(f"{path}: {points} points of {size} bytes are no single sweep (at most {MOST_POINTS}); cut it")
+    if not packed and points * size > left:
+        raise InputError(f"{path}: its header says {points} points of {size} bytes, but {left} bytes follow; truncated")

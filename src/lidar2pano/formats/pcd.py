@@ -1,0 +1,158 @@
+"""PCD, the format of PCL: ascii, binary, binary_compressed; any field types, padding, organised clouds."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lidar2pano.errors import InputError
+from lidar2pano.formats.delimited_text import numbers
+from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
+from lidar2pano.formats.lzf import MOST_RATIO, decompress
+from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+
+MOST_HEADER = 1 << 16
+BYTES = {"F": (2, 4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
+ENTRY = re.compile(rb"(?m)^(?:VERSION|FIELDS|COLUMNS|SIZE|TYPE|WIDTH|POINTS|DATA) ")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Header:
+    """What stands before the points.
+
+    fields  (name, NumPy type, values a point, offset in a point) of each field;  step: bytes of a point.
+    points  how many there are, 0 where the header does not say.
+    layout  "ascii", "binary" or "binary_compressed";  start: where the points begin.
+    """
+
+    fields: tuple[tuple[str, np.dtype, int, int], ...]
+    step: int
+    points: int
+    layout: str
+    start: int
+
+
+def accepts(head: bytes, path: Path) -> bool:
+    """Whether a file begins with entries of a PCD header."""
+    return ENTRY.search(head) is not None and (b"FIELDS " in head or b"COLUMNS " in head)
+
+
+def decode(data: bytes, path: Path) -> PointCloud:
+    """The points; InputError where header and content do not fit each other."""
+    header = read_header(data, path)
+    if header.layout == "ascii":
+        columns = _ascii(data, header, path)
+    elif header.layout == "binary":
+        columns = _binary(memoryview(data)[header.start :], header, path)
+    else:
+        columns = _compressed(data, header, path)
+    return cloud_of_columns(columns, format=f"PCD, {header.layout}", name=stem_of(path), source=str(path))
+
+
+def read_header(data: bytes, path: Path) -> Header:
+    """The header, checked against the length of the file."""
+    entries: dict[str, list[str]] = {}
+    start = 0
+    while "DATA" not in entries:
+        end = data.find(b"\n", start, MOST_HEADER)
+        if end < 0:
+            raise InputError(f"{path}: its PCD header has no end (a line DATA); the file is truncated")
+        words = data[start:end].decode("latin-1").split()
+        start = end + 1
+        if words and not words[0].startswith("#"):
+            entries[words[0].upper()] = words[1:]
+    try:
+        return _header(entries, start, path)
+    except (ValueError, KeyError, IndexError, OverflowError):
+        raise InputError(f"{path}: its PCD header makes no sense; write the file again") from None
+
+
+def _header(entries: dict[str, list[str]], start: int, path: Path) -> Header:
+    names = entries.get("FIELDS") or entries["COLUMNS"]
+    sizes = [int(size) for size in entries.get("SIZE", ["4"] * len(names))]
+    types = [of.upper() for of in entries.get("TYPE", ["F"] * len(names))]
+    counts = [int(count) for count in entries.get("COUNT", ["1"] * len(names))]
+    fields, step = [], 0
+    for name, size, of, count in zip(names, sizes, types, counts, strict=True):
+        if size not in BYTES[of] or not 0 <= count <= MOST_HEADER:
+            raise ValueError(name)
+        fields.append((name, np.dtype(f"<{of.lower()}{size}"), count, step))
+        step += size * count
+    width, height = (int(entries.get(name, ["0"])[0]) for name in ("WIDTH", "HEIGHT"))
+    points = int(entries["POINTS"][0]) if "POINTS" in entries else width * height
+    if width * height and points and width * height != points:
+        raise InputError(f"{path}: its header says {width} x {height} and {points} points; write the file again")
+    points = points or width * height
+    layout = entries["DATA"][0].lower()
+    if layout not in {"ascii", "binary", "binary_compressed"}:
+        raise InputError(f"{path}: PCD data of form {layout!r} are not read; write it as binary")
+    if points > MOST_POINTS or points < 0 or step < 1:
+        raise InputError(f"{path}: {points} points are no single sweep (at most {MOST_POINTS}); cut it")
+    return Header(fields=tuple(fields), step=step, points=points, layout=layout, start=start)
+
+
+def _ascii(data: bytes, header: Header, path: Path) -> dict[str, np.ndarray]:
+    width = sum(count for _, _, count, _ in header.fields)
+    table = numbers(data[header.start :], path, width)
+    if header.points and len(table) != header.points:
+        raise InputError(f"{path}: its header says {header.points} points, but it holds {len(table)}; fetch it again")
+    columns, place = {}, 0
+    for name, dtype, count, _ in header.fields:
+        if count == 1 and name != "_":
+            columns[name] = _of_type(table[:, place], dtype, name, path)
+        place += count
+    return columns
+
+
+def _of_type(values: np.ndarray, dtype: np.dtype, name: str, path: Path) -> np.ndarray:
+    if dtype.kind != "f":
+        limits = np.iinfo(dtype)
+        with np.errstate(invalid="ignore"):
+            if not bool(((values >= limits.min) & (values <= limits.max)).all()):
+                raise InputError(f"{path}: field {name!r} has values that {dtype.name} has not; write the file again")
+    return values.astype(dtype)
+
+
+def _binary(data: memoryview, header: Header, path: Path) -> dict[str, np.ndarray]:
+    points = header.points or len(data) // header.step
+    _check_length(len(data), points * header.step, header, path)
+    if len(data) - points * header.step >= header.step and any(data[points * header.step :]):
+        raise InputError(f"{path}: its header says {points} points, but more follow; write the file again")
+    return {
+        name: np.ndarray((points,), dtype, data, offset, (header.step,))
+        for name, dtype, count, offset in header.fields
+        if count == 1 and name != "_"
+    }
+
+
+def _compressed(data: bytes, header: Header, path: Path) -> dict[str, np.ndarray]:
+    _check_length(len(data) - header.start, 8, header, path)
+    packed, unpacked = (int(size) for size in np.frombuffer(data, "<u4", 2, header.start))
+    body = data[header.start + 8 : header.start + 8 + packed]
+    _check_length(len(body), packed, header, path)
+    points = header.points or unpacked // header.step
+    if unpacked != points * header.step or unpacked > min(MOST_BYTES, MOST_RATIO * packed):
+        raise InputError(
+            f"{path}: {points} points of {header.step} bytes do not unpack from {packed} bytes to {unpacked};"
+            " the file is damaged"
+        )
+    try:
+        flat = decompress(body, unpacked)
+    except ValueError as error:
+        raise InputError(f"{path}: cannot be unpacked ({error}); it is damaged, fetch it again") from None
+    return {
+        name: np.frombuffer(flat, dtype, points, offset * points)
+        for name, dtype, count, offset in header.fields
+        if count == 1 and name != "_"
+    }
+
+
+def _check_length(found: int, wanted: int, header: Header, path: Path) -> None:
+    if found < wanted:
+        raise InputError(
+            f"{path}: its header says {header.points} points, which need {wanted} bytes, but {found} follow;"
+            " the file is truncated"
+        )
