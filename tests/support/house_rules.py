@@ -26,7 +26,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"pipeline", "drive_motion"}),
     frozenset({"prepare", "train", "evaluate", "bench", "bulk", "serve", "viewer"}),
     frozenset({"reproduce"}),
-    frozenset({"cli", "__main__"}),
+    frozenset({"cli", "ros", "__main__"}),
 )
 DOOR = len(FLOORS) - 1
 ANYWHERE = {"errors"}  # the one exception class, below every floor

@@ -17,7 +17,8 @@ from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.cli.app import MISTAKE, complain, note_licence
 from lidar2pano.cli.follow import followed, until_interrupted
 from lidar2pano.cli.progress import bar
-from lidar2pano.cli.scan_queue import Complaints, Motion, QueuedScan, motion_of, queued
+from lidar2pano.cli.scan_queue import Complaints, QueuedScan, queued
+from lidar2pano.drive_motion import Motion, motion_of
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.image_files import COLOUR_FORMATS
@@ -27,7 +28,8 @@ from lidar2pano.hardware import Timer, keep_buffers
 from lidar2pano.memory import Memory
 from lidar2pano.panorama import OUTPUTS, Panorama
 from lidar2pano.pipeline import Pipeline, load
-from lidar2pano.recordings.folder_times import drive_files
+from lidar2pano.recordings.drive_scans import drive_files
+from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
 from lidar2pano.scan import Scan
 from lidar2pano.viewer.outputs import Output, OutputFiles
 
@@ -151,7 +153,8 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
     names = stems(files)
     if renamed := sum(names[file] != stem_of(file) for file in files):
         complain(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
-    failed |= translate_queue(queued(files, names, options.selection), len(files), options)
+    unknown = any(file.suffix.lower() in RECORDINGS or file.is_dir() for file in files)  # how many scans these hold
+    failed |= translate_queue(queued(files, names, options.selection), 0 if unknown else len(files), options)
     return MISTAKE if failed else 0
 
 
@@ -179,7 +182,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
             pipeline = pipeline or options.pipeline()
             if waiting.stream != stream:
                 memory, stream, like = Memory(), waiting.stream, found
-                motion = motion_of(waiting, scan, found, options.selection, options.smooth)
+                motion = motion_of(stream, scan, found, options.selection, options.smooth)
             try:
                 scan, pose = _timed_pose(motion, waiting, scan, found, timer) if motion else (scan, None)
                 memory, panorama = pipeline.step(memory, scan, pose if options.smooth else None, timer)
