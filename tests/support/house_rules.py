@@ -24,7 +24,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"formats", "geometry", "hardware", "demo"}),
     frozenset({"models", "losses", "metrics", "data", "panorama", "memory", "simulate", "recordings", "engines"}),
     frozenset({"pipeline", "drive_motion"}),
-    frozenset({"prepare", "train", "evaluate", "bench", "bulk", "serve"}),
+    frozenset({"prepare", "train", "evaluate", "bench", "bulk", "serve", "viewer"}),
     frozenset({"reproduce"}),
     frozenset({"cli", "ros", "__main__"}),
 )

@@ -26,11 +26,12 @@ from lidar2pano.formats.interpretation import Interpretation, Overrides
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.hardware import Timer, keep_buffers
 from lidar2pano.memory import Memory
-from lidar2pano.panorama import OUTPUTS
+from lidar2pano.panorama import OUTPUTS, Panorama
 from lidar2pano.pipeline import Pipeline, load
 from lidar2pano.recordings.drive_scans import drive_files
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
 from lidar2pano.scan import Scan
+from lidar2pano.viewer.outputs import Output, OutputFiles
 
 ENDINGS = (".segments", ".depth", ".camera", ".camera-segments")  # of outputs' stems
 KITTI_SIZE = "1242x375"
@@ -44,6 +45,7 @@ class Options:
     sensor   name in VIEWS of the scans' rows, "" for the weights' own.
     smooth   whether a folder's or recording's panoramas are temporally smoothed.
     selection  which scans of a recording or folder;  overrides: what is known about them.
+    ply        whether the points of each scan are written, too;  common: files about all panoramas.
     """
 
     out: Path
@@ -60,6 +62,8 @@ class Options:
     overrides: Overrides = field(default_factory=Overrides)
     engine: str = "auto"
     image_format: str = "png"
+    ply: bool = False
+    common: OutputFiles = field(default_factory=OutputFiles)
 
     def pipeline(self) -> Pipeline:
         """The pipeline with these weights, for this sensor and camera."""
@@ -165,7 +169,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
     pipeline: Pipeline | None = None
     memory, stream, like, motion, noted = Memory(), None, None, None, False
     complaints = Complaints()
-    with bar(total, "translating") as advance:
+    with options.common.opened() as common, bar(total, "translating") as advance:
         for waiting in scans:
             timer = Timer(options.device)
             try:
@@ -186,9 +190,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
                     note_licence(pipeline.cards.values())
                 noted = True
                 with timer("save"):
-                    outputs = panorama.save(
-                        options.out, options.save, options.calibration, waiting.stem, options.image_format
-                    )
+                    outputs = _save(panorama, scan, waiting, options, common)
             except InputError as error:
                 complaints.add(error, waiting)
             else:
@@ -206,8 +208,22 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
                 }
                 print(json.dumps(record) if options.as_json else summary(record), flush=True)
             advance()
-    complaints.flush()
+        complaints.flush()
+        for path in [output.finish() for output in common]:
+            if path and not options.as_json:
+                print(path, flush=True)
     return complaints.failed
+
+
+def _save(
+    panorama: Panorama, scan: Scan, waiting: QueuedScan, options: Options, common: Iterable[Output]
+) -> list[Path]:
+    outputs = panorama.save(options.out, options.save, options.calibration, waiting.stem, options.image_format)
+    if options.ply:
+        outputs.append(panorama.save_points(options.out / f"{waiting.stem}.ply", scan))
+    for output in common:
+        output.add(panorama, scan, waiting.input, waiting.stem)
+    return outputs
 
 
 def _timed_pose(

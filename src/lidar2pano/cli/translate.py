@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lidar2pano.cli.app import app
+
+if TYPE_CHECKING:
+    from lidar2pano.cli.batch import Options
 
 OUT = Path("panoramas")
 OutOption = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the pictures.")]
@@ -67,6 +71,14 @@ EngineOption = Annotated[
         help="What runs the networks; auto: OpenVINO where it is installed and the CPU has bfloat16, else torch.",
     ),
 ]
+ViewOption = Annotated[bool, typer.Option("--view", help="Write DIR/view.html to look around in, and open it.")]
+PlyOption = Annotated[bool, typer.Option("--ply", help="Write DIR/<stem>.ply: the points with colours and classes.")]
+VideoOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write the panoramas as a video (.mp4), ten a second.")
+]
+RerunOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write points and panoramas as a recording for Rerun (.rrd).")
+]
 
 
 @app.command()
@@ -85,7 +97,10 @@ def demo(out: OutOption = OUT, weights: WeightsOption = "world", device: DeviceO
         weights=weights,
         files=weight_files(weights),
     )
-    raise typer.Exit(translate_files([street()], options))
+    code = translate_files([street()], options)
+    if not code:
+        print(f"look around in it: lidar2pano view {shlex.quote(str(out))}")
+    raise typer.Exit(code)
 
 
 @app.command()
@@ -112,20 +127,20 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     follow: FollowOption = False,
     engine: EngineOption = "auto",
     image_format: FormatOption = "png",
+    view: ViewOption = False,
+    ply: PlyOption = False,
+    video: VideoOption = None,
+    rerun: RerunOption = None,
 ) -> None:
     """Turn scans into panoramas: DIR/<stem>.png, .segments.png, .label, .depth.png, .camera.png."""
     from lidar2pano.cli import batch
     from lidar2pano.cli.files import check_folder
-    from lidar2pano.cli.follow import check_followed
-    from lidar2pano.engines import pick_engine
+    from lidar2pano.cli.view import common_files
     from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.families import weight_files
-    from lidar2pano.views import sensor_view
 
-    if sensor:
-        sensor_view(sensor)
     options = batch.Options(
         out=check_folder(out, "--out"),
         calibration=batch.parse_camera(calib, image_size),
@@ -141,8 +156,26 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         overrides=Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission, invent=invent),
         engine=engine,
         image_format=batch.parse_format(image_format),
+        ply=ply,
+        common=common_files(out / "view.html" if view else None, scans, video, rerun),
     )
-    pick_engine(engine, options.device)
+    raise typer.Exit(_translated(scans, options, follow))
+
+
+def _translated(scans: list[Path], options: Options, follow: bool) -> int:
+    """Translate and open the page, if one was wanted; the exit code."""
+    from lidar2pano.cli.batch import translate_files, translate_followed
+    from lidar2pano.cli.follow import check_followed
+    from lidar2pano.cli.view import open_page
+    from lidar2pano.engines import pick_engine
+    from lidar2pano.views import sensor_view
+
+    if options.sensor:
+        sensor_view(options.sensor)
+    pick_engine(options.engine, options.device)
     if follow:
-        raise typer.Exit(batch.translate_followed(check_followed(scans, options.selection), options))
-    raise typer.Exit(batch.translate_files(scans, options))
+        code = translate_followed(check_followed(scans, options.selection), options)
+    else:
+        code = translate_files(scans, options)
+    open_page(options.common.page, code)
+    return code
