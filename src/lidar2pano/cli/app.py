@@ -21,7 +21,13 @@ MISTAKE, BROKEN, INTERRUPTED = 2, 1, 130  # exit codes: a user's mistake; the ru
 EXIT_CODES = {InputError: MISTAKE, FloatingPointError: BROKEN, KeyboardInterrupt: INTERRUPTED}
 MOST_CHARACTERS = 2000  # of a message
 # module -> extra of the package that installs it
-EXTRAS = {"lightning": "train", "torchmetrics": "train", "tensorboard": "train", "matplotlib": "train"}
+EXTRAS = {
+    "lightning": "train",
+    "torchmetrics": "train",
+    "tensorboard": "train",
+    "matplotlib": "train",
+    "fsspec": "fsspec",
+}
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

@@ -1,0 +1,11 @@
+"""Any number of scans through one pipeline, on one machine or many; the files that are there say what is done."""
+
+from __future__ import annotations
+
+from lidar2pano.bulk.entries import Entry, Shard, entries
+from lidar2pano.bulk.job import Job
+from lidar2pano.bulk.local import translate_all
+from lidar2pano.bulk.manifest import Manifest
+from lidar2pano.bulk.run_settings import start
+
+__all__ = ["Entry", "Job", "Manifest", "Shard", "entries", "start", "translate_all"]

@@ -1,0 +1,107 @@
+"""The manifest of a shard: a line of JSON per scan, which says what was made of it or what is wrong with it."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Collection, Iterator
+from typing import Any
+
+from lidar2pano.bulk.entries import Shard
+from lidar2pano.bulk.stores import Store
+
+FLUSH_S = 30.0  # how often a manifest is uploaded where files cannot grow
+FOLDER = "manifest"
+
+
+class Manifest:
+    """The lines of one shard, in manifest/<i>-of-<n>.jsonl of the output's store.
+
+    The outputs are the state and the manifest only reports on them: a line that was lost is written again by
+    `reconcile`, and one whose outputs are gone is removed.
+    """
+
+    def __init__(self, store: Store, shard: Shard) -> None:
+        self.name = f"{FOLDER}/{shard.index}-of-{shard.count}.jsonl"
+        self._store = store
+        self._lines: list[bytes] = []  # only where files cannot grow
+        self._flushed = time.monotonic()
+
+    def reconcile(self, done: Collection[str], describe: Callable[[str], dict[str, Any]]) -> None:
+        """Make the lines fit the outputs: one for each scan in `done`, none with an error.
+
+        done      inputs of the shard whose outputs are all there;  describe: input -> its line, if it was lost.
+        Scans that a manifest of another division into shards has a line of get no second one.
+        """
+        before = self._read(self.name)
+        known = {record["input"]: record for record in _parsed(before) if _made(record)}
+        kept = {name: record for name, record in known.items() if name in done or self._complete(record)}
+        elsewhere = {
+            record["input"]
+            for name in self._store.names(FOLDER)
+            if name != self.name
+            for record in _parsed(self._read(name))
+            if _made(record)
+        }
+        for name in done:
+            if name not in kept and name not in elsewhere:
+                kept[name] = describe(name)
+        lines = [_line(record) for record in kept.values()]
+        if b"".join(lines) != before or not self._store.exists(self.name):
+            self._write(b"".join(lines))
+        self._lines = [] if self._store.appends else lines
+
+    def add(self, record: dict[str, Any]) -> None:
+        """Append a line."""
+        if self._store.appends:
+            self._store.append(self.name, _line(record))
+            return
+        self._lines.append(_line(record))
+        if time.monotonic() - self._flushed > FLUSH_S:
+            self.flush()
+
+    def flush(self) -> None:
+        """Upload the lines where files cannot grow."""
+        if self._lines and not self._store.appends:
+            self._write(b"".join(self._lines))
+        self._flushed = time.monotonic()
+
+    def _complete(self, record: dict[str, Any]) -> bool:
+        return all(self._store.exists(name) for name in record["outputs"])
+
+    def _read(self, name: str) -> bytes:
+        if not self._store.exists(name):
+            return b""
+        with self._store.local(name) as path:
+            return path.read_bytes()
+
+    def _write(self, data: bytes) -> None:
+        with self._store.scratch() as scratch:
+            (scratch / "manifest").write_bytes(data)
+            self._store.put(scratch / "manifest", self.name)
+
+
+def line(name: str, sha256: str, weights: str, **known: Any) -> dict[str, Any]:  # noqa: ANN401
+    """A line with all its fields, None where they are not in `known`: outputs, error, points, dropped, milliseconds."""
+    fields: dict[str, Any] = dict.fromkeys(("outputs", "error", "points", "dropped", "milliseconds"))
+    return {"input": name, "sha256": sha256, **(fields | known), "weights": weights}
+
+
+def _line(record: dict[str, Any]) -> bytes:
+    return json.dumps(record, separators=(",", ":")).encode() + b"\n"
+
+
+def _parsed(data: bytes) -> Iterator[dict[str, Any]]:
+    """The records of whole lines; a torn one is passed over."""
+    for line in data.splitlines():
+        try:
+            record = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(record, dict) and isinstance(record.get("input"), str):
+            yield record
+
+
+def _made(record: dict[str, Any]) -> bool:
+    """Whether the line is of a scan that has its outputs."""
+    return record.get("error") is None and isinstance(record.get("outputs"), list) and bool(record["outputs"])

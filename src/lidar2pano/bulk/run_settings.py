@@ -1,0 +1,82 @@
+"""What a folder of panoramas was made with, so that a repeated command goes on and another one does not mix in."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from lidar2pano import __version__
+from lidar2pano.bulk.entries import SEMANTIC_KITTI, Entry
+from lidar2pano.bulk.job import Job, copy_beside, file_hash
+from lidar2pano.bulk.stores import Folder, Store, open_store
+from lidar2pano.errors import InputError
+from lidar2pano.formats.json_files import read_json
+from lidar2pano.labels import COMMON15
+
+NAME = "bulk.json"
+SEQUENCE_FILES = ("calib.txt", "poses.txt", "times.txt")
+
+
+def start(job: Job, found: list[Entry], files: Mapping[str, Path], look: str) -> None:
+    """Write bulk.json beside the panoramas, or check that the one that is there has the same settings.
+
+    files  the weight files by role.
+    In a data set's layout, calibrations, poses and splits are copied too. Raises InputError where OUT holds panoramas
+    of other settings, or files that no bulk run wrote.
+    """
+    source, out = open_store(job.source), open_store(job.out)
+    same = isinstance(source, Folder) and isinstance(out, Folder) and source.root.resolve() == out.root.resolve()
+    if same and job.layout != SEMANTIC_KITTI:
+        raise InputError(f"{job.out}: is the folder of the scans; choose another --out")
+    settings = {
+        "lidar2pano": __version__,
+        "weights": job.weights,
+        "sha256": {role: file_hash(file) for role, file in sorted(files.items())},
+        "look": look,
+        "save": list(job.save),
+        "as": job.layout,
+        "labels": job.use_labels,
+        "classes": {
+            str(index): {"name": name, "colour": list(colour)}
+            for index, (name, colour) in enumerate(zip(COMMON15.classes, COMMON15.colours, strict=True))
+        },
+    }
+    if out.exists(NAME):
+        _compare(out, settings)
+    else:
+        _refuse_others(job, out, found)
+        with out.scratch() as scratch:
+            (scratch / NAME).write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
+            out.put(scratch / NAME, NAME)
+    if job.layout == SEMANTIC_KITTI and not same:
+        copy_beside(source, out, "splits.json", "splits.json")
+        for folder, sequence in sorted({(_sequence_folder(entry), entry.sequence) for entry in found}):
+            for name in SEQUENCE_FILES:
+                copy_beside(source, out, f"{folder}{name}", f"sequences/{sequence}/{name}")
+
+
+def _compare(out: Store, settings: dict[str, Any]) -> None:
+    with out.local(NAME) as path:
+        before = read_json(path)
+    for name, value in settings.items():
+        if not isinstance(before, dict) or before.get(name) != value:
+            raise InputError(
+                f"{out.place}/{NAME}: these panoramas were made with another {name!r}; choose another --out, or repeat"
+                " the command with the same options"
+            )
+
+
+def _refuse_others(job: Job, out: Store, found: list[Entry]) -> None:
+    """A file that would count as done, but is not ours, must not be taken for a panorama of this run."""
+    for entry in found:
+        for name in job.outputs(entry).values():
+            if out.exists(name):
+                raise InputError(f"{out.place}/{name}: is there already, but no {NAME}; choose another --out")
+
+
+def _sequence_folder(entry: Entry) -> str:
+    folder = entry.input.rpartition("/")[0]
+    above = folder.removesuffix("velodyne").rstrip("/")
+    return f"{above}/" if above else ""

@@ -1,0 +1,201 @@
+"""Where scans come from and panoramas go to: a folder, or any URL that fsspec opens (s3://, gs://, memory://)."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Protocol
+
+from lidar2pano.errors import InputError
+
+SCRATCH = ".lidar2pano-"  # folders of unfinished files: .lidar2pano-HOST-PROCESS-xxxx
+HOST = platform.node()[:64]
+STALE_S = 24 * 3600  # unfinished files that are not known to be a killed process's are left alone for so long
+
+
+class Store(Protocol):
+    """Files by name: the path below the store's root, with slashes.
+
+    place  the root, for messages;  appends: whether a file can grow.
+    """
+
+    place: str
+    appends: bool
+
+    def names(self, below: str = "") -> Iterator[str]:
+        """Names of all files, or of those in the folder `below`, whose folders are not hidden."""
+        ...
+
+    def exists(self, name: str) -> bool:
+        """Whether there is such a file."""
+        ...
+
+    def local(self, name: str) -> Any:  # noqa: ANN401
+        """A context that gives the path of a local file with the content; InputError where there is none."""
+        ...
+
+    def scratch(self) -> Any:  # noqa: ANN401
+        """A context that gives a local folder whose files `put` takes; the folder goes with the context."""
+        ...
+
+    def put(self, file: Path, name: str) -> None:
+        """Make a file of the scratch folder the file `name`, complete or not at all; raises InputError."""
+        ...
+
+    def append(self, name: str, data: bytes) -> None:
+        """Append to the file `name`, if `appends`; raises InputError."""
+        ...
+
+
+def open_store(place: str | Path) -> Store:
+    """The store at a folder or URL; InputError where the URL cannot be opened."""
+    text = str(place)
+    if text.startswith("file://"):
+        return Folder(Path(text.removeprefix("file://")))
+    return Remote(text) if "://" in text else Folder(Path(text))
+
+
+class Folder:
+    """A folder of this machine, or one that it shares with others."""
+
+    appends = True
+
+    def __init__(self, root: Path) -> None:
+        self.root, self.place = root, str(root)
+
+    def names(self, below: str = "") -> Iterator[str]:
+        """See Store; links to folders are followed, each folder is listed once."""
+        if not (self.root / below).is_dir():
+            return
+        listed: set[tuple[int, int]] = set()
+        for folder, folders, files in os.walk(self.root / below, followlinks=True, onerror=_refuse):
+            state = Path(folder).stat()
+            if (state.st_dev, state.st_ino) in listed:
+                folders.clear()
+                continue
+            listed.add((state.st_dev, state.st_ino))
+            folders[:] = sorted(name for name in folders if not name.startswith("."))
+            inner = Path(folder).relative_to(self.root)
+            yield from ((inner / name).as_posix() for name in sorted(files))
+
+    def exists(self, name: str) -> bool:
+        """See Store."""
+        return (self.root / name).is_file()
+
+    @contextmanager
+    def local(self, name: str) -> Iterator[Path]:
+        """See Store."""
+        yield self.root / name
+
+    @contextmanager
+    def scratch(self) -> Iterator[Path]:
+        """See Store. It lies in the folder itself, so that `put` is a renaming; what killed runs left is removed."""
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+            self._sweep()
+            folder = Path(tempfile.mkdtemp(prefix=f"{SCRATCH}{HOST}-{os.getpid()}-", dir=self.root))
+        except OSError as error:
+            raise _unwritable(self.place, error) from error
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def put(self, file: Path, name: str) -> None:
+        """See Store."""
+        try:
+            (self.root / name).parent.mkdir(parents=True, exist_ok=True)
+            file.replace(self.root / name)
+        except OSError as error:
+            raise _unwritable(str(self.root / name), error) from error
+
+    def append(self, name: str, data: bytes) -> None:
+        """See Store; one call of the system, so that lines of several processes do not mix."""
+        try:
+            with (self.root / name).open("ab", buffering=0) as file:
+                file.write(data)
+        except OSError as error:
+            raise _unwritable(str(self.root / name), error) from error
+
+    def _sweep(self) -> None:
+        for folder in self.root.glob(f"{SCRATCH}*"):
+            host, _, process = folder.name.removeprefix(SCRATCH).rpartition("-")[0].rpartition("-")
+            ended = host == HOST and Path("/proc/self").exists() and not Path("/proc", process).exists()
+            with suppress(FileNotFoundError):  # its own run has just removed it
+                if ended or time.time() - folder.stat().st_mtime > STALE_S:
+                    shutil.rmtree(folder, ignore_errors=True)
+
+
+class Remote:
+    """A URL that fsspec opens. A file is uploaded in one piece, which object stores show whole or not at all."""
+
+    appends = False
+
+    def __init__(self, url: str) -> None:
+        from fsspec.core import url_to_fs
+
+        try:
+            self._files, root = url_to_fs(url)
+        except (ImportError, ValueError) as error:
+            raise InputError(f"{url}: cannot be opened ({error}); name a folder or another URL") from error
+        self.place, self._root = url, root.rstrip("/")
+        self._known: set[str] | None = None
+
+    def names(self, below: str = "") -> Iterator[str]:
+        """See Store; listed once."""
+        return iter(sorted(name for name in self._listed() if not below or name.startswith(f"{below}/")))
+
+    def exists(self, name: str) -> bool:
+        """See Store, by the list of names."""
+        return name in self._listed()
+
+    @contextmanager
+    def local(self, name: str) -> Iterator[Path]:
+        """See Store: a download."""
+        with tempfile.TemporaryDirectory(prefix=SCRATCH) as folder:
+            path = Path(folder, name.rpartition("/")[2])
+            try:
+                self._files.get_file(f"{self._root}/{name}", str(path))
+            except OSError as error:
+                raise InputError(f"{self.place}/{name}: cannot be read ({error}); ask for permission") from error
+            yield path
+
+    @contextmanager
+    def scratch(self) -> Iterator[Path]:
+        """See Store."""
+        with tempfile.TemporaryDirectory(prefix=SCRATCH) as folder:
+            yield Path(folder)
+
+    def put(self, file: Path, name: str) -> None:
+        """See Store: an upload."""
+        try:
+            self._files.pipe_file(f"{self._root}/{name}", file.read_bytes())
+        except OSError as error:
+            raise _unwritable(f"{self.place}/{name}", error) from error
+        file.unlink()
+        if self._known is not None:
+            self._known.add(name)
+
+    def append(self, name: str, data: bytes) -> None:
+        """Not possible."""
+        raise NotImplementedError
+
+    def _listed(self) -> set[str]:
+        if self._known is None:
+            found = (path.removeprefix(self._root).lstrip("/") for path in self._files.find(self._root))
+            self._known = {name for name in found if not any(part.startswith(".") for part in name.split("/")[:-1])}
+        return self._known
+
+
+def _unwritable(place: str, error: OSError) -> InputError:
+    return InputError(f"{place}: cannot be written ({error.strerror or error}); choose another --out")
+
+
+def _refuse(error: OSError) -> None:
+    raise InputError(f"{error.filename}: cannot be looked into ({error.strerror}); ask for permission")

@@ -1,0 +1,138 @@
+"""lidar2pano bulk."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lidar2pano.cli.app import app, complain, note_licence
+from lidar2pano.cli.translate import DeviceOption, WeightsOption
+from lidar2pano.errors import InputError, closest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from lidar2pano.bulk import Entry, Job, Manifest
+
+BAD_SCANS, TERMINATED = 3, 143  # exit codes: some scans failed; stopped by SIGTERM
+
+
+@app.command()
+def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
+    root: Annotated[str, typer.Argument(metavar="ROOT", help="Folder, or URL, below which all scans are translated.")],
+    out: Annotated[str, typer.Option(metavar="DIR", help="Folder, or URL, for the panoramas.")],
+    shard: Annotated[
+        str, typer.Option(metavar="I/N", help="Only the scans of shard I of N; I counts from 0 to N - 1.")
+    ] = "0/1",
+    save: Annotated[
+        str,
+        typer.Option(
+            metavar="LIST", help="What to write: rgb,segments,labels,depth or all (rgb; with --as: rgb,segments,depth)."
+        ),
+    ] = "",
+    layout: Annotated[
+        str, typer.Option("--as", metavar="NAME", help="Lay panoramas out as a data set: semantickitti.")
+    ] = "",
+    use_labels: Annotated[
+        bool, typer.Option("--labels", help="Paint the scans' own labels (.label) instead of the segmenter's.")
+    ] = False,
+    weights: WeightsOption = "kitti-mini",
+    look: Annotated[
+        str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
+    ] = "",
+    device: DeviceOption = "auto",
+) -> None:
+    """Translate any number of scans. Repeat the command to go on where it stopped."""
+    from lidar2pano.bulk import Job, Manifest, Shard, entries, start
+    from lidar2pano.bulk.entries import LAYOUTS
+    from lidar2pano.bulk.stores import open_store
+    from lidar2pano.cli.batch import Options, parse_save
+    from lidar2pano.hardware import pick_device
+    from lidar2pano.models.card import read_card
+    from lidar2pano.models.families import weight_files
+
+    if layout not in LAYOUTS:
+        raise InputError(f"--as {layout}: no such layout{closest(layout, LAYOUTS[1:])}")
+    part, files = Shard.parsed(shard), weight_files(weights)
+    options = Options(
+        out=Path(out),
+        save=parse_save(save or ("rgb,segments,depth" if layout else "rgb")),
+        weights=weights,
+        files=files,
+        device=pick_device(device),
+        look=look,
+    )
+    job = Job(
+        source=root,
+        out=out,
+        save=options.save,
+        layout=layout,
+        use_labels=use_labels,
+        weights=weights,
+        pipeline=options.pipeline,
+    )
+    if "://" not in root and not Path(root).is_dir():
+        raise InputError(f"{root}: is no folder; name a folder of scans, or a URL")
+    found = entries(open_store(root), part, layout, labels=use_labels)
+    start(job, found, files, look)
+    note_licence(read_card(file) for file in files.values())
+    raise typer.Exit(work(job, found, Manifest(open_store(out), part)))
+
+
+def work(job: Job, found: list[Entry], manifest: Manifest) -> int:
+    """Translate what is not done yet, and return the exit code."""
+    from lidar2pano.bulk import translate_all
+    from lidar2pano.bulk.resume import remaining
+
+    todo = remaining(job, found, manifest)
+    with until_terminated() as stopped:
+        written, bad = consume(translate_all(job, todo, stopped), len(todo), manifest)
+        terminated = stopped()
+    before = len(found) - len(todo)
+    left = len(todo) - written - bad
+    counts = [(written, "written"), (before, "there before"), (bad, "bad"), (left, "left")]
+    print(
+        f"{len(found)} scan{'s' * (len(found) != 1)}: "
+        + ", ".join(f"{count} {name}" for count, name in counts if count)
+    )
+    if terminated and left:
+        complain(f"stopped with {left} scans left; repeat the command to go on")
+        return TERMINATED
+    return BAD_SCANS if bad else 0
+
+
+def consume(records: Iterable[dict[str, Any]], total: int, manifest: Manifest) -> tuple[int, int]:
+    """Enter records into the manifest as they come; how many were written, and how many are of bad scans."""
+    from lidar2pano.cli.progress import bar
+
+    written, bad = 0, 0
+    try:
+        with bar(total, "translating") as advance:
+            for record in records:
+                manifest.add(record)
+                if record["error"]:
+                    complain(record["error"])
+                    bad += 1
+                else:
+                    written += 1
+                advance()
+    finally:
+        manifest.flush()
+    return written, bad
+
+
+@contextmanager
+def until_terminated() -> Iterator[Callable[[], bool]]:
+    """A function that says whether SIGTERM has come, which in the context does not end the process."""
+    stop = threading.Event()
+    before = signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    try:
+        yield stop.is_set
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,72 @@
+"""`lidar2pano bulk` with networks, on the scan that ships with the package."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+import torch
+
+from lidar2pano import demo
+from lidar2pano.cli import main
+from lidar2pano.hardware import Timer
+from lidar2pano.pipeline import load
+from random_weights import street
+
+
+@pytest.fixture
+def drive(tmp_path, monkeypatch):
+    """A working folder with the demo's scan in a folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "drive" / "one").mkdir(parents=True)
+    shutil.copy(demo.street(), tmp_path / "drive" / "one" / "a.bin")
+    return tmp_path
+
+
+def test_the_bytes_are_those_of_translate(drive, random_weights, capsys):
+    options = ["--weights", str(random_weights), "--device", "cpu", "--save", "all"]
+    assert main(["bulk", "drive", "--out", "bulk", *options]) == 0
+    captured = capsys.readouterr()
+    assert captured.out == "1 scan: 1 written\n"
+    assert captured.err.count("\n") == 1 and "not for commercial use" in captured.err
+    assert main(["translate", "drive/one/a.bin", "--out", "single", *options]) == 0
+    names = ["a.depth.png", "a.label", "a.png", "a.segments.png"]
+    assert sorted(path.name for path in (drive / "bulk" / "one").iterdir()) == names
+    for name in names:
+        assert (drive / "bulk" / "one" / name).read_bytes() == (drive / "single" / name).read_bytes()
+    (line,) = map(json.loads, (drive / "bulk" / "manifest" / "0-of-1.jsonl").read_text().splitlines())
+    assert line["outputs"] == ["one/a.png", "one/a.segments.png", "one/a.label", "one/a.depth.png"]
+    assert line["weights"] == str(random_weights) and line["milliseconds"]["translate"] > 0
+    settings = json.loads((drive / "bulk" / "bulk.json").read_text())
+    assert settings["save"] == ["rgb", "segments", "labels", "depth"] and len(settings["sha256"]["painter"]) == 64
+
+
+def test_given_labels_do_what_the_segmenters_do(random_weights):
+    pipeline, scan = load(random_weights, "cpu"), street()
+    timer = Timer(pipeline.device)
+    own = pipeline.translate(scan, timer)
+    again = pipeline.translate(scan, timer, own.labels.numpy())
+    assert torch.equal(own.logits, again.logits) and torch.equal(own.labels, again.labels)
+    other = pipeline.translate(scan, timer, (own.labels.numpy() + 1) % 20)
+    assert not torch.equal(own.logits, other.logits)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere", "--out", "o"], "nowhere: is no folder; name a folder of scans, or a URL"),
+        (["drive", "--out", "o", "--shard", "3/3"], "--shard 3/3: is not of the form i/n"),
+        (["drive", "--out", "o", "--as", "semantikitti"], "did you mean 'semantickitti'?"),
+        (["drive", "--out", "o", "--save", "rbg"], "did you mean 'rgb'?"),
+        (["drive", "--out", "o", "--look", "B"], "these weights paint one look only"),
+        (["drive", "--out", "drive"], "drive: is the folder of the scans; choose another --out"),
+        (["drive/one/a.bin", "--out", "o"], "drive/one/a.bin: is no folder"),
+        (["drive"], "Missing option '--out'"),
+    ],
+)
+def test_mistakes(drive, random_weights, capsys, arguments, message):
+    assert main(["bulk", *arguments, "--weights", str(random_weights), "--device", "cpu"]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if "commercial" not in line]
+    assert len(lines) == 1 and message in lines[0]
+    assert not list(drive.rglob("*.png")) and not list(drive.rglob(".lidar2pano*"))
