@@ -65,7 +65,7 @@ BAD_SCANS: dict[str, tuple[Callable[[Path], object], str]] = {
     "origin": (lambda path: write_scan(path, points((0, 0, 0), (0, 0, 0))), "bad.bin: none of its 2 points"),
     "view": (lambda path: write_scan(path, points((0.1, 0, 50), (0, 0.1, 50))), "bad.bin: no point is in view"),
     "missing": (lambda path: None, "bad.bin: does not exist"),
-    "suffix": (lambda path: write_scan(path).rename("bad.xyz"), "bad.xyz: no reader for files that end in '.xyz'"),
+    "format": (lambda path: path.with_name("bad.gif").write_bytes(b"GIF89a" * 99), "bad.gif: is of no format that is"),
     "folder": (lambda path: Path("bad.bin").mkdir(), "bad.bin: holds no scan (known endings: .bin"),
 }
 
@@ -74,7 +74,7 @@ BAD_SCANS: dict[str, tuple[Callable[[Path], object], str]] = {
 def test_bad_scans(here, refused, fault):
     make, said = BAD_SCANS[fault]
     make(here / "bad.bin")
-    name = "bad.xyz" if fault == "suffix" else "bad.bin"
+    name = "bad.gif" if fault == "format" else "bad.bin"
     assert refused(f"translate {name} --weights small --device cpu").startswith(said)
 
 

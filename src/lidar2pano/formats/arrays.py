@@ -26,7 +26,7 @@ POINTS = (
     "data",
     "arr_0",
 )
-WIDEST = 64  # columns of an array of points
+WIDEST, MOST_ROWS = 64, 8  # columns of an array of points, and rows of one that has a point in each column
 
 
 def cloud_of(source: Any, name: str = "array") -> PointCloud:  # noqa: ANN401
@@ -101,6 +101,6 @@ def _table(array: np.ndarray) -> np.ndarray | None:
         array = array.reshape(-1, array.shape[2])
     if array.ndim != 2:
         return None
-    if not 3 <= array.shape[1] <= WIDEST and 3 <= array.shape[0] <= 8:
+    if array.shape[1] > WIDEST and 3 <= array.shape[0] <= MOST_ROWS:
         array = array.T
     return array if 3 <= array.shape[1] <= WIDEST else None

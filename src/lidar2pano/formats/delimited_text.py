@@ -40,7 +40,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
     if b";" in data[:MOST_LINE] and b"," in data[:MOST_LINE] and not data[:MOST_LINE].lstrip().startswith(b"#"):
         data = data.replace(b",", b".")  # 3,14;2,72
     names, claimed, data = _preamble(data, path)
-    first = _cells(data[:MOST_LINE].lstrip().split(b"\n", 1)[0].decode("utf-8", "ignore"))
+    first = _cells(data[:MOST_LINE].lstrip().split(b"\n", 1)[0].decode("utf-8", "ignore"), len(names))
     if len(first) < LEAST:
         raise InputError(f"{path}: its lines are no points (x y z ... each); name a scan")
     table = numbers(data, path, len(first))
@@ -90,7 +90,7 @@ def _line_by_line(data: bytes, path: Path, width: int) -> np.ndarray:
     """Like `numbers`, for files with comments, empty cells, text cells and to find the line that is wrong."""
     rows = []
     for number, line in enumerate(data.decode("utf-8", "replace").splitlines(), 1):
-        cells = _cells(line)
+        cells = _cells(line, width)
         if not line.strip() or line.lstrip().startswith(("#", "//")):
             continue
         if len(cells) != width:
@@ -128,13 +128,13 @@ def _is_header(cells: list[str]) -> bool:
     return {"x", "y", "z"} <= {AXES.get(cell.lower(), cell.lower().removeprefix("scalar_")) for cell in cells}
 
 
-def _cells(line: str) -> list[str]:
-    """A line's cells without quotes; a separator at the end adds none."""
+def _cells(line: str, width: int = 0) -> list[str]:
+    """A line's cells without quotes; a separator at the end adds none beyond `width`."""
     line = line.strip()
     for separator in (";", ",", "\t", "|"):
         if separator in line:
             cells = next(csv.reader([line], delimiter=separator), [])
-            if cells and not cells[-1].strip():
+            if len(cells) > width and not cells[-1].strip():
                 cells.pop()
             return [cell.strip().strip('"') for cell in cells]
     return [cell.strip('"') for cell in line.split()]

@@ -12,6 +12,7 @@ from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud
 
 MOST_RINGS = 256
 SAMPLE = 20_000  # rows that tell what a file is; rings and remissions are alike all through it
+FEWEST_BYTES = 160  # that decide, where the name does not
 FAR_M = 1e6  # no coordinate of a scan is beyond: neither in millimetres
 
 
@@ -19,8 +20,10 @@ def accepts(head: bytes, path: Path) -> bool:
     """Whether a file may be rows of float32: its name ends in .bin, or its first numbers could be points."""
     if ".bin" in path.suffixes[-2:]:
         return True
+    if len(head) > FEWEST_BYTES and _has_rings(head):
+        return True
     values = np.frombuffer(head, "<f4", len(head) // 16 * 4).reshape(-1, 4)
-    return len(values) > 8 and bool(np.isfinite(values).all()) and _plausible(values) and values.std() > 0.01
+    return len(head) > FEWEST_BYTES and bool(np.isfinite(values).all()) and _plausible(values) and values.std() > 0.01
 
 
 def decode(data: bytes, path: Path) -> PointCloud:

@@ -13,6 +13,7 @@ from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.viewpoint import horizontal_centre, sharpest_origin
 from lidar2pano.scan import Scan
 
+NO_RETURN = 0.01  # nearer to the origin, in the cloud's unit, there was no echo
 FEWEST = 1000  # usable points; fewer decide nothing: they are taken as they are
 SENSOR_HEIGHT_M = 1.73  # above the road, of the sensor that the networks were trained with (KITTI's HDL-64E)
 STAND_IN = 0.25  # remission of all points where there is none: costs least, see runs/remission_stand_in.py
@@ -25,6 +26,8 @@ NARROWEST_DEG = 60.0  # in view; less is no sweep
 FAR_M = 1000.0  # beyond this no LiDAR of a vehicle measures: coordinates are millimetres, or have an offset
 # Median over 99th percentile of ranges, from which on points do not thin out with distance as those of sweeps do.
 FLAT_SHARE, FLAT_FROM_M = 0.45, 30.0
+DENSE, FEWEST_DENSE = 4, 300  # points of a direction (1 x 1 degree), and such directions, that say something
+MAP_SPREAD = 0.12  # standard deviation of the logarithm of ranges within a direction: sweeps 0.02 to 0.06 if flat
 VEHICLE_GROUND_M = 0.65  # the ground is so near to z = 0 in a vehicle's frame (Argoverse 2: rear axle, 0.35 m above it)
 VEHICLE_DOWN_DEG = -9.0  # and no point lies far below the origin's horizon, as points do below a sensor
 STANDING_M = 0.3  # above the ground; what is lower is ground
@@ -113,7 +116,7 @@ def interpret(
     overrides = overrides or Overrides()
     xyz = cloud.xyz
     squared = np.einsum("ij,ij->i", xyz, xyz)
-    returns = np.isfinite(squared) & (squared > 0)
+    returns = np.isfinite(squared) & (squared > NO_RETURN**2)
     found = Interpretation(
         format=cloud.format,
         fields=cloud.fields,
@@ -208,15 +211,13 @@ def _geometry(
     if like and not away and overrides.sensor_height_m is None:
         same = ("unit_m", "viewpoint_m", "viewpoint_by", "forward", "forward_by", "ground_m", "tilt_deg")
         return replace(found, **{name: getattr(like, name) for name in same})
-    range_m = np.sqrt(np.einsum("ij,ij->i", sample, sample))
-    if not away and FAR_M < np.percentile(range_m, 99) < 1000 * FAR_M and not _is_map(range_m):
+    most = float(np.percentile(np.linalg.norm(sample, axis=1), 99))
+    if not away and FAR_M < most < 1000 * FAR_M:
         found = replace(found, unit_m=1e-3)
-        sample, range_m = sample * 1e-3, range_m * 1e-3
+        sample = sample * 1e-3
     centre = horizontal_centre(sample) if away else np.zeros(3)
-    if away:
-        sample = sample - centre
-        range_m = np.sqrt(np.einsum("ij,ij->i", sample, sample))
-    if _is_map(range_m):
+    sample = sample - centre
+    if _is_map(sample, away):
         raise InputError(
             "is no sweep of a LiDAR (its points do not thin out with distance: a map, an airborne scan"
             " or an object); name a single scan from the sensor's place"
@@ -240,10 +241,25 @@ def _is_offset(sample: np.ndarray) -> bool:
     return float(np.abs(centre).max()) > 5 * spread
 
 
-def _is_map(range_m: np.ndarray) -> bool:
-    """Whether points do not thin out with distance: median and 99th percentile of their ranges are near each other."""
+def _is_map(sample: np.ndarray, away: bool) -> bool:
+    """Whether points do not thin out with distance, and lie behind each other in one direction, as no sweep's do.
+
+    away  whether they had an offset, as a survey's do: then the former alone is enough.
+    """
+    range_m = np.sqrt(np.einsum("ij,ij->i", sample, sample))
     middle, most = np.percentile(range_m, (50, 99))
-    return bool(most > FLAT_FROM_M and middle > FLAT_SHARE * most)
+    if most < FLAT_FROM_M or middle < FLAT_SHARE * most or away:
+        return bool(most >= FLAT_FROM_M and middle >= FLAT_SHARE * most)
+    azimuth = np.arctan2(sample[:, 1], sample[:, 0])
+    elevation = np.arcsin(np.clip(sample[:, 2] / np.maximum(range_m, 1e-9), -1, 1))
+    cell = np.floor(np.degrees(azimuth) + 180) * 181 + np.floor(np.degrees(elevation) + 90)
+    _, cell, counts = np.unique(cell, return_inverse=True, return_counts=True)
+    mean = np.bincount(cell, np.log(range_m)) / counts
+    spread = np.bincount(cell, (np.log(range_m) - mean[cell]) ** 2)
+    dense = counts >= DENSE
+    if np.count_nonzero(dense) < FEWEST_DENSE:
+        return False
+    return bool(np.sqrt(spread[dense].sum() / counts[dense].sum()) > MAP_SPREAD)
 
 
 def _viewpoint(sample: np.ndarray, ground: Ground | None, overrides: Overrides, away: bool) -> tuple[np.ndarray, str]:

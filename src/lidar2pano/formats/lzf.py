@@ -45,9 +45,9 @@ def decompress_in_python(data: bytes, size: int) -> bytes:
             length += 2
             if start < 0:
                 raise ValueError("it copies from before its beginning")
-            piece = out[start : start + length]
-            while len(piece) < length:  # what is copied overlaps what it is copied to
-                piece += piece
+            piece = bytes(out[start : start + length])
+            if len(piece) < length:  # what is copied overlaps what it is copied to
+                piece *= -(-length // len(piece))
             out += piece[:length]
     except IndexError:
         raise ValueError("it ends too early") from None

@@ -1,0 +1,115 @@
+"""lidar2pano inspect."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lidar2pano.cli.app import app
+
+if TYPE_CHECKING:
+    from lidar2pano.formats.interpretation import Interpretation
+    from lidar2pano.scan import Scan
+
+EPOCH_S = 1e8  # stamps beyond this count from 1970
+
+
+@app.command()
+def inspect(
+    path: Annotated[Path, typer.Argument(metavar="PATH", help="A scan file of any format, or a folder of them.")],
+    as_json: Annotated[bool, typer.Option("--json", help="One line of JSON on stdout.")] = False,
+) -> None:
+    """Show what a file holds and how it will be read; of a folder, its first scan."""
+    from lidar2pano.formats.interpretation import Overrides
+    from lidar2pano.formats.readers import interpreted, scan_files
+
+    files = scan_files(path)
+    scan, found = next(interpreted(files[0], overrides=Overrides(invent=True)))
+    record = {"input": str(files[0]), "scans": len(files), **described(scan, found)}
+    print(json.dumps(record) if as_json else "\n".join(lines_of(record)))
+
+
+def described(scan: Scan, found: Interpretation) -> dict[str, Any]:
+    """How a scan was read, and what it shows: ranges, beams, sensor."""
+    import numpy as np
+
+    from lidar2pano.formats.beams import find_beams
+
+    with np.errstate(invalid="ignore"):
+        range_m = np.linalg.norm(scan.xyz.astype(np.float64), axis=1)
+    range_m = range_m[np.isfinite(range_m) & (range_m > 0)]
+    beams = find_beams(scan.xyz, scan.ring)
+    reading = found.as_dict()
+    reading["gaps_deg"], _ = [list(gap) for gap in found.gaps_deg], reading.pop("invented")
+    return {
+        **reading,
+        "ranges_m": [round(float(value), 2) for value in np.percentile(range_m, (0, 50, 100))] if len(range_m) else [],
+        "times_s": [round(float(edge), 6) for edge in (scan.time_s.min(), scan.time_s.max())]
+        if scan.time_s is not None and len(scan.time_s)
+        else [],
+        "beams": len(beams.elevations_deg) if beams else None,
+        "beams_by": beams.found_by if beams else "",
+        "elevations_deg": [round(value, 2) for value in beams.elevations_deg] if beams else [],
+        "sensor": beams.sensor() if beams else "",
+    }
+
+
+def lines_of(record: dict[str, Any]) -> list[str]:
+    """A record for people: one line per thing."""
+    more = f" (the first of {record['scans']} scans)" if record["scans"] > 1 else ""
+    lines = [f"{record['input']}{more}", _line("format", record["format"])]
+    lines.append(_line("fields", " ".join(record["fields"]) or "none"))
+    none = f", {record['no_returns']} of them no returns (at the origin, NaN or Inf)" if record["no_returns"] else ""
+    lines.append(_line("points", f"{record['points']}{none}"))
+    if record["ranges_m"]:
+        least, middle, most = record["ranges_m"]
+        lines.append(_line("ranges", f"{least:g} to {most:g} m, half of them within {middle:g} m"))
+    lines.append(_line("unit", {1.0: "metres", 1e-3: "millimetres"}[record["unit_m"]]))
+    frame = f"{record['frame']}: " if record["frame"] else ""
+    lines.append(_line("frame", f"{frame}{record['forward']} is forward ({record['forward_by']})"))
+    x, y, z = record["viewpoint_m"]
+    lines.append(_line("viewpoint", f"({x:g}, {y:g}, {z:g}) m: {record['viewpoint_by']}"))
+    if record["ground_m"] is not None:
+        lines.append(_line("ground", f"{record['ground_m']:g} m below it, tilted by {record['tilt_deg']:g} degrees"))
+    else:
+        lines.append(_line("ground", "none found"))
+    lines.append(_line("remission", _remission(record)))
+    gaps = record["gaps_deg"]
+    view_deg = 360 - sum(left - right for left, right in gaps)
+    nothing = " and ".join(f"from {left:g} down to {right:g}" for left, right in gaps)
+    lines.append(_line("in view", f"{view_deg:g} of 360 degrees, nothing {nothing}" if gaps else "all around"))
+    lines.append(_line("beams", _beams(record)))
+    lines.append(_line("sensor", f"like {record['sensor']}" if record["sensor"] else "unknown"))
+    if record["stamp_s"] is not None:
+        lines.append(_line("stamp", _stamp(record["stamp_s"])))
+    if record["times_s"]:
+        lines.append(_line("times", "{:g} to {:g} s".format(*record["times_s"])))
+    return lines
+
+
+def _line(name: str, text: str) -> str:
+    return f"  {name:<11}{text}"
+
+
+def _remission(record: dict[str, Any]) -> str:
+    if record["remission_full"] is None:
+        return "none or constant; a constant stands in"
+    return f"{record['remission']} ({record['remission_full']:g} becomes 1)"
+
+
+def _beams(record: dict[str, Any]) -> str:
+    if not record["beams"]:
+        return "none found"
+    up, down = record["elevations_deg"][0], record["elevations_deg"][-1]
+    return f"{record['beams']}, from {up:g} to {down:g} degrees of elevation (by {record['beams_by']})"
+
+
+def _stamp(stamp_s: float) -> str:
+    if stamp_s < EPOCH_S:
+        return f"{stamp_s:.6f} s"
+    when = datetime.datetime.fromtimestamp(stamp_s, datetime.UTC)
+    return f"{stamp_s:.6f} s ({when.isoformat(sep=' ', timespec='milliseconds')})"
