@@ -7,9 +7,10 @@ import shutil
 
 import pytest
 import torch
+from typer.main import get_command
 
 from lidar2pano import demo
-from lidar2pano.cli import main
+from lidar2pano.cli import app, main
 from lidar2pano.hardware import Timer
 from lidar2pano.pipeline import load
 from random_weights import street
@@ -50,6 +51,21 @@ def test_given_labels_do_what_the_segmenters_do(random_weights):
     assert torch.equal(own.logits, again.logits) and torch.equal(own.labels, again.labels)
     other = pipeline.translate(scan, timer, (own.labels.numpy() + 1) % 20)
     assert not torch.equal(own.logits, other.logits)
+
+
+@pytest.mark.parametrize(
+    ("words", "address"),
+    [
+        ([], ""),
+        (["--ray"], "auto"),
+        (["--ray", "--shard", "0/2"], "auto"),
+        (["--ray", "head:6379"], "head:6379"),
+    ],
+)
+def test_the_address_may_be_left_out(words, address):
+    command = get_command(app).commands["bulk"]
+    context = command.make_context("bulk", ["drive", "--out", "o", *words])
+    assert context.params["address"] == address and context.params["root"] == "drive"
 
 
 @pytest.mark.parametrize(

@@ -4,26 +4,40 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from lidar2pano.cli.app import app, complain, note_licence
 from lidar2pano.cli.translate import DeviceOption, WeightsOption
 from lidar2pano.errors import InputError, closest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from lidar2pano.bulk import Entry, Job, Manifest
 
+# (job, scans to do, whether to stop) -> the manifest's lines
+Translate = Callable[["Job", "list[Entry]", Callable[[], bool]], Iterable[dict[str, Any]]]
 BAD_SCANS, TERMINATED = 3, 143  # exit codes: some scans failed; stopped by SIGTERM
 
 
-@app.command()
+class WithOptionalAddress(TyperCommand):
+    """A command whose --ray may stand without a value."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
+        """Insert "auto" where --ray is followed by another option or by nothing."""
+        words: list[str] = []
+        for word, following in zip(args, [*args[1:], "-"], strict=True):
+            words += [word, "auto"] if word == "--ray" and following.startswith("-") else [word]
+        return super().parse_args(ctx, words)
+
+
+@app.command(cls=WithOptionalAddress)
 def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     root: Annotated[str, typer.Argument(metavar="ROOT", help="Folder, or URL, below which all scans are translated.")],
     out: Annotated[str, typer.Option(metavar="DIR", help="Folder, or URL, for the panoramas.")],
@@ -47,10 +61,23 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
         str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
     ] = "",
     device: DeviceOption = "auto",
+    address: Annotated[
+        str,
+        typer.Option(
+            "--ray", metavar="[ADDRESS]", help="Work on a Ray cluster: this one, or one that is found or started."
+        ),
+    ] = "",
+    workers: Annotated[
+        int, typer.Option(min=0, metavar="N", help="With --ray: how many workers (0: as many as fit).")
+    ] = 0,
+    cores: Annotated[int, typer.Option(min=1, metavar="N", help="With --ray: processor cores of each worker.")] = 2,
 ) -> None:
     """Translate any number of scans. Repeat the command to go on where it stopped."""
-    from lidar2pano.bulk import Job, Manifest, Shard, entries, start
+    import torch
+
+    from lidar2pano.bulk import Job, Manifest, Shard, entries, start, translate_all
     from lidar2pano.bulk.entries import LAYOUTS
+    from lidar2pano.bulk.on_ray import connected, translate_on_ray
     from lidar2pano.bulk.stores import open_store
     from lidar2pano.cli.batch import Options, parse_save
     from lidar2pano.hardware import pick_device
@@ -59,40 +86,54 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
 
     if layout not in LAYOUTS:
         raise InputError(f"--as {layout}: no such layout{closest(layout, LAYOUTS[1:])}")
+    if "://" not in root and not Path(root).is_dir():
+        raise InputError(f"{root}: is no folder; name a folder of scans, or a URL")
     part, files = Shard.parsed(shard), weight_files(weights)
     options = Options(
         out=Path(out),
         save=parse_save(save or ("rgb,segments,depth" if layout else "rgb")),
         weights=weights,
         files=files,
-        device=pick_device(device),
+        device=pick_device("cpu" if address else device),
         look=look,
     )
     job = Job(
-        source=root,
-        out=out,
+        source=_absolute(root),
+        out=_absolute(out),
         save=options.save,
         layout=layout,
         use_labels=use_labels,
         weights=weights,
         pipeline=options.pipeline,
     )
-    if "://" not in root and not Path(root).is_dir():
-        raise InputError(f"{root}: is no folder; name a folder of scans, or a URL")
     found = entries(open_store(root), part, layout, labels=use_labels)
     start(job, found, files, look)
     note_licence(read_card(file) for file in files.values())
-    raise typer.Exit(work(job, found, Manifest(open_store(out), part)))
+    manifest = Manifest(open_store(out), part)
+    if not address:
+        raise typer.Exit(work(job, found, manifest, translate_all))
+    with connected(address) as resources:
+        gpus = 1 if device == "cuda" or (device == "auto" and resources.get("GPU")) else 0
+        options = replace(options, device=torch.device("cuda" if gpus else "cpu"))
+        fitting = resources.get("GPU", 0) if gpus else resources.get("CPU", 0) // cores
+        count = workers or max(1, int(fitting))
+        translate = partial(translate_on_ray, workers=count, cores=cores, gpus=gpus)
+        code = work(replace(job, pipeline=options.pipeline), found, manifest, translate)
+    raise typer.Exit(code)
 
 
-def work(job: Job, found: list[Entry], manifest: Manifest) -> int:
+def _absolute(place: str) -> str:
+    """A folder's whole path, as processes elsewhere need it; a URL as it is."""
+    return place if "://" in place else str(Path(place).absolute())
+
+
+def work(job: Job, found: list[Entry], manifest: Manifest, translate: Translate) -> int:
     """Translate what is not done yet, and return the exit code."""
-    from lidar2pano.bulk import translate_all
     from lidar2pano.bulk.resume import remaining
 
     todo = remaining(job, found, manifest)
     with until_terminated() as stopped:
-        written, bad = consume(translate_all(job, todo, stopped), len(todo), manifest)
+        written, bad = consume(translate(job, todo, stopped), len(todo), manifest)
         terminated = stopped()
     before = len(found) - len(todo)
     left = len(todo) - written - bad
