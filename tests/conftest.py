@@ -16,6 +16,9 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
+os.environ.setdefault(
+    "LIDAR2PANO_ENGINE", "torch"
+)  # what "auto" is in tests: nothing is compiled that they do not ask for
 
 
 def _refuse_other_machines(address: object) -> None:

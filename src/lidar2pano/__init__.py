@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lidar2pano.calibration import Calibration, read_calib
+    from lidar2pano.calibration import Calibration, LensCalibration, read_calib
     from lidar2pano.errors import InputError
     from lidar2pano.formats.readers import read, scans
     from lidar2pano.geometry.projection import RangeImage, project
@@ -33,6 +33,7 @@ _HOME = {
     "Calibration": "calibration",
     "InputError": "errors",
     "LabelSet": "labels",
+    "LensCalibration": "calibration",
     "Memory": "memory",
     "Panorama": "panorama",
     "Pipeline": "pipeline",
@@ -57,6 +58,7 @@ __all__ = [
     "Calibration",
     "InputError",
     "LabelSet",
+    "LensCalibration",
     "Memory",
     "Panorama",
     "Pipeline",

@@ -1,15 +1,17 @@
-"""Calibration: a pinhole camera and where it stands relative to the LiDAR; KITTI's calib.txt."""
+"""Calibration: a camera, with or without a distorting lens, and its pose in the LiDAR frame; KITTI's calib.txt."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from lidar2pano.errors import InputError
 
 ROTATION_TOLERANCE = 1e-3  # of R R^T from 1; KITTI writes 7 to 13 digits
+NEWTON_STEPS, NEWTON_TOLERANCE = 12, 1e-9  # of a lens's inverse; the tolerance is in focal lengths
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,9 +37,7 @@ class Calibration:
     @property
     def centre(self) -> tuple[float, float, float]:
         """The optical centre in the LiDAR frame, metres."""
-        R, t = self.T_camera_lidar[:3, :3], self.T_camera_lidar[:3, 3]
-        x, y, z = (-np.linalg.inv(R) @ t).tolist()
-        return x, y, z
+        return _optical_centre(self.T_camera_lidar)
 
     def scaled(self, factor: float) -> Calibration:
         """The same camera with an image `factor` times as wide and high (pixel centres kept at integers)."""
@@ -47,6 +47,92 @@ class Calibration:
         K[:2, 2] -= 0.5
         width, height = round(self.size[0] * factor), round(self.size[1] * factor)
         return Calibration(K=K, T_camera_lidar=self.T_camera_lidar, size=(width, height))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LensCalibration:
+    """A camera with a distorting lens, in the two models of OpenCV. K, T_camera_lidar and size are as in Calibration.
+
+    model        "brown": pinhole with radial and tangential distortion (cv2.calibrateCamera).
+                 "fisheye": Kannala and Brandt 2006 (cv2.fisheye.calibrate); may look farther than 90 degrees aside.
+    distortion   "brown": (k1, k2, p1, p2[, k3]);  "fisheye": (k1, k2, k3, k4).
+    """
+
+    K: np.ndarray
+    T_camera_lidar: np.ndarray
+    size: tuple[int, int]
+    model: Literal["brown", "fisheye"]
+    distortion: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse what Calibration refuses, other models and another number of coefficients (ValueError)."""
+        Calibration(K=self.K, T_camera_lidar=self.T_camera_lidar, size=self.size)
+        counts = {"brown": (4, 5), "fisheye": (4,)}.get(self.model)
+        if counts is None or len(self.distortion) not in counts:
+            raise ValueError(
+                "LensCalibration: model 'brown' has 4 or 5 coefficients, 'fisheye' 4;"
+                f" got {self.model!r} with {len(self.distortion)}"
+            )
+
+    @property
+    def centre(self) -> tuple[float, float, float]:
+        """The optical centre in the LiDAR frame, metres."""
+        return _optical_centre(self.T_camera_lidar)
+
+    def rays(self) -> np.ndarray:
+        """Unit vectors (height, width, 3) float64 of the pixel centres, camera axes; NaN where nothing is projected."""
+        width, height = self.size
+        v, u = np.mgrid[0:height, 0:width].astype(np.float64)
+        x, y, _ = np.moveaxis(np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(self.K).T, -1, 0)
+        undistort = _undistorted_brown if self.model == "brown" else _undistorted_fisheye
+        rays = undistort(x, y, np.array(self.distortion, dtype=np.float64))
+        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+
+def _optical_centre(T_camera_lidar: np.ndarray) -> tuple[float, float, float]:
+    R, t = T_camera_lidar[:3, :3], T_camera_lidar[:3, 3]
+    x, y, z = (-np.linalg.inv(R) @ t).tolist()
+    return x, y, z
+
+
+def _undistorted_brown(x_d: np.ndarray, y_d: np.ndarray, distortion: np.ndarray) -> np.ndarray:
+    """Directions (x, y, 1) whose distorted place is (x_d, y_d), by Newton's method; NaN where there is none."""
+    k1, k2, p1, p2, k3 = np.pad(distortion, (0, 5 - len(distortion)))
+    x, y = x_d, y_d
+    for _ in range(NEWTON_STEPS):
+        r2 = x * x + y * y
+        radial, slope = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2 * k2 + 3 * r2 * k3)
+        error_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) - x_d
+        error_y = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y - y_d
+        xx = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x  # the Jacobian, which is symmetric
+        xy = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+        yy = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+        with np.errstate(all="ignore"):  # what diverges is left out below
+            determinant = xx * yy - xy * xy
+            x, y = x - (yy * error_x - xy * error_y) / determinant, y - (xx * error_y - xy * error_x) / determinant
+    unfolded = (determinant > 0) & (xx + yy > 0)  # elsewhere the lens's polynomial falls, which no lens does
+    found = (np.hypot(error_x, error_y) < NEWTON_TOLERANCE) & unfolded
+    return np.where(found[..., None], np.stack([x, y, np.ones_like(x)], axis=-1), np.nan)
+
+
+def _undistorted_fisheye(x_d: np.ndarray, y_d: np.ndarray, distortion: np.ndarray) -> np.ndarray:
+    """Directions at the angle theta whose theta (1 + k1 theta^2 + ... + k4 theta^8) is |(x_d, y_d)|; NaN beyond."""
+    angles = np.linspace(0, np.pi, 4097)
+    coefficients = np.array([1, *distortion])
+    powers = np.arange(len(coefficients)) * 2
+    radii = angles * (coefficients * angles[:, None] ** powers).sum(1)
+    rising = np.append(np.diff(radii) > 0, False)
+    reach = int(rising.argmin()) + 1  # beyond the first fall of the polynomial, angles are not unique
+    radius = np.hypot(x_d, y_d)
+    theta = np.interp(radius, radii[:reach], angles[:reach])
+    for _ in range(3):
+        squares = theta[..., None] ** powers
+        theta = theta - (theta * (coefficients * squares).sum(-1) - radius) / (
+            (coefficients * (powers + 1) * squares).sum(-1)
+        )
+    aside = np.sin(theta) / np.where(radius > 0, radius, 1)
+    rays = np.stack([x_d * aside, y_d * aside, np.cos(theta)], axis=-1)
+    return np.where((radius <= radii[reach - 1])[..., None], rays, np.nan)
 
 
 def read_calib(path: str | Path, size: tuple[int, int] = (1242, 375)) -> Calibration:

@@ -9,26 +9,55 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from lidar2pano.calibration import Calibration
+from lidar2pano.calibration import Calibration, LensCalibration
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import write_depth, write_palette, write_png, write_whole
+from lidar2pano.formats.image_files import COLOUR_FORMATS, write_colour, write_depth, write_palette, write_whole
+from lidar2pano.formats.ply_writer import write_ply
 from lidar2pano.geometry.camera import panorama_in_camera
+from lidar2pano.geometry.projection import project
 from lidar2pano.labels import SEMANTIC_KITTI
+from lidar2pano.scan import Scan
 from lidar2pano.views import View
 
 OUTPUTS = ("rgb", "segments", "labels", "depth")
+GREY = 128  # of points without a colour
+# A point is occluded when it is farther than the panorama's (predicted) depth at its pixel by so much.
+OCCLUDED_FACTOR, OCCLUDED_M = 1.2, 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraImage:
-    """A panorama resampled into a perspective camera.
+    """A panorama resampled into a camera.
 
-    colour    (h, w, 3) uint8 RGB.
+    colour    (h, w, 3) uint8 RGB, black where the panorama does not reach.
     segments  (h, w) uint8 ids of COMMON15, 0 where the panorama does not reach.
+    valid     (h, w) bool: where it reaches.
     """
 
     colour: np.ndarray
     segments: np.ndarray
+    valid: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PointColours:
+    """What a panorama says about the N points of a scan, in file order.
+
+    colour    (N, 3) uint8 RGB; grey (128) where not valid.
+    segments  (N,) uint8 ids of COMMON15; 0 where not valid.
+    in_view   (N,) bool: the point is usable and lies in the panorama: not above, below or beside it.
+    occluded  (N,) bool: in view, but behind what the panorama has at its pixel, which stands nearer.
+    """
+
+    colour: np.ndarray
+    segments: np.ndarray
+    in_view: np.ndarray
+    occluded: np.ndarray
+
+    @property
+    def valid(self) -> np.ndarray:
+        """(N,) bool: in view and not occluded."""
+        return self.in_view & ~self.occluded
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,12 +83,58 @@ class Panorama:
     dropped: int = 0
     milliseconds: Mapping[str, float] = field(default_factory=dict)
 
-    def to_camera(self, calibration: Calibration) -> CameraImage:
-        """Look into the panorama through a perspective camera at its origin."""
+    def to_camera(self, calibration: Calibration | LensCalibration) -> CameraImage:
+        """Look into the panorama through a camera (pinhole, or with a distorting or fisheye lens) at its origin.
+
+        A camera that stands elsewhere is taken to stand there; `pipeline.at(calibration)` makes a panorama around it.
+        """
         lookup = panorama_in_camera(self.view, calibration)
         colour = lookup.linear(torch.from_numpy(self.colour).movedim(2, 0).float())
         segments = lookup.nearest(torch.from_numpy(self.segments))
-        return CameraImage(colour=colour.round().movedim(0, 2).to(torch.uint8).numpy(), segments=segments.numpy())
+        return CameraImage(
+            colour=colour.round().movedim(0, 2).to(torch.uint8).numpy(),
+            segments=segments.numpy(),
+            valid=lookup.valid.numpy(),
+        )
+
+    def colour_points(self, scan: Scan) -> PointColours:
+        """The colour and class of every point of a scan of the same sensor frame, by default the panorama's own scan.
+
+        A point takes the pixel that it lies in. Points out of view have no colour. A point that is farther than the
+        panorama's depth there by 20 % and a metre is occluded (the panorama stands beside the sensor and cannot see
+        it) and has none either; where the panorama has no depth (sky), every point is valid.
+        """
+        image = project(scan, self.view)
+        in_view = image.inside.numpy()
+        row, column = image.row.numpy()[in_view], image.column.numpy()[in_view]
+        depth_m = self.depth_m[row, column]
+        occluded = np.zeros(len(scan), dtype=bool)
+        farthest_m = depth_m * OCCLUDED_FACTOR + OCCLUDED_M
+        occluded[in_view] = (depth_m > 0) & (image.range_m.numpy()[in_view] > farthest_m)
+        colour = np.full((len(scan), 3), GREY, dtype=np.uint8)
+        segments = np.zeros(len(scan), dtype=np.uint8)
+        colour[in_view], segments[in_view] = self.colour[row, column], self.segments[row, column]
+        colour[occluded], segments[occluded] = GREY, 0
+        return PointColours(colour=colour, segments=segments, in_view=in_view, occluded=occluded)
+
+    def save_points(self, path: str | Path, scan: Scan) -> Path:
+        """Write the panorama's own scan with colours and classes as binary PLY, complete or not at all; return `path`.
+
+        Vertices in file order, without points that are not finite or at the sensor's origin: x y z (float, metres),
+        red green blue (`colour_points`), remission (float), label (SemanticKITTI's raw id, of `labels`), and
+        valid (1, or 0 where the point is out of view or occluded).
+        Raises InputError when the file cannot be written; ValueError for the scan of another panorama.
+        """
+        if len(scan) != len(self.labels):
+            raise ValueError(f"this panorama is of a scan with {len(self.labels)} points, not {len(scan)}")
+        points = self.colour_points(scan)
+        usable = np.isfinite(scan.xyz).all(axis=1) & scan.xyz.any(axis=1)
+        columns = {name: scan.xyz[usable, axis] for axis, name in enumerate("xyz")}
+        columns |= {name: points.colour[usable, axis] for axis, name in enumerate(("red", "green", "blue"))}
+        columns["remission"] = scan.remission[usable]
+        columns["label"] = SEMANTIC_KITTI.to_raw(self.labels[usable]).astype(np.uint16)
+        columns["valid"] = points.valid[usable].astype(np.uint8)
+        return write_whole(Path(path), lambda beside: write_ply(beside, columns))
 
     def save(
         self,
@@ -67,24 +142,29 @@ class Panorama:
         what: str | Collection[str] = ("rgb",),
         calibration: Calibration | None = None,
         stem: str | None = None,
+        image_format: str = "png",
     ) -> list[Path]:
         """Write the files that `what` names into the folder `out`, each complete or not at all; return their paths.
 
         what  of "rgb" (<stem>.png), "segments" (<stem>.segments.png, palette of COMMON15), "labels" (<stem>.label, raw
               uint32 per point), "depth" (<stem>.depth.png, 16 bit, metres x 256). With a calibration also
               <stem>.camera.png beside rgb and <stem>.camera-segments.png beside segments.
+        image_format  of the colour images: "png", "webp" (.webp) or "jpeg" (.jpg), which lose a little.
         Raises InputError when a name is unknown or the folder cannot be written.
         """
         what = (what,) if isinstance(what, str) else what
         if unknown := sorted(set(what) - set(OUTPUTS)):
             raise InputError(f"nothing to save is called {unknown[0]!r}; there is {', '.join(OUTPUTS)}")
+        if image_format not in COLOUR_FORMATS:
+            raise InputError(f"no image format {image_format!r}; there is {', '.join(COLOUR_FORMATS)}")
+        ending = COLOUR_FORMATS[image_format][0]
         camera = self.to_camera(calibration) if calibration and {"rgb", "segments"} & set(what) else None
         stem = stem or self.name
         writers: dict[str, Callable[[Path], None]] = {}
         if "rgb" in what:
-            writers[f"{stem}.png"] = lambda path: write_png(path, self.colour)
+            writers[stem + ending] = lambda path: write_colour(path, self.colour, image_format)
             if camera:
-                writers[f"{stem}.camera.png"] = lambda path: write_png(path, camera.colour)
+                writers[f"{stem}.camera{ending}"] = lambda path: write_colour(path, camera.colour, image_format)
         if "segments" in what:
             writers[f"{stem}.segments.png"] = lambda path: write_palette(path, self.segments)
             if camera:

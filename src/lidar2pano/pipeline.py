@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.calibration import Calibration
+from lidar2pano.engines import accelerated, pick_engine
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import read
 from lidar2pano.geometry.camera import at_camera
@@ -106,6 +107,7 @@ class Pipeline:
     view        the translator's raster, H x W, around the optical centre of the camera that the panorama stands for.
     cards       of the weight files, by role.
     look        which of the painter's looks is painted: "A", "A+B" for the mean of two, "" for its own.
+    engine      what computes the networks: of ENGINES, but not "auto".
     """
 
     segmenter: Segmenter
@@ -115,6 +117,7 @@ class Pipeline:
     device: torch.device
     cards: Mapping[str, Card] = field(default_factory=dict)
     look: str = ""
+    engine: str = "torch"
 
     def at(self, calibration: Calibration) -> Pipeline:
         """The pipeline with its viewpoint moved to a camera's optical centre."""
@@ -246,24 +249,29 @@ class Pipeline:
         return segments, torch.where(segments == SKY, 0.0, depth_m)
 
 
-def load(weights: str | Path | Mapping[str, Path] = DEFAULT, device: str | torch.device = "auto") -> Pipeline:
+def load(
+    weights: str | Path | Mapping[str, Path] = DEFAULT, device: str | torch.device = "auto", engine: str = "auto"
+) -> Pipeline:
     """A pipeline from a released family, a folder or run of weight files, or one file (the rest: default family).
 
     weights  or what `models.families.weight_files` made of such a name.
     device   "auto" (CUDA if there is one), "cpu" or "cuda".
-    Raises InputError when weights or device cannot be had.
+    engine   "auto" (OpenVINO where it is installed and the CPU multiplies bfloat16, else torch), "torch", "compile"
+             (torch.compile), "onnx" or "openvino". All but torch compile each network when it is first called.
+    Raises InputError when weights, device or engine cannot be had.
     """
     picked = pick_device(device)
+    runs_on = pick_engine(engine, picked)
     files = weights if isinstance(weights, Mapping) else weight_files(weights)
     if "renderer" in files:
         raise InputError(f"{files['renderer']}: paints without classes, which `evaluate` can do only; name a family")
     if missing := [part for part in ("segmenter", "translator", "painter") if part not in files]:
         given = weights if isinstance(weights, str | Path) else ", ".join(map(str, files.values()))
         raise InputError(f"{given}: no weights for the {' and the '.join(missing)}; name a family that has them")
-    segmenter, segmenter_card = load_segmenter(files["segmenter"], picked)
-    translator, card = load_part(files["translator"], picked, expect="titan-pano")
+    segmenter, segmenter_card = load_segmenter(files["segmenter"], picked, engine)
+    translator, card = load_part(files["translator"], picked, expect="titan-pano", engine=engine)
     view = card_view(files["translator"], card, "panorama")
-    painter, painter_card = load_painter(files["painter"], files.get("first-frame painter"), view, picked)
+    painter, painter_card = load_painter(files["painter"], files.get("first-frame painter"), view, picked, engine)
     return Pipeline(
         segmenter=segmenter,
         translator=translator,
@@ -271,23 +279,26 @@ def load(weights: str | Path | Mapping[str, Path] = DEFAULT, device: str | torch
         view=view,
         device=picked,
         cards={"segmenter": segmenter_card, "translator": card, "painter": painter_card},
+        engine=runs_on,
     )
 
 
-def load_segmenter(file: Path, device: torch.device) -> tuple[Segmenter, Card]:
+def load_segmenter(file: Path, device: torch.device, engine: str = "torch") -> tuple[Segmenter, Card]:
     """The segmenter of a weight file, ready for inference; InputError where the file holds something else."""
-    network, card = load_part(file, device, expect="salsanext")
+    network, card = load_part(file, device, expect="salsanext", engine=engine)
     card_view(file, card, "input")
     return Segmenter.from_card(network, card), card
 
 
-def load_painter(file: Path, first: Path | None, view: View, device: torch.device) -> tuple[StreamPainter, Card]:
+def load_painter(
+    file: Path, first: Path | None, view: View, device: torch.device, engine: str = "torch"
+) -> tuple[StreamPainter, Card]:
     """The painter of a weight file, ready for inference; InputError where the file holds something else.
 
     first  weights of vid2vid's network for first frames; view: raster of the segments that are painted.
     A vid2vid paints on the raster "panorama" of its card, if it has one; otherwise on the finished panorama's.
     """
-    network, card = load_part(file, device)
+    network, card = load_part(file, device, engine=engine)
     if role(card) != "painter":
         raise InputError(f"{file} has weights of another network: {card.network!r} instead of a painter")
     if not isinstance(network, Vid2Vid):
@@ -302,10 +313,15 @@ def load_painter(file: Path, first: Path | None, view: View, device: torch.devic
         raise InputError(f"{file}: {error}") from None
 
 
-def load_part(file: Path, device: torch.device, expect: str | None = None) -> tuple[nn.Module, Card]:
-    """A network of the pipeline in the form that is fastest to run, and its card; InputError as `models.card.load`."""
+def load_part(
+    file: Path, device: torch.device, expect: str | None = None, engine: str = "torch"
+) -> tuple[nn.Module, Card]:
+    """A network of the pipeline in the form that is fastest to run, and its card.
+
+    Raises InputError as `models.card.load` and `engines.accelerated`.
+    """
     network, card = load_weights(file, device, expect=expect)
-    return made_fast(network), card
+    return accelerated(made_fast(network), card.network, card.sha256, engine, device), card
 
 
 def made_fast(network: nn.Module) -> nn.Module:

@@ -18,6 +18,7 @@ import typer.main
 from PIL import Image
 
 import lidar2pano
+from engine_of_torch import TorchEngine
 from lidar2pano.bench import default_weights, untrained
 from lidar2pano.cli import app, main
 from lidar2pano.cli.app import complain
@@ -111,6 +112,18 @@ def test_what_to_save(text, outputs):
     assert parse_save(text) == outputs
 
 
+@pytest.mark.parametrize(("image_format", "ending"), [("png", ".png"), ("webp", ".webp"), ("jpeg", ".jpg")])
+def test_formats_of_colour_images(here, translate, image_format, ending):
+    scan, calib = write_scan(here / "a.bin"), here / "calib.txt"
+    calib.write_text(CALIB)
+    code, _, _ = translate(scan, "--out", "o", "--save", "rgb,segments", "--calib", calib, "--format", image_format)
+    assert code == 0
+    named = [f"a.camera{ending}", "a.camera-segments.png", f"a{ending}", "a.segments.png"]
+    assert files_in(here / "o") == sorted(named)
+    with Image.open(here / "o" / f"a{ending}") as image:
+        assert (image.format, image.size) == (image_format.upper(), (1152, 96))
+
+
 def test_json_lines(here, translate, random_weights):
     write_scan(here / "velodyne" / "000001.bin")
     broken = street()
@@ -129,6 +142,7 @@ def test_json_lines(here, translate, random_weights):
             "dropped": dropped,
             "weights": str(random_weights),
             "device": "cpu",
+            "engine": "torch",
         }
         for stem, dropped in (("000001", 0), ("000002", 5))
     ]
@@ -379,6 +393,19 @@ def test_bench_measures_everything(here, random_weights, capsys):
     out, err = capsys.readouterr()
     assert "| whole panorama |" in out and "< 1500" in out and "threads" in out
     assert LICENCE in err
+
+
+def test_bench_shows_engines_side_by_side(here, random_weights, capsys, monkeypatch):
+    monkeypatch.setattr("lidar2pano.engines.selection.BUILDERS", {"onnx": TorchEngine})
+    monkeypatch.setattr("lidar2pano.engines.selection.missing_extra", lambda engine: "")
+    monkeypatch.setattr("lidar2pano.engines.selection._providers", lambda: ["CPUExecutionProvider"])
+    monkeypatch.setenv("LIDAR2PANO_CACHE", str(here / "cache"))
+    options = ["--runs", "1", "--weights", str(random_weights), "--device", "cpu", "--json", "b.json"]
+    assert main(["bench", "--engine", "torch,onnx", *options]) == 0
+    rows = json.loads((here / "b.json").read_text())["rows"]
+    assert [row["what"] for row in rows] == [*(f"stage {name}" for name in STAGES if name != "read"), "whole panorama"]
+    assert all(list(row["median_ms"]) == ["torch", "onnx"] and min(row["median_ms"].values()) > 0 for row in rows)
+    assert "| torch | onnx | torch / onnx |" in capsys.readouterr().out
 
 
 def test_bench_goes_without_weights(here, monkeypatch):

@@ -337,6 +337,20 @@ def test_a_missing_extra_is_named(data, message, monkeypatch):
     assert said == "this command needs lightning: pip install 'lidar2pano[train]'\n"
 
 
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ("--engine onnx", "engine onnx needs the extra 'onnx': pip install 'lidar2pano[onnx]'"),
+        ("--engine openvino", "engine openvino needs the extra 'fast': pip install 'lidar2pano[fast]'"),
+        ("--engine onyx", "no engine 'onyx'; did you mean 'onnx'?"),
+        ("--format tiff", "--format 'tiff': no format for colour images; there is jpeg, png, webp"),
+    ],
+)
+def test_engines_and_formats(refused, monkeypatch, options, says):
+    monkeypatch.setattr("lidar2pano.engines.selection._is_installed", lambda module: False)
+    assert refused(f"translate good.bin --weights small {options}") == says
+
+
 def test_bugs_are_not_hidden(here, monkeypatch):
     def broken(paths, options):
         raise RuntimeError("a bug")

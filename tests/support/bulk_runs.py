@@ -23,7 +23,7 @@ def job_of(root: Path | str, out: Path | str, **changes) -> Job:
 def run(job: Job, shard: Shard = WHOLE, translate: Translate = translate_all) -> int:
     """What the command does after it has understood its options."""
     found = entries(open_store(job.source), shard, job.layout, labels=job.use_labels)
-    start(job, found, {}, "")
+    start(job, found, {}, {})
     return work(job, found, Manifest(open_store(job.out), shard), translate)
 
 

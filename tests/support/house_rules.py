@@ -22,8 +22,8 @@ INVENTORY = ROOT / "tests" / "package" / "api_inventory.txt"
 FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"scan", "views", "labels", "calibration"}),
     frozenset({"formats", "geometry", "hardware", "demo"}),
-    frozenset({"models", "losses", "metrics", "data", "panorama", "memory", "simulate"}),
-    frozenset({"pipeline"}),
+    frozenset({"models", "losses", "metrics", "data", "panorama", "memory", "simulate", "recordings", "engines"}),
+    frozenset({"pipeline", "drive_motion"}),
     frozenset({"prepare", "train", "evaluate", "bench", "bulk", "serve"}),
     frozenset({"reproduce"}),
     frozenset({"cli", "__main__"}),

@@ -110,6 +110,41 @@ def confusion_slowly(
     return counts
 
 
+def pose_between(trajectory, stamp_s: float) -> np.ndarray:
+    """(4, 4) pose at a stamp: the rotation from one recorded pose to the next goes on evenly about its own axis."""
+    place = np.clip(stamp_s, trajectory.stamp_s[0], trajectory.stamp_s[-1])
+    after = max(1, next(n for n, stamp in enumerate(trajectory.stamp_s) if stamp >= place))
+    share = (place - trajectory.stamp_s[after - 1]) / (trajectory.stamp_s[after] - trajectory.stamp_s[after - 1])
+    T = np.eye(4)
+    T[:3, 3] = trajectory.translation[after - 1] * (1 - share) + trajectory.translation[after] * share
+    before, goal = (rotation_of(trajectory.rotation[n]) for n in (after - 1, after))
+    step = before.T @ goal
+    angle = np.arccos(np.clip((np.trace(step) - 1) / 2, -1, 1))
+    K = (step - step.T) / (2 * np.sin(angle))  # Rodrigues
+    T[:3, :3] = before @ (np.eye(3) + np.sin(share * angle) * K + (1 - np.cos(share * angle)) * K @ K)
+    return T
+
+
+def rotation_of(quaternion: np.ndarray) -> np.ndarray:
+    """(3, 3) of x y z w: each axis turned by the product q v q*."""
+    vector, w = quaternion[:3], quaternion[3]
+    columns = []
+    for axis in np.eye(3):
+        t = 2 * np.cross(vector, axis)
+        columns.append(axis + w * t + np.cross(vector, t))
+    return np.stack(columns, 1)
+
+
+def deskewed_slowly(xyz: np.ndarray, time_s: np.ndarray, stamp_s: float, motion) -> np.ndarray:
+    """Each point through the pose of its own time into the world, and back through the pose of the stamp."""
+    back = np.linalg.inv(motion.at(np.array([stamp_s]))[0])
+    found = xyz.astype(np.float64)
+    for number, (point, time) in enumerate(zip(xyz, time_s, strict=True)):
+        if np.isfinite(time):
+            found[number] = (back @ motion.at(np.array([stamp_s + time]))[0] @ [*point, 1])[:3]
+    return found
+
+
 # --- instances on panoramas -----------------------------------------------------------------------------------------
 
 

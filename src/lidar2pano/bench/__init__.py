@@ -1,6 +1,16 @@
 """How long things take on this machine."""
 
+from lidar2pano.bench.engine_comparison import compare, comparison_table
 from lidar2pano.bench.timings import conditions, default_weights, measure, table, untrained
 from lidar2pano.bench.world import measure_world
 
-__all__ = ["conditions", "default_weights", "measure", "measure_world", "table", "untrained"]
+__all__ = [
+    "compare",
+    "comparison_table",
+    "conditions",
+    "default_weights",
+    "measure",
+    "measure_world",
+    "table",
+    "untrained",
+]

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from lidar2pano.engines import accelerated, pick_engine
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import Normalisation, project
 from lidar2pano.hardware import has_bfloat16, pick_device
@@ -48,14 +49,14 @@ class Row:
         return asdict(self)
 
 
-def measure(runs: int, device: str = "auto", weights: str = "") -> list[Row]:
+def measure(runs: int, device: str = "auto", weights: str = "", engine: str = "auto") -> list[Row]:
     """Time everything `runs` times after a warm-up.
 
-    weights  as for `pipeline.load`; "" takes untrained networks.
-    Raises InputError when weights or device cannot be had.
+    weights, engine  as for `pipeline.load`; weights "": untrained networks.
+    Raises InputError when weights, device or engine cannot be had.
     """
     picked = pick_device(device)
-    pipeline = load(weights, device) if weights else untrained(picked)
+    pipeline = load(weights, device, engine) if weights else untrained(picked, engine)
     aims = AIMS[picked.type]
     scan = made_up_scan(POINTS, seed=0)
     image = project(scan, VIEWS["hdl64e"], device=picked)
@@ -143,10 +144,11 @@ def lovasz_step(device: torch.device) -> Callable[[], None]:
     return step
 
 
-def untrained(device: torch.device) -> Pipeline:
+def untrained(device: torch.device, engine: str = "torch") -> Pipeline:
     """The released networks' shapes with random weights: as fast, and of no other use."""
     segmenter, translator, painter = (
-        made_fast(build(name).eval().to(device)) for name in ("salsanext", "titan-pano", "painter")
+        accelerated(made_fast(build(name).eval().to(device)), name, "", engine, device)
+        for name in ("salsanext", "titan-pano", "painter")
     )
     return Pipeline(
         segmenter=Segmenter(network=segmenter, view=VIEWS["hdl64e"], normalise=Normalisation()),
@@ -154,6 +156,7 @@ def untrained(device: torch.device) -> Pipeline:
         painter=painter,  # pyright: ignore[reportArgumentType] a Painter, as built
         view=VIEWS["panorama"].scaled(0.5),
         device=device,
+        engine=pick_engine(engine, device),
     )
 
 

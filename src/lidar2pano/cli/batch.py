@@ -6,7 +6,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +15,19 @@ import torch
 
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.cli.app import MISTAKE, complain, note_licence
+from lidar2pano.cli.follow import followed, until_interrupted
 from lidar2pano.cli.progress import bar
-from lidar2pano.data.poses import Poses
+from lidar2pano.cli.scan_queue import Complaints, Motion, QueuedScan, motion_of, queued
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.file_contents import stem_of
+from lidar2pano.formats.image_files import COLOUR_FORMATS
 from lidar2pano.formats.interpretation import Interpretation, Overrides
-from lidar2pano.formats.readers import interpreted, scan_files
+from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.hardware import Timer, keep_buffers
 from lidar2pano.memory import Memory
 from lidar2pano.panorama import OUTPUTS
 from lidar2pano.pipeline import Pipeline, load
+from lidar2pano.recordings.folder_times import drive_files
 from lidar2pano.scan import Scan
 
 ENDINGS = (".segments", ".depth", ".camera", ".camera-segments")  # of outputs' stems
@@ -37,8 +40,8 @@ class Options:
 
     weights  the name that was given;  files: the weight files by role that it stands for.
     sensor   name in VIEWS of the scans' rows, "" for the weights' own.
-    smooth   whether a folder's panoramas are temporally smoothed.
-    overrides  what the user knows of the scans' numbers.
+    smooth   whether a folder's or recording's panoramas are temporally smoothed.
+    selection  which scans of a recording or folder;  overrides: what is known about them.
     """
 
     out: Path
@@ -51,12 +54,15 @@ class Options:
     as_json: bool = False
     smooth: bool = False
     look: str = ""
+    selection: ReadOptions = field(default_factory=ReadOptions)
     overrides: Overrides = field(default_factory=Overrides)
+    engine: str = "auto"
+    image_format: str = "png"
 
     def pipeline(self) -> Pipeline:
         """The pipeline with these weights, for this sensor and camera."""
         keep_buffers()
-        pipeline = load(self.files, self.device)
+        pipeline = load(self.files, self.device, self.engine)
         if self.sensor:
             pipeline = pipeline.for_sensor(self.sensor)
         if self.look:
@@ -81,6 +87,13 @@ def parse_save(text: str) -> tuple[str, ...]:
         if name not in (*OUTPUTS, "all"):
             raise InputError(f"--save: nothing is called {name!r}{closest(name, (*OUTPUTS, 'all'))}")
     return OUTPUTS if "all" in names else tuple(name for name in OUTPUTS if name in names)
+
+
+def parse_format(name: str) -> str:
+    """--format's name, one of COLOUR_FORMATS."""
+    if name not in COLOUR_FORMATS:
+        raise InputError(f"--format {name!r}: no format for colour images{closest(name, COLOUR_FORMATS)}")
+    return name
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -111,13 +124,13 @@ def _telling(parts: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(part for part in parts[:-1] if part != "velodyne") + parts[-1:]
 
 
-def gather(paths: Iterable[Path]) -> tuple[list[Path], bool]:
-    """Scan files that paths stand for, each once; and whether some path could not be used (reported on stderr)."""
+def gather(paths: Iterable[Path], selection: ReadOptions) -> tuple[list[Path], bool]:
+    """Scan files and recordings that paths stand for, each once; and whether some could not be used (on stderr)."""
     files: dict[Path, Path] = {}
     failed = False
     for path in paths:
         try:
-            for file in scan_files(path):
+            for file in drive_files(path, selection):
                 files.setdefault(file.resolve(), file)
         except InputError as error:
             complain(error)
@@ -130,42 +143,55 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
 
     Scans of one folder are one stream. Weights are loaded when the first scan has been read.
     """
-    files, failed = gather(paths)
+    files, failed = gather(paths, options.selection)
     names = stems(files)
     if renamed := sum(names[file] != stem_of(file) for file in files):
         complain(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
+    failed |= translate_queue(queued(files, names, options.selection), len(files), options)
+    return MISTAKE if failed else 0
+
+
+def translate_followed(folder: Path, options: Options) -> int:
+    """Translate what is written into a folder, as it is completed, until interrupted; the exit code."""
+    with until_interrupted() as stopped:
+        return MISTAKE if translate_queue(followed(folder, options.selection, stopped), 0, options) else 0
+
+
+def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -> bool:
+    """Translate scans one after the other; whether one failed. Those of one stream share a memory."""
     pipeline: Pipeline | None = None
-    memory, folder, poses, noted, reading = Memory(), None, None, False, None
-    with bar(len(files), "translating") as advance:
-        for file in files:
+    memory, stream, like, motion, noted = Memory(), None, None, None, False
+    complaints = Complaints()
+    with bar(total, "translating") as advance:
+        for waiting in scans:
             timer = Timer(options.device)
             try:
                 with timer("read"):
-                    like = reading if file.parent == folder else None
-                    scan, found = _read(file, options, like)
+                    scan, found = waiting.read(options.overrides, like if waiting.stream == stream else None)
             except InputError as error:
-                complain(error)
-                failed = True
+                complaints.add(error, waiting)
                 advance()
                 continue
             pipeline = pipeline or options.pipeline()
-            if file.parent != folder:
-                memory, folder, reading = Memory(), file.parent, found
-                poses = Poses(folder) if options.smooth else None
+            if waiting.stream != stream:
+                memory, stream, like = Memory(), waiting.stream, found
+                motion = motion_of(waiting, scan, found, options.selection, options.smooth)
             try:
-                pose = _timed_pose(poses, file, scan, timer) if poses else None
-                memory, panorama = pipeline.step(memory, scan, pose, timer)
+                scan, pose = _timed_pose(motion, waiting, scan, found, timer) if motion else (scan, None)
+                memory, panorama = pipeline.step(memory, scan, pose if options.smooth else None, timer)
                 if not noted:  # before the first panorama is written
                     note_licence(pipeline.cards.values())
                 noted = True
                 with timer("save"):
-                    outputs = panorama.save(options.out, options.save, options.calibration, names[file])
+                    outputs = panorama.save(
+                        options.out, options.save, options.calibration, waiting.stem, options.image_format
+                    )
             except InputError as error:
-                complain(error)
-                failed = True
+                complaints.add(error, waiting)
             else:
                 record = {
-                    "input": str(file),
+                    "input": str(waiting.input),
+                    **waiting.place(found),
                     "outputs": [str(path) for path in outputs],
                     "points": len(scan),
                     "dropped": panorama.dropped,
@@ -173,22 +199,19 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
                     "milliseconds": {stage: round(value, 2) for stage, value in timer.milliseconds.items()},
                     "weights": options.weights,
                     "device": str(options.device),
+                    "engine": pipeline.engine,
                 }
                 print(json.dumps(record) if options.as_json else summary(record), flush=True)
             advance()
-    return MISTAKE if failed else 0
+    complaints.flush()
+    return complaints.failed
 
 
-def _read(file: Path, options: Options, like: Interpretation | None) -> tuple[Scan, Interpretation]:
-    """The scan of a file, named by its path, and how it was read."""
-    for scan, found in interpreted(file, overrides=options.overrides, like=like):
-        return replace(scan, name=str(file)), found
-    raise InputError(f"{file}: holds no scan; name another file")
-
-
-def _timed_pose(poses: Poses, file: Path, scan: Scan, timer: Timer) -> np.ndarray:
+def _timed_pose(
+    motion: Motion, waiting: QueuedScan, scan: Scan, found: Interpretation, timer: Timer
+) -> tuple[Scan, np.ndarray | None]:
     with timer("pose"):
-        return poses.of(file, scan)
+        return motion(waiting.input, scan, found)
 
 
 def summary(record: dict[str, Any]) -> str:

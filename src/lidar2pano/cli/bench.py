@@ -18,14 +18,29 @@ def bench(
         typer.Option(metavar="NAME|FILE", help="Weights; if none are installed: untrained ones, as fast."),
     ] = "",
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
+    engine: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME[,NAME...]", help="Engine of the networks (translate --help); several: stages side by side."
+        ),
+    ] = "auto",
     world: Annotated[bool, typer.Option("--world", help="Time the street world instead.")] = False,
     processes: Annotated[int, typer.Option(min=1, metavar="N", help="Processes of the street world.")] = 2,
     as_json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the times as JSON too.")] = None,
 ) -> None:
     """Time projection, clean-up, the Lovasz loss and every stage of the pipeline on this machine."""
-    from lidar2pano.bench import conditions, default_weights, measure, measure_world, table
+    from lidar2pano.bench import (
+        compare,
+        comparison_table,
+        conditions,
+        default_weights,
+        measure,
+        measure_world,
+        table,
+    )
     from lidar2pano.cli.files import check_file, write_json
-    from lidar2pano.hardware import keep_buffers
+    from lidar2pano.engines import pick_engine
+    from lidar2pano.hardware import keep_buffers, pick_device
     from lidar2pano.models.card import read_card
     from lidar2pano.models.families import weight_files
 
@@ -36,8 +51,13 @@ def bench(
     else:
         kept = keep_buffers()
         name = weights or default_weights()
-        rows = measure(runs, device, name)
+        engines = list(dict.fromkeys(part.strip() for part in engine.split(",")))
         said = conditions(device, runs) | {"weights": name or "untrained", "buffers_kept": kept}
+        if len(engines) > 1:
+            rows, table = compare(runs, device, name, engines), comparison_table
+        else:
+            rows = measure(runs, device, name, engine)
+            said["engine"] = pick_engine(engine, pick_device(device))
         if name:
             note_licence(read_card(file) for file in weight_files(name).values())
     if as_json:

@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperCommand
 
 from lidar2pano.cli.app import app, complain, note_licence
-from lidar2pano.cli.translate import DeviceOption, WeightsOption
+from lidar2pano.cli.translate import DeviceOption, EngineOption, WeightsOption
 from lidar2pano.errors import InputError, closest
 
 if TYPE_CHECKING:
@@ -61,6 +61,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
         str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
     ] = "",
     device: DeviceOption = "auto",
+    engine: EngineOption = "auto",
     address: Annotated[
         str,
         typer.Option(
@@ -80,6 +81,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.bulk.on_ray import connected, translate_on_ray
     from lidar2pano.bulk.stores import open_store
     from lidar2pano.cli.batch import Options, parse_save
+    from lidar2pano.engines import pick_engine
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.card import read_card
     from lidar2pano.models.families import weight_files
@@ -96,7 +98,9 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
         files=files,
         device=pick_device("cpu" if address else device),
         look=look,
+        engine=engine,
     )
+    pick_engine(engine, options.device)
     job = Job(
         source=_absolute(root),
         out=_absolute(out),
@@ -107,7 +111,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
         pipeline=options.pipeline,
     )
     found = entries(open_store(root), part, layout, labels=use_labels)
-    start(job, found, files, look)
+    start(job, found, files, {"look": look, "engine": engine})
     note_licence(read_card(file) for file in files.values())
     manifest = Manifest(open_store(out), part)
     if not address:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lidar2pano.cli.app import app, complain
+from lidar2pano.cli.translate import EngineOption
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -50,6 +51,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     worst: Annotated[int, typer.Option(min=0, metavar="N", help="Also list the N worst frames, with images.")] = 0,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the worst frames.")] = Path("worst"),
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
+    engine: EngineOption = "torch",  # scores do not depend on what is installed
 ) -> None:
     """Score predictions from the scan alone against camera images and labels; print a table in Markdown."""
     from lidar2pano.cli.files import check_file, check_folder
@@ -66,7 +68,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     keep_buffers()
     scored = frames(data, split)
     config = MetricConfig.parse(metrics, inception=inception, sdnet=sdnet, device=device)
-    systems = [system(name, device=device, sensor=sensor) for name in dict.fromkeys(weights)]
+    systems = [system(name, device=device, sensor=sensor, engine=engine) for name in dict.fromkeys(weights)]
     with bar(len(scored), f"evaluating {split}") as advance:
         name = data.resolve().name
         evaluation = score(systems, scored, data=name, split=split, config=config, worst=worst, after_each=advance)

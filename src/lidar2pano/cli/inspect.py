@@ -20,17 +20,52 @@ EPOCH_S = 1e8  # stamps beyond this count from 1970
 
 @app.command()
 def inspect(
-    path: Annotated[Path, typer.Argument(metavar="PATH", help="A scan file of any format, or a folder of them.")],
+    path: Annotated[
+        Path, typer.Argument(metavar="PATH", help="A scan file of any format, a folder of them, or a recording.")
+    ],
+    topic: Annotated[str, typer.Option(metavar="NAME", help="The recording's topic whose first scan is shown.")] = "",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON on stdout.")] = False,
 ) -> None:
-    """Show what a file holds and how it will be read; of a folder, its first scan."""
+    """Show what a file holds and how it will be read; of a folder or recording, its first scan."""
     from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.formats.readers import interpreted, scan_files
+    from lidar2pano.recordings.recorded_scans import describe
 
+    if about := describe(path):
+        record = {"input": str(path), **about.as_dict(), "first": first_scan(path, topic)}
+        print(json.dumps(record) if as_json else "\n".join(lines_of_recording(record)))
+        return
     files = scan_files(path)
     scan, found = next(interpreted(files[0], overrides=Overrides(invent=True)))
     record = {"input": str(files[0]), "scans": len(files), **described(scan, found)}
     print(json.dumps(record) if as_json else "\n".join(lines_of(record)))
+
+
+def first_scan(path: Path, topic: str) -> dict[str, Any]:
+    """The first scan of a recording, or under "problem" why there is none."""
+    from lidar2pano.errors import InputError
+    from lidar2pano.formats.interpretation import Overrides, interpret
+    from lidar2pano.formats.readers import ReadOptions
+    from lidar2pano.recordings.recorded_scans import frames
+
+    try:
+        frame = next(frames(path, ReadOptions(topic=topic)))
+        scan, found = interpret(frame.cloud(), Overrides(invent=True))
+    except InputError as error:
+        return {"problem": str(error)}
+    return {"input": frame.title, "scans": 1, **described(scan, found)}
+
+
+def lines_of_recording(record: dict[str, Any]) -> list[str]:
+    """A recording's record for people: its topics, then its first scan."""
+    lines = [record["input"], _line("format", record["format"])]
+    count = sum(topic["count"] for topic in record["topics"])
+    lines.append(_line("messages", f"{count} in {record['duration_s']:.3f} s"))
+    if count:
+        lines.append(_line("start", _stamp(record["start_s"])))
+    lines += [_line("topic", f"{one['name']}: {one['count']} {one['type']}") for one in record["topics"]]
+    first = record["first"]
+    return [*lines, *([_line("scans", first["problem"])] if "problem" in first else lines_of(first))]
 
 
 def described(scan: Scan, found: Interpretation) -> dict[str, Any]:

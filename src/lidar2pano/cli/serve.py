@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from lidar2pano.cli.app import app, note_licence
-from lidar2pano.cli.translate import DeviceOption, WeightsOption
+from lidar2pano.cli.translate import DeviceOption, EngineOption, WeightsOption
 from lidar2pano.errors import InputError
 
 LOOPBACK = ("127.0.0.1", "localhost")
@@ -27,6 +27,7 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
         str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
     ] = "",
     device: DeviceOption = "auto",
+    engine: EngineOption = "auto",
     most_megabytes: Annotated[
         float, typer.Option("--max-megabytes", min=0.001, metavar="N", help="Of one request's body.")
     ] = 64,
@@ -54,6 +55,7 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
         files=weight_files(weights),
         device=pick_device(device),
         look=look,
+        engine=engine,
     )
     limits = replace(Limits(), body_bytes=int(most_megabytes * 1e6), points=most_points, waiting=queue, seconds=seconds)
     pipeline = options.pipeline()

@@ -17,6 +17,23 @@ WeightsOption = Annotated[
 DeviceOption = Annotated[
     str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute; auto: CUDA if there is one.")
 ]
+SteadyOption = Annotated[
+    bool,
+    typer.Option("--steady", help="A folder's or recording's scans are a video: smooth it over time, without flicker."),
+]
+TopicOption = Annotated[
+    str, typer.Option(metavar="NAME", help="The recording's topic or sensor, where it has several.")
+]
+EveryOption = Annotated[int, typer.Option(min=1, metavar="N", help="One of N scans of a recording or folder.")]
+FromOption = Annotated[
+    float | None, typer.Option("--from", min=0, metavar="SECONDS", help="Scans from so long after the start on.")
+]
+ToOption = Annotated[
+    float | None, typer.Option("--to", min=0, metavar="SECONDS", help="Scans until so long after the start.")
+]
+FollowOption = Annotated[
+    bool, typer.Option("--follow", help="Go on with what is written into the folder, until interrupted.")
+]
 HeightOption = Annotated[
     float | None, typer.Option(metavar="METRES", help="Height of the viewpoint above the ground; else found out.")
 ]
@@ -26,6 +43,14 @@ RemissionOption = Annotated[
 ]
 InventOption = Annotated[
     bool, typer.Option("--invent", help="Depth and segments outside the field of view too; else they are unknown.")
+]
+
+EngineOption = Annotated[
+    str,
+    typer.Option(
+        metavar="auto|torch|compile|onnx|openvino",
+        help="What runs the networks; auto: OpenVINO where it is installed and the CPU has bfloat16, else torch.",
+    ),
 ]
 
 
@@ -51,7 +76,8 @@ def demo(out: OutOption = OUT, weights: WeightsOption = "world", device: DeviceO
 @app.command()
 def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     scans: Annotated[
-        list[Path], typer.Argument(metavar="SCAN...", help="Scans of any format, folders of them, sequence folders.")
+        list[Path],
+        typer.Argument(metavar="SCAN...", help="Scans of any format, folders of them, sequence folders, recordings."),
     ],
     out: OutOption = OUT,
     weights: WeightsOption = "kitti-mini",
@@ -67,10 +93,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     image_size: Annotated[str, typer.Option(metavar="WxH", help="Size of that camera's image (1242x375).")] = "",
     save: Annotated[str, typer.Option(metavar="LIST", help="What to write: rgb,segments,labels,depth or all.")] = "rgb",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per scan on stdout.")] = False,
-    steady: Annotated[
-        bool,
-        typer.Option("--steady", help="A folder's scans are a video: smooth it over time, without flicker."),
-    ] = False,
+    steady: SteadyOption = False,
     sensor_height: HeightOption = None,
     forward: ForwardOption = "",
     remission: RemissionOption = "",
@@ -78,11 +101,30 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     look: Annotated[
         str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
     ] = "",
+    topic: TopicOption = "",
+    every: EveryOption = 1,
+    start_s: FromOption = None,
+    end_s: ToOption = None,
+    follow: FollowOption = False,
+    engine: EngineOption = "auto",
+    image_format: Annotated[
+        str, typer.Option("--format", metavar="png|webp|jpeg", help="Format of the colour images.")
+    ] = "png",
 ) -> None:
     """Turn scans into panoramas: DIR/<stem>.png, .segments.png, .label, .depth.png, .camera.png."""
-    from lidar2pano.cli.batch import Options, parse_camera, parse_save, translate_files
+    from lidar2pano.cli.batch import (
+        Options,
+        parse_camera,
+        parse_format,
+        parse_save,
+        translate_files,
+        translate_followed,
+    )
     from lidar2pano.cli.files import check_folder
+    from lidar2pano.cli.follow import check_followed
+    from lidar2pano.engines import pick_engine
     from lidar2pano.formats.interpretation import Overrides
+    from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.families import weight_files
     from lidar2pano.views import sensor_view
@@ -100,6 +142,12 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         as_json=as_json,
         smooth=steady,
         look=look,
+        selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
         overrides=Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission, invent=invent),
+        engine=engine,
+        image_format=parse_format(image_format),
     )
+    pick_engine(engine, options.device)
+    if follow:
+        raise typer.Exit(translate_followed(check_followed(scans, options.selection), options))
     raise typer.Exit(translate_files(scans, options))

@@ -92,7 +92,7 @@ class Poses:
 
     def __init__(self, folder: Path) -> None:
         self._recorded = lidar_poses(folder.parent) if folder.name == "velodyne" else None
-        self._estimate: Any = None if self._recorded else _odometry()
+        self._estimate: Any = None if self._recorded else odometry()
 
     def of(self, file: Path, scan: Scan) -> np.ndarray:
         """(4, 4) float64 T_world_sensor, metres; InputError where poses.txt has no line for the scan."""
@@ -102,7 +102,8 @@ class Poses:
         return self._estimate.last_pose.copy()
 
 
-def _odometry() -> Any:  # noqa: ANN401 KISS-ICP has no types
+def odometry() -> Any:  # noqa: ANN401 KISS-ICP has no types
+    """KISS-ICP, ready for the first scan; InputError where the extra `odometry` is not installed."""
     try:
         from kiss_icp.config import KISSConfig
         from kiss_icp.kiss_icp import KissICP

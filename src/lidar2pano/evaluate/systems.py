@@ -27,7 +27,13 @@ FRONT_VIEW = ("titan", "titan-next", "pix2pix")  # translators of the paper's ki
 CARD_ENTRIES = ("network", "recipe", "data", "steps", "hours", "commit", "sha256")  # of each network, in results
 
 
-def system(weights: str | Path, painter: str | Path | None = None, device: str = "auto", sensor: str = "") -> System:
+def system(
+    weights: str | Path,
+    painter: str | Path | None = None,
+    device: str = "auto",
+    sensor: str = "",
+    engine: str = "torch",
+) -> System:
     """A system, ready to predict.
 
     weights  a family, a run, a folder of weight files or a file; several joined by "+" are one system, in which later
@@ -37,12 +43,13 @@ def system(weights: str | Path, painter: str | Path | None = None, device: str =
              default family's. "+steady" behind a titan-pano: temporal smoothing by the sensor's poses.
     painter  the same as "WEIGHTS+PAINTER". Behind a `CameraTranslator` or "oracle" only vid2vid paints.
     device   "auto" (CUDA if there is one), "cpu" or "cuda";  sensor: as for Pipeline.for_sensor, "" for the weights'.
+    engine   what computes the networks of a pipeline, as for pipeline.load; others run in torch.
     Raises InputError when something is missing, damaged, or does not belong together.
     """
     parts = _chain(weights) + ([] if painter is None else [str(painter)])
     name, picked = "+".join(parts), pick_device(device)
     if STEADY in parts[1:]:
-        return _steady(name, system("+".join(part for part in parts if part != STEADY), None, device, sensor))
+        return _steady(name, system("+".join(part for part in parts if part != STEADY), None, device, sensor, engine))
     view = sensor_view(sensor) if sensor else None
     if parts[0] in ORACLE:
         return _oracle(name, _merged(parts[1:]), picked)
@@ -53,14 +60,14 @@ def system(weights: str | Path, painter: str | Path | None = None, device: str =
     files = default | named
     if missing := [role for role in ("segmenter", "translator") if role not in files]:
         raise InputError(f"{name}: no weights for the {' and the '.join(missing)}; name a family that has them")
-    segmenter, _ = load_segmenter(files["segmenter"], picked)
+    segmenter, _ = load_segmenter(files["segmenter"], picked, engine)
     if view is not None:
         segmenter = replace(segmenter, view=view)
     if read_card(files["translator"]).network in FRONT_VIEW:
         used = {role: files[role] for role in ("segmenter", "translator")}
         used |= {role: named[role] for role in ("painter", "first-frame painter") if role in named}
         return _translator(name, used, segmenter, picked)
-    return _panorama(name, _own_painter(files, named), segmenter, picked)
+    return _panorama(name, _own_painter(files, named), segmenter, picked, engine)
 
 
 def _chain(name: str | Path) -> list[str]:
@@ -95,11 +102,13 @@ def _info(name: str, files: Mapping[str, Path]) -> SystemInfo:
     return SystemInfo(name=name, files=files, networks=networks)
 
 
-def _panorama(name: str, files: dict[str, Path], segmenter: Segmenter, device: torch.device) -> PanoramaSystem:
-    translator, card = load_part(files["translator"], device, expect="titan-pano")
+def _panorama(
+    name: str, files: dict[str, Path], segmenter: Segmenter, device: torch.device, engine: str
+) -> PanoramaSystem:
+    translator, card = load_part(files["translator"], device, expect="titan-pano", engine=engine)
     view = card_view(files["translator"], card, "panorama")
     first = files.get("first-frame painter")
-    painter = load_painter(files["painter"], first, view, device)[0] if "painter" in files else NoPainter()
+    painter = load_painter(files["painter"], first, view, device, engine)[0] if "painter" in files else NoPainter()
     return PanoramaSystem(
         info=_info(name, files),
         pipeline=Pipeline(segmenter=segmenter, translator=translator, painter=painter, view=view, device=device),

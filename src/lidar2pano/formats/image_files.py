@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import platform
+import struct
 import threading
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -20,6 +22,13 @@ DEPTH_STEPS = 256  # per metre, KITTI's form of 16 bit depth
 FAST_PNG = 1  # zlib's level: a third of the default's time for a tenth more bytes
 PART = ".lidar2pano-part"  # ending of unfinished files
 HOST = platform.node()[:64]
+# name of a format for colour images -> ending of its files, what Pillow writes it with
+COLOUR_FORMATS = {
+    "png": (".png", {}),
+    "webp": (".webp", {"quality": 90, "method": 0}),
+    "jpeg": (".jpg", {"quality": 95}),
+}
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 SMALL_PNG = 9  # for what is written once and read often
 
 
@@ -38,9 +47,38 @@ def image_size(path: Path) -> tuple[int, int]:
         return image.size
 
 
+def write_colour(path: Path, colour: np.ndarray, image_format: str = "png") -> None:
+    """Write an RGB image (h, w, 3) uint8 in a format of COLOUR_FORMATS; only "png" keeps every value."""
+    if image_format == "png":
+        write_png(path, colour)
+    else:
+        Image.fromarray(colour).save(path, format=image_format.upper(), **COLOUR_FORMATS[image_format][1])
+
+
 def write_png(path: Path, colour: np.ndarray) -> None:
     """Write an RGB image (h, w, 3) uint8."""
-    Image.fromarray(colour).save(path, format="PNG", compress_level=FAST_PNG)
+    path.write_bytes(fast_png(colour))
+
+
+def fast_png(colour: np.ndarray) -> bytes:
+    """An RGB image (h, w, 3) uint8 as PNG, in a third of the time that Pillow takes, of about the same size.
+
+    Every row is filtered by "Sub" (PNG specification, 9.2) where Pillow tries all filters, and compressed by run
+    lengths and Huffman codes alone.
+    """
+    rows, columns, _ = colour.shape
+    lines = np.empty((rows, 1 + 3 * columns), dtype=np.uint8)
+    lines[:, 0] = 1  # the filter's number
+    lines[:, 1:4] = colour[:, 0]
+    np.subtract(colour[:, 1:], colour[:, :-1], out=lines[:, 4:].reshape(rows, columns - 1, 3))
+    deflate = zlib.compressobj(FAST_PNG, strategy=zlib.Z_RLE)
+    header = struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)  # 8 bits per channel, RGB, not interlaced
+    pixels = deflate.compress(lines) + deflate.flush()
+    return PNG_SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", pixels) + _chunk(b"IEND", b"")
+
+
+def _chunk(name: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
 
 def write_palette(path: Path, ids: np.ndarray, labels: LabelSet = COMMON15) -> None:

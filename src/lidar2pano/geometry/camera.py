@@ -1,4 +1,4 @@
-"""Between a perspective camera and the panorama around its optical centre: both ways, by look-up.
+"""Between a camera and the panorama around its optical centre: both ways, by look-up.
 
 A direction has one pixel in each picture, so a picture is carried over by looking up, for every pixel of the new one,
 where its direction lies in the old one. Parallax is none where the panorama's origin is the camera's optical centre
@@ -13,7 +13,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from lidar2pano.calibration import Calibration
+from lidar2pano.calibration import Calibration, LensCalibration
 from lidar2pano.geometry.projection import directions, nearest_points, pixels
 from lidar2pano.geometry.warp import sample
 from lidar2pano.scan import Scan
@@ -55,7 +55,7 @@ class Lookup:
         return replace(self, row=row, column=column, valid=valid)
 
 
-def at_camera(view: View, calibration: Calibration) -> View:
+def at_camera(view: View, calibration: Calibration | LensCalibration) -> View:
     """The view with its origin moved to the camera's optical centre."""
     return replace(view, origin=calibration.centre)
 
@@ -80,17 +80,21 @@ def _camera_in_panorama(view: View, KR: bytes, size: tuple[int, int]) -> Lookup:
     return Lookup(row=row, column=column, valid=valid, circular=False)
 
 
-def panorama_in_camera(view: View, calibration: Calibration) -> Lookup:
+def panorama_in_camera(view: View, calibration: Calibration | LensCalibration) -> Lookup:
     """Look-up that resamples a panorama (H, W) into the camera's image: (height, width), valid where it reaches."""
-    width, height = calibration.size
-    v, u = torch.meshgrid(
-        torch.arange(height, dtype=torch.float64), torch.arange(width, dtype=torch.float64), indexing="ij"
-    )
-    to_ray = torch.from_numpy(calibration.K @ calibration.T_camera_lidar[:3, :3]).inverse()
-    ray = torch.stack([u, v, torch.ones_like(u)], dim=-1) @ to_ray.T
+    if isinstance(calibration, LensCalibration):
+        ray = torch.from_numpy(calibration.rays() @ calibration.T_camera_lidar[:3, :3])
+    else:
+        width, height = calibration.size
+        v, u = torch.meshgrid(
+            torch.arange(height, dtype=torch.float64), torch.arange(width, dtype=torch.float64), indexing="ij"
+        )
+        to_ray = torch.from_numpy(calibration.K @ calibration.T_camera_lidar[:3, :3]).inverse()
+        ray = torch.stack([u, v, torch.ones_like(u)], dim=-1) @ to_ray.T
     x, y, z = ray.unbind(-1)
     row, column = pixels(x, y, z, view)
     valid = (row >= 0) & (row < view.rows) & (view.circular | ((column >= 0) & (column < view.columns)))
+    valid &= x.isfinite()
     row, column = (torch.where(valid, place, 0.0).float() for place in (row, column))
     return Lookup(row=row, column=column, valid=valid, circular=view.circular)
 

@@ -15,9 +15,11 @@ from pathlib import Path
 from typing import get_type_hints
 
 import torch
+import torch.nn.init
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as serialise
 from torch import Tensor, nn
+from torch.overrides import TorchFunctionMode
 
 from lidar2pano.errors import InputError, closest
 from lidar2pano.models import MODELS, build
@@ -129,7 +131,8 @@ def load(path: Path | str, device: torch.device | str = "cpu", expect: str | Non
         raise InputError(f"{path} does not fit network {card.network!r}: {wrong}; fetch or make the file again")
     if card.sha256 != _checksum(tensors):
         raise InputError(f"{path} was changed or damaged: its checksum is wrong; fetch or make the file again")
-    model = build(card.network, **card.settings)
+    with _Uninitialised():
+        model = build(card.network, **card.settings)
     model.load_state_dict(tensors)  # into float32, which the network is made of
     return model.to(device).eval(), card
 
@@ -158,12 +161,25 @@ def _read(path: Path | str, with_tensors: bool = True) -> tuple[Card, dict[str, 
         raise InputError(f"{path}: {error}") from None
 
 
+class _Uninitialised(TorchFunctionMode):
+    """A context in which networks are built without random numbers: those of a file follow.
+
+    Drawing takes long; on the device "meta" it can import torch's compiler, which takes longer than all else.
+    """
+
+    def __torch_function__(self, func, types, args=(), kwargs=None):  # noqa: ANN001, ANN204, ARG002 as torch calls it
+        if getattr(func, "__module__", "") == torch.nn.init.__name__:
+            return args[0] if args else (kwargs or {})["tensor"]
+        return func(*args, **(kwargs or {}))
+
+
 def _blank(card: Card) -> dict[str, Tensor]:
     """Keys, shapes and types that the card's network has, without memory for them; a wrong card raises InputError."""
     if card.network not in MODELS:
         raise InputError(f"no network {card.network!r}{closest(card.network, MODELS)}; update lidar2pano")
     try:
-        with torch.device("meta"):  # settings come from outside: they must not be able to fill the memory
+        # settings come from outside: they must not be able to fill the memory
+        with torch.device("meta"), _Uninitialised():
             return build(card.network, **card.settings).state_dict()
     except InputError:
         raise

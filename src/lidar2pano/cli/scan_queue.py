@@ -1,0 +1,137 @@
+"""Scans that wait to be translated, of files, folders and recordings alike, and the sensor's motion between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from lidar2pano.cli.app import complain
+from lidar2pano.data.poses import Poses
+from lidar2pano.drive_motion import DriveMotion, city_motion
+from lidar2pano.errors import InputError
+from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
+from lidar2pano.formats.point_cloud import PointCloud
+from lidar2pano.formats.readers import ReadOptions, open_path
+from lidar2pano.recordings.recorded_scans import recording_reader
+from lidar2pano.scan import Scan
+
+# (scan file or recording, scan, how it was read) -> scan without skew, T_world_sensor or None
+Motion = Callable[[Path, Scan, Interpretation], tuple[Scan, np.ndarray | None]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class QueuedScan:
+    """A scan that waits to be translated.
+
+    input   the scan file or recording;  stream: its folder or the recording, of which scans follow each other in time.
+    title   for messages;  stem: of its outputs.
+    number  of a recording's scan, None for a scan file.
+    cloud   gives the points; InputError where they cannot be read.
+    """
+
+    input: Path
+    stream: Path
+    title: str
+    stem: str
+    number: int | None
+    cloud: Callable[[], PointCloud]
+
+    def read(self, overrides: Overrides, like: Interpretation | None) -> tuple[Scan, Interpretation]:
+        """The scan, named by its title, and how it was read;  like: how the first one of its stream was."""
+        cloud = replace(self.cloud(), name=self.title)
+        try:
+            return interpret(cloud, overrides, like)
+        except InputError as error:
+            raise InputError(f"{self.title}: {error}") from None
+
+    def place(self, found: Interpretation) -> dict[str, Any]:
+        """Number and stamp of a recording's scan for JSON; nothing for a file's."""
+        return {} if self.number is None else {"scan": self.number, "stamp_s": found.stamp_s}
+
+
+def queued(files: Iterable[Path], names: Mapping[Path, str], selection: ReadOptions) -> Iterator[QueuedScan]:
+    """The scans of files and recordings; one that cannot be opened is queued too, and fails when it is read."""
+    for file in files:
+        try:
+            reader = recording_reader(file)
+            if reader is None:
+                yield _queued_file(file, names[file], partial(_only_cloud, file, selection))
+                continue
+            for frame in reader.frames(file, selection):
+                yield QueuedScan(
+                    input=file,
+                    stream=file,
+                    title=frame.title,
+                    stem=names[file] + frame.name.removeprefix(file.stem),
+                    number=frame.number,
+                    cloud=frame.cloud,
+                )
+        except InputError as error:
+            yield _queued_file(file, names[file], partial(_fail, error))
+
+
+def _queued_file(file: Path, stem: str, cloud: Callable[[], PointCloud]) -> QueuedScan:
+    return QueuedScan(input=file, stream=file.parent, title=str(file), stem=stem, number=None, cloud=cloud)
+
+
+def _only_cloud(file: Path, selection: ReadOptions) -> PointCloud:
+    for cloud in open_path(file).clouds(file, selection):
+        return cloud
+    raise InputError(f"{file}: holds no scan; name another file")
+
+
+def _fail(error: InputError) -> NoReturn:
+    raise error
+
+
+def motion_of(
+    first: QueuedScan, scan: Scan, found: Interpretation, selection: ReadOptions, smooth: bool
+) -> Motion | None:
+    """The motion of the sensor through a stream, by its first scan; None where there is no use for it.
+
+    That is where panoramas are smoothed, or points have times and the recording holds poses. Raises InputError where
+    poses are damaged, or none are recorded and KISS-ICP is missing.
+    """
+    if first.number is not None:
+        if not smooth and scan.time_s is None:
+            return None
+        drive = DriveMotion.of_recording(first.input, selection, found.frame, estimate=smooth)
+    elif not smooth:
+        return None
+    elif city := city_motion(first.stream):
+        drive = DriveMotion(*city, estimate=False)
+    else:
+        poses = Poses(first.stream)
+        return lambda file, scan, _: (scan, poses.of(file, scan))
+    return lambda _, scan, found: drive.step(scan, found, found.stamp_s or 0.0)
+
+
+class Complaints:
+    """Scans that failed: files one line each at once, those of a recording one line together at its end."""
+
+    def __init__(self) -> None:
+        self.failed = False
+        self._recording: Path | None = None
+        self._first, self._more = "", 0
+
+    def add(self, error: InputError, scan: QueuedScan) -> None:
+        """Report a scan that failed."""
+        self.failed = True
+        if scan.number is None:
+            complain(error)
+        elif self._recording == scan.input:
+            self._more += 1
+        else:
+            self.flush()
+            self._recording, self._first = scan.input, str(error)
+
+    def flush(self) -> None:
+        """Report what is held back."""
+        if self._recording:
+            complain(self._first + (f"; {self._more} more of its scans failed" if self._more else ""))
+        self._recording, self._first, self._more = None, "", 0

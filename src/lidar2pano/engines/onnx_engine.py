@@ -1,0 +1,88 @@
+"""ONNX graphs of networks, and ONNX Runtime, which runs them in float32."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from lidar2pano.engines.compiled import Run
+from lidar2pano.engines.signatures import SIGNATURES, Shape
+from lidar2pano.engines.tracing import example, recordable, recording
+
+OPSET = 20  # of ONNX, 2023: bilinear Resize, AveragePool and all else that the networks need, in every current runtime
+PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
+
+
+class OnnxRuntime:
+    """Engine of `compiled.CompiledForward`."""
+
+    name = "onnx"
+
+    def conditions(self) -> str:
+        """Versions of the exporter and of the opset: a graph runs everywhere."""
+        import onnxscript
+
+        return json.dumps([torch.__version__, onnxscript.__version__, OPSET])
+
+    def build(self, network: nn.Module, model: str, shapes: tuple[Shape, ...]) -> bytes:
+        """The network as an ONNX graph for inputs of these shapes, any batch."""
+        two = tuple((2, *shape[1:]) for shape in shapes)
+        return graph(network, model, example(two)).SerializeToString()
+
+    def open(self, compiled: bytes, device: torch.device) -> Run:
+        """An ONNX graph, ready to run; arrays pass through the CPU's memory."""
+        opened = session(compiled, device.type)
+        names = [each.name for each in opened.get_inputs()]
+
+        def run(inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+            arrays = (each.float().contiguous().cpu().numpy() for each in inputs)
+            outputs = opened.run(None, dict(zip(names, arrays, strict=True)))
+            return tuple(torch.from_numpy(each).to(device) for each in outputs)
+
+        return run
+
+
+def graph(network: nn.Module, model: str, inputs: Sequence[Tensor], metadata: Mapping[str, str] | None = None) -> Any:  # noqa: ANN401
+    """An onnx.ModelProto of a network: names of its signature, a dynamic first dimension "batch", weights inside.
+
+    inputs    example inputs, whose other dimensions the graph is made for; of a batch of one, torch.export would take
+              the one to be fixed.  metadata: text that the file carries.
+    """
+    signature = SIGNATURES[model]
+    batch = torch.export.Dim("batch", min=1)
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)  # it warns that torchvision's operators are not there
+    try:
+        with recording():
+            program = torch.onnx.export(
+                recordable(network),
+                tuple(inputs),
+                dynamo=True,
+                opset_version=OPSET,
+                input_names=list(signature.inputs),
+                output_names=list(signature.outputs),
+                dynamic_shapes=tuple({0: batch} for _ in inputs),
+                verbose=False,
+            )
+    finally:
+        logger.setLevel(level)
+    proto = program.model_proto
+    for name, text in (metadata or {}).items():
+        proto.metadata_props.add(key=name, value=text)
+    return proto
+
+
+def session(compiled: bytes | str, device_type: str = "cpu") -> Any:  # noqa: ANN401
+    """An onnxruntime.InferenceSession with as many threads as torch."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = torch.get_num_threads()
+    options.log_severity_level = 3  # errors
+    return onnxruntime.InferenceSession(compiled, options, providers=[PROVIDERS[device_type]])

@@ -1,0 +1,97 @@
+"""OpenVINO: networks in bfloat16 on CPUs that multiply it, otherwise in float32."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from functools import cache, cached_property
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from lidar2pano.engines.compiled import Run
+from lidar2pano.engines.signatures import Shape
+from lidar2pano.engines.tracing import example, recordable, recording
+from lidar2pano.hardware import has_bfloat16
+
+DTYPES = {"f32": torch.float32, "bf16": torch.bfloat16}  # of what compiled models give
+TELEMETRY = "openvino_telemetry"
+
+
+class OpenVino:
+    """Engine of `compiled.CompiledForward`."""
+
+    name = "openvino"
+
+    def conditions(self) -> str:
+        """Versions, processor, arithmetic; not the number of threads."""
+        names = ("FULL_DEVICE_NAME", "OPTIMIZATION_CAPABILITIES")
+        processor = [self._core.get_property("CPU", name) for name in names]
+        return json.dumps([openvino().__version__, torch.__version__, processor, _precision()])
+
+    def build(self, network: nn.Module, model: str, shapes: tuple[Shape, ...]) -> bytes:  # noqa: ARG002
+        """The network for inputs of these shapes, as OpenVINO writes compiled models."""
+        with recording():
+            program = torch.export.export(recordable(network), example(shapes), strict=False)
+            graph = openvino().convert_model(program)
+        graph.reshape(dict(zip(graph.inputs, map(list, shapes), strict=True)))
+        stream = io.BytesIO()
+        self._core.compile_model(graph, "CPU", _settings()).export_model(stream)
+        return stream.getvalue()
+
+    def open(self, compiled: bytes, device: torch.device) -> Run:  # noqa: ARG002 it is the CPU
+        """A compiled model; its outputs are written into tensors of ours."""
+        request = self._core.import_model(compiled, "CPU", _settings()).create_infer_request()
+        wanted = [(tuple(each.shape), DTYPES[each.element_type.to_string()]) for each in request.model_outputs]
+
+        def run(inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+            outputs = tuple(torch.empty(shape, dtype=dtype) for shape, dtype in wanted)
+            held = [_shared(each.float().contiguous()) for each in inputs]
+            for number, each in enumerate(held):
+                request.set_input_tensor(number, each)
+            for number, each in enumerate(outputs):
+                request.set_output_tensor(number, _shared(each))
+            request.infer()
+            return outputs
+
+        return run
+
+    @cached_property
+    def _core(self) -> Any:  # noqa: ANN401
+        return openvino().Core()
+
+
+def _shared(x: Tensor) -> Any:  # noqa: ANN401
+    """An openvino.Tensor in a tensor's memory; numpy has no bfloat16, so that it is passed as bits."""
+    if x.dtype == torch.bfloat16:
+        return openvino().Tensor(x.view(torch.int16).numpy(), x.shape, openvino().Type.bf16)
+    return openvino().Tensor(x.numpy(), shared_memory=True)
+
+
+def _precision() -> str:
+    return "bf16" if has_bfloat16(torch.device("cpu")) else "f32"
+
+
+def _settings() -> dict[str, Any]:
+    return {
+        "INFERENCE_PRECISION_HINT": _precision(),
+        "PERFORMANCE_HINT": "LATENCY",
+        "INFERENCE_NUM_THREADS": torch.get_num_threads(),
+        "ENABLE_CPU_PINNING": False,  # cores may be shared with other processes
+    }
+
+
+@cache
+def openvino() -> Any:  # noqa: ANN401
+    """The module `openvino`, kept from reporting its import over the network."""
+    hidden = TELEMETRY not in sys.modules
+    if hidden:
+        sys.modules[TELEMETRY] = None  # type: ignore[assignment] an import of it fails, and OpenVINO does without
+    try:
+        import openvino as module
+    finally:
+        if hidden:
+            del sys.modules[TELEMETRY]
+    return module

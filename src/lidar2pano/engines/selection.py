@@ -1,0 +1,83 @@
+"""Which engine runs a network, and the network with that engine behind its `forward`."""
+
+from __future__ import annotations
+
+import copy
+import importlib.util
+import os
+
+import torch
+from torch import nn
+
+from lidar2pano.engines.compiled import CompiledForward
+from lidar2pano.engines.onnx_engine import PROVIDERS, OnnxRuntime
+from lidar2pano.engines.openvino_engine import OpenVino
+from lidar2pano.engines.signatures import SIGNATURES
+from lidar2pano.errors import InputError, closest
+from lidar2pano.hardware import has_bfloat16
+
+ENGINES = ("auto", "torch", "compile", "onnx", "openvino")
+VARIABLE = "LIDAR2PANO_ENGINE"  # what "auto" stands for, where it is set
+# engine -> extra that installs it, modules that it needs
+BUILDERS = {"onnx": OnnxRuntime, "openvino": OpenVino}
+EXTRAS = {"onnx": ("onnx", ("onnx", "onnxscript", "onnxruntime")), "openvino": ("fast", ("openvino",))}
+
+
+def pick_engine(name: str, device: torch.device) -> str:
+    """The engine that a name of ENGINES stands for on a device.
+
+    "auto" is OpenVINO on a CPU that multiplies bfloat16, where it is installed, else torch.
+    Raises InputError where the name is unknown, its extra is missing, or it cannot compute on the device.
+    """
+    asked = os.environ.get(VARIABLE) or name if name == "auto" else name
+    if asked not in ENGINES:
+        raise InputError(f"no engine {asked!r}{closest(asked, ENGINES)}")
+    if asked == "auto":
+        fast = device.type == "cpu" and _is_installed("openvino") and has_bfloat16(device)
+        return "openvino" if fast else "torch"
+    if extra := missing_extra(asked):
+        raise InputError(f"engine {asked} needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'")
+    if asked == "onnx" and PROVIDERS[device.type] not in _providers():
+        raise InputError("engine onnx: onnxruntime has no CUDA here; install onnxruntime-gpu, or use --device cpu")
+    if asked == "openvino" and device.type != "cpu":
+        raise InputError(f"engine openvino does not compute on {device.type}; use --device cpu, or --engine torch")
+    return asked
+
+
+def missing_extra(engine: str) -> str:
+    """The extra that has to be installed for an engine; "" where none has."""
+    extra, modules = EXTRAS.get(engine, ("", ()))
+    return "" if all(map(_is_installed, modules)) else extra
+
+
+def accelerated(network: nn.Module, model: str, weights: str, engine: str, device: torch.device) -> nn.Module:
+    """The network, changed in place so that an engine computes its `forward`.
+
+    model    its name in models.MODELS;  weights: checksum of its weights, "" where nothing is to be kept on disk.
+    engine   of ENGINES. With "auto", torch goes on computing where the engine's outputs are not as good as torch's.
+    It is compiled for each shape of inputs when they first come. Raises InputError as `pick_engine`, and for a network
+    that runs in torch only.
+    """
+    picked = pick_engine(engine, device)
+    if picked == "torch":
+        return network
+    if model not in SIGNATURES:
+        if engine == "auto":
+            return network
+        raise InputError(f"a {model!r} runs with --engine torch only, not with {picked}")
+    if picked == "compile":
+        network.compile(dynamic=False, mode="reduce-overhead" if device.type == "cuda" else "default")
+        return network
+    plain = copy.copy(network)  # the same weights, and torch's own forward
+    network.forward = CompiledForward(plain, model, weights, BUILDERS[picked](), optional=engine == "auto")
+    return network
+
+
+def _providers() -> list[str]:
+    import onnxruntime
+
+    return onnxruntime.get_available_providers()
+
+
+def _is_installed(module: str) -> bool:
+    return importlib.util.find_spec(module) is not None

@@ -1,0 +1,37 @@
+"""Recording a network as a graph, whatever contexts the caller is in."""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+from torch import Tensor, nn
+
+from lidar2pano.engines.signatures import Shape
+
+
+@contextmanager
+def recording() -> Iterator[None]:
+    """A context in which networks can be recorded: float32, with gradients, without warnings of exporters.
+
+    With gradients, because the circular convolution writes in place without them (models.circular).
+    """
+    plain = (torch.inference_mode(False), torch.enable_grad(), torch.autocast("cpu", enabled=False))
+    with plain[0], plain[1], plain[2], warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def example(shapes: tuple[Shape, ...]) -> tuple[Tensor, ...]:
+    """Tensors of ones of these shapes, which may take part in recording."""
+    with recording():
+        return tuple(torch.ones(shape) for shape in shapes)
+
+
+def recordable(network: nn.Module) -> nn.Module:
+    """A copy of a network on the CPU that may take part in recording, wherever the original was made."""
+    with recording():
+        return copy.deepcopy(network).cpu()

@@ -1,0 +1,147 @@
+"""What a recording holds: its topics or streams, and which of them holds the scans."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from lidar2pano.errors import InputError, closest
+
+POINTS = "sensor_msgs/msg/PointCloud2"
+# message type -> what turns its packets into points
+PACKETS = {
+    "velodyne_msgs/msg/VelodyneScan": "velodyne_pointcloud",
+    "velodyne_msgs/msg/VelodynePacket": "velodyne_pointcloud",
+    "ouster_ros/msg/PacketMsg": "ouster-ros",
+    "ouster_sensor_msgs/msg/PacketMsg": "ouster-ros",
+    "hesai_ros_driver/msg/UdpFrame": "HesaiLidar_ROS_2.0",
+    "hesai_lidar/msg/PandarScan": "HesaiLidar_General_ROS",
+    "pandar_msgs/msg/PandarScan": "nebula",
+    "nebula_msgs/msg/NebulaPackets": "nebula",
+    "rslidar_msgs/msg/rslidarScan": "rslidar_sdk",
+    "rslidar_msg/msg/RslidarPacket": "rslidar_sdk",
+}
+MOST_NAMED = 12  # topics in a message; `inspect` lists all
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Topic:
+    """A topic of a ROS recording, or the stream of one sensor in a packet capture.
+
+    type   of its messages in ROS 2's form, "sensor_msgs/msg/PointCloud2"; for packets, "Velodyne packets".
+    count  of messages.
+    """
+
+    name: str
+    type: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Description:
+    """What a recording holds.
+
+    format   for people, e.g. "ROS 1 bag".
+    topics   in order of their names.
+    first_ns, last_ns  when its first and last message were recorded, nanoseconds since the epoch; 0 without messages.
+    """
+
+    format: str
+    topics: tuple[Topic, ...]
+    first_ns: int
+    last_ns: int
+
+    @property
+    def start_s(self) -> float:
+        """When its first message was recorded, seconds since the epoch."""
+        return self.first_ns * 1e-9
+
+    @property
+    def duration_s(self) -> float:
+        """From its first message to its last one, seconds."""
+        return max(self.last_ns - self.first_ns, 0) * 1e-9
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        topics = [asdict(topic) for topic in self.topics]
+        return {"format": self.format, "start_s": self.start_s, "duration_s": self.duration_s, "topics": topics}
+
+    @property
+    def messages(self) -> int:
+        """Number of messages of all topics."""
+        return sum(topic.count for topic in self.topics)
+
+
+def choose_topic(path: Path, topics: Sequence[Topic], wanted: str, type: str = POINTS) -> Topic:
+    """The topic of messages of that type, which are the scans: `wanted`, or the only one.
+
+    Raises InputError that lists what there is when none or several could be meant, or it holds no message.
+    """
+    names = [topic.name for topic in topics]
+    clouds = [topic for topic in topics if topic.type == type]
+    if wanted:
+        named = [topic for topic in topics if topic.name in {wanted, f"/{wanted}"}]
+        if not named:
+            raise InputError(f"{path}: has no topic {wanted!r}{closest(wanted, names[:MOST_NAMED])}")
+        found = [topic for topic in named if topic.type == type] or named[:1]
+    else:
+        found = [topic for topic in clouds if topic.count] or clouds
+    if not found:
+        raise InputError(_no_points(path, topics))
+    if len(found) > 1:
+        raise InputError(f"{path}: holds points on {_listed(found)}; choose one with --topic")
+    (topic,) = found
+    if topic.type in PACKETS:
+        raise InputError(_packets(path, topic))
+    if topic.type != type:
+        raise InputError(f"{path}: topic {topic.name} holds {topic.type}, not points; {_those(clouds)}")
+    if not topic.count:
+        raise InputError(f"{path}: topic {topic.name} holds no message; record it again")
+    return topic
+
+
+def _no_points(path: Path, topics: Sequence[Topic]) -> str:
+    packets = [topic for topic in topics if topic.type in PACKETS and topic.count]
+    if packets:
+        return _packets(path, max(packets, key=lambda topic: topic.count))
+    if not topics:
+        return f"{path}: holds no topic at all; record it again"
+    return f"{path}: holds no sensor_msgs/PointCloud2 topic (it has {_listed(topics)}); name a recording of points"
+
+
+def _packets(path: Path, topic: Topic) -> str:
+    return (
+        f"{path}: {topic.name} holds packets, not points ({topic.type});"
+        f" decode with {PACKETS[topic.type]} and record the PointCloud2 topic"
+    )
+
+
+def _those(clouds: Sequence[Topic]) -> str:
+    return f"--topic can be {_listed(clouds)}" if clouds else "it has no topic of points"
+
+
+def _listed(topics: Sequence[Topic]) -> str:
+    more = f" and {len(topics) - MOST_NAMED} more" if len(topics) > MOST_NAMED else ""
+    return ", ".join(topic.name for topic in topics[:MOST_NAMED]) + more
+
+
+@contextmanager
+def damage(path: Path, repair: str) -> Iterator[None]:
+    """Turn whatever a library raises on a damaged file into an InputError that names the file and the repair."""
+    try:
+        yield
+    except InputError:
+        raise
+    except MemoryError as error:
+        raise InputError(f"{path}: claims more bytes than there is memory, it is damaged; {repair}") from error
+    except Exception as error:  # of struct, zlib, lz4, zstd, SQLite and the libraries themselves, by what is broken
+        said = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(f"{path}: is damaged or cut short ({said}); {repair}") from error
+
+
+def missing_extra(path: Path, extra: str) -> InputError:
+    """The error for a file whose library is not installed."""
+    return InputError(f"{path}: reading it needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'")

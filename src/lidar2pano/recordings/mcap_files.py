@@ -1,0 +1,186 @@
+"""MCAP files of both ROS profiles, with or without an index: read with mcap (extra `bags`)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import IO, Any
+
+from lidar2pano.errors import InputError
+from lidar2pano.recordings.description import Description, Topic, damage, missing_extra
+from lidar2pano.recordings.ros_messages import CDR, MOST_CHUNK_BYTES, ROS1, RawMessage, deserializer
+
+MAGIC = b"\x89MCAP0\r\n"
+REPAIR = "try `mcap recover`, or record it again"
+ENCODINGS = (ROS1, CDR)
+
+
+class McapFile:
+    """An MCAP file. One without an index is read from beginning to end, once more to count its messages."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the file. Raises InputError where it is damaged or cut short, or the extra is missing."""
+        self.path = path
+        try:
+            import mcap  # noqa: F401
+
+            deserializer(CDR)
+        except ImportError as error:
+            raise missing_extra(path, "bags") from error
+        self._file = path.open("rb")
+        self._size = path.stat().st_size
+        self._channels, self._schemas = dict[int, Any](), dict[int, Any]()
+        try:
+            with damage(path, REPAIR):
+                self._chunks = self._index()
+                counts, first_ns, last_ns = self._counted()
+                self._names = {one: self._name(channel) for one, channel in self._channels.items()}
+        except BaseException:
+            self._file.close()
+            raise
+        totals = Counter[tuple[str, str]]()
+        for one, name in self._names.items():
+            totals[name] += counts.get(one, 0)
+        self.description = Description(
+            format="MCAP" if self._chunks else "MCAP without an index",
+            topics=tuple(Topic(name=name, type=type, count=totals[name, type]) for name, type in sorted(totals)),
+            first_ns=first_ns if totals.total() else 0,
+            last_ns=last_ns if totals.total() else 0,
+        )
+
+    def messages(
+        self, topics: tuple[Topic, ...], start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[RawMessage]:
+        """Messages recorded from `start_ns` on and before `end_ns`; InputError at damage.
+
+        They come chunk after chunk, those of a chunk in order of time; without an index in the order of the file.
+        """
+        topic_of = {
+            one: topic for one, name in self._names.items() for topic in topics if name == (topic.name, topic.type)
+        }
+        with damage(self.path, REPAIR):
+            for message in self._stored(topic_of.keys(), start_ns, end_ns):
+                before = start_ns is not None and message.log_time < start_ns
+                if message.channel_id in topic_of and not before and (end_ns is None or message.log_time < end_ns):
+                    yield RawMessage(topic_of[message.channel_id], message.log_time, message.data)
+
+    def count_before(self, topic: Topic, start_ns: int) -> int:
+        """Number of messages of a topic recorded before; by the index alone, where there is one."""
+        from mcap.data_stream import ReadDataStream
+        from mcap.records import MessageIndex
+
+        if not all(chunk.message_index_offsets for chunk in self._chunks) or not self._chunks:
+            return sum(1 for _ in self.messages((topic,), None, start_ns))
+        count = 0
+        with damage(self.path, REPAIR):
+            for chunk in self._chunks:
+                for one, offset in chunk.message_index_offsets.items():
+                    if self._names[one] == (topic.name, topic.type) and chunk.message_start_time < start_ns:
+                        self._file.seek(offset + 9)  # opcode and length come before
+                        index = MessageIndex.read(ReadDataStream(self._file))
+                        count += sum(stamp_ns < start_ns for stamp_ns, _ in index.records)
+        return count
+
+    def decode(self, message: RawMessage) -> Any:  # noqa: ANN401
+        """The message as an object with ROS's attributes; raises whatever rosbags does."""
+        name = message.topic.name, message.topic.type
+        encoding = next(self._channels[one].message_encoding for one in self._names if self._names[one] == name)
+        return deserializer(encoding)(message.data, message.topic.type)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _index(self) -> list[Any]:
+        """The chunks by the file's own index, in order of time; [] where it has none."""
+        from mcap.reader import SeekingReader
+
+        summary = SeekingReader(self._file, record_size_limit=self._size).get_summary()
+        if summary is None or not (summary.chunk_indexes and summary.channels and summary.statistics):
+            return []
+        for chunk in summary.chunk_indexes:
+            if chunk.chunk_start_offset + chunk.chunk_length > self._size or chunk.compressed_size > chunk.chunk_length:
+                raise InputError(f"{self.path}: its index points beyond its end; {REPAIR}")
+        self._channels, self._schemas, self._statistics = summary.channels, summary.schemas, summary.statistics
+        return sorted(summary.chunk_indexes, key=lambda chunk: (chunk.message_start_time, chunk.chunk_start_offset))
+
+    def _counted(self) -> tuple[dict[int, int], int, int]:
+        """Messages by channel, and the first and last time."""
+        if self._chunks:
+            statistics = self._statistics
+            return statistics.channel_message_counts, statistics.message_start_time, statistics.message_end_time
+        counts, first, last = Counter[int](), 1 << 64, 0
+        for message in self._linear():
+            counts[message.channel_id] += 1
+            first, last = min(first, message.log_time), max(last, message.log_time)
+        return counts, first, last
+
+    def _name(self, channel: Any) -> tuple[str, str]:  # noqa: ANN401
+        """(topic, type): a type of ROS in ROS 2's form, another with its encoding."""
+        name = self._schemas[channel.schema_id].name if channel.schema_id else "no schema"
+        if channel.message_encoding not in ENCODINGS:
+            return channel.topic, f"{name} ({channel.message_encoding})"
+        package, _, rest = name.rpartition("/")
+        return channel.topic, f"{package.removesuffix('/msg')}/msg/{rest}"
+
+    def _stored(self, channels: Any, start_ns: int | None, end_ns: int | None) -> Iterator[Any]:  # noqa: ANN401
+        """Message records; by the index, chunks without these channels or times are not read."""
+        from mcap.data_stream import ReadDataStream
+        from mcap.records import Chunk, Message
+
+        if not self._chunks:
+            yield from self._linear()
+        for index in self._chunks:
+            late = start_ns is not None and index.message_end_time < start_ns
+            early = end_ns is not None and index.message_start_time >= end_ns
+            other = bool(index.message_index_offsets) and not channels & index.message_index_offsets.keys()
+            if not (late or early or other):
+                self._file.seek(index.chunk_start_offset + 9)
+                parts = unpacked(Chunk.read(ReadDataStream(self._file)))
+                messages = [part for part in parts if isinstance(part, Message)]
+                yield from sorted(messages, key=lambda message: message.log_time)
+
+    def _linear(self) -> Iterator[Any]:
+        """All message records in the order of the file; its channels and schemas are noted on the way."""
+        from mcap.records import Channel, Message, Schema
+
+        self._file.seek(0)
+        for record in records(self._file, self._size):
+            if isinstance(record, Message):
+                yield record
+            elif isinstance(record, Channel):
+                self._channels[record.id] = record
+            elif isinstance(record, Schema):
+                self._schemas[record.id] = record
+
+
+def records(file: IO[bytes], most_bytes: int) -> Iterator[Any]:
+    """All records of an MCAP file, those of chunks included; no record may be longer than `most_bytes`."""
+    from mcap.records import Chunk
+    from mcap.stream_reader import StreamReader
+
+    for record in StreamReader(file, emit_chunks=True, record_size_limit=most_bytes).records:
+        yield from unpacked(record) if isinstance(record, Chunk) else (record,)
+
+
+def unpacked(chunk: Any) -> list[Any]:  # noqa: ANN401
+    """The records of a chunk; ValueError where it unpacks to another size than it says, or a damaged one."""
+    from lz4.frame import LZ4FrameDecompressor
+    from mcap.stream_reader import breakup_chunk
+    from zstandard import ZstdDecompressor
+
+    size, data = chunk.uncompressed_size, chunk.data
+    if size > MOST_CHUNK_BYTES:
+        raise ValueError(f"a chunk of {size} bytes, unpacked")
+    if chunk.compression == "zstd":
+        with ZstdDecompressor().stream_reader(data) as stream:
+            data = stream.read(size + 1)
+    elif chunk.compression == "lz4":
+        data = LZ4FrameDecompressor().decompress(data, size + 1)
+    elif chunk.compression:
+        raise ValueError(f"unknown compression {chunk.compression!r}")
+    if len(data) != size:
+        raise ValueError(f"a chunk unpacks to {len(data)} bytes instead of {size}")
+    return breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)

@@ -1,0 +1,135 @@
+"""Packet captures (.pcap, .pcapng) of Velodyne sensors, decoded with velodyne-decoder (extra `pcap`)."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lidar2pano.errors import InputError
+from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns
+from lidar2pano.recordings.description import Description, Topic, damage, missing_extra
+
+PCAP = {b"\xa1\xb2\xc3\xd4": (">", 1e-6), b"\xd4\xc3\xb2\xa1": ("<", 1e-6)}  # magic -> byte order, unit of fractions
+PCAP |= {b"\xa1\xb2\x3c\x4d": (">", 1e-9), b"\x4d\x3c\xb2\xa1": ("<", 1e-9)}
+PCAPNG = b"\x0a\x0d\x0d\x0a"
+PAYLOAD = 1206  # bytes of a Velodyne data packet, of every model
+MOST_CAPTURED = 1 << 18  # bytes of a packet, libpcap's own limit
+REPAIR = "try `editcap` on it, or record it again"
+VELODYNE, OTHER = "Velodyne packets", "other packets"
+
+
+class Packet(NamedTuple):
+    """A captured packet: when (seconds since the epoch), and its bytes with all headers."""
+
+    stamp_s: float
+    frame: bytes
+
+    @property
+    def stream(self) -> str:
+        """ADDRESS:PORT that a Velodyne data packet is sent from and to; "" for any other packet."""
+        if len(self.frame) < PAYLOAD + 28:  # headers of IPv4 and UDP come before, whatever the link
+            return ""
+        source, _, port, length = struct.unpack_from(">4s6sHH", self.frame, len(self.frame) - PAYLOAD - 16)
+        return f"{'.'.join(map(str, source))}:{port}" if length == PAYLOAD + 8 else ""
+
+
+class PacketCapture:
+    """A capture of the packets of one or several sensors: each Velodyne is a topic ADDRESS:PORT."""
+
+    def __init__(self, path: Path) -> None:
+        """Look through the whole capture. Raises InputError where it is damaged, cut short or holds no packet."""
+        self.path = path
+        counts, first_s, last_s = Counter[tuple[str, str]](), 0.0, 0.0
+        for packet in packets(path):
+            first_s, last_s = packet.stamp_s if not counts else first_s, packet.stamp_s
+            stream = packet.stream
+            counts[(stream, VELODYNE) if stream else (f"{len(packet.frame)} bytes", OTHER)] += 1
+        if not counts:
+            raise InputError(f"{path}: holds no packet; record it again")
+        self.description = Description(
+            format="packet capture",
+            topics=tuple(Topic(name=name, type=type, count=count) for (name, type), count in sorted(counts.items())),
+            first_ns=round(first_s * 1e9),
+            last_ns=round(last_s * 1e9),
+        )
+
+    def turns(self, topic: Topic) -> Iterator[tuple[float, np.ndarray]]:
+        """Turn after turn of a sensor: stamp in seconds since the epoch, structured points (N,); InputError at damage.
+
+        The stamp is the host's; `time` of the points is relative to it.
+        """
+        try:
+            import velodyne_decoder
+        except ImportError as error:
+            raise missing_extra(self.path, "pcap") from error
+        with damage(self.path, "its model may be unknown to velodyne-decoder"):
+            decoder = velodyne_decoder.StreamDecoder(self._configuration(velodyne_decoder))
+            for packet in packets(self.path):
+                if packet.stream == topic.name:
+                    turn = decoder.decode(packet.stamp_s, packet.frame[-PAYLOAD:], True)
+                    if turn is not None:
+                        yield turn[0].host, turn[1]
+            turn = decoder.finish(True)
+            if turn is not None:
+                yield turn[0].host, turn[1]
+
+    def _configuration(self, velodyne_decoder: Any) -> Any:  # noqa: ANN401
+        """The model and calibration that an HDL-64E sends itself; the other models are known by each packet."""
+        configuration = velodyne_decoder.Config()
+        if _magic(self.path) != PCAPNG:
+            model, calibration = velodyne_decoder.hdl64e.detect_hdl64e(self.path)
+            if model is not None:
+                configuration.model, configuration.calibration = model, calibration
+        return configuration
+
+
+def cloud_of_turn(stamp_s: float, points: np.ndarray, name: str) -> PointCloud:
+    """The points of a turn (N,) with fields x y z intensity time ring."""
+    if not len(points):
+        raise InputError(f"{name}: holds no points; name a scan that has some")
+    columns = {field: points[field] for field in points.dtype.names or ()}
+    return cloud_of_columns(columns, format=VELODYNE, name=name, frame="velodyne", stamp_s=stamp_s)
+
+
+def packets(path: Path) -> Iterator[Packet]:
+    """The packets of a capture, in its order; InputError where it is damaged or cut short."""
+    with damage(path, REPAIR):
+        yield from _newer(path) if _magic(path) == PCAPNG else _classic(path)
+
+
+def _magic(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(4)
+
+
+def _classic(path: Path) -> Iterator[Packet]:
+    with path.open("rb") as file:
+        head = file.read(24)
+        order, unit_s = PCAP[head[:4]]
+        if len(head) < 24:
+            raise ValueError(f"{len(head)} bytes")
+        record = struct.Struct(order + "IIII")
+        while head := file.read(record.size):
+            whole, fraction, captured, _ = record.unpack(head)
+            if captured > MOST_CAPTURED:
+                raise ValueError(f"a packet of {captured} bytes")
+            frame = file.read(captured)
+            if len(frame) < captured:
+                raise ValueError(f"the last packet has {len(frame)} of {captured} bytes")
+            yield Packet(whole + fraction * unit_s, frame)
+
+
+def _newer(path: Path) -> Iterator[Packet]:
+    """Packets of a pcapng; dpkt comes with velodyne-decoder."""
+    try:
+        import dpkt.pcapng
+    except ImportError as error:
+        raise missing_extra(path, "pcap") from error
+    with path.open("rb") as file:
+        for stamp_s, frame in dpkt.pcapng.Reader(file):
+            yield Packet(stamp_s, bytes(frame))

@@ -1,0 +1,234 @@
+"""A drive: the scans of a recording in time, chosen by topic, time and number; what a recording holds."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from lidar2pano.errors import InputError
+from lidar2pano.formats.file_contents import HEAD_BYTES
+from lidar2pano.formats.messages import cloud_of_message
+from lidar2pano.formats.point_cloud import PointCloud
+from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.geometry.motion import SensorMotion
+from lidar2pano.recordings import ouster, transforms
+from lidar2pano.recordings.description import MOST_NAMED, Description, choose_topic, damage
+from lidar2pano.recordings.mcap_files import MAGIC, McapFile
+from lidar2pano.recordings.packet_captures import PCAP, PCAPNG, VELODYNE, PacketCapture, cloud_of_turn
+from lidar2pano.recordings.ros_bags import ROSBAG, SQLITE, open_folder, open_ros1, open_sqlite
+from lidar2pano.recordings.ros_messages import RawMessage, Recording
+
+ENDINGS = (".bag", ".db3", ".mcap", ".pcap", ".pcapng", ".osf")  # of recordings among a folder's files
+METADATA = "metadata.yaml"  # of a ROS 2 bag's folder
+Decode = Callable[[str], PointCloud]  # title for messages -> points
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frame:
+    """A scan of a recording, not decoded yet.
+
+    path     of the recording;  number: of the scan among all of its topic, from 0.
+    stamp_s  when it was recorded, seconds since the epoch.
+    decode   (title for messages) -> its points; raises InputError where they are damaged, or there is none.
+    """
+
+    path: Path
+    number: int
+    stamp_s: float
+    decode: Decode
+
+    @property
+    def name(self) -> str:
+        """The recording's stem and the scan's number: its outputs are called so."""
+        return f"{self.path.stem}-{self.number:06d}"
+
+    @property
+    def title(self) -> str:
+        """The recording's path and the scan's number, for messages."""
+        return f"{self.path}, scan {self.number}"
+
+    def cloud(self) -> PointCloud:
+        """The points, with the time of recording where the scan has no stamp of its own."""
+        cloud = self.decode(self.title)
+        return replace(cloud, name=self.name, stamp_s=cloud.stamp_s or self.stamp_s)
+
+
+@dataclass(frozen=True)
+class RecordingReader:
+    """The reader of a format that keeps a drive in a file or folder.
+
+    accept    (first bytes, path) -> whether the file is of this format.
+    describe  path -> what it holds;  frames: (path, options) -> its scans, in time.
+    open      path -> the open recording, of ROS messages; None for others.
+    """
+
+    name: str
+    accept: Callable[[bytes, Path], bool]
+    describe: Callable[[Path], Description]
+    frames: Callable[[Path, ReadOptions], Iterator[Frame]]
+    open: Callable[[Path], Recording] | None = None
+
+    def accepts(self, head: bytes, path: Path) -> bool:
+        """Whether the file is of this format."""
+        return self.accept(head, path)
+
+    def clouds(self, path: Path, options: ReadOptions) -> Iterator[PointCloud]:
+        """The clouds of the recording, one at a time; InputError at the first that is damaged."""
+        for frame in self.frames(path, options):
+            yield frame.cloud()
+
+
+def ros_reader(name: str, accept: Callable[[bytes, Path], bool], open: Callable[[Path], Recording]) -> RecordingReader:
+    """The reader of a recording of ROS messages."""
+
+    def describe(path: Path) -> Description:
+        with closing(open(path)) as recording:
+            return recording.description
+
+    def frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
+        with closing(open(path)) as recording:
+            yield from _ros_frames(recording, options)
+
+    return RecordingReader(name, accept, describe, frames, open)
+
+
+def _ros_frames(recording: Recording, options: ReadOptions) -> Iterator[Frame]:
+    path, about = recording.path, recording.description
+    topic = choose_topic(path, about.topics, options.topic)
+    start_ns, end_ns = _span_ns(about, options)
+    first = recording.count_before(topic, start_ns) if start_ns is not None else 0
+    number = first - 1
+    for number, message in enumerate(recording.messages((topic,), start_ns, end_ns), first):
+        if (number - first) % options.every == 0:
+            yield Frame(
+                path=path,
+                number=number,
+                stamp_s=message.stamp_ns * 1e-9,
+                decode=partial(_ros_cloud, recording, message),
+            )
+    if number < first:
+        raise none_within(path, about.duration_s)
+
+
+def _ros_cloud(recording: Recording, message: RawMessage, title: str) -> PointCloud:
+    with damage(Path(title), "record it again"):
+        decoded = recording.decode(message)
+    return cloud_of_message(decoded, title)
+
+
+def _span_ns(about: Description, options: ReadOptions) -> tuple[int | None, int | None]:
+    """--from and --to in nanoseconds since the epoch."""
+    start_ns, end_ns = (
+        None if offset_s is None else about.first_ns + round(offset_s * 1e9)
+        for offset_s in (options.start_s, options.end_s)
+    )
+    return start_ns, end_ns
+
+
+def _captured_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
+    """The turns of a Velodyne in a packet capture, or the scans of an Ouster."""
+    capture = PacketCapture(path)
+    about = capture.description
+    if not any(topic.type == VELODYNE for topic in about.topics):
+        if not any(path.parent.glob(f"{glob.escape(path.stem)}*.json")):  # of which Ouster's captures have need
+            raise InputError(_other_packets(path, about))
+        yield from _ouster_frames(path, options)
+        return
+    topic = choose_topic(path, about.topics, options.topic, VELODYNE)
+    turns = ((stamp_s, partial(cloud_of_turn, stamp_s, points)) for stamp_s, points in capture.turns(topic))
+    yield from _selected(path, turns, options)
+
+
+def _other_packets(path: Path, about: Description) -> str:
+    sizes = ", ".join(f"{topic.count} of {topic.name}" for topic in about.topics[:MOST_NAMED])
+    return (
+        f"{path}: holds packets of another sensor ({sizes}); Velodyne's are decoded, and Ouster's with their .json"
+        " beside them; record points instead (a bag, PCD)"
+    )
+
+
+def _ouster_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
+    scans = ((ouster.stamp_s(scan), partial(ouster.cloud_of_scan, scan)) for scan in ouster.scans(path))
+    yield from _selected(path, scans, options)
+
+
+def _selected(path: Path, scans: Iterable[tuple[float, Decode]], options: ReadOptions) -> Iterator[Frame]:
+    """The frames among (stamp_s, decode) that are wanted; --from and --to count from the first scan."""
+    first = origin_s = None
+    after_s = 0.0
+    for number, (stamp_s, decode) in enumerate(scans):
+        origin_s = stamp_s if origin_s is None else origin_s
+        after_s = stamp_s - origin_s
+        if options.end_s is not None and after_s >= options.end_s:
+            break
+        if after_s >= (options.start_s or 0.0):
+            first = number if first is None else first
+            if (number - first) % options.every == 0:
+                yield Frame(path=path, number=number, stamp_s=stamp_s, decode=decode)
+    if first is None:
+        raise none_within(path, after_s)
+
+
+def none_within(path: Path, duration_s: float) -> InputError:
+    """The error for --from and --to that leave no scan."""
+    return InputError(f"{path}: has no scan between --from and --to; it lasts {duration_s:.1f} s")
+
+
+RECORDINGS: tuple[RecordingReader, ...] = (
+    ros_reader("ROS 1 bag", lambda head, _: head.startswith(ROSBAG), open_ros1),
+    ros_reader("ROS 2 bag (db3)", lambda head, _: head.startswith(SQLITE), open_sqlite),
+    ros_reader("MCAP", lambda head, _: head.startswith(MAGIC), McapFile),
+    RecordingReader(
+        "packet capture",
+        lambda head, _: head[:4] in {*PCAP, PCAPNG},
+        lambda path: PacketCapture(path).description,
+        _captured_frames,
+    ),
+    RecordingReader("OSF", lambda head, _: ouster.is_osf(head), ouster.describe, _ouster_frames),
+)
+FOLDER = ros_reader("ROS 2 bag", lambda _, path: (path / METADATA).is_file(), open_folder)
+
+
+def recording_reader(path: Path) -> RecordingReader | None:
+    """The reader of a recording, which is a file or a ROS 2 bag's folder; None for any other file or folder.
+
+    Raises InputError where the file cannot be read.
+    """
+    if path.is_dir():
+        return FOLDER if FOLDER.accepts(b"", path) else None
+    try:
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); name a file that exists") from error
+    return next((reader for reader in RECORDINGS if reader.accepts(head, path)), None)
+
+
+def describe(path: str | Path) -> Description | None:
+    """What a recording holds; None for what is no recording. Raises InputError where it is damaged."""
+    reader = recording_reader(Path(path))
+    return reader.describe(Path(path)) if reader else None
+
+
+def frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
+    """The scans of a recording in time, not decoded yet. Raises InputError where it is damaged or is none."""
+    reader = recording_reader(path)
+    if reader is None:
+        raise InputError(f"{path}: is no recording ({', '.join(one.name for one in RECORDINGS)}); name one")
+    return reader.frames(path, options)
+
+
+def recorded_motion(path: Path, options: ReadOptions, frame: str) -> tuple[SensorMotion, str] | None:
+    """The motion of a coordinate frame as a recording holds it, and the name of what it is from; None without one.
+
+    Poses are read for the times of `options` only. Raises InputError at damage.
+    """
+    reader = recording_reader(path)
+    if reader is None or reader.open is None:
+        return None
+    with closing(reader.open(path)) as recording:
+        return transforms.recorded_motion(recording, frame, *_span_ns(recording.description, options))

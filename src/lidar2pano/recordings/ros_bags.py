@@ -1,0 +1,160 @@
+"""ROS 1 bags, and ROS 2 bags in SQLite (.db3) or as a folder with metadata.yaml: read with rosbags (extra `bags`)."""
+
+from __future__ import annotations
+
+import bz2
+import contextlib
+import struct
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from lidar2pano.errors import InputError
+from lidar2pano.recordings.description import Description, Topic, damage, missing_extra
+from lidar2pano.recordings.ros_messages import CDR, MOST_CHUNK_BYTES, ROS1, RawMessage, deserializer
+
+ROSBAG, SQLITE = b"#ROSBAG V", b"SQLite format 3\0"
+
+
+class RosBag:
+    """A recording that rosbags reads.
+
+    open    gives rosbags' open reader;  encoding: of its messages.
+    repair  what a user can try when the file is damaged.
+    """
+
+    def __init__(self, path: Path, format: str, open: Callable[[Path], Any], encoding: str, repair: str) -> None:
+        self.path, self._repair, self._decode = path, repair, None
+        try:
+            self._decode = deserializer(encoding)
+        except ImportError as error:
+            raise missing_extra(path, "bags") from error
+        with damage(path, repair):
+            self._reader = open(path)
+            self._connections = list(self._reader.connections)
+            counts = Counter[tuple[str, str]]()
+            for connection in self._connections:
+                counts[connection.topic, connection.msgtype] += connection.msgcount
+            span = getattr(self._reader, "metadata", self._reader)
+            empty = not counts.total()
+            self.description = Description(
+                format=format,
+                topics=tuple(Topic(name=name, type=type, count=counts[name, type]) for name, type in sorted(counts)),
+                first_ns=0 if empty else span.start_time,
+                last_ns=0 if empty else span.end_time - 1,
+            )
+
+    def messages(
+        self, topics: tuple[Topic, ...], start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[RawMessage]:
+        """Messages recorded from `start_ns` on and before `end_ns`, in order of time; InputError at damage."""
+        topic_of = {one.id: topic for one in self._connections for topic in topics if _is_on(one, topic)}
+        connections = [one for one in self._connections if one.id in topic_of]
+        if not connections:  # which rosbags takes for all
+            return
+        with damage(self.path, self._repair):
+            for one, stamp_ns, data in self._reader.messages(connections, start_ns, end_ns):
+                yield RawMessage(topic_of[one.id], stamp_ns, data)
+
+    def count_before(self, topic: Topic, start_ns: int) -> int:
+        """Number of messages of a topic recorded before."""
+        if indexes := getattr(self._reader, "indexes", None):
+            return sum(bisect_left(indexes[one.id], (start_ns,)) for one in self._connections if _is_on(one, topic))
+        return sum(1 for _ in self.messages((topic,), None, start_ns))
+
+    def decode(self, message: RawMessage) -> Any:  # noqa: ANN401
+        """The message as an object with ROS's attributes; raises whatever rosbags does."""
+        assert self._decode is not None
+        return self._decode(message.data, message.topic.type)
+
+    def close(self) -> None:
+        """Close the files."""
+        self._reader.close()
+
+
+def _is_on(connection: Any, topic: Topic) -> bool:  # noqa: ANN401
+    return connection.topic == topic.name and connection.msgtype == topic.type
+
+
+def open_ros1(path: Path) -> RosBag:
+    """A ROS 1 bag; InputError where it is damaged, not indexed or not decodable, or the extra is missing."""
+    return RosBag(path, "ROS 1 bag", _open_ros1, ROS1, "try `rosbag reindex`, or record it again")
+
+
+def open_sqlite(path: Path) -> RosBag:
+    """A ROS 2 bag's .db3 file, which needs no metadata.yaml; InputError as `open_ros1`."""
+    _check_sqlite(path)
+    return RosBag(path, "ROS 2 bag, SQLite", _open_sqlite, CDR, "try `sqlite3 FILE .recover`, or record it again")
+
+
+def open_folder(path: Path) -> RosBag:
+    """The folder of a ROS 2 bag with its metadata.yaml; InputError as `open_ros1`."""
+    return RosBag(path, "ROS 2 bag, folder", _open_folder, CDR, "try `ros2 bag reindex`, or record it again")
+
+
+def _open_ros1(path: Path) -> Any:  # noqa: ANN401
+    from rosbags.rosbag1 import Reader
+    from rosbags.rosbag1.reader import decompressors
+
+    bounded = {decompressors["bz2"]: _unpack_bz2, decompressors["lz4"]: _unpack_lz4}
+    reader = Reader(path)
+    reader.open()
+    for position, chunk in reader.chunks.items():
+        if chunk.datasize > MOST_CHUNK_BYTES:
+            reader.close()
+            raise InputError(f"{path}: has a chunk of {chunk.datasize} bytes (at most {MOST_CHUNK_BYTES}); split it")
+        reader.chunks[position] = chunk._replace(decompressor=bounded.get(chunk.decompressor, chunk.decompressor))
+    return reader
+
+
+def _unpack_bz2(data: bytes) -> bytes:
+    return _whole(bz2.BZ2Decompressor(), data)
+
+
+def _unpack_lz4(data: bytes) -> bytes:
+    from lz4.frame import LZ4FrameDecompressor
+
+    return _whole(LZ4FrameDecompressor(), data)
+
+
+def _whole(decompressor: Any, data: bytes) -> bytes:  # noqa: ANN401
+    unpacked = decompressor.decompress(data, MOST_CHUNK_BYTES)
+    if not decompressor.eof:
+        raise ValueError(f"a chunk of {len(data)} bytes is cut short or unpacks to more than {MOST_CHUNK_BYTES}")
+    return unpacked
+
+
+def _open_sqlite(path: Path) -> Any:  # noqa: ANN401
+    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+    reader = Sqlite3Reader(Path(quote(str(path.absolute()))))  # which becomes a URI
+    reader.open()
+    return reader
+
+
+def _check_sqlite(path: Path) -> None:
+    """Raise InputError where the file is shorter than its header says, or is still being written."""
+    if any(path.with_name(path.name + ending).exists() for ending in ("-wal", "-journal")):
+        raise InputError(f"{path}: is still being written (its -wal or -journal exists); stop the recorder first")
+    with path.open("rb") as file:
+        head = file.read(100)
+    if len(head) < 100:
+        raise InputError(f"{path}: is damaged or cut short ({len(head)} bytes); record it again")
+    (page_bytes,) = struct.unpack(">H", head[16:18])
+    changed, pages, valid_for = struct.unpack(">I", head[24:28]) + struct.unpack(">I60xI", head[28:96])
+    size = path.stat().st_size
+    if changed == valid_for and pages * (65536 if page_bytes == 1 else page_bytes) > size:  # SQLite's file format 1.3
+        raise InputError(f"{path}: is cut short ({size} bytes of {pages} pages); record it again")
+
+
+def _open_folder(path: Path) -> Any:  # noqa: ANN401
+    from rosbags.rosbag2 import Reader
+
+    reader = Reader(path)
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(reader)
+        stack.pop_all()
+    return reader

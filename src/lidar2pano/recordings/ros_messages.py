@@ -1,0 +1,59 @@
+"""Messages of a recording: what every storage gives, and how the standard types are decoded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from lidar2pano.recordings.description import Description, Topic
+
+MOST_CHUNK_BYTES = 1 << 28  # unpacked; recorders write chunks of about a megabyte, or of one message
+TF = "tf2_msgs/msg/TFMessage"
+ROS1, CDR = "ros1", "cdr"  # encodings of messages, by MCAP's names
+
+
+class RawMessage(NamedTuple):
+    """A message as it is recorded: its topic, when it was recorded (nanoseconds since the epoch), and its bytes."""
+
+    topic: Topic
+    stamp_ns: int
+    data: bytes
+
+
+class Recording(Protocol):
+    """An open recording of ROS messages."""
+
+    path: Path
+    description: Description
+
+    def messages(
+        self, topics: tuple[Topic, ...], start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[RawMessage]:
+        """Messages recorded from `start_ns` on and before `end_ns`, in order of time; InputError at damage."""
+        ...
+
+    def count_before(self, topic: Topic, start_ns: int) -> int:
+        """Number of messages of a topic recorded before."""
+        ...
+
+    def decode(self, message: RawMessage) -> Any:  # noqa: ANN401
+        """The message as an object with ROS's attributes; raises whatever the library does."""
+        ...
+
+    def close(self) -> None:
+        """Close the files."""
+        ...
+
+
+@cache
+def deserializer(encoding: str) -> Callable[[bytes, str], Any]:
+    """(bytes, type) -> message, for the standard types: neither ROS 1 nor ROS 2 changed those that are read here."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    if encoding == ROS1:
+        store = get_typestore(Stores.ROS1_NOETIC)
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))  # which it lacks
+        return store.deserialize_ros1
+    return get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr

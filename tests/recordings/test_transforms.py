@@ -1,0 +1,95 @@
+"""Poses that recordings hold: odometry and tf, of the sensor's own frame or of what carries it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
+
+from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.recordings.recorded_scans import recorded_motion
+from miniature import street
+from miniature_recordings import START_NS, STEP_NS, odometry, points, transform, write
+
+NONE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+MOUNT = (1.0, 0.0, 1.7, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))  # turned left by 90 degrees
+SCAN = [points(street(0, 50), START_NS)]
+
+
+def moving(number: int) -> tuple[float, ...]:
+    return (0.5 * number, 0.1 * number, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+def drive(make, count: int = 11):
+    return [make(START_NS + number * STEP_NS, moving(number)) for number in range(count)]
+
+
+def motion(folder, sent, frame: str = "velodyne", format: str = "bag", **options):
+    return recorded_motion(write(folder, format, sent), ReadOptions(**options), frame)
+
+
+@pytest.mark.parametrize("format", ["bag", "db3", "mcap", "mcap-ros1"])
+def test_odometry_of_the_sensor(tmp_path, format):
+    found, origin = motion(tmp_path, [*SCAN, *drive(odometry)], format=format)
+    assert origin == "/odom"
+    np.testing.assert_allclose(found.pose(1.7e9 + 0.45)[:3, 3], [2.25, 0.45, 0], atol=1e-5)
+    assert found.pose(1.7e9 + 5) is None
+
+
+def test_odometry_of_the_vehicle_needs_the_mount(tmp_path):
+    sent = drive(lambda stamp, pose: odometry(stamp, pose, child="base_link"))
+    assert motion(tmp_path, [*SCAN, *sent]) is None
+    static = [transform(START_NS, "base_link", "/velodyne", MOUNT, "/tf_static")]
+    (tmp_path / "b").mkdir()
+    found, origin = motion(tmp_path / "b", [*static, *SCAN, *sent])
+    pose = found.pose(1.7e9 + 0.4)
+    assert origin == "/odom"
+    np.testing.assert_allclose(pose[:3, 3], [3, 0.4, 1.7], atol=1e-5)
+    np.testing.assert_allclose(pose[:3, 0], [0, 1, 0], atol=1e-12)  # the sensor's x points to the vehicle's left
+
+
+@pytest.mark.parametrize("format", ["bag", "db3", "mcap", "mcap-plain"])
+def test_tf_comes_first_and_ends_at_odom(tmp_path, format):
+    sent = [
+        transform(START_NS, "base_link", "velodyne", MOUNT, "/tf_static"),
+        *drive(lambda stamp, pose: transform(stamp, "odom", "base_link", pose)),
+        *drive(lambda stamp, pose: transform(stamp, "map", "odom", (9 * pose[0], *pose[1:]))),
+        *drive(lambda stamp, pose: odometry(stamp, NONE)),
+    ]
+    found, origin = motion(tmp_path, [*SCAN, *sorted(sent, key=lambda one: one.stamp_ns)], format=format)
+    assert origin == "tf from odom to velodyne"
+    np.testing.assert_allclose(found.pose(1.7e9 + 0.4)[:3, 3], [3, 0.4, 1.7], atol=1e-5)
+
+
+def test_without_odom_the_chain_goes_to_the_top(tmp_path):
+    sent = [
+        transform(START_NS, "base_link", "velodyne", MOUNT, "/tf_static"),
+        *drive(lambda stamp, pose: transform(stamp, "map", "base_link", pose)),
+    ]
+    assert motion(tmp_path, [*SCAN, *sent])[1] == "tf from map to velodyne"
+
+
+def test_a_tree_that_does_not_move_or_goes_round_is_none(tmp_path):
+    sent = [
+        transform(START_NS, "a", "velodyne", NONE, "/tf_static"),
+        transform(START_NS, "velodyne", "a", NONE, "/tf_static"),
+        *drive(lambda stamp, pose: transform(stamp, "odom", "wheel", pose)),
+    ]
+    assert motion(tmp_path, [*SCAN, *sent]) is None
+    (tmp_path / "b").mkdir()
+    assert motion(tmp_path / "b", SCAN) is None
+
+
+def test_what_is_no_pose_is_left_out(tmp_path):
+    sent = drive(odometry)
+    sent[4] = odometry(sent[4].stamp_ns, (np.nan, 0, 0, 0, 0, 0, 1))
+    sent[5] = odometry(sent[5].stamp_ns, (99, 0, 0, 0, 0, 0, 0))
+    found, _ = motion(tmp_path, [*SCAN, *sent])
+    np.testing.assert_allclose(found.pose(1.7e9 + 0.45)[:3, 3], [2.25, 0.45, 0], atol=1e-5)
+
+
+def test_poses_are_read_for_the_wanted_time_only(tmp_path):
+    found, _ = motion(tmp_path, [*SCAN, *drive(odometry, 60)], start_s=2.0, end_s=3.0)
+    (link,) = found.links
+    assert 1.7e9 + 0.95 < link.stamp_s[0] < 1.7e9 + 1.05 and 1.7e9 + 3.85 < link.stamp_s[-1] < 1.7e9 + 4.05
