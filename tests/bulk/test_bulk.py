@@ -166,6 +166,13 @@ def test_other_settings_are_refused(root, tmp_path):
         run(job_of(root, root))
 
 
+def test_other_image_formats(root, tmp_path):
+    assert run(job_of(root, tmp_path / "out", image_format="jpeg")) == 0
+    assert run(job_of(root, tmp_path / "out", image_format="jpeg")) == 0
+    assert read_image(tmp_path / "out" / "a" / "000000.jpg", "RGB").shape == (24, 288, 3)
+    assert not list(tmp_path.glob("out/*/*[0-9].png"))
+
+
 # --- shards -----------------------------------------------------------------------------------------------------------
 
 

@@ -51,7 +51,7 @@ class Server:
         return answer.status, {name.lower(): value for name, value in answer.getheaders()}, data
 
     def sent(self, body: bytes) -> socket.socket:
-        """A connection on which a scan has been sent and whose answer nobody has read yet."""
+        """A connection on which a scan has been sent and whose answer is not read yet."""
         connection = socket.create_connection(("127.0.0.1", self.port), timeout=20)
         head = f"POST /panorama HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len(body)}\r\n\r\n"
         connection.sendall(head.encode() + body)

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 from typer.core import TyperCommand
@@ -19,7 +19,8 @@ from lidar2pano.cli.translate import DeviceOption, EngineOption, WeightsOption
 from lidar2pano.errors import InputError, closest
 
 if TYPE_CHECKING:
-    from lidar2pano.bulk import Entry, Job, Manifest
+    from lidar2pano.bulk import Entry, Job, Manifest, Shard
+    from lidar2pano.cli.batch import Options
 
 # (job, scans to do, whether to stop) -> the manifest's lines
 Translate = Callable[["Job", "list[Entry]", Callable[[], bool]], Iterable[dict[str, Any]]]
@@ -62,6 +63,9 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     ] = "",
     device: DeviceOption = "auto",
     engine: EngineOption = "auto",
+    image_format: Annotated[
+        str, typer.Option("--format", metavar="png|webp|jpeg", help="Format of the colour images.")
+    ] = "png",
     address: Annotated[
         str,
         typer.Option(
@@ -74,56 +78,94 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     cores: Annotated[int, typer.Option(min=1, metavar="N", help="With --ray: processor cores of each worker.")] = 2,
 ) -> None:
     """Translate any number of scans. Repeat the command to go on where it stopped."""
-    import torch
-
-    from lidar2pano.bulk import Job, Manifest, Shard, entries, start, translate_all
-    from lidar2pano.bulk.entries import LAYOUTS
-    from lidar2pano.bulk.on_ray import connected, translate_on_ray
-    from lidar2pano.bulk.stores import open_store
-    from lidar2pano.cli.batch import Options, parse_save
-    from lidar2pano.engines import pick_engine
+    from lidar2pano.bulk import Shard
+    from lidar2pano.cli.batch import Options, parse_format, parse_save
     from lidar2pano.hardware import pick_device
-    from lidar2pano.models.card import read_card
     from lidar2pano.models.families import weight_files
 
-    if layout not in LAYOUTS:
-        raise InputError(f"--as {layout}: no such layout{closest(layout, LAYOUTS[1:])}")
-    if "://" not in root and not Path(root).is_dir():
-        raise InputError(f"{root}: is no folder; name a folder of scans, or a URL")
-    part, files = Shard.parsed(shard), weight_files(weights)
+    _check_layout(root, layout, image_format)
+    part = Shard.parsed(shard)
     options = Options(
         out=Path(out),
         save=parse_save(save or ("rgb,segments,depth" if layout else "rgb")),
         weights=weights,
-        files=files,
+        files=weight_files(weights),
         device=pick_device("cpu" if address else device),
         look=look,
         engine=engine,
+        image_format=parse_format(image_format),
     )
-    pick_engine(engine, options.device)
-    job = Job(
+    job = job_of(root, out, options, layout, use_labels)
+    raise typer.Exit(run(job, part, options, Cluster(address, device, workers, cores)))
+
+
+def run(job: Job, part: Shard, options: Options, cluster: Cluster) -> int:
+    """List the scans, check what is there, translate the rest, and return the exit code."""
+    from lidar2pano.bulk import Manifest, entries, start, translate_all
+    from lidar2pano.bulk.stores import open_store
+    from lidar2pano.engines import pick_engine
+    from lidar2pano.models.card import read_card
+
+    pick_engine(options.engine, options.device)
+    found = entries(open_store(job.source), part, job.layout, labels=job.use_labels)
+    settings = {"look": options.look, "engine": options.engine, "format": options.image_format}
+    start(job, found, options.files, settings)
+    note_licence(read_card(file) for file in options.files.values())
+    manifest = Manifest(open_store(job.out), part)
+    if cluster.address:
+        return work_on_ray(job, found, manifest, options, cluster)
+    return work(job, found, manifest, translate_all)
+
+
+class Cluster(NamedTuple):
+    """--ray, --device, --workers and --cores."""
+
+    address: str
+    device: str
+    workers: int
+    cores: int
+
+
+def work_on_ray(job: Job, found: list[Entry], manifest: Manifest, options: Options, cluster: Cluster) -> int:
+    """`work` on a Ray cluster, whose machines and not this one decide on the device."""
+    import torch
+
+    from lidar2pano.bulk.on_ray import connected, translate_on_ray
+
+    with connected(cluster.address) as resources:
+        gpus = 1 if cluster.device == "cuda" or (cluster.device == "auto" and resources.get("GPU")) else 0
+        fitting = resources.get("GPU", 0) if gpus else resources.get("CPU", 0) // cluster.cores
+        count = cluster.workers or max(1, int(fitting))
+        translate = partial(translate_on_ray, workers=count, cores=cluster.cores, gpus=gpus)
+        options = replace(options, device=torch.device("cuda" if gpus else "cpu"))
+        return work(replace(job, pipeline=options.pipeline), found, manifest, translate)
+
+
+def job_of(root: str, out: str, options: Options, layout: str, use_labels: bool) -> Job:
+    """What is wanted of every scan."""
+    from lidar2pano.bulk import Job
+
+    return Job(
         source=_absolute(root),
         out=_absolute(out),
         save=options.save,
         layout=layout,
         use_labels=use_labels,
-        weights=weights,
+        weights=options.weights,
         pipeline=options.pipeline,
+        image_format=options.image_format,
     )
-    found = entries(open_store(root), part, layout, labels=use_labels)
-    start(job, found, files, {"look": look, "engine": engine})
-    note_licence(read_card(file) for file in files.values())
-    manifest = Manifest(open_store(out), part)
-    if not address:
-        raise typer.Exit(work(job, found, manifest, translate_all))
-    with connected(address) as resources:
-        gpus = 1 if device == "cuda" or (device == "auto" and resources.get("GPU")) else 0
-        options = replace(options, device=torch.device("cuda" if gpus else "cpu"))
-        fitting = resources.get("GPU", 0) if gpus else resources.get("CPU", 0) // cores
-        count = workers or max(1, int(fitting))
-        translate = partial(translate_on_ray, workers=count, cores=cores, gpus=gpus)
-        code = work(replace(job, pipeline=options.pipeline), found, manifest, translate)
-    raise typer.Exit(code)
+
+
+def _check_layout(root: str, layout: str, image_format: str) -> None:
+    from lidar2pano.bulk.entries import LAYOUTS
+
+    if layout not in LAYOUTS:
+        raise InputError(f"--as {layout}: no such layout{closest(layout, LAYOUTS[1:])}")
+    if layout and image_format != "png":
+        raise InputError(f"--format {image_format}: a data set's panoramas are PNG; leave it out, or --as")
+    if "://" not in root and not Path(root).is_dir():
+        raise InputError(f"{root}: is no folder; name a folder of scans, or a URL")
 
 
 def _absolute(place: str) -> str:
