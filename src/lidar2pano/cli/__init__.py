@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 # isort: off
-from lidar2pano.cli import translate, world, prepare, train, evaluate, reproduce, weights, bench  # noqa: F401
+from lidar2pano.cli import translate, world, prepare, train, evaluate, reproduce, weights, export, bench  # noqa: F401
 from lidar2pano.cli.app import app, main
 
 # isort: on
