@@ -4,7 +4,7 @@ from __future__ import annotations
 
 # isort: off
 from lidar2pano.cli import translate, view, inspect, world, prepare, train, evaluate, reproduce  # noqa: F401
-from lidar2pano.cli import weights, bulk, serve, bench  # noqa: F401
+from lidar2pano.cli import weights, export, bulk, serve, bench  # noqa: F401
 from lidar2pano.cli.app import app, main
 
 # isort: on
