@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from lidar2pano.calibration import Calibration, LensCalibration, read_calib
+    from lidar2pano.drive_motion import posed_scans
     from lidar2pano.errors import InputError
-    from lidar2pano.formats.readers import read, scans
     from lidar2pano.geometry.projection import RangeImage, project
     from lidar2pano.labels import CITYSCAPES, COMMON14, COMMON15, SEMANTIC_KITTI, LabelSet
     from lidar2pano.memory import Memory
     from lidar2pano.panorama import Panorama
     from lidar2pano.pipeline import Pipeline, load
+    from lidar2pano.recordings.drive_scans import read, scans
     from lidar2pano.scan import Scan
     from lidar2pano.views import VIEWS, View
 
@@ -41,10 +42,11 @@ _HOME = {
     "Scan": "scan",
     "View": "views",
     "load": "pipeline",
+    "posed_scans": "drive_motion",
     "project": "geometry.projection",
-    "read": "formats.readers",
+    "read": "recordings.drive_scans",
     "read_calib": "calibration",
-    "scans": "formats.readers",
+    "scans": "recordings.drive_scans",
 }
 # names that the next version no longer has
 _DEPRECATED = {"SegmentMap": "geometry.projection", "back_project": "geometry.projection"}
@@ -67,6 +69,7 @@ __all__ = [
     "View",
     "__version__",
     "load",
+    "posed_scans",
     "project",
     "read",
     "read_calib",

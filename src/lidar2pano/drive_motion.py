@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lidar2pano.data.poses import odometry
+from lidar2pano.data.poses import Poses, odometry
 from lidar2pano.errors import InputError
-from lidar2pano.formats.interpretation import FORWARD, Interpretation
+from lidar2pano.formats.interpretation import FORWARD, Interpretation, Overrides
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.motion import SensorMotion, Trajectory, deskewed
-from lidar2pano.recordings.recorded_scans import recorded_motion
+from lidar2pano.recordings.drive_scans import drive_scans
+from lidar2pano.recordings.recorded_scans import recorded_motion, recording_reader
 from lidar2pano.scan import Scan
 
+# (scan file or recording, scan, how it was read) -> scan without skew, T_world_sensor or None
+Motion = Callable[[Path, Scan, Interpretation], tuple[Scan, np.ndarray | None]]
 CITY_POSES = "city_SE3_egovehicle.feather"  # of an Argoverse 2 log, above sensors/lidar/
 CITY_COLUMNS = ("timestamp_ns", "tx_m", "ty_m", "tz_m", "qx", "qy", "qz", "qw")
 MOST_STEP_S = 1.0  # between scans whose motion tells how the next one is skewed
@@ -71,6 +75,51 @@ class DriveMotion:
         if scan.time_s is None or motion is None:
             return scan
         return replace(scan, xyz=deskewed(scan.xyz, scan.time_s, stamp_s, motion))
+
+
+def motion_of(stream: Path, scan: Scan, found: Interpretation, options: ReadOptions, smooth: bool) -> Motion | None:
+    """The motion of the sensor through a stream, by its first scan; None where it is unknown or of no use.
+
+    stream  a recording, or a folder of scan files.
+    smooth  whether poses are wanted: they are estimated where none are recorded. Otherwise the motion is of use only
+            where the points have times, and a recording holds poses.
+    Raises InputError where poses are damaged, or none are recorded and KISS-ICP is missing.
+    """
+    if recording_reader(stream):
+        if not smooth and scan.time_s is None:
+            return None
+        drive = DriveMotion.of_recording(stream, options, found.frame, estimate=smooth)
+    elif not smooth:
+        return None
+    elif city := city_motion(stream):
+        drive = DriveMotion(*city, estimate=False)
+    else:
+        poses = Poses(stream)
+        return lambda file, scan, _: (scan, poses.of(file, scan))
+    return (lambda _, scan, found: drive.step(scan, found, found.stamp_s or 0.0)) if drive.origin else None
+
+
+def posed_scans(
+    path: str | Path,
+    *,
+    topic: str = "",
+    every: int = 1,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    overrides: Overrides | None = None,
+) -> Iterator[tuple[Scan, np.ndarray | None]]:
+    """The scans of a recording or of a folder of scan files, without skew, each with T_world_sensor (4, 4) float64.
+
+    topic, every, start_s, end_s  which scans, as in `scans`;  overrides: as in `read`.
+    A pose is None where the sensor's motion is unknown at that time. Raises InputError as `scans`, and where poses are
+    damaged, or none are recorded and KISS-ICP (extra `odometry`) is missing.
+    """
+    options = ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)
+    stream, motion = None, None
+    for one in drive_scans(path, options, overrides):
+        if one.stream != stream:
+            stream, motion = one.stream, motion_of(one.stream, one.scan, one.found, options, smooth=True)
+        yield motion(one.file, one.scan, one.found) if motion else (one.scan, None)
 
 
 def T_scan_cloud(found: Interpretation) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,7 @@ from lidar2pano.scan import Scan
 from lidar2pano.views import View
 
 OUTPUTS = ("rgb", "segments", "labels", "depth")
+VIEW_KEYWORD = "lidar2pano-view"  # of the text in a panorama's PNG: its View as JSON
 GREY = 128  # of points without a colour
 # A point is occluded when it is farther than the panorama's (predicted) depth at its pixel by so much.
 OCCLUDED_FACTOR, OCCLUDED_M = 1.2, 1.0
@@ -146,9 +148,10 @@ class Panorama:
     ) -> list[Path]:
         """Write the files that `what` names into the folder `out`, each complete or not at all; return their paths.
 
-        what  of "rgb" (<stem>.png), "segments" (<stem>.segments.png, palette of COMMON15), "labels" (<stem>.label, raw
-              uint32 per point), "depth" (<stem>.depth.png, 16 bit, metres x 256). With a calibration also
-              <stem>.camera.png beside rgb and <stem>.camera-segments.png beside segments.
+        what  of "rgb" (<stem>.png, which holds the view as text, VIEW_KEYWORD), "segments" (<stem>.segments.png,
+              palette of COMMON15), "labels" (<stem>.label, raw uint32 per point), "depth" (<stem>.depth.png, 16 bit,
+              metres x 256). With a calibration also <stem>.camera.png beside rgb and <stem>.camera-segments.png beside
+              segments.
         image_format  of the colour images: "png", "webp" (.webp) or "jpeg" (.jpg), which lose a little.
         Raises InputError when a name is unknown or the folder cannot be written.
         """
@@ -162,7 +165,8 @@ class Panorama:
         stem = stem or self.name
         writers: dict[str, Callable[[Path], None]] = {}
         if "rgb" in what:
-            writers[stem + ending] = lambda path: write_colour(path, self.colour, image_format)
+            text = {VIEW_KEYWORD: json.dumps(self.view.as_dict())}
+            writers[stem + ending] = lambda path: write_colour(path, self.colour, image_format, text)
             if camera:
                 writers[f"{stem}.camera{ending}"] = lambda path: write_colour(path, camera.colour, image_format)
         if "segments" in what:

@@ -15,7 +15,6 @@ from torch import Tensor, nn
 from lidar2pano.calibration import Calibration
 from lidar2pano.engines import accelerated, pick_engine
 from lidar2pano.errors import InputError
-from lidar2pano.formats.readers import read
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import Normalisation, RangeImage, one_hot_layers, project
@@ -31,6 +30,7 @@ from lidar2pano.models.scene_painter import Scene, ScenePainter, StreamPainter
 from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
+from lidar2pano.recordings.drive_scans import read
 from lidar2pano.scan import OWN_VEHICLE_M, Scan
 from lidar2pano.views import View, columns_between, sensor_view
 

@@ -94,7 +94,7 @@ def test_deskewing_agrees_with_its_definition():
     np.testing.assert_array_equal(found[3], xyz[3])
 
 
-def test_a_wall_seen_while_driving_is_flat_again():
+def test_a_wall_measured_while_driving_is_flat_again():
     """A sensor drives at 20 m/s along x, and measures a wall at x = 50 during 0.1 s."""
     motion = SensorMotion((Trajectory.of([(0, 0, 0, 0, *turned(0)), (1, 20, 0, 0, *turned(0))]),))
     time_s = np.linspace(0, 0.1, 101)

@@ -24,9 +24,9 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"formats", "geometry", "hardware", "demo"}),
     frozenset({"models", "losses", "metrics", "data", "panorama", "memory", "simulate", "recordings", "engines"}),
     frozenset({"pipeline", "drive_motion"}),
-    frozenset({"prepare", "train", "evaluate", "bench", "bulk", "serve"}),
+    frozenset({"prepare", "train", "evaluate", "bench", "bulk", "serve", "viewer"}),
     frozenset({"reproduce"}),
-    frozenset({"cli", "__main__"}),
+    frozenset({"cli", "ros", "__main__"}),
 )
 DOOR = len(FLOORS) - 1
 ANYWHERE = {"errors"}  # the one exception class, below every floor

@@ -17,7 +17,8 @@ from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.cli.app import MISTAKE, complain, note_licence
 from lidar2pano.cli.follow import followed, until_interrupted
 from lidar2pano.cli.progress import bar
-from lidar2pano.cli.scan_queue import Complaints, Motion, QueuedScan, motion_of, queued
+from lidar2pano.cli.scan_queue import Complaints, QueuedScan, queued
+from lidar2pano.drive_motion import Motion, motion_of
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.image_files import COLOUR_FORMATS
@@ -25,10 +26,12 @@ from lidar2pano.formats.interpretation import Interpretation, Overrides
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.hardware import Timer, keep_buffers
 from lidar2pano.memory import Memory
-from lidar2pano.panorama import OUTPUTS
+from lidar2pano.panorama import OUTPUTS, Panorama
 from lidar2pano.pipeline import Pipeline, load
-from lidar2pano.recordings.folder_times import drive_files
+from lidar2pano.recordings.drive_scans import drive_files
+from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
 from lidar2pano.scan import Scan
+from lidar2pano.viewer.outputs import Output, OutputFiles
 
 ENDINGS = (".segments", ".depth", ".camera", ".camera-segments")  # of outputs' stems
 KITTI_SIZE = "1242x375"
@@ -42,6 +45,7 @@ class Options:
     sensor   name in VIEWS of the scans' rows, "" for the weights' own.
     smooth   whether a folder's or recording's panoramas are temporally smoothed.
     selection  which scans of a recording or folder;  overrides: what is known about them.
+    ply        whether the points of each scan are written, too;  common: files about all panoramas.
     """
 
     out: Path
@@ -58,6 +62,8 @@ class Options:
     overrides: Overrides = field(default_factory=Overrides)
     engine: str = "auto"
     image_format: str = "png"
+    ply: bool = False
+    common: OutputFiles = field(default_factory=OutputFiles)
 
     def pipeline(self) -> Pipeline:
         """The pipeline with these weights, for this sensor and camera."""
@@ -147,7 +153,8 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
     names = stems(files)
     if renamed := sum(names[file] != stem_of(file) for file in files):
         complain(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
-    failed |= translate_queue(queued(files, names, options.selection), len(files), options)
+    unknown = any(file.suffix.lower() in RECORDINGS or file.is_dir() for file in files)  # how many scans these hold
+    failed |= translate_queue(queued(files, names, options.selection), 0 if unknown else len(files), options)
     return MISTAKE if failed else 0
 
 
@@ -162,7 +169,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
     pipeline: Pipeline | None = None
     memory, stream, like, motion, noted = Memory(), None, None, None, False
     complaints = Complaints()
-    with bar(total, "translating") as advance:
+    with options.common.opened() as common, bar(total, "translating") as advance:
         for waiting in scans:
             timer = Timer(options.device)
             try:
@@ -175,7 +182,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
             pipeline = pipeline or options.pipeline()
             if waiting.stream != stream:
                 memory, stream, like = Memory(), waiting.stream, found
-                motion = motion_of(waiting, scan, found, options.selection, options.smooth)
+                motion = motion_of(stream, scan, found, options.selection, options.smooth)
             try:
                 scan, pose = _timed_pose(motion, waiting, scan, found, timer) if motion else (scan, None)
                 memory, panorama = pipeline.step(memory, scan, pose if options.smooth else None, timer)
@@ -183,9 +190,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
                     note_licence(pipeline.cards.values())
                 noted = True
                 with timer("save"):
-                    outputs = panorama.save(
-                        options.out, options.save, options.calibration, waiting.stem, options.image_format
-                    )
+                    outputs = _save(panorama, scan, waiting, options, common)
             except InputError as error:
                 complaints.add(error, waiting)
             else:
@@ -203,8 +208,22 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
                 }
                 print(json.dumps(record) if options.as_json else summary(record), flush=True)
             advance()
-    complaints.flush()
+        complaints.flush()
+        for path in [output.finish() for output in common]:
+            if path and not options.as_json:
+                print(path, flush=True)
     return complaints.failed
+
+
+def _save(
+    panorama: Panorama, scan: Scan, waiting: QueuedScan, options: Options, common: Iterable[Output]
+) -> list[Path]:
+    outputs = panorama.save(options.out, options.save, options.calibration, waiting.stem, options.image_format)
+    if options.ply:
+        outputs.append(panorama.save_points(options.out / f"{waiting.stem}.ply", scan))
+    for output in common:
+        output.add(panorama, scan, waiting.input, waiting.stem)
+    return outputs
 
 
 def _timed_pose(

@@ -15,7 +15,7 @@ from lidar2pano.cli.scan_queue import QueuedScan, queued
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.recordings.folder_times import drive_files
+from lidar2pano.recordings.drive_scans import drive_files
 
 LOOK_S = 0.2  # between looks into the folder
 SETTLED_S = 1.0  # a file that was not changed for so long is complete

@@ -1,4 +1,4 @@
-"""Scans that wait to be translated, of files, folders and recordings alike, and the sensor's motion between them."""
+"""Scans that wait to be translated, of files, folders and recordings alike; and those that failed."""
 
 from __future__ import annotations
 
@@ -8,20 +8,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
-import numpy as np
-
 from lidar2pano.cli.app import complain
-from lidar2pano.data.poses import Poses
-from lidar2pano.drive_motion import DriveMotion, city_motion
 from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions, open_path
 from lidar2pano.recordings.recorded_scans import recording_reader
 from lidar2pano.scan import Scan
-
-# (scan file or recording, scan, how it was read) -> scan without skew, T_world_sensor or None
-Motion = Callable[[Path, Scan, Interpretation], tuple[Scan, np.ndarray | None]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,28 +80,6 @@ def _only_cloud(file: Path, selection: ReadOptions) -> PointCloud:
 
 def _fail(error: InputError) -> NoReturn:
     raise error
-
-
-def motion_of(
-    first: QueuedScan, scan: Scan, found: Interpretation, selection: ReadOptions, smooth: bool
-) -> Motion | None:
-    """The motion of the sensor through a stream, by its first scan; None where there is no use for it.
-
-    That is where panoramas are smoothed, or points have times and the recording holds poses. Raises InputError where
-    poses are damaged, or none are recorded and KISS-ICP is missing.
-    """
-    if first.number is not None:
-        if not smooth and scan.time_s is None:
-            return None
-        drive = DriveMotion.of_recording(first.input, selection, found.frame, estimate=smooth)
-    elif not smooth:
-        return None
-    elif city := city_motion(first.stream):
-        drive = DriveMotion(*city, estimate=False)
-    else:
-        poses = Poses(first.stream)
-        return lambda file, scan, _: (scan, poses.of(file, scan))
-    return lambda _, scan, found: drive.step(scan, found, found.stamp_s or 0.0)
 
 
 class Complaints:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from lidar2pano.cli.app import app
+
+if TYPE_CHECKING:
+    from lidar2pano.cli.batch import Options
 
 OUT = Path("panoramas")
 OutOption = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the pictures.")]
@@ -16,6 +20,21 @@ WeightsOption = Annotated[
 ]
 DeviceOption = Annotated[
     str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute; auto: CUDA if there is one.")
+]
+ScansArgument = Annotated[
+    list[Path],
+    typer.Argument(metavar="SCAN...", help="Scans of any format, folders of them, sequence folders, recordings."),
+]
+FormatOption = Annotated[str, typer.Option("--format", metavar="png|webp|jpeg", help="Format of the colour images.")]
+SensorOption = Annotated[
+    str, typer.Option(metavar="NAME", help="Rows of this sensor, for weights that know them; else the weights'.")
+]
+CalibOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="KITTI's calib.txt (P2, Tr): look from that camera, and save its view too."),
+]
+LookOption = Annotated[
+    str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
 ]
 SteadyOption = Annotated[
     bool,
@@ -52,6 +71,14 @@ EngineOption = Annotated[
         help="What runs the networks; auto: OpenVINO where it is installed and the CPU has bfloat16, else torch.",
     ),
 ]
+ViewOption = Annotated[bool, typer.Option("--view", help="Write DIR/view.html to look around in, and open it.")]
+PlyOption = Annotated[bool, typer.Option("--ply", help="Write DIR/<stem>.ply: the points with colours and classes.")]
+VideoOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write the panoramas as a video (.mp4), ten a second.")
+]
+RerunOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write points and panoramas as a recording for Rerun (.rrd).")
+]
 
 
 @app.command()
@@ -70,26 +97,20 @@ def demo(out: OutOption = OUT, weights: WeightsOption = "world", device: DeviceO
         weights=weights,
         files=weight_files(weights),
     )
-    raise typer.Exit(translate_files([street()], options))
+    code = translate_files([street()], options)
+    if not code:
+        print(f"look around in it: lidar2pano view {shlex.quote(str(out))}")
+    raise typer.Exit(code)
 
 
 @app.command()
 def translate(  # noqa: PLR0913, PLR0917 one parameter per option
-    scans: Annotated[
-        list[Path],
-        typer.Argument(metavar="SCAN...", help="Scans of any format, folders of them, sequence folders, recordings."),
-    ],
+    scans: ScansArgument,
     out: OutOption = OUT,
     weights: WeightsOption = "kitti-mini",
     device: DeviceOption = "auto",
-    sensor: Annotated[
-        str,
-        typer.Option(metavar="NAME", help="Rows of this sensor, for weights that know them; else the weights'."),
-    ] = "",
-    calib: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="KITTI's calib.txt (P2, Tr): look from that camera, and save its view too."),
-    ] = None,
+    sensor: SensorOption = "",
+    calib: CalibOption = None,
     image_size: Annotated[str, typer.Option(metavar="WxH", help="Size of that camera's image (1242x375).")] = "",
     save: Annotated[str, typer.Option(metavar="LIST", help="What to write: rgb,segments,labels,depth or all.")] = "rgb",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per scan on stdout.")] = False,
@@ -98,56 +119,63 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     forward: ForwardOption = "",
     remission: RemissionOption = "",
     invent: InventOption = False,
-    look: Annotated[
-        str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
-    ] = "",
+    look: LookOption = "",
     topic: TopicOption = "",
     every: EveryOption = 1,
     start_s: FromOption = None,
     end_s: ToOption = None,
     follow: FollowOption = False,
     engine: EngineOption = "auto",
-    image_format: Annotated[
-        str, typer.Option("--format", metavar="png|webp|jpeg", help="Format of the colour images.")
-    ] = "png",
+    image_format: FormatOption = "png",
+    view: ViewOption = False,
+    ply: PlyOption = False,
+    video: VideoOption = None,
+    rerun: RerunOption = None,
 ) -> None:
     """Turn scans into panoramas: DIR/<stem>.png, .segments.png, .label, .depth.png, .camera.png."""
-    from lidar2pano.cli.batch import (
-        Options,
-        parse_camera,
-        parse_format,
-        parse_save,
-        translate_files,
-        translate_followed,
-    )
+    from lidar2pano.cli import batch
     from lidar2pano.cli.files import check_folder
-    from lidar2pano.cli.follow import check_followed
-    from lidar2pano.engines import pick_engine
+    from lidar2pano.cli.view import common_files
     from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.families import weight_files
-    from lidar2pano.views import sensor_view
 
-    if sensor:
-        sensor_view(sensor)
-    options = Options(
+    options = batch.Options(
         out=check_folder(out, "--out"),
-        calibration=parse_camera(calib, image_size),
+        calibration=batch.parse_camera(calib, image_size),
         device=pick_device(device),
         weights=weights,
         files=weight_files(weights),
         sensor=sensor,
-        save=parse_save(save),
+        save=batch.parse_save(save),
         as_json=as_json,
         smooth=steady,
         look=look,
         selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
         overrides=Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission, invent=invent),
         engine=engine,
-        image_format=parse_format(image_format),
+        image_format=batch.parse_format(image_format),
+        ply=ply,
+        common=common_files(out / "view.html" if view else None, scans, video, rerun),
     )
-    pick_engine(engine, options.device)
+    raise typer.Exit(_translated(scans, options, follow))
+
+
+def _translated(scans: list[Path], options: Options, follow: bool) -> int:
+    """Translate and open the page, if one was wanted; the exit code."""
+    from lidar2pano.cli.batch import translate_files, translate_followed
+    from lidar2pano.cli.follow import check_followed
+    from lidar2pano.cli.view import open_page
+    from lidar2pano.engines import pick_engine
+    from lidar2pano.views import sensor_view
+
+    if options.sensor:
+        sensor_view(options.sensor)
+    pick_engine(options.engine, options.device)
     if follow:
-        raise typer.Exit(translate_followed(check_followed(scans, options.selection), options))
-    raise typer.Exit(translate_files(scans, options))
+        code = translate_followed(check_followed(scans, options.selection), options)
+    else:
+        code = translate_files(scans, options)
+    open_page(options.common.page, code)
+    return code

@@ -10,13 +10,14 @@ from lidar2pano.formats.viewpoint import sharpness
 
 NEAR_M = 2.0  # nearer points blur: a beam begins some centimetres from the sensor's origin
 BIN_DEG = 0.02  # of the histogram in which beams are peaks
-SHARP = 1.6  # of elevations that gather at beams
+GATHERED = 1.6  # of elevations that gather at beams
 LEAST_SHARE = 0.1  # of the median peak's points: smaller peaks are chance
 FEWEST, MOST = 4, 300  # beams of a sensor
 FEWEST_POINTS = 20  # of a beam
 ORDERED = 0.97  # share of steps below ORDERED_DEG along a file that holds one beam after the other
 ORDERED_DEG = 3.0
 WRAP_DEG = 180.0
+WIDEST_DEG = 0.5  # between the quartiles of a beam's elevations
 NEAR_DEG = 2.0  # elevations of a sensor's outermost beams agree so well
 SKY_DEG = 6.0  # or the highest that returns lies so far below, where a beam above it saw the sky only
 # name -> beams, elevation of the highest and the lowest in degrees, by the data sheets
@@ -81,9 +82,13 @@ def find_beams(xyz: np.ndarray, ring: np.ndarray | None = None) -> Beams | None:
     azimuth = np.degrees(np.arctan2(y, x))
     turn = np.diff((azimuth - azimuth[0]) % 360)
     wraps = np.abs(turn) > WRAP_DEG
+    wraps &= np.diff(np.flatnonzero(wraps), prepend=-len(wraps)).min(initial=len(wraps)) >= FEWEST_POINTS
     if FEWEST <= wraps.sum() < MOST and (np.abs(turn[~wraps]) < ORDERED_DEG).mean() > ORDERED:
-        return _of_rings(elevation, np.concatenate([[0], np.cumsum(wraps)]), "file order")
-    if sharpness(xyz[near], np.zeros(3)) < SHARP:
+        number = np.concatenate([[0], np.cumsum(wraps)])
+        width = [np.ptp(np.percentile(elevation[number == one], (25, 75))) for one in np.unique(number)]
+        if np.median(width) < WIDEST_DEG:
+            return _of_rings(elevation, number, "file order")
+    if sharpness(xyz[near], np.zeros(3)) < GATHERED:
         return None
     return _of_peaks(elevation)
 

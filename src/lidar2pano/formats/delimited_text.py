@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import re
 import warnings
 from pathlib import Path
@@ -73,17 +74,13 @@ def numbers(data: bytes, path: Path, width: int) -> np.ndarray:
     """The numbers (N, width) float64 of lines of text; empty cells are NaN. InputError where a line has not so many."""
     if len(data) > MOST_BYTES or data.count(b"\n") > MOST_POINTS:
         raise InputError(f"{path}: is too long for a single sweep (at most {MOST_POINTS} points); cut it")
-    lines = sum(1 for line in data.split(b"\n") if line.strip()) if b"\n\n" in data else len(data.strip().split(b"\n"))
-    if b"\n#" not in data and not re.search(rb",[ ]*,|;[ ]*;", data[: 1 << 20]):
+    try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            try:
-                flat = np.fromstring(data.translate(SEPARATORS).decode("latin-1"), sep=" ")
-            except (DeprecationWarning, ValueError):
-                flat = np.empty(0)
-        if len(flat) == lines * width:
-            return flat.reshape(-1, width)
-    return _line_by_line(data, path, width)
+            warnings.simplefilter("error")  # where there is no number at all
+            table = np.loadtxt(io.BytesIO(data.translate(SEPARATORS)), ndmin=2, encoding="latin-1")
+    except (UserWarning, ValueError):
+        return _line_by_line(data, path, width)
+    return table if table.shape[1] == width else _line_by_line(data, path, width)
 
 
 def _line_by_line(data: bytes, path: Path, width: int) -> np.ndarray:

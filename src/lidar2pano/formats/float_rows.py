@@ -53,7 +53,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
     rows = np.frombuffer(data, "<f4").reshape(-1, 4)
     if len(rows) > MOST_POINTS:
         raise InputError(f"{path}: {len(rows)} points are no single sweep (at most {MOST_POINTS}); cut it")
-    if len(rows) >= 100 and not _plausible(rows[:SAMPLE]):
+    if not _plausible(rows[:SAMPLE]):
         raise InputError(
             f"{path}: its bytes are no points (x y z remission as float32); the file is damaged or of another format"
         )
@@ -67,14 +67,16 @@ def decode(data: bytes, path: Path) -> PointCloud:
 
 
 def _has_rings(data: bytes) -> bool:
-    """Whether every fifth number is the number of a beam, and they are not all the same."""
+    """Whether every fifth number is the number of a beam; if all are the same, four a point must make no sense."""
     ring = np.frombuffer(data, "<f4", min(len(data) // 20, SAMPLE) * 5).reshape(-1, 5)[:, 4]
     if len(ring) < 2 or not bool(((ring >= 0) & (ring < MOST_RINGS)).all()):
         return False
-    return bool((ring == np.floor(ring)).all()) and bool((ring != ring[0]).any())
+    rows = np.frombuffer(data, "<f4", min(len(data) // 16, SAMPLE) * 4).reshape(-1, 4)
+    return bool((ring == np.floor(ring)).all()) and (bool((ring != ring[0]).any()) or not _plausible(rows))
 
 
 def _plausible(rows: np.ndarray) -> bool:
     """Whether (N, 4) may be x y z remission: coordinates that are no accident, and no negative remission."""
     with np.errstate(invalid="ignore"):
-        return not bool((rows[:, 3] < 0).any() or (np.abs(rows[:, :3]) > FAR_M).any())
+        far = (np.abs(rows[:, :3]) > FAR_M) & np.isfinite(rows[:, :3])
+        return not bool((rows[:, 3] < 0).any() or far.any())

@@ -7,7 +7,7 @@ import platform
 import struct
 import threading
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -47,20 +47,29 @@ def image_size(path: Path) -> tuple[int, int]:
         return image.size
 
 
-def write_colour(path: Path, colour: np.ndarray, image_format: str = "png") -> None:
-    """Write an RGB image (h, w, 3) uint8 in a format of COLOUR_FORMATS; only "png" keeps every value."""
+def image_text(path: Path) -> dict[str, str]:
+    """Texts by keyword that a PNG has beside its pixels, as `write_png` writes them; raises like `read_image`."""
+    with _opened(path) as image:
+        image.load()  # they may stand behind the pixels
+        return {str(key): str(value) for key, value in getattr(image, "text", {}).items()}
+
+
+def write_colour(
+    path: Path, colour: np.ndarray, image_format: str = "png", text: Mapping[str, str] | None = None
+) -> None:
+    """Write an RGB image (h, w, 3) uint8 in a format of COLOUR_FORMATS; only "png" keeps every value, and the text."""
     if image_format == "png":
-        write_png(path, colour)
+        write_png(path, colour, text)
     else:
         Image.fromarray(colour).save(path, format=image_format.upper(), **COLOUR_FORMATS[image_format][1])
 
 
-def write_png(path: Path, colour: np.ndarray) -> None:
-    """Write an RGB image (h, w, 3) uint8."""
-    path.write_bytes(fast_png(colour))
+def write_png(path: Path, colour: np.ndarray, text: Mapping[str, str] | None = None) -> None:
+    """Write an RGB image (h, w, 3) uint8; `text` by keyword, both Latin-1, is written beside the pixels."""
+    path.write_bytes(fast_png(colour, text))
 
 
-def fast_png(colour: np.ndarray) -> bytes:
+def fast_png(colour: np.ndarray, text: Mapping[str, str] | None = None) -> bytes:
     """An RGB image (h, w, 3) uint8 as PNG, in a third of the time that Pillow takes, of about the same size.
 
     Every row is filtered by "Sub" (PNG specification, 9.2) where Pillow tries all filters, and compressed by run
@@ -74,7 +83,9 @@ def fast_png(colour: np.ndarray) -> bytes:
     deflate = zlib.compressobj(FAST_PNG, strategy=zlib.Z_RLE)
     header = struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)  # 8 bits per channel, RGB, not interlaced
     pixels = deflate.compress(lines) + deflate.flush()
-    return PNG_SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", pixels) + _chunk(b"IEND", b"")
+    texts = [_chunk(b"tEXt", f"{key}\0{value}".encode("latin-1")) for key, value in (text or {}).items()]
+    parts = (PNG_SIGNATURE, _chunk(b"IHDR", header), *texts, _chunk(b"IDAT", pixels), _chunk(b"IEND", b""))
+    return b"".join(parts)
 
 
 def _chunk(name: bytes, data: bytes) -> bytes:

@@ -66,6 +66,8 @@ def read_header(data: bytes, path: Path) -> Header:
             entries[words[0].upper()] = words[1:]
     try:
         return _header(entries, start, path)
+    except InputError:
+        raise
     except (ValueError, KeyError, IndexError, OverflowError):
         raise InputError(f"{path}: its PCD header makes no sense; write the file again") from None
 

@@ -64,7 +64,7 @@ def cloud_of_columns(
     Fields are found by the names above; others are only listed. Raises InputError where x, y or z is missing or there
     is no point; `source` is what its message begins with, else the name.
     """
-    known = {_plain(key): key for key in reversed(columns)}
+    known = {_plain(key): key for key in reversed(list(columns))}
     if missing := [axis for axis in "xyz" if axis not in known]:
         held = ", ".join(columns) or "none"
         raise InputError(f"{source or name}: has no field {missing[0]!r} (it has {held}); name a scan with x, y and z")
@@ -74,9 +74,13 @@ def cloud_of_columns(
             f"{source or name}: {len(axes[0])} points are no single sweep (1 to {MOST_POINTS}); name a scan"
         )
     exact = any(axis.dtype.itemsize > 4 or (axis.dtype.kind in "iu" and axis.dtype.itemsize > 2) for axis in axes)
-    xyz = np.empty((len(axes[0]), 3), np.float64 if exact else np.float32)
-    for column, axis in enumerate(axes):
-        xyz[:, column] = axis
+    dtype = np.float64 if exact else np.float32
+    if (together := _side_by_side(axes)) is not None:
+        xyz = together.astype(dtype, order="C")
+    else:
+        xyz = np.empty((len(axes[0]), 3), dtype)
+        for column, axis in enumerate(axes):
+            xyz[:, column] = axis
     intensity, ring, time = (_first(columns, known, names) for names in (INTENSITY, RING, TIME))
     time_s, start_s = seconds(*time, stamp_s) if time else (None, stamp_s)
     return PointCloud(
@@ -112,6 +116,19 @@ def seconds(name: str, values: np.ndarray, stamp_s: float | None) -> tuple[np.nd
     if stamp_s is None or abs(first_s - stamp_s) > 60:
         return time_s, first_s
     return time_s + (first_s - stamp_s), stamp_s
+
+
+def _side_by_side(axes: list[np.ndarray]) -> np.ndarray | None:
+    """Three columns as one array (N, 3) where they lie side by side in each record: it is copied at once."""
+    first, *others = axes
+    size = first.dtype.itemsize
+    start = first.__array_interface__["data"][0]
+    for place, axis in enumerate(others, 1):
+        if (axis.dtype, axis.strides) != (first.dtype, first.strides):
+            return None
+        if axis.__array_interface__["data"][0] != start + place * size:
+            return None
+    return np.lib.stride_tricks.as_strided(first, (len(first), 3), (first.strides[0], size), writeable=False)
 
 
 def _plain(name: str) -> str:

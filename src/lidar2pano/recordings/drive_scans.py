@@ -1,19 +1,88 @@
-"""A folder of a drive: its scan files and recordings, when each scan was taken, and those of them that are wanted."""
+"""Scans of a path: of a file, a folder or a recording; when each was taken, and those of them that are wanted."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats import readers
 from lidar2pano.formats.file_contents import stem_of
+from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
 from lidar2pano.formats.readers import ReadOptions, scan_files
-from lidar2pano.recordings.recorded_scans import ENDINGS, METADATA, none_within
+from lidar2pano.recordings.recorded_scans import ENDINGS, METADATA, none_within, recording_reader
+from lidar2pano.scan import Scan
 
 TIMES = ("times.txt", "timestamps.txt", "timestamps.json")  # KITTI odometry, KITTI raw, PandaSet
 UNIT_S = {19: 1e-9, 18: 1e-9, 16: 1e-6}  # digits of a name that is a time since the epoch -> its unit
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveScan:
+    """A scan of a drive.
+
+    file    the scan file or recording;  stream: the folder of the file, or the recording.
+    scan    the points;  found: how they were read.
+    """
+
+    file: Path
+    stream: Path
+    scan: Scan
+    found: Interpretation
+
+
+def read(source: Any, overrides: Overrides | None = None) -> Scan:  # noqa: ANN401
+    """Read one scan.
+
+    source     path of a file of a known format, whatever its name; of a recording the first scan is read; or an array
+               (N, 3 or more) of x y z [intensity [ring]]; or a cloud of Open3D or PyVista; or a PointCloud2 of ROS.
+    overrides  what is known better than it can be found out; None: everything is found out.
+    Raises InputError for a file that is missing, of no known format or damaged, and for what is no sweep.
+    """
+    if isinstance(source, str | Path) and recording_reader(Path(source)):
+        return next(scans(source, overrides))
+    return readers.read(source, overrides)
+
+
+def scans(
+    path: str | Path,
+    overrides: Overrides | None = None,
+    *,
+    topic: str = "",
+    every: int = 1,
+    start_s: float | None = None,
+    end_s: float | None = None,
+) -> Iterator[Scan]:
+    """Yield the scans of a file, a folder or a recording one at a time, those of one stream read alike.
+
+    topic           of a recording that has several topics of points; "" for the only one.
+    every           one of so many scans of a recording or folder.
+    start_s, end_s  seconds after the start of the recording or folder; the end is not included.
+    Raises InputError for what cannot be read.
+    """
+    options = ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)
+    for one in drive_scans(path, options, overrides):
+        yield one.scan
+
+
+def drive_scans(path: str | Path, options: ReadOptions, overrides: Overrides | None = None) -> Iterator[DriveScan]:
+    """The scans of `scans`, each with where it is from."""
+    stream, like = None, None
+    for file in drive_files(Path(path), options):
+        reader = recording_reader(file)
+        here = file if reader else file.parent
+        for cloud in (reader or readers.open_path(file)).clouds(file, options):
+            try:
+                scan, found = interpret(cloud, overrides, like if here == stream else None)
+            except InputError as error:
+                raise InputError(f"{file}: {error}") from None
+            if here != stream:
+                stream, like = here, found
+            yield DriveScan(file=file, stream=here, scan=scan, found=found)
 
 
 def drive_files(path: Path, options: ReadOptions) -> list[Path]:

@@ -1,0 +1,104 @@
+"""The layers of a panorama as images that browsers decode, and its points in a few bytes each."""
+
+from __future__ import annotations
+
+import io
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image
+
+NEAREST_M, FARTHEST_M = 1.0, 256.0  # depths of the codes 1 and 255; equal steps of the logarithm, 2.2 % each
+STEPS = 254
+CENTIMETRE = 0.01  # of point coordinates, which thus reach 327 m
+FEW_FRAMES = 4  # so many are coded exactly
+MOST_FRAMES = 60  # more than that, and every image is coarser
+MANY_POINTS = 4000  # of a scan, where there are more than MOST_FRAMES of them
+MOST_POINTS = 1_200_000  # of a page with fewer: those of ten scans
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coding:
+    """How many bytes a frame may take.
+
+    quality      of WebP for colours, 0 .. 100; None: PNG, which keeps every value.
+    coarser      panorama pixels per pixel of the colours and classes, in either direction.
+    depth_coarser  likewise of the depth.
+    points       of a scan, at most.
+    """
+
+    quality: int | None
+    coarser: int
+    depth_coarser: int
+    points: int
+
+
+def coding_for(frames: int) -> Coding:
+    """Coding of a page with so many frames: exact for few; such that 300 frames are about 30 MB."""
+    if frames > MOST_FRAMES:
+        return Coding(quality=75, coarser=2, depth_coarser=4, points=MANY_POINTS)
+    points = MOST_POINTS // max(frames, 1)
+    if frames > FEW_FRAMES:
+        return Coding(quality=70, coarser=1, depth_coarser=2, points=points)
+    return Coding(quality=None, coarser=1, depth_coarser=1, points=points)
+
+
+def colour_image(colour: np.ndarray, coding: Coding) -> tuple[bytes, str]:
+    """(bytes, MIME type) of colours (h, w, 3 or 4) uint8; the fourth channel says where there is something."""
+    image = Image.fromarray(colour)
+    if coding.coarser > 1:
+        image = image.resize(_coarser(colour, coding.coarser), Image.Resampling.BOX)
+    if coding.quality is None:
+        return _coded(image, "PNG", compress_level=6), "image/png"
+    return _coded(image, "WEBP", quality=coding.quality, method=4), "image/webp"
+
+
+def class_image(segments: np.ndarray, coding: Coding) -> tuple[bytes, str]:
+    """(bytes, MIME type) of class ids (h, w) uint8, as grey values, exact."""
+    return _codes(segments, coding.coarser)
+
+
+def depth_image(depth_m: np.ndarray, coding: Coding) -> tuple[bytes, str]:
+    """(bytes, MIME type) of depths (h, w) in metres, as `depth_codes`."""
+    return _codes(depth_codes(depth_m), coding.depth_coarser)
+
+
+def depth_codes(depth_m: np.ndarray) -> np.ndarray:
+    """Codes uint8 of depths in metres: 0 = none, 1 = NEAREST_M, 255 = FARTHEST_M, in equal steps of the logarithm.
+
+    Depths outside of that range take its ends.
+    """
+    inside = np.clip(depth_m, NEAREST_M, FARTHEST_M, dtype=np.float64)
+    steps = np.round(np.log(inside / NEAREST_M) * (STEPS / np.log(FARTHEST_M / NEAREST_M)))
+    return np.where(depth_m > 0, steps + 1, 0).astype(np.uint8)
+
+
+def point_bytes(xyz: np.ndarray, coding: Coding) -> tuple[bytes, int]:
+    """(bytes, number of points) of points (N, 3) in metres: `coding.points` of them at most, evenly chosen.
+
+    Only finite points within 327 m are kept. Whole centimetres, each as the difference from the point before, in six
+    planes (low and high bytes of x, of y, of z), compressed by zlib.
+    """
+    centimetres = np.round(xyz.astype(np.float64) / CENTIMETRE)
+    centimetres = centimetres[(np.abs(centimetres) < 1 << 15).all(axis=1) & centimetres.any(axis=1)]  # NaN is not less
+    if len(centimetres) > coding.points:
+        centimetres = centimetres[np.linspace(0, len(centimetres) - 1, coding.points).astype(np.int64)]
+    steps = np.diff(centimetres.astype("<i2"), axis=0, prepend=np.zeros((1, 3), dtype="<i2"))  # wraps, as the sum does
+    planes = np.ascontiguousarray(steps.T).view(np.uint8).reshape(3, -1, 2).transpose(0, 2, 1)
+    return zlib.compress(planes.tobytes(), 6), len(centimetres)
+
+
+def _codes(codes: np.ndarray, coarser: int) -> tuple[bytes, str]:
+    part = np.ascontiguousarray(codes[coarser // 2 :: coarser, coarser // 2 :: coarser])
+    return _coded(Image.fromarray(part).convert("RGB"), "WEBP", lossless=True, quality=50, method=2), "image/webp"
+
+
+def _coarser(values: np.ndarray, factor: int) -> tuple[int, int]:
+    return max(values.shape[1] // factor, 1), max(values.shape[0] // factor, 1)
+
+
+def _coded(image: Image.Image, form: str, **settings: object) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, form, **settings)
+    return buffer.getvalue()

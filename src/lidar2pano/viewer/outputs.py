@@ -1,0 +1,187 @@
+"""What `translate` writes about all of its scans together: the page, a video, a log for Rerun."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from PIL import Image
+
+from lidar2pano.errors import InputError
+from lidar2pano.formats.image_files import DEPTH_STEPS, write_whole
+from lidar2pano.labels import COMMON15
+from lidar2pano.panorama import Panorama
+from lidar2pano.scan import Scan
+from lidar2pano.viewer.camera_layer import camera_layer
+from lidar2pano.viewer.page import RATE_HZ, PageFrame, PageWriter
+
+VIDEO_COLUMNS = 3840  # at most: wider H.264 is not decoded by hardware
+VIDEO_QUALITY = 20  # x264's constant rate factor
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutputFiles:
+    """The files about all panoramas of a run that are wanted; None: not wanted.  title: of the page."""
+
+    page: Path | None = None
+    title: str = ""
+    video: Path | None = None
+    rerun: Path | None = None
+
+    @contextmanager
+    def opened(self) -> Iterator[list[Output]]:
+        """Outputs for these files, closed in the end; InputError where an extra is missing."""
+        with ExitStack() as stack:
+            outputs: list[Output] = []
+            if self.page:
+                outputs.append(stack.enter_context(closing(PageOutput(self.page, self.title))))
+            if self.video:
+                outputs.append(stack.enter_context(closing(VideoOutput(self.video))))
+            if self.rerun:
+                outputs.append(stack.enter_context(closing(RerunOutput(self.rerun))))
+            yield outputs
+
+
+class Output(Protocol):
+    """A file that is made of all panoramas of a run."""
+
+    def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
+        """Take the next panorama, its scan, the file or recording of that, and its name among all.
+
+        Raises InputError where that cannot be done.
+        """
+
+    def finish(self) -> Path | None:
+        """Write the file, complete or not at all, and return its path; None where no panorama was added."""
+
+    def close(self) -> None:
+        """Remove what was kept until the file is written."""
+
+
+class PageOutput:
+    """The page to look around in."""
+
+    def __init__(self, path: Path, title: str) -> None:
+        self.path = path
+        self.writer = PageWriter(title)
+
+    def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
+        """See Output."""
+        frame = PageFrame(
+            name=name,
+            view=panorama.view,
+            colour=panorama.colour,
+            segments=panorama.segments,
+            depth_m=panorama.depth_m,
+            camera=camera_layer(source, panorama.view),
+            xyz=scan.xyz,
+        )
+        self.writer.add(frame)
+
+    def finish(self) -> Path | None:
+        """See Output."""
+        return self.writer.write(self.path) if len(self.writer) else None
+
+    def close(self) -> None:
+        """See Output."""
+        self.writer.close()
+
+
+class VideoOutput:
+    """A video (MP4, H.264) of the panoramas, ten a second."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        av = _extra("av", "--video", "video")
+        self._to_frame = av.VideoFrame.from_ndarray
+        self._folder = tempfile.TemporaryDirectory()
+        self._part = Path(self._folder.name) / "video.mp4"
+        self._container = av.open(str(self._part), "w")
+        self._stream: Any = None
+
+    def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
+        """See Output."""
+        rows, columns = panorama.colour.shape[:2]
+        if self._stream is None:
+            self._stream = self._container.add_stream("libx264", rate=round(RATE_HZ))
+            width = min(columns, VIDEO_COLUMNS) // 2 * 2
+            self._stream.width, self._stream.height = width, max(round(rows * width / columns / 2), 1) * 2
+            self._stream.pix_fmt = "yuv420p"
+            self._stream.options = {"crf": str(VIDEO_QUALITY), "preset": "fast"}
+        image = Image.fromarray(panorama.colour)
+        size = (self._stream.width, self._stream.height)
+        image = image if image.size == size else image.resize(size, Image.Resampling.LANCZOS)
+        frame = self._to_frame(np.asarray(image), format="rgb24")
+        for packet in self._stream.encode(frame):
+            self._container.mux(packet)
+
+    def finish(self) -> Path | None:
+        """See Output."""
+        if self._stream is not None:
+            for packet in self._stream.encode():
+                self._container.mux(packet)
+        self._container.close()
+        return write_whole(self.path, lambda beside: shutil.copyfile(self._part, beside)) if self._stream else None
+
+    def close(self) -> None:
+        """See Output."""
+        self._container.close()
+        self._folder.cleanup()
+
+
+class RerunOutput:
+    """A recording for Rerun (rerun.io): points, panorama, classes and depth over time."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._rerun = _extra("rerun", "--rerun", "rerun")
+        self._folder = tempfile.TemporaryDirectory()
+        self._part = Path(self._folder.name) / "recording.rrd"
+        self._log = self._rerun.RecordingStream("lidar2pano", recording_id=path.stem)
+        self._log.save(str(self._part))
+        self._frames = 0
+        names = [
+            (index, name, colour)
+            for index, (name, colour) in enumerate(zip(COMMON15.classes, COMMON15.colours, strict=True))
+        ]
+        self._log.log("/", self._rerun.AnnotationContext(names), static=True)
+        self._log.log("/", self._rerun.ViewCoordinates.FLU, static=True)
+
+    def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
+        """See Output."""
+        rr, log = self._rerun, self._log
+        log.set_time("frame", sequence=self._frames)
+        log.set_time("time", duration=self._frames / RATE_HZ)
+        usable = np.isfinite(scan.xyz).all(axis=1)
+        points = panorama.colour_points(scan)
+        steps = np.clip(np.round(panorama.depth_m * DEPTH_STEPS), 0, 0xFFFF).astype(np.uint16)
+        log.log("scan", rr.Points3D(scan.xyz[usable], colors=points.colour[usable]))
+        log.log("panorama/colour", rr.Image(panorama.colour).compress(jpeg_quality=90))
+        log.log("panorama/classes", rr.SegmentationImage(panorama.segments))
+        log.log("panorama/depth", rr.DepthImage(steps, meter=DEPTH_STEPS))
+        log.log("name", rr.TextLog(f"{source}: {name}"))
+        self._frames += 1
+
+    def finish(self) -> Path | None:
+        """See Output."""
+        self._log.disconnect()
+        return write_whole(self.path, lambda beside: shutil.copyfile(self._part, beside)) if self._frames else None
+
+    def close(self) -> None:
+        """See Output."""
+        self._log.disconnect()
+        self._folder.cleanup()
+
+
+def _extra(module: str, option: str, extra: str) -> Any:  # noqa: ANN401
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        raise InputError(f"{option} needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'") from error

@@ -1,0 +1,220 @@
+"""PageWriter: panoramas in, one HTML file out that needs nothing else; names in it are escaped."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+import math
+import pickle
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from lidar2pano import __version__
+from lidar2pano.errors import InputError
+from lidar2pano.formats.image_files import write_whole
+from lidar2pano.labels import COMMON15
+from lidar2pano.panorama import OCCLUDED_FACTOR, OCCLUDED_M
+from lidar2pano.viewer.layers import (
+    FARTHEST_M,
+    MOST_FRAMES,
+    NEAREST_M,
+    Coding,
+    class_image,
+    coding_for,
+    colour_image,
+    depth_image,
+    point_bytes,
+)
+from lidar2pano.views import View
+
+RATE_HZ = 10.0  # frames a second when a drive is played: a LiDAR's turns
+# Colours of depths from near to far, evenly spaced in the logarithm: matplotlib's map "magma", reversed.
+NEAR_TO_FAR = (
+    (252, 253, 191), (254, 194, 135), (251, 136, 97), (230, 81, 100), (183, 55, 121), (130, 37, 129), (81, 18, 124),
+    (36, 18, 82), (16, 12, 40),
+)  # fmt: skip
+NO_DEPTH = (58, 66, 78)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PageFrame:
+    """One panorama as the page shows it; everything but the colour may be None. (h, w) is any raster of the view.
+
+    name      shown as it is, whatever characters it has.
+    view      the cylinder; only its directions and its origin count, not its numbers of rows and columns.
+    colour    (h, w, 3) uint8 RGB.
+    segments  (h, w) uint8 ids of COMMON15.
+    depth_m   (h, w) float32 metres, 0 = none.
+    camera    (h, w, 4) uint8 RGBA: camera images on the panorama, transparent where there is none.
+    xyz       (N, 3) float32: the scan's points, sensor frame, metres.
+    """
+
+    name: str
+    view: View
+    colour: np.ndarray
+    segments: np.ndarray | None = None
+    depth_m: np.ndarray | None = None
+    camera: np.ndarray | None = None
+    xyz: np.ndarray | None = None
+
+
+def title_of(paths: Sequence[Path]) -> str:
+    """The page's title for what a user named: the first one, without the folders far above it, and how many more."""
+    first = Path(*paths[0].resolve().parts[-2:]).as_posix().lstrip("/")
+    return first if len(paths) == 1 else f"{first} and {len(paths) - 1} more"
+
+
+class PageWriter:
+    """Collects frames on the disk and writes the page: memory does not depend on the number of frames.
+
+    How exactly frames are coded depends on how many there are, so MOST_FRAMES of them wait as they are.
+    """
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self._waiting: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 both are kept until the page is written
+        self._data: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115
+        self._coding: Coding | None = None
+        self._count = self._blocks = 0
+        self._frames: list[dict[str, Any]] = []
+        self._present = np.zeros(256, dtype=bool)
+
+    def add(self, frame: PageFrame) -> None:
+        """Add the next frame; InputError where its view is no cylinder."""
+        if frame.view.kind != "cylinder":
+            raise InputError(f"{frame.name}: is no cylinder (its rows are not tangents of elevation); view a panorama")
+        self._count += 1
+        if self._coding is None:
+            pickle.dump(frame, self._waiting, protocol=pickle.HIGHEST_PROTOCOL)
+            if self._count > MOST_FRAMES:
+                self._code_waiting()
+        else:
+            self._frames.append(self._coded(frame, self._coding))
+
+    def __len__(self) -> int:
+        """Number of frames so far."""
+        return self._count
+
+    def _code_waiting(self) -> None:
+        """Code the frames that wait; now it is known how."""
+        self._coding = coding_for(self._count)
+        self._waiting.seek(0)
+        for _ in range(self._count):
+            self._frames.append(self._coded(pickle.load(self._waiting), self._coding))
+        self._waiting.truncate(0)
+
+    def _coded(self, frame: PageFrame, coding: Coding) -> dict[str, Any]:
+        """Write a frame's blocks; its entry in the page's index."""
+        view = frame.view
+        layers = {"colour": self._block(*colour_image(frame.colour, coding))}
+        if frame.segments is not None:
+            layers["classes"] = self._block(*class_image(frame.segments, coding))
+            self._present[np.unique(frame.segments)] = True
+        if frame.depth_m is not None:
+            layers["depth"] = self._block(*depth_image(frame.depth_m, coding))
+        if frame.camera is not None:
+            layers["camera"] = self._block(*colour_image(frame.camera, coding))
+        entry: dict[str, Any] = {
+            "name": frame.name,
+            "size": list(frame.colour.shape[:2]),
+            "view": [view.up, view.down, math.radians(view.left), math.radians(view.right)],
+            "origin": list(view.origin),
+            "layers": layers,
+        }
+        if frame.xyz is not None:
+            data, count = point_bytes(frame.xyz, coding)
+            entry["points"] = [*self._block(data, "")[:1], count, len(frame.xyz)]
+        return entry
+
+    def write(self, path: Path) -> Path:
+        """Write the page, complete or not at all, and return `path`; InputError where it cannot be written."""
+        if not self._count:
+            raise ValueError("a page needs a frame")
+        if self._coding is None:
+            self._code_waiting()
+        head, tail = (part.encode("utf-8", "replace") for part in self._document())
+
+        def write(beside: Path) -> None:
+            with beside.open("wb") as file:
+                file.write(head)
+                self._data.seek(0)
+                shutil.copyfileobj(self._data, file)
+                file.write(tail)
+
+        return write_whole(path, write)
+
+    def close(self) -> None:
+        """Forget the frames."""
+        self._waiting.close()
+        self._data.close()
+
+    def _block(self, data: bytes, mime: str) -> list[str]:
+        """Write bytes as a block of the page; [its id, its MIME type]."""
+        name = f"d{self._blocks}"
+        self._blocks += 1
+        self._data.write(f'<script type="text/plain" id="{name}">'.encode())
+        self._data.write(base64.b64encode(data))
+        self._data.write(b"</script>\n")
+        return [name, mime]
+
+    def _document(self) -> tuple[str, str]:
+        """The page before and after its blocks of data."""
+        parts = files(__name__.rpartition(".")[0]) / "page"
+        read = {name: (parts / name).read_text(encoding="utf-8") for name in ("page.html", "page.css", "page.js")}
+        shaders = (parts / "shaders.js").read_text(encoding="utf-8")
+        style, script = f"\n{read['page.css']}", f"\n{shaders}\n{read['page.js']}"
+        policy = f"default-src 'none'; img-src data: blob:; script-src {_hash(script)}; style-src {_hash(style)};"
+        values = {
+            "policy": f"{policy} base-uri 'none'; form-action 'none'",
+            "generator": f"lidar2pano {__version__}",
+            "title": html.escape(self.title),
+            "style": style,
+            "script": script,
+            "index": _json(self._index()),
+        }
+        before, _, after = read["page.html"].partition("{{data}}")
+        return _substituted(before, values), _substituted(after, values)
+
+    def _index(self) -> dict[str, Any]:
+        table = [NO_DEPTH, *np.stack([_ramp(channel) for channel in zip(*NEAR_TO_FAR, strict=True)], axis=1).tolist()]
+        return {
+            "frames": self._frames,
+            "classes": [
+                {"name": name, "colour": list(colour), "present": bool(self._present[index])}
+                for index, (name, colour) in enumerate(zip(COMMON15.classes, COMMON15.colours, strict=True))
+            ],
+            "depth": {"nearest": NEAREST_M, "farthest": FARTHEST_M, "colours": table},
+            "occluded": [OCCLUDED_FACTOR, OCCLUDED_M],
+            "rate": RATE_HZ,
+        }
+
+
+def _ramp(stops: tuple[int, ...]) -> np.ndarray:
+    return np.interp(np.linspace(0, len(stops) - 1, 255), np.arange(len(stops)), stops).round().astype(int)
+
+
+def _hash(text: str) -> str:
+    """The source of a content security policy that allows this text and nothing else."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def _json(value: object) -> str:
+    """JSON in ASCII without characters that mean something in HTML."""
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _substituted(template: str, values: dict[str, str]) -> str:
+    """The template with {{NAME}} replaced; what is put in is not looked into again."""
+    first, *rest = template.split("{{")
+    parts = (part.partition("}}") for part in rest)
+    return first + "".join(values[name] + text for name, _, text in parts)

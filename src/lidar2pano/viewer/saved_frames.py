@@ -1,0 +1,77 @@
+"""Panoramas that were saved as PNG, with what lies beside them, as frames of the page."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from lidar2pano.errors import InputError
+from lidar2pano.formats.image_files import DEPTH_STEPS, image_size, image_text, read_image
+from lidar2pano.panorama import VIEW_KEYWORD
+from lidar2pano.viewer.page import PageFrame
+from lidar2pano.views import VIEWS, View
+
+BESIDE = (".segments.png", ".depth.png", ".camera.png", ".camera-segments.png")  # endings of other outputs
+PROPORTION_TOLERANCE = 0.02
+
+
+def panorama_files(path: Path) -> list[Path]:
+    """The panoramas that a path stands for: a PNG itself, or those of a folder in order of their names; else []."""
+    if path.suffix.lower() == ".png" and not path.is_dir():
+        return [path]
+    if not path.is_dir():
+        return []
+    try:
+        found = sorted(file for file in path.iterdir() if file.suffix == ".png" and file.is_file())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be looked into ({error.strerror}); ask for permission") from error
+    return [file for file in found if not file.name.endswith(BESIDE)]
+
+
+def read_frame(path: Path) -> PageFrame:
+    """The panorama of a PNG, with the classes and depths beside it (<stem>.segments.png, <stem>.depth.png).
+
+    Raises InputError where a file is damaged or is no panorama.
+    """
+    view = saved_view(path)
+    segments, steps = (_beside(path, f".{part}.png") for part in ("segments", "depth"))
+    return PageFrame(
+        name=path.stem,
+        view=view,
+        colour=read_image(path, "RGB"),
+        segments=None if segments is None else segments.astype(np.uint8),
+        depth_m=None if steps is None else steps.astype(np.float32) / DEPTH_STEPS,
+    )
+
+
+def saved_view(path: Path) -> View:
+    """The view of a panorama's PNG: as its text says; without one, the usual one of the same proportions.
+
+    Raises InputError for an image that is none.
+    """
+    width, height = image_size(path)
+    try:
+        written = View(**json.loads(image_text(path)[VIEW_KEYWORD]))
+        return replace(written, rows=height, columns=width)
+    except (KeyError, TypeError, ValueError, RecursionError):  # no text, or another program's
+        pass
+    usual = VIEWS["panorama"]
+    if abs(width * usual.rows / (height * usual.columns) - 1) > PROPORTION_TOLERANCE:
+        raise InputError(
+            f"{path}: {width}x{height} pixels are no panorama ({usual.columns // usual.rows} times as wide as high);"
+            " name what `translate` wrote"
+        )
+    return replace(usual, rows=height, columns=width)
+
+
+def _beside(path: Path, ending: str) -> np.ndarray | None:
+    beside = path.with_name(path.stem + ending)
+    if not beside.is_file():
+        return None
+    values = read_image(beside)
+    if values.ndim != 2 or not np.issubdtype(values.dtype, np.integer):
+        raise InputError(f"{beside}: has colours where numbers belong; write it again with `translate --save all`")
+    return values

@@ -1,0 +1,121 @@
+"""The motion of a drive's sensor, and scans with their poses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
+
+import lidar2pano
+from lidar2pano.drive_motion import CITY_COLUMNS, CITY_POSES, DriveMotion, T_scan_cloud, city_motion, posed_scans
+from lidar2pano.errors import InputError
+from lidar2pano.formats.interpretation import Overrides, interpret
+from lidar2pano.formats.point_cloud import PointCloud
+from lidar2pano.formats.scan_files import write_bin
+from lidar2pano.geometry.motion import SensorMotion, Trajectory
+from miniature import street
+from miniature_recordings import START_NS, STEP_NS, points, transform, write
+
+
+def pose(number: int) -> tuple[float, ...]:
+    return (1.5 * number, 0.2 * number, 0.0, 0.0, 0.0, np.sin(0.05 * number), np.cos(0.05 * number))
+
+
+def drive(count: int = 6, **columns):
+    for number in range(count):
+        stamp = START_NS + number * STEP_NS
+        yield points(street(number, 1500), stamp, **columns)
+        yield transform(stamp, "odom", "velodyne", pose(number))
+
+
+def test_scans_come_with_their_poses(tmp_path):
+    path = write(tmp_path, "mcap", drive())
+    found = list(posed_scans(path, every=2))
+    assert len(found) == 3
+    for number, (scan, T) in enumerate(found):
+        np.testing.assert_allclose(T[:3, 3], pose(2 * number)[:3], atol=1e-5)
+        np.testing.assert_array_equal(scan.xyz, street(2 * number, 1500).xyz)
+    assert lidar2pano.posed_scans is posed_scans
+
+
+def test_scans_without_recorded_poses_have_estimated_ones(tmp_path):
+    pytest.importorskip("kiss_icp", reason="poses are estimated by KISS-ICP")
+    path = write(tmp_path, "bag", [one for one in drive(3) if one.topic != "/tf"])
+    poses = [T for _, T in posed_scans(path)]
+    np.testing.assert_array_equal(poses[0], np.eye(4))
+    (tmp_path / "in").mkdir()
+    for number in range(3):
+        write_bin(tmp_path / "in" / f"{number}.bin", street(number, 1500))
+    np.testing.assert_allclose([T for _, T in posed_scans(tmp_path / "in")], poses)
+
+
+def test_a_pose_far_from_the_recorded_ones_is_none(tmp_path):
+    messages = [*drive(2), points(street(9, 1500), START_NS + 30 * STEP_NS)]
+    assert [T is None for _, T in posed_scans(write(tmp_path, "bag", messages))] == [False, False, True]
+
+
+@pytest.mark.parametrize(
+    "overrides", [Overrides(), Overrides(forward="y"), Overrides(forward="-x"), Overrides(sensor_height_m=2.5)]
+)
+def test_poses_follow_how_a_cloud_was_read(overrides):
+    """A point of the cloud is in one place of the world, whichever frame it is read into."""
+    recorded = SensorMotion((Trajectory.of([(0, *pose(1)), (1, *pose(4))]),))
+    cloud = PointCloud(xyz=street(0).xyz, intensity=street(0).remission)
+    scan, found = interpret(cloud, overrides)
+    _, T = DriveMotion(recorded, "/odom", estimate=False).step(scan, found, 0.4)
+    world = scan.xyz[:50] @ T[:3, :3].T + T[:3, 3]
+    wanted = recorded.at(np.array([0.4]))[0]
+    np.testing.assert_allclose(world, cloud.xyz[:50] @ wanted[:3, :3].T + wanted[:3, 3], atol=1e-3)
+    assert (overrides == Overrides()) == np.allclose(T_scan_cloud(found), np.eye(4))
+
+
+def test_an_estimated_motion_deskews_the_next_scan():
+    pytest.importorskip("kiss_icp", reason="poses are estimated by KISS-ICP")
+    from lidar2pano.drive_motion import DriveMotion
+
+    motion = DriveMotion(None, "", estimate=True)
+    assert motion.origin == "KISS-ICP"
+    scan, found = interpret(PointCloud(xyz=street(0).xyz))
+    timed = replace(scan, time_s=np.linspace(0, 0.1, len(scan)))
+    first, _ = motion.step(timed, found, 5.0)
+    np.testing.assert_array_equal(first.xyz, scan.xyz)  # nothing is known yet
+    delta = np.eye(4)
+    delta[0, 3] = 2.0
+    motion._estimated.last_delta = delta
+    second, _ = motion.step(timed, found, 5.1)
+    np.testing.assert_allclose(second.xyz[:, 0] - scan.xyz[:, 0], 20 * timed.time_s, atol=0.01)
+    late, _ = motion.step(timed, found, 50.0)
+    np.testing.assert_array_equal(late.xyz, scan.xyz)  # a gap: the motion before tells nothing
+
+
+def write_city(root, rows):
+    feather = pytest.importorskip("pyarrow.feather", reason="Argoverse is read by the extra 'arrow'")
+    import pyarrow
+
+    folder = root / "log" / "sensors" / "lidar"
+    folder.mkdir(parents=True)
+    table = pyarrow.table(
+        {name: list(values) for name, values in zip(CITY_COLUMNS, zip(*rows, strict=True), strict=True)}
+    )
+    feather.write_feather(table, root / "log" / CITY_POSES)
+    return folder
+
+
+def test_city_poses_of_argoverse(tmp_path):
+    rows = [(315966265259836000 + number * STEP_NS, *pose(number)) for number in range(4)]
+    motion, origin = city_motion(write_city(tmp_path, rows))
+    assert origin.endswith(CITY_POSES)
+    np.testing.assert_allclose(motion.pose(315966265.259836 + 0.2)[:3, 3], pose(2)[:3], atol=1e-4)
+    assert city_motion(tmp_path) is None
+
+
+def test_damaged_city_poses_are_one_line(tmp_path):
+    folder = write_city(tmp_path, [(1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)])
+    with pytest.raises(InputError, match="holds no poses that can be read"):
+        city_motion(folder)
+    (tmp_path / "log" / CITY_POSES).write_bytes(b"ARROW1")
+    with pytest.raises(InputError, match="holds no poses that can be read"):
+        city_motion(folder)
