@@ -132,6 +132,14 @@ def test_json_links_to_the_outputs(server, scan):
     assert server.ask("GET", answer["outputs"]["rgb"].replace("rgb", "labels"))[0] == 404
 
 
+def test_a_page_to_look_around_in(server, scan):
+    status, _, data = server.ask("POST", "/panorama?as=json&save=page", scan[0])
+    link = json.loads(data)["outputs"]["page"]
+    status, headers, page = server.ask("GET", link)
+    assert status == 200 and headers["content-type"].startswith("text/html")
+    assert b"<title>panorama" in page and b"Content-Security-Policy" in page
+
+
 def test_any_known_format_by_its_content(server, tmp_path, scan):
     xyz = street(60).xyz
     text = "x,y,z,intensity\n" + "\n".join(f"{x},{y},{z},0.5" for x, y, z in xyz.tolist())
