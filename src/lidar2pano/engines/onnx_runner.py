@@ -14,6 +14,10 @@ import numpy as np
 HERE = Path(__file__).parent
 SKY, ROAD, FAR_M, OWN_VEHICLE_M = 15, 7, 120.0, 1.0  # ids of common-15; metres
 COARSE_M, FINE_M, AWAY_M = (0.25, 1.0, 4.0), (0.0625, 0.125, 0.5), 4096.0  # wavelengths of the painter's noise
+VARIED = np.array(
+    [0, 0.3, 0, 0, 0.3, 0.3, 0.3, 0, 0, 0.35, 0.3, 0, 0, 0.2, 0, 0]
+)  # of classes: how their brightness varies
+OBJECT_M, COARSER = 16.0, 4  # wavelength of that, and the step at which it is read
 
 
 def main(scan, out):
@@ -77,7 +81,7 @@ def project(points, view):
 
 
 def painter_inputs(segments, depth_m, image, view, sharp):
-    """What the scene painter sees: `inputs` (27, H, W) and `fine_noise` (3, 2H, 2W); the README lists the channels."""
+    """What the scene painter sees: `inputs` (30, H, W) and `fine_noise` (3, 2H, 2W); the README lists the channels."""
     rows, columns = depth_m.shape
     segments = segments**sharp / (segments**sharp).sum(0)
     best = segments.argmax(0)
@@ -95,7 +99,8 @@ def painter_inputs(segments, depth_m, image, view, sharp):
     flat = [code, *spread_out(image[4], image[0] > 0), row]
     coarse = solid_noise(depth_m, best == SKY, view, COARSE_M)
     fine = solid_noise(*(each.repeat(2, 0).repeat(2, 1) for each in (depth_m, best == SKY)), view, FINE_M)
-    return np.concatenate([segments, np.stack(flat), shape, coarse]), fine
+    brighter = np.einsum("chw,c->hw", segments, VARIED) * smooth_noise(radius_m, z_m, view, OBJECT_M)
+    return np.concatenate([segments, np.stack(flat), shape, coarse, np.stack(3 * [brighter])]), fine
 
 
 def normals(radius_m, z_m, step):
@@ -142,6 +147,21 @@ def solid_noise(depth_m, sky, view, wavelengths_m):
         noise = tile[tuple(part >> shift & 63 for part in index)]
         layers.append(noise * (focal * wave - 1).clip(0, 1))
     return np.stack(layers)
+
+
+def smooth_noise(radius_m, z_m, view, wavelength_m):
+    """Noise of one long wavelength: the tile between its voxels, trilinear, at every COARSER-th row and column."""
+    middle = slice(COARSER // 2, None, COARSER)
+    radius, z = radius_m[middle, middle], z_m[middle, middle]
+    azimuth = (np.pi - (np.arange(radius_m.shape[1]) + 0.5) / radius_m.shape[1] * 2 * np.pi)[middle]
+    sensor = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], -1) + view["origin"]
+    place = sensor * 4 / wavelength_m
+    low = np.floor(place).astype(np.int64)
+    tile, noise = np.load(HERE / "noise.npy"), 0.0
+    for corner in np.ndindex(2, 2, 2):
+        share = np.where(corner, place - low, 1 - (place - low)).prod(-1)
+        noise = noise + tile[tuple(np.moveaxis((low + corner) % 64, -1, 0))] * share
+    return noise.repeat(COARSER, 0).repeat(COARSER, 1)
 
 
 if __name__ == "__main__":
