@@ -14,7 +14,7 @@ STEPS = 254
 CENTIMETRE = 0.01  # of point coordinates, which thus reach 327 m
 FEW_FRAMES = 4  # so many are coded exactly
 MOST_FRAMES = 60  # more than that, and every image is coarser
-MANY_POINTS = 4000  # of a scan, where there are more than MOST_FRAMES of them
+MANY_POINTS = 3000  # of a scan, where there are more than MOST_FRAMES of them
 MOST_POINTS = 1_200_000  # of a page with fewer: those of ten scans
 
 
@@ -37,7 +37,7 @@ class Coding:
 def coding_for(frames: int) -> Coding:
     """Coding of a page with so many frames: exact for few; such that 300 frames are about 30 MB."""
     if frames > MOST_FRAMES:
-        return Coding(quality=75, coarser=2, depth_coarser=4, points=MANY_POINTS)
+        return Coding(quality=65, coarser=2, depth_coarser=4, points=MANY_POINTS)
     points = MOST_POINTS // max(frames, 1)
     if frames > FEW_FRAMES:
         return Coding(quality=70, coarser=1, depth_coarser=2, points=points)
