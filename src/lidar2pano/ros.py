@@ -101,11 +101,11 @@ class Translator:
 def run(arguments: Sequence[str] | None = None) -> None:
     """Run the node until ROS shuts down. Raises InputError where rclpy or a parameter cannot be had."""
     try:
-        import rclpy
-        from rclpy.executors import ExternalShutdownException
-        from rclpy.node import Node
-        from rclpy.qos import qos_profile_sensor_data
-        from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+        import rclpy  # pyright: ignore[reportMissingImports]
+        from rclpy.executors import ExternalShutdownException  # pyright: ignore[reportMissingImports]
+        from rclpy.node import Node  # pyright: ignore[reportMissingImports]
+        from rclpy.qos import qos_profile_sensor_data  # pyright: ignore[reportMissingImports]
+        from sensor_msgs.msg import CameraInfo, Image, PointCloud2  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise InputError(
             "lidar2pano.ros needs rclpy, which comes with ROS 2 and not from PyPI: source /opt/ros/DISTRO/setup.bash"

@@ -18,7 +18,7 @@ import pytest
 pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
 
 from lidar2pano.cli import main
-from lidar2pano.cli.follow import SETTLED_S, followed
+from lidar2pano.cli.follow import followed
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.formats.scan_files import write_bin
@@ -239,7 +239,7 @@ def test_follow_takes_what_is_complete_until_interrupted(tmp_path, follower):
         for start in range(0, len(whole), 16_000):
             slow.write(whole[start : start + 16_000])
             slow.flush()
-            time.sleep(SETTLED_S / 4)
+            time.sleep(0.25)
             assert not (tmp_path / "out" / "b.png").exists()
     (tmp_path / "in" / "part.tmp").write_bytes(whole[:1600])
     (tmp_path / "in" / "c.bin.part").write_bytes(whole)

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from lidar2pano.geometry.projection import directions
-from lidar2pano.geometry.solid_noise import BITS, SKY_M, VOXELS, noise_tile, solid_noise
+from lidar2pano.geometry.solid_noise import BITS, COARSER, SKY_M, VOXELS, noise_tile, smooth_noise, solid_noise
+from lidar2pano.geometry.surface import cylinder_points
 from lidar2pano.views import VIEWS, View
 
 VIEW = VIEWS["panorama"].scaled(1 / 16)
@@ -105,3 +106,26 @@ def test_the_tile_is_smooth_from_voxel_to_voxel():
     assert tile.std() == pytest.approx(1, abs=1e-3) and abs(float(tile.mean())) < 1e-3
     for axis in range(3):
         assert (tile - tile.roll(1, axis)).std() < 0.6
+
+
+def test_smooth_noise_is_the_tile_between_its_voxels():
+    """Scipy's linear interpolation of the periodic tile, at the points that a fourth of the columns and rows show."""
+    ndimage = pytest.importorskip("scipy.ndimage")
+    depth_m, _ = scene(VIEW)
+    pose = turned(5, (12.3, -400.7, 1.1))
+    noise = smooth_noise(*cylinder_points(depth_m[None], VIEW), VIEW, 16.0, pose)[0]
+    rays = directions(VIEW).double().numpy()
+    points = (rays * depth_m.double().numpy()[..., None] + VIEW.origin) @ pose[:3, :3].T + pose[:3, 3]
+    tile = noise_tile(torch.device("cpu"), torch.float32).view(*[2**BITS] * 3).numpy()
+    expected = ndimage.map_coordinates(tile, points.reshape(-1, 3).T * VOXELS / 16, order=1, mode="grid-wrap")
+    read = slice(COARSER // 2, None, COARSER)
+    assert np.allclose(noise[read, read], expected.reshape(depth_m.shape)[read, read], atol=1e-3)
+    assert torch.equal(noise[::COARSER, ::COARSER], noise[read, read])
+
+
+def test_smooth_noise_has_no_steps():
+    """Along a wall 10 m away, between one pixel that is read and the next (12 cm): a small part of its spread."""
+    view = View(rows=8, columns=512 * COARSER, up=0.1, down=-0.1, kind="cylinder")
+    noise = smooth_noise(*cylinder_points(torch.full((1, 8, view.columns), 10.0), view), view, 16.0)[0, 0, ::COARSER]
+    assert noise.std() > 0.3
+    assert (noise - noise.roll(1)).abs().max() < 0.1

@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from lidar2pano.errors import InputError
+from lidar2pano.labels import COMMON15
 from lidar2pano.models import build
-from lidar2pano.models.scene_painter import Scene, sharpened
+from lidar2pano.models.scene_painter import TONE, VARIED, Scene, painter_inputs, sharpened
 from lidar2pano.views import View
 
 VIEW = View(rows=16, columns=64, up=0.24, down=-0.28, kind="cylinder")
@@ -85,4 +86,34 @@ def test_sharpening_is_a_power():
 
 def test_sizes_that_do_not_divide_are_refused():
     with pytest.raises(InputError, match="must divide by 4"):
-        painter()(torch.zeros(1, 27, 10, 64), torch.zeros(1, 3, 20, 128), torch.ones(1, 2), torch.zeros(1, 3))
+        painter()(torch.zeros(1, 30, 10, 64), torch.zeros(1, 3, 20, 128), torch.ones(1, 2), torch.zeros(1, 3))
+
+
+def tones(class_tones: torch.Tensor | None = None) -> torch.Tensor:
+    """The last channels of the inputs (3, H, W) of the scene."""
+    one = scene()
+    inputs, _ = painter_inputs(one.segments, one.depth_m, one.channels, VIEW, one.T_world_sensor, class_tones)
+    return inputs[0, -TONE:]
+
+
+def test_tones_of_classes_are_mixed_by_probability():
+    class_tones = torch.zeros(1, 16, 3)
+    class_tones[0, 1], class_tones[0, 9] = torch.tensor([0.5, 0.0, -0.5]), torch.tensor([-0.25, 0.25, 1.0])
+    car, building = scene().segments[0, 1], scene().segments[0, 9]
+    expected = torch.stack([0.5 * car - 0.25 * building, 0.25 * building, building - 0.5 * car])
+    assert torch.allclose(tones(class_tones), expected, atol=1e-6)
+
+
+def test_where_no_tones_are_given_only_things_that_vary_do():
+    found = tones()
+    assert torch.equal(found[0], found[1]) and found[0].std() > 0.01
+    one = scene()
+    for name in ("vegetation", "car"):
+        segments = torch.zeros_like(one.segments)
+        segments[:, COMMON15.id_of(name)] = 1
+        inputs, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, one.T_world_sensor)
+        assert inputs[0, -1].any() == (name in VARIED)
+
+
+def test_every_class_that_varies_exists():
+    assert set(VARIED) <= set(COMMON15.classes)

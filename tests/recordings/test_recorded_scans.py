@@ -288,6 +288,14 @@ def test_an_mcap_that_unpacks_to_something_else(tmp_path, monkeypatch):
     assert "unpacked" in complaint(path)
 
 
+def test_a_changed_byte_of_a_chunk_is_found(tmp_path):
+    path = write(tmp_path, "mcap-raw", DRIVE)
+    data = bytearray(path.read_bytes())
+    data[data.index(street(3, 300).xyz[:2, 0].tobytes()[:4])] ^= 1
+    path.write_bytes(data)
+    assert "crc validation failed" in complaint(path)
+
+
 def test_a_database_that_is_still_written(tmp_path):
     path = write(tmp_path, "db3", DRIVE)
     path.with_name("drive.db3-wal").write_bytes(b"1")

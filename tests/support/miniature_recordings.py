@@ -18,7 +18,19 @@ POINTS, ODOMETRY, TF = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry", "
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
 START_NS, STEP_NS = 1_700_000_000_000_000_000, 100_000_000
-FORMATS = ("bag", "bag-bz2", "bag-lz4", "db3", "folder", "folder-mcap", "mcap", "mcap-lz4", "mcap-plain", "mcap-ros1")
+FORMATS = (
+    "bag",
+    "bag-bz2",
+    "bag-lz4",
+    "db3",
+    "folder",
+    "folder-mcap",
+    "mcap",
+    "mcap-lz4",
+    "mcap-raw",
+    "mcap-plain",
+    "mcap-ros1",
+)
 DTYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 
 
@@ -122,10 +134,11 @@ def _write_bag(path: Path, sent: Iterable[Sent], compression: str) -> Path:
 
 
 def _write_mcap(path: Path, sent: Iterable[Sent], variant: str) -> Path:
-    """With an index and zstd; "lz4"; "plain": neither chunks nor index; "ros1": messages of ROS 1."""
+    """Indexed, with zstd; "lz4"; "raw": not packed; "plain": neither chunks nor index; "ros1": messages of ROS 1."""
     from mcap.writer import CompressionType, IndexType, Writer
 
-    compression = CompressionType.LZ4 if variant == "lz4" else CompressionType.ZSTD
+    packers = {"lz4": CompressionType.LZ4, "raw": CompressionType.NONE}
+    compression = packers.get(variant, CompressionType.ZSTD)
     ros1, plain = variant == "ros1", variant == "plain"
     index = IndexType.NONE if plain else IndexType.ALL
     with path.open("wb") as file:

@@ -64,6 +64,7 @@ def batch() -> PaintingSample:
         valid=torch.ones(2, 1, 2 * rows, 2 * columns, dtype=torch.bool),
         look=torch.tensor([[0], [1]]),
         tone=torch.zeros(2, 1, 3),
+        class_tones=torch.zeros(2, 1, 16, 3),
     )
 
 
@@ -102,3 +103,16 @@ def test_ground_truth_is_painted_where_it_is_known_and_drawn(task, batch):
     assert torch.allclose(segments[:, :, 20:], half.segments[:, :, 20:].float(), atol=1e-3)
     task.options = replace(task.options, ground_truth_probability=0.0)
     assert torch.allclose(task.segments(half), half.segments.float(), atol=1e-3)
+
+
+def test_both_pictures_and_the_condition_are_augmented_alike(task, batch):
+    task.options = replace(task.options, augment_probability=1.0)
+    image = batch.flat().image
+    condition = torch.rand(2, 17, 32, 64)
+    torch.manual_seed(4)
+    real, fake, changed = task._augmented(image, image.clone().requires_grad_(), condition)
+    assert torch.equal(real, fake) and not torch.equal(real, image)
+    assert fake.requires_grad and not changed.requires_grad
+    cut = (changed == 0).all(1)
+    assert cut.any() and not cut.all()
+    assert torch.equal((fake == 0).all(1), cut), "cut out of both at the same place"

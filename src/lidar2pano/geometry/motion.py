@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 BIN_S = 2.5e-4  # points of a scan within so many seconds share a pose: less than 4 mm at 30 m/s
 LONGEST_SWEEP_S = 2.0  # times of points that lie further from the stamp are no times of one turn
@@ -27,7 +27,7 @@ class Trajectory:
     rotation: np.ndarray
 
     @classmethod
-    def of(cls, rows: Sequence[Sequence[float]]) -> Trajectory:
+    def of(cls, rows: ArrayLike) -> Trajectory:
         """The trajectory of rows (stamp_s, x, y, z, qx, qy, qz, qw) in any order; of equal stamps the last counts.
 
         Raises ValueError where there is no row, or one holds no pose.

@@ -8,6 +8,7 @@ Norton et al. 1982).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -22,6 +23,7 @@ BITS = 6  # the tile has 2^BITS voxels along each axis
 VOXELS = 4  # per wavelength
 FARTHEST_M = 200.0  # nothing stands farther away
 SKY_M = 4.0  # the sky is a sphere of this radius that goes with the viewer
+COARSER = 4  # pixels of the raster for each at which long wavelengths are read
 STRIP = 16  # rows that are looked up at a time, so that they stay in the processor's cache
 AWAY_M = 4096.0  # added to coordinates, a multiple of every period: whole numbers are cut off, not rounded down
 
@@ -77,6 +79,33 @@ def solid_noise(
             share = (inverse * wave).sub_(1).clamp_(0, 1)
             torch.mul(noise, share, out=out[number, rows])
     return out
+
+
+def smooth_noise(
+    radius_m: Tensor, z_m: Tensor, view: View, wavelength_m: float, T_world_sensor: np.ndarray | None = None
+) -> Tensor:
+    """Noise (B, H, W) float32 of one long wavelength, about normal: the tile between its voxels, trilinear.
+
+    radius_m, z_m  (B, H, W): as `surface.cylinder_points` gives them. Read at every COARSER-th row and column of the
+                   raster, which must divide by it, and carried to the pixels around.
+    T_world_sensor  (4, 4): where the noise hangs; None: on the sensor frame.
+    """
+    pose = torch.from_numpy(np.eye(4) if T_world_sensor is None else np.asarray(T_world_sensor, dtype=np.float64))
+    middle = slice(COARSER // 2, None, COARSER)
+    radius, z = (part[:, middle, middle].double() for part in (radius_m, z_m))
+    angle = azimuths(view, device=radius.device)[middle]
+    origin = radius.new_tensor(view.origin)
+    sensor = torch.stack([radius * angle.cos(), radius * angle.sin(), z], -1) + origin
+    place = (sensor @ pose[:3, :3].T.to(radius) + pose[:3, 3].to(radius)) * (VOXELS / wavelength_m)
+    low = place.floor()
+    share, low = (place - low).float(), low.long()
+    tile, side = noise_tile(radius.device, torch.float32), 2**BITS
+    noise = torch.zeros_like(share[..., 0])
+    for corner in itertools.product((0, 1), repeat=3):
+        x, y, level = ((low[..., axis] + step).remainder(side) for axis, step in enumerate(corner))
+        weight = [share[..., axis] if step else 1 - share[..., axis] for axis, step in enumerate(corner)]
+        noise += tile[(x * side + y) * side + level] * weight[0] * weight[1] * weight[2]
+    return noise.repeat_interleave(COARSER, 1).repeat_interleave(COARSER, 2)
 
 
 def _axes(

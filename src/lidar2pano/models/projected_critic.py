@@ -42,7 +42,8 @@ class ProjectedCritic(nn.Module):
         scores: list[Tensor] = []
         coarser: Tensor | None = None
         for number in reversed(range(len(features))):
-            x = self.across[number](features[number])
+            x = features[number]
+            x = self.across[number](x / (x.detach().std() + 1e-3))  # depths differ in scale, and conditions are 0 to 1
             if coarser is not None:
                 x = (x + interpolate(coarser, size=x.shape[-2:], mode="bilinear", align_corners=False)) * 0.5**0.5
             x = coarser = self.scales[number](x)

@@ -14,10 +14,10 @@ from typing import Any, Protocol, cast
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import avg_pool2d
+from torch.nn.functional import avg_pool2d, interpolate
 
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.solid_noise import solid_noise
+from lidar2pano.geometry.solid_noise import smooth_noise, solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals, road_height
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.circular import CircularConv, CircularResidual, conv_norm_act
@@ -28,10 +28,13 @@ SKY, ROAD = COMMON15.id_of("sky"), COMMON15.id_of("road")
 COARSE_M = (0.25, 1.0, 4.0)  # wavelengths of the noise on the translator's raster
 FINE_M = (0.0625, 0.125, 0.5)  # and on the picture's
 SHAPE = 8  # channels beside segments and noise: depth, remission, validity, row, height, normals
+OBJECT_M = 16.0  # wavelength at which things differ in brightness: one house from the next, one car from the next
+# Deviations from image to image of how bright a class is, colours in [-1, 1]: KITTI's, rounded.
+VARIED = {"car": 0.3, "truck": 0.3, "other-vehicle": 0.3, "building": 0.35, "fence": 0.3, "person": 0.3, "pole": 0.2}
 WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
 STRIDE = 4  # input pixels per pixel of the coarsest level
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
-TONE = 3  # red, green, blue: how much brighter a picture is than the mean of its look
+TONE = 3  # red, green, blue: how much brighter a picture, or a class in it, is than the mean of its look
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -88,7 +91,7 @@ class ScenePainter(nn.Module):
         fine, middle, coarse = widths
         self.looks, self.look, self.sharp = tuple(looks), look or looks[0], sharp
         self.look_shares(self.look)
-        inputs = classes + SHAPE + len(COARSE_M)
+        inputs = classes + SHAPE + len(COARSE_M) + TONE
         self.codes = nn.Embedding(len(self.looks), code)
         self.stem = conv_norm_act(inputs, fine)
         self.down1 = nn.Sequential(conv_norm_act(fine, middle, stride=2), CircularResidual(middle))
@@ -98,8 +101,8 @@ class ScenePainter(nn.Module):
         self.mix1 = nn.Sequential(conv_norm_act(2 * middle + inputs, middle), CircularResidual(middle))
         self.up0 = nn.Sequential(conv_norm_act(middle, 4 * fine, 1), nn.PixelShuffle(2))
         self.mix0 = conv_norm_act(2 * fine + inputs, fine)
-        self.up = nn.Sequential(conv_norm_act(fine, 4 * last), nn.PixelShuffle(2))
-        self.texture = conv_norm_act(last + len(FINE_M), last)
+        self.narrow = conv_norm_act(fine, last)
+        self.texture = nn.Sequential(conv_norm_act(last + len(FINE_M), last), conv_norm_act(last, last))
         self.colour = CircularConv(last, 3)
         self.tuned = nn.ModuleList([nn.Linear(code + TONE, 2 * width) for width in (coarse, middle, fine)])
         for part in self.modules():
@@ -121,7 +124,7 @@ class ScenePainter(nn.Module):
     def forward(self, inputs: Tensor, fine_noise: Tensor, shares: Tensor, tone: Tensor) -> Tensor:
         """Paint.
 
-        inputs, fine_noise  (B, classes + SHAPE + 3, H, W) and (B, 3, 2H, 2W) of `painter_inputs`.
+        inputs, fine_noise  (B, classes + SHAPE + 6, H, W) and (B, 3, 2H, 2W) of `painter_inputs`.
         shares  (B, looks): shares of each look;  tone: (B, 3), how much brighter than the mean of its look, in [-1, 1].
         Returns (B, 3, 2H, 2W) in [-1, 1]. Raises InputError unless H and W are multiples of 4.
         """
@@ -139,7 +142,8 @@ class ScenePainter(nn.Module):
         x = self.mix1(torch.cat([_channels_last(self.up1(torch.cat([x, inputs4], 1))), middle, inputs2], 1))
         x = self._tuned(1, x, code)
         x = self.mix0(torch.cat([_channels_last(self.up0(x)), fine, inputs], 1))
-        x = _channels_last(self.up(self._tuned(2, x, code)))
+        # enlarged, not shuffled: a pixel shuffle leaves a weave of lines two pixels apart (Odena et al. 2016)
+        x = interpolate(self.narrow(self._tuned(2, x, code)), scale_factor=2)
         return torch.tanh(self.colour(self.texture(torch.cat([x, fine_noise], 1))))
 
     def paint(self, past: object, scene: Scene) -> tuple[None, Tensor]:  # noqa: ARG002
@@ -160,15 +164,22 @@ def sharpened(segments: Tensor, power: Tensor | float) -> Tensor:
     return raised / raised.sum(1, keepdim=True)
 
 
-def painter_inputs(
-    segments: Tensor, depth_m: Tensor, image: Tensor, view: View, T_world_sensor: np.ndarray | None = None
+def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and one sample
+    segments: Tensor,
+    depth_m: Tensor,
+    image: Tensor,
+    view: View,
+    T_world_sensor: np.ndarray | None = None,
+    class_tones: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """What the network sees: (B, classes + SHAPE + 3, H, W) and fine noise (B, 3, 2H, 2W), float32, channels last.
+    """What the network sees: (B, classes + SHAPE + 6, H, W) and fine noise (B, 3, 2H, 2W), float32, channels last.
 
     segments  (B, classes, H, W): probabilities.
     depth_m   (B, H, W): metres, everywhere.
     image     (B, 5, H, W): a RangeImage's channels, of which remission and validity are used.
     view      the raster H x W;  T_world_sensor: (4, 4), where the noise hangs (None: on the sensor's frame).
+    class_tones  (B, classes, 3): how much brighter each class is than the mean of its look, in [-1, 1]; None: noise of
+                 wavelength OBJECT_M for the classes that VARIED names.
     """
     depth_m = depth_m.float()
     best = segments.max(1).indices
@@ -185,7 +196,15 @@ def painter_inputs(
     sky_twice = sky.repeat_interleave(2, 1).repeat_interleave(2, 2)
     coarse = _noise(depth_m, sky, view, COARSE_M, T_world_sensor)
     fine = _noise(twice, sky_twice, view.scaled(2), FINE_M, T_world_sensor)
-    return _channels_last(torch.cat([segments.float(), flat, shape, coarse], 1)), _channels_last(fine)
+    if class_tones is None:
+        varied = segments.new_tensor([VARIED.get(name, 0.0) for name in COMMON15.classes], dtype=torch.float32)
+        brighter = torch.einsum("bchw,c->bhw", segments.float(), varied) * smooth_noise(
+            radius_m, z_m, view, OBJECT_M, T_world_sensor
+        )
+        tones = brighter[:, None].expand(-1, TONE, -1, -1)
+    else:
+        tones = torch.einsum("bchw,bck->bkhw", segments.float(), class_tones)
+    return _channels_last(torch.cat([segments.float(), flat, shape, coarse, tones], 1)), _channels_last(fine)
 
 
 def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:

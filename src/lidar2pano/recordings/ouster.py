@@ -27,7 +27,7 @@ def is_osf(head: bytes) -> bool:
 def scans(path: Path) -> Iterator[Any]:
     """The LidarScans of all sensors of a file, in time; InputError without ouster-sdk, or where it is damaged."""
     try:
-        from ouster.sdk import open_source
+        from ouster.sdk import open_source  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise InputError(
             f"{path}: holds Ouster packets, not points; they are decoded where ouster-sdk is installed"
@@ -62,7 +62,7 @@ def describe(path: Path) -> Description:
 
 def cloud_of_scan(scan: Any, name: str) -> PointCloud:  # noqa: ANN401
     """The points of a LidarScan in the sensor's frame: beam after beam; no return is at the origin."""
-    from ouster.sdk.core import XYZLut
+    from ouster.sdk.core import XYZLut  # pyright: ignore[reportMissingImports]
 
     xyz = XYZLut(scan.sensor_info, use_extrinsics=False)(scan.field("RANGE")).reshape(-1, 3)
     stamps_ns = np.asarray(scan.timestamp)

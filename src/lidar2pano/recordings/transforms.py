@@ -69,8 +69,8 @@ class _Rows:
         """A stamped transform or odometry; what is no pose (NaN, quaternion 0) or follows too soon is left out."""
         stamp = stamped.header.stamp
         stamp_s = stamp.sec + stamp.nanosec * 1e-9
-        place, turn = getattr(pose, "translation", None), getattr(pose, "rotation", None)
-        place, turn = (pose.position, pose.orientation) if place is None else (place, turn)
+        moved = hasattr(pose, "translation")  # a Transform; an odometry has a Pose
+        place, turn = (pose.translation, pose.rotation) if moved else (pose.position, pose.orientation)
         row = (stamp_s, place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
         rows = self._rows[child.strip("/")]
         if np.isfinite(row).all() and abs(np.linalg.norm(row[4:]) - 1) < 0.01:

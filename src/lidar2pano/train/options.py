@@ -213,6 +213,7 @@ class ScenePaintingOptions(TaskOptions):
     sharpest                   largest power that class probabilities are raised to.
     simulated_probability      where there are real and simulated frames: of the second of a sample's two crops being
                                of a simulated frame; otherwise it is of a real one, as the first.
+    augment_probability        of each kind of DiffAugment.
     fixed_norms                whether norms keep their statistics.
     look                       of frames that no simulator made.
     cache                      folder that keeps what is made of each frame.
@@ -223,12 +224,13 @@ class ScenePaintingOptions(TaskOptions):
     SIZES = ("columns",)
     columns: int = 256
     perceptual: float = 2.0
-    pooled: float = 2.0
-    pixels: float = 0.5
+    pooled: float = 6.0
+    pixels: float = 0.2
     adversarial: float = 0.35
     ground_truth_probability: float = 0.6
     sharpest: float = 4.0
     simulated_probability: float = 0.5
+    augment_probability: float = 0.0
     fixed_norms: bool = False
     look: str = ""
     cache: str = "painting-frames"

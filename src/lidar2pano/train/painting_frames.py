@@ -26,6 +26,8 @@ from lidar2pano.labels import COMMON15
 from lidar2pano.pipeline import Pipeline
 from lidar2pano.train.options import ScenePaintingOptions
 
+NOT_FLIPPED = ("look", "tone", "class_tones")
+SCORED_PIXELS = 30  # known pixels of a class in a frame, of every 64th; fewer say nothing about its tone
 MARGIN = 48  # columns of a camera's sector that are kept on each side beyond those of a crop
 
 
@@ -37,6 +39,7 @@ class PaintingSample(NamedTuple):
     labels    (N, H, W) int64 ids of COMMON15, IGNORE where not known.
     image     (N, 3, 2H, 2W) float32 in [-1, 1];  valid (N, 2H, 2W) bool: where it is known.
     look      (N,) int64: number of the look;  tone (N, 3) float32: how much brighter than the mean of its look.
+    class_tones  (N, 16, 3) float32: likewise each class; 0 where the frame does not show it.
     """
 
     segments: Tensor
@@ -47,6 +50,7 @@ class PaintingSample(NamedTuple):
     valid: Tensor
     look: Tensor
     tone: Tensor
+    class_tones: Tensor
 
     def flat(self) -> Self:
         """Join the first two dimensions, batch and crops."""
@@ -104,6 +108,7 @@ class PaintingFrames:
         coarse, fine = slice(start, start + columns), slice(2 * start, 2 * (start + columns))
         channels = torch.zeros(5, len(kept["valid"]), columns)
         channels[0], channels[4] = kept["valid"][:, coarse], kept["remission"][:, coarse]
+        tone, class_tones = self._tones(index)
         sample = PaintingSample(
             segments=kept["segments"][..., coarse],
             depth_m=kept["depth_m"][:, coarse].float(),
@@ -112,11 +117,12 @@ class PaintingFrames:
             image=kept["colour"][..., fine].float() / 127.5 - 1,
             valid=kept["seen"][:, fine],
             look=torch.tensor(self.look[index]),
-            tone=self._tone(index),
+            tone=tone,
+            class_tones=class_tones,
         )
         if generator is None or generator.random() < 0.5:
             return sample
-        flipped = {name: getattr(sample, name).flip(-1) for name in sample._fields if name not in ("look", "tone")}
+        flipped = {name: getattr(sample, name).flip(-1) for name in sample._fields if name not in NOT_FLIPPED}
         return sample._replace(**flipped)
 
     def kept(self, index: int) -> dict[str, Tensor]:
@@ -155,8 +161,8 @@ class PaintingFrames:
         }
         return {name: value.contiguous() for name, value in kept.items()}
 
-    def _tone(self, index: int) -> Tensor:
-        """How much brighter an image is than its classes are on average in its look: (3,) in [-1, 1]."""
+    def _tones(self, index: int) -> tuple[Tensor, Tensor]:
+        """How much brighter an image is than its classes are on average in its look, (3,), and each class, (16, 3)."""
         look = self.look[index]
         if look not in self._means:
             files = {self._file(number) for number, one in enumerate(self.look) if one == look}
@@ -164,7 +170,10 @@ class PaintingFrames:
             total, count = (torch.stack(part).sum(0) for part in zip(*sums, strict=True))
             self._means[look] = total / count.clamp(min=1)[:, None]
         total, count = self._sums(self._file(index))
-        return (total - self._means[look] * count[:, None]).sum(0) / count.sum().clamp(min=1)
+        excess = total - self._means[look] * count[:, None]
+        known = (count >= SCORED_PIXELS)[:, None]
+        class_tones = (excess / count.clamp(min=1)[:, None]).where(known, 0.0)
+        return excess.sum(0) / count.sum().clamp(min=1), class_tones[: len(COMMON15)]
 
     @staticmethod
     def _sums(file: Path) -> tuple[Tensor, Tensor]:

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import l1_loss
+from torch.nn.functional import l1_loss, mse_loss
 
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.errors import InputError
@@ -17,6 +17,7 @@ from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.losses import hinge_critic, hinge_generator, pooled
+from lidar2pano.losses.diff_augment import DiffAugment
 from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
 from lidar2pano.models.scene_painter import ScenePainter, painter_inputs, sharpened
 from lidar2pano.models.titan_pano import depth_code
@@ -63,11 +64,13 @@ class ScenePainting:
         segments = self.segments(batch)
         fake = self.painted(batch, segments)
         real = torch.where(batch.valid[:, None], batch.image, fake.detach())
+        condition = torch.cat([segments, depth_code(batch.depth_m)[:, None]], 1)
+        if self.options.augment_probability:
+            real, fake, condition = self._augmented(real, fake, condition)
         with fast_arithmetic(device):
             with torch.no_grad():
                 on_real = self.features(real.contiguous(memory_format=torch.channels_last))
             on_fake = self.features(fake.contiguous(memory_format=torch.channels_last))
-        condition = torch.cat([segments, depth_code(batch.depth_m)[:, None]], 1)
         critic = self.networks["critic"]
         if self.options.adversarial:
             scores = zip(
@@ -77,7 +80,7 @@ class ScenePainting:
         options = self.options
         pairs = [(one.float(), other.float()) for one, other in zip(on_real, on_fake, strict=True)]
         perceptual = _mean([l1_loss(fake, real) / (real.std() + 1e-3) for real, fake in pairs])
-        coarse = l1_loss(pooled(fake), pooled(real))
+        coarse = mse_loss(pooled(fake), pooled(real))  # its best is the mean, which for dark cars is not the median
         pixels = l1_loss(fake, real)
         self.logs = {"perceptual": perceptual.detach(), "pooled": coarse.detach(), "pixels": pixels.detach()}
         loss = options.perceptual * perceptual + options.pooled * coarse + options.pixels * pixels
@@ -88,8 +91,20 @@ class ScenePainting:
             loss = loss + options.adversarial * adversarial
         yield "painter", loss
 
-    def painted(self, batch: PaintingSample, segments: Tensor) -> Tensor:
-        """Pictures (B, 3, 2H, 2W) float32 in [-1, 1] of a batch, at a random place in the noise."""
+    def _augmented(self, real: Tensor, fake: Tensor, condition: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The same DiffAugment of real and painted pictures, which all losses then compare, and of the condition."""
+        augment = DiffAugment.drawn(len(fake), self.options.augment_probability)
+        everywhere = torch.ones_like(fake[:, :1])
+        large = condition.repeat_interleave(2, 2).repeat_interleave(2, 3)
+        joined = augment.apply(fake, everywhere, large)
+        return augment.apply(real, everywhere, large[:, :0])[:, :3], joined[:, :3], joined[:, 3:].detach()
+
+    def painted(self, batch: PaintingSample, segments: Tensor, *, as_used: bool = False) -> Tensor:
+        """Pictures (B, 3, 2H, 2W) float32 in [-1, 1] of a batch, at a random place in the noise.
+
+        as_used  whether tones are the pipeline's instead of the images'.
+        """
+        tones = None if as_used else batch.class_tones
         painter = self.networks["painter"]
         if self.options.fixed_norms and painter.training:
             for part in painter.modules():
@@ -100,7 +115,7 @@ class ScenePainting:
         shares = torch.eye(len(self.looks), device=segments.device)[batch.look]
         window = self.view.window(int(np.random.randint(self.view.columns)), segments.shape[3])  # noqa: NPY002
         with torch.no_grad():
-            inputs = painter_inputs(segments, batch.depth_m, batch.channels, window, pose)
+            inputs = painter_inputs(segments, batch.depth_m, batch.channels, window, pose, tones)
         return painter(*inputs, shares, batch.tone).float()
 
     def segments(self, batch: PaintingSample) -> Tensor:
@@ -119,7 +134,7 @@ class ScenePainting:
         sample = self.validation[index]
         one = PaintingSample(*(part[None].to(device) for part in sample)).flat()
         one = one._replace(tone=torch.zeros_like(one.tone))
-        return self.painted(one, sharpened(one.segments, 2.0))[0].cpu(), sample
+        return self.painted(one, sharpened(one.segments, 2.0), as_used=True)[0].cpu(), sample
 
     def validate(self) -> dict[str, float]:
         """Mean distance of pooled colours in [0, 1]; no score, since that is not what is wanted: the latest counts."""
