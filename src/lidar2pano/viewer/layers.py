@@ -74,19 +74,20 @@ def depth_codes(depth_m: np.ndarray) -> np.ndarray:
     return np.where(depth_m > 0, steps + 1, 0).astype(np.uint8)
 
 
-def point_bytes(xyz: np.ndarray, coding: Coding) -> tuple[bytes, int]:
-    """(bytes, number of points) of points (N, 3) in metres: `coding.points` of them at most, evenly chosen.
+def point_bytes(xyz: np.ndarray, coding: Coding) -> tuple[bytes, int, int]:
+    """(bytes, points in them, usable points) of points (N, 3) in metres: `coding.points` at most, evenly chosen.
 
-    Only finite points within 327 m are kept. Whole centimetres, each as the difference from the point before, in six
-    planes (low and high bytes of x, of y, of z), compressed by zlib.
+    Usable are finite points within 327 m, but for the sensor's origin, which means no echo. They are whole centimetres,
+    each the difference from the point before, in six planes (low and high bytes of x, of y, of z), compressed by zlib.
     """
     centimetres = np.round(xyz.astype(np.float64) / CENTIMETRE)
     centimetres = centimetres[(np.abs(centimetres) < 1 << 15).all(axis=1) & centimetres.any(axis=1)]  # NaN is not less
-    if len(centimetres) > coding.points:
-        centimetres = centimetres[np.linspace(0, len(centimetres) - 1, coding.points).astype(np.int64)]
+    usable = len(centimetres)
+    if usable > coding.points:
+        centimetres = centimetres[np.linspace(0, usable - 1, coding.points).astype(np.int64)]
     steps = np.diff(centimetres.astype("<i2"), axis=0, prepend=np.zeros((1, 3), dtype="<i2"))  # wraps, as the sum does
     planes = np.ascontiguousarray(steps.T).view(np.uint8).reshape(3, -1, 2).transpose(0, 2, 1)
-    return zlib.compress(planes.tobytes(), 6), len(centimetres)
+    return zlib.compress(planes.tobytes(), 6), len(centimetres), usable
 
 
 def _codes(codes: np.ndarray, coarser: int) -> tuple[bytes, str]:

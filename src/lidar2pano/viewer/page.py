@@ -131,8 +131,8 @@ class PageWriter:
             "layers": layers,
         }
         if frame.xyz is not None:
-            data, count = point_bytes(frame.xyz, coding)
-            entry["points"] = [*self._block(data, "")[:1], count, len(frame.xyz)]
+            data, count, usable = point_bytes(frame.xyz, coding)
+            entry["points"] = [*self._block(data, "")[:1], count, usable]
         return entry
 
     def write(self, path: Path) -> Path:
