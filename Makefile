@@ -19,7 +19,7 @@ setup: .venv/.ready
 	  { echo "lidar2pano needs Python 3.11 or newer and '$(PYTHON)' is not; try: make PYTHON=python3.11" >&2; exit 1; }
 	test -x $(BIN)/pip || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[train,world,teachers,odometry,las,arrow,zstd,pcd,bags,pcap,fsspec,onnx,fast,video,rerun,docs,dev]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[train,world,teachers,odometry,las,arrow,zstd,pcd,bags,pcap,fsspec,ray,serve,onnx,fast,video,rerun,docs,dev]'
 	@touch $@
 
 demo: setup

@@ -27,8 +27,9 @@ from lidar2pano.formats.readers import ReadOptions, open_path
 
 RECORDINGS = {".bag", ".db3", ".mcap", ".pcap", ".osf"}  # have pages of their own
 IGNORED = {".md", ".json"}
-REPEAT = 9  # timings, of which the median counts
-WIDTH, HEIGHT = 1200, 200  # of a panorama on the sheet
+FIELDS = ("x", "y", "z", "intensity")  # that are read with other libraries, too
+REPEAT = 21  # timings, of which the median counts
+WIDTH, HEIGHT = 1000, 167  # of a panorama on the sheet
 
 
 def numpy_points(path: Path) -> np.ndarray:
@@ -49,12 +50,13 @@ def theirs(path: Path) -> tuple[str, np.ndarray]:
         case ".pcd":
             from pypcd4 import PointCloud as Pcd
 
-            return "pypcd4", Pcd.from_path(path).numpy(("x", "y", "z"))
+            found = Pcd.from_path(path)
+            return "pypcd4", found.numpy([name for name in FIELDS if name in found.fields])[:, :3]
         case ".ply":
             from plyfile import PlyData
 
             vertex = PlyData.read(path)["vertex"]
-            return "plyfile", np.column_stack([vertex[axis] for axis in "xyz"])
+            return "plyfile", np.column_stack([vertex[name] for name in (*"xyz", "scalar_intensity")])[:, :3]
         case ".las" | ".laz":
             import laspy
 
@@ -166,7 +168,7 @@ def main() -> None:
         tail = rest.partition("<!-- end -->")[2]
         arguments.page.write_text(f"{head}<!-- table -->\n{lines}\n<!-- end -->{tail}", encoding="utf-8")
     if arguments.sheet and arguments.panoramas:
-        sheet(arguments.folder, arguments.panoramas).save(arguments.sheet, quality=70)
+        sheet(arguments.folder, arguments.panoramas).save(arguments.sheet, quality=60)
 
 
 if __name__ == "__main__":

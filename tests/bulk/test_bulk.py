@@ -8,18 +8,18 @@ import random
 import signal
 import time
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from lidar2pano.bulk import Entry, Job, Manifest, Shard, entries, start
+from bulk_runs import SCANS, assert_each_once, contents, job_of, manifest, run
+from lidar2pano.bulk import Entry, Job, Shard, entries
 from lidar2pano.bulk.entries import SEMANTIC_KITTI
 from lidar2pano.bulk.instances import grow
 from lidar2pano.bulk.stores import SCRATCH, open_store
-from lidar2pano.cli.bulk import BAD_SCANS, TERMINATED, work
+from lidar2pano.cli.bulk import BAD_SCANS, TERMINATED
 from lidar2pano.data.frames import frames
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
@@ -27,9 +27,6 @@ from lidar2pano.labels import COMMON15
 from random_weights import CALIB, street, write_scan
 from slow_definitions import grow_slowly
 from stand_in_pipeline import StandIn
-
-SCANS = 24
-WHOLE = Shard()
 
 
 @pytest.fixture
@@ -39,36 +36,6 @@ def root(tmp_path):
     for number in range(SCANS):
         write_scan(tmp_path / "in" / folders[number % 3] / f"{number:06d}.bin", street(50, seed=number))
     return tmp_path / "in"
-
-
-def job_of(root: Path | str, out: Path | str, **changes) -> Job:
-    job = Job(source=str(root), out=str(out), save=("rgb", "depth"), weights="stand-in", pipeline=StandIn())
-    return replace(job, **changes)
-
-
-def run(job: Job, shard: Shard = WHOLE) -> int:
-    """What the command does after it has understood its options."""
-    found = entries(open_store(job.source), shard, job.layout, labels=job.use_labels)
-    start(job, found, {}, "")
-    return work(job, found, Manifest(open_store(job.out), shard))
-
-
-def contents(out: Path) -> dict[str, bytes]:
-    """Every file but the manifests, by its path."""
-    files = (path for path in out.rglob("*") if path.is_file() and path.parent.name != "manifest")
-    return {path.relative_to(out).as_posix(): path.read_bytes() for path in files}
-
-
-def manifest(out: Path) -> list[dict]:
-    files = sorted((out / "manifest").iterdir())
-    return [json.loads(line) for file in files for line in file.read_text().splitlines()]
-
-
-def assert_each_once(out: Path, root: Path) -> None:
-    names = sorted(path.relative_to(root).as_posix() for path in root.rglob("*.bin"))
-    lines = manifest(out)
-    assert sorted(line["input"] for line in lines) == names
-    assert all(line["error"] is None and (out / name).is_file() for line in lines for name in line["outputs"])
 
 
 # --- killed runs ------------------------------------------------------------------------------------------------------
@@ -197,6 +164,13 @@ def test_other_settings_are_refused(root, tmp_path):
         run(job_of(root, out))
     with pytest.raises(InputError, match="is the folder of the scans"):
         run(job_of(root, root))
+
+
+def test_other_image_formats(root, tmp_path):
+    assert run(job_of(root, tmp_path / "out", image_format="jpeg")) == 0
+    assert run(job_of(root, tmp_path / "out", image_format="jpeg")) == 0
+    assert read_image(tmp_path / "out" / "a" / "000000.jpg", "RGB").shape == (24, 288, 3)
+    assert not list(tmp_path.glob("out/*/*[0-9].png"))
 
 
 # --- shards -----------------------------------------------------------------------------------------------------------

@@ -7,9 +7,10 @@ import shutil
 
 import pytest
 import torch
+from typer.main import get_command
 
 from lidar2pano import demo
-from lidar2pano.cli import main
+from lidar2pano.cli import app, main
 from lidar2pano.hardware import Timer
 from lidar2pano.pipeline import load
 from random_weights import street
@@ -53,12 +54,28 @@ def test_given_labels_do_what_the_segmenters_do(random_weights):
 
 
 @pytest.mark.parametrize(
+    ("words", "address"),
+    [
+        ([], ""),
+        (["--ray"], "auto"),
+        (["--ray", "--shard", "0/2"], "auto"),
+        (["--ray", "head:6379"], "head:6379"),
+    ],
+)
+def test_the_address_may_be_left_out(words, address):
+    command = get_command(app).commands["bulk"]
+    context = command.make_context("bulk", ["drive", "--out", "o", *words])
+    assert context.params["address"] == address and context.params["root"] == "drive"
+
+
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["nowhere", "--out", "o"], "nowhere: is no folder; name a folder of scans, or a URL"),
         (["drive", "--out", "o", "--shard", "3/3"], "--shard 3/3: is not of the form i/n"),
         (["drive", "--out", "o", "--as", "semantikitti"], "did you mean 'semantickitti'?"),
         (["drive", "--out", "o", "--save", "rbg"], "did you mean 'rgb'?"),
+        (["drive", "--out", "o", "--format", "webp", "--as", "semantickitti"], "a data set's panoramas are PNG"),
         (["drive", "--out", "o", "--look", "B"], "these weights paint one look only"),
         (["drive", "--out", "drive"], "drive: is the folder of the scans; choose another --out"),
         (["drive/one/a.bin", "--out", "o"], "drive/one/a.bin: is no folder"),

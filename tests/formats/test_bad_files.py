@@ -177,3 +177,22 @@ def test_the_command_line_says_one_line(tmp_path, capsys, command, name):
     said = capsys.readouterr()
     assert said.err.startswith(f"lidar2pano: {path}: ") and said.err.count("\n") == 1
     assert said.out == "" and not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "module", "extra"),
+    [
+        ("packed.laz", "laspy", "las"),
+        ("argoverse.feather", "pyarrow", "arrow"),
+        ("packed.bin.zst", "zstandard", "zstd"),
+    ],
+)
+def test_a_missing_extra_is_named(tmp_path, monkeypatch, name, module, extra):
+    monkeypatch.setitem(sys.modules, module, None)
+    path = made.write(tmp_path, name, FILES[name])
+    assert points(path) == f"{path}: needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'"
+
+
+def test_compressed_pcds_need_no_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "lzf", None)
+    assert points(made.write(tmp_path, "a.pcd", FILES["compressed.pcd"])) == len(XYZ)

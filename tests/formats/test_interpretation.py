@@ -234,7 +234,7 @@ def test_what_the_car_hides():
     assert along == pytest.approx((5.6, 5.6), abs=0.5) and across == pytest.approx((4.0, 4.0), abs=0.5)
 
 
-def test_the_viewpoint_is_found_by_sharp_beams():
+def test_the_viewpoint_is_found_by_beams():
     there = np.array([0.4, -0.3, 0.2])
     moved = XYZ.astype(np.float64) + there
     standing = moved[XYZ[:, 2] > -1.5]

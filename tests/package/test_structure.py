@@ -17,7 +17,8 @@ from lidar2pano.models import MODELS
 NETWORKS = {network.__name__ for network in MODELS.values()}
 CONFIGS = [house_rules.SOURCE / "train" / name for name in ("recipe.py", "options.py")]
 HEAVY = ("torch", "lightning", "torchmetrics", "tensorboard", "transformers", "cv2", "matplotlib", "scipy", "skimage")
-PROMISED = {"demo", "translate", "world", "prepare", "train", "evaluate", "reproduce", "weights", "bulk", "bench"}
+PROMISED = {"demo", "translate", "world", "prepare", "train", "evaluate", "reproduce", "weights", "bench"}
+PROMISED |= {"bulk", "serve"}
 MOST_SECONDS = 1.0
 
 # Runs the help of every command in one process; the last line it prints is JSON.

@@ -143,6 +143,17 @@ def test_the_vehicle_itself_is_not_in_the_image(pipeline):
     assert np.array_equal(found.depth_m, plain.depth_m)
 
 
+def test_nothing_is_claimed_out_of_the_field_of_view(pipeline):
+    whole, part = pipeline(street()), pipeline(replace(street(), gaps_deg=((-90.0, -270.0),)))
+    quarter = part.segments.shape[1] // 4  # the columns run from 180 down to -180 degrees
+    for found in (part.segments, part.depth_m):
+        assert not found[:, :quarter].any() and not found[:, -quarter:].any()
+    inside = (slice(None), slice(quarter, -quarter))
+    assert np.array_equal(part.segments[inside], whole.segments[inside]) and part.segments[inside].any()
+    assert np.array_equal(part.depth_m[inside], whole.depth_m[inside])
+    assert np.array_equal(part.colour, whole.colour)
+
+
 @pytest.mark.parametrize("point", [(np.nan, 0, 0), (0, 0, 0), (np.inf, 1, 1), (0.3, 0.3, -0.2)])
 def test_a_scan_without_a_usable_point_is_refused(pipeline, point):
     scan = Scan(xyz=np.full((4, 3), point, np.float32), remission=np.zeros(4, np.float32), name="bad")

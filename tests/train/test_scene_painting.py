@@ -65,6 +65,7 @@ def batch() -> PaintingSample:
         look=torch.tensor([[0], [1]]),
         tone=torch.zeros(2, 1, 3),
         class_tones=torch.zeros(2, 1, 16, 3),
+        class_means=torch.full((2, 1, 16, 3), torch.nan),
     )
 
 
@@ -105,7 +106,7 @@ def test_ground_truth_is_painted_where_it_is_known_and_drawn(task, batch):
     assert torch.allclose(task.segments(half), half.segments.float(), atol=1e-3)
 
 
-def test_both_pictures_and_the_condition_are_augmented_alike(task, batch):
+def test_both_images_and_the_condition_are_augmented_alike(task, batch):
     task.options = replace(task.options, augment_probability=1.0)
     image = batch.flat().image
     condition = torch.rand(2, 17, 32, 64)
@@ -116,3 +117,16 @@ def test_both_pictures_and_the_condition_are_augmented_alike(task, batch):
     cut = (changed == 0).all(1)
     assert cut.any() and not cut.all()
     assert torch.equal((fake == 0).all(1), cut), "cut out of both at the same place"
+
+
+def test_where_no_camera_looked_colours_are_drawn_to_their_classes(task, batch):
+    """By hand: road is painted 0.3 where it is -0.2 on average; the sky's colour is not known."""
+    flat = batch.flat()
+    flat.class_means[:, 1] = -0.2
+    flat.valid[:, 32:] = False
+    segments = torch.zeros(2, 16, 32, 64)
+    segments[:, 15, :24], segments[:, 1, 24:] = 1, 1
+    painted = torch.full((2, 3, 64, 128), 0.3)
+    assert task._unseen(flat, segments, painted).item() == pytest.approx(0.25, abs=1e-6)
+    flat.valid[:] = True
+    assert task._unseen(flat, segments, painted).item() == 0

@@ -48,10 +48,10 @@ class Entry:
         parts = self.stem.split("/")[:-1]
         return "-".join(part for part in parts if part not in ("sequences", "velodyne")) or "00"
 
-    def outputs(self, save: Sequence[str], layout: str = MIRRORED) -> dict[str, str]:
-        """Names of its outputs below OUT, by what they hold."""
+    def outputs(self, save: Sequence[str], layout: str = MIRRORED, colour: str = ".png") -> dict[str, str]:
+        """Names of its outputs below OUT, by what they hold; `colour` is the ending of colour images."""
         if layout == MIRRORED:
-            return {part: self.stem + SUFFIXES[part] for part in save}
+            return {part: self.stem + (colour if part == "rgb" else SUFFIXES[part]) for part in save}
         frame = self.stem.rpartition("/")[2]
         parts = (*save, "instances") if self.label else save
         return {part: f"sequences/{self.sequence}/{IN_SEQUENCE[part].format(frame)}" for part in parts}

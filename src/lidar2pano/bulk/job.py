@@ -20,7 +20,7 @@ from lidar2pano.bulk.manifest import line
 from lidar2pano.bulk.stores import Store, open_store
 from lidar2pano.calibration import read_calib
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import write_ids, write_whole
+from lidar2pano.formats.image_files import COLOUR_FORMATS, write_ids, write_whole
 from lidar2pano.formats.readers import read
 from lidar2pano.formats.scan_files import read_label
 from lidar2pano.hardware import Timer
@@ -41,6 +41,7 @@ class Job:
     use_labels   whether a scan's own labels take the place of the segmenter's.
     weights      name, for the manifest.
     pipeline     makes the pipeline, once per process.
+    image_format  of colour images, one of COLOUR_FORMATS.
     """
 
     source: str
@@ -50,10 +51,11 @@ class Job:
     pipeline: Callable[[], Pipeline]
     layout: str = MIRRORED
     use_labels: bool = False
+    image_format: str = "png"
 
     def outputs(self, entry: Entry) -> dict[str, str]:
         """Names of a scan's outputs below `out`, by what they hold."""
-        return entry.outputs(self.save, self.layout)
+        return entry.outputs(self.save, self.layout, COLOUR_FORMATS[self.image_format][0])
 
 
 @dataclass(kw_only=True)
@@ -167,7 +169,7 @@ class Worker:
             names = self.job.outputs(work.entry)
             with work.timer("save"):
                 stem = hashlib.sha256(work.entry.input.encode()).hexdigest()
-                files = work.panorama.save(self._folder, self.job.save, None, stem)
+                files = work.panorama.save(self._folder, self.job.save, None, stem, self.job.image_format)
                 of = dict(zip((part for part in OUTPUTS if part in self.job.save), files, strict=True))
                 if (raster := work.instances) is not None:
                     file = self._folder / f"{stem}.instances.png"

@@ -19,10 +19,10 @@ NAME = "bulk.json"
 SEQUENCE_FILES = ("calib.txt", "poses.txt", "times.txt")
 
 
-def start(job: Job, found: list[Entry], files: Mapping[str, Path], look: str) -> None:
+def start(job: Job, found: list[Entry], files: Mapping[str, Path], options: Mapping[str, str]) -> None:
     """Write bulk.json beside the panoramas, or check that the one that is there has the same settings.
 
-    files  the weight files by role.
+    files  the weight files by role;  options: what else the outputs depend on.
     In a data set's layout, calibrations, poses and splits are copied too. Raises InputError where OUT holds panoramas
     of other settings, or files that no bulk run wrote.
     """
@@ -34,7 +34,7 @@ def start(job: Job, found: list[Entry], files: Mapping[str, Path], look: str) ->
         "lidar2pano": __version__,
         "weights": job.weights,
         "sha256": {role: file_hash(file) for role, file in sorted(files.items())},
-        "look": look,
+        **options,
         "save": list(job.save),
         "as": job.layout,
         "labels": job.use_labels,

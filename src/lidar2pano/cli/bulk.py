@@ -4,26 +4,41 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
+from typer.core import TyperCommand
 
 from lidar2pano.cli.app import app, complain, note_licence
-from lidar2pano.cli.translate import DeviceOption, WeightsOption
+from lidar2pano.cli.translate import DeviceOption, EngineOption, WeightsOption
 from lidar2pano.errors import InputError, closest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from lidar2pano.bulk import Entry, Job, Manifest, Shard
+    from lidar2pano.cli.batch import Options
 
-    from lidar2pano.bulk import Entry, Job, Manifest
-
+# (job, scans to do, whether to stop) -> the manifest's lines
+Translate = Callable[["Job", "list[Entry]", Callable[[], bool]], Iterable[dict[str, Any]]]
 BAD_SCANS, TERMINATED = 3, 143  # exit codes: some scans failed; stopped by SIGTERM
 
 
-@app.command()
+class WithOptionalAddress(TyperCommand):
+    """A command whose --ray may stand without a value."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
+        """Insert "auto" where --ray is followed by another option or by nothing."""
+        words: list[str] = []
+        for word, following in zip(args, [*args[1:], "-"], strict=True):
+            words += [word, "auto"] if word == "--ray" and following.startswith("-") else [word]
+        return super().parse_args(ctx, words)
+
+
+@app.command(cls=WithOptionalAddress)
 def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     root: Annotated[str, typer.Argument(metavar="ROOT", help="Folder, or URL, below which all scans are translated.")],
     out: Annotated[str, typer.Option(metavar="DIR", help="Folder, or URL, for the panoramas.")],
@@ -47,52 +62,124 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
         str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
     ] = "",
     device: DeviceOption = "auto",
+    engine: EngineOption = "auto",
+    image_format: Annotated[
+        str, typer.Option("--format", metavar="png|webp|jpeg", help="Format of the colour images.")
+    ] = "png",
+    address: Annotated[
+        str,
+        typer.Option(
+            "--ray", metavar="[ADDRESS]", help="Work on a Ray cluster: this one, or one that is found or started."
+        ),
+    ] = "",
+    workers: Annotated[
+        int, typer.Option(min=0, metavar="N", help="With --ray: how many workers (0: as many as fit).")
+    ] = 0,
+    cores: Annotated[int, typer.Option(min=1, metavar="N", help="With --ray: processor cores of each worker.")] = 2,
 ) -> None:
     """Translate any number of scans. Repeat the command to go on where it stopped."""
-    from lidar2pano.bulk import Job, Manifest, Shard, entries, start
-    from lidar2pano.bulk.entries import LAYOUTS
-    from lidar2pano.bulk.stores import open_store
-    from lidar2pano.cli.batch import Options, parse_save
+    from lidar2pano.bulk import Shard
+    from lidar2pano.cli.batch import Options, parse_format, parse_save
     from lidar2pano.hardware import pick_device
-    from lidar2pano.models.card import read_card
     from lidar2pano.models.families import weight_files
 
-    if layout not in LAYOUTS:
-        raise InputError(f"--as {layout}: no such layout{closest(layout, LAYOUTS[1:])}")
-    part, files = Shard.parsed(shard), weight_files(weights)
+    _check_layout(root, layout, image_format)
+    part = Shard.parsed(shard)
     options = Options(
         out=Path(out),
         save=parse_save(save or ("rgb,segments,depth" if layout else "rgb")),
         weights=weights,
-        files=files,
-        device=pick_device(device),
+        files=weight_files(weights),
+        device=pick_device("cpu" if address else device),
         look=look,
+        engine=engine,
+        image_format=parse_format(image_format),
     )
-    job = Job(
-        source=root,
-        out=out,
+    job = job_of(root, out, options, layout, use_labels)
+    raise typer.Exit(run(job, part, options, Cluster(address, device, workers, cores)))
+
+
+def run(job: Job, part: Shard, options: Options, cluster: Cluster) -> int:
+    """List the scans, check what is there, translate the rest, and return the exit code."""
+    from lidar2pano.bulk import Manifest, entries, start, translate_all
+    from lidar2pano.bulk.stores import open_store
+    from lidar2pano.engines import pick_engine
+    from lidar2pano.models.card import read_card
+
+    pick_engine(options.engine, options.device)
+    found = entries(open_store(job.source), part, job.layout, labels=job.use_labels)
+    settings = {"look": options.look, "engine": options.engine, "format": options.image_format}
+    start(job, found, options.files, settings)
+    note_licence(read_card(file) for file in options.files.values())
+    manifest = Manifest(open_store(job.out), part)
+    if cluster.address:
+        return work_on_ray(job, found, manifest, options, cluster)
+    return work(job, found, manifest, translate_all)
+
+
+class Cluster(NamedTuple):
+    """--ray, --device, --workers and --cores."""
+
+    address: str
+    device: str
+    workers: int
+    cores: int
+
+
+def work_on_ray(job: Job, found: list[Entry], manifest: Manifest, options: Options, cluster: Cluster) -> int:
+    """`work` on a Ray cluster, whose machines and not this one decide on the device."""
+    import torch
+
+    from lidar2pano.bulk.on_ray import connected, translate_on_ray
+
+    with connected(cluster.address) as resources:
+        gpus = 1 if cluster.device == "cuda" or (cluster.device == "auto" and resources.get("GPU")) else 0
+        fitting = resources.get("GPU", 0) if gpus else resources.get("CPU", 0) // cluster.cores
+        count = cluster.workers or max(1, int(fitting))
+        translate = partial(translate_on_ray, workers=count, cores=cluster.cores, gpus=gpus)
+        options = replace(options, device=torch.device("cuda" if gpus else "cpu"))
+        return work(replace(job, pipeline=options.pipeline), found, manifest, translate)
+
+
+def job_of(root: str, out: str, options: Options, layout: str, use_labels: bool) -> Job:
+    """What is wanted of every scan."""
+    from lidar2pano.bulk import Job
+
+    return Job(
+        source=_absolute(root),
+        out=_absolute(out),
         save=options.save,
         layout=layout,
         use_labels=use_labels,
-        weights=weights,
+        weights=options.weights,
         pipeline=options.pipeline,
+        image_format=options.image_format,
     )
+
+
+def _check_layout(root: str, layout: str, image_format: str) -> None:
+    from lidar2pano.bulk.entries import LAYOUTS
+
+    if layout not in LAYOUTS:
+        raise InputError(f"--as {layout}: no such layout{closest(layout, LAYOUTS[1:])}")
+    if layout and image_format != "png":
+        raise InputError(f"--format {image_format}: a data set's panoramas are PNG; leave it out, or --as")
     if "://" not in root and not Path(root).is_dir():
         raise InputError(f"{root}: is no folder; name a folder of scans, or a URL")
-    found = entries(open_store(root), part, layout, labels=use_labels)
-    start(job, found, files, look)
-    note_licence(read_card(file) for file in files.values())
-    raise typer.Exit(work(job, found, Manifest(open_store(out), part)))
 
 
-def work(job: Job, found: list[Entry], manifest: Manifest) -> int:
+def _absolute(place: str) -> str:
+    """A folder's whole path, as processes elsewhere need it; a URL as it is."""
+    return place if "://" in place else str(Path(place).absolute())
+
+
+def work(job: Job, found: list[Entry], manifest: Manifest, translate: Translate) -> int:
     """Translate what is not done yet, and return the exit code."""
-    from lidar2pano.bulk import translate_all
     from lidar2pano.bulk.resume import remaining
 
     todo = remaining(job, found, manifest)
     with until_terminated() as stopped:
-        written, bad = consume(translate_all(job, todo, stopped), len(todo), manifest)
+        written, bad = consume(translate(job, todo, stopped), len(todo), manifest)
         terminated = stopped()
     before = len(found) - len(todo)
     left = len(todo) - written - bad

@@ -10,7 +10,7 @@ from lidar2pano.formats.viewpoint import sharpness
 
 NEAR_M = 2.0  # nearer points blur: a beam begins some centimetres from the sensor's origin
 BIN_DEG = 0.02  # of the histogram in which beams are peaks
-SHARP = 1.6  # of elevations that gather at beams
+GATHERED = 1.6  # of elevations that gather at beams
 LEAST_SHARE = 0.1  # of the median peak's points: smaller peaks are chance
 FEWEST, MOST = 4, 300  # beams of a sensor
 FEWEST_POINTS = 20  # of a beam
@@ -88,7 +88,7 @@ def find_beams(xyz: np.ndarray, ring: np.ndarray | None = None) -> Beams | None:
         width = [np.ptp(np.percentile(elevation[number == one], (25, 75))) for one in np.unique(number)]
         if np.median(width) < WIDEST_DEG:
             return _of_rings(elevation, number, "file order")
-    if sharpness(xyz[near], np.zeros(3)) < SHARP:
+    if sharpness(xyz[near], np.zeros(3)) < GATHERED:
         return None
     return _of_peaks(elevation)
 

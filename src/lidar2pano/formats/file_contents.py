@@ -77,11 +77,11 @@ def contents(path: Path) -> bytes:
     try:
         if (length := path.stat().st_size) > MOST_FILE_BYTES:
             raise InputError(f"{path}: {length} bytes are no single scan (at most {MOST_FILE_BYTES}); name a scan file")
-        with path.open("rb") as file:
+        with path.open("rb", buffering=0) as file:  # a buffer would be one more copy
             head = file.read(len(ZSTD))
             file.seek(0)
             if not head.startswith((GZIP, ZSTD)):
-                return file.read()
+                return file.readall()
             data = _unpacked(path, file, head, MOST_BYTES + 1)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); name a scan file that exists") from error

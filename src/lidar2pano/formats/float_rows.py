@@ -78,4 +78,5 @@ def _has_rings(data: bytes) -> bool:
 def _plausible(rows: np.ndarray) -> bool:
     """Whether (N, 4) may be x y z remission: coordinates that are no accident, and no negative remission."""
     with np.errstate(invalid="ignore"):
-        return not bool((rows[:, 3] < 0).any() or (np.abs(rows[:, :3]) > FAR_M).any())
+        far = (np.abs(rows[:, :3]) > FAR_M) & np.isfinite(rows[:, :3])
+        return not bool((rows[:, 3] < 0).any() or far.any())

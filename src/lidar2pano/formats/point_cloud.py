@@ -64,7 +64,7 @@ def cloud_of_columns(
     Fields are found by the names above; others are only listed. Raises InputError where x, y or z is missing or there
     is no point; `source` is what its message begins with, else the name.
     """
-    known = {_plain(key): key for key in reversed(columns)}
+    known = {_plain(key): key for key in reversed(list(columns))}
     if missing := [axis for axis in "xyz" if axis not in known]:
         held = ", ".join(columns) or "none"
         raise InputError(f"{source or name}: has no field {missing[0]!r} (it has {held}); name a scan with x, y and z")

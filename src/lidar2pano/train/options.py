@@ -209,6 +209,7 @@ class ScenePaintingOptions(TaskOptions):
     columns                    width of a crop on the translator's raster.
     perceptual, pooled,
     pixels, adversarial        weights of the losses; no discriminator where the last is 0.
+    unseen                     weight of the distance of colours where no camera looked from the means of their classes.
     ground_truth_probability   of samples painted from the ground truth's classes, where they are known.
     sharpest                   largest power that class probabilities are raised to.
     simulated_probability      where there are real and simulated frames: of the second of a sample's two crops being
@@ -227,6 +228,7 @@ class ScenePaintingOptions(TaskOptions):
     pooled: float = 6.0
     pixels: float = 0.2
     adversarial: float = 0.35
+    unseen: float = 1.0
     ground_truth_probability: float = 0.6
     sharpest: float = 4.0
     simulated_probability: float = 0.5

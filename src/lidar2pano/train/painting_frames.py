@@ -26,7 +26,7 @@ from lidar2pano.labels import COMMON15
 from lidar2pano.pipeline import Pipeline
 from lidar2pano.train.options import ScenePaintingOptions
 
-NOT_FLIPPED = ("look", "tone", "class_tones")
+NOT_FLIPPED = ("look", "tone", "class_tones", "class_means")
 SCORED_PIXELS = 30  # known pixels of a class in a frame, of every 64th; fewer say nothing about its tone
 MARGIN = 48  # columns of a camera's sector that are kept on each side beyond those of a crop
 
@@ -40,6 +40,7 @@ class PaintingSample(NamedTuple):
     image     (N, 3, 2H, 2W) float32 in [-1, 1];  valid (N, 2H, 2W) bool: where it is known.
     look      (N,) int64: number of the look;  tone (N, 3) float32: how much brighter than the mean of its look.
     class_tones  (N, 16, 3) float32: likewise each class; 0 where the frame does not show it.
+    class_means  (N, 16, 3) float32: mean colour of each class in the look; NaN for the sky and where there is none.
     """
 
     segments: Tensor
@@ -51,6 +52,7 @@ class PaintingSample(NamedTuple):
     look: Tensor
     tone: Tensor
     class_tones: Tensor
+    class_means: Tensor
 
     def flat(self) -> Self:
         """Join the first two dimensions, batch and crops."""
@@ -119,6 +121,7 @@ class PaintingFrames:
             look=torch.tensor(self.look[index]),
             tone=tone,
             class_tones=class_tones,
+            class_means=self._means[self.look[index]][: len(COMMON15)],
         )
         if generator is None or generator.random() < 0.5:
             return sample
@@ -168,9 +171,9 @@ class PaintingFrames:
             files = {self._file(number) for number, one in enumerate(self.look) if one == look}
             sums = [self._sums(file) for file in sorted(files) if file.is_file()]
             total, count = (torch.stack(part).sum(0) for part in zip(*sums, strict=True))
-            self._means[look] = total / count.clamp(min=1)[:, None]
+            self._means[look] = total / count[:, None]
         total, count = self._sums(self._file(index))
-        excess = total - self._means[look] * count[:, None]
+        excess = (total - self._means[look] * count[:, None]).nan_to_num(0)
         known = (count >= SCORED_PIXELS)[:, None]
         class_tones = (excess / count.clamp(min=1)[:, None]).where(known, 0.0)
         return excess.sum(0) / count.sum().clamp(min=1), class_tones[: len(COMMON15)]

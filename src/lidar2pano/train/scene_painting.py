@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import l1_loss, mse_loss
+from torch.nn.functional import adaptive_avg_pool2d, l1_loss, mse_loss
 
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.errors import InputError
@@ -62,7 +62,7 @@ class ScenePainting:
         device = batch.depth_m.device
         self.features.to(device)
         segments = self.segments(batch)
-        fake = self.painted(batch, segments)
+        fake = painted = self.painted(batch, segments)
         real = torch.where(batch.valid[:, None], batch.image, fake.detach())
         condition = torch.cat([segments, depth_code(batch.depth_m)[:, None]], 1)
         if self.options.augment_probability:
@@ -84,6 +84,10 @@ class ScenePainting:
         pixels = l1_loss(fake, real)
         self.logs = {"perceptual": perceptual.detach(), "pooled": coarse.detach(), "pixels": pixels.detach()}
         loss = options.perceptual * perceptual + options.pooled * coarse + options.pixels * pixels
+        if options.unseen:
+            unseen = self._unseen(batch, segments, painted)
+            self.logs["unseen"] = unseen.detach()
+            loss = loss + options.unseen * unseen
         if options.adversarial:
             with frozen(critic):  # its gradients would be discarded
                 adversarial = _mean([hinge_generator(score.float()) for score in critic(condition, *on_fake)])
@@ -98,6 +102,25 @@ class ScenePainting:
         large = condition.repeat_interleave(2, 2).repeat_interleave(2, 3)
         joined = augment.apply(fake, everywhere, large)
         return augment.apply(real, everywhere, large[:, :0])[:, :3], joined[:, :3], joined[:, 3:].detach()
+
+    @staticmethod
+    def _unseen(batch: PaintingSample, segments: Tensor, painted: Tensor) -> Tensor:
+        """How far pooled colours are from the mean colours of their classes, squared, where no camera looked.
+
+        The sky's are not known. (Without this loss a strip of bright dashes ran along the foot of the picture.)
+        """
+        means = batch.class_means + batch.class_tones
+        known = means.isfinite().all(2)
+        shares = segments * known[..., None, None]
+        expected = torch.einsum("bchw,bck->bkhw", shares, means.nan_to_num(0))
+        size = pooled(painted).shape[-2:]
+        share, expected, valid = (
+            adaptive_avg_pool2d(part, size)
+            for part in (shares.sum(1, keepdim=True), expected, batch.valid[:, None].float())
+        )
+        weight = share * (valid == 0)
+        gap = (pooled(painted) * share - expected).square() * (valid == 0)
+        return gap.sum() / (3 * weight.sum()).clamp(min=1)
 
     def painted(self, batch: PaintingSample, segments: Tensor, *, as_used: bool = False) -> Tensor:
         """Pictures (B, 3, 2H, 2W) float32 in [-1, 1] of a batch, at a random place in the noise.

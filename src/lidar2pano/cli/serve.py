@@ -1,0 +1,79 @@
+"""lidar2pano serve."""
+
+from __future__ import annotations
+
+import signal
+import socket
+from dataclasses import replace
+from typing import Annotated
+
+import typer
+
+from lidar2pano.cli.app import app, note_licence
+from lidar2pano.cli.translate import DeviceOption, EngineOption, WeightsOption
+from lidar2pano.errors import InputError
+
+LOOPBACK = ("127.0.0.1", "localhost")
+
+
+@app.command()
+def serve(  # noqa: PLR0913, PLR0917 one parameter per option
+    host: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="Address to listen on; the default takes calls of this machine only.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, metavar="N", help="Port; 0: any that is free.")] = 8360,
+    weights: WeightsOption = "kitti-mini",
+    look: Annotated[
+        str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
+    ] = "",
+    device: DeviceOption = "auto",
+    engine: EngineOption = "auto",
+    most_megabytes: Annotated[
+        float, typer.Option("--max-megabytes", min=0.001, metavar="N", help="Of one request's body.")
+    ] = 64,
+    most_points: Annotated[int, typer.Option("--max-points", min=1, metavar="N", help="Of one scan.")] = 2_000_000,
+    queue: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Requests that are taken at a time; others get 429.")
+    ] = 8,
+    seconds: Annotated[float, typer.Option(min=0.1, metavar="N", help="From a request to its answer.")] = 120,
+) -> None:
+    """Turn scans into panoramas over HTTP: POST /panorama; a page to drop scans on at /."""
+    from pathlib import Path
+
+    import uvicorn
+
+    from lidar2pano.cli.batch import Options
+    from lidar2pano.hardware import pick_device
+    from lidar2pano.models.families import weight_files
+    from lidar2pano.serve import Limits, Translation, create_application
+
+    listening = _socket(host, port)
+    options = Options(
+        out=Path(),
+        save=("rgb",),
+        weights=weights,
+        files=weight_files(weights),
+        device=pick_device(device),
+        look=look,
+        engine=engine,
+    )
+    limits = replace(Limits(), body_bytes=int(most_megabytes * 1e6), points=most_points, waiting=queue, seconds=seconds)
+    pipeline = options.pipeline()
+    note_licence(pipeline.cards.values())
+    translation = Translation(pipeline=pipeline, weights=weights, most_points=limits.points)
+    hosts = list(LOOPBACK) if host in LOOPBACK else None  # a page elsewhere may have a name that leads here
+    application = create_application(translation, limits, hosts)
+    config = uvicorn.Config(application, log_level="warning", server_header=False, limit_concurrency=1000)
+    name, bound = listening.getsockname()[:2]
+    print(f"http://{f'[{name}]' if ':' in name else name}:{bound}", flush=True)
+    signal.signal(signal.SIGTERM, lambda *_: None)  # uvicorn raises it again when all requests are answered
+    uvicorn.Server(config).run(sockets=[listening])
+
+
+def _socket(host: str, port: int) -> socket.socket:
+    """The socket to listen on, before the model is loaded; InputError where it cannot be had."""
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        return socket.create_server((host, port), family=family, backlog=128)  # calls wait while the model is loaded
+    except OSError as error:
+        raise InputError(f"{host} port {port}: cannot be listened on ({error.strerror}); choose others") from error

@@ -1,0 +1,239 @@
+"""The HTTP application: its routes, what each refuses, and what it answers."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import AsyncIterator
+from functools import cache, partial
+from importlib.resources import files
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from lidar2pano.errors import InputError
+from lidar2pano.serve.fair_queue import FairQueue
+from lidar2pano.serve.limits import Limits
+from lidar2pano.serve.measurements import Measurements
+from lidar2pano.serve.results import KeptResults
+from lidar2pano.serve.translation import FILES, Result, Translation, parse_parts
+
+TYPES = {"rgb": "image/png", "segments": "image/png", "labels": "application/octet-stream", "depth": "image/png"}
+ANSWERS = ("png", "zip", "json")
+CLOSED = 499  # for the metrics: the client went away
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline';"
+    " img-src 'self' blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+def create_application(translation: Translation, limits: Limits, hosts: list[str] | None = None) -> Starlette:
+    """The application, with one worker that ends with it.
+
+    hosts  names by which it may be called (the header Host); None: any.
+    """
+    service = Service(translation, limits)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        yield
+        await asyncio.to_thread(service.queue.close)
+
+    guards = [Middleware(TrustedHostMiddleware, allowed_hosts=hosts, www_redirect=False)] if hosts else []
+    return Starlette(
+        routes=[
+            Route("/panorama", service.panorama, methods=["POST"]),
+            Route("/results/{name}/{part}", service.result),
+            Route("/health", service.health),
+            Route("/metrics", service.metrics),
+            Route("/openapi.json", partial(page, "openapi.json", "application/json")),
+            Route("/docs", partial(page, "docs.html", "text/html")),
+            Route("/", partial(page, "index.html", "text/html")),
+        ],
+        exception_handlers={HTTPException: refused, InputError: unusable, Exception: broken},  # pyright: ignore
+        middleware=guards,
+        lifespan=lifespan,
+    )
+
+
+class Service:
+    """The handlers of requests for panoramas, and what they share."""
+
+    def __init__(self, translation: Translation, limits: Limits) -> None:
+        self.translation, self.limits = translation, limits
+        self.queue, self.kept, self.measurements = FairQueue(), KeptResults(limits), Measurements()
+        self._taken = 0
+        self._usual_seconds = 1.0  # of one panorama, a running mean
+
+    async def panorama(self, request: Request) -> Response:
+        """POST /panorama: take a place, read the body, wait for the worker, answer."""
+        begin = time.monotonic()
+        status = 500
+        try:
+            response = await self._admitted(request)
+            status = response.status_code
+            return response
+        except HTTPException as error:
+            status = error.status_code
+            raise
+        except InputError:
+            status = 422
+            raise
+        finally:
+            self.measurements.requests.labels(str(status)).inc()
+            self.measurements.seconds.observe(time.monotonic() - begin)
+
+    async def _admitted(self, request: Request) -> Response:
+        answer, save = _wanted(request)
+        if self._taken >= self.limits.waiting:
+            wait_s = math.ceil(self._taken * self._usual_seconds)
+            raise HTTPException(429, "the queue is full; try again later", {"Retry-After": str(max(1, wait_s))})
+        self._taken += 1
+        self.measurements.waiting.set(self._taken)
+        try:
+            async with asyncio.timeout(self.limits.seconds):
+                result = await self._translated(request, save)
+        except TimeoutError:
+            raise HTTPException(504, f"no answer within {self.limits.seconds:g} s; send less, or try again") from None
+        except ClientDisconnect:
+            raise HTTPException(CLOSED, "the client went away") from None
+        finally:
+            self._taken -= 1
+            self.measurements.waiting.set(self._taken)
+        return self._answer(result, answer)
+
+    async def _translated(self, request: Request, save: tuple[str, ...]) -> Result:
+        try:
+            async with asyncio.timeout(self.limits.upload_seconds):
+                body = await self._body(request)
+        except TimeoutError:
+            raise HTTPException(408, f"no whole body within {self.limits.upload_seconds:g} s; try again") from None
+        client = request.client.host if request.client else ""
+        ending = request.query_params.get("name", "")
+        future = self.queue.submit(client, partial(self.translation, body, ending, save))
+        waiting = asyncio.wrap_future(future)
+        gone = asyncio.ensure_future(_disconnected(request))
+        try:
+            await asyncio.wait({waiting, gone}, return_when=asyncio.FIRST_COMPLETED)
+            if not waiting.done():
+                raise ClientDisconnect
+            result = waiting.result()
+        finally:
+            gone.cancel()
+            future.cancel()  # never begun if it has not begun yet
+            if not waiting.done():
+                waiting.add_done_callback(_forgotten)
+        self._measure(result)
+        return result
+
+    async def _body(self, request: Request) -> bytes:
+        most = self.limits.body_bytes
+        too_long = HTTPException(413, f"the body is longer than {most} bytes; send a single scan")
+        length = request.headers.get("content-length", "0")
+        if length.isdecimal() and int(length) > most:
+            raise too_long
+        body = bytearray()
+        async for chunk in request.stream():
+            body += chunk
+            if len(body) > most:
+                raise too_long
+        if not body:
+            raise HTTPException(422, "the body is empty; send the bytes of a scan file")
+        return bytes(body)
+
+    def _measure(self, result: Result) -> None:
+        self.measurements.points.inc(result.points)
+        for stage, value in result.milliseconds.items():
+            self.measurements.stages.labels(stage).observe(value / 1e3)
+        self._usual_seconds += 0.2 * (sum(result.milliseconds.values()) / 1e3 - self._usual_seconds)
+
+    def _answer(self, result: Result, answer: str) -> Response:
+        if answer == "zip":
+            return Response(result.zipped(), media_type="application/zip", headers=HEADERS)
+        if answer == "png":
+            return Response(result.files["rgb"], media_type="image/png", headers=HEADERS)
+        name = self.kept.keep(result)
+        content = {
+            "points": result.points,
+            "dropped": result.dropped,
+            "milliseconds": {stage: round(value, 2) for stage, value in result.milliseconds.items()},
+            "weights": self.translation.weights,
+            "outputs": {part: f"/results/{name}/{part}" for part in result.files},
+            "seconds": self.limits.kept_seconds,
+        }
+        return JSONResponse(content, headers=HEADERS)
+
+    async def result(self, request: Request) -> Response:
+        """GET /results/NAME/PART: an output that a JSON answer links to."""
+        kept, part = self.kept.get(request.path_params["name"]), request.path_params["part"]
+        if kept is None or part not in kept.files:
+            raise HTTPException(404, "no such result, or no longer; send the scan again")
+        disposition = {"Content-Disposition": f'inline; filename="{FILES[part]}"'}
+        return Response(kept.files[part], media_type=TYPES[part], headers=HEADERS | disposition)
+
+    async def health(self, request: Request) -> Response:
+        """GET /health."""
+        device, weights = str(self.translation.pipeline.device), self.translation.weights
+        return JSONResponse({"status": "ok", "weights": weights, "device": device, "waiting": self._taken})
+
+    async def metrics(self, request: Request) -> Response:
+        """GET /metrics."""
+        return Response(self.measurements.text(), media_type="text/plain; version=0.0.4; charset=utf-8")
+
+
+def _wanted(request: Request) -> tuple[str, tuple[str, ...]]:
+    """The form of the answer and the outputs that a request names; HTTPException for what there is not."""
+    answer = request.query_params.get("as", "png")
+    if answer not in ANSWERS:
+        raise HTTPException(422, f"as: there is {', '.join(ANSWERS)}")
+    save = parse_parts(request.query_params.get("save", "rgb"))
+    if answer == "png" and save != ("rgb",):
+        raise HTTPException(422, "save: a PNG holds rgb alone; ask for as=zip or as=json")
+    return answer, save
+
+
+async def _disconnected(request: Request) -> None:
+    """Return when the client has gone away."""
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
+
+
+def _forgotten(future: asyncio.Future[Any]) -> None:
+    """Take the result that nothing waits for, so that asyncio does not complain."""
+    if not future.cancelled():
+        future.exception()
+
+
+@cache
+def _page_text(name: str) -> str:
+    return (files("lidar2pano.serve") / "pages" / name).read_text(encoding="utf-8")
+
+
+async def page(name: str, media_type: str, request: Request) -> Response:
+    """A page of the package; `name` is never the client's."""
+    return Response(_page_text(name), media_type=media_type, headers=HEADERS)
+
+
+async def refused(request: Request, error: HTTPException) -> Response:
+    """A refusal as JSON."""
+    return JSONResponse({"error": error.detail}, error.status_code, headers=HEADERS | dict(error.headers or {}))
+
+
+async def unusable(request: Request, error: InputError) -> Response:
+    """A scan or an option that cannot be used."""
+    return JSONResponse({"error": str(error)}, 422, headers=HEADERS)
+
+
+async def broken(request: Request, error: Exception) -> Response:
+    """A fault of the server: its log has the traceback, the client gets none of it."""
+    return JSONResponse({"error": "the server failed; its log says why"}, 500, headers=HEADERS)

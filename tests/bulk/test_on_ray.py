@@ -1,0 +1,128 @@
+"""A bulk run on Ray: a worker that is killed costs nothing but time."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from bulk_runs import SCANS, assert_each_once, contents, job_of, run
+from house_rules import ROOT
+from lidar2pano.bulk import Entry
+from lidar2pano.bulk.on_ray import ATTEMPTS, Pool
+from lidar2pano.bulk.stores import SCRATCH
+from lidar2pano.errors import InputError
+from random_weights import street, write_scan
+
+PROGRAM = ROOT / "tests" / "support" / "bulk_on_ray.py"
+
+
+def processes(out: Path) -> set[int]:
+    """The processes that have a scratch folder there."""
+    return {int(folder.name.rsplit("-", 2)[1]) for folder in out.glob(f"{SCRATCH}*")}
+
+
+def test_a_killed_worker_loses_nothing(tmp_path):
+    root, out = tmp_path / "in", tmp_path / "out"
+    for number in range(SCANS):
+        write_scan(root / f"{number % 3}" / f"{number:06d}.bin", street(50, seed=number))
+    assert run(job_of(root, tmp_path / "whole")) == 0
+    places = os.pathsep.join(map(str, (ROOT / "src", PROGRAM.parent)))
+    settings = os.environ | {"PYTHONPATH": places, "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
+    driver = subprocess.Popen([sys.executable, PROGRAM, root, out], env=settings, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 120
+    while len(list(out.rglob("*.depth.png"))) < 4 and driver.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    victim = min(processes(out) - {driver.pid})
+    os.kill(victim, signal.SIGKILL)
+    _, errors = driver.communicate(timeout=120)
+    assert driver.returncode == 0, errors
+    assert contents(out) == contents(tmp_path / "whole")
+    assert_each_once(out, root)
+    assert not processes(out)
+
+
+# --- the pool, with workers that are no processes ---------------------------------------------------------------------
+
+
+class Died(Exception):
+    pass
+
+
+class Failed(Exception):
+    pass
+
+
+class Call:
+    """A method of a worker: `remote` gives a reference, here the function that gives the result."""
+
+    def __init__(self, function):
+        self.function = function
+
+    def remote(self, *arguments):
+        return lambda: self.function(*arguments)
+
+
+class Fake:
+    """A worker that dies of the scans in `deadly`, together with all that it holds; `held` is what it was given."""
+
+    def __init__(self, deadly: set[str], healthy: bool = True):
+        self.deadly, self.healthy, self.held = deadly, healthy, []
+        self.prepare, self.close = Call(self._alive), Call(lambda: None)
+        self.translate = SimpleNamespace(remote=self._hold)
+
+    def _alive(self):
+        if not self.healthy or any(name in self.deadly for name in self.held):
+            raise Died
+
+    def _hold(self, entry):
+        self.held.append(entry.input)
+        return lambda: self._finish(entry.input)
+
+    def _finish(self, name):
+        self._alive()
+        self.held.remove(name)
+        return {"input": name, "error": None}
+
+
+@pytest.fixture
+def fake_ray(monkeypatch):
+    errors = SimpleNamespace(RayTaskError=Failed, RayActorError=Died)
+    ray = SimpleNamespace(
+        exceptions=errors, get=lambda call: call(), wait=lambda calls, num_returns=1, timeout=0: (calls[:1], calls[1:])
+    )
+    monkeypatch.setitem(sys.modules, "ray", ray)
+
+
+def translated(deadly: set[str], healthy: bool = True, scans: int = 20) -> tuple[list[dict], list[Fake]]:
+    made: list[Fake] = []
+
+    def make() -> Fake:
+        made.append(Fake(deadly, healthy))
+        return made[-1]
+
+    todo = [Entry(input=f"{number}.bin", stem=f"{number}") for number in range(scans)]
+    pool = Pool(make, 2, todo)
+    return list(pool.records(job_of("in", "out"), lambda: False)), made
+
+
+@pytest.mark.usefixtures("fake_ray")
+def test_a_scan_that_kills_its_workers_costs_only_itself():
+    lines, made = translated({"5.bin", "6.bin", "11.bin"})
+    assert sorted(int(line["input"].removesuffix(".bin")) for line in lines) == list(range(20))
+    assert {line["input"]: line["error"] for line in lines if line["error"]} == {
+        name: f"{name}: its worker died 3 times" for name in ("5.bin", "6.bin", "11.bin")
+    }
+    assert len(made) <= 2 + 3 * ATTEMPTS
+
+
+@pytest.mark.usefixtures("fake_ray")
+def test_workers_that_cannot_start_end_the_run():
+    with pytest.raises(InputError, match="workers die while they start"):
+        translated(set(), healthy=False)

@@ -1,0 +1,365 @@
+"""The HTTP service on a socket of this machine, with a pipeline that is fast."""
+
+from __future__ import annotations
+
+import http.client
+import importlib
+import io
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import uvicorn
+from PIL import Image
+
+from house_rules import ROOT
+from lidar2pano.cli import main
+from lidar2pano.errors import InputError
+from lidar2pano.formats.readers import read
+from lidar2pano.hardware import Timer
+from lidar2pano.memory import Memory
+from lidar2pano.serve import Limits, Translation, create_application
+from lidar2pano.serve.fair_queue import FairQueue
+from lidar2pano.serve.results import KeptResults
+from lidar2pano.serve.translation import Result, known_ending, parse_parts
+from random_weights import street, write_scan
+from stand_in_pipeline import StandIn
+
+
+class Server:
+    """A running server; `ask` gives status, headers and body."""
+
+    def __init__(self, server: uvicorn.Server, thread: threading.Thread, port: int) -> None:
+        self.server, self.thread, self.port = server, thread, port
+
+    def ask(self, method: str, path: str, body: bytes | None = None, **headers: str) -> tuple[int, dict, bytes]:
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
+        connection.request(method, path, body, headers)
+        answer = connection.getresponse()
+        data = answer.read()
+        connection.close()
+        return answer.status, {name.lower(): value for name, value in answer.getheaders()}, data
+
+    def sent(self, body: bytes) -> socket.socket:
+        """A connection on which a scan has been sent and whose answer is not read yet."""
+        connection = socket.create_connection(("127.0.0.1", self.port), timeout=20)
+        head = f"POST /panorama HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len(body)}\r\n\r\n"
+        connection.sendall(head.encode() + body)
+        return connection
+
+    def waiting(self) -> int:
+        return json.loads(self.ask("GET", "/health")[2])["waiting"]
+
+
+@contextmanager
+def serving(pipeline: StandIn = StandIn(), points: int = 1000, **limits) -> Iterator[Server]:  # noqa: B008
+    translation = Translation(pipeline=pipeline, weights="stand-in", most_points=points)
+    application = create_application(translation, Limits(**limits), ["127.0.0.1", "localhost"])
+    listening = socket.socket()
+    listening.bind(("127.0.0.1", 0))
+    server = uvicorn.Server(uvicorn.Config(application, log_level="critical", server_header=False))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
+    thread.start()
+    while not server.started:
+        time.sleep(0.005)
+    try:
+        yield Server(server, thread, listening.getsockname()[1])
+    finally:
+        server.should_exit = True
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+@pytest.fixture(scope="module")
+def server():
+    with serving() as running:
+        yield running
+
+
+@pytest.fixture
+def scan(tmp_path):
+    """The bytes of a scan file, and the colours of its panorama."""
+    path = write_scan(tmp_path / "a.bin", street(60))
+    timer = Timer(StandIn().device)
+    pipeline = StandIn()
+    _, panorama = pipeline.paint(pipeline.translate(read(path), timer), Memory(), None, timer)
+    return path.read_bytes(), panorama.colour
+
+
+def pixels(data: bytes) -> np.ndarray:
+    with Image.open(io.BytesIO(data)) as image:
+        return np.array(image)
+
+
+# --- answers ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_scan_becomes_a_png(server, scan):
+    status, headers, data = server.ask("POST", "/panorama", scan[0])
+    assert (status, headers["content-type"]) == (200, "image/png")
+    assert np.array_equal(pixels(data), scan[1])
+
+
+def test_a_zip_holds_everything(server, scan):
+    status, headers, data = server.ask("POST", "/panorama?as=zip&save=all", scan[0])
+    assert (status, headers["content-type"]) == (200, "application/zip")
+    archive = zipfile.ZipFile(io.BytesIO(data))
+    names = ["panorama.png", "panorama.segments.png", "panorama.label", "panorama.depth.png"]
+    assert archive.namelist() == names and archive.testzip() is None
+    assert np.array_equal(pixels(archive.read("panorama.png")), scan[1])
+    assert len(archive.read("panorama.label")) == 4 * 60
+
+
+def test_json_links_to_the_outputs(server, scan):
+    status, _, data = server.ask("POST", "/panorama?as=json&save=rgb,depth", scan[0])
+    answer = json.loads(data)
+    assert status == 200 and answer["points"] == 60 and answer["weights"] == "stand-in"
+    assert list(answer["outputs"]) == ["rgb", "depth"] and answer["milliseconds"]["paint"] >= 0
+    assert np.array_equal(pixels(server.ask("GET", answer["outputs"]["rgb"])[2]), scan[1])
+    status, headers, data = server.ask("GET", answer["outputs"]["depth"])
+    assert status == 200 and headers["content-disposition"] == 'inline; filename="panorama.depth.png"'
+    assert pixels(data).dtype == np.uint16
+    assert server.ask("GET", answer["outputs"]["rgb"].replace("rgb", "labels"))[0] == 404
+
+
+def test_any_known_format_by_its_content(server, tmp_path, scan):
+    xyz = street(60).xyz
+    text = "x,y,z,intensity\n" + "\n".join(f"{x},{y},{z},0.5" for x, y, z in xyz.tolist())
+    np.save(tmp_path / "a.npy", np.column_stack([xyz, np.full(60, 0.5, np.float32)]))
+    for body in (text.encode(), (tmp_path / "a.npy").read_bytes()):
+        assert server.ask("POST", "/panorama", body)[0] == 200
+
+
+# --- refusals ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("query", "body", "status", "message"),
+    [
+        ("", b"", 422, "the body is empty"),
+        ("?name=../../etc/passwd", b"hello", 422, "scan: is of no format"),
+        ("?name=a.bin", b"12345", 422, "scan: 5 bytes are no whole number of points"),
+        ("?as=gif", b"1", 422, "as: there is png, zip, json"),
+        ("?save=rbg", b"1", 422, "save: name some of rgb"),
+        ("?save=all", b"1", 422, "a PNG holds rgb alone"),
+    ],
+)
+def test_what_cannot_be_used(server, query, body, status, message):
+    found, headers, data = server.ask("POST", f"/panorama{query}", body)
+    assert found == status and headers["content-type"] == "application/json"
+    error = json.loads(data)["error"]
+    assert message in error and "/tmp" not in error and "passwd" not in error
+
+
+def test_limits_of_body_and_points(tmp_path):
+    small = write_scan(tmp_path / "a.bin", street(60)).read_bytes()
+    with serving(points=59, body_bytes=len(small)) as server:
+        assert "60 points are too many (at most 59)" in json.loads(server.ask("POST", "/panorama", small)[2])["error"]
+        assert server.ask("POST", "/panorama", small + b"0" * 16)[0] == 413
+        chunks = socket.create_connection(("127.0.0.1", server.port), timeout=20)
+        chunks.sendall(b"POST /panorama HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n")
+        chunks.sendall(b"fff\r\n" + b"0" * 0xFFF + b"\r\n")  # its length is not announced
+        assert chunks.recv(100).startswith(b"HTTP/1.1 413")
+        chunks.close()
+        assert server.waiting() == 0
+
+
+def test_slow_uploads_and_slow_scans_end(scan):
+    with serving(StandIn(seconds=0.6), upload_seconds=0.2, seconds=0.4) as server:
+        slow = socket.create_connection(("127.0.0.1", server.port), timeout=20)
+        slow.sendall(b"POST /panorama HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\n123")
+        assert slow.recv(100).startswith(b"HTTP/1.1 408")
+        slow.close()
+        assert server.ask("POST", "/panorama", scan[0])[0] == 504
+        assert server.waiting() == 0
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/../../etc/passwd", "/results/../../etc/passwd/rgb", "/results/x/rgb", "/pages/index.html", "/%2e%2e/a", "//"],
+)
+def test_no_file_of_the_server_can_be_had(server, path):
+    assert server.ask("GET", path)[0] == 404
+
+
+def test_only_its_own_names_and_methods(server, scan):
+    assert server.ask("GET", "/", Host="evil.example")[0] == 400
+    assert server.ask("GET", "/", Host=f"localhost:{server.port}")[0] == 200
+    assert server.ask("GET", "/panorama")[0] == 405
+
+
+def test_a_bug_costs_one_request(server, tmp_path, scan):
+    broken = street(60)
+    broken.xyz[0] = (0, 2000, 0)
+    status, _, data = server.ask("POST", "/panorama", write_scan(tmp_path / "b.bin", broken).read_bytes())
+    assert status == 500 and b"bug" not in data and b"Traceback" not in data
+    assert server.ask("POST", "/panorama", scan[0])[0] == 200
+
+
+# --- the queue --------------------------------------------------------------------------------------------------------
+
+
+def test_a_full_queue_refuses_and_says_when_to_come_again(scan):
+    with serving(StandIn(seconds=0.3), waiting=2) as server:
+        first = [server.sent(scan[0]) for _ in range(2)]
+        while server.waiting() < 2:
+            time.sleep(0.01)
+        status, headers, _ = server.ask("POST", "/panorama", scan[0])
+        assert status == 429 and int(headers["retry-after"]) >= 1
+        for connection in first:
+            assert connection.recv(100).startswith(b"HTTP/1.1 200")
+            connection.close()
+        assert server.ask("POST", "/panorama", scan[0])[0] == 200
+
+
+def test_a_client_that_goes_away_costs_nothing(scan):
+    with serving(StandIn(seconds=0.3)) as server:
+        first, second = server.sent(scan[0]), None
+        while server.waiting() < 1:
+            time.sleep(0.01)
+        second = server.sent(scan[0])
+        while server.waiting() < 2:
+            time.sleep(0.01)
+        second.close()
+        while server.waiting() > 1:
+            time.sleep(0.01)
+        assert first.recv(100).startswith(b"HTTP/1.1 200")
+        first.close()
+        metrics = server.ask("GET", "/metrics")[2].decode()
+        assert "lidar2pano_points_total 60.0" in metrics  # the second scan was never begun
+        assert 'lidar2pano_requests_total{status="499"} 1.0' in metrics
+
+
+def test_shutdown_finishes_what_was_taken(scan):
+    with serving(StandIn(seconds=0.2)) as server:
+        taken = [server.sent(scan[0]) for _ in range(3)]
+        while server.waiting() < 3:
+            time.sleep(0.01)
+        server.server.should_exit = True
+        server.thread.join(20)
+        assert not server.thread.is_alive()
+        assert [connection.recv(100)[:12] for connection in taken] == [b"HTTP/1.1 200"] * 3
+        for connection in taken:
+            connection.close()
+
+
+def test_clients_take_turns():
+    queue, gate, order = FairQueue(), threading.Event(), []
+    calls = [("a", 1), ("a", 2), ("a", 3), ("b", 4), ("c", 5), ("b", 6)]
+    blocker = queue.submit("z", lambda: gate.wait(20))
+    futures = [queue.submit(client, lambda number=number: order.append(number)) for client, number in calls]
+    assert futures[4].cancel()
+    gate.set()
+    queue.close()
+    assert order == [1, 4, 2, 6, 3] and blocker.result()
+    with pytest.raises(RuntimeError, match="closed"):
+        queue.submit("a", lambda: None)
+
+
+def test_results_are_kept_for_a_while():
+    now = [0.0]
+    kept = KeptResults(Limits(kept=2, kept_seconds=10), lambda: now[0])
+    results = [Result(files={}, points=number, dropped=0, milliseconds={}) for number in range(3)]
+    names = [kept.keep(result) for result in results]
+    assert [kept.get(name) for name in names] == [None, results[1], results[2]]
+    now[0] = 11
+    assert kept.get(names[2]) is None
+
+
+# --- what surrounds it ------------------------------------------------------------------------------------------------
+
+
+def test_health_and_metrics(server, scan):
+    server.ask("POST", "/panorama", scan[0])
+    answer = json.loads(server.ask("GET", "/health")[2])
+    assert answer == {"status": "ok", "weights": "stand-in", "device": "cpu", "waiting": 0}
+    status, headers, data = server.ask("GET", "/metrics")
+    assert status == 200 and headers["content-type"].startswith("text/plain")
+    assert b'lidar2pano_requests_total{status="200"}' in data and b'stage_seconds_count{stage="paint"}' in data
+
+
+def test_pages_load_nothing_from_elsewhere(server):
+    for path in ("/", "/docs"):
+        status, headers, data = server.ask("GET", path)
+        assert status == 200 and headers["content-security-policy"].startswith("default-src 'none'")
+        assert not re.search(r'(src|href)="(https?:)?//', data.decode())
+
+
+def test_the_description_has_every_route(server):
+    described = json.loads(server.ask("GET", "/openapi.json")[2])["paths"]
+    application = create_application(Translation(pipeline=StandIn(), weights="", most_points=1), Limits())
+    routes = {(route.path, method.lower()) for route in application.routes for method in route.methods - {"HEAD"}}
+    pages = {("/", "get"), ("/docs", "get"), ("/openapi.json", "get")}
+    assert {(path, method) for path, methods in described.items() for method in methods} == routes - pages
+
+
+@pytest.mark.parametrize(
+    ("name", "ending"),
+    [
+        ("a.bin", ".bin"),
+        ("x/y.PCD", ".pcd"),
+        ("a.csv.gz", ".csv.gz"),
+        ("a.gz", ".gz"),
+        ("a.sh", ""),
+        ("../..", ""),
+        ("", ""),
+    ],
+)
+def test_of_names_only_known_endings_are_used(name, ending):
+    assert known_ending(name) == ending
+
+
+def test_parts():
+    assert parse_parts("depth, rgb") == ("rgb", "depth")
+    with pytest.raises(InputError, match="save: name some"):
+        parse_parts("")
+
+
+def test_twice_the_capacity(scan, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "runs"))
+    module = importlib.import_module("serve_load")
+    with serving(StandIn(seconds=0.02), waiting=3) as server:
+        answers = module.load(f"http://127.0.0.1:{server.port}", scan[0], clients=6, seconds=1.0)
+    assert set(answers.statuses) == {"200", "429"} and answers.wrong == 0
+    assert answers.statuses["200"] > 5
+
+
+def test_the_command(random_weights, scan):
+    """A process of its own: it says where it listens, and SIGTERM lets it finish what it took."""
+    words = ["serve", "--port", "0", "--weights", str(random_weights), "--device", "cpu"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "lidar2pano", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout is not None
+        port = int(process.stdout.readline().rpartition(":")[2])
+        server = Server(None, None, port)
+        while server.ask("GET", "/health")[0] != 200:
+            time.sleep(0.05)
+        taken = [server.sent(scan[0]) for _ in range(3)]
+        while server.waiting() < 1:
+            time.sleep(0.005)
+        process.send_signal(signal.SIGTERM)
+        assert all(connection.recv(100).startswith(b"HTTP/1.1 200") for connection in taken)
+        for connection in taken:
+            connection.close()
+        _, errors = process.communicate(timeout=60)
+        assert process.returncode == 0
+        assert errors.count("\n") == 1 and "not for commercial use" in errors
+    finally:
+        process.kill()
+
+
+def test_a_port_that_is_taken(server, capsys):
+    assert main(["serve", "--port", str(server.port)]) == 2
+    assert f"127.0.0.1 port {server.port}: cannot be listened on" in capsys.readouterr().err

@@ -1,0 +1,45 @@
+"""Bulk runs with the stand-in pipeline, and what they leave."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+from lidar2pano.bulk import Job, Manifest, Shard, entries, start, translate_all
+from lidar2pano.bulk.stores import open_store
+from lidar2pano.cli.bulk import Translate, work
+from stand_in_pipeline import StandIn
+
+SCANS = 24
+WHOLE = Shard()
+
+
+def job_of(root: Path | str, out: Path | str, **changes) -> Job:
+    job = Job(source=str(root), out=str(out), save=("rgb", "depth"), weights="stand-in", pipeline=StandIn())
+    return replace(job, **changes)
+
+
+def run(job: Job, shard: Shard = WHOLE, translate: Translate = translate_all) -> int:
+    """What the command does after it has understood its options."""
+    found = entries(open_store(job.source), shard, job.layout, labels=job.use_labels)
+    start(job, found, {}, {})
+    return work(job, found, Manifest(open_store(job.out), shard), translate)
+
+
+def contents(out: Path) -> dict[str, bytes]:
+    """Every file but the manifests, by its path."""
+    files = (path for path in out.rglob("*") if path.is_file() and path.parent.name != "manifest")
+    return {path.relative_to(out).as_posix(): path.read_bytes() for path in files}
+
+
+def manifest(out: Path) -> list[dict]:
+    files = sorted((out / "manifest").iterdir())
+    return [json.loads(line) for file in files for line in file.read_text().splitlines()]
+
+
+def assert_each_once(out: Path, root: Path) -> None:
+    names = sorted(path.relative_to(root).as_posix() for path in root.rglob("*.bin"))
+    lines = manifest(out)
+    assert sorted(line["input"] for line in lines) == names
+    assert all(line["error"] is None and (out / name).is_file() for line in lines for name in line["outputs"])
