@@ -168,7 +168,7 @@ class PageWriter:
 
     def _document(self) -> tuple[str, str]:
         """The page before and after its blocks of data."""
-        parts = files(__name__.rpartition(".")[0]) / "page"
+        parts = files(__name__.rpartition(".")[0]) / "web"
         read = {name: (parts / name).read_text(encoding="utf-8") for name in ("page.html", "page.css", "page.js")}
         shaders = (parts / "shaders.js").read_text(encoding="utf-8")
         style, script = f"\n{read['page.css']}", f"\n{shaders}\n{read['page.js']}"
