@@ -159,4 +159,4 @@ def test_worse_panoramas_miss_their_floors(made: tuple[str, lidar2pano.Panorama]
     ],
 )
 def test_wrong_colours_are_noticed(made: tuple[str, lidar2pano.Panorama], change) -> None:
-    assert wrong_colours(figures_of(replace(made[1], colour=change(made[1].colour))))
+    assert wrong_colours(made[0], figures_of(replace(made[1], colour=change(made[1].colour))))
