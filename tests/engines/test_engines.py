@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import nn
 
-from engine_of_torch import TorchEngine
+from engine_of_torch import SLIM, TorchEngine
 from lidar2pano.engines import ENGINES, accelerated, disk_cache, pick_engine
 from lidar2pano.engines.agreement import agrees, distance, other_classes
 from lidar2pano.engines.compiled import MOST_SHAPES, CompiledForward
@@ -22,12 +22,6 @@ from lidar2pano.pipeline import load, made_fast
 from random_weights import spread_norms, street
 
 CPU = torch.device("cpu")
-SLIM = {
-    "salsanext": {},
-    "titan-pano": {"widths": (8, 8, 8, 8, 8), "pyramid": 8},
-    "painter": {"widths": (8, 8, 8), "blocks": 1},
-    "scene-painter": {"widths": (8, 8, 8), "blocks": 1, "last": 8, "looks": ("day", "dusk")},
-}
 
 
 @pytest.fixture(autouse=True)

@@ -11,7 +11,7 @@ import pytest
 
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.image_files import HOST, PART, write_whole
+from lidar2pano.formats.image_files import HOST, PART, fast_png, read_image, write_colour, write_whole
 from lidar2pano.formats.readers import ENDINGS, read, scan_files, scans
 from lidar2pano.formats.scan_files import read_bin, read_label, write_bin, write_label
 from lidar2pano.scan import Scan
@@ -39,6 +39,25 @@ def complaint(of) -> str:
 def write_text(path: Path, text: str) -> Path:
     path.write_text(text, encoding="utf-8")
     return path
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 1), (1, 5), (24, 40)])
+def test_a_fast_png_holds_every_value(tmp_path: Path, shape):
+    colour = np.random.default_rng(0).integers(0, 256, (*shape, 3), dtype=np.uint8)
+    (tmp_path / "a.png").write_bytes(fast_png(colour))
+    assert np.array_equal(read_image(tmp_path / "a.png"), colour)
+    turned = np.rot90(colour)  # not contiguous
+    (tmp_path / "b.png").write_bytes(fast_png(turned))
+    assert np.array_equal(read_image(tmp_path / "b.png"), turned)
+
+
+@pytest.mark.parametrize("image_format", ["webp", "jpeg"])
+def test_other_formats_lose_a_little(tmp_path: Path, image_format):
+    down, across = np.linspace(0, 255, 64)[:, None], np.linspace(0, 255, 96)
+    colour = np.stack(np.broadcast_arrays(down, across, (down + across) / 2), axis=2).astype(np.uint8)
+    write_colour(tmp_path / "a", colour, image_format)
+    difference = np.abs(read_image(tmp_path / "a", "RGB").astype(int) - colour)
+    assert 0 < difference.mean() < 4
 
 
 def test_bin_there_and_back(tmp_path: Path):

@@ -11,6 +11,14 @@ from torch import Tensor, nn
 from lidar2pano.engines.signatures import as_tuple
 from lidar2pano.engines.tracing import recordable
 
+# settings that make networks small, by name in MODELS
+SLIM = {
+    "salsanext": {},
+    "titan-pano": {"widths": (8, 8, 8, 8, 8), "pyramid": 8},
+    "painter": {"widths": (8, 8, 8), "blocks": 1},
+    "scene-painter": {"widths": (8, 8, 8), "blocks": 1, "last": 8, "looks": ("day", "dusk")},
+}
+
 
 class TorchEngine:
     """`builds` counts networks that were built, `error` is added to what comes out, `failure` is raised instead."""

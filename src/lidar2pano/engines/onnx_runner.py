@@ -80,10 +80,10 @@ def project(points, view):
     return channels * (owner >= 0), row, column, owner
 
 
-def painter_inputs(segments, depth_m, image, view, power):
+def painter_inputs(segments, depth_m, image, view, exponent):
     """What the scene painter sees: `inputs` (30, H, W) and `fine_noise` (3, 2H, 2W); the README lists the channels."""
     rows, columns = depth_m.shape
-    segments = segments**power / (segments**power).sum(0)
+    segments = segments**exponent / (segments**exponent).sum(0)
     best = segments.argmax(0)
     slope = (view["up"] - (np.arange(rows) + 0.5) / rows * (view["up"] - view["down"]))[:, None]
     radius_m = depth_m / np.sqrt(1 + slope**2)

@@ -29,19 +29,19 @@ def pick_engine(name: str, device: torch.device) -> str:
     "auto" is OpenVINO on a CPU that multiplies bfloat16, where it is installed, else torch.
     Raises InputError where the name is unknown, its extra is missing, or it cannot compute on the device.
     """
-    chosen = os.environ.get(VARIABLE) or name if name == "auto" else name
-    if chosen not in ENGINES:
-        raise InputError(f"no engine {chosen!r}{closest(chosen, ENGINES)}")
-    if chosen == "auto":
+    requested = os.environ.get(VARIABLE) or name if name == "auto" else name
+    if requested not in ENGINES:
+        raise InputError(f"no engine {requested!r}{closest(requested, ENGINES)}")
+    if requested == "auto":
         fast = device.type == "cpu" and _is_installed("openvino") and has_bfloat16(device)
         return "openvino" if fast else "torch"
-    if extra := missing_extra(chosen):
-        raise InputError(f"engine {chosen} needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'")
-    if chosen == "onnx" and PROVIDERS[device.type] not in _providers():
+    if extra := missing_extra(requested):
+        raise InputError(f"engine {requested} needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'")
+    if requested == "onnx" and PROVIDERS[device.type] not in _providers():
         raise InputError("engine onnx: onnxruntime has no CUDA here; install onnxruntime-gpu, or use --device cpu")
-    if chosen == "openvino" and device.type != "cpu":
+    if requested == "openvino" and device.type != "cpu":
         raise InputError(f"engine openvino does not compute on {device.type}; use --device cpu, or --engine torch")
-    return chosen
+    return requested
 
 
 def missing_extra(engine: str) -> str:

@@ -7,7 +7,6 @@ at twice the raster it reads.
 
 from __future__ import annotations
 
-
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d

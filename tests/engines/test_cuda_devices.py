@@ -1,0 +1,86 @@
+"""What can be known about CUDA without a GPU: no computation mixes tensors of two devices.
+
+The device "meta", whose tensors have no memory, stands for CUDA. What depends on values (the projection's owners, the
+height of the road) cannot be followed in this way.
+"""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
+
+from engine_of_torch import SLIM
+from lidar2pano.geometry.solid_noise import noise_tile, smooth_noise, solid_noise
+from lidar2pano.geometry.surface import cylinder_points, normals
+from lidar2pano.models import build
+from lidar2pano.models.circular import grow_circular, grown_classes
+from lidar2pano.models.scene_painter import sharpened, spread_out
+from random_weights import TRANSLATOR_VIEW
+
+ELSEWHERE = torch.device("meta")
+ROWS, COLUMNS = TRANSLATOR_VIEW.rows, TRANSLATOR_VIEW.columns
+COPIES = ("_to_copy", "copy_", "index.Tensor")  # may take tensors of two devices, on CUDA too
+
+
+class OneDevice(TorchDispatchMode):
+    """Refuses operations on tensors of several devices, as CUDA does; numbers (0-d tensors) of the CPU are allowed."""
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        tensors = [each for each in tree_leaves((args, kwargs)) if isinstance(each, torch.Tensor)]
+        devices = {each.device.type for each in tensors if each.ndim or each.device == ELSEWHERE}
+        if len(devices) > 1 and not any(name in str(func) for name in COPIES):
+            raise RuntimeError(f"{func}: tensors of {' and '.join(sorted(devices))}")
+        return func(*args, **(kwargs or {}))
+
+
+@pytest.fixture(autouse=True)
+def _one_device():
+    noise_tile.cache_clear()
+    with torch.no_grad(), OneDevice():
+        yield
+    noise_tile.cache_clear()
+
+
+def there(*shapes: tuple[int, ...]) -> list[torch.Tensor]:
+    return [torch.empty(shape, device=ELSEWHERE) for shape in shapes]
+
+
+def test_a_mixture_of_devices_is_found():
+    (x,) = there((2, 3))
+    with pytest.raises(RuntimeError, match="tensors of cpu and meta"):
+        _ = x + torch.empty(2, 3)
+    assert (x + torch.tensor(1.0)).device == ELSEWHERE
+
+
+@pytest.mark.parametrize(
+    ("model", "shapes", "outputs"),
+    [
+        ("salsanext", [(5, 32, 64)], [(20, 32, 64)]),
+        ("titan-pano", [(5, 32, 64), (20, 32, 64)], [(16, 32, 64), (32, 64)]),
+        ("painter", [(16, 32, 64), (32, 64), (5, 32, 64)], [(3, 64, 128)]),
+        ("scene-painter", [(30, 32, 64), (3, 64, 128), (2,), (3,)], [(3, 64, 128)]),
+    ],
+)
+def test_networks_stay_on_their_device(model, shapes, outputs):
+    network = build(model, **SLIM[model]).eval().to(ELSEWHERE)
+    found = network(*there(*((1, *shape) for shape in shapes)))
+    found = found if isinstance(found, tuple) else (found,)
+    assert [(one.device, tuple(one.shape)) for one in found] == [(ELSEWHERE, (1, *shape)) for shape in outputs]
+
+
+def test_the_painters_inputs_stay_on_their_device():
+    segments, depth_m, image = there((1, 16, ROWS, COLUMNS), (1, ROWS, COLUMNS), (2, 1, ROWS, COLUMNS))
+    radius_m, z_m = cylinder_points(depth_m, TRANSLATOR_VIEW)
+    parts = [
+        sharpened(segments, 2.0),
+        radius_m,
+        normals(radius_m, z_m, TRANSLATOR_VIEW),
+        *spread_out(*image),
+        solid_noise(depth_m[0], depth_m[0] > 9, TRANSLATOR_VIEW, (0.25, 1.0)),
+        smooth_noise(radius_m, z_m, TRANSLATOR_VIEW, 16.0),
+        grown_classes(segments, 2),
+        grow_circular(depth_m[None], 2),
+    ]
+    assert {part.device for part in parts} == {ELSEWHERE}
