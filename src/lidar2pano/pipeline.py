@@ -256,8 +256,9 @@ def load(
 
     weights  or what `models.families.weight_files` made of such a name.
     device   "auto" (CUDA if there is one), "cpu" or "cuda".
-    engine   "auto" (OpenVINO where it is installed and the CPU multiplies bfloat16, else torch), "torch", "compile"
-             (torch.compile), "onnx" or "openvino". All but torch compile each network when it is first called.
+    engine   "auto" (OpenVINO for what engine="openvino" compiled before, on a CPU that multiplies bfloat16; else
+             torch), "torch", "compile" (torch.compile), "onnx" or "openvino". The last three compile each network
+             when it is first called.
     Raises InputError when weights, device or engine cannot be had.
     """
     picked = pick_device(device)

@@ -207,6 +207,16 @@ def test_an_engine_that_disagrees_is_refused_and_not_tried_again(builds):
     assert len(builds) == 1
 
 
+def test_auto_compiles_nothing_and_takes_what_was_compiled(builds):
+    inputs = inputs_of("titan-pano")
+    forward_of(TorchEngine(), optional=True)(*inputs)
+    assert len(builds) == 0 and not disk_cache.cache_folder().exists()
+    forward_of(TorchEngine())(*inputs)
+    chosen = forward_of(TorchEngine(), optional=True)
+    chosen(*inputs)
+    assert len(builds) == 1 and None not in chosen._runs.values()
+
+
 def test_an_engine_that_fails(builds):
     inputs, network = inputs_of("titan-pano"), network_of("titan-pano")
     logits, _ = forward_of(TorchEngine(failure="no kernel\nfor this"), optional=True)(*inputs)

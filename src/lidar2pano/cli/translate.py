@@ -68,7 +68,7 @@ EngineOption = Annotated[
     str,
     typer.Option(
         metavar="auto|torch|compile|onnx|openvino",
-        help="What runs the networks; auto: OpenVINO where it is installed and the CPU has bfloat16, else torch.",
+        help="What runs the networks; auto: OpenVINO where --engine openvino compiled the networks before, else torch.",
     ),
 ]
 ViewOption = Annotated[bool, typer.Option("--view", help="Write DIR/view.html to look around in, and open it.")]

@@ -55,7 +55,9 @@ class CompiledForward:
     the engine's arithmetic, all else in float32.
 
     network   as torch runs it;  model: its name in SIGNATURES;  weights: their checksum, "" to keep nothing on disk.
-    optional  whether torch computes where the engine cannot, or not as well; otherwise that is an InputError.
+    optional  whether torch computes what was not compiled before, since compiling takes half a minute that one scan
+              does not earn back, or where the engine did not do as well. Otherwise it is compiled now, and what the
+              engine cannot do is an InputError.
     """
 
     def __init__(self, network: nn.Module, model: str, weights: str, engine: Engine, *, optional: bool) -> None:
@@ -88,7 +90,8 @@ class CompiledForward:
         parts = [self.engine.name, self.engine.conditions(), self.model, self.weights, shapes, _sources()]
         key = hashlib.sha256(json.dumps(parts).encode()).hexdigest() if self.weights else ""
         try:
-            return self._stored(key, inputs[0].device) or self._compiled(key, inputs, shapes)
+            stored = self._stored(key, inputs[0].device)
+            return stored if stored or self.optional else self._compiled(key, inputs, shapes)
         except UnfitError as unfit:
             if self.optional:
                 return None

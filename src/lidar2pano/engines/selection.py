@@ -26,7 +26,7 @@ EXTRAS = {"onnx": ("onnx", ("onnx", "onnxscript", "onnxruntime")), "openvino": (
 def pick_engine(name: str, device: torch.device) -> str:
     """The engine that a name of ENGINES stands for on a device.
 
-    "auto" is OpenVINO on a CPU that multiplies bfloat16, where it is installed, else torch.
+    "auto" is OpenVINO on a CPU that multiplies bfloat16, where it is installed, else torch; it compiles nothing.
     Raises InputError where the name is unknown, its extra is missing, or it cannot compute on the device.
     """
     requested = os.environ.get(VARIABLE) or name if name == "auto" else name
@@ -54,9 +54,9 @@ def accelerated(network: nn.Module, model: str, weights: str, engine: str, devic
     """The network, changed in place so that an engine computes its `forward`.
 
     model    its name in models.MODELS;  weights: checksum of its weights, "" where nothing is to be kept on disk.
-    engine   of ENGINES. With "auto", torch goes on computing where the engine's outputs are not as good as torch's.
-    It is compiled for each shape of inputs when they first come. Raises InputError as `pick_engine`, and for a network
-    that runs in torch only.
+    engine   of ENGINES. With "auto", the engine computes what was compiled before by its name, and torch all else.
+    Otherwise it is compiled for each shape of inputs when they first come.
+    Raises InputError as `pick_engine`, and for a network that runs in torch only.
     """
     picked = pick_engine(engine, device)
     if picked == "torch":
