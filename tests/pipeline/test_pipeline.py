@@ -337,7 +337,7 @@ def test_an_interrupted_save_leaves_nothing(panorama, tmp_path, monkeypatch):
         path.write_bytes(b"half")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("lidar2pano.panorama.write_png", interrupted)
+    monkeypatch.setattr("lidar2pano.panorama.write_colour", interrupted)
     with pytest.raises(KeyboardInterrupt):
         panorama.save(tmp_path)
     assert list(tmp_path.iterdir()) == []
