@@ -97,22 +97,30 @@ def _optical_centre(T_camera_lidar: np.ndarray) -> tuple[float, float, float]:
 
 def _undistorted_brown(x_d: np.ndarray, y_d: np.ndarray, distortion: np.ndarray) -> np.ndarray:
     """Directions (x, y, 1) whose distorted place is (x_d, y_d), by Newton's method; NaN where there is none."""
-    k1, k2, p1, p2, k3 = np.pad(distortion, (0, 5 - len(distortion)))
     x, y = x_d, y_d
-    for _ in range(NEWTON_STEPS):
-        r2 = x * x + y * y
-        radial, slope = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2 * k2 + 3 * r2 * k3)
-        error_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) - x_d
-        error_y = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y - y_d
-        xx = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x  # the Jacobian, which is symmetric
-        xy = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
-        yy = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
-        with np.errstate(all="ignore"):  # what diverges is left out below
-            determinant = xx * yy - xy * xy
+    with np.errstate(all="ignore"):  # what diverges is left out below
+        for _ in range(NEWTON_STEPS):
+            to_x, to_y, xx, xy, yy = _distorted_brown(x, y, distortion)
+            error_x, error_y, determinant = to_x - x_d, to_y - y_d, xx * yy - xy * xy
             x, y = x - (yy * error_x - xy * error_y) / determinant, y - (xx * error_y - xy * error_x) / determinant
-    unfolded = (determinant > 0) & (xx + yy > 0)  # elsewhere the lens's polynomial falls, which no lens does
-    found = (np.hypot(error_x, error_y) < NEWTON_TOLERANCE) & unfolded
+        to_x, to_y, xx, xy, yy = _distorted_brown(x, y, distortion)
+        unfolded = (xx * yy > xy * xy) & (xx + yy > 0)  # elsewhere the lens's polynomial falls, which no lens does
+        found = (np.hypot(to_x - x_d, to_y - y_d) < NEWTON_TOLERANCE) & unfolded
     return np.where(found[..., None], np.stack([x, y, np.ones_like(x)], axis=-1), np.nan)
+
+
+def _distorted_brown(x: np.ndarray, y: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Distorted places (x, y) of directions (x, y, 1), and their Jacobian, which is symmetric: xx, xy, yy."""
+    k1, k2, p1, p2, k3 = (*distortion.tolist(), 0.0)[:5]
+    r2 = x * x + y * y
+    radial, slope = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2 * k2 + 3 * r2 * k3)
+    return (
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x,
+        2 * x * y * slope + 2 * p1 * x + 2 * p2 * y,
+        radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x,
+    )
 
 
 def _undistorted_fisheye(x_d: np.ndarray, y_d: np.ndarray, distortion: np.ndarray) -> np.ndarray:

@@ -98,6 +98,7 @@ def fake_ray(monkeypatch):
         exceptions=errors, get=lambda call: call(), wait=lambda calls, num_returns=1, timeout=0: (calls[:1], calls[1:])
     )
     monkeypatch.setitem(sys.modules, "ray", ray)
+    monkeypatch.setitem(sys.modules, "ray.exceptions", errors)
 
 
 def translated(deadly: set[str], healthy: bool = True, scans: int = 20) -> tuple[list[dict], list[Fake]]:

@@ -71,7 +71,7 @@ def test_scans_are_translated_into_a_page(here, run, opened):
     assert (code, err, opened) == (0, [], [])
     assert out.endswith("new/page.html\n") and "drive/1.bin: 4000 points" in out
     frames = index_of(here / "new" / "page.html")["frames"]
-    assert [frame["name"] for frame in frames] == ["1.bin", "2.bin"]
+    assert [frame["name"] for frame in frames] == ["1", "2"]
     assert all(frame["points"][1:] == [4000, 4000] for frame in frames)
     assert sorted(path.name for path in here.iterdir()) == ["drive", "new"], "no other file"
     assert [path.name for path in (here / "new").iterdir()] == ["page.html"]
@@ -82,7 +82,7 @@ def test_a_bad_scan_does_not_stop_the_page(here, run, opened):
     (here / "in" / "b.bin").write_bytes(b"12345")
     code, _, err = run("view", "in")
     assert code == 2 and len(err) == 1 and "in/b.bin" in err[0]
-    assert [frame["name"] for frame in index_of(here / "view.html")["frames"]] == ["a.bin"]
+    assert [frame["name"] for frame in index_of(here / "view.html")["frames"]] == ["a"]
     assert opened == []
 
 
@@ -145,8 +145,10 @@ def test_without_a_screen_no_browser_is_started(here, opened, monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    open_page(here / "a.html")
+    open_page(here / "a.html", 0)
     assert opened == [] and "DISPLAY" not in os.environ
     monkeypatch.setattr(sys, "platform", "darwin")
-    open_page(here / "a.html")
+    open_page(here / "a.html", 2)
+    open_page(None, 0)
+    open_page(here / "a.html", 0)
     assert opened == [(here / "a.html").as_uri()]

@@ -23,8 +23,8 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"scan", "views", "labels", "calibration"}),
     frozenset({"formats", "geometry", "hardware", "demo"}),
     frozenset({"models", "losses", "metrics", "data", "panorama", "memory", "simulate", "recordings", "engines"}),
-    frozenset({"pipeline", "drive_motion"}),
-    frozenset({"prepare", "train", "evaluate", "bench", "bulk", "serve", "viewer"}),
+    frozenset({"pipeline", "drive_motion", "viewer"}),
+    frozenset({"prepare", "train", "evaluate", "bench", "bulk", "serve"}),
     frozenset({"reproduce"}),
     frozenset({"cli", "ros", "__main__"}),
 )

@@ -106,7 +106,7 @@ def test_ground_truth_is_painted_where_it_is_known_and_drawn(task, batch):
     assert torch.allclose(task.segments(half), half.segments.float(), atol=1e-3)
 
 
-def test_both_pictures_and_the_condition_are_augmented_alike(task, batch):
+def test_both_images_and_the_condition_are_augmented_alike(task, batch):
     task.options = replace(task.options, augment_probability=1.0)
     image = batch.flat().image
     condition = torch.rand(2, 17, 32, 64)

@@ -60,7 +60,7 @@ def pages(tmp_path_factory) -> Path:
         "hostile": [page_frame(0, HOSTILE), page_frame(1, "b")],
     }
     for name, frames in contents.items():
-        writer = PageWriter(HOSTILE if name == "hostile" else name, len(frames))
+        writer = PageWriter(HOSTILE if name == "hostile" else name)
         for frame in frames:
             writer.add(frame)
         writer.write(folder / f"{name}.html")

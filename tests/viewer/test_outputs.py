@@ -23,11 +23,11 @@ from small_panoramas import small_panorama
 def run(output, frames: int) -> Path | None:
     with closing(output):
         for seed in range(frames):
-            output.add(small_panorama(seed), street(), Path(f"{seed}.bin"))
+            output.add(small_panorama(seed), street(), Path(f"{seed}.bin"), f"scan {seed}")
         return output.finish()
 
 
-@pytest.mark.parametrize("make", [lambda path: PageOutput(path, "t", 1), VideoOutput, RerunOutput])
+@pytest.mark.parametrize("make", [lambda path: PageOutput(path, "t"), VideoOutput, RerunOutput])
 def test_without_a_panorama_there_is_no_file(tmp_path, make):
     for module in ("av", "rerun"):
         pytest.importorskip(module, reason="an extra")
@@ -36,8 +36,8 @@ def test_without_a_panorama_there_is_no_file(tmp_path, make):
 
 
 def test_a_page(tmp_path):
-    path = run(PageOutput(tmp_path / "new" / "a.html", "t", 2), 2)
-    assert path == tmp_path / "new" / "a.html" and path.read_text(encoding="utf-8").count('"name":"1.bin"') == 1
+    path = run(PageOutput(tmp_path / "new" / "a.html", "t"), 2)
+    assert path == tmp_path / "new" / "a.html" and path.read_text(encoding="utf-8").count('"name":"scan 1"') == 1
 
 
 def test_a_video_has_all_frames_in_order(tmp_path):
@@ -46,7 +46,7 @@ def test_a_video_has_all_frames_in_order(tmp_path):
         for level in (20, 120, 220):
             around = small_panorama()
             around.colour[:] = level
-            output.add(around, street(), Path("a.bin"))
+            output.add(around, street(), Path("a.bin"), "a")
         path = output.finish()
     with av.open(str(path)) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]

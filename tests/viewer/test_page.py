@@ -51,7 +51,7 @@ class Elements(html.parser.HTMLParser):
 
 
 def written(tmp_path: Path, *frames, title="a title") -> str:
-    writer = PageWriter(title, len(frames))
+    writer = PageWriter(title)
     for frame in frames:
         writer.add(frame)
     path = writer.write(tmp_path / "page.html")
@@ -113,7 +113,7 @@ def test_names_from_outside_are_text(tmp_path):
 
 
 def test_only_cylinders_and_at_least_one_frame(tmp_path):
-    writer = PageWriter("t", 1)
+    writer = PageWriter("t")
     with pytest.raises(InputError, match="is no cylinder"):
         writer.add(page_frame(view=VIEWS["hdl64e"]))
     with pytest.raises(ValueError, match="a page needs a frame"):
@@ -124,6 +124,22 @@ def test_only_cylinders_and_at_least_one_frame(tmp_path):
         writer.write(tmp_path / "file" / "a.html")
     writer.close()
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize(("frames", "mime", "columns"), [(4, "png", 1152), (5, "webp", 1152), (8, "webp", 576)])
+def test_the_number_of_frames_decides_how_they_are_coded(tmp_path, monkeypatch, frames, mime, columns):
+    monkeypatch.setattr("lidar2pano.viewer.page.MOST_FRAMES", 6)
+    monkeypatch.setattr("lidar2pano.viewer.layers.MOST_FRAMES", 6)
+    page = written(tmp_path, *(replace(page_frame(seed), depth_m=None, xyz=None) for seed in range(frames)))
+    index, blocks = index_of(page), {a["id"]: text for a, text in Elements(page).of("script") if "id" in a}
+    assert [frame["layers"]["colour"][1] for frame in index["frames"]] == [f"image/{mime}"] * frames
+    for seed, frame in enumerate(index["frames"]):
+        with Image.open(io.BytesIO(base64.b64decode(blocks[frame["layers"]["classes"][0]]))) as image:
+            assert image.size == (columns, columns // 12)
+            skip = 1152 // columns
+            np.testing.assert_array_equal(
+                np.array(image)[..., 0], small_panorama(seed).segments[skip // 2 :: skip, skip // 2 :: skip]
+            )
 
 
 def test_titles(tmp_path):
@@ -141,6 +157,7 @@ def test_saved_panoramas_are_frames(tmp_path):
     around.save(tmp_path, ("rgb", "segments", "labels", "depth"), stem="b")
     around.save(tmp_path, ("rgb",), stem="a")
     (tmp_path / "a.camera.png").write_bytes((tmp_path / "a.png").read_bytes())
+    around.save_points(tmp_path / "b.ply", street())
     files = panorama_files(tmp_path)
     assert [file.name for file in files] == ["a.png", "b.png"]
     plain, whole = (read_frame(file) for file in files)
@@ -148,6 +165,10 @@ def test_saved_panoramas_are_frames(tmp_path):
     np.testing.assert_array_equal(whole.colour, around.colour)
     np.testing.assert_array_equal(whole.segments, around.segments)
     np.testing.assert_allclose(whole.depth_m, around.depth_m, atol=1 / 512)
+    assert whole.xyz is not None and whole.xyz.dtype == np.float32
+    np.testing.assert_array_equal(whole.xyz, street().xyz)
+    around.save(tmp_path, stem="c", image_format="webp")
+    assert [file.name for file in panorama_files(tmp_path)] == ["a.png", "b.png", "c.webp"]
     assert panorama_files(tmp_path / "a.png") == [tmp_path / "a.png"]
     assert panorama_files(tmp_path / "none") == []
 

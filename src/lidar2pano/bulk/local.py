@@ -13,7 +13,8 @@ from lidar2pano.bulk.entries import Entry
 from lidar2pano.bulk.job import Job, Worker
 from lidar2pano.bulk.stores import open_store
 
-A, B = TypeVar("A"), TypeVar("B")
+A = TypeVar("A")
+B = TypeVar("B")
 MOST_THREADS = 8  # for writing: coding a panorama's PNG takes a core about a seventh of a second
 
 

@@ -31,13 +31,12 @@ def connected(address: str) -> Iterator[dict[str, float]]:
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is reported to others
     import ray
 
-    place = {} if address == "auto" else {"address": address}
     try:
-        ray.init(log_to_driver=False, logging_level=logging.ERROR, **place)
+        ray.init(None if address == "auto" else address, log_to_driver=False, logging_level=logging.ERROR)
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise InputError(f"--ray {address}: cannot be connected to ({error}); start a cluster by ray start") from error
     try:
-        yield ray.cluster_resources()
+        yield dict(ray.cluster_resources())  # pyright: ignore[reportReturnType]
     finally:
         ray.shutdown()
 
@@ -102,14 +101,15 @@ class Pool:
 
     def _taken(self, reference: Any, job: Job) -> dict[str, Any] | None:  # noqa: ANN401
         """What a call that has ended gave: a line, or None where a worker has started or a scan is tried again."""
-        import ray
+        from ray import get
+        from ray.exceptions import RayActorError, RayTaskError
 
         worker, entry, load = self._running.pop(reference)
         try:
-            record = ray.get(reference)
-        except ray.exceptions.RayTaskError as error:
+            record: Any = get(reference)
+        except RayTaskError as error:
             raise (error.cause if isinstance(error.cause, InputError) else error) from None
-        except ray.exceptions.RayActorError:
+        except RayActorError:
             return self._bury(worker, entry, job)
         if entry is None:
             self._free[worker], self._failed_starts = AT_ONCE, 0
@@ -164,7 +164,8 @@ def translate_on_ray(
     """
     import ray
 
-    remote = ray.remote(num_cpus=cores, num_gpus=gpus, max_restarts=0, max_concurrency=AT_ONCE)(RayWorker)
+    settings: dict[str, Any] = {"num_cpus": cores, "num_gpus": gpus, "max_restarts": 0, "max_concurrency": AT_ONCE}
+    remote: Any = ray.remote(**settings)(RayWorker)
     pool = Pool(lambda: remote.remote(job, cores), workers, todo)
     try:
         yield from pool.records(job, stopped)

@@ -13,7 +13,7 @@ from lidar2pano.cli.app import app, note_licence
 from lidar2pano.cli.translate import DeviceOption, EngineOption, WeightsOption
 from lidar2pano.errors import InputError
 
-LOOPBACK = ("127.0.0.1", "localhost")
+LOOPBACK: tuple[str, ...] = ("127.0.0.1", "localhost")
 
 
 @app.command()

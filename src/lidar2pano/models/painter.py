@@ -7,8 +7,6 @@ at twice the raster it reads.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
@@ -103,9 +101,8 @@ class Painter(nn.Module):
         return torch.cat([means[:, :-1], means[:, -1:] * pixels], 1) if self.grain else means
 
 
-@lru_cache(maxsize=4)
 def fixed_grain(rows: int, columns: int) -> Tensor:
-    """(rows, columns) float32 normal noise, always the same."""
+    """(rows, columns) float32 normal noise, always the same; not cached, since a traced call would leave no numbers."""
     return torch.randn(rows, columns, generator=torch.Generator().manual_seed(0))
 
 

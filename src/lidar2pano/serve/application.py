@@ -24,15 +24,18 @@ from lidar2pano.serve.fair_queue import FairQueue
 from lidar2pano.serve.limits import Limits
 from lidar2pano.serve.measurements import Measurements
 from lidar2pano.serve.results import KeptResults
-from lidar2pano.serve.translation import FILES, Result, Translation, parse_parts
+from lidar2pano.serve.translation import FILES, PAGE, Result, Translation, parse_parts
 
-TYPES = {"rgb": "image/png", "segments": "image/png", "labels": "application/octet-stream", "depth": "image/png"}
+TYPES = {"rgb": "image/png", "segments": "image/png", "labels": "application/octet-stream", "depth": "image/png"} | {
+    PAGE: "text/html"
+}
 ANSWERS = ("png", "zip", "json")
 CLOSED = 499  # for the metrics: the client went away
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline';"
-    " img-src 'self' blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    " img-src 'self' blob: data:; connect-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none';"
+    " frame-ancestors 'self'",
     "X-Content-Type-Options": "nosniff",
 }
 

@@ -13,11 +13,18 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ENDINGS, PACKED, TEXT_ENDINGS, read
 from lidar2pano.hardware import Timer
 from lidar2pano.memory import Memory
-from lidar2pano.panorama import OUTPUTS
+from lidar2pano.panorama import OUTPUTS, Panorama
 from lidar2pano.pipeline import Pipeline
+from lidar2pano.scan import Scan
+from lidar2pano.viewer.page import PageFrame, PageWriter
 
-FILES = {"rgb": "panorama.png", "segments": "panorama.segments.png", "labels": "panorama.label"} | {
-    "depth": "panorama.depth.png"
+PAGE = "page"  # an output like OUTPUTS: the page to look around in
+FILES = {
+    "rgb": "panorama.png",
+    "segments": "panorama.segments.png",
+    "labels": "panorama.label",
+    "depth": "panorama.depth.png",
+    PAGE: "panorama.html",
 }
 
 
@@ -25,7 +32,7 @@ FILES = {"rgb": "panorama.png", "segments": "panorama.segments.png", "labels": "
 class Result:
     """What was made of a scan.
 
-    files  the outputs by what they hold (OUTPUTS).
+    files  the outputs by what they hold (OUTPUTS, PAGE).
     """
 
     files: Mapping[str, bytes]
@@ -71,11 +78,33 @@ class Translation:
                 translated = self.pipeline.translate(scan, timer)
                 _, panorama = self.pipeline.paint(translated, Memory(), None, timer)
                 with timer("save"):
-                    paths = panorama.save(name, save, None, "panorama")
-                    files = dict(zip(save, (file.read_bytes() for file in paths), strict=True))
+                    parts = tuple(part for part in save if part != PAGE)
+                    paths = panorama.save(name, parts, None, "panorama")
+                    files = dict(zip(parts, (file.read_bytes() for file in paths), strict=True))
+                if PAGE in save:
+                    with timer("page"):
+                        files[PAGE] = page_of(panorama, scan, Path(name, FILES[PAGE]))
             except InputError as error:
                 raise InputError(str(error).replace(str(path), "scan").replace(name, "")) from None
         return Result(files=files, points=len(scan), dropped=panorama.dropped, milliseconds=dict(timer.milliseconds))
+
+
+def page_of(panorama: Panorama, scan: Scan, path: Path) -> bytes:
+    """The bytes of a page to look around in a panorama, by way of a file at `path`."""
+    writer = PageWriter("panorama")
+    try:
+        frame = PageFrame(
+            name="scan",
+            view=panorama.view,
+            colour=panorama.colour,
+            segments=panorama.segments,
+            depth_m=panorama.depth_m,
+            xyz=scan.xyz,
+        )
+        writer.add(frame)
+        return writer.write(path).read_bytes()
+    finally:
+        writer.close()
 
 
 def known_ending(name: str) -> str:
@@ -87,8 +116,9 @@ def known_ending(name: str) -> str:
 
 
 def parse_parts(text: str) -> tuple[str, ...]:
-    """The outputs that a request names, in the order of OUTPUTS; InputError for a name that is none."""
+    """The outputs that a request names, in the order of FILES; InputError for a name that is none."""
     names = {name.strip() for name in text.split(",") if name.strip()}
-    if not names or not names <= {*OUTPUTS, "all"}:
-        raise InputError(f"save: name some of {', '.join(OUTPUTS)}, or all")
-    return OUTPUTS if "all" in names else tuple(name for name in OUTPUTS if name in names)
+    if not names or not names <= {*FILES, "all"}:
+        raise InputError(f"save: name some of {', '.join(FILES)}, or all (but the page)")
+    names |= set(OUTPUTS) if "all" in names else set()
+    return tuple(name for name in FILES if name in names)

@@ -14,7 +14,7 @@ STEPS = 254
 CENTIMETRE = 0.01  # of point coordinates, which thus reach 327 m
 FEW_FRAMES = 4  # so many are coded exactly
 MOST_FRAMES = 60  # more than that, and every image is coarser
-MANY_POINTS = 4000  # of a scan, where there are more than MOST_FRAMES of them
+MANY_POINTS = 3000  # of a scan, where there are more than MOST_FRAMES of them
 MOST_POINTS = 1_200_000  # of a page with fewer: those of ten scans
 
 
@@ -37,7 +37,7 @@ class Coding:
 def coding_for(frames: int) -> Coding:
     """Coding of a page with so many frames: exact for few; such that 300 frames are about 30 MB."""
     if frames > MOST_FRAMES:
-        return Coding(quality=75, coarser=2, depth_coarser=4, points=MANY_POINTS)
+        return Coding(quality=65, coarser=2, depth_coarser=4, points=MANY_POINTS)
     points = MOST_POINTS // max(frames, 1)
     if frames > FEW_FRAMES:
         return Coding(quality=70, coarser=1, depth_coarser=2, points=points)
@@ -74,19 +74,20 @@ def depth_codes(depth_m: np.ndarray) -> np.ndarray:
     return np.where(depth_m > 0, steps + 1, 0).astype(np.uint8)
 
 
-def point_bytes(xyz: np.ndarray, coding: Coding) -> tuple[bytes, int]:
-    """(bytes, number of points) of points (N, 3) in metres: `coding.points` of them at most, evenly chosen.
+def point_bytes(xyz: np.ndarray, coding: Coding) -> tuple[bytes, int, int]:
+    """(bytes, points in them, usable points) of points (N, 3) in metres: `coding.points` at most, evenly chosen.
 
-    Only finite points within 327 m are kept. Whole centimetres, each as the difference from the point before, in six
-    planes (low and high bytes of x, of y, of z), compressed by zlib.
+    Usable are finite points within 327 m, but for the sensor's origin, which means no echo. They are whole centimetres,
+    each the difference from the point before, in six planes (low and high bytes of x, of y, of z), compressed by zlib.
     """
     centimetres = np.round(xyz.astype(np.float64) / CENTIMETRE)
     centimetres = centimetres[(np.abs(centimetres) < 1 << 15).all(axis=1) & centimetres.any(axis=1)]  # NaN is not less
-    if len(centimetres) > coding.points:
-        centimetres = centimetres[np.linspace(0, len(centimetres) - 1, coding.points).astype(np.int64)]
+    usable = len(centimetres)
+    if usable > coding.points:
+        centimetres = centimetres[np.linspace(0, usable - 1, coding.points).astype(np.int64)]
     steps = np.diff(centimetres.astype("<i2"), axis=0, prepend=np.zeros((1, 3), dtype="<i2"))  # wraps, as the sum does
     planes = np.ascontiguousarray(steps.T).view(np.uint8).reshape(3, -1, 2).transpose(0, 2, 1)
-    return zlib.compress(planes.tobytes(), 6), len(centimetres)
+    return zlib.compress(planes.tobytes(), 6), len(centimetres), usable
 
 
 def _codes(codes: np.ndarray, coarser: int) -> tuple[bytes, str]:

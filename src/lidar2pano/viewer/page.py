@@ -131,8 +131,8 @@ class PageWriter:
             "layers": layers,
         }
         if frame.xyz is not None:
-            data, count = point_bytes(frame.xyz, coding)
-            entry["points"] = [*self._block(data, "")[:1], count, len(frame.xyz)]
+            data, count, usable = point_bytes(frame.xyz, coding)
+            entry["points"] = [*self._block(data, "")[:1], count, usable]
         return entry
 
     def write(self, path: Path) -> Path:
@@ -168,7 +168,7 @@ class PageWriter:
 
     def _document(self) -> tuple[str, str]:
         """The page before and after its blocks of data."""
-        parts = files(__name__.rpartition(".")[0]) / "page"
+        parts = files(__name__.rpartition(".")[0]) / "web"
         read = {name: (parts / name).read_text(encoding="utf-8") for name in ("page.html", "page.css", "page.js")}
         shaders = (parts / "shaders.js").read_text(encoding="utf-8")
         style, script = f"\n{read['page.css']}", f"\n{shaders}\n{read['page.js']}"

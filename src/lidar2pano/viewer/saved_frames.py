@@ -1,4 +1,4 @@
-"""Panoramas that were saved as PNG, with what lies beside them, as frames of the page."""
+"""Panoramas that were saved, with what lies beside them, as frames of the page."""
 
 from __future__ import annotations
 
@@ -9,30 +9,32 @@ from pathlib import Path
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import DEPTH_STEPS, image_size, image_text, read_image
+from lidar2pano.formats.image_files import COLOUR_FORMATS, DEPTH_STEPS, image_size, image_text, read_image
+from lidar2pano.formats.readers import ReadOptions, open_path
 from lidar2pano.panorama import VIEW_KEYWORD
 from lidar2pano.viewer.page import PageFrame
 from lidar2pano.views import VIEWS, View
 
-BESIDE = (".segments.png", ".depth.png", ".camera.png", ".camera-segments.png")  # endings of other outputs
+ENDINGS = tuple(ending for ending, _ in COLOUR_FORMATS.values())
+BESIDE = (".segments", ".depth", ".camera", ".camera-segments")  # endings of the stems of other outputs
 PROPORTION_TOLERANCE = 0.02
 
 
 def panorama_files(path: Path) -> list[Path]:
-    """The panoramas that a path stands for: a PNG itself, or those of a folder in order of their names; else []."""
-    if path.suffix.lower() == ".png" and not path.is_dir():
+    """The panoramas that a path stands for: an image itself, or those of a folder in order of their names; else []."""
+    if path.suffix in ENDINGS and not path.is_dir():
         return [path]
     if not path.is_dir():
         return []
     try:
-        found = sorted(file for file in path.iterdir() if file.suffix == ".png" and file.is_file())
+        found = sorted(file for file in path.iterdir() if file.suffix in ENDINGS and file.is_file())
     except OSError as error:
         raise InputError(f"{path}: cannot be looked into ({error.strerror}); ask for permission") from error
-    return [file for file in found if not file.name.endswith(BESIDE)]
+    return [file for file in found if not file.stem.endswith(BESIDE)]
 
 
 def read_frame(path: Path) -> PageFrame:
-    """The panorama of a PNG, with the classes and depths beside it (<stem>.segments.png, <stem>.depth.png).
+    """The panorama of an image, with what lies beside it: <stem>.segments.png, <stem>.depth.png, <stem>.ply.
 
     Raises InputError where a file is damaged or is no panorama.
     """
@@ -44,11 +46,12 @@ def read_frame(path: Path) -> PageFrame:
         colour=read_image(path, "RGB"),
         segments=None if segments is None else segments.astype(np.uint8),
         depth_m=None if steps is None else steps.astype(np.float32) / DEPTH_STEPS,
+        xyz=_points(path.with_suffix(".ply")),
     )
 
 
 def saved_view(path: Path) -> View:
-    """The view of a panorama's PNG: as its text says; without one, the usual one of the same proportions.
+    """The view of a panorama's file: as its text says; without one, the usual one of the same proportions.
 
     Raises InputError for an image that is none.
     """
@@ -75,3 +78,12 @@ def _beside(path: Path, ending: str) -> np.ndarray | None:
     if values.ndim != 2 or not np.issubdtype(values.dtype, np.integer):
         raise InputError(f"{beside}: has colours where numbers belong; write it again with `translate --save all`")
     return values
+
+
+def _points(path: Path) -> np.ndarray | None:
+    """(N, 3) float32 of the points that were saved with the panorama: in the sensor's frame, metres."""
+    if not path.is_file():
+        return None
+    for cloud in open_path(path).clouds(path, ReadOptions()):
+        return cloud.xyz.astype(np.float32)
+    return None

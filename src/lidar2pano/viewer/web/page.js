@@ -207,13 +207,13 @@ function redraw() {
   if (!pending) { pending = true; requestAnimationFrame(() => { pending = false; if (frame) draw(); }); }
 }
 
-function use({ made, at }, box, lod) {
+function use({ made, at }, box, detail) {
   const [up, down, left, right] = frame.info.view;
   gl.useProgram(made);
   gl.viewport(...box);
   gl.scissor(...box);
   gl.uniform4f(at("cylinder"), up, down, left, left - right);
-  gl.uniform1f(at("lod"), Math.max(lod, 0));
+  gl.uniform1f(at("detail"), Math.max(detail, 0));
   gl.uniform2f(at("depthRange"), INDEX.depth.nearest, INDEX.depth.farthest);
   gl.uniform4f(at("pane"), ...box);
   return at;

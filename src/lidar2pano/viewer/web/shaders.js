@@ -10,7 +10,7 @@ const vec3 GROUND = vec3(20., 23., 28.) / 255.;
 uniform sampler2D colour, classes, depth, photo;
 uniform sampler2D table;    // 256 x 2: RGB of each class, RGB of each depth code
 uniform vec4 cylinder;      // tangents of the upper and the lower edge; azimuth of the left edge, width: radians
-uniform float lod;          // level of detail of colours: log2 of panorama pixels per screen pixel
+uniform float detail;          // level of detail of colours: log2 of panorama pixels per screen pixel
 uniform vec2 depthRange;    // metres of the codes 1 and 255, which are log-spaced
 
 // The arc tangent of y / x to 2e-8 (Abramowitz and Stegun 4.4.49); that of some GPUs is half a panorama pixel off.
@@ -38,9 +38,9 @@ int code(sampler2D layer, vec2 at) { return int(textureLod(layer, at, 0.).r * 25
 vec3 painted(vec2 at, int layer) {
   if (layer == 1) return texelFetch(table, ivec2(code(classes, at), 0), 0).rgb;
   if (layer == 2) return texelFetch(table, ivec2(code(depth, at), 1), 0).rgb;
-  vec3 rgb = textureLod(colour, at, lod).rgb;
+  vec3 rgb = textureLod(colour, at, detail).rgb;
   if (layer == 0) return rgb;
-  vec4 sample_ = textureLod(photo, at, lod);
+  vec4 sample_ = textureLod(photo, at, detail);
   return mix(rgb * .3, sample_.rgb, sample_.a);
 }
 `;
