@@ -9,13 +9,19 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.engines.signatures import as_tuple
-from lidar2pano.engines.tracing import recordable
+from lidar2pano.engines.tracing import example, recordable
 
 # settings that make networks small, by name in MODELS
 SLIM = {
     "salsanext": {},
     "titan-pano": {"widths": (8, 8, 8, 8, 8), "pyramid": 8},
-    "painter": {"widths": (8, 8, 8), "blocks": 1},
+    "painter": {
+        "widths": (8, 8, 8),
+        "blocks": 1,
+        "filled": True,
+        "sharp": 2.0,
+        "grain": True,
+    },  # as world has
     "scene-painter": {"widths": (8, 8, 8), "blocks": 1, "last": 8, "looks": ("day", "dusk")},
 }
 
@@ -37,7 +43,7 @@ class TorchEngine:
             raise RuntimeError(self.failure)
         self.builds.append(model)
         stream = io.BytesIO()
-        torch.save(recordable(network), stream)
+        torch.save(recordable(network, example(shapes)), stream)
         return stream.getvalue()
 
     def open(self, compiled: bytes, device: torch.device):

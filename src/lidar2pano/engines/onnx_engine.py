@@ -61,7 +61,7 @@ def graph(network: nn.Module, model: str, inputs: Sequence[Tensor], metadata: Ma
     try:
         with recording():
             program = torch.onnx.export(
-                recordable(network),
+                recordable(network, inputs),
                 tuple(inputs),
                 dynamo=True,
                 opset_version=OPSET,

@@ -34,7 +34,8 @@ class OpenVino:
     def build(self, network: nn.Module, model: str, shapes: tuple[Shape, ...]) -> bytes:  # noqa: ARG002
         """The network for inputs of these shapes, as OpenVINO writes compiled models."""
         with recording():
-            program = torch.export.export(recordable(network), example(shapes), strict=False)
+            inputs = example(shapes)
+            program = torch.export.export(recordable(network, inputs), inputs, strict=False)
             graph = openvino().convert_model(program)
         graph.reshape(dict(zip(graph.inputs, map(list, shapes), strict=True)))
         stream = io.BytesIO()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import torch
@@ -31,7 +31,12 @@ def example(shapes: tuple[Shape, ...]) -> tuple[Tensor, ...]:
         return tuple(torch.ones(shape) for shape in shapes)
 
 
-def recordable(network: nn.Module) -> nn.Module:
-    """A copy of a network on the CPU that may take part in recording, wherever the original was made."""
+def recordable(network: nn.Module, inputs: Sequence[Tensor]) -> nn.Module:
+    """A copy of a network on the CPU that may take part in recording, wherever the original was made.
+
+    It is run once, so that what it computes only once is there before recording begins.
+    """
     with recording():
-        return copy.deepcopy(network).cpu()
+        own = copy.deepcopy(network).cpu()
+        own(*inputs)
+    return own

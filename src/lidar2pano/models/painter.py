@@ -7,6 +7,9 @@ at twice the raster it reads.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
@@ -102,8 +105,14 @@ class Painter(nn.Module):
 
 
 def fixed_grain(rows: int, columns: int) -> Tensor:
-    """(rows, columns) float32 normal noise, always the same; not cached, since a traced call would leave no numbers."""
-    return torch.randn(rows, columns, generator=torch.Generator().manual_seed(0))
+    """(rows, columns) float32 normal noise, always the same; a constant where a network is recorded as a graph."""
+    return torch.from_numpy(_noise_array(rows, columns))
+
+
+@lru_cache(maxsize=4)
+def _noise_array(rows: int, columns: int) -> np.ndarray:
+    """The numbers of `fixed_grain`, in numpy: a tensor that is made while a network is recorded has none."""
+    return torch.randn(rows, columns, generator=torch.Generator().manual_seed(0)).numpy()
 
 
 def _channels_last(x: Tensor) -> Tensor:
