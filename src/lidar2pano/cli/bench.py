@@ -48,18 +48,21 @@ def bench(
         check_file(as_json, "--json")
     if world:
         rows, said = measure_world(runs, processes), {"device": "cpu", "runs": runs, "processes": processes}
+        text = table(rows, said)
     else:
         kept = keep_buffers()
         name = weights or default_weights()
         engines = list(dict.fromkeys(part.strip() for part in engine.split(",")))
         said = conditions(device, runs) | {"weights": name or "untrained", "buffers_kept": kept}
         if len(engines) > 1:
-            rows, table = compare(runs, device, name, engines), comparison_table
+            rows = compare(runs, device, name, engines)
+            text = comparison_table(rows, said)
         else:
             rows = measure(runs, device, name, engine)
             said["engine"] = pick_engine(engine, pick_device(device))
+            text = table(rows, said)
         if name:
             note_licence(read_card(file) for file in weight_files(name).values())
     if as_json:
         write_json(as_json, said | {"rows": [row.as_dict() for row in rows]}, "--json")
-    print(table(rows, said))
+    print(text)

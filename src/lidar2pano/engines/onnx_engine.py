@@ -72,6 +72,8 @@ def graph(network: nn.Module, model: str, inputs: Sequence[Tensor], metadata: Ma
             )
     finally:
         logger.setLevel(level)
+    if program is None:
+        raise RuntimeError("torch.onnx exported nothing")
     proto = program.model_proto
     for name, text in (metadata or {}).items():
         proto.metadata_props.add(key=name, value=text)

@@ -82,7 +82,7 @@ def fast_png(colour: np.ndarray, text: Mapping[str, str] | None = None) -> bytes
     np.subtract(colour[:, 1:], colour[:, :-1], out=lines[:, 4:].reshape(rows, columns - 1, 3))
     deflate = zlib.compressobj(FAST_PNG, strategy=zlib.Z_RLE)
     header = struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)  # 8 bits per channel, RGB, not interlaced
-    pixels = deflate.compress(lines) + deflate.flush()
+    pixels = deflate.compress(lines.tobytes()) + deflate.flush()
     texts = [_chunk(b"tEXt", f"{key}\0{value}".encode("latin-1")) for key, value in (text or {}).items()]
     parts = (PNG_SIGNATURE, _chunk(b"IHDR", header), *texts, _chunk(b"IDAT", pixels), _chunk(b"IEND", b""))
     return b"".join(parts)

@@ -113,9 +113,9 @@ class ScenePainting:
         known = means.isfinite().all(2)
         shares = segments * known[..., None, None]
         expected = torch.einsum("bchw,bck->bkhw", shares, means.nan_to_num(0))
-        size = pooled(painted).shape[-2:]
+        rows, columns = pooled(painted).shape[-2:]
         share, expected, valid = (
-            adaptive_avg_pool2d(part, size)
+            adaptive_avg_pool2d(part, (rows, columns))
             for part in (shares.sum(1, keepdim=True), expected, batch.valid[:, None].float())
         )
         weight = share * (valid == 0)
