@@ -43,7 +43,8 @@ class ProjectedCritic(nn.Module):
         coarser: Tensor | None = None
         for number in reversed(range(len(features))):
             x = features[number]
-            x = self.across[number](x / (x.detach().std() + 1e-3))  # depths differ in scale, and conditions are 0 to 1
+            x = x / (x.detach().std((1, 2, 3), keepdim=True) + 1e-3)  # depths differ in scale; conditions are 0 to 1
+            x = self.across[number](x)
             if coarser is not None:
                 x = (x + interpolate(coarser, size=x.shape[-2:], mode="bilinear", align_corners=False)) * 0.5**0.5
             x = coarser = self.scales[number](x)
