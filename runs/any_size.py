@@ -27,7 +27,7 @@ FAMILIES: dict[str, tuple[str, ...]] = {  # recipe and what is set besides
     "segmenter": ("salsanext-mini", "data.train=train"),
     "titan": ("titan-mini",),
     "titan-pano": ("titan-pano-mini", SEGMENTER),
-    "painter": ("painter-mini", SEGMENTER, f"options.translator={WEIGHTS / 'translator.safetensors'}"),
+    "painter": ("scene-painter-mini", SEGMENTER, f"options.translator={WEIGHTS / 'translator.safetensors'}"),
     "sdnet": ("sdnet-mini",),
     "scunet": ("scunet-mini",),
     "pix2pix": ("pix2pix-rgb-mini",),

@@ -26,30 +26,15 @@ lidar2pano train titan-pano-mini --data "$data" --out "$out/translator-2" --set 
 mkdir -p "$out/family"
 python "$(dirname "$0")/prior.py" "$(weights translator-2 translator)" "$out/family/translator.safetensors" \
   --data "$data" --share 0.5
-# A third stage scored no better and is not released, but the painter learnt from its segments.
+# A third stage scored no better and is not released.
 lidar2pano train titan-pano-mini --data "$data" --out "$out/translator-3" --set training.minutes=10 --set "$labels" \
   --set "networks.translator.start=$(weights translator-2 translator)" --set networks.translator.optimizer.rate=0.0007 \
   --set options.lovasz=1.5 --set options.class_weight_exponent=0.25 --set training.validate_minutes=5
-
-# The painter, twice in two stages: colours alone, then with a critic.
-paint() { # ROUND SEGMENTER TRANSLATOR-RUN COLOUR-MINUTES COLOUR-RATE CRITIC-MINUTES [START]
-  local translator
-  translator="options.translator=$(weights "$3" translator)"
-  lidar2pano train painter-mini --data "$data" --out "$out/colours-$1" --set "training.minutes=$4" --set "$2" \
-    --set "$translator" --set options.adversarial=0 --set options.feature_matching=0 --set options.pixels=10 \
-    --set "networks.painter.optimizer.rate=$5" --set networks.painter.optimizer.betas=0.9,0.99 \
-    ${7:+--set "networks.painter.start=$7" --set training.ema=0.99}
-  lidar2pano train painter-mini --data "$data" --out "$out/painter-$1" --set "training.minutes=$6" --set "$2" \
-    --set "$translator" --set options.adversarial=0.5 --set options.feature_matching=5 --set options.pixels=1 --set training.ema=0.99 \
-    --set "networks.painter.start=$(weights "colours-$1" painter)" --set networks.painter.optimizer.rate=0.0006
-}
-paint 1 "$first" translator-1 4 0.002 14
-paint 2 "$labels" translator-3 6 0.0015 16 "$(weights painter-1 painter)"
 
 # TITAN-Net the paper's way and ours for as many minutes, to be scored beside the family.
 # RESULTS.md's titan-7min was trained before titan-mini got half the picture, a narrower critic and a heavier guide.
 lidar2pano train titan-mini --data "$data" --out "$out/titan-7min" --set training.minutes=7.5 --set "$first"
 lidar2pano train titan-pano-mini --data "$data" --out "$out/titan-pano-7min" --set training.minutes=7.5 --set "$first"
 
-cp "$(weights segmenter-3 segmenter)" "$(weights painter-2 painter)" "$out/family"
+cp "$(weights segmenter-3 segmenter)" "$out/family"
 lidar2pano evaluate "$out/family" "$out/titan-pano-7min" "$out/titan-7min" --data "$data" --split val --json "$out/val.json"

@@ -10,9 +10,9 @@
 # are simulated there (extra `world`), `timeout 9m runs/release.sh KITTI OUT` again and again makes slices of it.
 # The released files were made on two CPU cores that were busy with other things as well, stage by stage and not by one
 # run of this script: `world-segmenter` in two stages of 17 and 8 minutes on earlier towns, `segmenter-4` and `-5` under
-# the name salsanext-mini and without `ring_drop_probability`, both `smooth` painters without grain, which runs/add_noise_input.py gave them;
-# painter-3 had feature_matching=3, pooled=6, pixels=0.5 in its first half. Cards call day w9, drives w8 and overcast w9o.
-# The scene painters' stages were cut short and begun again while the network grew (its last layers, the tones of classes):
+# the name salsanext-mini and without `ring_drop_probability`. Cards call day w9, drives w8 and overcast w9o.
+# The scene painters began with layers of the painters before them (recipes release-colours and release-painter, which are
+# in the history up to a634bbd). Their stages were cut short and begun again while the network grew (its last layers, the tones of classes):
 # `scene` had 869 + 430 + 338 steps, the critic went on from stage to stage, and of the towns only every fourth frame was
 # seen by kitti-mini's. Cards say how many steps the last stage had.
 set -euo pipefail
@@ -46,23 +46,9 @@ stage world-segmenter release-segmenter "$out/towns/scans" 25 data.train=all opt
   networks.segmenter.optimizer.rate=0.003 training.validate_minutes=0
 stage world-translator release-translator "$day" 25 data.train=train,"$drives:all" \
   options.segmenter="$(weights world-segmenter segmenter)" training.ema=0.99
-paint() { # RUN RECIPE DATA MINUTES TRAIN SEGMENTER TRANSLATOR [OVERRIDE...]
-  stage "$1" "$2" "$3" "$4" data.train="$5" options.segmenter="$6" options.translator="$7" training.validate_minutes=0 "${@:8}"
-}
 mean() { # OUT FILE FILE [SHARES]: what each stage forgets of the one before comes back in the mean of both
   python "$here/mean_weights.py" "$1" "$2" "$3" --shares "${4:-0.5,0.5}"
 }
-smooth=(options.adversarial=0.5 options.feature_matching=5 options.pooled=20 options.pixels=1 options.augment_probability=0)
-inputs=("train,$drives:all,$overcast:all" "$(weights world-segmenter segmenter)" "$(weights world-translator translator)")
-paint world-colours release-colours "$day" 12 "${inputs[@]}"
-paint world-smooth release-painter "$day" 16 "${inputs[@]}" "${smooth[@]}" \
-  networks.painter.start="$(weights world-colours painter)"
-paint world-painter release-painter "$day" 38 "train,$overcast:all" "${inputs[@]:1}" \
-  networks.painter.start="$(weights world-smooth painter)"
-painter=$out/mean/world-painter.safetensors
-mean "$painter" "$(weights world-smooth painter)" "$(weights world-painter painter)" # half the texture, half the calm
-lidar2pano evaluate "$painter+$out/world-translator+$out/world-segmenter" --data "$out/towns/test" --split all \
-  --json "$out/world.json"
 family() { # NAME SEGMENTER TRANSLATOR PAINTER SCORES LICENCE
   mkdir -p "$out/$1"
   cp "$2" "$out/$1/segmenter.safetensors"
@@ -70,21 +56,24 @@ family() { # NAME SEGMENTER TRANSLATOR PAINTER SCORES LICENCE
   cp "$4" "$out/$1/painter.safetensors"
   python "$here/release_family.py" "$out/$1" "$1" "$5" --licence "$6"
 }
-family world "$(weights world-segmenter segmenter)" "$(weights world-translator translator)" \
-  "$painter" "$out/world.json" Apache-2.0
 
 # Painters of several looks: first with norms of each batch, then with their statistics fixed, as the pipeline uses them
 # (batches of two crops are far from those statistics, and colours learned with the former are wrong with the latter).
-scene() { # RUN DATA MINUTES TRAIN SEGMENTER TRANSLATOR START [OVERRIDE...]: a painter of several looks
+scene() { # RUN DATA MINUTES TRAIN SEGMENTER TRANSLATOR START [OVERRIDE...]: START is a file, or "" for fresh weights
   stage "$1" scene-painter "$2" "$3" data.train="$4" options.segmenter="$5" options.translator="$6" \
-    options.cache="$out/frames/$1" networks.painter.start="$7" training.validate_minutes=0 "${@:8}"
+    options.cache="$out/frames/$1" ${7:+networks.painter.start="$7"} training.validate_minutes=0 "${@:8}"
 }
 looks=day,overcast,autumn,evening
-python "$here/scene_from_painter.py" "$painter" "$out/start/world.safetensors" ${looks//,/ } # what both have in common
+inputs=("$(weights world-segmenter segmenter)" "$(weights world-translator translator)")
 all=$overcast:all,$out/towns/autumn:all,$out/towns/evening:all
 fixed=(options.fixed_norms=true networks.painter.optimizer.rate=0.0006)
-scene world-scene "$day" 22 "train,$all" "${inputs[@]:1}" "$out/start/world.safetensors"
-scene world-scene-2 "$day" 40 "train,$all" "${inputs[@]:1}" "$(weights world-scene painter)" "${fixed[@]}"
+scene world-scene "$day" 22 "train,$all" "${inputs[@]}" ""
+scene world-scene-2 "$day" 40 "train,$all" "${inputs[@]}" "$(weights world-scene painter)" "${fixed[@]}"
+painter=$out/sharp/world.safetensors # crowns stand out against the sky: measured on `val` of day
+python "$here/sharpen.py" "$(weights world-scene-2 painter)" "$painter" 8
+lidar2pano evaluate "$painter+$out/world-translator+$out/world-segmenter" --data "$out/towns/test" --split all \
+  --json "$out/world.json"
+family world "${inputs[@]}" "$painter" "$out/world.json" Apache-2.0
 
 # Family `kitti-mini`: goes on where runs/kitti_mini.sh ended (in the same OUT), towns beside real frames.
 stage segmenter-4 release-segmenter "$kitti" 34 data.train=train,train,labelled,"$out/towns/scans:all" \
@@ -111,6 +100,7 @@ scene scene "$kitti" 60 "train,$day:train,$all" "$segmenter" "$translator" "$out
   "${kitti_looks[@]}" training.batch=1
 scene scene-2 "$kitti" 40 "train,$day:train,$all" "$segmenter" "$translator" "$(weights scene painter)" \
   "${kitti_looks[@]}" training.batch=1 "${fixed[@]}"
-painter=$(weights scene-2 painter)
+painter=$out/sharp/kitti.safetensors
+python "$here/sharpen.py" "$(weights scene-2 painter)" "$painter" 4
 lidar2pano evaluate "$painter+$translator+$segmenter" --data "$kitti" --split val --json "$out/kitti.json"
 family kitti-mini "$segmenter" "$translator" "$painter" "$out/kitti.json" CC-BY-NC-SA-4.0

@@ -322,7 +322,7 @@ def test_weights_list(random_weights, monkeypatch, capsys):
 def test_weights_info_of_a_run_shows_no_others(random_weights, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("lidar2pano.models.families.RELEASED", random_weights.parent)
     monkeypatch.setattr("lidar2pano.models.families.DEFAULT", random_weights.name)
-    write_weights(tmp_path / "weights", "painter", "painter", {"widths": [8, 8, 8]})
+    write_weights(tmp_path / "weights", "painter", "scene-painter", {"widths": [8, 8, 8]})
     assert main(["weights", "info", str(tmp_path)]) == 0
     assert capsys.readouterr().out.count(".safetensors") == 1
 
@@ -337,9 +337,9 @@ def test_weights_info(random_weights, capsys):
 
 
 def test_weights_of_no_role_have_a_card_too(tmp_path, capsys):
-    file = write_weights(tmp_path, "critic", "patch-critic", {"channels": 20, "width": 8})
+    file = write_weights(tmp_path, "critic", "projected-critic", {"width": 8})
     assert main(["weights", "info", str(file)]) == 0
-    assert "patch-critic" in capsys.readouterr().out
+    assert "projected-critic" in capsys.readouterr().out
 
 
 def test_weights_import(here, capsys):

@@ -172,9 +172,9 @@ def test_weights_of_another_network(own, here, refused, front_weights):
 
 
 def test_weights_without_a_part(here, refused):
-    write_weights(here, "critic", "patch-critic", {"channels": 20, "width": 8})
+    write_weights(here, "critic", "projected-critic", {"width": 8})
     said = refused("translate good.bin --weights critic.safetensors --device cpu")
-    assert said.startswith("critic.safetensors: a 'patch-critic' has no part in a system")
+    assert said.startswith("critic.safetensors: a 'projected-critic' has no part in a system")
 
 
 @pytest.mark.parametrize("kept", [0, 7, 300, -1])

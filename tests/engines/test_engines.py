@@ -39,7 +39,6 @@ def inputs_of(model: str, rows: int = 32, columns: int = 64) -> tuple[torch.Tens
     shapes = {
         "salsanext": [(5, rows, columns)],
         "titan-pano": [(5, rows, columns), (20, rows, columns)],
-        "painter": [(16, rows, columns), (rows, columns), (5, rows, columns)],
         "scene-painter": [(30, rows, columns), (3, 2 * rows, 2 * columns), (2,), (3,)],
     }[model]
     return tuple(torch.rand(1, *shape, generator=generator) for shape in shapes)
@@ -50,7 +49,7 @@ def inputs_of(model: str, rows: int = 32, columns: int = 64) -> tuple[torch.Tens
 
 def test_onnx_runtime_computes_what_torch_does():  # the other networks: test_export.py
     pytest.importorskip("onnxruntime")
-    model = "painter"
+    model = "scene-painter"
     network, inputs = network_of(model), inputs_of(model)
     exact = as_tuple(network(*inputs))
     engine = OnnxRuntime()
@@ -283,7 +282,7 @@ def test_the_pipeline_paints_the_same_by_an_engine(random_weights, monkeypatch, 
     usual, ours = (load(random_weights, "cpu", engine) for engine in ("torch", "onnx"))
     assert (usual.engine, ours.engine) == ("torch", "onnx")
     first, second = usual(street()), ours(street())
-    assert builds == ["salsanext", "titan-pano", "painter"]
+    assert builds == ["salsanext", "titan-pano", "scene-painter"]
     assert (first.labels == second.labels).mean() > 0.95
     assert (first.segments == second.segments).mean() > 0.95
     again = copy.copy(ours)(street(seed=2))

@@ -42,10 +42,6 @@ SMALL: dict[str, tuple[dict[str, object], Callable[[], tuple[Tensor, ...]]]] = {
         {"classes": 6, "conditions": 4, "widths": (8, 12, 16, 20, 24), "pyramid": 8},
         lambda: (_range_image(32, 64), _one_hot(4, 32, 64)),
     ),
-    "painter": (
-        {"classes": 6, "widths": (8, 12, 16), "blocks": 2},
-        lambda: (_one_hot(6, 16, 32), 40 * torch.rand(2, 16, 32), _range_image(16, 32)),
-    ),
     "scene-painter": (
         {"classes": 6, "looks": ["day", "evening"], "widths": (8, 12, 16), "blocks": 1, "last": 8},
         lambda: (torch.randn(2, 20, 16, 32), torch.randn(2, 3, 32, 64), torch.eye(2), torch.zeros(2, 3)),
@@ -61,7 +57,6 @@ SMALL: dict[str, tuple[dict[str, object], Callable[[], tuple[Tensor, ...]]]] = {
         {"classes": 6, "conditions": 4, "size": (24, 40), "width": 4},
         lambda: (_range_image(32, 64) / 10, _one_hot(4, 32, 64)),
     ),
-    "patch-critic": ({"channels": 7, "width": 4}, lambda: (torch.randn(2, 7, 64, 96),)),
     "sdnet": (
         {"classes": 6, "width": 4, "stem": 8, "blocks": 1, "modules": [1, 1, 1], "context": 16},
         lambda: (torch.randn(2, 3, 67, 101),),
@@ -85,10 +80,8 @@ ANSWERS: dict[str, tuple[int, tuple[int, ...]]] = {
     "titan-critic": (1, (2, 1, 1, 1)),
     "titan-next": (2, (2, 24, 40)),
     "titan-pano": (2, (2, 32, 64)),
-    "painter": (1, (2, 3, 32, 64)),
     "scene-painter": (1, (2, 3, 32, 64)),
     "projected-critic": (4, (2, 1, 8, 16)),
-    "patch-critic": (10, (2, 1, 4, 6)),
     "pix2pix": (1, (2, 4, 64, 96)),
     "pix2pix-critic": (1, (2, 1, 6, 10)),
     "scunet": (1, (2, 3, 16, 24)),
@@ -100,7 +93,7 @@ ANSWERS: dict[str, tuple[int, tuple[int, ...]]] = {
 }
 
 # Networks that close in azimuth -> columns of the input by whose multiples a turn changes nothing.
-CIRCULAR = {"titan-pano": 16, "painter": 4, "scene-painter": 4}
+CIRCULAR = {"titan-pano": 16, "scene-painter": 4}
 
 # Titan normalises each sample after every activation, which amplifies small errors (sixtyfold with fresh weights, here
 # as in the published network); its answers are held to looser limits by this factor.

@@ -38,7 +38,6 @@ OURS = {
     "titan-pano",
     "titan-next",
     "painter",
-    "patch-critic",
 }  # nothing published to compare with
 
 # network, inputs without the batch, 10^9 multiplications, as counted on the published networks

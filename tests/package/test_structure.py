@@ -201,7 +201,7 @@ def test_every_config_field_is_read(configs):
         ("recipe.py", "*.py", "settings.algorithm", "Optimizer.algorithm"),
         ("options.py", "*.py", "options.dropout", "SegmentationOptions.dropout"),
         ("options.py", "front.py", "options.depth", "FrontDepthOptions.depth"),
-        ("options.py", "painting.py", "options.pooled", "PaintingOptions.pooled"),
+        ("options.py", "scene_painting.py", "options.pooled", "ScenePaintingOptions.pooled"),
     ],
 )
 def test_a_field_counts_by_its_class_and_not_by_its_name(tmp_path, configs, readers, read, field):

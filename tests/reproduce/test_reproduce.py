@@ -80,7 +80,7 @@ def plan(tmp_path):
 def test_parts_come_once_and_a_painter_after_its_translator(plan):
     parts = plan.parts
     assert len(set(parts)) == len(parts) and "oracle" not in parts
-    assert parts[0] == "salsanext" and parts.index("painter") > parts.index("titan-pano")
+    assert parts[0] == "salsanext" and parts.index("scene-painter") > parts.index("titan-pano")
     assert "salsanext" not in replace(plan, segmenter="kitti-mini").parts
 
 
@@ -90,7 +90,7 @@ def test_recipes_fit_the_data_at_hand(plan, tmp_path):
     video = plan.recipe("vid2vid", {})
     assert video.data.train == ("train",) and video.options.single_frame_splits == ("train",)
     files = {"salsanext": tmp_path / "s", "titan-pano": tmp_path / "t"}
-    painter = plan.recipe("painter", files)
+    painter = plan.recipe("scene-painter", files)
     assert (painter.options.segmenter, painter.options.translator) == (str(tmp_path / "s"), str(tmp_path / "t"))
     changed = replace(plan, changes=("titan.training.batch=3", "scunet.training.seed=5"))
     assert changed.recipe("titan", {}).training.batch == 3 and changed.recipe("scunet", {}).training.seed == 5

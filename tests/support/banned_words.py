@@ -82,13 +82,7 @@ WHOLE_IDENTIFIERS = {
 }
 # word -> files (relative, or folders ending in "/") in which it may stay, each with its reason
 ALLOWED = {
-    "grain": ("src/lidar2pano/models/painter.py", "src/lidar2pano/train/recipes/"),  # settings of released weights
-    "sharp": (
-        "src/lidar2pano/models/painter.py",
-        "src/lidar2pano/models/scene_painter.py",  # cards of scene painters may name it
-        "src/lidar2pano/train/recipes/",
-    ),
-    "filled": ("src/lidar2pano/models/painter.py", "src/lidar2pano/train/recipes/"),
+    "sharp": ("src/lidar2pano/models/scene_painter.py",),  # cards of scene painters may name it
     "picture": ("src/lidar2pano/models/titan.py",),  # a setting of weights that paint colours ("w/o SegMap")
     "truth": (
         "src/lidar2pano/evaluate/systems.py",

@@ -15,13 +15,6 @@ from lidar2pano.engines.tracing import example, recordable
 SLIM = {
     "salsanext": {},
     "titan-pano": {"widths": (8, 8, 8, 8, 8), "pyramid": 8},
-    "painter": {
-        "widths": (8, 8, 8),
-        "blocks": 1,
-        "filled": True,
-        "sharp": 2.0,
-        "grain": True,
-    },  # as world has
     "scene-painter": {"widths": (8, 8, 8), "blocks": 1, "last": 8, "looks": ("day", "dusk")},
 }
 

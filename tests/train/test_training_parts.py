@@ -22,7 +22,7 @@ from lidar2pano.train.checkpoint import Progress, commit, load_checkpoint, make_
 from lidar2pano.train.clock import Timer
 from lidar2pano.train.device import choose_precision
 from lidar2pano.train.optimisation import EMA, averaged, clip, learning_rate, make_optimizer
-from lidar2pano.train.options import PaintingOptions
+from lidar2pano.train.options import ScenePaintingOptions
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training
 from lidar2pano.train.sampling import BatchSampler, batches, sample_at, seed_step
 from lidar2pano.train.task import build_networks
@@ -205,7 +205,7 @@ def test_a_full_disk_is_one_line_and_leaves_the_last_checkpoint(tmp_path, monkey
 
 def test_settings_that_no_network_can_have_are_refused():
     recipe = small_critic(width=-1)
-    with pytest.raises(InputError, match="networks.critic.settings: patch-critic cannot be built with them"):
+    with pytest.raises(InputError, match="networks.critic.settings: projected-critic cannot be built with them"):
         build_networks(recipe)
 
 
@@ -275,8 +275,8 @@ def test_a_checkpoint_executes_nothing(tmp_path):
 
 
 def small_critic(start="", width=4):
-    spec = Network(model="patch-critic", settings={"channels": 3, "width": width, "layers": 1}, start=str(start))
-    return Recipe(name="r", view="panorama", networks={"critic": spec}, options=PaintingOptions())
+    spec = Network(model="projected-critic", settings={"mixed": 4, "width": width}, start=str(start))
+    return Recipe(name="r", view="panorama", networks={"critic": spec}, options=ScenePaintingOptions())
 
 
 def test_networks_start_fresh_or_from_a_weight_file(tmp_path):
@@ -303,11 +303,11 @@ def test_a_card_names_every_data_set(tmp_path):
 
 def test_a_card_says_what_task_and_run_know():
     card = make_card(
-        Network(model="painter", settings={"widths": (1, 2, 3)}),
+        Network(model="scene-painter", settings={"widths": (1, 2, 3)}),
         {"labels": "x", "steps": 1},
         {"steps": 2, "recipe": "r"},
     )
-    assert (card.network, card.settings, card.labels, card.steps) == ("painter", {"widths": [1, 2, 3]}, "x", 2)
+    assert (card.network, card.settings, card.labels, card.steps) == ("scene-painter", {"widths": [1, 2, 3]}, "x", 2)
     assert card.commit == commit() != ""
 
 

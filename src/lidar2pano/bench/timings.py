@@ -148,12 +148,12 @@ def untrained(device: torch.device, engine: str = "torch") -> Pipeline:
     """The released networks' shapes with random weights: as fast, and of no other use."""
     segmenter, translator, painter = (
         accelerated(made_fast(build(name).eval().to(device)), name, "", engine, device)
-        for name in ("salsanext", "titan-pano", "painter")
+        for name in ("salsanext", "titan-pano", "scene-painter")
     )
     return Pipeline(
         segmenter=Segmenter(network=segmenter, view=VIEWS["hdl64e"], normalise=Normalisation()),
         translator=translator,
-        painter=painter,  # pyright: ignore[reportArgumentType] a Painter, as built
+        painter=painter,  # pyright: ignore[reportArgumentType] a ScenePainter, as built
         view=VIEWS["panorama"].scaled(0.5),
         device=device,
         engine=pick_engine(engine, device),

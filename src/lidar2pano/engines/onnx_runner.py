@@ -35,13 +35,10 @@ def main(scan, out):
     logits, depth_m = translator(image, condition)
     segments = np.exp(logits - logits.max(0))
     segments /= segments.sum(0)
-    if "fine_noise" in painter.names:
-        inputs, fine_noise = painter_inputs(segments, depth_m, image, view, painter.card["settings"].get("sharp", 2.0))
-        looks, own = painter.card["settings"]["looks"], painter.card["settings"].get("look")
-        shares = np.eye(len(looks))[looks.index(own or looks[0])]  # a mean of looks: shares that sum to 1
-        (colour,) = painter(inputs, fine_noise, shares, np.zeros(3))
-    else:
-        (colour,) = painter(segments, depth_m, image)
+    inputs, fine_noise = painter_inputs(segments, depth_m, image, view, painter.card["settings"].get("sharp", 2.0))
+    looks, own = painter.card["settings"]["looks"], painter.card["settings"].get("look")
+    shares = np.eye(len(looks))[looks.index(own or looks[0])]  # a mean of looks: shares that sum to 1
+    (colour,) = painter(inputs, fine_noise, shares, np.zeros(3))
     pixels = np.rint((colour + 1) * 127.5).clip(0, 255).astype(np.uint8).transpose(1, 2, 0)
     Path(out).write_bytes(b"P6 %d %d 255\n" % (pixels.shape[1], pixels.shape[0]) + pixels.tobytes())
 

@@ -26,7 +26,6 @@ class Signature:
 SIGNATURES: dict[str, Signature] = {
     "salsanext": Signature(inputs=("image",), outputs=("logits",), classes=("logits",)),
     "titan-pano": Signature(inputs=("image", "condition"), outputs=("logits", "depth_m"), classes=("logits",)),
-    "painter": Signature(inputs=("segments", "depth_m", "image"), outputs=("colour",)),
     "scene-painter": Signature(inputs=("inputs", "fine_noise", "shares", "tone"), outputs=("colour",)),
 }
 

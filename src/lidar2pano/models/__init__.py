@@ -5,8 +5,6 @@ from __future__ import annotations
 from torch import nn
 
 from lidar2pano.errors import InputError, closest
-from lidar2pano.models.painter import Painter
-from lidar2pano.models.patch_critic import PatchCritic
 from lidar2pano.models.pix2pix import PatchGan, Pix2Pix
 from lidar2pano.models.projected_critic import ProjectedCritic
 from lidar2pano.models.salsanext import SalsaNext
@@ -24,10 +22,8 @@ MODELS: dict[str, type[nn.Module]] = {
     "titan-critic": TitanCritic,
     "titan-next": TitanNext,
     "titan-pano": TitanPano,
-    "painter": Painter,
     "scene-painter": ScenePainter,
     "projected-critic": ProjectedCritic,
-    "patch-critic": PatchCritic,
     "vid2vid": Vid2Vid,
     "vid2vid-single": Vid2VidSingle,
     "vid2vid-image-critic": ImageCritic,

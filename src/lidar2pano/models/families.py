@@ -18,7 +18,6 @@ ROLES: dict[str, str] = {
     "titan": "translator",
     "pix2pix": "translator",
     "scunet": "renderer",
-    "painter": "painter",
     "scene-painter": "painter",
     "vid2vid": "painter",
     "vid2vid-single": "first-frame painter",

@@ -47,6 +47,8 @@ class ProjectedCritic(nn.Module):
         coarser: Tensor | None = None
         for number in reversed(range(len(features))):
             x = features[number]
+            if not torch.is_autocast_enabled(x.device.type):
+                x = x.to(self.across[number].weight.dtype)  # pyright: ignore[reportArgumentType] the features' may be half
             x = x / (x.detach().std((1, 2, 3), keepdim=True) + 1e-3)  # depths differ in scale; conditions are 0 to 1
             x = self.across[number](x)
             if coarser is not None:

@@ -126,7 +126,7 @@ class Vid2VidPainter(nn.Module):
         return cls(cast("Vid2Vid", generator), cast("Vid2VidSingle | None", single), finer=finer)
 
     def paint(self, past: Past | None, scene: Scene) -> tuple[Past, Tensor]:
-        """Paint the panorama that follows, from its classes alone; as of models.painter.StreamPainter."""
+        """Paint the panorama that follows, from its classes alone; as of models.scene_painter.StreamPainter."""
         grow, shrink = self.finer.as_integer_ratio()
         past, image = self.follow(past, grown_classes(_shrunk(scene.segments, shrink), grow))
         grow, shrink = (TWICE / self.finer).as_integer_ratio()

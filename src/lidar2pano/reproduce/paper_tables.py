@@ -84,7 +84,7 @@ ROWS: dict[str, PaperRow] = {
         paper=_image_values(0.2442, 76.932, (2.31, 2.23, 2.18, 2.16, 2.15, 2.22, 4.47), 2.53),
     ),
     "titan-next": PaperRow(name="TITAN-Next -> Vid2Vid", parts=("titan-next", "vid2vid"), segments=True),
-    "titan-pano": PaperRow(name="titan-pano -> painter", parts=("titan-pano", "painter"), segments=True),
+    "titan-pano": PaperRow(name="titan-pano -> scene-painter", parts=("titan-pano", "scene-painter"), segments=True),
     "titan-pano-vid2vid": PaperRow(name="titan-pano -> Vid2Vid", parts=("titan-pano", "vid2vid"), segments=True),
     "ceiling": PaperRow(
         name="ground-truth labels -> Vid2Vid (oracle)",

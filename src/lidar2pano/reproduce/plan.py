@@ -14,7 +14,7 @@ from lidar2pano.data.semantic_kitti import SEQUENCES
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.reproduce.paper_tables import ROWS, PaperRow
-from lidar2pano.train.options import VideoOptions
+from lidar2pano.train.options import ScenePaintingOptions, VideoOptions
 from lidar2pano.train.recipe import Recipe, override
 from lidar2pano.train.recipes import recipe_named
 
@@ -58,7 +58,7 @@ class Plan:
         """Every network that the rows need, in the order in which they can be trained."""
         used = dict.fromkeys(part for row in self.rows.values() for part in row.parts if part != "oracle")
         first = [] if self.segmenter else [SEGMENTER]
-        return [*first, *sorted(used, key=lambda part: part == "painter")]  # which is trained behind a translator
+        return [*first, *sorted(used, key=lambda part: part == "scene-painter")]  # which is trained behind a translator
 
     def run(self, part: str) -> Path:
         """The folder in which a network is trained."""
@@ -84,6 +84,8 @@ class Plan:
         options: dict[str, Any] = {
             name: str(file) for name, file in given.items() if file and hasattr(found.options, name)
         }
+        if isinstance(found.options, ScenePaintingOptions):
+            options["cache"] = str(self.out / "painting-frames")
         if isinstance(found.options, VideoOptions):
             single = (name for name in found.options.single_frame_splits if name in there - {self.split})
             options["single_frame_splits"] = tuple(single) or ("train",)

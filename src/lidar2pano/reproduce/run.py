@@ -67,7 +67,7 @@ def train_part(plan: Plan, part: str, files: Mapping[str, Path]) -> Path:
 
     recipe = plan.recipe(part, files)
     for option in ("translator", "segmenter"):
-        if part == "painter" and not getattr(recipe.options, option):
+        if part == "scene-painter" and not getattr(recipe.options, option):
             raise InputError(f"the painter is trained behind a {option}, and there is none")
     log.info("training %s", recipe.name)
     folder = train(recipe, training_data(plan), plan.run(part), device=plan.device)
@@ -78,7 +78,7 @@ def _released(part: str) -> str:
     """The name of a part's network within its task."""
     if part == SEGMENTER:
         return "segmenter"
-    if part in ("painter", "vid2vid"):
+    if part in ("scene-painter", "vid2vid"):
         return "painter"
     return "renderer" if part in ("scunet", "pix2pix-rgb", "titan-no-segments") else "translator"
 

@@ -179,32 +179,6 @@ class PanoramaOptions(TaskOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PaintingOptions(TaskOptions):
-    """The painter; columns and shift_px are on the translator's raster.
-
-    columns, shift_px                    width of the crop, and how far it may lie from the camera's middle.
-    adversarial, feature_matching,
-    pooled, pixels                       weights of the losses; no discriminator where the first two are 0.
-    teacher_label_probability            of samples painted from the camera teacher's labels, where it is sure.
-    augment_probability                  of each kind of DiffAugment.
-    translator, segmenter                weight files of the networks whose output is painted.
-    """
-
-    task = "painting"
-    SIZES = ("columns",)
-    columns: int = 256
-    shift_px: int = 130
-    adversarial: float = 1.0
-    feature_matching: float = 10.0
-    pooled: float = 20.0
-    pixels: float = 2.0
-    teacher_label_probability: float = 0.5
-    augment_probability: float = 0.0
-    translator: str = ""
-    segmenter: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
 class ScenePaintingOptions(TaskOptions):
     """The scene painter.
 
@@ -218,7 +192,7 @@ class ScenePaintingOptions(TaskOptions):
                                of a simulated frame; otherwise it is of a real one, as the first.
     augment_probability        of each kind of DiffAugment.
     fixed_norms                whether norms keep their statistics.
-    look                       of frames that no simulator made.
+    look                       of frames that no simulator made; "": the painter's own.
     cache                      folder that keeps what is made of each frame.
     translator, segmenter      weight files of the networks whose output is painted.
     """

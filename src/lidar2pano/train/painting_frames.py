@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, cast
 
 import numpy as np
 import torch
@@ -23,6 +23,7 @@ from lidar2pano.formats.image_files import write_whole
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
+from lidar2pano.models.scene_painter import ScenePainter
 from lidar2pano.pipeline import Pipeline
 from lidar2pano.train.options import ScenePaintingOptions
 
@@ -62,7 +63,7 @@ class PaintingSample(NamedTuple):
 class PaintingFrames:
     """Frames of some splits: crops of real and simulated frames; which share is which, and the rest, say the options.
 
-    pipeline  segments and translates;  looks: names of the looks, which frames are sorted into by their world.json.
+    pipeline  segments and translates; frames are sorted into its painter's looks by their world.json.
     """
 
     def __init__(
@@ -70,16 +71,17 @@ class PaintingFrames:
         root: Path,
         splits: tuple[str, ...],
         pipeline: Pipeline,
-        looks: tuple[str, ...],
         options: ScenePaintingOptions,
     ) -> None:
+        painter = cast("ScenePainter", pipeline.painter)
+        looks, own = painter.looks, options.look or painter.look
         self.pipeline, self.options, self.cache = pipeline, options, Path(options.cache)
         self.crops = PanoramaDataset(root, splits, pipeline.view, options.columns, image=True, shift_px=MARGIN)
         simulated = [look_of(frame) for frame in self.crops.frames]
         for frame, look in zip(self.crops.frames, simulated, strict=True):
-            if (look or options.look) not in looks:
-                raise InputError(f"{frame.name}: its look {look or options.look!r} is none of {', '.join(looks)}")
-        self.look = [looks.index(look or options.look) for look in simulated]
+            if (look or own) not in looks:
+                raise InputError(f"{frame.name}: its look {look or own!r} is none of {', '.join(looks)}")
+        self.look = [looks.index(look or own) for look in simulated]
         groups = [[n for n, look in enumerate(simulated) if bool(look) == wanted] for wanted in (False, True)]
         self.groups = [group for group in groups if group]
         self._means: dict[int, Tensor] = {}

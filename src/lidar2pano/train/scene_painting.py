@@ -51,8 +51,7 @@ class ScenePainting:
         pipeline = Pipeline(segmenter=segmenter, translator=translator, painter=painter, view=self.view, device=device)
         self.looks = painter.looks
         self.dataset, self.validation = (
-            PaintingFrames(root, splits, pipeline, self.looks, recipe.options)
-            for splits in (recipe.data.train, recipe.data.val)
+            PaintingFrames(root, splits, pipeline, recipe.options) for splits in (recipe.data.train, recipe.data.val)
         )
         self.logs: dict[str, float | Tensor] = {}
 

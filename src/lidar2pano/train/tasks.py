@@ -10,7 +10,6 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.train.camera_segmentation import CameraSegmentation
 from lidar2pano.train.colour import CameraColour, FrontColour, Pix2PixColours
 from lidar2pano.train.front import FrontDepthTranslation, FrontTranslation, Pix2PixSegments
-from lidar2pano.train.painting import Painting
 from lidar2pano.train.panorama import PanoramaTranslation
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.scene_painting import ScenePainting
@@ -28,7 +27,6 @@ TASKS: dict[str, Callable[[Recipe[Any], Path], Any]] = {
     "camera-colour": CameraColour,
     "pix2pix-colours": Pix2PixColours,
     "panorama": PanoramaTranslation,
-    "painting": Painting,
     "scene-painting": ScenePainting,
     "video": VideoPainting,
 }

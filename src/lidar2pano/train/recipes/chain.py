@@ -1,4 +1,4 @@
-"""Recipes of our own chain: SalsaNext, TITAN-pano and the painter, and the forms in which families are released.
+"""Recipes of our own chain: SalsaNext, TITAN-pano and the scene painter, and the forms in which families are released.
 
 Released families (runs/release.sh) learn from real and simulated frames together: the street world's towns join with
 `--set data.train=train,WORLD:all`. They show rare classes and all directions, real frames how things look. A split
@@ -11,10 +11,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from lidar2pano.train.options import PaintingOptions, PanoramaOptions, ScenePaintingOptions, SegmentationOptions
+from lidar2pano.train.options import PanoramaOptions, ScenePaintingOptions, SegmentationOptions
 from lidar2pano.train.recipe import Data, Network, Optimizer, Recipe, Training, on_two_cores, vary
-
-PAINTER = {"filled": True, "sharp": 4.0, "grain": True}
 
 
 def salsanext() -> Recipe[SegmentationOptions]:
@@ -51,21 +49,6 @@ def titan_pano() -> Recipe[PanoramaOptions]:
     )
 
 
-def painter() -> Recipe[PaintingOptions]:
-    """Our painter: colour from segments, depth and remission, against a patch discriminator."""
-    adam = Optimizer(algorithm="adam", rate=4e-4, betas=(0.5, 0.999), schedule="cosine")
-    return Recipe(
-        view="panorama",
-        scale=0.5,
-        networks={
-            "painter": Network(model="painter", settings={"classes": 16}, optimizer=adam),
-            "critic": Network(model="patch-critic", settings={"channels": 20, "width": 32}, optimizer=adam),
-        },
-        options=PaintingOptions(),
-        training=Training(steps=50_000, batch=2),
-    )
-
-
 def scene_painter() -> Recipe[ScenePaintingOptions]:
     """The scene painter: colour from segments and the shape of things, against heads on frozen features."""
     painter = Optimizer(algorithm="adam", rate=1e-3, betas=(0.5, 0.99), warmup=10, clip=5.0)
@@ -96,27 +79,10 @@ def release_translator() -> Recipe:
     return _release(titan_pano(), "translator", 2e-3, {"lovasz": 1.5})
 
 
-def release_colours() -> Recipe:
-    """The painter's first stage: colours alone, no discriminator."""
-    losses = {"adversarial": 0.0, "feature_matching": 0.0, "pixels": 10.0}
-    return _release(vary(painter(), painter=PAINTER), "painter", 2e-3, losses, betas=(0.9, 0.99))
-
-
-def release_painter() -> Recipe:
-    """The painter's second stage: against its discriminator, from the first stage's weights.
-
-    The pooled loss weighs half as much as in `painter`, so that leaves and gravel can be made from the noise input.
-    """
-    losses = {"pooled": 10.0, "augment_probability": 0.5}
-    return _release(vary(painter(), painter=PAINTER), "painter", 6e-4, losses)
-
-
-def _release(
-    recipe: Recipe, role: str, rate: float, options: Mapping[str, Any], betas: tuple[float, float] | None = None
-) -> Recipe:
+def _release(recipe: Recipe, role: str, rate: float, options: Mapping[str, Any]) -> Recipe:
     """`recipe` with other options, another rate for the network `role`, and a GPU's batch."""
     network = recipe.networks[role]
-    optimizer = replace(network.optimizer, rate=rate, betas=betas or network.optimizer.betas)
+    optimizer = replace(network.optimizer, rate=rate)
     return replace(
         vary(recipe, options=options),
         networks={**recipe.networks, role: replace(network, optimizer=optimizer)},
