@@ -9,7 +9,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from torch import Tensor
@@ -51,6 +51,22 @@ def nbytes(value: object) -> int:
     if is_dataclass(value):
         return sum(nbytes(getattr(value, field.name)) for field in fields(value))
     return 0
+
+
+class Predictions(Protocol):
+    """A segmenter's labels of scans."""
+
+    def of(self, frame: Frame) -> np.ndarray:
+        """(N,) int64 ids of SEMANTIC_KITTI of the points of a frame's scan."""
+        ...
+
+
+class StoredPredictions:
+    """Labels that `prepare --labels-folder predicted_labels` wrote."""
+
+    def of(self, frame: Frame) -> np.ndarray:
+        """(N,) int64 ids of the points of a frame's scan; InputError where the file is missing."""
+        return frame.require("predicted_labels")[0]
 
 
 class PredictedLabels:

@@ -55,7 +55,7 @@ class Frame:
 
     name           "seq/NNNNNN", also the scan's.
     scan           in the sensor's frame (x forward, y left, z up), without labels.
-    point_labels   (N,) int64 ids of SEMANTIC_KITTI, file order.
+    point_labels   (N,) int64 ids of SEMANTIC_KITTI, file order;  predicted_labels: likewise, but a segmenter's.
     calibration    of the (front) camera, for the size of image and camera_labels.
     image          (h, w, 3) uint8 RGB of that camera.
     camera_labels  (h, w) uint8 train ids of CITYSCAPES, IGNORE where unknown.
@@ -78,6 +78,11 @@ class Frame:
 
     @cached_property
     def point_labels(self) -> np.ndarray | None:
+        """See the class."""
+        return None
+
+    @cached_property
+    def predicted_labels(self) -> np.ndarray | None:
         """See the class."""
         return None
 

@@ -21,6 +21,7 @@ from lidar2pano.train.recipes import recipe_named
 SELECTION = "selection"  # split of training frames on which checkpoints are selected
 UNITS = {"s": 1 / 60, "m": 1.0, "h": 60.0}
 SEGMENTER = "salsanext"
+PUBLISHED_SEGMENTER = "salsanext-published"  # its recipe at full length
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +77,8 @@ class Plan:
 
     def recipe(self, part: str, files: Mapping[str, Path]) -> Recipe:
         """The recipe of a part on this data; files: weight files of the trained parts."""
-        found = recipe_named(f"{part}-mini" if self.mini else part)
+        full = PUBLISHED_SEGMENTER if part == SEGMENTER else part
+        found = recipe_named(f"{part}-mini" if self.mini else full)
         there = splits(self.data)
         train = tuple(name for name in found.data.train if name in there) or ("train",)
         found = replace(found, data=replace(found.data, train=train, val=(SELECTION,)))
@@ -84,6 +86,8 @@ class Plan:
         options: dict[str, Any] = {
             name: str(file) for name, file in given.items() if file and hasattr(found.options, name)
         }
+        if SEGMENTER in files and hasattr(found.options, "segments"):
+            options["segments"] = "predicted"  # as in the paper's section 3.1
         if isinstance(found.options, VideoOptions):
             single = (name for name in found.options.single_frame_splits if name in there - {self.split})
             options["single_frame_splits"] = tuple(single) or ("train",)
@@ -103,7 +107,7 @@ def training_data(plan: Plan) -> Path:
     No checkpoint is selected on frames that are scored: other splits but the scored one lose these frames, and the
     training splits lose those of the scored one. Everything but splits.json are links.
     """
-    lists = {name: list(frames(plan.data, name).names) for name in dict.fromkeys(["train", *sorted(splits(plan.data))])}
+    lists = _frames_by_split(plan)
     scored = set(lists[plan.split])
     train = [name for name in lists["train"] if name not in scored]
     if not train:
@@ -123,6 +127,18 @@ def training_data(plan: Plan) -> Path:
     return folder
 
 
+def _frames_by_split(plan: Plan) -> dict[str, list[str]]:
+    """Names of the frames of every split; of SemanticKITTI's own splits those may be empty that nothing needs."""
+    lists: dict[str, list[str]] = {}
+    for name in dict.fromkeys(["train", plan.split, *sorted(splits(plan.data))]):
+        try:
+            lists[name] = list(frames(plan.data, name).names)
+        except InputError:
+            if name in ("train", plan.split) or (plan.data / "splits.json").is_file():
+                raise
+    return lists
+
+
 def budget(text: str) -> list[str]:
     """Changes of a recipe that give it "90s", "20m", "2h" or "5000steps"; InputError for other text."""
     if not text:
@@ -135,8 +151,8 @@ def budget(text: str) -> list[str]:
     if not found or amount <= 0:
         raise InputError(f"--budget {text!r} is not of the form 90s, 20m, 2h or 5000steps")
     if found[2] == "steps":
-        return [f"training.steps={int(amount)}", "training.minutes=0"]
-    return ["training.steps=10000000", f"training.minutes={amount * UNITS[found[2]]:.4f}"]
+        return [f"training.steps={int(amount)}", "training.epochs=0", "training.minutes=0"]
+    return ["training.steps=10000000", "training.epochs=0", f"training.minutes={amount * UNITS[found[2]]:.4f}"]
 
 
 def splits(root: Path) -> set[str]:

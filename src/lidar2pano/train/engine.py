@@ -10,6 +10,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from datetime import timedelta
 from math import inf, isfinite
 from pathlib import Path
@@ -33,7 +34,7 @@ from lidar2pano.train.checkpoint import (
     write_recipe,
 )
 from lidar2pano.train.clock import Timer, clock, interrupts
-from lidar2pano.train.device import check_shares, choose_precision, device_name
+from lidar2pano.train.device import choose_precision, device_name, shared
 from lidar2pano.train.distributed import average_gradients, check_launcher, largest
 from lidar2pano.train.monitor import Meter, Monitor, check_finite
 from lidar2pano.train.optimisation import EMA, averaged, clip, learning_rate, make_optimizer
@@ -61,8 +62,8 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
     Returns the folder of the weight files. Ctrl-C and SIGTERM save a checkpoint and raise KeyboardInterrupt; mistakes
     of the user raise InputError, a loss or weight that is not finite FloatingPointError.
     """
-    training, processes, chosen = recipe.training, devices * num_nodes, pick_device(device)
-    check_shares(training, processes)
+    processes, chosen = devices * num_nodes, pick_device(device)
+    training = shared(recipe.training, processes)
     check_launcher(processes)
     check_recipe(out, recipe)
     fabric = Fabric(
@@ -77,6 +78,8 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
     task = build_task(recipe, root)
     if fabric.is_global_zero:
         write_recipe(out, recipe)
+    steps = training.steps_over(len(task.dataset))
+    recipe = replace(recipe, training=replace(training, steps=steps))
     run = Run(fabric, recipe, task, out, data=trained_on(root, recipe.data.train))
     run.resume()
     run.go_on()

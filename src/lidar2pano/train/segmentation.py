@@ -44,7 +44,12 @@ class Segmentation:
             for module in self.networks["segmenter"].modules():
                 if isinstance(module, nn.Dropout2d):
                     module.p = 0.0
-        self.weights = class_weights(self.dataset.class_counts(), options.class_weight_exponent, least=1e-5, most=6.0)
+        self.weights = class_weights(
+            self.dataset.class_counts(),
+            options.class_weight_exponent,
+            least=options.class_weight_least,
+            most=options.class_weight_most,
+        )
         self.logs: dict[str, float | Tensor] = {}
 
     def updates(self, batch: RangeImageSample) -> Iterator[tuple[str, Tensor]]:
