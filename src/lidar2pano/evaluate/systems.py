@@ -98,7 +98,10 @@ def _own_painter(files: dict[str, Path], named: dict[str, Path]) -> dict[str, Pa
 def _info(name: str, files: Mapping[str, Path]) -> SystemInfo:
     files = {role: files[role] for role in ROLES if role in files}
     cards = {role: read_card(file) for role, file in files.items()}
-    networks = {role: {name: getattr(card, name) for name in CARD_ENTRIES} for role, card in cards.items()}
+    networks = {
+        role: {name: getattr(card, name) for name in CARD_ENTRIES} | {"split": card.score.get("split", "")}
+        for role, card in cards.items()
+    }
     return SystemInfo(name=name, files=files, networks=networks)
 
 

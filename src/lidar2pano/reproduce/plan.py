@@ -31,7 +31,7 @@ class Plan:
     data, out  the data set and the output folder;  split: the split on which rows are scored.
     budget     training of every network: "90s", "20m", "2h" or "5000steps"; "" as in the recipe.
     rows       which rows;  mini: the recipes' small forms;  frames: number of frames that are scored (0 = all).
-    segmenter  weights of the LiDAR segmenter; "" trains one.
+    segmenter  weights of the LiDAR segmenter; "" trains one;  devices: number of GPUs or processes that train.
     changes    "PART.a.b=c" for single recipes, e.g. "titan.training.batch=4".
     """
 
@@ -44,6 +44,7 @@ class Plan:
     frames: int = 0
     segmenter: str = ""
     device: str = "auto"
+    devices: int = 1
     sdnet: Path | None = None
     inception: Path | None = None
     changes: tuple[str, ...] = ()
