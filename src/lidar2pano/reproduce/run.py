@@ -19,6 +19,7 @@ from lidar2pano.models import build
 from lidar2pano.models.camera_segmenter import CameraSegmenter, ImageNormalisation
 from lidar2pano.models.card import read_card
 from lidar2pano.models.families import weight_files
+from lidar2pano.pipeline import load
 from lidar2pano.reproduce.image_sheets import write_images
 from lidar2pano.reproduce.paper_tables import PaperRow
 from lidar2pano.reproduce.plan import SEGMENTER, Plan, training_data
@@ -137,7 +138,8 @@ def score_row(
             return held["result"]
     log.info("scoring %s", row.name)
     one = system(plan.chain(row), device=plan.device)
-    write_images(plan.out / "images" / name, one, scored, config)
+    around = load(plan.chain(row), plan.device) if name == "titan" else None  # the paper's panoramas
+    write_images(plan.out / "images" / name, one, scored, config, around)
     evaluation = score([one], scored, data=plan.data.resolve().name, split=plan.split, config=config)
     result = evaluation.as_dict()
     text = json.dumps({"key": key, "result": result}, indent=1)
