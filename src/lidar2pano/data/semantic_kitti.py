@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from lidar2pano.calibration import Calibration, read_calib
-from lidar2pano.data.frames import IGNORE, Frame, FrameList, PanoramaGroundTruth
+from lidar2pano.data.frames import Frame, FrameList, PanoramaGroundTruth
+from lidar2pano.data.labelled_images import read_train_ids
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.scan_files import read_bin, read_label
@@ -95,16 +96,7 @@ class SemanticKittiFrame(Frame):
         path = self.file("camera_labels")
         if not path.is_file() or self._size is None:
             return None
-        ids = read_image(path)
-        if ids.ndim != 2 or ids.dtype != np.uint8:
-            raise InputError(f"{path}: is no image of class ids (one channel of 8 bits); write Cityscapes train ids")
-        strange = (ids >= len(CITYSCAPES)) & (ids != IGNORE)
-        if strange.any():
-            raise InputError(
-                f"{path}: holds class {ids[strange][0]}; write Cityscapes train ids, 0 to {len(CITYSCAPES) - 1}, and"
-                f" {IGNORE} where unknown"
-            )
-        return ids
+        return read_train_ids(path)
 
     @cached_property
     def _size(self) -> tuple[int, int] | None:

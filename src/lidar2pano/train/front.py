@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn.functional import nll_loss
 
 from lidar2pano.data.cache import PredictedLabels, Predictions, StoredPredictions
+from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.data.front_view import FrontViewDataset, FrontViewSample, SampleParts
 from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.labels import COMMON14, SEMANTIC_KITTI
@@ -68,8 +69,8 @@ class FrontTask:
         return self.output(sample)[0].argmax(0).cpu()
 
     def validate(self) -> dict[str, float]:
-        """MIoU over the 14 classes on the network's image."""
-        samples = (self.validation[index] for index in range(len(self.validation)))
+        """MIoU over the 14 classes on the network's image, over up to 500 frames."""
+        samples = (self.validation[index] for index in evenly_spaced(len(self.validation)))
         pairs = ((self.predict(sample), sample.camera_labels) for sample in samples)
         return segmentation_scores(pairs, len(COMMON14), unscored=(0,))
 
@@ -185,7 +186,7 @@ class FrontDepthTranslation(FrontTask):
         errors: list[float] = []
 
         def pairs() -> Iterator[tuple[Tensor, Tensor]]:
-            for index in range(len(self.validation)):
+            for index in evenly_spaced(len(self.validation)):
                 sample = self.validation[index]
                 ids, depth_m = self.predict_both(sample)
                 measured = sample.depth_m > 0

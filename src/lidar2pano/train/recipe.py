@@ -78,8 +78,9 @@ class Training:
     workers      processes per device that prepare samples (0 = the training process does).
     precision    "bf16-mixed" or "32-true"; channels_last: layout of convolution weights.
     ema          decay per step of the averaged weights that are validated and released; 0 = no averaging.
-    *_minutes    from the end of one checkpoint, preview or validation to the next; 0 = at the end only. Checkpoints
-                 are rarer where saving would take more than a twentieth of the time.
+    *_minutes    from the end of one checkpoint, preview or validation to the next; 0 = at the end only. They are
+                 rarer where checkpoints or previews would take more than a twentieth of the time, or validation more
+                 than three twentieths.
     """
 
     steps: int = 100_000
