@@ -36,7 +36,8 @@ def test_cityscapes_is_read_by_split(cityscapes):
     assert len(frames(cityscapes, "val")) == 2
     ids, colours = camera_view()
     for frame in train:  # by train ids and by label ids
-        assert np.array_equal(frame.image, colours) and np.array_equal(frame.camera_labels, ids)
+        image, labels = frame.require("image", "camera_labels")
+        assert np.array_equal(image, colours) and np.array_equal(labels, ids)
         assert frame.calibration is None and frame.point_labels is None
     with pytest.raises(InputError, match="no split 'tran'; did you mean 'train'"):
         frames(cityscapes, "tran")
@@ -47,7 +48,7 @@ def test_any_images_beside_labels_are_a_data_set(tmp_path, splits):
     found = frames(write_folders(tmp_path, *splits), "train")
     assert found.layout == "images" and list(found.names) == ["deep.er/b", "train/a"]
     ids, _ = camera_view()
-    assert all(np.array_equal(frame.camera_labels, ids) for frame in found)
+    assert all(np.array_equal(*frame.require("camera_labels"), ids) for frame in found)
     if not splits:
         with pytest.raises(InputError, match="no split 'val'"):
             frames(tmp_path, "val")

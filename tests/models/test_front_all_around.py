@@ -63,6 +63,7 @@ def test_what_lies_in_a_direction_is_painted_there(azimuth_deg):
 def test_empty_pixels_are_zero_for_the_network_and_the_seam_is_no_border():
     around, logits, _ = translated(180.0)
     network = around.network
+    assert isinstance(network, FirstClasses)
     lidar, overlap = network.lidar, around.overlap
     assert lidar.shape[3] == around.input_view.columns + 2 * overlap
     assert torch.equal(lidar[..., : 2 * overlap], lidar[..., -2 * overlap :])

@@ -88,7 +88,7 @@ def test_recipes_fit_the_data_at_hand(plan, tmp_path):
     recipe = plan.recipe("salsanext", {})
     assert recipe.data.train == ("train",), "there is no split `labelled` here"
     video = plan.recipe("vid2vid", {})
-    assert video.data.train == ("train",) and video.options.single_frame_splits == ("train",)
+    assert video.data.train == ("train",) and video.options.single_frame_splits == ("train", "selection")
     files = {"salsanext": tmp_path / "s", "titan-pano": tmp_path / "t"}
     painter = plan.recipe("painter", files)
     assert (painter.options.segmenter, painter.options.translator) == (str(tmp_path / "s"), str(tmp_path / "t"))

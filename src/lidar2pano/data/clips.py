@@ -219,6 +219,7 @@ def flow_to(before: Frame, now: Frame, image_before: LabelledImage, image_now: L
 def distances_m(frame: Frame, image: LabelledImage) -> Tensor:
     """Distances (H, W) float32 as `ego_flow` takes them: of the true panorama if there is one, else of the scan."""
     raster = image.raster
+    assert raster is not None, "without a camera flow comes from the images"
     if isinstance(raster, View):
         return _sky_is_far(panorama_on(frame, raster).depth_m)
     if frame.panorama is not None:

@@ -98,13 +98,13 @@ def frames(root: Path, split: str) -> FrameList[LabelledImage]:
         raise InputError(f"{root}: no split {split!r}{closest(split, splits)}")
     if not found:
         raise InputError(f"{root}: split {split!r} has no image (.png or .jpg); complete the data")
-    entries = ((name, partial(_opened, found)) for name in sorted(found))
+    entries = ((name, partial(_opened, root, found)) for name in sorted(found))
     return FrameList("cityscapes" if cityscapes else "images", entries)
 
 
-def _opened(found: dict[str, LabelledImage], name: str) -> LabelledImage:
+def _opened(root: Path, found: dict[str, LabelledImage], name: str) -> LabelledImage:
     one = found[name]
-    return LabelledImage(name, one.root, one.image_file, one.labels_file, one.label_ids)
+    return LabelledImage(name, root, one.image_file, one.labels_file, one.label_ids)
 
 
 def _cityscapes(root: Path, split: str) -> Iterator[tuple[str, LabelledImage]]:

@@ -46,7 +46,8 @@ class FrontAllAround(nn.Module):
         self.overlap = max(front.columns // OVERLAP // 16, 1) * 16
         rows, columns = getattr(network, "size", None) or IMAGE_SIZE
         wide = self.input_view.columns + 2 * self.overlap
-        network.size = (int(rows), round(wide * int(columns) / front.columns))  # pyright: ignore[reportAttributeAccessIssue]
+        size = (int(rows), round(wide * int(columns) / front.columns))
+        vars(network)["size"] = size  # how large an image it predicts
 
     def forward(self, channels: Tensor, condition: Tensor) -> tuple[Tensor, Tensor]:
         """Translate.

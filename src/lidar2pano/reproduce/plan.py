@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from lidar2pano.data.clips import runs
 from lidar2pano.data.frames import frames
 from lidar2pano.data.semantic_kitti import SEQUENCES
 from lidar2pano.errors import InputError
@@ -90,8 +91,7 @@ class Plan:
         if SEGMENTER in files and hasattr(found.options, "segments"):
             options["segments"] = "predicted"  # as in the paper's section 3.1
         if isinstance(found.options, VideoOptions):
-            single = (name for name in found.options.single_frame_splits if name in there - {self.split})
-            options["single_frame_splits"] = tuple(single) or ("train",)
+            options["single_frame_splits"] = self._stills(found.data.train, found.options.clip_length)
         found = replace(found, options=replace(found.options, **options))
         for change in budget(self.budget):
             found = override(found, change)
@@ -101,6 +101,11 @@ class Plan:
                 found = override(found, rest)
         return found
 
+    def _stills(self, train: Sequence[str], length: int) -> tuple[str, ...]:
+        """Splits of which no `length` frames follow each other: vid2vid pans over each of their frames."""
+        lists = _training_frames(self) if (self.data / "sequences").is_dir() else {}
+        return tuple(name for name in dict.fromkeys((*train, SELECTION)) if not runs(lists.get(name, ()), length))
+
 
 def training_data(plan: Plan) -> Path:
     """DIR/data, the data set with a split `selection`: the last training sequence, or the last tenth of the only one.
@@ -108,6 +113,19 @@ def training_data(plan: Plan) -> Path:
     No checkpoint is selected on frames that are scored: other splits but the scored one lose these frames, and the
     training splits lose those of the scored one. Everything but splits.json are links.
     """
+    rest = _training_frames(plan)
+    folder = plan.out / "data"
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in plan.data.resolve().iterdir():
+        if path.name != "splits.json" and not (folder / path.name).is_symlink():
+            (folder / path.name).symlink_to(path)
+    text = json.dumps(rest, indent=1)
+    write_whole(folder / "splits.json", lambda beside: beside.write_text(text, encoding="utf-8"))
+    return folder
+
+
+def _training_frames(plan: Plan) -> dict[str, list[str]]:
+    """Names of the frames of every split as `training_data` has them."""
     lists = _frames_by_split(plan)
     scored = set(lists[plan.split])
     train = [name for name in lists["train"] if name not in scored]
@@ -117,15 +135,7 @@ def training_data(plan: Plan) -> Path:
     first = sequences.index(sequences[-1]) or len(train) - max(1, len(train) // 10)
     held = set(train[first:])
     kept = {name: [one for one in found if one not in held | scored] for name, found in lists.items()}
-    rest = kept | {"train": kept["train"] or train, SELECTION: train[first:], plan.split: lists[plan.split]}
-    folder = plan.out / "data"
-    folder.mkdir(parents=True, exist_ok=True)
-    for path in plan.data.resolve().iterdir():
-        if path.name != "splits.json" and not (folder / path.name).is_symlink():
-            (folder / path.name).symlink_to(path)
-    text = json.dumps(rest, indent=1)
-    write_whole(folder / "splits.json", lambda beside: beside.write_text(text, encoding="utf-8"))
-    return folder
+    return kept | {"train": kept["train"] or train, SELECTION: train[first:], plan.split: lists[plan.split]}
 
 
 def _frames_by_split(plan: Plan) -> dict[str, list[str]]:

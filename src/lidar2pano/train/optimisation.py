@@ -18,10 +18,10 @@ OPTIMIZERS = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}  # and "sgd"
 def make_optimizer(settings: Optimizer, network: nn.Module) -> torch.optim.Optimizer:
     """The optimiser of a network's trainable weights."""
     weights = [weight for weight in network.parameters() if weight.requires_grad]
-    both = {"lr": settings.rate, "weight_decay": settings.weight_decay}
+    rate, decay = settings.rate, settings.weight_decay
     if settings.algorithm == "sgd":
-        return torch.optim.SGD(weights, momentum=settings.betas[0], **both)
-    return OPTIMIZERS[settings.algorithm](weights, betas=settings.betas, **both)
+        return torch.optim.SGD(weights, lr=rate, momentum=settings.betas[0], weight_decay=decay)
+    return OPTIMIZERS[settings.algorithm](weights, lr=rate, betas=settings.betas, weight_decay=decay)
 
 
 def learning_rate(settings: Optimizer, step: int, progress: float) -> float:
