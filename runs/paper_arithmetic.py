@@ -85,7 +85,8 @@ def table() -> str:
     )
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Print the table and, with --write, put it into the page."""
     text = table()
     print(text)
     if "--write" in sys.argv:
@@ -93,3 +94,7 @@ if __name__ == "__main__":
         before, _, rest = page.partition(MARK)
         after = rest[rest.index("\n## ") :]
         PAGE.write_text(f"{before}{MARK}\n\n{text}\n{after}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

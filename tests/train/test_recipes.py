@@ -16,6 +16,7 @@ from lidar2pano.train.device import shared
 from lidar2pano.train.options import TaskOptions
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, override, resolved
 from lidar2pano.train.recipes import RECIPES, recipe_named
+from lidar2pano.train.sampling import steps_over
 from lidar2pano.train.tasks import TASKS
 from lidar2pano.views import VIEWS
 
@@ -164,9 +165,9 @@ def test_more_devices_keep_the_batch_and_the_size_of_micro_batches(processes, fe
 
 def test_epochs_count_in_steps_of_the_data_at_hand():
     training = Training(steps=1000, epochs=1.5, batch=4)
-    assert training.steps_over(10) == 4  # 15 samples
-    assert training.steps_over(10_000) == 1000, "the steps come first"
-    assert Training(steps=7, batch=4).steps_over(10) == 7
+    assert steps_over(10, training) == 4  # 15 samples
+    assert steps_over(10_000, training) == 1000, "the steps come first"
+    assert steps_over(10, Training(steps=7, batch=4)) == 7
 
 
 def test_the_papers_protocol_is_in_the_recipes():

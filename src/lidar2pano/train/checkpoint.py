@@ -106,7 +106,7 @@ def _flat(tree: Mapping[str, Any], above: str = "") -> dict[str, Any]:
 
 
 def _defaults(recipe: Recipe) -> dict[str, Any]:
-    """The values that a recipe of this task has where nobody chose any, by their flat names."""
+    """The values that a recipe of this task has by default, by their flat names."""
     networks = {name: {"optimizer": asdict(Optimizer())} for name in recipe.networks}
     plain = {"training": asdict(Training()), "options": asdict(type(recipe.options)()), "networks": networks}
     return {name: list(value) if isinstance(value, tuple) else value for name, value in _flat(plain).items()}

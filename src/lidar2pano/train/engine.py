@@ -40,7 +40,7 @@ from lidar2pano.train.monitor import Meter, Monitor, check_finite
 from lidar2pano.train.optimisation import EMA, averaged, clip, learning_rate, make_optimizer
 from lidar2pano.train.predictions import predict_all
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.sampling import BatchSampler, batches, seed_step
+from lidar2pano.train.sampling import BatchSampler, batches, seed_step, steps_over
 from lidar2pano.train.task import Task
 from lidar2pano.train.tasks import build_task
 
@@ -82,7 +82,7 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
         write_recipe(out, recipe)
     predict_all(task, fabric.device, fabric.global_rank, fabric.world_size)
     fabric.barrier()
-    steps = training.steps_over(len(task.dataset))
+    steps = steps_over(len(task.dataset), training)
     recipe = replace(recipe, training=replace(training, steps=steps))
     run = Run(fabric, recipe, task, out, data=trained_on(root, recipe.data.train))
     run.resume()

@@ -36,7 +36,7 @@ def _predict(predicted: PredictedLabels, frames: FrameList[Frame], device: torch
     label_points = predicted.label_points
     if show:
         log.info("labelling %d scans on %s, once: the labels are kept on disk", len(frames), device)
-    shown = time.monotonic()
+    logged = time.monotonic()
     if isinstance(label_points, LabelPoints):
         label_points.move(device)
     try:
@@ -45,9 +45,9 @@ def _predict(predicted: PredictedLabels, frames: FrameList[Frame], device: torch
             for number, frame in enumerate(frames, 1):
                 predicted.of(frame)
                 bar.advance(line)
-                if show and bar.disable and time.monotonic() - shown > LOG_EVERY_S:
+                if show and bar.disable and time.monotonic() - logged > LOG_EVERY_S:
                     log.info("labelled %d of %d scans", number, len(frames))
-                    shown = time.monotonic()
+                    logged = time.monotonic()
     finally:
         if isinstance(label_points, LabelPoints):
             label_points.move(torch.device("cpu"))  # processes that prepare samples have no GPU

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Generic, Literal, TypeVar
@@ -108,10 +107,6 @@ class Training:
             raise InputError(f"training.batch={self.batch} must be at most {LARGEST_BATCH}")
         if self.ema >= 1:
             raise InputError(f"training.ema={self.ema} must be below 1")
-
-    def steps_over(self, samples: int) -> int:
-        """Optimiser steps on so many training samples: `steps`, or those of `epochs` where they are fewer."""
-        return min(self.steps, math.ceil(self.epochs * samples / self.batch)) if self.epochs else self.steps
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -42,7 +42,7 @@ def salsanext() -> Recipe[SegmentationOptions]:
 
 
 def pix2pix_segments() -> Recipe[Pix2PixSegmentsOptions]:
-    """Pix2Pix from range view and segments to the camera's segments, with its published numbers.
+    """Pix2Pix from range view and segments to the camera's segments; at full length with TITAN-Net's protocol.
 
     Cross-entropy discriminator and 100 times the absolute distance, Adam 2e-4, one pair a step (Isola et al. 2017,
     section 3.3); statistics of the batch at hand in evaluation too, as its test command runs. These are the numbers of
@@ -62,7 +62,7 @@ def pix2pix_segments() -> Recipe[Pix2PixSegmentsOptions]:
 
 
 def pix2pix_rgb() -> Recipe[Pix2PixColoursOptions]:
-    """Pix2Pix from the range view to colours, with its published numbers as in pix2pix-segments.
+    """Pix2Pix from the range view to colours; at full length with TITAN-Net's protocol.
 
     The paper's words leave open whether its squared error took the place of Pix2Pix's own auxiliary loss here:
     `--set options.auxiliary=mse` makes it so.

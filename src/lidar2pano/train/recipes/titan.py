@@ -6,10 +6,12 @@ Rows of the paper's tables: "TITAN-Net (w/o L_ls)" is titan-no-lovasz, "TITAN-Ne
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import wraps
 
-from lidar2pano.train.options import FrontColourOptions, FrontDepthOptions, FrontOptions
-from lidar2pano.train.recipe import Network, Optimizer, Options_co, Recipe, Training, on_two_cores, vary
+from lidar2pano.train.options import FrontColourOptions, FrontDepthOptions, FrontOptions, Pix2PixSegmentsOptions
+from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, on_two_cores, vary
 
 HALF = (188, 620)  # rows, columns: half of KITTI's images
 EPOCHS = 118  # of the paper's training
@@ -40,15 +42,21 @@ def titan() -> Recipe[FrontOptions]:
     )
 
 
-def papers_protocol(recipe: Recipe[Options_co]) -> Recipe[Options_co]:
+def papers_protocol(make: Callable[[], Recipe]) -> Callable[[], Recipe]:
     """A baseline trained as TITAN-Net is ("using the same training protocol", section 4.4): Adam, batch, epochs."""
-    networks = {role: replace(network, optimizer=PAPERS_ADAM) for role, network in recipe.networks.items()}
-    accumulate = max(recipe.training.accumulate, 2)
-    training = replace(recipe.training, steps=NO_LIMIT, epochs=EPOCHS, batch=10, accumulate=accumulate)
-    options = recipe.options
-    if hasattr(options, "segments"):
-        options = replace(options, segments="predicted")  # pyright: ignore[reportCallIssue]
-    return replace(recipe, networks=networks, training=training, options=options)
+
+    @wraps(make)
+    def made() -> Recipe:
+        recipe = make()
+        networks = {role: replace(network, optimizer=PAPERS_ADAM) for role, network in recipe.networks.items()}
+        accumulate = max(recipe.training.accumulate, 2)
+        training = replace(recipe.training, steps=NO_LIMIT, epochs=EPOCHS, batch=10, accumulate=accumulate)
+        options = recipe.options
+        if isinstance(options, Pix2PixSegmentsOptions):
+            options = replace(options, segments="predicted")
+        return replace(recipe, networks=networks, training=training, options=options)
+
+    return made
 
 
 def titan_mini() -> Recipe[FrontOptions]:
