@@ -179,7 +179,9 @@ def recipes() -> str:
     def row(name: str) -> list[str]:
         recipe = RECIPES[name]()
         networks = ", ".join(f"`{network.model}`" for network in recipe.networks.values())
-        limit = f"{recipe.training.minutes:g} min" if recipe.training.minutes else f"{recipe.training.steps} steps"
+        training = recipe.training
+        limit = f"{training.epochs:g} epochs" if training.epochs else f"{training.steps} steps"
+        limit = f"{training.minutes:g} min" if training.minutes else limit
         return [
             f"`{name}`",
             _first(RECIPES[name].__doc__) or _variant(name, set(RECIPES)),

@@ -1,4 +1,4 @@
-"""Set the power that a scene painter raises class probabilities to: sharpen.py PAINTER.safetensors OUT.safetensors POWER.
+"""Set the power that a scene painter raises class probabilities to: sharpen.py PAINTER OUT POWER.
 
 Training draws powers at random, so that no weight depends on it.
 """

@@ -21,10 +21,11 @@ from lidar2pano.geometry.projection import Normalisation, RangeImage, one_hot_la
 from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import Memory, PreviousFrame, smoothed
-from lidar2pano.models.card import Card
+from lidar2pano.models.card import Card, read_card
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
-from lidar2pano.models.families import DEFAULT, role, weight_files
+from lidar2pano.models.families import DEFAULT, FRONT_VIEW, role, weight_files
+from lidar2pano.models.front_all_around import FrontAllAround
 from lidar2pano.models.salsanext import STRIDE
 from lidar2pano.models.scene_painter import Scene, ScenePainter, StreamPainter
 from lidar2pano.models.vid2vid import Vid2Vid
@@ -105,6 +106,7 @@ class Pipeline:
     translator  (channels (1, 5, H, W), condition (1, 20, H, W)) -> logits (1, 16, H, W) of COMMON15, depth (1, H, W) m.
     painter     (its memory, Scene) -> (its memory, (1, 3, 2H, 2W)).
     view        the translator's raster, H x W, around the optical centre of the camera that the panorama stands for.
+    input_view  the raster of the scan that the translator reads; None: `view`, too.
     cards       of the weight files, by role.
     look        which of the painter's looks is painted: "A", "A+B" for the mean of two, "" for its own.
     engine      what computes the networks: of ENGINES, but not "auto".
@@ -118,6 +120,7 @@ class Pipeline:
     cards: Mapping[str, Card] = field(default_factory=dict)
     look: str = ""
     engine: str = "torch"
+    input_view: View | None = None
 
     def at(self, calibration: Calibration) -> Pipeline:
         """The pipeline with its viewpoint moved to a camera's optical centre."""
@@ -164,11 +167,14 @@ class Pipeline:
             scan = scan.beyond()
             image = self._checked(scan, project(scan, self.segmenter.view, device=self.device))
             around = self._checked(scan, project(scan, self.view, device=self.device))
+            read = around
+            if self.input_view is not None:
+                read = self._checked(scan, project(scan, self.input_view, device=self.device))
         ids = self.segmenter.label(image, timer) if labels is None else torch.from_numpy(labels).to(self.device)
         with timer("translate"), fast_arithmetic(self.device):
             channels = around.channels[None].contiguous(memory_format=torch.channels_last)
-            condition = one_hot_layers(around.spread(ids)[None], CONDITIONS)
-            logits, depth_m = self.translator(channels, condition)
+            condition = one_hot_layers(read.spread(ids)[None], CONDITIONS)
+            logits, depth_m = self.translator(channels if read is around else read.channels[None], condition)
         return Translated(scan.name, ids, image.dropped, channels, logits, depth_m, scan.gaps_deg)
 
     @torch.inference_mode()
@@ -270,8 +276,7 @@ def load(
         given = weights if isinstance(weights, str | Path) else ", ".join(map(str, files.values()))
         raise InputError(f"{given}: no weights for the {' and the '.join(missing)}; name a family that has them")
     segmenter, segmenter_card = load_segmenter(files["segmenter"], picked, engine)
-    translator, card = load_part(files["translator"], picked, expect="titan-pano", engine=engine)
-    view = card_view(files["translator"], card, "panorama")
+    translator, card, view = load_translator(files["translator"], picked, engine)
     painter, painter_card = load_painter(files["painter"], files.get("first-frame painter"), view, picked, engine)
     return Pipeline(
         segmenter=segmenter,
@@ -281,7 +286,22 @@ def load(
         device=picked,
         cards={"segmenter": segmenter_card, "translator": card, "painter": painter_card},
         engine=runs_on,
+        input_view=translator.input_view if isinstance(translator, FrontAllAround) else None,
     )
+
+
+def load_translator(file: Path, device: torch.device, engine: str = "torch") -> tuple[nn.Module, Card, View]:
+    """The translator of a weight file, ready for inference, its card, and the raster that it predicts.
+
+    One of the paper's kind (FRONT_VIEW) runs all around, in torch. InputError where the file holds something else.
+    """
+    if read_card(file).network not in FRONT_VIEW:
+        translator, card = load_part(file, device, expect="titan-pano", engine=engine)
+        return translator, card, card_view(file, card, "panorama")
+    network, card = load_weights(file, device)
+    normalise = Normalisation(**{name: tuple(values) for name, values in card.normalisation.items()})
+    around = FrontAllAround(network, card_view(file, card, "input"), normalise)
+    return around, card, around.view
 
 
 def load_segmenter(file: Path, device: torch.device, engine: str = "torch") -> tuple[Segmenter, Card]:

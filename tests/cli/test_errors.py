@@ -165,12 +165,6 @@ def own(here, random_weights):
     return Path(shutil.copytree(random_weights, here / "own"))
 
 
-def test_weights_of_another_network(own, here, refused, front_weights):
-    shutil.copy(front_weights / "titan.safetensors", own / "translator.safetensors")
-    said = refused("translate good.bin --weights own --device cpu")
-    assert said.startswith("own/translator.safetensors has weights of another network: 'titan'")
-
-
 def test_weights_without_a_part(here, refused):
     write_weights(here, "critic", "projected-critic", {"width": 8})
     said = refused("translate good.bin --weights critic.safetensors --device cpu")

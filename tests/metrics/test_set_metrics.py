@@ -9,6 +9,8 @@ import pytest
 import scipy.stats
 import torch
 
+from lidar2pano.metrics.accumulation import SetMetric
+from lidar2pano.metrics.bootstrap import set_intervals
 from lidar2pano.metrics.frechet import FrechetDistance, fingerprint, frechet_distance
 from lidar2pano.metrics.input_checks import image_tensor
 from lidar2pano.metrics.sliced_wasserstein import (
@@ -25,11 +27,13 @@ from lidar2pano.metrics.sliced_wasserstein import (
     pyramid,
     sliced_distances,
 )
+from lidar2pano.metrics.sliced_wasserstein_pairs import PairwiseSlicedWasserstein
 from metric_definitions import (
     frechet_by_square_root,
     frechet_by_torchmetrics,
     laplacian_slowly,
     patches_slowly,
+    swd_of_a_pair_slowly,
     swd_slowly,
 )
 
@@ -158,6 +162,47 @@ def test_without_images_there_is_no_swd():
     with pytest.raises(ValueError, match="differ in shape"):
         metric.update(noise(1), noise(1, 20, 20), "b")
     assert len(metric) == 0
+
+
+# --- SWD of pairs, and intervals -----------------------------------------------------------------------------------
+
+
+def test_swd_of_pairs_agrees_with_the_published_definition():
+    pairs = {"a": (noise(1), noise(2, contrast=0.5)), "b": (noise(3), noise(3))}
+    metric = PairwiseSlicedWasserstein(seed=4)
+    for name, pair in pairs.items():
+        metric.update(*pair, name)
+    slow = swd_of_a_pair_slowly(*pairs["a"], 4, "a")
+    assert [metric.value_of_frame("a", str(level)) for level in LEVELS] == pytest.approx(slow, rel=2e-4)
+    assert metric.value_of_frame("b", "mean") == 0, "the same image, at the same places"
+    assert metric.compute() == pytest.approx(np.mean(slow) / 2, rel=2e-4)
+
+
+class MeanOfImages(SetMetric):
+    """The mean of all predicted values, for which the jackknife is the textbook's standard error."""
+
+    MOST = 100
+
+    def values(self) -> dict[str, float]:
+        return {"mean": float(self.kept["predicted"].stacked().mean())}
+
+
+@pytest.mark.parametrize("count", [4, 5, 10, 37])
+def test_intervals_of_set_distances_are_the_jackknifes(count):
+    metric, values = MeanOfImages(), np.random.default_rng(0).normal(20, 1, count)
+    for number, value in enumerate(values):
+        for side in ("predicted", "target"):
+            metric.kept[side][str(number)] = np.array([value])
+    found = set_intervals(metric)["mean"]
+    assert (found.value, found.frames) == (pytest.approx(values.mean()), count)
+    if count < 5:
+        assert isnan(found.low) and isnan(found.high)
+    elif count <= 10:  # a group is an image
+        half = scipy.stats.t.ppf(0.975, count - 1) * values.std(ddof=1) / np.sqrt(count)
+        assert (found.low, found.high) == pytest.approx((values.mean() - half, values.mean() + half), rel=1e-4)
+    else:
+        assert sorted(len(group) for group in metric.groups(10)) == 3 * [3] + 7 * [4] and found.low < found.high
+    assert metric.compute() == found.value, "nothing was changed"
 
 
 # --- Frechet distance -----------------------------------------------------------------------------------------------

@@ -21,8 +21,9 @@ from lidar2pano.errors import InputError
 from lidar2pano.models import MODELS, build
 from lidar2pano.models.camera_segmenter import CameraSegmenter
 from lidar2pano.models.card import load, read_card, save
-from lidar2pano.models.families import licence_note
+from lidar2pano.models.families import licence_note, role
 from lidar2pano.models.published import PUBLISHED, import_published, published_card
+from lidar2pano.views import VIEWS, View
 
 
 def test_a_titan_checkpoint_is_a_plain_state_dict(tmp_path: Path) -> None:
@@ -524,3 +525,15 @@ def test_weights_that_are_not_finite_are_refused(
     assert main(["weights", "import", str(files[0]), "--as", "pix2pix-critic"]) == 2
     assert "'model.0.bias' has values that are not finite" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.safetensors"))
+
+
+@pytest.mark.parametrize(("inputs", "outputs", "labels"), [(25, 15, "common-14"), (5, 3, None), (3, 3, None)])
+def test_a_pix2pix_that_reads_the_range_view_says_which(inputs, outputs, labels):
+    card = published_card("pix2pix", "latest_net_G.pth", {"inputs": inputs, "outputs": outputs})
+    assert card.labels == labels
+    if inputs == 3:
+        assert not card.views and "size" not in card.settings
+    else:
+        assert View(**card.views["input"]) == VIEWS["titan-front"] and card.settings["size"] == (376, 1241)
+        assert card.normalisation == published_card("titan", "x", {}).normalisation
+        assert role(card) == ("translator" if labels else "renderer")

@@ -30,15 +30,15 @@ def test_every_row_is_made_of_recipes_that_exist_in_both_forms():
 
 def test_the_papers_values_are_those_of_its_tables():
     # table 2, the last column; table 1, the mean of its columns about as it prints it
-    means = {name: row.paper["swd"] for name, row in ROWS.items() if row.paper}
+    means = {name: row.paper["swd_pairs"] for name, row in ROWS.items() if row.paper}
     assert means["titan"] == 2.38 and means["scunet"] == 2.59 and means["ceiling"] == 1.76
     for row in ROWS.values():
         if row.classes:
             assert len(row.classes) == 14
             assert np.mean(row.classes) == pytest.approx(row.miou, abs=0.11)
         if row.paper and row.name not in ("Pix2Pix -> Vid2Vid",):  # whose printed mean (2.59) is not that of its levels
-            levels = [value for key, value in row.paper.items() if key.startswith("swd_")]
-            assert np.mean(levels) == pytest.approx(row.paper["swd"], abs=0.011)
+            levels = [value for key, value in row.paper.items() if key.startswith("swd_pairs_")]
+            assert np.mean(levels) == pytest.approx(row.paper["swd_pairs"], abs=0.011)
 
 
 def test_claims_name_rows():
@@ -88,7 +88,7 @@ def test_recipes_fit_the_data_at_hand(plan, tmp_path):
     recipe = plan.recipe("salsanext", {})
     assert recipe.data.train == ("train",), "there is no split `labelled` here"
     video = plan.recipe("vid2vid", {})
-    assert video.data.train == ("train",) and video.options.single_frame_splits == ("train",)
+    assert video.data.train == ("train",) and video.options.single_frame_splits == ("train", "selection")
     files = {"salsanext": tmp_path / "s", "titan-pano": tmp_path / "t"}
     painter = plan.recipe("scene-painter", files)
     assert (painter.options.segmenter, painter.options.translator) == (str(tmp_path / "s"), str(tmp_path / "t"))
@@ -158,7 +158,11 @@ def test_values_are_found_by_sector_and_missing_ones_are_nan():
 
 def test_the_results_page_has_every_row_and_a_verdict_where_it_can(plan):
     outcome = Outcome(
-        results={"titan": result(miou=0.3, swd=20.0), "pix2pix": result(miou=0.1, swd=10.0)},
+        results={
+            "titan": result(miou=0.3, swd_pairs=20.0, low=0.25, high=0.35),
+            "pix2pix": result(miou=0.1, swd_pairs=10.0, low=0.05, high=0.15),
+        },
+        camera_segmenter_ms=198.2,
         failures={"scunet": "no image goes with this scan"},
     )
     text = results_page(plan, outcome, [], None)
@@ -166,6 +170,7 @@ def test_the_results_page_has_every_row_and_a_verdict_where_it_can(plan):
         assert row.name in text
     assert "TITAN-Net beats Pix2Pix in mIoU: **confirmed** here (0.3 against 0.1)" in text
     assert "TITAN-Net beats Pix2Pix in SWD: **contradicted** here (20 against 10)" in text
+    assert "| SD-Net (in training only) | segment an image 198 | 198 |" in text
     assert "Lovasz-Softmax raises mIoU: not measured here" in text
     assert "scunet: no image goes with this scan" in text and "no Inception weights" in text
     titan = next(line for line in text.splitlines() if line.startswith("| TITAN-Net -> Vid2Vid |"))
@@ -180,6 +185,7 @@ def test_the_results_page_has_every_row_and_a_verdict_where_it_can(plan):
         (result(miou=0.1, low=0.05, high=0.2), result(miou=0.3, low=0.25, high=0.35), "**contradicted** here (0.1"),
         (result(miou=0.3, steps=20), result(miou=0.1), "**not decided** here: 20 steps of training"),
         (result(miou=0.3), result(miou=0.1, frames=6), "**not decided** here: 6 frames are fewer than 50"),
+        (result(miou=0.3), result(miou=0.1), "**not decided** here: there are no intervals"),
     ],
 )
 def test_orderings_are_decided_by_disjoint_intervals_after_enough_training(plan, first, second, verdict):

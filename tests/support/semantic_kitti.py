@@ -21,13 +21,18 @@ def size_of(sequence: int) -> tuple[int, int]:
     return (1226, 370) if 4 <= sequence <= 12 else (1241, 376)
 
 
-def write_semantic_kitti(root: Path, *, camera_labels: bool = True) -> Path:
-    """Write sequences 00 to 21, a frame each, without splits.json; ground truth of the points in 00 to 10 alone."""
+def write_semantic_kitti(root: Path, *, camera_labels: bool = True, scale: float = 1.0) -> Path:
+    """Write sequences 00 to 21, a frame each, without splits.json; ground truth of the points in 00 to 10 alone.
+
+    scale  of the images; without camera labels there is no folder for them, either.
+    """
     ids, colours = camera_view()
     for sequence in range(22):
-        folder, (width, height) = root / "sequences" / f"{sequence:02d}", size_of(sequence)
+        folder = root / "sequences" / f"{sequence:02d}"
+        width, height = (round(scale * length) for length in size_of(sequence))
         for part in ("velodyne", "labels", "image_2", "camera_labels"):
-            (folder / part).mkdir(parents=True)
+            if part != "camera_labels" or camera_labels:
+                (folder / part).mkdir(parents=True)
         scan = street(sequence, points=900)
         write_bin(folder / "velodyne" / "000000.bin", scan)
         if sequence in LABELLED:

@@ -12,10 +12,11 @@ import pytest
 
 from lidar2pano.errors import InputError
 from lidar2pano.models import MODELS
-from lidar2pano.train.device import check_shares
+from lidar2pano.train.device import shared
 from lidar2pano.train.options import TaskOptions
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, override, resolved
 from lidar2pano.train.recipes import RECIPES, recipe_named
+from lidar2pano.train.sampling import steps_over
 from lidar2pano.train.tasks import TASKS
 from lidar2pano.views import VIEWS
 
@@ -95,7 +96,7 @@ def test_override_sets_one_value_of_the_right_type(assignment, value):
         ("training.precision=16-mixed", "training.precision cannot be '16-mixed'; did you mean 'bf16-mixed'?"),
         ("networks.painter.optimizer.betas=0.5", "wants 2 values with commas between"),
         ("networks.painter.settings.widths=8,x", "wants a whole number, not 'x'"),
-        ("training=8", "training holds several values; set one of them: steps, minutes, batch"),
+        ("training=8", "training holds several values; set one of them: steps, epochs, minutes, batch"),
         ("networks.painter=8", "set one of them: model, settings"),
         ("options=8", "set one of them: lovasz"),
         ("training.batch.size=8", "int values have no parts; leave out 'size'"),
@@ -136,21 +137,53 @@ def test_batch_and_accumulate_are_compared_when_both_are_set(first):
     recipe = recipe_named("titan")  # 10 in 10 micro-batches
     for name in (first, {"batch": "accumulate", "accumulate": "batch"}[first]):
         recipe = override(recipe, f"training.{name}=2")
-    check_shares(recipe.training, 1)
+    assert shared(recipe.training, 1) == recipe.training
 
 
 @pytest.mark.parametrize(
     ("batch", "accumulate", "processes", "hint"),
     [
-        (10, 10, 2, "set training.accumulate=5, or make it a multiple of 20"),
+        (10, 4, 2, "set training.accumulate=1, or make it a multiple of 8"),
         (8, 3, 1, "set training.accumulate=1, or make it a multiple of 3"),
         (9, 3, 2, "micro-batches; make it a multiple of 6"),
     ],
 )
 def test_a_batch_that_cannot_be_divided_is_refused_with_what_can(batch, accumulate, processes, hint):
     with pytest.raises(InputError) as refusal:
-        check_shares(Training(batch=batch, accumulate=accumulate), processes)
+        shared(Training(batch=batch, accumulate=accumulate), processes)
     assert str(refusal.value).endswith(hint)
+
+
+@pytest.mark.parametrize(("processes", "fewer"), [(1, 10), (2, 5), (5, 2), (10, 1)])
+def test_more_devices_keep_the_batch_and_the_size_of_micro_batches(processes, fewer):
+    training = recipe_named("titan").training
+    found = shared(training, processes)
+    assert found == replace(training, accumulate=fewer) and found.batch // (processes * fewer) == 1
+    assert shared(Training(batch=12, accumulate=3), 2).accumulate == 3, "it divides: nothing changes"
+    assert shared(Training(batch=12, accumulate=4), 2).accumulate == 2, "of 3 samples, as before"
+
+
+def test_epochs_count_in_steps_of_the_data_at_hand():
+    training = Training(steps=1000, epochs=1.5, batch=4)
+    assert steps_over(10, training) == 4  # 15 samples
+    assert steps_over(10_000, training) == 1000, "the steps come first"
+    assert steps_over(10, Training(steps=7, batch=4)) == 7
+
+
+def test_the_papers_protocol_is_in_the_recipes():
+    for name in ("titan", "titan-no-lovasz", "titan-no-range", "titan-no-segments", "pix2pix-segments", "pix2pix-rgb",
+                 "scunet", "titan-next"):  # fmt: skip
+        recipe = recipe_named(name)
+        assert (recipe.training.epochs, recipe.training.batch) == (118, 10)
+        for network in recipe.networks.values():
+            optimizer = network.optimizer
+            assert (optimizer.algorithm, optimizer.rate, optimizer.betas) == ("adam", 1e-4, (0.5, 0.999))
+            assert optimizer.schedule == "constant"
+        assert getattr(recipe.options, "segments", "predicted") == "predicted"
+        assert recipe_named(f"{name}-mini").training.epochs == 0
+    salsanext = recipe_named("salsanext-published")
+    assert (salsanext.training.epochs, salsanext.training.batch) == (150, 24)
+    assert salsanext.networks["segmenter"].optimizer.algorithm == "sgd"
 
 
 @pytest.mark.parametrize("name", RECIPES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -12,8 +13,9 @@ from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.models.card import load
 from lidar2pano.models.families import weight_files
+from lidar2pano.train.checkpoint import check_recipe
 from lidar2pano.train.engine import train
-from lidar2pano.train.recipe import Recipe, override
+from lidar2pano.train.recipe import Recipe, override, resolved
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.tasks import build_task
 from miniature import write_data_set
@@ -114,3 +116,34 @@ def test_titan_net_moves_critic_and_translator_in_turn(root):
     task.networks["translator"].eval()
     assert 0 <= task.validate()["score"] <= 1
     assert task.preview()["segments"].shape == (4 * 92, 160, 3)
+
+
+def test_titan_net_learns_from_the_segmenters_labels_where_the_recipe_says_so(root, runs, tmp_path):
+    wanted = "options.segments=predicted"
+    with pytest.raises(InputError, match=r"predicted_labels/000000\.label: is missing; .*--labels-folder"):
+        build_task(small("titan-mini", wanted), root).dataset[0]
+    tree = write_data_set(tmp_path / "tree")
+    for labels in sorted(tree.glob("sequences/*/labels")):  # what `prepare` writes; the data's own are not needed
+        labels.rename(labels.parent / "predicted_labels")
+    task = build_task(small("titan-mini", wanted), tree)
+    plain = build_task(small("titan-mini"), root)
+    assert torch.equal(task.dataset[0].segments, plain.dataset[0].segments)
+    file = runs / "segmenter/weights/segmenter.safetensors"
+    task = build_task(small("titan-mini", wanted, f"options.segmenter={file}"), root)
+    only_validation = build_task(small("titan-mini", f"options.segmenter={file}"), root)
+    assert not torch.equal(task.dataset[0].segments, plain.dataset[0].segments)
+    assert torch.equal(task.validation[0].segments, only_validation.validation[0].segments)
+    assert torch.equal(only_validation.dataset[0].segments, plain.dataset[0].segments)
+
+
+def test_a_run_goes_on_that_began_when_recipes_had_fewer_values(tmp_path):
+    recipe = small("salsanext-mini")
+    (tmp_path / "checkpoints" / "000000001").mkdir(parents=True)
+    before = resolved(recipe)
+    del before["training"]["epochs"], before["options"]["class_weight_most"]
+    del before["networks"]["segmenter"]["optimizer"]["final"]
+    (tmp_path / "recipe.json").write_text(json.dumps(before))
+    check_recipe(tmp_path, recipe)
+    check_recipe(tmp_path, override(recipe, "training.steps=2"))
+    with pytest.raises(InputError, match=r"options\.class_weight_most: 6\.0 -> 5\.0"):
+        check_recipe(tmp_path, override(recipe, "options.class_weight_most=5"))

@@ -70,6 +70,11 @@ def test_each_step_and_process_has_numbers_of_its_own():
         ({"schedule": "cosine"}, 9, 0.5, 1.0),
         ({"schedule": "cosine"}, 9, 1.5, 0.0),
         ({"schedule": "cosine", "warmup": 10}, 4, 0.5, 0.5),
+        ({"schedule": "linear"}, 9, 0.5, 2.0),
+        ({"schedule": "linear"}, 9, 0.75, 1.0),
+        ({"schedule": "linear"}, 9, 1.5, 0.0),
+        ({"schedule": "exponential", "final": 0.25}, 9, 0.5, 1.0),
+        ({"schedule": "exponential", "final": 0.25}, 9, 2.0, 0.5),
     ],
 )
 def test_learning_rate(settings, step, progress, rate):

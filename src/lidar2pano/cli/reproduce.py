@@ -34,6 +34,7 @@ def reproduce(  # noqa: PLR0913, PLR0917 one parameter per option
     sdnet: Annotated[Path | None, typer.Option(metavar="FILE", help="A camera segmenter, as for evaluate.")] = None,
     inception: Annotated[Path | None, typer.Option(metavar="FILE", help="For FID, as for evaluate.")] = None,
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
+    devices: Annotated[int, typer.Option(min=1, metavar="N", help="GPUs or processes that train.")] = 1,
 ) -> None:
     """Make the paper's tables: train what is missing, score every row, write DIR/RESULTS.md. Repeat to resume."""
     from lidar2pano.cli.files import check_folder
@@ -57,6 +58,7 @@ def reproduce(  # noqa: PLR0913, PLR0917 one parameter per option
         frames=frames,
         segmenter=segmenter,
         device=picked,
+        devices=devices,
         sdnet=sdnet,
         inception=inception,
         changes=tuple(changes or ()),

@@ -59,7 +59,8 @@ def brief(recipe: Recipe) -> str:
         start = f", from {network.start}" if network.start else ""
         lines.append(f"  {name}: {network.model}, {optimizer.algorithm} {optimizer.rate:g} {optimizer.schedule}{start}")
     training = recipe.training
-    limit = f" or {training.minutes:g} minutes" if training.minutes else ""
+    limit = f" or {training.epochs:g} epochs" if training.epochs else ""
+    limit += f" or {training.minutes:g} minutes" if training.minutes else ""
     lines.append(
         f"  {training.steps} steps{limit} of {training.batch}, seed {training.seed}, {training.precision};"
         f" data: {' + '.join(recipe.data.train)}, scored on {' + '.join(recipe.data.val)}"

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 OUT = Path("panoramas")
 OutOption = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the pictures.")]
 WeightsOption = Annotated[
-    str, typer.Option(metavar="NAME|FILE", help="A family of weights, a run's folder, or a weight file.")
+    str,
+    typer.Option(
+        metavar="NAME|FILE", help="A family of weights, a run's folder, a weight file; or several: A+B takes B's first."
+    ),
 ]
 DeviceOption = Annotated[
     str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute; auto: CUDA if there is one.")

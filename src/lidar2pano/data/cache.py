@@ -6,10 +6,10 @@ import hashlib
 import os
 import zlib
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from torch import Tensor
@@ -53,6 +53,22 @@ def nbytes(value: object) -> int:
     return 0
 
 
+class Predictions(Protocol):
+    """A segmenter's labels of scans."""
+
+    def of(self, frame: Frame) -> np.ndarray:
+        """(N,) int64 ids of SEMANTIC_KITTI of the points of a frame's scan."""
+        ...
+
+
+class StoredPredictions:
+    """Labels that `prepare --labels-folder predicted_labels` wrote."""
+
+    def of(self, frame: Frame) -> np.ndarray:
+        """(N,) int64 ids of the points of a frame's scan; InputError where the file is missing."""
+        return frame.require("predicted_labels")[0]
+
+
 class PredictedLabels:
     """A segmenter's labels of scans: made when they are first requested, kept on disk, shared by all processes.
 
@@ -67,26 +83,54 @@ class PredictedLabels:
         with Path(weights).open("rb") as file:
             self.key = hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
+    def complete(self, frames: Sequence[Frame]) -> bool:
+        """Whether these frames, with files as they are now, are known to be labelled; no scan is read."""
+        name = self._completed(frames)
+        return name is not None and any(path.is_file() for path in self._paths(frames[0], name))
+
+    def note_complete(self, frames: Sequence[Frame]) -> None:
+        """Note that all these frames are labelled, where that can be noted."""
+        if (name := self._completed(frames)) is not None:
+            _write_first(self._paths(frames[0], name), b"")
+
+    def _completed(self, frames: Sequence[Frame]) -> str | None:
+        """Name of the note for these frames; None where one of them is not a file of its own."""
+        digest = hashlib.sha256()
+        for frame in frames:
+            try:
+                stamp = Path(frame.scan_file).stat()  # pyright: ignore[reportAttributeAccessIssue]
+            except (AttributeError, OSError):
+                return None
+            digest.update(f"{frame.name} {stamp.st_size} {stamp.st_mtime_ns}\n".encode())
+        return f"{digest.hexdigest()[:32]}.complete" if len(frames) else None
+
+    def _paths(self, frame: Frame, name: str) -> list[Path]:
+        """Where a file may be, the first place first: beside the data, and in the user's cache."""
+        user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lidar2pano"
+        beside = [frame.root / ".lidar2pano"] if frame.root else []
+        return [folder / "predictions" / self.key / name for folder in (*beside, user)]
+
     def of(self, frame: Frame) -> np.ndarray:
         """(N,) int64 ids of the points of a frame's scan."""
         scan = frame.scan
         digest = hashlib.sha256(scan.xyz.tobytes() + scan.remission.tobytes())
-        user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lidar2pano"
-        beside = [frame.root / ".lidar2pano"] if frame.root else []
-        name = Path("predictions", self.key, f"{digest.hexdigest()[:32]}.zlib")
-        paths = [folder / name for folder in (*beside, user)]
+        paths = self._paths(frame, f"{digest.hexdigest()[:32]}.zlib")
         for path in paths:
             if (labels := _read(path, len(scan))) is not None:
                 return labels
         labels = self.label_points(scan).cpu().numpy().astype(np.int64)
-        packed = zlib.compress(labels.astype(np.uint8).tobytes(), 1)
-        for path in paths:
-            try:
-                write_whole(path, lambda file: file.write_bytes(packed))
-            except InputError:  # read-only: try the next place, or predict again next time
-                continue
-            break
+        _write_first(paths, zlib.compress(labels.astype(np.uint8).tobytes(), 1))
         return labels
+
+
+def _write_first(paths: Iterable[Path], content: bytes) -> None:
+    """Write a file to the first of the places that may be written; to none where all are read-only."""
+    for path in paths:
+        try:
+            write_whole(path, lambda file: file.write_bytes(content))
+        except InputError:
+            continue
+        return
 
 
 def _read(path: Path, points: int) -> np.ndarray | None:

@@ -70,11 +70,11 @@ class Framing:
 class LabelledImage(NamedTuple):
     """An image and its labels on one raster.
 
-    raster  the panorama's View, or the camera whose image it is.
+    raster  the panorama's View, or the camera whose image it is; None: a camera that is not known.
     image   (3, H, W) uint8 RGB;  labels: (H, W) uint8 ids of COMMON15, 0 where unknown.
     """
 
-    raster: View | Calibration
+    raster: View | Calibration | None
     image: Tensor
     labels: Tensor
 
@@ -191,12 +191,13 @@ def runs(names: Sequence[str], length: int) -> list[tuple[int, ...]]:
 
 def camera_image(frame: Frame, scale: float) -> LabelledImage:
     """The camera's image and labels, resized by the factor `scale`; InputError where a file is missing."""
-    image, ids, calibration = frame.require("image", "camera_labels", "calibration")
+    image, ids = frame.require("image", "camera_labels")
     common = CITYSCAPES_TO_COMMON15[ids]
     common[common == IGNORE] = 0
-    camera = calibration.scaled(scale)
-    resized = Image.fromarray(image).resize(camera.size, Image.Resampling.BOX)
-    labels = np.array(Image.fromarray(common).resize(camera.size, Image.Resampling.NEAREST))
+    camera = frame.calibration.scaled(scale) if frame.calibration else None
+    size = camera.size if camera else (round(image.shape[1] * scale), round(image.shape[0] * scale))
+    resized = Image.fromarray(image).resize(size, Image.Resampling.BOX)
+    labels = np.array(Image.fromarray(common).resize(size, Image.Resampling.NEAREST))
     return LabelledImage(camera, torch.from_numpy(np.array(resized)).movedim(2, 0).contiguous(), torch.from_numpy(labels))
 
 
@@ -209,7 +210,7 @@ def panorama_image(frame: Frame, view: View) -> LabelledImage:
 
 def flow_to(before: Frame, now: Frame, image_before: LabelledImage, image_now: LabelledImage) -> Flow:
     """Flow of a frame to the one before: by poses and depths, else by the images themselves (optical flow)."""
-    if before.pose is None or now.pose is None:
+    if before.pose is None or now.pose is None or image_now.raster is None:
         return optical_flow(image_now.image, image_before.image)
     distances = distances_m(now, image_now), distances_m(before, image_before)
     return ego_flow(*distances, relative_pose(before.pose, now.pose), image_now.raster)
@@ -218,6 +219,7 @@ def flow_to(before: Frame, now: Frame, image_before: LabelledImage, image_now: L
 def distances_m(frame: Frame, image: LabelledImage) -> Tensor:
     """Distances (H, W) float32 as `ego_flow` takes them: of the true panorama if there is one, else of the scan."""
     raster = image.raster
+    assert raster is not None, "without a camera flow comes from the images"
     if isinstance(raster, View):
         return _sky_is_far(panorama_on(frame, raster).depth_m)
     if frame.panorama is not None:

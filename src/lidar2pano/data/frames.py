@@ -1,7 +1,8 @@
 """Frame: everything that a data set knows about one moment, read when it is asked for; and the frames of a split.
 
-Four layouts are distinguished by what lies in their root: SemanticKITTI's (sequences/), worlds that `lidar2pano world`
-simulated (the same, and world.json), PandaSet (classes.json) and nuScenes (info.json).
+Layouts are distinguished by what lies in their root: SemanticKITTI's (sequences/), worlds that `lidar2pano world` simulated
+(the same, and world.json), PandaSet (classes.json), nuScenes (info.json), and images without scans: Cityscapes (leftImg8bit/)
+and any images/ beside labels/.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class Frame:
 
     name           "seq/NNNNNN", also the scan's.
     scan           in the sensor's frame (x forward, y left, z up), without labels.
-    point_labels   (N,) int64 ids of SEMANTIC_KITTI, file order.
+    point_labels   (N,) int64 ids of SEMANTIC_KITTI, file order;  predicted_labels: likewise, but a segmenter's.
     calibration    of the (front) camera, for the size of image and camera_labels.
     image          (h, w, 3) uint8 RGB of that camera.
     camera_labels  (h, w) uint8 train ids of CITYSCAPES, IGNORE where unknown.
@@ -78,6 +79,11 @@ class Frame:
 
     @cached_property
     def point_labels(self) -> np.ndarray | None:
+        """See the class."""
+        return None
+
+    @cached_property
+    def predicted_labels(self) -> np.ndarray | None:
         """See the class."""
         return None
 
@@ -130,7 +136,7 @@ F = TypeVar("F", bound=Frame, covariant=True)
 class FrameList(Sequence[F]):
     """Frames of a split. Indexing makes a new Frame, and nothing is held: memory does not depend on what was read.
 
-    layout  "semantic-kitti", "simulated", "pandaset" or "nuscenes".
+    layout  "semantic-kitti", "simulated", "pandaset", "nuscenes", "cityscapes" or "images".
     names   of the frames, in order.
     """
 
@@ -172,7 +178,7 @@ def frames(root: Path, split: str, view: View = VIEWS["panorama"]) -> FrameList[
           A simulated world's panoramas keep the raster that they were rendered on.
     Raises InputError where the folder has none of the known layouts, or no such split.
     """
-    from lidar2pano.data import nuscenes, pandaset, semantic_kitti  # they make Frames
+    from lidar2pano.data import labelled_images, nuscenes, pandaset, semantic_kitti  # they make Frames
 
     if (root / "info.json").is_file():
         return nuscenes.frames(root, split, view)
@@ -180,9 +186,12 @@ def frames(root: Path, split: str, view: View = VIEWS["panorama"]) -> FrameList[
         return pandaset.frames(root, split, view)
     if (root / "sequences").is_dir():
         return semantic_kitti.frames(root, split)
+    if labelled_images.is_one(root):
+        return labelled_images.frames(root, split)
     raise InputError(
         f"{root}: is no data set; name one in SemanticKITTI layout (with a folder sequences/), a simulated world"
-        " (world.json), a PandaSet (classes.json) or a folder with nuScenes' info.json"
+        " (world.json), a PandaSet (classes.json), a folder with nuScenes' info.json, Cityscapes (leftImg8bit/), or"
+        " images/ beside labels/"
     )
 
 

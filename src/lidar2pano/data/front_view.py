@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from lidar2pano.data.augment import drop_points, mirror
-from lidar2pano.data.cache import LruCache, PredictedLabels
+from lidar2pano.data.cache import LruCache, PredictedLabels, Predictions
 from lidar2pano.data.camera_projection import in_unit, stretched
 from lidar2pano.data.frames import Frame, SampleIndex, frames_of
 from lidar2pano.data.range_images import labelled
@@ -87,7 +87,7 @@ class FrontViewDataset:
         self.frames = frames_of(root, splits)
         self.view, self.size, self.parts = view, size, parts or SampleParts()
         self.normalise = Normalisation()
-        self.predicted: PredictedLabels | None = None
+        self.predicted: Predictions | None = None
         self._cache = LruCache()
 
     def __len__(self) -> int:
@@ -103,7 +103,11 @@ class FrontViewDataset:
 
         weights  the segmenter's file: predictions are made once and kept on disk (PredictedLabels).
         """
-        self.predicted, self._cache = PredictedLabels(label_points, weights), LruCache()
+        self.use(PredictedLabels(label_points, weights))
+
+    def use(self, predicted: Predictions) -> None:
+        """Use these predicted labels of the scans instead of the data's."""
+        self.predicted, self._cache = predicted, LruCache()
 
     def __getitem__(self, at: SampleIndex | int) -> FrontViewSample:
         """Sample: with the paper's flip and point drop (each p = 0.5) by a SampleIndex's seed, or plain for an int."""
@@ -135,9 +139,7 @@ class FrontViewDataset:
         scan, camera_labels = frame.scan, torch.zeros(0, 0, dtype=torch.uint8)
         image, depth_m = torch.zeros(3, 0, 0, dtype=torch.uint8), torch.zeros(0, 0)
         if self.parts.labels:
-            scan = labelled(frame)
-            if self.predicted is not None:
-                scan = replace(scan, label=self.predicted.of(frame))
+            scan = labelled(frame) if self.predicted is None else replace(scan, label=self.predicted.of(frame))
             ids = torch.from_numpy(CITYSCAPES_TO_COMMON14[frame.require("camera_labels")[0]])[None, None]
             camera_labels = interpolate(ids, size=self.size, mode="nearest-exact")[0, 0]
         if self.parts.image:

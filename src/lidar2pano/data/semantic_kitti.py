@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from lidar2pano.calibration import Calibration, read_calib
-from lidar2pano.data.frames import IGNORE, Frame, FrameList, PanoramaGroundTruth
+from lidar2pano.data.frames import Frame, FrameList, PanoramaGroundTruth
+from lidar2pano.data.labelled_images import read_train_ids
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.scan_files import read_bin, read_label
@@ -32,6 +33,9 @@ SEQUENCES: dict[str, tuple[int, ...]] = {
     "train": (0, 1, 2, 3, 4, 5, 6, 7, 9, 10),
     "val": (8,),
     "test": tuple(range(11, 22)),
+    # ours: the training sequences apart from one, which checkpoints are selected on
+    "fit": (0, 1, 2, 3, 4, 5, 6, 7, 9),
+    "selection": (10,),
 }
 BYTES_PER_POINT = 16
 
@@ -66,7 +70,15 @@ class SemanticKittiFrame(Frame):
     @cached_property
     def point_labels(self) -> np.ndarray | None:
         """See Frame; the scan itself is not read for them."""
-        path = self.file("labels", ".label")
+        return self._labels("labels")
+
+    @cached_property
+    def predicted_labels(self) -> np.ndarray | None:
+        """See Frame; those that `prepare --labels-folder predicted_labels` wrote."""
+        return self._labels("predicted_labels")
+
+    def _labels(self, part: str) -> np.ndarray | None:
+        path = self.file(part, ".label")
         if not path.is_file():
             return None
         size = self.scan_file.stat().st_size if self.scan_file.is_file() else 0
@@ -84,16 +96,7 @@ class SemanticKittiFrame(Frame):
         path = self.file("camera_labels")
         if not path.is_file() or self._size is None:
             return None
-        ids = read_image(path)
-        if ids.ndim != 2 or ids.dtype != np.uint8:
-            raise InputError(f"{path}: is no image of class ids (one channel of 8 bits); write Cityscapes train ids")
-        strange = (ids >= len(CITYSCAPES)) & (ids != IGNORE)
-        if strange.any():
-            raise InputError(
-                f"{path}: holds class {ids[strange][0]}; write Cityscapes train ids, 0 to {len(CITYSCAPES) - 1}, and"
-                f" {IGNORE} where unknown"
-            )
-        return ids
+        return read_train_ids(path)
 
     @cached_property
     def _size(self) -> tuple[int, int] | None:
@@ -154,6 +157,9 @@ class SemanticKittiFrame(Frame):
         """See Frame."""
         return {
             "point_labels": f"{self.file('labels', '.label')}: is missing; label the scans: lidar2pano prepare ROOT",
+            "predicted_labels": f"{self.file('predicted_labels', '.label')}: is missing; let a segmenter label the scans"
+            " (lidar2pano prepare ROOT --lidar NAME --labels-folder predicted_labels), name it with"
+            " --set options.segmenter=FILE, or train on the data's labels with --set options.segments=data",
             "image": f"{self.file('image_2')}: no image (.png or .jpg) goes with this scan",
             "camera_labels": f"{self.file('camera_labels')}: is missing; label the camera's images first:"
             " lidar2pano prepare ROOT --teacher ...",

@@ -19,13 +19,14 @@ from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.geometry.flow import Flow
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.metrics.accumulation import FrameMetric, SetMetric
-from lidar2pano.metrics.bootstrap import interval
+from lidar2pano.metrics.bootstrap import Interval, interval, set_intervals
 from lidar2pano.metrics.confusion import MeanIoU, Resegmentation
 from lidar2pano.metrics.consistency import RollError, SeamRatio, WarpingError
 from lidar2pano.metrics.depth_error import DepthError
 from lidar2pano.metrics.frechet import FrechetDistance
 from lidar2pano.metrics.patch_frechet import PATCH, PatchFrechetDistance
 from lidar2pano.metrics.sliced_wasserstein import LEVELS, SlicedWasserstein
+from lidar2pano.metrics.sliced_wasserstein_pairs import PairwiseSlicedWasserstein
 from lidar2pano.metrics.ssim import SSIM, WINDOW
 
 UNSCORED = (COMMON15.id_of("unlabeled"), COMMON15.id_of("sky"))
@@ -33,8 +34,9 @@ SECTOR_ORDER = (*SECTORS, "points")
 SWD_LEVELS = tuple(f"swd_{level}" for level in LEVELS)
 # metric -> value of it -> name; the order is that of tables
 NAMES: dict[str, dict[str, str]] = {
-    "classes": {"mIoU": "miou", "accuracy": "accuracy"},
+    "classes": {"mIoU": "miou", "accuracy": "accuracy", "published mIoU": "miou_published"},
     "ssim": {"SSIM": "ssim"},
+    "swd pairs": {"mean": "swd_pairs"} | {str(level): f"swd_pairs_{level}" for level in LEVELS},
     "swd": {"mean": "swd"} | dict(zip(map(str, LEVELS), SWD_LEVELS, strict=True)),
     "patches": {
         "ratio": "patch_frechet_ratio",
@@ -65,8 +67,8 @@ class MetricValue:
     """One number of a system.
 
     sector, name  e.g. "camera", "miou".
-    value         NaN where undefined;  low, high: its 95 % interval over resampled frames, NaN for a single frame and
-                  for distances of sets.
+    value         NaN where undefined;  low, high: its 95 % interval over resampled frames, for distances of sets by the
+                  jackknife (`bootstrap.set_intervals`); NaN for a single frame and for sets of few images.
     frames        number of frames (for distances of sets: images).
     """
 
@@ -92,6 +94,7 @@ class MetricCollection:
     def __init__(self, config: MetricConfig) -> None:
         self.config = config
         self.metrics: dict[tuple[str, str], FrameMetric | SetMetric] = {}
+        self._distances: dict[tuple[str, str, int], dict[str, Interval]] = {}  # they cost seconds: made once
 
     def points(self, frame: Frame, prediction: Prediction) -> None:
         """Count the classes of the scan's points."""
@@ -116,6 +119,7 @@ class MetricCollection:
         if "pictures" in groups and frame.image is not None:
             self._ssim("camera", image, frame.image, frame.name)
             self._metric("camera", "swd", SlicedWasserstein).update(image, frame.image, frame.name)
+            self._metric("camera", "swd pairs", PairwiseSlicedWasserstein).update(image, frame.image, frame.name)
             self._patches("camera", image, frame.image, frame.name)
             if (segmenter := self.config.image_segmenter) is not None:
                 make = partial(FrechetDistance, segmenter.features, name="FSD")
@@ -188,8 +192,12 @@ class MetricCollection:
         """Every value, in the order of tables; `over`: per sector, ids of the classes whose IoU is averaged."""
         for (sector, key), metric in sorted(self.metrics.items(), key=lambda item: _order(item[0])):
             if isinstance(metric, SetMetric):
-                for name, value in metric.values().items():
-                    yield MetricValue(sector=sector, name=NAMES[key][name], value=value, frames=len(metric))
+                place = (sector, key, len(metric))
+                found = self._distances[place] = self._distances.get(place) or set_intervals(metric)
+                for name, (value, low, high, frames) in found.items():
+                    yield MetricValue(
+                        sector=sector, name=NAMES[key][name], value=value, low=low, high=high, frames=frames
+                    )
                 continue
             if isinstance(metric, MeanIoU):
                 metric = metric.averaged_over(over.get(sector, ()))  # noqa: PLW2901

@@ -42,13 +42,15 @@ class Row(NamedTuple):
 
 ROWS: dict[str, Row] = {
     "accuracy": Row("accuracy", interval=True),
+    "miou_published": Row("mIoU as the published code counts it (predictions of unlabeled left out)", interval=True),
     "ssim": Row("SSIM", interval=True),
-    "swd": Row("SWD x 1000", 1),
-    "patch_frechet_ratio": Row("patch Frechet / real-to-real", 2),
+    "swd_pairs": Row("SWD of image pairs, as the paper prints it", 2, interval=True),
+    "swd": Row("SWD x 1000 (Karras et al.)", 1, interval=True),
+    "patch_frechet_ratio": Row("patch Frechet / real-to-real", 2, interval=True),
     "patch_frechet": Row("patch Frechet distance", 3),
     "patch_frechet_real": Row("patch Frechet, real-to-real", 3),
-    "fid": Row("FID", 1),
-    "fsd": Row("FSD", 1),
+    "fid": Row("FID", 1, interval=True),
+    "fsd": Row("FSD", 1, interval=True),
     "resegmentation_miou": Row("re-segmentation mIoU", interval=True),
     "depth_abs_rel": Row("depth AbsRel", interval=True),
     "depth_rmse_m": Row("depth RMSE, m", 2),
@@ -84,12 +86,23 @@ def heading(one: Evaluation, values: list[Values]) -> str:
             "SWD in quarters."
         )
     if any(not math.isnan(value.low) for each in values for value in each.values()):
-        parts.append("In brackets: 95 % bootstrap interval over frames.")
+        parts.append("In brackets: 95 % interval, by the bootstrap over frames (distances of sets: by the jackknife).")
+    if chosen := [each.system.info.name for each in one.systems if _selected_here(one, each)]:
+        parts.append(f"**Weights were selected on this split, so its scores flatter them: {', '.join(chosen)}.**")
     if oracles := [each.system.info.name for each in one.systems if each.system.uses_ground_truth]:
         parts.append(f"Input is the camera's ground-truth labels, not the scan: {', '.join(oracles)}.")
     if steady := [each.system.info.name for each in one.systems if getattr(each.system, "steady", False)]:
         parts.append(f"Input is the sensor's pose beside the scan: {', '.join(steady)}.")
     return " ".join(parts)
+
+
+def _selected_here(one: Evaluation, each: EvaluatedSystem) -> bool:
+    """Whether the best of a network's checkpoints was selected on the split that is scored."""
+    cards = each.system.info.networks.values()
+    return any(
+        one.split in str(card.get("split", "")).split(" + ") and one.data in str(card.get("data", "")).split("+")
+        for card in cards
+    )
 
 
 def table(one: Evaluation) -> str:
@@ -198,8 +211,15 @@ def _class_rows(one: Evaluation, sector: str, prefix: str, values: Iterable[Valu
     for each in values:
         value = each.get((sector, "miou"))
         cells.append("-" if value is None else f"**{_number(value.value, Row(''))}**{_between(value, Row(''))}")
-    rows.append([f"{prefix}**mIoU of {len(present)}**", "", *cells])
+    pseudo = _pseudo(one, "camera labels") if sector == "camera" else ""
+    rows.append([f"{prefix}**mIoU of {len(present)}**{pseudo}", "", *cells])
     return rows
+
+
+def _pseudo(one: Evaluation, part: str) -> str:
+    """Says in a row's title that the labels are predictions, and of which networks."""
+    names = sorted({name[:8] for which, name in one.pseudo_labels if which == part})
+    return f" (pseudo-labels by {', '.join(names)})" if names else ""
 
 
 def _value_rows(one: Evaluation, sector: str, prefix: str, values: list[Values], reference: Values) -> list[list[str]]:
@@ -235,7 +255,7 @@ def _point_rows(one: Evaluation, values: list[Values]) -> list[list[str]]:
     present = len(one.target_classes("points"))
     mious = (_cell(each.get(("points", "miou")), Row("", interval=True)) for each in values)
     return [
-        [f"points: mIoU of {present} SemanticKITTI classes", "", *mious],
+        [f"points: mIoU of {present} SemanticKITTI classes{_pseudo(one, 'point labels')}", "", *mious],
         ["points: accuracy", "", *(_cell(each.get(("points", "accuracy")), ROWS["accuracy"]) for each in values)],
     ]
 

@@ -23,7 +23,6 @@ from lidar2pano.views import sensor_view
 STEADY = "steady"  # last part of a chain: panoramas are smoothed over time by the sensor's poses
 ORACLE = ("oracle", "truth")  # first part of a chain: ground-truth camera labels; "truth" is its former name
 ROLES = ("segmenter", "translator", "renderer", "painter", "first-frame painter")
-FRONT_VIEW = ("titan", "titan-next", "pix2pix")  # translators of the paper's kind: front view in, camera's image out
 CARD_ENTRIES = ("network", "recipe", "data", "steps", "hours", "commit", "sha256")  # of each network, in results
 
 
@@ -46,7 +45,7 @@ def system(
     engine   what computes the networks of a pipeline, as for pipeline.load; others run in torch.
     Raises InputError when something is missing, damaged, or does not belong together.
     """
-    parts = _chain(weights) + ([] if painter is None else [str(painter)])
+    parts = families.chained(weights) + ([] if painter is None else [str(painter)])
     name, picked = "+".join(parts), pick_device(device)
     if STEADY in parts[1:]:
         return _steady(name, system("+".join(part for part in parts if part != STEADY), None, device, sensor, engine))
@@ -63,16 +62,11 @@ def system(
     segmenter, _ = load_segmenter(files["segmenter"], picked, engine)
     if view is not None:
         segmenter = replace(segmenter, view=view)
-    if read_card(files["translator"]).network in FRONT_VIEW:
+    if read_card(files["translator"]).network in families.FRONT_VIEW:
         used = {role: files[role] for role in ("segmenter", "translator")}
         used |= {role: named[role] for role in ("painter", "first-frame painter") if role in named}
         return _translator(name, used, segmenter, picked)
     return _panorama(name, _own_painter(files, named), segmenter, picked, engine)
-
-
-def _chain(name: str | Path) -> list[str]:
-    """The parts of a chain "A+B"; a file or folder whose own name has a plus is one part."""
-    return [str(name)] if Path(name).exists() else str(name).split("+")
 
 
 def _steady(name: str, plain: System) -> System:
@@ -98,7 +92,10 @@ def _own_painter(files: dict[str, Path], named: dict[str, Path]) -> dict[str, Pa
 def _info(name: str, files: Mapping[str, Path]) -> SystemInfo:
     files = {role: files[role] for role in ROLES if role in files}
     cards = {role: read_card(file) for role, file in files.items()}
-    networks = {role: {name: getattr(card, name) for name in CARD_ENTRIES} for role, card in cards.items()}
+    networks = {
+        role: {name: getattr(card, name) for name in CARD_ENTRIES} | {"split": card.score.get("split", "")}
+        for role, card in cards.items()
+    }
     return SystemInfo(name=name, files=files, networks=networks)
 
 

@@ -41,7 +41,7 @@ def clean_up(
         image.range_m,
         own=image.inside,
         circular=view.circular,
-        weights=inverse_gaussian(search, sigma).to(ranges.device),
+        weights=inverse_gaussian(search, sigma),
         limits=(neighbours, cutoff_m),
     )
     return torch.where(image.usable, found, 0)

@@ -6,11 +6,12 @@ an error.
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, MutableMapping
-from typing import ClassVar
+from collections.abc import Collection, Iterator, MutableMapping
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -22,13 +23,21 @@ class StoredArrays(MutableMapping[str, np.ndarray]):
 
     def __init__(self) -> None:
         self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 closed with this object
+        self._owner: StoredArrays | None = None  # of the file; None: this object
         self._slots: dict[str, int] = {}
         self._free: list[int] = []
         self._blank = np.zeros(0)
 
     def __del__(self) -> None:
         """Delete the file."""
-        self._file.close()
+        if self._owner is None:
+            self._file.close()
+
+    def only(self, names: Collection[str]) -> StoredArrays:
+        """Those with these names, in the same file; nothing may be stored or deleted as long as it is in use."""
+        part = copy.copy(self)
+        part._owner, part._slots = self, {name: slot for name, slot in self._slots.items() if name in names}
+        return part
 
     def __setitem__(self, name: str, array: np.ndarray) -> None:
         """Store an array; the first one decides shape and type."""
@@ -142,6 +151,21 @@ class SetMetric(ABC):
     def compute(self) -> float:
         """The leading value; NaN where there are too few images."""
         return next(iter(self.values().values()))
+
+    def thinned(self) -> Self:
+        """A copy whose values cost less and vary more, for intervals; it shares the arrays."""
+        return copy.copy(self)
+
+    def groups(self, most: int) -> list[frozenset[str]]:
+        """The images' names in up to `most` groups of about equal size, at random but by their names alone."""
+        names = sorted(set().union(*self.kept.values()), key=_rank)
+        return [frozenset(names[first::most]) for first in range(min(most, len(names)))]
+
+    def without(self, names: frozenset[str]) -> Self:
+        """A thinned copy without some images, on both sides."""
+        metric = self.thinned()
+        metric.kept = {side: arrays.only(arrays.keys() - names) for side, arrays in self.kept.items()}
+        return metric
 
     def __len__(self) -> int:
         """Number of predicted images that are kept."""

@@ -6,8 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.metrics.accumulation import FrameMetric
+from lidar2pano.metrics.accumulation import FrameMetric, SetMetric
 
+LEAST_IMAGES = 5  # of a set whose distance has an interval
+STUDENT_T = (np.nan, 12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262)  # 97.5 %, by degrees of freedom
 BLOCK = 1 << 23  # multiplicities in memory at a time, 64 MB
 
 
@@ -41,6 +43,26 @@ def interval(
     drawn = drawn[~np.isnan(drawn)]
     low, high = np.quantile(drawn, [(1 - level) / 2, (1 + level) / 2]) if len(drawn) else (np.nan, np.nan)
     return Interval(value, float(low), float(high), frames)
+
+
+def set_intervals(metric: SetMetric, *, most: int = 10) -> dict[str, Interval]:
+    """95 % intervals of a set distance's values by the jackknife that leaves out a group of images at a time.
+
+    Shao and Tu 1995, section 2.3, with Student's t: value -+ t ((G - 1) / G sum (v_g - mean)^2)^(1/2) over up to `most`
+    groups G; NaN for fewer than LEAST_IMAGES images, and where a value is undefined. Distances never are below zero.
+    """
+    values, images = metric.values(), len(metric)
+    groups = metric.groups(most) if images >= LEAST_IMAGES else []
+    parts = [metric.without(group).values() for group in groups]
+    found: dict[str, Interval] = {}
+    for name, value in values.items():
+        left = np.array([part[name] for part in parts])
+        half = np.nan
+        if len(left) > 1:
+            spread = np.sqrt((len(left) - 1) / len(left) * np.square(left - left.mean()).sum())
+            half = STUDENT_T[len(left) - 1] * spread
+        found[name] = Interval(value, float(np.maximum(value - half, 0.0)), float(value + half), images)
+    return found
 
 
 def multiplicities(frames: int, resamples: int, generator: np.random.Generator) -> np.ndarray:

@@ -105,7 +105,7 @@ class Confusion:
 
 
 class MeanIoU(FrameMetric):
-    """A `Confusion` per frame: "mIoU" and "accuracy" of their sum, with a value per frame and per resample.
+    """A `Confusion` per frame: "mIoU", "accuracy", "published mIoU" of their sum, of each frame and of each resample.
 
     A class that neither side has is undefined and not in the mean: with `over` None, the mean of one frame or of one
     resample is over the classes that it has.
@@ -133,16 +133,29 @@ class MeanIoU(FrameMetric):
         return metric
 
     def values_of(self, sums: np.ndarray) -> dict[str, np.ndarray]:
-        """Mean IoU and accuracy from counts (..., K * K)."""
+        """Mean IoU, accuracy and the published code's mean IoU from counts (..., K * K).
+
+        The published code (evaluate_iou.py, ioueval.py) leaves out predictions of unscored classes, too, instead of
+        counting them as misses.
+        """
         count = len(self.blank.names)
         cells = sums.reshape(*sums.shape[:-1], count, count)
+        hit = cells.diagonal(axis1=-2, axis2=-1)
+        lenient = cells.copy()
+        lenient[..., list(self.blank.unscored)] = 0
+        return {
+            "mIoU": self._mean(cells),
+            "accuracy": hit.sum(-1) / cells.sum((-1, -2)),
+            "published mIoU": self._mean(lenient),
+        }
+
+    def _mean(self, cells: np.ndarray) -> np.ndarray:
         hit = cells.diagonal(axis1=-2, axis2=-1)
         iou = hit / (cells.sum(-1) + cells.sum(-2) - hit)
         iou[..., list(self.blank.unscored)] = np.nan
         iou = iou[..., list(self.over)]
         defined = ~np.isnan(iou)
-        miou = np.where(defined, iou, 0).sum(-1) / defined.sum(-1)
-        return {"mIoU": miou, "accuracy": hit.sum(-1) / cells.sum((-1, -2))}
+        return np.where(defined, iou, 0).sum(-1) / defined.sum(-1)
 
     def confusion(self) -> Confusion:
         """The counts of all frames together."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from typing import Self
 
 import numpy as np
 import torch
@@ -39,7 +40,7 @@ class SlicedWasserstein(SetMetric):
     MOST = 2048  # images of a side
 
     def __init__(self, *, seed: int = 0) -> None:
-        self.seed = seed
+        self.seed, self.repeats = seed, REPEATS
         super().__init__()
 
     def update(self, predicted: Array, target: Array, name: str) -> None:
@@ -64,8 +65,14 @@ class SlicedWasserstein(SetMetric):
             levels[str(level)] = SCALE * self._distance(first, second, level)
         return {"mean": float(np.mean(list(levels.values()))), **levels}
 
+    def thinned(self) -> Self:
+        """See SetMetric."""
+        metric = super().thinned()
+        metric.repeats = 1
+        return metric
+
     def _distance(self, first: np.ndarray, second: np.ndarray, level: int) -> float:
-        directions = (draw_directions(self.seed, level, repeat) for repeat in range(REPEATS))
+        directions = (draw_directions(self.seed, level, repeat) for repeat in range(self.repeats))
         return float(np.mean([np.mean(sliced_distances(first, second, each)) for each in directions]))
 
 
@@ -193,17 +200,17 @@ def _sorted_lines(part: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 def draw_places(seed: int, name: str, side: str) -> np.ndarray:
     """Centres of an image's patches, uniform where they fit: (levels, PATCHES, 2) int64 row and column."""
-    generator = _stream(seed, "places", side, name)
+    generator = stream(seed, "places", side, name)
     return np.stack([generator.integers(REACH, level - REACH, size=(PATCHES, 2)) for level in LEVELS])
 
 
 def draw_directions(seed: int, level: int, repeat: int) -> np.ndarray:
     """Directions, uniform over the sphere: (DIRECTIONS, SIZE) float32 of length 1."""
-    directions = _stream(seed, "directions", str(level), str(repeat)).standard_normal((DIRECTIONS, SIZE))
+    directions = stream(seed, "directions", str(level), str(repeat)).standard_normal((DIRECTIONS, SIZE))
     return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
 
 
-def _stream(seed: int, *names: str) -> np.random.Generator:
+def stream(seed: int, *names: str) -> np.random.Generator:
     """The generator that belongs to a seed and a path of names."""
     path = "/".join(("swd", str(seed), *names))
     return np.random.default_rng(np.frombuffer(hashlib.sha256(path.encode()).digest(), dtype=np.uint32))

@@ -11,6 +11,7 @@ from lidar2pano.models.card import Card, read_card
 
 RELEASED = Path(__file__).parent.parent / "weights"
 DEFAULT = "kitti-mini"  # the better one on real scans
+FRONT_VIEW = ("titan", "titan-next", "pix2pix")  # translators of the paper's kind: front view in, camera's image out
 ROLES: dict[str, str] = {
     "salsanext": "segmenter",
     "titan-pano": "translator",
@@ -34,11 +35,17 @@ def families() -> dict[str, Path]:
 def weight_files(name: str | Path, *, fill: bool = True) -> dict[str, Path]:
     """Files by role (see `role`) that a name or path stands for.
 
-    name  a released family; a folder of weight files or a training run (its `weights/`); or one weight file. Roles
-          that a path does not fill are filled by the default family, where it is installed and `fill` is true.
+    name  a released family; a folder of weight files or a training run (its `weights/`); or one weight file. Several
+          joined by "+" are taken together, later ones in the places of earlier ones. Roles that paths do not fill are
+          filled by the default family, where it is installed and `fill` is true.
     Raises InputError when there is no such family, file or folder, or `by_role` refuses its files.
     """
     installed = families()
+    if len(parts := chained(name)) > 1:
+        files = weight_files(parts[0], fill=fill)
+        for part in parts[1:]:
+            files |= weight_files(part, fill=False)
+        return files
     if str(name) in installed:
         return by_role(sorted(installed[str(name)].glob("*.safetensors")))
     path = Path(name)
@@ -56,6 +63,11 @@ def weight_files(name: str | Path, *, fill: bool = True) -> dict[str, Path]:
     own = by_role(files)
     rest = by_role(sorted(installed[DEFAULT].glob("*.safetensors"))) if fill and DEFAULT in installed else {}
     return rest | own
+
+
+def chained(name: str | Path) -> list[str]:
+    """The parts of a chain "A+B"; a file or folder whose own name has a plus is one part."""
+    return [str(name)] if Path(name).exists() else str(name).split("+")
 
 
 def role(card: Card) -> str | None:

@@ -21,6 +21,7 @@ from lidar2pano.labels import CITYSCAPES, CITYSCAPES_IDS, COMMON14, SEMANTIC_KIT
 from lidar2pano.models import build
 from lidar2pano.models.camera_segmenter import ImageNormalisation
 from lidar2pano.models.card import Card, mismatch
+from lidar2pano.models.titan import IMAGE_SIZE
 from lidar2pano.views import VIEWS
 
 Shapes = Mapping[str, tuple[int, ...]]
@@ -178,6 +179,7 @@ class Published:
     old: bool = False
 
 
+RANGE_VIEW_INPUTS = (5, 5 + len(SEMANTIC_KITTI))  # channels of a Pix2Pix that reads the range view
 _TITAN = Published(
     upstream="https://github.com/TiagoCortinhal/TITAN-NET",
     licence="none stated for the weights; trained on SemanticKITTI (CC BY-NC-SA 4.0)",
@@ -286,6 +288,11 @@ def published_card(network: str, file: str, settings: dict[str, Any]) -> Card:
     network  in PUBLISHED;  file: name of the checkpoint they come from;  settings: what it was built with.
     """
     published = PUBLISHED[network]
+    if network == "pix2pix" and settings.get("inputs") in RANGE_VIEW_INPUTS:
+        # trained as the paper does, in TITAN-Net's place: the range view with or without its classes
+        labels = COMMON14.name if settings.get("outputs") == len(COMMON14) else None
+        published = replace(published, view=_TITAN.view, normalisation=_TITAN.normalisation, labels=labels)
+        settings = {**settings, "size": IMAGE_SIZE}
     return Card(
         network=network,
         settings=settings,

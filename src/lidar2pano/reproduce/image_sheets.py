@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from lidar2pano.evaluate import MetricConfig, Prediction, System
 from lidar2pano.evaluate.evaluation import system_input
 from lidar2pano.formats.image_files import write_png, write_whole
 from lidar2pano.labels import COMMON15
+from lidar2pano.pipeline import Pipeline
 
 SAMPLES = 3  # frames of the split whose images are kept
 WIDTH = 620  # pixels of an image in a sheet
@@ -23,15 +25,22 @@ SHEETS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "segments": (("colour", "segments"), ("ground-truth", "titan", "pix2pix", "titan-pano")),
     "without-segments": (("colour",), ("ground-truth", "titan-no-segments", "pix2pix-no-segments", "scunet")),
     "ablations": (("colour", "segments"), ("ground-truth", "titan", "titan-no-lovasz", "titan-no-range", "ceiling")),
-    "panoramas": (("panorama", "panorama-segments"), ("ground-truth", "titan-pano", "titan-pano-vid2vid")),
+    "panoramas": (("panorama", "panorama-segments"), ("ground-truth", "titan", "titan-pano", "titan-pano-vid2vid")),
 }
 
 
-def write_images(folder: Path, one: System, frames: FrameList, config: MetricConfig) -> None:
-    """Write a system's predictions for the first, middle and last frames: NN.<content>.png; the ground truth beside."""
+def write_images(
+    folder: Path, one: System, frames: FrameList, config: MetricConfig, around: Pipeline | None = None
+) -> None:
+    """Write a system's predictions for the first, middle and last frames: NN.<content>.png; the ground truth beside.
+
+    around  paints the panoramas of a system that predicts the camera's image alone.
+    """
     for number, index in enumerate(sample_indices(len(frames))):
         frame = frames[index]
         _, prediction = one.predict(system_input(frame, config))
+        if around is not None:
+            prediction = replace(prediction, panorama=around(frame.scan))
         _write(folder, number, _predicted_images(prediction))
         _write(folder.parent / "ground-truth", number, _ground_truth_images(frame))
 

@@ -11,8 +11,8 @@ LEVELS = ("1024", "512", "256", "128", "64", "32", "16")
 
 
 def _image_values(ssim: float, fid: float, swd: tuple[float, ...], mean: float) -> dict[str, float]:
-    levels = {f"swd_{level}": value for level, value in zip(LEVELS, swd, strict=True)}
-    return {"ssim": ssim, "fid": fid, **levels, "swd": mean}
+    levels = {f"swd_pairs_{level}": value for level, value in zip(LEVELS, swd, strict=True)}
+    return {"ssim": ssim, "fid": fid, **levels, "swd_pairs": mean}
 
 
 def _classes(*values: float) -> tuple[float, ...]:
@@ -118,12 +118,12 @@ class Claim:
 CLAIMS = (
     Claim(text="TITAN-Net beats Pix2Pix in mIoU", metric="miou", first="titan", second="pix2pix", higher=True),
     Claim(text="Lovasz-Softmax raises mIoU", metric="miou", first="titan", second="titan-no-lovasz", higher=True),
-    Claim(text="TITAN-Net beats Pix2Pix in SWD", metric="swd", first="titan", second="pix2pix"),
-    Claim(text="TITAN-Net beats SC-UNET in SWD", metric="swd", first="titan", second="scunet"),
+    Claim(text="TITAN-Net beats Pix2Pix in SWD", metric="swd_pairs", first="titan", second="pix2pix"),
+    Claim(text="TITAN-Net beats SC-UNET in SWD", metric="swd_pairs", first="titan", second="scunet"),
     Claim(text="TITAN-Net beats Pix2Pix in FID", metric="fid", first="titan", second="pix2pix"),
-    Claim(text="label maps lower TITAN-Net's SWD", metric="swd", first="titan", second="titan-no-segments"),
-    Claim(text="label maps lower Pix2Pix' SWD", metric="swd", first="pix2pix", second="pix2pix-no-segments"),
-    Claim(text="the range view lowers SWD", metric="swd", first="titan", second="titan-no-range"),
+    Claim(text="label maps lower TITAN-Net's SWD", metric="swd_pairs", first="titan", second="titan-no-segments"),
+    Claim(text="label maps lower Pix2Pix' SWD", metric="swd_pairs", first="pix2pix", second="pix2pix-no-segments"),
+    Claim(text="the range view lowers SWD", metric="swd_pairs", first="titan", second="titan-no-range"),
     Claim(text="SC-UNET beats TITAN-Net in SSIM", metric="ssim", first="scunet", second="titan", higher=True),
     Claim(
         text="without label maps TITAN-Net has the best SSIM",
@@ -132,7 +132,7 @@ CLAIMS = (
         second="scunet",
         higher=True,
     ),
-    Claim(text="the oracle has the lowest SWD", metric="swd", first="ceiling", second="titan"),
+    Claim(text="the oracle has the lowest SWD", metric="swd_pairs", first="ceiling", second="titan"),
 )
 
 

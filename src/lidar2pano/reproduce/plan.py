@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from lidar2pano.data.clips import runs
 from lidar2pano.data.frames import frames
 from lidar2pano.data.semantic_kitti import SEQUENCES
 from lidar2pano.errors import InputError
@@ -21,6 +22,7 @@ from lidar2pano.train.recipes import recipe_named
 SELECTION = "selection"  # split of training frames on which checkpoints are selected
 UNITS = {"s": 1 / 60, "m": 1.0, "h": 60.0}
 SEGMENTER = "salsanext"
+PUBLISHED_SEGMENTER = "salsanext-published"  # its recipe at full length
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +32,7 @@ class Plan:
     data, out  the data set and the output folder;  split: the split on which rows are scored.
     budget     training of every network: "90s", "20m", "2h" or "5000steps"; "" as in the recipe.
     rows       which rows;  mini: the recipes' small forms;  frames: number of frames that are scored (0 = all).
-    segmenter  weights of the LiDAR segmenter; "" trains one.
+    segmenter  weights of the LiDAR segmenter; "" trains one;  devices: number of GPUs or processes that train.
     changes    "PART.a.b=c" for single recipes, e.g. "titan.training.batch=4".
     """
 
@@ -43,6 +45,7 @@ class Plan:
     frames: int = 0
     segmenter: str = ""
     device: str = "auto"
+    devices: int = 1
     sdnet: Path | None = None
     inception: Path | None = None
     changes: tuple[str, ...] = ()
@@ -76,7 +79,8 @@ class Plan:
 
     def recipe(self, part: str, files: Mapping[str, Path]) -> Recipe:
         """The recipe of a part on this data; files: weight files of the trained parts."""
-        found = recipe_named(f"{part}-mini" if self.mini else part)
+        full = PUBLISHED_SEGMENTER if part == SEGMENTER else part
+        found = recipe_named(f"{part}-mini" if self.mini else full)
         there = splits(self.data)
         train = tuple(name for name in found.data.train if name in there) or ("train",)
         found = replace(found, data=replace(found.data, train=train, val=(SELECTION,)))
@@ -86,9 +90,10 @@ class Plan:
         }
         if isinstance(found.options, ScenePaintingOptions):
             options["cache"] = str(self.out / "painting-frames")
+        if SEGMENTER in files and hasattr(found.options, "segments"):
+            options["segments"] = "predicted"  # as in the paper's section 3.1
         if isinstance(found.options, VideoOptions):
-            single = (name for name in found.options.single_frame_splits if name in there - {self.split})
-            options["single_frame_splits"] = tuple(single) or ("train",)
+            options["single_frame_splits"] = self._stills(found.data.train, found.options.clip_length)
         found = replace(found, options=replace(found.options, **options))
         for change in budget(self.budget):
             found = override(found, change)
@@ -98,6 +103,11 @@ class Plan:
                 found = override(found, rest)
         return found
 
+    def _stills(self, train: Sequence[str], length: int) -> tuple[str, ...]:
+        """Splits of which no `length` frames follow each other: vid2vid pans over each of their frames."""
+        lists = _training_frames(self) if (self.data / "sequences").is_dir() else {}
+        return tuple(name for name in dict.fromkeys((*train, SELECTION)) if not runs(lists.get(name, ()), length))
+
 
 def training_data(plan: Plan) -> Path:
     """DIR/data, the data set with a split `selection`: the last training sequence, or the last tenth of the only one.
@@ -105,16 +115,7 @@ def training_data(plan: Plan) -> Path:
     No checkpoint is selected on frames that are scored: other splits but the scored one lose these frames, and the
     training splits lose those of the scored one. Everything but splits.json are links.
     """
-    lists = {name: list(frames(plan.data, name).names) for name in dict.fromkeys(["train", *sorted(splits(plan.data))])}
-    scored = set(lists[plan.split])
-    train = [name for name in lists["train"] if name not in scored]
-    if not train:
-        raise InputError(f"{plan.data}: all frames of `train` are in `{plan.split}`, which is scored; name another")
-    sequences = [name.partition("/")[0] for name in train]
-    first = sequences.index(sequences[-1]) or len(train) - max(1, len(train) // 10)
-    held = set(train[first:])
-    kept = {name: [one for one in found if one not in held | scored] for name, found in lists.items()}
-    rest = kept | {"train": kept["train"] or train, SELECTION: train[first:], plan.split: lists[plan.split]}
+    rest = _training_frames(plan)
     folder = plan.out / "data"
     folder.mkdir(parents=True, exist_ok=True)
     for path in plan.data.resolve().iterdir():
@@ -123,6 +124,32 @@ def training_data(plan: Plan) -> Path:
     text = json.dumps(rest, indent=1)
     write_whole(folder / "splits.json", lambda beside: beside.write_text(text, encoding="utf-8"))
     return folder
+
+
+def _training_frames(plan: Plan) -> dict[str, list[str]]:
+    """Names of the frames of every split as `training_data` has them."""
+    lists = _frames_by_split(plan)
+    scored = set(lists[plan.split])
+    train = [name for name in lists["train"] if name not in scored]
+    if not train:
+        raise InputError(f"{plan.data}: all frames of `train` are in `{plan.split}`, which is scored; name another")
+    sequences = [name.partition("/")[0] for name in train]
+    first = sequences.index(sequences[-1]) or len(train) - max(1, len(train) // 10)
+    held = set(train[first:])
+    kept = {name: [one for one in found if one not in held | scored] for name, found in lists.items()}
+    return kept | {"train": kept["train"] or train, SELECTION: train[first:], plan.split: lists[plan.split]}
+
+
+def _frames_by_split(plan: Plan) -> dict[str, list[str]]:
+    """Names of the frames of every split; of SemanticKITTI's own splits those may be empty that nothing needs."""
+    lists: dict[str, list[str]] = {}
+    for name in dict.fromkeys(["train", plan.split, *sorted(splits(plan.data))]):
+        try:
+            lists[name] = list(frames(plan.data, name).names)
+        except InputError:
+            if name in ("train", plan.split) or (plan.data / "splits.json").is_file():
+                raise
+    return lists
 
 
 def budget(text: str) -> list[str]:
@@ -137,8 +164,8 @@ def budget(text: str) -> list[str]:
     if not found or amount <= 0:
         raise InputError(f"--budget {text!r} is not of the form 90s, 20m, 2h or 5000steps")
     if found[2] == "steps":
-        return [f"training.steps={int(amount)}", "training.minutes=0"]
-    return ["training.steps=10000000", f"training.minutes={amount * UNITS[found[2]]:.4f}"]
+        return [f"training.steps={int(amount)}", "training.epochs=0", "training.minutes=0"]
+    return ["training.steps=10000000", "training.epochs=0", f"training.minutes={amount * UNITS[found[2]]:.4f}"]
 
 
 def splits(root: Path) -> set[str]:

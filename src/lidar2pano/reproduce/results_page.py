@@ -24,9 +24,14 @@ LEAST_STEPS, LEAST_FRAMES = 1000, 50  # of training, and of scoring: below, an o
 IMAGE_METRICS = {
     "ssim": "SSIM",
     "fid": "FID",
-    **{f"swd_{level}": f"SWD {level}" for level in LEVELS},
-    "swd": "SWD mean",
+    **{f"swd_pairs_{level}": f"SWD {level}" for level in LEVELS},
+    "swd_pairs": "SWD mean",
+    "swd": "set SWD x 1000",
 }
+SWD_NOTE = (
+    "\n\nSWD: of each image and its real one, on the paper's scale, averaged over frames; unrelated photographs of"
+    " KITTI are at 2.6. Set SWD: between all images together, as Karras et al. 2018 define it."
+)
 PANORAMA_METRICS = {
     "miou": "mIoU",
     "ssim": "SSIM",
@@ -137,13 +142,14 @@ def _images(plan: Plan, outcome: Outcome) -> str:
         values = {key: math.nan if result is None else value_of(result, key) for key in IMAGE_METRICS}
         rows.append([row.name, *(_cell(values[key], 4 if key == "ssim" else 2) for key in IMAGE_METRICS)])
         if row.paper:
-            rows.append([f"{row.name}: paper", *(f"{row.paper[key]:g}" for key in IMAGE_METRICS)])
+            theirs = (f"{row.paper[key]:g}" if key in row.paper else "-" for key in IMAGE_METRICS)
+            rows.append([f"{row.name}: paper", *theirs])
     note = (
         ""
         if any(_has(outcome, "fid"))
         else "\n\nFID: no Inception weights were given (`--inception FILE`), so there is none."
     )
-    return _table(["approach", *IMAGE_METRICS.values()], rows) + note
+    return _table(["approach", *IMAGE_METRICS.values()], rows) + SWD_NOTE + note
 
 
 def _has(outcome: Outcome, name: str) -> Iterable[bool]:
@@ -183,10 +189,12 @@ def _undecided(pair: Sequence[Mapping[str, Any]], steps: int) -> str:
     """Why two values decide nothing; "" where they do."""
     if steps < LEAST_STEPS:
         return f"{steps} steps of training are fewer than {LEAST_STEPS}"
+    frames = min(one.get("frames", 0) for one in pair)
+    if frames < LEAST_FRAMES:
+        return f"{frames} frames are fewer than {LEAST_FRAMES}"
     ends = [one[end] for one in pair for end in ("low", "high") if one.get(end) is not None]
-    if len(ends) < 4:  # distances of sets have no interval
-        frames = min(one.get("frames", 0) for one in pair)
-        return f"{frames} frames are fewer than {LEAST_FRAMES}" if frames < LEAST_FRAMES else ""
+    if len(ends) < 4:
+        return "there are no intervals"
     low, high, other_low, other_high = ends
     return "the 95 % intervals overlap" if low <= other_high and other_low <= high else ""
 
@@ -204,6 +212,9 @@ def _times(plan: Plan, outcome: Outcome) -> str:
             stages = outcome.results[name]["results"][0]["milliseconds"]
             stages_text = ", ".join(f"{stage.replace('_', ' ')} {value:.0f}" for stage, value in stages.items())
             rows.append([row.name, stages_text, f"{sum(stages.values()):.0f}"])
+    if outcome.camera_segmenter_ms is not None:
+        taken = f"{outcome.camera_segmenter_ms:.0f}"
+        rows.append(["SD-Net (in training only)", f"segment an image {taken}", taken])
     theirs = ", ".join(f"{name} {value:g}" for name, value in PAPER_TIMES.items())
     return (
         _table(["approach", "milliseconds per stage", "sum"], rows)

@@ -14,11 +14,16 @@ from lidar2pano.data.frames import FrameList, frames
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import MetricConfig, score, system
 from lidar2pano.formats.image_files import write_whole
+from lidar2pano.hardware import Timer, pick_device
+from lidar2pano.models import build
+from lidar2pano.models.camera_segmenter import CameraSegmenter, ImageNormalisation
 from lidar2pano.models.card import read_card
 from lidar2pano.models.families import weight_files
+from lidar2pano.pipeline import load
 from lidar2pano.reproduce.image_sheets import write_images
 from lidar2pano.reproduce.paper_tables import PaperRow
 from lidar2pano.reproduce.plan import SEGMENTER, Plan, training_data
+from lidar2pano.train.recipes import recipe_named
 
 log = logging.getLogger(__name__)
 
@@ -28,10 +33,12 @@ class Outcome:
     """The result of a plan.
 
     results   row -> its `Evaluation.as_dict()`;  failures: part or row -> the reason.
+    camera_segmenter_ms  time of SD-Net for an image of the split; None: there is no image.
     """
 
     results: dict[str, dict[str, Any]] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
+    camera_segmenter_ms: float | None = None
 
 
 def reproduce(plan: Plan) -> Outcome:
@@ -58,7 +65,26 @@ def reproduce(plan: Plan) -> Outcome:
         except InputError as error:
             outcome.failures[name] = str(error)
             log.warning("%s: not scored: %s", row.name, error)
+    outcome.camera_segmenter_ms = _camera_segmenter_ms(plan, scored, config)
     return outcome
+
+
+def _camera_segmenter_ms(plan: Plan, scored: FrameList, config: MetricConfig) -> float | None:
+    """Milliseconds of SD-Net for an image: the given one or, since weights do not matter, a fresh one of the recipe."""
+    image = scored[0].image
+    if image is None:
+        return None
+    if config.image_segmenter:
+        segmenter = config.image_segmenter.segmenter
+    else:
+        spec = recipe_named("sdnet-mini" if plan.mini else "sdnet").networks["camera"]
+        network = build(spec.model, **spec.settings).eval().to(pick_device(plan.device))
+        segmenter = CameraSegmenter(network=network, normalise=ImageNormalisation())
+    timer = Timer(pick_device(plan.device))
+    for stage in ("first", "warm"):
+        with timer(stage):
+            segmenter.probabilities(image)
+    return timer.milliseconds["warm"]
 
 
 def train_part(plan: Plan, part: str, files: Mapping[str, Path]) -> Path:
@@ -70,7 +96,7 @@ def train_part(plan: Plan, part: str, files: Mapping[str, Path]) -> Path:
         if part == "scene-painter" and not getattr(recipe.options, option):
             raise InputError(f"the painter is trained behind a {option}, and there is none")
     log.info("training %s", recipe.name)
-    folder = train(recipe, training_data(plan), plan.run(part), device=plan.device)
+    folder = train(recipe, training_data(plan), plan.run(part), device=plan.device, devices=plan.devices)
     return folder / f"{_released(part)}.safetensors"
 
 
@@ -112,7 +138,8 @@ def score_row(
             return held["result"]
     log.info("scoring %s", row.name)
     one = system(plan.chain(row), device=plan.device)
-    write_images(plan.out / "images" / name, one, scored, config)
+    around = load(plan.chain(row), plan.device) if name == "titan" else None  # the paper's panoramas
+    write_images(plan.out / "images" / name, one, scored, config, around)
     evaluation = score([one], scored, data=plan.data.resolve().name, split=plan.split, config=config)
     result = evaluation.as_dict()
     text = json.dumps({"key": key, "result": result}, indent=1)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from lidar2pano.data.camera_images import CameraImageDataset, CameraImageSample, ImageAugmentation
-from lidar2pano.data.frames import IGNORE
+from lidar2pano.data.frames import IGNORE, evenly_spaced
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import labelled_cross_entropy
@@ -68,7 +68,7 @@ class CameraSegmentation:
 
         Whole images; pixels of which the teacher is unsure are not scored.
         """
-        pairs = (self.validation.pair(index) for index in range(len(self.validation)))
+        pairs = (self.validation.pair(index) for index in evenly_spaced(len(self.validation)))
         return segmentation_scores(((self.predict(image), ids) for image, ids in pairs), CITYSCAPES)
 
     def preview(self) -> dict[str, np.ndarray]:

@@ -31,7 +31,7 @@ from lidar2pano import __version__
 from lidar2pano.data.frames import located
 from lidar2pano.errors import InputError
 from lidar2pano.models.card import Card, save
-from lidar2pano.train.recipe import Network, Recipe, resolved
+from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, resolved
 
 FREE = {f"training.{name}" for name in ("workers", "checkpoint_minutes", "preview_minutes", "validate_minutes")}
 BROKEN = (SafetensorError, pickle.UnpicklingError, RuntimeError)  # RecursionError is one, too
@@ -81,7 +81,8 @@ def check_recipe(run: Path, recipe: Recipe) -> None:
         before = _flat(json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, AttributeError, RecursionError):
         raise InputError(f"{path} is damaged; repair it or train into another folder") from None
-    if changed := _differences(before, _flat(resolved(recipe))):
+    now = _flat(resolved(recipe))
+    if changed := _differences(_defaults(recipe) | before, now):  # recipes had fewer values when the run began
         raise InputError(
             f"{run} holds a run of another recipe ({'; '.join(changed)}); "
             "repeat the command as it was or train into another folder"
@@ -104,6 +105,13 @@ def _flat(tree: Mapping[str, Any], above: str = "") -> dict[str, Any]:
     return values
 
 
+def _defaults(recipe: Recipe) -> dict[str, Any]:
+    """The values that a recipe of this task has by default, by their flat names."""
+    networks = {name: {"optimizer": asdict(Optimizer())} for name in recipe.networks}
+    plain = {"training": asdict(Training()), "options": asdict(type(recipe.options)()), "networks": networks}
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in _flat(plain).items()}
+
+
 def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """What keeps a run from going on, as "name: old -> new"."""
     changed = []
@@ -111,7 +119,7 @@ def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]
         old, new = before.get(name), now.get(name)
         if name in FREE and old is not None and new is not None:
             continue
-        if name == "training.steps" and old is not None and new is not None and new >= old:
+        if name in ("training.steps", "training.epochs") and old is not None and new is not None and new >= old > 0:
             continue
         if name == "training.minutes" and old is not None and new is not None and (new == 0 or 0 < old <= new):
             continue

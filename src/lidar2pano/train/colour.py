@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn.functional import mse_loss
 
 from lidar2pano.data.camera_projection import CameraProjectionDataset, CameraProjectionSample
+from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.data.front_view import FrontViewDataset, FrontViewSample, SampleParts
 from lidar2pano.errors import InputError
 from lidar2pano.losses import pooled
@@ -50,7 +51,7 @@ class ColourTask:
     def validate(self) -> dict[str, float]:
         """Mean distance of pooled colours in [0, 1], whose negative is the score; and structural similarity."""
         distances, similarity = [], SSIM()
-        for index in range(len(self.validation)):
+        for index in evenly_spaced(len(self.validation)):
             fake, colour = self.render(index)
             distances.append(pooled(fake - colour).abs().mean().item() / 2)
             similarity.update(as_image(fake), as_image(colour), str(index))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from math import gcd
 from typing import Literal
 
@@ -23,14 +24,22 @@ def choose_precision(training: Training, device: torch.device) -> Literal["bf16-
     return training.precision
 
 
-def check_shares(training: Training, processes: int) -> None:
-    """Raise InputError unless every process gets the same number of samples in each micro-batch."""
+def shared(training: Training, processes: int) -> Training:
+    """The training as each of so many processes does it: the same batch, and micro-batches that are not larger.
+
+    Raises InputError where the batch cannot be divided among the processes and micro-batches.
+    """
     batch, accumulate = training.batch, training.accumulate
     if batch % (processes * accumulate) == 0:
-        return
+        return training
+    share = batch // processes
+    if processes > 1 and batch % processes == 0 and batch % accumulate == 0:
+        fewer = next(n for n in range(1, share + 1) if share % n == 0 and share // n <= batch // accumulate)
+        log.info("%d devices take a batch of %d in %d micro-batches each", processes, batch, fewer)
+        return replace(training, accumulate=fewer)
     hint = f"make it a multiple of {processes * accumulate}"
-    if batch % processes == 0:
-        hint = f"set training.accumulate={gcd(batch // processes, accumulate)}, or {hint}"
+    if share and batch % processes == 0:
+        hint = f"set training.accumulate={gcd(share, accumulate)}, or {hint}"
     raise InputError(
         f"training.batch={batch} cannot be divided among {processes} devices and training.accumulate={accumulate} "
         f"micro-batches; {hint}"

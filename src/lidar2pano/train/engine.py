@@ -10,6 +10,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from datetime import timedelta
 from math import inf, isfinite
 from pathlib import Path
@@ -33,12 +34,13 @@ from lidar2pano.train.checkpoint import (
     write_recipe,
 )
 from lidar2pano.train.clock import Timer, clock, interrupts
-from lidar2pano.train.device import check_shares, choose_precision, device_name
+from lidar2pano.train.device import choose_precision, device_name, shared
 from lidar2pano.train.distributed import average_gradients, check_launcher, largest
 from lidar2pano.train.monitor import Meter, Monitor, check_finite
 from lidar2pano.train.optimisation import EMA, averaged, clip, learning_rate, make_optimizer
+from lidar2pano.train.predictions import predict_all
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.sampling import BatchSampler, batches, seed_step
+from lidar2pano.train.sampling import BatchSampler, batches, seed_step, steps_over
 from lidar2pano.train.task import Task
 from lidar2pano.train.tasks import build_task
 
@@ -50,7 +52,8 @@ except ModuleNotFoundError as error:
 
 LAST = ("", torch.zeros(()))  # what follows a task's last update
 VALIDATION_LIMIT = timedelta(hours=2)  # the other processes wait at most this long for the one that validates
-SAVING_SHARE = 0.05  # of the time, at most, goes into checkpoints
+SAVING_SHARE, PREVIEW_SHARE, VALIDATION_SHARE = 0.05, 0.05, 0.15  # of the time, at most, go into each of these
+AGREE_EVERY = 10  # steps after which several processes agree on the time and on interrupts
 
 
 def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: int = 1, num_nodes: int = 1) -> Path:
@@ -61,8 +64,8 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
     Returns the folder of the weight files. Ctrl-C and SIGTERM save a checkpoint and raise KeyboardInterrupt; mistakes
     of the user raise InputError, a loss or weight that is not finite FloatingPointError.
     """
-    training, processes, chosen = recipe.training, devices * num_nodes, pick_device(device)
-    check_shares(training, processes)
+    processes, chosen = devices * num_nodes, pick_device(device)
+    training = shared(recipe.training, processes)
     check_launcher(processes)
     check_recipe(out, recipe)
     fabric = Fabric(
@@ -77,6 +80,10 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
     task = build_task(recipe, root)
     if fabric.is_global_zero:
         write_recipe(out, recipe)
+    predict_all(task, fabric.device, fabric.global_rank, fabric.world_size)
+    fabric.barrier()
+    steps = steps_over(len(task.dataset), training)
+    recipe = replace(recipe, training=replace(training, steps=steps))
     run = Run(fabric, recipe, task, out, data=trained_on(root, recipe.data.train))
     run.resume()
     run.go_on()
@@ -150,9 +157,13 @@ class Run:
         """Steps until the budget is used (False) or an interrupt comes (True)."""
         training, start = self.recipe.training, self.progress.seconds
         checkpoint = Timer(training.checkpoint_minutes, start, SAVING_SHARE)
-        preview, validate = Timer(training.preview_minutes, start), Timer(training.validate_minutes, start)
+        preview = Timer(training.preview_minutes, start, PREVIEW_SHARE)
+        validate = Timer(training.validate_minutes, start, VALIDATION_SHARE)
+        first, every = self.progress.step, AGREE_EVERY if self.fabric.world_size > 1 else 1
+        now, stop = start, 0.0
         while True:
-            now, stop = largest(self.fabric.device, self.clock(), float(interrupted()))
+            if (self.progress.step - first) % every == 0:  # processes that agree wait for each other, and for the GPU
+                now, stop = largest(self.fabric.device, self.clock(), float(interrupted()))
             self.progress.seconds = now
             if self._done() >= 1:
                 return False

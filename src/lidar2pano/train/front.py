@@ -11,6 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import nll_loss
 
+from lidar2pano.data.cache import PredictedLabels, Predictions, StoredPredictions
+from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.data.front_view import FrontViewDataset, FrontViewSample, SampleParts
 from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.labels import COMMON14, SEMANTIC_KITTI
@@ -49,8 +51,7 @@ class FrontTask:
         self.dataset = FrontViewDataset(root, recipe.data.train, self.view, size, self.wanted)
         self.validation = FrontViewDataset(root, recipe.data.val, self.view, size, self.wanted)
         self.logs: dict[str, float | Tensor] = {}
-        if recipe.options.segmenter:
-            self.validation.predict(load_segmenter(recipe.options.segmenter), recipe.options.segmenter)
+        use_predictions(recipe.options, self.dataset, self.validation)
 
     def output(self, sample: FrontViewSample) -> Any:  # noqa: ANN401 logits, or logits and depths
         """What the current translator gives for one sample, as a batch of one.
@@ -68,8 +69,8 @@ class FrontTask:
         return self.output(sample)[0].argmax(0).cpu()
 
     def validate(self) -> dict[str, float]:
-        """MIoU over the 14 classes on the network's image."""
-        samples = (self.validation[index] for index in range(len(self.validation)))
+        """MIoU over the 14 classes on the network's image, over up to 500 frames."""
+        samples = (self.validation[index] for index in evenly_spaced(len(self.validation)))
         pairs = ((self.predict(sample), sample.camera_labels) for sample in samples)
         return segmentation_scores(pairs, len(COMMON14), unscored=(0,))
 
@@ -84,6 +85,21 @@ class FrontTask:
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """What a user of the translator has to know: label set, view, normalisation."""
         return {"labels": COMMON14.name, **range_view_card(self.view)}
+
+
+def use_predictions(
+    options: FrontOptions | Pix2PixSegmentsOptions, training: FrontViewDataset, validation: FrontViewDataset
+) -> None:
+    """Condition data sets on a segmenter's labels, as the options want it; InputError where there are none."""
+    chosen = (training, validation) if options.segments == "predicted" else (validation,)
+    if options.segmenter:
+        predicted: Predictions = PredictedLabels(load_segmenter(options.segmenter), options.segmenter)
+    elif options.segments == "predicted":
+        predicted = StoredPredictions()
+    else:
+        return
+    for samples in chosen:
+        samples.use(predicted)
 
 
 class FrontTranslation(FrontTask):
@@ -170,7 +186,7 @@ class FrontDepthTranslation(FrontTask):
         errors: list[float] = []
 
         def pairs() -> Iterator[tuple[Tensor, Tensor]]:
-            for index in range(len(self.validation)):
+            for index in evenly_spaced(len(self.validation)):
                 sample = self.validation[index]
                 ids, depth_m = self.predict_both(sample)
                 measured = sample.depth_m > 0

@@ -12,20 +12,29 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from lidar2pano.train.recipe import Optimizer
 
-OPTIMIZERS = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}
+OPTIMIZERS = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}  # and "sgd"
 
 
 def make_optimizer(settings: Optimizer, network: nn.Module) -> torch.optim.Optimizer:
     """The optimiser of a network's trainable weights."""
     weights = [weight for weight in network.parameters() if weight.requires_grad]
-    optimizer = OPTIMIZERS[settings.algorithm]
-    return optimizer(weights, lr=settings.rate, betas=settings.betas, weight_decay=settings.weight_decay)
+    rate, decay = settings.rate, settings.weight_decay
+    if settings.algorithm == "sgd":
+        return torch.optim.SGD(weights, lr=rate, momentum=settings.betas[0], weight_decay=decay)
+    return OPTIMIZERS[settings.algorithm](weights, lr=rate, betas=settings.betas, weight_decay=decay)
 
 
 def learning_rate(settings: Optimizer, step: int, progress: float) -> float:
     """The rate of step `step` (from 0), when `progress` (0 to 1) of the run is done."""
-    rate = settings.rate * min(1.0, (step + 1) / max(settings.warmup, 1))
-    return rate * (1 + math.cos(math.pi * min(progress, 1.0))) / 2 if settings.schedule == "cosine" else rate
+    rate, progress = settings.rate * min(1.0, (step + 1) / max(settings.warmup, 1)), min(progress, 1.0)
+    match settings.schedule:
+        case "cosine":
+            return rate * (1 + math.cos(math.pi * progress)) / 2
+        case "linear":
+            return rate * min(1.0, 2 * (1 - progress))
+        case "exponential":
+            return rate * settings.final**progress
+    return rate
 
 
 class EMA:

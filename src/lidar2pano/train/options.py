@@ -50,7 +50,10 @@ class SegmentationOptions(TaskOptions):
     ring_drop_probability  of leaving out up to three quarters of the beams.
     remission_drop_probability  of a scan without remission.
     lovasz                 weight of Lovasz-Softmax beside the cross-entropy.
-    class_weight_exponent  class weights in the cross-entropy are (share of the points) ** -exponent.
+    class_weight_exponent,
+    class_weight_least,
+    class_weight_most      class weights in the cross-entropy are (share of the points, at least `least`) ** -exponent,
+                           divided by their mean, at most `most`.
     dropout                whether the network's dropout is on.
     """
 
@@ -63,6 +66,8 @@ class SegmentationOptions(TaskOptions):
     remission_drop_probability: float = 0.0
     lovasz: float = 1.0
     class_weight_exponent: float = 0.5
+    class_weight_least: float = 1e-5
+    class_weight_most: float = 6.0
     dropout: bool = True
 
 
@@ -93,12 +98,14 @@ class FrontOptions(TaskOptions):
     """TITAN-Net.
 
     gradient_penalty  weight (lambda) of the WGAN's gradient penalty;  lovasz: weight of Lovasz-Softmax; 0: none.
-    segmenter         weight file whose labels validation takes; "": the labels of the data, as in training.
+    segments          the condition: "predicted" by a segmenter, or the "data"'s own (in validation the segmenter's).
+    segmenter         weight file whose labels these are; "": predicted_labels/ of the data, which `prepare` writes.
     """
 
     task = "front"
     gradient_penalty: float = 10.0
     lovasz: float = 1.0
+    segments: Literal["predicted", "data"] = "data"
     segmenter: str = ""
 
 
@@ -145,9 +152,10 @@ class Pix2PixOptions(TaskOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class Pix2PixSegmentsOptions(Pix2PixOptions):
-    """Pix2Pix in TITAN-Net's place; segmenter: as for TITAN-Net."""
+    """Pix2Pix in TITAN-Net's place; segments, segmenter: as for TITAN-Net."""
 
     task = "pix2pix-segments"
+    segments: Literal["predicted", "data"] = "data"
     segmenter: str = ""
 
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import cross_entropy
 
-from lidar2pano.data.frames import IGNORE
+from lidar2pano.data.frames import IGNORE, evenly_spaced
 from lidar2pano.data.panorama_crops import PanoramaDataset, PanoramaSample
 from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
@@ -51,7 +51,8 @@ class PanoramaTranslation:
             batch.range_image, one_hot_layers(batch.segments, len(SEMANTIC_KITTI))
         )
         logits = logits.float()
-        entropy = cross_entropy(logits, batch.camera_labels, weight=self.weights.to(logits.device), ignore_index=IGNORE)
+        self.weights = self.weights.to(logits.device)  # once
+        entropy = cross_entropy(logits, batch.camera_labels, weight=self.weights, ignore_index=IGNORE)
         lovasz = lovasz_softmax(logits.softmax(1), batch.camera_labels, ignore=IGNORE)
         measured = batch.depth_m > 0
         gap = (depth_code(depth_m) - depth_code(batch.depth_m)).abs()
@@ -70,7 +71,7 @@ class PanoramaTranslation:
 
     def validate(self) -> dict[str, float]:
         """MIoU over the 14 classes in the camera's sector, on the raster; sky and unknown pixels are not scored."""
-        samples = (self.validation[index] for index in range(len(self.validation)))
+        samples = (self.validation[index] for index in evenly_spaced(len(self.validation)))
         pairs = ((self.predict(sample), sample.camera_labels) for sample in samples)
         return segmentation_scores(pairs, len(COMMON15), unscored=(0, COMMON15.id_of("sky")))
 

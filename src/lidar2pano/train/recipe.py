@@ -19,22 +19,25 @@ LARGEST_BATCH = 65_536
 class Optimizer:
     """The optimiser of one network.
 
-    schedule  "constant", or "cosine": half a cosine from `rate` to zero over the run.
+    algorithm "sgd" takes the first of `betas` as its momentum.
+    schedule  "constant"; "cosine": half a cosine from `rate` to zero over the run; "linear": constant for the first
+              half of the run, then linearly to zero; "exponential": `rate` times `final` ** (the share that is done).
     warmup    steps over which the rate rises from zero.
     clip      largest norm of a step's gradient; 0 = no clipping.
     """
 
-    algorithm: Literal["adam", "adamw"] = "adamw"
+    algorithm: Literal["adam", "adamw", "sgd"] = "adamw"
     rate: float = 1e-3
     betas: tuple[float, float] = (0.9, 0.999)
     weight_decay: float = 0.0
-    schedule: Literal["constant", "cosine"] = "cosine"
+    schedule: Literal["constant", "cosine", "linear", "exponential"] = "cosine"
+    final: float = 0.0
     warmup: int = 0
     clip: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse values out of range (InputError)."""
-        rest = {"weight_decay": self.weight_decay, "warmup": self.warmup, "clip": self.clip}
+        rest = {"weight_decay": self.weight_decay, "warmup": self.warmup, "clip": self.clip, "final": self.final}
         check_least("optimizer", 0, rate=self.rate, betas=self.betas, **rest)
         if max(self.betas) >= 1:
             raise InputError(f"optimizer.betas={self.betas} must be below 1")
@@ -67,17 +70,20 @@ class Data:
 class Training:
     """The run. Sizes are totals over all devices.
 
-    steps        number of optimiser steps; minutes: wall clock over all sittings together (0 = no limit). Whichever
-                 comes first ends the run, and learning rates follow whichever is further.
+    steps        number of optimiser steps; epochs: passes over the training samples; minutes: wall clock over all
+                 sittings together (0 = no limit). Whichever comes first ends the run, and learning rates follow
+                 whichever is further.
     batch        samples per step, in `accumulate` micro-batches.
     workers      processes per device that prepare samples (0 = the training process does).
     precision    "bf16-mixed" or "32-true"; channels_last: layout of convolution weights.
     ema          decay per step of the averaged weights that are validated and released; 0 = no averaging.
-    *_minutes    from the end of one checkpoint, preview or validation to the next; 0 = at the end only. Checkpoints
-                 are rarer where saving would take more than a twentieth of the time.
+    *_minutes    from the end of one checkpoint, preview or validation to the next; 0 = at the end only. They are
+                 rarer where checkpoints or previews would take more than a twentieth of the time, or validation more
+                 than three twentieths.
     """
 
     steps: int = 100_000
+    epochs: float = 0.0
     minutes: float = 0.0
     batch: int = 8
     accumulate: int = 1
@@ -91,9 +97,10 @@ class Training:
     validate_minutes: float = 10.0
 
     def __post_init__(self) -> None:
-        """Refuse values out of range (InputError); `device.check_shares` compares batch and accumulate."""
+        """Refuse values out of range (InputError); `device.shared` compares batch and accumulate."""
         check_least("training", 1, steps=self.steps, batch=self.batch, accumulate=self.accumulate)
-        check_least("training", 0, workers=self.workers, seed=self.seed, minutes=self.minutes, ema=self.ema)
+        check_least("training", 0, workers=self.workers, seed=self.seed, ema=self.ema)
+        check_least("training", 0, minutes=self.minutes, epochs=self.epochs)
         checkpoint, preview, validate = self.checkpoint_minutes, self.preview_minutes, self.validate_minutes
         check_least("training", 0, checkpoint_minutes=checkpoint, preview_minutes=preview, validate_minutes=validate)
         if self.batch > LARGEST_BATCH:
@@ -166,5 +173,5 @@ def vary(
 
 def on_two_cores(recipe: Recipe[Options_co], *, minutes: float, batch: int, ema: float = 0.998) -> Recipe[Options_co]:
     """The recipe as a run of some minutes on two CPU cores, which prepare samples as well."""
-    training = replace(recipe.training, minutes=minutes, batch=batch, accumulate=1, workers=0, ema=ema)
+    training = replace(recipe.training, epochs=0.0, minutes=minutes, batch=batch, accumulate=1, workers=0, ema=ema)
     return replace(recipe, training=training)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import signal
 import zlib
@@ -26,6 +27,12 @@ def seed_step(seed: int, rank: int, step: int) -> None:
     random.seed(number)
     np.random.seed(number)  # noqa: NPY002 libraries of others may draw from the global generator
     torch.manual_seed(number)
+
+
+def steps_over(samples: int, training: Training) -> int:
+    """Optimiser steps of a run on so many training samples: `steps`, or those of `epochs` where they are fewer."""
+    of_epochs = math.ceil(training.epochs * samples / training.batch)
+    return min(training.steps, of_epochs) if of_epochs else training.steps
 
 
 def sample_at(seed: int, position: int, samples: int) -> SampleIndex:

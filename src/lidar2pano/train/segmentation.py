@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
+from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.data.range_images import RangeImageDataset, RangeImageSample, ScanAugmentation
 from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.labels import SEMANTIC_KITTI
@@ -45,24 +46,30 @@ class Segmentation:
             for module in self.networks["segmenter"].modules():
                 if isinstance(module, nn.Dropout2d):
                     module.p = 0.0
-        self.weights = class_weights(self.dataset.class_counts(), options.class_weight_exponent, least=1e-5, most=6.0)
+        self.weights = class_weights(
+            self.dataset.class_counts(),
+            options.class_weight_exponent,
+            least=options.class_weight_least,
+            most=options.class_weight_most,
+        )
         self.logs: dict[str, float | Tensor] = {}
 
     def updates(self, batch: RangeImageSample) -> Iterator[tuple[str, Tensor]]:
         """One update: cross-entropy over labelled pixels + Lovasz-Softmax over the classes present."""
         logits = self.networks["segmenter"](batch.lidar).float()
-        entropy = cross_entropy(logits, batch.labels, weight=self.weights.to(logits.device), ignore_index=0)
+        self.weights = self.weights.to(logits.device)  # once
+        entropy = cross_entropy(logits, batch.labels, weight=self.weights, ignore_index=0)
         lovasz = lovasz_softmax(logits.softmax(1), batch.labels, ignore=0)
         self.logs = {"cross_entropy": entropy.detach(), "lovasz": lovasz.detach()}
         yield "segmenter", entropy + self.options.lovasz * lovasz
 
     def validate(self) -> dict[str, float]:
-        """MIoU and accuracy per point over the validation split; unlabelled points are not scored."""
+        """MIoU and accuracy per point over up to 500 frames of the validation split, but for unlabelled points."""
         network = self.networks["segmenter"]
         segmenter = Segmenter(network=network, view=self.view, normalise=Normalisation())
 
         def pairs() -> Iterator[tuple[Tensor, Tensor]]:
-            for index in range(len(self.validation)):
+            for index in evenly_spaced(len(self.validation)):
                 scan = self.validation.scan(index)
                 assert scan.label is not None
                 yield segmenter.points(scan, device_of(network)).cpu(), torch.from_numpy(scan.label)

@@ -115,7 +115,23 @@ def image_size(network: nn.Module) -> tuple[int, int]:
 
 def load_segmenter(file: str) -> Callable[[Scan], Tensor]:
     """Read a LiDAR segmenter's weight file: scan -> labels (N,) of SEMANTIC_KITTI."""
-    return Segmenter.from_card(*load(file, expect="salsanext")).points
+    return LabelPoints(Segmenter.from_card(*load(file, expect="salsanext")))
+
+
+class LabelPoints:
+    """A segmenter as a function of scans, on a device that may change."""
+
+    def __init__(self, segmenter: Segmenter) -> None:
+        self.segmenter, self.device = segmenter, torch.device("cpu")
+
+    def __call__(self, scan: Scan) -> Tensor:
+        """Labels (N,) of SEMANTIC_KITTI."""
+        return self.segmenter.points(scan, self.device)
+
+    def move(self, device: torch.device) -> None:
+        """Compute there from now on."""
+        self.device = device
+        self.segmenter.network.to(device)
 
 
 def segmentation_scores(

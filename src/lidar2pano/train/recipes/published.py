@@ -1,4 +1,4 @@
-"""Recipes of other authors' networks: Pix2Pix and SC-UNET, which the paper compares with, SD-Net and vid2vid.
+"""Recipes of other authors' networks: SalsaNext, SD-Net, vid2vid, and Pix2Pix and SC-UNET, the paper's baselines.
 
 Rows of the paper's tables: "Pix2Pix" and "Pix2Pix -> Vid2Vid" are pix2pix-segments, "Pix2Pix - w/o SegMap" is
 pix2pix-rgb, "SC-UNET" is scunet. How the authors fed them is unpublished; ours get what TITAN-Net gets.
@@ -13,18 +13,40 @@ from lidar2pano.train.options import (
     CameraSegmentationOptions,
     Pix2PixColoursOptions,
     Pix2PixSegmentsOptions,
+    SegmentationOptions,
     VideoOptions,
 )
 from lidar2pano.train.recipe import Data, Network, Optimizer, Recipe, Training, on_two_cores, vary
-from lidar2pano.train.recipes.titan import HALF
+from lidar2pano.train.recipes.titan import HALF, NO_LIMIT
+
+
+def salsanext() -> Recipe[SegmentationOptions]:
+    """SalsaNext with its published schedule: 150 epochs, batch 24, SGD 0.01 with momentum 0.9, times 0.99 an epoch.
+
+    Cortinhal, Tzelepis, Aksoy 2020, and salsanext.yml of its code, whose first epoch warms up (here the 797 steps of
+    SemanticKITTI's 19,130 scans). Whole range images; class weights 1 / share, as there with shares of at least 0.001.
+    """
+    optimizer = Optimizer(
+        algorithm="sgd", rate=0.01, betas=(0.9, 0.0), weight_decay=1e-4, schedule="exponential", final=0.99**150,
+        warmup=797,
+    )  # fmt: skip
+    settings = {"classes": 20, "channels": 5}
+    return Recipe(
+        view="hdl64e",
+        networks={"segmenter": Network(model="salsanext", settings=settings, optimizer=optimizer)},
+        options=SegmentationOptions(
+            columns=0, class_weight_exponent=1.0, class_weight_least=1e-3, class_weight_most=1e3
+        ),
+        training=Training(steps=NO_LIMIT, epochs=150, batch=24, accumulate=2, ema=0.0),
+    )
 
 
 def pix2pix_segments() -> Recipe[Pix2PixSegmentsOptions]:
-    """Pix2Pix from range view and segments to the camera's segments, with its published numbers.
+    """Pix2Pix from range view and segments to the camera's segments; at full length with TITAN-Net's protocol.
 
     Cross-entropy discriminator and 100 times the absolute distance, Adam 2e-4, one pair a step (Isola et al. 2017,
-    section 3.3); statistics of the batch at hand in evaluation too, as its test command runs. The rate is constant
-    (published: for the first half of the run, then linearly to zero).
+    section 3.3); statistics of the batch at hand in evaluation too, as its test command runs. These are the numbers of
+    the -mini form; at full length the baselines have TITAN-Net's protocol (`titan.papers_protocol`).
     """
     adam = Optimizer(algorithm="adam", rate=2e-4, betas=(0.5, 0.999), schedule="constant")
     settings = {"inputs": 25, "outputs": 15, "width": 64, "batch_statistics": True, "size": (376, 1241)}
@@ -40,7 +62,7 @@ def pix2pix_segments() -> Recipe[Pix2PixSegmentsOptions]:
 
 
 def pix2pix_rgb() -> Recipe[Pix2PixColoursOptions]:
-    """Pix2Pix from the range view to colours, with its published numbers as in pix2pix-segments.
+    """Pix2Pix from the range view to colours; at full length with TITAN-Net's protocol.
 
     The paper's words leave open whether its squared error took the place of Pix2Pix's own auxiliary loss here:
     `--set options.auxiliary=mse` makes it so.
@@ -105,13 +127,14 @@ def vid2vid() -> Recipe[VideoOptions]:
     """vid2vid's one-scale street network with the published settings, on clips of the camera's images.
 
     Published (NVIDIA/vid2vid, train.py --loadSize 512 --fg): Adam 2e-4, least squares, feature matching, flow and
-    coherence 10, two scales of two temporal discriminators, one clip a step, first images given. Ours: classes of
-    common-15 without instances' edges (1 is the car), half a cosine for the rate where theirs falls linearly in the
-    second half, and a window of the published size in images half the camera's size, as fine as half the panorama's
-    raster. The perceptual loss needs options.vgg_weights. A third of the clips begins without previous images
-    (published: --no_first_img, all or none), so that a stream can.
+    coherence 10, two scales of two temporal discriminators, one clip a step, first images given; 20 epochs, in the
+    second half of which the rate falls linearly (--niter 10 --niter_decay 10). 60,000 steps are 20 epochs of the 2,975
+    clips of Cityscapes. Ours: classes of common-15 without instances' edges (1 is the car), and a window of the
+    published size in images half the camera's size, as fine as half the panorama's raster. The perceptual loss needs
+    options.vgg_weights. A third of the clips begins without previous images (published: --no_first_img, all or none),
+    so that a stream can.
     """
-    adam = Optimizer(algorithm="adam", rate=2e-4, betas=(0.5, 0.999), schedule="cosine")
+    adam = Optimizer(algorithm="adam", rate=2e-4, betas=(0.5, 0.999), schedule="linear")
     blocks = {"downsamplings": 3, "blocks": (9, 3), "foreground": (1,), "batch_statistics": True}
     painter = {"channels": 16, "widths": (128,), **blocks}
     temporal = Network(model="vid2vid-temporal-critic", settings={"channels": 13, "width": 64}, optimizer=adam)
@@ -148,7 +171,7 @@ def vid2vid_mini() -> Recipe:
         **{role: narrow.get(role, {"width": 16}) for role in recipe.networks},
     )
     networks = {
-        role: replace(network, optimizer=replace(network.optimizer, rate=5e-4))
+        role: replace(network, optimizer=replace(network.optimizer, rate=5e-4, schedule="cosine"))
         for role, network in recipe.networks.items()
         if role != "temporal_3"
     }

@@ -6,31 +6,57 @@ Rows of the paper's tables: "TITAN-Net (w/o L_ls)" is titan-no-lovasz, "TITAN-Ne
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import wraps
 
-from lidar2pano.train.options import FrontColourOptions, FrontDepthOptions, FrontOptions
+from lidar2pano.train.options import FrontColourOptions, FrontDepthOptions, FrontOptions, Pix2PixSegmentsOptions
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, on_two_cores, vary
 
 HALF = (188, 620)  # rows, columns: half of KITTI's images
+EPOCHS = 118  # of the paper's training
+NO_LIMIT = 100_000_000  # steps; epochs or minutes end the run
 AUXILIARY = 1000.0  # factor of the auxiliary losses in recipes for minutes on a CPU
 
 
-def titan() -> Recipe[FrontOptions]:
-    """TITAN-Net: the paper's WGAN-GP (lambda 10), Lovasz-Softmax, Adam 1e-4 and batch 10.
+PAPERS_ADAM = Optimizer(algorithm="adam", rate=1e-4, betas=(0.5, 0.999), schedule="constant")
 
-    The steps are 26 epochs of SemanticKITTI (the paper: 118), and Lovasz-Softmax is a mean over single images, since
-    the batch is taken in 10 micro-batches.
+
+def titan() -> Recipe[FrontOptions]:
+    """TITAN-Net as in the paper: WGAN-GP (lambda 10), Lovasz-Softmax, Adam 1e-4, batch 10, dropout 0.2, 118 epochs.
+
+    Its condition is a segmenter's labels, not the data's (section 3.1). The batch of 10 needs some 70 GB at once, so
+    it is taken in 10 micro-batches, and Lovasz-Softmax is then a mean over single images; `training.accumulate=1`
+    makes it one over the whole batch where the GPU holds it. Everything else is the same either way.
     """
-    adam = Optimizer(algorithm="adam", rate=1e-4, betas=(0.5, 0.999), schedule="constant")
     return Recipe(
         view="titan-front",
         networks={
-            "translator": Network(model="titan", settings={"classes": 15, "conditions": 20}, optimizer=adam),
-            "critic": Network(model="titan-critic", settings={"image_channels": 15, "conditions": 20}, optimizer=adam),
+            "translator": Network(model="titan", settings={"classes": 15, "conditions": 20}, optimizer=PAPERS_ADAM),
+            "critic": Network(
+                model="titan-critic", settings={"image_channels": 15, "conditions": 20}, optimizer=PAPERS_ADAM
+            ),
         },
-        options=FrontOptions(),
-        training=Training(steps=50_000, batch=10, accumulate=10, ema=0.0, precision="32-true"),
+        options=FrontOptions(segments="predicted"),
+        training=Training(steps=NO_LIMIT, epochs=EPOCHS, batch=10, accumulate=10, ema=0.0, precision="32-true"),
     )
+
+
+def papers_protocol(make: Callable[[], Recipe]) -> Callable[[], Recipe]:
+    """A baseline trained as TITAN-Net is ("using the same training protocol", section 4.4): Adam, batch, epochs."""
+
+    @wraps(make)
+    def made() -> Recipe:
+        recipe = make()
+        networks = {role: replace(network, optimizer=PAPERS_ADAM) for role, network in recipe.networks.items()}
+        accumulate = max(recipe.training.accumulate, 2)
+        training = replace(recipe.training, steps=NO_LIMIT, epochs=EPOCHS, batch=10, accumulate=accumulate)
+        options = recipe.options
+        if isinstance(options, Pix2PixSegmentsOptions):
+            options = replace(options, segments="predicted")
+        return replace(recipe, networks=networks, training=training, options=options)
+
+    return made
 
 
 def titan_mini() -> Recipe[FrontOptions]:
@@ -41,7 +67,8 @@ def titan_mini() -> Recipe[FrontOptions]:
     translator's rate is twenty times as high: at the translator's weights the critic's gradient was measured to be two
     hundred times that of Lovasz-Softmax, so with the paper's sum only the critic would teach in a few hundred steps.
     """
-    recipe = vary(titan(), options={"lovasz": AUXILIARY}, translator={"size": HALF}, critic={"width": 16})
+    options = {"lovasz": AUXILIARY, "segments": "data"}
+    recipe = vary(titan(), options=options, translator={"size": HALF}, critic={"width": 16})
     translator = recipe.networks["translator"]
     faster = replace(translator, optimizer=replace(translator.optimizer, rate=2e-3, schedule="cosine"))
     recipe = replace(recipe, view="titan-front-512", networks={**recipe.networks, "translator": faster})
@@ -58,7 +85,7 @@ def titan_next() -> Recipe[FrontDepthOptions]:
     recipe = vary(titan(), translator={"width": 64}, critic={"image_channels": 16})
     translator = replace(recipe.networks["translator"], model="titan-next")
     networks = {**recipe.networks, "translator": translator}
-    return replace(recipe, view="titan-front-512", networks=networks, options=FrontDepthOptions())
+    return replace(recipe, view="titan-front-512", networks=networks, options=FrontDepthOptions(segments="predicted"))
 
 
 def titan_next_mini() -> Recipe[FrontDepthOptions]:

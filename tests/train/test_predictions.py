@@ -1,0 +1,80 @@
+"""A segmenter labels all scans of a run once, before its first step, on the run's device."""
+
+from __future__ import annotations
+
+import os
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from lidar2pano.data.cache import PredictedLabels
+from lidar2pano.data.frames import Frame, FrameList, frames
+from lidar2pano.scan import Scan
+from lidar2pano.train import predictions
+from lidar2pano.train.predictions import predict_all
+from lidar2pano.train.task import LabelPoints
+from miniature import write_data_set
+
+
+class Counting(LabelPoints):
+    """Labels points by their remission; notes scans and devices."""
+
+    def __init__(self) -> None:
+        self.scans: list[str] = []
+        self.devices: list[str] = []
+
+    def __call__(self, scan: Scan) -> torch.Tensor:
+        self.scans.append(scan.name)
+        return torch.from_numpy((scan.remission * 20).astype(np.int64))
+
+    def move(self, device: torch.device) -> None:
+        self.devices.append(device.type)
+
+
+@pytest.fixture
+def task(tmp_path):
+    root = write_data_set(tmp_path / "set")
+    (tmp_path / "weights").write_bytes(b"1")
+    predicted = PredictedLabels(Counting(), tmp_path / "weights")
+    sets = [SimpleNamespace(frames=frames(root, split), predicted=predicted) for split in ("train", "val")]
+    return SimpleNamespace(dataset=sets[0], validation=sets[1], root=root, label_points=predicted.label_points)
+
+
+def test_every_scan_is_labelled_once_and_on_the_device(task, monkeypatch):
+    predict_all(task, torch.device("meta"))
+    assert sorted(task.label_points.scans) == [*task.dataset.frames.names, *task.validation.frames.names]
+    assert task.label_points.devices == ["meta", "cpu", "meta", "cpu"], "afterwards workers may use it"
+    monkeypatch.setattr(Frame, "scan", property(lambda _: pytest.fail("a scan was read again")))
+    monkeypatch.setattr(type(task.dataset.frames[0]), "scan", Frame.scan)
+    predict_all(task, torch.device("cpu"))
+    assert len(task.label_points.scans) == 5
+
+
+def test_a_scan_that_changed_is_looked_at_again(task):
+    predict_all(task, torch.device("cpu"))
+    os.utime(task.root / "sequences/00/velodyne/000001.bin", ns=(1, 1))
+    predict_all(task, torch.device("cpu"))
+    assert len(task.label_points.scans) == 5, "its content is the same: the file on disk is"
+    path = task.root / "sequences/00/velodyne/000001.bin"
+    path.write_bytes(path.read_bytes()[:-16])
+    predict_all(task, torch.device("cpu"))
+    assert task.label_points.scans[5:] == ["00/000001"]
+
+
+def test_processes_share_the_scans_and_say_how_far_they_are(task, monkeypatch, caplog):
+    monkeypatch.setattr(predictions, "LOG_EVERY_S", -1.0)
+    with caplog.at_level("INFO"):
+        predict_all(task, torch.device("cpu"), rank=1, world=2)
+        assert not caplog.messages and task.label_points.scans == ["00/000001", "01/000001"]
+        predict_all(task, torch.device("cpu"), rank=0, world=2)
+    assert sorted(task.label_points.scans) == [*task.dataset.frames.names, *task.validation.frames.names]
+    assert caplog.messages[:2] == [
+        "labelling 2 scans on cpu, once: the labels are kept on disk",
+        "labelled 1 of 2 scans",
+    ]
+
+
+def test_without_a_segmenter_nothing_happens():
+    predict_all(SimpleNamespace(dataset=FrameList("semantic-kitti", ())), torch.device("cpu"))  # type: ignore[arg-type]
