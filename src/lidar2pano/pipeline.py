@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from lidar2pano.calibration import Calibration
 from lidar2pano.engines import accelerated, pick_engine
 from lidar2pano.errors import InputError
+from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import Normalisation, RangeImage, one_hot_layers, project
@@ -51,8 +52,8 @@ class Segmenter:
     @classmethod
     def from_card(cls, network: nn.Module, card: Card) -> Segmenter:
         """The segmenter that a weight file holds: `network, card = load(path)`."""
-        normalise = Normalisation(**{name: tuple(values) for name, values in card.normalisation.items()})
-        return cls(network=network, view=View(**card.views["input"]), normalise=normalise)
+        normalise = validated(Normalisation, card.normalisation, "the card's normalisation")
+        return cls(network=network, view=validated(View, card.views["input"], "the card's view"), normalise=normalise)
 
     @torch.inference_mode()
     def raster(self, image: RangeImage) -> Tensor:
@@ -288,7 +289,10 @@ def load_segmenter(file: Path, device: torch.device, engine: str = "torch") -> t
     """The segmenter of a weight file, ready for inference; InputError where the file holds something else."""
     network, card = load_part(file, device, expect="salsanext", engine=engine)
     card_view(file, card, "input")
-    return Segmenter.from_card(network, card), card
+    try:
+        return Segmenter.from_card(network, card), card
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
 
 
 def load_painter(
@@ -332,7 +336,7 @@ def made_fast(network: nn.Module) -> nn.Module:
 
 def card_view(file: Path, card: Card, role: str) -> View:
     """The raster that a card gives for `role`; InputError where it gives none that makes sense."""
-    try:
-        return View(**card.views[role])
-    except (KeyError, TypeError, ValueError):
-        raise InputError(f"{file}: its card has no view {role!r} that makes sense; fetch it or make it again") from None
+    mend = "fetch it or make it again"
+    if role not in card.views:
+        raise InputError(f"{file}: its card has no view {role!r} that makes sense; {mend}")
+    return validated(View, card.views[role], f"{file}: its card has no view {role!r} that makes sense", mend)

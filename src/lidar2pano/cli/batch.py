@@ -35,6 +35,7 @@ from lidar2pano.viewer.outputs import Output, OutputFiles
 
 ENDINGS = (".segments", ".depth", ".camera", ".camera-segments")  # of outputs' stems
 KITTI_SIZE = "1242x375"
+MOST_PIXELS = 1 << 26  # of a camera's image
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +108,10 @@ def parse_size(text: str) -> tuple[int, int]:
     found = re.fullmatch(r"([1-9]\d{0,4})[xX]([1-9]\d{0,4})", text.strip())
     if not found:
         raise InputError(f"--image-size {text!r} is not of the form WIDTHxHEIGHT in pixels, e.g. {KITTI_SIZE}")
-    return int(found[1]), int(found[2])
+    width, height = int(found[1]), int(found[2])
+    if width * height > MOST_PIXELS:
+        raise InputError(f"--image-size {text!r} has more than {MOST_PIXELS} pixels; name that of the camera's image")
+    return width, height
 
 
 def stems(files: Sequence[Path]) -> dict[Path, str]:

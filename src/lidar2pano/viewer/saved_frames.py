@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import COLOUR_FORMATS, DEPTH_STEPS, image_size, image_text, read_image
+from lidar2pano.formats.json_files import parse_json, validated
 from lidar2pano.formats.readers import ReadOptions, open_path
 from lidar2pano.panorama import VIEW_KEYWORD
 from lidar2pano.viewer.page import PageFrame
@@ -57,9 +57,9 @@ def saved_view(path: Path) -> View:
     """
     width, height = image_size(path)
     try:
-        written = View(**json.loads(image_text(path)[VIEW_KEYWORD]))
+        written = validated(View, parse_json(image_text(path)[VIEW_KEYWORD], str(path)), str(path))
         return replace(written, rows=height, columns=width)
-    except (KeyError, TypeError, ValueError, RecursionError):  # no text, or another program's
+    except (KeyError, ValueError):  # no text, or another program's
         pass
     usual = VIEWS["panorama"]
     if abs(width * usual.rows / (height * usual.columns) - 1) > PROPORTION_TOLERANCE:
