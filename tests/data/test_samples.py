@@ -11,10 +11,11 @@ from lidar2pano.data.augment import drop_points, drop_rings, mirror, turn, vary_
 from lidar2pano.data.frames import IGNORE, SampleIndex, evenly_spaced, frames, frames_of
 from lidar2pano.data.front_view import FrontViewDataset
 from lidar2pano.data.panorama_crops import PanoramaDataset, mirrored
-from lidar2pano.data.range_images import RangeImageDataset, ScanAugmentation, augmented
+from lidar2pano.data.range_images import RangeImageDataset, ScanAugmentation, augmented, ScanAugmentation, augmented
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON14, COMMON15
+from lidar2pano.formats.interpretation import STAND_IN
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS
 from miniature import HOUSE, ROAD, SPLITS, street, write_data_set
@@ -118,6 +119,13 @@ def test_another_scale_of_remission_keeps_points_order_and_range():
         assert (np.diff(changed.remission) >= 0).all()
         means.append(changed.remission.mean())
     assert min(means) < 0.33 and max(means) > 0.62 and abs(np.mean(means) - 0.5) < 0.06
+
+
+def test_the_share_of_scans_that_lose_their_remission():
+    scan, generator = street(5), np.random.default_rng(0)
+    by = ScanAugmentation(chance=0.0, no_remission=0.25)
+    constant = [(augmented(scan, generator, by).remission == STAND_IN).all() for _ in range(200)]
+    assert 0.15 < np.mean(constant) < 0.35
 
 
 def test_dropping_leaves_out_about_the_given_share_with_their_labels():

@@ -17,6 +17,16 @@ def test_closing_brings_columns_from_the_other_end():
     assert closed(x, 1)[0, 0].tolist() == [[2, 0, 1, 2, 0], [5, 3, 4, 5, 3]]
 
 
+@pytest.mark.parametrize("reach", [1, 3])
+def test_closing_has_the_gradients_of_its_definition(reach):
+    x = torch.randn(2, 3, 4, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(0), requires_grad=True)
+    weight = torch.arange(8 + 2 * reach, dtype=torch.float64) ** 2
+    (wanted,) = torch.autograd.grad((torch.cat([x[..., -reach:], x, x[..., :reach]], 3) * weight).sum(), x)
+    (found,) = torch.autograd.grad((closed(x, reach) * weight).sum(), x)
+    torch.testing.assert_close(found, wanted)
+    assert torch.autograd.gradgradcheck(lambda part: closed(part, reach).square(), x)
+
+
 @pytest.mark.parametrize("columns", [16, 7, 4])
 @pytest.mark.parametrize(
     ("kernel", "stride", "dilation"), [(1, 1, 1), (3, 1, 1), (3, 1, 2), (3, 1, 4), (5, 1, 1), (3, 2, 1)]

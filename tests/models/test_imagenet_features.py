@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch import nn
 
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
-from lidar2pano.models.imagenet_features import LITE0, LITE2, ImagenetFeatures
+from lidar2pano.models.imagenet_features import LITE0, LITE2, ImagenetFeatures, StridedDepthwise
 
 
 def test_a_missing_package_names_the_extra():
@@ -44,6 +45,18 @@ def test_folded_norms_change_nothing(variant):
     for one, other in zip(found, wanted, strict=True):
         assert torch.allclose(one, other, atol=1e-3)
     assert not any(part.training for part in features.modules() if isinstance(part, torch.nn.BatchNorm2d))
+
+
+@pytest.mark.parametrize(("kernel", "size"), [(3, (9, 12)), (5, (11, 14))])
+def test_strided_depthwise_convolutions_have_the_gradients_of_conv2d(kernel, size):
+    conv = nn.Conv2d(6, 6, kernel, 2, groups=6).requires_grad_(requires_grad=False)
+    conv.static_padding = nn.Identity()
+    x = torch.randn(2, 6, *size, generator=torch.Generator().manual_seed(0), requires_grad=True)
+    wanted, found = conv(x), StridedDepthwise(conv)(x)
+    assert torch.equal(wanted, found)
+    weight = torch.rand(wanted.shape, generator=torch.Generator().manual_seed(1))
+    gradients = [torch.autograd.grad((answer * weight).sum(), x)[0] for answer in (wanted, found)]
+    torch.testing.assert_close(gradients[1], gradients[0])
 
 
 def test_the_critic_mixes_at_random_and_learns_in_its_heads_only():

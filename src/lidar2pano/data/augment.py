@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from lidar2pano.formats.interpretation import STAND_IN
 from lidar2pano.scan import Scan
 
 # Heights of the bands of elevation that two augmentations leave out.
@@ -57,6 +58,11 @@ def vary_remission(scan: Scan, generator: np.random.Generator, reach: float) -> 
     factor, offset = generator.uniform(1 - reach, 1 + reach), generator.uniform(-reach, reach) / 5
     changed = np.clip(scan.remission * factor + offset, 0, 1).astype(np.float32)
     return replace(scan, remission=changed)
+
+
+def drop_remission(scan: Scan) -> Scan:
+    """A scan of a sensor that measures none: all points have the value that stands in for it."""
+    return replace(scan, remission=np.full_like(scan.remission, STAND_IN))
 
 
 def _subset(scan: Scan, kept: np.ndarray) -> Scan:

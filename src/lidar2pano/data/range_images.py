@@ -10,7 +10,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.data.augment import HDL64E_BEAM_DEG, drop_points, drop_rings, mirror, shift, turn, vary_remission
+from lidar2pano.data.augment import (
+    HDL64E_BEAM_DEG,
+    drop_points,
+    drop_remission,
+    drop_rings,
+    mirror,
+    shift,
+    turn,
+    vary_remission,
+)
 from lidar2pano.data.cache import LruCache
 from lidar2pano.data.frames import Frame, SampleIndex, evenly_spaced, frames_of
 from lidar2pano.geometry.projection import Normalisation
@@ -41,12 +50,14 @@ class ScanAugmentation:
     chance    probability of each of moving, turning and dropping points; half of the scans are mirrored.
     remission how much brighter or darker, as a share, all of a scan is made at most.
     rings     probability that up to three quarters of its beams are left out, as sensors of fewer beams do.
+    no_remission  probability that a scan has no remission, as those of some sensors.
     """
 
     turn_deg: float = 180.0
     chance: float = 0.5
     remission: float = 0.0
     rings: float = 0.0
+    no_remission: float = 0.0
 
 
 class RangeImageDataset:
@@ -109,7 +120,7 @@ def labelled(frame: Frame) -> Scan:
 
 
 def augmented(scan: Scan, generator: np.random.Generator, by: ScanAugmentation) -> Scan:
-    """SalsaNext's augmentation: move, mirror, turn, drop up to half of the points; other remission, fewer beams."""
+    """SalsaNext's augmentation: move, mirror, turn, drop up to half of the points; other remission or none, fewer beams."""
     if by.rings and generator.random() < by.rings:  # before it moves: beams are those of where it was taken
         scan = drop_rings(scan, generator, HDL64E_BEAM_DEG, generator.uniform(0, 0.75))
     if generator.random() < by.chance:
@@ -120,4 +131,6 @@ def augmented(scan: Scan, generator: np.random.Generator, by: ScanAugmentation) 
         scan = turn(scan, np.radians(generator.uniform(-by.turn_deg, by.turn_deg)))
     if generator.random() < by.chance:
         scan = drop_points(scan, generator, generator.uniform(0, 0.5))
+    if by.no_remission and generator.random() < by.no_remission:
+        return drop_remission(scan)
     return vary_remission(scan, generator, by.remission) if by.remission else scan

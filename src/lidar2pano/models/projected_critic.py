@@ -39,6 +39,10 @@ class ProjectedCritic(nn.Module):
 
         condition  (B, conditions, H, W) on any raster;  features: as ImagenetFeatures gives them.
         """
+        resized: list[Tensor] = []
+        for feature in features:  # each from the one before it, not from the whole image
+            condition = adaptive_avg_pool2d(condition, feature.shape[-2:])
+            resized.append(condition)
         scores: list[Tensor] = []
         coarser: Tensor | None = None
         for number in reversed(range(len(features))):
@@ -48,8 +52,7 @@ class ProjectedCritic(nn.Module):
             if coarser is not None:
                 x = (x + interpolate(coarser, size=x.shape[-2:], mode="bilinear", align_corners=False)) * 0.5**0.5
             x = coarser = self.scales[number](x)
-            resized = adaptive_avg_pool2d(condition, x.shape[-2:]).to(x.dtype)
-            scores.append(self.heads[number](torch.cat([x, resized], 1)))
+            scores.append(self.heads[number](torch.cat([x, resized[number].to(x.dtype)], 1)))
         return scores
 
 

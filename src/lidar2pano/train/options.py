@@ -51,6 +51,7 @@ class SegmentationOptions(TaskOptions):
     augment_probability    of each of shifting, rotating and dropping points.
     remission_scale        largest relative change of a scan's remission.
     ring_drop_probability  of leaving out up to three quarters of the beams.
+    remission_drop_probability  of a scan without remission.
     lovasz                 weight of Lovasz-Softmax beside the cross-entropy.
     class_weight_exponent  class weights in the cross-entropy are (share of the points) ** -exponent.
     dropout                whether the network's dropout is on.
@@ -62,6 +63,7 @@ class SegmentationOptions(TaskOptions):
     augment_probability: float = 0.5
     remission_scale: float = 0.0
     ring_drop_probability: float = 0.0
+    remission_drop_probability: float = 0.0
     lovasz: float = 1.0
     class_weight_exponent: float = 0.5
     dropout: bool = True

@@ -36,6 +36,7 @@ class Segmentation:
             chance=options.augment_probability,
             remission=options.remission_scale,
             rings=options.ring_drop_probability,
+            no_remission=options.remission_drop_probability,
         )
         self.dataset = RangeImageDataset(root, recipe.data.train, self.view, options.columns, vary)
         self.validation = RangeImageDataset(root, recipe.data.val, self.view)

@@ -84,9 +84,10 @@ def scene_painter() -> Recipe[ScenePaintingOptions]:
 
 
 def release_segmenter() -> Recipe:
-    """SalsaNext without dropout, which lowers scores in short runs, and with scans of fewer beams now and then."""
+    """SalsaNext without dropout, which lowers scores in short runs; some scans have fewer beams or no remission."""
     augmentation = {"rotation_deg": 20.0, "augment_probability": 0.3, "ring_drop_probability": 0.3}
-    options = {**augmentation, "remission_scale": 0.1, "class_weight_exponent": 0.3, "dropout": False}
+    remission = {"remission_scale": 0.3, "remission_drop_probability": 0.2}
+    options = {**augmentation, **remission, "class_weight_exponent": 0.3, "dropout": False}
     return _release(salsanext(), "segmenter", 2e-3, options)
 
 
