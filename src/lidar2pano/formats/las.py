@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import os
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +38,8 @@ def decode(data: bytes, path: Path) -> PointCloud:
             _check(header.point_count, size, len(data) - header.offset_to_point_data, header, path)
             if header.are_points_compressed:
                 _check_chunks(data, header.offset_to_point_data, size)
-            points = reader.read()
+            with _silent_panics():
+                points = reader.read()
         if len(points) != header.point_count:
             raise ValueError(f"{len(points)} of {header.point_count} points")
         columns = {axis: np.asarray(getattr(points, axis), np.float64) for axis in "xyz"}
@@ -52,6 +56,23 @@ def decode(data: bytes, path: Path) -> PointCloud:
     packed = "LAZ" if header.are_points_compressed else "LAS"
     columns = {name: column for name, column in columns.items() if column.ndim == 1}
     return cloud_of_columns(columns, format=f"{packed} {version}", name=stem_of(path), source=str(path))
+
+
+@contextmanager
+def _silent_panics() -> Iterator[None]:
+    """Inside, the process's stderr goes nowhere: a panic of lazrs prints there before it becomes an exception."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        kept = os.dup(2)
+    except OSError:  # it is closed
+        kept = os.dup(nowhere)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def _check_records(data: bytes) -> None:

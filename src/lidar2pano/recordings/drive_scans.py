@@ -164,6 +164,7 @@ def _recordings(path: Path) -> list[Path]:
     if not path.is_dir():
         return []
     try:
-        return sorted(file for file in path.iterdir() if file.suffix.lower() in ENDINGS and file.is_file())
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in ENDINGS and file.is_file())
+        return [file for file in files if not file.name.startswith(".")]
     except OSError as error:
         raise InputError(f"{path}: cannot be looked into ({error.strerror}); ask for permission") from error

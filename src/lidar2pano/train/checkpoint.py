@@ -35,6 +35,7 @@ from lidar2pano.models.card import Card, save
 from lidar2pano.train.recipe import Network, Recipe, resolved
 
 FREE = {f"training.{name}" for name in ("workers", "checkpoint_minutes", "preview_minutes", "validate_minutes")}
+LIMITS = ("training.steps", "training.minutes")  # may grow
 BROKEN = (SafetensorError, pickle.UnpicklingError, RuntimeError)  # RecursionError is one, too
 
 
@@ -106,10 +107,10 @@ def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]
         old, new = before.get(name), now.get(name)
         if name in FREE and old is not None and new is not None:
             continue
-        if name == "training.steps" and old is not None and new is not None and new >= old:
-            continue
-        if name == "training.minutes" and old is not None and new is not None and (new == 0 or 0 < old <= new):
-            continue
+        if name in LIMITS and isinstance(old, int | float) and isinstance(new, int | float):
+            grown = new >= old if name == "training.steps" else new == 0 or 0 < old <= new
+            if grown:
+                continue
         if old != new:
             changed.append(f"{name}: {'absent' if old is None else old} -> {'absent' if new is None else new}")
     return changed

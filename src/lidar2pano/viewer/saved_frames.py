@@ -30,7 +30,7 @@ def panorama_files(path: Path) -> list[Path]:
         found = sorted(file for file in path.iterdir() if file.suffix in ENDINGS and file.is_file())
     except OSError as error:
         raise InputError(f"{path}: cannot be looked into ({error.strerror}); ask for permission") from error
-    return [file for file in found if not file.stem.endswith(BESIDE)]
+    return [file for file in found if not file.stem.endswith(BESIDE) and not file.name.startswith(".")]
 
 
 def read_frame(path: Path) -> PageFrame:
