@@ -44,6 +44,7 @@ def run() -> Iterator[Run]:
 
     yield runs
     process.stdin.close()
+    process.stdout.close()
     process.wait()
 
 

@@ -46,6 +46,7 @@ class Options:
     sensor   name in VIEWS of the scans' rows, "" for the weights' own.
     smooth   whether a folder's or recording's panoramas are temporally smoothed.
     selection  which scans of a recording or folder;  overrides: what is known about them.
+    strict     whether a scan that no LiDAR gives is an error.
     ply        whether the points of each scan are written, too;  common: files about all panoramas.
     """
 
@@ -64,6 +65,7 @@ class Options:
     engine: str = "auto"
     image_format: str = "png"
     ply: bool = False
+    strict: bool = False
     common: OutputFiles = field(default_factory=OutputFiles)
 
     def pipeline(self) -> Pipeline:
@@ -179,6 +181,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
             try:
                 with timer("read"):
                     scan, found = waiting.read(options.overrides, like if waiting.stream == stream else None)
+                    complaints.doubt(found, waiting, options.strict)
             except InputError as error:
                 complaints.add(error, waiting)
                 advance()

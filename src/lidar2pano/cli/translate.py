@@ -73,6 +73,7 @@ EngineOption = Annotated[
 ]
 ViewOption = Annotated[bool, typer.Option("--view", help="Write DIR/view.html to look around in, and open it.")]
 PlyOption = Annotated[bool, typer.Option("--ply", help="Write DIR/<stem>.ply: the points with colours and classes.")]
+StrictOption = Annotated[bool, typer.Option("--strict", help="A scan that is as no LiDAR gives it is an error.")]
 VideoOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Write the panoramas as a video (.mp4), ten a second.")
 ]
@@ -129,6 +130,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     image_format: FormatOption = "png",
     view: ViewOption = False,
     ply: PlyOption = False,
+    strict: StrictOption = False,
     video: VideoOption = None,
     rerun: RerunOption = None,
 ) -> None:
@@ -157,6 +159,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         engine=engine,
         image_format=batch.parse_format(image_format),
         ply=ply,
+        strict=strict,
         common=common_files(out / "view.html" if view else None, scans, video, rerun),
     )
     raise typer.Exit(_translated(scans, options, follow))
