@@ -200,10 +200,12 @@ class Pipeline:
         with timer("finish"):
             colour = image[0].float().add(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
             segments, depth_m = self._finished(logits, depth_m)
+            confidence = grow_circular(scene.segments.float().amax(1, keepdim=True), 2)[0, 0]
             for left, right in translated.gaps_deg:  # nothing is claimed there
                 columns = columns_between(self.view.scaled(2), left, right)
-                segments[:, columns], depth_m[:, columns] = 0, 0.0
-            colour, segments, depth_m = (part.contiguous().cpu().numpy() for part in (colour, segments, depth_m))
+                segments[:, columns], depth_m[:, columns], confidence[:, columns] = 0, 0.0, 0.0
+            parts = (colour, segments, depth_m, confidence)
+            colour, segments, depth_m, confidence = (part.contiguous().cpu().numpy() for part in parts)
         panorama = Panorama(
             name=translated.name,
             frame=memory.frames,
@@ -211,6 +213,7 @@ class Pipeline:
             colour=colour,
             segments=segments,
             depth_m=depth_m,
+            confidence=confidence,
             labels=translated.labels.cpu().numpy(),
             dropped=translated.dropped,
             milliseconds=timer.milliseconds,

@@ -33,7 +33,7 @@ from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
 from lidar2pano.scan import Scan
 from lidar2pano.viewer.outputs import Output, OutputFiles
 
-ENDINGS = (".segments", ".depth", ".camera", ".camera-segments")  # of outputs' stems
+ENDINGS = (".segments", ".depth", ".confidence", ".camera", ".camera-segments")  # of outputs' stems
 KITTI_SIZE = "1242x375"
 MOST_PIXELS = 1 << 26  # of a camera's image
 
@@ -87,15 +87,16 @@ def parse_camera(calib: Path | None, image_size: str) -> Calibration | None:
     return read_calib(calib, size) if calib else None
 
 
-def parse_save(text: str) -> tuple[str, ...]:
-    """--save's list, in the order of OUTPUTS."""
+def parse_save(text: str, further: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """--save's list, in the order of OUTPUTS; `further` names may be in it, too, but "all" does not mean them."""
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
-        raise InputError(f"--save {text!r} names nothing; there is {', '.join(OUTPUTS)} and all")
+        raise InputError(f"--save {text!r} names nothing; there is {', '.join((*OUTPUTS, *further))} and all")
     for name in names:
-        if name not in (*OUTPUTS, "all"):
-            raise InputError(f"--save: nothing is called {name!r}{closest(name, (*OUTPUTS, 'all'))}")
-    return OUTPUTS if "all" in names else tuple(name for name in OUTPUTS if name in names)
+        if name not in (*OUTPUTS, *further, "all"):
+            raise InputError(f"--save: nothing is called {name!r}{closest(name, (*OUTPUTS, *further, 'all'))}")
+    wanted = {*names, *(OUTPUTS if "all" in names else ())}
+    return tuple(name for name in (*OUTPUTS, *further) if name in wanted)
 
 
 def parse_format(name: str) -> str:

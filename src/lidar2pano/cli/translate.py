@@ -113,7 +113,9 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     sensor: SensorOption = "",
     calib: CalibOption = None,
     image_size: Annotated[str, typer.Option(metavar="WxH", help="Size of that camera's image (1242x375).")] = "",
-    save: Annotated[str, typer.Option(metavar="LIST", help="What to write: rgb,segments,labels,depth or all.")] = "rgb",
+    save: Annotated[
+        str, typer.Option(metavar="LIST", help="What to write: rgb,segments,labels,depth or all; confidence.")
+    ] = "rgb",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per scan on stdout.")] = False,
     steady: SteadyOption = False,
     sensor_height: HeightOption = None,
@@ -142,6 +144,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.families import weight_files
+    from lidar2pano.panorama import CONFIDENCE
 
     options = batch.Options(
         out=check_folder(out, "--out"),
@@ -150,7 +153,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         weights=weights,
         files=weight_files(weights),
         sensor=sensor,
-        save=batch.parse_save(save),
+        save=batch.parse_save(save, (CONFIDENCE,)),
         as_json=as_json,
         smooth=steady,
         look=look,

@@ -16,7 +16,7 @@ from lidar2pano.viewer.page import PageFrame
 from lidar2pano.views import VIEWS, View
 
 ENDINGS = tuple(ending for ending, _ in COLOUR_FORMATS.values())
-BESIDE = (".segments", ".depth", ".camera", ".camera-segments")  # endings of the stems of other outputs
+BESIDE = (".segments", ".depth", ".confidence", ".camera", ".camera-segments")  # endings of the stems of other outputs
 PROPORTION_TOLERANCE = 0.02
 
 
