@@ -1,6 +1,7 @@
 # Everything happens in a virtual environment of the checkout's own, .venv; the first target that needs it makes it.
 #   make demo     one scan in, a panorama out          make test    the whole test suite
 #   make lint     format, lint, types, spelling        make docs    the documentation, in site/
+#   make fuzz     mutants through every reader, SECONDS=3600
 #   make dist     wheel and sdist, in dist/            make clean   remove what was made, .venv too
 # PYTHON=python3.12 chooses the interpreter; TORCH_INDEX=URL another package index for torch, such as one of CPU builds
 # (on Linux the usual index has large CUDA ones).
@@ -10,7 +11,7 @@ TORCH_INDEX ?=
 BIN := .venv/bin
 SOURCES := src tests runs docs examples
 
-.PHONY: setup demo test lint format docs dist clean
+.PHONY: setup demo test fuzz lint format docs dist clean
 
 setup: .venv/.ready
 
@@ -27,6 +28,9 @@ demo: setup
 
 test: setup
 	$(BIN)/python -m pytest
+
+fuzz: setup
+	$(BIN)/python tests/fuzz/campaign.py --replay --seconds $(or $(SECONDS),3600) --seed $(or $(SEED),0)
 
 lint: setup
 	$(BIN)/ruff format --check $(SOURCES)

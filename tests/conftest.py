@@ -85,6 +85,8 @@ _left_out = pytest.StashKey[Counter[str]]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--fuzz-seconds", type=float, default=10, help="how long mutants are tried")
+    parser.addoption("--kills", type=int, default=1, help="how often each command is killed")
     parser.addoption("--no-parity-skips", action="store_true", help="a skipped test marked `parity` fails (also: CI=1)")
 
 

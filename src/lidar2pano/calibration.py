@@ -8,9 +8,12 @@ from typing import Literal
 
 import numpy as np
 
+from lidar2pano.bounded_files import read_text
 from lidar2pano.errors import InputError
 
 ROTATION_TOLERANCE = 1e-3  # of R R^T from 1; KITTI writes 7 to 13 digits
+FARTHEST_CAMERA_M = 1000.0  # from the LiDAR
+LARGEST_PX = 1e7  # of a focal length or a principal point
 NEWTON_STEPS, NEWTON_TOLERANCE = 12, 1e-9  # of a lens's inverse; the tolerance is in focal lengths
 
 
@@ -153,19 +156,31 @@ def read_calib(path: str | Path, size: tuple[int, int] = (1242, 375)) -> Calibra
     rows = _rows(path)
     P2, Tr = (_matrix(path, rows, name) for name in ("P2", "Tr"))
     K, R = P2[:, :3], Tr[:, :3]
-    if abs(np.linalg.det(K)) < 1e-9 or K[2, 2] == 0:
-        raise InputError(f"{path}: row P2: is no camera matrix (it cannot be inverted); take the row from KITTI's file")
+    if not is_camera_matrix(K):
+        raise InputError(
+            f"{path}: row P2: is no camera matrix (fx s cx, 0 fy cy, 0 0 1); take the row from KITTI's file"
+        )
     if np.linalg.det(R) < 0 or not np.allclose(R @ R.T, np.eye(3), atol=ROTATION_TOLERANCE):
         raise InputError(f"{path}: row Tr: holds no rotation (LiDAR -> camera 0); take the row from KITTI's file")
     T = np.eye(4)
     T[:3] = Tr
     T[:3, 3] += np.linalg.solve(K, P2[:, 3])
+    if np.abs(T[:3, 3]).max() > FARTHEST_CAMERA_M:
+        raise InputError(f"{path}: the camera stands farther than {FARTHEST_CAMERA_M:g} m away; take KITTI's file")
     return Calibration(K=K / K[2, 2], T_camera_lidar=T, size=size)
+
+
+def is_camera_matrix(K: np.ndarray) -> bool:
+    """Whether K (3, 3) is a positive multiple of [fx s cx; 0 fy cy; 0 0 1], whose focal lengths are positive."""
+    if not 1e-9 < K[2, 2] < 1e9 or np.abs(K).max() > LARGEST_PX * K[2, 2]:
+        return False
+    below = np.abs([K[1, 0], K[2, 0], K[2, 1]]).max()
+    return bool(below <= 1e-9 * K[2, 2] and min(K[0, 0], K[1, 1]) > 1e-6 * K[2, 2])
 
 
 def _rows(path: Path) -> dict[str, str]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as calib.txt ({_reason(error)}); name KITTI's file") from error
     parts = (line.partition(":") for line in text.splitlines())

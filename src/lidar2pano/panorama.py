@@ -12,7 +12,14 @@ import torch
 
 from lidar2pano.calibration import Calibration, LensCalibration
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import COLOUR_FORMATS, write_colour, write_depth, write_palette, write_whole
+from lidar2pano.formats.image_files import (
+    COLOUR_FORMATS,
+    write_colour,
+    write_depth,
+    write_ids,
+    write_palette,
+    write_whole,
+)
 from lidar2pano.formats.ply_writer import write_ply
 from lidar2pano.geometry.camera import panorama_in_camera
 from lidar2pano.geometry.projection import project
@@ -21,6 +28,7 @@ from lidar2pano.scan import Scan
 from lidar2pano.views import View
 
 OUTPUTS = ("rgb", "segments", "labels", "depth")
+CONFIDENCE = "confidence"  # an output that "all" does not name
 VIEW_KEYWORD = "lidar2pano-view"  # of the text in a panorama's PNG: its View as JSON
 GREY = 128  # of points without a colour
 # A point is occluded when it is farther than the panorama's (predicted) depth at its pixel by so much.
@@ -71,6 +79,8 @@ class Panorama:
     segments      (h, w) uint8 ids of COMMON15.
     depth_m       (h, w) float32 metres from the view's origin along the ray; 0 = none (sky).
     labels        (N,) int64 ids of SEMANTIC_KITTI of the scan's points, file order.
+    confidence    (h, w) float32 in [0, 1]: the translator's probability of the class in `segments`; 0 where nothing is
+                  claimed. As the network gives it (ECE 0.05 to 0.11). None where it is not known.
     dropped       points that were not used (NaN, Inf, nearer than OWN_VEHICLE_M); they are labelled 0.
     milliseconds  time per stage.
     """
@@ -82,6 +92,7 @@ class Panorama:
     segments: np.ndarray
     depth_m: np.ndarray
     labels: np.ndarray
+    confidence: np.ndarray | None = None
     dropped: int = 0
     milliseconds: Mapping[str, float] = field(default_factory=dict)
 
@@ -150,13 +161,13 @@ class Panorama:
 
         what  of "rgb" (<stem>.png, which holds the view as text, VIEW_KEYWORD), "segments" (<stem>.segments.png,
               palette of COMMON15), "labels" (<stem>.label, raw uint32 per point), "depth" (<stem>.depth.png, 16 bit,
-              metres x 256). With a calibration also <stem>.camera.png beside rgb and <stem>.camera-segments.png beside
-              segments.
+              metres x 256), "confidence" (<stem>.confidence.png, 8 bit, 255 = certain). With a calibration also
+              <stem>.camera.png beside rgb and <stem>.camera-segments.png beside segments.
         image_format  of the colour images: "png", "webp" (.webp) or "jpeg" (.jpg), which lose a little.
         Raises InputError when a name is unknown or the folder cannot be written.
         """
         what = (what,) if isinstance(what, str) else what
-        if unknown := sorted(set(what) - set(OUTPUTS)):
+        if unknown := sorted(set(what) - {*OUTPUTS, CONFIDENCE}):
             raise InputError(f"nothing to save is called {unknown[0]!r}; there is {', '.join(OUTPUTS)}")
         if image_format not in COLOUR_FORMATS:
             raise InputError(f"no image format {image_format!r}; there is {', '.join(COLOUR_FORMATS)}")
@@ -177,4 +188,7 @@ class Panorama:
             writers[f"{stem}.label"] = lambda path: SEMANTIC_KITTI.to_raw(self.labels).astype("<u4").tofile(path)
         if "depth" in what:
             writers[f"{stem}.depth.png"] = lambda path: write_depth(path, self.depth_m)
+        if CONFIDENCE in what and self.confidence is not None:
+            levels = np.round(self.confidence * 255).astype(np.uint8)
+            writers[f"{stem}.confidence.png"] = lambda path: write_ids(path, levels)
         return [write_whole(Path(out) / name, write) for name, write in writers.items()]

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from lidar2pano.calibration import Calibration
 from lidar2pano.engines import accelerated, pick_engine
 from lidar2pano.errors import InputError
+from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import Normalisation, RangeImage, one_hot_layers, project
@@ -52,8 +53,8 @@ class Segmenter:
     @classmethod
     def from_card(cls, network: nn.Module, card: Card) -> Segmenter:
         """The segmenter that a weight file holds: `network, card = load(path)`."""
-        normalise = Normalisation(**{name: tuple(values) for name, values in card.normalisation.items()})
-        return cls(network=network, view=View(**card.views["input"]), normalise=normalise)
+        normalise = validated(Normalisation, card.normalisation, "the card's normalisation")
+        return cls(network=network, view=validated(View, card.views["input"], "the card's view"), normalise=normalise)
 
     @torch.inference_mode()
     def raster(self, image: RangeImage) -> Tensor:
@@ -205,10 +206,12 @@ class Pipeline:
         with timer("finish"):
             colour = image[0].float().add(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
             segments, depth_m = self._finished(logits, depth_m)
+            confidence = grow_circular(scene.segments.float().amax(1, keepdim=True), 2)[0, 0]
             for left, right in translated.gaps_deg:  # nothing is claimed there
                 columns = columns_between(self.view.scaled(2), left, right)
-                segments[:, columns], depth_m[:, columns] = 0, 0.0
-            colour, segments, depth_m = (part.contiguous().cpu().numpy() for part in (colour, segments, depth_m))
+                segments[:, columns], depth_m[:, columns], confidence[:, columns] = 0, 0.0, 0.0
+            parts = (colour, segments, depth_m, confidence)
+            colour, segments, depth_m, confidence = (part.contiguous().cpu().numpy() for part in parts)
         panorama = Panorama(
             name=translated.name,
             frame=memory.frames,
@@ -216,6 +219,7 @@ class Pipeline:
             colour=colour,
             segments=segments,
             depth_m=depth_m,
+            confidence=confidence,
             labels=translated.labels.cpu().numpy(),
             dropped=translated.dropped,
             milliseconds=timer.milliseconds,
@@ -308,7 +312,10 @@ def load_segmenter(file: Path, device: torch.device, engine: str = "torch") -> t
     """The segmenter of a weight file, ready for inference; InputError where the file holds something else."""
     network, card = load_part(file, device, expect="salsanext", engine=engine)
     card_view(file, card, "input")
-    return Segmenter.from_card(network, card), card
+    try:
+        return Segmenter.from_card(network, card), card
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
 
 
 def load_painter(
@@ -352,7 +359,7 @@ def made_fast(network: nn.Module) -> nn.Module:
 
 def card_view(file: Path, card: Card, role: str) -> View:
     """The raster that a card gives for `role`; InputError where it gives none that makes sense."""
-    try:
-        return View(**card.views[role])
-    except (KeyError, TypeError, ValueError):
-        raise InputError(f"{file}: its card has no view {role!r} that makes sense; fetch it or make it again") from None
+    mend = "fetch it or make it again"
+    if role not in card.views:
+        raise InputError(f"{file}: its card has no view {role!r} that makes sense; {mend}")
+    return validated(View, card.views[role], f"{file}: its card has no view {role!r} that makes sense", mend)

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from lidar2pano.errors import InputError, closest
 
 FULL_TURN = 360.0  # degrees
+MOST_PIXELS = 1 << 24  # nine times the panorama's
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +38,8 @@ class View:
         turn = self.left - self.right
         if min(self.rows, self.columns) < 1 or not self.up > self.down or not (0 < turn <= FULL_TURN or self.circular):
             raise ValueError(f"a View needs rows, columns >= 1, up > down and 0 < left - right <= 360 degrees: {self}")
+        if self.rows * self.columns > MOST_PIXELS or not all(map(math.isfinite, (self.up, self.down, *self.origin))):
+            raise ValueError(f"a View has at most {MOST_PIXELS} pixels and finite numbers: {self}")
         object.__setattr__(self, "origin", tuple(float(value) for value in self.origin))
 
     @property

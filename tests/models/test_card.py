@@ -122,7 +122,7 @@ def test_a_failing_save_leaves_the_old_file_and_nothing_else(
         raise OSError("no space left on device")
 
     monkeypatch.setattr(Path, "write_bytes" if fails == "write" else "replace", broken)
-    with pytest.raises(OSError, match="no space"):
+    with pytest.raises(InputError, match="no space"):
         _written(path)
     assert [one.name for one in tmp_path.iterdir()] == ["weights"]
     assert path.read_bytes() == before
@@ -160,16 +160,16 @@ def test_files_that_are_no_weight_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("{", "its card is not JSON"),
-        ('{"network": "titan", "hours": NaN}', "its card is not JSON (NaN"),
-        ("[" * 100_000, "its card is not JSON"),
-        ('["titan"]', "its card is not a JSON object"),
-        ("{}", "its card names no network"),
+        ("{", "its card: is no JSON"),
+        ('{"network": "titan", "hours": NaN}', "its card: is no JSON (NaN"),
+        ("[" * 100_000, "its card: is no JSON"),
+        ('["titan"]', "its card: it must be an object"),
+        ("{}", "it has no 'network'"),
         ('{"network": "titan", "recipes": ""}', "unknown field 'recipes'; did you mean 'recipe'?"),
-        ('{"network": ["titan"]}', "field 'network' is of type list"),
-        ('{"network": "titan", "settings": []}', "field 'settings' is of type list"),
-        ('{"network": "titan", "labels": 15}', "field 'labels' is of type int"),
-        ('{"network": "titan", "hours": "2"}', "field 'hours' is of type str"),
+        ('{"network": ["titan"]}', "its 'network' must be a text"),
+        ('{"network": "titan", "settings": []}', "its 'settings' must be an object"),
+        ('{"network": "titan", "labels": 15}', "its 'labels' must be a text or null"),
+        ('{"network": "titan", "hours": "2"}', "its 'hours' must be a number"),
         ('{"network": "titann"}', "no network 'titann'; did you mean 'titan'?"),
         ('{"network": "titan", "settings": {"n_classes": 3}}', "no setting 'n_classes'; did you mean 'classes'?"),
         ('{"network": "titan", "settings": {"classes": "x"}}', "cannot be built with settings {'classes': 'x'}"),

@@ -37,7 +37,6 @@ OURS = {
     "projected-critic",
     "titan-pano",
     "titan-next",
-    "painter",
 }  # nothing published to compare with
 
 # network, inputs without the batch, 10^9 multiplications, as counted on the published networks

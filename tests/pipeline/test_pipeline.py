@@ -16,6 +16,7 @@ from torch import nn
 from lidar2pano.calibration import Calibration
 from lidar2pano.cli import main
 from lidar2pano.errors import InputError
+from lidar2pano.formats.image_files import read_image
 from lidar2pano.geometry.projection import Normalisation, one_hot_layers, project
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
@@ -111,6 +112,7 @@ def test_shapes_and_types(panorama):
         "colour": ((rows, columns, 3), np.uint8),
         "segments": ((rows, columns), np.uint8),
         "depth_m": ((rows, columns), np.float32),
+        "confidence": ((rows, columns), np.float32),
         "labels": ((len(street()),), np.int64),
     }
     assert {name: (getattr(panorama, name).shape, getattr(panorama, name).dtype) for name in expected} == expected
@@ -118,6 +120,21 @@ def test_shapes_and_types(panorama):
     assert panorama.labels.max() < len(SEMANTIC_KITTI)
     assert list(panorama.milliseconds) == ["project", "segment", "clean_up", "translate", "paint", "finish"]
     assert panorama.colour.std() > 0
+
+
+def test_confidence_is_the_probability_of_the_class(pipeline, panorama, tmp_path):
+    translated = pipeline.translate(street(), Timer(pipeline.device))
+    most = translated.logits[0].float().softmax(0).amax(0)
+    assert most.min() > 1 / len(COMMON15) - 1e-6 and panorama.confidence.max() <= 1
+    inner = panorama.confidence.reshape(most.shape[0], 2, most.shape[1], 2).mean((1, 3))  # bilinear keeps means nearly
+    assert np.abs(inner - most.numpy()).mean() < 0.02
+    (path,) = panorama.save(tmp_path, "confidence")
+    assert path.name == "street.confidence.png"
+    assert np.abs(read_image(path) / 255 - panorama.confidence).max() <= 0.5 / 255 + 1e-6
+
+
+def test_nothing_is_claimed_out_of_view(pipeline):
+    assert (pipeline(replace(street(), gaps_deg=((60.0, -60.0),))).confidence == 0).any()
 
 
 def test_every_point_has_a_label_and_dropped_ones_have_none(pipeline):

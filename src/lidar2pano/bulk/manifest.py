@@ -9,6 +9,7 @@ from typing import Any
 
 from lidar2pano.bulk.entries import Shard
 from lidar2pano.bulk.stores import Store
+from lidar2pano.formats.json_files import json_lines
 
 FLUSH_S = 30.0  # how often a manifest is uploaded where files cannot grow
 FOLDER = "manifest"
@@ -93,13 +94,7 @@ def _line(record: dict[str, Any]) -> bytes:
 
 def _parsed(data: bytes) -> Iterator[dict[str, Any]]:
     """The records of whole lines; a torn one is passed over."""
-    for line in data.splitlines():
-        try:
-            record = json.loads(line)
-        except ValueError:
-            continue
-        if isinstance(record, dict) and isinstance(record.get("input"), str):
-            yield record
+    return (record for record in json_lines(data) if isinstance(record.get("input"), str))
 
 
 def _made(record: dict[str, Any]) -> bool:

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import io
+import logging
 import os
+import signal
 import sys
-from collections.abc import Iterable, Sequence
+import traceback
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -17,9 +24,23 @@ from lidar2pano.errors import InputError
 if TYPE_CHECKING:
     from lidar2pano.models.card import Card
 
-MISTAKE, BROKEN, INTERRUPTED = 2, 1, 130  # exit codes: a user's mistake; the run is lost; Ctrl-C
-EXIT_CODES = {InputError: MISTAKE, FloatingPointError: BROKEN, KeyboardInterrupt: INTERRUPTED}
+# Exit codes: a user's mistake; the run is lost (a full disk, no memory, a loss that is no number); a fault of the
+# program's own; Ctrl-C; SIGTERM.
+MISTAKE, BROKEN, FAULT, INTERRUPTED, TERMINATED = 2, 1, 70, 130, 143
 MOST_CHARACTERS = 2000  # of a message
+MOST_WORD = 400  # characters of one word of it, such as a path
+# What the system says of a name that cannot be used; anything else it refuses is no mistake of the user's.
+NAMES_ERRORS = {
+    *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM, errno.EROFS, errno.EEXIST),
+    *(errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL, errno.ENOTEMPTY, errno.EFBIG),
+}
+NO_MEMORY = ("allocate memory", "out of memory", "Cannot allocate")  # what libraries say
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM has come: what is begun is undone, as by Ctrl-C."""
+
+
 # module -> extra of the package that installs it
 EXTRAS = {
     "lightning": "train",
@@ -36,6 +57,9 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 def program(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False,
+    debug: Annotated[  # noqa: ARG001 `main` takes it, wherever it stands
+        bool, typer.Option("--debug", help="Show the traceback of an error, and warnings of libraries.")
+    ] = False,
 ) -> None:
     """One bare LiDAR scan in, a 360-degree colour picture of the place out."""
     if version:
@@ -47,41 +71,96 @@ def program(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program with `arguments` (the process's own when None) and return its exit code."""
+    """Run the program with `arguments` (the process's own when None) and return its exit code.
+
+    Whatever goes wrong becomes one line on stderr and an exit code; the traceback follows where --debug is given.
+    """
     command = get_command(app)
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # a file's name may be no text; stderr does so by itself
     words = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        # not command.main(), which handles Ctrl-C and a closed pipe in its own way
-        with command.make_context("lidar2pano", words) as context:
-            command.invoke(context)
-        sys.stdout.flush()
-    except typer.Exit as leave:
-        return leave.exit_code
-    except (Exception, KeyboardInterrupt) as error:
-        code, line = exit_status(error)
-        if not code:
-            raise
-        if line:
-            complain(line)
-        return code
+    debug = "--debug" in words
+    words = [word for word in words if word != "--debug"]
+    _open_streams()
+    with ExitStack() as stack:
+        if arguments is None:
+            stack.enter_context(_quiet(debug))
+        try:
+            # not command.main(), which handles Ctrl-C and a closed pipe in its own way
+            with command.make_context("lidar2pano", words) as context:
+                command.invoke(context)
+            sys.stdout.flush()
+        except typer.Exit as leave:
+            return leave.exit_code if _flushed() else BROKEN
+        except (Exception, KeyboardInterrupt) as error:
+            code, line = exit_status(error)
+            _flushed()
+            if debug:
+                traceback.print_exception(error)
+            if line:
+                complain(line)
+            return code
     return 0
 
 
+def _open_streams() -> None:
+    """Let output go somewhere where it was closed, and be text whatever a file is called."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None or stream.closed:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 it stays open
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _flushed() -> bool:
+    """Whether what was printed has got out; if not, the rest goes nowhere, so that leaving raises nothing."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return False
+    return True
+
+
+@contextmanager
+def _quiet(debug: bool) -> Iterator[None]:
+    """A process of its own: SIGTERM raises Terminated, and libraries' warnings are not shown unless `debug`."""
+
+    def terminate(*_: object) -> None:
+        raise Terminated("terminated")
+
+    signal.signal(signal.SIGTERM, terminate)
+    with warnings.catch_warnings():
+        if not debug and not sys.warnoptions:
+            warnings.simplefilter("ignore")
+            logging.lastResort = None
+        yield
+
+
 def exit_status(error: BaseException) -> tuple[int, str]:
-    """Exit code and line on stderr for an exception; (0, "") for a bug, which keeps its traceback."""
-    for category, code in EXIT_CODES.items():
+    """Exit code and line on stderr for an exception."""
+    known: list[tuple[type[BaseException], int, str]] = [
+        (InputError, MISTAKE, str(error)),
+        (FloatingPointError, BROKEN, str(error)),
+        (Terminated, TERMINATED, str(error)),
+        (KeyboardInterrupt, INTERRUPTED, str(error) or "interrupted"),
+        (BrokenPipeError, BROKEN, ""),  # the reader of our output has closed it, e.g. `| head`
+        (MemoryError, BROKEN, "there is not enough memory; give the program more of it, or less to do at a time"),
+    ]
+    for category, code, line in known:
         if isinstance(error, category):
-            return code, str(error) or "interrupted"
+            return code, line
     if isinstance(error, ModuleNotFoundError) and (extra := EXTRAS.get(_missing(error))):
         return MISTAKE, f"this command needs {_missing(error)}: pip install 'lidar2pano[{extra}]'"
-    if isinstance(error, BrokenPipeError):  # the reader of our output has closed it, e.g. `| head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the flush at exit goes there
-        return BROKEN, ""
     if message := getattr(error, "format_message", None):  # typer's own complaint about arguments
         return MISTAKE, f"{message().rstrip('.')}; see lidar2pano --help"
-    return 0, ""
+    if isinstance(error, RuntimeError) and any(text in str(error) for text in NO_MEMORY):
+        return exit_status(MemoryError())
+    if isinstance(error, OSError):
+        code = MISTAKE if error.errno in NAMES_ERRORS else BROKEN
+        place = f"{error.filename}: " if error.filename is not None else ""
+        return code, f"{place}the system refuses it ({error.strerror or error}); mend that and repeat the command"
+    what = f"{type(error).__name__}: {error}".partition("\n")[0]
+    return FAULT, f"a fault of the program ({what}); repeat the command with --debug and report what it prints"
 
 
 def _missing(error: ModuleNotFoundError) -> str:
@@ -98,7 +177,12 @@ def note_licence(cards: Iterable[Card]) -> None:
 
 
 def complain(problem: object) -> None:
-    """One line of printable characters on stderr, MOST_CHARACTERS at most."""
-    line = " ".join(str(problem).split())
-    line = "".join(one if one.isprintable() else "?" for one in line)
-    print(f"lidar2pano: {line if len(line) <= MOST_CHARACTERS else line[:MOST_CHARACTERS] + ' ...'}", file=sys.stderr)
+    """One line on stderr of printable characters: others are escaped, long words and long lines shortened."""
+    line = " ".join(_shortened(word) for word in str(problem).split())
+    line = "".join(one if one.isprintable() else one.encode("unicode_escape").decode() for one in line)
+    with suppress(OSError):  # stderr is full or closed
+        print(f"lidar2pano: {_shortened(line, MOST_CHARACTERS)}", file=sys.stderr, flush=True)
+
+
+def _shortened(text: str, most: int = MOST_WORD) -> str:
+    return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"

@@ -33,8 +33,9 @@ from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
 from lidar2pano.scan import Scan
 from lidar2pano.viewer.outputs import Output, OutputFiles
 
-ENDINGS = (".segments", ".depth", ".camera", ".camera-segments")  # of outputs' stems
+ENDINGS = (".segments", ".depth", ".confidence", ".camera", ".camera-segments")  # of outputs' stems
 KITTI_SIZE = "1242x375"
+MOST_PIXELS = 1 << 26  # of a camera's image
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +46,7 @@ class Options:
     sensor   name in VIEWS of the scans' rows, "" for the weights' own.
     smooth   whether a folder's or recording's panoramas are temporally smoothed.
     selection  which scans of a recording or folder;  overrides: what is known about them.
+    strict     whether a scan that no LiDAR gives is an error.
     ply        whether the points of each scan are written, too;  common: files about all panoramas.
     """
 
@@ -63,6 +65,7 @@ class Options:
     engine: str = "auto"
     image_format: str = "png"
     ply: bool = False
+    strict: bool = False
     common: OutputFiles = field(default_factory=OutputFiles)
 
     def pipeline(self) -> Pipeline:
@@ -84,15 +87,16 @@ def parse_camera(calib: Path | None, image_size: str) -> Calibration | None:
     return read_calib(calib, size) if calib else None
 
 
-def parse_save(text: str) -> tuple[str, ...]:
-    """--save's list, in the order of OUTPUTS."""
+def parse_save(text: str, further: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """--save's list, in the order of OUTPUTS; `further` names may be in it, too, but "all" does not mean them."""
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
-        raise InputError(f"--save {text!r} names nothing; there is {', '.join(OUTPUTS)} and all")
+        raise InputError(f"--save {text!r} names nothing; there is {', '.join((*OUTPUTS, *further))} and all")
     for name in names:
-        if name not in (*OUTPUTS, "all"):
-            raise InputError(f"--save: nothing is called {name!r}{closest(name, (*OUTPUTS, 'all'))}")
-    return OUTPUTS if "all" in names else tuple(name for name in OUTPUTS if name in names)
+        if name not in (*OUTPUTS, *further, "all"):
+            raise InputError(f"--save: nothing is called {name!r}{closest(name, (*OUTPUTS, *further, 'all'))}")
+    wanted = {*names, *(OUTPUTS if "all" in names else ())}
+    return tuple(name for name in (*OUTPUTS, *further) if name in wanted)
 
 
 def parse_format(name: str) -> str:
@@ -107,7 +111,10 @@ def parse_size(text: str) -> tuple[int, int]:
     found = re.fullmatch(r"([1-9]\d{0,4})[xX]([1-9]\d{0,4})", text.strip())
     if not found:
         raise InputError(f"--image-size {text!r} is not of the form WIDTHxHEIGHT in pixels, e.g. {KITTI_SIZE}")
-    return int(found[1]), int(found[2])
+    width, height = int(found[1]), int(found[2])
+    if width * height > MOST_PIXELS:
+        raise InputError(f"--image-size {text!r} has more than {MOST_PIXELS} pixels; name that of the camera's image")
+    return width, height
 
 
 def stems(files: Sequence[Path]) -> dict[Path, str]:
@@ -175,6 +182,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
             try:
                 with timer("read"):
                     scan, found = waiting.read(options.overrides, like if waiting.stream == stream else None)
+                    complaints.doubt(found, waiting, options.strict)
             except InputError as error:
                 complaints.add(error, waiting)
                 advance()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 from typer.core import TyperCommand
 
-from lidar2pano.cli.app import app, complain, note_licence
+from lidar2pano.cli.app import TERMINATED, app, complain, note_licence
 from lidar2pano.cli.translate import DeviceOption, EngineOption, WeightsOption
 from lidar2pano.errors import InputError, closest
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # (job, scans to do, whether to stop) -> the manifest's lines
 Translate = Callable[["Job", "list[Entry]", Callable[[], bool]], Iterable[dict[str, Any]]]
-BAD_SCANS, TERMINATED = 3, 143  # exit codes: some scans failed; stopped by SIGTERM
+BAD_SCANS = 3  # exit code: some scans failed
 
 
 class WithOptionalAddress(TyperCommand):

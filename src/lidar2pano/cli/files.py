@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,12 @@ def check_folder(folder: Path, option: str) -> Path:
         above = above.parent
     if not above.is_dir():
         raise InputError(f"{folder}: cannot be written ({above} is not a folder); choose another {option}")
-    if not os.access(above, os.W_OK | os.X_OK):
-        raise InputError(f"{folder}: cannot be written (no permission for {above}); choose another {option}")
-    return folder
+    try:
+        with tempfile.TemporaryFile(dir=above):  # permissions do not say everything: read-only disks, /proc
+            return folder
+    except OSError as error:
+        reason = f"{error.strerror}, in {above}"
+        raise InputError(f"{folder}: cannot be written ({reason}); choose another {option}") from error
 
 
 def check_file(path: Path, option: str) -> None:

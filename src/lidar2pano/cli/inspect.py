@@ -119,6 +119,7 @@ def lines_of(record: dict[str, Any]) -> list[str]:
     lines.append(_line("in view", f"{view_deg:g} of 360 degrees, nothing {nothing}" if gaps else "all around"))
     lines.append(_line("beams", _beams(record)))
     lines.append(_line("sensor", f"like {record['sensor']}" if record["sensor"] else "unknown"))
+    lines += [_line("doubt", text) for text in record["doubts"]]
     if record["stamp_s"] is not None:
         lines.append(_line("stamp", _stamp(record["stamp_s"])))
     if record["times_s"]:

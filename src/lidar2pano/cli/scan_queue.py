@@ -87,6 +87,7 @@ class Complaints:
 
     def __init__(self) -> None:
         self.failed = False
+        self._doubts: set[tuple[Path, str]] = set()
         self._recording: Path | None = None
         self._first, self._more = "", 0
 
@@ -100,6 +101,15 @@ class Complaints:
         else:
             self.flush()
             self._recording, self._first = scan.input, str(error)
+
+    def doubt(self, found: Interpretation, scan: QueuedScan, strict: bool) -> None:
+        """Say once for each stream what is strange about its scans; InputError if `strict`."""
+        for text in found.doubts:
+            if strict:
+                raise InputError(f"{scan.title}: {text} (an error because of --strict)")
+            if (scan.stream, text) not in self._doubts:
+                self._doubts.add((scan.stream, text))
+                complain(f"{scan.title}: {text} (a warning; --strict makes it an error)")
 
     def flush(self) -> None:
         """Report what is held back."""

@@ -76,6 +76,7 @@ EngineOption = Annotated[
 ]
 ViewOption = Annotated[bool, typer.Option("--view", help="Write DIR/view.html to look around in, and open it.")]
 PlyOption = Annotated[bool, typer.Option("--ply", help="Write DIR/<stem>.ply: the points with colours and classes.")]
+StrictOption = Annotated[bool, typer.Option("--strict", help="A scan that is as no LiDAR gives it is an error.")]
 VideoOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Write the panoramas as a video (.mp4), ten a second.")
 ]
@@ -115,7 +116,9 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     sensor: SensorOption = "",
     calib: CalibOption = None,
     image_size: Annotated[str, typer.Option(metavar="WxH", help="Size of that camera's image (1242x375).")] = "",
-    save: Annotated[str, typer.Option(metavar="LIST", help="What to write: rgb,segments,labels,depth or all.")] = "rgb",
+    save: Annotated[
+        str, typer.Option(metavar="LIST", help="What to write: rgb,segments,labels,depth or all; confidence.")
+    ] = "rgb",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per scan on stdout.")] = False,
     steady: SteadyOption = False,
     sensor_height: HeightOption = None,
@@ -132,6 +135,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     image_format: FormatOption = "png",
     view: ViewOption = False,
     ply: PlyOption = False,
+    strict: StrictOption = False,
     video: VideoOption = None,
     rerun: RerunOption = None,
 ) -> None:
@@ -143,6 +147,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.families import weight_files
+    from lidar2pano.panorama import CONFIDENCE
 
     options = batch.Options(
         out=check_folder(out, "--out"),
@@ -151,7 +156,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         weights=weights,
         files=weight_files(weights),
         sensor=sensor,
-        save=batch.parse_save(save),
+        save=batch.parse_save(save, (CONFIDENCE,)),
         as_json=as_json,
         smooth=steady,
         look=look,
@@ -160,6 +165,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         engine=engine,
         image_format=batch.parse_format(image_format),
         ply=ply,
+        strict=strict,
         common=common_files(out / "view.html" if view else None, scans, video, rerun),
     )
     raise typer.Exit(_translated(scans, options, follow))

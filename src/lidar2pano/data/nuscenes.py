@@ -15,8 +15,10 @@ import numpy as np
 
 from lidar2pano.data.frames import Frame, FrameList
 from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, matrix, moved, read_camera
+from lidar2pano.bounded_files import read_bytes
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.json_files import read_json
+from lidar2pano.formats.scan_files import MOST_BYTES
 from lidar2pano.geometry.stitching import CameraImage
 from lidar2pano.scan import Scan
 from lidar2pano.views import View
@@ -81,7 +83,7 @@ class NuscenesFrame(SurroundFrame):
 def frames(root: Path, split: str, view: View) -> FrameList[Frame]:
     """Samples of a split, in the file's order: there is only "all". InputError where there is none."""
     info = root / "info.json"
-    content = read_json(info)
+    content = read_json(info, nan=True)
     entries = content.get("data_list") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise InputError(f"{info}: has no list 'data_list' of samples; name a folder with nuScenes' info file")
@@ -105,7 +107,7 @@ def read_sweep(path: Path, name: str) -> Scan:
     InputError where the file is missing, empty or not a whole number of points.
     """
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, MOST_BYTES)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); complete the data set") from error
     if not data or len(data) % (4 * VALUES):

@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from lidar2pano.bounded_files import read_bytes
 from lidar2pano.data.frames import Frame, FrameList
 from lidar2pano.data.semantic_kitti import stems
 from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, matrix, moved, read_camera
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.scan_files import read_bin
+from lidar2pano.formats.scan_files import MOST_BYTES, read_bin
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.geometry.stitching import CameraImage
 from lidar2pano.labels import SEMANTIC_KITTI
@@ -117,9 +118,10 @@ class PandasetFrame(SurroundFrame):
         """See Frame."""
         path = self.folder / "labels_pandaset" / f"{self.stem}.label"
         try:
-            ids = np.fromfile(path, dtype="<u4")
+            data = read_bytes(path, MOST_BYTES)
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror}); complete the data set") from error
+        ids = np.frombuffer(data[: len(data) // 4 * 4], "<u4")
         if len(ids) != len(self.whole_scan):
             points = len(self.whole_scan)
             raise InputError(f"{path}: has {len(ids)} labels, but its scan {points} points; pair them again")

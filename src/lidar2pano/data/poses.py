@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from lidar2pano.bounded_files import read_text
 from lidar2pano.calibration import ROTATION_TOLERANCE, read_calib
 from lidar2pano.errors import InputError
 from lidar2pano.scan import Scan
@@ -57,7 +59,7 @@ def lidar_poses(sequence: Path) -> LidarPoses | None:
 def _read_poses(sequence: Path, changed: tuple[int, ...]) -> LidarPoses:  # noqa: ARG001 a part of the cache's key
     path = sequence / "poses.txt"
     try:
-        rows = np.loadtxt(path, ndmin=2)
+        rows = np.loadtxt(io.StringIO(read_text(path)), ndmin=2)
     except (OSError, ValueError) as error:
         raise InputError(
             f"{path}: cannot be read as poses ({error}); write 12 numbers a line, as KITTI does"
@@ -75,7 +77,7 @@ def _read_poses(sequence: Path, changed: tuple[int, ...]) -> LidarPoses:  # noqa
 def _camera0_from_lidar(sequence: Path) -> np.ndarray:
     """Tr of calib.txt; a Calibration knows it only together with the way from camera 0 to the colour camera."""
     read_calib(sequence / "calib.txt", (1, 1))  # complains about whatever is wrong with the file
-    lines = (sequence / "calib.txt").read_text(encoding="utf-8").splitlines()
+    lines = read_text(sequence / "calib.txt").splitlines()
     (row,) = [line.partition(":")[2] for line in lines if line.partition(":")[0].strip() == "Tr"]
     Tr = np.eye(4)
     Tr[:3] = np.array(row.split(), dtype=np.float64).reshape(3, 4)

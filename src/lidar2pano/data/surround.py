@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from lidar2pano.calibration import ROTATION_TOLERANCE, Calibration
+from lidar2pano.calibration import ROTATION_TOLERANCE, Calibration, is_camera_matrix
 from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
@@ -102,7 +102,7 @@ def read_camera(
 def matrix(path: Path, entry: Any, name: str, shape: tuple[int, int]) -> np.ndarray:  # noqa: ANN401 of a JSON file
     """The matrix `name` of a JSON file's entry, float64; InputError where it is missing or not of this shape.
 
-    A (4, 4) must be a motion (a rotation and a translation), a (3, 3) invertible.
+    A (4, 4) must be a motion (a rotation and a translation), a (3, 3) a camera matrix.
     """
     try:
         values = np.array(entry[name], dtype=np.float64)
@@ -114,7 +114,7 @@ def matrix(path: Path, entry: Any, name: str, shape: tuple[int, int]) -> np.ndar
         R = values[:3, :3]
         if np.linalg.det(R) < 0 or not np.allclose(R @ R.T, np.eye(3), atol=ROTATION_TOLERANCE):
             raise InputError(f"{path}: {name!r} holds no rotation; take the file from the data set")
-    elif values[0, 0] <= 0 or values[1, 1] <= 0 or abs(np.linalg.det(values)) < 1e-9:
+    elif not is_camera_matrix(values):
         raise InputError(f"{path}: {name!r} is no camera matrix; take the file from the data set")
     return values
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 from lidar2pano.data.frames import Frame
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
+from lidar2pano.formats.json_files import json_lines
 
 JOURNAL = "prepared.jsonl"  # of a sequence's folder: a line of JSON per file that `prepare` wrote
 PARTS = {"point labels": ("labels", ".label"), "camera labels": ("camera_labels", ".png")}
@@ -35,9 +35,8 @@ def pseudo_labels(frame: Frame) -> dict[str, str]:
 def _journal(path: Path) -> Mapping[str, tuple[list[Any], str]]:
     """File -> its latest [size, modification time in ns], and the teacher; damaged lines are skipped."""
     entries: dict[str, tuple[list[Any], str]] = {}
-    for line in path.read_bytes().splitlines() if path.is_file() else ():
+    for entry in json_lines(path.read_bytes()) if path.is_file() else ():
         try:
-            entry = json.loads(line)
             stamp = [entry["stamp"][name] for name in ("size", "changed_ns")]
             entries[entry["file"]] = (stamp, str(entry["made_by"]))
         except (ValueError, TypeError, KeyError):

@@ -13,6 +13,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.evaluate.camera_systems import CameraPainter, CameraRenderer, CameraTranslator, Oracle
 from lidar2pano.evaluate.interface import System, SystemInfo
 from lidar2pano.evaluate.panorama_system import NoPainter, PanoramaSystem
+from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.hardware import pick_device
 from lidar2pano.models import families
@@ -159,4 +160,4 @@ def _camera_painter(files: Mapping[str, Path], device: torch.device) -> CameraPa
 
 
 def _normalise(card: Card) -> Normalisation:
-    return Normalisation(**{name: tuple(values) for name, values in card.normalisation.items()})
+    return validated(Normalisation, card.normalisation, "the card's normalisation")

@@ -100,6 +100,9 @@ def _line_by_line(data: bytes, path: Path, width: int) -> np.ndarray:
     return np.array(rows)
 
 
+MOST_DIGITS = 19  # of a number of points
+
+
 def _preamble(data: bytes, path: Path) -> tuple[list[str], int | None, bytes]:
     """The header's names, the number of points that a line claims, and what follows them."""
     names: list[str] = []
@@ -112,7 +115,7 @@ def _preamble(data: bytes, path: Path) -> tuple[list[str], int | None, bytes]:
         cells = _cells(text.lstrip("#/ "))
         if not cells or (text.startswith(("#", "//")) and not _is_header(cells)):
             data = rest
-        elif claimed is None and len(cells) == 1 and cells[0].isdigit():
+        elif claimed is None and len(cells) == 1 and cells[0].isdecimal() and len(cells[0]) < MOST_DIGITS:
             claimed, data = int(cells[0]), rest
         elif not names and _is_header(cells):
             names, data = [AXES.get(cell.lower(), cell) for cell in cells], rest
@@ -130,7 +133,10 @@ def _cells(line: str, width: int = 0) -> list[str]:
     line = line.strip()
     for separator in (";", ",", "\t", "|"):
         if separator in line:
-            cells = next(csv.reader([line], delimiter=separator), [])
+            try:
+                cells = next(csv.reader([line], delimiter=separator), [])
+            except csv.Error:  # a bare line end within it, or a cell of 100 kB
+                return [line]
             if len(cells) > width and not cells[-1].strip():
                 cells.pop()
             return [cell.strip().strip('"') for cell in cells]

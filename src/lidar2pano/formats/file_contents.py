@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+import os
 import zlib
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import Protocol
 
+from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError
 
 HEAD_BYTES = 4096  # of a file, by which readers decide
@@ -35,7 +37,7 @@ class Inflater(Protocol):
 class GzipStream:
     """Reads gzip, of one or several members; zlib.error or EOFError where it is damaged."""
 
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: io.FileIO) -> None:
         self._file, self._left, self._member = file, b"", zlib.decompressobj(31)
 
     def read(self, size: int, /) -> bytes:
@@ -57,7 +59,7 @@ class GzipStream:
 def head_of(path: Path) -> bytes:
     """The first HEAD_BYTES, unpacked; InputError where the file cannot be read or is packed in an unknown way."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             head = file.read(HEAD_BYTES)
             for magic, packer in OTHER_PACKERS.items():
                 if head.startswith(magic):
@@ -75,9 +77,11 @@ def head_of(path: Path) -> bytes:
 def contents(path: Path) -> bytes:
     """All bytes, unpacked; InputError where the file cannot be read, is damaged or too large for a scan."""
     try:
-        if (length := path.stat().st_size) > MOST_FILE_BYTES:
-            raise InputError(f"{path}: {length} bytes are no single scan (at most {MOST_FILE_BYTES}); name a scan file")
-        with path.open("rb", buffering=0) as file:  # a buffer would be one more copy
+        with open_regular(path) as file:
+            if (length := os.fstat(file.fileno()).st_size) > MOST_FILE_BYTES:
+                raise InputError(
+                    f"{path}: {length} bytes are no single scan (at most {MOST_FILE_BYTES}); name a scan file"
+                )
             head = file.read(len(ZSTD))
             file.seek(0)
             if not head.startswith((GZIP, ZSTD)):
@@ -90,7 +94,7 @@ def contents(path: Path) -> bytes:
     return data
 
 
-def _unpacked(path: Path, file: BinaryIO, head: bytes, most: int) -> bytes:
+def _unpacked(path: Path, file: io.FileIO, head: bytes, most: int) -> bytes:
     """At most so many bytes of a packed file."""
     stream = GzipStream(file) if head.startswith(GZIP) else _zstd_stream(path, file)
     found = io.BytesIO()
@@ -104,7 +108,7 @@ def _unpacked(path: Path, file: BinaryIO, head: bytes, most: int) -> bytes:
     return found.getvalue()
 
 
-def _zstd_stream(path: Path, file: BinaryIO) -> Inflater:
+def _zstd_stream(path: Path, file: io.FileIO) -> Inflater:
     try:
         from zstandard import ZstdDecompressor
     except ModuleNotFoundError:

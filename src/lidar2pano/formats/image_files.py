@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError
 from lidar2pano.labels import COMMON15, LabelSet
 
@@ -145,7 +146,7 @@ def _sweep(folder: Path) -> None:
 @contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
     try:
-        with Image.open(path) as image:
+        with open_regular(path) as file, Image.open(file) as image:
             yield image
     except FileNotFoundError as error:
         raise InputError(f"{path}: is missing; complete the data set") from error

@@ -9,6 +9,7 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.ground_plane import Ground, blind_radii, fit_ground
+from lidar2pano.formats.plausibility import doubts_about, doubts_about_ground
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.viewpoint import horizontal_centre, sharpest_origin
 from lidar2pano.scan import Scan
@@ -78,6 +79,7 @@ class Interpretation:
     gaps_deg             sectors (left, right) of azimuth out of the field of view, counter-clockwise from forward.
     invented             whether the panorama claims what lies in the gaps.
     lowest_deg           elevation above which 99 of 100 points lie, from the cloud's origin.
+    doubts               what about the cloud is as no LiDAR gives it, a sentence each.
     """
 
     format: str
@@ -98,6 +100,7 @@ class Interpretation:
     gaps_deg: tuple[tuple[float, float], ...] = ()
     invented: bool = False
     lowest_deg: float | None = None
+    doubts: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -131,13 +134,20 @@ def interpret(
     found = replace(found, lowest_deg=_lowest(sample))
     like = like if like and _alike(found, like) else None
     remission, found = _remission(cloud, overrides, like, found)
+    doubts = doubts_about(xyz, returns, remission, rows=cloud.format.startswith("float32 rows"))
     if len(cloud) - found.no_returns >= FEWEST:
-        found = _geometry(sample, cloud, overrides, like, found)
-        xyz = _moved(xyz, returns, found)
-        found = replace(found, gaps_deg=_gaps(xyz[returns], overrides))
+        try:
+            found = _geometry(sample, cloud, overrides, like, found)
+            xyz = _moved(xyz, returns, found)
+            found = replace(found, gaps_deg=_gaps(xyz[returns], overrides))
+        except InputError as error:
+            raise InputError("; ".join([str(error), *doubts])) from None
+        if not doubts and (found.ground_m is None or found.ground_m < 0):
+            doubts = doubts_about_ground(xyz[:: max(1, len(xyz) // SAMPLE)])
     elif overrides.forward:
         found = replace(found, forward=overrides.forward, forward_by="--forward")
         xyz = _moved(xyz, returns, found)
+    found = replace(found, doubts=tuple(doubts))
     scan = Scan(
         xyz=np.ascontiguousarray(xyz, np.float32),
         remission=remission,

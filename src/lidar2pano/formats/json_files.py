@@ -1,19 +1,174 @@
-"""Reads JSON files that come from outside."""
+"""The gate for JSON from outside: bounded in size and depth, finite numbers, and typed values out of it.
+
+Everything that is read as JSON passes here once: `read_json` and `parse_json` give plain values, `validated` makes a
+dataclass of them. What has passed is not checked again.
+"""
 
 from __future__ import annotations
 
 import json
+import math
+import types
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from lidar2pano.errors import InputError
+from lidar2pano.bounded_files import MOST_TEXT_BYTES, read_bytes
+from lidar2pano.errors import InputError, closest
+
+DEEPEST = 64  # lists and objects within each other
+LARGEST = 2**63  # of whole numbers
+NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", type(None): "null"}
+T = TypeVar("T")
 
 
-def read_json(path: Path) -> Any:
-    """Read a JSON file; InputError where it is missing or no JSON."""
+def read_json(path: Path, mend: str = "complete the data set", *, nan: bool = False) -> Any:
+    """Read a JSON file; InputError where it is missing, no regular file, too large, or refused by `parse_json`."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        data = read_bytes(path, MOST_TEXT_BYTES)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); complete the data set") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no JSON ({error}); replace it") from error
+        raise InputError(f"{path}: cannot be read ({error.strerror}); {mend}") from error
+    return parse_json(data, str(path), mend, nan=nan)
+
+
+def parse_json(data: str | bytes, source: str, mend: str = "replace it", *, nan: bool = False) -> Any:
+    """The value of a JSON text; `source` is what the message of its InputError begins with.
+
+    Refused are texts over MOST_TEXT_BYTES, values nested deeper than DEEPEST, and numbers that are not finite or, whole
+    ones, beyond LARGEST.
+    nan  whether NaN and Infinity pass all the same: nuScenes' files have them in what we do not use.
+    """
+    if len(data) > MOST_TEXT_BYTES:
+        raise InputError(f"{source}: has {len(data)} characters of JSON, at most {MOST_TEXT_BYTES} are read; {mend}")
+    try:
+        value = json.loads(data, parse_constant=float if nan else _refuse, parse_float=_finite, parse_int=_whole)
+    except RecursionError:
+        raise InputError(f"{source}: is no JSON (nested too deeply); {mend}") from None
+    except ValueError as error:
+        raise InputError(f"{source}: is no JSON ({_short(error)}); {mend}") from None
+    if _depth(value) > DEEPEST:
+        raise InputError(f"{source}: is no JSON (nested too deeply); {mend}")
+    return value
+
+
+def json_lines(data: bytes) -> Iterator[dict[str, Any]]:
+    """The objects of a journal, one a line; a line that is torn, or holds anything else, is passed over."""
+    for line in data.splitlines():
+        try:
+            entry = parse_json(line, "")
+        except InputError:
+            continue
+        if isinstance(entry, dict):
+            yield entry
+
+
+def validated(cls: type[T], value: Any, source: str, mend: str = "replace it") -> T:  # noqa: ANN401
+    """An object of the dataclass `cls` from a JSON object, strictly: names and types must be those of its fields.
+
+    A whole number may stand for a fraction; nothing else is converted. A field of the type `dict` or `list` takes any.
+    Raises InputError for anything else, and where the class itself refuses a value (ValueError, TypeError).
+    """
+    try:
+        return cast(T, _of_type(cls, value, "it"))
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{source}: {_short(error)}; {mend}") from None
+
+
+def _of_type(wanted: Any, value: Any, name: str) -> Any:  # noqa: ANN401
+    origin, inner = get_origin(wanted) or wanted, get_args(wanted)
+    if origin in (Union, types.UnionType):
+        return _of_any(inner, value, name)
+    if origin in (dict, Mapping):
+        return _of_object(inner, value, name)
+    if origin in (list, tuple):
+        return _of_list(origin, inner, value, name)
+    return _of_dataclass(origin, value, name) if is_dataclass(origin) else _plain(wanted, value, name)
+
+
+def _plain(wanted: Any, value: Any, name: str) -> Any:  # noqa: ANN401
+    """A value without parts: of a Literal, or of one of NAMES."""
+    if get_origin(wanted) is Literal:
+        if not isinstance(value, str) or value not in get_args(wanted):
+            raise ValueError(f"{name} must be one of {', '.join(map(str, get_args(wanted)))}")
+    elif wanted is float and type(value) is int:
+        return float(value)
+    elif wanted is not Any and type(value) is not wanted:
+        raise ValueError(f"{name} must be {NAMES.get(wanted, wanted)}")
+    return value
+
+
+def _of_object(inner: tuple[Any, ...], value: Any, name: str) -> Any:  # noqa: ANN401
+    if not isinstance(value, dict):
+        raise ValueError(f"{name} must be an object")
+    return {key: _of_type(inner[1], part, f"{name}.{key}") for key, part in value.items()} if inner else value
+
+
+def _of_any(choices: tuple[Any, ...], value: Any, name: str) -> Any:  # noqa: ANN401
+    for choice in choices:
+        try:
+            return _of_type(choice, value, name)
+        except ValueError:
+            continue
+    raise ValueError(f"{name} must be {' or '.join(NAMES.get(choice, str(choice)) for choice in choices)}")
+
+
+def _of_list(made: type, inner: tuple[Any, ...], value: Any, name: str) -> Any:  # noqa: ANN401
+    if not isinstance(value, list):
+        raise ValueError(f"{name} must be a list")
+    if made is tuple and inner and inner[-1] is not Ellipsis:
+        if len(value) != len(inner):
+            raise ValueError(f"{name} must be a list of {len(inner)}")
+        return tuple(_of_type(one, part, name) for one, part in zip(inner, value, strict=True))
+    return made(_of_type(inner[0] if inner else Any, part, name) for part in value)
+
+
+def _of_dataclass(wanted: Any, value: Any, name: str) -> Any:  # noqa: ANN401
+    if not isinstance(value, dict):
+        raise ValueError(f"{name} must be an object")
+    hints, known = get_type_hints(wanted), {one.name: one for one in fields(wanted) if one.init}
+    if (unknown := next((key for key in value if key not in known), None)) is not None:
+        raise ValueError(f"{name} has an unknown field {unknown!r}{closest(unknown, known)}")
+    for field in known.values():
+        if field.name not in value and field.default is MISSING and field.default_factory is MISSING:
+            raise ValueError(f"{name} has no {field.name!r}")
+    return wanted(**{key: _of_type(hints[key], part, _below(name, key)) for key, part in value.items()})
+
+
+def _below(name: str, key: str) -> str:
+    return f"its {key!r}" if name == "it" else f"{name}.{key}"
+
+
+def _depth(value: Any) -> int:  # noqa: ANN401
+    """How deeply lists and objects are nested, counted level by level: one more than DEEPEST at most."""
+    level, depth = [value], 0
+    while level and depth <= DEEPEST:
+        level = [
+            part
+            for one in level
+            if isinstance(one, dict | list)
+            for part in (one.values() if isinstance(one, dict) else one)
+            if isinstance(part, dict | list)
+        ]
+        depth += 1
+    return depth
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"{constant} is not a number")
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(number := float(text)):
+        raise ValueError(f"{text[:20]} is beyond what float64 represents")
+    return number
+
+
+def _whole(text: str) -> int:
+    if len(text) > 20 or not -LARGEST <= (number := int(text)) < LARGEST:
+        raise ValueError(f"{text[:20]}... is beyond 64 bits")
+    return number
+
+
+def _short(error: Exception) -> str:
+    return str(error).partition("\n")[0]

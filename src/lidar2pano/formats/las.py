@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import io
+import os
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +14,8 @@ import numpy as np
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+
+RECORD_BYTES, EXTENDED_RECORD_BYTES = 54, 60  # of a variable length record, without what it holds
 
 
 def accepts(head: bytes, path: Path) -> bool:
@@ -25,11 +31,15 @@ def decode(data: bytes, path: Path) -> PointCloud:
     except ModuleNotFoundError:
         raise InputError(f"{path}: needs the extra 'las': pip install 'lidar2pano[las]'") from None
     try:
+        _check_records(data)
         with laspy.open(io.BytesIO(data), closefd=False, laz_backend=laspy.LazBackend.Lazrs) as reader:
             header = reader.header
             size = header.point_format.size
             _check(header.point_count, size, len(data) - header.offset_to_point_data, header, path)
-            points = reader.read()
+            if header.are_points_compressed:
+                _check_chunks(data, header.offset_to_point_data, size)
+            with _silent_panics():
+                points = reader.read()
         if len(points) != header.point_count:
             raise ValueError(f"{len(points)} of {header.point_count} points")
         columns = {axis: np.asarray(getattr(points, axis), np.float64) for axis in "xyz"}
@@ -46,6 +56,51 @@ def decode(data: bytes, path: Path) -> PointCloud:
     packed = "LAZ" if header.are_points_compressed else "LAS"
     columns = {name: column for name, column in columns.items() if column.ndim == 1}
     return cloud_of_columns(columns, format=f"{packed} {version}", name=stem_of(path), source=str(path))
+
+
+@contextmanager
+def _silent_panics() -> Iterator[None]:
+    """Inside, the process's stderr goes nowhere: a panic of lazrs prints there before it becomes an exception."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        kept = os.dup(2)
+    except OSError:  # it is closed
+        kept = os.dup(nowhere)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def _check_records(data: bytes) -> None:
+    """Refuse a header that counts more records before or behind the points than the file has room for.
+
+    LAS 1.4 R15, table 3: size of the header at byte 94, offset of the points at 96, number of records at 100; since
+    version 1.4 also place and number of extended records at 235. laspy would read them without end.
+    """
+    size, points, records = struct.unpack_from("<HII", data, 94)
+    extended = struct.unpack_from("<QI", data, 235) if data[25:26] >= b"\x04" and size >= 247 else (0, 0)
+    if records * RECORD_BYTES > min(points, len(data)) or extended[1] * EXTENDED_RECORD_BYTES > len(data):
+        raise ValueError(f"{records} and {extended[1]} records in {len(data)} bytes")
+
+
+def _check_chunks(data: bytes, start: int, size: int) -> None:
+    """Refuse a table of more chunks than the file has room for: lazrs would end the process for lack of memory.
+
+    LASzip's specification: the points begin with the table's place (-1: it is written at the file's end), the table
+    with its version and the number of chunks; a chunk begins with a whole point.
+    """
+    (table,) = struct.unpack_from("<q", data, start)
+    if table == -1:
+        (table,) = struct.unpack_from("<q", data, len(data) - 8)
+    if not start <= table <= len(data) - 8:
+        raise ValueError("its table of chunks lies outside")
+    _, chunks = struct.unpack_from("<II", data, table)
+    if chunks * size > len(data):
+        raise ValueError(f"{chunks} chunks in {len(data)} bytes")
 
 
 def _check(points: int, size: int, left: int, header: object, path: Path) -> None:

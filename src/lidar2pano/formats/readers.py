@@ -149,7 +149,7 @@ def scan_files(path: str | Path) -> list[Path]:
         if not path.is_dir():
             raise InputError(f"{path}: does not exist; name a scan file, a folder of scans or a sequence folder")
         folder = path / "velodyne" if (path / "velodyne").is_dir() else path
-        names = sorted(folder.iterdir())
+        names = sorted(name for name in folder.iterdir() if not name.name.startswith("."))
         files = [file for file in names if _ending(file) in ENDINGS and file.is_file()]
         files = files or [file for file in names if _ending(file) in TEXT_ENDINGS and _is_table(file)]
     except OSError as error:

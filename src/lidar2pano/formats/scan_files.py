@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lidar2pano.bounded_files import read_bytes
 from lidar2pano.errors import InputError
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
@@ -19,9 +20,7 @@ def read_bin(path: Path) -> Scan:
     Raises InputError when the file cannot be read, is empty, or its length is not a whole number of points.
     """
     try:
-        if (length := path.stat().st_size) > MOST_BYTES:
-            raise InputError(f"{path}: {length} bytes are no single scan (at most {MOST_BYTES}); name a scan file")
-        data = path.read_bytes()
+        data = read_bytes(path, MOST_BYTES)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); name a scan file that exists") from error
     if not data:
@@ -41,13 +40,12 @@ def read_label(path: Path, points: int) -> np.ndarray:
     Raises InputError when the file cannot be read or was made for another number of points.
     """
     try:
-        length = path.stat().st_size
-        values = np.fromfile(path, dtype="<u4", count=points)
+        data = read_bytes(path, MOST_BYTES)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); name a label file that exists") from error
-    if length != 4 * points:
-        raise InputError(f"{path}: {length} bytes, but its scan has {points} points (4 bytes each); pair them again")
-    return SEMANTIC_KITTI.from_raw(values)
+    if len(data) != 4 * points:
+        raise InputError(f"{path}: {len(data)} bytes, but its scan has {points} points (4 bytes each); pair them again")
+    return SEMANTIC_KITTI.from_raw(np.frombuffer(data, "<u4"))
 
 
 def write_bin(path: Path, scan: Scan) -> None:

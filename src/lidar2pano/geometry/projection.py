@@ -73,6 +73,11 @@ class Normalisation:
     mean: tuple[float, ...] = (12.12, 10.88, 0.23, -1.04, 0.21)
     deviation: tuple[float, ...] = (12.32, 11.47, 6.91, 0.86, 0.16)
 
+    def __post_init__(self) -> None:
+        """Refuse other than five numbers each, and deviations that are not positive (ValueError)."""
+        if len(self.mean) != 5 or len(self.deviation) != 5 or min(self.deviation) <= 0:
+            raise ValueError("normalisation needs a mean and a positive deviation for each of 5 channels")
+
     def __call__(self, image: RangeImage) -> Tensor:
         """(5, H, W) float32: normalised, then zero where empty."""
         mean = image.channels.new_tensor(self.mean)[:, None, None]

@@ -36,7 +36,7 @@ MODELS: dict[str, type[nn.Module]] = {
 
 
 def build(name: str, **settings: object) -> nn.Module:
-    """A network of MODELS with fresh weights; an unknown name or setting raises InputError.
+    """A network of MODELS with fresh weights; InputError for an unknown name, and settings that make no network.
 
     >>> build("salsanext", classes=20)
     """
@@ -45,4 +45,14 @@ def build(name: str, **settings: object) -> nn.Module:
     known = MODELS[name].__init__.__annotations__.keys() - {"return"}
     if unknown := [setting for setting in settings if setting not in known]:
         raise InputError(f"network {name!r} has no setting {unknown[0]!r}{closest(unknown[0], known)}")
-    return MODELS[name](**settings)
+    try:
+        network = MODELS[name](**settings)
+    except InputError:
+        raise
+    except (TypeError, ValueError, RuntimeError, ArithmeticError, LookupError, AttributeError) as error:
+        raise InputError(
+            f"network {name!r} cannot be built with settings {settings} ({type(error).__name__})"
+        ) from None
+    if empty := next((key for key, weight in network.named_parameters() if not weight.numel()), None):
+        raise InputError(f"network {name!r} with settings {settings} has nothing in {empty!r}; choose larger sizes")
+    return network

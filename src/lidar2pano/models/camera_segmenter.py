@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats.json_files import validated
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.models.card import Card
@@ -32,6 +33,11 @@ class ImageNormalisation:
 
     mean: tuple[float, ...] = (0.485, 0.456, 0.406)
     deviation: tuple[float, ...] = (0.229, 0.224, 0.225)
+
+    def __post_init__(self) -> None:
+        """Refuse other than three numbers each, and deviations that are not positive (ValueError)."""
+        if len(self.mean) != 3 or len(self.deviation) != 3 or min(self.deviation) <= 0:
+            raise ValueError("normalisation needs a mean and a positive deviation for each of 3 channels")
 
     def __call__(self, images: Tensor) -> Tensor:
         """(..., 3, h, w) uint8 RGB -> float32, normalised."""
@@ -70,7 +76,7 @@ class CameraSegmenter:
                 f"weights of network {card.network!r} speak {card.labels!r}, not {CITYSCAPES.name!r}: "
                 "they cannot label cameras; name others"
             )
-        normalise = ImageNormalisation(**{name: tuple(values) for name, values in card.normalisation.items()})
+        normalise = validated(ImageNormalisation, card.normalisation, "the card's normalisation")
         return cls(network=network, normalise=normalise, scales=scales)
 
     @torch.inference_mode()

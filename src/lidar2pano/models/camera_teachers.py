@@ -10,7 +10,6 @@ Deviates  from the image processors of `transformers`: pictures are taken at the
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate, pad
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats.json_files import read_json
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.models.camera_segmenter import ImageNormalisation
 
@@ -177,10 +177,7 @@ def _quiet(transformers: Any) -> Iterator[None]:  # noqa: ANN401
 
 
 def _json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as settings of a model; name the folder of a whole one") from error
+    content = read_json(path, "name the folder of a whole model")
     if not isinstance(content, dict):
         raise InputError(f"{path}: are no settings of a model; name the folder of a whole one")
     return content

@@ -9,12 +9,16 @@ from __future__ import annotations
 
 import hashlib
 import json
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from lidar2pano.bounded_files import open_regular, read_bytes
 from lidar2pano.errors import InputError
+from lidar2pano.formats.json_files import json_lines, validated
 
 NAME = "prepared.jsonl"
+MOST_BYTES = 1 << 28  # a quarter of a million files
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,12 +52,13 @@ class Journal:
         self.path = folder / NAME
         self._of: dict[str, list[Record]] = {}
         try:
-            content = self.path.read_bytes() if self.path.is_file() else b""
+            content = read_bytes(self.path, MOST_BYTES) if self.path.is_file() else b""
         except OSError as error:
             raise InputError(f"{self.path}: cannot be read ({error.strerror}); ask for permission") from error
         self._torn = bool(content) and not content.endswith(b"\n")
-        for line in content.splitlines():
-            if record := _parsed(line):
+        for entry in json_lines(content):
+            with suppress(InputError):
+                record = validated(Record, entry, "")
                 self._of.setdefault(record.file, []).append(record)
 
     def of(self, file: str) -> list[Record]:
@@ -69,16 +74,6 @@ class Journal:
         self._of.setdefault(record.file, []).append(record)
 
 
-def _parsed(line: bytes) -> Record | None:
-    try:
-        entry = json.loads(line)
-        record = Record(**entry | {name: Stamp(**entry[name]) for name in ("source", "stamp")})
-    except (ValueError, TypeError, KeyError):
-        return None
-    texts = (record.file, record.made_by, record.source.sha256, record.stamp.sha256)
-    return record if all(isinstance(text, str) for text in texts) else None
-
-
 def stamp_of(path: Path, known: Stamp | None = None) -> Stamp:
     """The stamp of a file: `known` where its size and time of change still hold, otherwise read again.
 
@@ -88,7 +83,7 @@ def stamp_of(path: Path, known: Stamp | None = None) -> Stamp:
         now = path.stat()
         if known and (now.st_size, now.st_mtime_ns) == (known.size, known.changed_ns):
             return known
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); ask for permission") from error

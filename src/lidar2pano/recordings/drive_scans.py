@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from lidar2pano.bounded_files import read_text
 from lidar2pano.errors import InputError
 from lidar2pano.formats import readers
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
+from lidar2pano.formats.json_files import read_json
 from lidar2pano.formats.readers import ReadOptions, scan_files
 from lidar2pano.recordings.recorded_scans import ENDINGS, METADATA, none_within, recording_reader
 from lidar2pano.scan import Scan
@@ -139,9 +140,10 @@ def times(files: Sequence[Path]) -> list[float] | None:
 def _listed(path: Path, files: Sequence[Path]) -> list[float]:
     """The line of a file of times that each scan's number names, from 0; the n-th for scans without numbers."""
     try:
-        text = path.read_text(encoding="utf-8")
-        lines = json.loads(text) if path.suffix == ".json" else text.split("\n")
+        lines = read_json(path) if path.suffix == ".json" else read_text(path).split("\n")
         stamps_s = [_seconds(line) for line in lines if str(line).strip()]
+    except InputError:
+        raise
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"{path}: cannot be read as times ({error}); write one a line, in seconds") from error
     stems = [stem_of(file) for file in files]
@@ -162,6 +164,7 @@ def _recordings(path: Path) -> list[Path]:
     if not path.is_dir():
         return []
     try:
-        return sorted(file for file in path.iterdir() if file.suffix.lower() in ENDINGS and file.is_file())
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in ENDINGS and file.is_file())
+        return [file for file in files if not file.name.startswith(".")]
     except OSError as error:
         raise InputError(f"{path}: cannot be looked into ({error.strerror}); ask for permission") from error

@@ -14,6 +14,7 @@ from lidar2pano.data.frames import frames
 from lidar2pano.data.semantic_kitti import SEQUENCES
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.json_files import read_json
 from lidar2pano.reproduce.paper_tables import ROWS, PaperRow
 from lidar2pano.train.options import ScenePaintingOptions, VideoOptions
 from lidar2pano.train.recipe import Recipe, override
@@ -152,6 +153,9 @@ def _frames_by_split(plan: Plan) -> dict[str, list[str]]:
     return lists
 
 
+MOST_BUDGET = 1e7  # seconds, minutes, hours or steps
+
+
 def budget(text: str) -> list[str]:
     """Changes of a recipe that give it "90s", "20m", "2h" or "5000steps"; InputError for other text."""
     if not text:
@@ -161,7 +165,7 @@ def budget(text: str) -> list[str]:
         amount = float(found[1]) if found else 0.0
     except ValueError:
         amount = 0.0
-    if not found or amount <= 0:
+    if not found or not 0 < amount <= MOST_BUDGET:
         raise InputError(f"--budget {text!r} is not of the form 90s, 20m, 2h or 5000steps")
     if found[2] == "steps":
         return [f"training.steps={int(amount)}", "training.epochs=0", "training.minutes=0"]
@@ -173,7 +177,7 @@ def splits(root: Path) -> set[str]:
     listing = root / "splits.json"
     if not listing.is_file():
         return set(SEQUENCES)
-    try:
-        return set(json.loads(listing.read_text(encoding="utf-8")))
-    except ValueError as error:
-        raise InputError(f"{listing}: is no JSON ({error}); write split -> list of seq/NNNNNN") from error
+    found = read_json(listing, "write split -> list of seq/NNNNNN")
+    if not isinstance(found, dict):
+        raise InputError(f"{listing}: must be an object of split -> list of seq/NNNNNN; write it so")
+    return set(found)

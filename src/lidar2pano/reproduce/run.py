@@ -14,6 +14,7 @@ from lidar2pano.data.frames import FrameList, frames
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import MetricConfig, score, system
 from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.json_files import read_json
 from lidar2pano.hardware import Timer, pick_device
 from lidar2pano.models import build
 from lidar2pano.models.camera_segmenter import CameraSegmenter, ImageNormalisation
@@ -131,10 +132,10 @@ def score_row(
     key = _key(plan, row, files, scored, config)
     if path.is_file():
         try:
-            held = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError:
-            held = {}  # damaged: scored again
-        if held.get("key") == key:
+            held = read_json(path)
+        except InputError:
+            held = None  # damaged: scored again
+        if isinstance(held, dict) and held.get("key") == key and isinstance(held.get("result"), dict):
             return held["result"]
     log.info("scoring %s", row.name)
     one = system(plan.chain(row), device=plan.device)

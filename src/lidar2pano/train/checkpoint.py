@@ -18,7 +18,6 @@ import subprocess
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +29,13 @@ from torch import Tensor, nn
 from lidar2pano import __version__
 from lidar2pano.data.frames import located
 from lidar2pano.errors import InputError
+from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.json_files import read_json, validated
 from lidar2pano.models.card import Card, save
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, resolved
 
 FREE = {f"training.{name}" for name in ("workers", "checkpoint_minutes", "preview_minutes", "validate_minutes")}
+LIMITS = ("training.steps", "training.epochs", "training.minutes")  # may grow
 BROKEN = (SafetensorError, pickle.UnpicklingError, RuntimeError)  # RecursionError is one, too
 
 
@@ -53,13 +55,9 @@ class Progress:
     best: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what no run writes (TypeError)."""
-        counts = (self.step, self.validated, self.finished)
-        score = 0.0 if self.best is None else self.best
-        if not all(isinstance(count, int) for count in counts) or self.step < 0:
-            raise TypeError("counts of steps are not whole numbers")
-        if not all(isinstance(number, int | float) and isfinite(number) for number in (self.seconds, score)):
-            raise TypeError("seconds or score is no number")
+        """Refuse what no run writes (ValueError)."""
+        if min(self.step, self.seconds) < 0 or min(self.validated, self.finished) < -1:
+            raise ValueError("counts of steps or seconds are negative")
 
 
 def check_recipe(run: Path, recipe: Recipe) -> None:
@@ -77,12 +75,11 @@ def check_recipe(run: Path, recipe: Recipe) -> None:
     path = run / "recipe.json"
     if not path.exists() or not _checkpoints(run):
         return
-    try:
-        before = _flat(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, AttributeError, RecursionError):
-        raise InputError(f"{path} is damaged; repair it or train into another folder") from None
+    before = read_json(path, "repair it or train into another folder")
+    if not isinstance(before, dict):
+        raise InputError(f"{path}: holds no recipe; repair it or train into another folder")
     now = _flat(resolved(recipe))
-    if changed := _differences(_defaults(recipe) | before, now):  # recipes had fewer values when the run began
+    if changed := _differences(_defaults(recipe) | _flat(before), now):  # recipes had fewer values when the run began
         raise InputError(
             f"{run} holds a run of another recipe ({'; '.join(changed)}); "
             "repeat the command as it was or train into another folder"
@@ -91,10 +88,8 @@ def check_recipe(run: Path, recipe: Recipe) -> None:
 
 def write_recipe(run: Path, recipe: Recipe) -> None:
     """Write every value of the recipe to RUN/recipe.json."""
-    beside = run / ".recipe.json"
-    with writing(beside):
-        beside.write_text(json.dumps(resolved(recipe), indent=2) + "\n", encoding="utf-8")
-        beside.replace(run / "recipe.json")
+    text = json.dumps(resolved(recipe), indent=2) + "\n"
+    write_whole(run / "recipe.json", lambda beside: beside.write_text(text, encoding="utf-8"))
 
 
 def _flat(tree: Mapping[str, Any], above: str = "") -> dict[str, Any]:
@@ -119,10 +114,10 @@ def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]
         old, new = before.get(name), now.get(name)
         if name in FREE and old is not None and new is not None:
             continue
-        if name in ("training.steps", "training.epochs") and old is not None and new is not None and new >= old > 0:
-            continue
-        if name == "training.minutes" and old is not None and new is not None and (new == 0 or 0 < old <= new):
-            continue
+        if name in LIMITS and isinstance(old, int | float) and isinstance(new, int | float):
+            grown = new == 0 or 0 < old <= new if name == "training.minutes" else new >= old > 0
+            if grown:
+                continue
         if old != new:
             changed.append(f"{name}: {'absent' if old is None else old} -> {'absent' if new is None else new}")
     return changed
@@ -193,9 +188,11 @@ def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, d
         return None
     newest = max(found, key=lambda path: (int(path.stem), path.suffix == ""))
     try:
-        progress = Progress(**json.loads((newest / "state.json").read_text(encoding="utf-8")))
+        progress = validated(Progress, read_json(newest / "state.json"), "its state.json")
         weights = load_file(newest / "weights.safetensors")
         optimizers = torch.load(newest / "optimizers.pt", map_location="cpu", weights_only=True)
+    except InputError as error:
+        raise InputError(f"{newest}: is damaged ({error}); remove it to start again") from None
     except (OSError, EOFError, ValueError, LookupError, TypeError, *BROKEN) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{newest} is damaged ({reason}); remove it to start again") from None

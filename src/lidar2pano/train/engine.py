@@ -8,8 +8,9 @@ pass, and networks whose gradients are discarded then need no special care (Styl
 from __future__ import annotations
 
 import inspect
+import logging
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from datetime import timedelta
 from math import inf, isfinite
@@ -50,6 +51,9 @@ try:
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("training needs lightning: pip install 'lidar2pano[train]'") from error
 
+for _library in ("lightning.fabric", "lightning.pytorch"):  # their remarks are no messages for users
+    logging.getLogger(_library).setLevel(logging.ERROR)
+
 LAST = ("", torch.zeros(()))  # what follows a task's last update
 VALIDATION_LIMIT = timedelta(hours=2)  # the other processes wait at most this long for the one that validates
 SAVING_SHARE, PREVIEW_SHARE, VALIDATION_SHARE = 0.05, 0.05, 0.15  # of the time, at most, go into each of these
@@ -77,7 +81,12 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
     )
     fabric.launch()
     seed_step(training.seed, 0, -1)  # fresh weights: the same in every process
-    task = build_task(recipe, root)
+    try:
+        task = build_task(recipe, root)
+    except InputError:
+        with suppress(OSError):  # a folder that holds a run stays
+            out.rmdir()
+        raise
     if fabric.is_global_zero:
         write_recipe(out, recipe)
     predict_all(task, fabric.device, fabric.global_rank, fabric.world_size)

@@ -16,6 +16,8 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Column
 from torch import Tensor
 
+from lidar2pano.formats.image_files import write_whole
+
 log = logging.getLogger(__name__)
 SHOW_EVERY_S = 1.0  # the bar
 LOG_EVERY_S = 20.0  # a line in the log, where there is no terminal
@@ -99,8 +101,7 @@ class Monitor:
         folder.mkdir(exist_ok=True)
         for name, image in images.items():
             path = folder / f"{step:07d}-{name}.png"
-            Image.fromarray(image).save(beside := path.with_suffix(".part"), format="png")
-            beside.replace(path)
+            write_whole(path, lambda beside, image=image: Image.fromarray(image).save(beside, format="png"))
             self.curves.add_image(name, image, step, dataformats="HWC")
 
     def close(self) -> None:

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 from typing import ClassVar, Literal
 
 from lidar2pano.errors import InputError
 
+LARGEST_SIZE = 65_536  # pixels, channels, samples
+LARGEST = 1e6  # of weights of losses, degrees, exponents, minutes
 
-def check_least(owner: str, least: float, **values: float | tuple[float, ...]) -> None:
-    """Raise InputError for the first value (or part of a tuple) that is not finite or is below `least`."""
+
+def check_range(owner: str, least: float, most: float, **values: float | tuple[float, ...]) -> None:
+    """Raise InputError for the first value (or part of a tuple) that does not lie between `least` and `most`."""
     for name, value in values.items():
         for number in value if isinstance(value, tuple) else (value,):
-            if not least <= number < math.inf:
-                raise InputError(f"{owner}.{name}={number:g} must be at least {least:g}")
+            if not least <= number <= most:
+                raise InputError(f"{owner}.{name}={number:g} must be at least {least:g} and at most {most:g}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskOptions:
-    """Options of one task; numbers are not negative, and names that end in _probability hold at most 1.
+    """Options of one task; numbers lie between 0 and LARGEST, those whose names end in _probability at most at 1.
 
-    task   the task's name in `tasks.TASKS`;  SIZES: names of the options that must be at least 1.
+    task   the task's name in `tasks.TASKS`;  SIZES: names of sizes, 1 to LARGEST_SIZE.
     """
 
     task: ClassVar[str]
@@ -34,9 +36,10 @@ class TaskOptions:
             numbers = value if isinstance(value, tuple) else (value,)
             if not all(isinstance(number, int | float) for number in numbers):
                 continue
-            check_least("options", 1 if name in self.SIZES else 0, **{name: numbers})
-            if name.endswith("_probability") and max(numbers) > 1:
-                raise InputError(f"options.{name}={value} must be at most 1")
+            least, most = (1, LARGEST_SIZE) if name in self.SIZES else (0, LARGEST)
+            if name.endswith("_probability"):
+                most = 1
+            check_range("options", least, most, **{name: numbers})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +94,13 @@ class CameraSegmentationOptions(TaskOptions):
     lovasz: float = 1.0
     auxiliary: float = 0.4
     per_scale: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Refuse what TaskOptions refuses, and sizes that are none (InputError)."""
+        super().__post_init__()
+        check_range("options", 0.01, self.scale_max, scale_min=self.scale_min)
+        check_range("options", self.scale_min, 16, scale_max=self.scale_max)
+        check_range("options", 0, 1, colour_jitter=self.colour_jitter)
 
 
 @dataclass(frozen=True, kw_only=True)

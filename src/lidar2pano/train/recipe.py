@@ -7,12 +7,14 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Generic, Literal, TypeVar
 
 from lidar2pano.errors import InputError, closest
-from lidar2pano.train.options import TaskOptions, check_least
+from lidar2pano.train.options import LARGEST, LARGEST_SIZE, TaskOptions, check_range
 from lidar2pano.train.overrides import changed
 from lidar2pano.views import VIEWS
 
 Options_co = TypeVar("Options_co", bound=TaskOptions, covariant=True)
-LARGEST_BATCH = 65_536
+LARGEST_RATE = 10.0  # of learning; the recipes' are below 0.01
+MOST_STEPS = 1e9
+MOST_WORKERS = 1024
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,10 +39,9 @@ class Optimizer:
 
     def __post_init__(self) -> None:
         """Refuse values out of range (InputError)."""
-        rest = {"weight_decay": self.weight_decay, "warmup": self.warmup, "clip": self.clip, "final": self.final}
-        check_least("optimizer", 0, rate=self.rate, betas=self.betas, **rest)
-        if max(self.betas) >= 1:
-            raise InputError(f"optimizer.betas={self.betas} must be below 1")
+        check_range("optimizer", 0, LARGEST_RATE, rate=self.rate, weight_decay=self.weight_decay, final=self.final)
+        check_range("optimizer", 0, MOST_STEPS, warmup=self.warmup, clip=self.clip)
+        check_range("optimizer", 0, 1 - 1e-9, betas=self.betas)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +52,13 @@ class Network:
     settings: Mapping[str, Any] = field(default_factory=dict)
     optimizer: Optimizer = field(default_factory=Optimizer)
     start: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse settings beyond what any network has (InputError); the network itself knows what it can be."""
+        for name, value in self.settings.items():
+            numbers = tuple(value) if isinstance(value, list | tuple) else (value,)
+            if all(isinstance(number, int | float) for number in numbers):
+                check_range("settings", -LARGEST, LARGEST_SIZE, **{name: numbers})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,15 +106,13 @@ class Training:
 
     def __post_init__(self) -> None:
         """Refuse values out of range (InputError); `device.shared` compares batch and accumulate."""
-        check_least("training", 1, steps=self.steps, batch=self.batch, accumulate=self.accumulate)
-        check_least("training", 0, workers=self.workers, seed=self.seed, ema=self.ema)
-        check_least("training", 0, minutes=self.minutes, epochs=self.epochs)
-        checkpoint, preview, validate = self.checkpoint_minutes, self.preview_minutes, self.validate_minutes
-        check_least("training", 0, checkpoint_minutes=checkpoint, preview_minutes=preview, validate_minutes=validate)
-        if self.batch > LARGEST_BATCH:
-            raise InputError(f"training.batch={self.batch} must be at most {LARGEST_BATCH}")
-        if self.ema >= 1:
-            raise InputError(f"training.ema={self.ema} must be below 1")
+        check_range("training", 1, MOST_STEPS, steps=self.steps)
+        check_range("training", 1, LARGEST_SIZE, batch=self.batch, accumulate=self.accumulate)
+        check_range("training", 0, MOST_WORKERS, workers=self.workers)
+        check_range("training", 0, 2**53, seed=self.seed)
+        check_range("training", 0, 1 - 1e-9, ema=self.ema)
+        minutes = ("minutes", "epochs", "checkpoint_minutes", "preview_minutes", "validate_minutes")
+        check_range("training", 0, LARGEST, **{name: getattr(self, name) for name in minutes})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +137,11 @@ class Recipe(Generic[Options_co]):
         """Refuse an unknown view and a raster without pixels (InputError)."""
         if self.view not in VIEWS:
             raise InputError(f"no view {self.view!r}{closest(self.view, VIEWS)}")
-        check_least("recipe", 1e-3, scale=self.scale)
+        check_range("recipe", 1e-3, 64, scale=self.scale)
+        try:
+            VIEWS[self.view].scaled(self.scale)
+        except ValueError:
+            raise InputError(f"recipe.scale={self.scale:g} makes no raster of {self.view!r}; choose another") from None
 
     @property
     def task(self) -> str:

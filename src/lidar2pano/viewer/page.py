@@ -7,6 +7,7 @@ import hashlib
 import html
 import json
 import math
+import os
 import pickle
 import shutil
 import tempfile
@@ -69,7 +70,7 @@ class PageFrame:
 
 def title_of(paths: Sequence[Path]) -> str:
     """The page's title for what a user named: the first one, without the folders far above it, and how many more."""
-    first = Path(*paths[0].resolve().parts[-2:]).as_posix().lstrip("/")
+    first = Path(*Path(os.path.realpath(paths[0])).parts[-2:]).as_posix().lstrip("/")
     return first if len(paths) == 1 else f"{first} and {len(paths) - 1} more"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,13 +9,14 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import COLOUR_FORMATS, DEPTH_STEPS, image_size, image_text, read_image
+from lidar2pano.formats.json_files import parse_json, validated
 from lidar2pano.formats.readers import ReadOptions, open_path
 from lidar2pano.panorama import VIEW_KEYWORD
 from lidar2pano.viewer.page import PageFrame
 from lidar2pano.views import VIEWS, View
 
 ENDINGS = tuple(ending for ending, _ in COLOUR_FORMATS.values())
-BESIDE = (".segments", ".depth", ".camera", ".camera-segments")  # endings of the stems of other outputs
+BESIDE = (".segments", ".depth", ".confidence", ".camera", ".camera-segments")  # endings of the stems of other outputs
 PROPORTION_TOLERANCE = 0.02
 
 
@@ -30,7 +30,7 @@ def panorama_files(path: Path) -> list[Path]:
         found = sorted(file for file in path.iterdir() if file.suffix in ENDINGS and file.is_file())
     except OSError as error:
         raise InputError(f"{path}: cannot be looked into ({error.strerror}); ask for permission") from error
-    return [file for file in found if not file.stem.endswith(BESIDE)]
+    return [file for file in found if not file.stem.endswith(BESIDE) and not file.name.startswith(".")]
 
 
 def read_frame(path: Path) -> PageFrame:
@@ -57,9 +57,9 @@ def saved_view(path: Path) -> View:
     """
     width, height = image_size(path)
     try:
-        written = View(**json.loads(image_text(path)[VIEW_KEYWORD]))
+        written = validated(View, parse_json(image_text(path)[VIEW_KEYWORD], str(path)), str(path))
         return replace(written, rows=height, columns=width)
-    except (KeyError, TypeError, ValueError, RecursionError):  # no text, or another program's
+    except (KeyError, ValueError):  # no text, or another program's
         pass
     usual = VIEWS["panorama"]
     if abs(width * usual.rows / (height * usual.columns) - 1) > PROPORTION_TOLERANCE:

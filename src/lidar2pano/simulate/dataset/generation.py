@@ -17,8 +17,9 @@ from typing import NamedTuple
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
-from lidar2pano.simulate.dataset.settings import WorldSettings, claim_folder
+from lidar2pano.simulate.dataset.settings import MOST_FRAMES, WorldSettings, claim_folder
 
+MOST_PROCESSES = 1024
 RANGE_LENGTH = 5  # frames of one task of a process, at most
 
 
@@ -38,8 +39,10 @@ def generate(out: Path, settings: WorldSettings, sequences: int, processes: int)
     Frames whose files all exist are kept. Raises InputError where `out` holds another world or cannot be written, and
     where a process was killed.
     """
-    if sequences < 1 or processes < 1:
-        raise InputError("--sequences and --processes must be at least 1")
+    if sequences < 1 or not 1 <= processes <= MOST_PROCESSES:
+        raise InputError(f"--sequences and --processes must be at least 1, processes at most {MOST_PROCESSES}")
+    if sequences * settings.frames > MOST_FRAMES:
+        raise InputError(f"--sequences x --frames must be at most {MOST_FRAMES}")
     claim_folder(out, settings)
     _write_splits(out, sequences, settings.frames)
     ranges = [

@@ -12,6 +12,7 @@ import numpy as np
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.json_files import read_json
 from lidar2pano.simulate.layout.places import PLACES
 from lidar2pano.simulate.lidar.sensor_models import SENSOR_MODELS
 from lidar2pano.simulate.render.looks import LOOKS
@@ -20,6 +21,7 @@ from lidar2pano.views import KITTI_CAMERA, VIEWS, View
 SAVES = ("camera", "panorama")
 FORMAT = 2  # raised when the same settings give another world
 IMAGE = (1242, 375)
+MOST_FRAMES = 1_000_000  # of a world: some terabytes
 # KITTI's colour camera: focal length and principal point in pixels, tilt as on its car.
 K = np.array([[721.5377, 0.0, 609.5593], [0.0, 721.5377, 172.854], [0.0, 0.0, 1.0]])
 PITCH, ROLL = 0.0104, 0.0104  # radians: upwards, and to the side
@@ -44,8 +46,10 @@ class WorldSettings:
 
     def __post_init__(self) -> None:
         """Raise InputError for values out of range and unknown names."""
-        if self.frames < 1:
-            raise InputError("--frames must be at least 1")
+        if not 1 <= self.frames <= MOST_FRAMES:
+            raise InputError(f"--frames must be at least 1 and at most {MOST_FRAMES}")
+        if not 0 <= self.seed < 2**63:
+            raise InputError(f"--seed must be at least 0 and at most {2**63 - 1}")
         if not 0.1 <= self.hz <= 100:
             raise InputError("--hz must lie between 0.1 and 100 frames a second")
         for value, table, option in (
@@ -91,10 +95,9 @@ def claim_folder(out: Path, settings: WorldSettings) -> None:
     """Write world.json into the folder; InputError where it holds a world of other settings or other data."""
     card, wanted = out / "world.json", settings.as_dict()
     if card.is_file():
-        try:
-            found = json.loads(card.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise InputError(f"{card}: is no JSON; remove it, or choose another folder") from error
+        found = read_json(card, "remove it, or choose another folder")
+        if not isinstance(found, dict):
+            raise InputError(f"{card}: holds no settings of a world; remove it, or choose another folder")
         if changed := [key for key in wanted if found.get(key) != wanted[key]]:
             was = ", ".join(f"{key}={found.get(key)!r}" for key in changed)
             raise InputError(f"{out}: holds another world ({was}); repeat its settings, or choose another folder")

@@ -1,0 +1,40 @@
+"""Files from outside, opened only where they are regular files and read only up to a size.
+
+All functions raise OSError, with a `strerror` that says what is wrong; callers add which file it should have been.
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import stat
+from pathlib import Path
+
+MOST_TEXT_BYTES = 1 << 26  # of JSON, calibrations, poses, times: 64 MiB list a million frames
+
+
+def open_regular(path: str | Path) -> io.FileIO:
+    """Open a file to read it; a folder, device, FIFO or socket raises OSError at once instead of blocking."""
+    file = io.FileIO(os.fspath(path), "rb", opener=_without_waiting)
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError(errno.EINVAL, "it is a device, FIFO or socket, no file", str(path))
+    return file
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # a FIFO without a writer would wait for one
+
+
+def read_bytes(path: str | Path, most: int) -> bytes:
+    """All bytes of a regular file; one of more than `most` bytes, sparse or not, raises OSError before it is read."""
+    with open_regular(path) as file:
+        if (size := os.fstat(file.fileno()).st_size) > most:
+            raise OSError(errno.EFBIG, f"it has {size} bytes, at most {most} belong there", str(path))
+        return file.readall()
+
+
+def read_text(path: str | Path, most: int = MOST_TEXT_BYTES) -> str:
+    """The text of a regular file in UTF-8; raises UnicodeDecodeError (a ValueError), and OSError as `read_bytes`."""
+    return read_bytes(path, most).decode("utf-8")

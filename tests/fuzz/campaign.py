@@ -1,0 +1,121 @@
+"""A campaign: mutants for so many seconds, in turn over all targets; each fault is kept in corpus/.
+
+    .venv/bin/python tests/fuzz/campaign.py --seconds 3600 [--seed 7] [--target "scan binary.pcd"]
+
+A file of the corpus is called TARGET--HASH; `test_fuzz.py` tries all of them first, whatever the time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import faulthandler
+import hashlib
+import random
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+HERE = Path(__file__).resolve().parent
+CORPUS = HERE / "corpus"
+sys.path[:0] = [str(HERE), str(HERE.parent / "support")]
+
+from targets import Target, all_targets  # noqa: E402
+
+from lidar2pano.errors import InputError  # noqa: E402
+from random_weights import write_weights  # noqa: E402
+
+KEEP_LAST = False  # True: what ends the process itself is in tests/fuzz/last
+BURST = 50  # mutants of a target before the next one has its turn
+SLOW_S = 2.0  # no mutant takes so long
+
+
+class Fault(NamedTuple):
+    """A mutant that raised something else than InputError, or a message that is no line, or took too long."""
+
+    target: str
+    data: bytes
+    where: str
+
+
+def attempt(name: str, target: Target, data: bytes) -> Fault | None:
+    """Feed a target; what is wrong with how it took it."""
+    began = time.process_time()
+    (CORPUS.parent / "last").write_bytes(data) if KEEP_LAST else None
+    try:
+        target.run(data)
+    except InputError as error:
+        if "\n" in str(error).strip("\n") and not _quotes_newline(str(error)):
+            return Fault(name, data, f"a message of several lines: {error!s:.200}")
+    except Exception as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        ours = [one for one in traceback.extract_tb(error.__traceback__) if "lidar2pano" in one.filename]
+        at = ours[-1] if ours else last
+        return Fault(name, data, f"{type(error).__name__} at {Path(at.filename).name}:{at.lineno}: {error!s:.200}")
+    if (took_s := time.process_time() - began) > SLOW_S:
+        return Fault(name, data, f"took {took_s:.1f} s")
+    return None
+
+
+def _quotes_newline(message: str) -> bool:
+    """The command line makes one line of any message (`complain`); a quoted name may hold anything."""
+    return len(message) < 5000
+
+
+def replay(targets: Mapping[str, Target]) -> list[Fault]:
+    """The faults of what once broke."""
+    files = sorted(path for path in CORPUS.iterdir() if "--" in path.name)
+    names = {name.replace(" ", "_"): name for name in targets}
+    pairs = [(names[path.name.partition("--")[0]], path.read_bytes()) for path in files]
+    return [fault for name, data in pairs if (fault := attempt(name, targets[name], data))]
+
+
+def campaign(targets: Mapping[str, Target], seconds: float, seed: int) -> tuple[int, dict[str, Fault]]:
+    """How many mutants were tried, and the first fault of each place where one happened."""
+    draw, tried, faults = random.Random(seed), 0, {}
+    end = time.monotonic() + seconds
+    while True:
+        for name, target in targets.items():
+            for _ in range(BURST):
+                if time.monotonic() > end:
+                    return tried, faults
+                data = target.mutate(draw, draw.choice(target.seeds))
+                tried += 1
+                if (fault := attempt(name, target, data)) and fault.where.partition(": ")[0] not in faults:
+                    faults[fault.where.partition(": ")[0]] = fault
+
+
+def main() -> int:
+    """The program; exit code 1 where there was a fault."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=30)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--target", default="", help="only targets whose names begin so")
+    parser.add_argument("--replay", action="store_true", help="first try what is in the corpus")
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")
+    faulthandler.dump_traceback_later(options.seconds + 60, exit=True)  # what never ends in C
+    memory = Path("/dev/shm")
+    with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
+        small = {"image_channels": 3, "conditions": 4, "width": 2}
+        weights = write_weights(Path(folder), "critic", "titan-critic", small).read_bytes()
+        targets = all_targets(Path(folder), weights)
+        again = replay(targets) if options.replay else []
+        chosen = {name: target for name, target in targets.items() if name.startswith(options.target)}
+        tried, faults = campaign(chosen, options.seconds, options.seed)
+    for fault in again:
+        print(f"{fault.target}: once mended, broken again: {fault.where}")
+    for fault in faults.values():
+        name = f"{fault.target.replace(' ', '_')}--{hashlib.sha256(fault.data).hexdigest()[:12]}"
+        (CORPUS / name).write_bytes(fault.data)
+        print(f"{name}: {fault.where}")
+    print(f"seed {options.seed}: {tried} mutants, {len(chosen)} targets, {len(faults)} faults")
+    return 1 if faults or again else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

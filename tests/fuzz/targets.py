@@ -1,0 +1,302 @@
+"""Everything that takes bytes, texts or values from outside, as functions that may raise InputError alone."""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+from mutation import ODD_WORDS, mutant, odd_json, odd_text
+from PIL import Image
+
+import sample_files
+from lidar2pano.bulk.entries import Shard
+from lidar2pano.bulk.manifest import _made, _parsed
+from lidar2pano.calibration import read_calib
+from lidar2pano.cli import batch
+from lidar2pano.data import nuscenes, pandaset, semantic_kitti
+from lidar2pano.data.poses import lidar_poses
+from lidar2pano.errors import InputError
+from lidar2pano.formats.image_files import read_image
+from lidar2pano.formats.interpretation import Overrides, interpret
+from lidar2pano.formats.json_files import parse_json, validated
+from lidar2pano.formats.messages import cloud_of_message
+from lidar2pano.formats.readers import READERS
+from lidar2pano.formats.scan_files import read_label
+from lidar2pano.geometry.projection import Normalisation
+from lidar2pano.models.card import Card, read_card
+from lidar2pano.prepare.journal import Journal, Record, Stamp
+from lidar2pano.recordings.drive_scans import times
+from lidar2pano.reproduce.plan import budget
+from lidar2pano.simulate.dataset.settings import WorldSettings, claim_folder, panorama_view
+from lidar2pano.train.checkpoint import Progress, check_recipe
+from lidar2pano.train.recipe import Network, Optimizer, override, resolved
+from lidar2pano.train.recipes import RECIPES, recipe_named
+from lidar2pano.views import VIEWS, View
+from random_weights import CALIB
+
+POINTS = 64  # of the scans that are damaged
+IDENTITY = np.eye(4).tolist()
+CAMERA = {"K": {"fx": 500.0, "fy": 500.0, "cx": 240.0, "cy": 150.0}, "size": [480, 300], "cam_from_lidar": IDENTITY}
+PANDASET = {"cameras": {"front_camera": CAMERA, "back_camera": CAMERA}, "world_from_lidar": IDENTITY}
+NUSCENES_CAMERA = {"img_path": "a.jpg", "cam2img": np.eye(3).tolist(), "lidar2cam": IDENTITY}
+NUSCENES = {
+    "data_list": [
+        {
+            "sample_idx": 3,
+            "images": {"CAM_FRONT": NUSCENES_CAMERA},
+            "lidar_points": {"lidar_path": "a.bin", "lidar2ego": IDENTITY},
+            "ego2global": IDENTITY,
+        }
+    ]
+}
+Mutate = Callable[[random.Random, bytes], bytes]
+
+
+class Target(NamedTuple):
+    """Something that is fed with mutants of `seeds`; `run` may raise InputError, anything else is a fault."""
+
+    seeds: Sequence[bytes]
+    mutate: Mutate
+    run: Callable[[bytes], object]
+
+
+def bytes_of(seeds: Sequence[bytes]) -> Mutate:
+    return lambda draw, data: mutant(draw, data, seeds)
+
+
+def mixed(special: Mutate, seeds: Sequence[bytes]) -> Mutate:
+    """Mostly the special mutation, sometimes one of bytes."""
+    return lambda draw, data: mutant(draw, data, seeds) if draw.random() < 0.3 else special(draw, data)
+
+
+def decoded(data: bytes, path: Path, name: str) -> None:
+    """A scan file of any format, as the command reads it."""
+    reader = next((one for one in READERS if one.name == name), None)
+    with suppress(InputError):
+        for other in READERS:
+            other.accepts(data[:4096], path)
+    assert reader is not None
+    cloud = reader.decode(data, path)  # pyright: ignore[reportAttributeAccessIssue]
+    assert len(cloud) == len(cloud.xyz)
+    if len(data) % 16 == 0:
+        interpret(cloud, Overrides())
+
+
+def from_file(folder: Path, name: str, read: Callable[[Path], object]) -> Callable[[bytes], object]:
+    path = folder / name
+
+    def run(data: bytes) -> None:
+        path.write_bytes(data)
+        read(path)
+
+    return run
+
+
+def json_as(cls: type) -> Callable[[bytes], object]:
+    return lambda data: validated(cls, parse_json(data, "file"), "file")
+
+
+def scan_targets() -> dict[str, Target]:
+    xyz, ring = sample_files.street(beams=4, columns=POINTS // 4)
+    files = sample_files.every_format(xyz, ring)
+    packers = {"packed.bin.gz", "packed.bin.zst"}
+    found = {}
+    for file, content in files.items():
+        if file in packers:
+            continue
+        path = Path(file)
+        (name, *_) = [reader.name for reader in READERS if reader.accepts(content[:4096], path)]
+        seeds = [content]
+        textual = content[:200].isascii()
+        mutate = mixed(odd_text, seeds) if textual and b" " in content else bytes_of(list(files.values()))
+        found[f"scan {file}"] = Target(seeds, mutate, partial(decoded, path=path, name=name))
+    return found
+
+
+def json_targets(folder: Path) -> dict[str, Target]:
+    """JSON files: those that become typed values at once, and those of data sets."""
+    card = Card(network="salsanext", settings={"classes": 20}, views={"input": VIEWS["hdl64e"].as_dict()}, hours=0.5)
+    stamp = Stamp(sha256="0" * 64, size=3, changed_ns=4)
+    typed = {
+        Card: json.loads(card.to_json()),
+        Progress: asdict(Progress(step=3, seconds=2.5, validated=3, best=0.5)),
+        View: VIEWS["panorama"].as_dict(),
+        Normalisation: asdict(Normalisation()),
+        Record: asdict(Record(file="labels/0.label", made_by="x", source=stamp, stamp=stamp)),
+        WorldSettings: asdict(WorldSettings()),
+        Optimizer: asdict(Optimizer()),
+        Network: {"model": "salsanext", "settings": {"classes": 20}, "start": ""},
+    }
+    found = {f"json {cls.__name__}": ([json.dumps(value).encode()], json_as(cls)) for cls, value in typed.items()}
+    root = folder / "pandaset"
+    (root / "sequences" / "1" / "calib").mkdir(parents=True)
+    calib = from_file(root / "sequences" / "1" / "calib", "0.json", partial(read_pandaset, root))
+    found["json pandaset"] = ([json.dumps(PANDASET).encode()], calib)
+    classes = from_file(root, "classes.json", pandaset.class_table)
+    found["json classes"] = ([json.dumps({"5": "Vegetation", "7": "Road"}).encode()], classes)
+    found["json nuscenes"] = ([json.dumps(NUSCENES).encode()], from_file(folder, "info.json", read_nuscenes))
+    (folder / "kitti" / "sequences").mkdir(parents=True)
+    splits = from_file(folder / "kitti", "splits.json", lambda path: semantic_kitti.frames(path.parent, "val"))
+    found["json splits"] = ([b'{"val": [], "train": ["00/000001"]}'], splits)
+    world = from_file(folder, "world.json", lambda path: claim_folder(path.parent, WorldSettings()))
+    found["json world"] = ([json.dumps(WorldSettings().as_dict()).encode()], world)
+    recipe = recipe_named("titan-mini")
+    (folder / "run" / "checkpoints" / "000000001").mkdir(parents=True)
+    run = from_file(folder / "run", "recipe.json", lambda path: check_recipe(path.parent, recipe))
+    found["json recipe"] = ([json.dumps(resolved(recipe)).encode()], run)
+    stamps = from_file(folder, "timestamps.json", lambda path: times([path.with_name("000000.bin")]))
+    found["json times"] = ([b"[0.0, 0.1, 0.2]"], stamps)
+    return {name: Target(seeds, mixed(odd_json, seeds), run) for name, (seeds, run) in found.items()}
+
+
+def read_pandaset(root: Path, _: Path) -> None:
+    frame = pandaset.PandasetFrame(root, VIEWS["panorama"], "1/0")
+    path, content = frame.calib
+    assert frame.pose.shape == frame.T_sensor_theirs.shape == (4, 4)
+    for camera in content["cameras"].values():
+        if isinstance(camera, dict):
+            pandaset._camera_matrix(path, camera)
+
+
+def read_nuscenes(path: Path) -> None:
+    for frame in nuscenes.frames(path.parent, "all", VIEWS["panorama"]):
+        assert frame.pose is not None
+        with suppress(InputError):  # its image is not there
+            frame.calibration  # noqa: B018
+        with suppress(InputError):
+            frame.scan  # noqa: B018
+
+
+def text_targets(folder: Path) -> dict[str, Target]:
+    """Texts, and binary files that are no scans."""
+    sequence = folder / "sequence"
+    sequence.mkdir()
+    (sequence / "calib.txt").write_text(CALIB)
+    png = io.BytesIO()
+    Image.fromarray(np.arange(192, dtype=np.uint8).reshape(8, 8, 3)).save(png, "png")
+    jpeg = io.BytesIO()
+    Image.fromarray(np.arange(192, dtype=np.uint8).reshape(8, 8, 3)).save(jpeg, "jpeg")
+    images = [png.getvalue(), jpeg.getvalue()]
+    pose = b"1 0 0 0 0 1 0 0 0 0 1 0\n"
+    record = json.dumps({"input": "a", "outputs": ["b"], "error": None, "sha256": ""}).encode() + b"\n"
+    journal = json.dumps({"file": "a", "made_by": "b", "source": {}, "stamp": {}}).encode() + b"\n"
+
+    def poses(path: Path) -> None:
+        found = lidar_poses(path.parent)
+        assert found is None or np.isfinite(found.rows).all()
+
+    found: dict[str, tuple[list[bytes], Mutate, Callable[[bytes], object]]] = {
+        "calib.txt": ([CALIB.encode()], odd_text, from_file(folder, "calib.txt", read_calib)),
+        "poses.txt": ([pose * 3], odd_text, from_file(sequence, "poses.txt", poses)),
+        "times.txt": (
+            [b"0.0\n0.1\n0.2\n", b"2011-09-26 13:02:25.964389445\n"],
+            odd_text,
+            from_file(sequence, "times.txt", lambda path: times([path.with_name("000000.bin")])),
+        ),
+        "image": (images, bytes_of(images), from_file(folder, "a.png", lambda path: read_image(path, "RGB"))),
+        "label": ([bytes(64)], bytes_of([bytes(64)]), from_file(folder, "a.label", lambda path: read_label(path, 16))),
+        "manifest": ([record], odd_json, lambda data: [_made(one) for one in _parsed(data)]),
+        "journal": ([journal], odd_json, from_file(folder, "prepared.jsonl", lambda path: Journal(path.parent))),
+    }
+    return {
+        name: Target(seeds, mixed(special, seeds) if special in (odd_text, odd_json) else special, run)
+        for name, (seeds, special, run) in found.items()
+    }
+
+
+def weight_target(folder: Path, weights: bytes) -> dict[str, Target]:
+    """The header of a weight file: only the card is read."""
+    read = from_file(folder, "a.safetensors", read_card)
+    return {"weights": Target([weights], _head_changed, read)}
+
+
+def _head_changed(draw: random.Random, data: bytes) -> bytes:
+    return mutant(draw, data[:4000], [data]) + data[4000:]
+
+
+def option_targets() -> dict[str, Target]:
+    """Words of the command line: values of recipes by name, and options with a form of their own."""
+    seeds = []
+    recipes = {name: recipe_named(name) for name in RECIPES}
+    for name, recipe in recipes.items():
+        seeds += [f"{name} {path}={value}".encode() for path, value in _leaves(resolved(recipe)) if path != "task"]
+
+    def change(data: bytes) -> None:
+        name, _, words = data.decode("utf-8", "surrogatepass").partition(" ")
+        if name in recipes:
+            changed = override(recipes[name], words)
+            json.dumps(resolved(changed), allow_nan=False)
+
+    def odd_value(draw: random.Random, data: bytes) -> bytes:
+        path, _, value = data.partition(b"=")
+        if draw.random() < 0.3:
+            return path + b"=" + mutant(draw, value, seeds).decode("latin-1").encode()
+        return path + b"=" + draw.choice(ODD_WORDS).encode("utf-8", "surrogatepass")
+
+    parsers: dict[str, tuple[list[str], Callable[[str], Any]]] = {
+        "budget": (["90s", "20m", "2h", "5000steps"], budget),
+        "image size": (["1242x375"], batch.parse_size),
+        "save": (["rgb,segments", "all"], batch.parse_save),
+        "shard": (["0/1", "3/17"], Shard.parsed),
+        "view": (["panorama", "panorama/2"], panorama_view),
+    }
+    found = {"option recipe": Target(seeds, odd_value, change)}
+    for name, (words, parse) in parsers.items():
+        texts = [word.encode() for word in words]
+        run = partial(_parse, parse)
+        found[f"option {name}"] = Target(texts, mixed(odd_text, texts), run)
+    return found
+
+
+def _parse(parse: Callable[[str], Any], data: bytes) -> None:
+    parse(data.decode("latin-1"))
+
+
+def _leaves(value: Any, path: str = "") -> list[tuple[str, Any]]:
+    if isinstance(value, dict):
+        return [leaf for key, part in value.items() for leaf in _leaves(part, f"{path}.{key}" if path else key)]
+    return [(path, ",".join(map(str, value)) if isinstance(value, list) else value)]
+
+
+def message_target() -> dict[str, Target]:
+    """A PointCloud2 whose numbers are not those of its data."""
+    fields = [{"name": name, "offset": 4 * place, "datatype": 7, "count": 1} for place, name in enumerate("xyz")]
+    numbers = {"height": 1, "width": 8, "point_step": 16, "row_step": 128, "is_bigendian": False, "fields": fields}
+    seeds = [json.dumps(numbers).encode()]
+
+    def run(data: bytes) -> None:
+        value = json.loads(data)
+        try:  # a message's fields have these types, whatever sent it
+            changed = {key: int(value[key]) % 2**32 for key in numbers if key != "fields"}
+            parts = [
+                SimpleNamespace(
+                    name=str(one["name"]), **{key: int(one[key]) % 2**32 for key in ("offset", "datatype", "count")}
+                )
+                for one in value["fields"]
+            ]
+        except (KeyError, TypeError, ValueError, OverflowError):
+            return
+        cloud_of_message(SimpleNamespace(**changed, fields=parts, data=bytes(128)))
+
+    return {"message": Target(seeds, odd_json, run)}
+
+
+def all_targets(folder: Path, weights: bytes) -> dict[str, Target]:
+    """Every target by name; `folder` is where files lie that are read by name."""
+    return {
+        **scan_targets(),
+        **json_targets(folder),
+        **text_targets(folder),
+        **weight_target(folder, weights),
+        **option_targets(),
+        **message_target(),
+    }
