@@ -74,6 +74,9 @@ EngineOption = Annotated[
         help="What runs the networks; auto: OpenVINO where --engine openvino compiled the networks before, else torch.",
     ),
 ]
+SaveOption = Annotated[
+    str, typer.Option(metavar="LIST", help="What to write: rgb,segments,labels,depth or all; confidence.")
+]
 ViewOption = Annotated[bool, typer.Option("--view", help="Write DIR/view.html to look around in, and open it.")]
 PlyOption = Annotated[bool, typer.Option("--ply", help="Write DIR/<stem>.ply: the points with colours and classes.")]
 StrictOption = Annotated[bool, typer.Option("--strict", help="A scan that is as no LiDAR gives it is an error.")]
@@ -116,9 +119,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     sensor: SensorOption = "",
     calib: CalibOption = None,
     image_size: Annotated[str, typer.Option(metavar="WxH", help="Size of that camera's image (1242x375).")] = "",
-    save: Annotated[
-        str, typer.Option(metavar="LIST", help="What to write: rgb,segments,labels,depth or all; confidence.")
-    ] = "rgb",
+    save: SaveOption = "rgb",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per scan on stdout.")] = False,
     steady: SteadyOption = False,
     sensor_height: HeightOption = None,
