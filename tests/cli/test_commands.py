@@ -283,7 +283,9 @@ def test_evaluate_side_by_side(here, random_weights, front_weights, capsys):
     assert "2 camera images" in heading and "4 of the paper's 14 classes" in heading and "absent: bicycle" in heading
     assert head == f"| class | pixels | {both[0]} | {both[1]} |"
     names = [row.split(" | ")[0].removeprefix("| ") for row in rows]
-    assert names == ["car", "road", "building", "vegetation", "**mIoU of 4**", "accuracy", "SSIM", "SWD x 1000",
+    assert names == ["car", "road", "building", "vegetation", "**mIoU of 4**", "accuracy",
+                     "mIoU as the published code counts it (predictions of unlabeled left out)", "SSIM",
+                     "SWD of image pairs, as the paper prints it", "SWD x 1000 (Karras et al.)",
                      "SWD x 1000 by level, 1024 512 256 128 64 32 16", "patch Frechet / real-to-real",
                      "patch Frechet distance", "patch Frechet, real-to-real", "FID",
                      "depth AbsRel", "depth RMSE, m",

@@ -26,7 +26,7 @@ from lidar2pano.formats.interpretation import Interpretation, Overrides
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.hardware import Timer, keep_buffers
 from lidar2pano.memory import Memory
-from lidar2pano.panorama import OUTPUTS, Panorama
+from lidar2pano.panorama import CONFIDENCE, OUTPUTS, Panorama
 from lidar2pano.pipeline import Pipeline, load
 from lidar2pano.recordings.drive_scans import drive_files
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
@@ -87,8 +87,9 @@ def parse_camera(calib: Path | None, image_size: str) -> Calibration | None:
     return read_calib(calib, size) if calib else None
 
 
-def parse_save(text: str, further: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """--save's list, in the order of OUTPUTS; `further` names may be in it, too, but "all" does not mean them."""
+def parse_save(text: str, confidence: bool = False) -> tuple[str, ...]:
+    """--save's list, in the order of OUTPUTS; `confidence` may be in it, too, but "all" does not mean it."""
+    further = (CONFIDENCE,) if confidence else ()
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
         raise InputError(f"--save {text!r} names nothing; there is {', '.join((*OUTPUTS, *further))} and all")

@@ -148,7 +148,6 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.families import weight_files
-    from lidar2pano.panorama import CONFIDENCE
 
     options = batch.Options(
         out=check_folder(out, "--out"),
@@ -157,7 +156,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         weights=weights,
         files=weight_files(weights),
         sensor=sensor,
-        save=batch.parse_save(save, (CONFIDENCE,)),
+        save=batch.parse_save(save, confidence=True),
         as_json=as_json,
         smooth=steady,
         look=look,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 import time
+from contextlib import ExitStack
 
 import torch
 from rich.console import Console
@@ -40,12 +41,16 @@ def _predict(predicted: PredictedLabels, frames: FrameList[Frame], device: torch
     if isinstance(label_points, LabelPoints):
         label_points.move(device)
     try:
-        with Progress(console=Console(file=sys.stderr), disable=not (show and sys.stderr.isatty())) as bar:
-            line = bar.add_task("labelling scans", total=len(frames))
+        with ExitStack() as stack:
+            bar = None
+            if show and sys.stderr.isatty():
+                bar = stack.enter_context(Progress(console=Console(file=sys.stderr)))
+                bar.add_task("labelling scans", total=len(frames))
             for number, frame in enumerate(frames, 1):
                 predicted.of(frame)
-                bar.advance(line)
-                if show and bar.disable and time.monotonic() - logged > LOG_EVERY_S:
+                if bar:
+                    bar.advance(bar.task_ids[0])
+                elif show and time.monotonic() - logged > LOG_EVERY_S:
                     log.info("labelled %d of %d scans", number, len(frames))
                     logged = time.monotonic()
     finally:
