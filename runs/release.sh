@@ -70,7 +70,7 @@ fixed=(options.fixed_norms=true networks.painter.optimizer.rate=0.0006)
 scene world-scene "$day" 22 "train,$all" "${inputs[@]}" ""
 scene world-scene-2 "$day" 40 "train,$all" "${inputs[@]}" "$(weights world-scene painter)" "${fixed[@]}"
 painter=$out/sharp/world.safetensors # crowns stand out against the sky: measured on `val` of day
-python "$here/sharpen.py" "$(weights world-scene-2 painter)" "$painter" 8
+python "$here/sharpen.py" "$(weights world-scene-2 painter)" "$painter" 4
 lidar2pano evaluate "$painter+$out/world-translator+$out/world-segmenter" --data "$out/towns/test" --split all \
   --json "$out/world.json"
 family world "${inputs[@]}" "$painter" "$out/world.json" Apache-2.0

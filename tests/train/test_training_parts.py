@@ -210,7 +210,7 @@ def test_a_full_disk_is_one_line_and_leaves_the_last_checkpoint(tmp_path, monkey
 
 def test_settings_that_no_network_can_have_are_refused():
     recipe = small_critic(width=-1)
-    with pytest.raises(InputError, match="networks.critic.settings: projected-critic cannot be built with them"):
+    with pytest.raises(InputError, match="network 'projected-critic' cannot be built with settings .*'width': -1"):
         build_networks(recipe)
 
 

@@ -192,7 +192,7 @@ def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, d
         weights = load_file(newest / "weights.safetensors")
         optimizers = torch.load(newest / "optimizers.pt", map_location="cpu", weights_only=True)
     except InputError as error:
-        raise InputError(f"{newest}: is damaged ({error}); remove it to start again") from None
+        raise InputError(f"{newest} is damaged ({error}); remove it to start again") from None
     except (OSError, EOFError, ValueError, LookupError, TypeError, *BROKEN) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{newest} is damaged ({reason}); remove it to start again") from None

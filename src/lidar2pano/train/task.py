@@ -83,13 +83,7 @@ def build_networks(recipe: Recipe) -> dict[str, nn.Module]:
 
 
 def _built(name: str, spec: Network) -> nn.Module:
-    try:
-        network = build(spec.model, **spec.settings)
-    except InputError:
-        raise
-    except (TypeError, ValueError, RuntimeError, ArithmeticError, LookupError) as error:
-        reason = str(error).partition("\n")[0]
-        raise InputError(f"networks.{name}.settings: {spec.model} cannot be built with them ({reason})") from None
+    network = build(spec.model, **spec.settings)
     if spec.start:
         started, _ = load(spec.start, expect=spec.model)
         try:
