@@ -41,14 +41,14 @@ class ProjectedCritic(nn.Module):
         """
         resized: list[Tensor] = []
         for feature in features:  # each from the one before it, not from the whole image
-            condition = adaptive_avg_pool2d(condition, feature.shape[-2:])
+            condition = adaptive_avg_pool2d(condition, (feature.shape[2], feature.shape[3]))
             resized.append(condition)
         scores: list[Tensor] = []
         coarser: Tensor | None = None
         for number in reversed(range(len(features))):
             x = features[number]
             if not torch.is_autocast_enabled(x.device.type):
-                x = x.to(self.across[number].weight.dtype)  # pyright: ignore[reportArgumentType] the features' may be half
+                x = x.to(cast(Tensor, self.across[number].weight).dtype)  # features may be half
             x = x / (x.detach().std((1, 2, 3), keepdim=True) + 1e-3)  # depths differ in scale; conditions are 0 to 1
             x = self.across[number](x)
             if coarser is not None:
