@@ -12,9 +12,9 @@
 # run of this script: `world-segmenter` in two stages of 17 and 8 minutes on earlier towns, `segmenter-4` and `-5` under
 # the name salsanext-mini and without `ring_drop_probability`. Cards call day w9, drives w8 and overcast w9o.
 # The scene painters began with layers of the painters before them (recipes release-colours and release-painter, which are
-# in the history up to a634bbd). Their stages were cut short and begun again while the network grew (its last layers, the tones of classes):
-# `scene` had 869 + 430 + 338 steps, the critic went on from stage to stage, and of the towns only every fourth frame was
-# seen by kitti-mini's. Cards say how many steps the last stage had.
+# in the history up to a634bbd). Their stages were cut short and begun again while the network grew (last layers, tones):
+# `scene` had 869 + 430 + 338 + 621 steps, `world-scene` 245 + 93 + 253; the critic went on from stage to stage, and of the
+# towns only every fourth frame was seen by kitti-mini's. Their cards count the steps of all stages (kitti-mini's without the first 869).
 set -euo pipefail
 kitti=$1 out=$2
 form=${FORM--mini} longer=${MINUTES:-1} towns=${TOWNS:-60}
@@ -69,8 +69,8 @@ all=$overcast:all,$out/towns/autumn:all,$out/towns/evening:all
 fixed=(options.fixed_norms=true networks.painter.optimizer.rate=0.0006)
 scene world-scene "$day" 22 "train,$all" "${inputs[@]}" ""
 scene world-scene-2 "$day" 40 "train,$all" "${inputs[@]}" "$(weights world-scene painter)" "${fixed[@]}"
-painter=$out/sharp/world.safetensors # crowns stand out against the sky: measured on `val` of day
-python "$here/sharpen.py" "$(weights world-scene-2 painter)" "$painter" 4
+painter=$out/finished/world.safetensors
+python "$here/finish_painter.py" "$(weights world-scene-2 painter)" "$painter" "$out/frames/world-scene-2/day-*.safetensors" --look day --power 4
 lidar2pano evaluate "$painter+$out/world-translator+$out/world-segmenter" --data "$out/towns/test" --split all \
   --json "$out/world.json"
 family world "${inputs[@]}" "$painter" "$out/world.json" Apache-2.0
@@ -100,7 +100,7 @@ scene scene "$kitti" 60 "train,$day:train,$all" "$segmenter" "$translator" "$out
   "${kitti_looks[@]}" training.batch=1
 scene scene-2 "$kitti" 40 "train,$day:train,$all" "$segmenter" "$translator" "$(weights scene painter)" \
   "${kitti_looks[@]}" training.batch=1 "${fixed[@]}"
-painter=$out/sharp/kitti.safetensors
-python "$here/sharpen.py" "$(weights scene-2 painter)" "$painter" 4
+painter=$out/finished/kitti.safetensors
+python "$here/finish_painter.py" "$(weights scene-2 painter)" "$painter" "$out/frames/scene-2/${kitti##*/}-*.safetensors" --look kitti --power 4
 lidar2pano evaluate "$painter+$translator+$segmenter" --data "$kitti" --split val --json "$out/kitti.json"
 family kitti-mini "$segmenter" "$translator" "$painter" "$out/kitti.json" CC-BY-NC-SA-4.0

@@ -76,7 +76,7 @@ def test_the_address_may_be_left_out(words, address):
         (["drive", "--out", "o", "--as", "semantikitti"], "did you mean 'semantickitti'?"),
         (["drive", "--out", "o", "--save", "rbg"], "did you mean 'rgb'?"),
         (["drive", "--out", "o", "--format", "webp", "--as", "semantickitti"], "a data set's panoramas are PNG"),
-        (["drive", "--out", "o", "--look", "B"], "these weights paint one look only"),
+        (["drive", "--out", "o", "--look", "B"], "the painter knows no look 'B'; it knows day"),
         (["drive", "--out", "drive"], "drive: is the folder of the scans; choose another --out"),
         (["drive/one/a.bin", "--out", "o"], "drive/one/a.bin: is no folder"),
         (["drive"], "Missing option '--out'"),

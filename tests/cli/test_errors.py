@@ -345,13 +345,15 @@ def test_engines_and_formats(refused, monkeypatch, options, says):
     assert refused(f"translate good.bin --weights small {options}") == says
 
 
-def test_bugs_are_not_hidden(here, monkeypatch):
+def test_bugs_are_not_hidden(here, monkeypatch, capsys):
     def broken(paths, options):
         raise RuntimeError("a bug")
 
     monkeypatch.setattr("lidar2pano.cli.batch.translate_files", broken)
-    with pytest.raises(RuntimeError, match="a bug"):
-        main(["translate", "good.bin", "--weights", "small"])
+    assert main(["translate", "good.bin", "--weights", "small"]) == 70
+    assert capsys.readouterr().err.startswith("lidar2pano: a fault of the program (RuntimeError: a bug)")
+    assert main(["translate", "good.bin", "--weights", "small", "--debug"]) == 70
+    assert "Traceback" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("words", "said"), [((), "interrupted"), (("paused at step 3",), "paused at step 3")])

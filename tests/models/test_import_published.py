@@ -492,7 +492,7 @@ def test_an_imported_file_is_a_weight_file(
     assert card.upstream.startswith("https://github.com/") and card.licence in capsys.readouterr().out
     assert card.recipe == f"published ({', '.join(file.name for file in files)})"
     assert card.normalisation.keys() == {"mean", "deviation"}
-    assert bool(card.views) == (network == "titan")
+    assert bool(card.views) == (network in ("titan", "pix2pix"))
     assert json.loads(json.dumps(card.settings)).items() >= settings.items()
 
 

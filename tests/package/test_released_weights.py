@@ -44,14 +44,14 @@ class Figures:
     colour_distance: float
 
 
-# measured: world 0.592, 0.721, 0.717, 0.422, 0.197, 41; kitti-mini 0.515, 0.630, 0.639, 0.457, 0.192, 42
+# measured: world 0.592, 0.721, 0.717, 0.422, 0.197, 36; kitti-mini 0.515, 0.630, 0.639, 0.457, 0.192, 42
 FLOORS = {
     "world": {"miou": 0.57, "accuracy": 0.70, "point_accuracy": 0.69, "no_depth": 0.39},
     "kitti-mini": {"miou": 0.49, "accuracy": 0.60, "point_accuracy": 0.61, "no_depth": 0.42},
 }
 # The colours of kitti-mini are those of KITTI's camera, not of the simulated one.
 CEILINGS = {
-    "world": {"abs_rel": 0.22, "colour_distance": 45.0},
+    "world": {"abs_rel": 0.22, "colour_distance": 40.0},
     "kitti-mini": {"abs_rel": 0.22, "colour_distance": 60.0},
 }
 
@@ -94,14 +94,13 @@ def missed_bounds(family: str, found: Figures) -> set[str]:
     return low | {name for name, bound in CEILINGS[family].items() if not getattr(found, name) <= bound}
 
 
-def wrong_colours(family: str, found: Figures) -> list[str]:
+def wrong_colours(found: Figures) -> list[str]:
     """What is not as in any street by day. KITTI's cameras overexpose the sky to white: it need not be blue there."""
     brightness = {name: rgb.mean() for name, rgb in found.colours.items()}
     blue = {name: rgb[2] - rgb[0] for name, rgb in found.colours.items()}
     green = {name: rgb[1] - (rgb[0] + rgb[2]) / 2 for name, rgb in found.colours.items()}
     expected = {
         "the sky is brighter than the road": brightness["sky"] > brightness["road"] + 20,
-        "the sky is bluer than the road": family == "kitti-mini" or blue["sky"] > blue["road"] + 2,  # ground truth: 6
         "the sky is bluer than the terrain": blue["sky"] > blue["terrain"] + 5,
         "the road is brighter than the vegetation": brightness["road"] > brightness["vegetation"] + 30,
         "the vegetation is greener than the road": green["vegetation"] > green["road"] + 3,
@@ -124,7 +123,7 @@ def test_segments_labels_depth_and_colours_are_as_good_as_they_were(made: tuple[
 
 def test_classes_have_the_colours_of_a_street(made: tuple[str, lidar2pano.Panorama]) -> None:
     found = figures_of(made[1])
-    assert wrong_colours(made[0], found) == [], found
+    assert wrong_colours(found) == [], found
 
 
 ROLLED, TURNED = 1152, (slice(None, None, -1),)  # a quarter turn; upside down
@@ -160,4 +159,4 @@ def test_worse_panoramas_miss_their_floors(made: tuple[str, lidar2pano.Panorama]
     ],
 )
 def test_wrong_colours_are_noticed(made: tuple[str, lidar2pano.Panorama], change) -> None:
-    assert wrong_colours(made[0], figures_of(replace(made[1], colour=change(made[1].colour))))
+    assert wrong_colours(figures_of(replace(made[1], colour=change(made[1].colour))))

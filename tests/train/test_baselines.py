@@ -432,4 +432,4 @@ def test_the_papers_recipes_have_the_published_sizes():
         generator, critic = (recipe.networks[one].settings for one in (role, "critic"))
         assert (generator["inputs"], generator["outputs"], critic["channels"]) == sizes
         assert critic["channels"] == generator["inputs"] + generator["outputs"]
-        assert recipe.training.batch == 1 and recipe.networks[role].optimizer.rate == 2e-4
+        assert recipe.training.batch == 10 and recipe.networks[role].optimizer.rate == 1e-4  # the paper's, not theirs

@@ -183,7 +183,8 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
             try:
                 with timer("read"):
                     scan, found = waiting.read(options.overrides, like if waiting.stream == stream else None)
-                    complaints.doubt(found, waiting, options.strict)
+                    if options.strict:
+                        complaints.doubt(found, waiting, strict=True)
             except InputError as error:
                 complaints.add(error, waiting)
                 advance()
@@ -195,6 +196,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
             try:
                 scan, pose = _timed_pose(motion, waiting, scan, found, timer) if motion else (scan, None)
                 memory, panorama = pipeline.step(memory, scan, pose if options.smooth else None, timer)
+                complaints.doubt(found, waiting, strict=False)  # a scan that failed has had its line
                 if not noted:  # before the first panorama is written
                     note_licence(pipeline.cards.values())
                 noted = True

@@ -102,7 +102,7 @@ class Complaints:
             self.flush()
             self._recording, self._first = scan.input, str(error)
 
-    def doubt(self, found: Interpretation, scan: QueuedScan, strict: bool) -> None:
+    def doubt(self, found: Interpretation, scan: QueuedScan, *, strict: bool) -> None:
         """Say once for each stream what is strange about its scans; InputError if `strict`."""
         for text in found.doubts:
             if strict:
