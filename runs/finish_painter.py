@@ -45,8 +45,8 @@ def pixels(painter: ScenePainter, file: Path, look: str, power: float) -> tuple[
     shares = torch.tensor([painter.look_shares(look)])
     with fast_arithmetic(torch.device("cpu")):
         painted = painter(*inputs, shares, torch.zeros(1, TONE))[0].float()
-    seen = kept["seen"][:, : 2 * columns]
-    return painted[:, seen], (kept["colour"][..., : 2 * columns].float() / 127.5 - 1)[:, seen]
+    valid = kept["seen"][:, : 2 * columns]
+    return painted[:, valid], (kept["colour"][..., : 2 * columns].float() / 127.5 - 1)[:, valid]
 
 
 def fitted(painted: Tensor, real: Tensor) -> tuple[float, float]:
