@@ -303,7 +303,7 @@ def load_translator(file: Path, device: torch.device, engine: str = "torch") -> 
         translator, card = load_part(file, device, expect="titan-pano", engine=engine)
         return translator, card, card_view(file, card, "panorama")
     network, card = load_weights(file, device)
-    normalise = Normalisation(**{name: tuple(values) for name, values in card.normalisation.items()})
+    normalise = validated(Normalisation, card.normalisation, f"{file}: the card's normalisation")
     around = FrontAllAround(network, card_view(file, card, "input"), normalise)
     return around, card, around.view
 

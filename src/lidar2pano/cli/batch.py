@@ -17,7 +17,7 @@ from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.cli.app import MISTAKE, complain, note_licence
 from lidar2pano.cli.follow import followed, until_interrupted
 from lidar2pano.cli.progress import bar
-from lidar2pano.cli.scan_queue import Complaints, QueuedScan, queued
+from lidar2pano.cli.scan_queue import Complaints, QueuedScan, queued, refuse_doubts
 from lidar2pano.drive_motion import Motion, motion_of
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.file_contents import stem_of
@@ -184,7 +184,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
                 with timer("read"):
                     scan, found = waiting.read(options.overrides, like if waiting.stream == stream else None)
                     if options.strict:
-                        complaints.doubt(found, waiting, strict=True)
+                        refuse_doubts(found, waiting)
             except InputError as error:
                 complaints.add(error, waiting)
                 advance()
@@ -196,7 +196,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
             try:
                 scan, pose = _timed_pose(motion, waiting, scan, found, timer) if motion else (scan, None)
                 memory, panorama = pipeline.step(memory, scan, pose if options.smooth else None, timer)
-                complaints.doubt(found, waiting, strict=False)  # a scan that failed has had its line
+                complaints.doubt(found, waiting)  # a scan that failed has had its line
                 if not noted:  # before the first panorama is written
                     note_licence(pipeline.cards.values())
                 noted = True

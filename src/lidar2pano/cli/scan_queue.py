@@ -82,6 +82,12 @@ def _fail(error: InputError) -> NoReturn:
     raise error
 
 
+def refuse_doubts(found: Interpretation, scan: QueuedScan) -> None:
+    """InputError where anything is strange about a scan."""
+    if found.doubts:
+        raise InputError(f"{scan.title}: {found.doubts[0]} (an error because of --strict)")
+
+
 class Complaints:
     """Scans that failed: files one line each at once, those of a recording one line together at its end."""
 
@@ -102,11 +108,9 @@ class Complaints:
             self.flush()
             self._recording, self._first = scan.input, str(error)
 
-    def doubt(self, found: Interpretation, scan: QueuedScan, *, strict: bool) -> None:
-        """Say once for each stream what is strange about its scans; InputError if `strict`."""
+    def doubt(self, found: Interpretation, scan: QueuedScan) -> None:
+        """Say once for each stream what is strange about its scans."""
         for text in found.doubts:
-            if strict:
-                raise InputError(f"{scan.title}: {text} (an error because of --strict)")
             if (scan.stream, text) not in self._doubts:
                 self._doubts.add((scan.stream, text))
                 complain(f"{scan.title}: {text} (a warning; --strict makes it an error)")

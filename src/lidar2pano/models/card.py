@@ -83,7 +83,7 @@ def save(path: Path | str, model: nn.Module, card: Card, dtype: torch.dtype = to
     if dtype not in (torch.float16, torch.float32):
         raise ValueError(f"weights are stored as float16 or float32, not {dtype}")
     tensors = {key: _stored(key, tensor, dtype) for key, tensor in model.state_dict().items()}
-    if wrong := mismatch(tensors, _blank(card, MOST_CALLS + CALLS_PER_TENSOR * len(tensors))):
+    if wrong := mismatch(tensors, _blank(card, len(tensors))):
         raise ValueError(f"the card's network {card.network!r} does not describe the model: {wrong}")
     text = replace(card, sha256=_checksum(tensors)).to_json()
     write_whole(path, lambda beside: beside.write_bytes(serialise(tensors, metadata={"format": "pt", "card": text})))
@@ -102,14 +102,14 @@ def load(path: Path | str, device: torch.device | str = "cpu", expect: str | Non
     if expect is not None and card.network != expect:
         raise InputError(f"{path} has weights of another network: {card.network!r} instead of {expect!r}")
     try:
-        blank = _blank(card, MOST_CALLS + CALLS_PER_TENSOR * len(tensors))
+        blank = _blank(card, len(tensors))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     if wrong := mismatch(tensors, blank):
         raise InputError(f"{path} does not fit network {card.network!r}: {wrong}; fetch or make the file again")
     if card.sha256 != _checksum(tensors):
         raise InputError(f"{path} was changed or damaged: its checksum is wrong; fetch or make the file again")
-    with _Uninitialised(MOST_CALLS + CALLS_PER_TENSOR * len(tensors)):
+    with _Uninitialised(len(tensors)):
         model = build(card.network, **card.settings)
     model.load_state_dict(tensors)  # into float32, which the network is made of
     return model.to(device).eval(), card
@@ -143,12 +143,13 @@ class _Uninitialised(TorchFunctionMode):
     """A context in which networks are built without random numbers: those of a file follow.
 
     Drawing takes long; on the device "meta" it can import torch's compiler, which takes longer than all else.
-    most_calls  of torch's functions, after which InputError is raised: settings must not make a network without end.
+    tensors  of the network: a multiple of calls of torch's functions raises InputError, so that settings cannot make a
+             network without end.
     """
 
-    def __init__(self, most_calls: int) -> None:
+    def __init__(self, tensors: int) -> None:
         super().__init__()
-        self._calls_left = most_calls
+        self._calls_left = MOST_CALLS + CALLS_PER_TENSOR * tensors
 
     def __torch_function__(self, func, types, args=(), kwargs=None):  # noqa: ANN001, ANN204, ARG002 as torch calls it
         self._calls_left -= 1
@@ -159,11 +160,11 @@ class _Uninitialised(TorchFunctionMode):
         return func(*args, **(kwargs or {}))
 
 
-def _blank(card: Card, most_calls: int) -> dict[str, Tensor]:
+def _blank(card: Card, tensors: int) -> dict[str, Tensor]:
     """Keys, shapes and types that the card's network has, without memory for them; a wrong card raises InputError."""
     if card.network not in MODELS:
         raise InputError(f"no network {card.network!r}{closest(card.network, MODELS)}; update lidar2pano")
-    with torch.device("meta"), _Uninitialised(most_calls):  # settings must not be able to fill the memory
+    with torch.device("meta"), _Uninitialised(tensors):  # settings must not be able to fill the memory
         return build(card.network, **card.settings).state_dict()
 
 

@@ -23,6 +23,7 @@ from lidar2pano.train.recipes import recipe_named
 SELECTION = "selection"  # split of training frames on which checkpoints are selected
 UNITS = {"s": 1 / 60, "m": 1.0, "h": 60.0}
 SEGMENTER = "salsanext"
+MOST_BUDGET = 1e7  # seconds, minutes, hours or steps
 PUBLISHED_SEGMENTER = "salsanext-published"  # its recipe at full length
 
 
@@ -151,9 +152,6 @@ def _frames_by_split(plan: Plan) -> dict[str, list[str]]:
             if name in ("train", plan.split) or (plan.data / "splits.json").is_file():
                 raise
     return lists
-
-
-MOST_BUDGET = 1e7  # seconds, minutes, hours or steps
 
 
 def budget(text: str) -> list[str]:
