@@ -11,6 +11,7 @@ import argparse
 import faulthandler
 import hashlib
 import random
+import resource
 import sys
 import tempfile
 import time
@@ -32,10 +33,11 @@ from random_weights import write_weights  # noqa: E402
 KEEP_LAST = False  # True: what ends the process itself is in tests/fuzz/last
 BURST = 50  # mutants of a target before the next one has its turn
 SLOW_S = 2.0  # no mutant takes so long
+MOST_BYTES = 700 << 20  # nor so much memory at once, above what it began with
 
 
 class Fault(NamedTuple):
-    """A mutant that raised something else than InputError, or a message that is no line, or took too long."""
+    """A mutant that raised something else than InputError, or a message that is no line, or took too long or too much."""
 
     target: str
     data: bytes
@@ -44,7 +46,7 @@ class Fault(NamedTuple):
 
 def attempt(name: str, target: Target, data: bytes) -> Fault | None:
     """Feed a target; what is wrong with how it took it."""
-    began = time.process_time()
+    began, held = time.process_time(), _peak_bytes()
     (CORPUS.parent / "last").write_bytes(data) if KEEP_LAST else None
     try:
         target.run(data)
@@ -58,7 +60,14 @@ def attempt(name: str, target: Target, data: bytes) -> Fault | None:
         return Fault(name, data, f"{type(error).__name__} at {Path(at.filename).name}:{at.lineno}: {error!s:.200}")
     if (took_s := time.process_time() - began) > SLOW_S:
         return Fault(name, data, f"took {took_s:.1f} s")
+    if (more := _peak_bytes() - held) > MOST_BYTES:
+        return Fault(name, data, f"took {more >> 20} MiB")
     return None
+
+
+def _peak_bytes() -> int:
+    """The most memory that this process has had, on Linux."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
 
 
 def _quotes_newline(message: str) -> bool:

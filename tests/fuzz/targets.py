@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from mutation import ODD_WORDS, mutant, odd_json, odd_text
 from PIL import Image
+from recording_targets import recording_runs
+from request_target import request_run
 
 import sample_files
 from lidar2pano.bulk.entries import Shard
@@ -290,6 +292,28 @@ def message_target() -> dict[str, Target]:
     return {"message": Target(seeds, odd_json, run)}
 
 
+def recording_targets(folder: Path) -> dict[str, Target]:
+    """Recordings of a drive, of every format."""
+    runs = recording_runs(folder)
+    every = [data for data, _ in runs.values()]
+    return {f"recording {name}": Target([data], bytes_of(every), run) for name, (data, run) in runs.items()}
+
+
+def request_target(folder: Path) -> dict[str, Target]:
+    """Requests to the service."""
+    seeds, run = request_run(folder)
+
+    def change(draw: random.Random, data: bytes) -> bytes:
+        head, _, body = data.partition(b"\n\n")
+        if draw.random() < 0.5:
+            head = odd_text(draw, head) if draw.random() < 0.5 else mutant(draw, head, seeds)
+        else:
+            body = mutant(draw, body, seeds)
+        return head + b"\n\n" + body
+
+    return {"request": Target(seeds, change, run)}
+
+
 def all_targets(folder: Path, weights: bytes) -> dict[str, Target]:
     """Every target by name; `folder` is where files lie that are read by name."""
     return {
@@ -299,4 +323,6 @@ def all_targets(folder: Path, weights: bytes) -> dict[str, Target]:
         **weight_target(folder, weights),
         **option_targets(),
         **message_target(),
+        **recording_targets(folder),
+        **request_target(folder),
     }

@@ -12,7 +12,7 @@ import lidar2pano
 
 HERE = Path(__file__).resolve().parent
 SOURCE = Path(lidar2pano.__file__).parents[1]
-# What must be noticed: a reader that raises, one that never ends, one whose message has a hundred lines.
+# What must be noticed: a reader that raises, one whose message has a hundred lines, one that fills the memory.
 BROKEN = """
 import campaign, time
 from lidar2pano.errors import InputError
@@ -20,7 +20,7 @@ from lidar2pano.errors import InputError
 def lines(data):
     raise InputError("x\\n" * 6000)
 
-for run in (lambda data: data[9], lambda data: campaign.time.sleep(0), lines):
+for run in (lambda data: data[9], lambda data: campaign.time.sleep(0), lines, lambda data: b"1" * (800 << 20)):
     target = campaign.Target([b"a"], lambda draw, data: data, run)
     print(campaign.attempt("broken", target, b"a") is not None)
 """
@@ -42,4 +42,4 @@ def test_what_once_broke_and_new_mutants_are_one_line_each(request: pytest.Fixtu
 
 def test_the_harness_notices_what_is_broken():
     done = run("-c", BROKEN)
-    assert done.stdout.split() == ["True", "False", "True"], done.stderr
+    assert done.stdout.split() == ["True", "False", "True", "True"], done.stderr

@@ -1,13 +1,15 @@
 """A process that runs commands in children of its own and kills them: it reads jobs, a line of JSON each, from stdin.
 
-A job: {"words": the command's, "signal": a signal's number, "after_s": when it is sent; null: never}. The answer: the
-exit code, negative for a signal, and the seconds that the child ran. Children begin with everything imported.
+A job: {"words": the command's, "signal": a signal's number, "after_s": when it is sent; null: never, "most_bytes": of a
+file; null: any}. The answer: the exit code, negative for a signal, the seconds that the child ran, and what it wrote to
+stderr. Children begin with everything imported. The one argument is the file for their stderr.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import resource
 import sys
 import time
 from pathlib import Path
@@ -17,8 +19,15 @@ import torch
 import lidar2pano.train.engine  # noqa: F401 imported once, before any child begins
 from lidar2pano.cli import main
 from lidar2pano.models import card  # noqa: F401
+from lidar2pano.reproduce import run
+from lidar2pano.simulate.dataset import generation  # noqa: F401
 from lidar2pano.train.overrides import changed  # noqa: F401
+from lidar2pano.train.recipes import RECIPES
+from lidar2pano.views import VIEWS
+from small_recipes import VIEW, small
 from toy_training import Denoise, entries, toy_recipe
+
+ERRORS = Path(sys.argv[1])
 
 
 def toy_training(out: str) -> int:
@@ -31,10 +40,21 @@ def toy_training(out: str) -> int:
     return 0
 
 
-def child(words: list[str]) -> int:
-    """Run a command as the program does."""
+def shorten_reproduction() -> None:
+    """Let `reproduce` train a tiny network with a checkpoint after each step, and time none that is not tiny."""
+    VIEWS.update(VIEW)
+    scunet = small("scunet-mini", "training.steps=99", "training.batch=1", "training.checkpoint_minutes=1e-9")
+    RECIPES["scunet-mini"] = lambda: scunet
+    run._camera_segmenter_ms = lambda *_: None
+
+
+def child(words: list[str], most_bytes: int | None) -> int:
+    """Run a command as the program does; `most_bytes` of a file it may write."""
     nowhere = os.open(os.devnull, os.O_RDWR)
     os.dup2(nowhere, 1)
+    os.dup2(os.open(ERRORS, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), 2)
+    if most_bytes is not None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
     torch.set_num_threads(1)
     if words[0] == "toy-training":
         return toy_training(words[1])
@@ -46,6 +66,7 @@ def serve() -> None:
     """Do the jobs."""
     for table, name, value in entries():
         table[name] = value
+    shorten_reproduction()
     for line in sys.stdin:
         job = json.loads(line)
         began = time.monotonic()
@@ -53,14 +74,15 @@ def serve() -> None:
         if not process:
             code = 99
             try:
-                code = child(job["words"])
+                code = child(job["words"], job["most_bytes"])
             finally:
                 os._exit(code)
         if job["after_s"] is not None:
             time.sleep(job["after_s"])
             os.kill(process, job["signal"])
         _, status = os.waitpid(process, 0)
-        print(json.dumps([os.waitstatus_to_exitcode(status), time.monotonic() - began]), flush=True)
+        said = ERRORS.read_text(errors="replace")
+        print(json.dumps([os.waitstatus_to_exitcode(status), time.monotonic() - began, said]), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Commands that are killed at random instants: repeated, they give the bytes of an undisturbed run, and leave nothing.
 
-`--kills N` kills each N times. What `bulk` does is tested in tests/bulk.
+`--kills N` kills each N times (`make kills`). What `bulk` does is tested in tests/bulk, too.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 import lidar2pano
+import miniature
 from lidar2pano.cli.app import INTERRUPTED, TERMINATED
 from random_weights import street, write_data_set, write_scan
 from toy_training import gap
@@ -24,23 +25,27 @@ HERE = Path(__file__).resolve().parent
 SOURCE = Path(lidar2pano.__file__).parents[1]
 ENDS = (0, TERMINATED, INTERRUPTED, -signal.SIGKILL, -signal.SIGTERM)
 LEAVINGS = ("*.part", ".*", "*.old")
-Run = Callable[..., tuple[int, float]]
+Run = Callable[..., tuple[int, float, str]]
 
 
 @pytest.fixture(scope="module")
-def run() -> Iterator[Run]:
-    """A function that runs a command and may kill it: (exit code, seconds)."""
+def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
+    """A function that runs a command and may kill it, or bound its files: (exit code, seconds, stderr)."""
     where = {"PYTHONPATH": f"{SOURCE}:{HERE.parent / 'support'}", "PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-W", "ignore", str(HERE / "killed_commands.py")]
+    errors = tmp_path_factory.mktemp("commands") / "stderr"
+    command = [sys.executable, "-W", "ignore", str(HERE / "killed_commands.py"), str(errors)]
     process = subprocess.Popen(command, env=where, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdin and process.stdout
 
-    def runs(words: list[str], after_s: float | None = None, sign: int = signal.SIGKILL) -> tuple[int, float]:
+    def runs(
+        words: list[str], after_s: float | None = None, sign: int = signal.SIGKILL, most_bytes: int | None = None
+    ) -> tuple[int, float, str]:
         assert process.stdin and process.stdout
-        process.stdin.write(json.dumps({"words": words, "after_s": after_s, "signal": sign}) + "\n")
+        job = {"words": words, "after_s": after_s, "signal": sign, "most_bytes": most_bytes}
+        process.stdin.write(json.dumps(job) + "\n")
         process.stdin.flush()
-        code, seconds = json.loads(process.stdout.readline())
-        return code, seconds
+        code, seconds, said = json.loads(process.stdout.readline())
+        return code, seconds, said
 
     yield runs
     process.stdin.close()
@@ -56,12 +61,12 @@ def contents(folder: Path, without: tuple[str, ...] = ()) -> dict[str, bytes]:
 def after_kills(run: Run, words: Callable[[Path], list[str]], fresh: Callable[[Path], Path], kills: int) -> list[Path]:
     """Folders in which a command was killed so often in all, at random instants, and then repeated to its end."""
     draw, number, folders = random.Random(7), 0, [fresh(Path("killed-0"))]
-    code, seconds = run(words(fresh(Path("timed"))))
-    assert code == 0
+    code, seconds, said = run(words(fresh(Path("timed"))))
+    assert code == 0, said
     while kills:
         sign = draw.choice([signal.SIGKILL, signal.SIGTERM])
-        code, _ = run(words(folders[-1]), draw.uniform(0, seconds), sign)
-        assert code in ENDS
+        code, _, said = run(words(folders[-1]), draw.uniform(0, seconds), sign)
+        assert code in ENDS, said
         if code:
             kills -= 1
         else:
@@ -138,3 +143,45 @@ def test_train(here, run, kills):
         assert gap(here / "timed", folder) == 0
         assert not [path for pattern in LEAVINGS for path in folder.rglob(pattern)]
         assert len(list((folder / "checkpoints").iterdir())) == 1
+
+
+def test_bulk(here, run, kills):
+    for number in range(4):
+        write_scan(here / "drive" / f"{number:06d}.bin", street(seed=number))
+
+    def words(out: Path) -> list[str]:
+        options = ["--weights", str(here / "small"), "--device", "cpu", "--save", "all", "--out", str(out)]
+        return ["bulk", str(here / "drive"), *options]
+
+    folders = after_kills(run, words, absolute, kills)
+    manifest = "manifest/0-of-1.jsonl"
+    check(here / "timed", folders, without=("0-of-1.jsonl",))
+    for folder in folders:
+        lines = [json.loads(line) for line in (folder / manifest).read_text().splitlines()]
+        assert sorted(line["input"] for line in lines) == [f"{number:06d}.bin" for number in range(4)]
+
+
+def plain(value: object) -> object:
+    """A row's evaluation without what differs from run to run: times, and names of folders."""
+    if isinstance(value, dict):
+        return {key: plain(part) for key, part in value.items() if key not in ("milliseconds", "hours", "weights", "key")}
+    return [plain(part) for part in value] if isinstance(value, list) else value
+
+
+def test_reproduce(here, run, kills):
+    data = miniature.write_data_set(here / "data")
+
+    def words(out: Path) -> list[str]:
+        options = ["--rows", "scunet", "--budget", "4steps", "--segmenter", str(here / "small"), "--device", "cpu"]
+        return ["reproduce", "--data", str(data), "--out", str(out), *options]
+
+    folders = after_kills(run, words, absolute, kills)
+    trained = Path("runs", "scunet")
+    for folder in folders:
+        assert gap(here / "timed" / trained, folder / trained) == 0
+        assert plain(json.loads((folder / "results.json").read_text())) == plain(
+            json.loads((here / "timed" / "results.json").read_text())
+        )
+        for part in ("images", "sheets", "data"):
+            assert contents(folder / part) == contents(here / "timed" / part)
+        assert not [path for pattern in LEAVINGS for path in folder.rglob(pattern)]

@@ -16,6 +16,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.scan import Scan
 
 FAR_M = 100.0  # points beyond are not used to estimate poses
+FARTHEST_M = 1e8  # a place is at most so far from the origin, whatever that is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +67,8 @@ def _read_poses(sequence: Path, changed: tuple[int, ...]) -> LidarPoses:  # noqa
         ) from error
     if rows.shape[1:] != (12,) or not np.isfinite(rows).all():
         raise InputError(f"{path}: its lines must hold 12 finite numbers each (3x4), as KITTI's do")
+    if (np.abs(rows) > FARTHEST_M).any():
+        raise InputError(f"{path}: line {(np.abs(rows) > FARTHEST_M).any(1).argmax() + 1} is on no planet; write metres")
     rows = rows.reshape(-1, 3, 4)
     R = rows[:, :, :3]
     wrong = (np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)) > ROTATION_TOLERANCE).any((1, 2)) | (np.linalg.det(R) < 0)

@@ -17,7 +17,14 @@ def class_weights(counts: np.ndarray, exponent: float, *, least: float, most: fl
     return torch.from_numpy(np.minimum(weights / weights[1:].mean(), most)).float()
 
 
-def labelled_cross_entropy(logits: Tensor, labels: Tensor, ignore: int) -> Tensor:
-    """Mean cross-entropy of logits (B, K, H, W) over the pixels of labels (B, H, W) unlike `ignore`; 0 without any."""
-    total = cross_entropy(logits.float(), labels, ignore_index=ignore, reduction="sum")
-    return total / (labels != ignore).sum().clamp(min=1)
+def labelled_cross_entropy(logits: Tensor, labels: Tensor, ignore: int, weight: Tensor | None = None) -> Tensor:
+    """Mean cross-entropy of logits (B, K, H, W) over the pixels of labels (B, H, W) unlike `ignore`; 0 without any.
+
+    weight  (K,) of the classes, as torch's own, which gives NaN without such pixels.
+    """
+    total = cross_entropy(logits.float(), labels, weight, ignore_index=ignore, reduction="sum")
+    counted = labels != ignore
+    if weight is None:
+        return total / counted.sum().clamp(min=1)
+    weights = weight[torch.where(counted, labels, 0)] * counted
+    return total / weights.sum().clamp(min=torch.finfo(weights.dtype).tiny)

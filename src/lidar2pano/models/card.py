@@ -22,6 +22,7 @@ from torch.overrides import TorchFunctionMode
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.formats.json_files import parse_json, validated
+from lidar2pano.labels import LABEL_SETS
 from lidar2pano.models import MODELS, build
 
 # Calls of torch's functions in which a network may be built; ours make 4 to 33 calls a tensor.
@@ -68,7 +69,10 @@ class Card:
     def from_json(cls, text: str) -> Card:
         """The card in `text`; broken JSON, unknown or missing fields and wrong types raise InputError."""
         mend = "fetch or make the file again"
-        return validated(cls, parse_json(text, "its card", mend), "its card", mend)
+        card = validated(cls, parse_json(text, "its card", mend), "its card", mend)
+        if card.labels is not None and card.labels not in LABEL_SETS:
+            raise InputError(f"its card: no label set {card.labels!r}{closest(card.labels, LABEL_SETS)}; {mend}")
+        return card
 
 
 def save(path: Path | str, model: nn.Module, card: Card, dtype: torch.dtype = torch.float16) -> Card:

@@ -46,6 +46,7 @@ def reproduce(plan: Plan) -> Outcome:
     """Train and score what is missing; a part or row that fails is logged, and the rest goes on."""
     outcome = Outcome()
     files: dict[str, Path] = {}
+    scored = sampled(frames(plan.data, plan.split), plan.frames)  # now: a mistake in the data concerns every part
     if plan.segmenter:
         files[SEGMENTER] = _segmenter(plan.segmenter)
     for part in plan.parts:
@@ -54,7 +55,6 @@ def reproduce(plan: Plan) -> Outcome:
         except (InputError, FloatingPointError) as error:
             outcome.failures[part] = str(error)
             log.warning("%s: not trained: %s", part, error)
-    scored = sampled(frames(plan.data, plan.split), plan.frames)
     config = MetricConfig.parse("", inception=plan.inception, sdnet=plan.sdnet, device=plan.device)
     for name, row in plan.rows.items():
         missing = [part for part in row.parts if part != "oracle" and part not in files]

@@ -190,10 +190,11 @@ def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, d
     try:
         progress = validated(Progress, read_json(newest / "state.json"), "its state.json")
         weights = load_file(newest / "weights.safetensors")
+        check_weights(weights, progress.step)
         optimizers = torch.load(newest / "optimizers.pt", map_location="cpu", weights_only=True)
     except InputError as error:
         raise InputError(f"{newest} is damaged ({error}); remove it to start again") from None
-    except (OSError, EOFError, ValueError, LookupError, TypeError, *BROKEN) as error:
+    except (OSError, EOFError, ValueError, LookupError, TypeError, FloatingPointError, *BROKEN) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{newest} is damaged ({reason}); remove it to start again") from None
     return progress, weights, optimizers

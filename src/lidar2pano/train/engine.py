@@ -38,7 +38,7 @@ from lidar2pano.train.clock import Timer, clock, interrupts
 from lidar2pano.train.device import choose_precision, device_name, shared
 from lidar2pano.train.distributed import average_gradients, check_launcher, largest
 from lidar2pano.train.monitor import Meter, Monitor, check_finite
-from lidar2pano.train.optimisation import EMA, averaged, clip, learning_rate, make_optimizer
+from lidar2pano.train.optimisation import EMA, averaged, clip, learning_rate, load_optimizer, make_optimizer
 from lidar2pano.train.predictions import predict_all
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.sampling import BatchSampler, batches, seed_step, steps_over
@@ -131,7 +131,7 @@ class Run:
         try:
             for name, network in self.networks.items():
                 network.load_state_dict(_below(weights, f"network/{name}/"))
-                self.optimizers[name].load_state_dict(optimizers[name])
+                load_optimizer(self.optimizers[name], optimizers[name])
             for name, average in self.averages.items():
                 average.load(_below(weights, f"average/{name}/"))
         except (LookupError, TypeError, ValueError, RuntimeError, AttributeError) as error:

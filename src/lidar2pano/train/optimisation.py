@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -12,6 +13,7 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from lidar2pano.train.recipe import Optimizer
 
+SAVED = ({"step", "exp_avg", "exp_avg_sq"}, {"momentum_buffer"})  # of each weight: Adam's, SGD's
 OPTIMIZERS = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}  # and "sgd"
 
 
@@ -22,6 +24,22 @@ def make_optimizer(settings: Optimizer, network: nn.Module) -> torch.optim.Optim
     if settings.algorithm == "sgd":
         return torch.optim.SGD(weights, lr=rate, momentum=settings.betas[0], weight_decay=decay)
     return OPTIMIZERS[settings.algorithm](weights, lr=rate, betas=settings.betas, weight_decay=decay)
+
+
+def load_optimizer(optimizer: torch.optim.Optimizer, saved: Mapping[str, Any]) -> None:
+    """Go on from the saved state of an optimiser of the same weights; ValueError where it is of others, or odd.
+
+    Its settings stay the recipe's: those that are saved are not used.
+    """
+    weights = [weight for group in optimizer.param_groups for weight in group["params"]]
+    for number, values in saved["state"].items():
+        if number not in range(len(weights)) or values.keys() not in SAVED:
+            raise ValueError(f"the optimiser's state of weight {number!r} is odd")
+        for name, value in values.items():
+            shape = torch.Size() if name == "step" else weights[number].shape
+            if value is not None and not (torch.is_tensor(value) and value.shape == shape and value.isfinite().all()):
+                raise ValueError(f"the optimiser's {name!r} of weight {number} does not fit")
+    optimizer.load_state_dict({"state": saved["state"], "param_groups": optimizer.state_dict()["param_groups"]})
 
 
 def learning_rate(settings: Optimizer, step: int, progress: float) -> float:

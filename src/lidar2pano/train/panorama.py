@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import cross_entropy
 
 from lidar2pano.data.frames import IGNORE, evenly_spaced
 from lidar2pano.data.panorama_crops import PanoramaDataset, PanoramaSample
@@ -17,7 +16,7 @@ from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
-from lidar2pano.losses.supervised import class_weights
+from lidar2pano.losses.supervised import class_weights, labelled_cross_entropy
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.train.options import PanoramaOptions
 from lidar2pano.train.recipe import Recipe
@@ -52,7 +51,7 @@ class PanoramaTranslation:
         )
         logits = logits.float()
         self.weights = self.weights.to(logits.device)  # once
-        entropy = cross_entropy(logits, batch.camera_labels, weight=self.weights, ignore_index=IGNORE)
+        entropy = labelled_cross_entropy(logits, batch.camera_labels, IGNORE, self.weights)
         lovasz = lovasz_softmax(logits.softmax(1), batch.camera_labels, ignore=IGNORE)
         measured = batch.depth_m > 0
         gap = (depth_code(depth_m) - depth_code(batch.depth_m)).abs()

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import cross_entropy
 
 from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.data.range_images import RangeImageDataset, RangeImageSample, ScanAugmentation
 from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
-from lidar2pano.losses.supervised import class_weights
+from lidar2pano.losses.supervised import class_weights, labelled_cross_entropy
 from lidar2pano.pipeline import Segmenter
 from lidar2pano.train.options import SegmentationOptions
 from lidar2pano.train.recipe import Recipe
@@ -58,7 +57,7 @@ class Segmentation:
         """One update: cross-entropy over labelled pixels + Lovasz-Softmax over the classes present."""
         logits = self.networks["segmenter"](batch.lidar).float()
         self.weights = self.weights.to(logits.device)  # once
-        entropy = cross_entropy(logits, batch.labels, weight=self.weights, ignore_index=0)
+        entropy = labelled_cross_entropy(logits, batch.labels, 0, self.weights)
         lovasz = lovasz_softmax(logits.softmax(1), batch.labels, ignore=0)
         self.logs = {"cross_entropy": entropy.detach(), "lovasz": lovasz.detach()}
         yield "segmenter", entropy + self.options.lovasz * lovasz

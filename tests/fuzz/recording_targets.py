@@ -1,0 +1,74 @@
+"""Recordings as targets: small bags, MCAP files and packet captures, of which everything is read that the program reads."""
+
+from __future__ import annotations
+
+import itertools
+import struct
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+import miniature_recordings as recordings
+from lidar2pano.formats.interpretation import Overrides, interpret
+from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.recordings.recorded_scans import recorded_motion, recording_reader
+from lidar2pano.scan import Scan
+
+FORMATS = ("bag", "bag-bz2", "bag-lz4", "db3", "mcap", "mcap-lz4", "mcap-raw", "mcap-plain", "mcap-ros1")
+OPTIONS = (ReadOptions(), ReadOptions(start_s=0.05, every=2))
+MOST_SCANS = 5  # of a mutant
+POINTS, PACKETS = 8, 80  # of a scan; of a capture: a little more than a turn
+
+
+def seeds(folder: Path) -> dict[str, bytes]:
+    """A recording of each format, of two scans, two poses and a transform; by its file's name."""
+    xyz = np.random.default_rng(0).uniform(-20, 20, (POINTS, 3)).astype(np.float32)
+    scan = Scan(xyz=xyz, remission=np.full(POINTS, 0.5, np.float32))
+    sent = [recordings.transform(recordings.START_NS, "base", "velodyne", (0, 0, 1, 0, 0, 0, 1), "/tf_static")]
+    for number in range(2):
+        stamp_ns = recordings.START_NS + number * recordings.STEP_NS
+        sent.append(recordings.points(scan, stamp_ns))
+        sent.append(recordings.odometry(stamp_ns, (number, 0, 0, 0, 0, 0, 1)))
+    found = {}
+    for format in FORMATS:
+        path = recordings.write(folder, format, sent, stem=f"seed-{format}")
+        found[f"{format}{path.suffix}"] = path.read_bytes()
+    found["capture.pcap"] = _capture()
+    return found
+
+
+def _capture() -> bytes:
+    """Packets of a VLP-16 in a pcap."""
+    content = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+    for number in range(PACKETS):
+        blocks = b"".join(
+            struct.pack("<HH", 0xEEFF, round((number * 12 + block) * 40) % 36000) + struct.pack("<HB", 5000, 9) * 32
+            for block in range(12)
+        )
+        data = blocks + struct.pack("<IBB", number * 1327, 0x37, 0x22)
+        udp = struct.pack(">HHHH", 2368, 2368, 8 + len(data), 0) + data
+        ip = struct.pack(">BBHHHBBH", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0) + bytes([192, 168, 1, 9]) + b"\xff" * 4
+        frame = bytes(12) + b"\x08\x00" + ip + udp
+        content += struct.pack("<IIII", 1_700_000_000, number * 1327, len(frame), len(frame)) + frame
+    return content
+
+
+def _all_of(path: Path, data: bytes) -> None:
+    """Describe a recording, read its scans as `translate` does, and its poses."""
+    path.write_bytes(data)
+    reader = recording_reader(path)
+    if reader is None:
+        return
+    reader.describe(path)
+    for options in OPTIONS:
+        for frame in itertools.islice(reader.frames(path, options), MOST_SCANS):
+            interpret(frame.cloud(), Overrides())
+    motion = recorded_motion(path, OPTIONS[0], "velodyne")
+    assert motion is None or motion[1]
+
+
+def recording_runs(folder: Path) -> dict[str, tuple[bytes, Callable[[bytes], object]]]:
+    """(a good recording, the function that reads a mutant of it) by name."""
+    return {name: (data, partial(_all_of, folder / f"mutant-{name}")) for name, data in seeds(folder).items()}
