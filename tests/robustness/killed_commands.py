@@ -18,6 +18,7 @@ import torch
 
 import lidar2pano.train.engine  # noqa: F401 imported once, before any child begins
 from lidar2pano.cli import main
+from lidar2pano.cli.app import complain, exit_status
 from lidar2pano.models import card  # noqa: F401
 from lidar2pano.reproduce import run
 from lidar2pano.simulate.dataset import generation  # noqa: F401
@@ -35,8 +36,10 @@ def toy_training(out: str) -> int:
     Denoise.before_step = lambda _: time.sleep(0.02)
     try:
         lidar2pano.train.engine.train(toy_recipe("toy", checkpoint_minutes=1e-9), Path(), Path(out), device="cpu")
-    except KeyboardInterrupt:
-        return 130
+    except (KeyboardInterrupt, Exception) as error:
+        code, line = exit_status(error)
+        complain(line)
+        return code
     return 0
 
 

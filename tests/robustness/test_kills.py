@@ -8,49 +8,19 @@ from __future__ import annotations
 import json
 import random
 import signal
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-import lidar2pano
 import miniature
 from lidar2pano.cli.app import INTERRUPTED, TERMINATED
 from random_weights import street, write_data_set, write_scan
 from toy_training import gap
 
-HERE = Path(__file__).resolve().parent
-SOURCE = Path(lidar2pano.__file__).parents[1]
 ENDS = (0, TERMINATED, INTERRUPTED, -signal.SIGKILL, -signal.SIGTERM)
 LEAVINGS = ("*.part", ".*", "*.old")
 Run = Callable[..., tuple[int, float, str]]
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
-    """A function that runs a command and may kill it, or bound its files: (exit code, seconds, stderr)."""
-    where = {"PYTHONPATH": f"{SOURCE}:{HERE.parent / 'support'}", "PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1"}
-    errors = tmp_path_factory.mktemp("commands") / "stderr"
-    command = [sys.executable, "-W", "ignore", str(HERE / "killed_commands.py"), str(errors)]
-    process = subprocess.Popen(command, env=where, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    assert process.stdin and process.stdout
-
-    def runs(
-        words: list[str], after_s: float | None = None, sign: int = signal.SIGKILL, most_bytes: int | None = None
-    ) -> tuple[int, float, str]:
-        assert process.stdin and process.stdout
-        job = {"words": words, "after_s": after_s, "signal": sign, "most_bytes": most_bytes}
-        process.stdin.write(json.dumps(job) + "\n")
-        process.stdin.flush()
-        code, seconds, said = json.loads(process.stdout.readline())
-        return code, seconds, said
-
-    yield runs
-    process.stdin.close()
-    process.stdout.close()
-    process.wait()
 
 
 def contents(folder: Path, without: tuple[str, ...] = ()) -> dict[str, bytes]:
@@ -164,7 +134,9 @@ def test_bulk(here, run, kills):
 def plain(value: object) -> object:
     """A row's evaluation without what differs from run to run: times, and names of folders."""
     if isinstance(value, dict):
-        return {key: plain(part) for key, part in value.items() if key not in ("milliseconds", "hours", "weights", "key")}
+        return {
+            key: plain(part) for key, part in value.items() if key not in ("milliseconds", "hours", "weights", "key")
+        }
     return [plain(part) for part in value] if isinstance(value, list) else value
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats.image_files import reason
 
 SCRATCH = ".lidar2pano-"  # folders of unfinished files: .lidar2pano-HOST-PROCESS-xxxx
 HOST = platform.node()[:64]
@@ -194,7 +195,7 @@ class Remote:
 
 
 def _unwritable(place: str, error: OSError) -> InputError:
-    return InputError(f"{place}: cannot be written ({error.strerror or error}); choose another --out")
+    return InputError(f"{place}: cannot be written ({reason(error)}); choose another --out")
 
 
 def _refuse(error: OSError) -> None:

@@ -130,8 +130,13 @@ def write_whole(path: Path, write: Callable[[Path], object], option: str = "--ou
         finally:
             beside.unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another {option}") from error
+        raise InputError(f"{path}: cannot be written ({reason(error)}); choose another {option}") from error
     return path
+
+
+def reason(error: OSError) -> str:
+    """What the system says; numpy's `tofile` says only how many bytes it could write."""
+    return error.strerror or ("No space left on device" if "requested and" in str(error) else str(error))
 
 
 @cache

@@ -26,6 +26,11 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
+try:
+    import fcntl
+except ModuleNotFoundError:
+    fcntl = None
+
 from lidar2pano import __version__
 from lidar2pano.data.frames import located
 from lidar2pano.errors import InputError
@@ -86,6 +91,31 @@ def check_recipe(run: Path, recipe: Recipe) -> None:
         )
 
 
+@contextmanager
+def claimed(run: Path) -> Iterator[None]:
+    """Inside, no other process of this machine trains into the run's folder; InputError where one does.
+
+    The folder itself is locked, so that nothing is left of it however a process ends. Where a file system knows no
+    locks, nobody is kept out.
+    """
+    if fcntl is None:  # not on Windows
+        yield
+        return
+    folder = os.open(run, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(
+                f"{run}: another process trains into it; wait for its end, or choose another --out"
+            ) from None
+        except OSError:
+            pass
+        yield
+    finally:
+        os.close(folder)
+
+
 def write_recipe(run: Path, recipe: Recipe) -> None:
     """Write every value of the recipe to RUN/recipe.json."""
     text = json.dumps(resolved(recipe), indent=2) + "\n"
@@ -134,16 +164,20 @@ def save_checkpoint(
     folder = run / "checkpoints"
     final, beside = folder / f"{progress.step:09d}", folder / f"{progress.step:09d}.part"
     shutil.rmtree(beside, ignore_errors=True)
-    with writing(beside):
-        beside.mkdir(parents=True)
-        ours = {name: value.detach().to("cpu", copy=True).contiguous() for name, value in weights.items()}
-        save_file(ours, beside / "weights.safetensors")
-        torch.save(dict(optimizers), beside / "optimizers.pt")
-        (beside / "state.json").write_text(json.dumps(asdict(progress)), encoding="utf-8")
-        for file in beside.iterdir():
-            with file.open("rb+") as written:
-                os.fsync(written.fileno())
-        _exchange(beside, final)
+    try:
+        with writing(beside):
+            beside.mkdir(parents=True)
+            ours = {name: value.detach().to("cpu", copy=True).contiguous() for name, value in weights.items()}
+            save_file(ours, beside / "weights.safetensors")
+            torch.save(dict(optimizers), beside / "optimizers.pt")
+            (beside / "state.json").write_text(json.dumps(asdict(progress)), encoding="utf-8")
+            for file in beside.iterdir():
+                with file.open("rb+") as written:
+                    os.fsync(written.fileno())
+            _exchange(beside, final)
+    except InputError:
+        shutil.rmtree(beside, ignore_errors=True)  # a full disk needs the room
+        raise
     return final
 
 

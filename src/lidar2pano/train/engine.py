@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import logging
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from datetime import timedelta
 from math import inf, isfinite
@@ -27,6 +27,7 @@ from lidar2pano.train.checkpoint import (
     Progress,
     check_recipe,
     check_weights,
+    claimed,
     load_checkpoint,
     make_card,
     release,
@@ -40,7 +41,7 @@ from lidar2pano.train.distributed import average_gradients, check_launcher, larg
 from lidar2pano.train.monitor import Meter, Monitor, check_finite
 from lidar2pano.train.optimisation import EMA, averaged, clip, learning_rate, load_optimizer, make_optimizer
 from lidar2pano.train.predictions import predict_all
-from lidar2pano.train.recipe import Recipe
+from lidar2pano.train.recipe import Recipe, Training
 from lidar2pano.train.sampling import BatchSampler, batches, seed_step, steps_over
 from lidar2pano.train.task import Task
 from lidar2pano.train.tasks import build_task
@@ -80,6 +81,12 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
         precision=choose_precision(training, chosen),
     )
     fabric.launch()
+    with claimed(out) if fabric.is_global_zero else nullcontext():
+        return _train(fabric, recipe, training, root, out)
+
+
+def _train(fabric: Fabric, recipe: Recipe, training: Training, root: Path, out: Path) -> Path:
+    """`train` in one of the processes, which divide the batch as `training` says."""
     seed_step(training.seed, 0, -1)  # fresh weights: the same in every process
     try:
         task = build_task(recipe, root)
