@@ -1,4 +1,4 @@
-"""Recordings as targets: small bags, MCAP files and packet captures, of which everything is read that the program reads."""
+"""Recordings as targets: small bags, MCAP files and packet captures, read as the program reads them."""
 
 from __future__ import annotations
 
