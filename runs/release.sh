@@ -70,7 +70,7 @@ fixed=(options.fixed_norms=true networks.painter.optimizer.rate=0.0006)
 scene world-scene "$day" 22 "train,$all" "${inputs[@]}" ""
 scene world-scene-2 "$day" 40 "train,$all" "${inputs[@]}" "$(weights world-scene painter)" "${fixed[@]}"
 painter=$out/finished/world.safetensors
-python "$here/finish_painter.py" "$(weights world-scene-2 painter)" "$painter" "$out/frames/world-scene-2/day-*.safetensors" --look day --power 4
+python "$here/finish_painter.py" "$(weights world-scene-2 painter)" "$painter" "$out/frames/world-scene-2/painting/*/day-*.safetensors" --look day --power 4
 lidar2pano evaluate "$painter+$out/world-translator+$out/world-segmenter" --data "$out/towns/test" --split all \
   --json "$out/world.json"
 family world "${inputs[@]}" "$painter" "$out/world.json" Apache-2.0
@@ -101,6 +101,6 @@ scene scene "$kitti" 60 "train,$day:train,$all" "$segmenter" "$translator" "$out
 scene scene-2 "$kitti" 40 "train,$day:train,$all" "$segmenter" "$translator" "$(weights scene painter)" \
   "${kitti_looks[@]}" training.batch=1 "${fixed[@]}"
 painter=$out/finished/kitti.safetensors
-python "$here/finish_painter.py" "$(weights scene-2 painter)" "$painter" "$out/frames/scene-2/${kitti##*/}-*.safetensors" --look kitti --power 4
+python "$here/finish_painter.py" "$(weights scene-2 painter)" "$painter" "$out/frames/scene-2/painting/*/${kitti##*/}-*.safetensors" --look kitti --power 4
 lidar2pano evaluate "$painter+$translator+$segmenter" --data "$kitti" --split val --json "$out/kitti.json"
 family kitti-mini "$segmenter" "$translator" "$painter" "$out/kitti.json" CC-BY-NC-SA-4.0
