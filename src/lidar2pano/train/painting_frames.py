@@ -194,7 +194,7 @@ class PaintingFrames:
 
 
 def colours_of_classes(window: PanoramaWindow) -> tuple[Tensor, Tensor]:
-    """Sums of colours (256, 3) in [-1, 1] and numbers of pixels (256,) of each class in every 64th pixel of an image."""
+    """Sums of colours (256, 3) in [-1, 1] and numbers of pixels (256,) of each class: every 64th pixel counts."""
     ids = window.camera_labels[1::4, 1::4].long()
     known = window.valid[2::8, 2::8] & (ids != IGNORE) & (ids != COMMON15.id_of("sky"))
     colour = window.image[:, 2::8, 2::8].movedim(0, 2)[known].float() / 127.5 - 1
