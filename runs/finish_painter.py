@@ -5,7 +5,7 @@
 Losses that compare images pixel by pixel make colours too even. Two numbers of the last layer, a gain and an offset
 before its tanh, are set so that what is painted of FRAMES has the images' mean, and a deviation nearer to theirs: all
 the way, shadows would lose their detail.
-FRAMES  what training kept of its frames (`options.cache`), as a pattern: 'frames/kitti-mini-*.safetensors'.
+FRAMES  what training kept of its frames (`options.cache`), as a pattern: 'frames/painting/*/kitti-mini-*.safetensors'.
 Training draws powers at random, so that no weight depends on the power.
 """
 
@@ -75,8 +75,8 @@ def main() -> None:
     settings = {**card.settings, "sharp": arguments.power}
     finished = cast(ScenePainter, build("scene-painter", **settings)).eval()
     finished.load_state_dict(network.state_dict())
-    pattern = Path(arguments.frames)
-    files = sorted(pattern.parent.glob(pattern.name))[::EVERY]
+    start = Path(arguments.frames).anchor
+    files = sorted(Path(start).glob(arguments.frames.removeprefix(start)))[::EVERY]
     pairs = [pixels(finished, file, arguments.look, arguments.power) for file in files]
     painted, real = (torch.cat(parts, 1) for parts in zip(*pairs, strict=True))
     gain, offset = fitted(painted, real)

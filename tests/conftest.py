@@ -61,7 +61,8 @@ def _no_network():
 def _set_threads() -> None:
     if "OMP_NUM_THREADS" not in os.environ:
         count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        sys.modules["torch"].set_num_threads(count)
+        workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+        sys.modules["torch"].set_num_threads(max(count // workers, 1))
 
 
 @pytest.fixture(autouse=True)
@@ -118,6 +119,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     for reason, count in sorted(config.stash[_left_out].items()):
         terminalreporter.write_line(f"LEFT OUT [{count}] {reason}")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any, error: object) -> None:  # noqa: ARG001 the hook's names
+    """All workers collect the same tests: what one of them left out is what the run left out."""
+    if not node.config.stash[_left_out]:
+        node.config.stash[_left_out].update(node.workeroutput.get("left_out", {}))
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if hasattr(session.config, "workeroutput"):  # in a worker of pytest-xdist
+        session.config.workeroutput["left_out"] = dict(session.config.stash[_left_out])
 
 
 def _parity_must_run(config: pytest.Config) -> bool:

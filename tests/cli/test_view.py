@@ -77,6 +77,19 @@ def test_scans_are_translated_into_a_page(here, run, opened):
     assert [path.name for path in (here / "new").iterdir()] == ["page.html"]
 
 
+def test_scans_of_a_page_are_chosen_as_translate_chooses_them(here, run, opened):
+    for name in "123":
+        write_scan(here / "drive" / f"{name}.bin")
+    assert run("view", "drive", "--every", "2", "--engine", "torch", "--no-open")[0] == 0
+    frames = index_of(here / "view.html")["frames"]
+    assert [frame["name"] for frame in frames] == ["1", "3"]
+    assert all(list(frame["layers"]) == ["colour", "classes", "depth", "confidence"] for frame in frames)
+    for option, value in (("--engine", "steam"), ("--look", "moon")):
+        code, _, err = run("view", "drive/1.bin", option, value, "--no-open", "--out", "other.html")
+        assert code == 2 and len(err) == 1 and value in err[0]
+    assert not (here / "other.html").exists()
+
+
 def test_a_bad_scan_does_not_stop_the_page(here, run, opened):
     write_scan(here / "in" / "a.bin")
     (here / "in" / "b.bin").write_bytes(b"12345")

@@ -90,3 +90,11 @@ def test_hidden_files_are_no_scans(tmp_path, monkeypatch, capsys):
     (tmp_path / "drive" / ".b.bin").write_bytes(b"half")
     assert main(["inspect", "drive"]) == 0
     assert ".b.bin" not in capsys.readouterr().out
+
+
+def test_what_libraries_log_and_warn_of_is_not_shown(tmp_path):
+    words = "import logging, warnings; logging.getLogger('a.library').warning('logged'); warnings.warn('warned')"
+    program = f"from lidar2pano.cli.app import _quiet\nwith _quiet(False):\n    {words}"
+    (tmp_path / "program.py").write_text(program)
+    done = shell(f"exec {sys.executable} program.py", tmp_path, PYTHONWARNINGS="")
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")

@@ -28,6 +28,7 @@ def small_panorama(seed: int = 0, scan: Scan | None = None, name: str = "a") -> 
         colour=generator.integers(0, 256, (*shape, 3), dtype=np.uint8),
         segments=segments,
         depth_m=np.where(segments == COMMON15.id_of("sky"), 0, depth_m).astype(np.float32),
+        confidence=generator.uniform(0, 1, coarse.shape).repeat(8, axis=0).repeat(8, axis=1).astype(np.float32),
         labels=generator.integers(0, len(SEMANTIC_KITTI), len(scan or street())),
     )
 
@@ -43,6 +44,7 @@ def page_frame(seed: int = 0, name: str = "a", view: View = VIEW, camera: bool =
         colour=around.colour,
         segments=around.segments,
         depth_m=around.depth_m,
+        confidence=around.confidence,
         camera=layer if camera else None,
         xyz=street().xyz,
     )

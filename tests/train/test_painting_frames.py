@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
 from safetensors.torch import save_file
 
-from lidar2pano.train.painting_frames import SCORED_PIXELS, PaintingFrames
+from lidar2pano.train.options import ScenePaintingOptions
+from lidar2pano.train.painting_frames import SCORED_PIXELS, PaintingFrames, made_by
+from lidar2pano.views import VIEWS
 
 CAR, ROAD, SKY = 1, 7, 15
 
@@ -58,3 +62,40 @@ def test_a_class_that_a_frame_hardly_shows_has_no_tone(frames):
 def test_every_look_has_its_own_mean(frames):
     tone, class_tones = frames._tones(2)
     assert not tone.any() and not class_tones.any()
+
+
+def test_files_depend_on_networks_raster_and_data_set(tmp_path):
+    """What other weights made of a frame, or the same of another data set's frame, is never taken for it."""
+    one, other = tmp_path / "a.safetensors", tmp_path / "b.safetensors"
+    one.write_bytes(b"1")
+    other.write_bytes(b"2")
+    view = VIEWS["panorama"]
+    keys = [made_by(view, str(a), str(b)) for a in (one, other) for b in (one, other)]
+    keys.append(made_by(replace(view, rows=8), str(one), str(one)))
+    assert len(set(keys)) == 5 and made_by(view, str(one), str(one)) == keys[0]
+
+    def file(root: Path, cache: str = "", key: str = keys[0]) -> Path:
+        frames = object.__new__(PaintingFrames)
+        frames.options, frames._made_by = ScenePaintingOptions(cache=cache), key
+        frames.crops = SimpleNamespace(frames=[SimpleNamespace(root=root, name="00/000007")])
+        return frames._file(0)
+
+    assert file(tmp_path / "x" / "day").is_relative_to(tmp_path / "x" / "day" / ".lidar2pano" / "painting")
+    kept = tmp_path / "kept"
+    files = {file(tmp_path / folder / "day", str(kept), key) for folder in "xy" for key in keys[:2]}
+    assert len(files) == 4
+    assert all(one.is_relative_to(kept) and one.name == "day-00-000007.safetensors" for one in files)
+
+
+def test_the_mean_of_a_look_does_not_depend_on_what_was_made_before(frames):
+    """Frame 1 as an image instead of a file: 300 dark pixels of car and 100 of road, of every 64th."""
+    wanted = frames._tones(0)
+    labels = torch.ones(80, 80, dtype=torch.uint8)
+    labels[60:] = 7
+    image = torch.full((3, 160, 160), round((1 - 0.3) * 127.5), dtype=torch.uint8)
+    image[:, 120:] = round((1 + 0.4) * 127.5)
+    window = SimpleNamespace(camera_labels=labels, image=image, valid=torch.ones(160, 160, dtype=torch.bool))
+    frames._file(1).unlink()
+    frames._means, frames.crops = {}, SimpleNamespace(window=lambda index: {1: window}[index])
+    for one, other in zip(wanted, frames._tones(0), strict=True):
+        torch.testing.assert_close(one, other, atol=0.005, rtol=0)

@@ -23,7 +23,7 @@ import pytest
 from PIL import Image
 
 from lidar2pano.labels import COMMON15
-from lidar2pano.viewer.page import PageWriter
+from lidar2pano.viewer.page import UNSURE_TO_SURE, PageWriter
 from small_panoramas import VIEW, page_frame, small_panorama
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -202,7 +202,9 @@ def expected(
 def test_the_page_opens_and_says_what_it_shows(one):
     assert one.page.title() == "one"
     assert one.text("#direction").startswith("ahead")
-    layers = [one.page.locator(f"[data-layer={name}]") for name in ("colour", "classes", "depth", "camera")]
+    layers = [
+        one.page.locator(f"[data-layer={name}]") for name in ("colour", "classes", "depth", "camera", "confidence")
+    ]
     assert all(layer.is_visible() for layer in layers)
     assert not one.page.locator("#time").is_visible(), "a single panorama has no time"
 
@@ -231,6 +233,18 @@ def test_classes_are_not_mixed(one, yaw):
     ids = around.segments[row[clear].astype(int), column[clear].astype(int) % VIEW.columns]
     np.testing.assert_array_equal(found[clear], COMMON15.paint(ids))
     assert one.page.locator("#legend span").count() == len(COMMON15) - 1, "all but unlabeled occur"
+
+
+def test_confidence_is_coloured_from_unsure_to_sure(one):
+    found = one.go("layer=confidence").pixels()
+    around = small_panorama()
+    _, row, column = expected(around.colour, found.shape, 0.0, 0.0, 30)
+    clear = (np.abs(row - np.round(row)) > 0.01) & (np.abs(column - np.round(column)) > 0.01)
+    clear &= (row > 0) & (row < VIEW.rows)
+    share = around.confidence[row[clear].astype(int), column[clear].astype(int) % VIEW.columns]
+    channels = [np.interp(np.arange(21) / 20, np.arange(5) / 4, stops) for stops in np.transpose(UNSURE_TO_SURE)]
+    table = np.stack(channels, axis=1)
+    np.testing.assert_array_equal(found[clear], table.round()[np.round(share * 20).astype(int)])
 
 
 def test_the_map_is_the_whole_panorama(one):
@@ -275,10 +289,10 @@ def test_large_panoramas_are_halved_for_small_devices(one, open_tab):
 def test_keys_choose_layers(one):
     colour = one.go("").pixels()
     found = {}
-    for key, name in (("2", "Classes"), ("3", "Depth"), ("4", "Camera"), ("1", "Colour")):
+    for key, name in (("2", "Classes"), ("3", "Depth"), ("4", "Camera"), ("5", "Confidence"), ("1", "Colour")):
         found[key] = one.press(key).pixels()
         assert one.checked() == [name]
-    assert np.array_equal(found["1"], colour) and len({image.tobytes() for image in found.values()}) == 4
+    assert np.array_equal(found["1"], colour) and len({image.tobytes() for image in found.values()}) == 5
     assert one.press("3").page.locator("#legend .ticks span").all_text_contents() == [
         "1 m",
         "4 m",
@@ -286,6 +300,8 @@ def test_keys_choose_layers(one):
         "64 m",
         "256 m",
     ]
+    ticks = one.press("5").page.locator("#legend .ticks span").all_text_contents()
+    assert ticks == ["0 %", "25 %", "50 %", "75 %", "100 %"]
     one.page.get_by_role("radio", name="Classes").click()
     assert np.array_equal(one.settle().pixels(), found["2"])
 
@@ -329,10 +345,12 @@ def test_the_mouse_reads_class_and_distance(one):
         name, metres = COMMON15.classes[around.segments[i, j]], around.depth_m[i, j]
         said = one.settle().text("#tip")
         assert said.partition(" \u00b7 ")[0] == name
+        (share,) = re.findall(r"(\d+) % sure", said)
+        assert int(share) / 100 == pytest.approx(around.confidence[i, j], abs=0.0251)
         if metres:
             assert float(re.findall(r"([\d.]+) m", said)[0]) == pytest.approx(metres, rel=0.03, abs=0.06)
         else:
-            assert said == name
+            assert " m " not in said
     one.page.mouse.move(left + 5, bottom + 20)
     assert not one.page.locator("#tip").is_visible()
 

@@ -10,12 +10,14 @@ import pytest
 from PIL import Image
 
 from lidar2pano.viewer.layers import (
+    CONFIDENCE_STEPS,
     FARTHEST_M,
     NEAREST_M,
     Coding,
     class_image,
     coding_for,
     colour_image,
+    confidence_image,
     depth_codes,
     depth_image,
     point_bytes,
@@ -49,6 +51,8 @@ def test_few_frames_are_exact():
     np.testing.assert_array_equal(pixels(colour_image(around.colour, EXACT)), around.colour)
     np.testing.assert_array_equal(pixels(class_image(around.segments, EXACT))[..., 0], around.segments)
     np.testing.assert_array_equal(pixels(depth_image(around.depth_m, EXACT))[..., 1], depth_codes(around.depth_m))
+    levels = pixels(confidence_image(around.confidence, EXACT))[..., 0]
+    np.testing.assert_allclose(levels / CONFIDENCE_STEPS, around.confidence, atol=0.5 / CONFIDENCE_STEPS + 1e-6)
     see_through = np.dstack([around.colour, around.segments * 17])
     np.testing.assert_array_equal(pixels(colour_image(see_through, EXACT)), see_through)
 

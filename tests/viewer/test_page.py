@@ -18,6 +18,7 @@ from PIL import Image
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_png
 from lidar2pano.labels import COMMON15
+from lidar2pano.viewer.layers import CONFIDENCE_STEPS
 from lidar2pano.viewer.page import PageWriter, title_of
 from lidar2pano.viewer.saved_frames import panorama_files, read_frame, saved_view
 from lidar2pano.views import VIEWS
@@ -69,8 +70,8 @@ def test_the_page_holds_what_was_added(tmp_path):
     index, blocks = index_of(page), {a["id"]: text for a, text in Elements(page).of("script") if "id" in a}
     assert [frame["name"] for frame in index["frames"]] == ["one", "two"]
     assert [list(frame["layers"]) for frame in index["frames"]] == [
-        ["colour", "classes", "depth"],
-        ["colour", "classes", "depth", "camera"],
+        ["colour", "classes", "depth", "confidence"],
+        ["colour", "classes", "depth", "confidence", "camera"],
     ]
     for seed, frame in enumerate(index["frames"]):
         block, mime = frame["layers"]["colour"]
@@ -83,6 +84,7 @@ def test_the_page_holds_what_was_added(tmp_path):
     assert [entry["name"] for entry in index["classes"]] == list(COMMON15.classes)
     assert index["classes"][0]["present"] is False and index["classes"][1]["present"] is True
     assert len(index["depth"]["colours"]) == 256
+    assert len(index["confidence"]["colours"]) == CONFIDENCE_STEPS + 1
 
 
 def test_nothing_is_loaded_from_elsewhere(tmp_path):
@@ -154,7 +156,7 @@ def test_titles(tmp_path):
 def test_saved_panoramas_are_frames(tmp_path):
     view = replace(VIEW, up=0.3, down=-0.25, origin=(1.0, 2.0, 3.0))
     around = replace(small_panorama(), view=view)
-    around.save(tmp_path, ("rgb", "segments", "labels", "depth"), stem="b")
+    around.save(tmp_path, ("rgb", "segments", "labels", "depth", "confidence"), stem="b")
     around.save(tmp_path, ("rgb",), stem="a")
     (tmp_path / "a.camera.png").write_bytes((tmp_path / "a.png").read_bytes())
     around.save_points(tmp_path / "b.ply", street())
@@ -165,6 +167,8 @@ def test_saved_panoramas_are_frames(tmp_path):
     np.testing.assert_array_equal(whole.colour, around.colour)
     np.testing.assert_array_equal(whole.segments, around.segments)
     np.testing.assert_allclose(whole.depth_m, around.depth_m, atol=1 / 512)
+    assert plain.confidence is None and whole.confidence is not None
+    np.testing.assert_allclose(whole.confidence, around.confidence, atol=0.5 / 255 + 1e-6)
     assert whole.xyz is not None and whole.xyz.dtype == np.float32
     np.testing.assert_array_equal(whole.xyz, street().xyz)
     around.save(tmp_path, stem="c", image_format="webp")

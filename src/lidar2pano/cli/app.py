@@ -132,7 +132,7 @@ def _quiet(debug: bool) -> Iterator[None]:
     with warnings.catch_warnings():
         if not debug and not sys.warnoptions:
             warnings.simplefilter("ignore")
-            logging.lastResort = None
+            logging.lastResort = logging.NullHandler()  # None would say that there is no handler
         yield
 
 

@@ -13,7 +13,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lidar2pano.cli.app import app
-from lidar2pano.cli.translate import DeviceOption, WeightsOption
+from lidar2pano.cli.translate import (
+    DeviceOption,
+    EngineOption,
+    EveryOption,
+    FromOption,
+    LookOption,
+    SteadyOption,
+    ToOption,
+    TopicOption,
+    WeightsOption,
+)
 from lidar2pano.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,22 +43,46 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
         Path | None,
         typer.Option(metavar="FILE", help="KITTI's calib.txt (P2, Tr): translate scans as that camera sees them."),
     ] = None,
+    look: LookOption = "",
+    steady: SteadyOption = False,
+    topic: TopicOption = "",
+    every: EveryOption = 1,
+    start_s: FromOption = None,
+    end_s: ToOption = None,
+    engine: EngineOption = "auto",
     no_open: Annotated[bool, typer.Option("--no-open", help="Only write the page.")] = False,
 ) -> None:
     """Write one HTML page to look around in, which needs no network, and open it. Scans are translated first."""
-    from lidar2pano.cli.files import check_file
+    from lidar2pano.cli.batch import Options, parse_camera, translate_files
+    from lidar2pano.engines import pick_engine
+    from lidar2pano.formats.readers import ReadOptions
+    from lidar2pano.hardware import pick_device
+    from lidar2pano.models.families import weight_files
     from lidar2pano.viewer.page import title_of
     from lidar2pano.viewer.saved_frames import panorama_files
 
-    check_file(out, "--out")
+    common = common_files(out, paths, None, None)
     found = {path: panorama_files(path) for path in paths}
-    title = title_of(paths)
     if scans := [path for path, files in found.items() if not files]:
         if len(scans) < len(found):
             raise InputError(f"{scans[0]}: is no panorama, others are; view panoramas or scans, not both in one page")
-        code = _view_scans(scans, out, title, weights, device, calib)
+        options = Options(
+            out=out.parent,
+            save=(),
+            device=pick_device(device),
+            weights=weights,
+            files=weight_files(weights),
+            calibration=parse_camera(calib, ""),
+            smooth=steady,
+            look=look,
+            selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
+            engine=engine,
+            common=common,
+        )
+        pick_engine(options.engine, options.device)
+        code = translate_files(scans, options)
     else:
-        code = _view_panoramas([file for files in found.values() for file in files], out, title)
+        code = _view_panoramas([file for files in found.values() for file in files], out, title_of(paths))
     if not no_open:
         open_page(out, code)
     raise typer.Exit(code)
@@ -66,24 +100,6 @@ def _view_panoramas(panoramas: list[Path], out: Path, title: str) -> int:
                 advance()
         print(writer.write(out))
     return 0
-
-
-def _view_scans(scans: list[Path], out: Path, title: str, weights: str, device: str, calib: Path | None) -> int:
-    from lidar2pano.cli.batch import Options, parse_camera, translate_files
-    from lidar2pano.hardware import pick_device
-    from lidar2pano.models.families import weight_files
-    from lidar2pano.viewer.outputs import OutputFiles
-
-    options = Options(
-        out=out.parent,
-        save=(),
-        device=pick_device(device),
-        weights=weights,
-        files=weight_files(weights),
-        calibration=parse_camera(calib, ""),
-        common=OutputFiles(page=out, title=title),
-    )
-    return translate_files(scans, options)
 
 
 def common_files(page: Path | None, scans: Sequence[Path], video: Path | None, rerun: Path | None) -> OutputFiles:

@@ -211,7 +211,8 @@ class ScenePaintingOptions(TaskOptions):
     augment_probability        of each kind of DiffAugment.
     fixed_norms                whether norms keep their statistics.
     look                       of frames that no simulator made; "": the painter's own.
-    cache                      folder that keeps what is made of each frame.
+    cache                      folder that keeps what is made of each frame, some 5 MB of a camera's view and 25 MB of
+                               a panorama; "": the folder .lidar2pano of its data set.
     translator, segmenter      weight files of the networks whose output is painted.
     """
 
@@ -229,7 +230,7 @@ class ScenePaintingOptions(TaskOptions):
     augment_probability: float = 0.0
     fixed_norms: bool = False
     look: str = ""
-    cache: str = "painting-frames"
+    cache: str = ""
     translator: str = ""
     segmenter: str = ""
 

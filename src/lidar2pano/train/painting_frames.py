@@ -5,6 +5,7 @@ Each frame is segmented and translated once, on its first use, and kept in a fil
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -16,8 +17,8 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from lidar2pano.data.frames import IGNORE, Frame, SampleIndex
-from lidar2pano.data.panorama_crops import PanoramaDataset
+from lidar2pano.data.frames import IGNORE, Frame, SampleIndex, evenly_spaced
+from lidar2pano.data.panorama_crops import PanoramaDataset, PanoramaWindow
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.formats.json_files import read_json
@@ -26,9 +27,11 @@ from lidar2pano.labels import COMMON15
 from lidar2pano.models.scene_painter import ScenePainter
 from lidar2pano.pipeline import Pipeline
 from lidar2pano.train.options import ScenePaintingOptions
+from lidar2pano.views import View
 
 NOT_FLIPPED = ("look", "tone", "class_tones", "class_means")
 SCORED_PIXELS = 30  # known pixels of a class in a frame, of every 64th; fewer say nothing about its tone
+MEAN_OF = 48  # frames at most of a look, evenly spaced, for its mean colours
 MARGIN = 48  # columns of a camera's sector that are kept on each side beyond those of a crop
 
 
@@ -75,7 +78,8 @@ class PaintingFrames:
     ) -> None:
         painter = cast("ScenePainter", pipeline.painter)
         looks, own = painter.looks, options.look or painter.look
-        self.pipeline, self.options, self.cache = pipeline, options, Path(options.cache)
+        self.pipeline, self.options = pipeline, options
+        self._made_by = made_by(pipeline.view, options.translator, options.segmenter)
         self.crops = PanoramaDataset(root, splits, pipeline.view, options.columns, image=True, shift_px=MARGIN)
         simulated = [look_of(frame) for frame in self.crops.frames]
         for frame, look in zip(self.crops.frames, simulated, strict=True):
@@ -140,8 +144,11 @@ class PaintingFrames:
 
     def _file(self, index: int) -> Path:
         frame = self.crops.frames[index]
-        root = frame.root.resolve().name if frame.root else ""
-        return self.cache / f"{root}-{frame.name.replace('/', '-')}.safetensors"
+        assert frame.root is not None, "frames of data sets have one"
+        root, stem = frame.root.resolve(), frame.name.replace("/", "-")
+        key = hashlib.sha256(f"{self._made_by} {root}".encode()).hexdigest()[:16]
+        folder = Path(self.options.cache) if self.options.cache else root / ".lidar2pano"
+        return folder / "painting" / key / f"{root.name}-{stem}.safetensors"
 
     def _made(self, index: int) -> dict[str, Tensor]:
         """Image, segments, depth, validity and remission of a frame in its window, the scene from the scan alone."""
@@ -150,9 +157,7 @@ class PaintingFrames:
         found = whole.translate(self.crops.frames[index].scan, Timer(whole.device))
         start = round((raster.left - window.view.left) * raster.columns / (raster.left - raster.right))
         columns = slice(start, start + window.view.columns)
-        ids = window.camera_labels[1::4, 1::4].long()
-        known = window.valid[2::8, 2::8] & (ids != IGNORE) & (ids != COMMON15.id_of("sky"))
-        colour = window.image[:, 2::8, 2::8].movedim(0, 2)[known].float() / 127.5 - 1
+        total, count = colours_of_classes(window)
         kept = {
             "segments": found.logits[0, ..., columns].float().softmax(0).half(),
             "depth_m": found.depth_m[0, :, columns].half(),
@@ -161,8 +166,8 @@ class PaintingFrames:
             "camera": window.camera_labels,
             "colour": window.image,
             "seen": window.valid,
-            "class_colours": torch.zeros(256, 3).index_add_(0, ids[known], colour),
-            "class_pixels": torch.zeros(256).index_add_(0, ids[known], torch.ones(len(colour))),
+            "class_colours": total,
+            "class_pixels": count,
         }
         return {name: value.contiguous() for name, value in kept.items()}
 
@@ -170,20 +175,40 @@ class PaintingFrames:
         """How much brighter an image is than its classes are on average in its look, (3,), and each class, (16, 3)."""
         look = self.look[index]
         if look not in self._means:
-            files = {self._file(number) for number, one in enumerate(self.look) if one == look}
-            sums = [self._sums(file) for file in sorted(files) if file.is_file()]
+            alike = [number for number, one in enumerate(self.look) if one == look]
+            sums = [self._sums(alike[number]) for number in evenly_spaced(len(alike), MEAN_OF)]
             total, count = (torch.stack(part).sum(0) for part in zip(*sums, strict=True))
             self._means[look] = total / count[:, None]
-        total, count = self._sums(self._file(index))
+        total, count = self._sums(index)
         excess = (total - self._means[look] * count[:, None]).nan_to_num(0)
         known = (count >= SCORED_PIXELS)[:, None]
         class_tones = (excess / count.clamp(min=1)[:, None]).where(known, 0.0)
         return excess.sum(0) / count.sum().clamp(min=1), class_tones[: len(COMMON15)]
 
-    @staticmethod
-    def _sums(file: Path) -> tuple[Tensor, Tensor]:
+    def _sums(self, index: int) -> tuple[Tensor, Tensor]:
+        """As `colours_of_classes`: from the frame's file, if it is made; the same numbers from its image, if not."""
+        if not (file := self._file(index)).is_file():
+            return colours_of_classes(self.crops.window(index))
         with safe_open(file, "pt") as kept:
             return kept.get_tensor("class_colours"), kept.get_tensor("class_pixels")
+
+
+def colours_of_classes(window: PanoramaWindow) -> tuple[Tensor, Tensor]:
+    """Sums of colours (256, 3) in [-1, 1] and numbers of pixels (256,) of each class: every 64th pixel counts."""
+    ids = window.camera_labels[1::4, 1::4].long()
+    known = window.valid[2::8, 2::8] & (ids != IGNORE) & (ids != COMMON15.id_of("sky"))
+    colour = window.image[:, 2::8, 2::8].movedim(0, 2)[known].float() / 127.5 - 1
+    total = torch.zeros(256, 3).index_add_(0, ids[known], colour)
+    return total, torch.zeros(256).index_add_(0, ids[known], torch.ones(len(colour)))
+
+
+def made_by(view: View, *weights: str) -> str:
+    """What the files of frames depend on, beside the frames: raster and networks, as one hexadecimal number."""
+    digest = hashlib.sha256(repr(view).encode())
+    for file in weights:
+        with Path(file).open("rb") as opened:
+            digest.update(hashlib.file_digest(opened, "sha256").digest())
+    return digest.hexdigest()
 
 
 def look_of(frame: Frame) -> str:

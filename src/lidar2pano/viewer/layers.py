@@ -11,6 +11,7 @@ from PIL import Image
 
 NEAREST_M, FARTHEST_M = 1.0, 256.0  # depths of the codes 1 and 255; equal steps of the logarithm, 2.2 % each
 STEPS = 254
+CONFIDENCE_STEPS = 20  # of 5 %: finer ones would be noise that no coding makes small
 CENTIMETRE = 0.01  # of point coordinates, which thus reach 327 m
 FEW_FRAMES = 4  # so many are coded exactly
 MOST_FRAMES = 60  # more than that, and every image is coarser
@@ -24,7 +25,7 @@ class Coding:
 
     quality      of WebP for colours, 0 .. 100; None: PNG, which keeps every value.
     coarser      panorama pixels per pixel of the colours and classes, in either direction.
-    depth_coarser  likewise of the depth.
+    depth_coarser  likewise of the depth and the confidence.
     points       of a scan, at most.
     """
 
@@ -62,6 +63,11 @@ def class_image(segments: np.ndarray, coding: Coding) -> tuple[bytes, str]:
 def depth_image(depth_m: np.ndarray, coding: Coding) -> tuple[bytes, str]:
     """(bytes, MIME type) of depths (h, w) in metres, as `depth_codes`."""
     return _codes(depth_codes(depth_m), coding.depth_coarser)
+
+
+def confidence_image(confidence: np.ndarray, coding: Coding) -> tuple[bytes, str]:
+    """(bytes, MIME type) of confidences (h, w) in [0, 1], in CONFIDENCE_STEPS."""
+    return _codes(np.round(confidence * CONFIDENCE_STEPS).astype(np.uint8), coding.depth_coarser)
 
 
 def depth_codes(depth_m: np.ndarray) -> np.ndarray:

@@ -80,6 +80,7 @@ class PageOutput:
             colour=panorama.colour,
             segments=panorama.segments,
             depth_m=panorama.depth_m,
+            confidence=panorama.confidence,
             camera=camera_layer(source, panorama.view),
             xyz=scan.xyz,
         )

@@ -25,6 +25,7 @@ from lidar2pano.formats.image_files import write_whole
 from lidar2pano.labels import COMMON15
 from lidar2pano.panorama import OCCLUDED_FACTOR, OCCLUDED_M
 from lidar2pano.viewer.layers import (
+    CONFIDENCE_STEPS,
     FARTHEST_M,
     MOST_FRAMES,
     NEAREST_M,
@@ -32,6 +33,7 @@ from lidar2pano.viewer.layers import (
     class_image,
     coding_for,
     colour_image,
+    confidence_image,
     depth_image,
     point_bytes,
 )
@@ -44,6 +46,8 @@ NEAR_TO_FAR = (
     (36, 18, 82), (16, 12, 40),
 )  # fmt: skip
 NO_DEPTH = (58, 66, 78)
+# Colours of confidences from 0 to 1, evenly spaced: matplotlib's map "viridis".
+UNSURE_TO_SURE = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,6 +59,7 @@ class PageFrame:
     colour    (h, w, 3) uint8 RGB.
     segments  (h, w) uint8 ids of COMMON15.
     depth_m   (h, w) float32 metres, 0 = none.
+    confidence  (h, w) float32 in [0, 1]: the translator's probability of the class.
     camera    (h, w, 4) uint8 RGBA: camera images on the panorama, transparent where there is none.
     xyz       (N, 3) float32: the scan's points, sensor frame, metres.
     """
@@ -64,6 +69,7 @@ class PageFrame:
     colour: np.ndarray
     segments: np.ndarray | None = None
     depth_m: np.ndarray | None = None
+    confidence: np.ndarray | None = None
     camera: np.ndarray | None = None
     xyz: np.ndarray | None = None
 
@@ -122,6 +128,8 @@ class PageWriter:
             self._present[np.unique(frame.segments)] = True
         if frame.depth_m is not None:
             layers["depth"] = self._block(*depth_image(frame.depth_m, coding))
+        if frame.confidence is not None:
+            layers["confidence"] = self._block(*confidence_image(frame.confidence, coding))
         if frame.camera is not None:
             layers["camera"] = self._block(*colour_image(frame.camera, coding))
         entry: dict[str, Any] = {
@@ -186,21 +194,24 @@ class PageWriter:
         return _substituted(before, values), _substituted(after, values)
 
     def _index(self) -> dict[str, Any]:
-        table = [NO_DEPTH, *np.stack([_ramp(channel) for channel in zip(*NEAR_TO_FAR, strict=True)], axis=1).tolist()]
         return {
             "frames": self._frames,
             "classes": [
                 {"name": name, "colour": list(colour), "present": bool(self._present[index])}
                 for index, (name, colour) in enumerate(zip(COMMON15.classes, COMMON15.colours, strict=True))
             ],
-            "depth": {"nearest": NEAREST_M, "farthest": FARTHEST_M, "colours": table},
+            "depth": {"nearest": NEAREST_M, "farthest": FARTHEST_M, "colours": [NO_DEPTH, *_ramp(NEAR_TO_FAR, 255)]},
+            "confidence": {"colours": _ramp(UNSURE_TO_SURE, CONFIDENCE_STEPS + 1)},
             "occluded": [OCCLUDED_FACTOR, OCCLUDED_M],
             "rate": RATE_HZ,
         }
 
 
-def _ramp(stops: tuple[int, ...]) -> np.ndarray:
-    return np.interp(np.linspace(0, len(stops) - 1, 255), np.arange(len(stops)), stops).round().astype(int)
+def _ramp(stops: tuple[tuple[int, int, int], ...], steps: int) -> list[list[int]]:
+    """`steps` colours between the first and the last of `stops`, which are evenly spaced."""
+    places = np.linspace(0, len(stops) - 1, steps)
+    channels = [np.interp(places, np.arange(len(stops)), channel) for channel in zip(*stops, strict=True)]
+    return np.stack(channels, axis=1).round().astype(int).tolist()
 
 
 def _hash(text: str) -> str:

@@ -34,18 +34,19 @@ def panorama_files(path: Path) -> list[Path]:
 
 
 def read_frame(path: Path) -> PageFrame:
-    """The panorama of an image, with what lies beside it: <stem>.segments.png, <stem>.depth.png, <stem>.ply.
+    """The panorama of an image, with what lies beside it: .segments.png, .depth.png, .confidence.png, .ply.
 
     Raises InputError where a file is damaged or is no panorama.
     """
     view = saved_view(path)
-    segments, steps = (_beside(path, f".{part}.png") for part in ("segments", "depth"))
+    segments, steps, levels = (_beside(path, f".{part}.png") for part in ("segments", "depth", "confidence"))
     return PageFrame(
         name=path.stem,
         view=view,
         colour=read_image(path, "RGB"),
         segments=None if segments is None else segments.astype(np.uint8),
         depth_m=None if steps is None else steps.astype(np.float32) / DEPTH_STEPS,
+        confidence=None if levels is None else levels.astype(np.float32) / np.iinfo(np.uint8).max,
         xyz=_points(path.with_suffix(".ply")),
     )
 

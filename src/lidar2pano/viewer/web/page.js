@@ -1,8 +1,8 @@
 "use strict";
 (() => {
 const INDEX = JSON.parse(document.getElementById("index").textContent);
-const LAYERS = ["colour", "classes", "depth", "camera"];
-const UNITS = { colour: 0, classes: 1, depth: 2, camera: 3, table: 4 };
+const LAYERS = ["colour", "classes", "depth", "camera", "confidence"];
+const UNITS = { colour: 0, classes: 1, depth: 2, camera: 3, confidence: 4, table: 5 };
 const ORBIT = { yaw: 0, pitch: 0.5, distance: 22, x: 3, y: 0, z: 0 };  // metres, radians
 const TURN = 2 * Math.PI, RAD = Math.PI / 180;
 const $ = (id) => document.getElementById(id);
@@ -128,10 +128,11 @@ function start() {
     look: program(TRIANGLE, LOOK), map: program(TRIANGLE, MAP), cloud: program(CLOUD_VERTICES, CLOUD_PIXELS),
   };
   texture(UNITS.table, { circular: false });
-  const table = new Uint8Array(256 * 2 * 4);
+  const table = new Uint8Array(256 * 3 * 4);
   INDEX.classes.forEach(({ colour }, id) => table.set([...colour, 255], 4 * id));
   INDEX.depth.colours.forEach((colour, step) => table.set([...colour, 255], 4 * (256 + step)));
-  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 256, 2, 0, gl.RGBA, gl.UNSIGNED_BYTE, table);
+  INDEX.confidence.colours.forEach((colour, step) => table.set([...colour, 255], 4 * (512 + step)));
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 256, 3, 0, gl.RGBA, gl.UNSIGNED_BYTE, table);
   cloudBuffer = gl.createBuffer();
   canvas.addEventListener("webglcontextlost", () => setTimeout(() => location.reload(), 500));
 }
@@ -281,11 +282,17 @@ function legend() {
   if (state.layer === "classes") {
     return INDEX.classes.filter(({ present }) => present).map(({ name, colour }) => element("span", {}, swatch(colour), name));
   }
-  if (state.layer !== "depth") return [];
-  const scale = element("canvas", { width: 255, height: 1 }), pen = scale.getContext("2d");
-  INDEX.depth.colours.slice(1).forEach(([r, g, b], i) => { pen.fillStyle = `rgb(${r} ${g} ${b})`; pen.fillRect(i, 0, 1, 1); });
-  const { nearest, farthest } = INDEX.depth;
-  const ticks = [0, 1, 2, 3, 4].map((i) => `${Math.round(nearest * (farthest / nearest) ** (i / 4))} m`);
+  const { nearest, farthest } = INDEX.depth, quarters = [0, 1, 2, 3, 4];
+  if (state.layer === "depth") {
+    const metres = quarters.map((i) => `${Math.round(nearest * (farthest / nearest) ** (i / 4))} m`);
+    return ramp(INDEX.depth.colours.slice(1), metres);
+  }
+  return state.layer === "confidence" ? ramp(INDEX.confidence.colours, quarters.map((i) => `${25 * i} %`)) : [];
+}
+
+function ramp(colours, ticks) {
+  const scale = element("canvas", { width: colours.length, height: 1 }), pen = scale.getContext("2d");
+  colours.forEach(([r, g, b], i) => { pen.fillStyle = `rgb(${r} ${g} ${b})`; pen.fillRect(i, 0, 1, 1); });
   const row = element("div", { className: "ticks" }, ...ticks.map((text) => element("span", { textContent: text })));
   return [element("div", { className: "scale" }, scale, row)];
 }
@@ -471,6 +478,9 @@ function hover(event) {
       const metres = nearest * (farthest / nearest) ** ((steps - 1) / 254);
       parts.push(`${parts.length ? " \u00b7 " : ""}${metres.toFixed(metres < 20 ? 1 : 0)} m`);
     }
+    const share = codeAt("confidence", at);
+    const whole = INDEX.confidence.colours.length - 1;
+    if (share !== null) parts.push(`${parts.length ? " \u00b7 " : ""}${Math.round(100 * share / whole)} % sure`);
   }
   $("tip").hidden = !parts.length;
   $("tip").replaceChildren(...parts);
@@ -499,6 +509,7 @@ function key(event) {
     ArrowLeft: arrows(1, 0), ArrowRight: arrows(-1, 0), ArrowUp: arrows(0, 1), ArrowDown: arrows(0, -1),
     "+": () => (inCloud ? zoomCloud(0.8) : zoom(0.8)), "-": () => (inCloud ? zoomCloud(1.25) : zoom(1.25)),
     1: () => choose("colour"), 2: () => choose("classes"), 3: () => choose("depth"), 4: () => choose("camera"),
+    5: () => choose("confidence"),
     c: compare, p: cloud, r: reset, Home: reset, " ": play, ",": () => step(-1), ".": () => step(1), "?": help,
   };
   keys["="] = keys["+"];

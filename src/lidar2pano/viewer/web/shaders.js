@@ -7,8 +7,8 @@ precision highp int;
 precision highp sampler2D;
 const float PI = 3.14159265358979;
 const vec3 GROUND = vec3(20., 23., 28.) / 255.;
-uniform sampler2D colour, classes, depth, photo;
-uniform sampler2D table;    // 256 x 2: RGB of each class, RGB of each depth code
+uniform sampler2D colour, classes, depth, photo, confidence;
+uniform sampler2D table;    // 256 x 3: RGB of each class, of each depth code, of each step of confidence
 uniform vec4 cylinder;      // tangents of the upper and the lower edge; azimuth of the left edge, width: radians
 uniform float detail;          // level of detail of colours: log2 of panorama pixels per screen pixel
 uniform vec2 depthRange;    // metres of the codes 1 and 255, which are log-spaced
@@ -38,6 +38,7 @@ int code(sampler2D layer, vec2 at) { return int(textureLod(layer, at, 0.).r * 25
 vec3 painted(vec2 at, int layer) {
   if (layer == 1) return texelFetch(table, ivec2(code(classes, at), 0), 0).rgb;
   if (layer == 2) return texelFetch(table, ivec2(code(depth, at), 1), 0).rgb;
+  if (layer == 4) return texelFetch(table, ivec2(code(confidence, at), 2), 0).rgb;
   vec3 rgb = textureLod(colour, at, detail).rgb;
   if (layer == 0) return rgb;
   vec4 sample_ = textureLod(photo, at, detail);
