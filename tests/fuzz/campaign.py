@@ -37,7 +37,7 @@ MOST_BYTES = 700 << 20  # nor so much memory at once, above what it began with
 
 
 class Fault(NamedTuple):
-    """A mutant that raised something else than InputError, a message that is no line, or took too much time or memory."""
+    """A mutant that raised something else than InputError, whose message is no line, or that took too much."""
 
     target: str
     data: bytes

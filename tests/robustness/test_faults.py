@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import shutil
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -130,6 +132,26 @@ def scan(xyz: np.ndarray) -> Callable[[], object]:
     return lambda: write_scan(Path("good.bin"), Scan(xyz=points, remission=np.zeros(len(points), np.float32)))
 
 
+class Bomb:
+    """Three GiB, as a pickle of few bytes."""
+
+    def __reduce__(self) -> tuple:
+        return bytearray, (3 << 30,)
+
+
+def saved(content: object) -> Callable[[], object]:
+    return lambda: torch.save(content, "x.pth")
+
+
+def packed() -> None:
+    torch.save({"a": torch.zeros(9)}, "plain.pth")
+    with zipfile.ZipFile("plain.pth") as plain, zipfile.ZipFile("x.pth", "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in plain.namelist():
+            archive.writestr(name, plain.read(name))
+
+
+BOMB = pickle.dumps({"a": Bomb()}, 2)
+IMPORT = "weights import x.pth --as salsanext --out y.safetensors"
 OWN = "translate good.bin --weights own --device cpu"
 FAULTS = [
     # files that are not what they claim
@@ -150,6 +172,12 @@ FAULTS = [
     Fault("splits.json of a text", text("data/splits.json", '{"val": "00/0"}'), EVALUATE, "must be a list of seq/"),
     Fault(
         "splits.json in Latin-1", lambda: Path("data/splits.json").write_bytes(b'{"v\xe4l": []}'), EVALUATE, "no JSON"
+    ),
+    Fault(
+        "splits.json that reproduce cannot use",
+        text("data/splits.json", "[]"),
+        "reproduce --data data --out rep --rows titan --segmenter small",
+        "must be an object of split",
     ),
     Fault("splits.json with NaN", text("data/splits.json", '{"val": NaN}'), EVALUATE, "NaN is not a number"),
     Fault("splits.json with 5000 digits", text("data/splits.json", f'{{"val": {"9" * 5000}}}'), EVALUATE, "64 bits"),
@@ -202,6 +230,12 @@ FAULTS = [
         f"{TRANSLATE} --calib calib.txt",
         "calib.txt: ",
     ),
+    Fault(
+        "poses on no planet",
+        text(f"{SEQUENCE}/poses.txt", "1 0 0 1e300 0 1 0 0 0 0 1 0\n"),
+        f"translate {SEQUENCE}/velodyne --weights small --device cpu --steady",
+        "is on no planet",
+    ),
     Fault("an empty calibration", text("calib.txt", ""), f"{TRANSLATE} --calib calib.txt", "has no row P2"),
     Fault(
         "an image size of gigabytes", nothing, f"{TRANSLATE} --calib calib.txt --image-size 99999x99999", "--image-size"
@@ -229,6 +263,10 @@ FAULTS = [
         "each of 5 channels",
     ),
     Fault("a card with text for hours", own(field(hours="2")), OWN, "'hours' must be a number"),
+    Fault("labels of a set that there is not", own(field(labels="nope")), OWN, "no label set 'nope'"),
+    Fault("a checkpoint of 1 kB that builds 3 GiB", saved({"a": Bomb()}), IMPORT, "cannot be read as weights"),
+    Fault("a pickle of 1 kB that builds 3 GiB", lambda: Path("x.pth").write_bytes(BOMB), IMPORT, "cannot be read as"),
+    Fault("a packed checkpoint", packed, IMPORT, "cannot be read as weights"),
     # options
     Fault("a rate of 1e38", nothing, f"{TRAIN} --set networks.segmenter.optimizer.rate=1e38", "optimizer.rate"),
     Fault("a negative rate", nothing, f"{TRAIN} --set networks.segmenter.optimizer.rate=-1", "optimizer.rate"),

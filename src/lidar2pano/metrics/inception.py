@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, max_pool2d
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats.torch_files import load_torch
 
 SIDE, FEATURES, CLASSES = 299, 2048, 1008
 SHA256 = "6726825d0af5f729cebd5821db510b11b1cfad8faad88a03f1befd49fb9129b2"
@@ -59,7 +60,7 @@ def load_inception(path: Path | str, device: torch.device | str = "cpu", sha256:
 
 def _read(path: Path | str) -> Mapping[str, Tensor]:
     try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        state = load_torch(path)
     except (pickle.UnpicklingError, EOFError, RuntimeError, ValueError):
         state = None
     if not isinstance(state, Mapping):

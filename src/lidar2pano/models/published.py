@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.errors import InputError, closest
+from lidar2pano.formats.torch_files import load_torch
 from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.labels import CITYSCAPES, CITYSCAPES_IDS, COMMON14, SEMANTIC_KITTI
 from lidar2pano.models import build
@@ -411,7 +412,7 @@ def _content(path: Path) -> Mapping:
         raise InputError(f"no checkpoint file {path}; check the path")
     try:
         with torch.serialization.safe_globals(_BYSTANDERS):
-            content = torch.load(path, map_location="cpu", weights_only=True)
+            content = load_torch(path)
     except Exception:  # a broken or hostile file can break torch's restricted reader anywhere
         raise InputError(
             f"{path} cannot be read as weights: it is cut off, no torch checkpoint, or holds more than weights; "

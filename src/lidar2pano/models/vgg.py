@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import torch
 from torch import Tensor, nn
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats.torch_files import load_torch
 
 WIDTHS = (64, 64, 0, 128, 128, 0, 256, 256, 256, 256, 0, 512, 512, 512, 512, 0, 512)  # 0: the image is halved
 TAPS = (1, 6, 11, 20, 29)  # relu1_1, relu2_1, relu3_1, relu4_1, relu5_1
@@ -42,7 +42,7 @@ def read_vgg(path: Path | str) -> Vgg19:
     """The network from torchvision's vgg19-*.pth, fixed; a file that holds anything else raises InputError."""
     network = Vgg19()
     try:
-        found = torch.load(path, map_location="cpu", weights_only=True)
+        found = load_torch(path)
         network.load_state_dict({key: found[key] for key in network.state_dict()})
     except Exception:  # a broken or hostile file can break torch's restricted reader anywhere
         raise InputError(f"{path} holds no weights of VGG-19; give torchvision's vgg19-dcbb9e9d.pth") from None

@@ -36,6 +36,7 @@ from lidar2pano.data.frames import located
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.formats.json_files import read_json, validated
+from lidar2pano.formats.torch_files import load_torch
 from lidar2pano.models.card import Card, save
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, resolved
 
@@ -225,7 +226,7 @@ def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, d
         progress = validated(Progress, read_json(newest / "state.json"), "its state.json")
         weights = load_file(newest / "weights.safetensors")
         check_weights(weights, progress.step)
-        optimizers = torch.load(newest / "optimizers.pt", map_location="cpu", weights_only=True)
+        optimizers = load_torch(newest / "optimizers.pt")
     except InputError as error:
         raise InputError(f"{newest} is damaged ({error}); remove it to start again") from None
     except (OSError, EOFError, ValueError, LookupError, TypeError, FloatingPointError, *BROKEN) as error:
