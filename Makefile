@@ -2,6 +2,7 @@
 #   make demo     one scan in, a panorama out          make test    the whole test suite
 #   make lint     format, lint, types, spelling        make docs    the documentation, in site/
 #   make fuzz     mutants through every reader, SECONDS=3600
+#   make kills    every command that writes for long, killed at random instants and repeated, KILLS=20 times each
 #   make dist     wheel and sdist, in dist/            make clean   remove what was made, .venv too
 # PYTHON=python3.12 chooses the interpreter; TORCH_INDEX=URL another package index for torch, such as one of CPU builds
 # (on Linux the usual index has large CUDA ones).
@@ -11,7 +12,7 @@ TORCH_INDEX ?=
 BIN := .venv/bin
 SOURCES := src tests runs docs examples
 
-.PHONY: setup demo test fuzz lint format docs dist clean
+.PHONY: setup demo test fuzz kills lint format docs dist clean
 
 setup: .venv/.ready
 
@@ -31,6 +32,9 @@ test: setup
 
 fuzz: setup
 	$(BIN)/python tests/fuzz/campaign.py --replay --seconds $(or $(SECONDS),3600) --seed $(or $(SEED),0)
+
+kills: setup
+	$(BIN)/python -m pytest --kills $(or $(KILLS),20) tests/robustness/test_kills.py
 
 lint: setup
 	$(BIN)/ruff format --check $(SOURCES)

@@ -15,15 +15,24 @@ from hypothesis.extra import numpy as arrays
 
 from lidar2pano import labels
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import DEPTH_STEPS, image_text, read_image, write_depth, write_palette, write_png
+from lidar2pano.formats.image_files import (
+    DEPTH_STEPS,
+    image_text,
+    read_image,
+    write_depth,
+    write_ids,
+    write_palette,
+    write_png,
+)
 from lidar2pano.formats.json_files import parse_json, validated
 from lidar2pano.formats.ply_writer import write_ply
 from lidar2pano.formats.readers import ReadOptions, open_path
 from lidar2pano.formats.scan_files import read_bin, read_label, write_bin, write_label
 from lidar2pano.geometry.projection import back_project, project_points
-from lidar2pano.labels import CITYSCAPES, COMMON14, COMMON15, SEMANTIC_KITTI, TABLES, LabelSet
+from lidar2pano.labels import CITYSCAPES, COMMON14, COMMON15, LABEL_SETS, SEMANTIC_KITTI, TABLES, LabelSet
+from lidar2pano.models.card import Card
 from lidar2pano.scan import Scan
-from lidar2pano.train.checkpoint import Progress
+from lidar2pano.train.checkpoint import Progress, load_checkpoint, save_checkpoint
 from lidar2pano.train.recipe import Optimizer
 from lidar2pano.views import View
 
@@ -89,6 +98,14 @@ def test_segments_are_read_as_they_were_written(ids):
 
 
 @quickly
+@given(arrays.arrays(st.sampled_from([np.uint8, np.uint16]), (5, 7)))
+def test_ids_are_read_as_they_were_written(ids):
+    path = written("a.png")
+    write_ids(path, ids)
+    assert (read_image(path) == ids).all()
+
+
+@quickly
 @given(arrays.arrays(np.float32, (4, 6), elements=st.floats(0, 255, width=32)))
 def test_depths_are_read_to_half_a_step(depth_m):
     path = written("a.png")
@@ -122,6 +139,36 @@ def test_a_typed_value_is_of_its_type_or_refused(value):
             assert str(error).startswith("here: ")
         else:
             assert isinstance(made, cls)
+
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+OBJECTS = st.dictionaries(st.text(), FINITE | st.text() | st.booleans(), max_size=3)
+
+
+@quickly
+@given(
+    st.builds(
+        Card, network=st.text(), settings=OBJECTS, labels=st.sampled_from([None, *LABEL_SETS]), score=OBJECTS,
+        steps=st.integers(0, 2**62), hours=FINITE, licence=st.text(),
+    )
+)  # fmt: skip
+def test_a_card_is_read_as_it_was_written(card):
+    assert Card.from_json(card.to_json()) == card
+
+
+@settings(max_examples=8, deadline=None, database=None, derandomize=True)  # each is flushed to the disk
+@given(
+    st.builds(Progress, step=st.integers(0, 10**9), seconds=st.floats(0, 1e12), best=st.none() | FINITE),
+    st.dictionaries(st.text("ab./", min_size=1, max_size=5), arrays.arrays(np.float32, (2, 3), elements=FLOATS)),
+)
+def test_a_checkpoint_is_read_as_it_was_written(progress, weights):
+    run = written("run")
+    tensors = {name: torch.from_numpy(value) for name, value in weights.items()}
+    save_checkpoint(run, progress, tensors, {"a": {"state": {}, "param_groups": [{"lr": 0.1}]}})
+    found = load_checkpoint(run)
+    assert found is not None and found[0] == progress and found[1].keys() == tensors.keys()
+    assert all(torch.equal(found[1][name], value) for name, value in tensors.items())
+    assert found[2] == {"a": {"state": {}, "param_groups": [{"lr": 0.1}]}}
 
 
 @quickly

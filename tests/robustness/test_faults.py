@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import resource
 import shutil
 import zipfile
 from collections.abc import Callable
@@ -30,6 +31,7 @@ TRANSLATE = "translate good.bin --weights small --device cpu"
 EVALUATE = "evaluate small --data data --device cpu"
 TRAIN = "train salsanext-mini --data data --out run --device cpu --set data.train=val"
 DEEP = "[" * 100_000 + "]" * 100_000
+MOST_KIB = 700 << 10  # of memory that a fault may take
 SEQUENCE = Path("data/sequences/00")
 
 
@@ -323,10 +325,11 @@ def everything(folder: Path) -> set[str]:
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
 def test_a_fault_is_one_line_and_leaves_nothing(here, capfd, fault):
     fault.make()
-    before = everything(here)
+    before, held = everything(here), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert main(fault.command.split()) == fault.code
     err = capfd.readouterr().err
     assert err.startswith("lidar2pano: ") and err.count("\n") == 1 and "Traceback" not in err
     assert fault.says in err
     assert len(err) < 2500
     assert everything(here) == before
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - held < MOST_KIB, "memory beyond what was there before"
