@@ -85,6 +85,15 @@ def test_twenty_kills_leave_the_bytes_of_an_undisturbed_run(root, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_two_at_once_in_one_folder_give_the_bytes_of_one(root, tmp_path):
+    assert run(job_of(root, tmp_path / "whole")) == 0
+    processes = [begin(job_of(root, tmp_path / "both", pipeline=StandIn(seconds=0.002))) for _ in range(2)]
+    assert [os.waitstatus_to_exitcode(os.waitpid(one, 0)[1]) for one in processes] == [0, 0]
+    assert contents(tmp_path / "both") == contents(tmp_path / "whole")
+    assert not list((tmp_path / "both").rglob(f"{SCRATCH}*"))
+
+
 def test_sigterm_finishes_what_was_begun(root, tmp_path):
     process = begin(job_of(root, tmp_path / "out", pipeline=StandIn(seconds=0.05)))
     while not list(tmp_path.glob("out/a/*.png")):

@@ -1,9 +1,11 @@
-"""Checkpoints that were tampered with, two processes in one run, and scans without usable points in training."""
+"""Training under faults: checkpoints that were tampered with, two processes in one run, killed loaders, empty scans."""
 
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -19,7 +21,7 @@ from lidar2pano.losses.supervised import labelled_cross_entropy
 from lidar2pano.train.checkpoint import claimed
 from lidar2pano.train.engine import train
 from random_weights import SEGMENTER_VIEW, write_data_set
-from toy_training import entries, toy_recipe
+from toy_training import NoisyImages, entries, toy_recipe
 
 
 @pytest.fixture(scope="module")
@@ -108,6 +110,22 @@ def test_a_second_process_in_a_run_is_refused_and_leaves_it_alone(finished, tmp_
         train(toy_recipe("toy", steps=3), Path(), run, device="cpu")
     assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
     train(toy_recipe("toy", steps=3), Path(), run, device="cpu")
+
+
+def test_a_killed_loader_is_one_line_and_the_command_goes_on(finished, tmp_path, monkeypatch):
+    run = shutil.copytree(finished, tmp_path / "run")
+    taken = NoisyImages.__getitem__
+
+    def killed(images: NoisyImages, at: SampleIndex):
+        if torch.utils.data.get_worker_info():
+            os.kill(os.getpid(), signal.SIGKILL)
+        return taken(images, at)
+
+    monkeypatch.setattr(NoisyImages, "__getitem__", killed)
+    with pytest.raises(InputError, match="a process that prepares samples was killed"):
+        train(toy_recipe("toy", steps=3, workers=1), Path(), run, device="cpu")
+    train(toy_recipe("toy", steps=3), Path(), run, device="cpu")
+    assert len(list((run / "checkpoints").iterdir())) == 1
 
 
 def test_a_scan_without_usable_points_is_an_empty_sample(tmp_path):
