@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import signal
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from lidar2pano.losses.supervised import labelled_cross_entropy
 from lidar2pano.train.checkpoint import claimed
 from lidar2pano.train.engine import train
 from random_weights import SEGMENTER_VIEW, write_data_set
-from toy_training import NoisyImages, entries, toy_recipe
+from toy_training import Denoise, NoisyImages, Sample, entries, toy_recipe
 
 
 @pytest.fixture(scope="module")
@@ -112,18 +113,28 @@ def test_a_second_process_in_a_run_is_refused_and_leaves_it_alone(finished, tmp_
     train(toy_recipe("toy", steps=3), Path(), run, device="cpu")
 
 
-def test_a_killed_loader_is_one_line_and_the_command_goes_on(finished, tmp_path, monkeypatch):
+@pytest.mark.parametrize("when", ["it loads", "the network learns"])
+def test_a_killed_loader_is_one_line_and_the_command_goes_on(finished, tmp_path, monkeypatch, when):
     run = shutil.copytree(finished, tmp_path / "run")
     taken = NoisyImages.__getitem__
 
-    def killed(images: NoisyImages, at: SampleIndex):
+    def loaded(images: NoisyImages, at: SampleIndex) -> Sample:
         if torch.utils.data.get_worker_info():
-            os.kill(os.getpid(), signal.SIGKILL)
+            if not (tmp_path / "worker").exists():
+                (tmp_path / "worker").write_text(str(os.getpid()))
+            if when == "it loads":
+                os.kill(os.getpid(), signal.SIGKILL)
         return taken(images, at)
 
-    monkeypatch.setattr(NoisyImages, "__getitem__", killed)
-    with pytest.raises(InputError, match="a process that prepares samples was killed"):
-        train(toy_recipe("toy", steps=3, workers=1), Path(), run, device="cpu")
+    def killed(_: int) -> None:
+        os.kill(int((tmp_path / "worker").read_text()), signal.SIGKILL)
+        time.sleep(2)  # the system interrupts it
+
+    with monkeypatch.context() as patch:
+        patch.setattr(NoisyImages, "__getitem__", loaded)
+        patch.setattr(Denoise, "before_step", killed)
+        with pytest.raises(InputError, match="a process that prepares samples was killed"):
+            train(toy_recipe("toy", steps=3, workers=1), Path(), run, device="cpu")
     train(toy_recipe("toy", steps=3), Path(), run, device="cpu")
     assert len(list((run / "checkpoints").iterdir())) == 1
 

@@ -42,7 +42,7 @@ from lidar2pano.train.monitor import Meter, Monitor, check_finite
 from lidar2pano.train.optimisation import EMA, averaged, clip, learning_rate, load_optimizer, make_optimizer
 from lidar2pano.train.predictions import predict_all
 from lidar2pano.train.recipe import Recipe, Training
-from lidar2pano.train.sampling import BatchSampler, batches, seed_step, steps_over
+from lidar2pano.train.sampling import BatchSampler, batches, lost_workers, seed_step, steps_over
 from lidar2pano.train.task import Task
 from lidar2pano.train.tasks import build_task
 
@@ -159,7 +159,7 @@ class Run:
             self.monitor = Monitor(self.out, self.recipe.name, training.steps, step)
         self.clock = clock(self.progress.seconds)
         try:
-            with interrupts() as interrupted:
+            with interrupts() as interrupted, lost_workers():
                 if self._loop(loader, interrupted):
                     self._checkpoint()
                     fabric.barrier()

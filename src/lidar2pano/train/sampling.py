@@ -7,6 +7,7 @@ import random
 import signal
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any, cast
 
@@ -72,7 +73,7 @@ class BatchSampler:
 def batches(dataset: Dataset, sampler: BatchSampler, workers: int, *, pinned: bool) -> Iterator[Any]:
     """Collated micro-batches in the order of `sampler`; workers leave Ctrl-C to the process that trains.
 
-    A user's mistake that a worker meets, and the loss of a worker, raise InputError with one line.
+    A user's mistake that a worker meets raises InputError with one line; for the loss of a worker see `lost_workers`.
     """
     loader = DataLoader(
         cast(TorchDataset, dataset),
@@ -87,9 +88,17 @@ def batches(dataset: Dataset, sampler: BatchSampler, workers: int, *, pinned: bo
 
 def _with_short_errors(loaded: Iterator[Any]) -> Iterator[Any]:
     try:
-        yield from loaded
+        with lost_workers():
+            yield from loaded
     except InputError as error:  # a worker's exception has its traceback as its text, the message last
         raise InputError(str(error).strip().rpartition("\n")[2].rpartition("InputError: ")[2]) from None
+
+
+@contextmanager
+def lost_workers() -> Iterator[None]:
+    """Inside, the loss of a worker, which torch raises wherever the process is, becomes an InputError with one line."""
+    try:
+        yield
     except RuntimeError as error:
         if "DataLoader worker" not in str(error):
             raise
