@@ -42,6 +42,7 @@ from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, resolv
 
 FREE = {f"training.{name}" for name in ("workers", "checkpoint_minutes", "preview_minutes", "validate_minutes")}
 LIMITS = ("training.steps", "training.epochs", "training.minutes")  # may grow
+MOST_NAMED = 12  # differences between recipes
 BROKEN = (SafetensorError, pickle.UnpicklingError, RuntimeError)  # RecursionError is one, too
 
 
@@ -86,9 +87,9 @@ def check_recipe(run: Path, recipe: Recipe) -> None:
         raise InputError(f"{path}: holds no recipe; repair it or train into another folder")
     now = _flat(resolved(recipe))
     if changed := _differences(_defaults(recipe) | _flat(before), now):  # recipes had fewer values when the run began
+        named = "; ".join(f"{one:.120}" for one in changed[:MOST_NAMED])
         raise InputError(
-            f"{run} holds a run of another recipe ({'; '.join(changed)}); "
-            "repeat the command as it was or train into another folder"
+            f"{run} holds a run of another recipe ({named}); repeat the command as it was or train into another folder"
         )
 
 
