@@ -92,7 +92,7 @@ def test_hidden_files_are_no_scans(tmp_path, monkeypatch, capsys):
     assert ".b.bin" not in capsys.readouterr().out
 
 
-def test_what_libraries_log_and_warn_of_is_not_shown(tmp_path):
+def test_what_libraries_log_and_warn_of_is_not_printed(tmp_path):
     words = "import logging, warnings; logging.getLogger('a.library').warning('logged'); warnings.warn('warned')"
     program = f"from lidar2pano.cli.app import _quiet\nwith _quiet(False):\n    {words}"
     (tmp_path / "program.py").write_text(program)

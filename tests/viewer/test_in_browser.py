@@ -23,7 +23,7 @@ import pytest
 from PIL import Image
 
 from lidar2pano.labels import COMMON15
-from lidar2pano.viewer.page import UNSURE_TO_SURE, PageWriter
+from lidar2pano.viewer.page import LOW_TO_HIGH, PageWriter
 from small_panoramas import VIEW, page_frame, small_panorama
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -235,14 +235,14 @@ def test_classes_are_not_mixed(one, yaw):
     assert one.page.locator("#legend span").count() == len(COMMON15) - 1, "all but unlabeled occur"
 
 
-def test_confidence_is_coloured_from_unsure_to_sure(one):
+def test_confidence_has_the_colours_of_its_legend(one):
     found = one.go("layer=confidence").pixels()
     around = small_panorama()
     _, row, column = expected(around.colour, found.shape, 0.0, 0.0, 30)
     clear = (np.abs(row - np.round(row)) > 0.01) & (np.abs(column - np.round(column)) > 0.01)
     clear &= (row > 0) & (row < VIEW.rows)
     share = around.confidence[row[clear].astype(int), column[clear].astype(int) % VIEW.columns]
-    channels = [np.interp(np.arange(21) / 20, np.arange(5) / 4, stops) for stops in np.transpose(UNSURE_TO_SURE)]
+    channels = [np.interp(np.arange(21) / 20, np.arange(5) / 4, stops) for stops in np.transpose(LOW_TO_HIGH)]
     table = np.stack(channels, axis=1)
     np.testing.assert_array_equal(found[clear], table.round()[np.round(share * 20).astype(int)])
 

@@ -15,7 +15,7 @@ HERE = Path(__file__).parent
 SKY, ROAD, FAR_M, OWN_VEHICLE_M = 15, 7, 120.0, 1.0  # ids of common-15; metres
 COARSE_M, FINE_M, AWAY_M = (0.25, 1.0, 4.0), (0.0625, 0.125, 0.5), 4096.0  # wavelengths of the painter's noise
 VARIED = np.array(
-    [0, 0.3, 0, 0, 0.3, 0.3, 0.3, 0, 0, 0.35, 0.3, 0, 0, 0.2, 0, 0]
+    [0, 0.15, 0, 0, 0.15, 0.15, 0.15, 0, 0, 0.17, 0.15, 0, 0, 0.1, 0, 0]
 )  # of classes: how their brightness varies
 OBJECT_M, COARSER = 16.0, 4  # wavelength of that, and the step at which it is read
 
@@ -96,7 +96,7 @@ def painter_inputs(segments, depth_m, image, view, exponent):
     flat = [code, *spread_out(image[4], image[0] > 0), row]
     coarse = solid_noise(depth_m, best == SKY, view, COARSE_M)
     fine = solid_noise(*(each.repeat(2, 0).repeat(2, 1) for each in (depth_m, best == SKY)), view, FINE_M)
-    brighter = np.einsum("chw,c->hw", segments, VARIED) * smooth_noise(radius_m, z_m, view, OBJECT_M)
+    brighter = np.einsum("chw,c->hw", segments, VARIED) * smooth_noise(radius_m, z_m, view, OBJECT_M).clip(-1, 1)
     return np.concatenate([segments, np.stack(flat), shape, coarse, np.stack(3 * [brighter])]), fine
 
 

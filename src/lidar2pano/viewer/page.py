@@ -47,7 +47,7 @@ NEAR_TO_FAR = (
 )  # fmt: skip
 NO_DEPTH = (58, 66, 78)
 # Colours of confidences from 0 to 1, evenly spaced: matplotlib's map "viridis".
-UNSURE_TO_SURE = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
+LOW_TO_HIGH = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -201,7 +201,7 @@ class PageWriter:
                 for index, (name, colour) in enumerate(zip(COMMON15.classes, COMMON15.colours, strict=True))
             ],
             "depth": {"nearest": NEAREST_M, "farthest": FARTHEST_M, "colours": [NO_DEPTH, *_ramp(NEAR_TO_FAR, 255)]},
-            "confidence": {"colours": _ramp(UNSURE_TO_SURE, CONFIDENCE_STEPS + 1)},
+            "confidence": {"colours": _ramp(LOW_TO_HIGH, CONFIDENCE_STEPS + 1)},
             "occluded": [OCCLUDED_FACTOR, OCCLUDED_M],
             "rate": RATE_HZ,
         }
