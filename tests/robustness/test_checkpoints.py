@@ -63,7 +63,7 @@ def nan(tensors: dict) -> None:
 
 
 FIRST = "network/generator/layers.0.weight"
-MOMENTS = {"step": torch.tensor(1.0), "exp_avg": torch.zeros(1), "exp_avg_sq": torch.zeros(1)}
+ADAM_STATE = {"step": torch.tensor(1.0), "exp_avg": torch.zeros(1), "exp_avg_sq": torch.zeros(1)}
 DAMAGES = {
     "a tensor is missing": weights(lambda t: t.pop(FIRST)),
     "a tensor of another shape": weights(lambda t: t.update({FIRST: torch.zeros(3)})),
@@ -74,10 +74,10 @@ DAMAGES = {
     "optimisers of another network": optimizers(lambda o: o.update(other=o.pop("generator"))),
     "optimisers that are a list": optimizers(lambda _: [1]),
     "an empty optimiser": optimizers(lambda o: o.update(generator={})),
-    "moments of another shape": optimizers(lambda o: o["generator"]["state"].update({0: MOMENTS})),
+    "moments of another shape": optimizers(lambda o: o["generator"]["state"].update({0: ADAM_STATE})),
     "moments that are texts": optimizers(lambda o: o["generator"]["state"][0].update(exp_avg="x")),
     "moments that are no numbers": optimizers(lambda o: o["generator"]["state"][0]["exp_avg"].fill_(torch.inf)),
-    "moments of a weight that there is not": optimizers(lambda o: o["generator"]["state"].update({99: MOMENTS})),
+    "moments of a weight that there is not": optimizers(lambda o: o["generator"]["state"].update({99: ADAM_STATE})),
     "a moment is missing": optimizers(lambda o: o["generator"]["state"][0].pop("exp_avg")),
     "a state that is a list": optimizers(lambda o: o["generator"].update(state=[1])),
     "steps that are text": state('{"step": "2"}'),

@@ -97,8 +97,8 @@ def check_recipe(run: Path, recipe: Recipe) -> None:
 def claimed(run: Path) -> Iterator[None]:
     """Inside, no other process of this machine trains into the run's folder; InputError where one does.
 
-    The folder itself is locked, so that nothing is left of it however a process ends. Where a file system knows no
-    locks, nobody is kept out.
+    The folder itself is locked, so that nothing is left of it however a process ends. Where a file system has no
+    locks, a second process is not refused.
     """
     if fcntl is None:  # not on Windows
         yield
