@@ -98,3 +98,10 @@ def test_what_libraries_log_and_warn_of_is_not_printed(tmp_path):
     (tmp_path / "program.py").write_text(program)
     done = shell(f"exec {sys.executable} program.py", tmp_path, PYTHONWARNINGS="")
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
+
+
+def test_what_ends_a_librarys_thread_is_not_printed(tmp_path):
+    words = "import threading; one = threading.Thread(target=lambda: 1 / 0); one.start(); one.join()"
+    (tmp_path / "program.py").write_text(f"from lidar2pano.cli.app import _quiet\nwith _quiet(False):\n    {words}")
+    done = shell(f"exec {sys.executable} program.py", tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")

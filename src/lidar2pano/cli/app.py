@@ -8,6 +8,7 @@ import logging
 import os
 import signal
 import sys
+import threading
 import traceback
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -133,6 +134,7 @@ def _quiet(debug: bool) -> Iterator[None]:
         if not debug and not sys.warnoptions:
             warnings.simplefilter("ignore")
             logging.lastResort = logging.NullHandler()  # None would say that there is no handler
+            threading.excepthook = lambda _: None  # what ends a library's thread ends the command that waits for it
         yield
 
 
