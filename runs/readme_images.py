@@ -18,7 +18,7 @@ from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.pipeline import load
 
-FAMILY = "kitti-mini"  # the default of `translate`
+FAMILY = "world"  # that of `demo`
 DOCS = Path(__file__).parent.parent / "docs"
 WIDTH = 1600
 
