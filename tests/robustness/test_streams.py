@@ -100,8 +100,12 @@ def test_what_libraries_log_and_warn_of_is_not_printed(tmp_path):
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
 
 
-def test_what_ends_a_librarys_thread_is_not_printed(tmp_path):
-    words = "import threading; one = threading.Thread(target=lambda: 1 / 0); one.start(); one.join()"
+IN_A_THREAD = "import threading; one = threading.Thread(target=lambda: 1 / 0); one.start(); one.join()"
+CLEANING_UP = "one = type('Library', (), {'__del__': lambda self: 1 / 0})(); del one"
+
+
+@pytest.mark.parametrize("words", [IN_A_THREAD, CLEANING_UP])
+def test_what_ends_a_librarys_thread_or_its_cleaning_up_is_not_printed(tmp_path, words):
     (tmp_path / "program.py").write_text(f"from lidar2pano.cli.app import _quiet\nwith _quiet(False):\n    {words}")
     done = shell(f"exec {sys.executable} program.py", tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")

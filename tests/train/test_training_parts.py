@@ -247,6 +247,8 @@ class Killer(Broken):
         os.kill(os.getpid(), signal.SIGKILL)
 
 
+# torch learns of the second worker's end while it clears up after the first
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_killed_loader_worker_is_one_line():
     found = batches(Killer(), BatchSampler(4, 0, Training(batch=2)), 1, pinned=False)
     with pytest.raises(InputError, match="samples was killed.*; repeat the command to go on"):

@@ -134,7 +134,8 @@ def _quiet(debug: bool) -> Iterator[None]:
         if not debug and not sys.warnoptions:
             warnings.simplefilter("ignore")
             logging.lastResort = logging.NullHandler()  # None would say that there is no handler
-            threading.excepthook = lambda _: None  # what ends a library's thread ends the command that waits for it
+            # What ends a library's thread ends the command that waits for it; what it meets in __del__ ends nothing.
+            threading.excepthook = sys.unraisablehook = lambda _: None
         yield
 
 
