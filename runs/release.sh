@@ -13,8 +13,9 @@
 # the name salsanext-mini and without `ring_drop_probability`. Cards call day w9, drives w8 and overcast w9o.
 # The scene painters began with layers of the painters before them (recipes release-colours and release-painter, which are
 # in the history up to a634bbd). Their stages were cut short and begun again while the network grew (last layers, tones):
-# `scene` had 869 + 430 + 338 + 621 steps, `world-scene` 245 + 93 + 253 + 618 (`world-scene-3`: 921, which its card says); the critic went on from stage to stage, and of the
-# towns only every fourth frame was seen by kitti-mini's. Their cards count the steps of all stages (kitti-mini's without the first 869).
+# `scene` had 869 + 430 + 338 + 621 steps, `world-scene` 245 + 93 + 253 + 618 and `world-scene-3` 921; the critic went on
+# from stage to stage, and of the towns only every fourth frame was seen by kitti-mini's. The card of kitti-mini's painter
+# counts the steps of all stages but the first 869; those of world's networks count the last stage's.
 # `streets` was stopped after 491 scans of 37 towns; cards call it sa. `world-segmenter-2` also had 63 scans of an OS1-128.
 set -euo pipefail
 kitti=$1 out=$2

@@ -470,17 +470,17 @@ function codeAt(layer, [u, v]) {
 
 function hover(event) {
   const at = frame && event.pointerType !== "touch" && !event.buttons ? placeOf(directionAt(event.clientX, event.clientY)) : null;
-  const parts = [];
+  const parts = [], add = (text) => parts.push(`${parts.length ? " \u00b7 " : ""}${text}`);
   if (at) {
     const id = codeAt("classes", at), steps = codeAt("depth", at), { nearest, farthest } = INDEX.depth;
     if (id !== null && INDEX.classes[id]) parts.push(swatch(INDEX.classes[id].colour), INDEX.classes[id].name);
     if (steps) {
       const metres = nearest * (farthest / nearest) ** ((steps - 1) / 254);
-      parts.push(`${parts.length ? " \u00b7 " : ""}${metres.toFixed(metres < 20 ? 1 : 0)} m`);
+      add(`${metres.toFixed(metres < 20 ? 1 : 0)} m`);
     }
     const share = codeAt("confidence", at);
     const whole = INDEX.confidence.colours.length - 1;
-    if (share !== null) parts.push(`${parts.length ? " \u00b7 " : ""}${Math.round(100 * share / whole)} % sure`);
+    if (share !== null) add(`${Math.round(100 * share / whole)} % sure`);
   }
   $("tip").hidden = !parts.length;
   $("tip").replaceChildren(...parts);
