@@ -56,7 +56,7 @@ def test_a_family_becomes_graphs_with_cards(weights, graphs):
         tensors = (*model.graph.input, *model.graph.output)
         assert {each.type.tensor_type.shape.dim[0].dim_param for each in tensors} == {"batch"}
     readme = (graphs / "README.md").read_text()
-    assert "| `painter.onnx` | scene-painter | `inputs` (batch, 30, 48, 576)" in readme and "{" not in readme
+    assert "| `painter.onnx` | scene-painter | `inputs` (batch, 31, 48, 576)" in readme and "{" not in readme
 
 
 def test_the_runner_paints_what_the_pipeline_paints(weights, graphs, tmp_path, monkeypatch):
@@ -103,14 +103,16 @@ def test_the_runner_makes_the_painters_inputs_as_we_do(graphs, monkeypatch):
     generator = torch.Generator().manual_seed(0)
     logits = torch.randn(1, 16, 6, 12, generator=generator).repeat_interleave(8, 2).repeat_interleave(8, 3) * 3
     logits[:, 7, 30:, :] = 20  # road
+    logits[:, 9, 5:28, 20:70] = 20  # building
     depth_m = 5 + 30 * torch.rand(1, 48, 96, generator=generator)
     image = project(street(), view).channels[None]
     segments = logits.softmax(1)
     expected, expected_fine = painter_inputs(sharpened(segments, 2.0), depth_m, image, view)
     arrays = (part[0].double().numpy() for part in (segments, depth_m, image))
     inputs, fine = onnx_runner.painter_inputs(*arrays, view.as_dict(), 2.0)
-    assert np.abs(inputs - expected[0].numpy())[[*range(24), 27, 28, 29]].max() < 1e-4
-    assert (np.abs(inputs - expected[0].numpy()) < 1e-4).mean() > 0.999
+    assert np.abs(inputs - expected[0].numpy())[:24].max() < 1e-4
+    assert (np.abs(inputs - expected[0].numpy()) < 1e-4).mean((1, 2)).min() > 0.99  # at borders of voxels and houses
+    assert (inputs[30] > 0.3).any(), "there are openings"
     assert (np.abs(fine - expected_fine[0].numpy()) < 1e-3).mean() > 0.995  # at voxels' borders float32 reads another
 
 

@@ -9,10 +9,13 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.data.frames import IGNORE
+from lidar2pano.losses import PatchStatistics
 from lidar2pano.models import build
+from lidar2pano.models.scene_painter import BUILDING
+from lidar2pano.train import scene_painting
 from lidar2pano.train.options import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingSample
-from lidar2pano.train.scene_painting import ScenePainting
+from lidar2pano.train.scene_painting import MATCHED, ScenePainting
 from lidar2pano.views import VIEWS
 
 WIDTHS = (4, 6, 8, 10)
@@ -41,6 +44,7 @@ def task() -> ScenePainting:
     one = object.__new__(ScenePainting)
     one.view, one.options, one.looks = VIEWS["panorama"].scaled(0.5), ScenePaintingOptions(columns=64), ("day", "real")
     one.features = RandomFeatures()
+    one.statistics = PatchStatistics(2, WIDTHS[:MATCHED])
     painter = build("scene-painter", looks=one.looks, widths=(8, 12, 16), blocks=1, last=8)
     one.networks = {"painter": painter, "critic": build("projected-critic", features=WIDTHS, mixed=8, width=8)}
     return one
@@ -64,6 +68,7 @@ def batch() -> PaintingSample:
         valid=torch.ones(2, 1, 2 * rows, 2 * columns, dtype=torch.bool),
         look=torch.tensor([[0], [1]]),
         tone=torch.zeros(2, 1, 3),
+        openings=torch.zeros(2, 1, rows, columns),
         class_tones=torch.zeros(2, 1, 16, 3),
         class_means=torch.full((2, 1, 16, 3), torch.nan),
     )
@@ -95,6 +100,34 @@ def test_unknown_pixels_have_no_loss(task, batch):
     assert name == "painter" and loss.item() == 0
 
 
+def test_walls_whose_openings_are_invented_need_not_be_equal(task, batch):
+    flat = batch.flat()
+    flat.openings[0] = torch.nan
+    segments = torch.zeros(2, 16, 32, 64)
+    segments[:, BUILDING, :, :32] = 1
+    known, share = task._counted(flat, segments).unbind(1)
+    assert torch.equal(known, flat.valid.float())
+    assert torch.allclose(share[0, :, :64], torch.tensor(task.options.on_invented)) and (share[0, :, 64:] == 1).all()
+    assert (share[1] == 1).all(), "here they are known"
+
+
+def test_known_openings_are_painted_and_others_are_invented(task, batch, monkeypatch):
+    given = []
+    inputs = scene_painting.painter_inputs
+    monkeypatch.setattr(scene_painting, "painter_inputs", lambda *a: given.append(inputs(*a)) or given[-1])
+    task.view = replace(task.view, rows=32)
+    flat = batch.flat()
+    flat.openings[:] = torch.rand(2, 32, 64)
+    flat.openings[1] = torch.nan
+    segments = torch.zeros(2, 16, 32, 64)
+    segments[:, BUILDING] = 1
+    task.painted(flat, segments)
+    task.painted(flat, segments, as_used=True)
+    (trained, _), (used, _) = given
+    assert torch.equal(trained[0, -1], flat.openings[0])
+    assert trained[1, -1].isfinite().all() and not torch.equal(used[0, -1], flat.openings[0])
+
+
 def test_ground_truth_is_painted_where_it_is_known_and_drawn(task, batch):
     half = batch._replace(labels=batch.labels.clone()).flat()
     half.labels[:, 20:] = IGNORE
@@ -109,9 +142,9 @@ def test_ground_truth_is_painted_where_it_is_known_and_drawn(task, batch):
 def test_both_images_and_the_condition_are_augmented_alike(task, batch):
     task.options = replace(task.options, augment_probability=1.0)
     image = batch.flat().image
-    condition = torch.rand(2, 17, 32, 64)
+    condition, beside = torch.rand(2, 17, 32, 64), torch.rand(2, 2, 64, 128)
     torch.manual_seed(4)
-    real, fake, changed = task._augmented(image, image.clone().requires_grad_(), condition)
+    real, fake, changed, _ = task._augmented(image, image.clone().requires_grad_(), condition, beside)
     assert torch.equal(real, fake) and not torch.equal(real, image)
     assert fake.requires_grad and not changed.requires_grad
     cut = (changed == 0).all(1)

@@ -42,6 +42,7 @@ class PanoramaGroundTruth:
     labels   (H, W) uint8 ids of COMMON15, IGNORE where unknown; None where no pixel's class is known.
     depth_m  (H, W) float32 metres from the view's origin along the ray, 0 where there is none (sky) or it is unknown;
              None where no pixel's depth is known.
+    openings (H, W) float32 in [0, 1], the share of a pixel that is a window or a door of a building; None: not known.
     """
 
     view: View
@@ -49,6 +50,7 @@ class PanoramaGroundTruth:
     valid: np.ndarray
     labels: np.ndarray | None = None
     depth_m: np.ndarray | None = None
+    openings: np.ndarray | None = None
 
 
 class Frame:

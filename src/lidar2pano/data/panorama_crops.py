@@ -60,6 +60,7 @@ class PanoramaWindow(NamedTuple):
     scan           with its point labels;  view: the window or the whole raster, around the camera's optical centre.
     camera_labels  (H, W) uint8, depth_m (H, W) float32, image (3, 2H, 2W) uint8, valid (2H, 2W) bool: see
                    PanoramaSample.
+    openings       (H, W) float32 in [0, 1]: the share of a pixel that is a window or a door; NaN where not known.
     """
 
     scan: Scan
@@ -68,6 +69,7 @@ class PanoramaWindow(NamedTuple):
     depth_m: Tensor
     image: Tensor
     valid: Tensor
+    openings: Tensor
 
 
 class PanoramaDataset:
@@ -165,9 +167,12 @@ class PanoramaDataset:
     def _read(self, frame: Frame) -> PanoramaWindow:
         view, labels = self._camera_labels(frame)
         image, valid = torch.zeros(3, 0, 0, dtype=torch.uint8), torch.zeros(0, 0, dtype=torch.bool)
-        scan = labelled(frame)
+        scan, openings = labelled(frame), torch.full(labels.shape, torch.nan)
         if frame.panorama is not None:
-            depth_m = torch.from_numpy(panorama_on(frame, self.view).depth_m)
+            truth = panorama_on(frame, self.view)
+            depth_m = torch.from_numpy(truth.depth_m)
+            if truth.openings is not None:
+                openings = torch.from_numpy(truth.openings)
             if self.image:
                 fine = panorama_on(frame, self.view.scaled(2))
                 image, valid = torch.from_numpy(fine.image).movedim(2, 0), torch.from_numpy(fine.valid)
@@ -178,7 +183,7 @@ class PanoramaDataset:
                 lookup = camera_in_panorama(view.scaled(2), calibration)
                 image = lookup.linear(torch.from_numpy(pixels).movedim(2, 0).float()).round().to(torch.uint8)
                 valid = lookup.valid
-        return PanoramaWindow(scan, view, labels, depth_m, image, valid)
+        return PanoramaWindow(scan, view, labels, depth_m, image, valid, openings)
 
     def _camera_labels(self, frame: Frame) -> tuple[View, Tensor]:
         """The part of the raster on which a frame is sampled, and its camera labels, uint8 of COMMON15 or IGNORE."""
@@ -220,11 +225,12 @@ def panorama_on(frame: Frame, view: View) -> PanoramaGroundTruth:
         valid=panorama.valid[row[:, None], column],
         labels=resized(panorama.labels, view, Image.Resampling.NEAREST),
         depth_m=panorama.depth_m[row[:, None], column],
+        openings=None if panorama.openings is None else resized(panorama.openings, view, Image.Resampling.BOX),
     )
 
 
 def resized(pixels: np.ndarray, view: View, resampling: Image.Resampling) -> np.ndarray:
-    """An image or ids (h, w, ...) uint8 at the size of the raster `view`."""
+    """An image, ids (h, w, ...) uint8 or shares (h, w) float32 at the size of the raster `view`."""
     return np.array(Image.fromarray(pixels).resize((view.columns, view.rows), resampling))
 
 

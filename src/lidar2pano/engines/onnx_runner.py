@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
-SKY, ROAD, FAR_M, OWN_VEHICLE_M = 15, 7, 120.0, 1.0  # ids of common-15; metres
+SKY, ROAD, BUILDING, FAR_M, OWN_VEHICLE_M = 15, 7, 9, 120.0, 1.0  # ids of common-15; metres
 COARSE_M, FINE_M, AWAY_M = (0.25, 1.0, 4.0), (0.0625, 0.125, 0.5), 4096.0  # wavelengths of the painter's noise
 VARIED = np.array(
-    [0, 0.15, 0, 0, 0.15, 0.15, 0.15, 0, 0, 0.17, 0.15, 0, 0, 0.1, 0, 0]
+    [0, 0.15, 0, 0, 0.15, 0.15, 0.15, 0, 0, 0, 0.15, 0, 0, 0.1, 0, 0]
 )  # of classes: how their brightness varies
 OBJECT_M, COARSER = 16.0, 4  # wavelength of that, and the step at which it is read
+HOUSES_VARIED, HOUSE_M, REACH = 0.3, 11.0, 40  # brightness and width of houses; columns around that show how a wall runs
 
 
 def main(scan, out):
@@ -78,7 +79,7 @@ def project(points, view):
 
 
 def painter_inputs(segments, depth_m, image, view, exponent):
-    """What the scene painter sees: `inputs` (30, H, W) and `fine_noise` (3, 2H, 2W); the README lists the channels."""
+    """What the scene painter sees: `inputs` (31, H, W) and `fine_noise` (3, 2H, 2W); the README lists the channels."""
     rows, columns = depth_m.shape
     segments = segments**exponent / (segments**exponent).sum(0)
     best = segments.argmax(0)
@@ -89,7 +90,8 @@ def painter_inputs(segments, depth_m, image, view, exponent):
     near = ((best == ROAD) & (radius_m > 3) & (radius_m < 20))[:, ::4]
     found = np.sort(sensor_z_m[:, ::4][near])
     road_m = found[(len(found) - 1) // 2] if len(found) >= 50 else -1.73
-    height = ((sensor_z_m - (road_m if -4 < road_m < -0.5 else -1.73)) / 4).clip(-1, 4)
+    above_m = view["origin"][2] - (road_m if -4 < road_m < -0.5 else -1.73)
+    height = ((z_m + above_m) / 4).clip(-1, 4)
     shape = np.stack([height, *normals(radius_m, z_m, 2 * np.pi / columns)]) * (best != SKY)
     code = np.log1p(depth_m.clip(max=FAR_M)) / np.log1p(FAR_M)
     row = np.repeat(np.linspace(1, -1, rows)[:, None], columns, 1)
@@ -97,7 +99,9 @@ def painter_inputs(segments, depth_m, image, view, exponent):
     coarse = solid_noise(depth_m, best == SKY, view, COARSE_M)
     fine = solid_noise(*(each.repeat(2, 0).repeat(2, 1) for each in (depth_m, best == SKY)), view, FINE_M)
     brighter = np.einsum("chw,c->hw", segments, VARIED) * smooth_noise(radius_m, z_m, view, OBJECT_M).clip(-1, 1)
-    return np.concatenate([segments, np.stack(flat), shape, coarse, np.stack(3 * [brighter])]), fine
+    openings, house = facades(segments[BUILDING], radius_m, slope, above_m, view)
+    tones = brighter + segments[BUILDING] * HOUSES_VARIED * house[:, None]
+    return np.concatenate([segments, np.stack(flat), shape, coarse, tones, openings[None]]), fine
 
 
 def normals(radius_m, z_m, step):
@@ -123,6 +127,80 @@ def spread_out(remission, valid):
         mean = np.where((count > 0) & ~found, total / np.maximum(count, 1), mean)
         found |= count > 0
     return mean, found
+
+
+def facades(walls, radius_m, slope, above_m, view):
+    """Share of each pixel that is a window or a door (H, W), and the tone of the house of each column (3, W)."""
+    rows, columns = radius_m.shape
+    azimuth = np.pi - (np.arange(columns) + 0.5) / columns * 2 * np.pi
+    ray, focal = np.stack([np.cos(azimuth), np.sin(azimuth)]), columns / (2 * np.pi)
+    profile, weight = wall_profile(*(part[::4] for part in (walls, radius_m, radius_m * slope + above_m)))
+    point, moments = np.exp(profile) * ray, 0.0
+    terms = np.stack([np.ones(columns), *point, point[0] ** 2, point[0] * point[1], point[1] ** 2]) * weight
+    for shift in range(-REACH, REACH + 1, 2):  # a line through what is around each column, and as far away
+        moments += np.roll(terms, shift, 1) * np.exp(-(((np.roll(profile, shift) - profile) / 0.25) ** 2))
+    count = np.maximum(moments[0], 1e-6)
+    x, y, xx, xy, yy = moments[1:] / count
+    turn = np.arctan2(2 * (xy - x * y), (xx - x * x) - (yy - y * y)) / 2
+    facing = np.cos(turn) * ray[1] - np.sin(turn) * ray[0]
+    safe = np.where(np.abs(facing) < 0.05, 0.05 * np.sign(facing) + 1e-9, facing)
+    radius = (y * np.cos(turn) - x * np.sin(turn)) / safe
+    with np.errstate(invalid="ignore", divide="ignore"):
+        radius = np.where(np.abs(np.log(radius / np.exp(profile))) < 0.3, radius, np.exp(profile))
+    votes = (np.round(turn * 8 / np.pi) % 8 == np.arange(8)[:, None]) * weight
+    number = sum(np.roll(votes, shift, 1) for shift in range(-REACH, REACH + 1)).argmax(0)
+    run = number * np.pi / 8
+    along = ((radius * ray + np.array(view["origin"][:2])[:, None]) * np.stack([np.cos(run), np.sin(run)])).sum(0)
+    number += (np.floor(along / HOUSE_M).astype(np.int64) + (1 << 20)) * 8
+    house, pixel_m = mixed(number), radius / focal
+    width_m = pixel_m / np.maximum(np.abs(facing), 0.05)
+    elsewhere = (np.abs(radius_m / radius - 1) / 0.25 - 1).clip(0, 1)
+    share = openings(house, along % HOUSE_M, slope * radius + above_m, width_m, pixel_m)
+    warm = 0.25 * (2 * uniform(house, 9) - 1)
+    return share * walls * (1 - elsewhere), 2 * uniform(house, 0) - 1 + np.stack([warm, 0 * warm, -warm])
+
+
+def wall_profile(walls, radius_m, height_m):
+    """Logarithm of the distance (W,) of each column's wall, and how many rows (W,) it was read from."""
+    weight = walls * ((height_m > 0.5) & (height_m < 9) & (radius_m < 60))
+    distance = np.log(np.maximum(radius_m, 0.5))
+    mean = (weight * distance).sum(0) / np.maximum(weight.sum(0), 1e-6)
+    weight = weight * np.exp(-(((distance - mean) / 0.25) ** 2))
+    total = weight.sum(0)
+    profile = np.where(total > 0.3, (weight * distance).sum(0) / np.maximum(total, 1e-6), np.nan)
+    around = np.sort([np.roll(profile, shift) for shift in range(-(REACH // 2), REACH // 2 + 1)], 0)  # NaN last
+    middle = np.maximum(np.isfinite(around).sum(0) - 1, 0) // 2
+    return np.nan_to_num(np.take_along_axis(around, middle[None], 0)[0], nan=np.log(60)), total
+
+
+def openings(house, along_m, level_m, width_m, pixel_m):
+    """Share of each pixel (H, W) that is a window or a door, of walls that are divided into storeys and windows."""
+    storey, base = 2.6 + 0.7 * uniform(house, 1), 0.1 + 0.7 * uniform(house, 6)
+    count = np.floor(3 + 3 * uniform(house, 4))
+    every = HOUSE_M / count
+    window, floor = np.floor(along_m / every), np.floor((level_m - base) / storey)
+    door = (window == np.floor(count * uniform(house, 7))) & (floor == 0)
+    tall = 1.1 + 0.5 * uniform(house, 3)
+    middle = np.where(door, 1.0, 0.7 + 0.4 * uniform(house, 2) + tall / 2)
+    up, aside = level_m - base - floor * storey - middle, along_m - (window + 0.5) * every
+    wide, tall = 0.9 + 0.6 * uniform(house, 5), np.where(door, 2.1, tall)
+    across = (0.5 + (wide / 2 - np.abs(aside)) / width_m).clip(0, 1) * (every / width_m / 2 - 1).clip(0, 1)
+    there = (floor >= 0) & (floor < np.floor(2 + 3 * uniform(house, 8)))
+    there &= uniform(mixed(house + window.astype(np.int64) * 7 + 1), 0) > 0.1
+    return across * (0.5 + (tall / 2 - np.abs(up)) / pixel_m).clip(0, 1) * there
+
+
+def mixed(number):
+    """Whole numbers that look random, of whole numbers."""
+    number = number & 0x7FFFFFFF
+    number = ((number ^ (number >> 15)) * 0x2C1B3C6D) & 0x7FFFFFFF
+    number = ((number ^ (number >> 12)) * 0x297A2D39) & 0x7FFFFFFF
+    return number ^ (number >> 15)
+
+
+def uniform(house, which):
+    """Uniform numbers in [0, 1) of houses, one kind for each `which`."""
+    return mixed(house * 31 + which * 0x1B873593 + 1) / 0x80000000
 
 
 def solid_noise(depth_m, sky, view, wavelengths_m):

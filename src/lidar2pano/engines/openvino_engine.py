@@ -17,6 +17,7 @@ from lidar2pano.engines.tracing import example, recordable, recording
 from lidar2pano.hardware import has_bfloat16
 
 DTYPES = {"f32": torch.float32, "bf16": torch.bfloat16}  # of what compiled models give
+IMAGE = 4  # dimensions of a batch of images
 TELEMETRY = "openvino_telemetry"
 
 
@@ -29,7 +30,7 @@ class OpenVino:
         """Versions, processor, arithmetic; not the number of threads."""
         names = ("FULL_DEVICE_NAME", "OPTIMIZATION_CAPABILITIES")
         processor = [self._core.get_property("CPU", name) for name in names]
-        return json.dumps([openvino().__version__, torch.__version__, processor, _precision()])
+        return json.dumps([openvino().__version__, torch.__version__, processor, _precision(), "channels last"])
 
     def build(self, network: nn.Module, model: str, shapes: tuple[Shape, ...]) -> bytes:  # noqa: ARG002
         """The network for inputs of these shapes, as OpenVINO writes compiled models."""
@@ -38,6 +39,7 @@ class OpenVino:
             program = torch.export.export(recordable(network, inputs), inputs, strict=False)
             graph = openvino().convert_model(program)
         graph.reshape(dict(zip(graph.inputs, map(list, shapes), strict=True)))
+        graph = _channels_last(graph, shapes)
         stream = io.BytesIO()
         self._core.compile_model(graph, "CPU", _settings()).export_model(stream)
         return stream.getvalue()
@@ -45,11 +47,12 @@ class OpenVino:
     def open(self, compiled: bytes, device: torch.device) -> Run:  # noqa: ARG002 it is the CPU
         """A compiled model; its outputs are written into tensors of ours."""
         request = self._core.import_model(compiled, "CPU", _settings()).create_infer_request()
+        taken = [DTYPES[each.element_type.to_string()] for each in request.model_inputs]
         wanted = [(tuple(each.shape), DTYPES[each.element_type.to_string()]) for each in request.model_outputs]
 
         def run(inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
             outputs = tuple(torch.empty(shape, dtype=dtype) for shape, dtype in wanted)
-            held = [_shared(each.float().contiguous()) for each in inputs]
+            held = [_shared(_as_taken(each, dtype)) for each, dtype in zip(inputs, taken, strict=True)]
             for number, each in enumerate(held):
                 request.set_input_tensor(number, each)
             for number, each in enumerate(outputs):
@@ -62,6 +65,23 @@ class OpenVino:
     @cached_property
     def _core(self) -> Any:  # noqa: ANN401
         return openvino().Core()
+
+
+def _channels_last(graph: Any, shapes: tuple[Shape, ...]) -> Any:  # noqa: ANN401
+    """The graph, taking images with their channels last and in the arithmetic's own numbers, as it computes."""
+    module = openvino()
+    wrapped = module.preprocess.PrePostProcessor(graph)
+    for number, shape in enumerate(shapes):
+        if len(shape) == IMAGE:
+            kind = getattr(module.Type, _precision())
+            wrapped.input(number).tensor().set_layout(module.Layout("NHWC")).set_element_type(kind)
+            wrapped.input(number).model().set_layout(module.Layout("NCHW"))
+    return wrapped.build()
+
+
+def _as_taken(x: Tensor, dtype: torch.dtype) -> Tensor:
+    """What `_channels_last` made the graph take."""
+    return (x.movedim(1, 3) if x.dim() == IMAGE else x).to(dtype).contiguous()
 
 
 def _shared(x: Tensor) -> Any:  # noqa: ANN401

@@ -17,8 +17,10 @@ from lidar2pano.losses.adversarial import (
     pooled,
 )
 from lidar2pano.losses.lovasz import lovasz_softmax
+from lidar2pano.losses.patch_statistics import PatchStatistics
 
 __all__ = [
+    "PatchStatistics",
     "critic_wasserstein",
     "feature_matching",
     "generator_wasserstein",

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.facades import facades
 from lidar2pano.geometry.solid_noise import smooth_noise, solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals, road_height
 from lidar2pano.labels import COMMON15
@@ -24,14 +25,15 @@ from lidar2pano.models.circular import CircularConv, CircularResidual, closed, c
 from lidar2pano.models.titan_pano import FAR_M, depth_code
 from lidar2pano.views import View
 
-SKY, ROAD = COMMON15.id_of("sky"), COMMON15.id_of("road")
+SKY, ROAD, BUILDING = (COMMON15.id_of(name) for name in ("sky", "road", "building"))
 COARSE_M = (0.25, 1.0, 4.0)  # wavelengths of the noise on the translator's raster
 FINE_M = (0.0625, 0.125, 0.5)  # and on the picture's
 SHAPE = 8  # channels beside segments and noise: depth, remission, validity, row, height, normals
 OBJECT_M = 16.0  # wavelength at which things differ in brightness: one house from the next, one car from the next
 # Half of the deviations from image to image of how bright a class is in KITTI, colours in [-1, 1]: all of them, and
 # what noise has beyond its deviation, burn walls out.
-VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence", "person"), 0.15) | {"building": 0.17, "pole": 0.1}
+VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence", "person"), 0.15) | {"pole": 0.1}
+HOUSES_VARIED = 0.3  # likewise how bright a house is, at most
 WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
 STRIDE = 4  # input pixels per pixel of the coarsest level
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
@@ -92,7 +94,7 @@ class ScenePainter(nn.Module):
         fine, middle, coarse = widths
         self.looks, self.look, self.sharp = tuple(looks), look or looks[0], sharp
         self.look_shares(self.look)
-        inputs = classes + SHAPE + len(COARSE_M) + TONE
+        inputs = classes + SHAPE + len(COARSE_M) + TONE + 1
         self.codes = nn.Embedding(len(self.looks), code)
         self.stem = conv_norm_act(inputs, fine)
         self.down1 = nn.Sequential(conv_norm_act(fine, middle, stride=2), CircularResidual(middle))
@@ -125,7 +127,7 @@ class ScenePainter(nn.Module):
     def forward(self, inputs: Tensor, fine_noise: Tensor, shares: Tensor, tone: Tensor) -> Tensor:
         """Paint.
 
-        inputs, fine_noise  (B, classes + SHAPE + 6, H, W) and (B, 3, 2H, 2W) of `painter_inputs`.
+        inputs, fine_noise  (B, classes + SHAPE + 7, H, W) and (B, 3, 2H, 2W) of `painter_inputs`.
         shares  (B, looks): shares of each look;  tone: (B, 3), how much brighter than the mean of its look, in [-1, 1].
         Returns (B, 3, 2H, 2W) in [-1, 1]. Raises InputError unless H and W are multiples of 4.
         """
@@ -161,7 +163,12 @@ class ScenePainter(nn.Module):
 
 def sharpened(segments: Tensor, power: Tensor | float) -> Tensor:
     """Probabilities (B, classes, H, W) raised to a power, so that they sum to 1 again."""
-    raised = segments.float().pow(power)
+    raised = segments.float()
+    if not isinstance(power, Tensor) and power in (2, 4):  # a quarter of the time of other powers
+        for _ in range(int(power) // 2):
+            raised = raised.square()
+    else:
+        raised = raised.pow(power)
     return raised / raised.sum(1, keepdim=True)
 
 
@@ -172,22 +179,25 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     view: View,
     T_world_sensor: np.ndarray | None = None,
     class_tones: Tensor | None = None,
+    openings: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """What the network sees: (B, classes + SHAPE + 6, H, W) and fine noise (B, 3, 2H, 2W), float32, channels last.
+    """What the network sees: (B, classes + SHAPE + 7, H, W) and fine noise (B, 3, 2H, 2W), float32, channels last.
 
     segments  (B, classes, H, W): probabilities.
     depth_m   (B, H, W): metres, everywhere.
     image     (B, 5, H, W): a RangeImage's channels, of which remission and validity are used.
     view      the raster H x W;  T_world_sensor: (4, 4), where the noise hangs (None: on the sensor's frame).
-    class_tones  (B, classes, 3): how much brighter each class is than the mean of its look, in [-1, 1]; None: noise of
-                 wavelength OBJECT_M for the classes that VARIED names.
+    class_tones  (B, classes, 3): how much brighter each class is than the mean of its look, in [-1, 1]; None: one number
+                 for each house, and for the classes that VARIED names noise of wavelength OBJECT_M.
+    openings     (B, H, W) in [0, 1]: where walls have windows and doors; where NaN, and for None, as `facades` has them.
     """
     depth_m = depth_m.float()
-    best = segments.max(1).indices
-    sky = best == SKY
+    likeliest = segments.amax(1)
+    sky = segments[:, SKY] == likeliest
     radius_m, z_m = cylinder_points(depth_m, view)
     sensor_z_m = z_m + view.origin[2]
-    height_m = sensor_z_m - road_height(radius_m, sensor_z_m, best == ROAD)[:, None, None]
+    above_m = view.origin[2] - road_height(radius_m, sensor_z_m, segments[:, ROAD] == likeliest)
+    height_m = z_m + above_m[:, None, None]
     shape = torch.cat([(height_m / 4).clamp(-1, 4)[:, None], normals(radius_m, z_m, view)], 1)
     shape.masked_fill_(sky[:, None], 0)
     remission, valid = spread_out(image[:, 4].float(), (image[:, 0] > 0).float())
@@ -197,14 +207,17 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     sky_twice = sky.repeat_interleave(2, 1).repeat_interleave(2, 2)
     coarse = _noise(depth_m, sky, view, COARSE_M, T_world_sensor)
     fine = _noise(twice, sky_twice, view.scaled(2), FINE_M, T_world_sensor)
+    invented, house = facades(segments[:, BUILDING].float(), radius_m, above_m, view, T_world_sensor)
+    openings = invented if openings is None else torch.where(openings.isnan(), invented, openings)
     if class_tones is None:
         varied = segments.new_tensor([VARIED.get(name, 0.0) for name in COMMON15.classes], dtype=torch.float32)
         noise = smooth_noise(radius_m, z_m, view, OBJECT_M, T_world_sensor).clamp(-1, 1)
         brighter = torch.einsum("bchw,c->bhw", segments.float(), varied) * noise
-        tones = brighter[:, None].expand(-1, TONE, -1, -1)
+        tones = brighter[:, None] + segments[:, BUILDING, None] * (HOUSES_VARIED * house)[:, :, None]
     else:
         tones = torch.einsum("bchw,bck->bkhw", segments.float(), class_tones)
-    return _channels_last(torch.cat([segments.float(), flat, shape, coarse, tones], 1)), _channels_last(fine)
+    parts = [segments.float(), flat, shape, coarse, tones, openings[:, None]]
+    return _channels_last(torch.cat(parts, 1)), _channels_last(fine)
 
 
 def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:

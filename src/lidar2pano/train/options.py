@@ -204,6 +204,8 @@ class ScenePaintingOptions(TaskOptions):
     perceptual, pooled,
     pixels, adversarial        weights of the losses; no discriminator where the last is 0.
     unseen                     weight of the distance of colours where no camera looked from the means of their classes.
+    statistics                 weight of the distance of the painted patches' features from the real ones' distribution.
+    on_invented                share of the perceptual and the pixels' loss that counts on walls with invented openings.
     ground_truth_probability   of samples painted from the ground truth's classes, where they are known.
     sharpest                   largest power that class probabilities are raised to.
     simulated_probability      where there are real and simulated frames: of the second of a sample's two crops being
@@ -224,6 +226,8 @@ class ScenePaintingOptions(TaskOptions):
     pixels: float = 0.2
     adversarial: float = 0.35
     unseen: float = 1.0
+    statistics: float = 1.0
+    on_invented: float = 0.2
     ground_truth_probability: float = 0.6
     sharpest: float = 4.0
     simulated_probability: float = 0.5

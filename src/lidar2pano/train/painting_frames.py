@@ -32,6 +32,7 @@ from lidar2pano.views import View
 NOT_FLIPPED = ("look", "tone", "class_tones", "class_means")
 SCORED_PIXELS = 30  # known pixels of a class in a frame, of every 64th; fewer say nothing about its tone
 MEAN_OF = 48  # frames at most of a look, evenly spaced, for its mean colours
+FORM = 2  # raised when the files of the same frames hold something else
 MARGIN = 48  # columns of a camera's sector that are kept on each side beyond those of a crop
 
 
@@ -43,6 +44,7 @@ class PaintingSample(NamedTuple):
     labels    (N, H, W) int64 ids of COMMON15, IGNORE where not known.
     image     (N, 3, 2H, 2W) float32 in [-1, 1];  valid (N, 2H, 2W) bool: where it is known.
     look      (N,) int64: number of the look;  tone (N, 3) float32: how much brighter than the mean of its look.
+    openings     (N, H, W) float32: share of each pixel that is a window or a door, NaN where not known.
     class_tones  (N, 16, 3) float32: likewise each class; 0 where the frame does not show it.
     class_means  (N, 16, 3) float32: mean colour of each class in the look; NaN for the sky and where there is none.
     """
@@ -55,6 +57,7 @@ class PaintingSample(NamedTuple):
     valid: Tensor
     look: Tensor
     tone: Tensor
+    openings: Tensor
     class_tones: Tensor
     class_means: Tensor
 
@@ -126,6 +129,7 @@ class PaintingFrames:
             valid=kept["seen"][:, fine],
             look=torch.tensor(self.look[index]),
             tone=tone,
+            openings=kept["openings"][:, coarse].float(),
             class_tones=class_tones,
             class_means=self._means[self.look[index]][: len(COMMON15)],
         )
@@ -166,6 +170,7 @@ class PaintingFrames:
             "camera": window.camera_labels,
             "colour": window.image,
             "seen": window.valid,
+            "openings": window.openings.half(),
             "class_colours": total,
             "class_pixels": count,
         }
@@ -204,7 +209,7 @@ def colours_of_classes(window: PanoramaWindow) -> tuple[Tensor, Tensor]:
 
 def made_by(view: View, *weights: str) -> str:
     """What the files of frames depend on, beside the frames: raster and networks, as one hexadecimal number."""
-    digest = hashlib.sha256(repr(view).encode())
+    digest = hashlib.sha256(f"{FORM} {view}".encode())
     for file in weights:
         with Path(file).open("rb") as opened:
             digest.update(hashlib.file_digest(opened, "sha256").digest())

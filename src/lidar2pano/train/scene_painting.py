@@ -9,17 +9,17 @@ from typing import Any, cast
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import adaptive_avg_pool2d, l1_loss, mse_loss
+from torch.nn.functional import adaptive_avg_pool2d, mse_loss
 
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
-from lidar2pano.losses import hinge_critic, hinge_generator, pooled
+from lidar2pano.losses import PatchStatistics, hinge_critic, hinge_generator, pooled
 from lidar2pano.losses.diff_augment import DiffAugment
 from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
-from lidar2pano.models.scene_painter import ScenePainter, painter_inputs, sharpened
+from lidar2pano.models.scene_painter import BUILDING, ScenePainter, painter_inputs, sharpened
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.pipeline import Pipeline, load_part, load_segmenter
 from lidar2pano.train.adversarial import frozen
@@ -28,6 +28,8 @@ from lidar2pano.train.painting_frames import PaintingFrames, PaintingSample
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import as_image, build_networks, device_of
 from lidar2pano.views import VIEWS
+
+MATCHED = 3  # depths of features whose statistics are matched
 
 
 class ScenePainting:
@@ -53,6 +55,7 @@ class ScenePainting:
         self.dataset, self.validation = (
             PaintingFrames(root, splits, pipeline, recipe.options) for splits in (recipe.data.train, recipe.data.val)
         )
+        self.statistics = PatchStatistics(len(self.looks), LITE0.channels[:MATCHED])
         self.logs: dict[str, float | Tensor] = {}
 
     def updates(self, batch: PaintingSample) -> Iterator[tuple[str, Tensor]]:
@@ -64,8 +67,9 @@ class ScenePainting:
         fake = painted = self.painted(batch, segments)
         real = torch.where(batch.valid[:, None], batch.image, fake.detach())
         condition = torch.cat([segments, depth_code(batch.depth_m)[:, None]], 1)
+        counted = self._counted(batch, segments)
         if self.options.augment_probability:
-            real, fake, condition = self._augmented(real, fake, condition)
+            real, fake, condition, counted = self._augmented(real, fake, condition, counted)
         with fast_arithmetic(device):
             with torch.no_grad():
                 on_real = self.features(real.contiguous(memory_format=torch.channels_last))
@@ -78,15 +82,22 @@ class ScenePainting:
             yield "critic", _mean([hinge_critic(one.float(), other.float()) for one, other in scores])
         options = self.options
         pairs = [(one.float(), other.float()) for one, other in zip(on_real, on_fake, strict=True)]
-        perceptual = _mean([l1_loss(fake, real) / (real.std() + 1e-3) for real, fake in pairs])
+        weights = [adaptive_avg_pool2d(counted[:, 1:], one.shape[-2:]) for one, _ in pairs]
+        perceptual = _mean(
+            [((a - b).abs() * share).mean() / (a.std() + 1e-3) for (a, b), share in zip(pairs, weights, strict=True)]
+        )
         coarse = mse_loss(pooled(fake), pooled(real))  # its best is the mean, which for dark cars is not the median
-        pixels = l1_loss(fake, real)
+        pixels = ((fake - real).abs() * counted[:, 1:]).mean()
         self.logs = {"perceptual": perceptual.detach(), "pooled": coarse.detach(), "pixels": pixels.detach()}
         loss = options.perceptual * perceptual + options.pooled * coarse + options.pixels * pixels
         if options.unseen:
             unseen = self._unseen(batch, segments, painted)
             self.logs["unseen"] = unseen.detach()
             loss = loss + options.unseen * unseen
+        if options.statistics:
+            patches = self.statistics(pairs[:MATCHED], counted[:, :1], batch.look)
+            self.logs["statistics"] = patches.detach()
+            loss = loss + options.statistics * patches
         if options.adversarial:
             with frozen(critic):  # its gradients would be discarded
                 adversarial = _mean([hinge_generator(score.float()) for score in critic(condition, *on_fake)])
@@ -94,13 +105,27 @@ class ScenePainting:
             loss = loss + options.adversarial * adversarial
         yield "painter", loss
 
-    def _augmented(self, real: Tensor, fake: Tensor, condition: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The same DiffAugment of real and painted pictures, which all losses then compare, and of the condition."""
+    def _augmented(self, real: Tensor, fake: Tensor, *layers: Tensor) -> tuple[Tensor, ...]:
+        """The same DiffAugment of real and painted pictures, which all losses then compare, and of other layers.
+
+        Layers on the coarser raster are enlarged.
+        """
         augment = DiffAugment.drawn(len(fake), self.options.augment_probability)
         everywhere = torch.ones_like(fake[:, :1])
-        large = condition.repeat_interleave(2, 2).repeat_interleave(2, 3)
-        joined = augment.apply(fake, everywhere, large)
-        return augment.apply(real, everywhere, large[:, :0])[:, :3], joined[:, :3], joined[:, 3:].detach()
+        sizes = [part.shape[1] for part in layers]
+        large = [part if part.shape[2:] == fake.shape[2:] else _twice(part) for part in layers]
+        joined = augment.apply(fake, everywhere, torch.cat(large, 1))
+        others = joined[:, 3:].detach().split(sizes, 1)
+        return augment.apply(real, everywhere, everywhere[:, :0])[:, :3], joined[:, :3], *others
+
+    def _counted(self, batch: PaintingSample, segments: Tensor) -> Tensor:
+        """Where the image is known, and how much what is painted has to be equal to it there: (B, 2, 2H, 2W).
+
+        A wall whose openings were invented has them elsewhere.
+        """
+        invented = segments[:, BUILDING] * batch.openings.isnan()
+        share = 1 - (1 - self.options.on_invented) * invented
+        return torch.stack([batch.valid.float(), _twice(share[:, None])[:, 0]], 1)
 
     @staticmethod
     def _unseen(batch: PaintingSample, segments: Tensor, painted: Tensor) -> Tensor:
@@ -137,7 +162,8 @@ class ScenePainting:
         shares = torch.eye(len(self.looks), device=segments.device)[batch.look]
         window = self.view.window(int(np.random.randint(self.view.columns)), segments.shape[3])  # noqa: NPY002
         with torch.no_grad():
-            inputs = painter_inputs(segments, batch.depth_m, batch.channels, window, pose, tones)
+            openings = None if as_used else batch.openings
+            inputs = painter_inputs(segments, batch.depth_m, batch.channels, window, pose, tones, openings)
         return painter(*inputs, shares, batch.tone).float()
 
     def segments(self, batch: PaintingSample) -> Tensor:
@@ -178,6 +204,10 @@ class ScenePainting:
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """What a user of the painter has to know: the raster it reads segments on."""
         return {"labels": None, "views": {"panorama": self.view.as_dict()}}
+
+
+def _twice(x: Tensor) -> Tensor:
+    return x.repeat_interleave(2, 2).repeat_interleave(2, 3)
 
 
 def _mean(losses: list[Tensor]) -> Tensor:

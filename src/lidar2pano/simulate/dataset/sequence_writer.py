@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar2pano.formats.image_files import write_depth, write_palette, write_png, write_whole
+from lidar2pano.formats.image_files import write_depth, write_ids, write_palette, write_png, write_whole
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.simulate.dataset.settings import WorldSettings, panorama_view, recording_camera
 from lidar2pano.simulate.layout.street_world import World, build_world
@@ -17,7 +17,7 @@ from lidar2pano.simulate.render.looks import look
 from lidar2pano.simulate.render.renderer import RenderedImage, cylinder, pinhole, render
 from lidar2pano.simulate.scene.random_streams import stream
 from lidar2pano.simulate.scene.raycast import Scene
-from lidar2pano.simulate.scene.surfaces import CITYSCAPES_IDS, COMMON15_IDS
+from lidar2pano.simulate.scene.surfaces import CITYSCAPES_IDS, COMMON15_IDS, IN_OPENINGS, OBJECT_TYPE_IDS
 
 Writer = Callable[[Path], object]
 
@@ -120,14 +120,17 @@ def _camera(rendered: RenderedImage) -> list[Writer]:
 def _panorama(rendered: RenderedImage) -> list[Writer]:
     ids = COMMON15_IDS[rendered.object_type]
     depth_m = np.where(np.isfinite(rendered.distance), rendered.distance, 0)
+    building = rendered.object_type == OBJECT_TYPE_IDS["building"]
+    openings = (building & np.isin(rendered.material, IN_OPENINGS)).astype(np.uint8) * 255
     return [
         lambda path: write_png(path, rendered.image),
         lambda path: write_palette(path, ids),
         lambda path: write_depth(path, depth_m),
+        lambda path: write_ids(path, openings),
     ]
 
 
-def _panorama_folders(view: str, *, first: bool) -> tuple[str, str, str]:
-    """pano, pano_labels and pano_depth of the first view; with the suffix "-2" of a further "panorama/2"."""
+def _panorama_folders(view: str, *, first: bool) -> tuple[str, ...]:
+    """pano, pano_labels, pano_depth and pano_openings of the first view; with "-2" of a further "panorama/2"."""
     part = "" if first else "-" + view.removeprefix("panorama/")
-    return f"pano{part}", f"pano_labels{part}", f"pano_depth{part}"
+    return tuple(f"pano{kind}{part}" for kind in ("", "_labels", "_depth", "_openings"))

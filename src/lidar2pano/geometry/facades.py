@@ -1,0 +1,179 @@
+"""Windows and doors for walls on which a scan shows none: regular facades that hang on the world.
+
+A scan measures where walls stand, and its classes say that they are walls; what is on them it hardly shows. Here every
+wall is divided into houses, floors and windows, at random but always alike: where an opening is depends on the place in
+space alone, as with `solid_noise`. Grammars of facades are Mueller et al.'s (2006); this is their simplest case.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool1d, one_hot
+
+from lidar2pano.geometry.surface import azimuths, slopes
+from lidar2pano.views import View
+
+REACH = 40  # columns at each side whose walls say how a wall runs
+SAME_WALL = 0.25  # relative difference of the distances of what still belongs to the same wall
+FARTHEST_M = 60.0  # walls beyond show no windows
+LOWEST_M, HIGHEST_M = 0.5, 9.0  # heights above the road at which the distance of a wall is read
+DIRECTIONS = 8  # in which walls run, per half turn: rounded, so that windows stand still while estimates waver
+HOUSE_M = 11.0  # width of a house
+WARMTH = 0.25  # how much redder and less blue than grey a house is, at most
+EVERY = 4  # rows of a raster for each that distances are read from
+LEAST = 0.3  # rows of a column that show a wall; with fewer the column has none
+AWAY = 1 << 20  # houses; keeps their numbers positive
+
+
+class Facades(NamedTuple):
+    """What walls show: `openings` (B, H, W) in [0, 1], the share of each pixel that is a window or a door.
+
+    tone  (B, 3, W): how bright the house of each column is in red, green and blue, about uniform in [-1, 1].
+    """
+
+    openings: Tensor
+    tone: Tensor
+
+
+class Walls(NamedTuple):
+    """The wall of every column, each (B, W): distance from the view's axis, where along it, numbers of its house.
+
+    house  int64, random but the same for one house;  along_m: from the house's left end;  width_m: of a pixel along it.
+    """
+
+    radius_m: Tensor
+    along_m: Tensor
+    width_m: Tensor
+    house: Tensor
+
+
+def facades(
+    walls: Tensor, radius_m: Tensor, above_m: Tensor, view: View, T_world_sensor: np.ndarray | None = None
+) -> Facades:
+    """Openings and tones of walls.
+
+    walls     (B, H, W): probability that a pixel shows a building.
+    radius_m  (B, H, W): distance from the view's axis;  above_m: (B,), how high the view's origin is above the road.
+    T_world_sensor  (4, 4): where the facades hang; None: on the sensor frame.
+    """
+    slope, above_m = slopes(view, device=walls.device)[:, None], above_m[:, None, None]
+    profile, weight = wall_profile(*(part[:, ::EVERY] for part in (walls, radius_m, radius_m * slope + above_m)))
+    found = _walls(profile, weight, view, T_world_sensor)
+    level_m = slope * found.radius_m[:, None] + above_m
+    elsewhere = ((radius_m / found.radius_m[:, None] - 1).abs() / SAME_WALL - 1).clamp(0, 1)
+    openings = _openings(found, level_m, view) * walls * (1 - elsewhere)
+    warm = WARMTH * (2 * _uniform(found.house, 9) - 1)
+    tone = (2 * _uniform(found.house, 0) - 1)[:, None] + torch.stack([warm, torch.zeros_like(warm), -warm], 1)
+    return Facades(openings, tone)
+
+
+def wall_profile(walls: Tensor, radius_m: Tensor, height_m: Tensor) -> tuple[Tensor, Tensor]:
+    """Logarithm of the distance (B, W) of each column's wall, and how many rows (B, W) it was read from.
+
+    A mean over the rows, twice: the second time of what is near the first. Then the median of the columns around.
+    """
+    inside = (height_m > LOWEST_M) & (height_m < HIGHEST_M) & (radius_m < FARTHEST_M)
+    weight, distance = walls * inside, radius_m.clamp(min=0.5).log()
+    mean = (weight * distance).sum(1) / weight.sum(1).clamp(min=1e-6)
+    weight = weight * torch.exp(-((distance - mean[:, None]) / SAME_WALL).square())
+    total = weight.sum(1)
+    profile = (weight * distance).sum(1) / total.clamp(min=1e-6)
+    profile = torch.where(total > LEAST, profile, torch.nan)
+    around = closed(profile, REACH // 2).unfold(1, REACH + 1, 1)
+    return around.nanmedian(2).values.nan_to_num(math.log(FARTHEST_M)), total
+
+
+def _walls(profile: Tensor, weight: Tensor, view: View, T_world_sensor: np.ndarray | None) -> Walls:
+    """Straight walls through the profile around every column, and the houses they are divided into."""
+    pose = np.eye(4) if T_world_sensor is None else np.asarray(T_world_sensor, dtype=np.float64)
+    angle = azimuths(view, device=profile.device) + math.atan2(pose[1, 0], pose[0, 0])
+    ray = torch.stack([angle.cos(), angle.sin()])  # (2, W) in the world
+    point = profile.exp().double()[:, None] * ray  # (B, 2, W) from the view's axis
+    mean, tangent = _lines(point, profile, weight)
+    number = _direction(tangent, weight)
+    normal = torch.stack([-tangent[:, 1], tangent[:, 0]], 1)
+    facing = (normal * ray).sum(1)
+    radius = (normal * mean).sum(1) / torch.where(facing.abs() < 0.05, 0.05 * facing.sign() + 1e-9, facing)
+    radius = torch.where((radius / profile.exp()).log().abs() < 0.3, radius, profile.exp())  # else no wall is there
+    start = torch.from_numpy((pose[:3, :3] @ np.array(view.origin) + pose[:3, 3])[:2]).to(ray)
+    run = number * (math.pi / DIRECTIONS)
+    along = ((radius[:, None] * ray + start[:, None]) * torch.stack([run.cos(), run.sin()], 1)).sum(1)
+    house = (along / HOUSE_M).floor()
+    width = radius / view.focal_px / facing.abs().clamp(min=0.05)
+    mixed = _mixed((house.long() + AWAY) * DIRECTIONS + number.long())
+    return Walls(radius.float(), (along - house * HOUSE_M).float(), width.float(), mixed)
+
+
+def _lines(point: Tensor, profile: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+    """Means and unit tangents (B, 2, W) of the lines through the points (B, 2, W) around each column.
+
+    Neighbours count by their weight and by how near their distance is to the column's own; columns are circular.
+    """
+    moments = torch.zeros(6, *profile.shape, dtype=torch.float64, device=profile.device)
+    x, y = point.unbind(1)
+    terms = torch.stack([torch.ones_like(x), x, y, x * x, x * y, y * y]) * weight
+    for shift in range(-REACH, REACH + 1, 2):
+        near = torch.exp(-((profile.roll(shift, 1) - profile) / SAME_WALL).square())
+        moments += terms.roll(shift, 2) * near
+    count = moments[0].clamp(min=1e-6)
+    mx, my = moments[1] / count, moments[2] / count
+    xx, xy, yy = moments[3] / count - mx * mx, moments[4] / count - mx * my, moments[5] / count - my * my
+    turn = torch.atan2(2 * xy, xx - yy) / 2
+    return torch.stack([mx, my], 1), torch.stack([turn.cos(), turn.sin()], 1)
+
+
+def _direction(tangent: Tensor, weight: Tensor) -> Tensor:
+    """Number (B, W) of the direction in which most walls around a column run, of DIRECTIONS per half turn."""
+    number = (torch.atan2(tangent[:, 1], tangent[:, 0]) * (DIRECTIONS / math.pi)).round().remainder(DIRECTIONS)
+    votes = one_hot(number.long(), DIRECTIONS).movedim(2, 1) * weight[:, None]
+    return avg_pool1d(closed(votes.float(), REACH), 2 * REACH + 1, 1).argmax(1)
+
+
+def _openings(walls: Walls, level_m: Tensor, view: View) -> Tensor:
+    """Share (B, H, W) of each pixel that is a window or a door, of walls whose pixels are level_m above the road."""
+    house = walls.house
+    storey = (2.6 + 0.7 * _uniform(house, 1))[:, None]
+    sill, tall = (0.7 + 0.4 * _uniform(house, 2))[:, None], (1.1 + 0.5 * _uniform(house, 3))[:, None]
+    count = (3 + 3 * _uniform(house, 4)).floor()
+    wide = 0.9 + 0.6 * _uniform(house, 5)
+    base = (0.1 + 0.7 * _uniform(house, 6))[:, None]
+    every = HOUSE_M / count
+    window = (walls.along_m / every).floor()
+    aside = (walls.along_m - (window + 0.5) * every).abs()
+    is_door = window == (count * _uniform(house, 7)).floor()
+    floor = ((level_m - base) / storey).floor()
+    up = level_m - base - floor * storey
+    door = (is_door[:, None] & (floor == 0)).float()
+    middle = torch.lerp(sill + tall / 2, torch.full_like(sill, 1.0), door)
+    tall = torch.lerp(tall, torch.full_like(tall, 2.1), door)
+    pixel_m = walls.radius_m / view.focal_px
+    across = (0.5 + (wide / 2 - aside) / walls.width_m).clamp(0, 1) * (every / walls.width_m / 2 - 1).clamp(0, 1)
+    upward = (0.5 + (tall / 2 - (up - middle).abs()) / pixel_m[:, None]).clamp(0, 1)
+    blind = _uniform(_mixed(house + window.long() * 7 + 1), 0)  # a column of windows may be missing
+    storeys = (2 + 3 * _uniform(house, 8)).floor()[:, None]
+    there = (floor >= 0) & (floor < storeys) & (blind > 0.1)[:, None]
+    return across[:, None] * upward * there
+
+
+def _mixed(number: Tensor) -> Tensor:
+    """Numbers int64 in [0, 2^31) that look random, of numbers (splitmix's multipliers, 31 bits)."""
+    mask = 0x7FFFFFFF
+    number = number & mask
+    number = ((number ^ (number >> 15)) * 0x2C1B3C6D) & mask
+    number = ((number ^ (number >> 12)) * 0x297A2D39) & mask
+    return number ^ (number >> 15)
+
+
+def _uniform(house: Tensor, which: int) -> Tensor:
+    """Uniform numbers (B, W) float32 in [0, 1), one kind for each `which`."""
+    return _mixed(house * 31 + which * 0x1B873593 + 1).float() / 0x80000000
+
+
+def closed(x: Tensor, reach: int) -> Tensor:
+    """The columns (..., W) of a turn with `reach` columns of the other end at each side."""
+    return torch.cat([x[..., -reach:], x, x[..., :reach]], -1)
