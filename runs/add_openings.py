@@ -1,4 +1,4 @@
-"""A scene painter that sees openings, from one of before that did not, painting the same: add_openings.py WEIGHTS OUT"""
+"""A scene painter with the input for openings, which paints as the one without did: add_openings.py WEIGHTS OUT"""
 
 import sys
 from pathlib import Path

@@ -26,13 +26,15 @@ def test_the_transport_carries_one_covariance_to_the_other():
     assert torch.linalg.eigvalsh(transport(one * 1e-6, one)).max() == pytest.approx(MOST)
 
 
-def picture(values: torch.Tensor) -> torch.Tensor:
+def features_of(values: torch.Tensor) -> torch.Tensor:
     """Features (1, SIZE, 8, 8 P) whose patches, every second of them, are the values (P, SIZE)."""
     return values.T[None, :, None].repeat_interleave(8, 3).expand(1, SIZE, 8, 8 * len(values))
 
 
 def distance(painted: torch.Tensor, real: torch.Tensor) -> float:
-    normal = [Normal(x.mean(0).numpy(), np.cov(x.numpy().T), len(x)) for x in (painted.detach().double(), real.double())]
+    normal = [
+        Normal(x.mean(0).numpy(), np.cov(x.numpy().T), len(x)) for x in (painted.detach().double(), real.double())
+    ]
     return normal_distance(*normal)
 
 
@@ -42,11 +44,11 @@ def test_descent_along_it_shortens_the_frechet_distance():
     painted = torch.nn.Parameter(torch.randn(64, SIZE))
     before, optimizer = distance(painted, real), torch.optim.Adam([painted], 0.03)
     loss, valid, looks = PatchStatistics(2, (SIZE,)), torch.ones(1, 1, 32, 32 * 64), torch.tensor([1])
-    first = loss([(picture(real), picture(painted))], valid, looks)
+    first = loss([(features_of(real), features_of(painted))], valid, looks)
     assert first == 0, "nothing is known yet"
     for _ in range(FIRST + 700):
         optimizer.zero_grad()
-        step = loss([(picture(real), picture(painted))], valid, looks)
+        step = loss([(features_of(real), features_of(painted))], valid, looks)
         if step.requires_grad:
             step.backward()
             optimizer.step()
@@ -58,8 +60,10 @@ def test_patches_that_are_not_known_as_a_whole_do_not_count():
     values, loss = torch.randn(16, SIZE), PatchStatistics(1, (SIZE,))
     valid = torch.ones(1, 1, 32, 32 * 16)
     valid[..., 32 * 8 :] = 0
-    loss([(picture(values), picture(values))], valid, torch.tensor([0]))
+    loss([(features_of(values), features_of(values))], valid, torch.tensor([0]))
     (pair,) = loss.looks[0]
-    assert torch.allclose(pair.real.first, picture(values)[0, :, 0, :64].unfold(1, 8, 4).mean(2).mean(1).double(), atol=1e-6)
-    nothing = loss([(picture(values), picture(values))], valid * 0, torch.tensor([0]))
+    assert torch.allclose(
+        pair.real.first, features_of(values)[0, :, 0, :64].unfold(1, 8, 4).mean(2).mean(1).double(), atol=1e-6
+    )
+    nothing = loss([(features_of(values), features_of(values))], valid * 0, torch.tensor([0]))
     assert nothing == 0 and pair.step == 1

@@ -100,7 +100,7 @@ def test_unknown_pixels_have_no_loss(task, batch):
     assert name == "painter" and loss.item() == 0
 
 
-def test_walls_whose_openings_are_invented_need_not_be_equal(task, batch):
+def test_walls_with_invented_openings_need_not_be_equal(task, batch):
     flat = batch.flat()
     flat.openings[0] = torch.nan
     segments = torch.zeros(2, 16, 32, 64)

@@ -169,10 +169,10 @@ class PanoramaDataset:
         image, valid = torch.zeros(3, 0, 0, dtype=torch.uint8), torch.zeros(0, 0, dtype=torch.bool)
         scan, openings = labelled(frame), torch.full(labels.shape, torch.nan)
         if frame.panorama is not None:
-            truth = panorama_on(frame, self.view)
-            depth_m = torch.from_numpy(truth.depth_m)
-            if truth.openings is not None:
-                openings = torch.from_numpy(truth.openings)
+            ground_truth = panorama_on(frame, self.view)
+            depth_m = torch.from_numpy(ground_truth.depth_m)
+            if ground_truth.openings is not None:
+                openings = torch.from_numpy(ground_truth.openings)
             if self.image:
                 fine = panorama_on(frame, self.view.scaled(2))
                 image, valid = torch.from_numpy(fine.image).movedim(2, 0), torch.from_numpy(fine.valid)

@@ -18,7 +18,11 @@ VARIED = np.array(
     [0, 0.15, 0, 0, 0.15, 0.15, 0.15, 0, 0, 0, 0.15, 0, 0, 0.1, 0, 0]
 )  # of classes: how their brightness varies
 OBJECT_M, COARSER = 16.0, 4  # wavelength of that, and the step at which it is read
-HOUSES_VARIED, HOUSE_M, REACH = 0.3, 11.0, 40  # brightness and width of houses; columns around that show how a wall runs
+HOUSES_VARIED, HOUSE_M, REACH = (
+    0.65,
+    11.0,
+    40,
+)  # brightness and width of houses; columns around that show how a wall runs
 
 
 def main(scan, out):
@@ -135,12 +139,12 @@ def facades(walls, radius_m, slope, above_m, view):
     azimuth = np.pi - (np.arange(columns) + 0.5) / columns * 2 * np.pi
     ray, focal = np.stack([np.cos(azimuth), np.sin(azimuth)]), columns / (2 * np.pi)
     profile, weight = wall_profile(*(part[::4] for part in (walls, radius_m, radius_m * slope + above_m)))
-    point, moments = np.exp(profile) * ray, 0.0
+    point, sums = np.exp(profile) * ray, 0.0
     terms = np.stack([np.ones(columns), *point, point[0] ** 2, point[0] * point[1], point[1] ** 2]) * weight
     for shift in range(-REACH, REACH + 1, 2):  # a line through what is around each column, and as far away
-        moments += np.roll(terms, shift, 1) * np.exp(-(((np.roll(profile, shift) - profile) / 0.25) ** 2))
-    count = np.maximum(moments[0], 1e-6)
-    x, y, xx, xy, yy = moments[1:] / count
+        sums += np.roll(terms, shift, 1) * np.exp(-(((np.roll(profile, shift) - profile) / 0.25) ** 2))
+    count = np.maximum(sums[0], 1e-6)
+    x, y, xx, xy, yy = sums[1:] / count
     turn = np.arctan2(2 * (xy - x * y), (xx - x * x) - (yy - y * y)) / 2
     facing = np.cos(turn) * ray[1] - np.sin(turn) * ray[0]
     safe = np.where(np.abs(facing) < 0.05, 0.05 * np.sign(facing) + 1e-9, facing)

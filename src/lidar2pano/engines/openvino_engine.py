@@ -73,8 +73,8 @@ def _channels_last(graph: Any, shapes: tuple[Shape, ...]) -> Any:  # noqa: ANN40
     wrapped = module.preprocess.PrePostProcessor(graph)
     for number, shape in enumerate(shapes):
         if len(shape) == IMAGE:
-            kind = getattr(module.Type, _precision())
-            wrapped.input(number).tensor().set_layout(module.Layout("NHWC")).set_element_type(kind)
+            numbers = getattr(module.Type, _precision())
+            wrapped.input(number).tensor().set_layout(module.Layout("NHWC")).set_element_type(numbers)
             wrapped.input(number).model().set_layout(module.Layout("NCHW"))
     return wrapped.build()
 

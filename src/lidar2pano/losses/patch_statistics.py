@@ -3,7 +3,7 @@
 Between normal distributions the cheapest transport moves x to m2 + T (x - m1), where T = C1^-1/2 (C1^1/2 C2 C1^1/2)^1/2
 C1^-1/2 (Dowson and Landau 1982; Olkin and Pukelsheim 1982), and what it costs on average is the Frechet distance. Each
 painted patch is drawn to where the transport would put it. Mathiasen and Hvilshoj (2020) differentiate the distance
-itself; with moments that are remembered over many batches (here by moving averages) small batches will do.
+itself; with statistics that are remembered over many batches (here by moving averages) small batches will do.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d
 
 PATCH, STRIDE = 8, 4  # of a patch, in pixels of the features' raster
-KEPT = 0.99  # of the moments, from one batch to the next
+KEPT = 0.99  # of the statistics, from one batch to the next
 RIDGE = 1e-2  # of the mean variance, added to every painted one
 MOST = 3.0  # times that a deviation is made larger
 EVERY, FIRST = 10, 40  # steps between two transports; step of the first
@@ -34,7 +34,7 @@ class PatchStatistics:
         """Mean squared distance of the painted patches from where they should be, over the real ones' variance.
 
         pairs  real and painted features (B, C, h, w) per depth;  valid: (B, 1, H, W) 1 where the real picture is known.
-        looks  (B,) int64. Patches count that are known as a whole. 0 until the moments are known, and without patches.
+        looks  (B,) int64. Patches count that are known as a whole. 0 without any, and until the statistics are known.
         """
         total, count = valid.new_zeros(()), 0
         for depth, (real, painted) in enumerate(pairs):
@@ -51,7 +51,7 @@ class PatchStatistics:
         return total / max(count, 1)
 
 
-class _Moments:
+class _Distribution:
     """Mean (D,) and covariance (D, D) of what came lately."""
 
     def __init__(self, size: int) -> None:
@@ -71,10 +71,10 @@ class _Moments:
 
 
 class _Pair:
-    """Real and painted moments of one look at one depth."""
+    """Real and painted statistics of one look at one depth."""
 
     def __init__(self, size: int) -> None:
-        self.real, self.painted, self.step = _Moments(size), _Moments(size), 0
+        self.real, self.painted, self.step = _Distribution(size), _Distribution(size), 0
         self.transport = torch.eye(size)
 
     def loss(self, real: Tensor, painted: Tensor) -> Tensor:
@@ -99,6 +99,6 @@ def transport(one: Tensor, other: Tensor) -> Tensor:
     values = values.clamp(min=0) + RIDGE * values.mean().clamp(min=1e-12)
     root, inverse = ((vectors * scale) @ vectors.T for scale in (values.sqrt(), values.rsqrt()))
     between, axes = torch.linalg.eigh(root @ other @ root)
-    carried = inverse @ ((axes * between.clamp(min=0).sqrt()) @ axes.T) @ inverse
-    scales, directions = torch.linalg.eigh((carried + carried.T) / 2)
+    linear = inverse @ ((axes * between.clamp(min=0).sqrt()) @ axes.T) @ inverse
+    scales, directions = torch.linalg.eigh((linear + linear.T) / 2)
     return (directions * scales.clamp(0, MOST)) @ directions.T

@@ -17,9 +17,9 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.facades import facades
 from lidar2pano.geometry.solid_noise import smooth_noise, solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals, road_height
+from lidar2pano.geometry.wall_openings import facades
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.circular import CircularConv, CircularResidual, closed, conv_norm_act
 from lidar2pano.models.titan_pano import FAR_M, depth_code
@@ -31,9 +31,9 @@ FINE_M = (0.0625, 0.125, 0.5)  # and on the picture's
 SHAPE = 8  # channels beside segments and noise: depth, remission, validity, row, height, normals
 OBJECT_M = 16.0  # wavelength at which things differ in brightness: one house from the next, one car from the next
 # Half of the deviations from image to image of how bright a class is in KITTI, colours in [-1, 1]: all of them, and
-# what noise has beyond its deviation, burn walls out.
+# what noise has beyond its deviation, burn things out.
 VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence", "person"), 0.15) | {"pole": 0.1}
-HOUSES_VARIED = 0.3  # likewise how bright a house is, at most
+HOUSES_VARIED = 0.65  # how much brighter or darker than the mean a house is, at most
 WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
 STRIDE = 4  # input pixels per pixel of the coarsest level
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
@@ -187,9 +187,9 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     depth_m   (B, H, W): metres, everywhere.
     image     (B, 5, H, W): a RangeImage's channels, of which remission and validity are used.
     view      the raster H x W;  T_world_sensor: (4, 4), where the noise hangs (None: on the sensor's frame).
-    class_tones  (B, classes, 3): how much brighter each class is than the mean of its look, in [-1, 1]; None: one number
+    class_tones  (B, classes, 3): how much brighter each class is than the mean of its look, in [-1, 1]; None: a tone
                  for each house, and for the classes that VARIED names noise of wavelength OBJECT_M.
-    openings     (B, H, W) in [0, 1]: where walls have windows and doors; where NaN, and for None, as `facades` has them.
+    openings     (B, H, W) in [0, 1]: where walls have windows and doors; None, and where NaN: as `facades` has them.
     """
     depth_m = depth_m.float()
     likeliest = segments.amax(1)

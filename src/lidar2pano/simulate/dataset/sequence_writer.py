@@ -133,4 +133,4 @@ def _panorama(rendered: RenderedImage) -> list[Writer]:
 def _panorama_folders(view: str, *, first: bool) -> tuple[str, ...]:
     """pano, pano_labels, pano_depth and pano_openings of the first view; with "-2" of a further "panorama/2"."""
     part = "" if first else "-" + view.removeprefix("panorama/")
-    return tuple(f"pano{kind}{part}" for kind in ("", "_labels", "_depth", "_openings"))
+    return tuple(f"pano{layer}{part}" for layer in ("", "_labels", "_depth", "_openings"))

@@ -114,15 +114,15 @@ def _lines(point: Tensor, profile: Tensor, weight: Tensor) -> tuple[Tensor, Tens
 
     Neighbours count by their weight and by how near their distance is to the column's own; columns are circular.
     """
-    moments = torch.zeros(6, *profile.shape, dtype=torch.float64, device=profile.device)
+    sums = torch.zeros(6, *profile.shape, dtype=torch.float64, device=profile.device)
     x, y = point.unbind(1)
     terms = torch.stack([torch.ones_like(x), x, y, x * x, x * y, y * y]) * weight
     for shift in range(-REACH, REACH + 1, 2):
         near = torch.exp(-((profile.roll(shift, 1) - profile) / SAME_WALL).square())
-        moments += terms.roll(shift, 2) * near
-    count = moments[0].clamp(min=1e-6)
-    mx, my = moments[1] / count, moments[2] / count
-    xx, xy, yy = moments[3] / count - mx * mx, moments[4] / count - mx * my, moments[5] / count - my * my
+        sums += terms.roll(shift, 2) * near
+    count = sums[0].clamp(min=1e-6)
+    mx, my = sums[1] / count, sums[2] / count
+    xx, xy, yy = sums[3] / count - mx * mx, sums[4] / count - mx * my, sums[5] / count - my * my
     turn = torch.atan2(2 * xy, xx - yy) / 2
     return torch.stack([mx, my], 1), torch.stack([turn.cos(), turn.sin()], 1)
 

@@ -7,16 +7,18 @@ import math
 import numpy as np
 import torch
 
-from lidar2pano.geometry import facades as subject
-from lidar2pano.geometry.facades import HOUSE_M, Walls, facades
+from lidar2pano.geometry import wall_openings as subject
 from lidar2pano.geometry.surface import azimuths, slopes
+from lidar2pano.geometry.wall_openings import HOUSE_M, Walls, facades
 from lidar2pano.views import VIEWS
 
 VIEW = VIEWS["panorama"].scaled(0.5)
 ROAD_Z_M = -1.73
 
 
-def street(x: float = 0.0, y: float = 0.0, turn: float = 0.0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, np.ndarray]:
+def street(
+    x: float = 0.0, y: float = 0.0, turn: float = 0.0
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, np.ndarray]:
     """A street between walls at y = 7 m and y = -9 m: `facades`' arguments but for the view."""
     angle = azimuths(VIEW) + turn
     left, right = (7 - y) / angle.sin(), (-9 - y) / angle.sin()
@@ -32,7 +34,7 @@ def street(x: float = 0.0, y: float = 0.0, turn: float = 0.0) -> tuple[torch.Ten
     return walls, radius_m, above_m, pose
 
 
-def seen(x: float, y: float, turn: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def left_wall(x: float, y: float, turn: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Openings of the wall on the left, and the places in the world (x, height) that the pixels show."""
     walls, radius_m, above_m, pose = street(x, y, turn)
     found = facades(walls, radius_m, above_m, VIEW, pose).openings[0]
@@ -46,7 +48,7 @@ def seen(x: float, y: float, turn: float) -> tuple[torch.Tensor, torch.Tensor, t
 def test_openings_stay_where_they_are_when_the_sensor_moves():
     grids = []
     for place in ((0.0, 0.0, 0.0), (1.5, 0.5, 0.0), (-0.7, -1.0, 0.3)):
-        openings, ahead, height = seen(*place)
+        openings, ahead, height = left_wall(*place)
         grid = torch.full((60, 30), torch.nan)  # 10 cm
         column, row = ((ahead + 3) * 10).floor().long(), (height * 10).floor().long()
         inside = (column >= 0) & (column < 60) & (row >= 0) & (row < 30) & ((openings - 0.5).abs() > 0.45)
@@ -64,7 +66,12 @@ def test_turning_by_whole_columns_turns_the_answer():
     columns = 96
     angle = 2 * math.pi * columns / VIEW.columns
     turned = pose @ np.array(
-        [[math.cos(angle), -math.sin(angle), 0, 0], [math.sin(angle), math.cos(angle), 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]
+        [
+            [math.cos(angle), -math.sin(angle), 0, 0],
+            [math.sin(angle), math.cos(angle), 0, 0],
+            [0, 0, 1, 0],
+            [0, 0, 0, 1.0],
+        ]
     )
     origin = np.array([*VIEW.origin, 1.0])
     turned[:3, 3] += (pose @ origin - turned @ origin)[:3]  # about the view's axis
@@ -126,10 +133,15 @@ def opening(house: int, along: float, level: float) -> bool:
 def test_openings_agree_with_their_definition():
     generator = torch.Generator().manual_seed(3)
     house = torch.randint(0, 2**31, (1, 300), generator=generator)
-    along, level = HOUSE_M * torch.rand(1, 300, generator=generator), 12 * torch.rand(1, 40, 300, generator=generator) - 1
+    along, level = (
+        HOUSE_M * torch.rand(1, 300, generator=generator),
+        12 * torch.rand(1, 40, 300, generator=generator) - 1,
+    )
     walls = Walls(torch.full((1, 300), 3.0), along, torch.full((1, 300), 1e-3), house)
     found = subject._openings(walls, level, VIEW)[0]
     clear = (found < 0.01) | (found > 0.99)
-    expected = torch.tensor([[opening(int(house[0, j]), float(along[0, j]), float(level[0, i, j])) for j in range(300)] for i in range(40)])
+    expected = torch.tensor(
+        [[opening(int(house[0, j]), float(along[0, j]), float(level[0, i, j])) for j in range(300)] for i in range(40)]
+    )
     assert clear.float().mean() > 0.95 and 0.1 < expected.float().mean() < 0.5
     assert torch.equal(found[clear] > 0.5, expected[clear])
