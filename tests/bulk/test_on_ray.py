@@ -14,7 +14,7 @@ import pytest
 
 from bulk_runs import SCANS, assert_each_once, contents, job_of, run
 from house_rules import ROOT
-from lidar2pano.bulk import Entry
+from lidar2pano.bulk import Entry, ScanKey
 from lidar2pano.bulk.on_ray import ATTEMPTS, Pool
 from lidar2pano.bulk.stores import SCRATCH
 from lidar2pano.errors import InputError
@@ -82,8 +82,8 @@ class Fake:
             raise Died
 
     def _hold(self, entry):
-        self.held.append(entry.input)
-        return lambda: self._finish(entry.input)
+        self.held.append(str(entry.key))
+        return lambda: self._finish(str(entry.key))
 
     def _finish(self, name):
         self._alive()
@@ -108,7 +108,7 @@ def translated(deadly: set[str], healthy: bool = True, scans: int = 20) -> tuple
         made.append(Fake(deadly, healthy))
         return made[-1]
 
-    todo = [Entry(input=f"{number}.bin", stem=f"{number}") for number in range(scans)]
+    todo = [Entry(key=ScanKey(f"{number}.bin"), stem=f"{number}") for number in range(scans)]
     pool = Pool(make, 2, todo)
     return list(pool.records(job_of("in", "out"), lambda: False)), made
 

@@ -20,9 +20,10 @@ def job_of(root: Path | str, out: Path | str, **changes) -> Job:
     return replace(job, **changes)
 
 
-def run(job: Job, shard: Shard = WHOLE, translate: Translate = translate_all) -> int:
+def run(job: Job, shard: Shard = WHOLE, translate: Translate = translate_all, only: str = "") -> int:
     """What the command does after it has understood its options."""
-    found = entries(open_store(job.source), shard, job.layout, labels=job.use_labels)
+    store = open_store(job.source)
+    found = entries(store, shard, job.layout, labels=job.use_labels, selection=job.selection, only=only)
     start(job, found, {}, {})
     return work(job, found, Manifest(open_store(job.out), shard), translate)
 
