@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,8 +40,10 @@ def manifest(out: Path) -> list[dict]:
     return [json.loads(line) for file in files for line in file.read_text().splitlines()]
 
 
-def assert_each_once(out: Path, root: Path) -> None:
-    names = sorted(path.relative_to(root).as_posix() for path in root.rglob("*.bin"))
+def assert_each_once(out: Path, root: Path, recordings: Mapping[str, int] | None = None) -> None:
+    """The manifest has one line for each scan file, and for each of so many scans of recordings."""
+    scans = [(path.relative_to(root).as_posix(), -1) for path in root.rglob("*.bin")]
+    scans += [(name, number) for name, count in (recordings or {}).items() for number in range(count)]
     lines = manifest(out)
-    assert sorted(line["input"] for line in lines) == names
+    assert sorted((line["input"], -1 if line["scan"] is None else line["scan"]) for line in lines) == sorted(scans)
     assert all(line["error"] is None and (out / name).is_file() for line in lines for name in line["outputs"])

@@ -111,7 +111,9 @@ def _wanted(
     if timed and names:
         try:
             if not isinstance(store, Folder):
-                raise InputError(f"{store.place}: --from and --to choose among scan files of this machine's folders only")
+                raise InputError(
+                    f"{store.place}: --from and --to choose among scan files of this machine's folders only"
+                )
             paths = {store.root / name: name for name in names}
             chosen = [paths[path] for path in wanted(list(paths), selection)]
         except InputError as error:

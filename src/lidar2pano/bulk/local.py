@@ -27,12 +27,14 @@ def translate_all(job: Job, todo: Iterable[Entry], stopped: Callable[[], bool]) 
     """
     threads = min(MOST_THREADS, os.cpu_count() or 1)
     going = takewhile(lambda _: not stopped(), todo)
-    with open_store(job.out).scratch() as folder, ThreadPoolExecutor(threads) as pool:
-        with closing(Worker(job, folder)) as worker:
-            requests = map(worker.request, going)
-            painted = (worker.paint(work) for work in _ahead(pool, worker.load, requests, threads))
-            for work in _ahead(pool, worker.write, painted, threads):
-                yield work.record(job)
+    with (
+        open_store(job.out).scratch() as folder,
+        closing(Worker(job, folder)) as worker,
+        ThreadPoolExecutor(threads) as pool,
+    ):
+        painted = (worker.paint(work) for work in _ahead(pool, worker.load, map(worker.request, going), threads))
+        for work in _ahead(pool, worker.write, painted, threads):
+            yield work.record(job)
 
 
 def _ahead(pool: ThreadPoolExecutor, function: Callable[[A], B], items: Iterable[A], most: int) -> Iterator[B]:

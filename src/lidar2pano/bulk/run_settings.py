@@ -54,7 +54,8 @@ def start(job: Job, found: list[Entry], files: Mapping[str, Path], options: Mapp
             out.put(scratch / NAME, NAME)
     if job.layout == SEMANTIC_KITTI and not same:
         copy_beside(source, out, "splits.json", "splits.json")
-        for folder, sequence in sorted({(_sequence_folder(entry), entry.sequence) for entry in found if _has_file(entry)}):
+        of_files = [entry for entry in found if entry.key.scan is None and not entry.error]
+        for folder, sequence in sorted({(_sequence_folder(entry), entry.sequence) for entry in of_files}):
             for name in SEQUENCE_FILES:
                 copy_beside(source, out, f"{folder}{name}", f"sequences/{sequence}/{name}")
 
@@ -76,11 +77,6 @@ def _refuse_others(job: Job, out: Store, found: list[Entry]) -> None:
         for name in () if entry.error else job.outputs(entry).values():
             if out.exists(name):
                 raise InputError(f"{out.place}/{name}: is there already, but no {NAME}; choose another --out")
-
-
-def _has_file(entry: Entry) -> bool:
-    """Whether the scan has a file of its own, in a folder that is its sequence."""
-    return entry.key.scan is None and not entry.error
 
 
 def _sequence_folder(entry: Entry) -> str:

@@ -38,7 +38,7 @@ class Store(Protocol):
         ...
 
     def local(self, name: str) -> Any:  # noqa: ANN401
-        """A context that gives the path of a local file, or folder, with the content; InputError where there is none."""
+        """A context that gives the path of a local file or folder with the content; InputError where there is none."""
         ...
 
     def scratch(self) -> Any:  # noqa: ANN401

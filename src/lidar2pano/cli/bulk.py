@@ -19,7 +19,9 @@ from lidar2pano.cli.translate import (
     DeviceOption,
     EngineOption,
     EveryOption,
+    FormatOption,
     FromOption,
+    LookOption,
     ToOption,
     TopicOption,
     WeightsOption,
@@ -33,6 +35,37 @@ if TYPE_CHECKING:
 # (job, scans to do, whether to stop) -> the manifest's lines
 Translate = Callable[["Job", "list[Entry]", Callable[[], bool]], Iterable[dict[str, Any]]]
 BAD_SCANS = 3  # exit code: some scans failed
+
+RootArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="ROOT", help="Folder, or URL, below which all scans and recordings are translated; or a recording."
+    ),
+]
+ShardOption = Annotated[
+    str, typer.Option(metavar="I/N", help="Only the scans of shard I of N; I counts from 0 to N - 1.")
+]
+SaveOption = Annotated[
+    str,
+    typer.Option(
+        metavar="LIST", help="What to write: rgb,segments,labels,depth or all (rgb; with --as: rgb,segments,depth)."
+    ),
+]
+LayoutOption = Annotated[
+    str, typer.Option("--as", metavar="NAME", help="Lay panoramas out as a data set: semantickitti.")
+]
+LabelsOption = Annotated[
+    bool, typer.Option("--labels", help="Paint the scans' own labels (.label) instead of the segmenter's.")
+]
+AddressOption = Annotated[
+    str,
+    typer.Option(
+        "--ray", metavar="[ADDRESS]", help="Work on a Ray cluster: this one, or one that is found or started."
+    ),
+]
+WorkersOption = Annotated[
+    int, typer.Option(min=0, metavar="N", help="With --ray: how many workers (0: as many as fit).")
+]
 
 
 class WithOptionalAddress(TyperCommand):
@@ -48,50 +81,23 @@ class WithOptionalAddress(TyperCommand):
 
 @app.command(cls=WithOptionalAddress)
 def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
-    root: Annotated[
-        str,
-        typer.Argument(
-            metavar="ROOT", help="Folder, or URL, below which all scans and recordings are translated; or a recording."
-        ),
-    ],
+    root: RootArgument,
     out: Annotated[str, typer.Option(metavar="DIR", help="Folder, or URL, for the panoramas.")],
-    shard: Annotated[
-        str, typer.Option(metavar="I/N", help="Only the scans of shard I of N; I counts from 0 to N - 1.")
-    ] = "0/1",
-    save: Annotated[
-        str,
-        typer.Option(
-            metavar="LIST", help="What to write: rgb,segments,labels,depth or all (rgb; with --as: rgb,segments,depth)."
-        ),
-    ] = "",
-    layout: Annotated[
-        str, typer.Option("--as", metavar="NAME", help="Lay panoramas out as a data set: semantickitti.")
-    ] = "",
-    use_labels: Annotated[
-        bool, typer.Option("--labels", help="Paint the scans' own labels (.label) instead of the segmenter's.")
-    ] = False,
+    shard: ShardOption = "0/1",
+    save: SaveOption = "",
+    layout: LayoutOption = "",
+    use_labels: LabelsOption = False,
     topic: TopicOption = "",
     every: EveryOption = 1,
     start_s: FromOption = None,
     end_s: ToOption = None,
     weights: WeightsOption = "kitti-mini",
-    look: Annotated[
-        str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
-    ] = "",
+    look: LookOption = "",
     device: DeviceOption = "auto",
     engine: EngineOption = "auto",
-    image_format: Annotated[
-        str, typer.Option("--format", metavar="png|webp|jpeg", help="Format of the colour images.")
-    ] = "png",
-    address: Annotated[
-        str,
-        typer.Option(
-            "--ray", metavar="[ADDRESS]", help="Work on a Ray cluster: this one, or one that is found or started."
-        ),
-    ] = "",
-    workers: Annotated[
-        int, typer.Option(min=0, metavar="N", help="With --ray: how many workers (0: as many as fit).")
-    ] = 0,
+    image_format: FormatOption = "png",
+    address: AddressOption = "",
+    workers: WorkersOption = 0,
     cores: Annotated[int, typer.Option(min=1, metavar="N", help="With --ray: processor cores of each worker.")] = 2,
 ) -> None:
     """Translate any number of scans. Repeat the command to go on where it stopped."""

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.recfunctions import repack_fields
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import HEAD_BYTES
@@ -149,7 +150,10 @@ def _captured_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
         yield from _ouster_frames(path, options)
         return
     topic = choose_topic(path, about.topics, options.topic, VELODYNE)
-    turns = ((stamp_s, partial(cloud_of_turn, stamp_s, points), points) for stamp_s, points in capture.turns(topic))
+    turns = (
+        (stamp_s, partial(cloud_of_turn, stamp_s, points), repack_fields(points))  # whose padding is anything
+        for stamp_s, points in capture.turns(topic)
+    )
     yield from _selected(path, turns, options)
 
 
