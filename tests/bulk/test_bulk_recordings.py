@@ -1,4 +1,4 @@
-"""Bulk runs over recordings: every scan is an item of its own, whatever the file is called and whoever reads it."""
+"""Bulk runs over recordings: every scan is an item of its own, in any format, shard or store."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ def test_a_line_that_was_lost_is_written_again(tmp_path, format):
 def test_a_damaged_recording_costs_a_line(tmp_path, capsys):
     root, out = tmp_path / "in", tmp_path / "out"
     root.mkdir()
-    write_bin(root / "x.bin", street(0, 300))
+    write_bin(root / "drive.bin", street(0, 300))
     whole = recorded(root, "mcap-raw").read_bytes()
     (root / "drive.mcap").write_bytes(whole[: len(whole) // 2])
     assert run(job_of(root, out)) == BAD_SCANS
@@ -186,6 +186,7 @@ def test_a_damaged_recording_costs_a_line(tmp_path, capsys):
     assert captured.err.count("\n") == 1 and f"{root}/drive.mcap: is damaged or cut short" in captured.err
     assert [line["scan"] for line in manifest(out)] == [None, None]
     assert sum(len(entries(open_store(root), Shard(index, 3))) for index in range(3)) == 2  # one shard reports it
+    assert run(job_of(root, out)) == BAD_SCANS  # the outputs of drive.bin are not its own
     (root / "drive.mcap").write_bytes(whole)
     assert run(job_of(root, out)) == 0
     assert_each_once(out, root, {"drive.mcap": COUNT})
