@@ -25,7 +25,10 @@ ATTEMPTS = 8  # first scans of a recording, of which one says how to read the ot
 class Request(Protocol):
     """A scan that is read when it is needed."""
 
-    entry: Entry
+    @property
+    def entry(self) -> Entry:
+        """What it is."""
+        ...
 
     def read(self) -> tuple[Scan, str]:
         """The scan, and the SHA-256 of what it was read from; InputError where it cannot be read."""
@@ -86,11 +89,11 @@ class FrameRequest:
             raise InputError(text.replace(str(frame.path), self.place)) from None
         if motion is not None:
             scan, _ = motion.step(scan, found, found.stamp_s or 0.0)
-        return scan, hashlib.sha256(frame.content).hexdigest()
+        return scan, frame.sha256()
 
     def sha256(self) -> str:
         """See Request."""
-        return hashlib.sha256(self.recorded.result().frame.content).hexdigest()
+        return self.recorded.result().frame.sha256()
 
 
 class ScanReading:

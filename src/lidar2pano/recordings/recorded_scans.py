@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -55,6 +56,11 @@ class Frame:
     def title(self) -> str:
         """The recording's path and the scan's number, for messages."""
         return f"{self.path}, scan {self.number}"
+
+    def sha256(self) -> str:
+        """SHA-256 of its content, in hexadecimal."""
+        content = self.content if isinstance(self.content, bytes) else self.content.tobytes()
+        return hashlib.sha256(content).hexdigest()
 
     def cloud(self) -> PointCloud:
         """The points, with the time of recording where the scan has no stamp of its own."""
