@@ -156,6 +156,7 @@ def test_a_bad_scan_costs_a_line_and_is_tried_again(root, tmp_path, capsys):
     ]
     errors = [line for line in manifest(tmp_path / "out") if line["error"]]
     assert len(manifest(tmp_path / "out")) == 26 and len(errors) == 3
+    assert all(len(line["sha256"]) == 64 for line in errors)
     assert errors[0]["error"] == "bug.bin: RuntimeError: a bug" and errors[0]["outputs"] == []
     for name in ("a/000000", "bug", "refused"):
         write_scan(root / f"{name}.bin", street(50))

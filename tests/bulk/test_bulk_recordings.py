@@ -327,7 +327,7 @@ def test_memory_does_not_grow_with_messages(tmp_path, format):
         try:
             reading = ScanReading(store, ReadOptions())
             for entry in entries(store, Shard()):
-                reading.request(entry).read()
+                reading.request(entry).read(lambda _: None)
             reading.close()
             return tracemalloc.get_traced_memory()[1]
         finally:

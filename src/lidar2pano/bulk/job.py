@@ -79,6 +79,10 @@ class Work:
     instances: np.ndarray | None = None
     error: str | None = None
 
+    def note(self, sha256: str) -> None:
+        """Set the checksum as soon as it is known."""
+        self.sha256 = sha256
+
     @contextmanager
     def step(self, stage: str = "") -> Iterator[None]:
         """Turn what is raised into the scan's error: whatever is wrong with one scan, the others go on."""
@@ -135,8 +139,7 @@ class Worker:
         work = Work(entry=entry, timer=Timer(device("cpu")))
         with work.step("read"):
             place = f"{self.source.place}/{entry.key}"
-            scan, work.sha256 = request.read()
-            work.scan = changed(scan, name=place)
+            work.scan = changed(request.read(work.note), name=place)
             if entry.label is not None:
                 with local_copy(self.source, entry.label) as path:
                     label = read_label(path, len(work.scan))

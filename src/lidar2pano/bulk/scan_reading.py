@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
@@ -30,8 +31,11 @@ class Request(Protocol):
         """What it is."""
         ...
 
-    def read(self) -> tuple[Scan, str]:
-        """The scan, and the SHA-256 of what it was read from; InputError where it cannot be read."""
+    def read(self, note: Callable[[str], None]) -> Scan:
+        """The scan; InputError where it cannot be read.
+
+        note  takes the SHA-256 of what it is read from, of a bad scan too.
+        """
         ...
 
     def sha256(self) -> str:
@@ -46,12 +50,13 @@ class FileRequest:
     entry: Entry
     source: Store
 
-    def read(self) -> tuple[Scan, str]:
+    def read(self, note: Callable[[str], None]) -> Scan:
         """See Request."""
         if self.entry.error:
             raise InputError(self.entry.error)
         with local_copy(self.source, self.entry.key.input) as path:
-            return read(path), file_hash(path)
+            note(file_hash(path))
+            return read(path)
 
     def sha256(self) -> str:
         """See Request."""
@@ -79,9 +84,10 @@ class FrameRequest:
     place: str
     recorded: Future[RecordedScan]
 
-    def read(self) -> tuple[Scan, str]:
+    def read(self, note: Callable[[str], None]) -> Scan:
         """See Request."""
         frame, like, motion = self.recorded.result()
+        note(frame.sha256())
         try:
             scan, found = interpret(frame.cloud(), None, like)
         except InputError as error:
@@ -89,7 +95,7 @@ class FrameRequest:
             raise InputError(text.replace(str(frame.path), self.place)) from None
         if motion is not None:
             scan, _ = motion.step(scan, found, found.stamp_s or 0.0)
-        return scan, frame.sha256()
+        return scan
 
     def sha256(self) -> str:
         """See Request."""

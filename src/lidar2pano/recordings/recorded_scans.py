@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.lib.recfunctions import repack_fields
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import HEAD_BYTES
@@ -157,10 +156,15 @@ def _captured_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
         return
     topic = choose_topic(path, about.topics, options.topic, VELODYNE)
     turns = (
-        (stamp_s, partial(cloud_of_turn, stamp_s, points), repack_fields(points))  # whose padding is anything
+        (stamp_s, partial(cloud_of_turn, stamp_s, points), _without_padding(points))
         for stamp_s, points in capture.turns(topic)
     )
     yield from _selected(path, turns, options)
+
+
+def _without_padding(points: np.ndarray) -> np.ndarray:
+    """The bytes of structured points, field after field; what lies between the fields may be anything."""
+    return np.concatenate([np.ascontiguousarray(points[name]).view(np.uint8) for name in points.dtype.names or ()])
 
 
 def _other_packets(path: Path, about: Description) -> str:
