@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from bulk_runs import SCANS, assert_each_once, contents, job_of, manifest, run
-from lidar2pano.bulk import Entry, Job, Shard, entries
+from lidar2pano.bulk import Entry, Job, ScanKey, Shard, entries
 from lidar2pano.bulk.entries import SEMANTIC_KITTI
 from lidar2pano.bulk.instances import grow
 from lidar2pano.bulk.stores import SCRATCH, open_store
@@ -156,6 +156,7 @@ def test_a_bad_scan_costs_a_line_and_is_tried_again(root, tmp_path, capsys):
     ]
     errors = [line for line in manifest(tmp_path / "out") if line["error"]]
     assert len(manifest(tmp_path / "out")) == 26 and len(errors) == 3
+    assert all(len(line["sha256"]) == 64 for line in errors)
     assert errors[0]["error"] == "bug.bin: RuntimeError: a bug" and errors[0]["outputs"] == []
     for name in ("a/000000", "bug", "refused"):
         write_scan(root / f"{name}.bin", street(50))
@@ -197,7 +198,7 @@ def test_shards_together_are_the_whole(root, tmp_path):
 
 def test_a_scan_stays_in_its_shard(root):
     def taken() -> list[set[str]]:
-        return [{entry.input for entry in entries(open_store(root), Shard(index, 3))} for index in range(3)]
+        return [{entry.key.input for entry in entries(open_store(root), Shard(index, 3))} for index in range(3)]
 
     before = taken()
     assert sum(map(len, before)) == len(set().union(*before)) == SCANS
@@ -219,7 +220,7 @@ def test_shards_that_are_none(text):
 
 
 def stems(root: Path) -> dict[str, str]:
-    return {entry.input: entry.stem for entry in entries(open_store(root), Shard())}
+    return {str(entry.key): entry.stem for entry in entries(open_store(root), Shard())}
 
 
 def test_names_of_outputs(tmp_path):
@@ -249,13 +250,15 @@ def test_a_folder_that_is_linked_into_itself_is_listed_once(tmp_path):
 
 
 def test_names_in_a_data_set():
-    entry = Entry(input="town/sequences/07/velodyne/000012.bin", stem="town/sequences/07/velodyne/000012", label="x")
+    entry = Entry(
+        key=ScanKey("town/sequences/07/velodyne/000012.bin"), stem="town/sequences/07/velodyne/000012", label="x"
+    )
     assert entry.outputs(("rgb", "segments"), SEMANTIC_KITTI) == {
         "rgb": "sequences/town-07/pano/000012.png",
         "segments": "sequences/town-07/pano_labels/000012.png",
         "instances": "sequences/town-07/pano_instances/000012.png",
     }
-    assert Entry(input="a.bin", stem="a").outputs(("labels",), SEMANTIC_KITTI) == {
+    assert Entry(key=ScanKey("a.bin"), stem="a").outputs(("labels",), SEMANTIC_KITTI) == {
         "labels": "sequences/00/predicted_labels/a.label"
     }
 

@@ -71,14 +71,14 @@ def test_the_address_may_be_left_out(words, address):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nowhere", "--out", "o"], "nowhere: is no folder; name a folder of scans, or a URL"),
+        (["nowhere", "--out", "o"], "nowhere: is neither a folder nor a recording; name one, or a URL"),
         (["drive", "--out", "o", "--shard", "3/3"], "--shard 3/3: is not of the form i/n"),
         (["drive", "--out", "o", "--as", "semantikitti"], "did you mean 'semantickitti'?"),
         (["drive", "--out", "o", "--save", "rbg"], "did you mean 'rgb'?"),
         (["drive", "--out", "o", "--format", "webp", "--as", "semantickitti"], "a data set's panoramas are PNG"),
         (["drive", "--out", "o", "--look", "B"], "the painter knows no look 'B'; it knows day"),
         (["drive", "--out", "drive"], "drive: is the folder of the scans; choose another --out"),
-        (["drive/one/a.bin", "--out", "o"], "drive/one/a.bin: is no folder"),
+        (["drive/one/a.bin", "--out", "o"], "drive/one/a.bin: is neither a folder nor a recording"),
         (["drive"], "Missing option '--out'"),
     ],
 )

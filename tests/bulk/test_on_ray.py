@@ -14,7 +14,7 @@ import pytest
 
 from bulk_runs import SCANS, assert_each_once, contents, job_of, run
 from house_rules import ROOT
-from lidar2pano.bulk import Entry
+from lidar2pano.bulk import Entry, ScanKey
 from lidar2pano.bulk.on_ray import ATTEMPTS, Pool
 from lidar2pano.bulk.stores import SCRATCH
 from lidar2pano.errors import InputError
@@ -29,22 +29,28 @@ def processes(out: Path) -> set[int]:
 
 
 def test_a_killed_worker_loses_nothing(tmp_path):
+    pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
+    from miniature_recordings import START_NS, STEP_NS, points
+    from miniature_recordings import write as write_recording
+
     root, out = tmp_path / "in", tmp_path / "out"
     for number in range(SCANS):
         write_scan(root / f"{number % 3}" / f"{number:06d}.bin", street(50, seed=number))
+    drive = (points(street(50, seed=number), START_NS + number * STEP_NS) for number in range(SCANS))
+    write_recording(root, "db3", drive, "drive")
     assert run(job_of(root, tmp_path / "whole")) == 0
     places = os.pathsep.join(map(str, (ROOT / "src", PROGRAM.parent)))
     settings = os.environ | {"PYTHONPATH": places, "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
     driver = subprocess.Popen([sys.executable, PROGRAM, root, out], env=settings, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 300
     while len(list(out.rglob("*.depth.png"))) < 4 and driver.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)
     victim = min(processes(out) - {driver.pid})
     os.kill(victim, signal.SIGKILL)
-    _, errors = driver.communicate(timeout=120)
+    _, errors = driver.communicate(timeout=300)
     assert driver.returncode == 0, errors
     assert contents(out) == contents(tmp_path / "whole")
-    assert_each_once(out, root)
+    assert_each_once(out, root, {"drive.db3": SCANS})
     assert not processes(out)
 
 
@@ -82,8 +88,8 @@ class Fake:
             raise Died
 
     def _hold(self, entry):
-        self.held.append(entry.input)
-        return lambda: self._finish(entry.input)
+        self.held.append(str(entry.key))
+        return lambda: self._finish(str(entry.key))
 
     def _finish(self, name):
         self._alive()
@@ -108,7 +114,7 @@ def translated(deadly: set[str], healthy: bool = True, scans: int = 20) -> tuple
         made.append(Fake(deadly, healthy))
         return made[-1]
 
-    todo = [Entry(input=f"{number}.bin", stem=f"{number}") for number in range(scans)]
+    todo = [Entry(key=ScanKey(f"{number}.bin"), stem=f"{number}") for number in range(scans)]
     pool = Pool(make, 2, todo)
     return list(pool.records(job_of("in", "out"), lambda: False)), made
 

@@ -17,6 +17,19 @@ from lidar2pano.models import MODELS
 NETWORKS = {network.__name__ for network in MODELS.values()}
 CONFIGS = [house_rules.SOURCE / "train" / name for name in ("recipe.py", "options.py")]
 HEAVY = ("torch", "lightning", "torchmetrics", "tensorboard", "transformers", "cv2", "matplotlib", "scipy", "skimage")
+# What is imported where it is needed, and not for the panorama of a scan file.
+IDLE = ("openvino", "onnx", "onnxruntime", "torch._dynamo", "torch._inductor", "sympy", "numpy.ma", "scipy", "rosbags")
+IDLE += (
+    "mcap",
+    "velodyne_decoder",
+    "laspy",
+    "pyarrow",
+    "kiss_icp",
+    "rich.progress",
+    "starlette",
+    "fsspec",
+    "matplotlib",
+)
 PROMISED = {"demo", "translate", "world", "prepare", "train", "evaluate", "reproduce", "weights", "bench"}
 PROMISED |= {"bulk", "serve"}
 MOST_SECONDS = 1.0
@@ -288,6 +301,14 @@ def test_every_promised_command_explains_itself(helps):
     assert set(helps["texts"]) >= PROMISED
     silent = [name for name, text in helps["texts"].items() if "Usage" not in text or len(text.splitlines()) < 5]
     assert silent == []
+
+
+def test_translating_imports_nothing_that_one_scan_has_no_use_for():
+    code = "import sys, lidar2pano.cli.batch; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    modules = set(done.stdout.split())
+    assert "torch" in modules
+    assert [name for name in IDLE if name in modules] == []
 
 
 def cpu_seconds(code: str) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,9 +21,10 @@ def job_of(root: Path | str, out: Path | str, **changes) -> Job:
     return replace(job, **changes)
 
 
-def run(job: Job, shard: Shard = WHOLE, translate: Translate = translate_all) -> int:
+def run(job: Job, shard: Shard = WHOLE, translate: Translate = translate_all, only: str = "") -> int:
     """What the command does after it has understood its options."""
-    found = entries(open_store(job.source), shard, job.layout, labels=job.use_labels)
+    store = open_store(job.source)
+    found = entries(store, shard, job.layout, labels=job.use_labels, selection=job.selection, only=only)
     start(job, found, {}, {})
     return work(job, found, Manifest(open_store(job.out), shard), translate)
 
@@ -38,8 +40,10 @@ def manifest(out: Path) -> list[dict]:
     return [json.loads(line) for file in files for line in file.read_text().splitlines()]
 
 
-def assert_each_once(out: Path, root: Path) -> None:
-    names = sorted(path.relative_to(root).as_posix() for path in root.rglob("*.bin"))
+def assert_each_once(out: Path, root: Path, recordings: Mapping[str, int] | None = None) -> None:
+    """The manifest has one line for each scan file, and for each of so many scans of recordings."""
+    scans = [(path.relative_to(root).as_posix(), -1) for path in root.rglob("*.bin")]
+    scans += [(name, number) for name, count in (recordings or {}).items() for number in range(count)]
     lines = manifest(out)
-    assert sorted(line["input"] for line in lines) == names
+    assert sorted((line["input"], -1 if line["scan"] is None else line["scan"]) for line in lines) == sorted(scans)
     assert all(line["error"] is None and (out / name).is_file() for line in lines for name in line["outputs"])

@@ -6,7 +6,7 @@ import hashlib
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from dataclasses import replace as changed
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -17,12 +17,13 @@ import numpy as np
 from lidar2pano.bulk.entries import MIRRORED, SEMANTIC_KITTI, Entry
 from lidar2pano.bulk.instances import instance_raster
 from lidar2pano.bulk.manifest import line
-from lidar2pano.bulk.stores import Store, open_store
+from lidar2pano.bulk.scan_reading import Request, ScanReading
+from lidar2pano.bulk.stores import Store, local_copy, open_store
 from lidar2pano.calibration import read_calib
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import COLOUR_FORMATS, write_ids, write_whole
-from lidar2pano.formats.readers import read
-from lidar2pano.formats.scan_files import read_label
+from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.formats.scan_files import read_label, write_bin
 from lidar2pano.hardware import Timer
 from lidar2pano.labels import unpack_label
 from lidar2pano.memory import Memory
@@ -42,6 +43,7 @@ class Job:
     weights      name, for the manifest.
     pipeline     makes the pipeline, once per process.
     image_format  of colour images, one of COLOUR_FORMATS.
+    selection    which scans of recordings and folders; here the topic counts.
     """
 
     source: str
@@ -52,6 +54,7 @@ class Job:
     layout: str = MIRRORED
     use_labels: bool = False
     image_format: str = "png"
+    selection: ReadOptions = field(default_factory=ReadOptions)
 
     def outputs(self, entry: Entry) -> dict[str, str]:
         """Names of a scan's outputs below `out`, by what they hold."""
@@ -62,7 +65,7 @@ class Job:
 class Work:
     """One scan on its way through the steps; each sets what the next one needs, or `error`.
 
-    sha256     of the scan's file.
+    sha256     of the scan's file, or of its message in a recording.
     instance   (N,) uint16 ids of SemanticKITTI, None where they are not used.
     instances  (h, w) uint16: the same on the panorama.
     """
@@ -76,6 +79,10 @@ class Work:
     instances: np.ndarray | None = None
     error: str | None = None
 
+    def note(self, sha256: str) -> None:
+        """Set the checksum as soon as it is known."""
+        self.sha256 = sha256
+
     @contextmanager
     def step(self, stage: str = "") -> Iterator[None]:
         """Turn what is raised into the scan's error: whatever is wrong with one scan, the others go on."""
@@ -88,12 +95,12 @@ class Work:
         except InputError as error:
             self.error = str(error)
         except Exception as error:  # a bug or a lack of memory costs this scan alone
-            self.error = f"{self.entry.input}: {type(error).__name__}: {error}"
+            self.error = f"{self.entry.key}: {type(error).__name__}: {error}"
 
     def record(self, job: Job) -> dict[str, Any]:
         """The manifest's line."""
         return line(
-            self.entry.input,
+            self.entry.key,
             self.sha256,
             job.weights,
             outputs=[] if self.error else list(job.outputs(self.entry).values()),
@@ -113,24 +120,28 @@ class Worker:
     def __init__(self, job: Job, folder: Path) -> None:
         self.job, self._folder = job, folder
         self.source, self.out = open_store(job.source), open_store(job.out)
+        self._reading = ScanReading(self.source, job.selection)
 
     @cached_property
     def pipeline(self) -> Pipeline:
         """Made when the first scan has been read."""
         return self.job.pipeline()
 
-    def load(self, entry: Entry) -> Work:
+    def request(self, entry: Entry) -> Request:
+        """A scan that is to be loaded; to be called for one after the other, in order."""
+        return self._reading.request(entry)
+
+    def load(self, request: Request) -> Work:
         """Read a scan, and its labels where they are used."""
         from torch import device
 
+        entry = request.entry
         work = Work(entry=entry, timer=Timer(device("cpu")))
         with work.step("read"):
-            place = f"{self.source.place}/{entry.input}"
-            with self._named(entry.input) as path:
-                work.sha256 = file_hash(path)
-                work.scan = changed(read(path), name=place)
+            place = f"{self.source.place}/{entry.key}"
+            work.scan = changed(request.read(work.note), name=place)
             if entry.label is not None:
-                with self._named(entry.label) as path:
+                with local_copy(self.source, entry.label) as path:
                     label = read_label(path, len(work.scan))
                     instance = unpack_label(np.fromfile(path, dtype="<u4"))[1].astype(np.uint16)
                 work.scan = changed(work.scan, label=label)
@@ -138,15 +149,6 @@ class Worker:
             elif self.job.use_labels:
                 raise InputError(f"{place}: has no labels (.label beside it, or in labels/); leave --labels out")
         return work
-
-    @contextmanager
-    def _named(self, name: str) -> Iterator[Path]:
-        """A file of the source; errors name its place there and not that of a download."""
-        with self.source.local(name) as path:
-            try:
-                yield path
-            except InputError as error:
-                raise InputError(str(error).replace(str(path), f"{self.source.place}/{name}")) from None
 
     def paint(self, work: Work) -> Work:
         """Make the panorama; each scan by itself, so that the order of scans does not matter."""
@@ -168,19 +170,26 @@ class Worker:
         if work.error is None and work.panorama is not None:
             names = self.job.outputs(work.entry)
             with work.timer("save"):
-                stem = hashlib.sha256(work.entry.input.encode()).hexdigest()
+                stem = hashlib.sha256(str(work.entry.key).encode()).hexdigest()
                 files = work.panorama.save(self._folder, self.job.save, None, stem, self.job.image_format)
                 of = dict(zip((part for part in OUTPUTS if part in self.job.save), files, strict=True))
                 if (raster := work.instances) is not None:
                     file = self._folder / f"{stem}.instances.png"
                     of["instances"] = write_whole(file, lambda path: write_ids(path, raster))
+                if "scan" in names and (scan := work.scan):
+                    file = self._folder / f"{stem}.bin"
+                    of["scan"] = write_whole(file, lambda path: write_bin(path, scan))
                 for part, name in names.items():
                     self.out.put(of[part], name)
         return work
 
     def translate(self, entry: Entry) -> dict[str, Any]:
         """All steps; the manifest's line."""
-        return self.write(self.paint(self.load(entry))).record(self.job)
+        return self.write(self.paint(self.load(self.request(entry)))).record(self.job)
+
+    def close(self) -> None:
+        """Close recordings."""
+        self._reading.close()
 
 
 @lru_cache(maxsize=8)
@@ -196,9 +205,3 @@ def copy_beside(source: Store, out: Store, name: str, target: str) -> None:
         with source.local(name) as path, out.scratch() as scratch:
             shutil.copyfile(path, scratch / "copy")
             out.put(scratch / "copy", target)
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

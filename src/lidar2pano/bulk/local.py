@@ -6,6 +6,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from itertools import takewhile
 from typing import Any, TypeVar
 
@@ -26,9 +27,12 @@ def translate_all(job: Job, todo: Iterable[Entry], stopped: Callable[[], bool]) 
     """
     threads = min(MOST_THREADS, os.cpu_count() or 1)
     going = takewhile(lambda _: not stopped(), todo)
-    with open_store(job.out).scratch() as folder, ThreadPoolExecutor(threads) as pool:
-        worker = Worker(job, folder)
-        painted = (worker.paint(work) for work in _ahead(pool, worker.load, going, threads))
+    with (
+        open_store(job.out).scratch() as folder,
+        closing(Worker(job, folder)) as worker,
+        ThreadPoolExecutor(threads) as pool,
+    ):
+        painted = (worker.paint(work) for work in _ahead(pool, worker.load, map(worker.request, going), threads))
         for work in _ahead(pool, worker.write, painted, threads):
             yield work.record(job)
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
-from lidar2pano.bulk.entries import Shard
+from lidar2pano.bulk.entries import ScanKey, Shard
 from lidar2pano.bulk.stores import Store
 from lidar2pano.formats.json_files import json_lines
 
@@ -28,17 +28,17 @@ class Manifest:
         self._lines: list[bytes] = []  # only where files cannot grow
         self._flushed = time.monotonic()
 
-    def reconcile(self, done: Collection[str], describe: Callable[[str], dict[str, Any]]) -> None:
+    def reconcile(self, done: Collection[ScanKey], describe: Callable[[ScanKey], dict[str, Any]]) -> None:
         """Make the lines fit the outputs: one for each scan in `done`, none with an error.
 
-        done      inputs of the shard whose outputs are all there;  describe: input -> its line, if it was lost.
+        done      scans of the shard whose outputs are all there;  describe: scan -> its line, if it was lost.
         Scans that a manifest of another division into shards has a line of get no second one.
         """
         before = self._read(self.name)
-        known = {record["input"]: record for record in _parsed(before) if _made(record)}
+        known = {_key(record): record for record in _parsed(before) if _made(record)}
         kept = {name: record for name, record in known.items() if name in done or self._complete(record)}
         elsewhere = {
-            record["input"]
+            _key(record)
             for name in self._store.names(FOLDER)
             if name != self.name
             for record in _parsed(self._read(name))
@@ -82,10 +82,14 @@ class Manifest:
             self._store.put(scratch / "manifest", self.name)
 
 
-def line(name: str, sha256: str, weights: str, **known: Any) -> dict[str, Any]:  # noqa: ANN401
+def line(key: ScanKey, sha256: str, weights: str, **known: Any) -> dict[str, Any]:  # noqa: ANN401
     """A line with all its fields, None where they are not in `known`: outputs, error, points, dropped, milliseconds."""
     fields: dict[str, Any] = dict.fromkeys(("outputs", "error", "points", "dropped", "milliseconds"))
-    return {"input": name, "sha256": sha256, **(fields | known), "weights": weights}
+    return {"input": key.input, "scan": key.scan, "sha256": sha256, **(fields | known), "weights": weights}
+
+
+def _key(record: dict[str, Any]) -> ScanKey:
+    return ScanKey(record["input"], record.get("scan"))
 
 
 def _line(record: dict[str, Any]) -> bytes:
@@ -94,7 +98,8 @@ def _line(record: dict[str, Any]) -> bytes:
 
 def _parsed(data: bytes) -> Iterator[dict[str, Any]]:
     """The records of whole lines; a torn one is passed over."""
-    return (record for record in json_lines(data) if isinstance(record.get("input"), str))
+    records = (record for record in json_lines(data) if isinstance(record.get("input"), str))
+    return (record for record in records if isinstance(record.get("scan"), int | None))
 
 
 def _made(record: dict[str, Any]) -> bool:

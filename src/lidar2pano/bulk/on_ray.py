@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from lidar2pano.bulk.entries import Entry
+from lidar2pano.bulk.entries import Entry, ScanKey
 from lidar2pano.bulk.job import Job, Worker
 from lidar2pano.bulk.manifest import line
 from lidar2pano.bulk.stores import open_store
@@ -58,13 +58,14 @@ class RayWorker:
 
     def translate(self, entry: Entry) -> dict[str, Any]:
         """Translate a scan; the manifest's line."""
-        work = self._worker.load(entry)
+        work = self._worker.load(self._worker.request(entry))
         with self._painting:
             self._worker.paint(work)
         return self._worker.write(work).record(self._worker.job)
 
     def close(self) -> None:
-        """Remove the scratch folder."""
+        """Remove the scratch folder, and close recordings."""
+        self._worker.close()
         self._exit.close()
 
 
@@ -78,7 +79,7 @@ class Pool:
         self._make = make
         self._todo = deque(todo)
         self._suspects: deque[Entry] = deque()  # were in a worker that died: each is tried again alone
-        self._deaths: Counter[str] = Counter()
+        self._deaths: Counter[ScanKey] = Counter()
         self._failed_starts = 0
         self._free: dict[Any, int] = {}  # worker -> how many more scans it takes; not while it starts
         self._running: dict[Any, tuple[Any, Entry | None, int]] = {}  # reference -> worker, scan (None: starts), load
@@ -147,11 +148,11 @@ class Pool:
             self._start()
         if entry is None:
             return None
-        self._deaths[entry.input] += 1
-        if self._deaths[entry.input] < ATTEMPTS:
+        self._deaths[entry.key] += 1
+        if self._deaths[entry.key] < ATTEMPTS:
             self._suspects.append(entry)
             return None
-        return line(entry.input, "", job.weights, outputs=[], error=f"{entry.input}: its worker died {ATTEMPTS} times")
+        return line(entry.key, "", job.weights, outputs=[], error=f"{entry.key}: its worker died {ATTEMPTS} times")
 
 
 def translate_on_ray(

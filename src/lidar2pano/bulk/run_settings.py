@@ -9,7 +9,8 @@ from typing import Any
 
 from lidar2pano import __version__
 from lidar2pano.bulk.entries import SEMANTIC_KITTI, Entry
-from lidar2pano.bulk.job import Job, copy_beside, file_hash
+from lidar2pano.bulk.job import Job, copy_beside
+from lidar2pano.bulk.scan_reading import file_hash
 from lidar2pano.bulk.stores import Folder, Store, open_store
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import read_json
@@ -38,6 +39,7 @@ def start(job: Job, found: list[Entry], files: Mapping[str, Path], options: Mapp
         "save": list(job.save),
         "as": job.layout,
         "labels": job.use_labels,
+        "topic": job.selection.topic or None,
         "classes": {
             str(index): {"name": name, "colour": list(colour)}
             for index, (name, colour) in enumerate(zip(COMMON15.classes, COMMON15.colours, strict=True))
@@ -52,7 +54,8 @@ def start(job: Job, found: list[Entry], files: Mapping[str, Path], options: Mapp
             out.put(scratch / NAME, NAME)
     if job.layout == SEMANTIC_KITTI and not same:
         copy_beside(source, out, "splits.json", "splits.json")
-        for folder, sequence in sorted({(_sequence_folder(entry), entry.sequence) for entry in found}):
+        of_files = [entry for entry in found if entry.key.scan is None and not entry.error]
+        for folder, sequence in sorted({(_sequence_folder(entry), entry.sequence) for entry in of_files}):
             for name in SEQUENCE_FILES:
                 copy_beside(source, out, f"{folder}{name}", f"sequences/{sequence}/{name}")
 
@@ -71,12 +74,12 @@ def _compare(out: Store, settings: dict[str, Any]) -> None:
 def _refuse_others(job: Job, out: Store, found: list[Entry]) -> None:
     """A file that would count as done, but is not ours, must not be taken for a panorama of this run."""
     for entry in found:
-        for name in job.outputs(entry).values():
+        for name in () if entry.error else job.outputs(entry).values():
             if out.exists(name):
                 raise InputError(f"{out.place}/{name}: is there already, but no {NAME}; choose another --out")
 
 
 def _sequence_folder(entry: Entry) -> str:
-    folder = entry.input.rpartition("/")[0]
+    folder = entry.key.input.rpartition("/")[0]
     above = folder.removesuffix("velodyne").rstrip("/")
     return f"{above}/" if above else ""

@@ -38,7 +38,7 @@ class Store(Protocol):
         ...
 
     def local(self, name: str) -> Any:  # noqa: ANN401
-        """A context that gives the path of a local file with the content; InputError where there is none."""
+        """A context that gives the path of a local file or folder with the content; InputError where there is none."""
         ...
 
     def scratch(self) -> Any:  # noqa: ANN401
@@ -60,6 +60,16 @@ def open_store(place: str | Path) -> Store:
     if text.startswith("file://"):
         return Folder(Path(text.removeprefix("file://")))
     return Remote(text) if "://" in text else Folder(Path(text))
+
+
+@contextmanager
+def local_copy(store: Store, name: str) -> Iterator[Path]:
+    """`store.local` whose errors name the place of the file in the store, and not that of a download."""
+    with store.local(name) as path:
+        try:
+            yield path
+        except InputError as error:
+            raise InputError(str(error).replace(str(path), f"{store.place}/{name}")) from None
 
 
 class Folder:
@@ -161,10 +171,13 @@ class Remote:
         """See Store: a download."""
         with tempfile.TemporaryDirectory(prefix=SCRATCH) as folder:
             path = Path(folder, name.rpartition("/")[2])
-            try:
-                self._files.get_file(f"{self._root}/{name}", str(path))
-            except OSError as error:
-                raise InputError(f"{self.place}/{name}: cannot be read ({error}); ask for permission") from error
+            for file in list(self.names(name)) or [name]:
+                target = Path(f"{path}{file.removeprefix(name)}")
+                target.parent.mkdir(parents=True, exist_ok=True)
+                try:
+                    self._files.get_file(f"{self._root}/{file}", str(target))
+                except OSError as error:
+                    raise InputError(f"{self.place}/{file}: cannot be read ({error}); ask for permission") from error
             yield path
 
     @contextmanager

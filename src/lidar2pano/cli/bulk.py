@@ -15,7 +15,17 @@ import typer
 from typer.core import TyperCommand
 
 from lidar2pano.cli.app import TERMINATED, app, complain, note_licence
-from lidar2pano.cli.translate import DeviceOption, EngineOption, WeightsOption
+from lidar2pano.cli.translate import (
+    DeviceOption,
+    EngineOption,
+    EveryOption,
+    FormatOption,
+    FromOption,
+    LookOption,
+    ToOption,
+    TopicOption,
+    WeightsOption,
+)
 from lidar2pano.errors import InputError, closest
 
 if TYPE_CHECKING:
@@ -25,6 +35,37 @@ if TYPE_CHECKING:
 # (job, scans to do, whether to stop) -> the manifest's lines
 Translate = Callable[["Job", "list[Entry]", Callable[[], bool]], Iterable[dict[str, Any]]]
 BAD_SCANS = 3  # exit code: some scans failed
+
+RootArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="ROOT", help="Folder, or URL, below which all scans and recordings are translated; or a recording."
+    ),
+]
+ShardOption = Annotated[
+    str, typer.Option(metavar="I/N", help="Only the scans of shard I of N; I counts from 0 to N - 1.")
+]
+SaveOption = Annotated[
+    str,
+    typer.Option(
+        metavar="LIST", help="What to write: rgb,segments,labels,depth or all (rgb; with --as: rgb,segments,depth)."
+    ),
+]
+LayoutOption = Annotated[
+    str, typer.Option("--as", metavar="NAME", help="Lay panoramas out as a data set: semantickitti.")
+]
+LabelsOption = Annotated[
+    bool, typer.Option("--labels", help="Paint the scans' own labels (.label) instead of the segmenter's.")
+]
+AddressOption = Annotated[
+    str,
+    typer.Option(
+        "--ray", metavar="[ADDRESS]", help="Work on a Ray cluster: this one, or one that is found or started."
+    ),
+]
+WorkersOption = Annotated[
+    int, typer.Option(min=0, metavar="N", help="With --ray: how many workers (0: as many as fit).")
+]
 
 
 class WithOptionalAddress(TyperCommand):
@@ -40,50 +81,34 @@ class WithOptionalAddress(TyperCommand):
 
 @app.command(cls=WithOptionalAddress)
 def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
-    root: Annotated[str, typer.Argument(metavar="ROOT", help="Folder, or URL, below which all scans are translated.")],
+    root: RootArgument,
     out: Annotated[str, typer.Option(metavar="DIR", help="Folder, or URL, for the panoramas.")],
-    shard: Annotated[
-        str, typer.Option(metavar="I/N", help="Only the scans of shard I of N; I counts from 0 to N - 1.")
-    ] = "0/1",
-    save: Annotated[
-        str,
-        typer.Option(
-            metavar="LIST", help="What to write: rgb,segments,labels,depth or all (rgb; with --as: rgb,segments,depth)."
-        ),
-    ] = "",
-    layout: Annotated[
-        str, typer.Option("--as", metavar="NAME", help="Lay panoramas out as a data set: semantickitti.")
-    ] = "",
-    use_labels: Annotated[
-        bool, typer.Option("--labels", help="Paint the scans' own labels (.label) instead of the segmenter's.")
-    ] = False,
+    shard: ShardOption = "0/1",
+    save: SaveOption = "",
+    layout: LayoutOption = "",
+    use_labels: LabelsOption = False,
+    topic: TopicOption = "",
+    every: EveryOption = 1,
+    start_s: FromOption = None,
+    end_s: ToOption = None,
     weights: WeightsOption = "kitti-mini",
-    look: Annotated[
-        str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
-    ] = "",
+    look: LookOption = "",
     device: DeviceOption = "auto",
     engine: EngineOption = "auto",
-    image_format: Annotated[
-        str, typer.Option("--format", metavar="png|webp|jpeg", help="Format of the colour images.")
-    ] = "png",
-    address: Annotated[
-        str,
-        typer.Option(
-            "--ray", metavar="[ADDRESS]", help="Work on a Ray cluster: this one, or one that is found or started."
-        ),
-    ] = "",
-    workers: Annotated[
-        int, typer.Option(min=0, metavar="N", help="With --ray: how many workers (0: as many as fit).")
-    ] = 0,
+    image_format: FormatOption = "png",
+    address: AddressOption = "",
+    workers: WorkersOption = 0,
     cores: Annotated[int, typer.Option(min=1, metavar="N", help="With --ray: processor cores of each worker.")] = 2,
 ) -> None:
     """Translate any number of scans. Repeat the command to go on where it stopped."""
     from lidar2pano.bulk import Shard
     from lidar2pano.cli.batch import Options, parse_format, parse_save
+    from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.families import weight_files
 
-    _check_layout(root, layout, image_format)
+    _check_layout(layout, image_format)
+    source, only = _source(root)
     part = Shard.parsed(shard)
     options = Options(
         out=Path(out),
@@ -94,20 +119,25 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
         look=look,
         engine=engine,
         image_format=parse_format(image_format),
+        selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
     )
-    job = job_of(root, out, options, layout, use_labels)
-    raise typer.Exit(run(job, part, options, Cluster(address, device, workers, cores)))
+    job = job_of(source, out, options, layout, use_labels)
+    raise typer.Exit(run(job, part, options, Cluster(address, device, workers, cores), only))
 
 
-def run(job: Job, part: Shard, options: Options, cluster: Cluster) -> int:
-    """List the scans, check what is there, translate the rest, and return the exit code."""
+def run(job: Job, part: Shard, options: Options, cluster: Cluster, only: str) -> int:
+    """List the scans, check what is there, translate the rest, and return the exit code.
+
+    only  name of the recording whose scans are meant; "": all below the job's source.
+    """
     from lidar2pano.bulk import Manifest, entries, start, translate_all
     from lidar2pano.bulk.stores import open_store
     from lidar2pano.engines import pick_engine
     from lidar2pano.models.card import read_card
 
     pick_engine(options.engine, options.device)
-    found = entries(open_store(job.source), part, job.layout, labels=job.use_labels)
+    store = open_store(job.source)
+    found = entries(store, part, job.layout, labels=job.use_labels, selection=job.selection, only=only)
     settings = {"look": options.look, "engine": options.engine, "format": options.image_format}
     start(job, found, options.files, settings)
     note_licence(read_card(file) for file in options.files.values())
@@ -154,18 +184,39 @@ def job_of(root: str, out: str, options: Options, layout: str, use_labels: bool)
         weights=options.weights,
         pipeline=options.pipeline,
         image_format=options.image_format,
+        selection=options.selection,
     )
 
 
-def _check_layout(root: str, layout: str, image_format: str) -> None:
+def _source(root: str) -> tuple[str, str]:
+    """The folder or URL of the scans; and the name of the recording in it, where ROOT is one."""
+    from lidar2pano.bulk.listing import is_bag_folder
+    from lidar2pano.bulk.stores import open_store
+    from lidar2pano.recordings.recorded_scans import ENDINGS, recording_reader
+
+    url = "://" in root and not root.startswith("file://")
+    path = Path(root.removeprefix("file://"))
+    if url:
+        one = root.lower().endswith(ENDINGS) or is_bag_folder(open_store(root))
+    elif path.is_dir():
+        one = is_bag_folder(open_store(path))
+    elif path.is_file() and recording_reader(path):
+        one = True
+    else:
+        raise InputError(f"{root}: is neither a folder nor a recording; name one, or a URL")
+    if not one:
+        return root, ""
+    folder, _, name = (root if url else str(path.absolute())).rstrip("/").rpartition("/")
+    return folder or "/", name
+
+
+def _check_layout(layout: str, image_format: str) -> None:
     from lidar2pano.bulk.entries import LAYOUTS
 
     if layout not in LAYOUTS:
         raise InputError(f"--as {layout}: no such layout{closest(layout, LAYOUTS[1:])}")
     if layout and image_format != "png":
         raise InputError(f"--format {image_format}: a data set's panoramas are PNG; leave it out, or --as")
-    if "://" not in root and not Path(root).is_dir():
-        raise InputError(f"{root}: is no folder; name a folder of scans, or a URL")
 
 
 def _absolute(place: str) -> str:
@@ -199,12 +250,16 @@ def consume(records: Iterable[dict[str, Any]], total: int, manifest: Manifest) -
     from lidar2pano.cli.progress import bar
 
     written, bad = 0, 0
+    reported = set[str]()  # recordings with bad scans, which cost a line each
     try:
         with bar(total, "translating") as advance:
             for record in records:
                 manifest.add(record)
                 if record["error"]:
-                    complain(record["error"])
+                    if record["scan"] is None or record["input"] not in reported:
+                        complain(record["error"])
+                    if record["scan"] is not None:
+                        reported.add(record["input"])
                     bad += 1
                 else:
                     written += 1

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
+
+import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.recordings.description import Description, Topic, damage, missing_extra
@@ -40,6 +43,7 @@ class McapFile:
         except BaseException:
             self._file.close()
             raise
+        self.indexed = bool(self._chunks)
         totals = Counter[tuple[str, str]]()
         for one, name in self._names.items():
             totals[name] += counts.get(one, 0)
@@ -53,9 +57,9 @@ class McapFile:
     def messages(
         self, topics: tuple[Topic, ...], start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RawMessage]:
-        """Messages recorded from `start_ns` on and before `end_ns`; InputError at damage.
+        """Messages recorded from `start_ns` on and before `end_ns`, in order of time; InputError at damage.
 
-        They come chunk after chunk, those of a chunk in order of time; without an index in the order of the file.
+        Without an index they come in the order of the file.
         """
         topic_of = {
             one: topic for one, name in self._names.items() for topic in topics if name == (topic.name, topic.type)
@@ -66,22 +70,22 @@ class McapFile:
                 if message.channel_id in topic_of and not before and (end_ns is None or message.log_time < end_ns):
                     yield RawMessage(topic_of[message.channel_id], message.log_time, message.data)
 
-    def count_before(self, topic: Topic, start_ns: int) -> int:
-        """Number of messages of a topic recorded before; by the index alone, where there is one."""
+    def stamps_ns(self, topic: Topic) -> np.ndarray:
+        """When the messages of a topic were recorded, int64 in their order; by the index alone, where there is one."""
         from mcap.data_stream import ReadDataStream
         from mcap.records import MessageIndex
 
         if not all(chunk.message_index_offsets for chunk in self._chunks) or not self._chunks:
-            return sum(1 for _ in self.messages((topic,), None, start_ns))
-        count = 0
+            return np.array([message.stamp_ns for message in self.messages((topic,))], dtype=np.int64)
+        stamps_ns: list[int] = []
         with damage(self.path, REPAIR):
             for chunk in self._chunks:
                 for one, offset in chunk.message_index_offsets.items():
-                    if self._names[one] == (topic.name, topic.type) and chunk.message_start_time < start_ns:
+                    if self._names[one] == (topic.name, topic.type):
                         self._file.seek(offset + 9)  # opcode and length come before
                         index = MessageIndex.read(ReadDataStream(self._file))
-                        count += sum(stamp_ns < start_ns for stamp_ns, _ in index.records)
-        return count
+                        stamps_ns += [stamp_ns for stamp_ns, _ in index.records]
+        return np.array(sorted(stamps_ns), dtype=np.int64)
 
     def decode(self, message: RawMessage) -> Any:  # noqa: ANN401
         """The message as an object with ROS's attributes; raises whatever rosbags does."""
@@ -126,21 +130,29 @@ class McapFile:
         return channel.topic, f"{package.removesuffix('/msg')}/msg/{rest}"
 
     def _stored(self, channels: Any, start_ns: int | None, end_ns: int | None) -> Iterator[Any]:  # noqa: ANN401
-        """Message records; by the index, chunks without these channels or times are not read."""
+        """Message records; by the index, chunks without these channels or times are not read.
+
+        The messages of chunks that overlap in time are merged.
+        """
         from mcap.data_stream import ReadDataStream
         from mcap.records import Chunk, Message
 
         if not self._chunks:
             yield from self._linear()
+        waiting: list[Any] = []
         for index in self._chunks:
             late = start_ns is not None and index.message_end_time < start_ns
             early = end_ns is not None and index.message_start_time >= end_ns
             other = bool(index.message_index_offsets) and not channels & index.message_index_offsets.keys()
             if not (late or early or other):
+                ready = bisect_left(waiting, index.message_start_time, key=_stamp_ns)
+                yield from waiting[:ready]
+                del waiting[:ready]
                 self._file.seek(index.chunk_start_offset + 9)
                 parts = unpacked(Chunk.read(ReadDataStream(self._file)))
-                messages = [part for part in parts if isinstance(part, Message)]
-                yield from sorted(messages, key=lambda message: message.log_time)
+                waiting += [part for part in parts if isinstance(part, Message) and part.channel_id in channels]
+                waiting.sort(key=_stamp_ns)
+        yield from waiting
 
     def _linear(self) -> Iterator[Any]:
         """All message records in the order of the file; its channels and schemas are noted on the way."""
@@ -154,6 +166,10 @@ class McapFile:
                 self._channels[record.id] = record
             elif isinstance(record, Schema):
                 self._schemas[record.id] = record
+
+
+def _stamp_ns(message: Any) -> int:  # noqa: ANN401
+    return message.log_time
 
 
 def records(file: IO[bytes], most_bytes: int) -> Iterator[Any]:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import glob
+import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import HEAD_BYTES
@@ -34,12 +37,14 @@ class Frame:
     path     of the recording;  number: of the scan among all of its topic, from 0.
     stamp_s  when it was recorded, seconds since the epoch.
     decode   (title for messages) -> its points; raises InputError where they are damaged, or there is none.
+    content  the bytes that it is decoded from: of its message, or an array of what its packets measured.
     """
 
     path: Path
     number: int
     stamp_s: float
     decode: Decode
+    content: bytes | np.ndarray
 
     @property
     def name(self) -> str:
@@ -50,6 +55,11 @@ class Frame:
     def title(self) -> str:
         """The recording's path and the scan's number, for messages."""
         return f"{self.path}, scan {self.number}"
+
+    def sha256(self) -> str:
+        """SHA-256 of its content, in hexadecimal."""
+        content = self.content if isinstance(self.content, bytes) else self.content.tobytes()
+        return hashlib.sha256(content).hexdigest()
 
     def cloud(self) -> PointCloud:
         """The points, with the time of recording where the scan has no stamp of its own."""
@@ -99,19 +109,25 @@ def ros_reader(name: str, accept: Callable[[bytes, Path], bool], open: Callable[
 def _ros_frames(recording: Recording, options: ReadOptions) -> Iterator[Frame]:
     path, about = recording.path, recording.description
     topic = choose_topic(path, about.topics, options.topic)
-    start_ns, end_ns = _span_ns(about, options)
-    first = recording.count_before(topic, start_ns) if start_ns is not None else 0
+    start_ns, end_ns = span_ns(about, options)
+    first = 0 if start_ns is None else int(np.count_nonzero(recording.stamps_ns(topic) < start_ns))
     number = first - 1
     for number, message in enumerate(recording.messages((topic,), start_ns, end_ns), first):
         if (number - first) % options.every == 0:
-            yield Frame(
-                path=path,
-                number=number,
-                stamp_s=message.stamp_ns * 1e-9,
-                decode=partial(_ros_cloud, recording, message),
-            )
+            yield ros_frame(recording, number, message)
     if number < first:
         raise none_within(path, about.duration_s)
+
+
+def ros_frame(recording: Recording, number: int, message: RawMessage) -> Frame:
+    """The scan of that number, which the message holds."""
+    return Frame(
+        path=recording.path,
+        number=number,
+        stamp_s=message.stamp_ns * 1e-9,
+        decode=partial(_ros_cloud, recording, message),
+        content=message.data,
+    )
 
 
 def _ros_cloud(recording: Recording, message: RawMessage, title: str) -> PointCloud:
@@ -120,7 +136,7 @@ def _ros_cloud(recording: Recording, message: RawMessage, title: str) -> PointCl
     return cloud_of_message(decoded, title)
 
 
-def _span_ns(about: Description, options: ReadOptions) -> tuple[int | None, int | None]:
+def span_ns(about: Description, options: ReadOptions) -> tuple[int | None, int | None]:
     """--from and --to in nanoseconds since the epoch."""
     start_ns, end_ns = (
         None if offset_s is None else about.first_ns + round(offset_s * 1e9)
@@ -139,8 +155,16 @@ def _captured_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
         yield from _ouster_frames(path, options)
         return
     topic = choose_topic(path, about.topics, options.topic, VELODYNE)
-    turns = ((stamp_s, partial(cloud_of_turn, stamp_s, points)) for stamp_s, points in capture.turns(topic))
+    turns = (
+        (stamp_s, partial(cloud_of_turn, stamp_s, points), _without_padding(points))
+        for stamp_s, points in capture.turns(topic)
+    )
     yield from _selected(path, turns, options)
+
+
+def _without_padding(points: np.ndarray) -> np.ndarray:
+    """The bytes of structured points, field after field; what lies between the fields may be anything."""
+    return np.concatenate([np.ascontiguousarray(points[name]).view(np.uint8) for name in points.dtype.names or ()])
 
 
 def _other_packets(path: Path, about: Description) -> str:
@@ -152,15 +176,18 @@ def _other_packets(path: Path, about: Description) -> str:
 
 
 def _ouster_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
-    scans = ((ouster.stamp_s(scan), partial(ouster.cloud_of_scan, scan)) for scan in ouster.scans(path))
+    scans = (
+        (ouster.stamp_s(scan), partial(ouster.cloud_of_scan, scan), np.ascontiguousarray(scan.field("RANGE")))
+        for scan in ouster.scans(path)
+    )
     yield from _selected(path, scans, options)
 
 
-def _selected(path: Path, scans: Iterable[tuple[float, Decode]], options: ReadOptions) -> Iterator[Frame]:
-    """The frames among (stamp_s, decode) that are wanted; --from and --to count from the first scan."""
+def _selected(path: Path, scans: Iterable[tuple[float, Decode, np.ndarray]], options: ReadOptions) -> Iterator[Frame]:
+    """The frames among (stamp_s, decode, content) that are wanted; --from and --to count from the first scan."""
     first = origin_s = None
     after_s = 0.0
-    for number, (stamp_s, decode) in enumerate(scans):
+    for number, (stamp_s, decode, content) in enumerate(scans):
         origin_s = stamp_s if origin_s is None else origin_s
         after_s = stamp_s - origin_s
         if options.end_s is not None and after_s >= options.end_s:
@@ -168,7 +195,7 @@ def _selected(path: Path, scans: Iterable[tuple[float, Decode]], options: ReadOp
         if after_s >= (options.start_s or 0.0):
             first = number if first is None else first
             if (number - first) % options.every == 0:
-                yield Frame(path=path, number=number, stamp_s=stamp_s, decode=decode)
+                yield Frame(path=path, number=number, stamp_s=stamp_s, decode=decode, content=content)
     if first is None:
         raise none_within(path, after_s)
 
@@ -231,4 +258,4 @@ def recorded_motion(path: Path, options: ReadOptions, frame: str) -> tuple[Senso
     if reader is None or reader.open is None:
         return None
     with closing(reader.open(path)) as recording:
-        return transforms.recorded_motion(recording, frame, *_span_ns(recording.description, options))
+        return transforms.recorded_motion(recording, frame, *span_ns(recording.description, options))

@@ -5,15 +5,18 @@ from __future__ import annotations
 import bz2
 import contextlib
 import struct
-from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
+
 from lidar2pano.errors import InputError
 from lidar2pano.recordings.description import Description, Topic, damage, missing_extra
+from lidar2pano.recordings.mcap_files import McapFile
 from lidar2pano.recordings.ros_messages import CDR, MOST_CHUNK_BYTES, ROS1, RawMessage, deserializer
 
 ROSBAG, SQLITE = b"#ROSBAG V", b"SQLite format 3\0"
@@ -25,6 +28,8 @@ class RosBag:
     open    gives rosbags' open reader;  encoding: of its messages.
     repair  what a user can try when the file is damaged.
     """
+
+    indexed = True
 
     def __init__(self, path: Path, format: str, open: Callable[[Path], Any], encoding: str, repair: str) -> None:
         self.path, self._repair, self._decode = path, repair, None
@@ -59,11 +64,16 @@ class RosBag:
             for one, stamp_ns, data in self._reader.messages(connections, start_ns, end_ns):
                 yield RawMessage(topic_of[one.id], stamp_ns, data)
 
-    def count_before(self, topic: Topic, start_ns: int) -> int:
-        """Number of messages of a topic recorded before."""
-        if indexes := getattr(self._reader, "indexes", None):
-            return sum(bisect_left(indexes[one.id], (start_ns,)) for one in self._connections if _is_on(one, topic))
-        return sum(1 for _ in self.messages((topic,), None, start_ns))
+    def stamps_ns(self, topic: Topic) -> np.ndarray:
+        """When the messages of a topic were recorded, int64 in their order; InputError at damage."""
+        indexes = getattr(self._reader, "indexes", None)
+        with damage(self.path, self._repair):
+            if indexes is None:
+                storage = getattr(self._reader, "storage", self._reader)
+                parts = [_stored_ns(one, topic) for one in getattr(storage, "storages", [storage])]
+                return np.array([stamp_ns for part in parts for stamp_ns in part], dtype=np.int64)
+            connections = [one for one in self._connections if _is_on(one, topic)]
+            return np.array(sorted(entry.time for one in connections for entry in indexes[one.id]), dtype=np.int64)
 
     def decode(self, message: RawMessage) -> Any:  # noqa: ANN401
         """The message as an object with ROS's attributes; raises whatever rosbags does."""
@@ -73,6 +83,15 @@ class RosBag:
     def close(self) -> None:
         """Close the files."""
         self._reader.close()
+
+
+def _stored_ns(storage: Any, topic: Topic) -> Iterable[int]:  # noqa: ANN401
+    """The same of one file of a ROS 2 bag, without its messages."""
+    if hasattr(storage, "dbconn"):
+        query = "SELECT timestamp FROM messages WHERE topic_id IN (SELECT id FROM topics WHERE name = ? AND type = ?)"
+        return (row[0] for row in storage.dbconn.execute(f"{query} ORDER BY timestamp", (topic.name, topic.type)))
+    with closing(McapFile(Path(storage.path))) as file:
+        return file.stamps_ns(topic).tolist()
 
 
 def _is_on(connection: Any, topic: Topic) -> bool:  # noqa: ANN401

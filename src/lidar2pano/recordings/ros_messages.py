@@ -7,6 +7,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
 from lidar2pano.recordings.description import Description, Topic
 
 MOST_CHUNK_BYTES = 1 << 28  # unpacked; recorders write chunks of about a megabyte, or of one message
@@ -23,10 +25,14 @@ class RawMessage(NamedTuple):
 
 
 class Recording(Protocol):
-    """An open recording of ROS messages."""
+    """An open recording of ROS messages.
+
+    indexed  whether messages before a time are skipped without being read.
+    """
 
     path: Path
     description: Description
+    indexed: bool
 
     def messages(
         self, topics: tuple[Topic, ...], start_ns: int | None = None, end_ns: int | None = None
@@ -34,8 +40,8 @@ class Recording(Protocol):
         """Messages recorded from `start_ns` on and before `end_ns`, in order of time; InputError at damage."""
         ...
 
-    def count_before(self, topic: Topic, start_ns: int) -> int:
-        """Number of messages of a topic recorded before."""
+    def stamps_ns(self, topic: Topic) -> np.ndarray:
+        """When the messages of a topic were recorded, int64 in their order; by the index alone, where there is one."""
         ...
 
     def decode(self, message: RawMessage) -> Any:  # noqa: ANN401

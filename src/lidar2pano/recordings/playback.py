@@ -1,0 +1,167 @@
+"""The scans of a recording by their numbers: what is not wanted is not read, where the format has an index."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from lidar2pano.errors import InputError
+from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.geometry.motion import SensorMotion
+from lidar2pano.recordings.description import choose_topic
+from lidar2pano.recordings.recorded_scans import Frame, frames, none_within, recording_reader, ros_frame, span_ns
+from lidar2pano.recordings.ros_messages import RawMessage, Recording
+from lidar2pano.recordings.transforms import recorded_motion
+
+NEAR = 3  # so many messages ahead are read rather than looked up
+BLOCK = 64  # scans for which poses are read together
+
+
+class Playback(Protocol):
+    """The scans of one topic of an open recording by their numbers; best read in ascending order.
+
+    path  of the recording.
+    """
+
+    path: Path
+
+    def numbers(self, options: ReadOptions) -> Sequence[int]:
+        """Numbers of the scans that are wanted; InputError where there is none."""
+        ...
+
+    def frame(self, number: int) -> Frame:
+        """The scan of a number; InputError where it is damaged, or there is none."""
+        ...
+
+    def motion(self, number: int, frame: str) -> tuple[SensorMotion, str] | None:
+        """The recorded motion of a coordinate frame around the time of a scan, and what it is from; None without one.
+
+        It depends on the number alone. Raises InputError at damage.
+        """
+        ...
+
+    def close(self) -> None:
+        """Close the files."""
+        ...
+
+
+def playback(path: Path, topic: str = "") -> Playback:
+    """A recording opened; InputError where it is damaged, is none, or holds no such topic of points."""
+    reader = recording_reader(path)
+    if reader is None or reader.open is None:
+        return FramePlayback(path, topic)
+    return MessagePlayback(reader.open(path), topic)
+
+
+class MessagePlayback:
+    """The scans of a recording of ROS messages."""
+
+    def __init__(self, recording: Recording, topic: str = "") -> None:
+        """Read when the scans were recorded; InputError where the recording is damaged or holds none."""
+        self.path, self._recording = recording.path, recording
+        try:
+            self._topic = choose_topic(recording.path, recording.description.topics, topic)
+            self._stamps_ns = recording.stamps_ns(self._topic)
+        except BaseException:
+            recording.close()
+            raise
+        self._next: int = 0
+        self._motion: tuple[tuple[int, str], tuple[SensorMotion, str] | None] | None = None  # with what it is of
+        self._following: Iterator[RawMessage] | None = None  # from the message `_next` on; None before and after damage
+
+    def numbers(self, options: ReadOptions) -> Sequence[int]:
+        """See Playback."""
+        about = self._recording.description
+        start_ns, end_ns = span_ns(about, options)
+        wanted = np.ones(len(self._stamps_ns), dtype=bool)
+        if start_ns is not None:
+            wanted &= self._stamps_ns >= start_ns
+        if end_ns is not None:
+            wanted &= self._stamps_ns < end_ns
+        if not wanted.any():
+            raise none_within(self.path, about.duration_s)
+        return np.flatnonzero(wanted)[:: options.every].tolist()
+
+    def frame(self, number: int) -> Frame:
+        """See Playback; messages before it are looked up in the index and not read, where there is one."""
+        near = self._next + NEAR if self._recording.indexed else number
+        following, self._following = self._following, None
+        if following is None or not self._next <= number <= near:
+            following = self._from(number)
+        for at, message in enumerate(following, self._next):
+            if at == number:
+                self._next, self._following = at + 1, following
+                return ros_frame(self._recording, number, message)
+        raise _missing(self.path, number)
+
+    def motion(self, number: int, frame: str) -> tuple[SensorMotion, str] | None:
+        """See Playback: read for BLOCK scans together; for all at once where there is no index."""
+        last = len(self._stamps_ns) - 1
+        first = number - number % BLOCK if self._recording.indexed else 0
+        last = min(first + BLOCK - 1, last) if self._recording.indexed else last
+        if self._motion is None or self._motion[0] != (first, frame):
+            if not self._recording.indexed:
+                self._following = None  # which reads from the same place of the file
+            span_ns = (int(self._stamps_ns[one]) for one in (first, last))
+            self._motion = (first, frame), recorded_motion(self._recording, frame, *span_ns)
+        return self._motion[1]
+
+    def close(self) -> None:
+        """Close the files."""
+        self._following = None
+        self._recording.close()
+
+    def _from(self, number: int) -> Iterator[RawMessage]:
+        """The messages from `_next` on, which becomes `number` or less."""
+        start_ns = None
+        self._next = 0
+        if self._recording.indexed and 0 <= number < len(self._stamps_ns):
+            start_ns = int(self._stamps_ns[number])
+            self._next = int(np.count_nonzero(self._stamps_ns < start_ns))
+        return self._recording.messages((self._topic,), start_ns)
+
+
+class FramePlayback:
+    """The scans of a recording that is read from its beginning only, such as a capture of packets."""
+
+    def __init__(self, path: Path, topic: str = "") -> None:
+        """Open the recording; InputError where it is damaged or holds no such topic."""
+        self.path, self._options = path, ReadOptions(topic=topic)
+        self._next: int = 0
+        self._following = frames(path, self._options)
+        self._damage: InputError | None = None
+
+    def numbers(self, options: ReadOptions) -> Sequence[int]:
+        """See Playback; the recording is read once for it."""
+        return [frame.number for frame in frames(self.path, replace(options, topic=self._options.topic))]
+
+    def frame(self, number: int) -> Frame:
+        """See Playback; every scan before it is decoded."""
+        if number < self._next:
+            self._next, self._following = 0, frames(self.path, self._options)
+        elif self._damage:  # nothing behind it can be read
+            raise self._damage
+        try:
+            for frame in self._following:
+                self._next = frame.number + 1
+                if frame.number == number:
+                    return frame
+        except InputError as error:
+            self._damage = error
+            raise
+        raise _missing(self.path, number)
+
+    def motion(self, number: int, frame: str) -> tuple[SensorMotion, str] | None:
+        """None: packets hold no poses."""
+
+    def close(self) -> None:
+        """Close the file."""
+        self._following = iter(())
+
+
+def _missing(path: Path, number: int) -> InputError:
+    return InputError(f"{path}: has no scan {number}; it was changed while it was read")

@@ -1,0 +1,364 @@
+"""Bulk runs over recordings: every scan is an item of its own, in any format, shard or store."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import signal
+import time
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
+
+from bulk_runs import assert_each_once, contents, job_of, manifest, run
+from lidar2pano.bulk import Shard, entries
+from lidar2pano.bulk.entries import SEMANTIC_KITTI
+from lidar2pano.bulk.scan_reading import ScanReading
+from lidar2pano.bulk.stores import SCRATCH, open_store
+from lidar2pano.cli import main
+from lidar2pano.cli.bulk import BAD_SCANS, TERMINATED
+from lidar2pano.errors import InputError
+from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.formats.scan_files import read_bin, write_bin
+from lidar2pano.recordings import mcap_files
+from miniature import street
+from miniature_recordings import START_NS, STEP_NS, points, transform, write
+from stand_in_pipeline import StandIn
+
+COUNT = 12
+DRIVE = [points(street(number, 300), START_NS + number * STEP_NS) for number in range(COUNT)]
+
+
+def recorded(folder: Path, format: str = "mcap-raw", stem: str = "drive", sent=DRIVE) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return write(folder, format, sent, stem)
+
+
+def keys(root: Path, shard: Shard = Shard(), **options) -> list[tuple[str, int | None]]:  # noqa: B008
+    selection = ReadOptions(**options)
+    return [tuple(entry.key) for entry in entries(open_store(root), shard, selection=selection)]
+
+
+def images(root: Path, only: str = "") -> list[str]:
+    found = entries(open_store(root), Shard(), only=only)
+    return [entry.outputs(("rgb",))["rgb"] for entry in found]
+
+
+# --- the same panoramas -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("format", ["bag-lz4", "db3", "folder", "folder-mcap", "mcap", "mcap-plain"])
+def test_scans_of_a_recording_are_those_of_files(tmp_path, format):
+    for number in range(COUNT):
+        (tmp_path / "files").mkdir(exist_ok=True)
+        write_bin(tmp_path / "files" / f"drive-{number:06d}.bin", street(number, 300))
+    root = tmp_path / "in"
+    path = recorded(root / "town", format)
+    assert run(job_of(tmp_path / "files", tmp_path / "wanted")) == 0
+    assert run(job_of(root, tmp_path / "out")) == 0
+    wanted, found = contents(tmp_path / "wanted"), contents(tmp_path / "out")
+    assert {f"town/{name}": data for name, data in wanted.items() if name != "bulk.json"} == {
+        name: data for name, data in found.items() if name != "bulk.json"
+    }
+    assert_each_once(tmp_path / "out", root, {f"town/{path.name}": COUNT})
+    assert len({line["sha256"] for line in manifest(tmp_path / "out")}) == COUNT
+    assert run(job_of(root / "town", tmp_path / "itself"), only=path.name) == 0  # ROOT is the recording
+    assert {f"town/{name}" for name in contents(tmp_path / "itself")} >= found.keys() - {"bulk.json"}
+
+
+def moving():
+    """A drive whose points have times and whose recording holds poses: `translate` takes out its skew."""
+    for number in range(5):
+        stamp_ns = START_NS + number * STEP_NS
+        for part in range(10):
+            at_ns = stamp_ns + part * STEP_NS // 10
+            pose = (0.12 * (10 * number + part), 0, 0, 0, 0, np.sin(0.01 * number), np.cos(0.01 * number))
+            yield transform(at_ns, "odom", "velodyne", pose)
+        yield points(street(number, 4000), stamp_ns, time=np.linspace(0, 0.1, 4000, dtype=np.float32))
+
+
+def test_the_bytes_are_those_of_translate(tmp_path, monkeypatch, random_weights, capsys):
+    monkeypatch.chdir(tmp_path)
+    recorded(tmp_path / "in", "bag", sent=moving())
+    options = ["--weights", str(random_weights), "--device", "cpu", "--save", "rgb,depth"]
+    assert main(["translate", "in/drive.bag", "--out", "one", *options]) == 0
+    assert main(["bulk", "in", "--out", "many", "--shard", "1/2", *options]) == 0
+    assert main(["bulk", "in/drive.bag", "--out", "many", "--shard", "0/2", *options]) == 0
+    expected, found = contents(tmp_path / "one"), contents(tmp_path / "many")
+    assert len(expected) == 10
+    assert {name: found[name] for name in expected} == expected
+    shutil.rmtree(tmp_path / "one")
+    assert main(["bulk", "in", "--out", "later", "--every", "2", "--from", "0.1", *options]) == 0
+    found = contents(tmp_path / "later")
+    assert sorted(found) == [
+        "bulk.json", "drive-000001.depth.png", "drive-000001.png", "drive-000003.depth.png", "drive-000003.png",
+    ]  # fmt: skip
+    assert all(found[name] == expected[name] for name in expected.keys() & found.keys())
+    assert "2 scans: 2 written" in capsys.readouterr().out
+
+
+# --- shards, kills, damage --------------------------------------------------------------------------------------------
+
+
+def test_shards_take_consecutive_scans_and_read_little_else(tmp_path, monkeypatch):
+    for stem in ("a", "b", "c"):
+        recorded(tmp_path, "mcap", stem)
+    parts = [keys(tmp_path, Shard(index, 5)) for index in range(5)]
+    assert sorted(key for part in parts for key in part) == keys(tmp_path) and len(keys(tmp_path)) == 3 * COUNT
+    for part in parts:
+        assert 3 * 2 <= len(part) <= 3 * 3
+        for name in ("a.mcap", "b.mcap", "c.mcap"):
+            numbers = [number for one, number in part if one == name]
+            assert len(numbers) in (2, 3) and numbers == list(range(numbers[0], numbers[-1] + 1))
+    unpacked, count = mcap_files.unpacked, []
+    monkeypatch.setattr(mcap_files, "unpacked", lambda chunk: count.append(0) or unpacked(chunk))
+    run(job_of(tmp_path, tmp_path / "out"))
+    whole = len(count)
+    count.clear()
+    run(job_of(tmp_path, tmp_path / "part"), Shard(2, 5))
+    assert 3 * 2 <= len(count) < 0.6 * whole
+
+
+def begin(job) -> int:
+    """A process that does the run; its number."""
+    process = os.fork()
+    if process:
+        return process
+    os.fsync = lambda _: None
+    code = 99
+    try:
+        code = run(job)
+    finally:
+        os._exit(code)
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_kills_leave_the_bytes_of_an_undisturbed_run(tmp_path):
+    root, out = tmp_path / "in", tmp_path / "out"
+    recorded(root / "a", "db3")
+    recorded(root / "b", "mcap")
+    assert run(job_of(root, tmp_path / "whole")) == 0
+    draw, kills, times = random.Random(1), 0, {}
+    while kills < 6:
+        process = begin(job_of(root, out, pipeline=StandIn(seconds=0.02)))
+        time.sleep(draw.uniform(0.05, 0.4))
+        os.kill(process, draw.choice([signal.SIGKILL, signal.SIGTERM]))
+        code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+        assert code in (0, TERMINATED, -signal.SIGKILL, -signal.SIGTERM)
+        kills += 1 if code else 6  # it has ended before
+        now = {path: path.stat().st_mtime_ns for path in out.rglob("*.png")}
+        assert all(now[path] == stamp for path, stamp in times.items())  # nothing is done twice
+        depths = {path for path in now if ".depth" in path.name}
+        times = {path: now[path] for path in now if path in depths or path.with_suffix(".depth.png") in depths}
+    assert run(job_of(root, out)) == 0
+    assert contents(out) == contents(tmp_path / "whole")
+    assert_each_once(out, root, {"a/drive.db3": COUNT, "b/drive.mcap": COUNT})
+    assert not list(out.rglob(f"{SCRATCH}*"))
+
+
+@pytest.mark.parametrize("format", ["bag", "mcap-plain"])
+def test_a_line_that_was_lost_is_written_again(tmp_path, format):
+    path = recorded(tmp_path / "in", format)
+    out = tmp_path / "out"
+    run(job_of(tmp_path / "in", out))
+    lines = manifest(out)
+    file = out / "manifest" / "0-of-1.jsonl"
+    file.write_text("".join(file.read_text().splitlines(keepends=True)[:4]))
+    assert run(job_of(tmp_path / "in", out)) == 0
+    assert_each_once(out, tmp_path / "in", {path.name: COUNT})
+    assert [line["sha256"] for line in manifest(out)] == [line["sha256"] for line in lines]
+
+
+def test_a_damaged_recording_costs_a_line(tmp_path, capsys):
+    root, out = tmp_path / "in", tmp_path / "out"
+    root.mkdir()
+    write_bin(root / "drive.bin", street(0, 300))
+    whole = recorded(root, "mcap-raw").read_bytes()
+    (root / "drive.mcap").write_bytes(whole[: len(whole) // 2])
+    assert run(job_of(root, out)) == BAD_SCANS
+    captured = capsys.readouterr()
+    assert captured.out == "2 scans: 1 written, 1 bad\n"
+    assert captured.err.count("\n") == 1 and f"{root}/drive.mcap: is damaged or cut short" in captured.err
+    assert [line["scan"] for line in manifest(out)] == [None, None]
+    assert sum(len(entries(open_store(root), Shard(index, 3))) for index in range(3)) == 2  # one shard reports it
+    assert run(job_of(root, out)) == BAD_SCANS  # the outputs of drive.bin are not its own
+    (root / "drive.mcap").write_bytes(whole)
+    assert run(job_of(root, out)) == 0
+    assert_each_once(out, root, {"drive.mcap": COUNT})
+
+
+def test_damage_in_the_middle_costs_the_scans_that_it_hits(tmp_path, capsys):
+    path = recorded(tmp_path / "in", "mcap-raw")
+    data = bytearray(path.read_bytes())
+    bad = street(5, 300).xyz[:50].tobytes()[:12]  # the first point of scan 5
+    data[data.index(bad)] ^= 0xFF
+    path.write_bytes(data)
+    assert run(job_of(tmp_path / "in", tmp_path / "out")) == BAD_SCANS
+    lines = manifest(tmp_path / "out")
+    hit = [line["scan"] for line in lines if line["error"]]
+    assert 5 in hit and len(hit) <= 6 and len(lines) == COUNT  # those of its chunk
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1 and f"{path}: is damaged" in captured.err
+    assert captured.out == f"{COUNT} scans: {COUNT - len(hit)} written, {len(hit)} bad\n"
+
+
+# --- which scans, and what they are called ----------------------------------------------------------------------------
+
+
+def test_scans_are_chosen(tmp_path):
+    recorded(tmp_path / "a", "bag")
+    for number in range(4):
+        (tmp_path / "b").mkdir(exist_ok=True)
+        write_bin(tmp_path / "b" / f"{number:06d}.bin", street(number, 50))
+    names = [f"b/{number:06d}.bin" for number in range(4)]
+    assert keys(tmp_path, every=3) == [("a/drive.bag", 0), ("a/drive.bag", 3), ("a/drive.bag", 6), ("a/drive.bag", 9),
+                                       (names[0], None), (names[3], None)]  # fmt: skip
+    (tmp_path / "b" / "times.txt").write_text("10\n10.1\n10.2\n10.3\n")
+    assert keys(tmp_path, start_s=0.15, end_s=0.35) == [
+        ("a/drive.bag", 2),
+        ("a/drive.bag", 3),
+        (names[2], None),
+        (names[3], None),
+    ]
+    found = entries(open_store(tmp_path), Shard(), selection=ReadOptions(start_s=0.9))
+    assert [str(entry.key) for entry in found if not entry.error] == [f"a/drive.bag, scan {n}" for n in (9, 10, 11)]
+    assert [entry.error for entry in found if entry.error] == [
+        f"{tmp_path}/b: has no scan between --from and --to; it lasts 0.3 s"
+    ]
+
+
+def test_the_topic_is_named_or_a_line_says_so(tmp_path, capsys):
+    other = [one._replace(topic="/rear") for one in DRIVE[:3]]
+    recorded(tmp_path / "in", "mcap", sent=[*DRIVE[:3], *other])
+    assert run(job_of(tmp_path / "in", tmp_path / "out")) == BAD_SCANS
+    assert "holds points on /points, /rear; choose one with --topic" in capsys.readouterr().err
+    job = job_of(tmp_path / "in", tmp_path / "rear", selection=ReadOptions(topic="/rear"))
+    assert run(job) == 0 and len(manifest(tmp_path / "rear")) == 3
+    with pytest.raises(InputError, match="made with another 'topic'"):
+        run(job_of(tmp_path / "in", tmp_path / "rear", selection=ReadOptions(topic="/points")))
+
+
+def test_names_of_outputs(tmp_path):
+    recorded(tmp_path / "x", "bag", sent=DRIVE[:2])
+    recorded(tmp_path / "y", "bag", sent=DRIVE[:1])
+    recorded(tmp_path / "y", "mcap", sent=DRIVE[:1])
+    recorded(tmp_path / "z", "folder", sent=DRIVE[:1])
+    write_bin(tmp_path / "z" / "drive-7.bin", street(0, 50))
+    assert images(tmp_path) == [
+        "x/drive-000000.png",
+        "x/drive-000001.png",
+        "y/drive.bag-000000.png",
+        "y/drive.mcap-000000.png",
+        "z/drive-000000.png",
+        "z/drive-7.png",
+    ]
+    assert images(tmp_path / "z", "drive") == ["drive-000000.png"]
+    write_bin(tmp_path / "x" / "drive-000001.bin", street(0, 50))
+    assert images(tmp_path / "x") == ["drive-000001.bin.png", "drive.bag-000000.png", "drive.bag-000001.png"]
+    write_bin(tmp_path / "x" / "drive.bag-000001.bin", street(0, 50))
+    with pytest.raises(InputError, match="two scans would have the outputs of"):
+        images(tmp_path / "x")
+
+
+def test_a_recording_is_a_sequence(tmp_path, capsys):
+    recorded(tmp_path / "in" / "town", "bag", "07")
+    (tmp_path / "in" / "town" / "calib.txt").write_text("of another sequence")
+    job = job_of(tmp_path / "in", tmp_path / "out", layout=SEMANTIC_KITTI)
+    assert run(job) == 0
+    sequence = tmp_path / "out" / "sequences" / "town-07"
+    assert sorted(path.name for path in sequence.iterdir()) == ["pano", "pano_depth", "velodyne"]
+    assert len(list((sequence / "pano").iterdir())) == COUNT
+    scan = read_bin(sequence / "velodyne" / "000003.bin")
+    np.testing.assert_array_equal(scan.xyz, street(3, 300).xyz)
+    assert run(job) == 0 and "12 there before" in capsys.readouterr().out
+    write_bin(tmp_path / "in" / "town" / "a.bin", street(0, 300))
+    (tmp_path / "in" / "town-07").mkdir()
+    write_bin(tmp_path / "in" / "town-07" / "a.bin", street(0, 300))
+    with pytest.raises(InputError, match=r"'town/07.bag' and 'town-07' would both be sequence town-07|'town-07' and"):
+        run(job)
+
+
+def test_labels_are_of_no_recording(tmp_path, capsys):
+    recorded(tmp_path / "in", "bag")
+    assert run(job_of(tmp_path / "in", tmp_path / "out", use_labels=True)) == BAD_SCANS
+    assert capsys.readouterr().err.count("\n") == 1
+    assert {line["error"] for line in manifest(tmp_path / "out")} == {
+        f"{tmp_path}/in/drive.bag, scan {n}: has no labels (.label beside it, or in labels/); leave --labels out"
+        for n in range(COUNT)
+    }
+
+
+# --- stores, memory, real files ---------------------------------------------------------------------------------------
+
+
+def test_urls(tmp_path):
+    import fsspec
+
+    recorded(tmp_path / "in" / "town", "folder")
+    recorded(tmp_path / "in", "bag")
+    assert run(job_of(tmp_path / "in", tmp_path / "out")) == 0
+    memory = fsspec.filesystem("memory")
+    memory.put(str(tmp_path / "in"), "/drives", recursive=True)
+    memory.pipe_file("/drives/bad.bag", b"#ROSBAG V2.0\n")
+    assert run(job_of("memory://drives", "memory://made"), Shard(0, 2)) in (0, BAD_SCANS)
+    assert run(job_of("memory://drives", "memory://made"), Shard(1, 2)) in (0, BAD_SCANS)
+    files = {name.removeprefix("/made/"): memory.cat_file(name) for name in memory.find("/made")}
+    lines = b"".join(data for name, data in files.items() if name.startswith("manifest/")).decode()
+    assert {name: data for name, data in files.items() if not name.startswith("manifest/")} == contents(
+        tmp_path / "out"
+    )
+    assert lines.count("\n") == 2 * COUNT + 1 and "memory://drives/bad.bag: is damaged" in lines
+    memory.store.clear()
+
+
+@pytest.mark.parametrize("format", ["bag", "db3", "mcap"])
+def test_memory_does_not_grow_with_messages(tmp_path, format):
+    def peak(count: int) -> int:
+        scan = street(0, 20_000)
+        sent = (points(scan, START_NS + number * STEP_NS) for number in range(count))
+        path = recorded(tmp_path / str(count), format, sent=sent)
+        store = open_store(path.parent)
+        tracemalloc.start()
+        try:
+            reading = ScanReading(store, ReadOptions())
+            for entry in entries(store, Shard()):
+                reading.request(entry).read(lambda _: None)
+            reading.close()
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    peak(3)  # libraries are loaded
+    assert peak(24) < 1.5 * peak(6)
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "error"),
+    [
+        ("sample_velodyne_vlp16_gps.pcap", 4, ""),
+        ("512x10_raw.bag", 0, "holds packets, not points"),
+        ("rosbags_rs_test_bag_sqlite3.db3", 2, ""),
+        ("rosbags_rs_test_bag_mcap.mcap", 2, ""),
+        ("OS-0-128-U1_v2.3.0_1024x10.pcap", 0, "holds Ouster packets, not points"),
+    ],
+)
+def test_real_files(tmp_path, capsys, name, count, error):
+    path = Path(__file__).resolve().parents[3] / "shared/realdata/formats" / name
+    if not path.exists():
+        pytest.skip("the real files are not here")
+    if path.suffix == ".pcap":
+        pytest.importorskip("velodyne_decoder", reason="packet captures are read by the extra 'pcap'")
+    code = run(job_of(path.parent, tmp_path / "out"), only=name)
+    lines = manifest(tmp_path / "out")
+    if error:
+        assert code == BAD_SCANS and len(lines) == 1 and error in lines[0]["error"]
+        assert capsys.readouterr().err.count("\n") == 1
+    else:
+        assert code == 0 and [line["scan"] for line in lines] == list(range(count))
+        parts = [entries(open_store(path.parent), Shard(index, 2), only=name) for index in range(2)]
+        assert sorted(entry.key.scan for part in parts for entry in part) == list(range(count))
