@@ -15,9 +15,9 @@
 # in the history up to a634bbd). Their stages were cut short and begun again while the network grew (last layers, tones):
 # `scene` had 869 + 430 + 338 + 621 steps, `world-scene` 245 + 93 + 253 + 618 and `world-scene-3` 921; the critic went on
 # from stage to stage, and of the towns only every fourth frame was seen by kitti-mini's. The card of kitti-mini's painter
-# counts the steps of all stages but the first 869 and the last; those of world's networks count the last stage's. Painters
-# did not know windows and doors before their last stages, `scene-3` and `world-scene-4`: `runs/add_openings.py` gave them
-# that input. Pictures of the towns had 2 frames of 24, 8, 8 and 8 towns before, half a second apart, and no openings.
+# counts the steps of its last two stages; those of world's networks count the last stage's. Painters did not know windows
+# and doors before `scene-3` and `world-scene-4`: `runs/add_openings.py` gave them that input. Pictures of the towns had 2
+# frames of 24, 8, 8 and 8 towns before, two seconds apart, and no openings.
 # `streets` was stopped after 491 scans of 37 towns; cards call it sa. `world-segmenter-2` also had 63 scans of an OS1-128.
 set -euo pipefail
 kitti=$1 out=$2
@@ -115,7 +115,10 @@ scene scene-2 "$kitti" 40 "train,$day:train,$all" "$segmenter" "$translator" "$(
   "${kitti_looks[@]}" training.batch=1 "${fixed[@]}"
 scene scene-3 "$kitti" 46 "train,$day:all,$all" "$segmenter" "$translator" "$(weights scene-2 painter)" \
   "${kitti_looks[@]}" training.batch=1 "${fixed[@]}" options.simulated_probability=0.5
+scene scene-4 "$kitti" 10 "train,$day:all,$all" "$segmenter" "$translator" "$(weights scene-3 painter)" \
+  "${kitti_looks[@]}" training.batch=1 options.fixed_norms=true networks.painter.optimizer.rate=0.0004
+mean "$out/mean/painter.safetensors" "$(weights scene-3 painter)" "$(weights scene-4 painter)"
 painter=$out/finished/kitti.safetensors
-python "$here/finish_painter.py" "$(weights scene-3 painter)" "$painter" "$out/frames/scene-3/painting/*/${kitti##*/}-*.safetensors" --look kitti --power 4
+python "$here/finish_painter.py" "$out/mean/painter.safetensors" "$painter" "$out/frames/scene-3/painting/*/${kitti##*/}-*.safetensors" --look kitti --power 4
 lidar2pano evaluate "$painter+$translator+$segmenter" --data "$kitti" --split val --json "$out/kitti.json"
 family kitti-mini "$segmenter" "$translator" "$painter" "$out/kitti.json" CC-BY-NC-SA-4.0
