@@ -40,7 +40,7 @@ class PatchStatistics:
         for depth, (real, painted) in enumerate(pairs):
             if min(real.shape[-2:]) < PATCH:
                 continue
-            known = adaptive_avg_pool2d(valid, real.shape[-2:])
+            known = adaptive_avg_pool2d(valid, (real.shape[2], real.shape[3]))
             whole = avg_pool2d(known, PATCH, STRIDE)[:, 0] > 0.999
             real_patches, painted_patches = (avg_pool2d(part, PATCH, STRIDE).movedim(1, 3) for part in (real, painted))
             for look in looks.unique().tolist():
