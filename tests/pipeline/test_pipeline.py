@@ -260,7 +260,7 @@ def test_folding_norms_changes_nothing(network, widths):
     image = torch.rand(1, 5, 16, 64)
     inputs = {
         "titan-pano": (image, torch.rand(1, 20, 16, 64)),
-        "scene-painter": (torch.rand(1, 30, 16, 64), torch.rand(1, 3, 32, 128), torch.ones(1, 1), torch.zeros(1, 3)),
+        "scene-painter": (torch.rand(1, 31, 16, 64), torch.rand(1, 3, 32, 128), torch.ones(1, 1), torch.zeros(1, 3)),
     }
     with torch.inference_mode():
         before, after = plain(*inputs[network]), folded(*inputs[network])
