@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import torch
 
-from bulk_runs import SCANS, assert_each_once, contents, job_of, manifest, run
-from lidar2pano.bulk import Entry, Job, ScanKey, Shard, entries
+from bulk_runs import SCANS, assert_each_once, begin, contents, job_of, manifest, run
+from lidar2pano.bulk import Entry, ScanKey, Shard, entries
 from lidar2pano.bulk.entries import SEMANTIC_KITTI
 from lidar2pano.bulk.instances import grow
 from lidar2pano.bulk.stores import SCRATCH, open_store
@@ -39,19 +39,6 @@ def root(tmp_path):
 
 
 # --- killed runs ------------------------------------------------------------------------------------------------------
-
-
-def begin(job: Job) -> int:
-    """A process that does the run; its number. Its files are not flushed to the disk, which no kill notices."""
-    process = os.fork()
-    if process:
-        return process
-    os.fsync = lambda _: None
-    code = 99
-    try:
-        code = run(job)
-    finally:
-        os._exit(code)
 
 
 def killed(process: int, sign: signal.Signals, seconds: float) -> bool:

@@ -15,7 +15,7 @@ import pytest
 
 pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
 
-from bulk_runs import assert_each_once, contents, job_of, manifest, run
+from bulk_runs import assert_each_once, begin, contents, job_of, manifest, run
 from lidar2pano.bulk import Shard, entries
 from lidar2pano.bulk.entries import SEMANTIC_KITTI
 from lidar2pano.bulk.scan_reading import ScanReading
@@ -122,19 +122,6 @@ def test_shards_take_consecutive_scans_and_read_little_else(tmp_path, monkeypatc
     count.clear()
     run(job_of(tmp_path, tmp_path / "part"), Shard(2, 5))
     assert 3 * 2 <= len(count) < 0.6 * whole
-
-
-def begin(job) -> int:
-    """A process that does the run; its number."""
-    process = os.fork()
-    if process:
-        return process
-    os.fsync = lambda _: None
-    code = 99
-    try:
-        code = run(job)
-    finally:
-        os._exit(code)
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")

@@ -1,8 +1,8 @@
 """Data sets in SemanticKITTI's layout, simulated worlds among them.
 
 ROOT/sequences/<seq>/{velodyne/NNNNNN.bin, labels/NNNNNN.label, image_2/NNNNNN.png|jpg, camera_labels/NNNNNN.png,
-calib.txt, poses.txt}; of worlds also pano/, pano_labels/, pano_depth/ and pano_openings/ with NNNNNN.png. ROOT/splits.json (split ->
-["seq/NNNNNN", ...]), without which SemanticKITTI's own splits hold.
+calib.txt, poses.txt}; of worlds also pano/, pano_labels/, pano_depth/ and pano_openings/ with NNNNNN.png.
+ROOT/splits.json (split -> ["seq/NNNNNN", ...]), without which SemanticKITTI's own splits hold.
 """
 
 from __future__ import annotations

@@ -18,11 +18,8 @@ VARIED = np.array(
     [0, 0.15, 0, 0, 0.15, 0.15, 0.15, 0, 0, 0, 0.15, 0, 0, 0.1, 0, 0]
 )  # of classes: how their brightness varies
 OBJECT_M, COARSER = 16.0, 4  # wavelength of that, and the step at which it is read
-HOUSES_VARIED, HOUSE_M, REACH = (
-    0.65,
-    11.0,
-    40,
-)  # brightness and width of houses; columns around that show how a wall runs
+HOUSES_VARIED, HOUSE_M = 0.65, 11.0  # how much houses differ in brightness, their width
+REACH = 40  # columns around that say how a wall runs
 
 
 def main(scan, out):

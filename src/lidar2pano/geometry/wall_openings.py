@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool1d, one_hot
+from torch.nn.functional import avg_pool1d, one_hot, pad
 
 from lidar2pano.geometry.surface import azimuths, slopes
 from lidar2pano.views import View
@@ -84,7 +84,7 @@ def wall_profile(walls: Tensor, radius_m: Tensor, height_m: Tensor) -> tuple[Ten
     total = weight.sum(1)
     profile = (weight * distance).sum(1) / total.clamp(min=1e-6)
     profile = torch.where(total > LEAST, profile, torch.nan)
-    around = closed(profile, REACH // 2).unfold(1, REACH + 1, 1)
+    around = pad(profile, (REACH // 2, REACH // 2), mode="circular").unfold(1, REACH + 1, 1)
     return around.nanmedian(2).values.nan_to_num(math.log(FARTHEST_M)), total
 
 
@@ -131,7 +131,7 @@ def _direction(tangent: Tensor, weight: Tensor) -> Tensor:
     """Number (B, W) of the direction in which most walls around a column run, of DIRECTIONS per half turn."""
     number = (torch.atan2(tangent[:, 1], tangent[:, 0]) * (DIRECTIONS / math.pi)).round().remainder(DIRECTIONS)
     votes = one_hot(number.long(), DIRECTIONS).movedim(2, 1) * weight[:, None]
-    return avg_pool1d(closed(votes.float(), REACH), 2 * REACH + 1, 1).argmax(1)
+    return avg_pool1d(pad(votes.float(), (REACH, REACH), mode="circular"), 2 * REACH + 1, 1).argmax(1)
 
 
 def _openings(walls: Walls, level_m: Tensor, view: View) -> Tensor:
@@ -172,8 +172,3 @@ def _mixed(number: Tensor) -> Tensor:
 def _uniform(house: Tensor, which: int) -> Tensor:
     """Uniform numbers (B, W) float32 in [0, 1), one kind for each `which`."""
     return _mixed(house * 31 + which * 0x1B873593 + 1).float() / 0x80000000
-
-
-def closed(x: Tensor, reach: int) -> Tensor:
-    """The columns (..., W) of a turn with `reach` columns of the other end at each side."""
-    return torch.cat([x[..., -reach:], x, x[..., :reach]], -1)

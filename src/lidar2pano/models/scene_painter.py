@@ -203,10 +203,8 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     remission, valid = spread_out(image[:, 4].float(), (image[:, 0] > 0).float())
     row = torch.linspace(1, -1, segments.shape[2], device=segments.device)[None, :, None].expand_as(valid)
     flat = torch.stack([depth_code(depth_m.clamp(max=FAR_M)), remission, valid, row], 1)
-    twice = depth_m.repeat_interleave(2, 1).repeat_interleave(2, 2)
-    sky_twice = sky.repeat_interleave(2, 1).repeat_interleave(2, 2)
     coarse = _noise(depth_m, sky, view, COARSE_M, T_world_sensor)
-    fine = _noise(twice, sky_twice, view.scaled(2), FINE_M, T_world_sensor)
+    fine = _noise(twice(depth_m), twice(sky), view.scaled(2), FINE_M, T_world_sensor)
     invented, house = facades(segments[:, BUILDING].float(), radius_m, above_m, view, T_world_sensor)
     openings = invented if openings is None else torch.where(openings.isnan(), invented, openings)
     if class_tones is None:
@@ -218,6 +216,11 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
         tones = torch.einsum("bchw,bck->bkhw", segments.float(), class_tones)
     parts = [segments.float(), flat, shape, coarse, tones, openings[:, None]]
     return _channels_last(torch.cat(parts, 1)), _channels_last(fine)
+
+
+def twice(x: Tensor) -> Tensor:
+    """(..., H, W) on the raster twice as fine: (..., 2H, 2W)."""
+    return x.repeat_interleave(2, -2).repeat_interleave(2, -1)
 
 
 def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:

@@ -19,7 +19,7 @@ from lidar2pano.labels import COMMON15
 from lidar2pano.losses import PatchStatistics, hinge_critic, hinge_generator, pooled
 from lidar2pano.losses.diff_augment import DiffAugment
 from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
-from lidar2pano.models.scene_painter import BUILDING, ScenePainter, painter_inputs, sharpened
+from lidar2pano.models.scene_painter import BUILDING, ScenePainter, painter_inputs, sharpened, twice
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.pipeline import Pipeline, load_part, load_segmenter
 from lidar2pano.train.adversarial import frozen
@@ -113,7 +113,7 @@ class ScenePainting:
         augment = DiffAugment.drawn(len(fake), self.options.augment_probability)
         everywhere = torch.ones_like(fake[:, :1])
         sizes = [part.shape[1] for part in layers]
-        large = [part if part.shape[2:] == fake.shape[2:] else _twice(part) for part in layers]
+        large = [part if part.shape[2:] == fake.shape[2:] else twice(part) for part in layers]
         joined = augment.apply(fake, everywhere, torch.cat(large, 1))
         others = joined[:, 3:].detach().split(sizes, 1)
         return augment.apply(real, everywhere, everywhere[:, :0])[:, :3], joined[:, :3], *others
@@ -125,7 +125,7 @@ class ScenePainting:
         """
         invented = segments[:, BUILDING] * batch.openings.isnan()
         share = 1 - (1 - self.options.on_invented) * invented
-        return torch.stack([batch.valid.float(), _twice(share[:, None])[:, 0]], 1)
+        return torch.stack([batch.valid.float(), twice(share)], 1)
 
     @staticmethod
     def _unseen(batch: PaintingSample, segments: Tensor, painted: Tensor) -> Tensor:
@@ -204,10 +204,6 @@ class ScenePainting:
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """What a user of the painter has to know: the raster it reads segments on."""
         return {"labels": None, "views": {"panorama": self.view.as_dict()}}
-
-
-def _twice(x: Tensor) -> Tensor:
-    return x.repeat_interleave(2, 2).repeat_interleave(2, 3)
 
 
 def _mean(losses: list[Tensor]) -> Tensor:
