@@ -18,7 +18,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.knn import clean_up
-from lidar2pano.geometry.projection import Normalisation, RangeImage, one_hot_layers, project
+from lidar2pano.geometry.projection import Normalisation, RangeImage, fitted_view, one_hot_layers, project
 from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import Memory, PreviousFrame, smoothed
@@ -44,17 +44,28 @@ class Segmenter:
     """A range-view network with the view and normalisation it was trained on.
 
     network   (1, 5, H, W) -> (1, classes, H, W) logits.
+    tallest   how far rows are added to the view for sensors that see more (fitted_view); None: none are.
     """
 
     network: nn.Module
     view: View
     normalise: Normalisation
+    tallest: View | None = None
 
     @classmethod
     def from_card(cls, network: nn.Module, card: Card) -> Segmenter:
         """The segmenter that a weight file holds: `network, card = load(path)`."""
         normalise = validated(Normalisation, card.normalisation, "the card's normalisation")
-        return cls(network=network, view=validated(View, card.views["input"], "the card's view"), normalise=normalise)
+        views = {role: validated(View, view, "the card's view") for role, view in card.views.items()}
+        return cls(network=network, view=views["input"], normalise=normalise, tallest=views.get("tallest input"))
+
+    def at(self, view: View) -> Segmenter:
+        """The segmenter on another view, whatever the scan."""
+        return replace(self, view=view, tallest=None)
+
+    def project(self, scan: Scan, device: str | torch.device = "cpu") -> RangeImage:
+        """The range image that the network labels."""
+        return project(scan, fitted_view(scan, self.view, self.tallest), device=device)
 
     @torch.inference_mode()
     def raster(self, image: RangeImage) -> Tensor:
@@ -77,7 +88,7 @@ class Segmenter:
 
     def points(self, scan: Scan, device: str | torch.device = "cpu") -> Tensor:
         """Class ids (N,) int64 of a scan's points."""
-        return self.label(project(scan, self.view, device=device), Timer(torch.device(device)))
+        return self.label(self.project(scan, device), Timer(torch.device(device)))
 
 
 class Translated(NamedTuple):
@@ -129,7 +140,7 @@ class Pipeline:
 
     def for_sensor(self, name: str) -> Pipeline:
         """The pipeline with the segmenter's view that fits a sensor of VIEWS; InputError where there is none."""
-        return replace(self, segmenter=replace(self.segmenter, view=sensor_view(name)))
+        return replace(self, segmenter=self.segmenter.at(sensor_view(name)))
 
     def in_look(self, look: str) -> Pipeline:
         """The pipeline that paints a look, "A" or "A+B" for the mean of two; InputError where the painter lacks it."""
@@ -166,7 +177,7 @@ class Pipeline:
         """
         with timer("project"):
             scan = scan.beyond()
-            image = self._checked(scan, project(scan, self.segmenter.view, device=self.device))
+            image = self._checked(scan, self.segmenter.project(scan, self.device))
             around = self._checked(scan, project(scan, self.view, device=self.device))
             read = around
             if self.input_view is not None:

@@ -72,6 +72,7 @@ KITTI_CAMERA = (0.27, 0.06, -0.07)
 
 VIEWS: dict[str, View] = {
     "hdl64e": View(rows=64, columns=2048, up=3.0, down=-25.0),  # SalsaNext, lidar-bonnetal's darknet53.yaml
+    "hdl64e-tall": View(rows=128, columns=2048, up=24.0, down=-32.0),  # rows as high, for sensors that see more
     "titan-front": View(rows=64, columns=2048, up=3.0, down=-15.0, left=45.0, right=-45.0),  # TITAN-Net, laserscan.py
     "titan-front-512": View(rows=64, columns=512, up=3.0, down=-15.0, left=45.0, right=-45.0),  # TITAN-Next's width
     # 4608 / 2 pi = 733 columns per radian, as fine as KITTI's camera; rows cover that camera's picture.

@@ -105,6 +105,9 @@ def test_the_runner_makes_the_painters_inputs_as_we_do(graphs, monkeypatch):
     logits[:, 7, 30:, :] = 20  # road
     logits[:, 9, 5:28, 20:70] = 20  # building
     depth_m = 5 + 30 * torch.rand(1, 48, 96, generator=generator)
+    for left, right, metres in ((0, 9, 12.0), (75, 84, 6.0), (88, 96, 12.0)):
+        logits[:, 1, 26:42, left:right] = 40
+        depth_m[:, 26:42, left:right] = metres + 0.3 * torch.rand(right - left, generator=generator)
     image = project(street(), view).channels[None]
     segments = logits.softmax(1)
     expected, expected_fine = painter_inputs(sharpened(segments, 2.0), depth_m, image, view)
@@ -113,6 +116,7 @@ def test_the_runner_makes_the_painters_inputs_as_we_do(graphs, monkeypatch):
     assert np.abs(inputs - expected[0].numpy())[:24].max() < 1e-4
     assert (np.abs(inputs - expected[0].numpy()) < 1e-4).mean((1, 2)).min() > 0.99  # at borders of voxels and houses
     assert (inputs[30] > 0.3).any(), "there are openings"
+    assert np.abs(inputs[27:30, 26:42, 75:84]).max() > 0.2, "there is a car"
     assert (np.abs(fine - expected_fine[0].numpy()) < 1e-3).mean() > 0.995  # at voxels' borders float32 reads another
 
 

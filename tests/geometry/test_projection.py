@@ -18,6 +18,7 @@ from lidar2pano.geometry.projection import (
     RangeImage,
     back_project,
     directions,
+    fitted_view,
     nearest_points,
     pixels,
     project,
@@ -337,3 +338,60 @@ def test_a_view_may_be_given_by_its_name():
     assert torch.equal(project(scan, "hdl64e").channels, project(scan, VIEWS["hdl64e"]).channels)
     with pytest.raises(InputError, match="no view 'hdl64'; did you mean 'hdl64e'"):
         project(scan, "hdl64")
+
+
+# --- views that grow --------------------------------------------------------------------------------------------------
+
+
+def rings(*elevations_deg: float, points: int = 200) -> Scan:
+    """A scan of a sensor with beams of these elevations, 10 m away."""
+    elevation, azimuth = (
+        part.ravel() for part in np.meshgrid(np.radians(elevations_deg), np.linspace(-3, 3, points), indexing="ij")
+    )
+    level = np.cos(elevation)
+    xyz = 10 * np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], 1)
+    return Scan(xyz=xyz.astype(np.float32), remission=np.full(len(xyz), 0.5, np.float32))
+
+
+@pytest.mark.parametrize(
+    ("highest", "lowest", "rows", "up", "down"),
+    [
+        (2, -24.8, 64, 3.0, -25.0),  # HDL-64E
+        (5.9, -27.9, 64, 3.0, -25.0),  # beyond, but within BORDER_DEG
+        (7.1, -24.8, 80, 10.0, -25.0),
+        (10.5, -30.67, 112, 17.0, -32.0),  # HDL-32E
+        (15, -25, 96, 17.0, -25.0),  # Pandar64
+        (22.5, -22.5, 112, 24.0, -25.0),  # OS1
+        (60, -60, 128, 24.0, -32.0),  # as far as it goes
+    ],
+)
+def test_a_view_grows_to_what_the_scan_measured(highest, lowest, rows, up, down):
+    view, tallest = VIEWS["hdl64e"], VIEWS["hdl64e-tall"]
+    grown = fitted_view(rings(highest, 0, -10, lowest), view, tallest)
+    assert (grown.rows, grown.up, grown.down) == (rows, pytest.approx(up), pytest.approx(down))
+    assert (grown.up - grown.down) / rows == pytest.approx((view.up - view.down) / view.rows)
+    assert fitted_view(rings(highest, 0, -10, lowest), view, None) == view
+
+
+def test_few_points_do_not_make_a_view_grow():
+    level, high = rings(*np.linspace(-20, 0, 20), points=300), rings(12, points=25)
+    both = Scan(xyz=np.concatenate([level.xyz, high.xyz]), remission=np.concatenate([level.remission, high.remission]))
+    assert len(high) / len(both) < 0.005
+    assert fitted_view(both, VIEWS["hdl64e"], VIEWS["hdl64e-tall"]) == VIEWS["hdl64e"]
+
+
+def test_points_that_cannot_be_used_do_not_make_a_view_grow():
+    scan = rings(0, -10)
+    scan.xyz[::2] = np.nan
+    scan.xyz[1::4] = 0
+    assert fitted_view(scan, VIEWS["hdl64e"], VIEWS["hdl64e-tall"]) == VIEWS["hdl64e"]
+
+
+def test_a_grown_view_keeps_the_pixels_of_the_view():
+    scan = rings(*np.linspace(-24.5, 16, 90))
+    view = VIEWS["hdl64e"]
+    grown = fitted_view(scan, view, VIEWS["hdl64e-tall"])
+    assert grown.rows == 96
+    small, large = project(scan, view), project(scan, grown)
+    assert torch.equal(large.channels[:, 32:], small.channels) and torch.equal(large.index[32:], small.index)
+    assert large.valid[:32].any() and bool(large.inside.all()) and not bool(small.inside.all())

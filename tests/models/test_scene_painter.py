@@ -11,7 +11,7 @@ import torch
 from lidar2pano.errors import InputError
 from lidar2pano.labels import COMMON15
 from lidar2pano.models import build
-from lidar2pano.models.scene_painter import TONE, VARIED, Scene, painter_inputs, sharpened
+from lidar2pano.models.scene_painter import TONES, VARIED, Scene, painter_inputs, sharpened
 from lidar2pano.views import View
 
 VIEW = View(rows=16, columns=64, up=0.24, down=-0.28, kind="cylinder")
@@ -89,29 +89,29 @@ def test_sizes_that_do_not_divide_are_refused():
         painter()(torch.zeros(1, 31, 10, 64), torch.zeros(1, 3, 20, 128), torch.ones(1, 2), torch.zeros(1, 3))
 
 
-def tones(class_tones: torch.Tensor | None = None) -> torch.Tensor:
+def tones(given: torch.Tensor | None = None) -> torch.Tensor:
     """The tones among the inputs (3, H, W) of the scene."""
     one = scene()
-    inputs, _ = painter_inputs(one.segments, one.depth_m, one.channels, VIEW, one.T_world_sensor, class_tones)
-    return inputs[0, -TONE - 1 : -1]
+    inputs, _ = painter_inputs(one.segments, one.depth_m, one.channels, VIEW, one.T_world_sensor, given)
+    return inputs[0, TONES]
 
 
-def test_tones_of_classes_are_mixed_by_probability():
-    class_tones = torch.zeros(1, 16, 3)
-    class_tones[0, 1], class_tones[0, 9] = torch.tensor([0.5, 0.0, -0.5]), torch.tensor([-0.25, 0.25, 1.0])
-    car, building = scene().segments[0, 1], scene().segments[0, 9]
-    expected = torch.stack([0.5 * car - 0.25 * building, 0.25 * building, building - 0.5 * car])
-    assert torch.allclose(tones(class_tones), expected, atol=1e-6)
+def test_known_tones_are_painted_and_others_are_invented():
+    given = torch.rand(1, 3, VIEW.rows, VIEW.columns)
+    given[..., :10, :] = torch.nan
+    found = tones(given)
+    assert torch.equal(found[:, 10:], given[0, :, 10:])
+    assert torch.equal(found[:, :10], tones()[:, :10])
 
 
 def test_where_no_tones_are_given_only_things_that_vary_do():
     assert tones()[0].std() > 0.01
     one = scene()
-    for name in ("vegetation", "car"):
+    for name in ("vegetation", "truck", "car"):
         segments = torch.zeros_like(one.segments)
         segments[:, COMMON15.id_of(name)] = 1
         inputs, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, one.T_world_sensor)
-        assert inputs[0, -2].any() == (name in VARIED)
+        assert inputs[0, TONES].any() == (name in VARIED or name == "car")
 
 
 def test_every_class_that_varies_exists():

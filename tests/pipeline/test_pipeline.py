@@ -300,6 +300,22 @@ def test_columns_need_not_divide(turn, beyond):
     assert network.inputs[0, 0].max(0).values[200:].round().tolist() == beyond
 
 
+def test_a_sensor_that_measures_more_gets_more_rows():
+    view = replace(VIEWS["hdl64e"], columns=256)
+    azimuth = np.radians(np.tile(np.arange(0, 360, 2.0), 3))
+    elevation, range_m = np.radians(np.repeat([-10.0, 0.0, 15.0], 180)), np.repeat([3.0, 5.0, 9.0], 180)
+    level = range_m * np.cos(elevation)
+    xyz = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), range_m * np.sin(elevation)], 1)
+    scan = Scan(xyz=xyz.astype(np.float32), remission=np.zeros(540, np.float32))
+    network, plain = Copies(), Normalisation(mean=(0,) * 5, deviation=(1,) * 5)
+    segmenter = Segmenter(network=network, view=view, normalise=plain, tallest=VIEWS["hdl64e-tall"])
+    assert segmenter.points(scan).tolist() == range_m.tolist()
+    assert network.inputs.shape == (1, 5, 96, 256)
+    fixed = segmenter.at(view)
+    assert fixed.points(scan)[360:].tolist() != range_m[360:].tolist(), "out of view"
+    assert network.inputs.shape == (1, 5, 64, 256)
+
+
 def test_rows_must_divide(pipeline):
     view = replace(VIEWS["hdl64e"], rows=40, columns=64)
     with pytest.raises(InputError, match="40 x 64 pixels does not fit"):

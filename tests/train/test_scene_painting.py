@@ -121,11 +121,30 @@ def test_known_openings_are_painted_and_others_are_invented(task, batch, monkeyp
     flat.openings[1] = torch.nan
     segments = torch.zeros(2, 16, 32, 64)
     segments[:, BUILDING] = 1
-    task.painted(flat, segments)
-    task.painted(flat, segments, as_used=True)
+    task.inputs(flat, segments)
+    task.inputs(flat, segments, as_used=True)
     (trained, _), (used, _) = given
     assert torch.equal(trained[0, -1], flat.openings[0])
     assert trained[1, -1].isfinite().all() and not torch.equal(used[0, -1], flat.openings[0])
+
+
+def test_a_car_has_the_tone_of_the_image_nearby(task, batch):
+    task.view = replace(task.view, rows=32)
+    flat = batch.flat()
+    flat.labels[:] = 7
+    flat.labels[:, 12:20, 10:30], flat.labels[:, 12:20, 40:50] = 1, 1
+    flat.image[:] = 0.1
+    flat.image[:, :, 24:40, 20:60] = torch.tensor([0.5, -0.2, 0.0])[:, None, None]
+    flat.valid[:, :, 80:] = False
+    flat.class_means[:, 1], flat.class_tones[:, 7], flat.class_tones[:, 1] = -0.4, 0.3, 5.0
+    segments = nn.functional.one_hot(flat.labels, 16).movedim(-1, 1).float()
+    found = task._tones(flat, segments)
+    assert torch.allclose(found[:, :, 12:20, 10:30], torch.tensor([0.9, 0.2, 0.4])[:, None, None], atol=1e-5)
+    assert found[:, :, 12:20, 40:50].isnan().all(), "no camera looked there"
+    assert torch.allclose(found[:, :, 22:], torch.tensor(0.3))
+    flat.class_means[:, 1] = torch.nan
+    assert task._tones(flat, segments)[:, :, 12:20, 10:30].isnan().all(), "the look's mean car is not known"
+    assert task.inputs(flat, segments)[0].isfinite().all(), "they are invented"
 
 
 def test_ground_truth_is_painted_where_it_is_known_and_drawn(task, batch):
@@ -153,13 +172,14 @@ def test_both_images_and_the_condition_are_augmented_alike(task, batch):
 
 
 def test_where_no_camera_looked_colours_are_drawn_to_their_classes(task, batch):
-    """By hand: road is painted 0.3 where it is -0.2 on average; the sky's colour is not known."""
+    """By hand: cars are painted 0.3 where they are -0.3 + 0.1 on average; the sky's colour is not known."""
     flat = batch.flat()
-    flat.class_means[:, 1] = -0.2
+    flat.class_means[:, 1] = -0.3
     flat.valid[:, 32:] = False
+    tones = torch.full((2, 3, 32, 64), 0.1)
     segments = torch.zeros(2, 16, 32, 64)
     segments[:, 15, :24], segments[:, 1, 24:] = 1, 1
     painted = torch.full((2, 3, 64, 128), 0.3)
-    assert task._unseen(flat, segments, painted).item() == pytest.approx(0.25, abs=1e-6)
+    assert task._unseen(flat, segments, tones, painted).item() == pytest.approx(0.25, abs=1e-6)
     flat.valid[:] = True
-    assert task._unseen(flat, segments, painted).item() == 0
+    assert task._unseen(flat, segments, tones, painted).item() == 0

@@ -7,17 +7,20 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch import nn
 from torch.utils.data import default_collate
 
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.models.card import load
 from lidar2pano.models.families import weight_files
+from lidar2pano.pipeline import Segmenter
 from lidar2pano.train.checkpoint import check_recipe
 from lidar2pano.train.engine import train
 from lidar2pano.train.recipe import Recipe, override, resolved
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.tasks import build_task
+from lidar2pano.views import VIEWS
 from miniature import write_data_set
 
 ONE_STEP = ["training.steps=1", "training.batch=2", "training.workers=0", "training.precision=32-true"]
@@ -79,6 +82,17 @@ def test_what_is_released_takes_its_part_in_the_pipeline(runs):
         assert card.score["split"] == "val"
         assert card.steps == 1
         assert (runs / role / "preview").is_dir()
+
+
+def test_a_segmenter_may_learn_from_scans_of_several_heights(root, tmp_path):
+    tall = ("options.tallest=hdl64e-tall", "training.batch=2", "options.fixed_norms=true")
+    with pytest.raises(InputError, match="training.accumulate=training.batch"):
+        build_task(small("salsanext-mini", *tall), root)
+    train(small("salsanext-mini", *tall, "training.accumulate=2"), root, tmp_path, device="cpu")
+    network, card = load(tmp_path / "weights/segmenter.safetensors")
+    assert Segmenter.from_card(network, card).tallest == VIEWS["hdl64e-tall"]
+    norms = [part for part in network.modules() if isinstance(part, nn.BatchNorm2d)]
+    assert all((norm.running_mean == 0).all() and (norm.running_var == 1).all() for norm in norms)
 
 
 def test_the_painter_says_which_weights_it_needs(root):

@@ -22,8 +22,7 @@ from lidar2pano.data.augment import (
 )
 from lidar2pano.data.cache import LruCache
 from lidar2pano.data.frames import Frame, SampleIndex, evenly_spaced, frames_of
-from lidar2pano.geometry.projection import Normalisation
-from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.projection import Normalisation, fitted_view, project
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
 from lidar2pano.views import View
@@ -65,6 +64,7 @@ class RangeImageDataset:
 
     columns       width of the azimuth crop for training (all of the view where 0).
     augmentation  how samples are augmented.
+    tallest       how far rows are added for scans that go beyond `view` (fitted_view); None: none are.
     """
 
     def __init__(
@@ -74,9 +74,10 @@ class RangeImageDataset:
         view: View,
         columns: int = 0,
         augmentation: ScanAugmentation | None = None,
+        tallest: View | None = None,
     ) -> None:
         self.frames = frames_of(root, splits)
-        self.view = view
+        self.view, self.tallest = view, tallest
         self.columns = columns or view.columns
         self.augmentation = augmentation or ScanAugmentation()
         self.normalise = Normalisation()
@@ -108,7 +109,7 @@ class RangeImageDataset:
         return sample._replace(lidar=sample.lidar[window], labels=sample.labels[window])
 
     def _sample(self, scan: Scan, name: str) -> RangeImageSample:
-        range_image = project(scan, self.view)
+        range_image = project(scan, fitted_view(scan, self.view, self.tallest))
         assert scan.label is not None
         return RangeImageSample(self.normalise(range_image), range_image.spread(torch.from_numpy(scan.label)), name)
 

@@ -62,7 +62,7 @@ def system(
         raise InputError(f"{name}: no weights for the {' and the '.join(missing)}; name a family that has them")
     segmenter, _ = load_segmenter(files["segmenter"], picked, engine)
     if view is not None:
-        segmenter = replace(segmenter, view=view)
+        segmenter = segmenter.at(view)
     if read_card(files["translator"]).network in families.FRONT_VIEW:
         used = {role: files[role] for role in ("segmenter", "translator")}
         used |= {role: named[role] for role in ("painter", "first-frame painter") if role in named}

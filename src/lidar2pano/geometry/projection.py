@@ -7,7 +7,7 @@ and CUDA, whose float32 arc tangents differ in the last bit, put every point int
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -20,6 +20,8 @@ from lidar2pano.views import View, view_of
 
 FULL_TURN = 2 * math.pi  # radians
 FAR_OUT = 1_000_000.0  # rows: a bound for points straight above or below, so that they fit an integer
+ROWS_ADDED = 16  # to a view at a time: networks halve their rows four times
+BORDER_DEG, BEYOND = 3.0, 0.005  # what goes beyond a view by less, or is a smaller share of the points, is left out
 UNOWNED = torch.iinfo(torch.int64).max  # a pixel's key where no point fell into it; its low 32 bits say -1
 
 
@@ -132,6 +134,32 @@ def project_points(xyz: Tensor, remission: Tensor, view: View) -> RangeImage:
         range_m=range_m,
         usable=usable,
     )
+
+
+def fitted_view(scan: Scan, view: View, tallest: View | None) -> View:
+    """A sphere's view with as many more rows above and below as hold what the scan measured beyond it.
+
+    They are as high as the view's own and come ROWS_ADDED at a time, as far as `tallest` goes; where that is None, the
+    view as it is. What lies within BORDER_DEG of the view, or a share of at most BEYOND of the points, asks for none.
+    """
+    if tallest is None:
+        return view
+    with np.errstate(invalid="ignore"):
+        slope = scan.xyz[:, 2] / np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])
+    step_deg = (view.up - view.down) / view.rows * ROWS_ADDED
+    above = _steps_beyond(slope, view.up, tallest.up - view.up, step_deg)
+    below = _steps_beyond(-slope, -view.down, view.down - tallest.down, step_deg)
+    rows = view.rows + (above + below) * ROWS_ADDED
+    return replace(view, rows=rows, up=view.up + above * step_deg, down=view.down - below * step_deg)
+
+
+def _steps_beyond(slope: np.ndarray, border_deg: float, most_deg: float, step_deg: float) -> int:
+    """How many times `step_deg` the elevations of slopes (N,) go beyond a border, `most_deg` at most."""
+    beyond = slope[slope > math.tan(math.radians(border_deg + BORDER_DEG))]
+    if len(beyond) <= BEYOND * len(slope):
+        return 0
+    highest = math.degrees(math.atan(np.partition(beyond, at := int(0.95 * len(beyond)))[at]))
+    return min(math.ceil((highest - border_deg) / step_deg), round(most_deg / step_deg))
 
 
 def pixels(x: Tensor, y: Tensor, z: Tensor, view: View) -> tuple[Tensor, Tensor]:

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.car_parts import car_tones
 from lidar2pano.geometry.solid_noise import smooth_noise, solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals, road_height
 from lidar2pano.geometry.wall_openings import facades
@@ -25,19 +26,20 @@ from lidar2pano.models.circular import CircularConv, CircularResidual, closed, c
 from lidar2pano.models.titan_pano import FAR_M, depth_code
 from lidar2pano.views import View
 
-SKY, ROAD, BUILDING = (COMMON15.id_of(name) for name in ("sky", "road", "building"))
+SKY, ROAD, BUILDING, CAR = (COMMON15.id_of(name) for name in ("sky", "road", "building", "car"))
 COARSE_M = (0.25, 1.0, 4.0)  # wavelengths of the noise on the translator's raster
 FINE_M = (0.0625, 0.125, 0.5)  # and on the picture's
 SHAPE = 8  # channels beside segments and noise: depth, remission, validity, row, height, normals
-OBJECT_M = 16.0  # wavelength at which things differ in brightness: one house from the next, one car from the next
+OBJECT_M = 16.0  # wavelength at which things differ in brightness
 # Half of the deviations from image to image of how bright a class is in KITTI, colours in [-1, 1]: all of them, and
 # what noise has beyond its deviation, burn things out.
-VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence", "person"), 0.15) | {"pole": 0.1}
+VARIED = dict.fromkeys(("truck", "other-vehicle", "fence", "person"), 0.15) | {"pole": 0.1}
 HOUSES_VARIED = 0.65  # how much brighter or darker than the mean a house is, at most
 WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
 STRIDE = 4  # input pixels per pixel of the coarsest level
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
-TONE = 3  # red, green, blue: how much brighter a picture, or a class in it, is than the mean of its look
+TONE = 3  # red, green, blue: how much brighter a picture, or a part of it, is than the mean of its look
+TONES = slice(-TONE - 1, -1)  # of the painter's inputs, which end with the openings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -178,7 +180,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     image: Tensor,
     view: View,
     T_world_sensor: np.ndarray | None = None,
-    class_tones: Tensor | None = None,
+    tones: Tensor | None = None,
     openings: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """What the network sees: (B, classes + SHAPE + 7, H, W) and fine noise (B, 3, 2H, 2W), float32, channels last.
@@ -187,9 +189,9 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     depth_m   (B, H, W): metres, everywhere.
     image     (B, 5, H, W): a RangeImage's channels, of which remission and validity are used.
     view      the raster H x W;  T_world_sensor: (4, 4), where the noise hangs (None: on the sensor's frame).
-    class_tones  (B, classes, 3): how much brighter each class is than the mean of its look, in [-1, 1]; None: a tone
-                 for each house, and for the classes that VARIED names noise of wavelength OBJECT_M.
-    openings     (B, H, W) in [0, 1]: where walls have windows and doors; None, and where NaN: as `facades` has them.
+    tones     (B, 3, H, W): how much brighter each pixel is than the mean of its class in its look, in [-1, 1]; None,
+              and where NaN: a tone for each house, those of `car_tones`, and for the classes that VARIED names noise.
+    openings  (B, H, W) in [0, 1]: where walls have windows and doors; None, and where NaN: as `facades` has them.
     """
     depth_m = depth_m.float()
     likeliest = segments.amax(1)
@@ -207,13 +209,12 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     fine = _noise(twice(depth_m), twice(sky), view.scaled(2), FINE_M, T_world_sensor)
     invented, house = facades(segments[:, BUILDING].float(), radius_m, above_m, view, T_world_sensor)
     openings = invented if openings is None else torch.where(openings.isnan(), invented, openings)
-    if class_tones is None:
-        varied = segments.new_tensor([VARIED.get(name, 0.0) for name in COMMON15.classes], dtype=torch.float32)
-        noise = smooth_noise(radius_m, z_m, view, OBJECT_M, T_world_sensor).clamp(-1, 1)
-        brighter = torch.einsum("bchw,c->bhw", segments.float(), varied) * noise
-        tones = brighter[:, None] + segments[:, BUILDING, None] * (HOUSES_VARIED * house)[:, :, None]
-    else:
-        tones = torch.einsum("bchw,bck->bkhw", segments.float(), class_tones)
+    varied = segments.new_tensor([VARIED.get(name, 0.0) for name in COMMON15.classes], dtype=torch.float32)
+    noise = smooth_noise(radius_m, z_m, view, OBJECT_M, T_world_sensor).clamp(-1, 1)
+    varied_tones = (torch.einsum("bchw,c->bhw", segments.float(), varied) * noise)[:, None]
+    varied_tones = varied_tones + segments[:, BUILDING, None] * (HOUSES_VARIED * house)[:, :, None]
+    varied_tones = varied_tones + car_tones(segments[:, CAR].float(), radius_m, above_m, view, T_world_sensor)
+    tones = varied_tones if tones is None else torch.where(tones.isnan(), varied_tones, tones)
     parts = [segments.float(), flat, shape, coarse, tones, openings[:, None]]
     return _channels_last(torch.cat(parts, 1)), _channels_last(fine)
 

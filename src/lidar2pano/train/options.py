@@ -57,7 +57,9 @@ class SegmentationOptions(TaskOptions):
     class_weight_least,
     class_weight_most      class weights in the cross-entropy are (share of the points, at least `least`) ** -exponent,
                            divided by their mean, at most `most`.
-    dropout                whether the network's dropout is on.
+    dropout                whether the network's dropout is on;  fixed_norms: whether norms keep their statistics.
+    tallest                name of the view as far as which rows are added for scans that go beyond the recipe's view
+                           (geometry.projection.fitted_view); "": none are.
     """
 
     task = "segmentation"
@@ -72,6 +74,8 @@ class SegmentationOptions(TaskOptions):
     class_weight_least: float = 1e-5
     class_weight_most: float = 6.0
     dropout: bool = True
+    fixed_norms: bool = False
+    tallest: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

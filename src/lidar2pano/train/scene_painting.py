@@ -8,8 +8,8 @@ from typing import Any, cast
 
 import numpy as np
 import torch
-from torch import Tensor, nn
-from torch.nn.functional import adaptive_avg_pool2d, mse_loss
+from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, mse_loss
 
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.errors import InputError
@@ -19,16 +19,17 @@ from lidar2pano.labels import COMMON15
 from lidar2pano.losses import PatchStatistics, hinge_critic, hinge_generator, pooled
 from lidar2pano.losses.diff_augment import DiffAugment
 from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
-from lidar2pano.models.scene_painter import BUILDING, ScenePainter, painter_inputs, sharpened, twice
+from lidar2pano.models.scene_painter import BUILDING, CAR, TONES, ScenePainter, painter_inputs, sharpened, twice
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.pipeline import Pipeline, load_part, load_segmenter
 from lidar2pano.train.adversarial import frozen
 from lidar2pano.train.options import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingFrames, PaintingSample
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.task import as_image, build_networks, device_of
+from lidar2pano.train.task import as_image, build_networks, device_of, fix_norms
 from lidar2pano.views import VIEWS
 
+NEARBY = (3, 8, 20)  # pixels on either side of which a car's tone is the mean
 MATCHED = 3  # depths of features whose statistics are matched
 
 
@@ -64,7 +65,8 @@ class ScenePainting:
         device = batch.depth_m.device
         self.features.to(device)
         segments = self.segments(batch)
-        fake = painted = self.painted(batch, segments)
+        inputs = self.inputs(batch, segments)
+        fake = painted = self.painted(batch, inputs)
         real = torch.where(batch.valid[:, None], batch.image, fake.detach())
         condition = torch.cat([segments, depth_code(batch.depth_m)[:, None]], 1)
         counted = self._counted(batch, segments)
@@ -91,7 +93,7 @@ class ScenePainting:
         self.logs = {"perceptual": perceptual.detach(), "pooled": coarse.detach(), "pixels": pixels.detach()}
         loss = options.perceptual * perceptual + options.pooled * coarse + options.pixels * pixels
         if options.unseen:
-            unseen = self._unseen(batch, segments, painted)
+            unseen = self._unseen(batch, segments, inputs[0][:, TONES], painted)
             self.logs["unseen"] = unseen.detach()
             loss = loss + options.unseen * unseen
         if options.statistics:
@@ -128,15 +130,15 @@ class ScenePainting:
         return torch.stack([batch.valid.float(), twice(share)], 1)
 
     @staticmethod
-    def _unseen(batch: PaintingSample, segments: Tensor, painted: Tensor) -> Tensor:
-        """How far pooled colours are from the mean colours of their classes, squared, where no camera looked.
+    def _unseen(batch: PaintingSample, segments: Tensor, tones: Tensor, painted: Tensor) -> Tensor:
+        """How far pooled colours are from their classes' mean colours and tones, squared, where no camera looked.
 
         The sky's are not known. (Without this loss a strip of bright dashes ran along the foot of the picture.)
         """
-        means = batch.class_means + batch.class_tones
-        known = means.isfinite().all(2)
+        known = batch.class_means.isfinite().all(2)
         shares = segments * known[..., None, None]
-        expected = torch.einsum("bchw,bck->bkhw", shares, means.nan_to_num(0))
+        expected = torch.einsum("bchw,bck->bkhw", shares, batch.class_means.nan_to_num(0))
+        expected = expected + tones * shares.sum(1, keepdim=True)
         rows, columns = pooled(painted).shape[-2:]
         share, expected, valid = (
             adaptive_avg_pool2d(part, (rows, columns))
@@ -146,24 +148,38 @@ class ScenePainting:
         gap = (pooled(painted) * share - expected).square() * (valid == 0)
         return gap.sum() / (3 * weight.sum()).clamp(min=1)
 
-    def painted(self, batch: PaintingSample, segments: Tensor, *, as_used: bool = False) -> Tensor:
-        """Pictures (B, 3, 2H, 2W) float32 in [-1, 1] of a batch, at a random place in the noise.
+    @torch.no_grad()
+    def inputs(self, batch: PaintingSample, segments: Tensor, *, as_used: bool = False) -> tuple[Tensor, Tensor]:
+        """The painter's inputs for a batch, at a random place in the noise.
 
-        as_used  whether tones are the pipeline's instead of the images'.
+        as_used  whether tones and openings are the pipeline's instead of the images'.
         """
-        tones = None if as_used else batch.class_tones
-        painter = self.networks["painter"]
-        if self.options.fixed_norms and painter.training:
-            for part in painter.modules():
-                if isinstance(part, nn.BatchNorm2d):
-                    part.eval()
         pose = np.eye(4)
         pose[:3, 3] = np.random.uniform(0, 64, 3)  # noqa: NPY002 seeded by the loop, step by step
-        shares = torch.eye(len(self.looks), device=segments.device)[batch.look]
         window = self.view.window(int(np.random.randint(self.view.columns)), segments.shape[3])  # noqa: NPY002
-        with torch.no_grad():
-            openings = None if as_used else batch.openings
-            inputs = painter_inputs(segments, batch.depth_m, batch.channels, window, pose, tones, openings)
+        known = (None, None) if as_used else (self._tones(batch, segments), batch.openings)
+        return painter_inputs(segments, batch.depth_m, batch.channels, window, pose, *known)
+
+    @staticmethod
+    def _tones(batch: PaintingSample, segments: Tensor) -> Tensor:
+        """Tones (B, 3, H, W) of the images: a class's in the whole image, a car's nearby; NaN where no car is known."""
+        mean = batch.class_means[:, CAR, :, None, None]
+        known = (batch.labels == CAR) & (avg_pool2d(batch.valid[:, None].float(), 2)[:, 0] == 1) & mean.isfinite()[:, 0]
+        reach = NEARBY[int(np.random.randint(len(NEARBY)))]  # noqa: NPY002
+        parts = [(avg_pool2d(batch.image, 2) - mean).nan_to_num(0) * known[:, None], known[:, None].float()]
+        nearby = avg_pool2d(torch.cat(parts, 1), 2 * reach + 1, 1, reach)
+        cars = torch.where(nearby[:, 3:] > 0, nearby[:, :3] / nearby[:, 3:], torch.nan)
+        other_tones = batch.class_tones.index_fill(1, batch.labels.new_tensor(CAR), 0)
+        others = torch.einsum("bchw,bck->bkhw", segments, other_tones)
+        share = segments[:, CAR, None]
+        return others + torch.where(share > 0.01, share * cars, 0)
+
+    def painted(self, batch: PaintingSample, inputs: tuple[Tensor, Tensor]) -> Tensor:
+        """Pictures (B, 3, 2H, 2W) float32 in [-1, 1] of a batch."""
+        painter = self.networks["painter"]
+        if self.options.fixed_norms:
+            fix_norms(painter)
+        shares = torch.eye(len(self.looks), device=batch.look.device)[batch.look]
         return painter(*inputs, shares, batch.tone).float()
 
     def segments(self, batch: PaintingSample) -> Tensor:
@@ -182,7 +198,8 @@ class ScenePainting:
         sample = self.validation[index]
         one = PaintingSample(*(part[None].to(device) for part in sample)).flat()
         one = one._replace(tone=torch.zeros_like(one.tone))
-        return self.painted(one, sharpened(one.segments, 2.0), as_used=True)[0].cpu(), sample
+        inputs = self.inputs(one, sharpened(one.segments, 2.0), as_used=True)
+        return self.painted(one, inputs)[0].cpu(), sample
 
     def validate(self) -> dict[str, float]:
         """Mean distance of pooled colours in [0, 1]; no score, since that is not what is wanted: the latest counts."""

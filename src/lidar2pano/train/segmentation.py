@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.data.range_images import RangeImageDataset, RangeImageSample, ScanAugmentation
+from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
@@ -19,8 +20,8 @@ from lidar2pano.losses.supervised import class_weights, labelled_cross_entropy
 from lidar2pano.pipeline import Segmenter
 from lidar2pano.train.options import SegmentationOptions
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.task import build_networks, device_of, range_view_card, segmentation_scores
-from lidar2pano.views import VIEWS
+from lidar2pano.train.task import build_networks, device_of, fix_norms, range_view_card, segmentation_scores
+from lidar2pano.views import VIEWS, view_of
 
 
 class Segmentation:
@@ -38,8 +39,11 @@ class Segmentation:
             rings=options.ring_drop_probability,
             no_remission=options.remission_drop_probability,
         )
-        self.dataset = RangeImageDataset(root, recipe.data.train, self.view, options.columns, vary)
-        self.validation = RangeImageDataset(root, recipe.data.val, self.view)
+        self.tallest = view_of(options.tallest) if options.tallest else None
+        if self.tallest is not None and recipe.training.batch != recipe.training.accumulate:
+            raise InputError("options.tallest makes scans of several heights: set training.accumulate=training.batch")
+        self.dataset = RangeImageDataset(root, recipe.data.train, self.view, options.columns, vary, self.tallest)
+        self.validation = RangeImageDataset(root, recipe.data.val, self.view, tallest=self.tallest)
         self.networks = build_networks(recipe)
         if not options.dropout:
             for module in self.networks["segmenter"].modules():
@@ -55,6 +59,8 @@ class Segmentation:
 
     def updates(self, batch: RangeImageSample) -> Iterator[tuple[str, Tensor]]:
         """One update: cross-entropy over labelled pixels + Lovasz-Softmax over the classes present."""
+        if self.options.fixed_norms:
+            fix_norms(self.networks["segmenter"])
         logits = self.networks["segmenter"](batch.lidar).float()
         self.weights = self.weights.to(logits.device)  # once
         entropy = labelled_cross_entropy(logits, batch.labels, 0, self.weights)
@@ -65,7 +71,7 @@ class Segmentation:
     def validate(self) -> dict[str, float]:
         """MIoU and accuracy per point over up to 500 frames of the validation split, but for unlabelled points."""
         network = self.networks["segmenter"]
-        segmenter = Segmenter(network=network, view=self.view, normalise=Normalisation())
+        segmenter = Segmenter(network=network, view=self.view, normalise=Normalisation(), tallest=self.tallest)
 
         def pairs() -> Iterator[tuple[Tensor, Tensor]]:
             for index in evenly_spaced(len(self.validation)):
@@ -85,4 +91,4 @@ class Segmentation:
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """What a user of the segmenter has to know: label set, view, normalisation."""
-        return {"labels": SEMANTIC_KITTI.name, **range_view_card(self.view)}
+        return {"labels": SEMANTIC_KITTI.name, **range_view_card(self.view, self.tallest)}

@@ -144,8 +144,16 @@ def as_image(colour: Tensor) -> np.ndarray:
     return ((colour.movedim(0, 2) + 1) * 127.5).round().clamp(0, 255).to(torch.uint8).numpy()
 
 
-def range_view_card(view: View) -> dict[str, Any]:
-    """Fields of the card of a network that reads normalised range images of `view`."""
+def fix_norms(network: nn.Module) -> None:
+    """Make the batch norms of a network in training keep their statistics."""
+    for part in network.modules():
+        if isinstance(part, nn.BatchNorm2d):
+            part.eval()
+
+
+def range_view_card(view: View, tallest: View | None = None) -> dict[str, Any]:
+    """Fields of the card of a network that reads normalised range images of `view`, as far as `tallest` (Segmenter)."""
     normalise = Normalisation()
     normalisation = {"mean": list(normalise.mean), "deviation": list(normalise.deviation)}
-    return {"views": {"input": view.as_dict()}, "normalisation": normalisation}
+    views = {"input": view, **({"tallest input": tallest} if tallest else {})}
+    return {"views": {role: each.as_dict() for role, each in views.items()}, "normalisation": normalisation}
