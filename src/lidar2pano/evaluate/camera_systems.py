@@ -103,7 +103,7 @@ class CameraTranslator:
             return memory, Prediction(point_labels=self.segmenter.points(inputs.scan, self.device).cpu().numpy())
         timer = Timer(self.device)
         with timer("project"):
-            range_image = project(inputs.scan, self.segmenter.view, device=self.device)
+            range_image = self.segmenter.project(inputs.scan, self.device)
             front = project(inputs.scan, self.view, device=self.device)
         point_labels = self.segmenter.label(range_image, timer)
         with timer("translate"):

@@ -85,11 +85,16 @@ def _tones(cars: Tensor, radius_m: Tensor, above_m: Tensor, view: View, pose: np
     tones = cars.new_zeros(TONE, *cars.shape)
     shown = found.distance_m.isfinite().nonzero()[:, 0]
     if len(shown):
-        found = Cars(*(part[..., shown] for part in found[:-1]), Rectangles(*(part[..., shown] for part in found.box)))
+        found = _of_columns(found, shown)
         tone = _tones_of(found, slope * found.distance_m + above_m, found.distance_m / view.focal_px)
         apart = (radius_m[:, shown] / found.distance_m).log().abs()
         tones[..., shown] = tone * (cars[:, shown] * (1 - (apart / SAME_CAR - 1).clamp(0, 1)))
     return tones
+
+
+def _of_columns(found: Cars, columns: Tensor) -> Cars:
+    *parts, box = found
+    return Cars(*(part[..., columns] for part in parts), box=Rectangles(*(part[..., columns] for part in box)))
 
 
 def _tones_of(found: Cars, height_m: Tensor, pixel_m: Tensor) -> Tensor:
