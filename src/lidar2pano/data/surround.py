@@ -17,7 +17,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.depth_completion import complete_depth
-from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.projection import RangeImage, project
 from lidar2pano.geometry.stitching import CameraImage, stitch
 from lidar2pano.labels import COMMON15, TABLES
 from lidar2pano.scan import Scan
@@ -69,17 +69,30 @@ class SurroundFrame(Frame):
     @cached_property
     def panorama(self) -> PanoramaGroundTruth:
         """See Frame."""
-        view = at_camera(self.view, self.calibration)
-        depth_m = complete_depth(torch.from_numpy(self.scan.xyz), view)
-        image, valid = stitch(list(self.cameras.values()), view, depth_m)
-        range_image, labels = project(self.scan, view), None
-        if self.point_labels is not None:
-            common = TABLES["semantic-kitti", "common-15"][self.point_labels]
-            common = np.where(common == COMMON15.id_of("unlabeled"), IGNORE, common).astype(np.uint8)
-            labels = range_image.spread(torch.from_numpy(common), IGNORE).numpy()
+        range_image = self._range_image
+        depth_m = complete_depth(torch.from_numpy(self.scan.xyz), range_image.view)
+        image, valid = stitch(list(self.cameras.values()), range_image.view, depth_m)
         return PanoramaGroundTruth(
-            view=view, image=image, valid=valid, labels=labels, depth_m=range_image.channels[0].numpy()
+            view=range_image.view,
+            image=image,
+            valid=valid,
+            labels=self.panorama_labels,
+            depth_m=range_image.channels[0].numpy(),
         )
+
+    @cached_property
+    def panorama_labels(self) -> np.ndarray | None:
+        """See Frame; nothing is stitched for them."""
+        if self.point_labels is None:
+            return None
+        common = TABLES["semantic-kitti", "common-15"][self.point_labels]
+        common = np.where(common == COMMON15.id_of("unlabeled"), IGNORE, common).astype(np.uint8)
+        return self._range_image.spread(torch.from_numpy(common), IGNORE).numpy()
+
+    @cached_property
+    def _range_image(self) -> RangeImage:
+        """The scan on the panorama's raster."""
+        return project(self.scan, at_camera(self.view, self.calibration))
 
 
 def read_camera(
