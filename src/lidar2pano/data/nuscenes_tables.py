@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from lidar2pano.bounded_files import open_regular
 from lidar2pano.calibration import is_camera_matrix
 from lidar2pano.data.cache import kept_at, write_first
 from lidar2pano.errors import InputError
@@ -118,7 +119,7 @@ def _index(root: Path, version: str, key: str) -> NuscenesIndex:
 def _read(path: Path) -> dict[str, np.ndarray] | None:
     """The arrays of an index; None where the file is missing or damaged."""
     try:
-        with np.load(path, allow_pickle=False) as kept:
+        with open_regular(path) as file, np.load(file, allow_pickle=False) as kept:
             return {name: kept[name] for name in ("scenes", "first", "tokens", "files", "poses", "sensors", "mounts", "K")}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
