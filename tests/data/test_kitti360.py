@@ -9,9 +9,10 @@ from shutil import copytree
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
-from lidar2pano.data.frames import IGNORE, Frame, frames
+from lidar2pano.data.frames import IGNORE, Frame, SampleIndex, frames
 from lidar2pano.data.kitti360 import LABELS
 from lidar2pano.data.panorama_crops import PanoramaDataset
 from lidar2pano.errors import InputError
@@ -109,6 +110,16 @@ def test_windows_need_no_labels_of_points_but_samples_do(root):
     assert window.scan.label is None and (window.camera_labels != IGNORE).any()
     with pytest.raises(InputError, match=r"has no labels of single scans; name a segmenter"):
         dataset[0]
+
+
+def test_scans_without_labels_always_have_a_segmenters(root, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    (tmp_path / "weights").write_bytes(b"1")
+    dataset = PanoramaDataset(root, ("val",), VIEWS["panorama"].scaled(1 / 8), 64)
+    dataset.predict(lambda scan: torch.full((len(scan),), 9), tmp_path / "weights")
+    for at in (0, *(SampleIndex(0, seed) for seed in range(6))):
+        segments = dataset[at].segments
+        assert (segments == 9).any() and set(segments.unique().tolist()) <= {0, 9}
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""nuScenes and KITTI-360 as training sets: segmenter, translator and painter train on them and are evaluated on them."""
+"""nuScenes and KITTI-360 as training sets: segmenter, translator and painter train and are evaluated on them."""
 
 from __future__ import annotations
 

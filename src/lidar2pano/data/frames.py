@@ -119,6 +119,10 @@ class Frame:
         """The labels of the panorama; where they have a file of their own, nothing else is read."""
         return None if self.panorama is None else self.panorama.labels
 
+    def panorama_for(self, view: View) -> PanoramaGroundTruth | None:  # noqa: ARG002 of use where panoramas are stitched
+        """The panorama for use on the raster `view`: stitched on it where it has to be stitched, else as it is."""
+        return self.panorama
+
     def require(self, *parts: str) -> tuple[Any, ...]:
         """Parts by name; InputError that names the missing file and says what to do where one is None."""
         found = tuple(getattr(self, part) for part in parts)

@@ -1,7 +1,7 @@
 """The tables of nuScenes (ROOT/v1.0-*/*.json) as an index of its samples, which is built once and kept on disk.
 
-The tables of v1.0-trainval have 2.6 million rows of sensor data in 1.8 GB, sweeps between the samples included. The index
-holds what the 34,149 samples need: 1.7 kB of each, 60 MB. It lies in ROOT/.lidar2pano/ or, where that may not be written,
+The tables of v1.0-trainval have 2.6 million rows of sensor data in 1.9 GB, sweeps between the samples included. The index
+holds what the 34,149 samples need: 1.2 kB of each, 40 MB. It lies in ROOT/.lidar2pano/ or, where that may not be written,
 in the user's cache.
 Format: nuScenes' schema (docs/schema_nuscenes.md of nutonomy/nuscenes-devkit).
 """

@@ -170,7 +170,7 @@ class PanoramaDataset:
         view, labels = self._camera_labels(frame)
         image, valid = torch.zeros(3, 0, 0, dtype=torch.uint8), torch.zeros(0, 0, dtype=torch.bool)
         scan, openings = replace(frame.scan, label=frame.point_labels), torch.full(labels.shape, torch.nan)
-        if frame.panorama is not None:
+        if frame.panorama_for(self.view) is not None:
             ground_truth = panorama_on(frame, self.view)
             depth_m = torch.from_numpy(ground_truth.depth_m)
             if ground_truth.openings is not None:
@@ -189,7 +189,7 @@ class PanoramaDataset:
 
     def _camera_labels(self, frame: Frame) -> tuple[View, Tensor]:
         """The part of the raster on which a frame is sampled, and its camera labels, uint8 of COMMON15 or IGNORE."""
-        if frame.panorama is not None:
+        if frame.panorama_for(self.view) is not None:
             panorama = panorama_on(frame, self.view)
             labels = torch.from_numpy(panorama.labels)
             return panorama.view, labels.where(labels != 0, IGNORE)
@@ -213,7 +213,9 @@ def panorama_on(frame: Frame, view: View) -> PanoramaGroundTruth:
     Colours are means of pixels, labels and depths the nearest pixel's. InputError where the frame has none of them, or
     where its panorama is of another shape.
     """
-    (panorama,) = frame.require("panorama")
+    panorama = frame.panorama_for(view)
+    if panorama is None:
+        raise InputError(frame.missing("panorama"))
     rows, columns = panorama.valid.shape
     if panorama.labels is None or panorama.depth_m is None:
         raise InputError(frame.missing("panorama_labels" if panorama.labels is None else "panorama_depths"))
