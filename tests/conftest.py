@@ -181,6 +181,12 @@ def pandaset_mini() -> Path:
 
 
 @pytest.fixture(scope="session")
+def nuscenes() -> Path:
+    """One real sample of nuScenes, six cameras all around, with an info file."""
+    return REAL_DATA["nuscenes"]
+
+
+@pytest.fixture(scope="session")
 def random_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a family of small untrained networks."""
     from random_weights import write_family

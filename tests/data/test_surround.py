@@ -37,15 +37,6 @@ from miniature_surround import (
 from slow_definitions import project_slowly
 
 QUARTER = replace(VIEWS["panorama"].scaled(0.25), origin=(0.2, -0.1, 0.05))
-DATA = Path(__file__).resolve().parents[2] / "data"
-
-
-@pytest.fixture(scope="module")
-def nuscenes() -> Path:
-    root = DATA / "other-sensors" / "nuscenes"
-    if not root.is_dir():
-        pytest.skip(f"{root} is missing: unpack the real data into data/")
-    return root
 
 
 @pytest.fixture(scope="module")

@@ -91,7 +91,7 @@ class PredictedLabels:
     def note_complete(self, frames: Sequence[Frame]) -> None:
         """Note that all these frames are labelled, where that can be noted."""
         if (name := self._completed(frames)) is not None:
-            _write_first(self._paths(frames[0], name), b"")
+            write_first(self._paths(frames[0], name), Path.touch)
 
     def _completed(self, frames: Sequence[Frame]) -> str | None:
         """Name of the note for these frames; None where one of them is not a file of its own."""
@@ -106,9 +106,7 @@ class PredictedLabels:
 
     def _paths(self, frame: Frame, name: str) -> list[Path]:
         """Where a file may be, the first place first: beside the data, and in the user's cache."""
-        user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lidar2pano"
-        beside = [frame.root / ".lidar2pano"] if frame.root else []
-        return [folder / "predictions" / self.key / name for folder in (*beside, user)]
+        return kept_at(frame.root, f"predictions/{self.key}/{name}")
 
     def of(self, frame: Frame) -> np.ndarray:
         """(N,) int64 ids of the points of a frame's scan."""
@@ -119,15 +117,22 @@ class PredictedLabels:
             if (labels := _read(path, len(scan))) is not None:
                 return labels
         labels = self.label_points(scan).cpu().numpy().astype(np.int64)
-        _write_first(paths, zlib.compress(labels.astype(np.uint8).tobytes(), 1))
+        compressed = zlib.compress(labels.astype(np.uint8).tobytes(), 1)
+        write_first(paths, lambda path: path.write_bytes(compressed))
         return labels
 
 
-def _write_first(paths: Iterable[Path], content: bytes) -> None:
+def kept_at(root: Path | None, name: str) -> list[Path]:
+    """Where a file that is made of a data set may be, the first place first: beside the data, in the user's cache."""
+    user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lidar2pano"
+    return [folder / name for folder in ([root / ".lidar2pano"] if root else []) + [user]]
+
+
+def write_first(paths: Iterable[Path], write: Callable[[Path], object]) -> None:
     """Write a file to the first of the places that may be written; to none where all are read-only."""
     for path in paths:
         try:
-            write_whole(path, lambda file: file.write_bytes(content))
+            write_whole(path, write)
         except InputError:
             continue
         return

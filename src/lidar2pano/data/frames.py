@@ -1,8 +1,8 @@
 """Frame: everything that a data set knows about one moment, read when it is asked for; and the frames of a split.
 
 Layouts are distinguished by what lies in their root: SemanticKITTI's (sequences/), worlds that `lidar2pano world` simulated
-(the same, and world.json), PandaSet (classes.json), nuScenes (info.json), and images without scans: Cityscapes (leftImg8bit/)
-and any images/ beside labels/.
+(the same, and world.json), PandaSet (classes.json), nuScenes (v1.0-*/, or single samples with info.json), KITTI-360
+(data_3d_raw/), and images without scans: Cityscapes (leftImg8bit/) and any images/ beside labels/.
 """
 
 from __future__ import annotations
@@ -119,6 +119,10 @@ class Frame:
         """The labels of the panorama; where they have a file of their own, nothing else is read."""
         return None if self.panorama is None else self.panorama.labels
 
+    def panorama_for(self, view: View) -> PanoramaGroundTruth | None:  # noqa: ARG002 of use where panoramas are stitched
+        """The panorama for use on the raster `view`: stitched on it where it has to be stitched, else as it is."""
+        return self.panorama
+
     def require(self, *parts: str) -> tuple[Any, ...]:
         """Parts by name; InputError that names the missing file and says what to do where one is None."""
         found = tuple(getattr(self, part) for part in parts)
@@ -138,7 +142,7 @@ F = TypeVar("F", bound=Frame, covariant=True)
 class FrameList(Sequence[F]):
     """Frames of a split. Indexing makes a new Frame, and nothing is held: memory does not depend on what was read.
 
-    layout  "semantic-kitti", "simulated", "pandaset", "nuscenes", "cityscapes" or "images".
+    layout  "semantic-kitti", "simulated", "pandaset", "nuscenes", "kitti-360", "cityscapes" or "images".
     names   of the frames, in order.
     """
 
@@ -180,7 +184,7 @@ def frames(root: Path, split: str, view: View = VIEWS["panorama"]) -> FrameList[
           A simulated world's panoramas keep the raster that they were rendered on.
     Raises InputError where the folder has none of the known layouts, or no such split.
     """
-    from lidar2pano.data import labelled_images, nuscenes, pandaset, semantic_kitti  # they make Frames
+    from lidar2pano.data import kitti360, labelled_images, nuscenes, nuscenes_samples, pandaset, semantic_kitti
 
     if (root / "info.json").is_file():
         return nuscenes.frames(root, split, view)
@@ -188,12 +192,16 @@ def frames(root: Path, split: str, view: View = VIEWS["panorama"]) -> FrameList[
         return pandaset.frames(root, split, view)
     if (root / "sequences").is_dir():
         return semantic_kitti.frames(root, split)
+    if nuscenes_samples.versions(root):
+        return nuscenes_samples.frames(root, split, view)
+    if kitti360.is_one(root):
+        return kitti360.frames(root, split)
     if labelled_images.is_one(root):
         return labelled_images.frames(root, split)
     raise InputError(
         f"{root}: is no data set; name one in SemanticKITTI layout (with a folder sequences/), a simulated world"
-        " (world.json), a PandaSet (classes.json), a folder with nuScenes' info.json, Cityscapes (leftImg8bit/), or"
-        " images/ beside labels/"
+        " (world.json), a PandaSet (classes.json), nuScenes (v1.0-*/, or info.json), KITTI-360 (data_3d_raw/), Cityscapes"
+        " (leftImg8bit/), or images/ beside labels/"
     )
 
 

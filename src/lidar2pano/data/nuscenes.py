@@ -1,7 +1,7 @@
 """Samples of nuScenes as files: a 32-beam sweep and six cameras (Caesar et al. 2020, CC BY-NC-SA 4.0).
 
 ROOT/info.json lists the samples in the form of mmdetection3d's info files (`data_list`), the images and sweeps lie
-beside it. Its LiDAR has x to the right and y forward.
+beside it. Its LiDAR has x to the right and y forward. For the data set in its official layout: `nuscenes_samples`.
 """
 
 from __future__ import annotations

@@ -24,7 +24,6 @@ from lidar2pano.data.frames import (
     evenly_spaced,
     frames_of,
 )
-from lidar2pano.data.range_images import labelled
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
 from lidar2pano.geometry.projection import pixels, project
@@ -57,7 +56,8 @@ class PanoramaSample(NamedTuple):
 class PanoramaWindow(NamedTuple):
     """A frame on the panorama's raster: in a window a little wider than the crops, or all of it.
 
-    scan           with its point labels;  view: the window or the whole raster, around the camera's optical centre.
+    scan           with its point labels, if it has any;  view: the window or the whole raster, around the camera's
+                   optical centre.
     camera_labels  (H, W) uint8, depth_m (H, W) float32, image (3, 2H, 2W) uint8, valid (2H, 2W) bool: see
                    PanoramaSample.
     openings       (H, W) float32 in [0, 1]: the share of a pixel that is a window or a door; NaN where not known.
@@ -106,7 +106,7 @@ class PanoramaDataset:
         return self._cache.get(index, lambda: self._read(self.frames[index]))
 
     def predict(self, label_points: Callable[[Scan], Tensor], weights: str | Path) -> None:
-        """Use a segmenter's labels of the scans: half of the augmented samples do, and plain ones always.
+        """Use a segmenter's labels: half of the augmented samples do; plain ones do always, and scans without labels.
 
         weights  the segmenter's file: predictions are made once and kept on disk (PredictedLabels).
         """
@@ -128,12 +128,14 @@ class PanoramaDataset:
         """Sample: augmented by the seed of a SampleIndex (points, labels, crop, mirror), or plain for an int."""
         index = at if isinstance(at, int) else at.index
         window, frame = self.window(index), self.frames[index]
+        if window.scan.label is None and self.predicted is None:
+            raise InputError(frame.missing("point_labels"))
         if isinstance(at, int):
             scan = window.scan if self.predicted is None else self._predicted(window.scan, index)
             return self._sample(window, scan, frame.name, (window.view.columns - self.columns) // 2)
         generator = np.random.default_rng(at.seed)
         scan = window.scan
-        if self.predicted is not None and generator.random() < 0.5:
+        if self.predicted is not None and (generator.random() < 0.5 or scan.label is None):
             scan = self._predicted(scan, index)
         scan = without_sector(scan, generator)
         if generator.random() < 0.5:
@@ -167,8 +169,8 @@ class PanoramaDataset:
     def _read(self, frame: Frame) -> PanoramaWindow:
         view, labels = self._camera_labels(frame)
         image, valid = torch.zeros(3, 0, 0, dtype=torch.uint8), torch.zeros(0, 0, dtype=torch.bool)
-        scan, openings = labelled(frame), torch.full(labels.shape, torch.nan)
-        if frame.panorama is not None:
+        scan, openings = replace(frame.scan, label=frame.point_labels), torch.full(labels.shape, torch.nan)
+        if frame.panorama_for(self.view) is not None:
             ground_truth = panorama_on(frame, self.view)
             depth_m = torch.from_numpy(ground_truth.depth_m)
             if ground_truth.openings is not None:
@@ -187,7 +189,7 @@ class PanoramaDataset:
 
     def _camera_labels(self, frame: Frame) -> tuple[View, Tensor]:
         """The part of the raster on which a frame is sampled, and its camera labels, uint8 of COMMON15 or IGNORE."""
-        if frame.panorama is not None:
+        if frame.panorama_for(self.view) is not None:
             panorama = panorama_on(frame, self.view)
             labels = torch.from_numpy(panorama.labels)
             return panorama.view, labels.where(labels != 0, IGNORE)
@@ -211,10 +213,12 @@ def panorama_on(frame: Frame, view: View) -> PanoramaGroundTruth:
     Colours are means of pixels, labels and depths the nearest pixel's. InputError where the frame has none of them, or
     where its panorama is of another shape.
     """
-    (panorama,) = frame.require("panorama")
+    panorama = frame.panorama_for(view)
+    if panorama is None:
+        raise InputError(frame.missing("panorama"))
     rows, columns = panorama.valid.shape
     if panorama.labels is None or panorama.depth_m is None:
-        raise InputError(f"{frame.name}: its panorama has no labels or no depths; simulate the world again")
+        raise InputError(frame.missing("panorama_labels" if panorama.labels is None else "panorama_depths"))
     if abs(columns * view.rows - rows * view.columns) > view.columns:
         raise InputError(f"{frame.name}: its panorama is {columns}x{rows}; one like {view.columns}x{view.rows} is needed")
     row = ((np.arange(view.rows) + 0.5) * rows / view.rows).astype(int)

@@ -59,22 +59,30 @@ def lidar_poses(sequence: Path) -> LidarPoses | None:
 @lru_cache(maxsize=4)
 def _read_poses(sequence: Path, changed: tuple[int, ...]) -> LidarPoses:  # noqa: ARG001 a part of the cache's key
     path = sequence / "poses.txt"
+    rows = read_poses(path, 12, "12 numbers a line, as KITTI does").reshape(-1, 3, 4)
+    return LidarPoses(path, rows, _camera0_from_lidar(sequence))
+
+
+def read_poses(path: Path, numbers: int, form: str) -> np.ndarray:
+    """The lines (N, numbers) float64 of a text file; the last twelve numbers of each are a pose (3x4), metres.
+
+    form  of its lines, for the message.
+    Raises InputError where the file is missing or damaged, or a line holds no pose.
+    """
     try:
-        rows = np.loadtxt(io.StringIO(read_text(path)), ndmin=2)
+        lines = np.loadtxt(io.StringIO(read_text(path)), ndmin=2)
     except (OSError, ValueError) as error:
-        raise InputError(
-            f"{path}: cannot be read as poses ({error}); write 12 numbers a line, as KITTI does"
-        ) from error
-    if rows.shape[1:] != (12,) or not np.isfinite(rows).all():
-        raise InputError(f"{path}: its lines must hold 12 finite numbers each (3x4), as KITTI's do")
-    if (np.abs(rows) > FARTHEST_M).any():
-        raise InputError(f"{path}: line {(np.abs(rows) > FARTHEST_M).any(1).argmax() + 1} is on no planet; write metres")
-    rows = rows.reshape(-1, 3, 4)
+        raise InputError(f"{path}: cannot be read as poses ({error}); write {form}") from error
+    if lines.shape[1:] != (numbers,) or not np.isfinite(lines).all():
+        raise InputError(f"{path}: its lines must hold {numbers} finite numbers each; write {form}")
+    rows = lines[:, -12:].reshape(-1, 3, 4)
+    if (far := (np.abs(rows) > FARTHEST_M).any((1, 2))).any():
+        raise InputError(f"{path}: line {far.argmax() + 1} is on no planet; write metres")
     R = rows[:, :, :3]
     wrong = (np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)) > ROTATION_TOLERANCE).any((1, 2)) | (np.linalg.det(R) < 0)
     if wrong.any():
         raise InputError(f"{path}: line {wrong.argmax() + 1} holds no rotation; take the file from the data set")
-    return LidarPoses(path, rows, _camera0_from_lidar(sequence))
+    return lines
 
 
 def _camera0_from_lidar(sequence: Path) -> np.ndarray:

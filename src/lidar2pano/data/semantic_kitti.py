@@ -19,6 +19,7 @@ from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.data.frames import Frame, FrameList, PanoramaGroundTruth
 from lidar2pano.data.labelled_images import read_train_ids
 from lidar2pano.data.poses import lidar_poses
+from lidar2pano.data.splits import listed_names
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.scan_files import read_bin, read_label
 from lidar2pano.formats.image_files import DEPTH_STEPS, image_size, read_image
@@ -156,6 +157,8 @@ class SemanticKittiFrame(Frame):
 
     def missing(self, part: str) -> str:
         """See Frame."""
+        if part in ("panorama_labels", "panorama_depths"):
+            return f"{self.name}: its panorama has no labels or no depths; simulate the world again"
         return {
             "point_labels": f"{self.file('labels', '.label')}: is missing; label the scans: lidar2pano prepare ROOT",
             "predicted_labels": f"{self.file('predicted_labels', '.label')}: is missing; let a segmenter label the scans"
@@ -184,7 +187,7 @@ def frames(root: Path, split: str) -> FrameList[SemanticKittiFrame]:
     """
     folder, listing = root / "sequences", root / "splits.json"
     if listing.is_file():
-        names = _listed(listing, split)
+        names = listed_names(listing, split)
         there: dict[str, set[str]] = {}
         for name in names:
             sequence, _, stem = name.partition("/")
@@ -233,18 +236,6 @@ def stems(folder: Path, *suffixes: str) -> list[str]:
         raise InputError(f"{folder}: cannot be looked into ({error.strerror}); ask for permission") from error
     found = {name[: -len(s)] for name in names for s in suffixes if name.endswith(s) and not name.startswith(".")}
     return sorted(found)
-
-
-def _listed(listing: Path, split: str) -> list[str]:
-    splits = read_json(listing)
-    if not isinstance(splits, dict):
-        raise InputError(f"{listing}: must be an object of split -> list of seq/NNNNNN; write it so")
-    if split not in splits:
-        raise InputError(f"{listing}: has no split {split!r}" + closest(split, splits))
-    names = splits[split]
-    if not isinstance(names, list) or not all(isinstance(name, str) and name.count("/") == 1 for name in names):
-        raise InputError(f"{listing}: split {split!r} must be a list of seq/NNNNNN; write it so")
-    return names
 
 
 def _world_view(card: Path) -> View | None:

@@ -17,7 +17,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.depth_completion import complete_depth
-from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.projection import RangeImage, project
 from lidar2pano.geometry.stitching import CameraImage, stitch
 from lidar2pano.labels import COMMON15, TABLES
 from lidar2pano.scan import Scan
@@ -40,6 +40,7 @@ class SurroundFrame(Frame):
     def __init__(self, name: str, view: View) -> None:
         super().__init__(name)
         self.view = view
+        self._panoramas: dict[View, PanoramaGroundTruth] = {}
 
     @cached_property
     def cameras(self) -> Mapping[str, CameraImage]:
@@ -69,17 +70,39 @@ class SurroundFrame(Frame):
     @cached_property
     def panorama(self) -> PanoramaGroundTruth:
         """See Frame."""
-        view = at_camera(self.view, self.calibration)
-        depth_m = complete_depth(torch.from_numpy(self.scan.xyz), view)
-        image, valid = stitch(list(self.cameras.values()), view, depth_m)
-        range_image, labels = project(self.scan, view), None
-        if self.point_labels is not None:
-            common = TABLES["semantic-kitti", "common-15"][self.point_labels]
-            common = np.where(common == COMMON15.id_of("unlabeled"), IGNORE, common).astype(np.uint8)
-            labels = range_image.spread(torch.from_numpy(common), IGNORE).numpy()
-        return PanoramaGroundTruth(
-            view=view, image=image, valid=valid, labels=labels, depth_m=range_image.channels[0].numpy()
-        )
+        return self.panorama_for(self.view)
+
+    @cached_property
+    def panorama_labels(self) -> np.ndarray | None:
+        """See Frame; nothing is stitched for them."""
+        return self._labels_on(self._range_image(self.view))
+
+    def panorama_for(self, view: View) -> PanoramaGroundTruth:
+        """See Frame. Labels and depths are those of the points on this raster, so that few are lost on a coarse one."""
+        if view not in self._panoramas:
+            range_image = self._range_image(view)
+            depth_m = complete_depth(torch.from_numpy(self.scan.xyz), range_image.view)
+            image, valid = stitch(list(self.cameras.values()), range_image.view, depth_m)
+            self._panoramas[view] = PanoramaGroundTruth(
+                view=range_image.view,
+                image=image,
+                valid=valid,
+                labels=self._labels_on(range_image),
+                depth_m=range_image.channels[0].numpy(),
+            )
+        return self._panoramas[view]
+
+    def _range_image(self, view: View) -> RangeImage:
+        """The scan on a panorama's raster, around the front camera."""
+        return project(self.scan, at_camera(view, self.calibration))
+
+    def _labels_on(self, range_image: RangeImage) -> np.ndarray | None:
+        """(H, W) uint8 ids of COMMON15 of the points that own the pixels, else IGNORE; None without labels."""
+        if self.point_labels is None:
+            return None
+        common = TABLES["semantic-kitti", "common-15"][self.point_labels]
+        common = np.where(common == COMMON15.id_of("unlabeled"), IGNORE, common).astype(np.uint8)
+        return range_image.spread(torch.from_numpy(common), IGNORE).numpy()
 
 
 def read_camera(

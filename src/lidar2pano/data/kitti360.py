@@ -1,0 +1,256 @@
+"""KITTI-360 (Liao et al. 2022, CC BY-NC-SA 3.0): HDL-64E scans, the left perspective camera, its labels, and poses.
+
+ROOT/data_3d_raw/<seq>/velodyne_points/data/N.bin, data_2d_raw/<seq>/image_00/data_rect/N.png,
+data_2d_semantics/train/<seq>/image_00/semantic/N.png, data_poses/<seq>/poses.txt and
+calibration/{perspective,calib_cam_to_velo,calib_cam_to_pose}.txt, N of ten digits. Frames are "<seq>/N". Points have no
+labels here: those of the data set are of scans accumulated over seconds.
+Formats: the data set's documentation, and kitti360scripts/{helpers/project.py, viewer/kitti360Viewer3DRaw.py}.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from lidar2pano.bounded_files import read_text
+from lidar2pano.calibration import Calibration
+from lidar2pano.data.frames import IGNORE, Frame, FrameList
+from lidar2pano.data.labelled_images import TRAIN_IDS
+from lidar2pano.data.poses import read_poses
+from lidar2pano.data.semantic_kitti import stems
+from lidar2pano.data.splits import listed_names, listed_splits
+from lidar2pano.data.surround import matrix
+from lidar2pano.errors import InputError, closest
+from lidar2pano.formats.image_files import image_size, read_image
+from lidar2pano.formats.scan_files import read_bin
+from lidar2pano.labels import CITYSCAPES
+from lidar2pano.scan import Scan
+
+SCANS = "data_3d_raw"
+CAMERA = "image_00"
+LISTS = "data_2d_semantics/train/2013_05_28_drive_{}_frames.txt"  # the data set's own lists of labelled images
+FILES = ("perspective.txt", "calib_cam_to_velo.txt", "calib_cam_to_pose.txt")
+LABEL_IDS = 45
+# Cityscapes' label ids, and those that KITTI-360 has beyond them (kitti360scripts/helpers/labels.py), as train ids.
+LABELS = TRAIN_IDS.copy()
+LABELS[34:] = IGNORE
+for _beyond, _name in {34: "building", 35: "fence", 37: "pole"}.items():  # garage, gate, smallpole
+    LABELS[_beyond] = CITYSCAPES.id_of(_name)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Kitti360Calibration:
+    """The files of ROOT/calibration.
+
+    camera        the left perspective camera, rectified.
+    T_ego_lidar   (4, 4) float64: LiDAR -> the vehicle's frame, whose poses poses.txt has.
+    """
+
+    camera: Calibration
+    T_ego_lidar: np.ndarray
+
+
+class Kitti360Frame(Frame):
+    """A frame by its root and its name, "<seq>/NNNNNNNNNN"."""
+
+    def __init__(self, root: Path, name: str) -> None:
+        super().__init__(name)
+        self.root: Path = root
+        self.sequence, _, self.stem = name.partition("/")
+
+    @property
+    def scan_file(self) -> Path:
+        """The file of the scan."""
+        return _scans(self.root, self.sequence) / f"{self.stem}.bin"
+
+    @property
+    def image_file(self) -> Path:
+        """The file of the image, which may be missing."""
+        return self.root / "data_2d_raw" / self.sequence / CAMERA / "data_rect" / f"{self.stem}.png"
+
+    @property
+    def labels_file(self) -> Path:
+        """The file of the image's labels, which only a part of the images has."""
+        return self.root / "data_2d_semantics" / "train" / self.sequence / CAMERA / "semantic" / f"{self.stem}.png"
+
+    @cached_property
+    def scan(self) -> Scan:
+        """See Frame."""
+        return replace(read_bin(self.scan_file), name=self.name)
+
+    @cached_property
+    def image(self) -> np.ndarray | None:
+        """See Frame."""
+        return None if self.calibration is None or not self.image_file.is_file() else read_image(self.image_file, "RGB")
+
+    @cached_property
+    def camera_labels(self) -> np.ndarray | None:
+        """See Frame."""
+        if self.calibration is None or not self.labels_file.is_file():
+            return None
+        ids = read_image(self.labels_file)
+        if ids.ndim != 2 or ids.dtype != np.uint8 or ids.max() >= LABEL_IDS:
+            raise InputError(f"{self.labels_file}: holds no label ids of KITTI-360 (0 to {LABEL_IDS - 1}); replace it")
+        return LABELS[ids]
+
+    @cached_property
+    def calibration(self) -> Calibration | None:
+        """See Frame; None where there is neither an image nor labels."""
+        files = [path for path in (self.image_file, self.labels_file) if path.is_file()]
+        if not files:
+            return None
+        camera = calibration(self.root).camera
+        for path in files:
+            if (size := image_size(path)) != camera.size:
+                (width, height), (w, h) = size, camera.size
+                raise InputError(f"{path}: is {width}x{height}, but {FILES[0]} says {w}x{h}; take both from the data set")
+        return camera
+
+    @cached_property
+    def pose(self) -> np.ndarray | None:
+        """See Frame; None where poses.txt, which leaves out frames, has none."""
+        path = self.root / "data_poses" / self.sequence / "poses.txt"
+        T_world_ego = _poses(path, path.stat().st_mtime_ns).get(int(self.stem)) if path.is_file() else None
+        return None if T_world_ego is None else T_world_ego @ calibration(self.root).T_ego_lidar
+
+    def missing(self, part: str) -> str:
+        """See Frame."""
+        poses = self.root / "data_poses" / self.sequence / "poses.txt"
+        return {
+            "point_labels": f"{self.name}: KITTI-360 has no labels of single scans; name a segmenter that labels them with"
+            " --set options.segmenter=FILE",
+            "image": f"{self.image_file}: is missing; download the perspective images",
+            "calibration": f"{self.image_file}: is missing, and so are its labels; download the perspective images",
+            "camera_labels": f"{self.labels_file}: is missing; choose the split train or val, whose images are labelled",
+            "pose": f"{poses}: has no line for frame {int(self.stem)}; choose another split",
+        }.get(part) or super().missing(part)
+
+
+def is_one(root: Path) -> bool:
+    """Whether a folder is such a data set."""
+    return (root / SCANS).is_dir()
+
+
+def frames(root: Path, split: str) -> FrameList[Kitti360Frame]:
+    """Frames of a split. InputError where there is none.
+
+    split  of splits.json; "train" or "val": the data set's own lists of labelled images, of which those without a scan
+           are left out; "all", or the name of a sequence: all scans.
+    """
+    sequences = sorted(path.name for path in (root / SCANS).iterdir() if path.is_dir())
+    if split in listed_splits(root / "splits.json"):
+        names = list(_with_scans(root, listed_names(root / "splits.json", split), split))
+    elif split in ("train", "val"):
+        names = list(_with_scans(root, _labelled(root, split)))
+    elif split in ("all", *sequences):
+        names = [
+            f"{sequence}/{stem}"
+            for sequence in sequences
+            if split in ("all", sequence)
+            for stem in stems(_scans(root, sequence), ".bin")
+            if stem.isdecimal()
+        ]
+    else:
+        raise InputError(f"{root}: no split {split!r}" + closest(split, ("train", "val", "all", *sequences)))
+    if not names:
+        raise InputError(f"{root}: split {split!r} has no scan ({SCANS}/*/velodyne_points/data); complete the data set")
+    return FrameList("kitti-360", zip(names, [partial(Kitti360Frame, root)] * len(names), strict=True))
+
+
+def calibration(root: Path) -> Kitti360Calibration:
+    """The files of ROOT/calibration; InputError where one is missing or damaged."""
+    files = [root / "calibration" / name for name in FILES]
+    return _calibration(root, tuple(path.stat().st_mtime_ns if path.is_file() else 0 for path in files))
+
+
+@lru_cache(maxsize=4)
+def _calibration(root: Path, changed: tuple[int, ...]) -> Kitti360Calibration:  # noqa: ARG001 a part of the cache's key
+    perspective, cam_to_velo, cam_to_pose = (root / "calibration" / name for name in FILES)
+    rows = _rows(perspective)
+    P, R, S = (_numbers(perspective, rows, name, n) for name, n in (("P_rect_00", 12), ("R_rect_00", 9), ("S_rect_00", 2)))
+    P = P.reshape(3, 4)
+    K = matrix(perspective, {"P_rect_00": P[:, :3]}, "P_rect_00", (3, 3))
+    T_rectified_camera = _motion(perspective, "R_rect_00", np.column_stack([R.reshape(3, 3), np.linalg.solve(K, P[:, 3])]))
+    whole = {"the file": read_calibration(cam_to_velo)}
+    T_lidar_camera = _motion(cam_to_velo, "the file", _numbers(cam_to_velo, whole, "the file", 12).reshape(3, 4))
+    T_ego_camera = _motion(cam_to_pose, CAMERA, _numbers(cam_to_pose, _rows(cam_to_pose), CAMERA, 12).reshape(3, 4))
+    T_camera_lidar = np.linalg.inv(T_lidar_camera)
+    width, height = S.astype(int).tolist()
+    if min(width, height) < 1:
+        raise InputError(f"{perspective}: row S_rect_00: is no size of an image; take the file from the data set")
+    camera = Calibration(K=K / K[2, 2], T_camera_lidar=T_rectified_camera @ T_camera_lidar, size=(width, height))
+    return Kitti360Calibration(camera=camera, T_ego_lidar=T_ego_camera @ T_camera_lidar)
+
+
+def read_calibration(path: Path) -> str:
+    """The text of a file; InputError where it is missing or no text."""
+    try:
+        return read_text(path)
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not text"
+        raise InputError(f"{path}: cannot be read ({reason}); complete the data set") from error
+
+
+def _rows(path: Path) -> dict[str, str]:
+    """The rows "NAME: numbers" of a file."""
+    parts = (line.partition(":") for line in read_calibration(path).splitlines())
+    return {name.strip(): numbers for name, _, numbers in parts}
+
+
+def _numbers(path: Path, rows: Mapping[str, str], name: str, count: int) -> np.ndarray:
+    """The numbers (count,) float64 of a row."""
+    try:
+        numbers = np.array(rows.get(name, "").split(), dtype=np.float64)
+    except ValueError:
+        numbers = np.zeros(0)
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise InputError(f"{path}: {name} must hold {count} finite numbers; take the file from the data set")
+    return numbers
+
+
+def _motion(path: Path, name: str, rows: np.ndarray) -> np.ndarray:
+    """(4, 4) of a rotation and a translation (3, 4)."""
+    return matrix(path, {name: np.vstack([rows, [0, 0, 0, 1]])}, name, (4, 4))
+
+
+@lru_cache(maxsize=4)
+def _poses(path: Path, changed: int) -> dict[int, np.ndarray]:  # noqa: ARG001 a part of the cache's key
+    """Frame -> (4, 4) float64 pose of the vehicle's frame in the world, metres."""
+    lines = read_poses(path, 13, "a frame's number and 12 numbers a line, as KITTI-360 does")
+    poses = np.tile(np.eye(4), (len(lines), 1, 1))
+    poses[:, :3] = lines[:, 1:].reshape(-1, 3, 4)
+    return dict(zip(lines[:, 0].astype(int).tolist(), poses, strict=True))
+
+
+def _scans(root: Path, sequence: str) -> Path:
+    return root / SCANS / sequence / "velodyne_points" / "data"
+
+
+def _labelled(root: Path, split: str) -> list[str]:
+    """Names of the frames in the data set's list of labelled images; its lines begin with .../SEQ/image_00/data_rect/N.png."""
+    path = root / LISTS.format(split)
+    if not path.is_file():
+        raise InputError(
+            f"{path}: is missing, which says what the split {split!r} is; download the semantics, or write splits.json"
+        )
+    images = [Path(line.split()[0]).parts for line in read_calibration(path).splitlines() if line.strip()]
+    if not all(len(parts) >= 4 for parts in images):
+        raise InputError(f"{path}: must have lines .../SEQUENCE/{CAMERA}/data_rect/N.png; take it from the data set")
+    return [f"{sequence}/{Path(file).stem}" for *_, sequence, camera, _, file in images if camera == CAMERA]
+
+
+def _with_scans(root: Path, names: list[str], complete: str = "") -> Iterator[str]:
+    """The names whose scans are there; with a split's name (`complete`), a missing one is an InputError."""
+    for sequence, group in groupby(names, lambda name: name.partition("/")[0]):
+        there = set(stems(_scans(root, sequence), ".bin"))
+        for name in group:
+            stem = name.partition("/")[2]
+            if stem in there and stem.isdecimal():
+                yield name
+            elif complete:
+                raise InputError(f"{_scans(root, sequence)}: scan {stem}.bin of split {complete!r} is missing; complete it")
