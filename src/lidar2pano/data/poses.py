@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lidar2pano.bounded_files import read_text
-from lidar2pano.calibration import ROTATION_TOLERANCE, read_calib
+from lidar2pano.calibration import ROTATION_TOLERANCE, read_camera0
 from lidar2pano.errors import InputError
 from lidar2pano.scan import Scan
 
@@ -23,17 +23,17 @@ FARTHEST_M = 1e8  # a place is at most so far from the origin, whatever that is
 class LidarPoses:
     """The poses of a sequence's poses.txt. Its lines are poses of camera 0; line n is frame n, from 0.
 
-    path  the file;  rows: (N, 3, 4) float64, metres;  Tr: (4, 4) T_camera0_lidar.
+    path  the file;  rows: (N, 3, 4) float64, metres, NaN where the pose is unknown;  Tr: (4, 4) T_camera0_lidar.
     """
 
     path: Path
     rows: np.ndarray
     Tr: np.ndarray
 
-    def at(self, stem: str) -> np.ndarray:
+    def at(self, stem: str) -> np.ndarray | None:
         """(4, 4) float64 T_world_sensor of a frame, metres; the world is camera 0's frame at the sequence's start.
 
-        Raises InputError where the file has no line for the frame.
+        None where the frame's line is NaN: its pose is unknown. Raises InputError where the file has no line for the frame.
         """
         if not stem.isdecimal() or int(stem) >= len(self.rows):
             raise InputError(
@@ -41,7 +41,12 @@ class LidarPoses:
             )
         pose = np.eye(4)
         pose[:3] = self.rows[int(stem)]
-        return pose @ self.Tr
+        return None if np.isnan(pose).any() else pose @ self.Tr
+
+    def first(self) -> np.ndarray:
+        """The same of the first frame whose pose is known."""
+        known = (str(index) for index in range(len(self.rows)))
+        return next(pose for stem in known if (pose := self.at(stem)) is not None)
 
 
 def lidar_poses(sequence: Path) -> LidarPoses | None:
@@ -65,26 +70,17 @@ def _read_poses(sequence: Path, changed: tuple[int, ...]) -> LidarPoses:  # noqa
         raise InputError(
             f"{path}: cannot be read as poses ({error}); write 12 numbers a line, as KITTI does"
         ) from error
-    if rows.shape[1:] != (12,) or not np.isfinite(rows).all():
+    unknown = np.isnan(rows).all(axis=-1)
+    if rows.shape[1:] != (12,) or not np.isfinite(rows[~unknown]).all() or unknown.all():
         raise InputError(f"{path}: its lines must hold 12 finite numbers each (3x4), as KITTI's do")
     if (np.abs(rows) > FARTHEST_M).any():
         raise InputError(f"{path}: line {(np.abs(rows) > FARTHEST_M).any(1).argmax() + 1} is on no planet; write metres")
     rows = rows.reshape(-1, 3, 4)
-    R = rows[:, :, :3]
+    R = np.where(unknown[:, None, None], np.eye(3), rows[:, :, :3])
     wrong = (np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)) > ROTATION_TOLERANCE).any((1, 2)) | (np.linalg.det(R) < 0)
     if wrong.any():
         raise InputError(f"{path}: line {wrong.argmax() + 1} holds no rotation; take the file from the data set")
-    return LidarPoses(path, rows, _camera0_from_lidar(sequence))
-
-
-def _camera0_from_lidar(sequence: Path) -> np.ndarray:
-    """Tr of calib.txt; a Calibration knows it only together with the way from camera 0 to the colour camera."""
-    read_calib(sequence / "calib.txt", (1, 1))  # complains about whatever is wrong with the file
-    lines = read_text(sequence / "calib.txt").splitlines()
-    (row,) = [line.partition(":")[2] for line in lines if line.partition(":")[0].strip() == "Tr"]
-    Tr = np.eye(4)
-    Tr[:3] = np.array(row.split(), dtype=np.float64).reshape(3, 4)
-    return Tr
+    return LidarPoses(path, rows, read_camera0(sequence / "calib.txt"))
 
 
 class Poses:
@@ -99,8 +95,11 @@ class Poses:
         self._recorded = lidar_poses(folder.parent) if folder.name == "velodyne" else None
         self._estimate: Any = None if self._recorded else odometry()
 
-    def of(self, file: Path, scan: Scan) -> np.ndarray:
-        """(4, 4) float64 T_world_sensor, metres; InputError where poses.txt has no line for the scan."""
+    def of(self, file: Path, scan: Scan) -> np.ndarray | None:
+        """(4, 4) float64 T_world_sensor, metres, None where it is unknown.
+
+        Raises InputError where poses.txt has no line for the scan.
+        """
         if self._recorded:
             return self._recorded.at(file.stem)
         self._estimate.register_frame(scan.xyz[np.isfinite(scan.xyz).all(1)].astype(np.float64), np.empty(0))
