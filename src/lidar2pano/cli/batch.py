@@ -211,6 +211,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
                     "outputs": [str(path) for path in outputs],
                     "points": len(scan),
                     "dropped": panorama.dropped,
+                    "beyond_rows": panorama.beyond_rows,
                     "reading": found.as_dict(),
                     "milliseconds": {stage: round(value, 2) for stage, value in timer.milliseconds.items()},
                     "weights": options.weights,
