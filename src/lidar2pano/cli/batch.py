@@ -197,6 +197,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
                 scan, pose = _timed_pose(motion, waiting, scan, found, timer) if motion else (scan, None)
                 memory, panorama = pipeline.step(memory, scan, pose if options.smooth else None, timer)
                 complaints.doubt(found, waiting)  # a scan that failed has had its line
+                complaints.assume(found, waiting)
                 if not noted:  # before the first panorama is written
                     note_licence(pipeline.cards.values())
                 noted = True
