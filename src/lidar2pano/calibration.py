@@ -154,20 +154,47 @@ def read_calib(path: str | Path, size: tuple[int, int] = (1242, 375)) -> Calibra
     """
     path = Path(path)
     rows = _rows(path)
-    P2, Tr = (_matrix(path, rows, name) for name in ("P2", "Tr"))
-    K, R = P2[:, :3], Tr[:, :3]
+    P2 = _matrix(path, rows, "P2")
+    T = _camera0(path, rows)
+    K = P2[:, :3]
     if not is_camera_matrix(K):
         raise InputError(
             f"{path}: row P2: is no camera matrix (fx s cx, 0 fy cy, 0 0 1); take the row from KITTI's file"
         )
+    T[:3, 3] += np.linalg.solve(K, P2[:, 3])
+    _check_near(path, T)
+    return Calibration(K=K / K[2, 2], T_camera_lidar=T, size=size)
+
+
+def read_camera0(path: str | Path) -> np.ndarray:
+    """T_camera0_lidar (4, 4) float64, metres, of KITTI odometry's calib.txt: its row Tr, whatever else there is.
+
+    Raises InputError where the file or Tr is missing, not numbers, or no rotation.
+    """
+    path = Path(path)
+    T = _camera0(path, _rows(path))
+    _check_near(path, T)
+    return T
+
+
+def has_camera(path: str | Path) -> bool:
+    """Whether a calib.txt tells of a camera (P2), or of the axes of poses.txt alone; InputError where it is missing."""
+    return "P2" in _rows(Path(path))
+
+
+def _camera0(path: Path, rows: dict[str, str]) -> np.ndarray:
+    Tr = _matrix(path, rows, "Tr")
+    R = Tr[:, :3]
     if np.linalg.det(R) < 0 or not np.allclose(R @ R.T, np.eye(3), atol=ROTATION_TOLERANCE):
         raise InputError(f"{path}: row Tr: holds no rotation (LiDAR -> camera 0); take the row from KITTI's file")
     T = np.eye(4)
     T[:3] = Tr
-    T[:3, 3] += np.linalg.solve(K, P2[:, 3])
+    return T
+
+
+def _check_near(path: Path, T: np.ndarray) -> None:
     if np.abs(T[:3, 3]).max() > FARTHEST_CAMERA_M:
         raise InputError(f"{path}: the camera stands farther than {FARTHEST_CAMERA_M:g} m away; take KITTI's file")
-    return Calibration(K=K / K[2, 2], T_camera_lidar=T, size=size)
 
 
 def is_camera_matrix(K: np.ndarray) -> bool:

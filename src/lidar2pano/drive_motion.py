@@ -51,8 +51,7 @@ class DriveMotion:
         A scan without times stays as it is. The pose is None where the motion is unknown at that time.
         """
         if self._recorded is not None:
-            motion = SensorMotion((*self._recorded.links, np.linalg.inv(T_scan_cloud(found))))
-            pose = motion.pose(stamp_s)
+            motion, pose = _of_scan(self._recorded, found), self.pose(found, stamp_s)
             return (self._without_skew(scan, stamp_s, motion) if pose is not None else scan), pose
         if self._estimated is None:
             return scan, None
@@ -60,6 +59,10 @@ class DriveMotion:
         self._estimated.register_frame(scan.xyz[np.isfinite(scan.xyz).all(1)].astype(np.float64), np.empty(0))
         self._stamp_s = stamp_s
         return scan, self._estimated.last_pose.copy()
+
+    def pose(self, found: Interpretation, stamp_s: float) -> np.ndarray | None:
+        """T_world_sensor (4, 4) float64 of a scan, as it was recorded; None where that is unknown."""
+        return None if self._recorded is None else _of_scan(self._recorded, found).pose(stamp_s)
 
     def _last_motion(self, stamp_s: float) -> SensorMotion | None:
         """The motion if it goes on as between the two scans before; None at the beginning and after a gap."""
@@ -120,6 +123,11 @@ def posed_scans(
         if one.stream != stream:
             stream, motion = one.stream, motion_of(one.stream, one.scan, one.found, options, smooth=True)
         yield motion(one.file, one.scan, one.found) if motion else (one.scan, None)
+
+
+def _of_scan(recorded: SensorMotion, found: Interpretation) -> SensorMotion:
+    """The motion of a scan's own frame, by that of its cloud's frame."""
+    return SensorMotion((*recorded.links, np.linalg.inv(T_scan_cloud(found))))
 
 
 def T_scan_cloud(found: Interpretation) -> np.ndarray:

@@ -82,6 +82,7 @@ class Panorama:
     confidence    (h, w) float32 in [0, 1]: the translator's probability of the class in `segments`; 0 where nothing is
                   claimed. As the network gives it (ECE 0.05 to 0.11). None where it is not known.
     dropped       points that were not used (NaN, Inf, nearer than OWN_VEHICLE_M); they are labelled 0.
+    beyond_rows   points above or below the segmenter's rows: labelled like the pixels at the border nearest to them.
     milliseconds  time per stage.
     """
 
@@ -94,6 +95,7 @@ class Panorama:
     labels: np.ndarray
     confidence: np.ndarray | None = None
     dropped: int = 0
+    beyond_rows: int = 0
     milliseconds: Mapping[str, float] = field(default_factory=dict)
 
     def to_camera(self, calibration: Calibration | LensCalibration) -> CameraImage:

@@ -99,6 +99,7 @@ class Translated(NamedTuple):
     channels  (1, 5, H, W) float32: the scan's RangeImage.
     logits    (1, 16, H, W) of COMMON15;  depth_m (1, H, W) float32, metres.
     gaps_deg  sectors (left, right) of azimuth out of the sensor's field of view.
+    beyond_rows  number of points that could be used, but lie above or below the segmenter's rows.
     """
 
     name: str
@@ -108,6 +109,7 @@ class Translated(NamedTuple):
     logits: Tensor
     depth_m: Tensor
     gaps_deg: tuple[tuple[float, float], ...] = ()
+    beyond_rows: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -187,7 +189,8 @@ class Pipeline:
             channels = around.channels[None].contiguous(memory_format=torch.channels_last)
             condition = one_hot_layers(read.spread(ids)[None], CONDITIONS)
             logits, depth_m = self.translator(channels if read is around else read.channels[None], condition)
-        return Translated(scan.name, ids, image.dropped, channels, logits, depth_m, scan.gaps_deg)
+        beyond_rows = int((image.usable & ~image.inside).sum())
+        return Translated(scan.name, ids, image.dropped, channels, logits, depth_m, scan.gaps_deg, beyond_rows)
 
     @torch.inference_mode()
     def paint(
@@ -233,6 +236,7 @@ class Pipeline:
             confidence=confidence,
             labels=translated.labels.cpu().numpy(),
             dropped=translated.dropped,
+            beyond_rows=translated.beyond_rows,
             milliseconds=timer.milliseconds,
         )
         return Memory(frames=memory.frames + 1, painted=painted, previous=previous), panorama

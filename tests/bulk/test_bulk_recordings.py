@@ -18,16 +18,20 @@ pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
 from bulk_runs import assert_each_once, begin, contents, job_of, manifest, run
 from lidar2pano.bulk import Shard, entries
 from lidar2pano.bulk.entries import SEMANTIC_KITTI
+from lidar2pano.bulk.recorded_times import untimed, write_times
 from lidar2pano.bulk.scan_reading import ScanReading
-from lidar2pano.bulk.stores import SCRATCH, open_store
+from lidar2pano.bulk.stores import SCRATCH, Folder, open_store
 from lidar2pano.cli import main
 from lidar2pano.cli.bulk import BAD_SCANS, TERMINATED
+from lidar2pano.data.poses import lidar_poses
+from lidar2pano.data.semantic_kitti import open_frame
+from lidar2pano.drive_motion import posed_scans
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.formats.scan_files import read_bin, write_bin
 from lidar2pano.recordings import mcap_files
 from miniature import street
-from miniature_recordings import START_NS, STEP_NS, points, transform, write
+from miniature_recordings import START_NS, STEP_NS, TF, points, transform, write
 from stand_in_pipeline import StandIn
 
 COUNT = 12
@@ -71,13 +75,16 @@ def test_scans_of_a_recording_are_those_of_files(tmp_path, format):
     assert {f"town/{name}" for name in contents(tmp_path / "itself")} >= found.keys() - {"bulk.json"}
 
 
-def moving():
-    """A drive whose points have times and whose recording holds poses: `translate` takes out its skew."""
+def moving(turned: float = 0.0):
+    """A drive whose points have times and whose recording holds poses: `translate` takes out its skew.
+
+    turned  the direction in which it begins, radians.
+    """
     for number in range(5):
-        stamp_ns = START_NS + number * STEP_NS
+        stamp_ns, half = START_NS + number * STEP_NS, 0.01 * number + turned / 2
         for part in range(10):
             at_ns = stamp_ns + part * STEP_NS // 10
-            pose = (0.12 * (10 * number + part), 0, 0, 0, 0, np.sin(0.01 * number), np.cos(0.01 * number))
+            pose = (0.12 * (10 * number + part), 0, 0, 0, 0, np.sin(half), np.cos(half))
             yield transform(at_ns, "odom", "velodyne", pose)
         yield points(street(number, 4000), stamp_ns, time=np.linspace(0, 0.1, 4000, dtype=np.float32))
 
@@ -258,7 +265,7 @@ def test_a_recording_is_a_sequence(tmp_path, capsys):
     job = job_of(tmp_path / "in", tmp_path / "out", layout=SEMANTIC_KITTI)
     assert run(job) == 0
     sequence = tmp_path / "out" / "sequences" / "town-07"
-    assert sorted(path.name for path in sequence.iterdir()) == ["pano", "pano_depth", "velodyne"]
+    assert sorted(path.name for path in sequence.iterdir()) == ["pano", "pano_depth", "times.txt", "velodyne"]
     assert len(list((sequence / "pano").iterdir())) == COUNT
     scan = read_bin(sequence / "velodyne" / "000003.bin")
     np.testing.assert_array_equal(scan.xyz, street(3, 300).xyz)
@@ -268,6 +275,87 @@ def test_a_recording_is_a_sequence(tmp_path, capsys):
     write_bin(tmp_path / "in" / "town-07" / "a.bin", street(0, 300))
     with pytest.raises(InputError, match=r"'town/07.bag' and 'town-07' would both be sequence town-07|'town-07' and"):
         run(job)
+
+
+@pytest.mark.parametrize("format", ["bag", "mcap-plain"])
+def test_times_and_poses_of_a_recording(tmp_path, format):
+    """They are those with which `translate` reads the recording, though the data set is read as KITTI's."""
+    path = recorded(tmp_path / "in", format, sent=moving(turned=0.3))
+    job = job_of(tmp_path / "in", tmp_path / "out", layout=SEMANTIC_KITTI, selection=ReadOptions(every=4))
+    assert run(job) == 0
+    folder = tmp_path / "out" / "sequences" / "drive"
+    assert (folder / "times.txt").read_text() == "0.000000\n0.100000\n0.200000\n0.300000\n0.400000\n"
+    wanted = [pose for _, pose in posed_scans(path)]
+    found = lidar_poses(folder)
+    assert len(wanted) == 5 and np.ptp(np.array(wanted)[:, 0, 3]) > 4
+    for number, pose in enumerate(wanted):
+        motion = np.linalg.inv(found.at("0")) @ found.at(f"{number:06d}")
+        np.testing.assert_allclose(motion, np.linalg.inv(wanted[0]) @ pose, atol=1e-7)
+        np.testing.assert_allclose(open_frame(folder.parent, f"drive/{number:06d}").pose, motion, atol=1e-12)
+    np.testing.assert_allclose(found.rows[0], np.eye(4)[:3], atol=1e-9)  # the world is the first camera's frame
+    assert (found.rows[4, :, 3] @ [0, 0, 1]) > 4, "camera 0 looks along z"
+    again = job_of(tmp_path / "out", tmp_path / "painted", layout=SEMANTIC_KITTI)
+    assert run(again) == 0, "calib.txt tells of no camera, so that scans are painted as the recording's were"
+    for name in (f"sequences/drive/{part}" for part in ("times.txt", "poses.txt", "calib.txt", "pano/000004.png")):
+        assert (tmp_path / "painted" / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
+
+
+def test_what_is_unknown_of_times_and_poses(tmp_path):
+    """A scan before the first pose has none; a damaged one has the time at which it was recorded, and none."""
+    late = [one for one in moving() if one.type != TF or one.stamp_ns >= START_NS + 2 * STEP_NS]
+    late = [one._replace(stamp_ns=one.stamp_ns + 20_000_000) for one in late]
+    early = [points(street(9, 4000), START_NS - 10 * STEP_NS)._replace(stamp_ns=START_NS - 10 * STEP_NS + 20_000_000)]
+    late[-1].fields["data"] = late[-1].fields["data"][:100]
+    recorded(tmp_path / "in", "mcap", sent=[*early, *late])
+    assert run(job_of(tmp_path / "in", tmp_path / "out", layout=SEMANTIC_KITTI)) == BAD_SCANS
+    folder = tmp_path / "out" / "sequences" / "drive"
+    times = np.loadtxt(folder / "times.txt")
+    np.testing.assert_allclose(times, [0, 1, 1.1, 1.2, 1.3, 1.4], atol=1e-5)
+    poses = lidar_poses(folder)
+    assert poses.at("0") is None and poses.at("3") is not None and poses.at("5") is None
+    assert open_frame(folder.parent, "drive/000000").pose is None
+    with pytest.raises(InputError, match="or without this frame's pose"):
+        open_frame(folder.parent, "drive/000000").require("pose")
+
+
+def test_one_shard_writes_times(tmp_path):
+    """That which takes the last scans, of however many shards; another topic's poses are not this one's."""
+    recorded(tmp_path / "in", "db3", sent=moving())
+    assert run(job_of(tmp_path / "in", tmp_path / "whole", layout=SEMANTIC_KITTI)) == 0
+    for count in (2, 9):
+        job, shards = job_of(tmp_path / "in", tmp_path / str(count), layout=SEMANTIC_KITTI), range(count)
+        found = [entries(open_store(tmp_path / "in"), Shard(index, count), SEMANTIC_KITTI) for index in shards]
+        assert sum(len(untimed(job, found[index], Shard(index, count))) for index in shards) == 1
+        for index in shards:
+            assert run(job, Shard(index, count)) == 0
+        assert contents(tmp_path / str(count)) == contents(tmp_path / "whole")
+
+
+def test_times_that_a_kill_has_cost(tmp_path, monkeypatch):
+    recorded(tmp_path / "in", "db3", sent=moving())
+    job = job_of(tmp_path / "in", tmp_path / "out", layout=SEMANTIC_KITTI)
+    assert run(job) == 0
+    whole, folder = contents(tmp_path / "out"), tmp_path / "out" / "sequences" / "drive"
+    (sequence,) = untimed(job_of(tmp_path / "in", tmp_path / "new", layout=SEMANTIC_KITTI), entries(
+        open_store(tmp_path / "in"), Shard(), SEMANTIC_KITTI), Shard())  # fmt: skip
+    for lost in (["times.txt"], ["times.txt", "poses.txt"], ["times.txt", "poses.txt", "calib.txt"]):
+        for name in lost:
+            (folder / name).unlink()
+        assert not write_times(job, sequence, lambda: True) and not (folder / "times.txt").exists()
+        assert run(job) == 0 and contents(tmp_path / "out") == whole
+
+    def killed(store: Folder, file: Path, name: str) -> None:
+        if name.endswith("poses.txt"):
+            raise InputError("killed")
+        put(store, file, name)
+
+    put = Folder.put
+    monkeypatch.setattr(Folder, "put", killed)
+    for name in ("times.txt", "poses.txt"):
+        (folder / name).unlink()
+    with pytest.raises(InputError, match="killed"):
+        run(job)
+    assert not (folder / "times.txt").exists(), "it would say that poses.txt is there"
 
 
 def test_labels_are_of_no_recording(tmp_path, capsys):

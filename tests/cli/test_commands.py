@@ -141,6 +141,7 @@ def test_json_lines(here, translate, random_weights):
             "outputs": [f"o/{stem}.png", f"o/{stem}.label"],
             "points": 4000,
             "dropped": dropped,
+            "beyond_rows": 0,
             "weights": str(random_weights),
             "device": "cpu",
             "engine": "torch",

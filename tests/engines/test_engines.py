@@ -216,6 +216,17 @@ def test_auto_compiles_nothing_and_takes_what_was_compiled(builds):
     assert len(builds) == 1 and None not in chosen._runs.values()
 
 
+def test_auto_asks_no_engine_where_nothing_was_compiled(builds, monkeypatch):
+    asked = []
+    monkeypatch.setattr(TorchEngine, "conditions", lambda self: asked.append(self) or "as ever")
+    inputs = inputs_of("titan-pano")
+    forward_of(TorchEngine(), optional=True)(*inputs)
+    assert not asked, "importing an engine takes longer than loading a network"
+    forward_of(TorchEngine())(*inputs)
+    forward_of(TorchEngine(), optional=True)(*inputs)
+    assert len(asked) == 2 and len(builds) == 1
+
+
 def test_an_engine_that_fails(builds):
     inputs, network = inputs_of("titan-pano"), network_of("titan-pano")
     logits, _ = forward_of(TorchEngine(failure="no kernel\nfor this"), optional=True)(*inputs)

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 import sample_files as made
+from lidar2pano.cli import main
 from lidar2pano.errors import InputError
+from lidar2pano.formats import interpretation
 from lidar2pano.formats.beams import find_beams
 from lidar2pano.formats.ground_plane import blind_radii, fit_ground
-from lidar2pano.formats.interpretation import STAND_IN, Overrides, interpret
+from lidar2pano.formats.interpretation import SENSOR_HEIGHT_M, STAND_IN, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import interpreted, scan_files
 from lidar2pano.formats.viewpoint import horizontal_centre, sharpest_origin
@@ -119,6 +121,44 @@ def test_a_vehicles_frame_is_left_for_the_sensors():
     scan, found = interpret(cloud(XYZ + mount), Overrides(sensor_height_m=2.5))
     assert found.ground_m == pytest.approx(2.5, abs=0.05) and found.viewpoint_by == "--sensor-height"
     np.testing.assert_allclose(scan.xyz[:, 2].min(), -2.5, atol=0.05)
+
+
+def test_what_is_assumed_of_a_merged_cloud_is_said(tmp_path, capsys, random_weights):
+    """Two sensors in a vehicle's frame: no point of the vehicle is one from which the beams are sharp."""
+    blur = np.random.default_rng(0).normal(0, 0.1, XYZ.shape)  # motion was compensated
+    merged = np.concatenate([XYZ[::2] + (1.8, 0.4, 1.8), XYZ[1::2] + (-1.2, -0.5, 1.8)]) + blur
+    _, found = interpret(cloud(merged))
+    assert found.assumed_height_m == SENSOR_HEIGHT_M
+    assert found.viewpoint_by.startswith("assumed 1.73 m above the ground")
+    assert found.ground_m == pytest.approx(SENSOR_HEIGHT_M, abs=0.01)
+    assert interpret(cloud(merged), None, found)[1].assumed_height_m == SENSOR_HEIGHT_M
+    _, named = interpret(cloud(merged), Overrides(sensor_height_m=1.9))
+    assert named.assumed_height_m is None and named.ground_m == pytest.approx(1.9, abs=0.01)
+    assert interpret(cloud())[1].assumed_height_m is None
+    np.save(tmp_path / "merged.npy", np.column_stack([merged, FORMS]).astype(np.float32))
+    assert main(["inspect", str(tmp_path / "merged.npy")]) == 0
+    assert "1.73 m below it (assumed; name the height with --sensor-height)" in capsys.readouterr().out
+    options = [
+        str(tmp_path / "merged.npy"),
+        "--out",
+        str(tmp_path),
+        "--weights",
+        str(random_weights),
+        "--device",
+        "cpu",
+    ]
+    assert main(["translate", *options]) == 0
+    warning = "merged.npy: the sensor is assumed 1.73 m above the ground, since its place cannot be found"
+    assert capsys.readouterr().err.count(warning) == 1
+    assert main(["translate", *options, "--sensor-height", "1.9", "--json"]) == 0
+    captured = capsys.readouterr()
+    assert "assumed" not in captured.err and '"assumed_height_m": null' in captured.out
+
+
+def test_no_sensor_is_on_the_ground(monkeypatch):
+    monkeypatch.setattr(interpretation, "sharpest_origin", lambda _, start: start - (0, 0, 1.5))
+    _, found = interpret(cloud(XYZ + (1.2, 0.0, 1.45)))
+    assert found.assumed_height_m == SENSOR_HEIGHT_M and found.ground_m == SENSOR_HEIGHT_M
 
 
 def test_coordinates_with_an_offset_come_back():

@@ -249,3 +249,28 @@ def test_a_card_cannot_make_the_network_fill_the_memory(tmp_path: Path, monkeypa
     _tampered(path, _with(path, settings={"image_channels": 10**9, "conditions": 4, "width": 2}))
     _assert_refused(path, "has shape")
     assert built == [torch.device("meta")]
+
+
+def test_a_network_is_built_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, built = tmp_path / "weights", []
+    _written(path)
+    monkeypatch.setattr(card, "build", lambda *a, **k: built.append(torch.get_default_device()) or build(*a, **k))
+    network, _ = card.load(path)
+    assert built == [torch.device("meta")]
+    before = {key: tensor.clone() for key, tensor in network.state_dict().items()}
+    assert not any(tensor.is_meta for tensor in (*before.values(), *network.buffers()))
+    assert {tensor.dtype for tensor in before.values() if tensor.is_floating_point()} == {torch.float32}
+    path.write_bytes(bytes(path.stat().st_size))  # in place: the network's tensors are not those of the file
+    assert all(torch.equal(tensor, before[key]) for key, tensor in network.state_dict().items())
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.float64])
+def test_what_is_finite(dtype: torch.dtype) -> None:
+    largest = torch.full((9,), torch.finfo(dtype).max, dtype=dtype)  # whose sum is infinite
+    assert card._is_finite(largest) and card._is_finite(torch.ones(3, dtype=torch.int64))
+    for bad in (torch.inf, -torch.inf, torch.nan):
+        values = torch.ones(9, dtype=dtype)
+        values[4] = bad
+        assert not card._is_finite(values)
+        values[5] = -bad  # the two do not cancel out
+        assert not card._is_finite(values)

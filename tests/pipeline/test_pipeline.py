@@ -160,6 +160,16 @@ def test_the_vehicle_itself_is_not_in_the_image(pipeline):
     assert np.array_equal(found.depth_m, plain.depth_m)
 
 
+def test_points_beyond_the_segmenters_rows_are_counted(pipeline):
+    scan = street()
+    plain, xyz = pipeline(scan), scan.xyz.copy()
+    xyz[:7, 2] = np.hypot(xyz[:7, 0], xyz[:7, 1])  # 45 degrees above the horizon
+    xyz[7:10] = (0.3, 0, -1.7)
+    xyz[10:12] = np.nan
+    found = pipeline(replace(scan, xyz=xyz))
+    assert (found.beyond_rows - plain.beyond_rows, found.dropped) == (10, 2)
+
+
 def test_nothing_is_claimed_out_of_the_field_of_view(pipeline):
     whole, part = pipeline(street()), pipeline(replace(street(), gaps_deg=((-90.0, -270.0),)))
     quarter = part.segments.shape[1] // 4  # the columns run from 180 down to -180 degrees

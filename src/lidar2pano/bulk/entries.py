@@ -93,6 +93,10 @@ class Shard:
         """Whether the scan of this name is the shard's: by the hash of the name alone, whatever else there is."""
         return _hash(name) % self.count == self.index
 
+    def takes_end(self, name: str) -> bool:
+        """Whether the shard takes the last scans of the recording of this name, as exactly one shard does."""
+        return (self.index - _hash(name)) % self.count == self.count - 1
+
     def part(self, name: str, numbers: Sequence[int]) -> Sequence[int]:
         """The shard's scans of the recording of this name: consecutive ones, as many as other shards', or one more."""
         place = (self.index - _hash(name)) % self.count

@@ -19,7 +19,7 @@ from lidar2pano.bulk.instances import instance_raster
 from lidar2pano.bulk.manifest import line
 from lidar2pano.bulk.scan_reading import Request, ScanReading
 from lidar2pano.bulk.stores import Store, local_copy, open_store
-from lidar2pano.calibration import read_calib
+from lidar2pano.calibration import has_camera, read_calib
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import COLOUR_FORMATS, write_ids, write_whole
 from lidar2pano.formats.readers import ReadOptions
@@ -194,9 +194,9 @@ class Worker:
 
 @lru_cache(maxsize=8)
 def _at_sequence_camera(worker: Worker, calibration: str) -> Pipeline:
-    """The pipeline with the viewpoint of a sequence's camera."""
+    """The pipeline with the viewpoint of a sequence's camera, where it has one."""
     with worker.source.local(calibration) as path:
-        return worker.pipeline.at(read_calib(path))
+        return worker.pipeline.at(read_calib(path)) if has_camera(path) else worker.pipeline
 
 
 def copy_beside(source: Store, out: Store, name: str, target: str) -> None:

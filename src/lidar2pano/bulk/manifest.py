@@ -23,6 +23,7 @@ class Manifest:
     """
 
     def __init__(self, store: Store, shard: Shard) -> None:
+        self.shard = shard
         self.name = f"{FOLDER}/{shard.index}-of-{shard.count}.jsonl"
         self._store = store
         self._lines: list[bytes] = []  # only where files cannot grow

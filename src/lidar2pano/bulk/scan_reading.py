@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
 from lidar2pano.bulk.entries import Entry
 from lidar2pano.bulk.stores import Store, local_copy
 from lidar2pano.drive_motion import DriveMotion
@@ -161,8 +163,27 @@ class OpenRecording:
         """The scan of that number; InputError where it is damaged."""
         frame = self._opened.frame(number)
         like = None if number == self._first else self._like
-        recorded = self._opened.motion(number, self._like.frame) if self._like and self._has_times else None
-        return RecordedScan(frame, like, DriveMotion(*recorded, estimate=False) if recorded else None)
+        return RecordedScan(frame, like, self._motion(number) if self._has_times else None)
+
+    def pose(self, number: int) -> tuple[float, np.ndarray | None]:
+        """When that scan was taken, seconds since the epoch, and T_world_sensor (4, 4) float64 then, None if unknown.
+
+        Raises InputError where it is damaged.
+        """
+        cloud = self._opened.frame(number).cloud()
+        stamp_s = cloud.stamp_s or self._opened.recorded_s(number)
+        try:
+            if (motion := self._motion(number)) is None:
+                return stamp_s, None
+            _, found = interpret(cloud, None, None if number == self._first else self._like)
+            return stamp_s, motion.pose(found, stamp_s)
+        except InputError:  # it is no sweep, or the poses are damaged
+            return stamp_s, None
+
+    def _motion(self, number: int) -> DriveMotion | None:
+        """The motion of the sensor around the time of a scan, where the recording holds it."""
+        recorded = self._opened.motion(number, self._like.frame) if self._like else None
+        return DriveMotion(*recorded, estimate=False) if recorded else None
 
 
 def file_hash(path: Path) -> str:

@@ -197,6 +197,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
                 scan, pose = _timed_pose(motion, waiting, scan, found, timer) if motion else (scan, None)
                 memory, panorama = pipeline.step(memory, scan, pose if options.smooth else None, timer)
                 complaints.doubt(found, waiting)  # a scan that failed has had its line
+                complaints.assume(found, waiting)
                 if not noted:  # before the first panorama is written
                     note_licence(pipeline.cards.values())
                 noted = True
@@ -211,6 +212,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
                     "outputs": [str(path) for path in outputs],
                     "points": len(scan),
                     "dropped": panorama.dropped,
+                    "beyond_rows": panorama.beyond_rows,
                     "reading": found.as_dict(),
                     "milliseconds": {stage: round(value, 2) for stage, value in timer.milliseconds.items()},
                     "weights": options.weights,

@@ -231,6 +231,7 @@ def work(job: Job, found: list[Entry], manifest: Manifest, translate: Translate)
     todo = remaining(job, found, manifest)
     with until_terminated() as stopped:
         written, bad = consume(translate(job, todo, stopped), len(todo), manifest)
+        timed = write_all_times(job, found, manifest.shard, stopped)
         terminated = stopped()
     before = len(found) - len(todo)
     left = len(todo) - written - bad
@@ -239,10 +240,24 @@ def work(job: Job, found: list[Entry], manifest: Manifest, translate: Translate)
         f"{len(found)} scan{'s' * (len(found) != 1)}: "
         + ", ".join(f"{count} {name}" for count, name in counts if count)
     )
-    if terminated and left:
-        complain(f"stopped with {left} scans left; repeat the command to go on")
+    if terminated and (left or not timed):
+        complain(f"stopped {f'with {left} scans left' if left else 'before times.txt'}; repeat the command to go on")
         return TERMINATED
     return BAD_SCANS if bad else 0
+
+
+def write_all_times(job: Job, found: list[Entry], shard: Shard, stopped: Callable[[], bool]) -> bool:
+    """Write times.txt and poses.txt of recordings in a data set's layout; false where it was stopped before all are."""
+    from lidar2pano.bulk.recorded_times import untimed, write_times
+    from lidar2pano.cli.progress import bar
+
+    sequences = untimed(job, found, shard)
+    with bar(len(sequences), "reading poses") as advance:
+        for one in sequences:
+            if stopped() or not write_times(job, one, stopped):
+                return False
+            advance()
+    return True
 
 
 def consume(records: Iterable[dict[str, Any]], total: int, manifest: Manifest) -> tuple[int, int]:

@@ -109,7 +109,9 @@ def lines_of(record: dict[str, Any]) -> list[str]:
     x, y, z = record["viewpoint_m"]
     lines.append(_line("viewpoint", f"({x:g}, {y:g}, {z:g}) m: {record['viewpoint_by']}"))
     if record["ground_m"] is not None:
-        lines.append(_line("ground", f"{record['ground_m']:g} m below it, tilted by {record['tilt_deg']:g} degrees"))
+        assumed = " (assumed; name the height with --sensor-height)" if record["assumed_height_m"] else ""
+        tilt = f"tilted by {record['tilt_deg']:g} degrees"
+        lines.append(_line("ground", f"{record['ground_m']:g} m below it{assumed}, {tilt}"))
     else:
         lines.append(_line("ground", "none found"))
     lines.append(_line("remission", _remission(record)))

@@ -93,6 +93,7 @@ class Complaints:
 
     def __init__(self) -> None:
         self.failed = False
+        self._assumed: set[Path] = set()
         self._doubts: set[tuple[Path, str]] = set()
         self._recording: Path | None = None
         self._first, self._more = "", 0
@@ -114,6 +115,15 @@ class Complaints:
             if (scan.stream, text) not in self._doubts:
                 self._doubts.add((scan.stream, text))
                 complain(f"{scan.title}: {text} (a warning; --strict makes it an error)")
+
+    def assume(self, found: Interpretation, scan: QueuedScan) -> None:
+        """Say once for each stream where the sensor was put, if that is an assumption."""
+        if found.assumed_height_m is not None and scan.stream not in self._assumed:
+            self._assumed.add(scan.stream)
+            complain(
+                f"{scan.title}: the sensor is assumed {found.assumed_height_m:g} m above the ground, since its place"
+                " cannot be found; name its height with --sensor-height"
+            )
 
     def flush(self) -> None:
         """Report what is held back."""

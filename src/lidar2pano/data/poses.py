@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lidar2pano.bounded_files import read_text
-from lidar2pano.calibration import ROTATION_TOLERANCE, read_calib
+from lidar2pano.calibration import ROTATION_TOLERANCE, read_camera0
 from lidar2pano.errors import InputError
 from lidar2pano.scan import Scan
 
@@ -23,17 +23,17 @@ FARTHEST_M = 1e8  # a place is at most so far from the origin, whatever that is
 class LidarPoses:
     """The poses of a sequence's poses.txt. Its lines are poses of camera 0; line n is frame n, from 0.
 
-    path  the file;  rows: (N, 3, 4) float64, metres;  Tr: (4, 4) T_camera0_lidar.
+    path  the file;  rows: (N, 3, 4) float64, metres, NaN where the pose is unknown;  Tr: (4, 4) T_camera0_lidar.
     """
 
     path: Path
     rows: np.ndarray
     Tr: np.ndarray
 
-    def at(self, stem: str) -> np.ndarray:
+    def at(self, stem: str) -> np.ndarray | None:
         """(4, 4) float64 T_world_sensor of a frame, metres; the world is camera 0's frame at the sequence's start.
 
-        Raises InputError where the file has no line for the frame.
+        None where the frame's line is NaN: its pose is unknown. Raises InputError where the file has no line for the frame.
         """
         if not stem.isdecimal() or int(stem) >= len(self.rows):
             raise InputError(
@@ -41,7 +41,12 @@ class LidarPoses:
             )
         pose = np.eye(4)
         pose[:3] = self.rows[int(stem)]
-        return pose @ self.Tr
+        return None if np.isnan(pose).any() else pose @ self.Tr
+
+    def first(self) -> np.ndarray:
+        """The same of the first frame whose pose is known."""
+        known = (str(index) for index in range(len(self.rows)))
+        return next(pose for stem in known if (pose := self.at(stem)) is not None)
 
 
 def lidar_poses(sequence: Path) -> LidarPoses | None:
@@ -60,11 +65,11 @@ def lidar_poses(sequence: Path) -> LidarPoses | None:
 def _read_poses(sequence: Path, changed: tuple[int, ...]) -> LidarPoses:  # noqa: ARG001 a part of the cache's key
     path = sequence / "poses.txt"
     rows = read_poses(path, 12, "12 numbers a line, as KITTI does").reshape(-1, 3, 4)
-    return LidarPoses(path, rows, _camera0_from_lidar(sequence))
+    return LidarPoses(path, rows, read_camera0(sequence / "calib.txt"))
 
 
 def read_poses(path: Path, numbers: int, form: str) -> np.ndarray:
-    """The lines (N, numbers) float64 of a text file; the last twelve numbers of each are a pose (3x4), metres.
+    """The lines (N, numbers) float64 of a text file; the last twelve numbers of each are a pose (3x4), metres, or NaN.
 
     form  of its lines, for the message.
     Raises InputError where the file is missing or damaged, or a line holds no pose.
@@ -73,26 +78,18 @@ def read_poses(path: Path, numbers: int, form: str) -> np.ndarray:
         lines = np.loadtxt(io.StringIO(read_text(path)), ndmin=2)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as poses ({error}); write {form}") from error
-    if lines.shape[1:] != (numbers,) or not np.isfinite(lines).all():
+    poses = lines[:, -12:]
+    unknown = np.isnan(poses).all(axis=-1)
+    known = np.isfinite(lines[~unknown]).all() and np.isfinite(lines[:, :-12]).all()
+    if lines.shape[1:] != (numbers,) or not known or unknown.all():
         raise InputError(f"{path}: its lines must hold {numbers} finite numbers each; write {form}")
-    rows = lines[:, -12:].reshape(-1, 3, 4)
-    if (far := (np.abs(rows) > FARTHEST_M).any((1, 2))).any():
+    if (far := (np.abs(poses) > FARTHEST_M).any(1)).any():
         raise InputError(f"{path}: line {far.argmax() + 1} is on no planet; write metres")
-    R = rows[:, :, :3]
+    R = np.where(unknown[:, None, None], np.eye(3), poses.reshape(-1, 3, 4)[:, :, :3])
     wrong = (np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)) > ROTATION_TOLERANCE).any((1, 2)) | (np.linalg.det(R) < 0)
     if wrong.any():
         raise InputError(f"{path}: line {wrong.argmax() + 1} holds no rotation; take the file from the data set")
     return lines
-
-
-def _camera0_from_lidar(sequence: Path) -> np.ndarray:
-    """Tr of calib.txt; a Calibration knows it only together with the way from camera 0 to the colour camera."""
-    read_calib(sequence / "calib.txt", (1, 1))  # complains about whatever is wrong with the file
-    lines = read_text(sequence / "calib.txt").splitlines()
-    (row,) = [line.partition(":")[2] for line in lines if line.partition(":")[0].strip() == "Tr"]
-    Tr = np.eye(4)
-    Tr[:3] = np.array(row.split(), dtype=np.float64).reshape(3, 4)
-    return Tr
 
 
 class Poses:
@@ -107,8 +104,11 @@ class Poses:
         self._recorded = lidar_poses(folder.parent) if folder.name == "velodyne" else None
         self._estimate: Any = None if self._recorded else odometry()
 
-    def of(self, file: Path, scan: Scan) -> np.ndarray:
-        """(4, 4) float64 T_world_sensor, metres; InputError where poses.txt has no line for the scan."""
+    def of(self, file: Path, scan: Scan) -> np.ndarray | None:
+        """(4, 4) float64 T_world_sensor, metres, None where it is unknown.
+
+        Raises InputError where poses.txt has no line for the scan.
+        """
         if self._recorded:
             return self._recorded.at(file.stem)
         self._estimate.register_frame(scan.xyz[np.isfinite(scan.xyz).all(1)].astype(np.float64), np.empty(0))

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar2pano.calibration import Calibration, read_calib
+from lidar2pano.calibration import Calibration, has_camera, read_calib
 from lidar2pano.data.frames import Frame, FrameList, PanoramaGroundTruth
 from lidar2pano.data.labelled_images import read_train_ids
 from lidar2pano.data.poses import lidar_poses
@@ -116,9 +116,10 @@ class SemanticKittiFrame(Frame):
 
     @cached_property
     def pose(self) -> np.ndarray | None:
-        """See Frame; the world is the sensor's frame at the sequence's first pose. None without poses.txt."""
+        """See Frame; the world is the sensor's frame at the sequence's first pose. None where it is unknown."""
         poses = lidar_poses(self.folder)
-        return None if poses is None else np.linalg.inv(poses.at("0")) @ poses.at(self.stem)
+        pose = None if poses is None else poses.at(self.stem)
+        return None if poses is None or pose is None else np.linalg.inv(poses.first()) @ pose
 
     @cached_property
     def panorama(self) -> PanoramaGroundTruth | None:
@@ -132,8 +133,9 @@ class SemanticKittiFrame(Frame):
         size = (view.rows, view.columns)
         _check(self.file("pano"), image, (*size, 3), np.uint8)
         labels, steps, openings = (self._beside(part, size, of) for part, of in _PANORAMA_PARTS.items())
+        calib = self.folder / "calib.txt"
         return PanoramaGroundTruth(
-            view=at_camera(view, read_calib(self.folder / "calib.txt")),
+            view=at_camera(view, read_calib(calib)) if has_camera(calib) else view,
             image=image,
             valid=np.ones(size, dtype=bool),
             labels=labels,
@@ -168,7 +170,7 @@ class SemanticKittiFrame(Frame):
             "camera_labels": f"{self.file('camera_labels')}: is missing; label the camera's images first:"
             " lidar2pano prepare ROOT --teacher ...",
             "calibration": f"{self.file('image_2')}: no image (.png or .jpg) goes with this scan, nor camera labels",
-            "pose": f"{self.folder / 'poses.txt'}: is missing; write a line of 12 numbers per frame, as KITTI does",
+            "pose": f"{self.folder / 'poses.txt'}: is missing, or without this frame's pose; write a line of 12 numbers per frame, as KITTI does",
             "panorama": f"{self.file('pano')}: is missing; only simulated data sets (lidar2pano world) have panoramas",
         }.get(part) or super().missing(part)
 

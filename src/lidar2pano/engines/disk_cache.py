@@ -31,6 +31,11 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lidar2pano" / "engines"
 
 
+def is_empty() -> bool:
+    """Whether nothing was ever stored."""
+    return next(cache_folder().glob(f"*{ENDING}"), None) is None
+
+
 def fetch(key: str) -> bytes | None:
     """What was stored under a key; None where nothing was, or the file is damaged."""
     path = cache_folder() / f"{key}{ENDING}"

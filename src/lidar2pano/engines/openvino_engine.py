@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import sys
-from functools import cache, cached_property
+from functools import cache
 from typing import Any
 
 import torch
@@ -29,7 +29,7 @@ class OpenVino:
     def conditions(self) -> str:
         """Versions, processor, arithmetic; not the number of threads."""
         names = ("FULL_DEVICE_NAME", "OPTIMIZATION_CAPABILITIES")
-        processor = [self._core.get_property("CPU", name) for name in names]
+        processor = [_core().get_property("CPU", name) for name in names]
         return json.dumps([openvino().__version__, torch.__version__, processor, _precision(), "channels last"])
 
     def build(self, network: nn.Module, model: str, shapes: tuple[Shape, ...]) -> bytes:  # noqa: ARG002
@@ -41,12 +41,12 @@ class OpenVino:
         graph.reshape(dict(zip(graph.inputs, map(list, shapes), strict=True)))
         graph = _channels_last(graph, shapes)
         stream = io.BytesIO()
-        self._core.compile_model(graph, "CPU", _settings()).export_model(stream)
+        _core().compile_model(graph, "CPU", _settings()).export_model(stream)
         return stream.getvalue()
 
     def open(self, compiled: bytes, device: torch.device) -> Run:  # noqa: ARG002 it is the CPU
         """A compiled model; its outputs are written into tensors of ours."""
-        request = self._core.import_model(compiled, "CPU", _settings()).create_infer_request()
+        request = _core().import_model(compiled, "CPU", _settings()).create_infer_request()
         taken = [DTYPES[each.element_type.to_string()] for each in request.model_inputs]
         wanted = [(tuple(each.shape), DTYPES[each.element_type.to_string()]) for each in request.model_outputs]
 
@@ -62,9 +62,11 @@ class OpenVino:
 
         return run
 
-    @cached_property
-    def _core(self) -> Any:  # noqa: ANN401
-        return openvino().Core()
+
+@cache
+def _core() -> Any:  # noqa: ANN401
+    """What compiles for all networks of the process."""
+    return openvino().Core()
 
 
 def _channels_last(graph: Any, shapes: tuple[Shape, ...]) -> Any:  # noqa: ANN401

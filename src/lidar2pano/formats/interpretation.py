@@ -17,6 +17,8 @@ from lidar2pano.scan import Scan
 NO_RETURN = 0.01  # nearer to the origin, in the cloud's unit, there was no echo
 FEWEST = 1000  # usable points; fewer decide nothing: they are taken as they are
 SENSOR_HEIGHT_M = 1.73  # above the road, of the sensor that the networks were trained with (KITTI's HDL-64E)
+ASSUMED = "assumed"  # the first word of why a viewpoint is where it is, where nothing told
+LOWEST_SENSOR_M = 0.4  # above the ground; a point that is lower is none from which beams came
 STAND_IN = 0.25  # remission of all points where there is none: costs least, see runs/remission_stand_in.py
 SCALES = (1.0, 255.0, 65535.0)
 FULL_SHARE = 1 / 16  # the 99th percentile of 16 bit remissions is not below this share of the scale
@@ -37,6 +39,17 @@ SLIVER_DEG = 2.0  # a few stray points between two gaps
 SAMPLE = 40_000  # points that geometry is found by
 FORWARD_RATIO, FORWARD_RATIO_OF_THREE = 1.2, 1.5  # of the ground that a car hides before and behind to that beside it
 CAR_BLIND_M, CAR_HEIGHT_M = 3.7, (1.4, 2.6)  # it hides so much of the ground; sensors stand so high on cars
+# Of an Interpretation, what all scans of a stream share.
+GEOMETRY = (
+    "unit_m",
+    "viewpoint_m",
+    "viewpoint_by",
+    "forward",
+    "forward_by",
+    "ground_m",
+    "tilt_deg",
+    "assumed_height_m",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +87,7 @@ class Interpretation:
     viewpoint_by         why that one.
     forward, forward_by  the axis that points forward, and why that one.
     ground_m             height of the sensor's origin above the ground, None where none was found; tilt_deg of it.
+    assumed_height_m     the same where the origin was put there by assumption, None where it was found or named.
     remission            how it was scaled: "0-1", "0-255", "0-65535", "min-max" or "none"; remission_full: the value
                          that became 1, None where all points have the stand-in.
     gaps_deg             sectors (left, right) of azimuth out of the field of view, counter-clockwise from forward.
@@ -95,6 +109,7 @@ class Interpretation:
     forward_by: str = "convention"
     ground_m: float | None = None
     tilt_deg: float | None = None
+    assumed_height_m: float | None = None
     remission: str = "0-1"
     remission_full: float | None = 1.0
     gaps_deg: tuple[tuple[float, float], ...] = ()
@@ -219,8 +234,7 @@ def _geometry(
     """Unit, viewpoint, ground and forward axis of a cloud, by (N, 3) float64 of its points."""
     away = _is_offset(sample)
     if like and not away and overrides.sensor_height_m is None:
-        same = ("unit_m", "viewpoint_m", "viewpoint_by", "forward", "forward_by", "ground_m", "tilt_deg")
-        return replace(found, **{name: getattr(like, name) for name in same})
+        return replace(found, **{name: getattr(like, name) for name in GEOMETRY})
     most = float(np.percentile(np.linalg.norm(sample, axis=1), 99))
     if not away and FAR_M < most < 1000 * FAR_M:
         found = replace(found, unit_m=1e-3)
@@ -234,6 +248,7 @@ def _geometry(
         )
     ground = fit_ground(sample)
     viewpoint, why = _viewpoint(sample, ground, overrides, away)
+    found = replace(found, assumed_height_m=SENSOR_HEIGHT_M if why.startswith(ASSUMED) else None)
     sample = sample - viewpoint
     if ground:
         height_m = float(viewpoint[2]) - ground.height_m
@@ -287,8 +302,8 @@ def _viewpoint(sample: np.ndarray, ground: Ground | None, overrides: Overrides, 
     start = np.array([0, 0, floor_m + SENSOR_HEIGHT_M])
     standing = sample[np.abs(sample[:, 2] - floor_m) > STANDING_M]  # from the ground itself, the ground is a sharp line
     found = sharpest_origin(standing, start)
-    if (found == start).all():
-        return start, f"assumed {SENSOR_HEIGHT_M} m above the ground, since {why}"
+    if (found == start).all() or found[2] - floor_m < LOWEST_SENSOR_M:
+        return start, f"{ASSUMED} {SENSOR_HEIGHT_M} m above the ground, since {why}"
     return found, f"found by the beams, since {why}"
 
 

@@ -37,6 +37,13 @@ class Playback(Protocol):
         """The scan of a number; InputError where it is damaged, or there is none."""
         ...
 
+    def recorded_s(self, number: int) -> float:
+        """When the scan of a number was recorded, seconds since the epoch; of a damaged one too.
+
+        Raises InputError where it is damaged and there is no list of times.
+        """
+        ...
+
     def motion(self, number: int, frame: str) -> tuple[SensorMotion, str] | None:
         """The recorded motion of a coordinate frame around the time of a scan, and what it is from; None without one.
 
@@ -98,6 +105,10 @@ class MessagePlayback:
                 return ros_frame(self._recording, number, message)
         raise _missing(self.path, number)
 
+    def recorded_s(self, number: int) -> float:
+        """See Playback."""
+        return int(self._stamps_ns[number]) * 1e-9
+
     def motion(self, number: int, frame: str) -> tuple[SensorMotion, str] | None:
         """See Playback: read for BLOCK scans together; for all at once where there is no index."""
         last = len(self._stamps_ns) - 1
@@ -154,6 +165,10 @@ class FramePlayback:
             self._damage = error
             raise
         raise _missing(self.path, number)
+
+    def recorded_s(self, number: int) -> float:
+        """See Playback."""
+        return self.frame(number).stamp_s
 
     def motion(self, number: int, frame: str) -> tuple[SensorMotion, str] | None:
         """None: packets hold no poses."""
