@@ -37,7 +37,7 @@ def rigid(x: float, y: float, z: float, turn_deg: float = 0.0) -> np.ndarray:
 
 
 def nuscenes_pose(scene: int, sample: int) -> np.ndarray:
-    """(4, 4) T_world_sensor, our axes, of a sample of `write_nuscenes_tables`."""
+    """(4, 4) T_world_sensor, our axes, of a sample of `write_nuscenes_layout`."""
     return rigid(400 + 100 * scene + 4 * sample, 1100.0, 1.84, 30.0 * scene)
 
 
