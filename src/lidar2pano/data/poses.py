@@ -70,7 +70,7 @@ def _read_poses(sequence: Path, changed: tuple[int, ...]) -> LidarPoses:  # noqa
         raise InputError(
             f"{path}: cannot be read as poses ({error}); write 12 numbers a line, as KITTI does"
         ) from error
-    unknown = np.isnan(rows).all(axis=-1)
+    unknown = np.atleast_1d(np.isnan(rows).all(axis=-1))
     if rows.shape[1:] != (12,) or not np.isfinite(rows[~unknown]).all() or unknown.all():
         raise InputError(f"{path}: its lines must hold 12 finite numbers each (3x4), as KITTI's do")
     if (np.abs(rows) > FARTHEST_M).any():
