@@ -217,14 +217,14 @@ def test_auto_compiles_nothing_and_takes_what_was_compiled(builds):
 
 
 def test_auto_asks_no_engine_where_nothing_was_compiled(builds, monkeypatch):
-    asked = []
-    monkeypatch.setattr(TorchEngine, "conditions", lambda self: asked.append(self) or "as ever")
+    requests = []
+    monkeypatch.setattr(TorchEngine, "conditions", lambda self: requests.append(self) or "as ever")
     inputs = inputs_of("titan-pano")
     forward_of(TorchEngine(), optional=True)(*inputs)
-    assert not asked, "importing an engine takes longer than loading a network"
+    assert not requests, "importing an engine takes longer than loading a network"
     forward_of(TorchEngine())(*inputs)
     forward_of(TorchEngine(), optional=True)(*inputs)
-    assert len(asked) == 2 and len(builds) == 1
+    assert len(requests) == 2 and len(builds) == 1
 
 
 def test_an_engine_that_fails(builds):

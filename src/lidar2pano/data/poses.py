@@ -79,7 +79,7 @@ def read_poses(path: Path, numbers: int, form: str) -> np.ndarray:
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as poses ({error}); write {form}") from error
     poses = lines[:, -12:]
-    unknown = np.isnan(poses).all(axis=-1)
+    unknown = np.atleast_1d(np.isnan(poses).all(axis=-1))
     known = np.isfinite(lines[~unknown]).all() and np.isfinite(lines[:, :-12]).all()
     if lines.shape[1:] != (numbers,) or not known or unknown.all():
         raise InputError(f"{path}: its lines must hold {numbers} finite numbers each; write {form}")

@@ -17,7 +17,7 @@ from lidar2pano.scan import Scan
 NO_RETURN = 0.01  # nearer to the origin, in the cloud's unit, there was no echo
 FEWEST = 1000  # usable points; fewer decide nothing: they are taken as they are
 SENSOR_HEIGHT_M = 1.73  # above the road, of the sensor that the networks were trained with (KITTI's HDL-64E)
-ASSUMED = "assumed"  # the first word of why a viewpoint is where it is, where nothing told
+ASSUMED = "assumed"  # the first word of why a viewpoint is where it is, where nothing in the scan says it
 LOWEST_SENSOR_M = 0.4  # above the ground; a point that is lower is none from which beams came
 STAND_IN = 0.25  # remission of all points where there is none: costs least, see runs/remission_stand_in.py
 SCALES = (1.0, 255.0, 65535.0)
