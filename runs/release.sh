@@ -84,9 +84,8 @@ scene world-scene-2 "$day" 40 "train,$all" "${inputs[@]}" "$(weights world-scene
 scene world-scene-3 "$day" 28 "train,$all" "${inputs2[@]}" "$(weights world-scene-2 painter)" "${fixed[@]}"
 scene world-scene-4 "$day" 30 "train,$all" "${inputs2[@]}" "$(weights world-scene-3 painter)" "${fixed[@]}"
 scene world-scene-5 "$day" 18 "train,$all" "${inputs2[@]}" "$(weights world-scene-4 painter)" "${fixed[@]}"
-mean "$out/mean/world-painter.safetensors" "$(weights world-scene-4 painter)" "$(weights world-scene-5 painter)" 0.4,0.6
 painter=$out/finished/world.safetensors
-python "$here/finish_painter.py" "$out/mean/world-painter.safetensors" "$painter" "$out/frames/world-scene-5/painting/*/day-*.safetensors" --look day --power 4
+python "$here/finish_painter.py" "$(weights world-scene-5 painter)" "$painter" "$out/frames/world-scene-5/painting/*/day-*.safetensors" --look day --power 4
 lidar2pano evaluate "$painter+$out/world-translator-2+$out/world-segmenter-2" --data "$out/towns/test" --split all \
   --json "$out/world.json"
 family world "${inputs2[@]}" "$painter" "$out/world.json" Apache-2.0
