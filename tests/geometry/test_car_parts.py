@@ -43,8 +43,8 @@ def boxes(*places: tuple[float, float, float], length: float = LENGTH_M):
         near, far = ends[0].max(), ends[1].min()
         if 0 < near < far:
             height = near * SLOPE + ABOVE_M
-            shown = torch.from_numpy((height > 0) & (height < HEIGHT_M)) & (radius_m[0, :, column] > near)
-            cars[0, shown, column], radius_m[0, shown, column] = 1.0, float(near)
+            here = torch.from_numpy((height > 0) & (height < HEIGHT_M)) & (radius_m[0, :, column] > near)
+            cars[0, here, column], radius_m[0, here, column] = 1.0, float(near)
     return cars, radius_m
 
 
@@ -142,20 +142,20 @@ def test_rectangles_agree_with_their_slow_definition():
     point = torch.from_numpy(generator.normal(size=(2, 40)) * [[3.0], [1.0]])
     middle, length, along, across = _rectangles(point, number)
     for one in range(4):
-        mine = number == one
+        own = number == one
         found = []
         for step in range(ANGLES):
             angle = step * math.pi / 2 / ANGLES
             axes = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
-            turned = axes @ point[:, mine].numpy()
+            turned = axes @ point[:, own].numpy()
             size = np.ptp(turned, axis=1) + 0.1
             places = turned - (turned.min(1) + turned.max(1))[:, None] / 2
             centre = np.linalg.inv(axes) @ (turned.min(1) + turned.max(1)) / 2
             found.append((size.prod(), size.max(), places[np.argsort(-size)], centre))
         _, longest, (slow_along, slow_across), centre = min(found, key=lambda each: each[0])
-        assert np.allclose(middle[:, mine].T, centre)
-        assert np.allclose(length[mine], longest)
-        assert np.allclose(along[mine], slow_along) and np.allclose(across[mine], slow_across)
+        assert np.allclose(middle[:, own].T, centre)
+        assert np.allclose(length[own], longest)
+        assert np.allclose(along[own], slow_along) and np.allclose(across[own], slow_across)
 
 
 def test_sums_over_cars_agree_with_their_slow_definition():

@@ -23,7 +23,7 @@ def world(  # noqa: PLR0913, PLR0917 each is an option
     ] = 10.0,
     seed: Annotated[int, typer.Option(metavar="S", help="The same seed gives the same bytes.")] = 0,
     sensor: Annotated[
-        str, typer.Option(metavar="NAME", help="LiDAR: hdl64e, hdl32e, vlp16, os1-64, os1-128.")
+        str, typer.Option(metavar="NAME", help="LiDAR: hdl64e, hdl32e, vlp16, os1-64, os1-128, pandar64.")
     ] = "hdl64e",
     look: Annotated[str, typer.Option(metavar="NAME", help="day, overcast, evening or autumn: same scenes.")] = "day",
     place: Annotated[

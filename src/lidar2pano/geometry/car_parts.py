@@ -83,12 +83,12 @@ def _tones(cars: Tensor, radius_m: Tensor, above_m: Tensor, view: View, pose: np
     rows = slice(EVERY // 2, None, EVERY)
     found = _cars(cars[rows], radius_m[rows], radius_m[rows] * slope[rows] + above_m, view, pose)
     tones = cars.new_zeros(TONE, *cars.shape)
-    shown = found.distance_m.isfinite().nonzero()[:, 0]
-    if len(shown):
-        found = _of_columns(found, shown)
+    columns = found.distance_m.isfinite().nonzero()[:, 0]
+    if len(columns):
+        found = _of_columns(found, columns)
         tone = _tones_of(found, slope * found.distance_m + above_m, found.distance_m / view.focal_px)
-        apart = (radius_m[:, shown] / found.distance_m).log().abs()
-        tones[..., shown] = tone * (cars[:, shown] * (1 - (apart / SAME_CAR - 1).clamp(0, 1)))
+        apart = (radius_m[:, columns] / found.distance_m).log().abs()
+        tones[..., columns] = tone * (cars[:, columns] * (1 - (apart / SAME_CAR - 1).clamp(0, 1)))
     return tones
 
 
@@ -172,7 +172,7 @@ def _numbers(first: Tensor) -> Tensor:
 
 
 def _over(number: Tensor, values: Tensor, how: str) -> Tensor:
-    """A sum of values (..., W) over all columns of a car, in each of its columns."""
+    """The least, greatest or mean (`how`, of scatter_reduce) of values (..., W) of a car, in each of its columns."""
     index = number.expand_as(values)
     found = torch.zeros_like(values).scatter_reduce(-1, index, values, how, include_self=False)
     return found.gather(-1, index)
