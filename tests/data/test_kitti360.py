@@ -56,6 +56,12 @@ def test_the_scan_and_its_pose(root):
     assert frame.pose == pytest.approx(kitti360_pose(3), abs=1e-6)
 
 
+def test_a_pose_of_nan_is_not_known(copied):
+    (copied / POSES).write_text(f"2 {' '.join(['nan'] * 12)}\n3 1 0 0 0 0 1 0 0 0 0 1 0\n")
+    first, second = (frames(copied, "all")[index] for index in range(2))
+    assert first.pose is None and second.pose is not None
+
+
 def test_a_point_of_the_world_is_where_the_rectified_camera_has_it(root):
     frame, mount = frames(root, "all")[0], kitti360_camera()
     calibration, image = frame.calibration, frame.image

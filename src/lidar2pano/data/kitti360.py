@@ -222,6 +222,7 @@ def _motion(path: Path, name: str, rows: np.ndarray) -> np.ndarray:
 def _poses(path: Path, changed: int) -> dict[int, np.ndarray]:  # noqa: ARG001 a part of the cache's key
     """Frame -> (4, 4) float64 pose of the vehicle's frame in the world, metres."""
     lines = read_poses(path, 13, "a frame's number and 12 numbers a line, as KITTI-360 does")
+    lines = lines[np.isfinite(lines).all(1)]  # else it is unknown
     poses = np.tile(np.eye(4), (len(lines), 1, 1))
     poses[:, :3] = lines[:, 1:].reshape(-1, 3, 4)
     return dict(zip(lines[:, 0].astype(int).tolist(), poses, strict=True))
