@@ -163,15 +163,26 @@ def facades(walls, radius_m, slope, above_m, view):
 
 def wall_profile(walls, radius_m, height_m):
     """Logarithm of the distance (W,) of each column's wall, and how many rows (W,) it was read from."""
-    weight = walls * ((height_m > 0.5) & (height_m < 9) & (radius_m < 60))
+    inside = (height_m > 0.5) & (height_m < 9) & (radius_m < 60)
+    profile, total = surface_profile(walls * inside, radius_m, 0.25, 0.3, REACH // 2)
+    return np.nan_to_num(profile, nan=np.log(60)), total
+
+
+def surface_profile(weight, radius_m, same, least, reach):
+    """Logarithm of the distance (W,) of each column's surface, NaN where there is none; how many rows show it."""
     distance = np.log(np.maximum(radius_m, 0.5))
     mean = (weight * distance).sum(0) / np.maximum(weight.sum(0), 1e-6)
-    weight = weight * np.exp(-(((distance - mean) / 0.25) ** 2))
+    weight = weight * np.exp(-(((distance - mean) / same) ** 2))
     total = weight.sum(0)
-    profile = np.where(total > 0.3, (weight * distance).sum(0) / np.maximum(total, 1e-6), np.nan)
-    around = np.sort([np.roll(profile, shift) for shift in range(-(REACH // 2), REACH // 2 + 1)], 0)  # NaN last
+    found = (weight * distance).sum(0) / np.maximum(total, 1e-6)
+    return median_around(np.where(total > least, found, np.nan), reach), total
+
+
+def median_around(values, reach):
+    """The median of the columns within `reach` of each, the lower one of two, NaN left out."""
+    around = np.sort([np.roll(values, shift) for shift in range(-reach, reach + 1)], 0)  # NaN last
     middle = np.maximum(np.isfinite(around).sum(0) - 1, 0) // 2
-    return np.nan_to_num(np.take_along_axis(around, middle[None], 0)[0], nan=np.log(60)), total
+    return np.take_along_axis(around, middle[None], 0)[0]
 
 
 def openings(house, along_m, level_m, width_m, pixel_m):
@@ -185,17 +196,18 @@ def openings(house, along_m, level_m, width_m, pixel_m):
     middle = np.where(door, 1.0, 0.7 + 0.4 * uniform(house, 2) + tall / 2)
     up, aside = level_m - base - floor * storey - middle, along_m - (window + 0.5) * every
     wide, tall = 0.9 + 0.6 * uniform(house, 5), np.where(door, 2.1, tall)
-    across = (0.5 + (wide / 2 - np.abs(aside)) / width_m).clip(0, 1) * (every / width_m / 2 - 1).clip(0, 1)
+    across = inside_of(wide / 2 - np.abs(aside), width_m) * (every / width_m / 2 - 1).clip(0, 1)
     there = (floor >= 0) & (floor < np.floor(2 + 3 * uniform(house, 8)))
     there &= uniform(mixed(house + window.astype(np.int64) * 7 + 1), 0) > 0.1
-    return across * (0.5 + (tall / 2 - np.abs(up)) / pixel_m).clip(0, 1) * there
+    return across * inside_of(tall / 2 - np.abs(up), pixel_m) * there
 
 
 def car_tones(cars, radius_m, slope, above_m, view):
     """Tones (3, H, W) of cars: paint, dark windows and tyres."""
     height_m, columns = (radius_m * slope + above_m)[1::2], cars.shape[1]
     inside = (height_m > 0.1) & (height_m < 2.6) & (radius_m[1::2] < 45)
-    distance, here = car_surface(cars[1::2] * inside, radius_m[1::2])
+    profile, total = surface_profile(cars[1::2] * inside, radius_m[1::2], 0.12, 0.75, 8)
+    distance, here = np.exp(profile), total > 0.75
     azimuth = np.pi - (np.arange(columns) + 0.5) / columns * 2 * np.pi
     point = distance * np.stack([np.cos(azimuth), np.sin(azimuth)])
     with np.errstate(invalid="ignore"):
@@ -209,9 +221,8 @@ def car_tones(cars, radius_m, slope, above_m, view):
     part = np.nan_to_num(np.floor(parts * (along / length + 0.5))).clip(0, 15)
     number = np.unique(number * 16 + part, return_inverse=True)[1]
     middle, along, across, length = rectangles(point, number)
-    top = np.nan_to_num(
-        median_around(np.where(here, np.where((cars[1::2] > 0.5) & inside, height_m, 0).max(0), np.nan))
-    )
+    highest = np.where((cars[1::2] > 0.5) & inside, height_m, 0).max(0)
+    top = np.nan_to_num(median_around(np.where(here, highest, np.nan), 8))
     roof = over(number, top, np.fmax).clip(1.35, 2.4)
     side = (length > 2.4) & (edge(number, across) <= edge(number, along))
     distance = np.where(here, distance, np.nan)
@@ -230,23 +241,6 @@ def car_tones(cars, radius_m, slope, above_m, view):
 def inside_of(inside_m, pixel_m):
     """The share of pixels that is inside of an edge, so far from their middle."""
     return (0.5 + inside_m / pixel_m).clip(0, 1)
-
-
-def car_surface(weight, radius_m):
-    """Distance of the nearest car of each column, NaN far from all, and whether the column shows one."""
-    distance = np.log(np.maximum(radius_m, 0.5))
-    mean = (weight * distance).sum(0) / np.maximum(weight.sum(0), 1e-6)
-    weight = weight * np.exp(-(((distance - mean) / 0.12) ** 2))
-    here = weight.sum(0) > 0.75
-    found = (weight * distance).sum(0) / np.maximum(weight.sum(0), 1e-6)
-    return np.exp(median_around(np.where(here, found, np.nan))), here
-
-
-def median_around(values):
-    """The median of 17 columns, the lower one of two, NaN left out."""
-    around = np.sort([np.roll(values, shift) for shift in range(-8, 9)], 0)  # NaN last
-    middle = np.maximum(np.isfinite(around).sum(0) - 1, 0) // 2
-    return np.take_along_axis(around, middle[None], 0)[0]
 
 
 def over(number, values, how):

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
-from lidar2pano.geometry.surface import azimuths, slopes
+from lidar2pano.geometry.columns import median_around, pixel_share, surface_profile, world_columns
+from lidar2pano.geometry.surface import slopes
 from lidar2pano.views import View
 
 EVERY = 2  # rows of a raster for each that cars are looked for in
@@ -33,7 +33,6 @@ TOP_M, HIGH = (1.35, 2.4), 0.8  # of roofs; columns that do not reach that share
 GLASS = (0.63, 0.92)  # between these shares of the roof's height
 SIDE_GLASS, END_GLASS, WIDEST_M = 0.37, 0.42, 1.7  # shares of the length, or width, to which glass goes on either side
 PILLAR_M = 0.04  # half of the width of one between a car's doors
-TONE = 3  # red, green, blue
 GLASS_TONE, RUBBER_TONE = -0.3, -0.5
 BRIGHTEST, COLOURED = 0.7, 2.5  # tone of the brightest paint; how fast the few coloured cars gain colour
 PAINT_WAVES_M = (17.0, 27.0, 13.0)  # cars so far apart differ in paint
@@ -82,7 +81,7 @@ def _tones(cars: Tensor, radius_m: Tensor, above_m: Tensor, view: View, pose: np
     slope = slopes(view, device=cars.device)[:, None]
     rows = slice(EVERY // 2, None, EVERY)
     found = _cars(cars[rows], radius_m[rows], radius_m[rows] * slope[rows] + above_m, view, pose)
-    tones = cars.new_zeros(TONE, *cars.shape)
+    tones = cars.new_zeros(len(found.paint), *cars.shape)
     columns = found.distance_m.isfinite().nonzero()[:, 0]
     if len(columns):
         found = _of_columns(found, columns)
@@ -99,36 +98,31 @@ def _of_columns(found: Cars, columns: Tensor) -> Cars:
 
 def _tones_of(found: Cars, height_m: Tensor, pixel_m: Tensor) -> Tensor:
     """Tones (3, H, n) of n columns' cars, whose pixels are height_m (H, n) above the road and of size pixel_m (n,)."""
-    glass = _share((GLASS[1] - GLASS[0]) / 2 * found.top_m - (height_m - sum(GLASS) / 2 * found.top_m).abs(), pixel_m)
+    half, middle = (GLASS[1] - GLASS[0]) / 2 * found.top_m, sum(GLASS) / 2 * found.top_m
+    glass = pixel_share(half - (height_m - middle).abs(), pixel_m)
     length_m, along_m = found.box.length_m, found.box.along_m
     reach = torch.where(found.side, SIDE_GLASS * length_m, END_GLASS * length_m.clamp(max=WIDEST_M))
     place = torch.where(found.side, along_m, found.box.across_m).abs()
-    pillar = torch.where(found.side, _share(PILLAR_M - place, pixel_m), 0.0)
-    glass = glass * (_share(reach - place, pixel_m) * (1 - pillar) * found.high)
+    pillar = torch.where(found.side, pixel_share(PILLAR_M - place, pixel_m), 0.0)
+    glass = glass * (pixel_share(reach - place, pixel_m) * (1 - pillar) * found.high)
     aside = (along_m.abs() - AXLE * length_m).abs()
-    wheel = _share(WHEEL_M - torch.hypot(aside.expand_as(height_m), height_m - WHEEL_M), pixel_m)
-    rubber = torch.maximum(wheel * (found.side & (length_m > LONG_M)), _share(UNDER_M - height_m, pixel_m))
+    wheel = pixel_share(WHEEL_M - torch.hypot(aside.expand_as(height_m), height_m - WHEEL_M), pixel_m)
+    rubber = torch.maximum(wheel * (found.side & (length_m > LONG_M)), pixel_share(UNDER_M - height_m, pixel_m))
     tone = found.paint[:, None] + glass * (GLASS_TONE - found.paint[:, None])
     return tone + rubber * (RUBBER_TONE - tone)
 
 
-def _share(inside_m: Tensor, pixel_m: Tensor) -> Tensor:
-    """The share of pixels of size pixel_m that is inside of an edge, so far from their middle."""
-    return (0.5 + inside_m / pixel_m).clamp(0, 1)
-
-
 def _cars(cars: Tensor, radius_m: Tensor, height_m: Tensor, view: View, pose: np.ndarray | None) -> Cars:
     inside = (height_m > LOWEST_M) & (height_m < HIGHEST_M) & (radius_m < FARTHEST_M)
-    distance_m, here = _surface(cars * inside, radius_m)
-    pose = np.eye(4) if pose is None else np.asarray(pose, dtype=np.float64)
-    angle = azimuths(view, device=cars.device).to(distance_m) + math.atan2(pose[1, 0], pose[0, 0])
-    point = distance_m * torch.stack([angle.cos(), angle.sin()])
+    (profile,), (total,) = surface_profile((cars * inside)[None], radius_m[None], SAME_SURFACE, LEAST, REACH)
+    distance_m, here = profile.exp(), total > LEAST
+    ray, start = world_columns(view, pose, cars.device)
+    point = distance_m * ray.to(distance_m)
     apart = torch.hypot(*(point - point.roll(1, 1)).unbind(0)) > GAP_M + GAP * distance_m
     number = _cut(point, _numbers(apart | ~here | ~here.roll(1)))
     box = _rectangles(point, number)
-    start = torch.from_numpy((pose[:3, :3] @ np.array(view.origin) + pose[:3, 3])[:2]).to(point)
     tops = torch.where((cars > 0.5) & inside, height_m, 0).amax(0)
-    tops = _median(torch.where(here, tops, torch.nan)).nan_to_num(0)
+    tops = median_around(torch.where(here, tops, torch.nan)[None], REACH)[0].nan_to_num(0)
     top = _over(number, tops, "amax").clamp(*TOP_M)
     missing = torch.where(here, 0.0, torch.nan)
     return Cars(
@@ -136,19 +130,9 @@ def _cars(cars: Tensor, radius_m: Tensor, height_m: Tensor, view: View, pose: np
         top_m=top,
         high=tops > HIGH * top,
         side=(box.length_m > SIDE_M) & _on_side(box, number),
-        paint=_paint(box.middle + start[:, None]),
+        paint=_paint(box.middle + start[:, None].to(point)),
         box=box,
     )
-
-
-def _surface(weight: Tensor, radius_m: Tensor) -> tuple[Tensor, Tensor]:
-    """Distance (W,) of the nearest car of each column, NaN far from all, and whether the column shows one."""
-    distance = radius_m.clamp(min=0.5).log()
-    mean = (weight * distance).sum(0) / weight.sum(0).clamp(min=1e-6)
-    weight = weight * torch.exp(-((distance - mean) / SAME_SURFACE).square())
-    total = weight.sum(0)
-    here = total > LEAST
-    return _median(torch.where(here, (weight * distance).sum(0) / total.clamp(min=1e-6), torch.nan)).exp(), here
 
 
 def _cut(point: Tensor, number: Tensor) -> Tensor:
@@ -157,12 +141,6 @@ def _cut(point: Tensor, number: Tensor) -> Tensor:
     parts = (box.length_m / LONGEST_M).ceil().clamp(1, MOST_PARTS).nan_to_num(1)
     part = (parts * (box.along_m / box.length_m + 0.5)).nan_to_num(0).floor().clamp(0, MOST_PARTS - 1)
     return torch.unique(number * MOST_PARTS + part.long(), return_inverse=True)[1]
-
-
-def _median(values: Tensor) -> Tensor:
-    """The median (W,) of the numbers around each column, NaN left out; circular."""
-    around = pad(values[None], (REACH, REACH), mode="circular")[0].unfold(0, 2 * REACH + 1, 1)
-    return around.nanmedian(1).values
 
 
 def _numbers(first: Tensor) -> Tensor:

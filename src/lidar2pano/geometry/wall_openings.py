@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool1d, one_hot, pad
 
-from lidar2pano.geometry.surface import azimuths, slopes
+from lidar2pano.geometry.columns import pixel_share, surface_profile, world_columns
+from lidar2pano.geometry.surface import slopes
 from lidar2pano.views import View
 
 REACH = 40  # columns at each side whose walls say how a wall runs
@@ -73,26 +74,15 @@ def facades(
 
 
 def wall_profile(walls: Tensor, radius_m: Tensor, height_m: Tensor) -> tuple[Tensor, Tensor]:
-    """Logarithm of the distance (B, W) of each column's wall, and how many rows (B, W) it was read from.
-
-    A mean over the rows, twice: the second time of what is near the first. Then the median of the columns around.
-    """
+    """Logarithm of the distance (B, W) of each column's wall, and how many rows (B, W) it was read from."""
     inside = (height_m > LOWEST_M) & (height_m < HIGHEST_M) & (radius_m < FARTHEST_M)
-    weight, distance = walls * inside, radius_m.clamp(min=0.5).log()
-    mean = (weight * distance).sum(1) / weight.sum(1).clamp(min=1e-6)
-    weight = weight * torch.exp(-((distance - mean[:, None]) / SAME_WALL).square())
-    total = weight.sum(1)
-    profile = (weight * distance).sum(1) / total.clamp(min=1e-6)
-    profile = torch.where(total > LEAST, profile, torch.nan)
-    around = pad(profile, (REACH // 2, REACH // 2), mode="circular").unfold(1, REACH + 1, 1)
-    return around.nanmedian(2).values.nan_to_num(math.log(FARTHEST_M)), total
+    profile, total = surface_profile(walls * inside, radius_m, SAME_WALL, LEAST, REACH // 2)
+    return profile.nan_to_num(math.log(FARTHEST_M)), total
 
 
 def _walls(profile: Tensor, weight: Tensor, view: View, T_world_sensor: np.ndarray | None) -> Walls:
     """Straight walls through the profile around every column, and the houses they are divided into."""
-    pose = np.eye(4) if T_world_sensor is None else np.asarray(T_world_sensor, dtype=np.float64)
-    angle = azimuths(view, device=profile.device) + math.atan2(pose[1, 0], pose[0, 0])
-    ray = torch.stack([angle.cos(), angle.sin()])  # (2, W) in the world
+    ray, start = world_columns(view, T_world_sensor, profile.device)
     point = profile.exp().double()[:, None] * ray  # (B, 2, W) from the view's axis
     mean, tangent = _lines(point, profile, weight)
     number = _direction(tangent, weight)
@@ -100,7 +90,6 @@ def _walls(profile: Tensor, weight: Tensor, view: View, T_world_sensor: np.ndarr
     facing = (normal * ray).sum(1)
     radius = (normal * mean).sum(1) / torch.where(facing.abs() < 0.05, 0.05 * facing.sign() + 1e-9, facing)
     radius = torch.where((radius / profile.exp()).log().abs() < 0.3, radius, profile.exp())  # else no wall is there
-    start = torch.from_numpy((pose[:3, :3] @ np.array(view.origin) + pose[:3, 3])[:2]).to(ray)
     run = number * (math.pi / DIRECTIONS)
     along = ((radius[:, None] * ray + start[:, None]) * torch.stack([run.cos(), run.sin()], 1)).sum(1)
     house = (along / HOUSE_M).floor()
@@ -152,8 +141,8 @@ def _openings(walls: Walls, level_m: Tensor, view: View) -> Tensor:
     middle = torch.lerp(sill + tall / 2, torch.full_like(sill, 1.0), door)
     tall = torch.lerp(tall, torch.full_like(tall, 2.1), door)
     pixel_m = walls.radius_m / view.focal_px
-    across = (0.5 + (wide / 2 - aside) / walls.width_m).clamp(0, 1) * (every / walls.width_m / 2 - 1).clamp(0, 1)
-    upward = (0.5 + (tall / 2 - (up - middle).abs()) / pixel_m[:, None]).clamp(0, 1)
+    across = pixel_share(wide / 2 - aside, walls.width_m) * (every / walls.width_m / 2 - 1).clamp(0, 1)
+    upward = pixel_share(tall / 2 - (up - middle).abs(), pixel_m[:, None])
     blind = _uniform(_mixed(house + window.long() * 7 + 1), 0)  # a column of windows may be missing
     storeys = (2 + 3 * _uniform(house, 8)).floor()[:, None]
     there = (floor >= 0) & (floor < storeys) & (blind > 0.1)[:, None]
