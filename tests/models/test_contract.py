@@ -192,6 +192,25 @@ def test_the_gradient_reaches_every_parameter(network: str) -> None:
 
 
 @every_network
+def test_gradients_of_a_batch_of_one_do_not_depend_on_the_layout(network: str) -> None:
+    """With torch's own instance norm they do, on CPUs."""
+    expected, gradient = _gradient(network, torch.contiguous_format), _gradient(network, torch.channels_last)
+    assert (gradient - expected).norm() <= 0.1 * expected.norm()
+
+
+def _gradient(network: str, layout: torch.memory_format) -> Tensor:
+    """The gradient of all weights for the first sample, without chance, as one vector."""
+    model, inputs = _example(network)
+    for part in model.train().modules():
+        if isinstance(part, nn.Dropout | nn.Dropout2d):
+            part.p = 0.0
+    answers = list(_tensors(model.to(memory_format=layout)(*(x[:1] for x in inputs))))
+    torch.manual_seed(1)
+    sum((out * torch.randn(out.shape)).sum() for out in answers).backward()
+    return torch.cat([weight.grad.flatten() for weight in model.parameters() if weight.requires_grad])
+
+
+@every_network
 def test_what_is_saved_is_what_is_loaded(network: str, tmp_path: Path) -> None:
     model, inputs = _example(network)
     card = Card(network=network, settings=SMALL[network][0])

@@ -136,11 +136,11 @@ def test_checkpoints_are_selected_on_training_frames_that_are_not_trained_on(tmp
         training_data(replace(plan, split="all"))
 
 
-def result(steps=1000, low=None, high=None, frames=50, **values):
+def result(steps=1000, low=None, high=None, frames=50, painter=2000, **values):
     more = {"low": low, "high": high, "frames": frames}
     rows = [{"sector": "camera", "name": name, "value": value, **more} for name, value in values.items()]
     rows.append({"sector": "panorama", "name": "miou", "value": 0.25})
-    networks = {"segmenter": {"steps": 1}, "translator": {"steps": steps}, "painter": {"steps": 2000}}
+    networks = {"segmenter": {"steps": 1}, "translator": {"steps": steps}, "painter": {"steps": painter}}
     one = {
         "networks": networks,
         "values": rows,
@@ -191,6 +191,14 @@ def test_the_results_page_has_every_row_and_a_verdict_where_it_can(plan):
 def test_orderings_are_decided_by_disjoint_intervals_after_enough_training(plan, first, second, verdict):
     text = results_page(plan, Outcome(results={"titan": first, "pix2pix": second}), [], None)
     assert f"TITAN-Net beats Pix2Pix in mIoU: {verdict}" in text
+
+
+def test_a_painter_of_few_steps_decides_nothing_about_images_and_leaves_segments_alone(plan):
+    better = result(miou=0.3, swd_pairs=0.3, low=0.25, high=0.35, painter=20)
+    worse = result(miou=0.1, swd_pairs=0.1, low=0.05, high=0.15)
+    text = results_page(plan, Outcome(results={"titan": better, "pix2pix": worse}), [], None)
+    assert "in mIoU: **confirmed** here" in text
+    assert "TITAN-Net beats Pix2Pix in SWD: **not decided** here: 20 steps of training" in text
 
 
 def test_sheets_are_side_by_side_and_leave_out_missing_images(tmp_path):

@@ -6,6 +6,7 @@ import json
 import logging
 import math
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -151,6 +152,31 @@ def test_channels_last_is_the_layout_of_the_weights(tmp_path, monkeypatch, chann
     run(toy_recipe("toy", steps=1, channels_last=channels_last), tmp_path)
     wide = [weight for weight in weights if weight.ndim == 4]
     assert wide and all(w.is_contiguous(memory_format=torch.channels_last) is channels_last for w in wide)
+
+
+@pytest.mark.skipif(not (shutil.which("g++") or shutil.which("clang++")), reason="torch.compile needs a C++ compiler")
+@pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")  # torch's own
+def test_compiled_steps_are_those_of_the_plain_network(tmp_path, monkeypatch):
+    """The toy GAN's generator is compiled and its critic, differentiated twice, is not; validation compiles nothing."""
+    torch._dynamo.utils.counters.clear()  # noqa: SLF001 no public count
+    compiled = []
+    monkeypatch.setattr(torch.nn.Module, "compile", _noting(compiled, torch.nn.Module.compile))
+    plain = run(plain_gan(steps=4, validate_minutes=1e-9), tmp_path / "plain")
+    assert gap(plain, run(plain_gan(steps=4, validate_minutes=1e-9, compile=True), tmp_path / "compiled")) < 1e-4
+    assert [network.layers[-1].out_channels for network in compiled] == [3]
+    assert torch._dynamo.utils.counters["stats"]["unique_graphs"] == 1  # noqa: SLF001
+
+
+def _noting(compiled: list, compile_network):
+    """`compile_network`, which notes the networks that it compiles."""
+    return lambda network, **settings: compiled.append(network) or compile_network(network, **settings)
+
+
+def test_compiling_without_a_compiler_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    with pytest.raises(InputError, match=r"training.compile=true needs a C\+\+ compiler, and there is no no-such"):
+        run(toy_recipe("toy", compile=True), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def test_workers_change_nothing(tmp_path):

@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate, pad
 
 from lidar2pano.errors import InputError
+from lidar2pano.models.instance_norm import InstanceNorm
 from lidar2pano.models.vid2vid import Norm, batch_norms, start_as_published
 
 NORMS = ("batch", "instance")
@@ -150,4 +151,4 @@ class _Outermost(nn.Module):
 def _norm(name: str, batch_statistics: bool) -> Norm:
     if name not in NORMS:
         raise InputError(f"no norm {name!r}; there is {' and '.join(NORMS)}")
-    return nn.InstanceNorm2d if name == "instance" else batch_norms(batch_statistics)
+    return InstanceNorm if name == "instance" else batch_norms(batch_statistics)

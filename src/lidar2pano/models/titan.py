@@ -25,13 +25,14 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from lidar2pano.errors import InputError
+from lidar2pano.models.instance_norm import InstanceNorm
 from lidar2pano.models.salsanext import ResBlock, Trunk
 
 IMAGE_SIZE = (376, 1241)  # rows, columns: KITTI's images, as published
 CONDITION_CHANNELS = 30  # of the critic's condition, after its convolutions
 
 
-def pixelwise(inputs: int, outputs: int, norm: type[nn.Module] = nn.InstanceNorm2d) -> nn.Sequential:
+def pixelwise(inputs: int, outputs: int, norm: type[nn.Module] = InstanceNorm) -> nn.Sequential:
     """Mix channels pixel by pixel."""
     return nn.Sequential(nn.Conv2d(inputs, outputs, 1), nn.LeakyReLU(0.2, inplace=True), norm(outputs))
 
@@ -54,7 +55,7 @@ class Titan(Trunk):
         channels: int = 5,
         picture: bool = False,
     ) -> None:
-        super().__init__(32, nn.InstanceNorm2d, upper_dropout=0.0)
+        super().__init__(32, InstanceNorm, upper_dropout=0.0)
         if not channels and not conditions:
             raise InputError("titan needs an input: channels (the range view), conditions (its segments) or both")
         height, width = size
@@ -63,7 +64,7 @@ class Titan(Trunk):
         self.project_cond = pixelwise(conditions, 1) if conditions else None
         self.project_zcond = pixelwise(bool(channels) + bool(conditions), 32)
         self.upsampling1 = nn.Sequential(nn.Conv2d(32, 128, 3, padding=1), nn.PixelShuffle(2))
-        self.upResBlock1 = ResBlock(32, 32, norm=nn.InstanceNorm2d)
+        self.upResBlock1 = ResBlock(32, 32, norm=InstanceNorm)
         self.logits = nn.Conv2d(32, classes, 1)
 
     def raster(self, z: Tensor | None, condition: Tensor | None = None) -> Tensor:

@@ -32,6 +32,7 @@ from torch.nn.modules.batchnorm import _BatchNorm
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.warp import warp
 from lidar2pano.models.circular import closed
+from lidar2pano.models.instance_norm import InstanceNorm
 
 Norm = Callable[[int], nn.Module]
 
@@ -119,7 +120,7 @@ class BatchStatistics(_BatchNorm):
             raise ValueError(f"expected (B, C, H, W), got {tuple(input.shape)}")
 
 
-class InstanceStatistics(nn.InstanceNorm2d):
+class InstanceStatistics(InstanceNorm):
     """An instance norm that uses the instance's statistics in evaluation mode, too."""
 
     def forward(self, input: Tensor) -> Tensor:  # noqa: A002 torch's name
@@ -136,7 +137,7 @@ def batch_norms(batch_statistics: bool) -> Norm:
 
 def instance_norms(own_statistics: bool) -> Norm:
     """The first-frame network's norm, without scale or shift: running statistics in evaluation mode, or its own."""
-    norm = InstanceStatistics if own_statistics else nn.InstanceNorm2d
+    norm = InstanceStatistics if own_statistics else InstanceNorm
     return lambda width: norm(width, affine=False, track_running_stats=True)
 
 

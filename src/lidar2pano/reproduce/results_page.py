@@ -179,7 +179,7 @@ def _verdict(claim: Claim, outcome: Outcome) -> str:
         return "not measured here"
     first, second = (one["value"] for one in pair)
     numbers = f"({first:.4g} against {second:.4g})"
-    if reason := _undecided(pair, min(_steps(one) for one in results if one is not None)):
+    if reason := _undecided(pair, min(_steps(one, claim.metric) for one in results if one is not None)):
         return f"**not decided** here: {reason} {numbers}"
     better = first > second if claim.higher else first < second
     return f"**{'confirmed' if better else 'contradicted'}** here {numbers}"
@@ -199,10 +199,11 @@ def _undecided(pair: Sequence[Mapping[str, Any]], steps: int) -> str:
     return "the 95 % intervals overlap" if low <= other_high and other_low <= high else ""
 
 
-def _steps(result: Mapping[str, Any]) -> int:
-    """Steps of the row's least trained network beside the LiDAR segmenter."""
+def _steps(result: Mapping[str, Any], metric: str) -> int:
+    """Steps of the row's least trained network beside the LiDAR segmenter, of those on which the metric depends."""
     networks = result["results"][0].get("networks", {})
-    return min((card.get("steps", 0) for role, card in networks.items() if role != "segmenter"), default=0)
+    others = {"segmenter", "painter"} if metric == "miou" else {"segmenter"}
+    return min((card.get("steps", 0) for role, card in networks.items() if role not in others), default=0)
 
 
 def _times(plan: Plan, outcome: Outcome) -> str:

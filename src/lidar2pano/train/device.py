@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+import shutil
 from dataclasses import replace
 from math import gcd
 from typing import Literal
@@ -44,6 +46,16 @@ def shared(training: Training, processes: int) -> Training:
         f"training.batch={batch} cannot be divided among {processes} devices and training.accumulate={accumulate} "
         f"micro-batches; {hint}"
     )
+
+
+def check_compiler(training: Training) -> None:
+    """Raise InputError where networks are to be compiled and there is no C++ compiler, which torch.compile calls."""
+    named = os.environ.get("CXX")
+    if training.compile and not any(map(shutil.which, [named] if named else ["g++", "clang++"])):
+        raise InputError(
+            f"training.compile=true needs a C++ compiler, and there is no {named or 'g++ or clang++'}; "
+            "install one, or set training.compile=false"
+        )
 
 
 def device_name(device: torch.device) -> str:

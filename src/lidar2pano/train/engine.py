@@ -36,7 +36,7 @@ from lidar2pano.train.checkpoint import (
     write_recipe,
 )
 from lidar2pano.train.clock import Timer, clock, interrupts
-from lidar2pano.train.device import choose_precision, device_name, shared
+from lidar2pano.train.device import check_compiler, choose_precision, device_name, shared
 from lidar2pano.train.distributed import average_gradients, check_launcher, largest
 from lidar2pano.train.monitor import Meter, Monitor, check_finite
 from lidar2pano.train.optimisation import EMA, averaged, clip, learning_rate, load_optimizer, make_optimizer
@@ -71,6 +71,7 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
     """
     processes, chosen = devices * num_nodes, pick_device(device)
     training = shared(recipe.training, processes)
+    check_compiler(training)
     check_launcher(processes)
     check_recipe(out, recipe)
     fabric = Fabric(
@@ -123,6 +124,8 @@ class Run:
                 network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
             optimizer = make_optimizer(recipe.networks[name].optimizer, network)
             task.networks[name], self.optimizers[name] = fabric.setup(network.train(), optimizer)
+            if recipe.training.compile and name in task.released:  # a penalty differentiates a critic twice
+                network.compile(dynamic=False)
         decay = recipe.training.ema
         self.averages = {name: EMA(self.networks[name], decay) for name in task.released if decay > 0}
 
@@ -269,7 +272,8 @@ class Run:
     def _averaged(self) -> Iterator[None]:
         """Inside, networks have their averaged weights; those that are not finite raise FloatingPointError."""
         seed_step(self.recipe.training.seed, self.fabric.global_rank, self.progress.step)
-        with averaged(self.networks.values(), self.averages.values()):
+        eager = torch.compiler.set_stance("force_eager")  # its shapes come once: compiling would take longer
+        with averaged(self.networks.values(), self.averages.values()), eager:
             for name in self.task.released:
                 check_weights(self.networks[name].state_dict(), self.progress.step)
             yield

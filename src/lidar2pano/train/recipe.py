@@ -84,6 +84,8 @@ class Training:
     batch        samples per step, in `accumulate` micro-batches.
     workers      processes per device that prepare samples (0 = the training process does).
     precision    "bf16-mixed" or "32-true"; channels_last: layout of convolution weights.
+    compile      whether torch.compile makes the steps of the released networks: some two minutes before the first step,
+                 then up to twice as many steps a minute. Critics are not compiled, nor is what validation computes.
     ema          decay per step of the averaged weights that are validated and released; 0 = no averaging.
     *_minutes    from the end of one checkpoint, preview or validation to the next; 0 = at the end only. They are
                  rarer where checkpoints or previews would take more than a twentieth of the time, or validation more
@@ -99,6 +101,7 @@ class Training:
     seed: int = 0
     precision: Literal["bf16-mixed", "32-true"] = "bf16-mixed"
     channels_last: bool = True
+    compile: bool = False
     ema: float = 0.999
     checkpoint_minutes: float = 1.0
     preview_minutes: float = 5.0

@@ -64,15 +64,16 @@ def titan_mini() -> Recipe[FrontOptions]:
 
     With the paper's batch, columns and image a step takes minutes on a CPU, and more steps teach more: the image is
     half as large here and the critic a quarter as wide. Lovasz-Softmax weighs AUXILIARY times as much and the
-    translator's rate is twenty times as high: at the translator's weights the critic's gradient was measured to be two
-    hundred times that of Lovasz-Softmax, so with the paper's sum only the critic would teach in a few hundred steps.
+    translator's rate is twenty times as high: after 150 steps on a street world mIoU is 0.18, with the paper's sum and
+    that rate 0.07.
     """
     options = {"lovasz": AUXILIARY, "segments": "data"}
     recipe = vary(titan(), options=options, translator={"size": HALF}, critic={"width": 16})
     translator = recipe.networks["translator"]
     faster = replace(translator, optimizer=replace(translator.optimizer, rate=2e-3, schedule="cosine"))
     recipe = replace(recipe, view="titan-front-512", networks={**recipe.networks, "translator": faster})
-    return on_two_cores(recipe, minutes=24.0, batch=1, ema=0.0)
+    recipe = on_two_cores(recipe, minutes=24.0, batch=1, ema=0.0)
+    return replace(recipe, training=replace(recipe.training, precision="bf16-mixed"))
 
 
 def titan_next() -> Recipe[FrontDepthOptions]:
