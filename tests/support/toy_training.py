@@ -147,7 +147,7 @@ def left(out: Path) -> tuple[int, dict[str, Tensor]]:
     progress, tensors, optimizers = found
     tensors = dict(tensors)
     for name, state in optimizers.items():
-        for number, values in state["state"].items():
+        for number, values in state.get("state", {}).items():  # the loss scale has none
             tensors |= {f"optimizer/{name}/{number}/{key}": value for key, value in values.items()}
     return progress.step, tensors
 

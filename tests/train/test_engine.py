@@ -154,6 +154,58 @@ def test_channels_last_is_the_layout_of_the_weights(tmp_path, monkeypatch, chann
     assert wide and all(w.is_contiguous(memory_format=torch.channels_last) is channels_last for w in wide)
 
 
+# --- float16, whose losses are scaled ---------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def float16(monkeypatch):
+    """The CPU computes in float16, as a GPU without bfloat16 does."""
+    monkeypatch.setattr("lidar2pano.train.engine.choose_precision", lambda training, device: "16-mixed")
+
+
+def test_float16_trains_as_float32_does_and_clips_what_is_not_scaled(tmp_path, request):
+    recipe = toy_recipe("toy", steps=4)
+    for change in (*PLAIN, "networks.generator.optimizer.clip=0.01", "networks.generator.optimizer.algorithm=sgd"):
+        recipe = override(recipe, change)
+    single = run(recipe, tmp_path / "single")
+    request.getfixturevalue("float16")
+    assert 0 < gap(single, run(recipe, tmp_path / "half")) < 1e-4
+
+
+def test_in_float16_a_step_that_overflows_is_omitted_and_the_scale_halved(tmp_path, float16, monkeypatch):
+    weights = []
+
+    def updates(self, batch):
+        self.begin()
+        weights.append(self.networks["generator"].layers[0].weight.detach().clone())
+        factor = 1e3 if self.calls == 2 else 1e-3  # times the scale, 65536, too large for float16
+        yield "generator", factor * self.networks["generator"](batch.noisy).float().mean()
+
+    monkeypatch.setattr(Denoise, "updates", updates)
+    run(toy_recipe("toy", steps=3), tmp_path)
+    assert not torch.equal(weights[0], weights[1]) and torch.equal(weights[1], weights[2])
+    assert load_checkpoint(tmp_path)[2]["loss scale"]["scale"] == 32768
+
+
+def test_in_float16_resume_equals_never_stopped(tmp_path, float16, monkeypatch):
+    def updates(self, batch):
+        self.begin()
+        factor = 1e3 if "0" in batch.name else 0.5  # steps with image 0 overflow
+        yield "generator", factor * (self.networks["generator"](batch.noisy) - batch.image).square().mean()
+
+    monkeypatch.setattr(Denoise, "updates", updates)
+    recipe = toy_recipe("toy", steps=6)
+    whole = run(recipe, tmp_path / "whole")
+    monkeypatch.setattr(Denoise, "before_step", interrupt_at(3))
+    with pytest.raises(KeyboardInterrupt):
+        run(recipe, tmp_path / "parts")
+    monkeypatch.setattr(Denoise, "before_step", None)
+    scales = [load_checkpoint(tmp_path / "parts")[2]["loss scale"]]
+    assert gap(whole, run(recipe, tmp_path / "parts")) == 0
+    scales += [load_checkpoint(tmp_path / name)[2]["loss scale"] for name in ("parts", "whole")]
+    assert scales[0]["scale"] < 65536 and scales[1] == scales[2]
+
+
 @pytest.mark.skipif(not (shutil.which("g++") or shutil.which("clang++")), reason="torch.compile needs a C++ compiler")
 @pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")  # torch's own
 def test_compiled_steps_are_those_of_the_plain_network(tmp_path, monkeypatch):

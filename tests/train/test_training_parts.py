@@ -318,8 +318,16 @@ def test_a_card_says_what_task_and_run_know():
     assert card.commit == commit() != ""
 
 
-@pytest.mark.parametrize(("has", "precision"), [(True, "bf16-mixed"), (False, "32-true")])
-def test_bfloat16_only_where_the_device_has_it(monkeypatch, has, precision):
+@pytest.mark.parametrize(
+    ("device", "has", "precision"),
+    [
+        ("cpu", True, "bf16-mixed"),
+        ("cpu", False, "32-true"),
+        ("cuda", True, "bf16-mixed"),
+        ("cuda", False, "16-mixed"),
+    ],
+)
+def test_bfloat16_only_where_the_device_has_it(monkeypatch, device, has, precision):
     monkeypatch.setattr("lidar2pano.train.device.has_bfloat16", lambda device: has)
-    assert choose_precision(Training(precision="bf16-mixed"), torch.device("cpu")) == precision
-    assert choose_precision(Training(precision="32-true"), torch.device("cpu")) == "32-true"
+    assert choose_precision(Training(precision="bf16-mixed"), torch.device(device)) == precision
+    assert choose_precision(Training(precision="32-true"), torch.device(device)) == "32-true"

@@ -1,4 +1,4 @@
-"""Where a run computes: its device and precision, and how a batch is divided."""
+"""Where a run computes: its device, precision and compiler, and how a batch is divided."""
 
 from __future__ import annotations
 
@@ -17,12 +17,15 @@ from lidar2pano.train.recipe import Training
 
 log = logging.getLogger(__name__)
 
+FLOATS = {"16-mixed": "float16, with scaled losses,", "32-true": "float32"}
 
-def choose_precision(training: Training, device: torch.device) -> Literal["bf16-mixed", "32-true"]:
-    """The recipe's precision, or "32-true" on a device that would only emulate bfloat16, slowly."""
+
+def choose_precision(training: Training, device: torch.device) -> Literal["bf16-mixed", "16-mixed", "32-true"]:
+    """The recipe's precision on a device; without bfloat16 a GPU computes in float16, a CPU in float32."""
     if training.precision == "bf16-mixed" and not has_bfloat16(device):
-        log.info("training in float32: this %s has no bfloat16", device.type)
-        return "32-true"
+        instead: Literal["16-mixed", "32-true"] = "16-mixed" if device.type == "cuda" else "32-true"
+        log.info("training in %s: this %s has no bfloat16", FLOATS[instead], device.type)
+        return instead
     return training.precision
 
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 from datetime import timedelta
 from math import inf, isfinite
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import torch
 from torch import Tensor, nn
@@ -48,6 +48,7 @@ from lidar2pano.train.tasks import build_task
 
 try:
     from lightning.fabric import Fabric
+    from lightning.fabric.plugins.precision import MixedPrecision, Precision
     from lightning.fabric.strategies.ddp import DDPStrategy
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("training needs lightning: pip install 'lidar2pano[train]'") from error
@@ -58,6 +59,7 @@ for _library in ("lightning.fabric", "lightning.pytorch"):  # their remarks are 
 LAST = ("", torch.zeros(()))  # what follows a task's last update
 VALIDATION_LIMIT = timedelta(hours=2)  # the other processes wait at most this long for the one that validates
 SAVING_SHARE, PREVIEW_SHARE, VALIDATION_SHARE = 0.05, 0.05, 0.15  # of the time, at most, go into each of these
+SCALER = "loss scale"  # among the optimisers' states in a checkpoint
 AGREE_EVERY = 10  # steps after which several processes agree on the time and on interrupts
 
 
@@ -79,11 +81,16 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
         devices=devices,
         num_nodes=num_nodes,
         strategy=_many_processes() if processes > 1 else "auto",
-        precision=choose_precision(training, chosen),
+        plugins=_precision(choose_precision(training, chosen), chosen),
     )
     fabric.launch()
     with claimed(out) if fabric.is_global_zero else nullcontext():
         return _train(fabric, recipe, training, root, out)
+
+
+def _precision(name: Literal["bf16-mixed", "16-mixed", "32-true"], device: torch.device) -> Precision:
+    """Fabric's plugin; that of float16 scales losses, and omits steps whose gradients overflow."""
+    return Precision() if name == "32-true" else MixedPrecision(name, device.type)
 
 
 def _train(fabric: Fabric, recipe: Recipe, training: Training, root: Path, out: Path) -> Path:
@@ -142,6 +149,8 @@ class Run:
             for name, network in self.networks.items():
                 network.load_state_dict(_below(weights, f"network/{name}/"))
                 load_optimizer(self.optimizers[name], optimizers[name])
+            if SCALER in optimizers:
+                self.fabric.strategy.precision.load_state_dict(optimizers[SCALER])
             for name, average in self.averages.items():
                 average.load(_below(weights, f"average/{name}/"))
         except (LookupError, TypeError, ValueError, RuntimeError, AttributeError) as error:
@@ -251,7 +260,9 @@ class Run:
             weights = [weight for weight in self.networks[name].parameters() if weight.requires_grad]
             if self.fabric.world_size > 1:
                 average_gradients(weights)
-            clip(weights, self.recipe.networks[name].optimizer.clip)
+            if norm := self.recipe.networks[name].optimizer.clip:
+                self.fabric.strategy.precision.unscale_gradients(self.optimizers[name].optimizer)
+                clip(weights, norm)
             self.optimizers[name].step()
 
     @contextmanager
@@ -290,6 +301,8 @@ class Run:
         for name, average in self.averages.items():
             weights |= {f"average/{name}/{key}": value for key, value in average.state.items()}
         states = {name: optimizer.state_dict() for name, optimizer in self.optimizers.items()}
+        if scaler := self.fabric.strategy.precision.state_dict():
+            states[SCALER] = scaler
         save_checkpoint(self.out, self.progress, weights, states)
 
     def _preview(self) -> None:

@@ -111,6 +111,6 @@ def averaged(networks: Iterable[nn.Module], averages: Iterable[EMA]) -> Iterator
 
 
 def clip(weights: Iterable[Tensor], largest: float) -> None:
-    """ClipSample the gradient of `weights` to the norm `largest`; 0 = no clipping."""
+    """Scale the gradient of `weights` down to the norm `largest`; 0 = no clipping."""
     if largest > 0:
         torch.nn.utils.clip_grad_norm_(list(weights), largest)
