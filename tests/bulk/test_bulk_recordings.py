@@ -277,6 +277,16 @@ def test_a_recording_is_a_sequence(tmp_path, capsys):
         run(job)
 
 
+def test_recordings_become_a_data_set_in_their_own_folder_and_again(tmp_path, capsys):
+    recorded(tmp_path / "town", "bag", "07")
+    write_bin(tmp_path / "a.bin", street(0, 300))
+    job = job_of(tmp_path, tmp_path, layout=SEMANTIC_KITTI)
+    assert run(job) == 0 and "13 written" in capsys.readouterr().out
+    assert run(job) == 0 and "13 there before" in capsys.readouterr().out  # what was written is no scan of ROOT
+    (tmp_path / "sequences" / "town-07" / "pano" / "000003.png").unlink()
+    assert run(job) == 0 and "12 there before" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("format", ["bag", "mcap-plain"])
 def test_times_and_poses_of_a_recording(tmp_path, format):
     """They are those with which `translate` reads the recording, though the data set is read as KITTI's."""

@@ -12,6 +12,7 @@ from lidar2pano.errors import InputError
 
 MIRRORED, SEMANTIC_KITTI = "", "semantickitti"  # layouts
 LAYOUTS = (MIRRORED, SEMANTIC_KITTI)
+RUN_FILE = "bulk.json"  # in the folder of every run's outputs
 # What is added to a scan's stem, by what an output holds; and an output's name in the folder of its sequence.
 SUFFIXES = {"rgb": ".png", "segments": ".segments.png", "labels": ".label", "depth": ".depth.png"}
 IN_SEQUENCE = {

@@ -10,7 +10,7 @@ from itertools import groupby
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
-from lidar2pano.bulk.entries import MIRRORED, SEMANTIC_KITTI, SUFFIXES, Entry, ScanKey, Shard
+from lidar2pano.bulk.entries import MIRRORED, RUN_FILE, SEMANTIC_KITTI, SUFFIXES, Entry, ScanKey, Shard
 from lidar2pano.bulk.stores import Folder, Store, local_copy
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ENDINGS, PACKED, ReadOptions
@@ -56,8 +56,10 @@ def entries(
     found: list[Entry] = []
     total, place_of = 0, dict[str, str]()
     sources = [Source(only, True)] if only else sorted(_sources(store), key=lambda one: (one.folder, one.name))
-    for folder, group in groupby(sources, key=lambda one: one.folder):
-        stems = _stems(list(group))
+    grouped = {folder: _stems(list(group)) for folder, group in groupby(sources, key=lambda one: one.folder)}
+    if layout == SEMANTIC_KITTI and store.exists(RUN_FILE):
+        grouped = _without_outputs(grouped)
+    for folder, stems in grouped.items():
         total += len(stems)
         files, refused = _wanted(store, folder, [one.name for one in stems if not one.recording], shard, selection)
         found += refused
@@ -138,9 +140,20 @@ def _recorded(store: Store, name: str, stem: str, shard: Shard, selection: ReadO
     return [Entry(key=ScanKey(name, n), stem=stem) for n in (numbers if whole else shard.part(name, numbers))]
 
 
+def _without_outputs(grouped: dict[str, dict[Source, str]]) -> dict[str, dict[Source, str]]:
+    """The groups without the scan files that a run with ROOT as its OUT wrote of ROOT's recordings."""
+    recordings = [(one, stem) for stems in grouped.values() for one, stem in stems.items() if one.recording]
+    written = {f"sequences/{_sequence(one, stem)}/velodyne" for one, stem in recordings}
+    return {folder: stems for folder, stems in grouped.items() if folder not in written}
+
+
+def _sequence(source: Source, stem: str) -> str:
+    return Entry(key=ScanKey(source.name, 0 if source.recording else None), stem=stem).sequence
+
+
 def _check_sequence(store: Store, source: Source, stem: str, place_of: dict[str, str]) -> None:
     """Refuse a second folder or recording that would be the same sequence."""
-    sequence = Entry(key=ScanKey(source.name, 0 if source.recording else None), stem=stem).sequence
+    sequence = _sequence(source, stem)
     place = source.name if source.recording else source.folder
     if place_of.setdefault(sequence, place) != place:
         raise InputError(

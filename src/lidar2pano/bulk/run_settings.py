@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar2pano import __version__
-from lidar2pano.bulk.entries import SEMANTIC_KITTI, Entry
+from lidar2pano.bulk.entries import RUN_FILE, SEMANTIC_KITTI, Entry
 from lidar2pano.bulk.job import Job, copy_beside
 from lidar2pano.bulk.scan_reading import file_hash
 from lidar2pano.bulk.stores import Folder, Store, open_store
@@ -16,7 +16,6 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.labels import COMMON15
 
-NAME = "bulk.json"
 SEQUENCE_FILES = ("calib.txt", "poses.txt", "times.txt")
 
 
@@ -45,13 +44,13 @@ def start(job: Job, found: list[Entry], files: Mapping[str, Path], options: Mapp
             for index, (name, colour) in enumerate(zip(COMMON15.classes, COMMON15.colours, strict=True))
         },
     }
-    if out.exists(NAME):
+    if out.exists(RUN_FILE):
         _compare(out, settings)
     else:
         _refuse_others(job, out, found)
         with out.scratch() as scratch:
-            (scratch / NAME).write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
-            out.put(scratch / NAME, NAME)
+            (scratch / RUN_FILE).write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
+            out.put(scratch / RUN_FILE, RUN_FILE)
     if job.layout == SEMANTIC_KITTI and not same:
         copy_beside(source, out, "splits.json", "splits.json")
         of_files = [entry for entry in found if entry.key.scan is None and not entry.error]
@@ -61,13 +60,13 @@ def start(job: Job, found: list[Entry], files: Mapping[str, Path], options: Mapp
 
 
 def _compare(out: Store, settings: dict[str, Any]) -> None:
-    with out.local(NAME) as path:
+    with out.local(RUN_FILE) as path:
         before = read_json(path)
     for name, value in settings.items():
         if not isinstance(before, dict) or before.get(name) != value:
             raise InputError(
-                f"{out.place}/{NAME}: these panoramas were made with another {name!r}; choose another --out, or repeat"
-                " the command with the same options"
+                f"{out.place}/{RUN_FILE}: these panoramas were made with another {name!r}; choose another --out, or"
+                " repeat the command with the same options"
             )
 
 
@@ -76,7 +75,7 @@ def _refuse_others(job: Job, out: Store, found: list[Entry]) -> None:
     for entry in found:
         for name in () if entry.error else job.outputs(entry).values():
             if out.exists(name):
-                raise InputError(f"{out.place}/{name}: is there already, but no {NAME}; choose another --out")
+                raise InputError(f"{out.place}/{name}: is there already, but no {RUN_FILE}; choose another --out")
 
 
 def _sequence_folder(entry: Entry) -> str:
