@@ -21,7 +21,7 @@ from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import Normalisation, RangeImage, fitted_view, one_hot_layers, project
 from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
-from lidar2pano.memory import Memory, PreviousFrame, smoothed
+from lidar2pano.memory import Memory, PreviousFrame, Surroundings, fused, smoothed
 from lidar2pano.models.card import Card, read_card
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
@@ -36,6 +36,7 @@ from lidar2pano.recordings.drive_scans import read
 from lidar2pano.scan import OWN_VEHICLE_M, Scan
 from lidar2pano.views import View, columns_between, sensor_view
 
+TINY = 1e-20  # least probability whose logarithm is taken
 SKY, CONDITIONS = COMMON15.id_of("sky"), len(SEMANTIC_KITTI)
 
 
@@ -198,9 +199,14 @@ class Pipeline:
     ) -> tuple[Memory, Panorama]:
         """The panorama of a translated scan that follows those in `memory`, and the memory for the next one.
 
-        pose  (4, 4) float64 `T_world_sensor`, metres. If it is always given, the output is temporally smoothed
-              (memory.smoothed).
+        pose  (4, 4) float64 `T_world_sensor`, metres. If it is always given, classes and depths are averaged over time
+              before they are painted (memory.fused), and so is the image (memory.smoothed).
         """
+        around = None
+        if pose is not None:
+            with timer("fuse"):
+                around = self._around(translated, memory.around, pose)
+                translated = translated._replace(logits=around.segments.clamp(min=TINY).log(), depth_m=around.depth_m)
         logits, depth_m = translated.logits, translated.depth_m
         with timer("paint"), fast_arithmetic(self.device):
             scene = Scene(
@@ -213,9 +219,9 @@ class Pipeline:
             )
             painted, image = self.painter.paint(memory.painted, scene)
         previous = None
-        if pose is not None:
+        if around is not None:
             with timer("steady"):
-                previous = self._smoothed(memory.previous, translated, image, pose)
+                previous = self._smoothed(memory.previous, around, image)
                 image = previous.image
         with timer("finish"):
             colour = image[0].float().add(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
@@ -239,19 +245,26 @@ class Pipeline:
             beyond_rows=translated.beyond_rows,
             milliseconds=timer.milliseconds,
         )
-        return Memory(frames=memory.frames + 1, painted=painted, previous=previous), panorama
+        return Memory(frames=memory.frames + 1, painted=painted, around=around, previous=previous), panorama
 
-    def _smoothed(
-        self, previous: PreviousFrame | None, translated: Translated, image: Tensor, pose: np.ndarray
-    ) -> PreviousFrame:
-        ids = translated.logits[0].max(0).indices.to(torch.uint8)
-        distance_m = torch.where(ids == SKY, torch.inf, translated.depth_m[0].float())
+    def _around(self, translated: Translated, before: Surroundings | None, pose: np.ndarray) -> Surroundings:
+        """The scan's classes and depths, averaged with those before."""
+        now = Surroundings(
+            segments=translated.logits.float().softmax(1),
+            depth_m=translated.depth_m.float(),
+            count=torch.ones_like(translated.depth_m[0].float()),
+            T_world_sensor=torch.from_numpy(np.asarray(pose, dtype=np.float64)).to(translated.depth_m.device),
+        )
+        return now if before is None else fused(now, before, self.view)
+
+    def _smoothed(self, previous: PreviousFrame | None, around: Surroundings, image: Tensor) -> PreviousFrame:
+        """The image, averaged with those before."""
         now = PreviousFrame(
             image=image.float(),
-            ids=ids,
-            distance_m=distance_m,
-            count=torch.ones_like(distance_m),
-            T_world_sensor=torch.from_numpy(np.asarray(pose, dtype=np.float64)).to(ids.device),
+            ids=around.ids,
+            distance_m=around.distance_m,
+            count=torch.ones_like(around.count),
+            T_world_sensor=around.T_world_sensor,
         )
         return now if previous is None else smoothed(now, previous, self.view)
 

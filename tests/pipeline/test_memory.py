@@ -6,7 +6,7 @@ import torch
 
 from lidar2pano.geometry.projection import directions
 from lidar2pano.labels import COMMON15
-from lidar2pano.memory import MOST, PreviousFrame, smoothed
+from lidar2pano.memory import MOST, PreviousFrame, Surroundings, fused, smoothed
 from lidar2pano.views import View
 
 VIEW = View(rows=24, columns=96, up=0.24, down=-0.2836, kind="cylinder", origin=(0.3, 0.1, -0.1))
@@ -109,3 +109,80 @@ def test_the_sky_is_smoothed_by_the_turn_alone():
     now = torch.roll(before, 6, dims=3)
     memory = smoothed(frame(now, pose, ids, far), frame(before, STILL, ids, far), VIEW)
     assert (memory.count == 2).all() and (memory.image - now).abs().max() < 1e-3
+
+
+# --- classes and depths -----------------------------------------------------------------------------------------------
+
+
+def around(share, depth_m=10.0, pose=STILL, count=1.0, class_id=CAR):
+    """Surroundings of road and, with probability `share` (H, W), another class."""
+    share = torch.as_tensor(share).expand(VIEW.rows, VIEW.columns).float()
+    segments = torch.zeros(1, len(COMMON15), VIEW.rows, VIEW.columns)
+    segments[0, class_id], segments[0, ROAD] = share, 1 - share
+    depth_m = torch.as_tensor(depth_m).float().expand(1, VIEW.rows, VIEW.columns)
+    return Surroundings(segments, depth_m, torch.full((VIEW.rows, VIEW.columns), count), pose)
+
+
+def test_scans_of_a_sensor_that_stands_are_averaged():
+    memory = around(0.2, 10.0)
+    for share, depth_m in ((0.6, 11.0), (0.1, 9.0)):
+        memory = fused(around(share, depth_m), memory, VIEW)
+    assert torch.allclose(memory.segments[0, CAR], torch.tensor(0.3), atol=1e-4)
+    assert torch.allclose(memory.depth_m, torch.tensor((10.0 * 11 * 9) ** (1 / 3)), atol=1e-3)
+    assert (memory.count == 3).all()
+    assert torch.equal(memory.T_world_sensor, STILL)
+
+
+def test_the_newest_scan_never_weighs_less_than_one_of_most():
+    memory = fused(around(0.6), around(0.0, count=100.0), VIEW)
+    assert (memory.count == MOST).all() and torch.allclose(memory.segments[0, CAR], torch.tensor(0.6 / MOST), atol=1e-5)
+
+
+def test_classes_are_moved_over_a_turn_and_across_the_seam():
+    """After a turn to the left by 7 columns, everything stands 7 columns further right."""
+    share = torch.rand(VIEW.rows, VIEW.columns, generator=torch.Generator().manual_seed(0)) * 0.5
+    now = share.roll(7, 1)
+    memory = fused(around(now, pose=turned(7)), around(share), VIEW)
+    assert (memory.count == 2).all() and torch.allclose(memory.segments[0, CAR], now, atol=1e-3)
+    other = fused(around(now, pose=turned(-7)), around(share), VIEW)
+    assert (other.segments[0, CAR] - now).abs().mean() > 0.05, "a turn the other way does not fit"
+
+
+def cylinder_m(origin):
+    """Distances (H, W) from `origin`, in the world, to a cylinder of 12 m about the world's z axis."""
+    flat, start = directions(VIEW).double()[..., :2], torch.tensor(origin[:2], dtype=torch.float64)
+    a, b, c = (flat**2).sum(-1), (flat * start).sum(-1), (start**2).sum() - 144
+    return ((-b + (b**2 - a * c).sqrt()) / a).float()
+
+
+def test_depths_change_as_the_sensor_moves():
+    """Two metres ahead the walls are elsewhere; depths that were right stay so, and half of an error of 8 % goes."""
+    pose, origin = torch.eye(4, dtype=torch.float64), np.array(VIEW.origin)
+    pose[0, 3] = 2.0
+    before_m, now_m = cylinder_m(origin), cylinder_m(origin + [2, 0, 0])
+    right = fused(around(0.2, now_m, pose), around(0.2, before_m), VIEW)
+    averaged = right.count == 2
+    assert averaged.float().mean() > 0.9
+    assert (right.depth_m[0] / now_m - 1)[averaged].abs().max() < 0.02
+    assert (before_m / now_m - 1).abs().max() > 0.1
+    wrong = fused(around(0.2, 1.08 * now_m, pose), around(0.2, before_m), VIEW)
+    assert (wrong.depth_m[0] / now_m).median() == pytest.approx(1.08**0.5, abs=0.015)
+
+
+def test_what_is_at_another_distance_begins_again():
+    depth_m = torch.full((VIEW.rows, VIEW.columns), 10.0)
+    depth_m[5:9, 40:60] = 5
+    memory = fused(around(0.6, depth_m), around(0.0), VIEW)
+    assert (memory.count[5:9, 40:60] == 1).all() and (memory.count[12:] == 2).all()
+    assert torch.equal(memory.segments[..., 5:9, 40:60], around(0.6).segments[..., 5:9, 40:60])
+    assert torch.equal(memory.depth_m[0, 5:9, 40:60], depth_m[5:9, 40:60])
+
+
+def test_the_sky_moves_by_the_turn_alone_and_keeps_its_depth():
+    pose = turned(3)
+    pose[:3, 3] += torch.tensor([5.0, 0.0, 0.0])
+    share = 0.6 + 0.3 * torch.rand(VIEW.rows, VIEW.columns, generator=torch.Generator().manual_seed(1))
+    now = share.roll(3, 1)
+    memory = fused(around(now, 80.0, pose, class_id=SKY), around(share, 70.0, class_id=SKY), VIEW)
+    assert (memory.count == 2).all() and torch.allclose(memory.segments[0, SKY], now, atol=1e-3)
+    assert (memory.depth_m == 80).all()

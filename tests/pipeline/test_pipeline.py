@@ -20,6 +20,7 @@ from lidar2pano.formats.image_files import read_image
 from lidar2pano.geometry.projection import Normalisation, one_hot_layers, project
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
+from lidar2pano.memory import Surroundings, fused
 from lidar2pano.models import build
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.card import read_card, save
@@ -90,11 +91,39 @@ def test_a_stream_with_poses_is_smoothed(pipeline):
     steady = list(replace(pipeline, painter=Moody()).stream([scan] * 2, [still] * 2))
     assert (plain[0] == 64).all() and (plain[1] == 140).all()
     assert (steady[0].colour == 64).all() and (steady[1].colour == 102).mean() > 0.9
-    assert list(steady[1].milliseconds)[-3:] == ["paint", "steady", "finish"]
-    assert np.array_equal(steady[1].segments, steady[0].segments)
+    assert list(steady[1].milliseconds)[-4:] == ["fuse", "paint", "steady", "finish"]
+    assert (steady[1].segments == steady[0].segments).mean() > 0.999  # but for ties
     memory, _ = replace(pipeline, painter=Moody()).step(Memory(), scan, still)
-    assert memory.previous is not None
-    assert replace(pipeline, painter=Moody()).step(memory, scan)[0].previous is None, "without a pose it begins again"
+    assert memory.previous is not None and memory.around is not None
+    again, _ = replace(pipeline, painter=Moody()).step(memory, scan)
+    assert (again.previous, again.around) == (None, None), "without a pose it begins again"
+
+
+def test_a_stream_with_poses_paints_the_mean_of_its_scans(pipeline):
+    """A sensor that stands and sees two streets: the second picture is painted of what `fused` makes of both."""
+    painted = []
+
+    class Noting:
+        def paint(self, past, scene):
+            painted.append(scene)
+            return past, torch.zeros(1, 3, *(2 * length for length in scene.segments.shape[2:]))
+
+    scans, still = [street(seed=1), street(seed=2)], np.eye(4)
+    list(replace(pipeline, painter=Noting()).stream(scans, [still] * 2))
+    one, other = (
+        Surroundings(
+            segments=translated.logits.float().softmax(1),
+            depth_m=translated.depth_m.float(),
+            count=torch.ones(translated.depth_m.shape[1:]),
+            T_world_sensor=torch.eye(4, dtype=torch.float64),
+        )
+        for translated in (pipeline.translate(scan, Timer(pipeline.device)) for scan in scans)
+    )
+    mean = fused(other, one, pipeline.view)
+    assert (mean.depth_m - other.depth_m).abs().max() > 0.1, "the streets differ"
+    for scene, expected in zip(painted, (one, mean), strict=True):
+        assert torch.allclose(scene.segments.float(), expected.segments, atol=2e-3)  # rounded to bfloat16
+        assert torch.allclose(scene.depth_m, expected.depth_m, rtol=1e-4)
 
 
 def test_streams_share_nothing(pipeline):

@@ -74,16 +74,8 @@ def ego_flow(
     size = (raster.rows, raster.columns) if isinstance(raster, View) else raster.size[::-1]
     if now_m.shape != size or before_m.shape != size:
         raise ValueError(f"distances must be {size}, got {tuple(now_m.shape)} and {tuple(before_m.shape)}")
-    device = now_m.device
-    rays = directions(raster, device=device).double() if isinstance(raster, View) else camera_rays(raster).to(device)
-    here = raster.origin if isinstance(raster, View) else raster.centre
-    origin, T = torch.tensor(here, dtype=torch.float64, device=device), T_before_now.to(device).double()
-    turn, step = T[:3, :3], T[:3, :3] @ origin + T[:3, 3] - origin
-    far = now_m.isinf()
-    # of a ray that ends nowhere only its direction moves
-    ends = torch.where(
-        far[..., None], rays @ turn.T, (now_m.double().where(~far, 0.0)[..., None] * rays) @ turn.T + step
-    )
+    device, far = now_m.device, now_m.isinf()
+    ends, origin = _ends(now_m, T_before_now, raster)
     row, column = _places(ends, origin, raster)
     circular = isinstance(raster, View) and raster.circular
     rows, columns = size
@@ -95,6 +87,29 @@ def ego_flow(
     known = reaches(shift[None], circular=circular)[0] & (now_m > 0)
     known &= _unoccluded(before_m, shift, torch.where(far, 0.0, 1 / ends.norm(dim=-1)).float(), circular, same)
     return Flow(shift=shift * known, known=known)
+
+
+def distances_before(now_m: Tensor, T_before_now: Tensor, raster: View | Calibration) -> Tensor:
+    """How far what each pixel shows was in the previous frame, (H, W) float32 metres; arguments as of `ego_flow`.
+
+    Infinite for the sky.
+    """
+    return _ends(now_m, T_before_now, raster)[0].norm(dim=-1).float().where(now_m.isfinite(), torch.inf)
+
+
+def _ends(now_m: Tensor, T_before_now: Tensor, raster: View | Calibration) -> tuple[Tensor, Tensor]:
+    """Where what each pixel shows was in the previous frame, (H, W, 3) float64 from the raster's point; and the point.
+
+    Of a ray that ends nowhere only its direction moves.
+    """
+    device = now_m.device
+    rays = directions(raster, device=device).double() if isinstance(raster, View) else camera_rays(raster).to(device)
+    here = raster.origin if isinstance(raster, View) else raster.centre
+    origin, T = torch.tensor(here, dtype=torch.float64, device=device), T_before_now.to(device).double()
+    turn, step = T[:3, :3], T[:3, :3] @ origin + T[:3, 3] - origin
+    far = now_m.isinf()[..., None]
+    measured = (now_m.double()[..., None].where(~far, 0.0) * rays) @ turn.T + step
+    return torch.where(far, rays @ turn.T, measured), origin
 
 
 def camera_rays(calibration: Calibration) -> Tensor:
