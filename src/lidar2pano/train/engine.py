@@ -261,7 +261,7 @@ class Run:
             if self.fabric.world_size > 1:
                 average_gradients(weights)
             if norm := self.recipe.networks[name].optimizer.clip:
-                self.fabric.strategy.precision.unscale_gradients(self.optimizers[name].optimizer)
+                self.fabric.strategy.precision.unscale_gradients(cast(Any, self.optimizers[name]).optimizer)
                 clip(weights, norm)
             self.optimizers[name].step()
 
