@@ -81,7 +81,7 @@ def fused(now: Surroundings, before: Surroundings, view: View) -> Surroundings:
     """`now` averaged with the scans before it, moved to where the same surfaces are now.
 
     What is painted of it wavers less: invented windows and paint hang on depths, which the translator predicts for each
-    scan anew. Where `ego_flow` knows the flow, probabilities are averaged, and so are the logarithms of depths, each
+    scan again. Where `ego_flow` knows the flow, probabilities are averaged, and so are the logarithms of depths, each
     changed as the sensor's motion has changed it; elsewhere the mean starts again. Weights are those of `smoothed`.
     view  the raster of both.
     """
