@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import shutil
+import sys
 from dataclasses import replace
 from math import gcd
 from typing import Literal
@@ -53,11 +54,11 @@ def shared(training: Training, processes: int) -> Training:
 
 def check_compiler(training: Training) -> None:
     """Raise InputError where networks are to be compiled and there is no C++ compiler, which torch.compile calls."""
-    named = os.environ.get("CXX")
-    if training.compile and not any(map(shutil.which, [named] if named else ["g++", "clang++"])):
+    compiler = os.environ.get("CXX") or ("clang++" if sys.platform == "darwin" else "g++")
+    if training.compile and not shutil.which(compiler):
         raise InputError(
-            f"training.compile=true needs a C++ compiler, and there is no {named or 'g++ or clang++'}; "
-            "install one, or set training.compile=false"
+            f"training.compile=true needs a C++ compiler, and {compiler} is not installed; install it, name another one"
+            " (CXX), or set training.compile=false"
         )
 
 

@@ -283,7 +283,8 @@ class Run:
     def _averaged(self) -> Iterator[None]:
         """Inside, networks have their averaged weights; those that are not finite raise FloatingPointError."""
         seed_step(self.recipe.training.seed, self.fabric.global_rank, self.progress.step)
-        eager = torch.compiler.set_stance("force_eager")  # its shapes come once: compiling would take longer
+        compiled = self.recipe.training.compile  # its shapes come once: compiling for them would take longer
+        eager = torch.compiler.set_stance("force_eager") if compiled else nullcontext()
         with averaged(self.networks.values(), self.averages.values()), eager:
             for name in self.task.released:
                 check_weights(self.networks[name].state_dict(), self.progress.step)
