@@ -16,7 +16,7 @@ val = [frame for frame in listing["all"] if int(frame[:2]) >= 18]
 listing |= {"val": val, "train": [frame for frame in listing["all"] if frame not in val]}
 json.dump(listing, open(sys.argv[1], "w"), indent=1)
 PY
-changes=(--set vid2vid.training.minutes=20 --set pix2pix-segments.training.validate_minutes=0)
+changes=(--set vid2vid.training.minutes=5 --set pix2pix-segments.training.validate_minutes=0)
 for part in titan titan-no-lovasz titan-no-range titan-no-segments; do
   changes+=(--set "$part.training.compile=true" --set "$part.training.validate_minutes=0")
 done
