@@ -18,6 +18,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.knn import clean_up
+from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.projection import Normalisation, RangeImage, fitted_view, one_hot_layers, project
 from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
@@ -38,6 +39,7 @@ from lidar2pano.views import View, columns_between, sensor_view
 
 TINY = 1e-20  # least probability whose logarithm is taken
 SKY, CONDITIONS = COMMON15.id_of("sky"), len(SEMANTIC_KITTI)
+GROUND = tuple(map(COMMON15.id_of, ("road", "sidewalk", "terrain")))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -186,10 +188,13 @@ class Pipeline:
             if self.input_view is not None:
                 read = self._checked(scan, project(scan, self.input_view, device=self.device))
         ids = self.segmenter.label(image, timer) if labels is None else torch.from_numpy(labels).to(self.device)
-        with timer("translate"), fast_arithmetic(self.device):
+        with timer("translate"):
             channels = around.channels[None].contiguous(memory_format=torch.channels_last)
             condition = one_hot_layers(read.spread(ids)[None], CONDITIONS)
-            logits, depth_m = self.translator(channels if read is around else read.channels[None], condition)
+            with fast_arithmetic(self.device):
+                logits, depth_m = self.translator(channels if read is around else read.channels[None], condition)
+            if self.input_view is None:  # what the paper's networks predict stays as it is
+                logits = evened(logits, GROUND)
         beyond_rows = int((image.usable & ~image.inside).sum())
         return Translated(scan.name, ids, image.dropped, channels, logits, depth_m, scan.gaps_deg, beyond_rows)
 

@@ -16,10 +16,12 @@ from lidar2pano.engines import export as engine_export
 from lidar2pano.engines import onnx_runner
 from lidar2pano.engines.export import Exportable, check_exportable, export
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.projection import project
 from lidar2pano.geometry.solid_noise import noise_tile
-from lidar2pano.models.scene_painter import painter_inputs, sharpened
-from lidar2pano.pipeline import load
+from lidar2pano.labels import COMMON15
+from lidar2pano.models.scene_painter import outlined, painter_inputs
+from lidar2pano.pipeline import GROUND, load
 from lidar2pano.views import VIEWS
 from random_weights import TRANSLATOR_VIEW, street, write_family, write_scan, write_weights
 
@@ -110,14 +112,26 @@ def test_the_runner_makes_the_painters_inputs_as_we_do(graphs, monkeypatch):
         depth_m[:, 26:42, left:right] = metres + 0.3 * torch.rand(right - left, generator=generator)
     image = project(street(), view).channels[None]
     segments = logits.softmax(1)
-    expected, expected_fine = painter_inputs(sharpened(segments, 2.0), depth_m, image, view)
+    expected, expected_fine = painter_inputs(
+        outlined(segments, 2.0, depth_m, view), depth_m, image, view, unread=(9, 11)
+    )
     arrays = (part[0].double().numpy() for part in (segments, depth_m, image))
-    inputs, fine = onnx_runner.painter_inputs(*arrays, view.as_dict(), 2.0)
+    inputs, fine = onnx_runner.painter_inputs(*arrays, view.as_dict(), 2.0, [9, 11])
     assert np.abs(inputs - expected[0].numpy())[:24].max() < 1e-4
     assert (np.abs(inputs - expected[0].numpy()) < 1e-4).mean((1, 2)).min() > 0.99  # at borders of voxels and houses
     assert (inputs[30] > 0.3).any(), "there are openings"
     assert np.abs(inputs[27:30, 26:42, 75:84]).max() > 0.2, "there is a car"
     assert (np.abs(fine - expected_fine[0].numpy()) < 1e-3).mean() > 0.995  # at voxels' borders float32 reads another
+
+
+def test_the_runner_knows_the_classes():
+    assert tuple(onnx_runner.CLASSES) == COMMON15.classes
+
+
+def test_the_runner_evens_the_ground_as_we_do():
+    logits = torch.randn(1, 16, 12, 460, generator=torch.Generator().manual_seed(0)) * 3
+    expected = evened(logits, GROUND).softmax(1)[0].numpy()
+    assert np.allclose(onnx_runner.evened(onnx_runner.softmax(logits[0].double().numpy())), expected, atol=1e-5)
 
 
 # --- what does not agree is not written -----------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import torch
 from lidar2pano.errors import InputError
 from lidar2pano.labels import COMMON15
 from lidar2pano.models import build
-from lidar2pano.models.scene_painter import TONES, VARIED, Scene, painter_inputs, sharpened
+from lidar2pano.models.scene_painter import TONES, VARIED, Scene, outlined, painter_inputs, sharpened
 from lidar2pano.views import View
 
 VIEW = View(rows=16, columns=64, up=0.24, down=-0.28, kind="cylinder")
@@ -116,3 +117,36 @@ def test_where_no_tones_are_given_only_things_that_vary_do():
 
 def test_every_class_that_varies_exists():
     assert set(VARIED) <= set(COMMON15.classes)
+
+
+@pytest.mark.parametrize("name", ["road", "traffic-sign", "car", "building", "vegetation", "fence"])
+def test_remission_of_some_classes_is_not_read(name):
+    one, network = scene(), painter()
+    segments = torch.zeros_like(one.segments)
+    segments[:, COMMON15.id_of(name)] = 1
+    brighter = one.channels.clone()
+    brighter[:, 4] *= 0.5
+    scenes = [replace(one, segments=segments, channels=channels) for channels in (one.channels, brighter)]
+    assert torch.equal(*(painted(network, each) for each in scenes)) == (name in {"building", "vegetation", "fence"})
+
+
+def test_which_classes_these_are_is_a_setting():
+    assert build("scene-painter", unread=["car"], **SMALL).unread == (COMMON15.id_of("car"),)
+
+
+def test_what_is_painted_is_raised_to_a_power_and_cut_out_against_the_sky():
+    one = scene()
+    found, raised = outlined(one.segments, 2.0, one.depth_m, VIEW), sharpened(one.segments, 2.0)
+    sky = COMMON15.id_of("sky")
+    assert torch.allclose(found.sum(1), torch.ones(()), atol=1e-5)
+    assert not torch.allclose(found[:, sky], raised[:, sky], atol=0.01)
+    assert torch.allclose(found[:, 1] / found[:, 2], raised[:, 1] / raised[:, 2], rtol=1e-3)
+
+
+def test_no_weave():
+    """A flat scene is painted flat: pixel shuffles would show the four pixels of each larger one."""
+    network = painter()
+    inputs, fine = torch.ones(1, 31, 32, 64), torch.zeros(1, 3, 64, 128)
+    with torch.inference_mode():
+        found = network(inputs, fine, torch.tensor([[1.0, 0]]), torch.zeros(1, 3))[0, :, 24:40]
+    assert torch.allclose(found, found[..., :1, :1].expand_as(found), atol=1e-5)

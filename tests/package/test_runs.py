@@ -8,6 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
+from torch import nn
+
+from lidar2pano.models.circular import conv_norm_act
 
 SUPPORT = Path(__file__).resolve().parents[1] / "support"
 RUNS = Path(__file__).resolve().parents[2] / "runs"
@@ -51,3 +55,18 @@ def test_a_script_with_options_explains_them(
 @pytest.mark.parametrize("path", sorted(RUNS.glob("*.sh")), ids=lambda path: path.name)
 def test_shell_scripts_parse(path: Path) -> None:
     assert subprocess.run(["bash", "-n", path], capture_output=True, text=True, check=False).stderr == ""
+
+
+def test_four_convolutions_of_a_shuffle_become_their_mean() -> None:
+    torch.manual_seed(0)
+    shuffled, merged = nn.Module(), runpy.run_path(str(RUNS / "without_shuffles.py"))["merged"]
+    shuffled.up0 = nn.Sequential(conv_norm_act(5, 12, 1), nn.PixelShuffle(2)).eval()
+    norm = shuffled.up0[0][1]
+    for value in (norm.weight.data, norm.bias.data, norm.running_mean, norm.running_var):
+        value.uniform_(0.5, 2)
+    enlarged = conv_norm_act(5, 3, 1).eval()
+    state = merged(shuffled.state_dict(), "up0")
+    enlarged.load_state_dict({name.removeprefix("up0."): value for name, value in state.items()})
+    x = torch.randn(1, 5, 4, 6)
+    expected = shuffled.up0[0][:2](x).unflatten(1, (3, 4)).mean(2)
+    assert torch.allclose(enlarged[:2](x), expected, atol=1e-5)

@@ -17,6 +17,7 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.cli import main
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
+from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.projection import Normalisation, one_hot_layers, project
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
@@ -28,7 +29,7 @@ from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import licence_note, weight_files
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
-from lidar2pano.pipeline import Memory, Segmenter, load
+from lidar2pano.pipeline import GROUND, Memory, Segmenter, load
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, View
 from random_weights import LICENCE, TRANSLATOR_VIEW, spread_norms, street, write_scan, write_weights
@@ -160,6 +161,17 @@ def test_confidence_is_the_probability_of_the_class(pipeline, panorama, tmp_path
     (path,) = panorama.save(tmp_path, "confidence")
     assert path.name == "street.confidence.png"
     assert np.abs(read_image(path) / 255 - panorama.confidence).max() <= 0.5 / 255 + 1e-6
+
+
+def test_what_lies_on_the_ground_has_even_borders(pipeline):
+    """Of our translator; what a network of the paper predicts is its own, as its scores are."""
+    raw = []
+    network = pipeline.translator
+    watched = replace(pipeline, translator=lambda *given: raw.append(network(*given)) or raw[-1])
+    found = watched.translate(street(), Timer(pipeline.device)).logits
+    assert torch.equal(found, evened(raw[0][0], GROUND)) and not torch.equal(found, raw[0][0])
+    paper = replace(watched, input_view=pipeline.view)
+    assert torch.equal(paper.translate(street(), Timer(pipeline.device)).logits, raw[0][0])
 
 
 def test_nothing_is_claimed_out_of_view(pipeline):

@@ -36,7 +36,7 @@ class SampleOptions(TaskOptions):
 SAMPLE = Recipe(
     name="sample",
     view="panorama",
-    networks={"painter": Network(model="scene-painter", settings={"classes": 16, "widths": (32, 80, 144)})},
+    networks={"painter": Network(model="scene-painter", settings={"blocks": 4, "widths": (32, 80, 144)})},
     options=SampleOptions(),
 )
 

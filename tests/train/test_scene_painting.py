@@ -15,7 +15,7 @@ from lidar2pano.models.scene_painter import BUILDING
 from lidar2pano.train import scene_painting
 from lidar2pano.train.options import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingSample
-from lidar2pano.train.scene_painting import MATCHED, ScenePainting
+from lidar2pano.train.scene_painting import MATCHED, SPREAD, ScenePainting
 from lidar2pano.views import VIEWS
 
 WIDTHS = (4, 6, 8, 10)
@@ -46,6 +46,7 @@ def task() -> ScenePainting:
     one.features = RandomFeatures()
     one.statistics = PatchStatistics(2, WIDTHS[:MATCHED])
     painter = build("scene-painter", looks=one.looks, widths=(8, 12, 16), blocks=1, last=8)
+    one.unread = painter.unread
     one.networks = {"painter": painter, "critic": build("projected-critic", features=WIDTHS, mixed=8, width=8)}
     return one
 
@@ -172,7 +173,10 @@ def test_both_images_and_the_condition_are_augmented_alike(task, batch):
 
 
 def test_where_no_camera_looked_colours_are_drawn_to_their_classes(task, batch):
-    """By hand: cars are painted 0.3 where they are -0.3 + 0.1 on average; the sky's colour is not known."""
+    """By hand: cars are painted 0.3 where they are -0.3 + 0.1 on average; the sky's colour is not known.
+
+    Single pixels count beyond SPREAD: they are 0.5 away, so that 0.1 comes to the square of 0.5.
+    """
     flat = batch.flat()
     flat.class_means[:, 1] = -0.3
     flat.valid[:, 32:] = False
@@ -180,6 +184,32 @@ def test_where_no_camera_looked_colours_are_drawn_to_their_classes(task, batch):
     segments = torch.zeros(2, 16, 32, 64)
     segments[:, 15, :24], segments[:, 1, 24:] = 1, 1
     painted = torch.full((2, 3, 64, 128), 0.3)
-    assert task._unseen(flat, segments, tones, painted).item() == pytest.approx(0.25, abs=1e-6)
+    assert task._unseen(flat, segments, tones, painted).item() == pytest.approx(0.25 + 0.5 - SPREAD, abs=1e-6)
     flat.valid[:] = True
     assert task._unseen(flat, segments, tones, painted).item() == 0
+
+
+def test_one_bright_pixel_that_no_camera_saw_costs_something(task, batch):
+    flat = batch.flat()
+    flat.class_means[:, 1], flat.valid[:] = 0.0, False
+    segments = torch.zeros(2, 16, 32, 64)
+    segments[:, 1] = 1
+    painted = torch.zeros(2, 3, 64, 128)
+    painted[0, 1, 50, ::2], painted[0, 1, 50, 1::2] = 1, -1  # pooled colours are as they should be
+    spots = task._unseen(flat, segments, torch.zeros(2, 3, 32, 64), painted).item()
+    assert spots == pytest.approx(128 * (1 - SPREAD) / painted.numel(), rel=1e-4)
+
+
+def test_remission_is_that_of_other_sensors_or_none(task, batch):
+    flat = batch.flat()
+    flat.channels[:] = 0.5
+    before = flat.channels.clone()
+    assert torch.equal(task._scanned(flat), before)
+    task.options = replace(task.options, remission_scale=0.3)
+    found = task._scanned(flat)
+    assert torch.equal(found[:, :4], before[:, :4]) and torch.equal(flat.channels, before)
+    assert (found[:, 4] >= 0.35).all() and (found[:, 4] <= 0.65).all() and found[:, 4].flatten(1).std(1).max() == 0
+    assert len(found[:, 4].unique()) == 2, "each crop has its own"
+    task.options = replace(task.options, remission_drop_probability=1.0)
+    found = task._scanned(flat)
+    assert not found[:, [0, 4]].any(), "nothing was measured"

@@ -15,7 +15,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.models.card import load
 from lidar2pano.models.families import weight_files
 from lidar2pano.pipeline import Segmenter
-from lidar2pano.train.checkpoint import check_recipe
+from lidar2pano.train.checkpoint import check_recipe, write_recipe
 from lidar2pano.train.engine import train
 from lidar2pano.train.recipe import Recipe, override, resolved
 from lidar2pano.train.recipes import recipe_named
@@ -161,3 +161,16 @@ def test_a_run_goes_on_that_began_when_recipes_had_fewer_values(tmp_path):
     check_recipe(tmp_path, override(recipe, "training.steps=2"))
     with pytest.raises(InputError, match=r"options\.class_weight_most: 6\.0 -> 5\.0"):
         check_recipe(tmp_path, override(recipe, "options.class_weight_most=5"))
+
+
+def test_a_run_goes_on_where_its_weight_files_lie_elsewhere(tmp_path):
+    run, here, there = tmp_path / "run", tmp_path / "here.safetensors", tmp_path / "there.safetensors"
+    here.write_bytes(b"weights")
+    (run / "checkpoints" / "000000001").mkdir(parents=True)
+    recipe = small("titan-mini")
+    write_recipe(run, override(recipe, f"options.segmenter={here}"))
+    here.rename(there)
+    check_recipe(run, override(recipe, f"options.segmenter={there}"))
+    there.write_bytes(b"other weights")
+    with pytest.raises(InputError, match=r"options\.segmenter: .*here\.safetensors -> "):
+        check_recipe(run, override(recipe, f"options.segmenter={there}"))

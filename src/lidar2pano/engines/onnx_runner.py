@@ -13,6 +13,11 @@ import numpy as np
 
 HERE = Path(__file__).parent
 SKY, ROAD, BUILDING, CAR, FAR_M, OWN_VEHICLE_M = 15, 7, 9, 1, 120.0, 1.0  # ids of common-15; metres
+GROUND, VEGETATION = [7, 8, 12], 11
+CLASSES = (  # noqa: SIM905 of common-15, as one line each they would fill the page
+    "unlabeled car bicycle motorcycle truck other-vehicle person road sidewalk building fence vegetation terrain pole"
+    " traffic-sign sky"
+).split()
 COARSE_M, FINE_M, AWAY_M = (0.25, 1.0, 4.0), (0.0625, 0.125, 0.5), 4096.0  # wavelengths of the painter's noise
 VARIED = np.zeros(16)  # how the brightness of truck, other-vehicle, person, fence and pole varies
 VARIED[[4, 5, 6, 10, 13]] = 0.15, 0.15, 0.15, 0.15, 0.1
@@ -34,10 +39,11 @@ def main(scan, out):
     image, _, _, owner = project(points, view)
     condition = np.where(owner >= 0, labels[owner], 0) == np.arange(20)[:, None, None]
     logits, depth_m = translator(image, condition)
-    segments = np.exp(logits - logits.max(0))
-    segments /= segments.sum(0)
-    inputs, fine_noise = painter_inputs(segments, depth_m, image, view, painter.card["settings"].get("sharp", 2.0))
-    looks, own = painter.card["settings"]["looks"], painter.card["settings"].get("look")
+    segments = evened(softmax(logits))
+    settings = painter.card["settings"]
+    unread = [CLASSES.index(name) for name in settings.get("unread", ("building", "vegetation", "fence"))]
+    inputs, fine_noise = painter_inputs(segments, depth_m, image, view, settings.get("sharp", 2.0), unread)
+    looks, own = settings["looks"], settings.get("look")
     shares = np.eye(len(looks))[looks.index(own or looks[0])]  # a mean of looks: shares that sum to 1
     (colour,) = painter(inputs, fine_noise, shares, np.zeros(3))
     pixels = np.rint((colour + 1) * 127.5).clip(0, 255).astype(np.uint8).transpose(1, 2, 0)
@@ -78,10 +84,50 @@ def project(points, view):
     return channels * (owner >= 0), row, column, owner
 
 
-def painter_inputs(segments, depth_m, image, view, exponent):
+def softmax(logits):
+    """Probabilities of logits (classes, H, W)."""
+    segments = np.exp(logits - logits.max(0))
+    return segments / segments.sum(0)
+
+
+def evened(segments):
+    """Probabilities in which road, sidewalk and terrain are shared as in a Gaussian around each pixel."""
+    ground, columns = segments[GROUND], segments.shape[2]
+    around = np.zeros_like(ground)
+    across, down = (np.exp(-(np.arange(-r, r + 1) ** 2) / (2 * s**2)) for s, r in reaches(1.6 / 360 * columns, 1.5))
+    for shift, weight in zip(range(len(across) // 2, -len(across) // 2, -1), across / across.sum(), strict=True):
+        around += weight * np.roll(ground, shift, 2)
+    padded = np.pad(around, ((0, 0), (len(down) // 2,) * 2, (0, 0)), "edge")
+    around = sum(w * padded[:, i : i + ground.shape[1]] for i, w in enumerate(down / down.sum()))
+    around = around.clip(min=1e-12)
+    segments = segments.copy()
+    segments[GROUND] = around / around.sum(0) * ground.sum(0)
+    return segments
+
+
+def reaches(*deviations):
+    """Deviations of Gaussians, and how far they reach."""
+    return [(deviation, int(np.ceil(3 * deviation))) for deviation in deviations]
+
+
+def against_the_sky(segments, probabilities, depth_m, view):
+    """Segments with a sharp outline against the sky, that of trees with leaves."""
+    sky = probabilities[SKY].clip(1e-6, 1 - 1e-6)
+    nearest = np.min([np.roll(depth_m, shift, 1) for shift in range(-8, 9)], 0)
+    padded = np.pad(nearest, ((8, 8), (0, 0)), constant_values=np.inf)
+    nearest = np.min([padded[row : row + len(sky)] for row in range(17)], 0)
+    noise = solid_noise(nearest, np.zeros(sky.shape, dtype=bool), view, (0.25, 1.0)).sum(0) / np.sqrt(2)
+    leaves = noise.clip(-2, 2) * probabilities[VEGETATION] / (1 - sky)
+    open_sky = 1 / (1 + np.exp(-8 * (np.log(sky / (1 - sky)) - 0.3 * leaves)))
+    outlined = segments * (1 - open_sky) / (1 - segments[SKY]).clip(min=1e-6)
+    outlined[SKY] = open_sky
+    return outlined / outlined.sum(0)
+
+
+def painter_inputs(segments, depth_m, image, view, exponent, unread):
     """What the scene painter sees: `inputs` (31, H, W) and `fine_noise` (3, 2H, 2W); the README lists the channels."""
     rows, columns = depth_m.shape
-    segments = segments**exponent / (segments**exponent).sum(0)
+    segments = against_the_sky(segments**exponent / (segments**exponent).sum(0), segments, depth_m, view)
     best = segments.argmax(0)
     slope = (view["up"] - (np.arange(rows) + 0.5) / rows * (view["up"] - view["down"]))[:, None]
     radius_m = depth_m / np.sqrt(1 + slope**2)
@@ -95,7 +141,8 @@ def painter_inputs(segments, depth_m, image, view, exponent):
     shape = np.stack([height, *normals(radius_m, z_m, 2 * np.pi / columns)]) * (best != SKY)
     code = np.log1p(depth_m.clip(max=FAR_M)) / np.log1p(FAR_M)
     row = np.repeat(np.linspace(1, -1, rows)[:, None], columns, 1)
-    flat = [code, *spread_out(image[4], image[0] > 0), row]
+    read = 1 - segments[unread].sum(0)
+    flat = [code, *(part * read for part in spread_out(image[4], image[0] > 0)), row]
     coarse = solid_noise(depth_m, best == SKY, view, COARSE_M)
     fine = solid_noise(*(each.repeat(2, 0).repeat(2, 1) for each in (depth_m, best == SKY)), view, FINE_M)
     brighter = np.einsum("chw,c->hw", segments, VARIED) * smooth_noise(radius_m, z_m, view, OBJECT_M).clip(-1, 1)

@@ -18,6 +18,7 @@ from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.car_parts import car_tones
+from lidar2pano.geometry.outlines import against_the_sky
 from lidar2pano.geometry.solid_noise import smooth_noise, solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals, road_height
 from lidar2pano.geometry.wall_openings import facades
@@ -26,7 +27,7 @@ from lidar2pano.models.circular import CircularConv, CircularResidual, closed, c
 from lidar2pano.models.titan_pano import FAR_M, depth_code
 from lidar2pano.views import View
 
-SKY, ROAD, BUILDING, CAR = (COMMON15.id_of(name) for name in ("sky", "road", "building", "car"))
+SKY, ROAD, BUILDING, CAR, VEGETATION = map(COMMON15.id_of, ("sky", "road", "building", "car", "vegetation"))
 COARSE_M = (0.25, 1.0, 4.0)  # wavelengths of the noise on the translator's raster
 FINE_M = (0.0625, 0.125, 0.5)  # and on the picture's
 SHAPE = 8  # channels beside segments and noise: depth, remission, validity, row, height, normals
@@ -36,6 +37,9 @@ OBJECT_M = 16.0  # wavelength at which things differ in brightness
 VARIED = dict.fromkeys(("truck", "other-vehicle", "fence", "person"), 0.15) | {"pole": 0.1}
 HOUSES_VARIED = 0.65  # how much brighter or darker than the mean a house is, at most
 WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
+# What these classes look like hardly hangs on their remission, which ends at the highest beam: a painter that reads it
+# paints walls in two colours, and in speckles, other ones in each scan of a drive.
+UNREAD = ("building", "vegetation", "fence")
 STRIDE = 4  # input pixels per pixel of the coarsest level
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
 TONE = 3  # red, green, blue: how much brighter a picture, or a part of it, is than the mean of its look
@@ -74,16 +78,15 @@ class StreamPainter(Protocol):
 class ScenePainter(nn.Module):
     """RGB from segments and geometry.
 
-    classes  of the segments (common-15: 16 with unlabeled).
     looks    names of the looks it knows;  look: the one that is painted where none is given (default: the first).
     widths   channels at 1/1, 1/2, 1/4 of the input raster;  last: at the picture's raster.
     blocks   residual blocks at 1/4;  code: numbers per look.
     sharp    power that class probabilities are raised to before they sum to 1 again.
+    unread   classes whose remission is not read.
     """
 
     def __init__(
         self,
-        classes: int = 16,
         looks: Sequence[str] = ("day",),
         look: str = "",
         widths: Sequence[int] = (32, 80, 144),
@@ -91,20 +94,22 @@ class ScenePainter(nn.Module):
         last: int = 16,
         code: int = 16,
         sharp: float = 2.0,
+        unread: Sequence[str] = UNREAD,
     ) -> None:
         super().__init__()
         fine, middle, coarse = widths
         self.looks, self.look, self.sharp = tuple(looks), look or looks[0], sharp
+        self.unread = tuple(map(COMMON15.id_of, unread))
         self.look_shares(self.look)
-        inputs = classes + SHAPE + len(COARSE_M) + TONE + 1
+        inputs = len(COMMON15) + SHAPE + len(COARSE_M) + TONE + 1
         self.codes = nn.Embedding(len(self.looks), code)
         self.stem = conv_norm_act(inputs, fine)
         self.down1 = nn.Sequential(conv_norm_act(fine, middle, stride=2), CircularResidual(middle))
         self.down2 = conv_norm_act(middle, coarse, stride=2)
         self.trunk = nn.ModuleList([CircularResidual(coarse, dilation=(1, 2, 4)[i % 3]) for i in range(blocks)])
-        self.up1 = nn.Sequential(conv_norm_act(coarse + inputs, 4 * middle, 1), nn.PixelShuffle(2))
+        self.up1 = conv_norm_act(coarse + inputs, middle, 1)
         self.mix1 = nn.Sequential(conv_norm_act(2 * middle + inputs, middle), CircularResidual(middle))
-        self.up0 = nn.Sequential(conv_norm_act(middle, 4 * fine, 1), nn.PixelShuffle(2))
+        self.up0 = conv_norm_act(middle, fine, 1)
         self.mix0 = conv_norm_act(2 * fine + inputs, fine)
         self.narrow = conv_norm_act(fine, last)
         self.texture = nn.Sequential(conv_norm_act(last + len(FINE_M), last), conv_norm_act(last, last))
@@ -144,17 +149,19 @@ class ScenePainter(nn.Module):
         x = self._tuned(0, self.down2(middle), code)
         for block in self.trunk:
             x = block(x)
-        x = self.mix1(torch.cat([_channels_last(self.up1(torch.cat([x, inputs4], 1))), middle, inputs2], 1))
+        # enlarged, not shuffled: pixel shuffles leave a weave of lines two and four pixels apart (Odena et al. 2016)
+        x = self.mix1(torch.cat([_enlarged(self.up1(torch.cat([x, inputs4], 1))), middle, inputs2], 1))
         x = self._tuned(1, x, code)
-        x = self.mix0(torch.cat([_channels_last(self.up0(x)), fine, inputs], 1))
-        # enlarged, not shuffled: a pixel shuffle leaves a weave of lines two pixels apart (Odena et al. 2016)
-        x = interpolate(self.narrow(self._tuned(2, x, code)), scale_factor=2)
+        x = self.mix0(torch.cat([_enlarged(self.up0(x)), fine, inputs], 1))
+        x = _enlarged(self.narrow(self._tuned(2, x, code)))
         return torch.tanh(self.colour(self.texture(torch.cat([x, fine_noise], 1))))
 
     def paint(self, past: object, scene: Scene) -> tuple[None, Tensor]:  # noqa: ARG002
         """Paint every scan for itself; arguments and answer as of StreamPainter."""
-        segments = sharpened(scene.segments, self.sharp)
-        inputs, fine_noise = painter_inputs(segments, scene.depth_m, scene.channels, scene.view, scene.T_world_sensor)
+        segments = outlined(scene.segments, self.sharp, scene.depth_m, scene.view, scene.T_world_sensor)
+        inputs, fine_noise = painter_inputs(
+            segments, scene.depth_m, scene.channels, scene.view, scene.T_world_sensor, unread=self.unread
+        )
         shares = torch.tensor([self.look_shares(scene.look)], device=inputs.device)
         return None, self(inputs, fine_noise, shares, shares.new_zeros(1, TONE))
 
@@ -174,6 +181,14 @@ def sharpened(segments: Tensor, power: Tensor | float) -> Tensor:
     return raised / raised.sum(1, keepdim=True)
 
 
+def outlined(
+    segments: Tensor, power: float, depth_m: Tensor, view: View, T_world_sensor: np.ndarray | None = None
+) -> Tensor:
+    """What is painted of a translator's probabilities (B, classes, H, W): sharpened, and cut out against the sky."""
+    raised = sharpened(segments, power)
+    return against_the_sky(raised, segments, depth_m, view, T_world_sensor, SKY, VEGETATION)
+
+
 def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and one sample
     segments: Tensor,
     depth_m: Tensor,
@@ -182,6 +197,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     T_world_sensor: np.ndarray | None = None,
     tones: Tensor | None = None,
     openings: Tensor | None = None,
+    unread: Sequence[int] = (),
 ) -> tuple[Tensor, Tensor]:
     """What the network sees: (B, classes + SHAPE + 7, H, W) and fine noise (B, 3, 2H, 2W), float32, channels last.
 
@@ -192,6 +208,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     tones     (B, 3, H, W): how much brighter each pixel is than the mean of its class in its look, in [-1, 1]; None,
               and where NaN: a tone for each house, those of `car_tones`, and for the classes that VARIED names noise.
     openings  (B, H, W) in [0, 1]: where walls have windows and doors; None, and where NaN: as `facades` has them.
+    unread    ids of classes whose remission and validity are not used.
     """
     depth_m = depth_m.float()
     likeliest = segments.amax(1)
@@ -202,7 +219,8 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     height_m = z_m + above_m[:, None, None]
     shape = torch.cat([(height_m / 4).clamp(-1, 4)[:, None], normals(radius_m, z_m, view)], 1)
     shape.masked_fill_(sky[:, None], 0)
-    remission, valid = spread_out(image[:, 4].float(), (image[:, 0] > 0).float())
+    read = 1 - segments[:, list(unread)].float().sum(1)
+    remission, valid = (part * read for part in spread_out(image[:, 4].float(), (image[:, 0] > 0).float()))
     row = torch.linspace(1, -1, segments.shape[2], device=segments.device)[None, :, None].expand_as(valid)
     flat = torch.stack([depth_code(depth_m.clamp(max=FAR_M)), remission, valid, row], 1)
     coarse = _noise(depth_m, sky, view, COARSE_M, T_world_sensor)
@@ -256,6 +274,9 @@ def _noise(depths: Tensor, skies: Tensor, view: View, waves: Sequence[float], po
     return torch.stack([solid_noise(*scene, view, waves, pose) for scene in zip(depths, skies, strict=True)])
 
 
+def _enlarged(x: Tensor) -> Tensor:
+    return interpolate(x, scale_factor=2)
+
+
 def _channels_last(x: Tensor) -> Tensor:
-    """What is joined takes its first part's layout, and pixel shuffles give the slow one."""
     return x.contiguous(memory_format=torch.channels_last)

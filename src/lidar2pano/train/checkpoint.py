@@ -1,6 +1,6 @@
 """A run's folder: recipe, last checkpoint and weight files, each complete or not there.
 
-RUN/recipe.json                       every value of the recipe
+RUN/recipe.json                       every value of the recipe; "files": SHA-256 of the weight files that it names
 RUN/weights/<network>.safetensors     the best released weights; <network>.last.safetensors: the last
 RUN/checkpoints/<step>/               one folder, the newest
     weights.safetensors               "network/<name>/<key>" and "average/<name>/<key>"
@@ -10,6 +10,7 @@ RUN/checkpoints/<step>/               one folder, the newest
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import pickle
@@ -85,8 +86,11 @@ def check_recipe(run: Path, recipe: Recipe) -> None:
     before = read_json(path, "repair it or train into another folder")
     if not isinstance(before, dict):
         raise InputError(f"{path}: holds no recipe; repair it or train into another folder")
-    now = _flat(resolved(recipe))
-    if changed := _differences(_defaults(recipe) | _flat(before), now):  # recipes had fewer values when the run began
+    hashes, now = before.pop("files", {}), _flat(resolved(recipe))
+    known = _defaults(recipe) | _flat(before)  # recipes had fewer values when the run began
+    if isinstance(hashes, dict):  # the same weights may lie elsewhere
+        known |= {name: now[name] for name, found in _hashes(now).items() if hashes.get(name) == found}
+    if changed := _differences(known, now):
         named = "; ".join(f"{one:.120}" for one in changed[:MOST_NAMED])
         raise InputError(
             f"{run} holds a run of another recipe ({named}); repeat the command as it was or train into another folder"
@@ -119,9 +123,21 @@ def claimed(run: Path) -> Iterator[None]:
 
 
 def write_recipe(run: Path, recipe: Recipe) -> None:
-    """Write every value of the recipe to RUN/recipe.json."""
-    text = json.dumps(resolved(recipe), indent=2) + "\n"
+    """Write every value of the recipe to RUN/recipe.json, and the hashes of the weight files that it names."""
+    values = resolved(recipe)
+    text = json.dumps(values | {"files": _hashes(_flat(values))}, indent=2) + "\n"
     write_whole(run / "recipe.json", lambda beside: beside.write_text(text, encoding="utf-8"))
+
+
+def _hashes(values: Mapping[str, Any]) -> dict[str, str]:
+    """SHA-256 of the weight files among a recipe's values, by the values' flat names."""
+    files = {name: Path(value) for name, value in values.items() if str(value).endswith(".safetensors")}
+    hashes = {}
+    for name, file in files.items():
+        if file.is_file():
+            with file.open("rb") as opened:
+                hashes[name] = hashlib.file_digest(opened, "sha256").hexdigest()
+    return hashes
 
 
 def _flat(tree: Mapping[str, Any], above: str = "") -> dict[str, Any]:

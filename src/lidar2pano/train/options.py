@@ -212,6 +212,8 @@ class ScenePaintingOptions(TaskOptions):
     on_invented                share of the perceptual and the pixels' loss that counts on walls with invented openings.
     ground_truth_probability   of samples painted from the ground truth's classes, where they are known.
     sharpest                   largest power that class probabilities are raised to.
+    remission_scale            largest relative change of a crop's remission.
+    remission_drop_probability  of a crop without remission.
     simulated_probability      where there are real and simulated frames: of the second of a sample's two crops being
                                of a simulated frame; otherwise it is of a real one, as the first.
     augment_probability        of each kind of DiffAugment.
@@ -234,6 +236,8 @@ class ScenePaintingOptions(TaskOptions):
     on_invented: float = 0.2
     ground_truth_probability: float = 0.6
     sharpest: float = 4.0
+    remission_scale: float = 0.0
+    remission_drop_probability: float = 0.0
     simulated_probability: float = 0.5
     augment_probability: float = 0.0
     fixed_norms: bool = False

@@ -30,6 +30,7 @@ from lidar2pano.train.task import as_image, build_networks, device_of, fix_norms
 from lidar2pano.views import VIEWS
 
 NEARBY = (3, 8, 20)  # pixels on either side of which a car's tone is the mean
+SPREAD = 0.4  # how far colours of a class in [-1, 1] are from their mean without being outliers
 MATCHED = 3  # depths of features whose statistics are matched
 
 
@@ -52,7 +53,7 @@ class ScenePainting:
         segmenter, _ = load_segmenter(Path(recipe.options.segmenter), device)
         translator, _ = load_part(Path(recipe.options.translator), device, expect="titan-pano")
         pipeline = Pipeline(segmenter=segmenter, translator=translator, painter=painter, view=self.view, device=device)
-        self.looks = painter.looks
+        self.looks, self.unread = painter.looks, painter.unread
         self.dataset, self.validation = (
             PaintingFrames(root, splits, pipeline, recipe.options) for splits in (recipe.data.train, recipe.data.val)
         )
@@ -133,20 +134,24 @@ class ScenePainting:
     def _unseen(batch: PaintingSample, segments: Tensor, tones: Tensor, painted: Tensor) -> Tensor:
         """How far pooled colours are from their classes' mean colours and tones, squared, where no camera looked.
 
-        The sky's are not known. (Without this loss a strip of bright dashes ran along the foot of the picture.)
+        To this comes by how much single pixels are farther from them than SPREAD. The sky's are not known.
+        (Without this loss a strip of bright dashes ran along the foot of the picture.)
         """
         known = batch.class_means.isfinite().all(2)
         shares = segments * known[..., None, None]
         expected = torch.einsum("bchw,bck->bkhw", shares, batch.class_means.nan_to_num(0))
         expected = expected + tones * shares.sum(1, keepdim=True)
         rows, columns = pooled(painted).shape[-2:]
+        far = (painted - twice(expected)).abs() - SPREAD  # single bright pixels, which pooled colours forgive
+        alone = twice(shares.sum(1, keepdim=True)) * ~batch.valid[:, None]
+        outliers = (far.clamp(min=0) * alone).sum() / (3 * alone.sum()).clamp(min=1)
         share, expected, valid = (
             adaptive_avg_pool2d(part, (rows, columns))
             for part in (shares.sum(1, keepdim=True), expected, batch.valid[:, None].float())
         )
         weight = share * (valid == 0)
         gap = (pooled(painted) * share - expected).square() * (valid == 0)
-        return gap.sum() / (3 * weight.sum()).clamp(min=1)
+        return gap.sum() / (3 * weight.sum()).clamp(min=1) + outliers
 
     @torch.no_grad()
     def inputs(self, batch: PaintingSample, segments: Tensor, *, as_used: bool = False) -> tuple[Tensor, Tensor]:
@@ -157,8 +162,18 @@ class ScenePainting:
         pose = np.eye(4)
         pose[:3, 3] = np.random.uniform(0, 64, 3)  # noqa: NPY002 seeded by the loop, step by step
         window = self.view.window(int(np.random.randint(self.view.columns)), segments.shape[3])  # noqa: NPY002
-        known = (None, None) if as_used else (self._tones(batch, segments), batch.openings)
-        return painter_inputs(segments, batch.depth_m, batch.channels, window, pose, *known)
+        channels, known = batch.channels, (None, None)
+        if not as_used:
+            channels, known = self._scanned(batch), (self._tones(batch, segments), batch.openings)
+        return painter_inputs(segments, batch.depth_m, channels, window, pose, *known, self.unread)
+
+    def _scanned(self, batch: PaintingSample) -> Tensor:
+        """The scan's channels (B, 5, H, W), the remission of each crop as another sensor might have it, or none."""
+        channels, options = batch.channels.clone(), self.options
+        by, lot = torch.rand(2, len(channels), 1, 1, device=channels.device)
+        channels[:, 4] *= 1 + options.remission_scale * (2 * by - 1)
+        channels[:, ::4] *= (lot >= options.remission_drop_probability)[:, None]
+        return channels
 
     @staticmethod
     def _tones(batch: PaintingSample, segments: Tensor) -> Tensor:

@@ -61,7 +61,14 @@ def scene_painter() -> Recipe[ScenePaintingOptions]:
             "painter": Network(model="scene-painter", settings=settings, optimizer=painter),
             "critic": Network(model="projected-critic", optimizer=critic),
         },
-        options=ScenePaintingOptions(columns=320, adversarial=0.6, augment_probability=0.4, simulated_probability=0.3),
+        options=ScenePaintingOptions(
+            columns=320,
+            adversarial=0.6,
+            augment_probability=0.4,
+            simulated_probability=0.3,
+            remission_scale=0.3,
+            remission_drop_probability=0.15,
+        ),
         training=Training(steps=50_000, batch=8),
     )
 

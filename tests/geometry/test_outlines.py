@@ -1,0 +1,124 @@
+"""Outlines: smooth on the ground, sharp and leafy against the sky, and nothing else changed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch.nn.functional import max_pool2d
+
+from lidar2pano.geometry.outlines import CROWN, KERB_DEG, KERB_ROWS, _nearest, against_the_sky, evened
+from lidar2pano.views import View
+
+GROUND, SKY, TREE, WALL = (1, 2), 0, 3, 4
+ROWS, COLUMNS = 16, 256
+VIEW = View(rows=ROWS, columns=COLUMNS, up=0.4, down=-0.2, kind="cylinder")
+
+
+def made_up() -> torch.Tensor:
+    return 3 * torch.randn(2, 5, ROWS, COLUMNS, generator=torch.Generator().manual_seed(3))
+
+
+def evened_slowly(probabilities: np.ndarray) -> np.ndarray:
+    """The definition, pixel by pixel: (C, H, W) -> the same."""
+    found, ground = probabilities.copy(), probabilities[list(GROUND)]
+    across, down = KERB_DEG / 360 * COLUMNS, KERB_ROWS
+    reach = math.ceil(3 * across), math.ceil(3 * down)
+    for row in range(ROWS):
+        for column in range(COLUMNS):
+            total = np.zeros(len(GROUND))
+            for i in range(-reach[1], reach[1] + 1):
+                for j in range(-reach[0], reach[0] + 1):
+                    weight = math.exp(-(j**2) / (2 * across**2) - i**2 / (2 * down**2))
+                    total += weight * ground[:, min(max(row + i, 0), ROWS - 1), (column + j) % COLUMNS]
+            found[list(GROUND), row, column] = total / total.sum() * ground[:, row, column].sum()
+    return found
+
+
+def test_the_ground_is_shared_as_defined():
+    logits = made_up()[:1]
+    expected = evened_slowly(logits.softmax(1)[0].double().numpy())
+    assert np.allclose(evened(logits, GROUND).softmax(1)[0], expected, atol=1e-5)
+
+
+def test_only_the_shares_of_the_ground_change():
+    before, after = made_up().softmax(1), evened(made_up(), GROUND).softmax(1)
+    others = [SKY, TREE, WALL]
+    assert torch.allclose(before[:, others], after[:, others], atol=1e-6)
+    assert not torch.allclose(before[:, GROUND], after[:, GROUND], atol=0.1)
+
+
+def test_evening_turns_with_the_scene():
+    logits = made_up()
+    assert torch.allclose(evened(logits.roll(37, 3), GROUND), evened(logits, GROUND).roll(37, 3), atol=1e-5)
+
+
+def test_a_dent_in_a_kerb_goes_and_the_kerb_stays():
+    logits = torch.full((1, 5, ROWS, COLUMNS), -10.0)
+    logits[:, 1, ROWS // 2 :], logits[:, 2, : ROWS // 2] = 10, 10
+    logits[:, :3, ROWS // 2 - 1, 100] = torch.tensor([-10.0, 10, -10])  # road where all beside it is sidewalk
+    ids = evened(logits, GROUND).argmax(1)[0]
+    assert (ids[ROWS // 2 :] == 1).all() and (ids[: ROWS // 2] == 2).all()
+
+
+def soft_edge(below: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """A class below the sky: probabilities that change over all rows from one to the other; and depths."""
+    sky = torch.linspace(0.95, 0.05, ROWS)[None, :, None].expand(1, ROWS, COLUMNS)
+    probabilities = torch.zeros(1, 5, ROWS, COLUMNS)
+    probabilities[:, SKY], probabilities[:, below] = sky, 1 - sky
+    return probabilities, torch.full((1, ROWS, COLUMNS), 8.0)
+
+
+def cut(below: int, pose: np.ndarray | None = None) -> torch.Tensor:
+    probabilities, depth_m = soft_edge(below)
+    return against_the_sky(probabilities, probabilities, depth_m, VIEW, pose, SKY, TREE)
+
+
+def test_a_roof_ends_on_one_row():
+    found, before = cut(WALL), soft_edge(WALL)[0]
+    assert torch.equal(found.argmax(1), before.argmax(1)), "where it was likelier before"
+    grey = (found[:, SKY] > 0.1) & (found[:, SKY] < 0.9)
+    assert grey.float().mean() < 0.2 < ((before[:, SKY] > 0.1) & (before[:, SKY] < 0.9)).float().mean()
+    assert torch.allclose(found.sum(1), torch.ones(1, ROWS, COLUMNS), atol=1e-5)
+
+
+def test_a_crown_has_leaves_that_hang_on_the_world():
+    tree = (cut(TREE)[0].argmax(0) == TREE).sum(0).float()
+    assert tree.std() > 0.3 and (cut(WALL)[0].argmax(0) == WALL).sum(0).float().std() == 0
+    assert abs(tree.mean() - ROWS / 2) < 1, "as high as before, on average"
+    angle = 2 * math.pi * 32 / COLUMNS
+    pose = np.eye(4)
+    pose[:2, :2] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+    turned = cut(TREE, pose).roll(-32, 3)
+    assert (turned - cut(TREE)).abs().median() < 1e-4, "the sensor turned left: all moves right, and so do the leaves"
+
+
+def test_what_stands_below_the_sky_keeps_its_shares():
+    probabilities = made_up().softmax(1)
+    segments = probabilities.square() / probabilities.square().sum(1, keepdim=True)
+    depth_m = torch.full((2, ROWS, COLUMNS), 8.0)
+    found = against_the_sky(segments, probabilities, depth_m, VIEW, None, SKY, TREE)
+    expected = segments[:, 1:] / segments[:, 1:].sum(1, keepdim=True)
+    some = found[:, SKY] < 0.99
+    share = found[:, 1:] / found[:, 1:].sum(1, keepdim=True)
+    assert some.any() and torch.allclose((share - expected).movedim(1, 3)[some], torch.tensor(0.0), atol=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_certainty_stays_finite(share):
+    probabilities = torch.zeros(1, 5, ROWS, COLUMNS)
+    probabilities[:, SKY], probabilities[:, TREE] = share, 1 - share
+    found = against_the_sky(probabilities, probabilities, torch.full((1, ROWS, COLUMNS), 8.0), VIEW, None, SKY, TREE)
+    assert found.isfinite().all() and torch.allclose(found, probabilities, atol=1e-3)
+    logits = torch.full((1, 5, ROWS, COLUMNS), -200.0)
+    logits[:, SKY] = 200
+    assert evened(logits, GROUND).isfinite().all()
+
+
+def test_the_nearest_thing_around_is_found():
+    depth_m = torch.rand(2, 20, 40, generator=torch.Generator().manual_seed(1))
+    closed = torch.cat([depth_m[..., -8:], depth_m, depth_m[..., :8]], -1)
+    expected = -max_pool2d(-closed, CROWN, 1, (CROWN // 2, 0))
+    assert torch.equal(_nearest(depth_m), expected)
