@@ -43,8 +43,8 @@ SMALL: dict[str, tuple[dict[str, object], Callable[[], tuple[Tensor, ...]]]] = {
         lambda: (_range_image(32, 64), _one_hot(4, 32, 64)),
     ),
     "scene-painter": (
-        {"classes": 6, "looks": ["day", "evening"], "widths": (8, 12, 16), "blocks": 1, "last": 8},
-        lambda: (torch.randn(2, 21, 16, 32), torch.randn(2, 3, 32, 64), torch.eye(2), torch.zeros(2, 3)),
+        {"looks": ["day", "evening"], "widths": (8, 12, 16), "blocks": 1, "last": 8},
+        lambda: (torch.randn(2, 31, 16, 32), torch.randn(2, 3, 32, 64), torch.eye(2), torch.zeros(2, 3)),
     ),
     "projected-critic": (
         {"features": (4, 6, 8, 10), "conditions": 3, "mixed": 8, "width": 8},

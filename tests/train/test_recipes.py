@@ -53,7 +53,7 @@ SAMPLE = Recipe(
         ("networks.painter.optimizer.rate=1e-4", 1e-4),
         ("networks.painter.optimizer.betas=0.5,0.9", (0.5, 0.9)),
         ("networks.painter.optimizer.betas=(0, 0.5)", (0.0, 0.5)),
-        ("networks.painter.settings.classes=20", 20),
+        ("networks.painter.settings.blocks=20", 20),
         ("networks.painter.settings.widths=[8,16]", (8, 16)),
         ("networks.painter.start=a=b.safetensors", "a=b.safetensors"),
         ("options.lovasz=0", 0.0),
@@ -84,7 +84,7 @@ def test_override_sets_one_value_of_the_right_type(assignment, value):
         ("trainin.batch=8", "Recipe has no 'trainin'; did you mean 'training'?"),
         ("networks.paint.start=x", "this recipe has no 'paint'; did you mean 'painter'?"),
         ("networks.painter.optimizer.rat=1", "Optimizer has no 'rat'; did you mean 'rate'?"),
-        ("networks.painter.settings.clases=1", "has no 'clases'; did you mean 'classes'?"),
+        ("networks.painter.settings.blcks=1", "has no 'blcks'; did you mean 'blocks'?"),
         ("options.lovas=1", "has no 'lovas'; did you mean 'lovasz'?"),
         ("training.batch=8.5", "training.batch wants a whole number, not '8.5'"),
         ("training.batch=", "training.batch wants a whole number, not ''"),
@@ -127,7 +127,7 @@ def test_override_refuses_with_one_line_that_helps(assignment, message):
 
 def test_override_leaves_the_recipe_as_it_was():
     before = resolved(SAMPLE)
-    override(SAMPLE, "networks.painter.settings.classes=3")
+    override(SAMPLE, "networks.painter.settings.blocks=3")
     override(SAMPLE, "options.lovasz=3")
     assert resolved(SAMPLE) == before
 

@@ -125,7 +125,8 @@ def claimed(run: Path) -> Iterator[None]:
 def write_recipe(run: Path, recipe: Recipe) -> None:
     """Write every value of the recipe to RUN/recipe.json, and the hashes of the weight files that it names."""
     values = resolved(recipe)
-    text = json.dumps(values | {"files": _hashes(_flat(values))}, indent=2) + "\n"
+    hashes = _hashes(_flat(values))
+    text = json.dumps(values | ({"files": hashes} if hashes else {}), indent=2) + "\n"
     write_whole(run / "recipe.json", lambda beside: beside.write_text(text, encoding="utf-8"))
 
 
