@@ -10,18 +10,21 @@ from pathlib import Path
 import torch
 from safetensors.torch import load_file
 from torch import Tensor
+from torch.nn.utils.fusion import fuse_conv_bn_weights
 
 from lidar2pano.models import build
 from lidar2pano.models.card import read_card, save
+
+EPS = 1e-5  # of batch norms
 
 
 def merged(state: dict[str, Tensor], part: str) -> dict[str, Tensor]:
     """The tensors of `part`, a convolution and its norm, each four outputs become one: the norms become affine maps."""
     conv, norm = f"{part}.0.0", f"{part}.0.1"
-    factor = state[f"{norm}.weight"] * torch.rsqrt(state[f"{norm}.running_var"] + 1e-5)
-    weight = state[f"{conv}.weight"] * factor[:, None, None, None]
-    bias = (state[f"{conv}.bias"] - state[f"{norm}.running_mean"]) * factor + state[f"{norm}.bias"]
-    weight, bias = (tensor.unflatten(0, (-1, 4)).mean(1) for tensor in (weight, bias))
+    statistics = state[f"{norm}.running_mean"], state[f"{norm}.running_var"], EPS
+    scale = state[f"{norm}.weight"], state[f"{norm}.bias"]
+    fused = fuse_conv_bn_weights(state[f"{conv}.weight"], state[f"{conv}.bias"], *statistics, *scale)
+    weight, bias = (tensor.detach().unflatten(0, (-1, 4)).mean(1) for tensor in fused)
     ones = torch.ones_like(bias)
     return {
         f"{part}.0.weight": weight,
@@ -29,7 +32,7 @@ def merged(state: dict[str, Tensor], part: str) -> dict[str, Tensor]:
         f"{part}.1.weight": ones,
         f"{part}.1.bias": torch.zeros_like(bias),
         f"{part}.1.running_mean": torch.zeros_like(bias),
-        f"{part}.1.running_var": ones - 1e-5,
+        f"{part}.1.running_var": ones - EPS,
         f"{part}.1.num_batches_tracked": state[f"{norm}.num_batches_tracked"],
     }
 

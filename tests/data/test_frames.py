@@ -60,7 +60,7 @@ PARTS = {"name", "scan", "point_labels", "calibration", "image", "camera_labels"
 
 
 def known(frame: Frame) -> set[str]:
-    return {name for name in PARTS if getattr(frame, name) is not None}
+    return {name for name in sorted(PARTS) if getattr(frame, name) is not None}
 
 
 def test_a_set_in_the_layout_tells_what_its_files_tell(layout):
@@ -313,7 +313,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda r: (r / "sequences/01/poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" + "0 " * 12 + "\n"),
         r"poses.txt: line 2 holds no rotation",
     ),
-    "no calibration": (lambda r: (r / "sequences/01/calib.txt").write_text(CALIB[:20]), r"calib.txt: (row P2|has no row Tr)"),
+    "no calibration": (lambda r: (r / "sequences/01/calib.txt").write_text(CALIB[:20]), r"calib.txt: row P2"),
 }
 
 

@@ -93,21 +93,21 @@ def softmax(logits):
 def evened(segments):
     """Probabilities in which road, sidewalk and terrain are shared as in a Gaussian around each pixel."""
     ground, columns = segments[GROUND], segments.shape[2]
-    around = np.zeros_like(ground)
-    across, down = (np.exp(-(np.arange(-r, r + 1) ** 2) / (2 * s**2)) for s, r in reaches(1.6 / 360 * columns, 1.5))
-    for shift, weight in zip(range(len(across) // 2, -len(across) // 2, -1), across / across.sum(), strict=True):
-        around += weight * np.roll(ground, shift, 2)
+    across, down = gaussian(1.6 / 360 * columns), gaussian(1.5)
+    around = sum(weight * np.roll(ground, i - len(across) // 2, 2) for i, weight in enumerate(across))
     padded = np.pad(around, ((0, 0), (len(down) // 2,) * 2, (0, 0)), "edge")
-    around = sum(w * padded[:, i : i + ground.shape[1]] for i, w in enumerate(down / down.sum()))
+    around = sum(weight * padded[:, i : i + ground.shape[1]] for i, weight in enumerate(down))
     around = around.clip(min=1e-12)
     segments = segments.copy()
     segments[GROUND] = around / around.sum(0) * ground.sum(0)
     return segments
 
 
-def reaches(*deviations):
-    """Deviations of Gaussians, and how far they reach."""
-    return [(deviation, int(np.ceil(3 * deviation))) for deviation in deviations]
+def gaussian(deviation):
+    """The weights of a Gaussian out to three deviations."""
+    place = np.arange(-np.ceil(3 * deviation), np.ceil(3 * deviation) + 1)
+    weight = np.exp(-(place**2) / (2 * deviation**2))
+    return weight / weight.sum()
 
 
 def against_the_sky(segments, probabilities, depth_m, view):
