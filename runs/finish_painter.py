@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.models import build
 from lidar2pano.models.card import load, save
-from lidar2pano.models.scene_painter import STRIDE, TONE, ScenePainter, outlined, painter_inputs
+from lidar2pano.models.scene_painter import STRIDE, TONE, ScenePainter, outlined, painter_inputs, with_cars
 from lidar2pano.views import VIEWS
 
 EVERY, STEPS, SATURATED = 4, 20, 0.985
@@ -40,8 +40,9 @@ def pixels(painter: ScenePainter, file: Path, look: str, power: float) -> tuple[
     channels = torch.zeros(1, 5, rows, columns)
     channels[0, 0], channels[0, 4] = kept["valid"][:, :columns], kept["remission"][:, :columns]
     window, depth_m = VIEW.window((VIEW.columns - columns) // 2, columns), kept["depth_m"][None, :, :columns].float()
-    segments = outlined(kept["segments"][None, ..., :columns].float(), power, depth_m, window)
-    inputs = painter_inputs(segments, depth_m, channels, window, unread=painter.unread)
+    segments, depth_m, tones = with_cars(kept["segments"][None, ..., :columns].float(), depth_m, window)
+    segments = outlined(segments, power, depth_m, window)
+    inputs = painter_inputs(segments, depth_m, channels, window, tones=tones, unread=painter.unread)
     shares = torch.tensor([painter.look_shares(look)])
     with fast_arithmetic(torch.device("cpu")):
         painted = painter(*inputs, shares, torch.zeros(1, TONE))[0].float()

@@ -17,6 +17,7 @@ from lidar2pano.engines import accelerated, pick_engine
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.camera import at_camera
+from lidar2pano.geometry.cars import WholeCars
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.projection import Normalisation, RangeImage, fitted_view, one_hot_layers, project
@@ -29,7 +30,7 @@ from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import DEFAULT, FRONT_VIEW, role, weight_files
 from lidar2pano.models.front_all_around import FrontAllAround
 from lidar2pano.models.salsanext import STRIDE
-from lidar2pano.models.scene_painter import Scene, ScenePainter, StreamPainter
+from lidar2pano.models.scene_painter import Scene, ScenePainter, StreamPainter, with_cars
 from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
@@ -212,15 +213,17 @@ class Pipeline:
             with timer("fuse"):
                 around = self._around(translated, memory.around, pose)
                 translated = translated._replace(logits=around.segments.clamp(min=TINY).log(), depth_m=around.depth_m)
-        logits, depth_m = translated.logits, translated.depth_m
+        with timer("cars"):
+            segments, depth_m, tones = self.completed(translated, pose)
         with timer("paint"), fast_arithmetic(self.device):
             scene = Scene(
-                segments=logits.softmax(1),
+                segments=segments,
                 depth_m=depth_m,
                 channels=translated.channels,
                 view=self.view,
                 T_world_sensor=pose,
                 look=self.look,
+                tones=tones,
             )
             painted, image = self.painter.paint(memory.painted, scene)
         previous = None
@@ -230,8 +233,8 @@ class Pipeline:
                 image = previous.image
         with timer("finish"):
             colour = image[0].float().add(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
-            segments, depth_m = self._finished(logits, depth_m)
-            confidence = grow_circular(scene.segments.float().amax(1, keepdim=True), 2)[0, 0]
+            segments, depth_m = self._finished(segments.clamp(min=TINY).log(), depth_m)
+            confidence = grow_circular(scene.segments.amax(1, keepdim=True), 2)[0, 0]
             for left, right in translated.gaps_deg:  # nothing is claimed there
                 columns = columns_between(self.view.scaled(2), left, right)
                 segments[:, columns], depth_m[:, columns], confidence[:, columns] = 0, 0.0, 0.0
@@ -251,6 +254,13 @@ class Pipeline:
             milliseconds=timer.milliseconds,
         )
         return Memory(frames=memory.frames + 1, painted=painted, around=around, previous=previous), panorama
+
+    def completed(self, translated: Translated, pose: np.ndarray | None = None) -> WholeCars:
+        """Probabilities and depths with whole cars; what the paper's networks predict stays as it is, without tones."""
+        segments, depth_m = translated.logits.float().softmax(1), translated.depth_m
+        if self.input_view is not None:
+            return WholeCars(segments, depth_m, segments.new_full((1, 3, *depth_m.shape[1:]), torch.nan))
+        return with_cars(segments, depth_m, self.view, pose)
 
     def _around(self, translated: Translated, before: Surroundings | None, pose: np.ndarray) -> Surroundings:
         """The scan's classes and depths, averaged with those before."""

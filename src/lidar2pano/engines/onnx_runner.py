@@ -2,7 +2,8 @@
 
     python run.py SCAN.bin PANORAMA.ppm        (KITTI's .bin: float32 x, y, z, remission)
 
-It computes what lidar2pano does, without its KNN clean-up of point labels.
+It computes what lidar2pano does, without its KNN clean-up of point labels and without the whole cars that it lays over
+what the translator found of them (`lidar2pano.geometry.cars`).
 """
 
 import json
@@ -12,15 +13,15 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
-SKY, ROAD, BUILDING, CAR, FAR_M, OWN_VEHICLE_M = 15, 7, 9, 1, 120.0, 1.0  # ids of common-15; metres
+SKY, ROAD, BUILDING, FAR_M, OWN_VEHICLE_M = 15, 7, 9, 120.0, 1.0  # ids of common-15; metres
 GROUND, VEGETATION = [7, 8, 12], 11
 CLASSES = (  # noqa: SIM905 of common-15, as one line each they would fill the page
     "unlabeled car bicycle motorcycle truck other-vehicle person road sidewalk building fence vegetation terrain pole"
     " traffic-sign sky"
 ).split()
 COARSE_M, FINE_M, AWAY_M = (0.25, 1.0, 4.0), (0.0625, 0.125, 0.5), 4096.0  # wavelengths of the painter's noise
-VARIED = np.zeros(16)  # how the brightness of truck, other-vehicle, person, fence and pole varies
-VARIED[[4, 5, 6, 10, 13]] = 0.15, 0.15, 0.15, 0.15, 0.1
+VARIED = np.zeros(16)  # how the brightness of car, truck, other-vehicle, person, fence and pole varies
+VARIED[[1, 4, 5, 6, 10, 13]] = 0.15, 0.15, 0.15, 0.15, 0.15, 0.1
 OBJECT_M, COARSER = 16.0, 4  # wavelength of that, and the step at which it is read
 HOUSES_VARIED, HOUSE_M = 0.65, 11.0  # how much houses differ in brightness, their width
 REACH = 40  # columns around that say how a wall runs
@@ -147,8 +148,7 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     fine = solid_noise(*(each.repeat(2, 0).repeat(2, 1) for each in (depth_m, best == SKY)), view, FINE_M)
     brighter = np.einsum("chw,c->hw", segments, VARIED) * smooth_noise(radius_m, z_m, view, OBJECT_M).clip(-1, 1)
     openings, house = facades(segments[BUILDING], radius_m, slope, above_m, view)
-    cars = car_tones(segments[CAR], radius_m, slope, above_m, view)
-    tones = brighter + segments[BUILDING] * HOUSES_VARIED * house[:, None] + cars
+    tones = brighter + segments[BUILDING] * HOUSES_VARIED * house[:, None]
     return np.concatenate([segments, np.stack(flat), shape, coarse, tones, openings[None]]), fine
 
 
@@ -249,86 +249,9 @@ def openings(house, along_m, level_m, width_m, pixel_m):
     return across * inside_of(tall / 2 - np.abs(up), pixel_m) * there
 
 
-def car_tones(cars, radius_m, slope, above_m, view):
-    """Tones (3, H, W) of cars: paint, dark windows and tyres."""
-    height_m, columns = (radius_m * slope + above_m)[1::2], cars.shape[1]
-    inside = (height_m > 0.1) & (height_m < 2.6) & (radius_m[1::2] < 45)
-    profile, total = surface_profile(cars[1::2] * inside, radius_m[1::2], 0.12, 0.75, 8)
-    distance, here = np.exp(profile), total > 0.75
-    azimuth = np.pi - (np.arange(columns) + 0.5) / columns * 2 * np.pi
-    point = distance * np.stack([np.cos(azimuth), np.sin(azimuth)])
-    with np.errstate(invalid="ignore"):
-        apart = np.hypot(*(point - np.roll(point, 1, 1))) > 0.6 + 0.02 * distance
-    first = apart | ~here | ~np.roll(here, 1)
-    number = (np.cumsum(np.roll(first, -(begin := first.argmax()))) - first.any())[
-        (np.arange(columns) - begin) % columns
-    ]
-    _, along, _, length = rectangles(point, number)
-    parts = np.nan_to_num(np.ceil(length / 5.4).clip(1, 16), nan=1)
-    part = np.nan_to_num(np.floor(parts * (along / length + 0.5))).clip(0, 15)
-    number = np.unique(number * 16 + part, return_inverse=True)[1]
-    middle, along, across, length = rectangles(point, number)
-    highest = np.where((cars[1::2] > 0.5) & inside, height_m, 0).max(0)
-    top = np.nan_to_num(median_around(np.where(here, highest, np.nan), 8))
-    roof = over(number, top, np.fmax).clip(1.35, 2.4)
-    side = (length > 2.4) & (edge(number, across) <= edge(number, along))
-    distance = np.where(here, distance, np.nan)
-    level_m, pixel_m = distance * slope + above_m, distance * 2 * np.pi / columns
-    place, reach = np.abs(np.where(side, along, across)), np.where(side, 0.37 * length, 0.42 * length.clip(max=1.7))
-    glass = inside_of(0.145 * roof - np.abs(level_m - 0.775 * roof), pixel_m) * inside_of(reach - place, pixel_m)
-    glass *= (1 - side * inside_of(0.04 - place, pixel_m)) * (top > 0.8 * roof)
-    wheel = inside_of(0.33 - np.hypot(np.abs(np.abs(along) - 0.29 * length), level_m - 0.33), pixel_m)
-    rubber = np.maximum(wheel * (side & (length > 3.2)), inside_of(0.18 - level_m, pixel_m))
-    tone = paint(middle, view)[:, None]
-    tone = tone + glass * (-0.3 - tone)
-    tone = (tone + rubber * (-0.5 - tone)) * cars
-    return np.nan_to_num(tone * (1 - (np.abs(np.log(radius_m / distance)) / 0.3 - 1).clip(0, 1)))
-
-
 def inside_of(inside_m, pixel_m):
     """The share of pixels that is inside of an edge, so far from their middle."""
     return (0.5 + inside_m / pixel_m).clip(0, 1)
-
-
-def over(number, values, how):
-    """The least or greatest value (..., W) of all columns of the same number, in each of them."""
-    found = np.full(values.shape, np.nan)
-    how.at(found, (..., number), values)
-    return found[..., number]
-
-
-def edge(number, place):
-    """How far each column is from the nearer end of its rectangle."""
-    return over(number, np.abs(place), np.fmax) - np.abs(place)
-
-
-def rectangles(point, number):
-    """Middle of the smallest rectangle around the points (2, W) of each number, places along and across it, length."""
-    best = least = None
-    for angle in np.arange(15) * np.pi / 30:
-        ray = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        place = ray @ point
-        low, high = over(number, place, np.fmin), over(number, place, np.fmax)
-        size, middle = high - low + 0.1, place - (low + high) / 2
-        order = np.where(size[0] > size[1], 0, 1)
-        columns = np.arange(len(number))
-        found = np.stack([*(ray.T @ (low + high) / 2), middle[order, columns], middle[1 - order, columns], size.max(0)])
-        area = size.prod(0)
-        smaller = least is None or area < least
-        best, least = (found, area) if best is None else (np.where(smaller, found, best), np.fmin(area, least))
-    return best[:2], *best[2:]
-
-
-def paint(centre, view):
-    """Colours (3, W) of cars that stand at centre (2, W)."""
-    x, y = centre + np.array(view["origin"][:2])[:, None]
-    waves = [
-        np.sin(2 * np.pi / length * (x * np.cos(1.1 * k) + y * np.sin(1.1 * k)) + k)
-        for k, length in enumerate((17.0, 27.0, 13.0))
-    ]
-    light = 0.7 * ((waves[0] + waves[1]) / 1.5 + 0.3).clip(0, 1)
-    red, blue = (2.5 * (waves[2] - 0.75)).clip(0), (2.5 * (-waves[2] - 0.75)).clip(0)
-    return np.stack([light + red - blue / 2, light - red / 2 - blue / 4, light - red / 2 + blue])
 
 
 def mixed(number):

@@ -15,7 +15,7 @@ from lidar2pano.geometry.camera import panorama_in_camera
 from lidar2pano.hardware import Timer
 from lidar2pano.models.scene_painter import Scene
 from lidar2pano.panorama import Panorama
-from lidar2pano.pipeline import Memory, Pipeline, Translated
+from lidar2pano.pipeline import TINY, Memory, Pipeline, Translated
 
 SAME_PLACE_M = 1e-6
 
@@ -91,8 +91,9 @@ class PanoramaSystem:
         """The prediction with the camera's image."""
         with timer("camera"):
             lookup = panorama_in_camera(view.pipeline.view, calibration).to(view.pipeline.device)
-            ids = lookup.linear(view.translated.logits[0].float()).max(0).indices
-            depth_m = lookup.linear(view.translated.depth_m[0].float())
+            segments, depth_m, _ = view.pipeline.completed(view.translated)
+            ids = lookup.linear(segments[0].clamp(min=TINY).log()).max(0).indices
+            depth_m = lookup.linear(depth_m[0].float())
         image: np.ndarray | None = None
         if prediction.painted and view.panorama is not None:
             image = view.panorama.to_camera(calibration).colour

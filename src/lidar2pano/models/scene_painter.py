@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.car_parts import car_tones
+from lidar2pano.geometry.cars import Classes, WholeCars, whole_cars
 from lidar2pano.geometry.outlines import against_the_sky
 from lidar2pano.geometry.solid_noise import smooth_noise, solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals, road_height
@@ -34,12 +34,17 @@ SHAPE = 8  # channels beside segments and noise: depth, remission, validity, row
 OBJECT_M = 16.0  # wavelength at which things differ in brightness
 # Half of the deviations from image to image of how bright a class is in KITTI, colours in [-1, 1]: all of them, and
 # what noise has beyond its deviation, burn things out.
-VARIED = dict.fromkeys(("truck", "other-vehicle", "fence", "person"), 0.15) | {"pole": 0.1}
+VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence", "person"), 0.15) | {"pole": 0.1}
 HOUSES_VARIED = 0.65  # how much brighter or darker than the mean a house is, at most
 WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
 # What these classes look like hardly hangs on their remission, which ends at the highest beam: a painter that reads it
 # paints walls in two colours, and in speckles, other ones in each scan of a drive.
 UNREAD = ("building", "vegetation", "fence")
+CARS = Classes(
+    CAR,
+    vehicles=tuple(map(COMMON15.id_of, ("car", "truck", "other-vehicle", "bicycle", "motorcycle"))),
+    ground=tuple(map(COMMON15.id_of, ("road", "sidewalk", "terrain"))),
+)
 STRIDE = 4  # input pixels per pixel of the coarsest level
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
 TONE = 3  # red, green, blue: how much brighter a picture, or a part of it, is than the mean of its look
@@ -53,6 +58,7 @@ class Scene:
     segments  (1, classes, H, W) probabilities;  depth_m: (1, H, W) metres;  channels: (1, 5, H, W) of a RangeImage.
     view      the raster;  T_world_sensor: (4, 4) float64, the sensor's pose in a frame that stands still, if known.
     look      "A", or "A+B" for the mean of two; "": the painter's own.
+    tones     (1, 3, H, W) as of `with_cars`, where it was called.
     """
 
     segments: Tensor
@@ -61,6 +67,7 @@ class Scene:
     view: View
     T_world_sensor: np.ndarray | None = None
     look: str = ""
+    tones: Tensor | None = None
 
 
 class StreamPainter(Protocol):
@@ -160,7 +167,13 @@ class ScenePainter(nn.Module):
         """Paint every scan for itself; arguments and answer as of StreamPainter."""
         segments = outlined(scene.segments, self.sharp, scene.depth_m, scene.view, scene.T_world_sensor)
         inputs, fine_noise = painter_inputs(
-            segments, scene.depth_m, scene.channels, scene.view, scene.T_world_sensor, unread=self.unread
+            segments,
+            scene.depth_m,
+            scene.channels,
+            scene.view,
+            scene.T_world_sensor,
+            tones=scene.tones,
+            unread=self.unread,
         )
         shares = torch.tensor([self.look_shares(scene.look)], device=inputs.device)
         return None, self(inputs, fine_noise, shares, shares.new_zeros(1, TONE))
@@ -206,16 +219,13 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     image     (B, 5, H, W): a RangeImage's channels, of which remission and validity are used.
     view      the raster H x W;  T_world_sensor: (4, 4), where the noise hangs (None: on the sensor's frame).
     tones     (B, 3, H, W): how much brighter each pixel is than the mean of its class in its look, in [-1, 1]; None,
-              and where NaN: a tone for each house, those of `car_tones`, and for the classes that VARIED names noise.
+              and where NaN: a tone for each house, and for the classes that VARIED names noise.
     openings  (B, H, W) in [0, 1]: where walls have windows and doors; None, and where NaN: as `facades` has them.
     unread    ids of classes whose remission and validity are not used.
     """
     depth_m = depth_m.float()
-    likeliest = segments.amax(1)
-    sky = segments[:, SKY] == likeliest
-    radius_m, z_m = cylinder_points(depth_m, view)
-    sensor_z_m = z_m + view.origin[2]
-    above_m = view.origin[2] - road_height(radius_m, sensor_z_m, segments[:, ROAD] == likeliest)
+    sky = segments[:, SKY] == segments.amax(1)
+    radius_m, z_m, above_m = _points(segments, depth_m, view)
     height_m = z_m + above_m[:, None, None]
     shape = torch.cat([(height_m / 4).clamp(-1, 4)[:, None], normals(radius_m, z_m, view)], 1)
     shape.masked_fill_(sky[:, None], 0)
@@ -231,10 +241,22 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M, T_world_sensor).clamp(-1, 1)
     varied_tones = (torch.einsum("bchw,c->bhw", segments.float(), varied) * noise)[:, None]
     varied_tones = varied_tones + segments[:, BUILDING, None] * (HOUSES_VARIED * house)[:, :, None]
-    varied_tones = varied_tones + car_tones(segments[:, CAR].float(), radius_m, above_m, view, T_world_sensor)
     tones = varied_tones if tones is None else torch.where(tones.isnan(), varied_tones, tones)
     parts = [segments.float(), flat, shape, coarse, tones, openings[:, None]]
     return _channels_last(torch.cat(parts, 1)), _channels_last(fine)
+
+
+def with_cars(segments: Tensor, depth_m: Tensor, view: View, T_world_sensor: np.ndarray | None = None) -> WholeCars:
+    """A scene with whole cars: see `whole_cars`; arguments as of `painter_inputs`."""
+    radius_m, _, above_m = _points(segments, depth_m.float(), view)
+    return whole_cars(segments.float(), depth_m.float(), radius_m, above_m, view, T_world_sensor, CARS)
+
+
+def _points(segments: Tensor, depth_m: Tensor, view: View) -> tuple[Tensor, Tensor, Tensor]:
+    """`cylinder_points`, and how high the view's origin is above the road, (B,) metres."""
+    radius_m, z_m = cylinder_points(depth_m, view)
+    road = segments[:, ROAD] == segments.amax(1)
+    return radius_m, z_m, view.origin[2] - road_height(radius_m, z_m + view.origin[2], road)
 
 
 def twice(x: Tensor) -> Tensor:

@@ -209,7 +209,9 @@ class ScenePaintingOptions(TaskOptions):
     pixels, adversarial        weights of the losses; no discriminator where the last is 0.
     unseen                     weight of the distance of colours where no camera looked from the means of their classes.
     statistics                 weight of the distance of the painted patches' features from the real ones' distribution.
-    on_invented                share of the perceptual and the pixels' loss that counts on walls with invented openings.
+    on_invented                share of the perceptual and the pixels' loss that counts on what is invented.
+    invented_probability       of crops whose houses and cars have the tones and openings that they get in use, not the
+                               image's, with which they are then hardly compared.
     ground_truth_probability   of samples painted from the ground truth's classes, where they are known.
     sharpest                   largest power that class probabilities are raised to.
     remission_scale            largest relative change of a crop's remission.
@@ -234,6 +236,7 @@ class ScenePaintingOptions(TaskOptions):
     unseen: float = 1.0
     statistics: float = 1.0
     on_invented: float = 0.2
+    invented_probability: float = 0.0
     ground_truth_probability: float = 0.6
     sharpest: float = 4.0
     remission_scale: float = 0.0

@@ -19,7 +19,16 @@ from lidar2pano.labels import COMMON15
 from lidar2pano.losses import PatchStatistics, hinge_critic, hinge_generator, pooled
 from lidar2pano.losses.diff_augment import DiffAugment
 from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
-from lidar2pano.models.scene_painter import BUILDING, CAR, TONES, ScenePainter, painter_inputs, sharpened, twice
+from lidar2pano.models.scene_painter import (
+    BUILDING,
+    CAR,
+    TONES,
+    ScenePainter,
+    painter_inputs,
+    sharpened,
+    twice,
+    with_cars,
+)
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.pipeline import Pipeline, load_part, load_segmenter
 from lidar2pano.train.adversarial import frozen
@@ -27,7 +36,7 @@ from lidar2pano.train.options import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingFrames, PaintingSample
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import as_image, build_networks, device_of, fix_norms
-from lidar2pano.views import VIEWS
+from lidar2pano.views import VIEWS, View
 
 NEARBY = (3, 8, 20)  # pixels on either side of which a car's tone is the mean
 SPREAD = 0.4  # how far colours of a class in [-1, 1] are from their mean without being outliers
@@ -66,11 +75,17 @@ class ScenePainting:
         device = batch.depth_m.device
         self.features.to(device)
         segments = self.segments(batch)
-        inputs = self.inputs(batch, segments)
+        drawn = torch.rand(len(batch.look), 1, 1, device=device) < self.options.invented_probability
+        batch = batch._replace(openings=batch.openings.masked_fill(drawn, torch.nan))
+        window, pose = self._somewhere(segments)
+        batch, used, tones = self._with_cars(batch, segments, drawn, window, pose)
+        houses_and_cars = torch.maximum(segments, used)[:, [BUILDING, CAR]].sum(1).clamp(max=1)
+        segments, invented = used, drawn * houses_and_cars  # there, houses and cars are as in use: not the image's
+        inputs = self.inputs(batch, segments, tones, window, pose)
         fake = painted = self.painted(batch, inputs)
         real = torch.where(batch.valid[:, None], batch.image, fake.detach())
         condition = torch.cat([segments, depth_code(batch.depth_m)[:, None]], 1)
-        counted = self._counted(batch, segments)
+        counted = self._counted(batch, segments, invented)
         if self.options.augment_probability:
             real, fake, condition, counted = self._augmented(real, fake, condition, counted)
         with fast_arithmetic(device):
@@ -85,16 +100,18 @@ class ScenePainting:
             yield "critic", _mean([hinge_critic(one.float(), other.float()) for one, other in scores])
         options = self.options
         pairs = [(one.float(), other.float()) for one, other in zip(on_real, on_fake, strict=True)]
-        weights = [adaptive_avg_pool2d(counted[:, 1:], one.shape[-2:]) for one, _ in pairs]
+        weights = [adaptive_avg_pool2d(counted[:, 1:2], one.shape[-2:]) for one, _ in pairs]
         perceptual = _mean(
             [((a - b).abs() * share).mean() / (a.std() + 1e-3) for (a, b), share in zip(pairs, weights, strict=True)]
         )
-        coarse = mse_loss(pooled(fake), pooled(real))  # its best is the mean, which for dark cars is not the median
-        pixels = ((fake - real).abs() * counted[:, 1:]).mean()
+        expected = torch.lerp(real, fake.detach(), counted[:, 2:])
+        coarse = mse_loss(pooled(fake), pooled(expected))  # its best is the mean, which for dark cars is not the median
+        pixels = ((fake - real).abs() * counted[:, 1:2]).mean()
         self.logs = {"perceptual": perceptual.detach(), "pooled": coarse.detach(), "pixels": pixels.detach()}
         loss = options.perceptual * perceptual + options.pooled * coarse + options.pixels * pixels
         if options.unseen:
-            unseen = self._unseen(batch, segments, inputs[0][:, TONES], painted)
+            known = batch.valid & (twice(invented) < 0.5)
+            unseen = self._unseen(batch._replace(valid=known), segments, inputs[0][:, TONES], painted)
             self.logs["unseen"] = unseen.detach()
             loss = loss + options.unseen * unseen
         if options.statistics:
@@ -121,14 +138,14 @@ class ScenePainting:
         others = joined[:, 3:].detach().split(sizes, 1)
         return augment.apply(real, everywhere, everywhere[:, :0])[:, :3], joined[:, :3], *others
 
-    def _counted(self, batch: PaintingSample, segments: Tensor) -> Tensor:
-        """Where the image is known, and how much what is painted has to be equal to it there: (B, 2, 2H, 2W).
+    def _counted(self, batch: PaintingSample, segments: Tensor, invented: Tensor) -> Tensor:
+        """Where the image is known, how much what is painted has to be equal to it there, and what is invented.
 
-        A wall whose openings were invented has them elsewhere.
+        (B, 3, 2H, 2W). A wall whose openings were invented has them elsewhere.
         """
-        invented = segments[:, BUILDING] * batch.openings.isnan()
-        share = 1 - (1 - self.options.on_invented) * invented
-        return torch.stack([batch.valid.float(), twice(share)], 1)
+        elsewhere = torch.maximum(invented, segments[:, BUILDING] * batch.openings.isnan())
+        share = 1 - (1 - self.options.on_invented) * elsewhere
+        return torch.stack([batch.valid.float(), twice(share), twice(invented)], 1)
 
     @staticmethod
     def _unseen(batch: PaintingSample, segments: Tensor, tones: Tensor, painted: Tensor) -> Tensor:
@@ -154,18 +171,29 @@ class ScenePainting:
         return gap.sum() / (3 * weight.sum()).clamp(min=1) + outliers
 
     @torch.no_grad()
-    def inputs(self, batch: PaintingSample, segments: Tensor, *, as_used: bool = False) -> tuple[Tensor, Tensor]:
-        """The painter's inputs for a batch, at a random place in the noise.
+    def inputs(
+        self, batch: PaintingSample, segments: Tensor, tones: Tensor, window: View, pose: np.ndarray
+    ) -> tuple[Tensor, Tensor]:
+        """The painter's inputs for a batch, with these tones, and the scan as another sensor might have it."""
+        openings = batch.openings
+        return painter_inputs(segments, batch.depth_m, self._scanned(batch), window, pose, tones, openings, self.unread)
 
-        as_used  whether tones and openings are the pipeline's instead of the images'.
-        """
+    def _somewhere(self, segments: Tensor) -> tuple[View, np.ndarray]:
+        """A random sector of the view as wide as the crops, at a random place in the noise."""
         pose = np.eye(4)
         pose[:3, 3] = np.random.uniform(0, 64, 3)  # noqa: NPY002 seeded by the loop, step by step
-        window = self.view.window(int(np.random.randint(self.view.columns)), segments.shape[3])  # noqa: NPY002
-        channels, known = batch.channels, (None, None)
-        if not as_used:
-            channels, known = self._scanned(batch), (self._tones(batch, segments), batch.openings)
-        return painter_inputs(segments, batch.depth_m, channels, window, pose, *known, self.unread)
+        return self.view.window(int(np.random.randint(self.view.columns)), segments.shape[3]), pose  # noqa: NPY002
+
+    @torch.no_grad()
+    def _with_cars(
+        self, batch: PaintingSample, segments: Tensor, drawn: Tensor, window: View, pose: np.ndarray
+    ) -> tuple[PaintingSample, Tensor, Tensor]:
+        """The batch, its segments and its tones: where `drawn`, (B, 1, 1) bool, with whole cars and invented tones."""
+        tones, depth_m, segments = self._tones(batch, segments), batch.depth_m.clone(), segments.clone()
+        some = drawn.flatten()
+        if bool(some.any()):
+            segments[some], depth_m[some], tones[some] = with_cars(segments[some], depth_m[some], window, pose)
+        return batch._replace(depth_m=depth_m), segments, tones
 
     def _scanned(self, batch: PaintingSample) -> Tensor:
         """The scan's channels (B, 5, H, W), the remission of each crop as another sensor might have it, or none."""
@@ -213,7 +241,10 @@ class ScenePainting:
         sample = self.validation[index]
         one = PaintingSample(*(part[None].to(device) for part in sample)).flat()
         one = one._replace(tone=torch.zeros_like(one.tone))
-        inputs = self.inputs(one, sharpened(one.segments, 2.0), as_used=True)
+        segments = sharpened(one.segments, 2.0)
+        window, pose = self._somewhere(segments)
+        segments, depth_m, tones = with_cars(segments, one.depth_m, window, pose)
+        inputs = painter_inputs(segments, depth_m, one.channels, window, pose, tones, unread=self.unread)
         return self.painted(one, inputs)[0].cpu(), sample
 
     def validate(self) -> dict[str, float]:

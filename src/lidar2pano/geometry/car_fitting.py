@@ -1,0 +1,273 @@
+"""Boxes around the cars of a panorama, from what a LiDAR shows of them.
+
+The nearest surface of every column is cut into cars, and a rectangle is laid around each (the smallest in area, Zhang
+et al. 2017). Of bodies of a car's size in places around it, moved step by step, the one is taken that covers best what
+is car in the picture (analysis by synthesis).
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from lidar2pano.geometry.car_body import TALL_M, Boxes, distances
+from lidar2pano.geometry.columns import median_around, surface_profile, world_columns
+from lidar2pano.geometry.surface import slopes
+from lidar2pano.views import View
+
+EVERY = 2  # rows of a raster for each that cars are looked for in
+LOWEST_M, BELT_M, HIGHEST_M, FARTHEST_M = 0.15, 1.0, 2.6, 32.0  # above the road; from the view's axis
+LEAST = 0.75  # rows that show a car; with fewer the column has none
+REACH, HOLE = 8, 4  # columns on either side, of which the median is taken; half of the widest gap in a car
+SAME_SURFACE, SAME_CAR, THROUGH_GLASS = 0.12, 0.35, 0.6  # of the logarithm of the distance
+GAP_M, GAP = 0.6, 0.02  # columns farther apart than GAP_M + GAP x distance are of two cars
+PARKED_M, MOST_PARTS = 5.2, 16  # a row of parked cars is cut into pieces of about that length, at most so many
+ANGLES = 30  # of rectangles that are tried, per quarter turn
+THICK_M = 0.1  # added to rectangles' sides, so that a straight row of points has an area
+COLUMNS, MOST = 12, 16  # a car fills so many columns at least; of a scene the nearest count, so many at most
+LENGTH_M, WIDTH_M, TOP_M = (3.8, 5.0), (1.65, 1.95), (1.35, 2.3)  # least and greatest of cars
+AROUND_M, OVER_M, ACROSS, DOWN = 1.2, 0.3, 26, 20  # what is looked at of a car: so far around it, columns, rows
+MOVES = (0.4, 0.25, 0.12, 0.08, 0.3)  # by which a box is tried elsewhere: along, across, turned, up, longer
+ROUNDS, TURN = (1.0, 0.9, 0.7, 0.6, 0.5, 0.4), 0.6  # shares of MOVES, one after the other; before TURN it is turned
+OFF, IN_FRONT_M = 1.0, 0.3  # how much a difference of distances counts; what is so much nearer than a car hides it
+HALF = 0.5  # probability from which on a pixel shows a thing
+
+
+class Measured(NamedTuple):
+    """What a panorama shows of cars.
+
+    cars, ground  (H, W): probabilities;  radius_m: (H, W), distance from the view's axis.
+    above_m       (): how high the viewpoint is above the road;  number: (W,), of the car of each column, -1 for none.
+    """
+
+    cars: Tensor
+    ground: Tensor
+    radius_m: Tensor
+    above_m: Tensor
+    number: Tensor
+    view: View
+
+
+class Found(NamedTuple):
+    """The rectangle (n) around the visible part of each car, its highest point, and its distance from the view's axis.
+
+    middle, axis  (2, n): centre and direction of the longer side;  number: (n,), as in Measured.
+    """
+
+    middle: Tensor
+    axis: Tensor
+    length_m: Tensor
+    width_m: Tensor
+    top_m: Tensor
+    distance_m: Tensor
+    number: Tensor
+
+
+class Sample(NamedTuple):
+    """Q x R rays at each of n cars, and what the picture has there: whether it is the car, which distance it has.
+
+    ray  (2, n, 1, Q);  slope: (n, 1, R);  the others: (n, 1, Q, R).
+    hides_m  what else is in the picture hides a body that is farther away;  counts: whether the ray is in the picture.
+    """
+
+    ray: Tensor
+    slope: Tensor
+    above_m: Tensor
+    car: Tensor
+    radius_m: Tensor
+    hides_m: Tensor
+    counts: Tensor
+
+
+def found_cars(cars: Tensor, ground: Tensor, radius_m: Tensor, above_m: Tensor, view: View) -> tuple[Found, Measured]:
+    """The nearest cars that fill enough columns; arguments as of Measured."""
+    rows = slice(EVERY // 2, None, EVERY)
+    height_m = (radius_m * slopes(view, device=cars.device)[:, None] + above_m)[rows]
+    inside = (height_m > LOWEST_M) & (height_m < HIGHEST_M) & (radius_m[rows] < FARTHEST_M)
+    body = cars[rows] * (inside & (height_m < BELT_M))
+    (profile,), (total,) = surface_profile(body[None], radius_m[rows][None], SAME_SURFACE, LEAST, REACH)
+    distance_m, here = profile.exp(), _closed(total > LEAST)
+    ray, _ = world_columns(view, None, cars.device)
+    point = (distance_m * ray.to(distance_m)).nan_to_num(0)
+    apart = torch.hypot(*(point - point.roll(1, 1)).unbind(0)) > GAP_M + GAP * distance_m
+    number = _cut(point, _numbers(apart | ~here | ~here.roll(1)))
+    tops = torch.where((cars[rows] > HALF) & inside, height_m, 0).amax(0)
+    tops = median_around(torch.where(here, tops, torch.nan)[None], REACH)[0].nan_to_num(0)
+    top_m, mean_m = _over(number, tops, "amax"), _over(number, distance_m.nan_to_num(torch.inf), "mean")
+    enough = here & (_over(number, here.float(), "sum") >= COLUMNS) & (top_m > TOP_M[0] / 2)
+    column = torch.arange(len(number), device=number.device)
+    column = column[enough & (_over(number, column, "amin") == column)]  # one of each car
+    column = column[mean_m[column].argsort()[:MOST]]
+    parts = (*_rectangles(point, number), top_m.clamp(*TOP_M), mean_m, number)
+    measured = Measured(cars, ground, radius_m, above_m, torch.where(here, number, -1), view)
+    return Found(*(part[..., column] for part in parts)), measured
+
+
+def _closed(here: Tensor) -> Tensor:
+    """Columns (W,) bool with gaps of at most 2 x HOLE columns closed; circular."""
+    shifts = range(-HOLE, HOLE + 1)
+    grown = torch.stack([here.roll(shift) for shift in shifts]).any(0)
+    return torch.stack([grown.roll(shift) for shift in shifts]).all(0)
+
+
+def fitted(found: Found, measured: Measured) -> tuple[Boxes, Tensor]:
+    """The box (n,) of each car that fits best, and the overlap of its body with the car in the picture, in [0, 1]."""
+    sample = _sampled(found, measured)
+    boxes, score, covered = _best(_placed(found), sample)
+    for step in ROUNDS:
+        if step == TURN:
+            boxes, score, covered = _best(_turned(boxes, found.top_m), sample)
+        boxes, score, covered = _nudged(boxes, score, covered, step, sample)
+    return boxes, covered
+
+
+def _placed(found: Found) -> Boxes:
+    """Boxes (n, 12) that the visible parts of cars may belong to: two directions, three places along, two across."""
+    made = []
+    for lengthwise, ends in product((True, False), product((1.0, 0.0, -1.0), (1.0, 0.0))):
+        across = torch.stack([-found.axis[1], found.axis[0]])
+        axes = (found.axis, across) if lengthwise else (across, found.axis)
+        shown = (found.length_m, found.width_m) if lengthwise else (found.width_m, found.length_m)
+        middle, sizes = found.middle, []
+        for axis, visible, end, limits in zip(axes, shown, ends, (LENGTH_M, WIDTH_M), strict=True):
+            size = visible.clamp(*limits)
+            away = (found.middle * axis).sum(0).sign()
+            middle = middle + axis * (end * away * (size - visible) / 2)
+            sizes.append(size)
+        base_m, body = torch.zeros_like(found.top_m), (found.top_m > TALL_M[1]).long() * 2
+        made.append(Boxes(middle, axes[0], sizes[0], sizes[1], found.top_m, base_m, body))
+    return Boxes(*(torch.stack(parts, -1) for parts in zip(*made, strict=True)))
+
+
+def _turned(boxes: Boxes, top_m: Tensor) -> Boxes:
+    """The boxes with two bodies of their height, nose first and tail first: (n, 4)."""
+    bodies = (torch.where(top_m < TALL_M[1], 0, 2), torch.where(top_m > TALL_M[0], 2, 1))
+    made = [boxes._replace(ahead=sign * boxes.ahead, body=body) for sign, body in product((1, -1), bodies)]
+    return Boxes(*(torch.stack(parts, -1) for parts in zip(*made, strict=True)))
+
+
+def _nudged(boxes: Boxes, score: Tensor, covered: Tensor, step: float, sample: Sample) -> tuple[Boxes, Tensor, Tensor]:
+    """The boxes, moved by a step of MOVES there or back where that is better: the best one alone, or all at once."""
+    tried = [_moved(boxes, move, sign * step) for move, sign in product(range(len(MOVES)), (1, -1))]
+    each, _ = _scores(Boxes(*(torch.stack(parts, -1) for parts in zip(*tried, strict=True))), sample)
+    forth, back = each[:, ::2], each[:, 1::2]
+    better = torch.maximum(forth, back) > score[:, None]
+    by = torch.where(better, torch.where(forth > back, step, -step), 0.0)
+    joint = boxes
+    for move in range(len(MOVES)):
+        joint = _moved(joint, move, by[:, move])
+    best = torch.maximum(forth, back).argmax(1)
+    single = boxes
+    for move in range(len(MOVES)):
+        single = _moved(single, move, by[:, move] * (best == move))
+    parts = zip(boxes, single, joint, strict=True)
+    return _best(Boxes(*(torch.stack(part, -1) for part in parts)), sample)
+
+
+def _moved(boxes: Boxes, move: int, step: Tensor | float) -> Boxes:
+    """The boxes, moved by a step (n,) of MOVES."""
+    by = step * torch.full_like(boxes.top_m, MOVES[move])
+    left = torch.stack([-boxes.ahead[1], boxes.ahead[0]])
+    match move:
+        case 0 | 1:
+            return boxes._replace(middle=boxes.middle + by * (boxes.ahead, left)[move])
+        case 2:
+            return boxes._replace(ahead=by.cos() * boxes.ahead + by.sin() * left)
+        case 3:
+            return boxes._replace(base_m=boxes.base_m + by)
+        case _:
+            return boxes._replace(length_m=(boxes.length_m + by).clamp(*LENGTH_M))
+
+
+def _sampled(found: Found, measured: Measured) -> Sample:
+    view, device = measured.view, measured.cars.device
+    azimuth = torch.atan2(found.middle[1], found.middle[0])[:, None]
+    half = (AROUND_M + found.length_m / 2) / found.distance_m
+    angle = azimuth + half.clamp(max=1.5)[:, None] * torch.linspace(1, -1, ACROSS, device=device)
+    rows = slopes(view, device=device)
+    highest = ((found.top_m + OVER_M - measured.above_m) / found.distance_m).clamp(max=rows[0])
+    lowest = (-measured.above_m / (0.85 * found.distance_m)).clamp(min=rows[-1])
+    share = torch.linspace(0.02, 0.98, DOWN, device=device)
+    slope = highest[:, None] + (lowest - highest)[:, None] * share
+    column = torch.remainder(math.radians(view.left) - angle, 2 * math.pi) * view.focal_px
+    inside = (column < view.columns)[:, :, None]
+    column = column.long().clamp(max=view.columns - 1)[:, :, None]
+    row = _row(slope, view)[:, None]
+    car, ground, radius_m = (part[row, column] for part in (measured.cars, measured.ground, measured.radius_m))
+    owner = measured.number[column]
+    farther, own = (radius_m / found.distance_m[:, None, None]).log(), owner == found.number[:, None, None]
+    same = (farther > -SAME_CAR) & (farther < torch.where(own, THROUGH_GLASS, SAME_CAR)) & (own | (owner < 0))
+    ray = torch.stack([angle.cos(), angle.sin()])[:, :, None]
+    is_car = (car > HALF) & same
+    hides_m = torch.where(is_car | (ground > HALF), math.inf, radius_m + IN_FRONT_M)
+    parts = (is_car, radius_m, hides_m, inside)
+    return Sample(ray, slope[:, None], measured.above_m, *(part[:, None] for part in parts))
+
+
+def _row(slope: Tensor, view: View) -> Tensor:
+    """Rows int64 of a view in which directions of these tangents are."""
+    height = torch.rad2deg(torch.atan(slope)) if view.kind == "sphere" else slope
+    return ((view.up - height) / (view.up - view.down) * view.rows).long().clamp(0, view.rows - 1)
+
+
+def _scores(boxes: Boxes, sample: Sample) -> tuple[Tensor, Tensor]:
+    """How well each of the boxes (n, K) fits, and the share of overlap in union."""
+    distance_m = distances(boxes, sample.ray, sample.slope, sample.above_m)
+    hit = distance_m.isfinite()
+    hidden = (distance_m > sample.hides_m) & hit
+    counts = sample.counts & ~hidden
+    inside = hit & sample.car & sample.counts
+    both = inside.sum((-1, -2))
+    union = ((hit | sample.car) & counts).sum((-1, -2))
+    farther = (distance_m / sample.radius_m - 1).abs().clamp(max=SAME_CAR)
+    off = (farther * inside).nan_to_num(0).sum((-1, -2)) / both.clamp(min=1)
+    covered = both / union.clamp(min=1)
+    return covered - OFF * off, covered
+
+
+def _best(boxes: Boxes, sample: Sample) -> tuple[Boxes, Tensor, Tensor]:
+    """Of the boxes (n, K) of each car the best, its score, and the share of overlap in union; (n,)."""
+    scores, covered = _scores(boxes, sample)
+    best = scores.argmax(-1, keepdim=True)
+    chosen = Boxes(*(part.gather(-1, best.expand(*part.shape[:-1], 1))[..., 0] for part in boxes))
+    return chosen, scores.gather(-1, best)[:, 0], covered.gather(-1, best)[:, 0]
+
+
+def _cut(point: Tensor, number: Tensor) -> Tensor:
+    """Numbers (W,) of the cars when what is longer than a car is cut: parked cars touch in the picture."""
+    middle, axis, length_m, _ = _rectangles(point, number)
+    along_m = ((point - middle) * axis).sum(0)
+    parts = (length_m / PARKED_M).round().clamp(1, MOST_PARTS)
+    part = (parts * (along_m / length_m + 0.5)).floor().clamp(0, MOST_PARTS - 1)
+    return torch.unique(number * MOST_PARTS + part.long(), return_inverse=True)[1]
+
+
+def _numbers(first: Tensor) -> Tensor:
+    """The number (W,) of each column's car, where `first` says that a car begins; circular."""
+    begin = int(first.to(torch.uint8).argmax())
+    return first.roll(-begin).long().cumsum(0).roll(begin) - int(first.any())
+
+
+def _over(number: Tensor, values: Tensor, how: str) -> Tensor:
+    """The least, greatest, sum or mean (`how`) of values (..., W) of a car, in each of its columns."""
+    index = number.expand_as(values)
+    found = torch.zeros_like(values).scatter_reduce(-1, index, values, how, include_self=False)
+    return found.gather(-1, index)
+
+
+def _rectangles(point: Tensor, number: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The rectangles around the points (2, W) of each number: middle and long axis (2, W), length and width (W,)."""
+    angle = torch.arange(ANGLES, device=point.device) * (math.pi / 2 / ANGLES)
+    turned = torch.stack([angle.cos(), angle.sin(), -angle.sin(), angle.cos()]).view(2, 2, ANGLES).to(point)
+    places = turned[:, 0, :, None] * point[0] + turned[:, 1, :, None] * point[1]
+    low, high = _over(number, places, "amin"), _over(number, places, "amax")
+    best = (high - low + THICK_M).prod(0).argmin(0)
+    low, high = (part.gather(1, best.expand(2, 1, -1))[:, 0] for part in (low, high))
+    axes = turned[:, :, best]
+    middle = (axes * ((low + high) / 2)[:, None]).sum(0)
+    size = high - low + THICK_M
+    return middle, torch.where(size[0] > size[1], axes[0], axes[1]), size.amax(0), size.amin(0)

@@ -1,0 +1,219 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from lidar2pano.geometry import cars as module
+from lidar2pano.geometry.car_body import TYRE, Boxes, first_hits
+from lidar2pano.geometry.cars import SHADE, Classes, WholeCars, whole_cars
+from lidar2pano.geometry.columns import world_columns
+from lidar2pano.geometry.surface import slopes
+from lidar2pano.views import VIEWS, View
+
+VIEW = replace(VIEWS["panorama"].scaled(0.375), origin=(0.0, 0.0, 0.0))
+ABOVE_M, FAR_M = 1.65, 40.0
+ROAD, CAR, WALL, POLE, TRUCK = range(5)
+IDS = Classes(CAR, vehicles=(CAR, TRUCK), ground=(ROAD,))
+SURE = 0.97
+PLACES = ((5.0, 4.0, 0.0), (-6.0, 5.0, 0.3), (2.0, -8.0, 1.6), (-9.0, -0.5, math.pi))  # the last one is on the seam
+
+
+def box(x: float, y: float, heading: float) -> Boxes:
+    measures = (torch.tensor([value]) for value in (4.2, 1.76, 1.46, 0.0))
+    ahead = torch.tensor([[math.cos(heading)], [math.sin(heading)]])
+    return Boxes(torch.tensor([[x], [y]]), ahead, *measures, torch.tensor([0]))
+
+
+def street(*places: tuple[float, float, float], view: View = VIEW) -> tuple[torch.Tensor, torch.Tensor]:
+    """Ids (H, W) and distances from the axis (H, W) of a flat road, a wall all around, and hatchbacks on the road."""
+    slope = slopes(view)[:, None].expand(view.rows, view.columns)
+    radius_m = torch.where(slope < 0, ABOVE_M / -slope, math.inf).clamp(max=FAR_M)
+    ids = torch.where(radius_m < FAR_M, ROAD, WALL)
+    ray = world_columns(view, None, slope.device)[0].float()
+    for place in places:
+        near = first_hits(box(*place), ray[:, None], slopes(view)[None], torch.tensor(ABOVE_M)).distance_m[0].T
+        ids = torch.where(near < radius_m, CAR, ids)
+        radius_m = torch.minimum(near, radius_m)
+    return ids, radius_m
+
+
+def probabilities(ids: torch.Tensor) -> torch.Tensor:
+    """(1, 5, H, W) of a network that is nearly sure, and second of all believes in walls."""
+    others = torch.where(ids == WALL, ROAD, WALL)
+    found = torch.full((5, *ids.shape), 0.005)
+    found.scatter_(0, ids[None], SURE).scatter_(0, others[None], 1 - SURE - 3 * 0.005)
+    return found[None]
+
+
+def completed(
+    ids: torch.Tensor, radius_m: torch.Tensor, pose: np.ndarray | None = None, view: View = VIEW
+) -> WholeCars:
+    depth_m = radius_m * torch.sqrt(1 + slopes(view)[:, None] ** 2)
+    above_m = torch.tensor([ABOVE_M])
+    return whole_cars(probabilities(ids), depth_m[None], radius_m[None], above_m, view, pose, IDS)
+
+
+def overlap(one: torch.Tensor, other: torch.Tensor) -> float:
+    return float((one & other).sum() / (one | other).sum())
+
+
+def holed(ids: torch.Tensor, radius_m: torch.Tensor, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    """What is left of cars when patches of them are taken for a wall, at distances of what is behind."""
+    generator = torch.Generator().manual_seed(seed)
+    coarse = torch.rand(1, 1, ids.shape[0] // 4, ids.shape[1] // 4, generator=generator) < 0.15
+    patches = coarse.repeat_interleave(4, 2).repeat_interleave(4, 3)[0, 0] & (ids == CAR)
+    return torch.where(patches, WALL, ids), torch.where(patches, radius_m + 3, radius_m)
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_car_with_holes_becomes_whole(place):
+    ids, radius_m = street(place)
+    torn, torn_m = holed(ids, radius_m)
+    true = ids == CAR
+    whole = completed(torn, torn_m)
+    drawn = whole.segments[0].argmax(0) == CAR
+    assert overlap(torn == CAR, true) < 0.88 and overlap(drawn, true) > 0.8
+    both = drawn & true
+    depth_m = radius_m * torch.sqrt(1 + slopes(VIEW)[:, None] ** 2)
+    off = (whole.depth_m[0] - depth_m).abs()[both]
+    assert float(off.median()) < 0.5
+    assert torch.allclose(whole.segments.sum(1), torch.ones(1, *ids.shape), atol=1e-5)
+    known = whole.tones[0, :, drawn]
+    assert known.isfinite().all() and (known == TYRE).any()
+
+
+def test_what_is_far_from_cars_stays_as_it_is():
+    ids, radius_m = street(PLACES[0])
+    whole, far = completed(ids, radius_m), slice(VIEW.columns // 2, VIEW.columns)  # cars are to the left
+    assert torch.equal(whole.segments[..., far], probabilities(ids)[..., far])
+    assert torch.equal(whole.depth_m[0, :, far], (radius_m * torch.sqrt(1 + slopes(VIEW)[:, None] ** 2))[:, far])
+    assert whole.tones[..., far].isnan().all()
+    empty_ids, empty_m = street()
+    empty = completed(empty_ids, empty_m)
+    assert torch.equal(empty.segments, probabilities(empty_ids)) and empty.tones.isnan().all()
+
+
+def test_bulges_of_a_car_show_what_is_behind():
+    ids, radius_m = street(PLACES[0])
+    rows, columns = (ids == CAR).nonzero().unbind(1)
+    bulge = torch.zeros_like(ids, dtype=torch.bool)
+    bulge[
+        int(rows.min()) - 5 : int(rows.min()), int(columns.float().mean()) - 12 : int(columns.float().mean()) + 12
+    ] = True
+    bulge &= ids == WALL
+    segments = probabilities(ids)
+    segments[0, CAR, bulge], segments[0, WALL, bulge], segments[0, TRUCK, bulge] = 0.6, 0.19, 0.2
+    bulged_m = torch.where(bulge, 4.0, radius_m)
+    depth_m = bulged_m * torch.sqrt(1 + slopes(VIEW)[:, None] ** 2)
+    whole = whole_cars(segments, depth_m[None], bulged_m[None], torch.tensor([ABOVE_M]), VIEW, None, IDS)
+    left = bulge & (whole.segments[0].argmax(0) != CAR)
+    assert left.sum() > 0.6 * bulge.sum()
+    assert (whole.segments[0].argmax(0)[left] == WALL).all()
+    assert (whole.depth_m[0][left] > 0.99 * FAR_M).all()
+
+
+def test_what_stands_before_a_car_hides_it():
+    ids, radius_m = street(PLACES[0])
+    middle = int((ids == CAR).nonzero()[:, 1].float().mean())
+    pole = torch.zeros_like(ids, dtype=torch.bool)
+    pole[:, middle : middle + 4] = True
+    whole = completed(torch.where(pole, POLE, ids), torch.where(pole, 3.0, radius_m))
+    assert (whole.segments[0].argmax(0)[pole] == POLE).all()
+    assert float(whole.depth_m[0][pole].max()) < 3.3
+    beside = torch.zeros_like(pole)
+    beside[:, middle - 20 : middle + 24] = (ids == CAR)[:, middle - 20 : middle + 24]
+    drawn = whole.segments[0].argmax(0) == CAR
+    assert overlap(drawn & beside, beside & ~pole) > 0.85
+
+
+def test_the_road_beside_a_car_is_in_its_shadow():
+    ids, radius_m = street(PLACES[0])
+    tones = completed(ids, radius_m).tones[0]
+    shadow = (ids == ROAD) & tones[0].isfinite() & (tones[0] < 0)
+    assert shadow.sum() > 50 and float(tones[0][shadow].min()) == pytest.approx(-SHADE, abs=0.05)
+    assert float(radius_m[shadow].max()) < 8
+
+
+def test_a_scene_that_is_turned_gives_turned_cars():
+    ids, radius_m = holed(*street(*PLACES))
+    shift = VIEW.columns // 3 + 1
+    angle = -shift * 2 * math.pi / VIEW.columns  # scene and columns go to the right, so the world is to the left
+    pose = np.eye(4)
+    pose[:2, :2] = [[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]
+    straight, turned = completed(ids, radius_m), completed(ids.roll(shift, 1), radius_m.roll(shift, 1), pose)
+    same = straight.segments[0].argmax(0).roll(shift, 1) == turned.segments[0].argmax(0)
+    assert same.float().mean() > 0.995
+    one, other = straight.tones[0].roll(shift, 2), turned.tones[0]
+    both = one.isfinite() & other.isfinite()
+    assert ((one - other).abs()[both] < 0.05).float().mean() > 0.9
+
+
+def test_a_parked_car_keeps_its_colour_when_the_sensor_moves():
+    colours = []
+    for moved in (0.0, 2.0, 4.0):
+        pose = np.eye(4)
+        pose[:2, 3] = moved, -moved / 4
+        ids, radius_m = street((6.0 - moved, 4.0 + moved / 4, 0.0))
+        tones = completed(ids, radius_m, pose).tones[0]
+        colours.append(tones[:, (ids == CAR) & tones[0].isfinite()].median(1).values)
+    assert torch.allclose(colours[0], colours[1], atol=0.1) and torch.allclose(colours[0], colours[2], atol=0.1)
+
+
+def test_cars_that_stand_apart_differ_in_colour():
+    ids, radius_m = street(*PLACES)
+    tones = completed(ids, radius_m).tones[0]
+    colours = set()
+    for place in PLACES:
+        own = (street(place)[0] == CAR) & tones[0].isfinite()
+        colours.add(tuple(np.round(tones[:, own].median(1).values.tolist(), 1)))
+    assert len(colours) >= 3
+
+
+def test_a_row_of_parked_cars_is_not_one_long_car():
+    row = [(x, 5.0, 0.0) for x in (-6.8, -2.3, 2.2, 6.7)]
+    ids, radius_m = street(*row)
+    whole = completed(ids, radius_m)
+    tyres = ((whole.tones[0, 0] == TYRE) & (radius_m < 12)).any(0)
+    wheels = int((tyres & ~tyres.roll(1)).sum())
+    assert 6 <= wheels <= 9
+    assert overlap(whole.segments[0].argmax(0) == CAR, ids == CAR) > 0.85
+
+
+def test_no_more_cars_are_drawn_than_the_nearest(monkeypatch):
+    monkeypatch.setattr("lidar2pano.geometry.car_fitting.MOST", 1)
+    ids, radius_m = street(*PLACES)
+    tones = completed(ids, radius_m).tones[0, 0]
+    tyres = (tones == TYRE).any(0)
+    near = street(PLACES[0])[0] == CAR
+    assert tyres.any() and not (tyres & ~near.any(0)).any()
+
+
+def test_a_body_that_covers_too_little_is_not_drawn(monkeypatch):
+    ids, radius_m = street(PLACES[0])
+    monkeypatch.setattr(module, "COVERED", 0.999)
+    whole = completed(ids, radius_m)
+    assert torch.equal(whole.segments, probabilities(ids)) and whole.tones.isnan().all()
+
+
+def test_a_part_of_a_panorama_is_completed_alike():
+    ids, radius_m = holed(*street(PLACES[0]))
+    columns = (ids == CAR).any(0).nonzero()[:, 0]
+    start, wide = int(columns.min()) - 60, int(columns.max() - columns.min()) + 120
+    part = slice(start, start + wide)
+    whole = completed(ids, radius_m).segments[0, :, :, part].argmax(0) == CAR
+    alone = completed(ids[:, part], radius_m[:, part], view=VIEW.window(start, wide)).segments[0].argmax(0) == CAR
+    assert overlap(whole, alone) > 0.97
+
+
+def test_scenes_of_a_batch_do_not_meet():
+    one, other = holed(*street(PLACES[0])), holed(*street(PLACES[1]))
+    segments = torch.cat([probabilities(one[0]), probabilities(other[0])])
+    radius_m = torch.stack([one[1], other[1]])
+    depth_m = radius_m * torch.sqrt(1 + slopes(VIEW)[:, None] ** 2)
+    both = whole_cars(segments, depth_m, radius_m, torch.tensor([ABOVE_M] * 2), VIEW, None, IDS)
+    for number, scene in enumerate((one, other)):
+        assert torch.equal(both.segments[number], completed(*scene).segments[0])
