@@ -18,8 +18,8 @@ VIEW = replace(VIEWS["panorama"].scaled(0.375), origin=(0.0, 0.0, 0.0))
 ABOVE_M, FAR_M = 1.65, 40.0
 ROAD, CAR, WALL, POLE, TRUCK = range(5)
 IDS = Classes(CAR, vehicles=(CAR, TRUCK), ground=(ROAD,))
-SURE = 0.97
-PLACES = ((5.0, 4.0, 0.0), (-6.0, 5.0, 0.3), (2.0, -8.0, 1.6), (-9.0, -0.5, math.pi))  # the last one is on the seam
+LIKELY = 0.85
+PLACES = ((-6.0, 5.0, 0.3), (3.0, 3.0, 0.5), (12.0, -6.0, 1.2), (-9.0, -0.5, math.pi))  # the last one is on the seam
 
 
 def box(x: float, y: float, heading: float) -> Boxes:
@@ -45,7 +45,7 @@ def probabilities(ids: torch.Tensor) -> torch.Tensor:
     """(1, 5, H, W) of a network that is nearly sure, and second of all believes in walls."""
     others = torch.where(ids == WALL, ROAD, WALL)
     found = torch.full((5, *ids.shape), 0.005)
-    found.scatter_(0, ids[None], SURE).scatter_(0, others[None], 1 - SURE - 3 * 0.005)
+    found.scatter_(0, ids[None], LIKELY).scatter_(0, others[None], 1 - LIKELY - 3 * 0.005)
     return found[None]
 
 
@@ -76,19 +76,19 @@ def test_a_car_with_holes_becomes_whole(place):
     true = ids == CAR
     whole = completed(torn, torn_m)
     drawn = whole.segments[0].argmax(0) == CAR
-    assert overlap(torn == CAR, true) < 0.88 and overlap(drawn, true) > 0.8
+    assert overlap(torn == CAR, true) < 0.9 < overlap(drawn, true)
     both = drawn & true
     depth_m = radius_m * torch.sqrt(1 + slopes(VIEW)[:, None] ** 2)
     off = (whole.depth_m[0] - depth_m).abs()[both]
     assert float(off.median()) < 0.5
     assert torch.allclose(whole.segments.sum(1), torch.ones(1, *ids.shape), atol=1e-5)
-    known = whole.tones[0, :, drawn]
-    assert known.isfinite().all() and (known == TYRE).any()
+    known = whole.tones[0, :, whole.segments[0, CAR] == 1]
+    assert known.isfinite().all()
 
 
 def test_what_is_far_from_cars_stays_as_it_is():
     ids, radius_m = street(PLACES[0])
-    whole, far = completed(ids, radius_m), slice(VIEW.columns // 2, VIEW.columns)  # cars are to the left
+    whole, far = completed(ids, radius_m), slice(VIEW.columns // 2, VIEW.columns)  # the car is to the left
     assert torch.equal(whole.segments[..., far], probabilities(ids)[..., far])
     assert torch.equal(whole.depth_m[0, :, far], (radius_m * torch.sqrt(1 + slopes(VIEW)[:, None] ** 2))[:, far])
     assert whole.tones[..., far].isnan().all()
@@ -99,19 +99,17 @@ def test_what_is_far_from_cars_stays_as_it_is():
 
 def test_bulges_of_a_car_show_what_is_behind():
     ids, radius_m = street(PLACES[0])
-    rows, columns = (ids == CAR).nonzero().unbind(1)
+    column = int((ids == CAR).nonzero()[:, 1].float().mean())
+    roof = int((ids[:, column] == CAR).nonzero().min())
     bulge = torch.zeros_like(ids, dtype=torch.bool)
-    bulge[
-        int(rows.min()) - 5 : int(rows.min()), int(columns.float().mean()) - 12 : int(columns.float().mean()) + 12
-    ] = True
-    bulge &= ids == WALL
+    bulge[roof - 12 : roof - 1, column - 9 : column + 9] = True
     segments = probabilities(ids)
-    segments[0, CAR, bulge], segments[0, WALL, bulge], segments[0, TRUCK, bulge] = 0.6, 0.19, 0.2
-    bulged_m = torch.where(bulge, 4.0, radius_m)
+    segments[0, :, bulge] = torch.tensor([0.05, 0.4, 0.3, 0.0, 0.25])[:, None]
+    bulged_m = torch.where(bulge, 6.0, radius_m)
     depth_m = bulged_m * torch.sqrt(1 + slopes(VIEW)[:, None] ** 2)
     whole = whole_cars(segments, depth_m[None], bulged_m[None], torch.tensor([ABOVE_M]), VIEW, None, IDS)
     left = bulge & (whole.segments[0].argmax(0) != CAR)
-    assert left.sum() > 0.6 * bulge.sum()
+    assert left.sum() > 0.8 * bulge.sum()
     assert (whole.segments[0].argmax(0)[left] == WALL).all()
     assert (whole.depth_m[0][left] > 0.99 * FAR_M).all()
 
@@ -132,15 +130,16 @@ def test_what_stands_before_a_car_hides_it():
 
 def test_the_road_beside_a_car_is_in_its_shadow():
     ids, radius_m = street(PLACES[0])
-    tones = completed(ids, radius_m).tones[0]
-    shadow = (ids == ROAD) & tones[0].isfinite() & (tones[0] < 0)
+    whole = completed(ids, radius_m)
+    tones = whole.tones[0]
+    shadow = (whole.segments[0].argmax(0) == ROAD) & tones[0].isfinite()
     assert shadow.sum() > 50 and float(tones[0][shadow].min()) == pytest.approx(-SHADE, abs=0.05)
-    assert float(radius_m[shadow].max()) < 8
+    assert float(radius_m[shadow].max()) < 9
 
 
 def test_a_scene_that_is_turned_gives_turned_cars():
     ids, radius_m = holed(*street(*PLACES))
-    shift = VIEW.columns // 3 + 1
+    shift = VIEW.columns // 12  # by a multiple of the steps in which rectangles are turned
     angle = -shift * 2 * math.pi / VIEW.columns  # scene and columns go to the right, so the world is to the left
     pose = np.eye(4)
     pose[:2, :2] = [[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]
@@ -160,7 +159,7 @@ def test_a_parked_car_keeps_its_colour_when_the_sensor_moves():
         ids, radius_m = street((6.0 - moved, 4.0 + moved / 4, 0.0))
         tones = completed(ids, radius_m, pose).tones[0]
         colours.append(tones[:, (ids == CAR) & tones[0].isfinite()].median(1).values)
-    assert torch.allclose(colours[0], colours[1], atol=0.1) and torch.allclose(colours[0], colours[2], atol=0.1)
+    assert torch.allclose(colours[0], colours[1], atol=0.2) and torch.allclose(colours[0], colours[2], atol=0.2)
 
 
 def test_cars_that_stand_apart_differ_in_colour():
@@ -188,7 +187,7 @@ def test_no_more_cars_are_drawn_than_the_nearest(monkeypatch):
     ids, radius_m = street(*PLACES)
     tones = completed(ids, radius_m).tones[0, 0]
     tyres = (tones == TYRE).any(0)
-    near = street(PLACES[0])[0] == CAR
+    near = street(PLACES[1])[0] == CAR
     assert tyres.any() and not (tyres & ~near.any(0)).any()
 
 

@@ -20,7 +20,7 @@ COVERED = 0.6  # least share of overlap in union of a car that is drawn
 FAINT, SURE = 0.02, 0.9  # probabilities of what has to go where no body was drawn: less is no car, more is another
 SHADE, SHADE_M, PALE = 0.35, 0.3, 0.01  # tone and breadth of the shadow beside a car; no shadow that is paler
 PAINT_WAVES_M = (17.0, 27.0, 13.0)  # cars so far apart differ in paint
-BRIGHTEST, COLOURED = 0.7, 2.5  # tone of the brightest paint; how fast the few coloured cars gain colour
+BRIGHTEST, COLOURED = 0.5, 1.2  # tone of the brightest paint; how fast the few coloured cars gain colour
 
 
 class WholeCars(NamedTuple):
