@@ -23,7 +23,7 @@ COARSE_M, FINE_M, AWAY_M = (0.25, 1.0, 4.0), (0.0625, 0.125, 0.5), 4096.0  # wav
 VARIED = np.zeros(16)  # how the brightness of car, truck, other-vehicle, person, fence and pole varies
 VARIED[[1, 4, 5, 6, 10, 13]] = 0.15, 0.15, 0.15, 0.15, 0.15, 0.1
 OBJECT_M, COARSER = 16.0, 4  # wavelength of that, and the step at which it is read
-HOUSES_VARIED, HOUSE_M = 0.65, 11.0  # how much houses differ in brightness, their width
+HOUSES_VARIED, HOUSE_M = 0.5, 11.0  # how much houses differ in brightness, their width
 REACH = 40  # columns around that say how a wall runs
 
 

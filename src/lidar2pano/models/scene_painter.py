@@ -35,7 +35,7 @@ OBJECT_M = 16.0  # wavelength at which things differ in brightness
 # Half of the deviations from image to image of how bright a class is in KITTI, colours in [-1, 1]: all of them, and
 # what noise has beyond its deviation, burn things out.
 VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence", "person"), 0.15) | {"pole": 0.1}
-HOUSES_VARIED = 0.65  # how much brighter or darker than the mean a house is, at most
+HOUSES_VARIED = 0.5  # how much brighter or darker than the mean a house is, at most
 WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
 # What these classes look like hardly hangs on their remission, which ends at the highest beam: a painter that reads it
 # paints walls in two colours, and in speckles, other ones in each scan of a drive.
