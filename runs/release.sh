@@ -93,8 +93,9 @@ scene world-scene-7 "$day" 51 "train,$all" "${inputs2[@]}" "$(weights world-scen
 scene world-scene-8 "$day" 24 "train,$all" "${inputs2[@]}" "$(weights world-scene-7 painter)" options.fixed_norms=true \
   networks.painter.optimizer.rate=0.0005 options.invented_probability=0.4 \
   networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
+mean "$out/mean/world-painter.safetensors" "$(weights world-scene-6 painter)" "$(weights world-scene-8 painter)" 0.4,0.6
 painter=$out/finished/world.safetensors
-python "$here/finish_painter.py" "$(weights world-scene-8 painter)" "$painter" "$out/frames/world-scene-8/painting/*/day-*.safetensors" --look day --power 4
+python "$here/finish_painter.py" "$out/mean/world-painter.safetensors" "$painter" "$out/frames/world-scene-8/painting/*/day-*.safetensors" --look day --power 4
 lidar2pano evaluate "$painter+$out/world-translator-2+$out/world-segmenter-2" --data "$out/towns/test" --split all \
   --json "$out/world.json"
 family world "${inputs2[@]}" "$painter" "$out/world.json" Apache-2.0
