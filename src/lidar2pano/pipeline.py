@@ -17,10 +17,10 @@ from lidar2pano.engines import accelerated, pick_engine
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.camera import at_camera
-from lidar2pano.geometry.cars import WholeCars
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.projection import Normalisation, RangeImage, fitted_view, one_hot_layers, project
+from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import Memory, PreviousFrame, Surroundings, fused, smoothed

@@ -32,7 +32,7 @@ from lidar2pano.pipeline import load
 from random_weights import CALIB, LICENCE, street, write_data_set, write_scan, write_weights
 
 OPTIONS = Path(__file__).with_name("cli_options.txt")
-STAGES = ["read", "project", "segment", "clean_up", "translate", "paint", "finish", "save"]
+STAGES = ["read", "project", "segment", "clean_up", "translate", "cars", "paint", "finish", "save"]
 
 
 @pytest.fixture
@@ -291,7 +291,7 @@ def test_evaluate_side_by_side(here, random_weights, front_weights, capsys):
                      "patch Frechet distance", "patch Frechet, real-to-real", "FID",
                      "depth AbsRel", "depth RMSE, m",
                      "points: mIoU of 19 SemanticKITTI classes", "points: accuracy",
-                     "project, ms", "segment, ms", "clean up, ms", "translate, ms", "paint, ms", "finish, ms",
+                     "project, ms", "segment, ms", "clean up, ms", "translate, ms", "cars, ms", "paint, ms", "finish, ms",
                      "camera, ms", "segmenter: recipe", "segmenter: commit", "translator: recipe",
                      "translator: commit", "painter: recipe", "painter: commit"]  # fmt: skip
     said = json.loads((here / "s" / "val.json").read_text())

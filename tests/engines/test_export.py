@@ -16,10 +16,10 @@ from lidar2pano.engines import export as engine_export
 from lidar2pano.engines import onnx_runner
 from lidar2pano.engines.export import Exportable, check_exportable, export
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.cars import WholeCars
 from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.projection import project
 from lidar2pano.geometry.solid_noise import noise_tile
+from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.scene_painter import outlined, painter_inputs
 from lidar2pano.pipeline import GROUND, load

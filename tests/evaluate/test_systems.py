@@ -257,7 +257,7 @@ def test_colours_are_those_of_the_pipeline(random_weights, kitti):
     assert np.array_equal(prediction.panorama.colour, wanted.colour)
     assert np.array_equal(prediction.panorama.depth_m, wanted.depth_m)
     assert np.array_equal(prediction.image, wanted.to_camera(kitti).colour)
-    assert list(prediction.milliseconds) == [*FRONT_STAGES[:-1], "paint", "finish", "camera"]
+    assert list(prediction.milliseconds) == [*FRONT_STAGES[:-1], "cars", "paint", "finish", "camera"]
     assert one.predict(inputs, memory)[1].panorama.frame == 1  # the stream goes on
     assert one.predict(inputs)[1].panorama.frame == 0
 

@@ -95,7 +95,7 @@ def test_the_nose_is_lower_than_the_tail_and_looks_ahead(body):
         assert float(hits.behind[0][x > 1.5].max()) < 0.2
 
 
-def seen(heading: float, distance_m: float = 6.0) -> tuple[Boxes, Hits, torch.Tensor]:
+def ahead_of(heading: float, distance_m: float = 6.0) -> tuple[Boxes, Hits, torch.Tensor]:
     """Box, hits and tones of a car straight ahead of the viewpoint."""
     car = box(distance_m, 0.0, heading)
     hits = first_hits(car, *rays(np.linspace(0.5, -0.5, 301), np.linspace(0.0, -0.35, 200)), ABOVE_M)
@@ -105,7 +105,7 @@ def seen(heading: float, distance_m: float = 6.0) -> tuple[Boxes, Hits, torch.Te
 
 
 def test_a_side_has_panes_doors_and_wheels():
-    _, hits, tones = seen(math.pi / 2)
+    _, hits, tones = ahead_of(math.pi / 2)
     door = (hits.face < CABIN) & ((hits.behind - 0.45).abs() < 0.1) & (hits.height_m > 0.56) & (hits.height_m < 0.9)
     assert door.sum() > 100 and torch.allclose(tones[:, door], PAINT[:, None])
     pane = (hits.face >= CABIN) & ((hits.behind - 0.5).abs() < 0.05) & ((hits.height_m - 1.2).abs() < 0.08)
@@ -118,7 +118,7 @@ def test_a_side_has_panes_doors_and_wheels():
 
 @pytest.mark.parametrize(("heading", "lamp"), [(math.pi, HEAD_LAMP), (0.0, TAIL_LAMP)])
 def test_lamps_say_which_end_is_in_view(heading, lamp):
-    _, hits, tones = seen(heading)
+    _, hits, tones = ahead_of(heading)
     colour = torch.tensor(lamp)[:, None]
     lit = (tones == colour).all(0)
     assert lit.sum() > 40 and (hits.aside_m[lit].abs() > 0.3).all()

@@ -92,7 +92,7 @@ def test_a_stream_with_poses_is_smoothed(pipeline):
     steady = list(replace(pipeline, painter=Moody()).stream([scan] * 2, [still] * 2))
     assert (plain[0] == 64).all() and (plain[1] == 140).all()
     assert (steady[0].colour == 64).all() and (steady[1].colour == 102).mean() > 0.9
-    assert list(steady[1].milliseconds)[-4:] == ["fuse", "paint", "steady", "finish"]
+    assert list(steady[1].milliseconds)[-5:] == ["fuse", "cars", "paint", "steady", "finish"]
     assert (steady[1].segments == steady[0].segments).mean() > 0.999  # but for ties
     memory, _ = replace(pipeline, painter=Moody()).step(Memory(), scan, still)
     assert memory.previous is not None and memory.around is not None
@@ -148,7 +148,7 @@ def test_shapes_and_types(panorama):
     assert {name: (getattr(panorama, name).shape, getattr(panorama, name).dtype) for name in expected} == expected
     assert panorama.segments.max() < len(COMMON15)
     assert panorama.labels.max() < len(SEMANTIC_KITTI)
-    assert list(panorama.milliseconds) == ["project", "segment", "clean_up", "translate", "paint", "finish"]
+    assert list(panorama.milliseconds) == ["project", "segment", "clean_up", "translate", "cars", "paint", "finish"]
     assert panorama.colour.std() > 0
 
 

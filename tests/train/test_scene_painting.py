@@ -106,27 +106,60 @@ def test_walls_with_invented_openings_need_not_be_equal(task, batch):
     flat.openings[0] = torch.nan
     segments = torch.zeros(2, 16, 32, 64)
     segments[:, BUILDING, :, :32] = 1
-    known, share = task._counted(flat, segments).unbind(1)
-    assert torch.equal(known, flat.valid.float())
+    nothing = torch.zeros(2, 32, 64)
+    known, share, invented = task._counted(flat, segments, nothing).unbind(1)
+    assert torch.equal(known, flat.valid.float()) and not invented.any()
     assert torch.allclose(share[0, :, :64], torch.tensor(task.options.on_invented)) and (share[0, :, 64:] == 1).all()
     assert (share[1] == 1).all(), "here they are known"
+    nothing[1, 10:20] = 1
+    _, share, invented = task._counted(flat, segments, nothing).unbind(1)
+    assert torch.allclose(share[1, 20:40], torch.tensor(task.options.on_invented)) and (share[1, 40:] == 1).all()
+    assert (invented[1, 20:40] == 1).all() and not invented[1, 40:].any() and not invented[0].any()
+
+
+def test_drawn_crops_have_whole_cars_and_invented_tones(task, batch, monkeypatch):
+    def with_cars(segments, depth_m, window, pose):
+        assert window.columns == segments.shape[3] and pose.shape == (4, 4)
+        return scene_painting.WholeCars(segments * 0 + 0.5, depth_m + 1, segments[:, :3] * 0 + 0.25)
+
+    monkeypatch.setattr(scene_painting, "with_cars", with_cars)
+    flat = batch.flat()
+    segments = torch.rand(2, 16, 32, 64)
+    drawn = torch.tensor([False, True])[:, None, None]
+    found, used, tones = task._with_cars(flat, segments, drawn, *task._somewhere(segments))
+    assert torch.equal(used[0], segments[0]) and (used[1] == 0.5).all()
+    assert torch.equal(found.depth_m[0], flat.depth_m[0]) and torch.equal(found.depth_m[1], flat.depth_m[1] + 1)
+    expected = task._tones(flat, segments)
+    assert torch.equal(tones[0].nan_to_num(9), expected[0].nan_to_num(9)) and (tones[1] == 0.25).all()
+
+
+def test_invented_houses_and_cars_are_hardly_compared(task, batch):
+    task.options = replace(task.options, invented_probability=1.0, ground_truth_probability=1.0, on_invented=0.0)
+    task.view = replace(task.view, rows=32)
+    batch.labels[:], batch.class_means[:] = BUILDING, 0.5
+    list(task.updates(batch))
+    assert float(task.logs["perceptual"]) == 0 and float(task.logs["pooled"]) == 0 and float(task.logs["pixels"]) == 0
+    assert float(task.logs["unseen"]) > 0, "colours are near their class's, as where no camera looked"
+    task.options = replace(task.options, invented_probability=0.0)
+    list(task.updates(batch))
+    assert float(task.logs["perceptual"]) > 0 and float(task.logs["pooled"]) > 0 and float(task.logs["pixels"]) > 0
 
 
 def test_known_openings_are_painted_and_others_are_invented(task, batch, monkeypatch):
     given = []
     inputs = scene_painting.painter_inputs
-    monkeypatch.setattr(scene_painting, "painter_inputs", lambda *a: given.append(inputs(*a)) or given[-1])
+    monkeypatch.setattr(scene_painting, "painter_inputs", lambda *a, **k: given.append(inputs(*a, **k)) or given[-1])
     task.view = replace(task.view, rows=32)
     flat = batch.flat()
     flat.openings[:] = torch.rand(2, 32, 64)
     flat.openings[1] = torch.nan
     segments = torch.zeros(2, 16, 32, 64)
     segments[:, BUILDING] = 1
-    task.inputs(flat, segments)
-    task.inputs(flat, segments, as_used=True)
-    (trained, _), (used, _) = given
+    window, pose = task._somewhere(segments)
+    task.inputs(flat, segments, task._tones(flat, segments), window, pose)
+    ((trained, _),) = given
     assert torch.equal(trained[0, -1], flat.openings[0])
-    assert trained[1, -1].isfinite().all() and not torch.equal(used[0, -1], flat.openings[0])
+    assert trained[1, -1].isfinite().all()
 
 
 def test_a_car_has_the_tone_of_the_image_nearby(task, batch):
@@ -145,7 +178,8 @@ def test_a_car_has_the_tone_of_the_image_nearby(task, batch):
     assert torch.allclose(found[:, :, 22:], torch.tensor(0.3))
     flat.class_means[:, 1] = torch.nan
     assert task._tones(flat, segments)[:, :, 12:20, 10:30].isnan().all(), "the look's mean car is not known"
-    assert task.inputs(flat, segments)[0].isfinite().all(), "they are invented"
+    inputs, _ = task.inputs(flat, segments, task._tones(flat, segments), *task._somewhere(segments))
+    assert inputs.isfinite().all(), "they are invented"
 
 
 def test_ground_truth_is_painted_where_it_is_known_and_drawn(task, batch):

@@ -3,7 +3,7 @@
     python run.py SCAN.bin PANORAMA.ppm        (KITTI's .bin: float32 x, y, z, remission)
 
 It computes what lidar2pano does, without its KNN clean-up of point labels and without the whole cars that it lays over
-what the translator found of them (`lidar2pano.geometry.cars`).
+what the translator found of them (`lidar2pano.geometry.whole_cars`).
 """
 
 import json

@@ -131,12 +131,12 @@ def _placed(found: Found) -> Boxes:
     for lengthwise, ends in product((True, False), product((1.0, 0.0, -1.0), (1.0, 0.0))):
         across = torch.stack([-found.axis[1], found.axis[0]])
         axes = (found.axis, across) if lengthwise else (across, found.axis)
-        shown = (found.length_m, found.width_m) if lengthwise else (found.width_m, found.length_m)
+        visible = (found.length_m, found.width_m) if lengthwise else (found.width_m, found.length_m)
         middle, sizes = found.middle, []
-        for axis, visible, end, limits in zip(axes, shown, ends, (LENGTH_M, WIDTH_M), strict=True):
-            size = visible.clamp(*limits)
+        for axis, extent, end, limits in zip(axes, visible, ends, (LENGTH_M, WIDTH_M), strict=True):
+            size = extent.clamp(*limits)
             away = (found.middle * axis).sum(0).sign()
-            middle = middle + axis * (end * away * (size - visible) / 2)
+            middle = middle + axis * (end * away * (size - extent) / 2)
             sizes.append(size)
         base_m, body = torch.zeros_like(found.top_m), (found.top_m > TALL_M[1]).long() * 2
         made.append(Boxes(middle, axes[0], sizes[0], sizes[1], found.top_m, base_m, body))

@@ -17,11 +17,11 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.cars import Classes, WholeCars, whole_cars
 from lidar2pano.geometry.outlines import against_the_sky
 from lidar2pano.geometry.solid_noise import smooth_noise, solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals, road_height
 from lidar2pano.geometry.wall_openings import facades
+from lidar2pano.geometry.whole_cars import Classes, WholeCars, whole_cars
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.circular import CircularConv, CircularResidual, closed, conv_norm_act
 from lidar2pano.models.titan_pano import FAR_M, depth_code

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from lidar2pano.models.scene_painter import UNREAD
 from lidar2pano.train.options import PanoramaOptions, ScenePaintingOptions, SegmentationOptions
 from lidar2pano.train.recipe import Data, Network, Optimizer, Recipe, Training, on_two_cores, vary
 
@@ -54,7 +53,8 @@ def scene_painter() -> Recipe[ScenePaintingOptions]:
     """The scene painter: colour from segments and the shape of things, against heads on frozen features."""
     painter = Optimizer(algorithm="adam", rate=1e-3, betas=(0.5, 0.99), warmup=10, clip=5.0)
     critic = Optimizer(algorithm="adam", rate=5e-4, betas=(0.0, 0.99), schedule="constant")
-    settings = {"looks": ("day", "overcast", "autumn", "evening"), "look": "day", "unread": UNREAD}
+    unread = ("building", "vegetation", "fence")
+    settings = {"looks": ("day", "overcast", "autumn", "evening"), "look": "day", "unread": unread}
     return Recipe(
         view="panorama",
         scale=0.5,

@@ -69,6 +69,8 @@ def whole_cars(  # noqa: PLR0913, PLR0917 one scene, and which class is what
     for one, depth, radius, above in zip(segments, depth_m, radius_m, above_m, strict=True):
         before = WholeCars(one, depth, one.new_full((3, *depth.shape), math.nan))
         made.append(_whole(before, radius, above, view, T_world_sensor, classes))
+    if len(made) == 1:  # without another copy
+        return WholeCars(*(part[None] for part in made[0]))
     return WholeCars(*map(torch.stack, zip(*made, strict=True)))
 
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.geometry import cars as module
+from lidar2pano.geometry import whole_cars as module
 from lidar2pano.geometry.car_body import TYRE, Boxes, first_hits
-from lidar2pano.geometry.cars import SHADE, Classes, WholeCars, whole_cars
 from lidar2pano.geometry.columns import world_columns
 from lidar2pano.geometry.surface import slopes
+from lidar2pano.geometry.whole_cars import SHADE, Classes, WholeCars, whole_cars
 from lidar2pano.views import VIEWS, View
 
 VIEW = replace(VIEWS["panorama"].scaled(0.375), origin=(0.0, 0.0, 0.0))
