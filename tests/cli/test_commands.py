@@ -291,8 +291,8 @@ def test_evaluate_side_by_side(here, random_weights, front_weights, capsys):
                      "patch Frechet distance", "patch Frechet, real-to-real", "FID",
                      "depth AbsRel", "depth RMSE, m",
                      "points: mIoU of 19 SemanticKITTI classes", "points: accuracy",
-                     "project, ms", "segment, ms", "clean up, ms", "translate, ms", "cars, ms", "paint, ms", "finish, ms",
-                     "camera, ms", "segmenter: recipe", "segmenter: commit", "translator: recipe",
+                     "project, ms", "segment, ms", "clean up, ms", "translate, ms", "cars, ms", "paint, ms",
+                     "finish, ms", "camera, ms", "segmenter: recipe", "segmenter: commit", "translator: recipe",
                      "translator: commit", "painter: recipe", "painter: commit"]  # fmt: skip
     said = json.loads((here / "s" / "val.json").read_text())
     assert [result["weights"] for result in said["results"]] == both
