@@ -30,7 +30,7 @@ from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import DEFAULT, FRONT_VIEW, role, weight_files
 from lidar2pano.models.front_all_around import FrontAllAround
 from lidar2pano.models.salsanext import STRIDE
-from lidar2pano.models.scene_painter import Scene, ScenePainter, StreamPainter, with_cars
+from lidar2pano.models.scene_painter import GROUND, Scene, ScenePainter, StreamPainter, with_cars
 from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
@@ -40,7 +40,6 @@ from lidar2pano.views import View, columns_between, sensor_view
 
 TINY = 1e-20  # least probability whose logarithm is taken
 SKY, CONDITIONS = COMMON15.id_of("sky"), len(SEMANTIC_KITTI)
-GROUND = tuple(map(COMMON15.id_of, ("road", "sidewalk", "terrain")))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -21,8 +21,8 @@ from lidar2pano.geometry.projection import project
 from lidar2pano.geometry.solid_noise import noise_tile
 from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.labels import COMMON15
-from lidar2pano.models.scene_painter import outlined, painter_inputs
-from lidar2pano.pipeline import GROUND, load
+from lidar2pano.models.scene_painter import GROUND, outlined, painter_inputs
+from lidar2pano.pipeline import load
 from lidar2pano.views import VIEWS
 from random_weights import TRANSLATOR_VIEW, street, write_family, write_scan, write_weights
 

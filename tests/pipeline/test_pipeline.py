@@ -27,9 +27,10 @@ from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.card import read_card, save
 from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import licence_note, weight_files
+from lidar2pano.models.scene_painter import GROUND
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
-from lidar2pano.pipeline import GROUND, Memory, Segmenter, load
+from lidar2pano.pipeline import Memory, Segmenter, load
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, View
 from random_weights import LICENCE, TRANSLATOR_VIEW, spread_norms, street, write_scan, write_weights

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.data.frames import IGNORE
+from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.losses import PatchStatistics
 from lidar2pano.models import build
 from lidar2pano.models.scene_painter import BUILDING
@@ -120,7 +121,7 @@ def test_walls_with_invented_openings_need_not_be_equal(task, batch):
 def test_drawn_crops_have_whole_cars_and_invented_tones(task, batch, monkeypatch):
     def with_cars(segments, depth_m, window, pose):
         assert window.columns == segments.shape[3] and pose.shape == (4, 4)
-        return scene_painting.WholeCars(segments * 0 + 0.5, depth_m + 1, segments[:, :3] * 0 + 0.25)
+        return WholeCars(segments * 0 + 0.5, depth_m + 1, segments[:, :3] * 0 + 0.25)
 
     monkeypatch.setattr(scene_painting, "with_cars", with_cars)
     flat = batch.flat()

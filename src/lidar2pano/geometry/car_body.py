@@ -51,6 +51,11 @@ class Boxes(NamedTuple):
     base_m: Tensor
     body: Tensor
 
+    @property
+    def left(self) -> Tensor:
+        """The unit vectors (2, ...) to the left of `ahead`."""
+        return torch.stack([-self.ahead[1], self.ahead[0]])
+
     def of(self, index: Tensor) -> Boxes:
         """The cars that `index` picks of the last dimension."""
         return Boxes(*(part[..., index] for part in self))
@@ -94,9 +99,8 @@ def _from_viewpoint(
     boxes: Boxes, ray: Tensor, slope: Tensor, above_m: Tensor
 ) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
     """Rays' steps along, to the left and up in the axes of each box, and where they start from its middle."""
-    left = torch.stack([-boxes.ahead[1], boxes.ahead[0]])
-    along, aside = ((ray * axis[..., None]).sum(0)[..., None] for axis in (boxes.ahead, left))
-    start = (-(boxes.middle * boxes.ahead).sum(0), -(boxes.middle * left).sum(0), above_m - boxes.base_m)
+    along, aside = ((ray * axis[..., None]).sum(0)[..., None] for axis in (boxes.ahead, boxes.left))
+    start = (-(boxes.middle * boxes.ahead).sum(0), -(boxes.middle * boxes.left).sum(0), above_m - boxes.base_m)
     return (along, aside, slope[..., None, :]), tuple(part[..., None, None] for part in start)
 
 

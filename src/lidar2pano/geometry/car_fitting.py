@@ -140,6 +140,11 @@ def _placed(found: Found) -> Boxes:
             sizes.append(size)
         base_m, body = torch.zeros_like(found.top_m), (found.top_m > TALL_M[1]).long() * 2
         made.append(Boxes(middle, axes[0], sizes[0], sizes[1], found.top_m, base_m, body))
+    return _alternatives(made)
+
+
+def _alternatives(made: list[Boxes]) -> Boxes:
+    """Boxes (n, K) of K lists of n each."""
     return Boxes(*(torch.stack(parts, -1) for parts in zip(*made, strict=True)))
 
 
@@ -147,13 +152,13 @@ def _turned(boxes: Boxes, top_m: Tensor) -> Boxes:
     """The boxes with two bodies of their height, nose first and tail first: (n, 4)."""
     bodies = (torch.where(top_m < TALL_M[1], 0, 2), torch.where(top_m > TALL_M[0], 2, 1))
     made = [boxes._replace(ahead=sign * boxes.ahead, body=body) for sign, body in product((1, -1), bodies)]
-    return Boxes(*(torch.stack(parts, -1) for parts in zip(*made, strict=True)))
+    return _alternatives(made)
 
 
 def _nudged(boxes: Boxes, score: Tensor, covered: Tensor, step: float, sample: Sample) -> tuple[Boxes, Tensor, Tensor]:
     """The boxes, moved by a step of MOVES there or back where that is better: the best one alone, or all at once."""
     tried = [_moved(boxes, move, sign * step) for move, sign in product(range(len(MOVES)), (1, -1))]
-    each, _ = _scores(Boxes(*(torch.stack(parts, -1) for parts in zip(*tried, strict=True))), sample)
+    each, _ = _scores(_alternatives(tried), sample)
     forth, back = each[:, ::2], each[:, 1::2]
     better = torch.maximum(forth, back) > score[:, None]
     by = torch.where(better, torch.where(forth > back, step, -step), 0.0)
@@ -164,19 +169,17 @@ def _nudged(boxes: Boxes, score: Tensor, covered: Tensor, step: float, sample: S
     single = boxes
     for move in range(len(MOVES)):
         single = _moved(single, move, by[:, move] * (best == move))
-    parts = zip(boxes, single, joint, strict=True)
-    return _best(Boxes(*(torch.stack(part, -1) for part in parts)), sample)
+    return _best(_alternatives([boxes, single, joint]), sample)
 
 
 def _moved(boxes: Boxes, move: int, step: Tensor | float) -> Boxes:
     """The boxes, moved by a step (n,) of MOVES."""
     by = step * torch.full_like(boxes.top_m, MOVES[move])
-    left = torch.stack([-boxes.ahead[1], boxes.ahead[0]])
     match move:
         case 0 | 1:
-            return boxes._replace(middle=boxes.middle + by * (boxes.ahead, left)[move])
+            return boxes._replace(middle=boxes.middle + by * (boxes.ahead, boxes.left)[move])
         case 2:
-            return boxes._replace(ahead=by.cos() * boxes.ahead + by.sin() * left)
+            return boxes._replace(ahead=by.cos() * boxes.ahead + by.sin() * boxes.left)
         case 3:
             return boxes._replace(base_m=boxes.base_m + by)
         case _:

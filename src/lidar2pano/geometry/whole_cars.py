@@ -141,10 +141,9 @@ def _highest(boxes: Boxes, above_m: Tensor) -> Tensor:
 
 def _columns(boxes: Boxes, view: View) -> tuple[Tensor, Tensor]:
     """Pairs of a car's number and a column that its box, or its shadow, reaches: (P,) each."""
-    left = torch.stack([-boxes.ahead[1], boxes.ahead[0]])
     half = [(size + 2 * SHADE_M) / 2 for size in (boxes.length_m, boxes.width_m)]
     corners = torch.stack(
-        [boxes.middle + a * half[0] * boxes.ahead + b * half[1] * left for a in (1, -1) for b in (1, -1)]
+        [boxes.middle + a * half[0] * boxes.ahead + b * half[1] * boxes.left for a in (1, -1) for b in (1, -1)]
     )
     middle = torch.atan2(boxes.middle[1], boxes.middle[0])
     apart = torch.remainder(torch.atan2(corners[:, 1], corners[:, 0]) - middle + math.pi, 2 * math.pi) - math.pi
@@ -161,11 +160,10 @@ def _columns(boxes: Boxes, view: View) -> tuple[Tensor, Tensor]:
 
 def _shaded(each: Boxes, column: Tensor, measured: Measured, ray: Tensor) -> Tensor:
     """Tones (3, H, W) of the ground in the shadow beside cars, NaN elsewhere; ray: (2, P), of the columns (P,)."""
-    left = torch.stack([-each.ahead[1], each.ahead[0]])
     radius_m = measured.radius_m[:, column]
     out = [
         (radius_m * (ray * axis).sum(0) - (each.middle * axis).sum(0)).abs() - size / 2
-        for axis, size in ((each.ahead, each.length_m), (left, each.width_m))
+        for axis, size in ((each.ahead, each.length_m), (each.left, each.width_m))
     ]
     beside = torch.hypot(*(part.clamp(min=0) for part in out))
     tone = -SHADE * torch.exp(-(beside / SHADE_M).square()) * (measured.ground[:, column] > HALF)
@@ -189,7 +187,7 @@ def _without(
 
     That is as far away as what is next above it; the ground is where it was.
     """
-    segments, radius_m = segments.clone(), measured.radius_m
+    segments, radius_m = segments.clone(), measured.radius_m.clone()
     rest = segments[:, gone]
     rest[list(classes.vehicles)] = 0
     segments[:, gone] = rest / rest.sum(0).clamp(min=1e-9)
@@ -199,15 +197,14 @@ def _without(
     above = torch.where(upright, -1, rows).cummax(0).values
     old = radius_m[:, column]
     behind = torch.maximum(old.gather(0, above.clamp(min=0)), old)
-    radius_m = radius_m.clone()
     radius_m[:, column] = torch.where(gone[:, column] & upright & (above >= 0), behind, old)
     return segments, radius_m
 
 
 def _in_world(middle: Tensor, view: View, pose: np.ndarray) -> Tensor:
     """Places (2, n) in the world of places around the viewpoint."""
-    turn, start = torch.from_numpy(pose[:2, :2]).to(middle), pose[:3, :3] @ np.array(view.origin) + pose[:3, 3]
-    return turn @ middle + torch.from_numpy(start[:2]).to(middle)[:, None]
+    _, start = world_columns(view, pose, middle.device)
+    return torch.from_numpy(pose[:2, :2]).to(middle) @ middle + start.to(middle)[:, None]
 
 
 def _paint(place: Tensor) -> Tensor:

@@ -40,10 +40,11 @@ WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 row
 # What these classes look like hardly hangs on their remission, which ends at the highest beam: a painter that reads it
 # paints walls in two colours, and in speckles, other ones in each scan of a drive.
 UNREAD = ("building", "vegetation", "fence")
+GROUND = tuple(map(COMMON15.id_of, ("road", "sidewalk", "terrain")))
 CARS = Classes(
     CAR,
     vehicles=tuple(map(COMMON15.id_of, ("car", "truck", "other-vehicle", "bicycle", "motorcycle"))),
-    ground=tuple(map(COMMON15.id_of, ("road", "sidewalk", "terrain"))),
+    ground=GROUND,
 )
 STRIDE = 4  # input pixels per pixel of the coarsest level
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops

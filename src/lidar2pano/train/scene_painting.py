@@ -14,7 +14,6 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, mse_loss
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import one_hot_layers
-from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.losses import PatchStatistics, hinge_critic, hinge_generator, pooled
@@ -193,8 +192,7 @@ class ScenePainting:
         tones, depth_m, segments = self._tones(batch, segments), batch.depth_m.clone(), segments.clone()
         some = drawn.flatten()
         if bool(some.any()):
-            used: WholeCars = with_cars(segments[some], depth_m[some], window, pose)
-            segments[some], depth_m[some], tones[some] = used
+            segments[some], depth_m[some], tones[some] = with_cars(segments[some], depth_m[some], window, pose)
         return batch._replace(depth_m=depth_m), segments, tones
 
     def _scanned(self, batch: PaintingSample) -> Tensor:
