@@ -18,9 +18,11 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.knn import clean_up
+from lidar2pano.geometry.measured_depth import measured_depth
 from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.projection import Normalisation, RangeImage, fitted_view, one_hot_layers, project
 from lidar2pano.geometry.whole_cars import WholeCars
+from lidar2pano.geometry.whole_walls import whole_walls
 from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import Memory, PreviousFrame, Surroundings, fused, smoothed
@@ -30,7 +32,17 @@ from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import DEFAULT, FRONT_VIEW, role, weight_files
 from lidar2pano.models.front_all_around import FrontAllAround
 from lidar2pano.models.salsanext import STRIDE
-from lidar2pano.models.scene_painter import GROUND, Scene, ScenePainter, StreamPainter, with_cars
+from lidar2pano.models.scene_painter import (
+    BUILDING,
+    FENCE,
+    GROUND,
+    ROAD,
+    VEGETATION,
+    Scene,
+    ScenePainter,
+    StreamPainter,
+    with_cars,
+)
 from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
@@ -195,6 +207,8 @@ class Pipeline:
                 logits, depth_m = self.translator(channels if read is around else read.channels[None], condition)
             if self.input_view is None:  # what the paper's networks predict stays as it is
                 logits = evened(logits, GROUND)
+                depth_m = measured_depth(depth_m, channels, logits.argmax(1), self.view, ROAD, VEGETATION)
+                logits = whole_walls(logits, depth_m, self.view, ROAD, BUILDING, FENCE)
         beyond_rows = int((image.usable & ~image.inside).sum())
         return Translated(scan.name, ids, image.dropped, channels, logits, depth_m, scan.gaps_deg, beyond_rows)
 

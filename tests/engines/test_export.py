@@ -16,12 +16,14 @@ from lidar2pano.engines import export as engine_export
 from lidar2pano.engines import onnx_runner
 from lidar2pano.engines.export import Exportable, check_exportable, export
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.measured_depth import measured_depth
 from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.projection import project
 from lidar2pano.geometry.solid_noise import noise_tile
 from lidar2pano.geometry.whole_cars import WholeCars
+from lidar2pano.geometry.whole_walls import whole_walls
 from lidar2pano.labels import COMMON15
-from lidar2pano.models.scene_painter import GROUND, outlined, painter_inputs
+from lidar2pano.models.scene_painter import BUILDING, FENCE, GROUND, ROAD, VEGETATION, outlined, painter_inputs
 from lidar2pano.pipeline import load
 from lidar2pano.views import VIEWS
 from random_weights import TRANSLATOR_VIEW, street, write_family, write_scan, write_weights
@@ -123,6 +125,33 @@ def test_the_runner_makes_the_painters_inputs_as_we_do(graphs, monkeypatch):
     assert (np.abs(inputs - expected[0].numpy()) < 1e-4).mean((1, 2)).min() > 0.99  # at borders of voxels and houses
     assert (inputs[30] > 0.3).any(), "there are openings"
     assert (np.abs(fine - expected_fine[0].numpy()) < 1e-3).mean() > 0.995  # at voxels' borders float32 reads another
+
+
+def test_the_runner_keeps_what_was_measured_as_we_do():
+    view = replace(TRANSLATOR_VIEW, rows=48, columns=96)
+    generator = torch.Generator().manual_seed(0)
+    image = project(street(), view).channels[None]
+    ids = torch.randint(0, 16, (1, 6, 12), generator=generator).repeat_interleave(8, 1).repeat_interleave(8, 2)
+    ids[:, 30:], ids[:, :20, ::24] = ROAD, VEGETATION
+    depth_m = 5 + 30 * torch.rand(1, 48, 96, generator=generator)
+    expected = measured_depth(depth_m, image, ids, view, ROAD, VEGETATION)[0].double().numpy()
+    arrays = (part[0].double().numpy() for part in (depth_m, image, ids))
+    found = onnx_runner.measured_depth(*arrays, view.as_dict())
+    assert (np.abs(found / expected - 1) < 1e-4).mean() > 0.999  # rounding decides at limits
+
+
+def test_the_runner_makes_walls_whole_as_we_do():
+    view = replace(TRANSLATOR_VIEW, rows=48, columns=96)
+    logits = torch.randn(1, 16, 48, 96, generator=torch.Generator().manual_seed(0))
+    logits[:, BUILDING, 3:20], logits[:, FENCE, 20:30], logits[:, ROAD, 30:] = 20, 20, 20
+    depth_m = torch.full((1, 48, 96), 12.0)
+    depth_m[..., 40:60] = torch.linspace(20, 5, 48)[:, None]
+    depth_m[:, 20:, 70:] = 8.0
+    expected = whole_walls(logits, depth_m, view, ROAD, BUILDING, FENCE).softmax(1)[0].double().numpy()
+    segments = logits.softmax(1)[0].double().numpy()
+    found = onnx_runner.whole_walls(segments, depth_m[0].double().numpy(), view.as_dict())
+    assert np.allclose(found, expected, atol=1e-5) and not np.allclose(found, segments, atol=0.1)
+    assert (found.argmax(0)[25] == FENCE).any(), "fences stay fences"
 
 
 def test_the_runner_knows_the_classes():

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
-SKY, ROAD, BUILDING, FAR_M, OWN_VEHICLE_M = 15, 7, 9, 120.0, 1.0  # ids of common-15; metres
-GROUND, VEGETATION = [7, 8, 12], 11
+SKY, ROAD, BUILDING, FENCE, VEGETATION, GROUND = 15, 7, 9, 10, 11, [7, 8, 12]  # ids of common-15
+FAR_M, OWN_VEHICLE_M = 120.0, 1.0  # metres
 CLASSES = (  # noqa: SIM905 of common-15, as one line each they would fill the page
     "unlabeled car bicycle motorcycle truck other-vehicle person road sidewalk building fence vegetation terrain pole"
     " traffic-sign sky"
@@ -41,6 +41,8 @@ def main(scan, out):
     condition = np.where(owner >= 0, labels[owner], 0) == np.arange(20)[:, None, None]
     logits, depth_m = translator(image, condition)
     segments = evened(softmax(logits))
+    depth_m = measured_depth(depth_m, image, segments.argmax(0), view)
+    segments = whole_walls(segments, depth_m, view)
     settings = painter.card["settings"]
     unread = [CLASSES.index(name) for name in settings.get("unread", ("building", "vegetation", "fence"))]
     inputs, fine_noise = painter_inputs(segments, depth_m, image, view, settings.get("sharp", 2.0), unread)
@@ -130,14 +132,10 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     rows, columns = depth_m.shape
     segments = against_the_sky(segments**exponent / (segments**exponent).sum(0), segments, depth_m, view)
     best = segments.argmax(0)
-    slope = (view["up"] - (np.arange(rows) + 0.5) / rows * (view["up"] - view["down"]))[:, None]
+    slope = slopes(view)
     radius_m = depth_m / np.sqrt(1 + slope**2)
     z_m = radius_m * slope
-    sensor_z_m = z_m + view["origin"][2]
-    near = ((best == ROAD) & (radius_m > 3) & (radius_m < 20))[:, ::4]
-    found = np.sort(sensor_z_m[:, ::4][near])
-    road_m = found[(len(found) - 1) // 2] if len(found) >= 50 else -1.73
-    above_m = view["origin"][2] - (road_m if -4 < road_m < -0.5 else -1.73)
+    above_m = height_above(best == ROAD, radius_m, z_m, view)
     height = ((z_m + above_m) / 4).clip(-1, 4)
     shape = np.stack([height, *normals(radius_m, z_m, 2 * np.pi / columns)]) * (best != SKY)
     code = np.log1p(depth_m.clip(max=FAR_M)) / np.log1p(FAR_M)
@@ -150,6 +148,94 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     openings, house = facades(segments[BUILDING], radius_m, slope, above_m, view)
     tones = brighter + segments[BUILDING] * HOUSES_VARIED * house[:, None]
     return np.concatenate([segments, np.stack(flat), shape, coarse, tones, openings[None]]), fine
+
+
+def slopes(view):
+    """Tangents (H, 1) of the elevation of a view's rows."""
+    rows = view["rows"]
+    return (view["up"] - (np.arange(rows) + 0.5) / rows * (view["up"] - view["down"]))[:, None]
+
+
+def whole_walls(segments, depth_m, view):
+    """Segments in which no fence carries a building: what is below it, in the same wall, is building, too."""
+    best, slope, row = segments.argmax(0), slopes(view), np.arange(1, len(depth_m) + 1)[:, None]
+    radius_m = depth_m / np.sqrt(1 + slope**2)
+    height_m = radius_m * slope + height_above(best == ROAD, radius_m, radius_m * slope, view)
+    wall = (best == BUILDING) | (best == FENCE)
+    goes_on = np.zeros(wall.shape, dtype=bool)
+    goes_on[1:] = wall[1:] & wall[:-1] & (np.abs(np.log(radius_m[1:] / radius_m[:-1])) < 0.1)
+    begin = np.maximum.accumulate(np.where(goes_on, 0, row), 0)
+    tall = np.maximum.accumulate(np.where((best == BUILDING) & (height_m > 2.5), row, 0), 0)
+    moved = np.where((best == FENCE) & (tall >= begin), segments[FENCE], 0)
+    segments = segments.copy()
+    segments[BUILDING] += moved
+    segments[FENCE] -= moved
+    return segments
+
+
+def height_above(road, radius_m, z_m, view):
+    """How high the viewpoint is above the road, metres."""
+    near = (road & (radius_m > 3) & (radius_m < 20))[:, ::4]
+    found = np.sort((z_m + view["origin"][2])[:, ::4][near])
+    road_m = found[(len(found) - 1) // 2] if len(found) >= 50 else -1.73
+    return view["origin"][2] - (road_m if -4 < road_m < -0.5 else -1.73)
+
+
+def measured_depth(depth_m, image, best, view):
+    """Depths that keep to what was measured: the translator's say which surface of its column a pixel shows."""
+    slope = slopes(view)
+    longer = np.sqrt(1 + slope**2)
+    radius_m = depth_m / longer
+    plane = -slope / max(height_above(best == ROAD, radius_m, radius_m * slope, view), 0.5)
+    flat, guess = np.hypot(image[1], image[2]), 1 / radius_m.clip(min=0.5)
+    inverse, plane = np.where(flat > 0.5, 1 / flat.clip(min=0.5), 0), plane.clip(min=1e-3)
+    found = between(inverse, guess, plane)
+    return longer / mean_of_planes(np.where(found > 0, found, above(inverse, guess, best)))
+
+
+def between(inverse, guess, plane):
+    """Inverse distances between and below a column's points, zero above them."""
+    rows, row = len(inverse), np.arange(len(inverse))[:, None]
+    first = np.maximum.accumulate(np.where(inverse > 0, row, -1), 0)
+    last = np.minimum.accumulate(np.where(inverse > 0, row, rows)[::-1], 0)[::-1]
+    shown = []
+    for at in (first.clip(min=0), last.clip(max=rows - 1)):
+        met = np.take_along_axis(inverse, at, 0)
+        lift = met / plane[at, 0]
+        shown.append((met, np.where((lift > 1 / 1.2) & (lift < 1.2), plane * lift, met)))  # level, or upright
+    (upper, upper_along), (lower, along) = shown
+    share = (row - first) / (last - first).clip(min=1)
+    other = np.where((guess**2 > upper * along) == (upper > along), upper, along)
+    same = np.maximum(upper, lower) < 1.25 * np.minimum(upper, lower)
+    inner = np.where(same, upper + (lower - upper) * share, other)
+    return np.where(first < 0, 0, np.where(last < rows, inner, np.maximum(upper_along, plane)))
+
+
+def above(inverse, guess, best):
+    """Inverse distances of what stands above a column's topmost point: its own, in pixels of its class."""
+    near = inverse
+    for away in (1, 2):
+        near = np.where(near > 0, near, np.maximum(np.roll(inverse, away, 1), np.roll(inverse, -away, 1)))
+    top = (near > 0).argmax(0)[None]
+    known, topmost, own = (near > 0).any(0)[None], *(np.take_along_axis(each, top, 0) for each in (near, best))
+    crown = known & (own == VEGETATION)
+    total, count = (sum(np.roll(each, shift, 1) for shift in range(-12, 13)) for each in (topmost * crown, 1 * crown))
+    topmost = np.where(own == VEGETATION, total / count.clip(min=1), topmost)
+    return np.where((best == own) & known, topmost, guess)
+
+
+def mean_of_planes(inverse):
+    """Means over opposite pixels, where what lies between them is on one plane with them: rows, then columns."""
+    rows = np.arange(len(inverse))[:, None]
+    for axis in (0, 1):
+        inside = (rows >= 4) & (rows < len(rows) - 4) if axis == 0 else rows >= 0
+        total, count = inverse.copy(), np.ones(inverse.shape)
+        for away in (1, 2, 4):
+            mean = (np.roll(inverse, away, axis) + np.roll(inverse, -away, axis)) / 2
+            even = inside & (np.abs(mean - inverse) < 0.03 * inverse)
+            total, count = total + even * mean, count + even
+        inverse = total / count
+    return inverse
 
 
 def normals(radius_m, z_m, step):

@@ -27,7 +27,9 @@ from lidar2pano.models.circular import CircularConv, CircularResidual, closed, c
 from lidar2pano.models.titan_pano import FAR_M, depth_code
 from lidar2pano.views import View
 
-SKY, ROAD, BUILDING, CAR, VEGETATION = map(COMMON15.id_of, ("sky", "road", "building", "car", "vegetation"))
+SKY, ROAD, BUILDING, FENCE, CAR, VEGETATION = map(
+    COMMON15.id_of, ("sky", "road", "building", "fence", "car", "vegetation")
+)
 COARSE_M = (0.25, 1.0, 4.0)  # wavelengths of the noise on the translator's raster
 FINE_M = (0.0625, 0.125, 0.5)  # and on the picture's
 SHAPE = 8  # channels beside segments and noise: depth, remission, validity, row, height, normals

@@ -1,0 +1,36 @@
+"""Walls that are of one class from their foot to the roof."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from lidar2pano.geometry.surface import cylinder_points, road_height
+from lidar2pano.views import View
+
+TALL_M = 2.5  # above the road: a fence is lower
+FAINT = -20.0  # logit, beside that of the building, of a fence that is none
+ONE_WALL = 0.1  # logarithm of the ratio of distances, up to which the next lower pixel shows the same wall
+
+
+def whole_walls(logits: Tensor, depth_m: Tensor, view: View, road: int, building: int, fence: int) -> Tensor:
+    """Logits (B, C, H, W) in which no fence carries a building: what is below it, in the same wall, is building, too.
+
+    depth_m  (B, H, W): as of `measured_depth`, for a guess that wavers does not show which pixels are of one wall.
+    road, building, fence  ids. A wall is what is building or fence, each pixel about as far away as the next one up.
+    """
+    ids = logits.argmax(1)
+    radius_m, z_m = cylinder_points(depth_m, view)
+    height_m = z_m + view.origin[2] - road_height(radius_m, z_m + view.origin[2], ids == road)[:, None, None]
+    is_wall = (ids == building) | (ids == fence)
+    same = (radius_m[:, 1:] / radius_m[:, :-1]).log().abs() < ONE_WALL
+    goes_on = torch.cat([torch.zeros_like(is_wall[:, :1]), is_wall[:, 1:] & is_wall[:, :-1] & same], 1)
+    row = torch.arange(1, view.rows + 1, device=logits.device, dtype=torch.int32)[:, None]
+    begin = torch.where(goes_on, 0, row).cummax(1).values
+    tall = torch.where((ids == building) & (height_m > TALL_M), row, 0).cummax(1).values
+    carries = (ids == fence) & (tall >= begin)
+    both = torch.logaddexp(logits[:, building], logits[:, fence])
+    walls = logits.clone()
+    walls[:, building] = torch.where(carries, both, logits[:, building])
+    walls[:, fence] = torch.where(carries, both + FAINT, logits[:, fence])
+    return walls
