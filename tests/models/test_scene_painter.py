@@ -11,7 +11,7 @@ import torch
 
 from lidar2pano.errors import InputError
 from lidar2pano.labels import COMMON15
-from lidar2pano.models import build
+from lidar2pano.models import build, scene_painter
 from lidar2pano.models.scene_painter import TONES, VARIED, Scene, outlined, painter_inputs, sharpened
 from lidar2pano.views import View
 
@@ -150,3 +150,17 @@ def test_no_weave():
     with torch.inference_mode():
         found = network(inputs, fine, torch.tensor([[1.0, 0]]), torch.zeros(1, 3))[0, :, 24:40]
     assert torch.allclose(found, found[..., :1, :1].expand_as(found), atol=1e-5)
+
+
+def test_the_last_rows_are_painted_as_those_above_them(monkeypatch):
+    network, inputs, fine_noise = painter(), torch.ones(1, 31, 64, 64), torch.zeros(1, 3, 128, 128)
+
+    def border() -> float:
+        with torch.inference_mode():
+            image = network(inputs, fine_noise, torch.tensor([[1.0, 0]]), torch.zeros(1, 3))
+        assert image.shape == (1, 3, 128, 128)
+        return (image[:, :, -1] - image[:, :, -30]).abs().max().item()
+
+    with_foot = border()
+    monkeypatch.setattr(scene_painter, "FOOT", 0)
+    assert 5 * with_foot < border()

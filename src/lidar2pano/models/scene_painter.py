@@ -49,6 +49,7 @@ CARS = Classes(
     ground=GROUND,
 )
 STRIDE = 4  # input pixels per pixel of the coarsest level
+FOOT = 8  # rows like the last one that are painted below it and cut off: beside zero padding a network paints flecks
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
 TONE = 3  # red, green, blue: how much brighter a picture, or a part of it, is than the mean of its look
 TONES = slice(-TONE - 1, -1)  # of the painter's inputs, which end with the openings
@@ -151,6 +152,8 @@ class ScenePainter(nn.Module):
         if inputs.shape[-2] % STRIDE or inputs.shape[-1] % STRIDE:
             raise InputError(f"segments of {tuple(inputs.shape[-2:])} pixels: rows, columns must divide by {STRIDE}")
         code = torch.cat([shares @ self.codes.weight, tone], 1)
+        rows = fine_noise.shape[2]
+        inputs, fine_noise = _lengthened(inputs, FOOT), _lengthened(fine_noise, 2 * FOOT)
         fine = self.stem(inputs)
         inputs, fine_noise = inputs.to(fine.dtype), fine_noise.to(fine.dtype)  # one float32 part would make all float32
         inputs2 = avg_pool2d(inputs, 2)
@@ -164,7 +167,7 @@ class ScenePainter(nn.Module):
         x = self._tuned(1, x, code)
         x = self.mix0(torch.cat([_enlarged(self.up0(x)), fine, inputs], 1))
         x = _enlarged(self.narrow(self._tuned(2, x, code)))
-        return torch.tanh(self.colour(self.texture(torch.cat([x, fine_noise], 1))))
+        return torch.tanh(self.colour(self.texture(torch.cat([x, fine_noise], 1))))[:, :, :rows]
 
     def paint(self, past: object, scene: Scene) -> tuple[None, Tensor]:  # noqa: ARG002
         """Paint every scan for itself; arguments and answer as of StreamPainter."""
@@ -297,6 +300,10 @@ def _window_sums(x: Tensor, rows: int, columns: int) -> Tensor:
 
 def _noise(depths: Tensor, skies: Tensor, view: View, waves: Sequence[float], pose: np.ndarray | None) -> Tensor:
     return torch.stack([solid_noise(*scene, view, waves, pose) for scene in zip(depths, skies, strict=True)])
+
+
+def _lengthened(x: Tensor, rows: int) -> Tensor:
+    return torch.cat([x, x[:, :, -1:].expand(-1, -1, rows, -1)], 2)
 
 
 def _enlarged(x: Tensor) -> Tensor:
