@@ -207,8 +207,9 @@ class Pipeline:
                 logits, depth_m = self.translator(channels if read is around else read.channels[None], condition)
             if self.input_view is None:  # what the paper's networks predict stays as it is
                 logits = evened(logits, GROUND)
-                depth_m = measured_depth(depth_m, channels, logits.argmax(1), self.view, ROAD, VEGETATION)
-                logits = whole_walls(logits, depth_m, self.view, ROAD, BUILDING, FENCE)
+                best = logits.argmax(1)
+                depth_m = measured_depth(depth_m, channels, best, self.view, ROAD, VEGETATION)
+                whole_walls(logits, best, depth_m, self.view, ROAD, BUILDING, FENCE)
         beyond_rows = int((image.usable & ~image.inside).sum())
         return Translated(scan.name, ids, image.dropped, channels, logits, depth_m, scan.gaps_deg, beyond_rows)
 

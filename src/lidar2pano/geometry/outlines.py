@@ -30,9 +30,8 @@ def evened(logits: Tensor, classes: Sequence[int]) -> Tensor:
     classes  ids of those that lie on the ground. What they have together is kept in every pixel; how it is shared
              among them is a mean over a Gaussian, in which a pixel counts by how probably it is ground.
     """
-    logits = torch.empty(logits.shape, device=logits.device).copy_(
-        logits
-    )  # plane after plane: softmax is 3 times as fast
+    # a copy, plane after plane: of it, softmax is 3 times as fast
+    logits = logits.to(torch.float32, memory_format=torch.contiguous_format, copy=True)
     around = _blurred(logits.softmax(1)[:, classes], KERB_DEG / 360 * logits.shape[3], KERB_ROWS).clamp(min=LEAST**2)
     together = logits[:, classes].logsumexp(1, keepdim=True)
     logits[:, classes] = together + (around / around.sum(1, keepdim=True)).log()

@@ -13,13 +13,15 @@ FAINT = -20.0  # logit, beside that of the building, of a fence that is none
 ONE_WALL = 0.1  # logarithm of the ratio of distances, up to which the next lower pixel shows the same wall
 
 
-def whole_walls(logits: Tensor, depth_m: Tensor, view: View, road: int, building: int, fence: int) -> Tensor:
-    """Logits (B, C, H, W) in which no fence carries a building: what is below it, in the same wall, is building, too.
+def whole_walls(  # noqa: PLR0913, PLR0917 one scene, and which class is what
+    logits: Tensor, ids: Tensor, depth_m: Tensor, view: View, road: int, building: int, fence: int
+) -> None:
+    """Change logits (B, C, H, W) so that no fence carries a building: what is below it, in one wall, is building, too.
 
+    ids      (B, H, W): the best classes, of which those of road, building and fence are given.
     depth_m  (B, H, W): as of `measured_depth`, for a guess that wavers does not show which pixels are of one wall.
-    road, building, fence  ids. A wall is what is building or fence, each pixel about as far away as the next one up.
+    A wall is what is building or fence, each pixel about as far away as the next one up.
     """
-    ids = logits.argmax(1)
     radius_m, z_m = cylinder_points(depth_m, view)
     height_m = z_m + view.origin[2] - road_height(radius_m, z_m + view.origin[2], ids == road)[:, None, None]
     is_wall = (ids == building) | (ids == fence)
@@ -29,8 +31,6 @@ def whole_walls(logits: Tensor, depth_m: Tensor, view: View, road: int, building
     begin = torch.where(goes_on, 0, row).cummax(1).values
     tall = torch.where((ids == building) & (height_m > TALL_M), row, 0).cummax(1).values
     carries = (ids == fence) & (tall >= begin)
-    both = torch.logaddexp(logits[:, building], logits[:, fence])
-    walls = logits.clone()
-    walls[:, building] = torch.where(carries, both, logits[:, building])
-    walls[:, fence] = torch.where(carries, both + FAINT, logits[:, fence])
-    return walls
+    walls, fences = logits[:, building], logits[:, fence]
+    both = torch.logaddexp(walls[carries], fences[carries])
+    walls[carries], fences[carries] = both, both + FAINT
