@@ -146,6 +146,15 @@ def test_invented_houses_and_cars_are_hardly_compared(task, batch):
     assert float(task.logs["perceptual"]) > 0 and float(task.logs["pooled"]) > 0 and float(task.logs["pixels"]) > 0
 
 
+def test_fringes_count_where_they_are_asked_for(task, batch):
+    task.view = replace(task.view, rows=32)
+    list(task.updates(batch))
+    assert "fringes" not in task.logs
+    task.options = replace(task.options, fringes=1e6)
+    *_, (name, loss) = task.updates(batch)
+    assert name == "painter" and loss.item() == pytest.approx(1e6 * task.logs["fringes"].item(), rel=0.01)
+
+
 def test_known_openings_are_painted_and_others_are_invented(task, batch, monkeypatch):
     given = []
     inputs = scene_painting.painter_inputs

@@ -10,6 +10,7 @@ from __future__ import annotations
 from lidar2pano.losses.adversarial import (
     critic_wasserstein,
     feature_matching,
+    fringes,
     generator_wasserstein,
     gradient_penalty,
     hinge_critic,
@@ -23,6 +24,7 @@ __all__ = [
     "PatchStatistics",
     "critic_wasserstein",
     "feature_matching",
+    "fringes",
     "generator_wasserstein",
     "gradient_penalty",
     "hinge_critic",

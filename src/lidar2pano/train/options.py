@@ -207,6 +207,7 @@ class ScenePaintingOptions(TaskOptions):
     columns                    width of a crop on the translator's raster.
     perceptual, pooled,
     pixels, adversarial        weights of the losses; no discriminator where the last is 0.
+    fringes                    weight of what single pixels differ in hue from those around them, beyond what images do.
     unseen                     weight of the distance of colours where no camera looked from the means of their classes.
     statistics                 weight of the distance of the painted patches' features from the real ones' distribution.
     on_invented                share of the perceptual and the pixels' loss that counts on what is invented.
@@ -233,6 +234,7 @@ class ScenePaintingOptions(TaskOptions):
     pooled: float = 6.0
     pixels: float = 0.2
     adversarial: float = 0.35
+    fringes: float = 0.0
     unseen: float = 1.0
     statistics: float = 1.0
     on_invented: float = 0.2

@@ -16,7 +16,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
-from lidar2pano.losses import PatchStatistics, hinge_critic, hinge_generator, pooled
+from lidar2pano.losses import PatchStatistics, fringes, hinge_critic, hinge_generator, pooled
 from lidar2pano.losses.diff_augment import DiffAugment
 from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
 from lidar2pano.models.scene_painter import (
@@ -105,25 +105,23 @@ class ScenePainting:
             [((a - b).abs() * share).mean() / (a.std() + 1e-3) for (a, b), share in zip(pairs, weights, strict=True)]
         )
         expected = torch.lerp(real, fake.detach(), counted[:, 2:])
-        coarse = mse_loss(pooled(fake), pooled(expected))  # its best is the mean, which for dark cars is not the median
-        pixels = ((fake - real).abs() * counted[:, 1:2]).mean()
-        self.logs = {"perceptual": perceptual.detach(), "pooled": coarse.detach(), "pixels": pixels.detach()}
-        loss = options.perceptual * perceptual + options.pooled * coarse + options.pixels * pixels
+        terms = {
+            "perceptual": perceptual,
+            "pooled": mse_loss(pooled(fake), pooled(expected)),  # its best is the mean: for dark cars not the median
+            "pixels": ((fake - real).abs() * counted[:, 1:2]).mean(),
+        }
+        if options.fringes:
+            terms["fringes"] = fringes(fake)
         if options.unseen:
             known = batch.valid & (twice(invented) < 0.5)
-            unseen = self._unseen(batch._replace(valid=known), segments, inputs[0][:, TONES], painted)
-            self.logs["unseen"] = unseen.detach()
-            loss = loss + options.unseen * unseen
+            terms["unseen"] = self._unseen(batch._replace(valid=known), segments, inputs[0][:, TONES], painted)
         if options.statistics:
-            patches = self.statistics(pairs[:MATCHED], counted[:, :1], batch.look)
-            self.logs["statistics"] = patches.detach()
-            loss = loss + options.statistics * patches
+            terms["statistics"] = self.statistics(pairs[:MATCHED], counted[:, :1], batch.look)
         if options.adversarial:
             with frozen(critic):  # its gradients would be discarded
-                adversarial = _mean([hinge_generator(score.float()) for score in critic(condition, *on_fake)])
-            self.logs["adversarial"] = adversarial.detach()
-            loss = loss + options.adversarial * adversarial
-        yield "painter", loss
+                terms["adversarial"] = _mean([hinge_generator(score.float()) for score in critic(condition, *on_fake)])
+        self.logs = {name: term.detach() for name, term in terms.items()}
+        yield "painter", torch.stack([getattr(options, name) * term for name, term in terms.items()]).sum()
 
     def _augmented(self, real: Tensor, fake: Tensor, *layers: Tensor) -> tuple[Tensor, ...]:
         """The same DiffAugment of real and painted pictures, which all losses then compare, and of other layers.
