@@ -21,7 +21,9 @@
 # everything: `runs/without_shuffles.py` took the shuffles out, before `scene-6` and `world-scene-6`. `world-scene-7` was
 # trained before there were whole cars, with tones of other windows and tyres. Pictures of the towns
 # had 2 frames of 24, 8, 8 and 8 towns before `scene-3`, two seconds apart, and no openings.
-# `streets` was stopped after 491 scans of 37 towns; cards call it sa. `world-segmenter-2` also had 63 scans of an OS1-128.
+# `streets` was stopped after 491 scans of 37 towns; cards call it sa. `squares` was stopped after 56 frames of 14 towns.
+# `world-segmenter-2` also had 63 scans of an OS1-128.
+# Depths were the translator's own, not those of `geometry.measured_depth`, before `scene-9` and `world-scene-9`.
 set -euo pipefail
 kitti=$1 out=$2
 form=${FORM--mini} longer=${MINUTES:-1} towns=${TOWNS:-60}
@@ -46,6 +48,7 @@ world overcast --sequences $((towns / 15)) --frames 3 --hz 1.5 --seed 202 --look
 world autumn --sequences $((towns / 15)) --frames 3 --hz 1.5 --seed 303 --look autumn
 world evening --sequences $((towns / 15)) --frames 3 --hz 1.5 --seed 404 --look evening
 world drives --sequences $((towns / 6)) --frames 6 --hz 5 --seed 11
+world squares --sequences $((towns * 2 / 5)) --frames 4 --hz 0.7 --seed 9201 --save scans,panorama
 world test --sequences 5 --frames 4 --hz 10 --seed 909
 day=$out/towns/day drives=$out/towns/drives overcast=$out/towns/overcast
 
@@ -94,8 +97,11 @@ scene world-scene-8 "$day" 24 "train,$all" "${inputs2[@]}" "$(weights world-scen
   networks.painter.optimizer.rate=0.0005 options.invented_probability=0.4 \
   networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
 mean "$out/mean/world-painter.safetensors" "$(weights world-scene-6 painter)" "$(weights world-scene-8 painter)" 0.4,0.6
+scene world-scene-9 "$day" 34 "train,$all,$out/towns/squares:all" "${inputs2[@]}" "$out/mean/world-painter.safetensors" \
+  options.fixed_norms=true networks.painter.optimizer.rate=0.0006 options.invented_probability=0.4 options.fringes=20 \
+  networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
 painter=$out/finished/world.safetensors
-python "$here/finish_painter.py" "$out/mean/world-painter.safetensors" "$painter" "$out/frames/world-scene-8/painting/*/day-*.safetensors" --look day --power 4
+python "$here/finish_painter.py" "$(weights world-scene-9 painter)" "$painter" "$out/frames/world-scene-9/painting/*/day-*.safetensors" --look day --power 4
 lidar2pano evaluate "$painter+$out/world-translator-2+$out/world-segmenter-2" --data "$out/towns/test" --split all \
   --json "$out/world.json"
 family world "${inputs2[@]}" "$painter" "$out/world.json" Apache-2.0
@@ -144,7 +150,12 @@ scene scene-8 "$kitti" 33 "train,$day:all,$all" "$segmenter" "$translator" "$out
   "${kitti_looks[@]}" training.batch=1 options.fixed_norms=true networks.painter.optimizer.rate=0.0005 \
   options.simulated_probability=0.4 options.invented_probability=0.4
 mean "$out/mean/painter-8.safetensors" "$out/mean/painter-7.safetensors" "$(weights scene-8 painter)"
+scene scene-9 "$kitti" 20 "train,$day:all,$all" "$segmenter" "$translator" "$out/mean/painter-8.safetensors" \
+  "${kitti_looks[@]}" training.batch=1 "${fixed[@]}" options.simulated_probability=0.4 options.invented_probability=0.4
+scene scene-10 "$kitti" 27 "train,$day:all,$all" "$segmenter" "$translator" "$(weights scene-9 painter)" \
+  "${kitti_looks[@]}" training.batch=1 "${fixed[@]}" options.simulated_probability=0.4 options.invented_probability=0.4 \
+  options.fringes=20
 painter=$out/finished/kitti.safetensors
-python "$here/finish_painter.py" "$out/mean/painter-8.safetensors" "$painter" "$out/frames/scene-8/painting/*/${kitti##*/}-*.safetensors" --look kitti --power 4
+python "$here/finish_painter.py" "$(weights scene-10 painter)" "$painter" "$out/frames/scene-10/painting/*/${kitti##*/}-*.safetensors" --look kitti --power 4
 lidar2pano evaluate "$painter+$translator+$segmenter" --data "$kitti" --split val --json "$out/kitti.json"
 family kitti-mini "$segmenter" "$translator" "$painter" "$out/kitti.json" CC-BY-NC-SA-4.0
