@@ -21,6 +21,7 @@ from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.measured_depth import measured_depth
 from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.projection import Normalisation, RangeImage, fitted_view, one_hot_layers, project
+from lidar2pano.geometry.roughness import foliage_or_wall
 from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.geometry.whole_walls import whole_walls
 from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
@@ -207,6 +208,7 @@ class Pipeline:
                 logits, depth_m = self.translator(channels if read is around else read.channels[None], condition)
             if self.input_view is None:  # what the paper's networks predict stays as it is
                 logits = evened(logits, GROUND)
+                foliage_or_wall(logits, channels, BUILDING, VEGETATION)
                 best = logits.argmax(1)
                 depth_m = measured_depth(depth_m, channels, best, self.view, ROAD, VEGETATION)
                 whole_walls(logits, best, depth_m, self.view, ROAD, BUILDING, FENCE)

@@ -19,6 +19,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.measured_depth import measured_depth
 from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.roughness import foliage_or_wall
 from lidar2pano.geometry.solid_noise import noise_tile
 from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.geometry.whole_walls import whole_walls
@@ -138,6 +139,15 @@ def test_the_runner_keeps_what_was_measured_as_we_do():
     arrays = (part[0].double().numpy() for part in (depth_m, image, ids))
     found = onnx_runner.measured_depth(*arrays, view.as_dict())
     assert (np.abs(found / expected - 1) < 1e-4).mean() > 0.999  # rounding decides at limits
+
+
+def test_the_runner_tells_foliage_from_walls_as_we_do():
+    image = project(street(), replace(TRANSLATOR_VIEW, rows=48, columns=96)).channels[None]
+    logits = torch.randn(1, 16, 48, 96, generator=torch.Generator().manual_seed(0))
+    before = logits.softmax(1)[0].double().numpy()
+    foliage_or_wall(logits, image, BUILDING, VEGETATION)
+    found = onnx_runner.foliage_or_wall(before, image[0].double().numpy())
+    assert np.allclose(found, logits.softmax(1)[0], atol=1e-4) and not np.allclose(found, before, atol=0.02)
 
 
 def test_the_runner_makes_walls_whole_as_we_do():

@@ -40,7 +40,7 @@ def main(scan, out):
     image, _, _, owner = project(points, view)
     condition = np.where(owner >= 0, labels[owner], 0) == np.arange(20)[:, None, None]
     logits, depth_m = translator(image, condition)
-    segments = evened(softmax(logits))
+    segments = foliage_or_wall(evened(softmax(logits)), image)
     depth_m = measured_depth(depth_m, image, segments.argmax(0), view)
     segments = whole_walls(segments, depth_m, view)
     settings = painter.card["settings"]
@@ -171,6 +171,38 @@ def whole_walls(segments, depth_m, view):
     segments[BUILDING] += moved
     segments[FENCE] -= moved
     return segments
+
+
+def foliage_or_wall(segments, image):
+    """Segments in which the odds of foliage and wall have changed by how rough the surface there is."""
+    odds = np.nan_to_num(np.exp(roughness(image)) / 0.05, nan=1)
+    both, leaves = segments[BUILDING] + segments[VEGETATION], segments[VEGETATION] * odds
+    segments = segments.copy()
+    segments[VEGETATION] = both * leaves / (leaves + segments[BUILDING]).clip(min=1e-30)
+    segments[BUILDING] = both - segments[VEGETATION]
+    return segments
+
+
+def roughness(image):
+    """Mean logarithm (H, W) of how far points are from the line between two beside them, NaN in columns without any."""
+    flat = np.hypot(image[1], image[2])
+    inverse = np.where(flat > 0, 1 / np.where(flat > 0, flat, 1), 0)
+    sums = np.zeros((2, *flat.shape))
+    for away in (1, 2, 3):
+        left, right = np.roll(inverse, away, 1), np.roll(inverse, -away, 1)
+        known = (left > 0) & (right > 0) & (inverse > 0)
+        off = np.abs((left + right) / 2 - inverse) * flat**2
+        sums += np.stack([np.log((off + 0.005).clip(max=1)), np.ones(flat.shape)]) * known
+    rows, columns = len(flat) // 2, flat.shape[1] // 4
+    sums = sums.reshape(2, rows, 2, columns, 4).sum((2, 4))
+    sums = sum(np.roll(sums, shift, 2) for shift in range(-2, 3))
+    padded = np.pad(sums, ((0, 0), (2, 2), (0, 0)))
+    total, count = sum(padded[:, shift : shift + rows] for shift in range(5))
+    mean, row = np.where(count > 3, total / count.clip(min=1), np.nan), np.arange(rows)[:, None]
+    below = np.minimum.accumulate(np.where(np.isnan(mean), rows, row)[::-1], 0)[::-1]
+    higher = np.maximum.accumulate(np.where(np.isnan(mean), -1, row), 0)
+    mean = np.take_along_axis(mean, np.where(below < rows, below, higher.clip(min=0)), 0)
+    return mean.repeat(2, 0).repeat(4, 1)
 
 
 def height_above(road, radius_m, z_m, view):

@@ -1,0 +1,64 @@
+"""Walls are even, foliage is not: what the points of one ring say about which of the two they lie on."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d, conv2d, interpolate, logsigmoid
+
+BESIDE_PX = (1, 2, 3)  # how far beside a point lie the two whose mean it is compared with
+LEAST_M, MOST_M = 0.005, 1.0  # what is added to a deviation, and the largest that counts
+BLOCK, AROUND = (2, 4), 5  # pixels of a block (rows, columns); blocks to a side of the square that is averaged over
+ENOUGH = 3  # comparisons there
+EVEN_M = 0.05  # deviation that speaks for neither, from the frames of `val` and of simulated towns
+
+
+def foliage_or_wall(logits: Tensor, channels: Tensor, wall: int, foliage: int) -> None:
+    """Change logits (B, C, H, W) of two classes by how rough the measured surface is there; their sum stays.
+
+    channels  (B, 5, H, W) of a RangeImage on the same raster;  wall, foliage: ids.
+    The odds of foliage are multiplied by roughness / EVEN_M; where there is nothing to compare they stay as they are.
+    """
+    odds = roughness(channels).log().sub_(torch.tensor(EVEN_M).log()).nan_to_num_(0)
+    walls, leaves = logits[:, wall], logits[:, foliage]
+    both, apart = torch.logaddexp(walls, leaves), leaves - walls + odds
+    logits[:, foliage], logits[:, wall] = both + logsigmoid(apart), both + logsigmoid(-apart)
+
+
+def roughness(channels: Tensor) -> Tensor:
+    """Geometric mean (B, H, W) of how far points are from the line between two beside them in their row, metres.
+
+    channels  (B, 5, H, W) of a RangeImage on a cylinder, on which lines are linear in the inverse distance.
+    Over blocks of BLOCK pixels and those around them; where too few points are, that of the next block below it, else
+    above it, in which there are enough; NaN in columns without any.
+    """
+    flat = torch.hypot(channels[:, 1].float(), channels[:, 2].float())
+    inverse = torch.where(flat > 0, 1 / flat, 0.0)
+    total, count = torch.zeros_like(flat), torch.zeros_like(flat)
+    for away in BESIDE_PX:
+        left, right = inverse.roll(away, 2), inverse.roll(-away, 2)
+        known = (left > 0) & (right > 0) & (inverse > 0)
+        off_m = ((left + right).mul_(0.5).sub_(inverse)).abs_().mul_(flat).mul_(flat)  # to first order
+        total += off_m.add_(LEAST_M).clamp_(max=MOST_M).log_().mul_(known)
+        count += known
+    sizes = [size // block for size, block in zip(flat.shape[1:], BLOCK, strict=True)]
+    sums = adaptive_avg_pool2d(torch.stack([total, count], 1), sizes) * (BLOCK[0] * BLOCK[1])
+    total, count = _around(sums).unbind(1)
+    mean = torch.where(count > ENOUGH, total / count.clamp(min=1), torch.nan)
+    return interpolate(_carried(mean)[:, None], flat.shape[1:])[:, 0].exp()
+
+
+def _around(x: Tensor) -> Tensor:
+    """Sums (B, C, H, W) over squares of AROUND x AROUND; columns are circular, nothing is above and below."""
+    reach = AROUND // 2
+    closed = torch.cat([x[..., -reach:], x, x[..., :reach]], 3)
+    return conv2d(closed.flatten(0, 1)[:, None], x.new_ones(1, 1, AROUND, AROUND), padding=(reach, 0)).view_as(x)
+
+
+def _carried(x: Tensor) -> Tensor:
+    """(B, H, W) in which NaN is replaced by the next value below in its column, else by the next one above."""
+    rows = x.shape[1]
+    row = torch.arange(rows, device=x.device)[:, None].expand_as(x)
+    below = torch.where(x.isnan(), rows, row).flip(1).cummin(1).values.flip(1)
+    above = torch.where(x.isnan(), -1, row).cummax(1).values
+    return x.gather(1, torch.where(below < rows, below, above.clamp(min=0)))
