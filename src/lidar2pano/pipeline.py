@@ -17,11 +17,12 @@ from lidar2pano.engines import accelerated, pick_engine
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.camera import at_camera
+from lidar2pano.geometry.kerbs import weigh_by_height
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.measured_depth import measured_depth
 from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.projection import Normalisation, RangeImage, fitted_view, one_hot_layers, project
-from lidar2pano.geometry.roughness import foliage_or_wall
+from lidar2pano.geometry.roughness import weigh_by_roughness
 from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.geometry.whole_walls import whole_walls
 from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
@@ -38,6 +39,8 @@ from lidar2pano.models.scene_painter import (
     FENCE,
     GROUND,
     ROAD,
+    ROUGH,
+    SIDEWALK,
     VEGETATION,
     Scene,
     ScenePainter,
@@ -208,9 +211,10 @@ class Pipeline:
                 logits, depth_m = self.translator(channels if read is around else read.channels[None], condition)
             if self.input_view is None:  # what the paper's networks predict stays as it is
                 logits = evened(logits, GROUND)
-                foliage_or_wall(logits, channels, BUILDING, VEGETATION)
+                weigh_by_roughness(logits, channels, depth_m, ROUGH)
                 best = logits.argmax(1)
                 depth_m = measured_depth(depth_m, channels, best, self.view, ROAD, VEGETATION)
+                weigh_by_height(logits, best, depth_m, self.view, ROAD, SIDEWALK)
                 whole_walls(logits, best, depth_m, self.view, ROAD, BUILDING, FENCE)
         beyond_rows = int((image.usable & ~image.inside).sum())
         return Translated(scan.name, ids, image.dropped, channels, logits, depth_m, scan.gaps_deg, beyond_rows)

@@ -16,15 +16,16 @@ from lidar2pano.engines import export as engine_export
 from lidar2pano.engines import onnx_runner
 from lidar2pano.engines.export import Exportable, check_exportable, export
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.kerbs import weigh_by_height
 from lidar2pano.geometry.measured_depth import measured_depth
 from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.projection import project
-from lidar2pano.geometry.roughness import foliage_or_wall
+from lidar2pano.geometry.roughness import weigh_by_roughness
 from lidar2pano.geometry.solid_noise import noise_tile
 from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.geometry.whole_walls import whole_walls
 from lidar2pano.labels import COMMON15
-from lidar2pano.models.scene_painter import BUILDING, FENCE, GROUND, ROAD, VEGETATION, outlined, painter_inputs
+from lidar2pano.models.scene_painter import BUILDING, FENCE, GROUND, ROAD, ROUGH, VEGETATION, outlined, painter_inputs
 from lidar2pano.pipeline import load
 from lidar2pano.views import VIEWS
 from random_weights import TRANSLATOR_VIEW, street, write_family, write_scan, write_weights
@@ -141,12 +142,24 @@ def test_the_runner_keeps_what_was_measured_as_we_do():
     assert (np.abs(found / expected - 1) < 1e-4).mean() > 0.999  # rounding decides at limits
 
 
-def test_the_runner_tells_foliage_from_walls_as_we_do():
+def test_the_runner_weighs_by_roughness_as_we_do():
     image = project(street(), replace(TRANSLATOR_VIEW, rows=48, columns=96)).channels[None]
     logits = torch.randn(1, 16, 48, 96, generator=torch.Generator().manual_seed(0))
-    before = logits.softmax(1)[0].double().numpy()
-    foliage_or_wall(logits, image, BUILDING, VEGETATION)
-    found = onnx_runner.foliage_or_wall(before, image[0].double().numpy())
+    before, depth_m = logits.softmax(1)[0].double().numpy(), torch.linspace(1, 80, 96).expand(1, 48, 96)
+    weigh_by_roughness(logits, image, depth_m, ROUGH)
+    found = onnx_runner.weigh_by_roughness(before, image[0].double().numpy(), depth_m[0].double().numpy())
+    assert np.allclose(found, logits.softmax(1)[0], atol=1e-4) and not np.allclose(found, before, atol=0.02)
+
+
+def test_the_runner_weighs_by_height_as_we_do():
+    view = replace(TRANSLATOR_VIEW, rows=48, columns=96)
+    logits = torch.randn(1, 16, 48, 96, generator=torch.Generator().manual_seed(0))
+    before, depth_m = logits.softmax(1)[0].double().numpy(), torch.full((1, 48, 96), 70.0)
+    depth_m[:, 28:] = 1.6 / torch.linspace(0.03, 0.25, 20)[:, None] * torch.linspace(1, 0.9, 96)
+    best = torch.where(torch.arange(96) < 70, ROAD, 0).expand(1, 48, 96)
+    weigh_by_height(logits, best, depth_m, view, ROAD, GROUND[1])
+    arrays = (part[0].double().numpy() for part in (best, depth_m))
+    found = onnx_runner.weigh_by_height(before, *arrays, view.as_dict())
     assert np.allclose(found, logits.softmax(1)[0], atol=1e-4) and not np.allclose(found, before, atol=0.02)
 
 
@@ -160,7 +173,7 @@ def test_the_runner_makes_walls_whole_as_we_do():
     segments = logits.softmax(1)[0].double().numpy()
     whole_walls(logits, logits.argmax(1), depth_m, view, ROAD, BUILDING, FENCE)
     expected = logits.softmax(1)[0].double().numpy()
-    found = onnx_runner.whole_walls(segments, depth_m[0].double().numpy(), view.as_dict())
+    found = onnx_runner.whole_walls(segments, segments.argmax(0), depth_m[0].double().numpy(), view.as_dict())
     assert np.allclose(found, expected, atol=1e-5) and not np.allclose(found, segments, atol=0.1)
     assert (found.argmax(0)[25] == FENCE).any(), "fences stay fences"
 

@@ -1,6 +1,8 @@
-"""Walls are even and foliage is rough, and that decides between the two."""
+"""Walls are even and foliage is rough, asphalt and grass likewise, and that decides between them."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ import torch
 
 from lidar2pano.geometry import roughness as module
 from lidar2pano.geometry.projection import directions
-from lidar2pano.geometry.roughness import foliage_or_wall, roughness
+from lidar2pano.geometry.roughness import Evidence, roughness, weigh_by_roughness
 from lidar2pano.geometry.surface import slopes
 from lidar2pano.views import View
 
@@ -75,38 +77,63 @@ def test_roughness_agrees_with_its_definition():
 def test_a_wall_is_even_however_it_stands_and_foliage_is_as_rough_as_it_is():
     found = roughness(channels_of(*scene()))[0]
     inner = slice(16, COLUMNS // 2 - 16)
-    assert found[:, inner].max() < 2 * module.LEAST_M
+    assert found[:, inner].max() < 0.01
     leaves = found[:, COLUMNS // 2 + 16 : -16]
     assert 0.1 < leaves.median() < 0.3
+
+
+def weighed(logits: torch.Tensor, channels: torch.Tensor, **changes) -> torch.Tensor:
+    """Logits after the evidence for leaves against walls, all of it 10 m away."""
+    evidence = Evidence(LEAVES, [WALL], limit_m=0.05, growth=0.0, power=1.0)._replace(**changes)
+    after = logits.clone()
+    weigh_by_roughness(after, channels, torch.full((1, ROWS, COLUMNS), 10.0), [evidence])
+    return after
 
 
 @pytest.mark.parametrize("deviation_m", [0.01, 0.3])
 def test_doubtful_pixels_become_what_the_surface_says(deviation_m):
     logits = torch.zeros(1, 3, ROWS, COLUMNS)
     logits[:, ROAD, 12:] = 5.0
-    before = logits.softmax(1)
-    foliage_or_wall(logits, channels_of(*scene(deviation_m)), WALL, LEAVES)
-    after = logits.softmax(1)
-    assert torch.allclose(after[:, ROAD], before[:, ROAD], atol=1e-6), "others stay"
+    after = weighed(logits, channels_of(*scene(deviation_m))).softmax(1)
+    assert torch.allclose(after[:, ROAD], logits.softmax(1)[:, ROAD], atol=1e-6), "others stay"
     inner = slice(COLUMNS // 2 + 16, -16)
-    expected = LEAVES if deviation_m > module.EVEN_M else WALL
+    expected = LEAVES if deviation_m > 0.05 else WALL
     assert (after[0, :2].argmax(0)[:, inner] == expected).all()
     assert (after[0, :2].argmax(0)[:, 16 : COLUMNS // 2 - 16] == WALL).all()
 
 
-def test_odds_change_by_the_ratio():
+@pytest.mark.parametrize(("even", "power"), [([WALL], 1.0), ([WALL, ROAD], 0.5)])
+def test_odds_change_by_a_power_of_the_ratio(even, power):
     logits = torch.randn(1, 3, ROWS, COLUMNS, generator=torch.Generator().manual_seed(2))
-    channels, before = channels_of(*scene()), logits.clone()
-    foliage_or_wall(logits, channels, WALL, LEAVES)
-    gained = (logits[:, LEAVES] - logits[:, WALL]) - (before[:, LEAVES] - before[:, WALL])
-    assert torch.allclose(gained.exp(), roughness(channels) / module.EVEN_M, rtol=1e-3)
+    channels = channels_of(*scene())
+    after = weighed(logits, channels, even=even, power=power)
+    odds = [each[:, LEAVES] - each[:, even].logsumexp(1) for each in (logits, after)]
+    limit = math.exp(module.MOST_ODDS)
+    expected = (roughness(channels) / 0.05).pow(power).clamp(1 / limit, limit)
+    assert torch.allclose((odds[1] - odds[0]).exp(), expected, rtol=1e-3)
+    assert torch.allclose(after.logsumexp(1), logits.logsumexp(1), atol=1e-4)
+    among = [each[:, ROAD] - each[:, WALL] for each in (logits, after)]
+    assert torch.allclose(*among, atol=1e-4) == (ROAD in even), "shares of those that are even stay"
+
+
+def test_far_off_more_is_allowed():
+    logits, channels = torch.zeros(1, 3, ROWS, COLUMNS), channels_of(*scene())
+    depth_m = torch.full((1, ROWS, COLUMNS), 20.0)
+    evidence = Evidence(LEAVES, [WALL], limit_m=0.05, growth=0.8, power=1.0)
+    weigh_by_roughness(logits, channels, depth_m, [evidence])
+    near = weighed(torch.zeros(1, 3, ROWS, COLUMNS), channels, limit_m=0.05 * 2**0.8)
+    assert torch.allclose(logits, near, atol=1e-4)
+
+
+def test_surfaces_rougher_than_all_change_odds_by_so_much_at_most():
+    logits = torch.zeros(1, 3, ROWS, COLUMNS)
+    after = weighed(logits, channels_of(*scene(3.0)), power=9.0)
+    assert (after[:, LEAVES] - after[:, WALL]).abs().max() == pytest.approx(module.MOST_ODDS)
 
 
 def test_without_points_nothing_changes():
     logits = torch.randn(1, 3, ROWS, COLUMNS, generator=torch.Generator().manual_seed(2))
-    before = logits.clone()
-    foliage_or_wall(logits, torch.zeros(1, 5, ROWS, COLUMNS), WALL, LEAVES)
-    assert torch.allclose(logits, before, atol=1e-5)
+    assert torch.allclose(weighed(logits, torch.zeros(1, 5, ROWS, COLUMNS)), logits, atol=1e-5)
 
 
 def test_it_turns_with_the_scene():

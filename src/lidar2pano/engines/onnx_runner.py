@@ -14,6 +14,7 @@ import numpy as np
 
 HERE = Path(__file__).parent
 SKY, ROAD, BUILDING, FENCE, VEGETATION, GROUND = 15, 7, 9, 10, 11, [7, 8, 12]  # ids of common-15
+ROUGH = ((VEGETATION, [BUILDING], 0.04, 0.0, 1.0), (GROUND[2], GROUND[:2], 0.017, 0.8, 4.0))
 FAR_M, OWN_VEHICLE_M = 120.0, 1.0  # metres
 CLASSES = (  # noqa: SIM905 of common-15, as one line each they would fill the page
     "unlabeled car bicycle motorcycle truck other-vehicle person road sidewalk building fence vegetation terrain pole"
@@ -40,9 +41,11 @@ def main(scan, out):
     image, _, _, owner = project(points, view)
     condition = np.where(owner >= 0, labels[owner], 0) == np.arange(20)[:, None, None]
     logits, depth_m = translator(image, condition)
-    segments = foliage_or_wall(evened(softmax(logits)), image)
-    depth_m = measured_depth(depth_m, image, segments.argmax(0), view)
-    segments = whole_walls(segments, depth_m, view)
+    segments = weigh_by_roughness(evened(softmax(logits)), image, depth_m)
+    best = segments.argmax(0)
+    depth_m = measured_depth(depth_m, image, best, view)
+    segments = weigh_by_height(segments, best, depth_m, view)
+    segments = whole_walls(segments, best, depth_m, view)
     settings = painter.card["settings"]
     unread = [CLASSES.index(name) for name in settings.get("unread", ("building", "vegetation", "fence"))]
     inputs, fine_noise = painter_inputs(segments, depth_m, image, view, settings.get("sharp", 2.0), unread)
@@ -156,9 +159,9 @@ def slopes(view):
     return (view["up"] - (np.arange(rows) + 0.5) / rows * (view["up"] - view["down"]))[:, None]
 
 
-def whole_walls(segments, depth_m, view):
+def whole_walls(segments, best, depth_m, view):
     """Segments in which no fence carries a building: what is below it, in the same wall, is building, too."""
-    best, slope, row = segments.argmax(0), slopes(view), np.arange(1, len(depth_m) + 1)[:, None]
+    slope, row = slopes(view), np.arange(1, len(depth_m) + 1)[:, None]
     radius_m = depth_m / np.sqrt(1 + slope**2)
     height_m = radius_m * slope + height_above(best == ROAD, radius_m, radius_m * slope, view)
     wall = (best == BUILDING) | (best == FENCE)
@@ -173,14 +176,40 @@ def whole_walls(segments, depth_m, view):
     return segments
 
 
-def foliage_or_wall(segments, image):
-    """Segments in which the odds of foliage and wall have changed by how rough the surface there is."""
-    odds = np.nan_to_num(np.exp(roughness(image)) / 0.05, nan=1)
-    both, leaves = segments[BUILDING] + segments[VEGETATION], segments[VEGETATION] * odds
-    segments = segments.copy()
-    segments[VEGETATION] = both * leaves / (leaves + segments[BUILDING]).clip(min=1e-30)
-    segments[BUILDING] = both - segments[VEGETATION]
+def weigh_by_roughness(segments, image, depth_m):
+    """Segments in which the odds of foliage and walls, grass and asphalt have changed by how rough surfaces are."""
+    found, far = roughness(image), np.log(depth_m.clip(2, 60) / 10)
+    for rough, even, limit_m, growth, power in ROUGH:
+        odds = np.nan_to_num(power * (found - np.log(limit_m) - growth * far), nan=0).clip(-3, 3)
+        segments = weighed(segments, rough, even, odds)
     return segments
+
+
+def weighed(segments, one, others, odds):
+    """Segments in which the odds of one class against others are multiplied by exp(odds)."""
+    before, segments = segments[others].sum(0), segments.copy()
+    both, share = segments[one] + before, segments[one] * np.exp(odds)
+    segments[one] = both * share / (share + before).clip(min=1e-30)
+    segments[others] *= (both - segments[one]) / before.clip(min=1e-30)
+    return segments
+
+
+def weigh_by_height(segments, best, depth_m, view):
+    """Segments in which what lies a kerb above the road's plane is rather sidewalk."""
+    slope = slopes(view)
+    azimuth = np.pi - (np.arange(view["columns"]) + 0.5) / view["columns"] * 2 * np.pi
+    radius_m = depth_m / np.sqrt(1 + slope**2)
+    place = np.stack([radius_m * np.cos(azimuth), radius_m * np.sin(azimuth), np.ones(radius_m.shape)])
+    road = ((best == ROAD) & (radius_m > 3) & (radius_m < 25))[:, ::4]
+    system, z = place[:, :, ::4][:, road], (radius_m * slope)[:, ::4][road]
+    if len(z) < 50:
+        return segments
+    kept, plane = np.ones(len(z)), np.zeros(3)
+    for _ in range(4):
+        plane = np.linalg.solve((system * kept) @ system.T + 1e-6 * np.eye(3), (system * kept) @ z)
+        kept = np.abs(plane @ system - z) < 0.12
+    height_m = radius_m * slope - np.tensordot(plane, place, 1)
+    return weighed(segments, GROUND[1], [ROAD], ((height_m - 0.04) * 40).clip(-2, 2) * (radius_m < 25))
 
 
 def roughness(image):
@@ -192,7 +221,7 @@ def roughness(image):
         left, right = np.roll(inverse, away, 1), np.roll(inverse, -away, 1)
         known = (left > 0) & (right > 0) & (inverse > 0)
         off = np.abs((left + right) / 2 - inverse) * flat**2
-        sums += np.stack([np.log((off + 0.005).clip(max=1)), np.ones(flat.shape)]) * known
+        sums += np.stack([np.log((off + 0.001).clip(max=1)), np.ones(flat.shape)]) * known
     rows, columns = len(flat) // 2, flat.shape[1] // 4
     sums = sums.reshape(2, rows, 2, columns, 4).sum((2, 4))
     sums = sum(np.roll(sums, shift, 2) for shift in range(-2, 3))

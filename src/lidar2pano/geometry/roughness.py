@@ -1,28 +1,52 @@
-"""Walls are even, foliage is not: what the points of one ring say about which of the two they lie on."""
+"""Walls and asphalt are even, foliage and grass are rough: what the points of one ring say about where they lie."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, conv2d, interpolate, logsigmoid
 
 BESIDE_PX = (1, 2, 3)  # how far beside a point lie the two whose mean it is compared with
-LEAST_M, MOST_M = 0.005, 1.0  # what is added to a deviation, and the largest that counts
+LEAST_M, MOST_M = 0.001, 1.0  # what is added to a deviation, and the largest that counts
 BLOCK, AROUND = (2, 4), 5  # pixels of a block (rows, columns); blocks to a side of the square that is averaged over
 ENOUGH = 3  # comparisons there
-EVEN_M = 0.05  # deviation that speaks for neither, from the frames of `val` and of simulated towns
+MOST_ODDS = 3.0  # logarithm: cobbles and gravel exist
+NEAR_M, FAR_M = 2.0, 60.0  # distances beyond which a threshold grows no more
 
 
-def foliage_or_wall(logits: Tensor, channels: Tensor, wall: int, foliage: int) -> None:
-    """Change logits (B, C, H, W) of two classes by how rough the measured surface is there; their sum stays.
+class Evidence(NamedTuple):
+    """How roughness parts a class from others; fitted to frames of KITTI's `val` and of simulated towns.
 
-    channels  (B, 5, H, W) of a RangeImage on the same raster;  wall, foliage: ids.
-    The odds of foliage are multiplied by roughness / EVEN_M; where there is nothing to compare they stay as they are.
+    rough, even  ids: of the class that is rough, and of those that are not.
+    limit_m      roughness at 10 m that speaks for neither; it grows with distance ** growth.
+    power        that roughness / limit is raised to, to multiply the odds of `rough`.
     """
-    odds = roughness(channels).log().sub_(torch.tensor(EVEN_M).log()).nan_to_num_(0)
-    walls, leaves = logits[:, wall], logits[:, foliage]
-    both, apart = torch.logaddexp(walls, leaves), leaves - walls + odds
-    logits[:, foliage], logits[:, wall] = both + logsigmoid(apart), both + logsigmoid(-apart)
+
+    rough: int
+    even: Sequence[int]
+    limit_m: float
+    growth: float
+    power: float
+
+
+def weigh_by_roughness(logits: Tensor, channels: Tensor, depth_m: Tensor, evidence: Sequence[Evidence]) -> None:
+    """Change logits (B, C, H, W) by how rough the measured surface is; what the classes of an Evidence sum to stays.
+
+    channels  (B, 5, H, W) of a RangeImage on the same raster;  depth_m: (B, H, W), of a translator.
+    Where there is nothing to compare nothing changes.
+    """
+    found = roughness(channels).log_()
+    distance = depth_m.float().clamp(NEAR_M, FAR_M).div(10).log_()
+    for rough, even, limit_m, growth, power in evidence:
+        odds = (found - math.log(limit_m) - growth * distance).mul_(power).nan_to_num_(0).clamp_(-MOST_ODDS, MOST_ODDS)
+        before = logits[:, even].logsumexp(1)
+        both, apart = torch.logaddexp(before, logits[:, rough]), logits[:, rough] - before + odds
+        logits[:, rough] = both + logsigmoid(apart)
+        logits[:, even] += (both + logsigmoid(-apart) - before)[:, None]
 
 
 def roughness(channels: Tensor) -> Tensor:
