@@ -59,12 +59,12 @@ def slowly(channels: torch.Tensor) -> np.ndarray:
             total_here, count_here = (sum(part[at] for at in around) for part in (total, count))
             if count_here > module.ENOUGH:
                 out[row, column] = total_here / count_here
-    carried = out.copy()
+    complete = out.copy()
     for row, column in np.argwhere(np.isnan(out)):
         below = [one for one in out[row:, column] if not np.isnan(one)]
         above = [one for one in out[: row + 1, column] if not np.isnan(one)]
-        carried[row, column] = below[0] if below else above[-1] if above else np.nan
-    return np.exp(carried).repeat(high, 0).repeat(wide, 1)
+        complete[row, column] = below[0] if below else above[-1] if above else np.nan
+    return np.exp(complete).repeat(high, 0).repeat(wide, 1)
 
 
 def test_roughness_agrees_with_its_definition():

@@ -146,7 +146,7 @@ def test_invented_houses_and_cars_are_hardly_compared(task, batch):
     assert float(task.logs["perceptual"]) > 0 and float(task.logs["pooled"]) > 0 and float(task.logs["pixels"]) > 0
 
 
-def test_fringes_count_where_they_are_asked_for(task, batch):
+def test_fringes_count_where_they_have_a_weight(task, batch):
     task.view = replace(task.view, rows=32)
     list(task.updates(batch))
     assert "fringes" not in task.logs

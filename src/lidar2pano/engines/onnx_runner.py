@@ -259,12 +259,12 @@ def between(inverse, guess, plane):
     rows, row = len(inverse), np.arange(len(inverse))[:, None]
     first = np.maximum.accumulate(np.where(inverse > 0, row, -1), 0)
     last = np.minimum.accumulate(np.where(inverse > 0, row, rows)[::-1], 0)[::-1]
-    shown = []
+    pairs = []
     for at in (first.clip(min=0), last.clip(max=rows - 1)):
         met = np.take_along_axis(inverse, at, 0)
         lift = met / plane[at, 0]
-        shown.append((met, np.where((lift > 1 / 1.2) & (lift < 1.2), plane * lift, met)))  # level, or upright
-    (upper, upper_along), (lower, along) = shown
+        pairs.append((met, np.where((lift > 1 / 1.2) & (lift < 1.2), plane * lift, met)))  # level, or upright
+    (upper, upper_along), (lower, along) = pairs
     share = (row - first) / (last - first).clip(min=1)
     other = np.where((guess**2 > upper * along) == (upper > along), upper, along)
     same = np.maximum(upper, lower) < 1.25 * np.minimum(upper, lower)

@@ -69,7 +69,7 @@ def roughness(channels: Tensor) -> Tensor:
     sums = adaptive_avg_pool2d(torch.stack([total, count], 1), sizes) * (BLOCK[0] * BLOCK[1])
     total, count = _around(sums).unbind(1)
     mean = torch.where(count > ENOUGH, total / count.clamp(min=1), torch.nan)
-    return interpolate(_carried(mean)[:, None], flat.shape[1:])[:, 0].exp()
+    return interpolate(_completed(mean)[:, None], flat.shape[1:])[:, 0].exp()
 
 
 def _around(x: Tensor) -> Tensor:
@@ -79,7 +79,7 @@ def _around(x: Tensor) -> Tensor:
     return conv2d(closed.flatten(0, 1)[:, None], x.new_ones(1, 1, AROUND, AROUND), padding=(reach, 0)).view_as(x)
 
 
-def _carried(x: Tensor) -> Tensor:
+def _completed(x: Tensor) -> Tensor:
     """(B, H, W) in which NaN is replaced by the next value below in its column, else by the next one above."""
     rows = x.shape[1]
     row = torch.arange(rows, device=x.device)[:, None].expand_as(x)

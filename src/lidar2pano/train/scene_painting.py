@@ -121,7 +121,20 @@ class ScenePainting:
             with frozen(critic):  # its gradients would be discarded
                 terms["adversarial"] = _mean([hinge_generator(score.float()) for score in critic(condition, *on_fake)])
         self.logs = {name: term.detach() for name, term in terms.items()}
-        yield "painter", torch.stack([getattr(options, name) * term for name, term in terms.items()]).sum()
+        yield "painter", torch.stack([self._weights[name] * term for name, term in terms.items()]).sum()
+
+    @property
+    def _weights(self) -> dict[str, float]:
+        options = self.options
+        return {
+            "perceptual": options.perceptual,
+            "pooled": options.pooled,
+            "pixels": options.pixels,
+            "fringes": options.fringes,
+            "unseen": options.unseen,
+            "statistics": options.statistics,
+            "adversarial": options.adversarial,
+        }
 
     def _augmented(self, real: Tensor, fake: Tensor, *layers: Tensor) -> tuple[Tensor, ...]:
         """The same DiffAugment of real and painted pictures, which all losses then compare, and of other layers.
