@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from lidar2pano.models.scene_painter import WINDOWS, spread_out
+from lidar2pano.models.scene_painter import MIXED_PX, MOST_UNEVEN, WINDOWS, evened_beams, spread_out
 
 
 def slowly(values, valid):
@@ -38,3 +38,38 @@ def test_remission_is_spread_as_defined(share):
         assert torch.equal(found[number], slow_found)
         assert torch.allclose(mean[number], slow_mean, atol=1e-6)
     assert not found[:, :4].any() and found[:, 20:].any()
+
+
+def evened_slowly(remission, valid, road):
+    """The definition, row by row, of one image."""
+    weight = valid * road
+    mean = (remission * weight).sum() / weight.sum().clamp(min=1)
+    rows = []
+    for values, weights in zip(remission, weight, strict=True):
+        own = ((values * weights).sum() + MIXED_PX * mean) / (weights.sum() + MIXED_PX)
+        rows.append(values * (mean / own).clamp(1 / MOST_UNEVEN, MOST_UNEVEN) if own > 0 else values)
+    return torch.stack(rows)
+
+
+def test_beams_are_evened_as_defined():
+    generator = torch.Generator().manual_seed(3)
+    remission, road = torch.rand(2, 2, 30, 24, generator=generator).unbind(0)
+    valid = (torch.rand(2, 30, 24, generator=generator) < 0.5).float()
+    remission[:, 10:14] *= 6
+    for number, found in enumerate(evened_beams(remission, valid, road)):
+        assert torch.allclose(found, evened_slowly(remission[number], valid[number], road[number]), atol=1e-5)
+
+
+def test_a_beam_that_measures_more_leaves_no_line_and_lane_marks_stay():
+    even = torch.full((1, 40, 400), 0.2)
+    even[:, :, 190:200] = 0.6
+    gain = torch.where(torch.arange(40) < 20, 1.0, 2.0)[:, None]
+    found = evened_beams(even * gain, torch.ones(1, 40, 400), torch.ones(1, 40, 400))
+    assert (found[:, :20].mean() / found[:, 20:].mean()).log().abs() < 0.05
+    assert torch.allclose(found[..., 195] / found[..., 0], torch.tensor(3.0))
+
+
+def test_without_a_road_or_remission_nothing_changes():
+    remission, nothing = torch.rand(1, 10, 20, generator=torch.Generator().manual_seed(1)), torch.zeros(1, 10, 20)
+    assert torch.allclose(evened_beams(remission, nothing + 1, nothing), remission, atol=1e-5)
+    assert torch.equal(evened_beams(nothing, nothing + 1, nothing + 1), nothing)

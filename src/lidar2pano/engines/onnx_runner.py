@@ -144,7 +144,8 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     code = np.log1p(depth_m.clip(max=FAR_M)) / np.log1p(FAR_M)
     row = np.repeat(np.linspace(1, -1, rows)[:, None], columns, 1)
     read = 1 - segments[unread].sum(0)
-    flat = [code, *(part * read for part in spread_out(image[4], image[0] > 0)), row]
+    remission, valid = spread_out(image[4], image[0] > 0)
+    flat = [code, evened_beams(remission, valid, segments[ROAD]) * read, valid * read, row]
     coarse = solid_noise(depth_m, best == SKY, view, COARSE_M)
     fine = solid_noise(*(each.repeat(2, 0).repeat(2, 1) for each in (depth_m, best == SKY)), view, FINE_M)
     brighter = np.einsum("chw,c->hw", segments, VARIED) * smooth_noise(radius_m, z_m, view, OBJECT_M).clip(-1, 1)
@@ -322,6 +323,14 @@ def spread_out(remission, valid):
         mean = np.where((count > 0) & ~found, total / np.maximum(count, 1), mean)
         found |= count > 0
     return mean, found
+
+
+def evened_beams(remission, valid, road):
+    """Remission, so that the road's is the same in all rows: beams are not calibrated against each other."""
+    weight = valid * road
+    mean = (remission * weight).sum() / max(weight.sum(), 1)
+    of_rows = ((remission * weight).sum(1, keepdims=True) + 16 * mean) / (weight.sum(1, keepdims=True) + 16)
+    return remission * np.where(of_rows > 0, mean / of_rows.clip(min=1e-6), 1).clip(1 / 3, 3)
 
 
 def facades(walls, radius_m, slope, above_m, view):

@@ -53,6 +53,7 @@ CARS = Classes(
     vehicles=tuple(map(COMMON15.id_of, ("car", "truck", "other-vehicle", "bicycle", "motorcycle"))),
     ground=GROUND,
 )
+MIXED_PX, MOST_UNEVEN = 16.0, 3.0  # pixels that the mean counts for in each row's; largest factor between beams
 STRIDE = 4  # input pixels per pixel of the coarsest level
 FOOT = 8  # rows like the last one that are painted below it and cut off: beside zero padding a network paints flecks
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
@@ -241,7 +242,8 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     shape = torch.cat([(height_m / 4).clamp(-1, 4)[:, None], normals(radius_m, z_m, view)], 1)
     shape.masked_fill_(sky[:, None], 0)
     read = 1 - segments[:, list(unread)].float().sum(1)
-    remission, valid = (part * read for part in spread_out(image[:, 4].float(), (image[:, 0] > 0).float()))
+    remission, valid = spread_out(image[:, 4].float(), (image[:, 0] > 0).float())
+    remission, valid = evened_beams(remission, valid, segments[:, ROAD]) * read, valid * read
     row = torch.linspace(1, -1, segments.shape[2], device=segments.device)[None, :, None].expand_as(valid)
     flat = torch.stack([depth_code(depth_m.clamp(max=FAR_M)), remission, valid, row], 1)
     coarse = _noise(depth_m, sky, view, COARSE_M, T_world_sensor)
@@ -289,6 +291,19 @@ def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
         mean = torch.where(here, total / count.clamp(min=1), mean)
         found = torch.where(here, 1.0, found)
     return mean, found
+
+
+def evened_beams(remission: Tensor, valid: Tensor, road: Tensor) -> Tensor:
+    """Remission (B, H, W), so that the road's is the same in all rows: beams are not calibrated against each other.
+
+    valid  (B, H, W), 0 or 1: where there is any;  road: (B, H, W) probabilities.
+    (In KITTI's scans it doubles from one row to the next, and a line was painted across the road there.)
+    """
+    weight = valid * road.float()
+    mean = (remission * weight).sum((1, 2), keepdim=True) / weight.sum((1, 2), keepdim=True).clamp(min=1)
+    of_rows = (remission * weight).sum(2, keepdim=True) + MIXED_PX * mean
+    of_rows = of_rows / (weight.sum(2, keepdim=True) + MIXED_PX)
+    return remission * torch.where(of_rows > 0, mean / of_rows.clamp(min=1e-6), 1.0).clamp(1 / MOST_UNEVEN, MOST_UNEVEN)
 
 
 def _window_sums(x: Tensor, rows: int, columns: int) -> Tensor:
