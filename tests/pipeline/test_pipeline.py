@@ -320,12 +320,13 @@ def test_folding_norms_changes_nothing(network, widths):
         assert (one - other).abs().max() < 1e-3 * one.abs().max()
 
 
-@pytest.mark.parametrize("strip", [1, 5, 32])
-def test_grown_classes_are_those_of_the_grown_logits(strip):
-    logits = torch.randn(1, 16, 12, 40)
-    expected = grow_circular(logits, 2)[0].argmax(0)
-    assert torch.equal(grown_classes(logits, 2, strip), expected.to(torch.uint8))
-    assert torch.equal(grown_classes(logits.to(memory_format=torch.channels_last), 2, strip), expected.to(torch.uint8))
+@pytest.mark.parametrize(("factor", "chunk"), [(2, 7), (2, 1 << 15), (3, 100), (1, 100)])
+def test_grown_classes_are_those_of_the_grown_logits(factor, chunk):
+    logits = torch.randn(1, 16, 12, 40, generator=torch.Generator().manual_seed(7))
+    logits[:, 3, 4:, 15:35] += 9  # inside, all pixels are of one class
+    expected = grow_circular(logits, factor)[0].argmax(0).to(torch.uint8)
+    for layout in (torch.contiguous_format, torch.channels_last):
+        assert torch.equal(grown_classes(logits.to(memory_format=layout), factor, chunk), expected)
 
 
 class Copies(nn.Module):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import torch
@@ -92,20 +93,32 @@ def grow_circular(x: Tensor, factor: int) -> Tensor:
     return grown[..., factor:-factor]
 
 
-def grown_classes(logits: Tensor, factor: int, strip: int = 32) -> Tensor:
+def grown_classes(logits: Tensor, factor: int, chunk: int = 1 << 15) -> Tensor:
     """The classes (H * factor, W * factor) uint8 that logits (1, C, H, W) name once `grow_circular` has enlarged them.
 
-    strip  rows of H that are enlarged at a time, channels last: a small piece stays in the processor's cache.
+    Only where a neighbour is of another class are logits enlarged: means of logits that name one class name it, too.
+    chunk  pixels for which that is done at a time: a small piece stays in the processor's cache.
     """
-    x = torch.cat([logits[..., -1:], logits, logits[..., :1]], dim=3).float()
-    x = torch.cat([x[..., :1, :], x, x[..., -1:, :]], dim=2).contiguous(memory_format=torch.channels_last)
-    strips = []
-    for top in range(0, logits.shape[2], strip):
-        piece = x[..., top : top + strip + 2, :]
-        grown = nn.functional.interpolate(piece, scale_factor=factor, mode="bilinear", align_corners=False)
-        inner = grown[0, :, factor:-factor, factor:-factor]
-        strips.append(inner.max(0).indices.to(torch.uint8))  # several times as fast as argmax
-    return torch.cat(strips)
+    height, width = logits.shape[2:]
+    ids = logits[0].max(0).indices.to(torch.uint8)  # several times as fast as argmax
+    around = torch.cat([ids[:, -1:], ids, ids[:, :1]], 1)
+    around = torch.cat([around[:1], around, around[-1:]])
+    border = torch.zeros_like(ids, dtype=torch.bool)
+    for i, j in product(range(3), repeat=2):
+        border |= around[i : i + height, j : j + width] != ids
+    grown = ids[:, None, :, None].repeat(1, factor, 1, factor)
+    pixels = logits[0].permute(1, 2, 0).reshape(height * width, -1).float()
+    shares = [(place + 0.5) / factor - 0.5 for place in range(factor)]  # of the pixel before (below 0) or after
+    for row, column in zip(*(part.split(chunk) for part in border.nonzero(as_tuple=True)), strict=True):
+        rows = [(row + step).clamp(0, height - 1) * width for step in (-1, 0, 1)]
+        columns = [(column + step) % width for step in (-1, 0, 1)]
+        before, middle, after = ([pixels[one + other] for other in columns] for one in rows)
+        for i, down in enumerate(shares):
+            three = [torch.lerp(*pair, abs(down)) for pair in zip(middle, before if down < 0 else after, strict=True)]
+            for j, across in enumerate(shares):
+                mean = torch.lerp(three[1], three[0 if across < 0 else 2], abs(across))
+                grown[row, i, column, j] = mean.max(1).indices.to(torch.uint8)
+    return grown.view(height * factor, width * factor)
 
 
 def fold_norms(network: nn.Module) -> nn.Module:
