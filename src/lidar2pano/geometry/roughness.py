@@ -65,7 +65,7 @@ def roughness(channels: Tensor) -> Tensor:
         off_m = ((left + right).mul_(0.5).sub_(inverse)).abs_().mul_(flat).mul_(flat)  # to first order
         total += off_m.add_(LEAST_M).clamp_(max=MOST_M).log_().mul_(known)
         count += known
-    sizes = [size // block for size, block in zip(flat.shape[1:], BLOCK, strict=True)]
+    sizes = (flat.shape[1] // BLOCK[0], flat.shape[2] // BLOCK[1])
     sums = adaptive_avg_pool2d(torch.stack([total, count], 1), sizes) * (BLOCK[0] * BLOCK[1])
     total, count = _around(sums).unbind(1)
     mean = torch.where(count > ENOUGH, total / count.clamp(min=1), torch.nan)
