@@ -13,18 +13,14 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.calibration import Calibration
+from lidar2pano.corrections import corrected
 from lidar2pano.engines import accelerated, pick_engine
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.camera import at_camera
-from lidar2pano.geometry.kerbs import weigh_by_height
 from lidar2pano.geometry.knn import clean_up
-from lidar2pano.geometry.measured_depth import measured_depth
-from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.projection import Normalisation, RangeImage, fitted_view, one_hot_layers, project
-from lidar2pano.geometry.roughness import weigh_by_roughness
 from lidar2pano.geometry.whole_cars import WholeCars
-from lidar2pano.geometry.whole_walls import whole_walls
 from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import Memory, PreviousFrame, Surroundings, fused, smoothed
@@ -34,19 +30,7 @@ from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import DEFAULT, FRONT_VIEW, role, weight_files
 from lidar2pano.models.front_all_around import FrontAllAround
 from lidar2pano.models.salsanext import STRIDE
-from lidar2pano.models.scene_painter import (
-    BUILDING,
-    FENCE,
-    GROUND,
-    ROAD,
-    ROUGH,
-    SIDEWALK,
-    VEGETATION,
-    Scene,
-    ScenePainter,
-    StreamPainter,
-    with_cars,
-)
+from lidar2pano.models.scene_painter import Scene, ScenePainter, StreamPainter, with_cars
 from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
@@ -210,12 +194,7 @@ class Pipeline:
             with fast_arithmetic(self.device):
                 logits, depth_m = self.translator(channels if read is around else read.channels[None], condition)
             if self.input_view is None:  # what the paper's networks predict stays as it is
-                logits = evened(logits, GROUND)
-                weigh_by_roughness(logits, channels, depth_m, ROUGH)
-                best = logits.max(1).indices  # a tenth of argmax's time
-                depth_m = measured_depth(depth_m, channels, best, self.view, ROAD, VEGETATION)
-                weigh_by_height(logits, best, depth_m, self.view, ROAD, SIDEWALK)
-                whole_walls(logits, best, depth_m, self.view, ROAD, BUILDING, FENCE)
+                logits, depth_m = corrected(logits, depth_m, channels, self.view)
         beyond_rows = int((image.usable & ~image.inside).sum())
         return Translated(scan.name, ids, image.dropped, channels, logits, depth_m, scan.gaps_deg, beyond_rows)
 

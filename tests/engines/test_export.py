@@ -12,6 +12,7 @@ import torch
 
 from lidar2pano.cli import main
 from lidar2pano.cli.export import inputs_of, networks_of
+from lidar2pano.corrections import BUILDING, FENCE, ROAD, ROUGH, VEGETATION
 from lidar2pano.engines import export as engine_export
 from lidar2pano.engines import onnx_runner
 from lidar2pano.engines.export import Exportable, check_exportable, export
@@ -25,7 +26,7 @@ from lidar2pano.geometry.solid_noise import noise_tile
 from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.geometry.whole_walls import whole_walls
 from lidar2pano.labels import COMMON15
-from lidar2pano.models.scene_painter import BUILDING, FENCE, GROUND, ROAD, ROUGH, VEGETATION, outlined, painter_inputs
+from lidar2pano.models.scene_painter import GROUND, outlined, painter_inputs
 from lidar2pano.pipeline import load
 from lidar2pano.views import VIEWS
 from random_weights import TRANSLATOR_VIEW, street, write_family, write_scan, write_weights

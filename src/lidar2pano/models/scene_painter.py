@@ -18,7 +18,6 @@ from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.outlines import against_the_sky
-from lidar2pano.geometry.roughness import Evidence
 from lidar2pano.geometry.solid_noise import smooth_noise, solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals, road_height
 from lidar2pano.geometry.wall_openings import facades
@@ -28,9 +27,7 @@ from lidar2pano.models.circular import CircularConv, CircularResidual, closed, c
 from lidar2pano.models.titan_pano import FAR_M, depth_code
 from lidar2pano.views import View
 
-SKY, ROAD, SIDEWALK, TERRAIN, BUILDING, FENCE, CAR, VEGETATION = map(
-    COMMON15.id_of, ("sky", "road", "sidewalk", "terrain", "building", "fence", "car", "vegetation")
-)
+SKY, ROAD, BUILDING, CAR, VEGETATION = map(COMMON15.id_of, ("sky", "road", "building", "car", "vegetation"))
 COARSE_M = (0.25, 1.0, 4.0)  # wavelengths of the noise on the translator's raster
 FINE_M = (0.0625, 0.125, 0.5)  # and on the picture's
 SHAPE = 8  # channels beside segments and noise: depth, remission, validity, row, height, normals
@@ -43,11 +40,7 @@ WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 row
 # What these classes look like hardly hangs on their remission, which ends at the highest beam: a painter that reads it
 # paints walls in two colours, and in speckles, other ones in each scan of a drive.
 UNREAD = ("building", "vegetation", "fence")
-GROUND = (ROAD, SIDEWALK, TERRAIN)
-ROUGH = (
-    Evidence(VEGETATION, [BUILDING], limit_m=0.04, growth=0.0, power=1.0),
-    Evidence(TERRAIN, [ROAD, SIDEWALK], limit_m=0.017, growth=0.8, power=4.0),
-)
+GROUND = tuple(map(COMMON15.id_of, ("road", "sidewalk", "terrain")))
 CARS = Classes(
     CAR,
     vehicles=tuple(map(COMMON15.id_of, ("car", "truck", "other-vehicle", "bicycle", "motorcycle"))),

@@ -1,0 +1,39 @@
+"""What the points of a scan say against a translator's prediction: where surfaces are, and of which class.
+
+A translator is right on average. What was measured is known: on which surface a pixel lies, how rough it is, how high
+above the road.
+"""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from lidar2pano.geometry.kerbs import weigh_by_height
+from lidar2pano.geometry.measured_depth import measured_depth
+from lidar2pano.geometry.outlines import evened
+from lidar2pano.geometry.roughness import Evidence, weigh_by_roughness
+from lidar2pano.geometry.whole_walls import whole_walls
+from lidar2pano.labels import COMMON15
+from lidar2pano.views import View
+
+NAMES = ("road", "sidewalk", "terrain", "building", "fence", "vegetation")
+ROAD, SIDEWALK, TERRAIN, BUILDING, FENCE, VEGETATION = map(COMMON15.id_of, NAMES)
+ROUGH = (
+    Evidence(VEGETATION, [BUILDING], limit_m=0.04, growth=0.0, power=1.0),
+    Evidence(TERRAIN, [ROAD, SIDEWALK], limit_m=0.017, growth=0.8, power=4.0),
+)
+
+
+def corrected(logits: Tensor, depth_m: Tensor, channels: Tensor, view: View) -> tuple[Tensor, Tensor]:
+    """A translator's logits (B, C, H, W) and depths (B, H, W), float32, by the range image (B, 5, H, W) on its raster.
+
+    Borders on the ground are evened; foliage and walls, grass and asphalt are weighed by roughness, sidewalk and road
+    by height; depths keep to what was measured; a fence that carries a house is its wall.
+    """
+    logits = evened(logits, (ROAD, SIDEWALK, TERRAIN))
+    weigh_by_roughness(logits, channels, depth_m, ROUGH)
+    best = logits.max(1).indices  # a tenth of argmax's time
+    depth_m = measured_depth(depth_m, channels, best, view, ROAD, VEGETATION)
+    weigh_by_height(logits, best, depth_m, view, ROAD, SIDEWALK)
+    whole_walls(logits, best, depth_m, view, ROAD, BUILDING, FENCE)
+    return logits, depth_m
