@@ -23,7 +23,9 @@
 # had 2 frames of 24, 8, 8 and 8 towns before `scene-3`, two seconds apart, and no openings.
 # `streets` was stopped after 491 scans of 37 towns; cards call it sa. `squares` was stopped after 56 frames of 14 towns.
 # `world-segmenter-2` also had 63 scans of an OS1-128.
-# Depths were the translator's own, not those of `geometry.measured_depth`, before `scene-9` and `world-scene-9`.
+# Depths were the translator's own, not those of `geometry.measured_depth`, before `scene-9` and `world-scene-9`; the
+# other corrections of `lidar2pano.corrections` came between `scene-10` and `world-scene-9`, and remission that is evened
+# between beams with the latter. `scene-11` painted the frames of `scene-9`.
 set -euo pipefail
 kitti=$1 out=$2
 form=${FORM--mini} longer=${MINUTES:-1} towns=${TOWNS:-60}
@@ -97,7 +99,7 @@ scene world-scene-8 "$day" 24 "train,$all" "${inputs2[@]}" "$(weights world-scen
   networks.painter.optimizer.rate=0.0005 options.invented_probability=0.4 \
   networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
 mean "$out/mean/world-painter.safetensors" "$(weights world-scene-6 painter)" "$(weights world-scene-8 painter)" 0.4,0.6
-scene world-scene-9 "$day" 34 "train,$all,$out/towns/squares:all" "${inputs2[@]}" "$out/mean/world-painter.safetensors" \
+scene world-scene-9 "$day" 27 "train,$all,$out/towns/squares:all" "${inputs2[@]}" "$out/mean/world-painter.safetensors" \
   options.fixed_norms=true networks.painter.optimizer.rate=0.0006 options.invented_probability=0.4 options.fringes=20 \
   networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
 painter=$out/finished/world.safetensors
@@ -155,7 +157,10 @@ scene scene-9 "$kitti" 20 "train,$day:all,$all" "$segmenter" "$translator" "$out
 scene scene-10 "$kitti" 27 "train,$day:all,$all" "$segmenter" "$translator" "$(weights scene-9 painter)" \
   "${kitti_looks[@]}" training.batch=1 "${fixed[@]}" options.simulated_probability=0.4 options.invented_probability=0.4 \
   options.fringes=20
+scene scene-11 "$kitti" 17 "train,$day:all,$all" "$segmenter" "$translator" "$(weights scene-10 painter)" \
+  "${kitti_looks[@]}" training.batch=1 "${fixed[@]}" options.simulated_probability=0.4 options.invented_probability=0.4 \
+  options.fringes=100
 painter=$out/finished/kitti.safetensors
-python "$here/finish_painter.py" "$(weights scene-10 painter)" "$painter" "$out/frames/scene-10/painting/*/${kitti##*/}-*.safetensors" --look kitti --power 4
+python "$here/finish_painter.py" "$(weights scene-11 painter)" "$painter" "$out/frames/scene-11/painting/*/${kitti##*/}-*.safetensors" --look kitti --power 4
 lidar2pano evaluate "$painter+$translator+$segmenter" --data "$kitti" --split val --json "$out/kitti.json"
 family kitti-mini "$segmenter" "$translator" "$painter" "$out/kitti.json" CC-BY-NC-SA-4.0
