@@ -20,6 +20,7 @@ pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
 from lidar2pano.cli import main
 from lidar2pano.cli.follow import followed
 from lidar2pano.errors import InputError
+from lidar2pano.formats.image_files import read_image
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.formats.scan_files import write_bin
 from lidar2pano.scan import Scan
@@ -129,7 +130,9 @@ def test_points_with_times_are_deskewed(tmp_path, translate):
     assert translate(write(tmp_path, "bag", straight), "--to", 0.15, "--out", tmp_path / "wanted")[0] == 0
     path = write(tmp_path, "mcap", sent(time=time_s))
     assert translate(path, "--to", 0.15, "--out", tmp_path / "found")[0] == 0
-    assert outputs(tmp_path / "wanted") == outputs(tmp_path / "found")
+    pairs = zip(*(sorted((tmp_path / name).iterdir()) for name in ("wanted", "found")), strict=True)
+    for one, other in pairs:  # points that are written and read are rounded once more
+        assert np.abs(np.subtract(*(read_image(file).astype(int) for file in (one, other)))).max() <= 1
     plain = write(tmp_path, "db3", sent())
     assert translate(plain, "--to", 0.15, "--out", tmp_path / "skewed")[0] == 0
     assert outputs(tmp_path / "skewed")[1:] != outputs(tmp_path / "found")[1:]
