@@ -154,9 +154,9 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     return np.concatenate([segments, np.stack(flat), shape, coarse, tones, openings[None]]), fine
 
 
-def slopes(view):
-    """Tangents (H, 1) of the elevation of a view's rows."""
-    rows = view["rows"]
+def slopes(view, rows=None):
+    """Tangents (H, 1) of the elevation of a view's rows, or of so many rows in their place."""
+    rows = rows or view["rows"]
     return (view["up"] - (np.arange(rows) + 0.5) / rows * (view["up"] - view["down"]))[:, None]
 
 
@@ -427,7 +427,7 @@ def solid_noise(depth_m, sky, view, wavelengths_m):
     """Noise at the points that pixels show, one layer per wavelength, faded out where a pixel could not show it."""
     rows, columns = depth_m.shape
     tile, voxel_m = np.load(HERE / "noise.npy"), min(wavelengths_m) / 4
-    slope = (view["up"] - (np.arange(rows) + 0.5) / rows * (view["up"] - view["down"]))[:, None]
+    slope = slopes(view, rows)
     azimuth = np.pi - (np.arange(columns) + 0.5) / columns * 2 * np.pi
     distance = depth_m.clip(0.1, 200)
     radius = np.where(sky, 4, distance) / np.sqrt(1 + slope**2) / voxel_m

@@ -24,6 +24,14 @@ def world_columns(view: View, T_world_sensor: np.ndarray | None, device: torch.d
     return torch.stack([angle.cos(), angle.sin()]), place.to(device)
 
 
+def rows_beside(there: Tensor) -> tuple[Tensor, Tensor]:
+    """The last row up to each pixel of (..., H, W) bool, and the first from it on, that is `there`; -1 and H for none."""
+    rows = there.shape[-2]
+    row = torch.arange(rows, device=there.device)[:, None]
+    above = torch.where(there, row, -1).cummax(-2).values
+    return above, torch.where(there, row, rows).flip(-2).cummin(-2).values.flip(-2)
+
+
 def surface_profile(weight: Tensor, radius_m: Tensor, same: float, least: float, reach: int) -> tuple[Tensor, Tensor]:
     """Logarithm of the distance (B, W) of a surface, and how many rows (B, W) of a column it was read from.
 

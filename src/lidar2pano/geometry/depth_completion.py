@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lidar2pano.geometry.columns import rows_beside
 from lidar2pano.geometry.projection import directions, project_points
 from lidar2pano.views import View
 
@@ -101,8 +102,7 @@ def _completed(inverse: Tensor, ray: Tensor, xyz: Tensor, view: View) -> Tensor:
     rows = view.rows
     row = torch.arange(rows)[:, None].expand_as(inverse)
     there = inverse > 0
-    above = torch.where(there, row, -1).cummax(0).values
-    below = torch.where(there, row, rows).flip(0).cummin(0).values.flip(0)
+    above, below = rows_beside(there)
     upper = inverse.gather(0, above.clamp(min=0)) * (above >= 0)
     lower = inverse.gather(0, below.clamp(max=rows - 1)) * (below < rows)
     share = ((row - above) / (below - above).clamp(min=1)).float()

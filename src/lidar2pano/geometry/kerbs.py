@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.nn.functional import logsigmoid
 
+from lidar2pano.geometry.odds import multiply_odds
 from lidar2pano.geometry.surface import azimuths, cylinder_points
 from lidar2pano.views import View
 
@@ -33,9 +33,7 @@ def weigh_by_height(logits: Tensor, ids: Tensor, depth_m: Tensor, view: View, ro
             continue
         height_m = z - (plane[0] * x + plane[1] * y + plane[2])
         odds = ((height_m - KERB_M) * PER_M).clamp_(-MOST_ODDS, MOST_ODDS).mul_(radius < FARTHEST_M)
-        roads, walks = logits[number, road], logits[number, sidewalk]
-        both, apart = torch.logaddexp(roads, walks), walks - roads + odds
-        logits[number, sidewalk], logits[number, road] = both + logsigmoid(apart), both + logsigmoid(-apart)
+        multiply_odds(logits[number, None], sidewalk, [road], odds[None])
 
 
 def road_plane(x: Tensor, y: Tensor, z: Tensor) -> Tensor | None:

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from lidar2pano.geometry.surface import cylinder_points, road_height, slopes
+from lidar2pano.geometry.columns import rows_beside
+from lidar2pano.geometry.surface import cylinder_points, slopes, viewpoint_height
 from lidar2pano.views import View
 
 LEAST_M = 0.5  # horizontal distance: points nearer to the axis are on the vehicle itself
@@ -43,7 +44,7 @@ def measured_depth(depth_m: Tensor, channels: Tensor, ids: Tensor, view: View, r
     guessed_m, z_m = cylinder_points(depth_m, view)
     measured_m = torch.hypot(channels[:, 1].float(), channels[:, 2].float())
     inverse = torch.where(measured_m > LEAST_M, 1 / measured_m, 0.0)
-    height_m = -road_height(guessed_m, z_m + view.origin[2], ids == road) + view.origin[2]
+    height_m = viewpoint_height(guessed_m, z_m, ids == road, view)
     slope = slopes(view, device=depth_m.device)
     plane = (-slope / height_m.clamp(min=LEAST_M)[:, None]).clamp(min=1 / FARTHEST_M)  # (B, H), inverse distances
     guessed = 1 / guessed_m.clamp(min=LEAST_M)
@@ -56,9 +57,7 @@ def _between(inverse: Tensor, guessed: Tensor, plane: Tensor) -> Tensor:
     """Inverse distances (B, H, W) between and below a column's points, zero above them."""
     rows = inverse.shape[1]
     row = torch.arange(rows, device=inverse.device)[:, None]
-    there = inverse > 0
-    above = torch.where(there, row, -1).cummax(1).values
-    below = torch.where(there, row, rows).flip(1).cummin(1).values.flip(1)
+    above, below = rows_beside(inverse > 0)
     first, last = above.clamp(min=0), below.clamp(max=rows - 1)
     upper, lower = inverse.gather(1, first), inverse.gather(1, last)
     share = (row - above) / (below - above).clamp(min=1)

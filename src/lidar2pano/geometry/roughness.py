@@ -8,7 +8,10 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import adaptive_avg_pool2d, conv2d, interpolate, logsigmoid
+from torch.nn.functional import adaptive_avg_pool2d, conv2d, interpolate
+
+from lidar2pano.geometry.columns import rows_beside
+from lidar2pano.geometry.odds import multiply_odds
 
 BESIDE_PX = (1, 2, 3)  # how far beside a point lie the two whose mean it is compared with
 LEAST_M, MOST_M = 0.001, 1.0  # what is added to a deviation, and the largest that counts
@@ -43,10 +46,7 @@ def weigh_by_roughness(logits: Tensor, channels: Tensor, depth_m: Tensor, eviden
     distance = depth_m.float().clamp(NEAR_M, FAR_M).div(10).log_()
     for rough, even, limit_m, growth, power in evidence:
         odds = (found - math.log(limit_m) - growth * distance).mul_(power).nan_to_num_(0).clamp_(-MOST_ODDS, MOST_ODDS)
-        before = logits[:, even].logsumexp(1)
-        both, apart = torch.logaddexp(before, logits[:, rough]), logits[:, rough] - before + odds
-        logits[:, rough] = both + logsigmoid(apart)
-        logits[:, even] += (both + logsigmoid(-apart) - before)[:, None]
+        multiply_odds(logits, rough, even, odds)
 
 
 def roughness(channels: Tensor) -> Tensor:
@@ -81,8 +81,5 @@ def _around(x: Tensor) -> Tensor:
 
 def _completed(x: Tensor) -> Tensor:
     """(B, H, W) in which NaN is replaced by the next value below in its column, else by the next one above."""
-    rows = x.shape[1]
-    row = torch.arange(rows, device=x.device)[:, None].expand_as(x)
-    below = torch.where(x.isnan(), rows, row).flip(1).cummin(1).values.flip(1)
-    above = torch.where(x.isnan(), -1, row).cummax(1).values
-    return x.gather(1, torch.where(below < rows, below, above.clamp(min=0)))
+    above, below = rows_beside(~x.isnan())
+    return x.gather(1, torch.where(below < x.shape[1], below, above.clamp(min=0)))

@@ -83,3 +83,8 @@ def road_height(radius_m: Tensor, z_m: Tensor, road: Tensor) -> Tensor:
             median = found.median()
             heights[number] = torch.where((median > ROAD_LOWEST_M) & (median < ROAD_HIGHEST_M), median, ROAD_Z_M)
     return heights
+
+
+def viewpoint_height(radius_m: Tensor, z_m: Tensor, road: Tensor, view: View) -> Tensor:
+    """How high a view's origin is above the road, (B,) float32 metres; heights (B, H, W) as of `cylinder_points`."""
+    return view.origin[2] - road_height(radius_m, z_m + view.origin[2], road)

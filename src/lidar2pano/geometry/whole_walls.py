@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from lidar2pano.geometry.surface import cylinder_points, road_height
+from lidar2pano.geometry.surface import cylinder_points, viewpoint_height
 from lidar2pano.views import View
 
 TALL_M = 2.5  # above the road: a fence is lower
@@ -23,7 +23,7 @@ def whole_walls(  # noqa: PLR0913, PLR0917 one scene, and which class is what
     A wall is what is building or fence, each pixel about as far away as the next one up.
     """
     radius_m, z_m = cylinder_points(depth_m, view)
-    height_m = z_m + view.origin[2] - road_height(radius_m, z_m + view.origin[2], ids == road)[:, None, None]
+    height_m = z_m + viewpoint_height(radius_m, z_m, ids == road, view)[:, None, None]
     is_wall = (ids == building) | (ids == fence)
     same = (radius_m[:, 1:] / radius_m[:, :-1]).log().abs() < ONE_WALL
     goes_on = torch.cat([torch.zeros_like(is_wall[:, :1]), is_wall[:, 1:] & is_wall[:, :-1] & same], 1)

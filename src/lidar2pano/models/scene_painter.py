@@ -19,7 +19,7 @@ from torch.nn.functional import avg_pool2d, interpolate, pad
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.outlines import against_the_sky
 from lidar2pano.geometry.solid_noise import smooth_noise, solid_noise
-from lidar2pano.geometry.surface import cylinder_points, normals, road_height
+from lidar2pano.geometry.surface import cylinder_points, normals, viewpoint_height
 from lidar2pano.geometry.wall_openings import facades
 from lidar2pano.geometry.whole_cars import Classes, WholeCars, whole_cars
 from lidar2pano.labels import COMMON15
@@ -262,7 +262,7 @@ def _points(segments: Tensor, depth_m: Tensor, view: View) -> tuple[Tensor, Tens
     """`cylinder_points`, and how high the view's origin is above the road, (B,) metres."""
     radius_m, z_m = cylinder_points(depth_m, view)
     road = segments[:, ROAD] == segments.amax(1)
-    return radius_m, z_m, view.origin[2] - road_height(radius_m, z_m + view.origin[2], road)
+    return radius_m, z_m, viewpoint_height(radius_m, z_m, road, view)
 
 
 def twice(x: Tensor) -> Tensor:
