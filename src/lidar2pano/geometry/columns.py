@@ -25,7 +25,7 @@ def world_columns(view: View, T_world_sensor: np.ndarray | None, device: torch.d
 
 
 def rows_beside(there: Tensor) -> tuple[Tensor, Tensor]:
-    """The last row up to each pixel of (..., H, W) bool, and the first from it on, that is `there`; -1 and H for none."""
+    """The last row up to each pixel of (..., H, W) bool, and the first from it on, that is `there`; else -1 and H."""
     rows = there.shape[-2]
     row = torch.arange(rows, device=there.device)[:, None]
     above = torch.where(there, row, -1).cummax(-2).values
