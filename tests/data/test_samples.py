@@ -128,6 +128,16 @@ def test_the_share_of_scans_that_lose_their_remission():
     assert 0.15 < np.mean(constant) < 0.35
 
 
+def test_scans_whose_roughness_is_read_are_not_moved():
+    """Moved, the rows of a range image mix beams, and their roughness is that of the mixture."""
+    scan = street(5)
+    for moves in (True, False):
+        by = ScanAugmentation(chance=1.0, moves=moves)
+        ranges = [np.linalg.norm(augmented(scan, np.random.default_rng(i), by).xyz, axis=1) for i in range(4)]
+        original = np.linalg.norm(scan.xyz, axis=1).round(3)
+        assert all(np.isin(each.round(3), original).mean() > 0.99 for each in ranges) == (not moves)
+
+
 def test_dropping_leaves_out_about_the_given_share_with_their_labels():
     scan = street(5)
     kept = drop_points(scan, np.random.default_rng(0), 0.3)

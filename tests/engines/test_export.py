@@ -20,7 +20,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.kerbs import weigh_by_height
 from lidar2pano.geometry.measured_depth import measured_depth
 from lidar2pano.geometry.outlines import evened
-from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.projection import Normalisation, project
 from lidar2pano.geometry.roughness import weigh_by_roughness
 from lidar2pano.geometry.solid_noise import noise_tile
 from lidar2pano.geometry.whole_cars import WholeCars
@@ -150,6 +150,15 @@ def test_the_runner_weighs_by_roughness_as_we_do():
     weigh_by_roughness(logits, image, depth_m, ROUGH)
     found = onnx_runner.weigh_by_roughness(before, image[0].double().numpy(), depth_m[0].double().numpy())
     assert np.allclose(found, logits.softmax(1)[0], atol=1e-4) and not np.allclose(found, before, atol=0.02)
+
+
+@pytest.mark.parametrize("channels", [5, 6])
+def test_the_runner_normalises_as_we_do(channels):
+    image, normalise = project(street(), VIEWS["hdl64e"]), Normalisation.of(channels)
+    normalisation = {"mean": list(normalise.mean), "deviation": list(normalise.deviation)}
+    found = onnx_runner.normalised(image.channels.double().numpy(), normalisation)
+    assert np.allclose(found, normalise(image), atol=1e-2) and found.shape[0] == channels
+    assert np.abs(found - normalise(image).numpy()).mean() < 1e-4
 
 
 def test_the_runner_weighs_by_height_as_we_do():

@@ -119,13 +119,13 @@ class Slow:
 def evened_slowly(inverse: np.ndarray) -> np.ndarray:
     """Means over opposite pixels that are on one plane with what lies between them: down the rows, then along them."""
     for axis in (0, 1):
-        reach, out = max(module.EVEN_PX), inverse.copy()
+        out = inverse.copy()
         for row in range(ROWS):
             for column in range(COLUMNS):
-                if axis == 0 and not reach <= row < ROWS - reach:
-                    continue
                 kept = [inverse[row, column]]
                 for away in module.EVEN_PX:
+                    if axis == 0 and not away <= row < ROWS - away:
+                        continue
                     step = np.array([away, 0] if axis == 0 else [0, away])
                     ends = [np.array([row, column]) + step, np.array([row, column]) - step]
                     mean = np.mean([inverse[at[0], at[1] % COLUMNS] for at in ends])

@@ -104,6 +104,14 @@ def test_houses_have_one_tone_each():
     assert (tone[:, 1:] != tone[:, :-1]).any(0).sum() < 60
 
 
+def test_houses_that_face_each_other_differ():
+    """Left and right at the same place along the street: other tones, and with a sensor at the origin light ones."""
+    tone = facades(*street()[:3], VIEW).tone[0, 1]
+    angle = azimuths(VIEW)
+    left, right = (tone[int((angle - math.radians(at)).abs().argmin())] for at in (75, -75))
+    assert left != right and left > 0 and right > 0
+
+
 def uniform(house: int, which: int) -> float:
     return mixed(house * 31 + which * 0x1B873593 + 1) / 0x80000000
 

@@ -11,6 +11,8 @@ import pytest
 import torch
 from torch import nn
 
+from lidar2pano.models import build
+from lidar2pano.models.card import Card, load, save
 from lidar2pano.models.circular import conv_norm_act
 
 SUPPORT = Path(__file__).resolve().parents[1] / "support"
@@ -70,3 +72,13 @@ def test_four_convolutions_of_a_shuffle_become_their_mean() -> None:
     x = torch.randn(1, 5, 4, 6)
     expected = shuffled.up0[0][:2](x).unflatten(1, (3, 4)).mean(2)
     assert torch.allclose(enlarged[:2](x), expected, atol=1e-5)
+
+
+def test_a_segmenter_that_reads_roughness_begins_as_the_one_before(tmp_path: Path) -> None:
+    network, card = build("salsanext", classes=4), Card(network="salsanext", settings={"classes": 4})
+    save(tmp_path / "five.safetensors", network, card)
+    runpy.run_path(str(RUNS / "with_roughness.py"))["main"](str(tmp_path / "five.safetensors"), str(tmp_path / "six"))
+    longer, card = load(tmp_path / "six")
+    assert card.settings["channels"] == 6 and len(card.normalisation["mean"]) == 6
+    x = torch.randn(1, 6, 16, 16)
+    torch.testing.assert_close(longer.eval()(x), network.eval()(x[:, :5]), atol=0.002, rtol=0)

@@ -6,12 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
 
 from lidar2pano.train.options import ScenePaintingOptions
-from lidar2pano.train.painting_frames import SCORED_PIXELS, PaintingFrames, made_by
+from lidar2pano.train.painting_frames import MARGIN, SCORED_PIXELS, PaintingFrames, made_by
 from lidar2pano.views import VIEWS
 
 CAR, ROAD, SKY = 1, 7, 15
@@ -74,13 +75,14 @@ def test_files_depend_on_networks_raster_and_data_set(tmp_path):
     keys.append(made_by(replace(view, rows=8), str(one), str(one)))
     assert len(set(keys)) == 5 and made_by(view, str(one), str(one)) == keys[0]
 
-    def file(root: Path, cache: str = "", key: str = keys[0]) -> Path:
+    def file(root: Path, cache: str = "", key: str = keys[0], shift_px: int = 48) -> Path:
         frames = object.__new__(PaintingFrames)
         frames.options, frames._made_by = ScenePaintingOptions(cache=cache), key
-        frames.crops = SimpleNamespace(frames=[SimpleNamespace(root=root, name="00/000007")])
+        frames.crops = SimpleNamespace(frames=[SimpleNamespace(root=root, name="00/000007")], shift_px=shift_px)
         return frames._file(0)
 
     assert file(tmp_path / "x" / "day").is_relative_to(tmp_path / "x" / "day" / ".lidar2pano" / "painting")
+    assert file(tmp_path / "x") != file(tmp_path / "x", shift_px=100), "files of a camera's sector hold no more than it"
     kept = tmp_path / "kept"
     files = {file(tmp_path / folder / "day", str(kept), key) for folder in "xy" for key in keys[:2]}
     assert len(files) == 4
@@ -99,3 +101,25 @@ def test_the_mean_of_a_look_does_not_depend_on_what_was_made_before(frames):
     frames._means, frames.crops = {}, SimpleNamespace(window=lambda index: {1: window}[index])
     for one, other in zip(wanted, frames._tones(0), strict=True):
         torch.testing.assert_close(one, other, atol=0.005, rtol=0)
+
+
+def test_crops_lie_where_a_camera_looks_but_for_a_share():
+    """A camera sees 100 of 1000 columns, from 300 on; crops are 64 wide and may begin MARGIN before."""
+    frames, known = object.__new__(PaintingFrames), torch.zeros(4, 2000, dtype=torch.bool)
+    known[1, 600:800] = True
+    starts = {}
+    for share in (0.0, 0.5):
+        frames.options = ScenePaintingOptions(columns=64, elsewhere_probability=share)
+        generator = np.random.default_rng(0)
+        assert abs(frames._start(known, None) - (350 - 32)) <= 1
+        starts[share] = [frames._start(known, generator) for _ in range(2000)]
+    assert min(starts[0.0]) == 300 - MARGIN and max(starts[0.0]) == 399 + MARGIN - 64
+    assert min(starts[0.5]) < 20 and max(starts[0.5]) > 1000 - 64 - 20 and max(starts[0.5]) <= 1000 - 64
+    inside = np.mean([300 - MARGIN <= start <= 399 + MARGIN - 64 for start in starts[0.5]])
+    assert 0.5 < inside < 0.65
+
+
+def test_a_crop_may_be_as_wide_as_what_is_known():
+    frames, known = object.__new__(PaintingFrames), torch.ones(4, 128, dtype=torch.bool)
+    frames.options = ScenePaintingOptions(columns=64)
+    assert frames._start(known[:, :128], np.random.default_rng(0)) == 0 == frames._start(known, None)

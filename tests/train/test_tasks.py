@@ -12,6 +12,7 @@ from torch.utils.data import default_collate
 
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.models.card import load
 from lidar2pano.models.families import weight_files
 from lidar2pano.pipeline import Segmenter
@@ -93,6 +94,17 @@ def test_a_segmenter_may_learn_from_scans_of_several_heights(root, tmp_path):
     assert Segmenter.from_card(network, card).tallest == VIEWS["hdl64e-tall"]
     norms = [part for part in network.modules() if isinstance(part, nn.BatchNorm2d)]
     assert all((norm.running_mean == 0).all() and (norm.running_var == 1).all() for norm in norms)
+
+
+def test_a_segmenter_may_read_roughness(root, tmp_path):
+    six = ("networks.segmenter.settings.channels=6",)
+    assert not build_task(small("salsanext-mini", *six), root).dataset.augmentation.moves
+    train(small("salsanext-mini", *six), root, tmp_path, device="cpu")
+    network, card = load(tmp_path / "weights/segmenter.safetensors")
+    segmenter = Segmenter.from_card(network, card)
+    assert segmenter.normalise == Normalisation.of(6)
+    scan = build_task(small("salsanext-mini"), root).validation.scan(0)
+    assert segmenter.points(scan).shape == (len(scan),)
 
 
 def test_the_painter_says_which_weights_it_needs(root):

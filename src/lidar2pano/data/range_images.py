@@ -28,10 +28,13 @@ from lidar2pano.scan import Scan
 from lidar2pano.views import View
 
 
+PLAIN = Normalisation()
+
+
 class RangeImageSample(NamedTuple):
     """One range image with its labels; after collation every tensor gains a leading B.
 
-    lidar   (5, H, W) float32, normalised range image.
+    lidar   (5 or 6, H, W) float32, normalised range image.
     labels  (H, W) int64 ids of SEMANTIC_KITTI, 0 where empty or unlabeled.
     name    "seq/frame".
     """
@@ -47,6 +50,7 @@ class ScanAugmentation:
 
     turn_deg  how far a scan is turned at most, either way.
     chance    probability of each of moving, turning and dropping points; half of the scans are mirrored.
+    moves     whether scans are moved: a moved scan's beams no longer lie in rows, so that its roughness is wrong.
     remission how much brighter or darker, as a share, all of a scan is made at most.
     rings     probability that up to three quarters of its beams are left out, as sensors of fewer beams do.
     no_remission  probability that a scan has no remission, as those of some sensors.
@@ -54,6 +58,7 @@ class ScanAugmentation:
 
     turn_deg: float = 180.0
     chance: float = 0.5
+    moves: bool = True
     remission: float = 0.0
     rings: float = 0.0
     no_remission: float = 0.0
@@ -65,6 +70,7 @@ class RangeImageDataset:
     columns       width of the azimuth crop for training (all of the view where 0).
     augmentation  how samples are augmented.
     tallest       how far rows are added for scans that go beyond `view` (fitted_view); None: none are.
+    normalise     makes a network's input of a range image.
     """
 
     def __init__(
@@ -75,12 +81,13 @@ class RangeImageDataset:
         columns: int = 0,
         augmentation: ScanAugmentation | None = None,
         tallest: View | None = None,
+        normalise: Normalisation = PLAIN,
     ) -> None:
         self.frames = frames_of(root, splits)
         self.view, self.tallest = view, tallest
         self.columns = columns or view.columns
         self.augmentation = augmentation or ScanAugmentation()
-        self.normalise = Normalisation()
+        self.normalise = normalise
         self._cache = LruCache()
 
     def __len__(self) -> int:
@@ -124,7 +131,7 @@ def augmented(scan: Scan, generator: np.random.Generator, by: ScanAugmentation) 
     """SalsaNext's augmentation: move, mirror, turn, drop up to half of the points; other remission or none, fewer beams."""
     if by.rings and generator.random() < by.rings:  # before it moves: beams are those of where it was taken
         scan = drop_rings(scan, generator, HDL64E_BEAM_DEG, generator.uniform(0, 0.75))
-    if generator.random() < by.chance:
+    if by.moves and generator.random() < by.chance:
         scan = shift(scan, generator, (5.0, 3.0, 0.5))
     if generator.random() < 0.5:
         scan = mirror(scan)

@@ -34,8 +34,7 @@ def main(scan, out):
     points = points[np.isfinite(points).all(1) & (np.linalg.norm(points[:, :3], axis=1) >= OWN_VEHICLE_M)]
     segmenter, translator, painter = (Graph(role) for role in ("segmenter", "translator", "painter"))
     image, row, column, owner = project(points, segmenter.card["views"]["input"])
-    mean, deviation = (np.float32(value)[:, None, None] for value in segmenter.card["normalisation"].values())
-    (logits,) = segmenter((image - mean) / deviation * (owner >= 0))
+    (logits,) = segmenter(normalised(image, segmenter.card["normalisation"]))
     labels = logits.argmax(0)[row.clip(0, len(logits[0]) - 1), column]  # of each point
     view = translator.card["views"]["panorama"]
     image, _, _, owner = project(points, view)
@@ -88,6 +87,15 @@ def project(points, view):
     owner[row[order], column[order]] = order
     channels = np.column_stack([range_m, xyz, points[:, 3]])[owner].transpose(2, 0, 1)
     return channels * (owner >= 0), row, column, owner
+
+
+def normalised(image, normalisation):
+    """What the segmenter reads of a range image: its channels, zero where empty, and by its card the roughness."""
+    mean, deviation = (np.array(normalisation[part])[:, None, None] for part in ("mean", "deviation"))
+    total, count = deviations(image)
+    channels = np.concatenate([image, (total / count.clip(min=1))[None]])[: len(mean)]
+    known = np.concatenate([np.repeat(image[:1] > 0, 5, 0), count[None] > 0])[: len(mean)]
+    return (channels - mean) / deviation * known
 
 
 def softmax(logits):
@@ -215,15 +223,8 @@ def weigh_by_height(segments, best, depth_m, view):
 
 def roughness(image):
     """Mean logarithm (H, W) of how far points are from the line between two beside them, NaN in columns without any."""
-    flat = np.hypot(image[1], image[2])
-    inverse = np.where(flat > 0, 1 / np.where(flat > 0, flat, 1), 0)
-    sums = np.zeros((2, *flat.shape))
-    for away in (1, 2, 3):
-        left, right = np.roll(inverse, away, 1), np.roll(inverse, -away, 1)
-        known = (left > 0) & (right > 0) & (inverse > 0)
-        off = np.abs((left + right) / 2 - inverse) * flat**2
-        sums += np.stack([np.log((off + 0.001).clip(max=1)), np.ones(flat.shape)]) * known
-    rows, columns = len(flat) // 2, flat.shape[1] // 4
+    sums = deviations(image)
+    rows, columns = sums.shape[1] // 2, sums.shape[2] // 4
     sums = sums.reshape(2, rows, 2, columns, 4).sum((2, 4))
     sums = sum(np.roll(sums, shift, 2) for shift in range(-2, 3))
     padded = np.pad(sums, ((0, 0), (2, 2), (0, 0)))
@@ -233,6 +234,19 @@ def roughness(image):
     higher = np.maximum.accumulate(np.where(np.isnan(mean), -1, row), 0)
     mean = np.take_along_axis(mean, np.where(below < rows, below, higher.clip(min=0)), 0)
     return mean.repeat(2, 0).repeat(4, 1)
+
+
+def deviations(image):
+    """Sums of that logarithm for each point, and how many comparisons they are of: (2, H, W)."""
+    flat = np.hypot(image[1], image[2])
+    inverse = np.where(flat > 0, 1 / np.where(flat > 0, flat, 1), 0)
+    sums = np.zeros((2, *flat.shape))
+    for away in (1, 2, 3):
+        left, right = np.roll(inverse, away, 1), np.roll(inverse, -away, 1)
+        known = (left > 0) & (right > 0) & (inverse > 0)
+        off = np.abs((left + right) / 2 - inverse) * flat**2
+        sums += np.stack([np.log((off + 0.001).clip(max=1)), np.ones(flat.shape)]) * known
+    return sums
 
 
 def height_above(road, radius_m, z_m, view):
@@ -290,9 +304,9 @@ def mean_of_planes(inverse):
     """Means over opposite pixels, where what lies between them is on one plane with them: rows, then columns."""
     rows = np.arange(len(inverse))[:, None]
     for axis in (0, 1):
-        inside = (rows >= 4) & (rows < len(rows) - 4) if axis == 0 else rows >= 0
         total, count = inverse.copy(), np.ones(inverse.shape)
         for away in (1, 2, 4):
+            inside = (rows >= away) & (rows < len(rows) - away) if axis == 0 else rows >= 0
             mean = (np.roll(inverse, away, axis) + np.roll(inverse, -away, axis)) / 2
             even = inside & (np.abs(mean - inverse) < 0.03 * inverse)
             total, count = total + even * mean, count + even
@@ -355,7 +369,8 @@ def facades(walls, radius_m, slope, above_m, view):
     number = sum(np.roll(votes, shift, 1) for shift in range(-REACH, REACH + 1)).argmax(0)
     run = number * np.pi / 8
     along = ((radius * ray + np.array(view["origin"][:2])[:, None]) * np.stack([np.cos(run), np.sin(run)])).sum(0)
-    number += (np.floor(along / HOUSE_M).astype(np.int64) + (1 << 20)) * 8
+    beyond = y * np.cos(run) > x * np.sin(run)  # of two walls that face each other
+    number += ((np.floor(along / HOUSE_M).astype(np.int64) + (1 << 20)) * 2 + beyond) * 8 + 10_000_030
     house, pixel_m = mixed(number), radius / focal
     width_m = pixel_m / np.maximum(np.abs(facing), 0.05)
     elsewhere = (np.abs(radius_m / radius - 1) / 0.25 - 1).clip(0, 1)

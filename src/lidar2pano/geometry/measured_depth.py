@@ -8,8 +8,6 @@ On a cylinder the inverse of the horizontal distance is linear in the row, on ev
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor
 
@@ -99,25 +97,20 @@ def _evened(inverse: Tensor) -> Tensor:
 
     Where it is not, by more than ON_PLANE, a border lies between them, and they do not count.
     """
-    rows = inverse.shape[1]
-    reach = min(max(EVEN_PX), rows // 2)
-    inner = slice(reach, rows - reach)
-    steps = [away for away in EVEN_PX if away <= reach]
-    opposite = [[inverse[:, inner.start + step : inner.stop + step] for step in (-away, away)] for away in steps]
-    inverse = torch.cat([inverse[:, :reach], _mean_of(inverse[:, inner], opposite), inverse[:, inner.stop :]], 1)
-    reach = max(EVEN_PX)
-    columns = inverse.shape[2]
-    turn = torch.cat([inverse[..., -reach:], inverse, inverse[..., :reach]], 2)
-    opposite = [[turn[..., reach + step :][..., :columns] for step in (-away, away)] for away in EVEN_PX]
-    return _mean_of(inverse, opposite)
+    total, count = inverse.clone(), torch.ones_like(inverse)
+    for away in EVEN_PX:
+        inner = slice(away, -away)
+        _add_even(total[:, inner], count[:, inner], inverse[:, inner], inverse[:, : -2 * away], inverse[:, 2 * away :])
+    inverse = total.div_(count)
+    total, count = inverse.clone(), torch.ones_like(inverse)
+    for away in EVEN_PX:
+        _add_even(total, count, inverse, inverse.roll(away, 2), inverse.roll(-away, 2))
+    return total.div_(count)
 
 
-def _mean_of(middle: Tensor, opposite: Sequence[Sequence[Tensor]]) -> Tensor:
-    """The mean of values and of those pairs around them whose own mean is near."""
-    limit, total, count = ON_PLANE * middle, torch.zeros_like(middle), torch.ones_like(middle)
-    for each in opposite:
-        off = torch.add(*each).mul_(0.5).sub_(middle)
-        even = off.abs() < limit
-        total.add_(off.mul_(even))
-        count.add_(even)
-    return total.div_(count).add_(middle)
+def _add_even(total: Tensor, count: Tensor, middle: Tensor, one: Tensor, other: Tensor) -> None:
+    """Add the mean of two opposite pixels to `total`, and 1 to `count`, where it is near the value in their middle."""
+    mean = torch.add(one, other).mul_(0.5)
+    even = (mean - middle).abs_() < ON_PLANE * middle
+    total.add_(mean.mul_(even))
+    count.add_(even)

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import one_hot
 
+from lidar2pano.geometry.roughness import deviations
 from lidar2pano.labels import LabelSet
 from lidar2pano.scan import Scan
 from lidar2pano.views import View, view_of
@@ -65,26 +66,44 @@ class RangeImage:
         return torch.cat([values, values.new_full((1,), empty)])[self.index]  # where no point is, -1: the last
 
 
+ROUGHNESS = (math.log(0.03), 1.3)  # mean and deviation of the logarithm of the roughness, metres
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Normalisation:
-    """Means and deviations of the five channels range, x, y, z (metres) and remission.
+    """Means and deviations of the five channels range, x, y, z (metres) and remission; a sixth: log of the roughness.
 
     The defaults are those of the published weights (SqueezeSeg's numbers, as SalsaNext and TITAN-Net use them).
+    Roughness (geometry.roughness, metres) is millimetres to decimetres: the half precision that networks compute in
+    cannot tell it from ranges, of which a step is 4 cm at 10 m.
     """
 
     mean: tuple[float, ...] = (12.12, 10.88, 0.23, -1.04, 0.21)
     deviation: tuple[float, ...] = (12.32, 11.47, 6.91, 0.86, 0.16)
 
     def __post_init__(self) -> None:
-        """Refuse other than five numbers each, and deviations that are not positive (ValueError)."""
-        if len(self.mean) != 5 or len(self.deviation) != 5 or min(self.deviation) <= 0:
-            raise ValueError("normalisation needs a mean and a positive deviation for each of 5 channels")
+        """Refuse other than five or six numbers each, and deviations that are not positive (ValueError)."""
+        if len(self.mean) not in (5, 6) or len(self.deviation) != len(self.mean) or min(self.deviation) <= 0:
+            raise ValueError("normalisation needs a mean and a positive deviation for each of 5 channels, or of 6")
+
+    @classmethod
+    def of(cls, channels: int) -> Normalisation:
+        """The defaults for a network that reads so many channels: with roughness where they are six."""
+        plain = cls()
+        if channels == len(plain.mean):
+            return plain
+        return cls(mean=(*plain.mean, ROUGHNESS[0]), deviation=(*plain.deviation, ROUGHNESS[1]))
 
     def __call__(self, image: RangeImage) -> Tensor:
-        """(5, H, W) float32: normalised, then zero where empty."""
+        """(5 or 6, H, W) float32: normalised, then zero where empty, and where no roughness was measured."""
         mean = image.channels.new_tensor(self.mean)[:, None, None]
         deviation = image.channels.new_tensor(self.deviation)[:, None, None]
-        return (image.channels - mean) / deviation * image.valid
+        read = (image.channels - mean[:5]) / deviation[:5] * image.valid
+        if len(mean) == 5:
+            return read
+        total, count = deviations(image.channels[None])
+        rough = (total / count.clamp(min=1) - mean[5]) / deviation[5] * (count > 0)
+        return torch.cat([read, rough])
 
 
 def project(scan: Scan, view: View | str, *, device: str | torch.device = "cpu") -> RangeImage:

@@ -56,6 +56,19 @@ def roughness(channels: Tensor) -> Tensor:
     Over blocks of BLOCK pixels and those around them; where too few points are, that of the next block below it, else
     above it, in which there are enough; NaN in columns without any.
     """
+    total, count = deviations(channels)
+    size = total.shape[1:]
+    sums = adaptive_avg_pool2d(torch.stack([total, count], 1), (size[0] // BLOCK[0], size[1] // BLOCK[1]))
+    total, count = _around(sums * (BLOCK[0] * BLOCK[1])).unbind(1)
+    mean = torch.where(count > ENOUGH, total / count.clamp(min=1), torch.nan)
+    return interpolate(_completed(mean)[:, None], size)[:, 0].exp()
+
+
+def deviations(channels: Tensor) -> tuple[Tensor, Tensor]:
+    """Sums and numbers, both (B, H, W), of the logarithms of how far a point is from lines between those beside it.
+
+    channels  (B, 5, H, W) of a RangeImage; rows are a beam's, or nearly.
+    """
     flat = torch.hypot(channels[:, 1].float(), channels[:, 2].float())
     inverse = torch.where(flat > 0, 1 / flat, 0.0)
     total, count = torch.zeros_like(flat), torch.zeros_like(flat)
@@ -65,11 +78,7 @@ def roughness(channels: Tensor) -> Tensor:
         off_m = ((left + right).mul_(0.5).sub_(inverse)).abs_().mul_(flat).mul_(flat)  # to first order
         total += off_m.add_(LEAST_M).clamp_(max=MOST_M).log_().mul_(known)
         count += known
-    sizes = (flat.shape[1] // BLOCK[0], flat.shape[2] // BLOCK[1])
-    sums = adaptive_avg_pool2d(torch.stack([total, count], 1), sizes) * (BLOCK[0] * BLOCK[1])
-    total, count = _around(sums).unbind(1)
-    mean = torch.where(count > ENOUGH, total / count.clamp(min=1), torch.nan)
-    return interpolate(_completed(mean)[:, None], flat.shape[1:])[:, 0].exp()
+    return total, count
 
 
 def _around(x: Tensor) -> Tensor:

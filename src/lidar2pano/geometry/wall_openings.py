@@ -29,6 +29,7 @@ WARMTH = 0.25  # how much redder and less blue than grey a house is, at most
 EVERY = 4  # rows of a raster for each that distances are read from
 LEAST = 0.3  # rows of a column that show a wall; with fewer the column has none
 AWAY = 1 << 20  # houses; keeps their numbers positive
+DRAWN = 10_000_030  # which houses there are: with these, the ones beside a sensor whose pose is not known are light
 
 
 class Facades(NamedTuple):
@@ -94,7 +95,8 @@ def _walls(profile: Tensor, weight: Tensor, view: View, T_world_sensor: np.ndarr
     along = ((radius[:, None] * ray + start[:, None]) * torch.stack([run.cos(), run.sin()], 1)).sum(1)
     house = (along / HOUSE_M).floor()
     width = radius / view.focal_px / facing.abs().clamp(min=0.05)
-    mixed = _mixed((house.long() + AWAY) * DIRECTIONS + number.long())
+    beyond = mean[:, 1] * run.cos() > mean[:, 0] * run.sin()  # of the two that face each other across a street
+    mixed = _mixed(((house.long() + AWAY) * 2 + beyond) * DIRECTIONS + number.long() + DRAWN)
     return Walls(radius.float(), (along - house * HOUSE_M).float(), width.float(), mixed)
 
 

@@ -219,6 +219,8 @@ class ScenePaintingOptions(TaskOptions):
     remission_drop_probability  of a crop without remission.
     simulated_probability      where there are real and simulated frames: of the second of a sample's two crops being
                                of a simulated frame; otherwise it is of a real one, as the first.
+    elsewhere_probability      of a crop that begins anywhere, also where no camera looked, and only the discriminator
+                               and the classes' colours teach. 0: none does, and the files of frames are smaller.
     augment_probability        of each kind of DiffAugment.
     fixed_norms                whether norms keep their statistics.
     look                       of frames that no simulator made; "": the painter's own.
@@ -244,6 +246,7 @@ class ScenePaintingOptions(TaskOptions):
     remission_scale: float = 0.0
     remission_drop_probability: float = 0.0
     simulated_probability: float = 0.5
+    elsewhere_probability: float = 0.0
     augment_probability: float = 0.0
     fixed_norms: bool = False
     look: str = ""

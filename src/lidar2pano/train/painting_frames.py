@@ -32,7 +32,7 @@ from lidar2pano.views import View
 NOT_FLIPPED = ("look", "tone", "class_tones", "class_means")
 SCORED_PIXELS = 30  # known pixels of a class in a frame, of every 64th; fewer say nothing about its tone
 MEAN_OF = 48  # frames at most of a look, evenly spaced, for its mean colours
-FORM = 4  # raised when the files of the same frames hold something else
+FORM = 5  # raised when the files of the same frames hold something else
 MARGIN = 48  # columns of a camera's sector that are kept on each side beyond those of a crop
 
 
@@ -83,7 +83,8 @@ class PaintingFrames:
         looks, own = painter.looks, options.look or painter.look
         self.pipeline, self.options = pipeline, options
         self._made_by = made_by(pipeline.view, options.translator, options.segmenter)
-        self.crops = PanoramaDataset(root, splits, pipeline.view, options.columns, image=True, shift_px=MARGIN)
+        margin = (pipeline.view.columns - options.columns) // 2 if options.elsewhere_probability else MARGIN
+        self.crops = PanoramaDataset(root, splits, pipeline.view, options.columns, image=True, shift_px=margin)
         simulated = [look_of(frame) for frame in self.crops.frames]
         for frame, look in zip(self.crops.frames, simulated, strict=True):
             if (look or own) not in looks:
@@ -114,8 +115,7 @@ class PaintingFrames:
 
     def _crop(self, index: int, generator: np.random.Generator | None) -> PaintingSample:
         kept, columns = self.kept(index), self.options.columns
-        spare = kept["camera"].shape[1] - columns
-        start = spare // 2 if generator is None else int(generator.integers(spare + 1))
+        start = self._start(kept["seen"], generator)
         coarse, fine = slice(start, start + columns), slice(2 * start, 2 * (start + columns))
         channels = torch.zeros(5, len(kept["valid"]), columns)
         channels[0], channels[4] = kept["valid"][:, coarse], kept["remission"][:, coarse]
@@ -138,6 +138,20 @@ class PaintingFrames:
         flipped = {name: getattr(sample, name).flip(-1) for name in sample._fields if name not in NOT_FLIPPED}
         return sample._replace(**flipped)
 
+    def _start(self, known: Tensor, generator: np.random.Generator | None) -> int:
+        """A crop's first column: where a camera looks, but for a share anywhere; for None in the middle of that."""
+        columns = self.options.columns
+        spare = known.shape[1] // 2 - columns
+        first, last = known.any(0).nonzero()[[0, -1], 0].tolist()
+        middle = min(max((first + last) // 4 - columns // 2, 0), spare)
+        if generator is None:
+            return middle
+        if generator.random() < self.options.elsewhere_probability:
+            return int(generator.integers(spare + 1))
+        least = min(max(first // 2 - MARGIN, 0), middle)
+        most = max(min(last // 2 + MARGIN - columns, spare), middle)
+        return int(generator.integers(least, most + 1))
+
     def kept(self, index: int) -> dict[str, Tensor]:
         """What is made of a frame, from its file; the first use writes it."""
         file = self._file(index)
@@ -150,7 +164,7 @@ class PaintingFrames:
         frame = self.crops.frames[index]
         assert frame.root is not None, "frames of data sets have one"
         root, stem = frame.root.resolve(), frame.name.replace("/", "-")
-        key = hashlib.sha256(f"{self._made_by} {root}".encode()).hexdigest()[:16]
+        key = hashlib.sha256(f"{self._made_by} {self.crops.shift_px} {root}".encode()).hexdigest()[:16]
         folder = Path(self.options.cache) if self.options.cache else root / ".lidar2pano"
         return folder / "painting" / key / f"{root.name}-{stem}.safetensors"
 

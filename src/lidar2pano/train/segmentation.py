@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.data.frames import evenly_spaced
-from lidar2pano.data.range_images import RangeImageDataset, RangeImageSample, ScanAugmentation
+from lidar2pano.data.range_images import PLAIN, RangeImageDataset, RangeImageSample, ScanAugmentation
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.labels import SEMANTIC_KITTI
@@ -32,9 +32,12 @@ class Segmentation:
     def __init__(self, recipe: Recipe[SegmentationOptions], root: Path) -> None:
         self.view, self.options = VIEWS[recipe.view], recipe.options
         options = recipe.options
+        channels = recipe.networks["segmenter"].settings.get("channels", len(PLAIN.mean))
+        self.normalise = Normalisation.of(channels)
         vary = ScanAugmentation(
             turn_deg=options.rotation_deg,
             chance=options.augment_probability,
+            moves=channels == len(PLAIN.mean),
             remission=options.remission_scale,
             rings=options.ring_drop_probability,
             no_remission=options.remission_drop_probability,
@@ -42,8 +45,12 @@ class Segmentation:
         self.tallest = view_of(options.tallest) if options.tallest else None
         if self.tallest is not None and recipe.training.batch != recipe.training.accumulate:
             raise InputError("options.tallest makes scans of several heights: set training.accumulate=training.batch")
-        self.dataset = RangeImageDataset(root, recipe.data.train, self.view, options.columns, vary, self.tallest)
-        self.validation = RangeImageDataset(root, recipe.data.val, self.view, tallest=self.tallest)
+        self.dataset = RangeImageDataset(
+            root, recipe.data.train, self.view, options.columns, vary, self.tallest, self.normalise
+        )
+        self.validation = RangeImageDataset(
+            root, recipe.data.val, self.view, tallest=self.tallest, normalise=self.normalise
+        )
         self.networks = build_networks(recipe)
         if not options.dropout:
             for module in self.networks["segmenter"].modules():
@@ -71,7 +78,7 @@ class Segmentation:
     def validate(self) -> dict[str, float]:
         """MIoU and accuracy per point over up to 500 frames of the validation split, but for unlabelled points."""
         network = self.networks["segmenter"]
-        segmenter = Segmenter(network=network, view=self.view, normalise=Normalisation(), tallest=self.tallest)
+        segmenter = Segmenter(network=network, view=self.view, normalise=self.normalise, tallest=self.tallest)
 
         def pairs() -> Iterator[tuple[Tensor, Tensor]]:
             for index in evenly_spaced(len(self.validation)):
@@ -91,4 +98,4 @@ class Segmentation:
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """What a user of the segmenter has to know: label set, view, normalisation."""
-        return {"labels": SEMANTIC_KITTI.name, **range_view_card(self.view, self.tallest)}
+        return {"labels": SEMANTIC_KITTI.name, **range_view_card(self.view, self.tallest, self.normalise)}

@@ -151,9 +151,9 @@ def fix_norms(network: nn.Module) -> None:
             part.eval()
 
 
-def range_view_card(view: View, tallest: View | None = None) -> dict[str, Any]:
+def range_view_card(view: View, tallest: View | None = None, normalise: Normalisation | None = None) -> dict[str, Any]:
     """Fields of the card of a network that reads normalised range images of `view`, as far as `tallest` (Segmenter)."""
-    normalise = Normalisation()
+    normalise = normalise or Normalisation()
     normalisation = {"mean": list(normalise.mean), "deviation": list(normalise.deviation)}
     views = {"input": view, **({"tallest input": tallest} if tallest else {})}
     return {"views": {role: each.as_dict() for role, each in views.items()}, "normalisation": normalisation}
