@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from lidar2pano.geometry.kerbs import FARTHEST_M, KERB_M, MOST_ODDS, PER_M, road_plane, weigh_by_height
+from lidar2pano.geometry.kerbs import FARTHEST_M, LEAST_ODDS, MOST_ODDS, PER_M, road_plane, weigh_by_height
 from lidar2pano.geometry.surface import azimuths, slopes
 from lidar2pano.views import View
 
@@ -40,7 +40,7 @@ def test_heights_count_from_the_roads_plane(tilt):
     depth_m = ground(tilt, above_m)
     near = (depth_m[0] < FARTHEST_M - 1) & (slopes(VIEW)[:, None] < -0.1)
     odds = gained(depth_m, ids)
-    for columns, expected in ((slice(60), -KERB_M * PER_M), (slice(60, 80), 0.02 * PER_M), (slice(80, 90), MOST_ODDS)):
+    for columns, expected in ((slice(60), LEAST_ODDS), (slice(60, 80), 0.02 * PER_M), (slice(80, 90), MOST_ODDS)):
         found = odds[:, columns][near[:, columns]]
         assert found.mean().item() == pytest.approx(expected, abs=0.1)
 

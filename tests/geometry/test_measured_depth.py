@@ -169,7 +169,7 @@ def test_above_the_highest_ring_other_classes_keep_the_guess():
     true_m, ids = street()
     ids[:4] = SKY
     depth_m = found(torch.full_like(true_m, 30.0), channels_of(true_m, rings()), ids)
-    assert torch.allclose(depth_m[:4], torch.tensor(30.0)) and (depth_m[4:12] < 10).all()
+    assert torch.allclose(depth_m[:4], torch.tensor(30.0), rtol=1e-3) and (depth_m[4:12] < 10).all()
 
 
 def test_a_crown_stands_above_its_own_points_on_average():

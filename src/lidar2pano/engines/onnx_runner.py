@@ -218,7 +218,7 @@ def weigh_by_height(segments, best, depth_m, view):
         plane = np.linalg.solve((system * kept) @ system.T + 1e-6 * np.eye(3), (system * kept) @ z)
         kept = np.abs(plane @ system - z) < 0.12
     height_m = radius_m * slope - np.tensordot(plane, place, 1)
-    return weighed(segments, GROUND[1], [ROAD], ((height_m - 0.04) * 40).clip(-2, 2) * (radius_m < 25))
+    return weighed(segments, GROUND[1], [ROAD], ((height_m - 0.04) * 40).clip(-1, 2) * (radius_m < 25))
 
 
 def roughness(image):

@@ -14,7 +14,7 @@ EVERY = 4  # columns for each that it is fitted to
 LEAST_PIXELS = 50  # there; fewer say nothing
 ROUNDS, OFF_PLANE_M = 4, 0.12  # fits, and the distance from the last one's plane beyond which a pixel does not count
 KERB_M, PER_M = 0.04, 40.0  # height that speaks for neither; what a metre more adds to the logarithm of the odds
-MOST_ODDS = 2.0  # in the logarithm: roads are not flat
+LEAST_ODDS, MOST_ODDS = -1.0, 2.0  # in the logarithm: roads are not flat, and sidewalks may lie as low
 
 
 def weigh_by_height(logits: Tensor, ids: Tensor, depth_m: Tensor, view: View, road: int, sidewalk: int) -> None:
@@ -32,7 +32,7 @@ def weigh_by_height(logits: Tensor, ids: Tensor, depth_m: Tensor, view: View, ro
         if plane is None:
             continue
         height_m = z - (plane[0] * x + plane[1] * y + plane[2])
-        odds = ((height_m - KERB_M) * PER_M).clamp_(-MOST_ODDS, MOST_ODDS).mul_(radius < FARTHEST_M)
+        odds = ((height_m - KERB_M) * PER_M).clamp_(LEAST_ODDS, MOST_ODDS).mul_(radius < FARTHEST_M)
         multiply_odds(logits[number, None], sidewalk, [road], odds[None])
 
 
