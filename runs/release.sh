@@ -26,6 +26,7 @@
 # Depths were the translator's own, not those of `geometry.measured_depth`, before `scene-9` and `world-scene-9`; the
 # other corrections of `lidar2pano.corrections` came between `scene-10` and `world-scene-9`, and remission that is evened
 # between beams with the latter. `scene-11` painted the frames of `scene-9`.
+# Painters but `scene-12`, and translators but `world-translator-3`, learned with segmenters that did not read roughness.
 set -euo pipefail
 kitti=$1 out=$2
 form=${FORM--mini} longer=${MINUTES:-1} towns=${TOWNS:-60}
@@ -51,23 +52,46 @@ world autumn --sequences $((towns / 15)) --frames 3 --hz 1.5 --seed 303 --look a
 world evening --sequences $((towns / 15)) --frames 3 --hz 1.5 --seed 404 --look evening
 world drives --sequences $((towns / 6)) --frames 6 --hz 5 --seed 11
 world squares --sequences $((towns * 2 / 5)) --frames 4 --hz 0.7 --seed 9201 --save scans,panorama
+world lanes --sequences $((towns * 17 / 30)) --frames 12 --hz 1.5 --seed 8101 --save scans
+world paper --sequences $((towns * 2 / 5)) --frames 10 --hz 1 --seed 7001 --save scans,camera
+world pandar64-scans --sensor pandar64 --sequences $((towns / 10)) --frames 12 --hz 1.5 --seed 5100 --place avenue --save scans
+world pandar64-mixed --sensor pandar64 --sequences $((towns / 12)) --frames 12 --hz 1.5 --seed 5500 --save scans
+world os1-128-scans --sensor os1-128 --sequences $((towns / 12)) --frames 12 --hz 1.5 --seed 5200 --save scans
+world hdl32e-scans --sensor hdl32e --sequences $((towns / 12)) --frames 12 --hz 1.5 --seed 5300 --save scans
+world vlp16-scans --sensor vlp16 --sequences $((towns / 15)) --frames 12 --hz 1.5 --seed 5400 --save scans
 world test --sequences 5 --frames 4 --hz 10 --seed 909
+sensors=$(printf "$out/towns/%s:all," pandar64-scans pandar64-mixed os1-128-scans hdl32e-scans vlp16-scans)
+sensors=${sensors%,}
 day=$out/towns/day drives=$out/towns/drives overcast=$out/towns/overcast
 
 # Family `world`: from simulated data alone.
+five=networks.segmenter.settings.channels=5 # no roughness
 stage world-segmenter release-segmenter "$out/towns/scans" 25 data.train=all options.rotation_deg=180 options.augment_probability=0.5 \
-  networks.segmenter.optimizer.rate=0.003 training.validate_minutes=0
+  networks.segmenter.optimizer.rate=0.003 training.validate_minutes=0 $five
 stage world-translator release-translator "$day" 25 data.train=train,"$drives:all" \
   options.segmenter="$(weights world-segmenter segmenter)" training.ema=0.99
 all=$overcast:all,$out/towns/autumn:all,$out/towns/evening:all
 stage world-segmenter-2 release-segmenter "$out/towns/streets" 36 data.train=all,"$day:all","$all" options.rotation_deg=180 \
   options.augment_probability=0.4 training.ema=0.99 training.validate_minutes=0 networks.segmenter.optimizer.rate=0.003 \
-  networks.segmenter.start="$(weights world-segmenter segmenter)"
+  networks.segmenter.start="$(weights world-segmenter segmenter)" $five
+with_roughness() { # SEGMENTER OUT
+  mkdir -p "$out/start"
+  python "$here/with_roughness.py" "$1" "$2"
+}
+with_roughness "$(weights world-segmenter-2 segmenter)" "$out/start/world-segmenter.safetensors"
+stage world-segmenter-3 release-segmenter "$out/towns/lanes" 42 data.train=all,"$day:all","$overcast:all","$out/towns/autumn:all,$out/towns/evening:all,$out/towns/paper:all,$out/towns/squares:all","$sensors" \
+  options.rotation_deg=180 options.augment_probability=0.4 training.ema=0.995 training.validate_minutes=0 \
+  networks.segmenter.optimizer.rate=0.003 networks.segmenter.start="$out/start/world-segmenter.safetensors"
 stage world-translator-2 release-translator "$day" 31 data.train=train,"$all" training.ema=0.99 training.validate_minutes=0 \
   options.segmenter="$(weights world-segmenter-2 segmenter)" networks.translator.start="$(weights world-translator translator)"
 mean() { # OUT FILE FILE [SHARES]: what each stage forgets of the one before comes back in the mean of both
   python "$here/mean_weights.py" "$1" "$2" "$3" --shares "${4:-0.5,0.5}"
 }
+stage world-translator-3 release-translator "$day" 16 data.train=all,"$all,$out/towns/squares:all" training.ema=0.99 \
+  training.validate_minutes=0 options.segmenter="$(weights world-segmenter-3 segmenter)" \
+  networks.translator.start="$(weights world-translator-2 translator)" networks.translator.optimizer.rate=0.0012
+world_translator=$out/mean/world-translator.safetensors
+mean "$world_translator" "$(weights world-translator-2 translator)" "$(weights world-translator-3 translator)" 0.4,0.6
 family() { # NAME SEGMENTER TRANSLATOR PAINTER SCORES LICENCE
   mkdir -p "$out/$1"
   cp "$2" "$out/$1/segmenter.safetensors"
@@ -104,21 +128,28 @@ scene world-scene-9 "$day" 27 "train,$all,$out/towns/squares:all" "${inputs2[@]}
   networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
 painter=$out/finished/world.safetensors
 python "$here/finish_painter.py" "$(weights world-scene-9 painter)" "$painter" "$out/frames/world-scene-9/painting/*/day-*.safetensors" --look day --power 4
-lidar2pano evaluate "$painter+$out/world-translator-2+$out/world-segmenter-2" --data "$out/towns/test" --split all \
+lidar2pano evaluate "$painter+$world_translator+$out/world-segmenter-3" --data "$out/towns/test" --split all \
   --json "$out/world.json"
-family world "${inputs2[@]}" "$painter" "$out/world.json" Apache-2.0
+family world "$(weights world-segmenter-3 segmenter)" "$world_translator" "$painter" "$out/world.json" Apache-2.0
 
 # Family `kitti-mini`: goes on where runs/kitti_mini.sh ended (in the same OUT), towns beside real frames.
 stage segmenter-4 release-segmenter "$kitti" 34 data.train=train,train,labelled,"$out/towns/scans:all" \
-  networks.segmenter.start="$(weights segmenter-3 segmenter)" training.validate_minutes=11
+  networks.segmenter.start="$(weights segmenter-3 segmenter)" training.validate_minutes=11 $five
 stage segmenter-5 release-segmenter "$kitti" 14 data.train=train,labelled options.augment_probability=0.2 training.ema=0.99 \
   networks.segmenter.start="$(weights segmenter-4 segmenter)" networks.segmenter.optimizer.rate=0.001 \
-  training.validate_minutes=7
+  training.validate_minutes=7 $five
 mean "$out/mean/segmenter.safetensors" "$(weights segmenter-3 segmenter)" "$(weights segmenter-5 segmenter)" 0.4,0.6
 stage segmenter-6 release-segmenter "$kitti" 40 data.train=train,labelled training.ema=0.997 \
   networks.segmenter.start="$out/mean/segmenter.safetensors" networks.segmenter.optimizer.rate=0.0015 \
-  training.validate_minutes=13
+  training.validate_minutes=13 $five
 segmenter=$(weights segmenter-6 segmenter)
+with_roughness "$segmenter" "$out/start/kitti-segmenter.safetensors"
+often=$(printf 'train,%.0s' {1..6})$(printf 'labelled,%.0s' {1..8})
+stage segmenter-7 release-segmenter "$kitti" 26 data.train="$often$sensors" options.rotation_deg=180 \
+  options.augment_probability=0.4 training.ema=0.995 training.validate_minutes=0 \
+  networks.segmenter.optimizer.rate=0.0025 networks.segmenter.start="$out/start/kitti-segmenter.safetensors"
+rough=$out/mean/rough-segmenter.safetensors
+mean "$rough" "$out/start/kitti-segmenter.safetensors" "$(weights segmenter-7 segmenter)"
 
 stage translator-4 release-translator "$kitti" 28 data.train=train,train,"$day:train","$drives:train" \
   options.segmenter="$(weights segmenter-5 segmenter)" networks.translator.start="$out/family/translator.safetensors" \
@@ -160,7 +191,10 @@ scene scene-10 "$kitti" 27 "train,$day:all,$all" "$segmenter" "$translator" "$(w
 scene scene-11 "$kitti" 17 "train,$day:all,$all" "$segmenter" "$translator" "$(weights scene-10 painter)" \
   "${kitti_looks[@]}" training.batch=1 "${fixed[@]}" options.simulated_probability=0.4 options.invented_probability=0.4 \
   options.fringes=100
+scene scene-12 "$kitti" 25 "train,$day:all,$all" "$rough" "$translator" "$(weights scene-11 painter)" \
+  "${kitti_looks[@]}" training.batch=1 "${fixed[@]}" options.simulated_probability=0.4 options.invented_probability=0.4 \
+  options.fringes=100 options.elsewhere_probability=0.35
 painter=$out/finished/kitti.safetensors
-python "$here/finish_painter.py" "$(weights scene-11 painter)" "$painter" "$out/frames/scene-11/painting/*/${kitti##*/}-*.safetensors" --look kitti --power 4
-lidar2pano evaluate "$painter+$translator+$segmenter" --data "$kitti" --split val --json "$out/kitti.json"
-family kitti-mini "$segmenter" "$translator" "$painter" "$out/kitti.json" CC-BY-NC-SA-4.0
+python "$here/finish_painter.py" "$(weights scene-12 painter)" "$painter" "$out/frames/scene-12/painting/*/${kitti##*/}-*.safetensors" --look kitti --power 4
+lidar2pano evaluate "$painter+$translator+$rough" --data "$kitti" --split val --json "$out/kitti.json"
+family kitti-mini "$rough" "$translator" "$painter" "$out/kitti.json" CC-BY-NC-SA-4.0

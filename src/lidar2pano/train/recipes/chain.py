@@ -15,10 +15,10 @@ from lidar2pano.train.options import PanoramaOptions, ScenePaintingOptions, Segm
 from lidar2pano.train.recipe import Data, Network, Optimizer, Recipe, Training, on_two_cores, vary
 
 
-def salsanext() -> Recipe[SegmentationOptions]:
-    """SalsaNext on LiDAR labels: cross-entropy with class weights, and Lovasz-Softmax."""
+def salsanext(channels: int = 5) -> Recipe[SegmentationOptions]:
+    """SalsaNext on LiDAR labels: cross-entropy with class weights, and Lovasz-Softmax. 6 channels: with roughness."""
     optimizer = Optimizer(rate=3e-3, weight_decay=1e-2, warmup=50, clip=5.0)
-    settings = {"classes": 20, "channels": 5}
+    settings = {"classes": 20, "channels": channels}
     return Recipe(
         view="hdl64e",
         networks={"segmenter": Network(model="salsanext", settings=settings, optimizer=optimizer)},
@@ -75,11 +75,14 @@ def scene_painter() -> Recipe[ScenePaintingOptions]:
 
 
 def release_segmenter() -> Recipe:
-    """SalsaNext without dropout, which lowers scores in short runs; some scans have fewer beams or no remission."""
+    """SalsaNext that reads roughness, without dropout, which lowers scores in short runs.
+
+    Some scans have fewer beams or no remission.
+    """
     augmentation = {"rotation_deg": 20.0, "augment_probability": 0.3, "ring_drop_probability": 0.3}
     remission = {"remission_scale": 0.3, "remission_drop_probability": 0.2}
     options = {**augmentation, **remission, "class_weight_exponent": 0.3, "dropout": False}
-    return _release(salsanext(), "segmenter", 2e-3, options)
+    return _release(salsanext(channels=6), "segmenter", 2e-3, options)
 
 
 def release_translator() -> Recipe:
