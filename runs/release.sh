@@ -195,6 +195,7 @@ scene scene-12 "$kitti" 25 "train,$day:all,$all" "$rough" "$translator" "$(weigh
   "${kitti_looks[@]}" training.batch=1 "${fixed[@]}" options.simulated_probability=0.4 options.invented_probability=0.4 \
   options.fringes=100 options.elsewhere_probability=0.35
 painter=$out/finished/kitti.safetensors
-python "$here/finish_painter.py" "$(weights scene-12 painter)" "$painter" "$out/frames/scene-12/painting/*/${kitti##*/}-*.safetensors" --look kitti --power 4
+mean "$out/mean/painter-12.safetensors" "$(weights scene-11 painter)" "$(weights scene-12 painter)" 0.4,0.6
+python "$here/finish_painter.py" "$out/mean/painter-12.safetensors" "$painter" "$out/frames/scene-12/painting/*/${kitti##*/}-*.safetensors" --look kitti --power 4
 lidar2pano evaluate "$painter+$translator+$rough" --data "$kitti" --split val --json "$out/kitti.json"
 family kitti-mini "$rough" "$translator" "$painter" "$out/kitti.json" CC-BY-NC-SA-4.0

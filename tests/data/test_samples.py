@@ -128,7 +128,7 @@ def test_the_share_of_scans_that_lose_their_remission():
     assert 0.15 < np.mean(constant) < 0.35
 
 
-def test_scans_whose_roughness_is_read_are_not_moved():
+def test_where_roughness_is_read_scans_are_not_moved():
     """Moved, the rows of a range image mix beams, and their roughness is that of the mixture."""
     scan = street(5)
     for moves in (True, False):
