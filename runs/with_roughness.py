@@ -20,10 +20,9 @@ FIRST = "downCntx.conv1.weight"  # of SalsaNext: (32, channels, 1, 1)
 def main(weights: str, out: str) -> None:
     card, state = read_card(weights), load_file(weights)
     channels = state[FIRST].shape[1] + 1
-    normalise = Normalisation.of(channels)
     network = build("salsanext", **(settings := {**card.settings, "channels": channels}))
     network.load_state_dict(state | {FIRST: pad(state[FIRST], (0, 0, 0, 0, 0, 1))})
-    normalisation = {"mean": list(normalise.mean), "deviation": list(normalise.deviation)}
+    normalisation = Normalisation.of(channels).as_dict()
     save(Path(out), network, replace(card, settings=settings, normalisation=normalisation))
 
 

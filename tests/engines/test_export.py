@@ -155,8 +155,7 @@ def test_the_runner_weighs_by_roughness_as_we_do():
 @pytest.mark.parametrize("channels", [5, 6])
 def test_the_runner_normalises_as_we_do(channels):
     image, normalise = project(street(), VIEWS["hdl64e"]), Normalisation.of(channels)
-    normalisation = {"mean": list(normalise.mean), "deviation": list(normalise.deviation)}
-    found = onnx_runner.normalised(image.channels.double().numpy(), normalisation)
+    found = onnx_runner.normalised(image.channels.double().numpy(), normalise.as_dict())
     assert np.allclose(found, normalise(image), atol=1e-2) and found.shape[0] == channels
     assert np.abs(found - normalise(image).numpy()).mean() < 1e-4
 

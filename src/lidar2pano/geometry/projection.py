@@ -86,6 +86,10 @@ class Normalisation:
         if len(self.mean) not in (5, 6) or len(self.deviation) != len(self.mean) or min(self.deviation) <= 0:
             raise ValueError("normalisation needs a mean and a positive deviation for each of 5 channels, or of 6")
 
+    def as_dict(self) -> dict[str, list[float]]:
+        """What a weight file's card holds of it."""
+        return {"mean": list(self.mean), "deviation": list(self.deviation)}
+
     @classmethod
     def of(cls, channels: int) -> Normalisation:
         """The defaults for a network that reads so many channels: with roughness where they are six."""

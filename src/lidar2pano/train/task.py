@@ -153,7 +153,6 @@ def fix_norms(network: nn.Module) -> None:
 
 def range_view_card(view: View, tallest: View | None = None, normalise: Normalisation | None = None) -> dict[str, Any]:
     """Fields of the card of a network that reads normalised range images of `view`, as far as `tallest` (Segmenter)."""
-    normalise = normalise or Normalisation()
-    normalisation = {"mean": list(normalise.mean), "deviation": list(normalise.deviation)}
+    normalisation = (normalise or Normalisation()).as_dict()
     views = {"input": view, **({"tallest input": tallest} if tallest else {})}
     return {"views": {role: each.as_dict() for role, each in views.items()}, "normalisation": normalisation}
