@@ -18,6 +18,7 @@ from lidar2pano.engines import accelerated, pick_engine
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.camera import at_camera
+from lidar2pano.geometry.columns import rows_beside
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import Normalisation, RangeImage, fitted_view, one_hot_layers, project
 from lidar2pano.geometry.whole_cars import WholeCars
@@ -269,7 +270,8 @@ class Pipeline:
             count=torch.ones_like(translated.depth_m[0].float()),
             T_world_sensor=torch.from_numpy(np.asarray(pose, dtype=np.float64)).to(translated.depth_m.device),
         )
-        return now if before is None else fused(now, before, self.view)
+        above, _ = rows_beside(translated.channels[:, 0] > 0)
+        return now if before is None else fused(now, before, self.view, above[0] >= 0)
 
     def _smoothed(self, previous: PreviousFrame | None, around: Surroundings, image: Tensor) -> PreviousFrame:
         """The image, averaged with those before."""

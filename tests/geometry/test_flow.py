@@ -13,7 +13,16 @@ import torch
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.flow import Flow, camera_rays, chained, ego_flow, reaches, relative_pose, scan_distances
+from lidar2pano.geometry.flow import (
+    Flow,
+    camera_rays,
+    chained,
+    ego_flow,
+    moved_distances,
+    reaches,
+    relative_pose,
+    scan_distances,
+)
 from lidar2pano.geometry.projection import directions
 from lidar2pano.geometry.warp import warp
 from lidar2pano.views import VIEWS, View
@@ -154,8 +163,52 @@ def test_the_panorama_has_no_seam():
     assert torch.allclose(warp(was, flow.shift[None], circular=True), image, atol=1e-3)
 
 
+@pytest.mark.parametrize("align_corners", [True, False])
+def test_cubic_samples_have_no_seam_and_keep_more_detail(align_corners):
+    wave = torch.sin(torch.arange(48) * 2 * math.pi / 6).expand(1, 1, 5, -1).contiguous()
+    half = torch.zeros(1, 2, 5, 48)
+    half[:, 0] = 0.5
+    cubic, linear = (
+        warp(wave, half, circular=True, align_corners=align_corners, cubic=cubic) for cubic in (True, False)
+    )
+    right = torch.sin((torch.arange(48) + 0.5) * 2 * math.pi / 6)
+    off = (cubic[0, 0, 2] - right).abs()
+    assert off.max() < 0.25 * (linear[0, 0, 2] - right).abs().max()
+    noise = torch.rand(1, 3, 5, 48, generator=torch.Generator().manual_seed(0))
+    turned = warp(noise.roll(20, 3), half, circular=True, align_corners=align_corners, cubic=True)
+    straight = warp(noise, half, circular=True, align_corners=align_corners, cubic=True)
+    assert torch.allclose(turned, straight.roll(20, 3), atol=1e-4)
+
+
 def replaced(view: View) -> View:
     return View(**{**view.as_dict(), "origin": (0.0, 0.0, 0.0)})
+
+
+def test_distances_move_with_the_sensor():
+    """A slow definition beside it: each pixel's point goes where it is now, and the nearest one stays."""
+    before = rendered(AROUND, np.eye(4))
+    before[3, 5:9] = 0
+    moved = moved_distances(before, torch.from_numpy(np.linalg.inv(MOTION)), AROUND)
+    origin, rays = looks(AROUND)
+    nearest = np.full(moved.shape, np.inf)
+    reached = np.zeros(moved.shape, bool)
+    for row, column in (before > 0).nonzero().tolist():
+        far = math.isinf(before[row, column])
+        point = origin + (1e9 if far else before[row, column].item()) * rays[row, column]
+        point = MOTION[:3, :3].T @ (point - MOTION[:3, 3])
+        y, x = (math.floor(place + 0.5) for place in place_by_hand(point, AROUND))
+        if 0 <= y < AROUND.rows:
+            reached[y, x % AROUND.columns] = True
+            distance = math.inf if far else float(np.linalg.norm(point - origin))
+            nearest[y, x % AROUND.columns] = min(nearest[y, x % AROUND.columns], distance)
+    agree = np.isclose(moved.numpy(), nearest, rtol=1e-4) | (moved.isinf().numpy() & np.isinf(nearest))
+    assert agree[reached].mean() > 0.995  # but where rounding decides between two pixels
+    gaps = (moved == 0).numpy()
+    assert gaps.mean() < 0.05 < (~reached).mean()
+    none_beside = ~np.isin(np.lib.stride_tricks.sliding_window_view(np.pad(reached, 1, mode="wrap"), (3, 3)), True).any(
+        (2, 3)
+    )
+    assert (gaps[1:-1] == none_beside[1:-1]).all()
 
 
 def test_the_sky_turns_but_does_not_come_nearer(scene):

@@ -6,11 +6,11 @@ import torch
 
 from lidar2pano.geometry.projection import directions
 from lidar2pano.labels import COMMON15
-from lidar2pano.memory import MOST, PreviousFrame, Surroundings, fused, smoothed
+from lidar2pano.memory import DOUBT, LEAST_BEFORE, LEAST_IMAGES, MOST, PreviousFrame, Surroundings, fused, smoothed
 from lidar2pano.views import View
 
 VIEW = View(rows=24, columns=96, up=0.24, down=-0.2836, kind="cylinder", origin=(0.3, 0.1, -0.1))
-ROAD, CAR, SKY = (COMMON15.id_of(name) for name in ("road", "car", "sky"))
+ROAD, CAR, SKY, SIDEWALK, TREE = (COMMON15.id_of(name) for name in ("road", "car", "sky", "sidewalk", "vegetation"))
 STILL = torch.eye(4, dtype=torch.float64)
 
 
@@ -40,18 +40,20 @@ def noise(seed):
 
 
 def test_a_sensor_that_stands_averages_all_its_images():
-    images = [noise(seed) for seed in range(4)]
-    memory = frame(images[0])
-    for image in images[1:]:
+    images = [noise(seed) for seed in range(8)]
+    memory, mean = frame(images[0]), images[0]
+    for number, image in enumerate(images[1:], start=1):
         memory = smoothed(frame(image), memory, VIEW)
-    assert torch.allclose(memory.image, torch.stack(images).mean(0), atol=1e-3)
-    assert (memory.count == 4).all()
+        before = min(max(number, LEAST_IMAGES), MOST - 1)
+        mean = (mean * before + image) / (before + 1)
+        assert torch.allclose(memory.image, mean, atol=1e-3)
+        assert (memory.count == min(number + 1, MOST)).all()
 
 
 def test_the_newest_image_never_weighs_less_than_one_of_most():
     memory = smoothed(frame(noise(0)), frame(noise(1), count=100.0), VIEW)
     assert (memory.count == MOST).all()
-    assert torch.allclose(memory.image, noise(1) + (noise(0) - noise(1)) / MOST, atol=1e-5)
+    assert torch.allclose(memory.image, noise(1) + (noise(0) - noise(1)) / MOST, atol=1e-3)
 
 
 def test_what_was_found_is_moved_over_a_turn_and_across_the_seam():
@@ -88,7 +90,7 @@ def test_a_step_forward_carries_by_distance():
     averaged = memory.count == 2
     assert averaged.float().mean() > 0.9
     there = averaged.repeat_interleave(2, 0).repeat_interleave(2, 1)
-    moved, right, unmoved = 2 * memory.image[0, 0], now[0][0, 0], before[0][0, 0]
+    moved, right, unmoved = memory.image[0, 0] * (1 + 1 / LEAST_IMAGES), now[0][0, 0], before[0][0, 0]
     assert (moved - right)[there].abs().mean() < 0.2 * (unmoved - right)[there].abs().mean()
 
 
@@ -111,7 +113,27 @@ def test_the_sky_is_smoothed_by_the_turn_alone():
     assert (memory.count == 2).all() and (memory.image - now).abs().max() < 1e-3
 
 
+def test_another_class_of_the_same_surface_goes_on_unless_it_may_move():
+    ids = torch.full((24, 96), ROAD, dtype=torch.uint8)
+    ids[5:9, 40:60], ids[15:19, 40:60] = SIDEWALK, CAR
+    memory = smoothed(frame(noise(0), ids=ids), frame(noise(1)), VIEW)
+    assert (memory.count[5:9, 40:60] == 2).all() and (memory.count[15:19, 40:60] == 1).all()
+
+
+def test_what_is_warped_again_and_again_stays_detailed():
+    """Half a pixel to and fro, twenty times: a pattern of eight pixels keeps most of its contrast."""
+    pattern = torch.sin(torch.arange(2 * VIEW.columns) * 2 * np.pi / 8).expand(1, 3, 2 * VIEW.rows, -1).contiguous()
+    memory, nothing = frame(pattern, count=100.0), torch.zeros_like(pattern)
+    for number in range(20):
+        memory = smoothed(frame(nothing, turned(0.25 if number % 2 == 0 else 0)), memory, VIEW)
+    contrast = memory.image[..., VIEW.rows, :].std() / pattern.std() / (1 - 1 / MOST) ** 20
+    assert contrast > 0.8
+
+
 # --- classes and depths -----------------------------------------------------------------------------------------------
+
+
+MEASURED = torch.ones(VIEW.rows, VIEW.columns, dtype=torch.bool)
 
 
 def around(share, depth_m=10.0, pose=STILL, count=1.0, class_id=CAR):
@@ -124,17 +146,19 @@ def around(share, depth_m=10.0, pose=STILL, count=1.0, class_id=CAR):
 
 
 def test_scans_of_a_sensor_that_stands_are_averaged():
-    memory = around(0.2, 10.0)
-    for share, depth_m in ((0.6, 11.0), (0.1, 9.0)):
-        memory = fused(around(share, depth_m), memory, VIEW)
-    assert torch.allclose(memory.segments[0, CAR], torch.tensor(0.3), atol=1e-4)
-    assert torch.allclose(memory.depth_m, torch.tensor((10.0 * 11 * 9) ** (1 / 3)), atol=1e-3)
-    assert (memory.count == 3).all()
+    memory, mean, log_m = around(0.2, 10.0), 0.2, np.log(10.0)
+    for number, (share, depth_m) in enumerate(((0.6, 11.0), (0.1, 9.0), (0.4, 10.5)), start=1):
+        memory = fused(around(share, depth_m), memory, VIEW, MEASURED)
+        before = max(number, LEAST_BEFORE)
+        mean, log_m = (mean * before + share) / (before + 1), (log_m * before + np.log(depth_m)) / (before + 1)
+    assert torch.allclose(memory.segments[0, CAR], torch.tensor(mean), atol=1e-4)
+    assert torch.allclose(memory.depth_m, torch.tensor(np.exp(log_m)).float(), atol=1e-3)
+    assert (memory.count == 4).all()
     assert torch.equal(memory.T_world_sensor, STILL)
 
 
 def test_the_newest_scan_never_weighs_less_than_one_of_most():
-    memory = fused(around(0.6), around(0.0, count=100.0), VIEW)
+    memory = fused(around(0.6), around(0.0, count=100.0), VIEW, MEASURED)
     assert (memory.count == MOST).all() and torch.allclose(memory.segments[0, CAR], torch.tensor(0.6 / MOST), atol=1e-5)
 
 
@@ -142,9 +166,9 @@ def test_classes_are_moved_over_a_turn_and_across_the_seam():
     """After a turn to the left by 7 columns, everything stands 7 columns further right."""
     share = torch.rand(VIEW.rows, VIEW.columns, generator=torch.Generator().manual_seed(0)) * 0.5
     now = share.roll(7, 1)
-    memory = fused(around(now, pose=turned(7)), around(share), VIEW)
+    memory = fused(around(now, pose=turned(7)), around(share), VIEW, MEASURED)
     assert (memory.count == 2).all() and torch.allclose(memory.segments[0, CAR], now, atol=1e-3)
-    other = fused(around(now, pose=turned(-7)), around(share), VIEW)
+    other = fused(around(now, pose=turned(-7)), around(share), VIEW, MEASURED)
     assert (other.segments[0, CAR] - now).abs().mean() > 0.05, "a turn the other way does not fit"
 
 
@@ -156,23 +180,23 @@ def cylinder_m(origin):
 
 
 def test_depths_change_as_the_sensor_moves():
-    """Two metres ahead the walls are elsewhere; depths that were right stay so, and half of an error of 8 % goes."""
+    """Two metres ahead the walls are elsewhere; depths that were right stay so, and errors of 8 % go in part."""
     pose, origin = torch.eye(4, dtype=torch.float64), np.array(VIEW.origin)
     pose[0, 3] = 2.0
     before_m, now_m = cylinder_m(origin), cylinder_m(origin + [2, 0, 0])
-    right = fused(around(0.2, now_m, pose), around(0.2, before_m), VIEW)
+    right = fused(around(0.2, now_m, pose), around(0.2, before_m), VIEW, MEASURED)
     averaged = right.count == 2
     assert averaged.float().mean() > 0.9
     assert (right.depth_m[0] / now_m - 1)[averaged].abs().max() < 0.02
     assert (before_m / now_m - 1).abs().max() > 0.1
-    wrong = fused(around(0.2, 1.08 * now_m, pose), around(0.2, before_m), VIEW)
-    assert (wrong.depth_m[0] / now_m).median() == pytest.approx(1.08**0.5, abs=0.015)
+    wrong = fused(around(0.2, 1.08 * now_m, pose), around(0.2, before_m), VIEW, MEASURED)
+    assert (wrong.depth_m[0] / now_m).median() == pytest.approx(1.08 ** (1 / (LEAST_BEFORE + 1)), abs=0.015)
 
 
 def test_what_is_at_another_distance_begins_again():
     depth_m = torch.full((VIEW.rows, VIEW.columns), 10.0)
     depth_m[5:9, 40:60] = 5
-    memory = fused(around(0.6, depth_m), around(0.0), VIEW)
+    memory = fused(around(0.6, depth_m), around(0.0), VIEW, MEASURED)
     assert (memory.count[5:9, 40:60] == 1).all() and (memory.count[12:] == 2).all()
     assert torch.equal(memory.segments[..., 5:9, 40:60], around(0.6).segments[..., 5:9, 40:60])
     assert torch.equal(memory.depth_m[0, 5:9, 40:60], depth_m[5:9, 40:60])
@@ -183,6 +207,61 @@ def test_the_sky_moves_by_the_turn_alone_and_keeps_its_depth():
     pose[:3, 3] += torch.tensor([5.0, 0.0, 0.0])
     share = 0.6 + 0.3 * torch.rand(VIEW.rows, VIEW.columns, generator=torch.Generator().manual_seed(1))
     now = share.roll(3, 1)
-    memory = fused(around(now, 80.0, pose, class_id=SKY), around(share, 70.0, class_id=SKY), VIEW)
+    memory = fused(around(now, 80.0, pose, class_id=SKY), around(share, 70.0, class_id=SKY), VIEW, MEASURED)
     assert (memory.count == 2).all() and torch.allclose(memory.segments[0, SKY], now, atol=1e-3)
     assert (memory.depth_m == 80).all()
+
+
+# --- what contradicts what was there ----------------------------------------------------------------------------------
+
+UNMEASURED = torch.zeros_like(MEASURED)
+CLEARED = around(1.0, 80.0, class_id=SKY)
+
+
+def tree(count, class_id=TREE, pose=STILL):
+    """A crown at 10 m in columns 40 to 59, before the sky."""
+    there = torch.zeros(VIEW.rows, VIEW.columns)
+    there[:, 40:60] = 0.9
+    segments = torch.zeros(1, len(COMMON15), VIEW.rows, VIEW.columns)
+    segments[0, class_id], segments[0, SKY] = there, 1 - there
+    depth_m = torch.where(there > 0, 10.0, 80.0)[None]
+    return Surroundings(segments, depth_m, torch.full_like(there, count), pose)
+
+
+def test_a_crown_stays_until_scans_without_it_outweigh_it():
+    """A slow definition beside it: the mean of the probabilities, weighted by a count that falls."""
+    memory, count, share, scans = tree(4.0), 4.0, 0.9, 0
+    while share * 2 > 1:
+        memory = fused(CLEARED, memory, VIEW, UNMEASURED)
+        weight = max(count, LEAST_BEFORE) / (max(count, LEAST_BEFORE) + 1)
+        share, count, scans = share * weight, count - DOUBT, scans + 1
+        assert torch.allclose(memory.segments[0, TREE, :, 41:59], torch.tensor(share), atol=1e-3)
+        if share * 2 > 1:
+            assert (memory.depth_m[0, :, 41:59] == 10).all()
+    assert scans > 1 and (memory.depth_m[0, :, 41:59] == 80).all() and (memory.count[:, 41:59] == 1).all()
+
+
+@pytest.mark.parametrize("what", ["measured", "car"])
+def test_what_was_measured_or_may_move_does_not_stay(what):
+    memory = fused(
+        CLEARED, tree(4.0, CAR if what == "car" else TREE), VIEW, MEASURED if what == "measured" else UNMEASURED
+    )
+    assert torch.equal(memory.segments[..., 41:59], CLEARED.segments[..., 41:59])
+    assert (memory.depth_m[0, :, 41:59] == 80).all() and (memory.count[:, 41:59] == 1).all()
+
+
+def test_a_crown_that_stays_moves_as_the_sensor_does():
+    memory = fused(around(1.0, 80.0, turned(7), class_id=SKY), tree(4.0), VIEW, UNMEASURED)
+    crown = memory.ids == TREE
+    assert crown[:, 48:66].all() and not crown[:, :46].any() and not crown[:, 68:].any()
+
+
+def test_another_depth_of_one_class_prevails_in_the_end():
+    """The probabilities never change: it is `DOUBT` that uses up the count."""
+    memory, farther = tree(2.0), tree(1.0)
+    farther = farther._replace(depth_m=torch.where(farther.depth_m == 10, 40.0, farther.depth_m))
+    depths = []
+    for _ in range(6):
+        memory = fused(farther, memory, VIEW, UNMEASURED)
+        depths.append(float(memory.depth_m[0, 5, 50]))
+    assert depths[:2] == [10.0, 10.0] and depths[-1] == pytest.approx(40)

@@ -18,6 +18,7 @@ from lidar2pano.cli import main
 from lidar2pano.corrections import corrected
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
+from lidar2pano.geometry.columns import rows_beside
 from lidar2pano.geometry.projection import Normalisation, one_hot_layers, project
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
@@ -77,7 +78,7 @@ def test_folding_by_hand_is_the_stream_and_its_first_is_the_single(pipeline):
 
 
 def test_a_stream_with_poses_is_smoothed(pipeline):
-    """The second picture of a sensor that stands, of the same scan with another painter's taste, is the mean."""
+    """The second picture of a sensor that stands, of the same scan by another painter's taste, is mostly the first."""
 
     class Moody:
         def __init__(self):
@@ -91,7 +92,7 @@ def test_a_stream_with_poses_is_smoothed(pipeline):
     plain = [one.colour for one in replace(pipeline, painter=Moody()).stream([scan] * 2)]
     steady = list(replace(pipeline, painter=Moody()).stream([scan] * 2, [still] * 2))
     assert (plain[0] == 64).all() and (plain[1] == 140).all()
-    assert (steady[0].colour == 64).all() and (steady[1].colour == 102).mean() > 0.9
+    assert (steady[0].colour == 64).all() and (np.abs(steady[1].colour - 76.5) < 1).mean() > 0.9, "five parts to one"
     assert list(steady[1].milliseconds)[-5:] == ["fuse", "cars", "paint", "steady", "finish"]
     assert (steady[1].segments == steady[0].segments).mean() > 0.999  # but for ties
     memory, _ = replace(pipeline, painter=Moody()).step(Memory(), scan, still)
@@ -111,6 +112,7 @@ def test_a_stream_with_poses_paints_the_mean_of_its_scans(pipeline):
 
     scans, still = [street(seed=1), street(seed=2)], np.eye(4)
     list(replace(pipeline, painter=Noting()).stream(scans, [still] * 2))
+    both = [pipeline.translate(scan, Timer(pipeline.device)) for scan in scans]
     one, other = (
         Surroundings(
             segments=translated.logits.float().softmax(1),
@@ -118,9 +120,9 @@ def test_a_stream_with_poses_paints_the_mean_of_its_scans(pipeline):
             count=torch.ones(translated.depth_m.shape[1:]),
             T_world_sensor=torch.eye(4, dtype=torch.float64),
         )
-        for translated in (pipeline.translate(scan, Timer(pipeline.device)) for scan in scans)
+        for translated in both
     )
-    mean = fused(other, one, pipeline.view)
+    mean = fused(other, one, pipeline.view, rows_beside(both[1].channels[:, 0] > 0)[0][0] >= 0)
     assert (mean.depth_m - other.depth_m).abs().max() > 0.1, "the streets differ"
     for scene, expected in zip(painted, (one, mean), strict=True):
         assert torch.allclose(scene.segments.float(), expected.segments, atol=2e-3)  # rounded to bfloat16

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, interpolate
+from torch.nn.functional import avg_pool2d, interpolate, max_pool2d, pad
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.geometry.camera import points_in_camera
@@ -22,6 +22,7 @@ from lidar2pano.views import View
 
 SAME = 0.03  # share by which two distances of one surface may differ
 FAINT = 5e-4  # 1/m, likewise near the horizon: depth images end at 256 m, and beyond is the sky
+NONE = -1.0  # in place of an inverse distance
 GAP_HALVINGS = 4  # halvings of the raster over which gaps between a scan's points are closed: 16 pixels
 
 
@@ -95,6 +96,29 @@ def distances_before(now_m: Tensor, T_before_now: Tensor, raster: View | Calibra
     Infinite for the sky.
     """
     return _ends(now_m, T_before_now, raster)[0].norm(dim=-1).float().where(now_m.isfinite(), torch.inf)
+
+
+def moved_distances(before_m: Tensor, T_now_before: Tensor, view: View) -> Tensor:
+    """Distances (H, W) float32 of the previous frame as they are now, metres; infinite for the sky, 0 where none is.
+
+    before_m      (H, W) distances (see the module) in the previous frame.
+    T_now_before  (4, 4) float64: the sensor's coordinates before -> its coordinates now, metres.
+    Each pixel moves to where it is now; of several, the nearest stays. Gaps of up to two pixels, as where surfaces come
+    nearer, take the nearest distance beside them.
+    """
+    ends, origin = _ends(before_m, T_now_before, view)
+    row, column = (place.floor() for place in _places(ends, origin, view))
+    reached = (before_m > 0) & (row >= 0) & (row < view.rows)
+    if not view.circular:
+        reached &= (column >= 0) & (column < view.columns)
+    cell = (row * view.columns + column.remainder(view.columns))[reached].long()
+    inverse = torch.where(before_m.isfinite(), 1 / ends.norm(dim=-1).float(), 0.0)[reached]
+    found = inverse.new_full((view.rows * view.columns,), NONE).scatter_reduce(0, cell, inverse, "amax")
+    found = found.view(view.rows, view.columns)
+    sides = pad(found[None, None], (1, 1, 0, 0), "circular") if view.circular else found[None, None]
+    beside = max_pool2d(sides, 3, 1, padding=(1, 0 if view.circular else 1))[0, 0]
+    found = torch.where(found == NONE, beside, found)
+    return torch.where(found == NONE, 0.0, 1 / found)
 
 
 def _ends(now_m: Tensor, T_before_now: Tensor, raster: View | Calibration) -> tuple[Tensor, Tensor]:

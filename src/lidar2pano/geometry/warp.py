@@ -1,4 +1,4 @@
-"""Bilinear sampling of images, and warping by backward flow."""
+"""Sampling of images, bilinear or bicubic, and warping by backward flow."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 
-def warp(image: Tensor, flow: Tensor, *, circular: bool = False, align_corners: bool = True) -> Tensor:
+def warp(
+    image: Tensor, flow: Tensor, *, circular: bool = False, align_corners: bool = True, cubic: bool = False
+) -> Tensor:
     """Fetch every pixel from where the flow says it was: out(x, y) = image(x + u, y + v).
 
     image          (B, C, H, W) float.
@@ -16,30 +18,36 @@ def warp(image: Tensor, flow: Tensor, *, circular: bool = False, align_corners: 
     align_corners  True: exactly that. False: as published vid2vid code runs since torch 1.3, which stretches an image
                    of n pixels by n / (n - 1) about its middle (up to half a pixel off at the edges); the columns of a
                    circular panorama have no middle and are always exact.
-    Returns (B, C, H, W), bilinear, of the image's type; computed in float32.
+    cubic          bicubic instead of bilinear: what is warped again and again stays detailed, but goes a little beyond
+                   the values that were there.
+    Returns (B, C, H, W) of the image's type; computed in float32.
     """
     rows, columns = image.shape[-2:]
     u, v = flow.float().unbind(1)
     x = torch.arange(columns, device=flow.device) + u
     y = torch.arange(rows, device=flow.device)[:, None] + v
-    return sample(image.float(), x, y, circular=circular, align_corners=align_corners).to(image.dtype)
+    return sample(image.float(), x, y, circular=circular, align_corners=align_corners, cubic=cubic).to(image.dtype)
 
 
-def sample(image: Tensor, x: Tensor, y: Tensor, *, circular: bool, align_corners: bool = True) -> Tensor:
-    """Bilinear samples (B, C, h, w) of an image (B, C, H, W) float at x, y (B, h, w), pixel centres at integers.
+def sample(
+    image: Tensor, x: Tensor, y: Tensor, *, circular: bool, align_corners: bool = True, cubic: bool = False
+) -> Tensor:
+    """Samples (B, C, h, w) of an image (B, C, H, W) float at x, y (B, h, w), pixel centres at integers.
 
-    circular, align_corners: see `warp`.
+    circular, align_corners, cubic: see `warp`.
     """
     rows, columns = image.shape[-2:]
     y = y * _per_pixel(rows) - 1
     if circular:
-        image = torch.cat([image, image[..., :1]], 3)
-        x = torch.remainder(x, columns)
-        x = x * _per_pixel(columns + 1) - 1 if align_corners else (2 * x + 1) / (columns + 1) - 1
+        left, right = (1, 2) if cubic else (0, 1)  # neighbours that a sample between the last and the first needs
+        image = torch.cat([image[..., columns - left :], image, image[..., :right]], 3)
+        x, columns = torch.remainder(x, columns) + left, columns + left + right
+        x = x * _per_pixel(columns) - 1 if align_corners else (2 * x + 1) / columns - 1
     else:
         x = x * _per_pixel(columns) - 1
     grid = torch.stack([x, y], 3).to(image.dtype)
-    return grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=align_corners)
+    mode = "bicubic" if cubic else "bilinear"
+    return grid_sample(image, grid, mode=mode, padding_mode="border", align_corners=align_corners)
 
 
 def _per_pixel(pixels: int) -> float:
