@@ -148,8 +148,12 @@ often=$(printf 'train,%.0s' {1..6})$(printf 'labelled,%.0s' {1..8})
 stage segmenter-7 release-segmenter "$kitti" 26 data.train="$often$sensors" options.rotation_deg=180 \
   options.augment_probability=0.4 training.ema=0.995 training.validate_minutes=0 \
   networks.segmenter.optimizer.rate=0.0025 networks.segmenter.start="$out/start/kitti-segmenter.safetensors"
-rough=$out/mean/rough-segmenter.safetensors
-mean "$rough" "$out/start/kitti-segmenter.safetensors" "$(weights segmenter-7 segmenter)"
+rough_before=$out/mean/rough-segmenter.safetensors
+mean "$rough_before" "$out/start/kitti-segmenter.safetensors" "$(weights segmenter-7 segmenter)"
+stage segmenter-8 release-segmenter "$kitti" 38 data.train="$often$sensors" options.rotation_deg=180 \
+  options.augment_probability=0.4 training.ema=0.995 training.validate_minutes=0 \
+  networks.segmenter.start="$(weights segmenter-7 segmenter)"
+rough=$(weights segmenter-8 segmenter)
 
 stage translator-4 release-translator "$kitti" 28 data.train=train,train,"$day:train","$drives:train" \
   options.segmenter="$(weights segmenter-5 segmenter)" networks.translator.start="$out/family/translator.safetensors" \
@@ -191,7 +195,7 @@ scene scene-10 "$kitti" 27 "train,$day:all,$all" "$segmenter" "$translator" "$(w
 scene scene-11 "$kitti" 17 "train,$day:all,$all" "$segmenter" "$translator" "$(weights scene-10 painter)" \
   "${kitti_looks[@]}" training.batch=1 "${fixed[@]}" options.simulated_probability=0.4 options.invented_probability=0.4 \
   options.fringes=100
-scene scene-12 "$kitti" 25 "train,$day:all,$all" "$rough" "$translator" "$(weights scene-11 painter)" \
+scene scene-12 "$kitti" 25 "train,$day:all,$all" "$rough_before" "$translator" "$(weights scene-11 painter)" \
   "${kitti_looks[@]}" training.batch=1 "${fixed[@]}" options.simulated_probability=0.4 options.invented_probability=0.4 \
   options.fringes=100 options.elsewhere_probability=0.35
 painter=$out/finished/kitti.safetensors

@@ -141,7 +141,7 @@ class PanoramaDataset:
         if generator.random() < 0.5:
             scan = drop_points(scan, generator, generator.uniform(0, 0.5))
         if generator.random() < 0.3:
-            scan = drop_rings(scan, generator, COARSE_BAND_DEG, generator.uniform(0, 0.8))
+            scan = drop_rings(scan, generator, COARSE_BAND_DEG, generator.uniform(0, 0.5))
         start = int(generator.integers(window.view.columns - self.columns + 1))
         sample = self._sample(window, scan, frame.name, start)
         return mirrored(sample) if generator.random() < 0.5 else sample
