@@ -217,9 +217,11 @@ def directions(view: View, *, device: str | torch.device = "cpu") -> Tensor:
     azimuth = math.radians(view.left) - column / view.columns * math.radians(view.left - view.right)
     height = view.up - row / view.rows * (view.up - view.down)
     slope = torch.tan(torch.deg2rad(height)) if view.kind == "sphere" else height
-    flat = torch.stack([azimuth.cos(), azimuth.sin()]).expand(view.rows, 2, view.columns)
-    ray = torch.cat([flat, slope[:, None, None].expand(view.rows, 1, view.columns)], dim=1).movedim(1, 2)
-    return (ray / ray.norm(dim=2, keepdim=True)).float()
+    level = 1 / torch.sqrt(1 + slope * slope)  # horizontal part of a unit vector
+    ray = torch.empty(view.rows, view.columns, 3, device=device)
+    ray[..., 0], ray[..., 1] = level[:, None] * azimuth.cos(), level[:, None] * azimuth.sin()
+    ray[..., 2] = (level * slope)[:, None]
+    return ray
 
 
 def back_project(range_m: Tensor, view: View) -> Tensor:
