@@ -87,8 +87,8 @@ def fused(now: Surroundings, before: Surroundings, view: View, measured: Tensor)
     What is painted of it wavers less: invented windows and paint hang on depths, which the translator predicts for each
     scan again. Where `ego_flow` knows the flow, probabilities are averaged, and so are the logarithms of depths, each
     changed as the sensor's motion has changed it; elsewhere the mean starts again. Weights are those of `smoothed`.
-    Where this scan's depth contradicts those before, and neither was measured, crowns and roofs above the scan would
-    come and go: what was there before stays, at its depth, until the mean of the probabilities is for another class, or
+    Where this scan's depth contradicts those before and was not measured, crowns and roofs above the scan would come
+    and go: what was there before stays, at its depth, until the mean of the probabilities is for another class, or
     `DOUBT` has used up its count. What may move does not stay.
     view      the raster of both.
     measured  (H, W) bool: where this scan's depths come from its points.
@@ -104,11 +104,12 @@ def fused(now: Surroundings, before: Surroundings, view: View, measured: Tensor)
     past = warp(torch.cat(parts, 1), shift[None], circular=True)
     segments, count, inverse = past.split((now.segments.shape[1], 1, 1), 1)
     ids = segments[0].max(0).indices
-    contradicted &= ~may_move(ids)
-    count = count[0, 0].clamp(max=MOST - 1) * (flow.known | contradicted)
+    count = count[0, 0].clamp(max=MOST - 1)
+    contradicted &= ~may_move(ids) & (count > DOUBT)
+    count = count * (flow.known | contradicted)
     weight = _weight(count, LEAST_BEFORE)
     mean = torch.lerp(now.segments, segments, weight)
-    stay = contradicted & (mean[0].max(0).indices == ids) & (count > DOUBT)
+    stay = contradicted & (mean[0].max(0).indices == ids)
     ratio = 1 / (inverse[0, 0] * distances_before(distance_m, T_before_now, view))
     ratio = torch.where(flow.known & distance_m.isfinite(), ratio.clamp(1 / MOST_RATIO, MOST_RATIO), 1.0)
     return now._replace(

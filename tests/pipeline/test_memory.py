@@ -265,3 +265,15 @@ def test_another_depth_of_one_class_prevails_in_the_end():
         memory = fused(farther, memory, VIEW, UNMEASURED)
         depths.append(float(memory.depth_m[0, 5, 50]))
     assert depths[:2] == [10.0, 10.0] and depths[-1] == pytest.approx(40)
+
+
+def test_what_doubt_has_used_up_is_gone_altogether():
+    """Scans that are nearly undecided never outweigh the crown: without a count, its class goes with its depth."""
+    nearly = around(1.0, 80.0, class_id=SKY)
+    nearly.segments[:, SKY], nearly.segments[:, TREE] = 0.55, 0.45
+    memory = tree(1.0)
+    for scan in range(2):
+        memory = fused(nearly, memory, VIEW, UNMEASURED)
+        here = memory.ids[5, 50].item(), memory.depth_m[0, 5, 50].item()
+        assert here == ((TREE, 10.0) if scan == 0 else (SKY, 80.0))
+    assert torch.equal(memory.segments[..., 50], nearly.segments[..., 50])
