@@ -121,7 +121,7 @@ def test_another_class_of_the_same_surface_goes_on_unless_it_may_move():
 
 
 def test_what_is_warped_again_and_again_stays_detailed():
-    """Half a pixel to and fro, twenty times: a pattern of eight pixels keeps most of its contrast."""
+    """Half a pixel left and right, twenty times: a pattern of eight pixels keeps most of its contrast."""
     pattern = torch.sin(torch.arange(2 * VIEW.columns) * 2 * np.pi / 8).expand(1, 3, 2 * VIEW.rows, -1).contiguous()
     memory, nothing = frame(pattern, count=100.0), torch.zeros_like(pattern)
     for number in range(20):
