@@ -158,6 +158,8 @@ COMMON14 = LabelSet(
 )  # fmt: skip
 
 COMMON15 = LabelSet(name="common-15", classes=(*COMMON14.classes, "sky"), colours=(*COMMON14.colours, (70, 130, 180)))
+THINGS = tuple(COMMON15.id_of(name) for name in ("car", "bicycle", "motorcycle", "truck", "other-vehicle", "person"))
+"""Ids of COMMON15 of what can be counted, and may move."""
 
 LABEL_SETS: dict[str, LabelSet] = {s.name: s for s in (SEMANTIC_KITTI, CITYSCAPES, CITYSCAPES_IDS, COMMON14, COMMON15)}
 

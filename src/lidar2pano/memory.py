@@ -11,7 +11,7 @@ from torch.nn.functional import interpolate
 
 from lidar2pano.geometry.flow import distances_before, ego_flow, moved_distances
 from lidar2pano.geometry.warp import warp
-from lidar2pano.labels import COMMON15
+from lidar2pano.labels import COMMON15, THINGS
 from lidar2pano.views import View
 
 MOST = 6  # scans or images that a mean is taken of; larger flickers less, adapts slower
@@ -20,7 +20,6 @@ LEAST_IMAGES = 5  # likewise images: the mean of two is paler than either, so th
 DOUBT = 0.5  # scans by which what was there counts for less with each that contradicts it
 MOST_RATIO = 2.0  # of depths of one surface in two scans, as they are averaged
 SKY = COMMON15.id_of("sky")
-MOVING = [COMMON15.id_of(name) for name in ("car", "bicycle", "motorcycle", "truck", "other-vehicle", "person")]
 SAME = 0.3  # share by which two depths of one surface may differ: the translator predicts them for each scan
 
 
@@ -148,7 +147,7 @@ def smoothed(now: PreviousFrame, before: PreviousFrame, view: View) -> PreviousF
 
 def may_move(ids: Tensor) -> Tensor:
     """Bool: which ids of COMMON15 are of classes that may move."""
-    return torch.isin(ids, ids.new_tensor(MOVING))
+    return torch.isin(ids, ids.new_tensor(THINGS))
 
 
 def _weight(count: Tensor, least: float) -> Tensor:

@@ -270,8 +270,10 @@ class Pipeline:
             count=torch.ones_like(translated.depth_m[0].float()),
             T_world_sensor=torch.from_numpy(np.asarray(pose, dtype=np.float64)).to(translated.depth_m.device),
         )
+        if before is None:
+            return now
         above, _ = rows_beside(translated.channels[:, 0] > 0)
-        return now if before is None else fused(now, before, self.view, above[0] >= 0)
+        return fused(now, before, self.view, above[0] >= 0)
 
     def _smoothed(self, previous: PreviousFrame | None, around: Surroundings, image: Tensor) -> PreviousFrame:
         """The image, averaged with those before."""

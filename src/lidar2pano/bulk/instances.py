@@ -8,12 +8,11 @@ from torch import Tensor
 from torch.nn.functional import max_pool2d, pad
 
 from lidar2pano.geometry.projection import project
-from lidar2pano.labels import COMMON15, SEMANTIC_KITTI, TABLES
+from lidar2pano.labels import COMMON15, SEMANTIC_KITTI, TABLES, THINGS
 from lidar2pano.panorama import Panorama
 from lidar2pano.scan import Scan
 
 REACH = 12  # pixels of the translator's raster: beams are up to about so many rows apart
-THINGS = tuple(COMMON15.id_of(name) for name in ("car", "bicycle", "motorcycle", "truck", "other-vehicle", "person"))
 
 
 def instance_raster(scan: Scan, instance: np.ndarray, panorama: Panorama) -> np.ndarray:
