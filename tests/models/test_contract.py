@@ -286,6 +286,21 @@ def test_a_critic_takes_images_of_any_size_and_its_gradient_twice() -> None:
     assert all(layer.weight.grad.any() for layer in critic.model if isinstance(layer, nn.Conv2d))
 
 
+def test_the_critic_learns_from_its_condition_in_half_precision() -> None:
+    """Torch's own gradient of a dilated convolution of 30 channels is noise there, or NaN."""
+    torch.manual_seed(1)
+    critic = build("titan-critic", width=16).to(memory_format=torch.channels_last)
+    image, condition = torch.rand(1, 15, 96, 160), torch.rand(1, 20, 32, 96)
+    gradients = []
+    for half in (False, True):
+        critic.zero_grad()
+        with torch.autocast("cpu", torch.bfloat16, enabled=half):
+            critic(image, condition).float().sum().backward()
+        gradients.append([weight.grad.clone() for weight in critic.conv1.parameters()])
+    for expected, gradient in zip(*gradients, strict=True):
+        assert (gradient - expected).norm() <= 0.2 * expected.norm()
+
+
 def test_unknown_names_and_settings_are_named() -> None:
     with pytest.raises(InputError, match="no network 'salsanex'; did you mean 'salsanext'"):
         build("salsanex")
