@@ -83,6 +83,7 @@ class Panorama:
                   claimed. As the network gives it (ECE 0.05 to 0.11). None where it is not known.
     dropped       points that were not used (NaN, Inf, nearer than OWN_VEHICLE_M); they are labelled 0.
     beyond_rows   points above or below the segmenter's rows: labelled like the pixels at the border nearest to them.
+    points_between  points that were put between the beams of a sensor that has fewer than the segmenter's raster.
     milliseconds  time per stage.
     """
 
@@ -96,6 +97,7 @@ class Panorama:
     confidence: np.ndarray | None = None
     dropped: int = 0
     beyond_rows: int = 0
+    points_between: int = 0
     milliseconds: Mapping[str, float] = field(default_factory=dict)
 
     def to_camera(self, calibration: Calibration | LensCalibration) -> CameraImage:

@@ -17,6 +17,7 @@ from lidar2pano.corrections import corrected
 from lidar2pano.engines import accelerated, pick_engine
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import validated
+from lidar2pano.geometry.between_beams import between_beams
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.columns import rows_beside
 from lidar2pano.geometry.knn import clean_up
@@ -71,6 +72,18 @@ class Segmenter:
         """The range image that the network labels."""
         return project(scan, fitted_view(scan, self.view, self.tallest), device=device)
 
+    def denser(self, scan: Scan, image: RangeImage) -> tuple[Scan, RangeImage, Tensor]:
+        """The scan and its range image with points between beams that are far apart (geometry.between_beams).
+
+        The scan's own points stay the first ones. Also returns, for each point (N + M,) int64, the scan's point whose
+        label it may take.
+        """
+        between, own = between_beams(image), torch.arange(len(scan), device=image.index.device)
+        if not len(between.xyz):
+            return scan, image, own
+        scan = between.joined(scan)
+        return scan, project(scan, image.view, device=own.device), torch.cat([own, between.beside])
+
     @torch.inference_mode()
     def raster(self, image: RangeImage) -> Tensor:
         """Class ids (H, W) uint8 of a range image; raises InputError unless its rows divide by STRIDE."""
@@ -92,7 +105,8 @@ class Segmenter:
 
     def points(self, scan: Scan, device: str | torch.device = "cpu") -> Tensor:
         """Class ids (N,) int64 of a scan's points."""
-        return self.label(self.project(scan, device), Timer(torch.device(device)))
+        _, image, _ = self.denser(scan, self.project(scan, device))
+        return self.label(image, Timer(torch.device(device)))[: len(scan)]
 
 
 class Translated(NamedTuple):
@@ -104,6 +118,7 @@ class Translated(NamedTuple):
     logits    (1, 16, H, W) of COMMON15;  depth_m (1, H, W) float32, metres.
     gaps_deg  sectors (left, right) of azimuth out of the sensor's field of view.
     beyond_rows  number of points that could be used, but lie above or below the segmenter's rows.
+    points_between  number of points that were put between the beams of a sparse sensor.
     """
 
     name: str
@@ -114,6 +129,7 @@ class Translated(NamedTuple):
     depth_m: Tensor
     gaps_deg: tuple[tuple[float, float], ...] = ()
     beyond_rows: int = 0
+    points_between: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -182,8 +198,11 @@ class Pipeline:
         is in view.
         """
         with timer("project"):
-            scan = scan.beyond()
+            scan, points = scan.beyond(), len(scan)
             image = self._checked(scan, self.segmenter.project(scan, self.device))
+            if self.input_view is None:  # what the paper's networks are given stays as it is
+                scan, image, beside = self.segmenter.denser(scan, image)
+                labels = None if labels is None else labels[beside.cpu().numpy()]
             around = self._checked(scan, project(scan, self.view, device=self.device))
             read = around
             if self.input_view is not None:
@@ -197,7 +216,17 @@ class Pipeline:
             if self.input_view is None:  # what the paper's networks predict stays as it is
                 logits, depth_m = corrected(logits, depth_m, channels, self.view)
         beyond_rows = int((image.usable & ~image.inside).sum())
-        return Translated(scan.name, ids, image.dropped, channels, logits, depth_m, scan.gaps_deg, beyond_rows)
+        return Translated(
+            name=scan.name,
+            labels=ids[:points],
+            dropped=image.dropped,
+            channels=channels,
+            logits=logits,
+            depth_m=depth_m,
+            gaps_deg=scan.gaps_deg,
+            beyond_rows=beyond_rows,
+            points_between=len(scan) - points,
+        )
 
     @torch.inference_mode()
     def paint(
@@ -251,6 +280,7 @@ class Pipeline:
             labels=translated.labels.cpu().numpy(),
             dropped=translated.dropped,
             beyond_rows=translated.beyond_rows,
+            points_between=translated.points_between,
             milliseconds=timer.milliseconds,
         )
         return Memory(frames=memory.frames + 1, painted=painted, around=around, previous=previous), panorama

@@ -135,6 +135,7 @@ def test_json_lines(here, translate, random_weights):
     assert [list(record["milliseconds"]) for record in records] == [STAGES, STAGES]
     assert all(value >= 0 for record in records for value in record["milliseconds"].values())
     assert [record.pop("reading")["no_returns"] for record in records] == [0, 5]
+    assert all(record.pop("points_between") > 0 for record in records), "4000 points are few"
     assert [{name: record[name] for name in record if name != "milliseconds"} for record in records] == [
         {
             "input": str(here / "velodyne" / f"{stem}.bin"),

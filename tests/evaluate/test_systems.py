@@ -235,7 +235,9 @@ def test_a_panorama_is_resampled_to_the_camera(random_weights, kitti):
     assert isinstance(plain, PanoramaSystem)
     one = replace(plain, pipeline=replace(plain.pipeline, translator=(sides := Sides(CAR, ROAD))))
     _, prediction = one.predict(SystemInput(scan=street(), calibration=kitti, colours=False))
-    assert torch.equal(sides.inputs[0][0], project(street(), at_camera(one.pipeline.view, kitti)).channels)
+    segmenter = one.pipeline.segmenter
+    denser, _, _ = segmenter.denser(street(), segmenter.project(street()))
+    assert torch.equal(sides.inputs[0][0], project(denser, at_camera(one.pipeline.view, kitti)).channels)
     assert prediction.camera_labels.shape == (376, 1241) and prediction.point_labels.shape == (len(street()),)
     assert (
         prediction.camera_labels[:5, 590:620] == 0

@@ -19,7 +19,7 @@ from lidar2pano.corrections import corrected
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
 from lidar2pano.geometry.columns import rows_beside
-from lidar2pano.geometry.projection import Normalisation, one_hot_layers, project
+from lidar2pano.geometry.projection import Normalisation, directions, one_hot_layers, project
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import Surroundings, fused
@@ -175,7 +175,28 @@ def test_what_is_predicted_is_corrected_by_what_was_measured(pipeline):
     assert torch.equal(found.logits, logits) and not torch.equal(found.logits, raw[0][0].float())
     assert torch.equal(found.depth_m, depth_m) and not torch.equal(found.depth_m, raw[0][1])
     paper = replace(watched, input_view=pipeline.view)
-    assert torch.equal(paper.translate(street(), Timer(pipeline.device)).logits, raw[0][0])
+    assert torch.equal(paper.translate(street(), Timer(pipeline.device)).logits, raw[1][0])
+
+
+def test_networks_see_points_between_the_beams_of_a_sparse_sensor(pipeline):
+    """Labels are of the scan's own points; networks of the paper are given the scan as it is."""
+    points = 12 * directions(VIEWS["hdl64e"])[1::4].reshape(-1, 3).numpy()
+    scan = Scan(xyz=points, remission=np.full(len(points), 0.3, np.float32))
+    inputs, network = [], pipeline.translator
+    watched = replace(pipeline, translator=lambda *given: inputs.append(given) or network(*given))
+    found = watched.translate(scan, Timer(pipeline.device))
+    sparse = project(scan, pipeline.view)
+    assert (found.channels[0, 0] > 0).sum() > 1.3 * sparse.valid.sum()
+    assert found.labels.shape == (len(scan),) and torch.equal(found.labels, pipeline.segmenter.points(scan))
+    assert (found.dropped, found.beyond_rows) == (0, 0)
+    assert pipeline(scan).points_between == found.points_between > 0
+    given = np.full(len(scan), 9)
+    labelled = watched.translate(scan, Timer(pipeline.device), given)
+    channels, condition = inputs[1]
+    assert labelled.labels.tolist() == given.tolist()
+    assert torch.equal(condition[0, 9] == 1, channels[0, 0] > 0), "of the point beside"
+    paper = replace(watched, input_view=pipeline.view)
+    assert torch.equal(paper.translate(scan, Timer(pipeline.device)).channels[0], sparse.channels)
 
 
 def test_nothing_is_claimed_out_of_view(pipeline):

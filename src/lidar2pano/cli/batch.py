@@ -213,6 +213,7 @@ def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -
                     "points": len(scan),
                     "dropped": panorama.dropped,
                     "beyond_rows": panorama.beyond_rows,
+                    "points_between": panorama.points_between,
                     "reading": found.as_dict(),
                     "milliseconds": {stage: round(value, 2) for stage, value in timer.milliseconds.items()},
                     "weights": options.weights,

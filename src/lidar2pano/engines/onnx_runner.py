@@ -33,7 +33,8 @@ def main(scan, out):
     points = np.fromfile(scan, dtype=np.float32).reshape(-1, 4)
     points = points[np.isfinite(points).all(1) & (np.linalg.norm(points[:, :3], axis=1) >= OWN_VEHICLE_M)]
     segmenter, translator, painter = (Graph(role) for role in ("segmenter", "translator", "painter"))
-    image, row, column, owner = project(points, segmenter.card["views"]["input"])
+    points = with_points_between(points, segmenter.card["views"]["input"])
+    image, row, column, _ = project(points, segmenter.card["views"]["input"])
     (logits,) = segmenter(normalised(image, segmenter.card["normalisation"]))
     labels = logits.argmax(0)[row.clip(0, len(logits[0]) - 1), column]  # of each point
     view = translator.card["views"]["panorama"]
@@ -87,6 +88,41 @@ def project(points, view):
     owner[row[order], column[order]] = order
     channels = np.column_stack([range_m, xyz, points[:, 3]])[owner].transpose(2, 0, 1)
     return channels * (owner >= 0), row, column, owner
+
+
+def with_points_between(points, view):
+    """The points, followed by those that are put between beams or columns of a sensor that has few of them."""
+    image, _, _, owner = project(points, view)
+    flat, rows, columns = np.hypot(image[1], image[2]), view["rows"], view["columns"]
+    there = (owner >= 0) & (flat > 0)
+    raster = np.stack([there / np.where(there, flat, 1), image[4], there]).astype(np.float32)
+    wide = np.concatenate([raster[..., -12:], raster, raster[..., :12]], 2)
+    raster = interpolated(interpolated(wide.transpose(0, 2, 1)).transpose(0, 2, 1)[..., 12:-12])
+    row, column = np.nonzero((raster[0] > 0) & ~there)
+    inverse, remission, _ = raster[:, row, column]
+    elevation = np.radians(view["up"] - (row + 0.5) * (view["up"] - view["down"]) / rows)
+    azimuth = np.pi - (column + 0.5) * 2 * np.pi / columns
+    xyz = np.stack([np.cos(azimuth), np.sin(azimuth), np.tan(elevation)], 1) / inverse[:, None] + view["origin"]
+    return np.concatenate([points, np.column_stack([xyz, remission])]).astype(np.float32)
+
+
+def interpolated(raster):
+    """Inverse distances, remission and 1 where known (3, H, W), with what lies between neighbours above each other."""
+    inverse, remission, there = raster
+    rows, row = len(there), np.arange(len(there))[:, None]
+    above = np.maximum.accumulate(np.where(there > 0, row, -1), 0)
+    below = np.minimum.accumulate(np.where(there > 0, row, rows)[::-1], 0)[::-1]
+    apart = (row[1:] - above[:-1])[(there[1:] > 0) & (above[:-1] >= 0)]
+    mean = np.mean(apart[apart <= 12]) if (apart <= 12).any() else 1.0
+    new = (there == 0) & (above >= 0) & (below < rows) & (below - above <= round(1.5 * mean)) & (mean >= 1.5)
+    above, below = above.clip(min=0), below.clip(max=rows - 1)
+    share = ((row - above) / (below - above).clip(min=1)).astype(np.float32)
+    upper, lower = (np.take_along_axis(inverse, at, 0) for at in (above, below))
+    one_surface = np.maximum(upper, lower) < 1.4 * np.minimum(upper, lower)
+    share = np.where(one_surface, share, share > 0.5)
+    first, second = (np.take_along_axis(remission, at, 0) for at in (above, below))
+    between = np.stack([upper + share * (lower - upper), first + share * (second - first), np.ones_like(share)])
+    return np.where(new, between, raster)
 
 
 def normalised(image, normalisation):
