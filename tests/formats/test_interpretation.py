@@ -16,7 +16,7 @@ from lidar2pano.formats.beams import find_beams
 from lidar2pano.formats.ground_plane import blind_radii, fit_ground
 from lidar2pano.formats.interpretation import SENSOR_HEIGHT_M, STAND_IN, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
-from lidar2pano.formats.readers import interpreted, scan_files
+from lidar2pano.formats.readers import interpreted, read, scan_files
 from lidar2pano.formats.viewpoint import horizontal_centre, sharpest_origin
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, columns_between
@@ -41,6 +41,17 @@ def test_a_sensors_cloud_keeps_its_numbers():
     assert scan.xyz.tobytes() == XYZ.tobytes() and scan.remission.tobytes() == FORMS.tobytes()
     assert (found.forward, found.viewpoint_m, found.unit_m, found.gaps_deg) == ("x", (0, 0, 0), 1.0, ())
     assert found.ground_m == pytest.approx(1.8, abs=0.05) and found.tilt_deg < 0.3
+
+
+@pytest.mark.parametrize("columns", [3, 4, 5])
+def test_a_scan_has_arrays_of_its_own(columns):
+    """Clouds may be views of what they were read from, which a driver uses again for the next sweep."""
+    buffer = np.random.default_rng(1).uniform(2, 9, (5000, columns)).astype(np.float32)
+    scan = read(buffer)
+    before = scan.xyz.copy(), scan.remission.copy()
+    buffer[:] = 0
+    assert np.array_equal(scan.xyz, before[0]) and np.array_equal(scan.remission, before[1])
+    assert scan.xyz.flags.c_contiguous and scan.xyz.flags.writeable and scan.xyz.flags.owndata
 
 
 def test_every_scan_of_kitti_keeps_its_numbers(kitti_mini: Path):

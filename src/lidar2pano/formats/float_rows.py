@@ -38,8 +38,8 @@ def decode(data: bytes, path: Path) -> PointCloud:
             )
         rows = np.frombuffer(data, "<f4").reshape(-1, 5)
         return PointCloud(
-            xyz=rows[:, :3].copy(),
-            intensity=rows[:, 3].copy(),
+            xyz=rows[:, :3],
+            intensity=rows[:, 3],
             ring=rows[:, 4].astype(np.int64),
             format="float32 rows, nuScenes",
             name=stem_of(path),
@@ -58,8 +58,8 @@ def decode(data: bytes, path: Path) -> PointCloud:
             f"{path}: its bytes are no points (x y z remission as float32); the file is damaged or of another format"
         )
     return PointCloud(
-        xyz=rows[:, :3].copy(),
-        intensity=rows[:, 3].copy(),
+        xyz=rows[:, :3],
+        intensity=rows[:, 3],
         format="float32 rows, KITTI",
         name=stem_of(path),
         fields=("x", "y", "z", "remission"),

@@ -164,7 +164,7 @@ def interpret(
         xyz = _moved(xyz, returns, found)
     found = replace(found, doubts=tuple(doubts))
     scan = Scan(
-        xyz=np.ascontiguousarray(xyz, np.float32),
+        xyz=np.array(xyz, np.float32, order="C"),  # a copy: the cloud's may be a view of a file, or of the caller's
         remission=remission,
         label=cloud.label,
         name=cloud.name,

@@ -20,7 +20,7 @@ EPOCH_S = 1e8  # times beyond this, in seconds, count from an epoch and not from
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PointCloud:
-    """Points as a file or message holds them, nothing decided yet.
+    """Points as a file or message holds them, nothing decided yet; arrays may be views of it, not to be written to.
 
     xyz        (N, 3) float32 or float64, in the file's own axes and unit.
     intensity  (N,) as stored (any numeric dtype), or None.
@@ -76,7 +76,7 @@ def cloud_of_columns(
     exact = any(axis.dtype.itemsize > 4 or (axis.dtype.kind in "iu" and axis.dtype.itemsize > 2) for axis in axes)
     dtype = np.float64 if exact else np.float32
     if (together := _side_by_side(axes)) is not None:
-        xyz = together.astype(dtype, order="C")
+        xyz = together.astype(dtype, copy=False)
     else:
         xyz = np.empty((len(axes[0]), 3), dtype)
         for column, axis in enumerate(axes):
@@ -119,7 +119,7 @@ def seconds(name: str, values: np.ndarray, stamp_s: float | None) -> tuple[np.nd
 
 
 def _side_by_side(axes: list[np.ndarray]) -> np.ndarray | None:
-    """Three columns as one array (N, 3) where they lie side by side in each record: it is copied at once."""
+    """Three columns as one array (N, 3), a view, where they lie side by side in each record."""
     first, *others = axes
     size = first.dtype.itemsize
     start = first.__array_interface__["data"][0]
@@ -142,5 +142,5 @@ def _first(
 
 
 def _native(values: np.ndarray) -> np.ndarray:
-    """The values contiguous and in the machine's byte order."""
-    return np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("="))
+    """The values in the machine's byte order."""
+    return values.astype(values.dtype.newbyteorder("="), copy=False)
