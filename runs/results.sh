@@ -29,6 +29,10 @@ panorama() { # TITLE ROOT
   echo '## Fewer beams: every, every second and every fourth beam of the scans of `val`'
   echo
   python runs/fewer_beams.py "$kitti" kitti-mini "$@"
+  echo
+  echo '## Without remission: mIoU of point classes with constants in its place (`val` and PandaSet)'
+  echo
+  python runs/remission_stand_in.py --kitti "$kitti" --pandaset "$pandaset"
   panorama 'Panorama: towns of the street world that no network was trained on' "$towns"
   panorama 'Panorama: PandaSet' "$pandaset"
   panorama 'Panorama: a nuScenes sample' "$nuscenes"

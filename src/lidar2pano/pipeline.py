@@ -167,7 +167,10 @@ class Pipeline:
     def in_look(self, look: str) -> Pipeline:
         """The pipeline that paints a look, "A" or "A+B" for the mean of two; InputError where the painter lacks it."""
         if not isinstance(self.painter, ScenePainter):
-            raise InputError(f"no look {look!r}: these weights paint one look only; choose a scene painter's")
+            raise InputError(
+                f"no look {look!r}: these weights paint one look only; choose a scene painter's, or name a painter's"
+                f" file {look}.safetensors"
+            )
         self.painter.look_shares(look)
         return replace(self, look=look)
 

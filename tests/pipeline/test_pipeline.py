@@ -494,6 +494,36 @@ def test_two_files_for_one_role_are_refused(random_weights, tmp_path):
         weight_files(tmp_path)
 
 
+def test_of_several_painters_a_look_names_one(random_weights, tmp_path):
+    """As the paper has one vid2vid for KITTI's look and one for that of Cityscapes."""
+    kitti, city = (write_weights(tmp_path / "both", name, "vid2vid", GENERATOR) for name in ("kitti", "cityscapes"))
+    assert weight_files(tmp_path / "both", fill=False, look="kitti") == {"painter": kitti}
+    assert weight_files(tmp_path / "both", fill=False, look="cityscapes") == {"painter": city}
+    chain = f"{random_weights}+{city}+{kitti}"
+    assert weight_files(chain)["painter"] == weight_files(chain, look="day")["painter"] == kitti
+    assert weight_files(chain, look="cityscapes")["painter"] == city
+    with pytest.raises(InputError, match=r"are both a painter; name one of them \(for painters, --look"):
+        weight_files(tmp_path / "both", fill=False, look="day")
+
+
+def test_looks_that_are_files_are_painted(random_weights, tmp_path, capsys):
+    scan = str(write_scan(tmp_path / "a.bin"))
+    for number, name in enumerate(("kitti", "cityscapes")):
+        torch.manual_seed(number)
+        write_weights(tmp_path / "both", name, "vid2vid", GENERATOR)
+    for role in ("segmenter", "translator"):
+        (tmp_path / "both" / f"{role}.safetensors").symlink_to(random_weights / f"{role}.safetensors")
+    command = ["translate", scan, "--device", "cpu", "--weights", str(tmp_path / "both")]
+    for look in ("kitti", "cityscapes"):
+        assert main([*command, "--look", look, "--out", str(tmp_path / look)]) == 0
+    kitti, city = (read_image(tmp_path / look / "a.png") for look in ("kitti", "cityscapes"))
+    assert not np.array_equal(kitti, city)
+    capsys.readouterr()
+    one = f"{random_weights}+{tmp_path / 'both' / 'kitti.safetensors'}"
+    assert main([*command[:-1], one, "--look", "dusk", "--out", str(tmp_path / "dusk")]) == 2
+    assert "no look 'dusk'" in capsys.readouterr().err
+
+
 def test_a_run_gives_its_best_weights(tmp_path):
     best = write_weights(tmp_path / "weights", "painter", "scene-painter", {"widths": [8, 8, 8]})
     write_weights(tmp_path / "weights", "painter.last", "scene-painter", {"widths": [8, 8, 8]})

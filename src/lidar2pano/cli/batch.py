@@ -26,6 +26,7 @@ from lidar2pano.formats.interpretation import Interpretation, Overrides
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.hardware import Timer, keep_buffers
 from lidar2pano.memory import Memory
+from lidar2pano.models.families import paints_look
 from lidar2pano.panorama import CONFIDENCE, OUTPUTS, Panorama
 from lidar2pano.pipeline import Pipeline, load
 from lidar2pano.recordings.drive_scans import drive_files
@@ -74,7 +75,7 @@ class Options:
         pipeline = load(self.files, self.device, self.engine)
         if self.sensor:
             pipeline = pipeline.for_sensor(self.sensor)
-        if self.look:
+        if self.look and not paints_look(self.files, self.look):
             pipeline = pipeline.in_look(self.look)
         return pipeline.at(self.calibration) if self.calibration else pipeline
 

@@ -114,7 +114,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
         out=Path(out),
         save=parse_save(save or ("rgb,segments,depth" if layout else "rgb")),
         weights=weights,
-        files=weight_files(weights),
+        files=weight_files(weights, look=look),
         device=pick_device("cpu" if address else device),
         look=look,
         engine=engine,

@@ -52,7 +52,7 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
         out=Path(),
         save=("rgb",),
         weights=weights,
-        files=weight_files(weights),
+        files=weight_files(weights, look=look),
         device=pick_device(device),
         look=look,
         engine=engine,

@@ -154,7 +154,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         calibration=batch.parse_camera(calib, image_size),
         device=pick_device(device),
         weights=weights,
-        files=weight_files(weights),
+        files=weight_files(weights, look=look),
         sensor=sensor,
         save=batch.parse_save(save, confidence=True),
         as_json=as_json,

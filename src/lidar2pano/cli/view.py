@@ -71,7 +71,7 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
             save=(),
             device=pick_device(device),
             weights=weights,
-            files=weight_files(weights),
+            files=weight_files(weights, look=look),
             calibration=parse_camera(calib, ""),
             smooth=steady,
             look=look,

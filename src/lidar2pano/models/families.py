@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from lidar2pano.errors import InputError, closest
@@ -32,19 +32,23 @@ def families() -> dict[str, Path]:
     return {folder.name: folder for folder in found}
 
 
-def weight_files(name: str | Path, *, fill: bool = True) -> dict[str, Path]:
+def weight_files(name: str | Path, *, fill: bool = True, look: str = "") -> dict[str, Path]:
     """Files by role (see `role`) that a name or path stands for.
 
     name  a released family; a folder of weight files or a training run (its `weights/`); or one weight file. Several
           joined by "+" are taken together, later ones in the places of earlier ones. Roles that paths do not fill are
           filled by the default family, where it is installed and `fill` is true.
+    look  of several painters, one for each look, the file that is called so (without .safetensors) is taken.
     Raises InputError when there is no such family, file or folder, or `by_role` refuses its files.
     """
     installed = families()
     if len(parts := chained(name)) > 1:
-        files = weight_files(parts[0], fill=fill)
+        files = weight_files(parts[0], fill=fill, look=look)
         for part in parts[1:]:
-            files |= weight_files(part, fill=False)
+            further = weight_files(part, fill=False, look=look)
+            if paints_look(files, look):
+                further.pop("painter", None)
+            files |= further
         return files
     if str(name) in installed:
         return by_role(sorted(installed[str(name)].glob("*.safetensors")))
@@ -60,7 +64,7 @@ def weight_files(name: str | Path, *, fill: bool = True) -> dict[str, Path]:
         raise InputError(
             f"no weights {str(name)!r}: neither a released family nor a file" + closest(str(name), installed)
         )
-    own = by_role(files)
+    own = by_role(files, look)
     rest = by_role(sorted(installed[DEFAULT].glob("*.safetensors"))) if fill and DEFAULT in installed else {}
     return rest | own
 
@@ -81,17 +85,30 @@ def role(card: Card) -> str | None:
     return ROLES.get(card.network)
 
 
-def by_role(files: Iterable[Path]) -> dict[str, Path]:
-    """Weight files by the roles of their networks; InputError where one has none, or two have the same."""
+def paints_look(files: Mapping[str, Path], look: str) -> bool:
+    """Whether the painter is the one for a look because its file is called so, whatever looks it knows itself."""
+    return bool(look) and "painter" in files and files["painter"].stem == look
+
+
+def by_role(files: Iterable[Path], look: str = "") -> dict[str, Path]:
+    """Weight files by the roles of their networks; InputError where one has none, or two have the same.
+
+    look  see `weight_files`: other painters than the one that is called so are left out.
+    """
     roles: dict[str, Path] = {}
-    for file in files:
+    for file in sorted(files, key=lambda file: file.stem != look):
         card = read_card(file)
         part = role(card)
         if part is None:
             mend = "evaluate takes it as --sdnet" if card.network == "sdnet" else f"name weights of {', '.join(ROLES)}"
             raise InputError(f"{file}: a {card.network!r} has no part in a system; {mend}")
+        if part == "painter" and paints_look(roles, look):
+            continue
         if part in roles:
-            raise InputError(f"{file.parent}: {roles[part].name} and {file.name} are both a {part}; name one of them")
+            how = " (for painters, --look and a file's name do, too)" if part == "painter" else ""
+            raise InputError(
+                f"{file.parent}: {roles[part].name} and {file.name} are both a {part}; name one of them{how}"
+            )
         roles[part] = file
     return roles
 
