@@ -66,8 +66,8 @@ def main() -> None:
         "ranks": ranked,
     }
     for name, change in (changes | more).items():
-        row = (mean_iou(segmenter, street, change) if name in changes else np.nan, mean_iou(segmenter, other, change))
-        print(f"| {name} | {row[0]:.3f} | {row[1]:.3f} |", flush=True)
+        first = f"{mean_iou(segmenter, street, change):.3f}" if name in changes else "-"
+        print(f"| {name} | {first} | {mean_iou(segmenter, other, change):.3f} |", flush=True)
 
 
 if __name__ == "__main__":
