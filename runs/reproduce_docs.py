@@ -1,5 +1,8 @@
 #!/usr/bin/env python
-"""Put a reproduction's report into docs/: python runs/reproduce_docs.py DIR (the output of `lidar2pano reproduce`)."""
+"""Put a reproduction's report into docs/: python runs/reproduce_docs.py DIR [NAME]
+
+DIR is the output of `lidar2pano reproduce`; the report becomes docs/NAME.md (reproduce), its sheets are in docs/NAME/.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,8 @@ WIDE = 1240  # pixels of a sheet in docs/
 
 def main() -> None:
     """Copy the report; sheets become small JPEGs beside it."""
-    source = Path(sys.argv[1])
-    folder = DOCS / "reproduce"
+    source, page = Path(sys.argv[1]), sys.argv[2] if len(sys.argv) > 2 else "reproduce"
+    folder = DOCS / page
     folder.mkdir(exist_ok=True)
     text = (source / "RESULTS.md").read_text(encoding="utf-8")
     for found in re.findall(r"\(sheets/([^)]+)\)", text):
@@ -25,8 +28,8 @@ def main() -> None:
             small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
         name = f"{Path(found).stem}.jpg"
         small.save(folder / name, quality=72)
-        text = text.replace(f"(sheets/{found})", f"(reproduce/{name})")
-    (DOCS / "reproduce.md").write_text(text, encoding="utf-8")
+        text = text.replace(f"(sheets/{found})", f"({page}/{name})")
+    (DOCS / f"{page}.md").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
