@@ -3,7 +3,6 @@
 #   runs/reproduce_kitti.sh KITTI_MINI OUT [STEPS] [ROWS]
 # Takes some two and a half hours of two CPU cores for 1000 steps. Training resumes: repeat the command.
 # 52 images are scored: `val`, the drive, and the second half of the stereo images, so that orderings can be decided.
-# TITAN-Net and its ablations are compiled (a C++ compiler is needed): twice as many steps a minute.
 # Point labels are those of the family world, whose segmenter has seen no real scan.
 set -euo pipefail
 data=$(realpath "$1") out=$2 steps=${3:-1000} rows=${4:-titan,pix2pix,titan-no-lovasz,titan-no-range,titan-no-segments}
@@ -21,10 +20,4 @@ train = [frame for frame in listing["train"] if frame not in scored]
 train.sort(key=lambda frame: frame.startswith("0928/"))  # the last sequence, two frames, becomes the split `selection`
 json.dump({"train": train, "val": scored}, open(sys.argv[2], "w"), indent=1)
 PY
-changes=(--set vid2vid.training.minutes=5 --set pix2pix-segments.training.validate_minutes=0)
-for part in titan titan-no-lovasz titan-no-range titan-no-segments; do
-  changes+=(--set "$part.training.compile=true" --set "$part.training.validate_minutes=0")
-done
-lidar2pano reproduce --data "$out/kitti-mini" --out "$out/tables" --form mini --budget "${steps}steps" --rows "$rows" \
-  --segmenter world "${changes[@]}"
-python runs/reproduce_docs.py "$out/tables" reproduce_kitti
+runs/reproduce_rows.sh "$out/kitti-mini" "$out/tables" "$steps" "$rows" reproduce_kitti

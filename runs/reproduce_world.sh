@@ -2,7 +2,6 @@
 # TITAN-Net, its ablations and Pix2Pix on a street world, each for as many steps; writes docs/reproduce.md:
 #   runs/reproduce_world.sh OUT [STEPS] [ROWS]
 # Takes some two hours of two CPU cores for 1000 steps. Training resumes: repeat the command.
-# TITAN-Net and its ablations are compiled (a C++ compiler is needed): twice as many steps a minute.
 set -euo pipefail
 out=$1 steps=${2:-1000} rows=${3:-titan,pix2pix,titan-no-lovasz,titan-no-range,titan-no-segments}
 cd "$(dirname "$0")/.."
@@ -16,10 +15,4 @@ val = [frame for frame in listing["all"] if int(frame[:2]) >= 18]
 listing |= {"val": val, "train": [frame for frame in listing["all"] if frame not in val]}
 json.dump(listing, open(sys.argv[1], "w"), indent=1)
 PY
-changes=(--set vid2vid.training.minutes=5 --set pix2pix-segments.training.validate_minutes=0)
-for part in titan titan-no-lovasz titan-no-range titan-no-segments; do
-  changes+=(--set "$part.training.compile=true" --set "$part.training.validate_minutes=0")
-done
-lidar2pano reproduce --data "$out/world" --out "$out/tables" --form mini --budget "${steps}steps" --rows "$rows" \
-  --segmenter world "${changes[@]}"
-python runs/reproduce_docs.py "$out/tables"
+runs/reproduce_rows.sh "$out/world" "$out/tables" "$steps" "$rows" reproduce

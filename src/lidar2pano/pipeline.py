@@ -17,7 +17,7 @@ from lidar2pano.corrections import corrected
 from lidar2pano.engines import accelerated, pick_engine
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import validated
-from lidar2pano.geometry.between_beams import between_beams
+from lidar2pano.geometry.between_beams import denser
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.columns import rows_beside
 from lidar2pano.geometry.knn import clean_up
@@ -72,18 +72,6 @@ class Segmenter:
         """The range image that the network labels."""
         return project(scan, fitted_view(scan, self.view, self.tallest), device=device)
 
-    def denser(self, scan: Scan, image: RangeImage) -> tuple[Scan, RangeImage, Tensor]:
-        """The scan and its range image with points between beams that are far apart (geometry.between_beams).
-
-        The scan's own points stay the first ones. Also returns, for each point (N + M,) int64, the scan's point whose
-        label it may take.
-        """
-        between, own = between_beams(image), torch.arange(len(scan), device=image.index.device)
-        if not len(between.xyz):
-            return scan, image, own
-        scan = between.joined(scan)
-        return scan, project(scan, image.view, device=own.device), torch.cat([own, between.beside])
-
     @torch.inference_mode()
     def raster(self, image: RangeImage) -> Tensor:
         """Class ids (H, W) uint8 of a range image; raises InputError unless its rows divide by STRIDE."""
@@ -105,7 +93,7 @@ class Segmenter:
 
     def points(self, scan: Scan, device: str | torch.device = "cpu") -> Tensor:
         """Class ids (N,) int64 of a scan's points."""
-        _, image, _ = self.denser(scan, self.project(scan, device))
+        _, image, _ = denser(scan, self.project(scan, device))
         return self.label(image, Timer(torch.device(device)))[: len(scan)]
 
 
@@ -204,7 +192,7 @@ class Pipeline:
             scan, points = scan.beyond(), len(scan)
             image = self._checked(scan, self.segmenter.project(scan, self.device))
             if self.input_view is None:  # what the paper's networks are given stays as it is
-                scan, image, beside = self.segmenter.denser(scan, image)
+                scan, image, beside = denser(scan, image)
                 labels = None if labels is None else labels[beside.cpu().numpy()]
             around = self._checked(scan, project(scan, self.view, device=self.device))
             read = around

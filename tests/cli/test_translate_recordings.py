@@ -114,8 +114,9 @@ def test_without_poses_they_are_estimated(tmp_path, translate):
     assert outputs(tmp_path / "wanted") == outputs(tmp_path / "found")
 
 
-def test_points_with_times_are_deskewed(tmp_path, translate):
+def test_points_with_times_are_deskewed(tmp_path, translate, monkeypatch):
     """A recording whose points carry times gives what a recording of the deskewed points gives."""
+    monkeypatch.setattr("lidar2pano.geometry.between_beams.SPARSE", np.inf)  # jumps that rounding tips over
     from dataclasses import replace
 
     from lidar2pano.geometry.motion import SensorMotion, Trajectory, deskewed
@@ -131,8 +132,8 @@ def test_points_with_times_are_deskewed(tmp_path, translate):
     path = write(tmp_path, "mcap", sent(time=time_s))
     assert translate(path, "--to", 0.15, "--out", tmp_path / "found")[0] == 0
     pairs = zip(*(sorted((tmp_path / name).iterdir()) for name in ("wanted", "found")), strict=True)
-    for one, other in pairs:  # points that are written and read are rounded once more, some into another pixel
-        assert (np.abs(np.subtract(*(read_image(file).astype(int) for file in (one, other)))) <= 1).mean() > 0.999
+    for one, other in pairs:  # points that are written and read are rounded once more
+        assert np.abs(np.subtract(*(read_image(file).astype(int) for file in (one, other)))).max() <= 1
     plain = write(tmp_path, "db3", sent())
     assert translate(plain, "--to", 0.15, "--out", tmp_path / "skewed")[0] == 0
     assert outputs(tmp_path / "skewed")[1:] != outputs(tmp_path / "found")[1:]

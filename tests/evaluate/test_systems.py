@@ -23,6 +23,7 @@ from lidar2pano.evaluate.camera_systems import (
     training_scale,
 )
 from lidar2pano.evaluate.panorama_system import PanoramaSystem
+from lidar2pano.geometry.between_beams import denser
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.projection import Normalisation, project
 from lidar2pano.labels import COMMON15, TABLES
@@ -235,9 +236,8 @@ def test_a_panorama_is_resampled_to_the_camera(random_weights, kitti):
     assert isinstance(plain, PanoramaSystem)
     one = replace(plain, pipeline=replace(plain.pipeline, translator=(sides := Sides(CAR, ROAD))))
     _, prediction = one.predict(SystemInput(scan=street(), calibration=kitti, colours=False))
-    segmenter = one.pipeline.segmenter
-    denser, _, _ = segmenter.denser(street(), segmenter.project(street()))
-    assert torch.equal(sides.inputs[0][0], project(denser, at_camera(one.pipeline.view, kitti)).channels)
+    whole, _, _ = denser(street(), one.pipeline.segmenter.project(street()))
+    assert torch.equal(sides.inputs[0][0], project(whole, at_camera(one.pipeline.view, kitti)).channels)
     assert prediction.camera_labels.shape == (376, 1241) and prediction.point_labels.shape == (len(street()),)
     assert (
         prediction.camera_labels[:5, 590:620] == 0

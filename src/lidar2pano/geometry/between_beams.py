@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from lidar2pano.geometry.columns import rows_beside
-from lidar2pano.geometry.projection import RangeImage, directions
+from lidar2pano.geometry.projection import RangeImage, directions, project
 from lidar2pano.scan import Scan
 
 FAR_PX = 12  # between two measured pixels of a line: farther apart there was no echo in between
@@ -30,12 +30,6 @@ class Between(NamedTuple):
     remission: Tensor
     beside: Tensor
 
-    def joined(self, scan: Scan) -> Scan:
-        """The scan, followed by the points; without labels, beams and times."""
-        points, remission = self.xyz.cpu().numpy(), self.remission.cpu().numpy()
-        xyz, remission = np.concatenate([scan.xyz, points]), np.concatenate([scan.remission, remission])
-        return Scan(xyz=xyz, remission=remission, name=scan.name, gaps_deg=scan.gaps_deg)
-
 
 class _Raster(NamedTuple):
     """Inverse horizontal distances, remission and owning points, (H, W) each; 0, 0 and -1 where nothing is known."""
@@ -43,6 +37,21 @@ class _Raster(NamedTuple):
     inverse: Tensor
     remission: Tensor
     index: Tensor
+
+
+def denser(scan: Scan, image: RangeImage) -> tuple[Scan, RangeImage, Tensor]:
+    """A scan and its range image with what `between_beams` finds, after the scan's own N points.
+
+    Such a scan has no labels, beams and times. Also returns, for each point (N + M,) int64, the scan's point whose
+    label it may take.
+    """
+    between, own = between_beams(image), torch.arange(len(scan), device=image.index.device)
+    if not len(between.xyz):
+        return scan, image, own
+    xyz = np.concatenate([scan.xyz, between.xyz.cpu().numpy()])
+    remission = np.concatenate([scan.remission, between.remission.cpu().numpy()])
+    scan = Scan(xyz=xyz, remission=remission, name=scan.name, gaps_deg=scan.gaps_deg)
+    return scan, project(scan, image.view, device=own.device), torch.cat([own, between.beside])
 
 
 def between_beams(image: RangeImage) -> Between:

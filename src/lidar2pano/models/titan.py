@@ -19,7 +19,6 @@ conditions=0 without segments, and with picture=True colours are made instead of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import nullcontext
 
 import torch
 from torch import Tensor, nn
@@ -110,7 +109,7 @@ class TitanCritic(nn.Module):
         """(B, image_channels, h, w) and (B, conditions, H, W) -> (B, 1, h', w') scores."""
         # In bfloat16 on CPUs torch (2.13) makes noise or NaN of the gradient of a dilated convolution's weights where
         # channels do not divide by 16, as 30 do not, in channels-last layout.
-        with torch.autocast("cpu", enabled=False) if condition.device.type == "cpu" else nullcontext():
-            condition = self.conv1(condition.to(next(self.conv1.parameters()).dtype))
+        with torch.autocast("cpu", enabled=False):
+            condition = self.conv1(condition)
         condition = functional.interpolate(condition, image.shape[-2:], mode="bilinear", align_corners=True)
         return self.model(torch.cat([image, condition], 1))
