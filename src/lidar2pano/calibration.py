@@ -54,42 +54,74 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LensCalibration:
-    """A camera with a distorting lens, in the two models of OpenCV. K, T_camera_lidar and size are as in Calibration.
+    """A camera with a distorting lens. K, T_camera_lidar and size are as in Calibration.
 
     model        "brown": pinhole with radial and tangential distortion (cv2.calibrateCamera).
                  "fisheye": Kannala and Brandt 2006 (cv2.fisheye.calibrate); may look farther than 90 degrees aside.
-    distortion   "brown": (k1, k2, p1, p2[, k3]);  "fisheye": (k1, k2, k3, k4).
+                 "mei": unified projection, Mei and Rives 2007 (cv2.omnidir.calibrate, CamOdoCal); likewise. A unit
+                 vector (x, y, z) goes to (x, y) / (z + xi), which is distorted as by "brown" and multiplied by K.
+    distortion   "brown": (k1, k2, p1, p2[, k3]);  "fisheye": (k1, k2, k3, k4);  "mei": (xi, k1, k2, p1, p2), xi >= 0.
+    reach_deg    the image circle: the largest angle from the optical axis, degrees, at which the lens shows the scene.
     """
 
     K: np.ndarray
     T_camera_lidar: np.ndarray
     size: tuple[int, int]
-    model: Literal["brown", "fisheye"]
+    model: Literal["brown", "fisheye", "mei"]
     distortion: tuple[float, ...]
+    reach_deg: float = 180.0
 
     def __post_init__(self) -> None:
-        """Refuse what Calibration refuses, other models and another number of coefficients (ValueError)."""
+        """Refuse what Calibration refuses, other models, wrong coefficients and an impossible reach (ValueError)."""
         Calibration(K=self.K, T_camera_lidar=self.T_camera_lidar, size=self.size)
-        counts = {"brown": (4, 5), "fisheye": (4,)}.get(self.model)
+        counts = {"brown": (4, 5), "fisheye": (4,), "mei": (5,)}.get(self.model)
         if counts is None or len(self.distortion) not in counts:
             raise ValueError(
-                "LensCalibration: model 'brown' has 4 or 5 coefficients, 'fisheye' 4;"
+                "LensCalibration: model 'brown' has 4 or 5 coefficients, 'fisheye' 4, 'mei' 5;"
                 f" got {self.model!r} with {len(self.distortion)}"
             )
+        if self.model == "mei" and self.distortion[0] < 0:
+            raise ValueError(f"LensCalibration: xi, the first of 'mei', must be >= 0, got {self.distortion[0]}")
+        if not 0 < self.reach_deg <= 180:
+            raise ValueError(f"LensCalibration.reach_deg must be above 0 and up to 180, got {self.reach_deg}")
 
     @property
     def centre(self) -> tuple[float, float, float]:
         """The optical centre in the LiDAR frame, metres."""
         return _optical_centre(self.T_camera_lidar)
 
+    @property
+    def focal_px(self) -> float:
+        """Pixels (of u) per radian on the optical axis."""
+        return float(self.K[0, 0]) / (1 + self.distortion[0] if self.model == "mei" else 1)
+
     def rays(self) -> np.ndarray:
         """Unit vectors (height, width, 3) float64 of the pixel centres, camera axes; NaN where nothing is projected."""
         width, height = self.size
         v, u = np.mgrid[0:height, 0:width].astype(np.float64)
         x, y, _ = np.moveaxis(np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(self.K).T, -1, 0)
-        undistort = _undistorted_brown if self.model == "brown" else _undistorted_fisheye
+        undistort = {"brown": _undistorted_brown, "fisheye": _undistorted_fisheye, "mei": _undistorted_mei}[self.model]
         rays = undistort(x, y, np.array(self.distortion, dtype=np.float64))
-        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        return np.where(self._reached(rays)[..., None], rays, np.nan)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Pixels (u, v), (..., 2) float64, of points or directions (..., 3), camera axes: the inverse of `rays`.
+
+        NaN where the lens projects nothing; a pixel may lie outside the image.
+        """
+        points = points.astype(np.float64)
+        with np.errstate(all="ignore"):  # what is not projected becomes NaN
+            unit = points / np.linalg.norm(points, axis=-1, keepdims=True)
+            x, y, z = np.moveaxis(unit, -1, 0)
+            distort = {"brown": _projected_brown, "fisheye": _projected_fisheye, "mei": _projected_mei}[self.model]
+            places = distort(x, y, z, np.array(self.distortion, dtype=np.float64))
+        places = np.where(self._reached(unit)[..., None], places, np.nan)
+        return (places @ self.K[:2, :2].T + self.K[:2, 2]) / self.K[2, 2]
+
+    def _reached(self, rays: np.ndarray) -> np.ndarray:
+        """Whether unit vectors (..., 3) lie in the image circle, (...) bool."""
+        return rays[..., 2] >= (np.cos(np.radians(self.reach_deg)) if self.reach_deg < 180 else -np.inf)
 
 
 def _optical_centre(T_camera_lidar: np.ndarray) -> tuple[float, float, float]:
@@ -107,9 +139,25 @@ def _undistorted_brown(x_d: np.ndarray, y_d: np.ndarray, distortion: np.ndarray)
             error_x, error_y, determinant = to_x - x_d, to_y - y_d, xx * yy - xy * xy
             x, y = x - (yy * error_x - xy * error_y) / determinant, y - (xx * error_y - xy * error_x) / determinant
         to_x, to_y, xx, xy, yy = _distorted_brown(x, y, distortion)
-        unfolded = (xx * yy > xy * xy) & (xx + yy > 0)  # elsewhere the lens's polynomial falls, which no lens does
-        found = (np.hypot(to_x - x_d, to_y - y_d) < NEWTON_TOLERANCE) & unfolded
+        found = (np.hypot(to_x - x_d, to_y - y_d) < NEWTON_TOLERANCE) & _unfolded(x, y, xx, xy, yy, distortion)
     return np.where(found[..., None], np.stack([x, y, np.ones_like(x)], axis=-1), np.nan)
+
+
+def _projected_brown(x: np.ndarray, y: np.ndarray, z: np.ndarray, distortion: np.ndarray) -> np.ndarray:
+    """Distorted places (..., 2) of directions; NaN behind the camera and where the polynomial is not unique."""
+    x, y = (np.where(z > 0, one / z, np.nan) for one in (x, y))
+    to_x, to_y, xx, xy, yy = _distorted_brown(x, y, distortion)
+    return np.where(_unfolded(x, y, xx, xy, yy, distortion)[..., None], np.stack([to_x, to_y], axis=-1), np.nan)
+
+
+def _unfolded(
+    x: np.ndarray, y: np.ndarray, xx: np.ndarray, xy: np.ndarray, yy: np.ndarray, distortion: np.ndarray
+) -> np.ndarray:
+    """Where (x, y), with the Jacobian xx, xy, yy, lies before the lens's polynomial falls, which no lens does."""
+    k1, k2, _, _, k3 = (*distortion.tolist(), 0.0)[:5]
+    roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # of the slope of r (1 + k1 r^2 + k2 r^4 + k3 r^6) over r^2
+    falls = min((root.real for root in roots if abs(root.imag) < 1e-9 and root.real > 0), default=np.inf)
+    return (x * x + y * y < falls) & (xx * yy > xy * xy) & (xx + yy > 0)
 
 
 def _distorted_brown(x: np.ndarray, y: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -126,16 +174,53 @@ def _distorted_brown(x: np.ndarray, y: np.ndarray, distortion: np.ndarray) -> tu
     )
 
 
-def _undistorted_fisheye(x_d: np.ndarray, y_d: np.ndarray, distortion: np.ndarray) -> np.ndarray:
-    """Directions at the angle theta whose theta (1 + k1 theta^2 + ... + k4 theta^8) is |(x_d, y_d)|; NaN beyond."""
+# Mei and Rives 2007, "Single View Point Omnidirectional Camera Calibration from Planar Grids", section II.
+def _projected_mei(x: np.ndarray, y: np.ndarray, z: np.ndarray, distortion: np.ndarray) -> np.ndarray:
+    """Distorted places (..., 2) of unit vectors; NaN where (x, y) / (z + xi) no longer grows with the angle."""
+    xi = float(distortion[0])
+    unique = (z + xi > 0) & (1 + xi * z > 0)
+    ahead = np.where(unique, z + xi, np.nan)
+    return _projected_brown(x / ahead, y / ahead, np.ones_like(z), distortion[1:])
+
+
+def _undistorted_mei(x_d: np.ndarray, y_d: np.ndarray, distortion: np.ndarray) -> np.ndarray:
+    """Unit vectors whose distorted place is (x_d, y_d); NaN where there is none."""
+    xi = float(distortion[0])
+    x, y, _ = np.moveaxis(_undistorted_brown(x_d, y_d, distortion[1:]), -1, 0)
+    r2 = x * x + y * y
+    with np.errstate(invalid="ignore"):  # beyond the widest angle the root is NaN
+        ahead = (xi + np.sqrt(1 + (1 - xi * xi) * r2)) / (1 + r2)  # z + xi; equation of the lifting, section II.C
+    return np.stack([x * ahead, y * ahead, ahead - xi], axis=-1)
+
+
+def _rising_fisheye(distortion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (n,) in radians and their radii, up to the first fall of the polynomial: beyond, angles are not unique."""
     angles = np.linspace(0, np.pi, 4097)
     coefficients = np.array([1, *distortion])
-    powers = np.arange(len(coefficients)) * 2
-    radii = angles * (coefficients * angles[:, None] ** powers).sum(1)
+    radii = angles * (coefficients * angles[:, None] ** (np.arange(len(coefficients)) * 2)).sum(1)
     rising = np.append(np.diff(radii) > 0, False)
-    reach = int(rising.argmin()) + 1  # beyond the first fall of the polynomial, angles are not unique
+    reach = int(rising.argmin()) + 1
+    return angles[:reach], radii[:reach]
+
+
+def _projected_fisheye(x: np.ndarray, y: np.ndarray, z: np.ndarray, distortion: np.ndarray) -> np.ndarray:
+    """Distorted places (..., 2) of directions; NaN at angles that are not unique."""
+    aside = np.hypot(x, y)
+    theta = np.arctan2(aside, z)
+    radius = theta * (1 + (distortion * theta[..., None] ** (2 * np.arange(1, 5))).sum(-1))
+    scale = np.where(aside > 0, radius / aside, np.where(z > 0, 1.0, np.nan))
+    angles, _ = _rising_fisheye(distortion)
+    scale = np.where(theta <= angles[-1], scale, np.nan)
+    return np.stack([x * scale, y * scale], axis=-1)
+
+
+def _undistorted_fisheye(x_d: np.ndarray, y_d: np.ndarray, distortion: np.ndarray) -> np.ndarray:
+    """Directions at the angle theta whose theta (1 + k1 theta^2 + ... + k4 theta^8) is |(x_d, y_d)|; NaN beyond."""
+    angles, radii = _rising_fisheye(distortion)
+    coefficients = np.array([1, *distortion])
+    powers = np.arange(len(coefficients)) * 2
     radius = np.hypot(x_d, y_d)
-    theta = np.interp(radius, radii[:reach], angles[:reach])
+    theta = np.interp(radius, radii, angles)
     for _ in range(3):
         squares = theta[..., None] ** powers
         theta = theta - (theta * (coefficients * squares).sum(-1) - radius) / (
@@ -143,7 +228,7 @@ def _undistorted_fisheye(x_d: np.ndarray, y_d: np.ndarray, distortion: np.ndarra
         )
     aside = np.sin(theta) / np.where(radius > 0, radius, 1)
     rays = np.stack([x_d * aside, y_d * aside, np.cos(theta)], axis=-1)
-    return np.where((radius <= radii[reach - 1])[..., None], rays, np.nan)
+    return np.where((radius <= radii[-1])[..., None], rays, np.nan)
 
 
 def read_calib(path: str | Path, size: tuple[int, int] = (1242, 375)) -> Calibration:

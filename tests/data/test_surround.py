@@ -22,13 +22,14 @@ from lidar2pano.geometry.projection import directions
 from lidar2pano.geometry.stitching import BLEND, CameraImage, stitch
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.views import VIEWS, View
+from miniature_layouts import CIRCLE_DEG, fisheye_view, kitti360_fisheyes
 from miniature_surround import (
     HEIGHT,
     SIZE,
     camera,
+    camera_view,
     distances,
     painting,
-    camera_view,
     six,
     sweep,
     write_nuscenes,
@@ -168,6 +169,26 @@ def test_from_the_cameras_own_place_nothing_is_hidden():
         stitch([here], QUARTER, depth)[1] for depth in (torch.from_numpy(rough).float(), torch.full((96, 1152), 9.0))
     ]
     assert np.array_equal(*valid) and valid[0].mean() > 0.15
+
+
+def test_a_fisheye_is_composed_up_to_its_image_circle(photos):
+    """Beyond the circle the image is of another colour, which must not come into the panorama."""
+    lens = replace(kitti360_fisheyes()["image_02"], reach_deg=CIRCLE_DEG)
+    view = replace(QUARTER, origin=lens.centre)
+    expected, depth = ground_truth(view)
+    colour, valid = stitch([CameraImage(image=fisheye_view(lens), calibration=lens)], view, depth)
+    axis = lens.T_camera_lidar[2, :3]
+    angle = np.degrees(np.arccos(directions(view).double().numpy() @ axis))
+    assert (valid == (angle <= CIRCLE_DEG))[np.abs(angle - CIRCLE_DEG) > 0.01].all() and 0.4 < valid.mean() < 0.6
+    off = np.abs(colour - expected)[angle < CIRCLE_DEG - 1]
+    assert off.mean() < 0.6 and off.max() < 6, "at the crease between ground and wall; beyond the circle it is 100"
+    whole = replace(lens, reach_deg=180.0)
+    _, farther = stitch([CameraImage(image=fisheye_view(lens), calibration=whole)], view, depth)
+    assert (valid <= farther).all() and farther.sum() > valid.sum() + 1000
+    beside, _ = stitch(
+        [*photos.values(), CameraImage(image=fisheye_view(lens), calibration=lens)], QUARTER, ground_truth(QUARTER)[1]
+    )
+    assert np.abs(beside - ground_truth(QUARTER)[0]).mean() < 1
 
 
 # --- depths ---------------------------------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ from lidar2pano.bulk.entries import Shard
 from lidar2pano.bulk.manifest import _made, _parsed
 from lidar2pano.calibration import read_calib
 from lidar2pano.cli import batch
-from lidar2pano.data import nuscenes, pandaset, semantic_kitti
+from lidar2pano.data import kitti360, nuscenes, pandaset, semantic_kitti
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
@@ -43,6 +43,7 @@ from lidar2pano.train.checkpoint import Progress, check_recipe
 from lidar2pano.train.recipe import Network, Optimizer, override, resolved
 from lidar2pano.train.recipes import RECIPES, recipe_named
 from lidar2pano.views import VIEWS, View
+from miniature_layouts import write_kitti360_layout
 from random_weights import CALIB
 
 POINTS = 64  # of the scans that are damaged
@@ -178,6 +179,11 @@ def read_nuscenes(path: Path) -> None:
             frame.scan  # noqa: B018
 
 
+def read_fisheyes(path: Path) -> None:
+    for lens in kitti360.fisheye_calibrations(path.parents[1]).values():
+        assert lens.project(np.eye(3)).shape == (3, 2)
+
+
 def text_targets(folder: Path) -> dict[str, Target]:
     """Texts, and binary files that are no scans."""
     sequence = folder / "sequence"
@@ -189,6 +195,8 @@ def text_targets(folder: Path) -> dict[str, Target]:
     Image.fromarray(np.arange(192, dtype=np.uint8).reshape(8, 8, 3)).save(jpeg, "jpeg")
     images = [png.getvalue(), jpeg.getvalue()]
     pose = b"1 0 0 0 0 1 0 0 0 0 1 0\n"
+    calibration = write_kitti360_layout(folder / "kitti-360", (), fisheyes=True) / "calibration"
+    fisheye = (calibration / "image_02.yaml").read_bytes()
     record = json.dumps({"input": "a", "outputs": ["b"], "error": None, "sha256": ""}).encode() + b"\n"
     journal = json.dumps({"file": "a", "made_by": "b", "source": {}, "stamp": {}}).encode() + b"\n"
 
@@ -204,6 +212,7 @@ def text_targets(folder: Path) -> dict[str, Target]:
             odd_text,
             from_file(sequence, "times.txt", lambda path: times([path.with_name("000000.bin")])),
         ),
+        "fisheye": ([fisheye], odd_text, from_file(calibration, "image_02.yaml", read_fisheyes)),
         "image": (images, bytes_of(images), from_file(folder, "a.png", lambda path: read_image(path, "RGB"))),
         "label": ([bytes(64)], bytes_of([bytes(64)]), from_file(folder, "a.label", lambda path: read_label(path, 16))),
         "manifest": ([record], odd_json, lambda data: [_made(one) for one in _parsed(data)]),

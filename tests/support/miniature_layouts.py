@@ -8,16 +8,17 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from lidar2pano.calibration import Calibration
+from lidar2pano.calibration import Calibration, LensCalibration
 from lidar2pano.data.nuscenes_samples import CLASSES
 from lidar2pano.geometry.motion import quaternion
-from miniature_surround import HEIGHT, OURS, camera, camera_view, distances, six, sweep
+from miniature_surround import HEIGHT, OURS, camera, camera_view, distances, painting, six, sweep
 
 SCENES = {"scene-0061": 2, "scene-0103": 2}  # of mini_train and mini_val: numbers of samples
 ROAD, MANMADE, NOISE = 24, 28, 0  # lidarseg's ids
@@ -27,6 +28,14 @@ CAMERA_OF = {  # nuScenes' name of a camera -> that of `six`
     "CAM_BACK": "back_camera", "CAM_BACK_RIGHT": "right_camera", "CAM_FRONT_RIGHT": "front_right_camera",
 }  # fmt: skip
 SEQUENCE = "2013_05_28_drive_0003_sync"
+# KITTI-360's fisheye cameras at a quarter of their 1400 x 1400 pixels, and how they are mounted, seen from image_00: a
+# little behind it, left and right of it, each turned a little backwards.
+LENSES = {
+    "image_02": ((334.08, 333.95, 179.2, 176.4), (2.2134, 0.0168, 1.6549, 0.00042, 0.00042), 91.8, (-0.7, 0.4, 0.1)),
+    "image_03": ((371.36, 371.24, 174.7, 174.5), (2.5535, 0.0494, 4.5068, 0.00135, -0.00070), -91.4, (-0.7, -0.5, 0.1)),
+}
+CIRCLE_DEG = 92.5  # of a fisheye's image: beyond, images are of the colour OUTSIDE
+OUTSIDE = (255, 0, 255)
 LABELLED = {7: "road", 11: "building", 34: "garage", 37: "smallpole", 38: "lamp"}
 
 
@@ -148,20 +157,60 @@ def kitti360_camera() -> Calibration:
     return camera(0.0, FRONT)
 
 
+def kitti360_fisheyes() -> dict[str, LensCalibration]:
+    """The fisheye cameras, which look to the left (image_02) and to the right (image_03)."""
+    found = {}
+    for name, ((fx, fy, cx, cy), distortion, left_deg, place) in LENSES.items():
+        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        T = camera(left_deg, place, lean=0.02).T_camera_lidar
+        found[name] = LensCalibration(K=K, T_camera_lidar=T, size=(350, 350), model="mei", distortion=distortion)
+    return found
+
+
+def fisheye_view(lens: LensCalibration) -> np.ndarray:
+    """(h, w, 3) uint8: the place as a fisheye camera sees it, and OUTSIDE beyond its image circle."""
+    rays = replace(lens, reach_deg=CIRCLE_DEG).rays()
+    inside = np.isfinite(rays[..., 0])
+    rays, centre = rays[inside] @ lens.T_camera_lidar[:3, :3], np.array(lens.centre)
+    image = np.full((*inside.shape, 3), OUTSIDE, dtype=np.uint8)
+    image[inside] = painting(centre + distances(centre, rays)[..., None] * rays).round()
+    return image
+
+
+def lens_yaml(name: str, lens: LensCalibration) -> str:
+    """A fisheye camera as calibration/image_0N.yaml has it."""
+    (fx, _, cx), (_, fy, cy), _ = lens.K.tolist()
+    sections = {
+        "mirror_parameters": {"xi": lens.distortion[0]},
+        "distortion_parameters": dict(zip(("k1", "k2", "p1", "p2"), lens.distortion[1:], strict=True)),
+        "projection_parameters": {"gamma1": fx, "gamma2": fy, "u0": cx, "v0": cy},
+    }
+    lines = ["%YAML:1.0", "---", "model_type: MEI", f"camera_name: {name}"]
+    lines += [f"image_width: {lens.size[0]}", f"image_height: {lens.size[1]}"]
+    for section, numbers in sections.items():
+        lines += [f"{section}:", *(f"   {key}: {number:.16e}" for key, number in numbers.items())]
+    return "\n".join(lines) + "\n"
+
+
 def kitti360_pose(frame: int) -> np.ndarray:
     """(4, 4) T_world_lidar of a frame."""
     return rigid(1000.0 + frame, 3800.0, 115.0, 10.0)
 
 
-def write_kitti360_layout(root: Path, frames: Sequence[int] = (2, 3, 7, 11)) -> Path:
-    """The place as KITTI-360, of one sequence; frame 7 has no pose, frame 11 neither an image nor labels."""
+def write_kitti360_layout(root: Path, frames: Sequence[int] = (2, 3, 7, 11), *, fisheyes: bool = False) -> Path:
+    """The place as KITTI-360, of one sequence; frame 7 has no pose, frame 11 neither an image nor labels.
+
+    fisheyes  whether the fisheye cameras are there: their images (of all frames but 11) and their calibrations.
+    """
     folder, mount = root / "data_3d_raw" / SEQUENCE / "velodyne_points" / "data", kitti360_camera()
     points, ground = sweep(64, 400)
     scan = np.column_stack([points, np.full(len(points), 0.3)]).astype("<f4")
     T_ego_lidar = rigid(0.8, 0.3, 0.7, 1.5)
     rectify = rigid(0, 0, 0, 2.0)
     T_lidar_camera = np.linalg.inv(mount.T_camera_lidar) @ rectify  # of the camera as it is mounted
-    cameras = {f"image_{n:02d}": T_ego_lidar @ T_lidar_camera @ rigid(0.6 * n, 0, 0) for n in range(4)}
+    cameras = {f"image_{n:02d}": T_ego_lidar @ T_lidar_camera @ rigid(0.6 * n, 0, 0) for n in range(2)}
+    lenses = kitti360_fisheyes() if fisheyes else {}
+    cameras |= {name: T_ego_lidar @ np.linalg.inv(lens.T_camera_lidar) for name, lens in lenses.items()}
     lines: dict[str, list[str]] = {
         "perspective.txt": [
             "calib_time: 01-Jan-2013", "corner_dist: 0", "S_00: 490 310", f"K_00: {text(np.eye(3))}",
@@ -188,6 +237,12 @@ def write_kitti360_layout(root: Path, frames: Sequence[int] = (2, 3, 7, 11)) -> 
         if frame != 11:
             colour.save(written(root / images[frames.index(frame)]))
             ids.save(written(root / labels[frames.index(frame)]))
+    for name, lens in lenses.items():
+        (root / "calibration" / f"{name}.yaml").write_text(lens_yaml(name, lens))
+        image = Image.fromarray(fisheye_view(lens))
+        for frame in frames:
+            if frame != 11:
+                image.save(written(root / f"data_2d_raw/{SEQUENCE}/{name}/data_rgb/{frame:010d}.png"))
     poses = [
         f"{frame} {text((kitti360_pose(frame) @ np.linalg.inv(T_ego_lidar))[:3])}" for frame in frames if frame != 7
     ]

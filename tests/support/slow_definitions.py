@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 
+from lidar2pano.calibration import LensCalibration
 from lidar2pano.views import View
 
 
@@ -164,3 +166,28 @@ def grow_slowly(seeds: torch.Tensor, inside: torch.Tensor, steps: int) -> torch.
             grown[place] = number
         front = reached
     return grown
+
+
+def camera_pixel_slowly(ray: Sequence[float] | np.ndarray, camera: LensCalibration) -> tuple[float, float]:
+    """The pixel (u, v) of a direction, as OpenCV's documentation and KITTI-360's project.py write the models."""
+    x, y, z = ray
+    if camera.model == "fisheye":
+        radius = math.hypot(x, y)
+        theta = math.atan2(radius, z)
+        k1, k2, k3, k4 = camera.distortion
+        theta_d = theta * (1 + k1 * theta**2 + k2 * theta**4 + k3 * theta**6 + k4 * theta**8)
+        scale = theta_d / radius if radius else 1.0
+        xd, yd = x * scale, y * scale
+    else:
+        coefficients, ahead = camera.distortion, z
+        if camera.model == "mei":
+            xi, *coefficients = camera.distortion
+            ahead = z + xi * math.sqrt(x * x + y * y + z * z)
+        k1, k2, p1, p2, k3 = (*coefficients, 0.0)[:5]
+        a, b = x / ahead, y / ahead
+        r2 = a * a + b * b
+        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+        xd = a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a)
+        yd = b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
+    u, v, _ = camera.K @ np.array([xd, yd, 1.0])
+    return u, v

@@ -41,6 +41,11 @@ def kitti360_root(tmp_path_factory) -> Path:
     return write_kitti360_layout(tmp_path_factory.mktemp("kitti360"))
 
 
+@pytest.fixture(scope="module")
+def fisheye_root(tmp_path_factory) -> Path:
+    return write_kitti360_layout(tmp_path_factory.mktemp("fisheyes"), fisheyes=True)
+
+
 def small(name: str, *assignments: str) -> Recipe:
     """A released recipe with networks small enough for a test; two steps."""
     recipe = recipe_named(name)
@@ -100,3 +105,24 @@ def test_kitti_360_trains_a_translator_and_a_painter_on_a_segmenters_labels(kitt
     task = build_task(small("scene-painter-mini", labels, translator, *options), kitti360_root)
     sample = task.dataset[0]
     assert sample.valid.any() and np.isfinite(sample.image.numpy()).all()
+
+
+def test_kitti_360_with_its_fisheyes_trains_and_is_evaluated_all_around(fisheye_root, segmenter, tmp_path):
+    labels = f"options.segmenter={segmenter}"
+    options = ["scale=0.125", "options.columns=64"]
+    train(small("titan-pano-mini", labels, *options), fisheye_root, tmp_path / "translator", device="cpu")
+    weights = weight_files(tmp_path / "translator")["translator"]
+    translator = f"options.translator={weights}"
+    recipe = small("scene-painter-mini", labels, translator, *options)
+    task = build_task(recipe, fisheye_root)
+    window = task.dataset.crops.window(0)
+    assert window.view.circular and window.valid.float().mean() > 0.95, "all around"
+    train(recipe, fisheye_root, tmp_path / "painter", device="cpu")
+    painter = weight_files(tmp_path / "painter")["painter"]
+    chain = f"{segmenter.parents[1]}+{weights}+{painter}"
+    scored = frames(fisheye_root, "val", EIGHTH)[:1]
+    records = score([system(chain, device="cpu")], scored, data="kitti-360", split="val").records()
+    named = {(record["sector"], record["metric"]): record["value"] for record in records}
+    assert any(sector == "camera" and "miou" in metric for sector, metric in named)
+    assert any(sector == "panorama" and "ssim" in metric for sector, metric in named)
+    assert not any(sector == "panorama" and "miou" in metric for sector, metric in named), "no labels all around"

@@ -136,7 +136,9 @@ class ClipDataset:
         return clip if plain or generator.random() < 0.5 else mirrored(clip)
 
     def _read(self, frame: Frame) -> LabelledImage:
-        return panorama_image(frame, self.framing.view) if self.framing.view else camera_image(frame, self.framing.scale)
+        return (
+            panorama_image(frame, self.framing.view) if self.framing.view else camera_image(frame, self.framing.scale)
+        )
 
     def _check(self, frame: Frame, image: LabelledImage) -> None:
         rows, columns = image.labels.shape
@@ -179,7 +181,12 @@ class ClipDataset:
 
 def runs(names: Sequence[str], length: int) -> list[tuple[int, ...]]:
     """Every run of `length` frames "seq/NNNNNN" of one sequence whose numbers follow each other, as indices."""
-    parts = [(sequence, int(stem), index) for index, name in enumerate(names) for sequence, stem in [name.split("/")] if stem.isdecimal()]
+    parts = [
+        (sequence, int(stem), index)
+        for index, name in enumerate(names)
+        for sequence, stem in [name.split("/")]
+        if stem.isdecimal()
+    ]
     ordered = sorted(parts)
     windows = [ordered[first : first + length] for first in range(len(ordered) - length + 1)]
     return [
@@ -198,7 +205,9 @@ def camera_image(frame: Frame, scale: float) -> LabelledImage:
     size = camera.size if camera else (round(image.shape[1] * scale), round(image.shape[0] * scale))
     resized = Image.fromarray(image).resize(size, Image.Resampling.BOX)
     labels = np.array(Image.fromarray(common).resize(size, Image.Resampling.NEAREST))
-    return LabelledImage(camera, torch.from_numpy(np.array(resized)).movedim(2, 0).contiguous(), torch.from_numpy(labels))
+    return LabelledImage(
+        camera, torch.from_numpy(np.array(resized)).movedim(2, 0).contiguous(), torch.from_numpy(labels)
+    )
 
 
 def panorama_image(frame: Frame, view: View) -> LabelledImage:
@@ -217,12 +226,15 @@ def flow_to(before: Frame, now: Frame, image_before: LabelledImage, image_now: L
 
 
 def distances_m(frame: Frame, image: LabelledImage) -> Tensor:
-    """Distances (H, W) float32 as `ego_flow` takes them: of the true panorama if there is one, else of the scan."""
+    """Distances (H, W) float32 as `ego_flow` takes them: of the true panorama if it has labels, else of the scan.
+
+    Depths of a panorama that was stitched without labels are sparse; the scan's are completed.
+    """
     raster = image.raster
     assert raster is not None, "without a camera flow comes from the images"
     if isinstance(raster, View):
         return _sky_is_far(panorama_on(frame, raster).depth_m)
-    if frame.panorama is not None:
+    if frame.panorama_labels is not None and frame.panorama is not None:
         depth_m = _sky_is_far(frame.panorama.depth_m)
         return panorama_in_camera(at_camera(frame.panorama.view, raster), raster).nearest(depth_m)
     distance = scan_distances(torch.from_numpy(frame.scan.xyz), raster)
@@ -234,7 +246,9 @@ def _sky_is_far(depth_m: np.ndarray | None) -> Tensor:
     return torch.from_numpy(np.where(depth_m > 0, depth_m, np.float32(np.inf)))
 
 
-def panned(image: LabelledImage, generator: np.random.Generator, framing: Framing, length: int, name: str) -> ClipSample:
+def panned(
+    image: LabelledImage, generator: np.random.Generator, framing: Framing, length: int, name: str
+) -> ClipSample:
     """One frame under a window that moves (see `pan`)."""
     rows, columns = framing.rows, framing.columns
     size, middle = pan(generator, image.labels.shape, (rows, columns), length)
@@ -282,9 +296,7 @@ def pan(
 def mirrored(clip: ClipSample) -> ClipSample:
     """The clip with left and right swapped."""
     shift = clip.shift.flip(-1) * torch.tensor([-1.0, 1.0])[:, None, None]
-    return clip._replace(
-        image=clip.image.flip(-1), labels=clip.labels.flip(-1), shift=shift, known=clip.known.flip(-1)
-    )
+    return clip._replace(image=clip.image.flip(-1), labels=clip.labels.flip(-1), shift=shift, known=clip.known.flip(-1))
 
 
 def _clip(image: Tensor, labels: Tensor, flow: Flow, name: str) -> ClipSample:

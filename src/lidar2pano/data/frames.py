@@ -195,7 +195,7 @@ def frames(root: Path, split: str, view: View = VIEWS["panorama"]) -> FrameList[
     if nuscenes_samples.versions(root):
         return nuscenes_samples.frames(root, split, view)
     if kitti360.is_one(root):
-        return kitti360.frames(root, split)
+        return kitti360.frames(root, split, view)
     if labelled_images.is_one(root):
         return labelled_images.frames(root, split)
     raise InputError(

@@ -3,13 +3,14 @@
 ROOT/data_3d_raw/<seq>/velodyne_points/data/N.bin, data_2d_raw/<seq>/image_00/data_rect/N.png,
 data_2d_semantics/train/<seq>/image_00/semantic/N.png, data_poses/<seq>/poses.txt and
 calibration/{perspective,calib_cam_to_velo,calib_cam_to_pose}.txt, N of ten digits. Frames are "<seq>/N". Points have no
-labels here: those of the data set are of scans accumulated over seconds.
+labels here: those of the data set are of scans accumulated over seconds. With the fisheye cameras to the left and
+right, data_2d_raw/<seq>/image_{02,03}/data_rgb/N.png and calibration/image_{02,03}.yaml, a panorama is stitched.
 Formats: the data set's documentation, and kitti360scripts/{helpers/project.py, viewer/kitti360Viewer3DRaw.py}.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from itertools import groupby
@@ -18,21 +19,28 @@ from pathlib import Path
 import numpy as np
 
 from lidar2pano.bounded_files import read_text
-from lidar2pano.calibration import Calibration
-from lidar2pano.data.frames import IGNORE, Frame, FrameList
+from lidar2pano.calibration import Calibration, LensCalibration
+from lidar2pano.data.frames import IGNORE, Frame, FrameList, PanoramaGroundTruth
 from lidar2pano.data.labelled_images import TRAIN_IDS
 from lidar2pano.data.poses import read_poses
 from lidar2pano.data.semantic_kitti import stems
 from lidar2pano.data.splits import listed_names, listed_splits
-from lidar2pano.data.surround import matrix
+from lidar2pano.data.surround import matrix, stitched_panorama
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import image_size, read_image
 from lidar2pano.formats.scan_files import read_bin
+from lidar2pano.geometry.camera import at_camera
+from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.stitching import CameraImage
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.scan import Scan
+from lidar2pano.views import View
 
 SCANS = "data_3d_raw"
 CAMERA = "image_00"
+FISHEYES = ("image_02", "image_03")  # to the left and to the right
+REACH_DEG = 185 / 2  # of the fisheyes' axes: "roughly 185 degrees", says issue 39 of autonomousvision/kitti360Scripts
+LARGEST_COEFFICIENT = 100.0  # of a lens; the data set's are below 5
 LISTS = "data_2d_semantics/train/2013_05_28_drive_{}_frames.txt"  # the data set's own lists of labelled images
 FILES = ("perspective.txt", "calib_cam_to_velo.txt", "calib_cam_to_pose.txt")
 LABEL_IDS = 45
@@ -56,12 +64,18 @@ class Kitti360Calibration:
 
 
 class Kitti360Frame(Frame):
-    """A frame by its root and its name, "<seq>/NNNNNNNNNN"."""
+    """A frame by its root and its name, "<seq>/NNNNNNNNNN".
 
-    def __init__(self, root: Path, name: str) -> None:
+    view  the raster of its panorama, whose origin becomes the perspective camera's centre.
+    The panorama, where all three images and the calibrations are there, has no labels; its depths are the scan's alone.
+    """
+
+    def __init__(self, root: Path, view: View, name: str) -> None:
         super().__init__(name)
         self.root: Path = root
+        self.view = view
         self.sequence, _, self.stem = name.partition("/")
+        self._panoramas: dict[View, PanoramaGroundTruth] = {}
 
     @property
     def scan_file(self) -> Path:
@@ -72,6 +86,12 @@ class Kitti360Frame(Frame):
     def image_file(self) -> Path:
         """The file of the image, which may be missing."""
         return self.root / "data_2d_raw" / self.sequence / CAMERA / "data_rect" / f"{self.stem}.png"
+
+    @property
+    def fisheye_files(self) -> Mapping[str, Path]:
+        """The files of the fisheye cameras' images, any of which may be missing."""
+        folder = self.root / "data_2d_raw" / self.sequence
+        return {name: folder / name / "data_rgb" / f"{self.stem}.png" for name in FISHEYES}
 
     @property
     def labels_file(self) -> Path:
@@ -108,8 +128,50 @@ class Kitti360Frame(Frame):
         for path in files:
             if (size := image_size(path)) != camera.size:
                 (width, height), (w, h) = size, camera.size
-                raise InputError(f"{path}: is {width}x{height}, but {FILES[0]} says {w}x{h}; take both from the data set")
+                raise InputError(
+                    f"{path}: is {width}x{height}, but {FILES[0]} says {w}x{h}; take both from the data set"
+                )
         return camera
+
+    @cached_property
+    def cameras(self) -> Mapping[str, CameraImage]:
+        """The images of the three cameras by name; InputError where one is missing or damaged, or not of its size."""
+        image, camera = self.require("image", "calibration")
+        found = {CAMERA: CameraImage(image=image, calibration=camera)}
+        lenses = fisheye_calibrations(self.root)
+        for name, path in self.fisheye_files.items():
+            if (size := image_size(path)) != lenses[name].size:
+                (width, height), (w, h) = size, lenses[name].size
+                raise InputError(
+                    f"{path}: is {width}x{height}, but {name}.yaml says {w}x{h}; take both from the data set"
+                )
+            found[name] = CameraImage(image=read_image(path, "RGB"), calibration=lenses[name])
+        return found
+
+    @cached_property
+    def panorama(self) -> PanoramaGroundTruth | None:
+        """See Frame."""
+        return self.panorama_for(self.view)
+
+    @cached_property
+    def panorama_labels(self) -> None:
+        """See Frame: there are none, and nothing is stitched to say so."""
+        return
+
+    def panorama_for(self, view: View) -> PanoramaGroundTruth | None:
+        """See Frame; None where an image or the calibration of one of the three cameras is missing."""
+        if self._absent() is not None:
+            return None
+        if view not in self._panoramas:
+            scan = self.scan.beyond()
+            range_image = project(scan, at_camera(view, self.cameras[CAMERA].calibration))
+            self._panoramas[view] = stitched_panorama(list(self.cameras.values()), scan, range_image)
+        return self._panoramas[view]
+
+    def _absent(self) -> Path | None:
+        """The first file without which there is no panorama, if one is missing."""
+        files = (self.image_file, *self.fisheye_files.values(), *_lens_files(self.root))
+        return next((path for path in files if not path.is_file()), None)
 
     @cached_property
     def pose(self) -> np.ndarray | None:
@@ -122,11 +184,16 @@ class Kitti360Frame(Frame):
         """See Frame."""
         poses = self.root / "data_poses" / self.sequence / "poses.txt"
         return {
-            "point_labels": f"{self.name}: KITTI-360 has no labels of single scans; name a segmenter that labels them with"
-            " --set options.segmenter=FILE",
+            "point_labels": f"{self.name}: KITTI-360 has no labels of single scans; name a segmenter that labels them"
+            " with --set options.segmenter=FILE",
             "image": f"{self.image_file}: is missing; download the perspective images",
             "calibration": f"{self.image_file}: is missing, and so are its labels; download the perspective images",
-            "camera_labels": f"{self.labels_file}: is missing; choose the split train or val, whose images are labelled",
+            "camera_labels": f"{self.labels_file}: is missing; choose the split train or val, whose images are"
+            " labelled",
+            "panorama": f"{self._absent()}: is missing; download the perspective and the fisheye images and the"
+            " calibration",
+            "panorama_labels": f"{self.name}: KITTI-360 has no labels all around; choose the split train or val, whose"
+            f" {CAMERA} is labelled",
             "pose": f"{poses}: has no line for frame {int(self.stem)}; choose another split",
         }.get(part) or super().missing(part)
 
@@ -136,11 +203,12 @@ def is_one(root: Path) -> bool:
     return (root / SCANS).is_dir()
 
 
-def frames(root: Path, split: str) -> FrameList[Kitti360Frame]:
+def frames(root: Path, split: str, view: View) -> FrameList[Kitti360Frame]:
     """Frames of a split. InputError where there is none.
 
     split  of splits.json; "train" or "val": the data set's own lists of labelled images, of which those without a scan
            are left out; "all", or the name of a sequence: all scans.
+    view   the raster of stitched panoramas.
     """
     sequences = sorted(path.name for path in (root / SCANS).iterdir() if path.is_dir())
     if split in listed_splits(root / "splits.json"):
@@ -159,23 +227,40 @@ def frames(root: Path, split: str) -> FrameList[Kitti360Frame]:
         raise InputError(f"{root}: no split {split!r}" + closest(split, ("train", "val", "all", *sequences)))
     if not names:
         raise InputError(f"{root}: split {split!r} has no scan ({SCANS}/*/velodyne_points/data); complete the data set")
-    return FrameList("kitti-360", zip(names, [partial(Kitti360Frame, root)] * len(names), strict=True))
+    return FrameList("kitti-360", zip(names, [partial(Kitti360Frame, root, view)] * len(names), strict=True))
 
 
 def calibration(root: Path) -> Kitti360Calibration:
     """The files of ROOT/calibration; InputError where one is missing or damaged."""
-    files = [root / "calibration" / name for name in FILES]
-    return _calibration(root, tuple(path.stat().st_mtime_ns if path.is_file() else 0 for path in files))
+    return _calibration(root, _changed(root / "calibration" / name for name in FILES))
+
+
+def fisheye_calibrations(root: Path) -> Mapping[str, LensCalibration]:
+    """The fisheye cameras by name (calibration/image_*.yaml); InputError where a file is missing or damaged."""
+    return _fisheyes(root, _changed((*(root / "calibration" / name for name in FILES), *_lens_files(root))))
+
+
+def _lens_files(root: Path) -> list[Path]:
+    return [root / "calibration" / f"{name}.yaml" for name in FISHEYES]
+
+
+def _changed(files: Iterable[Path]) -> tuple[int, ...]:
+    """When files were changed, 0 for those that are missing."""
+    return tuple(path.stat().st_mtime_ns if path.is_file() else 0 for path in files)
 
 
 @lru_cache(maxsize=4)
 def _calibration(root: Path, changed: tuple[int, ...]) -> Kitti360Calibration:  # noqa: ARG001 a part of the cache's key
     perspective, cam_to_velo, cam_to_pose = (root / "calibration" / name for name in FILES)
     rows = _rows(perspective)
-    P, R, S = (_numbers(perspective, rows, name, n) for name, n in (("P_rect_00", 12), ("R_rect_00", 9), ("S_rect_00", 2)))
+    P, R, S = (
+        _numbers(perspective, rows, name, n) for name, n in (("P_rect_00", 12), ("R_rect_00", 9), ("S_rect_00", 2))
+    )
     P = P.reshape(3, 4)
     K = matrix(perspective, {"P_rect_00": P[:, :3]}, "P_rect_00", (3, 3))
-    T_rectified_camera = _motion(perspective, "R_rect_00", np.column_stack([R.reshape(3, 3), np.linalg.solve(K, P[:, 3])]))
+    T_rectified_camera = _motion(
+        perspective, "R_rect_00", np.column_stack([R.reshape(3, 3), np.linalg.solve(K, P[:, 3])])
+    )
     whole = {"the file": read_calibration(cam_to_velo)}
     T_lidar_camera = _motion(cam_to_velo, "the file", _numbers(cam_to_velo, whole, "the file", 12).reshape(3, 4))
     T_ego_camera = _motion(cam_to_pose, CAMERA, _numbers(cam_to_pose, _rows(cam_to_pose), CAMERA, 12).reshape(3, 4))
@@ -185,6 +270,45 @@ def _calibration(root: Path, changed: tuple[int, ...]) -> Kitti360Calibration:  
         raise InputError(f"{perspective}: row S_rect_00: is no size of an image; take the file from the data set")
     camera = Calibration(K=K / K[2, 2], T_camera_lidar=T_rectified_camera @ T_camera_lidar, size=(width, height))
     return Kitti360Calibration(camera=camera, T_ego_lidar=T_ego_camera @ T_camera_lidar)
+
+
+@lru_cache(maxsize=4)
+def _fisheyes(root: Path, changed: tuple[int, ...]) -> dict[str, LensCalibration]:  # noqa: ARG001 a part of the cache's key
+    T_ego_lidar, mounts = calibration(root).T_ego_lidar, root / "calibration" / FILES[2]
+    found = {}
+    for name, path in zip(FISHEYES, _lens_files(root), strict=True):
+        T_ego_camera = _motion(mounts, name, _numbers(mounts, _rows(mounts), name, 12).reshape(3, 4))
+        found[name] = _lens(path, np.linalg.inv(T_ego_camera) @ T_ego_lidar)
+    return found
+
+
+# The files are CamOdoCal's (CataCamera.cc), whose distortion is (k1, k2, p1, p2) of "brown". The data set's own
+# project.py leaves out p1 and p2, "for simplicity" (issue 95 there): up to a pixel of 1400 at the rim.
+def _lens(path: Path, T_camera_lidar: np.ndarray) -> LensCalibration:
+    """A fisheye camera by its file: OpenCV's YAML, "NAME: number" a line below the names of sections."""
+    rows = _rows(path)
+    if rows.get("model_type", "").strip().strip("\"'") != "MEI":
+        raise InputError(f"{path}: says no 'model_type: MEI'; take the file from the data set")
+    names = ("xi", "k1", "k2", "p1", "p2", "gamma1", "gamma2", "u0", "v0", "image_width", "image_height")
+    values = [float(_numbers(path, rows, name, 1)[0]) for name in names]
+    distortion, (fx, fy, cx, cy), size = tuple(values[:5]), values[5:9], values[9:]
+    if distortion[0] < 0 or max(map(abs, distortion)) > LARGEST_COEFFICIENT:
+        raise InputError(f"{path}: xi, k1, k2, p1 and p2 are no lens's; take the file from the data set")
+    width, height = map(int, size)
+    if min(size) < 1 or [width, height] != size:
+        raise InputError(
+            f"{path}: image_width and image_height are no size of an image; take the file from the data set"
+        )
+    part = "projection_parameters"
+    K = matrix(path, {part: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]}, part, (3, 3))
+    return LensCalibration(
+        K=K,
+        T_camera_lidar=T_camera_lidar,
+        size=(width, height),
+        model="mei",
+        distortion=distortion,
+        reach_deg=REACH_DEG,
+    )
 
 
 def read_calibration(path: Path) -> str:
@@ -209,7 +333,8 @@ def _numbers(path: Path, rows: Mapping[str, str], name: str, count: int) -> np.n
     except ValueError:
         numbers = np.zeros(0)
     if len(numbers) != count or not np.isfinite(numbers).all():
-        raise InputError(f"{path}: {name} must hold {count} finite numbers; take the file from the data set")
+        numbers = f"{count} finite numbers" if count > 1 else "a finite number"
+        raise InputError(f"{path}: {name} must hold {numbers}; take the file from the data set")
     return numbers
 
 
@@ -233,7 +358,7 @@ def _scans(root: Path, sequence: str) -> Path:
 
 
 def _labelled(root: Path, split: str) -> list[str]:
-    """Names of the frames in the data set's list of labelled images; its lines begin with .../SEQ/image_00/data_rect/N.png."""
+    """Names of the frames in the list of labelled images, whose lines begin with .../SEQ/image_00/data_rect/N.png."""
     path = root / LISTS.format(split)
     if not path.is_file():
         raise InputError(
@@ -254,4 +379,6 @@ def _with_scans(root: Path, names: list[str], complete: str = "") -> Iterator[st
             if stem in there and stem.isdecimal():
                 yield name
             elif complete:
-                raise InputError(f"{_scans(root, sequence)}: scan {stem}.bin of split {complete!r} is missing; complete it")
+                raise InputError(
+                    f"{_scans(root, sequence)}: scan {stem}.bin of split {complete!r} is missing; complete it"
+                )

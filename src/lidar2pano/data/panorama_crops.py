@@ -75,7 +75,8 @@ class PanoramaWindow(NamedTuple):
 class PanoramaDataset:
     """Scan/camera pairs of some splits on `view`, cropped to `columns` around the camera's sector.
 
-    Of frames with a true panorama, crops come from every direction.
+    Of frames with a true panorama, crops come from every direction. Where it has no labels but the camera's image has,
+    they do only if the image is wanted, and labels are known in the camera's sector.
 
     view      the raster of the translator (its origin is replaced by the camera's centre, frame by frame).
     columns   width of the crop, a multiple of 16; shift_px: how far left or right of the camera's middle it may begin.
@@ -170,13 +171,14 @@ class PanoramaDataset:
         view, labels = self._camera_labels(frame)
         image, valid = torch.zeros(3, 0, 0, dtype=torch.uint8), torch.zeros(0, 0, dtype=torch.bool)
         scan, openings = replace(frame.scan, label=frame.point_labels), torch.full(labels.shape, torch.nan)
-        if frame.panorama_for(self.view) is not None:
-            ground_truth = panorama_on(frame, self.view)
+        if self._all_around(frame):
+            camera_labels = frame.panorama_labels is None
+            ground_truth = panorama_on(frame, self.view, camera_labels)
             depth_m = torch.from_numpy(ground_truth.depth_m)
             if ground_truth.openings is not None:
                 openings = torch.from_numpy(ground_truth.openings)
             if self.image:
-                fine = panorama_on(frame, self.view.scaled(2))
+                fine = panorama_on(frame, self.view.scaled(2), camera_labels)
                 image, valid = torch.from_numpy(fine.image).movedim(2, 0), torch.from_numpy(fine.valid)
         else:
             depth_m = project(scan, view).channels[0]
@@ -189,13 +191,24 @@ class PanoramaDataset:
 
     def _camera_labels(self, frame: Frame) -> tuple[View, Tensor]:
         """The part of the raster on which a frame is sampled, and its camera labels, uint8 of COMMON15 or IGNORE."""
-        if frame.panorama_for(self.view) is not None:
+        around = self._all_around(frame)
+        if around and (frame.panorama_labels is not None or frame.camera_labels is None):
             panorama = panorama_on(frame, self.view)
             labels = torch.from_numpy(panorama.labels)
             return panorama.view, labels.where(labels != 0, IGNORE)
         ids, calibration = frame.require("camera_labels", "calibration")
-        view = around_camera(at_camera(self.view, calibration), calibration, self.columns + 2 * self.shift_px)
-        return view, camera_in_panorama(view, calibration).nearest(torch.from_numpy(CITYSCAPES_TO_COMMON15[ids]), IGNORE)
+        view = at_camera(self.view, calibration)
+        if not around:
+            view = around_camera(view, calibration, self.columns + 2 * self.shift_px)
+        return view, camera_in_panorama(view, calibration).nearest(
+            torch.from_numpy(CITYSCAPES_TO_COMMON15[ids]), IGNORE
+        )
+
+    def _all_around(self, frame: Frame) -> bool:
+        """Whether a frame is sampled on the whole raster; not for depths alone where only the camera has labels."""
+        if not self.image and frame.panorama_labels is None and frame.camera_labels is not None:
+            return False
+        return frame.panorama_for(self.view) is not None
 
 
 def without_sector(scan: Scan, generator: np.random.Generator) -> Scan:
@@ -207,27 +220,31 @@ def without_sector(scan: Scan, generator: np.random.Generator) -> Scan:
     return replace(scan, label=scan.label * (np.abs(azimuth - middle) >= half))
 
 
-def panorama_on(frame: Frame, view: View) -> PanoramaGroundTruth:
+def panorama_on(frame: Frame, view: View, camera_labels: bool = False) -> PanoramaGroundTruth:
     """A frame's true panorama, labels and depths included, on the raster `view` around the camera.
 
     Colours are means of pixels, labels and depths the nearest pixel's. InputError where the frame has none of them, or
-    where its panorama is of another shape.
+    where its panorama is of another shape. camera_labels: labels may be None.
     """
     panorama = frame.panorama_for(view)
     if panorama is None:
         raise InputError(frame.missing("panorama"))
     rows, columns = panorama.valid.shape
-    if panorama.labels is None or panorama.depth_m is None:
-        raise InputError(frame.missing("panorama_labels" if panorama.labels is None else "panorama_depths"))
+    if panorama.labels is None and not camera_labels:
+        raise InputError(frame.missing("panorama_labels"))
+    if panorama.depth_m is None:
+        raise InputError(frame.missing("panorama_depths"))
     if abs(columns * view.rows - rows * view.columns) > view.columns:
-        raise InputError(f"{frame.name}: its panorama is {columns}x{rows}; one like {view.columns}x{view.rows} is needed")
+        raise InputError(
+            f"{frame.name}: its panorama is {columns}x{rows}; one like {view.columns}x{view.rows} is needed"
+        )
     row = ((np.arange(view.rows) + 0.5) * rows / view.rows).astype(int)
     column = ((np.arange(view.columns) + 0.5) * columns / view.columns).astype(int)
     return PanoramaGroundTruth(
         view=replace(view, origin=panorama.view.origin),
         image=resized(panorama.image, view, Image.Resampling.BOX),
         valid=panorama.valid[row[:, None], column],
-        labels=resized(panorama.labels, view, Image.Resampling.NEAREST),
+        labels=None if panorama.labels is None else resized(panorama.labels, view, Image.Resampling.NEAREST),
         depth_m=panorama.depth_m[row[:, None], column],
         openings=None if panorama.openings is None else resized(panorama.openings, view, Image.Resampling.BOX),
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -60,7 +59,9 @@ class SurroundFrame(Frame):
     @cached_property
     def calibration(self) -> Calibration:
         """See Frame."""
-        return self.cameras[self.front].calibration
+        calibration = self.cameras[self.front].calibration
+        assert isinstance(calibration, Calibration), "the camera that looks ahead is rectified"
+        return calibration
 
     @cached_property
     def image(self) -> np.ndarray:
@@ -81,15 +82,8 @@ class SurroundFrame(Frame):
         """See Frame. Labels and depths are those of the points on this raster, so that few are lost on a coarse one."""
         if view not in self._panoramas:
             range_image = self._range_image(view)
-            depth_m = complete_depth(torch.from_numpy(self.scan.xyz), range_image.view)
-            image, valid = stitch(list(self.cameras.values()), range_image.view, depth_m)
-            self._panoramas[view] = PanoramaGroundTruth(
-                view=range_image.view,
-                image=image,
-                valid=valid,
-                labels=self._labels_on(range_image),
-                depth_m=range_image.channels[0].numpy(),
-            )
+            cameras, labels = list(self.cameras.values()), self._labels_on(range_image)
+            self._panoramas[view] = stitched_panorama(cameras, self.scan, range_image, labels)
         return self._panoramas[view]
 
     def _range_image(self, view: View) -> RangeImage:
@@ -103,6 +97,21 @@ class SurroundFrame(Frame):
         common = TABLES["semantic-kitti", "common-15"][self.point_labels]
         common = np.where(common == COMMON15.id_of("unlabeled"), IGNORE, common).astype(np.uint8)
         return range_image.spread(torch.from_numpy(common), IGNORE).numpy()
+
+
+def stitched_panorama(
+    cameras: Sequence[CameraImage], scan: Scan, range_image: RangeImage, labels: np.ndarray | None = None
+) -> PanoramaGroundTruth:
+    """The true panorama on the raster of `range_image`, stitched from images.
+
+    scan         without the points on the vehicle; it says how far away surfaces are.
+    range_image  the scan, projected; its depths, where a point owns the pixel, become the panorama's.
+    labels       see PanoramaGroundTruth.
+    """
+    depth_m = complete_depth(torch.from_numpy(scan.xyz), range_image.view)
+    image, valid = stitch(cameras, range_image.view, depth_m)
+    depths = range_image.channels[0].numpy()
+    return PanoramaGroundTruth(view=range_image.view, image=image, valid=valid, labels=labels, depth_m=depths)
 
 
 def read_camera(

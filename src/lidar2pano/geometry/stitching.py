@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import max_pool2d
 
-from lidar2pano.calibration import Calibration
+from lidar2pano.calibration import Calibration, LensCalibration
 from lidar2pano.geometry.camera import Lookup
 from lidar2pano.geometry.projection import directions, nearest_points
 from lidar2pano.views import View
@@ -32,12 +32,12 @@ class CameraImage:
     """One camera's image.
 
     image        (h, w, 3) uint8 RGB.
-    calibration  of that size.
+    calibration  of that size; what is beyond a lens's image circle is not used.
     ego_mask     (h, w) bool: True where the image shows the vehicle that carries the camera; None where it never does.
     """
 
     image: np.ndarray
-    calibration: Calibration
+    calibration: Calibration | LensCalibration
     ego_mask: np.ndarray | None = None
 
     def __post_init__(self) -> None:
@@ -101,14 +101,14 @@ def _project(camera: CameraImage, points: Tensor, focal_px: float) -> _Projected
     """Project points (4, n) into a camera; focal_px: of the view."""
     calibration = camera.calibration
     width, height = calibration.size
-    K, T = torch.from_numpy(calibration.K).float(), torch.from_numpy(calibration.T_camera_lidar[:3]).float()
-    xyz = T @ points
-    pixel = (xyz[2] > 0).nonzero()[:, 0]  # false where NaN
-    x, y, ahead = xyz = xyz[:, pixel]
-    column, row = (K[:2] @ xyz) / ahead + 0.5
+    xyz = torch.from_numpy(calibration.T_camera_lidar[:3]).float() @ points
+    places = _places(calibration, xyz)
+    pixel = places[0].isfinite().nonzero()[:, 0]
+    (column, row), (x, y, ahead) = places[:, pixel] + 0.5, xyz[:, pixel]
     inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    distance = xyz.norm(dim=0).where(points[3, pixel] > 0, torch.inf)
-    scale = min(1.0, COARSE * focal_px / float(calibration.K[0, 0]))
+    distance = xyz[:, pixel].norm(dim=0).where(points[3, pixel] > 0, torch.inf)
+    camera_px = calibration.focal_px if isinstance(calibration, LensCalibration) else float(calibration.K[0, 0])
+    scale = min(1.0, COARSE * focal_px / camera_px)
     visible = inside.clone()
     visible[inside] = ~_hidden(row[inside] * scale, column[inside] * scale, distance[inside])
     if camera.ego_mask is not None:
@@ -116,6 +116,14 @@ def _project(camera: CameraImage, points: Tensor, focal_px: float) -> _Projected
     angle = torch.atan2(torch.hypot(x, y), ahead)[visible]
     lookup = Lookup(row=row[visible], column=column[visible], valid=torch.ones_like(angle).bool(), circular=False)
     return _Projected(pixel=pixel[visible], lookup=lookup, angle=angle)
+
+
+def _places(calibration: Calibration | LensCalibration, xyz: Tensor) -> Tensor:
+    """Pixels (u, v), (2, n) float32, of points (3, n), camera axes; NaN where the camera projects nothing."""
+    if isinstance(calibration, LensCalibration):
+        return torch.from_numpy(calibration.project(xyz.T.numpy())).T.float()
+    K = torch.from_numpy(calibration.K).float()
+    return (K[:2] @ xyz) / torch.where(xyz[2] > 0, xyz[2], torch.nan)
 
 
 def _hidden(row: Tensor, column: Tensor, distance: Tensor) -> Tensor:
