@@ -4,7 +4,8 @@ Cityscapes   ROOT/leftImg8bit/<split>/<city>/<city>_<drive>_<frame>_leftImg8bit.
              ROOT/gtFine/<split>/<city>/<...>_gtFine_labelIds.png or, where there is one, ..._gtFine_labelTrainIds.png.
 Folder       ROOT/images/<split>/<name>.png|jpg and ROOT/labels/<split>/<name>.png with Cityscapes train ids; where
              images lie in images/ itself, all in it are of the split "train".
-Frames have an image and camera labels, so a camera segmenter trains on them; nothing that needs a scan does.
+Frames have an image and camera labels, so a camera segmenter, vid2vid and a painter's look train on them; nothing that
+needs a scan of the same place does.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ class LabelledImage(Frame):
         """See Frame."""
         if part == "camera_labels":
             return f"{self.labels_file}: is missing; complete the labels, or leave {self.image_file.name} out"
-        return f"{self.root}: has images and labels only, no {part.replace('_', ' ')}; only sdnet trains on it"
+        return f"{self.root}: has images and labels only, no {part.replace('_', ' ')}; sdnet, vid2vid and scene-look train on it"
 
 
 def read_train_ids(path: Path) -> np.ndarray:

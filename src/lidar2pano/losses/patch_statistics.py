@@ -28,7 +28,7 @@ class PatchStatistics:
     """
 
     def __init__(self, looks: int, channels: Sequence[int]) -> None:
-        self.looks = [[_Pair(size) for size in channels] for _ in range(looks)]
+        self.looks = [[DistributionLoss(size) for size in channels] for _ in range(looks)]
 
     def __call__(self, pairs: Sequence[tuple[Tensor, Tensor]], valid: Tensor, looks: Tensor) -> Tensor:
         """Mean squared distance of the painted patches from where they should be, over the real ones' variance.
@@ -46,12 +46,12 @@ class PatchStatistics:
             for look in looks.unique().tolist():
                 chosen = whole & (looks == look)[:, None, None]
                 if chosen.sum() >= 2:
-                    total = total + self.looks[look][depth].loss(real_patches[chosen], painted_patches[chosen])
+                    total = total + self.looks[look][depth](real_patches[chosen], painted_patches[chosen])
                     count += 1
         return total / max(count, 1)
 
 
-class _Distribution:
+class Distribution:
     """Mean (D,) and covariance (D, D) of what came lately."""
 
     def __init__(self, size: int) -> None:
@@ -67,27 +67,41 @@ class _Distribution:
 
     @property
     def covariance(self) -> Tensor:
+        """(D, D) float64."""
         return self.second - torch.outer(self.first, self.first)
 
 
-class _Pair:
-    """Real and painted statistics of one look at one depth."""
+class DistributionLoss:
+    """The loss of one group of patches at one depth; real and painted ones need neither be as many nor correspond.
+
+    size  D of the features.
+    """
 
     def __init__(self, size: int) -> None:
-        self.real, self.painted, self.step = _Distribution(size), _Distribution(size), 0
+        self.real, self.painted, self.step = Distribution(size), Distribution(size), 0
         self.transport = torch.eye(size)
 
-    def loss(self, real: Tensor, painted: Tensor) -> Tensor:
-        self.real.update(real)
+    def __call__(self, real: Tensor, painted: Tensor, variance: Tensor | None = None) -> Tensor:
+        """Mean squared distance of painted patches (P, D) from where they should be, over the variance of real ones.
+
+        real      (R, D), R may be 0 where some came before.
+        variance  in place of the real ones' own, which may hardly vary.
+        Returns 0 without painted ones, and until the statistics are known.
+        """
+        if len(real):
+            self.real.update(real)
+        if not len(painted):
+            return painted.new_zeros(())
         self.painted.update(painted)
-        self.step += 1
+        self.step += bool(self.real.weight)
         if self.step < FIRST:
             return painted.new_zeros(())
         if self.step % EVERY == FIRST % EVERY:
             self.transport = transport(self.painted.covariance, self.real.covariance).to(painted)
         mean = self.painted.first.to(painted)
         goal = self.real.first.to(painted) + (painted.detach() - mean) @ self.transport
-        return (painted - goal).square().sum(1).mean() / self.real.covariance.trace().to(painted).clamp(min=1e-6)
+        variance = self.real.covariance.trace() if variance is None else variance
+        return (painted - goal).square().sum(1).mean() / variance.to(painted).clamp(min=1e-6)
 
 
 def transport(one: Tensor, other: Tensor) -> Tensor:

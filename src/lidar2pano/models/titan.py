@@ -110,6 +110,6 @@ class TitanCritic(nn.Module):
         # In bfloat16 on CPUs torch (2.13) makes noise or NaN of the gradient of a dilated convolution's weights where
         # channels do not divide by 16, as 30 do not, in channels-last layout.
         with torch.autocast("cpu", enabled=False):
-            condition = self.conv1(condition.to(self.conv1[0].weight.dtype))
+            condition = self.conv1(condition.to(next(self.conv1.parameters()).dtype))
         condition = functional.interpolate(condition, image.shape[-2:], mode="bilinear", align_corners=True)
         return self.model(torch.cat([image, condition], 1))

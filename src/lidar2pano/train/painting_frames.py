@@ -161,12 +161,7 @@ class PaintingFrames:
         return load_file(file)
 
     def _file(self, index: int) -> Path:
-        frame = self.crops.frames[index]
-        assert frame.root is not None, "frames of data sets have one"
-        root, stem = frame.root.resolve(), frame.name.replace("/", "-")
-        key = hashlib.sha256(f"{self._made_by} {self.crops.shift_px} {root}".encode()).hexdigest()[:16]
-        folder = Path(self.options.cache) if self.options.cache else root / ".lidar2pano"
-        return folder / "painting" / key / f"{root.name}-{stem}.safetensors"
+        return painting_file(self.crops.frames[index], self.options.cache, f"{self._made_by} {self.crops.shift_px}")
 
     def _made(self, index: int) -> dict[str, Tensor]:
         """Image, segments, depth, validity and remission of a frame in its window, the scene from the scan alone."""
@@ -219,6 +214,18 @@ def colours_of_classes(window: PanoramaWindow) -> tuple[Tensor, Tensor]:
     colour = window.image[:, 2::8, 2::8].movedim(0, 2)[known].float() / 127.5 - 1
     total = torch.zeros(256, 3).index_add_(0, ids[known], colour)
     return total, torch.zeros(256).index_add_(0, ids[known], torch.ones(len(colour)))
+
+
+def painting_file(frame: Frame, cache: str, made_by: str) -> Path:
+    """The file that keeps what is made of a frame.
+
+    cache  folder; "": .lidar2pano of the frame's data set;  made_by: what its content depends on beside the frame.
+    """
+    assert frame.root is not None, "frames of data sets have one"
+    root, stem = frame.root.resolve(), frame.name.replace("/", "-")
+    key = hashlib.sha256(f"{made_by} {root}".encode()).hexdigest()[:16]
+    folder = Path(cache) if cache else root / ".lidar2pano"
+    return folder / "painting" / key / f"{root.name}-{stem}.safetensors"
 
 
 def made_by(view: View, *weights: str) -> str:
