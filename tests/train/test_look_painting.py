@@ -133,6 +133,11 @@ def test_both_images_and_scans_are_needed(family, scans, images, splits, reason)
         LookSamples(frames_of(images, (splits.format(scans=scans),)), load_pipeline(family, "cpu"), options, "x")
 
 
+def test_the_family_has_to_be_named(family, scans, images):
+    with pytest.raises(InputError, match="needs --set options.weights=FAMILY"):
+        LookPainting(recipe(family, scans, "options.weights="), images)
+
+
 def test_a_field_of_view_that_no_camera_has_is_refused():
     with pytest.raises(InputError, match="field_of_view_deg=180 must be"):
         LookOptions(field_of_view_deg=180.0)

@@ -17,6 +17,7 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d
 
 from lidar2pano.data.frames import IGNORE, frames_of
+from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
@@ -46,6 +47,8 @@ class LookPainting:
 
     def __init__(self, recipe: Recipe[LookOptions], root: Path) -> None:
         self.options, self.view = recipe.options, VIEWS[recipe.view].scaled(recipe.scale)
+        if not recipe.options.weights:
+            raise InputError(f"recipe {recipe.name!r} needs --set options.weights=FAMILY, whose painter learns the look")
         files = weight_files(recipe.options.weights)
         painter, self.source = load(files["painter"], expect="scene-painter")
         painter, self.settings = with_look(cast(ScenePainter, painter), dict(self.source.settings), recipe.options.look)
