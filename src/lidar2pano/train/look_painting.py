@@ -48,7 +48,7 @@ class LookPainting:
     def __init__(self, recipe: Recipe[LookOptions], root: Path) -> None:
         self.options, self.view = recipe.options, VIEWS[recipe.view].scaled(recipe.scale)
         if not recipe.options.weights:
-            raise InputError(f"recipe {recipe.name!r} needs --set options.weights=FAMILY, whose painter learns the look")
+            raise InputError(f"recipe {recipe.name!r} needs --set options.weights=FAMILY: its painter learns")
         files = weight_files(recipe.options.weights)
         painter, self.source = load(files["painter"], expect="scene-painter")
         painter, self.settings = with_look(cast(ScenePainter, painter), dict(self.source.settings), recipe.options.look)
