@@ -469,6 +469,26 @@ def test_the_flow_follows_the_pose():
     assert camera_flow(*frames).shift.shape == (2, 2, 6)
 
 
+def test_the_flow_of_what_may_move_is_not_known():
+    # the side of a bus that goes along keeps its depth: poses alone would have it stand
+    true = true_panorama()
+    some = np.s_[4:7, 10:20]
+    pair = [frame_of(f"00/{n:06d}", pose=np.eye(4), panorama=true) for n in (0, 1)]
+    assert panorama_flow(*pair).known[some].all()
+    for name, known in (("other-vehicle", False), ("car", False), ("person", False), ("building", True)):
+        labels = np.array(true.labels)
+        labels[some] = COMMON15.id_of(name)
+        marked = [changed(one, panorama=replace(true, labels=labels)) for one in pair]
+        flow = panorama_flow(*marked)
+        assert flow.known[some].any() == known and flow.known[some].all() == known
+        assert torch.equal(flow.known[:, 20:], panorama_flow(*pair).known[:, 20:])
+    seen = np.array(pair[1].camera_labels)
+    bus, wall = (CITYSCAPES.id_of(name) for name in ("bus", "building"))
+    for name, least in ((bus, 0), (wall, 1)):
+        flow = camera_flow(pair[0], changed(pair[1], camera_labels=np.full_like(seen, name)))
+        assert flow.known.any() == bool(least)
+
+
 def test_sparse_depths_are_completed_for_the_flow():
     depth_m = np.zeros((16, 64), np.float32)
     depth_m[5, ::7] = 10

@@ -1,4 +1,7 @@
-"""Optical flow between successive frames of a sequence, from ground-truth poses, depths and labels alone."""
+"""Optical flow between successive frames of a sequence, from ground-truth poses, depths and labels alone.
+
+It is known of what cannot move: the side of a bus that passes keeps its depth, but not the flow that the poses give it.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ from lidar2pano.geometry.depth_completion import complete_depth
 from lidar2pano.geometry.flow import Flow, ego_flow, scan_distances
 from lidar2pano.geometry.warp import warp
 from lidar2pano.labels import COMMON15
+from lidar2pano.memory import may_move
 
 SAME_MOUNT_M = 0.02  # calibrations of one mount that are written frame by frame differ by less
 SKY = COMMON15.id_of("sky")
@@ -40,20 +44,22 @@ def relative_pose(before: Frame, now: Frame) -> Tensor:
 def camera_flow(before: Frame, now: Frame) -> Flow | None:
     """Flow in the camera, by poses and depths, of a frame that follows another; None without camera labels.
 
-    They tell where the sky is, which has no depth.
+    They tell where the sky is, which has no depth, and what may move, of which the flow is not known.
     """
     if now.calibration is None or now.camera_labels is None or before.camera_labels is None:
         return None
     if now.camera_labels.shape != before.camera_labels.shape:
         return None
     distances = [camera_distances(frame, now.calibration) for frame in (now, before)]
-    return ego_flow(distances[0], distances[1], relative_pose(before, now), now.calibration)
+    flow = ego_flow(distances[0], distances[1], relative_pose(before, now), now.calibration)
+    return _of_what_stands(flow, CITYSCAPES_TO_COMMON15[now.camera_labels])
 
 
 def panorama_flow(before: Frame, now: Frame) -> Flow | None:
     """Flow on the ground-truth panorama's raster, by poses and depths, of a frame that follows another.
 
-    None where there are none. It is known only where both panoramas' colours are.
+    None where there are none. It is known only where both panoramas' colours are, and not of what may move, where there
+    are labels.
     """
     one, other = now.panorama, before.panorama
     if one is None or other is None or not same_raster(one.view, other.view):
@@ -66,7 +72,8 @@ def panorama_flow(before: Frame, now: Frame) -> Flow | None:
     flow = ego_flow(distances[0], distances[1], relative_pose(before, now), one.view)
     valid = torch.from_numpy(np.array(other.valid))[None, None].float()
     valid_before = warp(valid, flow.shift[None], circular=one.view.circular)[0, 0] > 0.999
-    return Flow(shift=flow.shift, known=flow.known & valid_before & torch.from_numpy(np.array(one.valid)))
+    flow = Flow(shift=flow.shift, known=flow.known & valid_before & torch.from_numpy(np.array(one.valid)))
+    return flow if one.labels is None else _of_what_stands(flow, np.array(one.labels))
 
 
 def camera_distances(frame: Frame, calibration: Calibration) -> Tensor:
@@ -92,6 +99,12 @@ def _panorama_distances(frame: Frame) -> Tensor | None:
     if around.view.kind != "cylinder":
         return None
     return complete_depth(torch.from_numpy(frame.scan.xyz), around.view)
+
+
+def _of_what_stands(flow: Flow, labels: np.ndarray) -> Flow:
+    """The flow, not known of classes that may move; labels: (H, W) uint8 ids of COMMON15."""
+    known = flow.known & ~may_move(torch.from_numpy(labels))
+    return Flow(shift=flow.shift * known, known=known)
 
 
 def _is_dense(around: PanoramaGroundTruth) -> bool:
