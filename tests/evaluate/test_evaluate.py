@@ -482,10 +482,10 @@ def test_the_flow_of_what_may_move_is_not_known():
         flow = panorama_flow(*marked)
         assert flow.known[some].any() == known and flow.known[some].all() == known
         assert torch.equal(flow.known[:, 20:], panorama_flow(*pair).known[:, 20:])
-    seen = np.array(pair[1].camera_labels)
+    true_ids = np.array(pair[1].camera_labels)
     bus, wall = (CITYSCAPES.id_of(name) for name in ("bus", "building"))
     for name, least in ((bus, 0), (wall, 1)):
-        flow = camera_flow(pair[0], changed(pair[1], camera_labels=np.full_like(seen, name)))
+        flow = camera_flow(pair[0], changed(pair[1], camera_labels=np.full_like(true_ids, name)))
         assert flow.known.any() == bool(least)
 
 
