@@ -484,9 +484,9 @@ def test_the_flow_of_what_may_move_is_not_known():
         assert torch.equal(flow.known[:, 20:], panorama_flow(*pair).known[:, 20:])
     true_ids = np.array(pair[1].camera_labels)
     bus, wall = (CITYSCAPES.id_of(name) for name in ("bus", "building"))
-    for name, least in ((bus, 0), (wall, 1)):
+    for name, known in ((bus, False), (wall, True)):
         flow = camera_flow(pair[0], changed(pair[1], camera_labels=np.full_like(true_ids, name)))
-        assert flow.known.any() == bool(least)
+        assert flow.known.any() == known
 
 
 def test_sparse_depths_are_completed_for_the_flow():

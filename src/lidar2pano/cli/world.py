@@ -27,7 +27,7 @@ def world(  # noqa: PLR0913, PLR0917 each is an option
     ] = "hdl64e",
     look: Annotated[str, typer.Option(metavar="NAME", help="day, overcast, evening or autumn: same scenes.")] = "day",
     place: Annotated[
-        str, typer.Option(metavar="NAME", help="residential, avenue, outskirts, country, motorway; else mixed.")
+        str, typer.Option(metavar="NAME", help="residential, avenue, outskirts, country, motorway, centre; else mixed.")
     ] = "",
     save: Annotated[
         str, typer.Option(metavar="LIST", help="scans, camera, panorama, separated by commas; or all.")

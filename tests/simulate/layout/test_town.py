@@ -173,6 +173,30 @@ def test_every_place_has_what_belongs_there(worlds):
     assert "house" not in names["motorway"] and "car" not in names["motorway"]
 
 
+def test_a_centre_has_many_of_what_is_rare_elsewhere(worlds):
+    from lidar2pano.simulate.layout.street_world import build_world
+
+    def count(place, *wanted):
+        made = [worlds[place], build_world(8, 1.0, place), build_world(9, 1.0, place)]
+        names = [thing.name for one in made for thing in one.objects]
+        names += [actor.name.split()[0] for one in made for actor in one.traffic.actors]
+        return sum(name in wanted for name in names)
+
+    for wanted in (("truck", "trailer", "bus", "tram"), ("person", "walker"), ("bicyclist", "motorcyclist")):
+        assert count("centre", *wanted) > 3 * count("avenue", *wanted) > 0
+    assert count("centre", "car", "van") < 2 * count("avenue", "car", "van")
+
+
+def test_only_a_requested_drive_is_in_a_centre():
+    from lidar2pano.simulate.scene.random_streams import weighted_choice
+
+    others = {name: place.share for name, place in PLACES.items() if name != "centre"}
+    with_centre = {name: place.share for name, place in PLACES.items()}
+    assert with_centre["centre"] == 0
+    for seed in range(200):
+        assert weighted_choice(stream(seed, "world"), with_centre) == weighted_choice(stream(seed, "world"), others)
+
+
 def test_another_seed_is_another_town_and_the_same_is_the_same(worlds):
     from lidar2pano.simulate.layout.street_world import build_world
 

@@ -42,7 +42,7 @@ def _kerb_row(plan: Planner, rng: np.random.Generator, road: Road, side: int, sh
     while s < road.length - 8:
         if rng.uniform() < 0.12:  # rows of parked cars begin and end
             occupied = rng.uniform() < share
-        name = weighted_choice(rng, PARKED)
+        name = weighted_choice(rng, plan.town.place.mix(PARKED))
         length = LENGTH[name]
         middle = s + length / 2
         edge = float(road.kerb_offset(np.array(middle), np.array(side)))
@@ -165,7 +165,7 @@ def clutter(plan: Planner) -> None:
             continue
         rng = plan.rng("clutter", index, number)
         for s in rng.uniform(stretch.start, stretch.end, rng.poisson((stretch.end - stretch.start) / 18)):
-            name = weighted_choice(rng, {key: row[2] for key, row in makers.items()})
+            name = weighted_choice(rng, plan.town.place.mix({key: row[2] for key, row in makers.items()}))
             make, radius, _ = makers[name]
             xy, heading = road.beside(s, stretch.side, max(road.sidewalk - 0.5, 0.6))
             if locate(plan.town.roads, xy[None]).kerb_distance[0] < 0.4:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from lidar2pano.simulate.layout.ground import GroundCover
@@ -20,6 +21,7 @@ class Place(NamedTuple):
     cyclists, walkers  per 100 metres of road.
     land_uses         names in LAND_USES with their weights.
     median            half width of the strip between two carriageways (0 = none).
+    rare              how many times as frequent as elsewhere what RARE names is, but for passing cyclists and walkers.
     """
 
     share: float
@@ -41,8 +43,14 @@ class Place(NamedTuple):
     cyclists: float = 0.0
     walkers: float = 0.0
     median: float = 0.0
+    rare: float = 1.0
+
+    def mix(self, weights: Mapping[str, float]) -> dict[str, float]:
+        """Weights by name, those of what is rare elsewhere (RARE) times `rare`."""
+        return {name: weight * (self.rare if name in RARE else 1.0) for name, weight in weights.items()}
 
 
+RARE = ("truck", "trailer", "bus", "tram", "motorcycle", "motorcyclist", "bicycle", "person")
 PLACES: dict[str, Place] = {
     "residential": Place(
         share=0.40, half_width=3.5, sidewalk=1.8, kerb=0.10, bend_radius=90, slope=0.035, junction_spacing=75,
@@ -71,6 +79,13 @@ PLACES: dict[str, Place] = {
         share=0.10, half_width=12.6, bend_radius=900, slope=0.015, speed=29, vehicle_gap=65, marking="motorway",
         surface=("asphalt", "asphalt-new"), paving=("asphalt",),
         land_uses={"field": 2, "wood": 3, "meadow": 2, "noise": 1}, median=1.9,
+    ),
+    # Only where it is asked for: a lesson in what other places have little of.
+    "centre": Place(
+        share=0.0, half_width=4.0, sidewalk=3.4, kerb=0.10, bend_radius=150, slope=0.02, junction_spacing=85,
+        light_share=0.4, speed=7, vehicle_gap=22, parked_share=0.55, bay_share=0.6, cyclists=3.0, walkers=22.0,
+        marking="town", surface=("asphalt", "asphalt-new", "cobbles"), paving=("paving", "cobbles", "asphalt"),
+        land_uses={"flats": 4, "terraces": 3, "halls": 1.5, "park": 1, "houses": 1}, rare=12.0,
     ),
 }  # fmt: skip
 

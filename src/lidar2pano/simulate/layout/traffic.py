@@ -142,7 +142,7 @@ def _vehicles(drive: Drive) -> Iterator[Actor]:
         gap = town.place.vehicle_gap * (0.35 if drive.speed.mean < 2 and own_lane else 1.0)
         s, number = rng.exponential(gap), 0
         while s < road.length - 25:
-            name = weighted_choice(rng, TRAFFIC_MIX[road.marking])
+            name = weighted_choice(rng, town.place.mix(TRAFFIC_MIX[road.marking]))
             half = HALF_LENGTH.get(name, 2.5)
             s += half
             start = drive.along(np.zeros(1))[0]
