@@ -16,6 +16,8 @@ def main(weights: str, out: str, look: str) -> None:
     wider, state = build("scene-painter", **settings), network.state_dict()
     codes = state["codes.weight"]
     state["codes.weight"] = torch.cat([codes, codes.mean(0, keepdim=True)])
+    if (colours := state.get("class_colours.weight")) is not None:
+        state["class_colours.weight"] = torch.cat([colours, colours.mean(0, keepdim=True)])
     wider.load_state_dict(state)
     save(Path(out), wider, replace(card, settings=settings))
 

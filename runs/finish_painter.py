@@ -1,10 +1,12 @@
-"""Finish a scene painter: the power of class probabilities, and the mean and spread of its colours.
+"""Finish a scene painter: the power of class probabilities, and its colours.
 
-    python runs/finish_painter.py PAINTER OUT FRAMES --look NAME --power 4
+    python runs/finish_painter.py PAINTER OUT FRAMES --look NAME [--power 4 | --class-colours]
 
 Losses that compare images pixel by pixel make colours too even. Two numbers of the last layer, a gain and an offset
 before its tanh, are set so that what is painted of FRAMES has the images' mean, and a deviation nearer to theirs: all
 the way, shadows would lose their detail.
+They also draw each class towards its median: an overexposed sky becomes white, and foliage dark. With --class-colours
+it is the table of what the look adds to each class that is set instead, so that each class has the images' mean.
 FRAMES  what training kept of its frames (`options.cache`), as a pattern: 'frames/painting/*/kitti-mini-*.safetensors'.
 Training draws powers at random, so that no weight depends on the power.
 """
@@ -20,20 +22,26 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
+from lidar2pano.data.frames import IGNORE
 from lidar2pano.hardware import fast_arithmetic
+from lidar2pano.labels import COMMON15
 from lidar2pano.models import build
 from lidar2pano.models.card import load, save
-from lidar2pano.models.scene_painter import STRIDE, TONE, ScenePainter, outlined, painter_inputs, with_cars
+from lidar2pano.models.scene_painter import STRIDE, TONE, ScenePainter, outlined, painter_inputs, twice, with_cars
 from lidar2pano.views import VIEWS
 
 EVERY, STEPS, SATURATED = 4, 20, 0.985
+LEAST = 100_000  # pixels that a class needs: what one vehicle looks like is not what a class does
 SHARE = 0.6  # of the way, in the logarithm of the gain
 VIEW = VIEWS["panorama"].scaled(0.5)
 
 
 @torch.inference_mode()
-def pixels(painter: ScenePainter, file: Path, look: str, power: float) -> tuple[Tensor, Tensor]:
-    """Painted and real colours (3, N) in [-1, 1] of a frame's pixels that its camera saw."""
+def pixels(painter: ScenePainter, file: Path, look: str) -> tuple[Tensor, Tensor, Tensor]:
+    """Of a frame's pixels that its camera saw: painted and real colours (3, N) in [-1, 1], and classes (N,) int64.
+
+    Classes are those of the camera's image where the painted class is the same, and IGNORE elsewhere.
+    """
     kept = load_file(file)
     rows, columns = kept["camera"].shape
     columns -= columns % STRIDE
@@ -41,13 +49,15 @@ def pixels(painter: ScenePainter, file: Path, look: str, power: float) -> tuple[
     channels[0, 0], channels[0, 4] = kept["valid"][:, :columns], kept["remission"][:, :columns]
     window, depth_m = VIEW.window((VIEW.columns - columns) // 2, columns), kept["depth_m"][None, :, :columns].float()
     segments, depth_m, tones = with_cars(kept["segments"][None, ..., :columns].float(), depth_m, window)
-    segments = outlined(segments, power, depth_m, window)
+    segments = outlined(segments, painter.sharp, depth_m, window)
     inputs = painter_inputs(segments, depth_m, channels, window, tones=tones, unread=painter.unread)
     shares = torch.tensor([painter.look_shares(look)])
     with fast_arithmetic(torch.device("cpu")):
         painted = painter(*inputs, shares, torch.zeros(1, TONE))[0].float()
     valid = kept["seen"][:, : 2 * columns]
-    return painted[:, valid], (kept["colour"][..., : 2 * columns].float() / 127.5 - 1)[:, valid]
+    classes = kept["camera"][:, :columns].long()
+    classes = twice(classes.where(classes == segments[0].argmax(0), IGNORE))
+    return painted[:, valid], (kept["colour"][..., : 2 * columns].float() / 127.5 - 1)[:, valid], classes[valid]
 
 
 def fitted(painted: Tensor, real: Tensor) -> tuple[float, float]:
@@ -63,6 +73,34 @@ def fitted(painted: Tensor, real: Tensor) -> tuple[float, float]:
     return gain, offset
 
 
+def added(painted: Tensor, real: Tensor) -> Tensor:
+    """What is added to values (3, N) before the tanh, (3,), for real colours' mean."""
+    before, shift = torch.atanh(painted.clamp(-SATURATED, SATURATED)), torch.zeros(3)
+    for _ in range(4 * STEPS):
+        shift += real.mean(1) - torch.tanh(before + shift[:, None]).mean(1)
+    return shift
+
+
+def colours_of_all(finished: ScenePainter, painted: Tensor, real: Tensor) -> None:
+    """Set the gain and the offset of the last layer."""
+    gain, offset = fitted(painted, real)
+    print(f"gain {gain:.3f}, offset {offset:.3f}")
+    with torch.no_grad():
+        finished.colour.weight *= gain
+        cast(nn.Parameter, finished.colour.bias).mul_(gain).add_(offset)
+
+
+def colours_of_classes(finished: ScenePainter, painted: Tensor, real: Tensor, classes: Tensor, look: str) -> None:
+    """Set what the look adds to each class that enough pixels show."""
+    assert finished.class_colours is not None
+    table = finished.class_colours.weight.detach().view(len(finished.looks), TONE, len(COMMON15))
+    for number, name in enumerate(COMMON15.classes):
+        if int((here := classes == number).sum()) >= LEAST:
+            shift = added(painted[:, here], real[:, here])
+            table[finished.looks.index(look), :, number] += shift
+            print(name, int(here.sum()), *(f"{value:.2f}" for value in shift.tolist()))
+
+
 def main() -> None:
     """Read the arguments and write the file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -70,21 +108,26 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("frames")
     parser.add_argument("--look", default="")
-    parser.add_argument("--power", type=float, default=2.0)
+    parser.add_argument("--power", type=float, default=0.0, help="default: the painter's own")
+    parser.add_argument("--class-colours", action="store_true")
     arguments = parser.parse_args()
     network, card = load(arguments.painter, expect="scene-painter")
-    settings = {**card.settings, "sharp": arguments.power}
+    settings = {**card.settings, "sharp": arguments.power or cast(ScenePainter, network).sharp}
+    if arguments.class_colours:
+        settings["class_colours"] = True
     finished = cast(ScenePainter, build("scene-painter", **settings)).eval()
-    finished.load_state_dict(network.state_dict())
+    finished.load_state_dict(finished.state_dict() | network.state_dict())
+    look = arguments.look or finished.look
     start = Path(arguments.frames).anchor
-    files = sorted(Path(start).glob(arguments.frames.removeprefix(start)))[::EVERY]
-    pairs = [pixels(finished, file, arguments.look, arguments.power) for file in files]
-    painted, real = (torch.cat(parts, 1) for parts in zip(*pairs, strict=True))
-    gain, offset = fitted(painted, real)
-    print(f"{len(files)} frames: gain {gain:.3f}, offset {offset:.3f}")
-    with torch.no_grad():
-        finished.colour.weight *= gain
-        cast(nn.Parameter, finished.colour.bias).mul_(gain).add_(offset)
+    files = sorted(Path(start).glob(arguments.frames.removeprefix(start)))
+    files = files if arguments.class_colours else files[::EVERY]
+    found = [pixels(finished, file, look) for file in files]
+    painted, real, classes = (torch.cat(parts, -1) for parts in zip(*found, strict=True))
+    print(f"{len(files)} frames")
+    if arguments.class_colours:
+        colours_of_classes(finished, painted, real, classes, look)
+    else:
+        colours_of_all(finished, painted, real)
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     save(arguments.out, finished, replace(card, settings=settings))
 

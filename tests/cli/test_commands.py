@@ -326,7 +326,7 @@ def test_weights_list(random_weights, monkeypatch, capsys):
 def test_weights_info_of_a_run_shows_no_others(random_weights, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("lidar2pano.models.families.RELEASED", random_weights.parent)
     monkeypatch.setattr("lidar2pano.models.families.DEFAULT", random_weights.name)
-    write_weights(tmp_path / "weights", "painter", "scene-painter", {"widths": [8, 8, 8]})
+    write_weights(tmp_path / "weights", "painter", "scene-painter", {"widths": [8, 8, 8, 16]})
     assert main(["weights", "info", str(tmp_path)]) == 0
     assert capsys.readouterr().out.count(".safetensors") == 1
 

@@ -9,13 +9,15 @@ from lidar2pano.errors import InputError
 from lidar2pano.models import build
 from lidar2pano.models.added_look import train_last_look, with_look
 
-SETTINGS = {"looks": ["day", "rain"], "look": "rain", "widths": [8, 12, 16], "blocks": 1, "last": 8}
+SETTINGS = {"looks": ["day", "rain"], "look": "rain", "widths": [8, 12, 16, 8], "blocks": 1, "class_colours": True}
 
 
 @pytest.fixture
 def painter():
     torch.manual_seed(0)
-    return build("scene-painter", **SETTINGS).eval()
+    network = build("scene-painter", **SETTINGS).eval()
+    torch.nn.init.normal_(network.class_colours.weight)
+    return network
 
 
 @pytest.fixture

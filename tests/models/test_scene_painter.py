@@ -12,11 +12,11 @@ import torch
 from lidar2pano.errors import InputError
 from lidar2pano.labels import COMMON15
 from lidar2pano.models import build, scene_painter
-from lidar2pano.models.scene_painter import TONES, VARIED, Scene, outlined, painter_inputs, sharpened
+from lidar2pano.models.scene_painter import TONES, VARIED, Scene, outlined, painter_inputs, sharpened, twice
 from lidar2pano.views import View
 
 VIEW = View(rows=16, columns=64, up=0.24, down=-0.28, kind="cylinder")
-SMALL = {"widths": [8, 16, 24], "blocks": 1, "last": 8, "code": 4}
+SMALL = {"widths": [8, 16, 24, 8], "blocks": 1, "code": 4}
 
 
 def scene(look: str = "", columns: int = 0) -> Scene:
@@ -65,6 +65,23 @@ def test_the_mean_of_two_looks_lies_between_them():
     with torch.no_grad():
         one.codes.weight.copy_(codes.expand(2, -1))
     assert torch.allclose(painted(one, scene("one")), both, atol=1e-5)
+
+
+def test_a_look_adds_its_colours_to_those_of_a_class_before_the_tanh():
+    torch.manual_seed(0)
+    one = scene("evening")
+    plain = build("scene-painter", looks=["day", "evening"], **SMALL).eval()
+    network = build("scene-painter", looks=["day", "evening"], class_colours=True, **SMALL).eval()
+    state = plain.state_dict() | {"class_colours.weight": network.class_colours.weight}
+    network.load_state_dict(state)
+    assert torch.equal(painted(network, one), painted(plain, one)), "at first nothing is added"
+    added = torch.tensor([0.3, -0.2, 0.1])
+    with torch.no_grad():
+        network.class_colours.weight.view(2, 3, 16)[1, :, COMMON15.id_of("sky")] = added
+    shares = outlined(one.segments, network.sharp, one.depth_m, VIEW, one.T_world_sensor)[:, COMMON15.id_of("sky")]
+    expected = torch.atanh(painted(plain, one)) + twice(shares)[:, None] * added[:, None, None]
+    torch.testing.assert_close(painted(network, one), torch.tanh(expected), atol=1e-4, rtol=0)
+    assert torch.equal(painted(network, scene("day")), painted(plain, scene("day")))
 
 
 def test_an_unknown_look_is_named_with_those_there_are():

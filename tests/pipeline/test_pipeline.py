@@ -325,7 +325,7 @@ def test_there_is_no_seam(pipeline):
 # --- parts ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("network", "widths"), [("titan-pano", [8] * 5), ("scene-painter", [8] * 3)])
+@pytest.mark.parametrize(("network", "widths"), [("titan-pano", [8] * 5), ("scene-painter", [8] * 4)])
 def test_folding_norms_changes_nothing(network, widths):
     torch.manual_seed(3)
     plain = spread_norms(build(network, widths=widths)).eval()
@@ -478,7 +478,7 @@ def test_weights_without_a_painter_say_so(random_weights, tmp_path, monkeypatch)
 def test_a_default_family_fills_what_is_missing(random_weights, tmp_path, monkeypatch):
     monkeypatch.setattr("lidar2pano.models.families.RELEASED", random_weights.parent)
     monkeypatch.setattr("lidar2pano.models.families.DEFAULT", random_weights.name)
-    own = write_weights(tmp_path, "other", "scene-painter", {"widths": [8, 8, 8]})
+    own = write_weights(tmp_path, "other", "scene-painter", {"widths": [8, 8, 8, 16]})
     files = weight_files(own)
     assert files == {role: random_weights / f"{role}.safetensors" for role in ("segmenter", "translator")} | {
         "painter": own
@@ -489,7 +489,7 @@ def test_a_default_family_fills_what_is_missing(random_weights, tmp_path, monkey
 
 def test_two_files_for_one_role_are_refused(random_weights, tmp_path):
     for name in ("a", "b"):
-        write_weights(tmp_path, name, "scene-painter", {"widths": [8, 8, 8]})
+        write_weights(tmp_path, name, "scene-painter", {"widths": [8, 8, 8, 16]})
     with pytest.raises(InputError, match="a.safetensors and b.safetensors are both a painter"):
         weight_files(tmp_path)
 
@@ -525,8 +525,8 @@ def test_looks_that_are_files_are_painted(random_weights, tmp_path, capsys):
 
 
 def test_a_run_gives_its_best_weights(tmp_path):
-    best = write_weights(tmp_path / "weights", "painter", "scene-painter", {"widths": [8, 8, 8]})
-    write_weights(tmp_path / "weights", "painter.last", "scene-painter", {"widths": [8, 8, 8]})
+    best = write_weights(tmp_path / "weights", "painter", "scene-painter", {"widths": [8, 8, 8, 16]})
+    write_weights(tmp_path / "weights", "painter.last", "scene-painter", {"widths": [8, 8, 8, 16]})
     assert weight_files(tmp_path, fill=False) == {"painter": best}
 
 

@@ -46,7 +46,7 @@ def task() -> ScenePainting:
     one.view, one.options, one.looks = VIEWS["panorama"].scaled(0.5), ScenePaintingOptions(columns=64), ("day", "real")
     one.features = RandomFeatures()
     one.statistics = PatchStatistics(2, WIDTHS[:MATCHED])
-    painter = build("scene-painter", looks=one.looks, widths=(8, 12, 16), blocks=1, last=8)
+    painter = build("scene-painter", looks=one.looks, widths=(8, 12, 16, 8), blocks=1)
     one.unread = painter.unread
     one.networks = {"painter": painter, "critic": build("projected-critic", features=WIDTHS, mixed=8, width=8)}
     return one

@@ -28,6 +28,10 @@ def with_look(painter: ScenePainter, settings: dict[str, Any], look: str) -> tup
     state = painter.state_dict()
     codes = torch.cat([state["codes.weight"], codes_of(painter, painter.look)[None]])
     state["codes.weight"] = torch.cat([codes, torch.eye(len(codes))[:, -1:].to(codes)], 1)
+    if painter.class_colours is not None:
+        colours = state["class_colours.weight"]
+        own = torch.tensor(painter.look_shares(painter.look)).to(colours) @ colours
+        state["class_colours.weight"] = torch.cat([colours, own[None]])
     for name in (f"tuned.{number}.weight" for number in range(len(painter.tuned))):
         weight = state[name]
         state[name] = torch.cat([weight[:, :code], torch.zeros_like(weight[:, :1]), weight[:, code:]], 1)

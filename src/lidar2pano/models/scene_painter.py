@@ -89,25 +89,26 @@ class ScenePainter(nn.Module):
     """RGB from segments and geometry.
 
     looks    names of the looks it knows;  look: the one that is painted where none is given (default: the first).
-    widths   channels at 1/1, 1/2, 1/4 of the input raster;  last: at the picture's raster.
+    widths   channels at 1/1, 1/2, 1/4 of the input raster, and at the picture's raster.
     blocks   residual blocks at 1/4;  code: numbers per look.
     sharp    power that class probabilities are raised to before they sum to 1 again.
     unread   classes whose remission is not read.
+    class_colours  whether there is a table of what each look adds to the colours of each class, at first nothing.
     """
 
     def __init__(
         self,
         looks: Sequence[str] = ("day",),
         look: str = "",
-        widths: Sequence[int] = (32, 80, 144),
+        widths: Sequence[int] = (32, 80, 144, 16),
         blocks: int = 4,
-        last: int = 16,
         code: int = 16,
         sharp: float = 2.0,
         unread: Sequence[str] = UNREAD,
+        class_colours: bool = False,
     ) -> None:
         super().__init__()
-        fine, middle, coarse = widths
+        fine, middle, coarse, last = widths
         self.looks, self.look, self.sharp = tuple(looks), look or looks[0], sharp
         self.unread = tuple(map(COMMON15.id_of, unread))
         self.look_shares(self.look)
@@ -125,12 +126,15 @@ class ScenePainter(nn.Module):
         self.texture = nn.Sequential(conv_norm_act(last + len(FINE_M), last), conv_norm_act(last, last))
         self.colour = CircularConv(last, 3)
         self.tuned = nn.ModuleList([nn.Linear(code + TONE, 2 * width) for width in (coarse, middle, fine)])
+        self.class_colours = nn.Embedding(len(self.looks), TONE * len(COMMON15)) if class_colours else None
         for part in self.modules():
             if isinstance(part, nn.BatchNorm2d):
                 part.momentum = MOMENTUM
         for layer in self.tuned:
             nn.init.normal_(cast(Tensor, layer.weight), std=0.05)
             nn.init.zeros_(cast(Tensor, layer.bias))
+        if self.class_colours is not None:
+            nn.init.zeros_(self.class_colours.weight)
 
     def look_shares(self, look: str) -> list[float]:
         """Shares of each look in what a name stands for, "A" or "A+B" (their mean); InputError for an unknown name."""
@@ -166,7 +170,11 @@ class ScenePainter(nn.Module):
         x = self._tuned(1, x, code)
         x = self.mix0(torch.cat([_enlarged(self.up0(x)), fine, inputs], 1))
         x = _enlarged(self.narrow(self._tuned(2, x, code)))
-        return torch.tanh(self.colour(self.texture(torch.cat([x, fine_noise], 1))))[:, :, :rows]
+        x = self.colour(self.texture(torch.cat([x, fine_noise], 1)))
+        if self.class_colours is not None:
+            table = (shares @ self.class_colours.weight).view(-1, TONE, len(COMMON15)).to(x.dtype)
+            x = x + _enlarged(torch.einsum("bkc,bchw->bkhw", table, inputs[:, : len(COMMON15)]))
+        return torch.tanh(x)[:, :, :rows]
 
     def paint(self, past: object, scene: Scene) -> tuple[None, Tensor]:  # noqa: ARG002
         """Paint every scan for itself; arguments and answer as of StreamPainter."""
