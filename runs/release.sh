@@ -54,8 +54,11 @@ world drives --sequences $((towns / 6)) --frames 6 --hz 5 --seed 11
 world squares --sequences $((towns * 2 / 5)) --frames 4 --hz 0.7 --seed 9201 --save scans,panorama
 world lanes --sequences $((towns * 17 / 30)) --frames 12 --hz 1.5 --seed 8101 --save scans
 world paper --sequences $((towns * 2 / 5)) --frames 10 --hz 1 --seed 7001 --save scans,camera
+world centre --place centre --sequences $((towns / 5)) --frames 3 --hz 0.7 --seed 12101
 world centre-scans --place centre --sequences $((towns * 17 / 30)) --frames 12 --hz 1 --seed 12201 --save scans
 world pandar64-scans --sensor pandar64 --sequences $((towns / 10)) --frames 12 --hz 1.5 --seed 5100 --place avenue --save scans
+world pandar64-avenues --sensor pandar64 --place avenue --sequences $((towns * 2 / 15)) --frames 3 --hz 0.7 --seed 14101
+world pandar64-day --sensor pandar64 --sequences $((towns / 15)) --frames 3 --hz 0.7 --seed 14201
 world pandar64-mixed --sensor pandar64 --sequences $((towns / 12)) --frames 12 --hz 1.5 --seed 5500 --save scans
 world os1-128-scans --sensor os1-128 --sequences $((towns / 12)) --frames 12 --hz 1.5 --seed 5200 --save scans
 world hdl32e-scans --sensor hdl32e --sequences $((towns / 12)) --frames 12 --hz 1.5 --seed 5300 --save scans
@@ -206,17 +209,32 @@ scene scene-12 "$kitti" 25 "train,$day:all,$all" "$rough_before" "$translator" "
   "${kitti_looks[@]}" training.batch=1 "${fixed[@]}" options.simulated_probability=0.4 options.invented_probability=0.4 \
   options.fringes=100 options.elsewhere_probability=0.35
 painter=$out/finished/kitti.safetensors
-finish() { # PAINTER RUN OUT: colours as in the frames of a run
-  python "$here/finish_painter.py" "$1" "$3" "$out/frames/$2/painting/*/${kitti##*/}-*.safetensors" --look kitti --power 4
+finish() { # PAINTER RUN OUT OPTION...: colours as in the frames of a run
+  python "$here/finish_painter.py" "$1" "$3" "$out/frames/$2/painting/*/${kitti##*/}-*.safetensors" --look kitti "${@:4}"
 }
 mean "$out/mean/painter-12.safetensors" "$(weights scene-11 painter)" "$(weights scene-12 painter)" 0.4,0.6
-finish "$out/mean/painter-12.safetensors" scene-12 "$out/finished/kitti-12.safetensors"
+finish "$out/mean/painter-12.safetensors" scene-12 "$out/finished/kitti-12.safetensors" --power 4
 # The remission of cars, of which one side is measured, left orange streaks on them.
 scene scene-13 "$kitti" 45 "train,$day:all,$all" "$(weights segmenter-8 segmenter)" "$translator" "$out/finished/kitti-12.safetensors" \
   "${kitti_looks[@]}" training.batch=1 "${fixed[@]}" options.simulated_probability=0.4 options.invented_probability=0.5 \
   options.fringes=200 options.elsewhere_probability=0.35 \
   networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
 mean "$out/mean/painter-13.safetensors" "$out/finished/kitti-12.safetensors" "$(weights scene-13 painter)" 0.4,0.6
-finish "$out/mean/painter-13.safetensors" scene-13 "$painter"
-lidar2pano evaluate "$painter+$translator+$rough" --data "$kitti" --split val --json "$out/kitti.json"
-family kitti-mini "$rough" "$translator" "$painter" "$out/kitti.json" CC-BY-NC-SA-4.0
+finish "$out/mean/painter-13.safetensors" scene-13 "$out/finished/kitti-13.safetensors" --power 4
+finish "$out/finished/kitti-13.safetensors" scene-13 "$painter" --class-colours
+# Lorries and buses above the scan, which the translator gave to buildings and vegetation; then tall buildings as another
+# sensor scans them.
+shares="$(printf 'train,%.0s' {1..5})$out/towns/centre:all,$out/towns/centre:all,$day:all,$all"
+avenues=$out/towns/pandar64-avenues:all
+translate_more() { # RUN MINUTES START TRAIN
+  stage "$1" release-translator "$kitti" "$2" data.train="$4" options.segmenter="$rough" training.ema=0.995 \
+    networks.translator.start="$3" networks.translator.optimizer.rate=0.0010 training.validate_minutes=0
+}
+translate_more translator-5 38 "$translator" "$shares"
+translate_more translator-6 36 "$(weights translator-5 translator)" "$shares,$avenues,$avenues,$out/towns/pandar64-day:all"
+mean "$out/mean/translator-5-6.safetensors" "$(weights translator-5 translator)" "$(weights translator-6 translator)"
+mean "$out/mean/translator-6.safetensors" "$translator" "$out/mean/translator-5-6.safetensors" 0.3,0.7
+tall=$out/prior/translator-6.safetensors
+python "$here/prior.py" "$out/mean/translator-6.safetensors" "$tall" --data "$kitti" --share 0.58
+lidar2pano evaluate "$painter+$tall+$rough" --data "$kitti" --split val --json "$out/kitti.json"
+family kitti-mini "$rough" "$tall" "$painter" "$out/kitti.json" CC-BY-NC-SA-4.0
