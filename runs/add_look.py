@@ -14,10 +14,8 @@ def main(weights: str, out: str, look: str) -> None:
     network, card = load(weights, expect="scene-painter")
     settings = {**card.settings, "looks": [*card.settings["looks"], look], "look": look}
     wider, state = build("scene-painter", **settings), network.state_dict()
-    codes = state["codes.weight"]
-    state["codes.weight"] = torch.cat([codes, codes.mean(0, keepdim=True)])
-    if (colours := state.get("class_colours.weight")) is not None:
-        state["class_colours.weight"] = torch.cat([colours, colours.mean(0, keepdim=True)])
+    for name in {"codes.weight", "class_colours.weight"} & state.keys():
+        state[name] = torch.cat([state[name], state[name].mean(0, keepdim=True)])
     wider.load_state_dict(state)
     save(Path(out), wider, replace(card, settings=settings))
 

@@ -26,6 +26,7 @@
 # Depths were the translator's own, not those of `geometry.measured_depth`, before `scene-9` and `world-scene-9`; the
 # other corrections of `lidar2pano.corrections` came between `scene-10` and `world-scene-9`, and remission that is evened
 # between beams with the latter. `scene-11` painted the frames of `scene-9`.
+# The colours of classes were set on frames that the released segmenter, of `segmenter-9`, and `translator` had made.
 # Painters before `scene-12`, and translators but `world-translator-3`, learned with segmenters that did not read roughness.
 set -euo pipefail
 kitti=$1 out=$2

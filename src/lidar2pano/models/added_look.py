@@ -26,12 +26,11 @@ def with_look(painter: ScenePainter, settings: dict[str, Any], look: str) -> tup
     code = painter.codes.embedding_dim
     settings = {**settings, "looks": [*painter.looks, look], "look": look, "code": code + 1}
     state = painter.state_dict()
-    codes = torch.cat([state["codes.weight"], codes_of(painter, painter.look)[None]])
+    codes = torch.cat([state["codes.weight"], row_of(painter, painter.codes, painter.look)[None]])
     state["codes.weight"] = torch.cat([codes, torch.eye(len(codes))[:, -1:].to(codes)], 1)
     if painter.class_colours is not None:
-        colours = state["class_colours.weight"]
-        own = torch.tensor(painter.look_shares(painter.look)).to(colours) @ colours
-        state["class_colours.weight"] = torch.cat([colours, own[None]])
+        own = row_of(painter, painter.class_colours, painter.look)
+        state["class_colours.weight"] = torch.cat([state["class_colours.weight"], own[None]])
     for name in (f"tuned.{number}.weight" for number in range(len(painter.tuned))):
         weight = state[name]
         state[name] = torch.cat([weight[:, :code], torch.zeros_like(weight[:, :1]), weight[:, code:]], 1)
@@ -40,9 +39,9 @@ def with_look(painter: ScenePainter, settings: dict[str, Any], look: str) -> tup
     return wider, settings
 
 
-def codes_of(painter: ScenePainter, look: str) -> Tensor:
-    """The code of a look, or the mean of several ("A+B"); InputError where the painter does not know it."""
-    weights = painter.codes.weight.detach()
+def row_of(painter: ScenePainter, table: nn.Embedding, look: str) -> Tensor:
+    """What a painter's table has for a look, or the mean of several ("A+B"); InputError for an unknown look."""
+    weights = table.weight.detach()
     return torch.tensor(painter.look_shares(look)).to(weights) @ weights
 
 
