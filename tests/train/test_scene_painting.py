@@ -12,7 +12,7 @@ from lidar2pano.data.frames import IGNORE
 from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.losses import PatchStatistics
 from lidar2pano.models import build
-from lidar2pano.models.scene_painter import BUILDING
+from lidar2pano.models.scene_painter import BUILDING, twice
 from lidar2pano.train import scene_painting
 from lidar2pano.train.options import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingSample
@@ -47,7 +47,7 @@ def task() -> ScenePainting:
     one.features = RandomFeatures()
     one.statistics = PatchStatistics(2, WIDTHS[:MATCHED])
     painter = build("scene-painter", looks=one.looks, widths=(8, 12, 16, 8), blocks=1)
-    one.unread = painter.unread
+    one.unread, one.teacher = painter.unread, None
     one.networks = {"painter": painter, "critic": build("projected-critic", features=WIDTHS, mixed=8, width=8)}
     return one
 
@@ -108,14 +108,38 @@ def test_walls_with_invented_openings_need_not_be_equal(task, batch):
     segments = torch.zeros(2, 16, 32, 64)
     segments[:, BUILDING, :, :32] = 1
     nothing = torch.zeros(2, 32, 64)
-    known, share, invented = task._counted(flat, segments, nothing).unbind(1)
+    known, share, invented = task._counted(flat, segments, twice(nothing), everywhere := flat.valid).unbind(1)
     assert torch.equal(known, flat.valid.float()) and not invented.any()
     assert torch.allclose(share[0, :, :64], torch.tensor(task.options.on_invented)) and (share[0, :, 64:] == 1).all()
     assert (share[1] == 1).all(), "here they are known"
     nothing[1, 10:20] = 1
-    _, share, invented = task._counted(flat, segments, nothing).unbind(1)
+    _, share, invented = task._counted(flat, segments, twice(nothing), everywhere).unbind(1)
     assert torch.allclose(share[1, 20:40], torch.tensor(task.options.on_invented)) and (share[1, 40:] == 1).all()
     assert (invented[1, 20:40] == 1).all() and not invented[1, 40:].any() and not invented[0].any()
+    _, share, _ = task._counted(flat, segments, 0 * twice(nothing), ~everywhere).unbind(1)
+    assert (share == 1).all(), "a teacher's picture has the openings that were invented"
+
+
+def test_a_teachers_picture_is_learned_where_no_camera_looked(task, batch):
+    flat = batch.flat()._replace(tone=torch.full((2, 3), 0.3))
+    flat.valid[:, :, 64:] = False
+    inputs = torch.rand(2, 31, 32, 64), torch.rand(2, 3, 64, 128)
+    untaught, photographed = task._taught(flat, inputs)
+    assert untaught is flat and photographed.all()
+    painter = build("scene-painter", looks=task.looks, widths=(8, 12, 16, 8), blocks=1).eval()
+    task.teacher = painter
+    task.options = replace(task.options, teacher_probability=0.0)
+    with torch.no_grad():
+        taught, photographed = task._taught(flat, inputs)
+        picture = painter(*inputs, torch.eye(2), flat.tone)
+        assert torch.equal(photographed, flat.valid) and taught.valid.all()
+        assert torch.equal(taught.image[..., :64], flat.image[..., :64])
+        assert torch.allclose(taught.image[..., 64:], picture[..., 64:])
+        assert torch.equal(taught.look, flat.look) and torch.equal(taught.tone, flat.tone)
+        task.options = replace(task.options, teacher_probability=1.0)
+        taught, photographed = task._taught(flat, inputs)
+        assert not photographed.any() and not taught.tone.any()
+        assert torch.allclose(taught.image, painter(*inputs, torch.eye(2)[taught.look], taught.tone))
 
 
 def test_drawn_crops_have_whole_cars_and_invented_tones(task, batch, monkeypatch):

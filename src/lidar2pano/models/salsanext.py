@@ -12,7 +12,7 @@ Deviates  from the published code in three points:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -20,6 +20,7 @@ from torch import Tensor, nn
 from lidar2pano.errors import InputError
 
 STRIDE = 16  # four poolings by two
+WIDTHS = (32, 64, 128, 256)  # of the published network
 Norm = Callable[[int], nn.Module]
 
 
@@ -123,29 +124,39 @@ class UpBlock(nn.Module):
 
 
 class Trunk(nn.Module):
-    """Encoder and decoder that SalsaNext and TITAN-Net share: (B, channels, H, W) -> (B, 32, H, W).
+    """Encoder and decoder that SalsaNext and TITAN-Net share: (B, channels, H, W) -> (B, widths[0], H, W).
 
     upper_dropout  dropout of the decoder's first block (0.2 in SalsaNext, 0 in TITAN-Net); the first encoder block
                    and the last decoder block have none, all others 0.2.
+    widths         channels at 1/1, 1/2, 1/4 and from 1/8 of the input raster on; each a multiple of 4.
     """
 
-    def __init__(self, channels: int, norm: Norm = nn.BatchNorm2d, upper_dropout: float = 0.2) -> None:
+    def __init__(
+        self,
+        channels: int,
+        norm: Norm = nn.BatchNorm2d,
+        upper_dropout: float = 0.2,
+        widths: Sequence[int] = WIDTHS,
+    ) -> None:
         super().__init__()
-        self.downCntx = ContextBlock(channels, 32, norm)
-        self.downCntx2 = ContextBlock(32, 32, norm)
-        self.downCntx3 = ContextBlock(32, 32, norm)
-        self.resBlock1 = DownBlock(32, 64, 0.0, norm)
-        self.resBlock2 = DownBlock(64, 128, 0.2, norm)
-        self.resBlock3 = DownBlock(128, 256, 0.2, norm)
-        self.resBlock4 = DownBlock(256, 256, 0.2, norm)
-        self.resBlock5 = ResBlock(256, 256, 0.2, norm)
-        self.upBlock1 = UpBlock(256, 256, 128, upper_dropout, norm)
-        self.upBlock2 = UpBlock(128, 256, 128, 0.2, norm)
-        self.upBlock3 = UpBlock(128, 128, 64, 0.2, norm)
-        self.upBlock4 = UpBlock(64, 64, 32, 0.0, norm)
+        fine, half, quarter, coarse = widths
+        if any(width % 4 for width in widths):
+            raise InputError(f"widths {tuple(widths)}: each must be a multiple of 4, which pixel shuffles need")
+        self.downCntx = ContextBlock(channels, fine, norm)
+        self.downCntx2 = ContextBlock(fine, fine, norm)
+        self.downCntx3 = ContextBlock(fine, fine, norm)
+        self.resBlock1 = DownBlock(fine, half, 0.0, norm)
+        self.resBlock2 = DownBlock(half, quarter, 0.2, norm)
+        self.resBlock3 = DownBlock(quarter, coarse, 0.2, norm)
+        self.resBlock4 = DownBlock(coarse, coarse, 0.2, norm)
+        self.resBlock5 = ResBlock(coarse, coarse, 0.2, norm)
+        self.upBlock1 = UpBlock(coarse, coarse, quarter, upper_dropout, norm)
+        self.upBlock2 = UpBlock(quarter, coarse, quarter, 0.2, norm)
+        self.upBlock3 = UpBlock(quarter, quarter, half, 0.2, norm)
+        self.upBlock4 = UpBlock(half, half, fine, 0.0, norm)
 
     def features(self, x: Tensor) -> Tensor:
-        """(B, channels, H, W) -> (B, 32, H, W); H and W must be multiples of 16, otherwise InputError."""
+        """(B, channels, H, W) -> (B, widths[0], H, W); H and W must be multiples of 16, otherwise InputError."""
         if x.shape[-2] % STRIDE or x.shape[-1] % STRIDE:
             raise InputError(
                 f"a range image of {x.shape[-2]} x {x.shape[-1]} pixels does not fit the network: "
@@ -165,12 +176,13 @@ class Trunk(nn.Module):
 class SalsaNext(Trunk):
     """Logits for `classes` from range images of `channels` (range, x, y, z, remission; normalised, zero where empty).
 
-    x  (B, channels, H, W) float -> (B, classes, H, W) logits; H and W multiples of 16, otherwise InputError.
+    x       (B, channels, H, W) float -> (B, classes, H, W) logits; H and W multiples of 16, otherwise InputError.
+    widths  of the trunk; the published network's unless said otherwise.
     """
 
-    def __init__(self, classes: int = 20, channels: int = 5) -> None:
-        super().__init__(channels)
-        self.logits = nn.Conv2d(32, classes, 1)
+    def __init__(self, classes: int = 20, channels: int = 5, widths: Sequence[int] = WIDTHS) -> None:
+        super().__init__(channels, widths=widths)
+        self.logits = nn.Conv2d(widths[0], classes, 1)
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, channels, H, W) -> (B, classes, H, W) logits."""

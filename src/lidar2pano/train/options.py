@@ -60,6 +60,8 @@ class SegmentationOptions(TaskOptions):
     dropout                whether the network's dropout is on;  fixed_norms: whether norms keep their statistics.
     tallest                name of the view as far as which rows are added for scans that go beyond the recipe's view
                            (geometry.projection.fitted_view); "": none are.
+    teacher, distillation  weight file of a segmenter whose predictions are learned beside the labels (knowledge
+                           distillation), "": none;  weight of that loss.
     """
 
     task = "segmentation"
@@ -76,6 +78,8 @@ class SegmentationOptions(TaskOptions):
     dropout: bool = True
     fixed_norms: bool = False
     tallest: str = ""
+    teacher: str = ""
+    distillation: float = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,6 +193,9 @@ class PanoramaOptions(TaskOptions):
     class_weight_exponent  class weights in the cross-entropy are (share of the pixels) ** -exponent.
     segmenter              weight file whose labels take half of the training samples and all of validation;
                            "": the labels of the data everywhere.
+    teacher, distillation  weight file of a translator whose classes and depths are learned beside the ground truth
+                           (knowledge distillation), "": none;  weight of that loss. Crops of real frames then begin
+                           anywhere, also where no camera looked.
     """
 
     task = "panorama"
@@ -198,6 +205,8 @@ class PanoramaOptions(TaskOptions):
     depth: float = 2.0
     class_weight_exponent: float = 0.5
     segmenter: str = ""
+    teacher: str = ""
+    distillation: float = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,6 +236,9 @@ class ScenePaintingOptions(TaskOptions):
     cache                      folder that keeps what is made of each frame, some 5 MB of a camera's view and 25 MB of
                                a panorama; "": the folder .lidar2pano of its data set.
     translator, segmenter      weight files of the networks whose output is painted.
+    teacher                    weight file of a painter of the same looks, whose pictures take the place of the images
+                               where no camera looked (knowledge distillation); "": none.
+    teacher_probability        of crops that are the teacher's picture altogether, in a look drawn at random.
     """
 
     task = "scene-painting"
@@ -253,6 +265,8 @@ class ScenePaintingOptions(TaskOptions):
     cache: str = ""
     translator: str = ""
     segmenter: str = ""
+    teacher: str = ""
+    teacher_probability: float = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)

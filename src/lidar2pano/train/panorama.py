@@ -16,11 +16,11 @@ from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
-from lidar2pano.losses.supervised import class_weights, labelled_cross_entropy
+from lidar2pano.losses.supervised import class_weights, distillation, labelled_cross_entropy
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.train.options import PanoramaOptions
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.task import build_networks, device_of, load_segmenter, segmentation_scores
+from lidar2pano.train.task import Teacher, build_networks, device_of, load_segmenter, segmentation_scores
 from lidar2pano.views import VIEWS
 
 
@@ -32,12 +32,14 @@ class PanoramaTranslation:
     def __init__(self, recipe: Recipe[PanoramaOptions], root: Path) -> None:
         self.view, self.options = VIEWS[recipe.view].scaled(recipe.scale), recipe.options
         options = recipe.options
-        self.dataset = PanoramaDataset(root, recipe.data.train, self.view, options.columns)
+        anywhere = {"shift_px": (self.view.columns - options.columns) // 2} if options.teacher else {}
+        self.dataset = PanoramaDataset(root, recipe.data.train, self.view, options.columns, **anywhere)
         self.validation = PanoramaDataset(root, recipe.data.val, self.view, options.columns)
         self.networks = build_networks(recipe)
         self.weights = class_weights(
             self.dataset.class_counts()[: len(COMMON15)], options.class_weight_exponent, least=1e-4, most=4.0
         )
+        self.teacher = Teacher(options.teacher, "titan-pano") if options.teacher else None
         self.logs: dict[str, float | Tensor] = {}
         if options.segmenter:
             label_points = load_segmenter(options.segmenter)
@@ -46,9 +48,8 @@ class PanoramaTranslation:
 
     def updates(self, batch: PanoramaSample) -> Iterator[tuple[str, Tensor]]:
         """One update of the translator."""
-        logits, depth_m = self.networks["translator"](
-            batch.range_image, one_hot_layers(batch.segments, len(SEMANTIC_KITTI))
-        )
+        inputs = batch.range_image, one_hot_layers(batch.segments, len(SEMANTIC_KITTI))
+        logits, depth_m = self.networks["translator"](*inputs)
         logits = logits.float()
         self.weights = self.weights.to(logits.device)  # once
         entropy = labelled_cross_entropy(logits, batch.camera_labels, IGNORE, self.weights)
@@ -57,7 +58,14 @@ class PanoramaTranslation:
         gap = (depth_code(depth_m) - depth_code(batch.depth_m)).abs()
         depth = (gap * measured).sum() / measured.sum().clamp(min=1)
         self.logs = {"cross_entropy": entropy.detach(), "lovasz": lovasz.detach(), "depth": depth.detach()}
-        yield "translator", entropy + self.options.lovasz * lovasz + self.options.depth * depth
+        loss = entropy + self.options.lovasz * lovasz + self.options.depth * depth
+        if self.teacher is not None:
+            taught, taught_m = self.teacher(*inputs)
+            classes = distillation(logits, taught)
+            depths = (depth_code(depth_m) - depth_code(taught_m)).abs().mean()
+            self.logs |= {"distillation": classes.detach(), "taught_depth": depths.detach()}
+            loss = loss + self.options.distillation * (classes + self.options.depth * depths)
+        yield "translator", loss
 
     def predict(self, sample: PanoramaSample) -> Tensor:
         """Class ids (H, W) that the current network predicts for the sample's crop."""

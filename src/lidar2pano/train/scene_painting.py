@@ -35,7 +35,7 @@ from lidar2pano.train.adversarial import frozen
 from lidar2pano.train.options import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingFrames, PaintingSample
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.task import as_image, build_networks, device_of, fix_norms
+from lidar2pano.train.task import Teacher, as_image, build_networks, device_of, fix_norms
 from lidar2pano.views import VIEWS, View
 
 NEARBY = (3, 8, 20)  # pixels on either side of which a car's tone is the mean
@@ -63,6 +63,7 @@ class ScenePainting:
         translator, _ = load_part(Path(recipe.options.translator), device, expect="titan-pano")
         pipeline = Pipeline(segmenter=segmenter, translator=translator, painter=painter, view=self.view, device=device)
         self.looks, self.unread = painter.looks, painter.unread
+        self.teacher = Teacher(recipe.options.teacher, "scene-painter") if recipe.options.teacher else None
         self.dataset, self.validation = (
             PaintingFrames(root, splits, pipeline, recipe.options) for splits in (recipe.data.train, recipe.data.val)
         )
@@ -82,10 +83,12 @@ class ScenePainting:
         houses_and_cars = torch.maximum(segments, used)[:, [BUILDING, CAR]].sum(1).clamp(max=1)
         segments, invented = used, drawn * houses_and_cars  # there, houses and cars are as in use: not the image's
         inputs = self.inputs(batch, segments, tones, window, pose)
+        batch, photographed = self._taught(batch, inputs)
         fake = painted = self.painted(batch, inputs)
         real = torch.where(batch.valid[:, None], batch.image, fake.detach())
         condition = torch.cat([segments, depth_code(batch.depth_m)[:, None]], 1)
-        counted = self._counted(batch, segments, invented)
+        invented = twice(invented) * photographed
+        counted = self._counted(batch, segments, invented, photographed)
         if self.options.augment_probability:
             real, fake, condition, counted = self._augmented(real, fake, condition, counted)
         with fast_arithmetic(device):
@@ -113,7 +116,7 @@ class ScenePainting:
         if options.fringes:
             terms["fringes"] = fringes(fake)
         if options.unseen:
-            known = batch.valid & (twice(invented) < 0.5)
+            known = batch.valid & (invented < 0.5)
             terms["unseen"] = self._unseen(batch._replace(valid=known), segments, inputs[0][:, TONES], painted)
         if options.statistics:
             terms["statistics"] = self.statistics(pairs[:MATCHED], counted[:, :1], batch.look)
@@ -136,6 +139,25 @@ class ScenePainting:
             "adversarial": options.adversarial,
         }
 
+    def _taught(self, batch: PaintingSample, inputs: tuple[Tensor, Tensor]) -> tuple[PaintingSample, Tensor]:
+        """The batch with the teacher's pictures where no camera looked, and of some crops altogether, in any look.
+
+        So what is painted all around and in every look is learned from all frames.
+        Returns with it (B, 2H, 2W) bool: where the image is not the teacher's.
+        """
+        if self.teacher is None:
+            return batch, torch.ones_like(batch.valid)
+        drawn = torch.rand(len(batch.look), device=batch.look.device) < self.options.teacher_probability
+        look = torch.where(drawn, torch.randint_like(batch.look, len(self.looks)), batch.look)
+        batch = batch._replace(look=look, tone=batch.tone * ~drawn[:, None])
+        taught = self.teacher(*inputs, *self._look_and_tone(batch)).float()
+        photographed = batch.valid & ~drawn[:, None, None]
+        image = torch.where(photographed[:, None], batch.image, taught)
+        return batch._replace(image=image, valid=torch.ones_like(batch.valid)), photographed
+
+    def _look_and_tone(self, batch: PaintingSample) -> tuple[Tensor, Tensor]:
+        return torch.eye(len(self.looks), device=batch.look.device)[batch.look], batch.tone
+
     def _augmented(self, real: Tensor, fake: Tensor, *layers: Tensor) -> tuple[Tensor, ...]:
         """The same DiffAugment of real and painted pictures, which all losses then compare, and of other layers.
 
@@ -149,14 +171,14 @@ class ScenePainting:
         others = joined[:, 3:].detach().split(sizes, 1)
         return augment.apply(real, everywhere, everywhere[:, :0])[:, :3], joined[:, :3], *others
 
-    def _counted(self, batch: PaintingSample, segments: Tensor, invented: Tensor) -> Tensor:
+    def _counted(self, batch: PaintingSample, segments: Tensor, invented: Tensor, photographed: Tensor) -> Tensor:
         """Where the image is known, how much what is painted has to be equal to it there, and what is invented.
 
-        (B, 3, 2H, 2W). A wall whose openings were invented has them elsewhere.
+        (B, 3, 2H, 2W). A wall whose openings were invented has them elsewhere in a photograph.
         """
-        elsewhere = torch.maximum(invented, segments[:, BUILDING] * batch.openings.isnan())
-        share = 1 - (1 - self.options.on_invented) * elsewhere
-        return torch.stack([batch.valid.float(), twice(share), twice(invented)], 1)
+        walls = twice(segments[:, BUILDING] * batch.openings.isnan()) * photographed
+        share = 1 - (1 - self.options.on_invented) * torch.maximum(invented, walls)
+        return torch.stack([batch.valid.float(), share, invented], 1)
 
     @staticmethod
     def _unseen(batch: PaintingSample, segments: Tensor, tones: Tensor, painted: Tensor) -> Tensor:
@@ -233,8 +255,7 @@ class ScenePainting:
         painter = self.networks["painter"]
         if self.options.fixed_norms:
             fix_norms(painter)
-        shares = torch.eye(len(self.looks), device=batch.look.device)[batch.look]
-        return painter(*inputs, shares, batch.tone).float()
+        return painter(*inputs, *self._look_and_tone(batch)).float()
 
     def segments(self, batch: PaintingSample) -> Tensor:
         """Segments (B, 16, H, W) to paint: the translator's, sharpened at random, or by chance the ground truth."""

@@ -16,11 +16,18 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
-from lidar2pano.losses.supervised import class_weights, labelled_cross_entropy
+from lidar2pano.losses.supervised import class_weights, distillation, labelled_cross_entropy
 from lidar2pano.pipeline import Segmenter
 from lidar2pano.train.options import SegmentationOptions
 from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.task import build_networks, device_of, fix_norms, range_view_card, segmentation_scores
+from lidar2pano.train.task import (
+    Teacher,
+    build_networks,
+    device_of,
+    fix_norms,
+    range_view_card,
+    segmentation_scores,
+)
 from lidar2pano.views import VIEWS, view_of
 
 
@@ -62,10 +69,11 @@ class Segmentation:
             least=options.class_weight_least,
             most=options.class_weight_most,
         )
+        self.teacher = Teacher(options.teacher, "salsanext") if options.teacher else None
         self.logs: dict[str, float | Tensor] = {}
 
     def updates(self, batch: RangeImageSample) -> Iterator[tuple[str, Tensor]]:
-        """One update: cross-entropy over labelled pixels + Lovasz-Softmax over the classes present."""
+        """One update: cross-entropy over labelled pixels, Lovasz-Softmax over the classes present, the teacher."""
         if self.options.fixed_norms:
             fix_norms(self.networks["segmenter"])
         logits = self.networks["segmenter"](batch.lidar).float()
@@ -73,7 +81,12 @@ class Segmentation:
         entropy = labelled_cross_entropy(logits, batch.labels, 0, self.weights)
         lovasz = lovasz_softmax(logits.softmax(1), batch.labels, ignore=0)
         self.logs = {"cross_entropy": entropy.detach(), "lovasz": lovasz.detach()}
-        yield "segmenter", entropy + self.options.lovasz * lovasz
+        loss = entropy + self.options.lovasz * lovasz
+        if self.teacher is not None:
+            gap = distillation(logits, self.teacher(batch.lidar), (batch.lidar != 0).any(1))
+            self.logs["distillation"] = gap.detach()
+            loss = loss + self.options.distillation * gap
+        yield "segmenter", loss
 
     def validate(self) -> dict[str, float]:
         """MIoU and accuracy per point over up to 500 frames of the validation split, but for unlabelled points."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor, nn
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import Normalisation
+from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import LabelSet
 from lidar2pano.metrics.confusion import Confusion
 from lidar2pano.models import build
@@ -94,6 +96,24 @@ def _built(name: str, spec: Network) -> nn.Module:
                 f"{dict(spec.settings)}; change one of them"
             ) from None
     return network
+
+
+class Teacher:
+    """A trained network whose predictions another learns: a function of the same inputs, without gradients.
+
+    It is no part of the task's networks, so that the loop neither trains nor saves it.
+    """
+
+    def __init__(self, file: str, model: str) -> None:
+        network = load(Path(file), expect=model)[0].requires_grad_(False)
+        self.network = network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+
+    def __call__(self, *inputs: Tensor) -> Any:  # noqa: ANN401 what the network answers
+        """What the network answers, on the device of the inputs."""
+        device = inputs[0].device
+        self.network.to(device)
+        with torch.no_grad(), fast_arithmetic(device):
+            return self.network(*inputs)
 
 
 def device_of(network: nn.Module) -> torch.device:
