@@ -97,6 +97,12 @@ stage world-translator-3 release-translator "$day" 16 data.train=all,"$all,$out/
   networks.translator.start="$(weights world-translator-2 translator)" networks.translator.optimizer.rate=0.0012
 world_translator=$out/mean/world-translator.safetensors
 mean "$world_translator" "$(weights world-translator-2 translator)" "$(weights world-translator-3 translator)" 0.4,0.6
+wide() { # NAME SEGMENTER TRANSLATOR PAINTER: a family that narrower networks come from
+  mkdir -p "$out/wide/$1"
+  cp "$2" "$out/wide/$1/segmenter.safetensors"
+  cp "$3" "$out/wide/$1/translator.safetensors"
+  cp "$4" "$out/wide/$1/painter.safetensors"
+}
 family() { # NAME SEGMENTER TRANSLATOR PAINTER SCORES LICENCE
   mkdir -p "$out/$1"
   cp "$2" "$out/$1/segmenter.safetensors"
@@ -133,9 +139,7 @@ scene world-scene-9 "$day" 27 "train,$all,$out/towns/squares:all" "${inputs2[@]}
   networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
 painter=$out/finished/world.safetensors
 python "$here/finish_painter.py" "$(weights world-scene-9 painter)" "$painter" "$out/frames/world-scene-9/painting/*/day-*.safetensors" --look day --power 4
-lidar2pano evaluate "$painter+$world_translator+$out/world-segmenter-3" --data "$out/towns/test" --split all \
-  --json "$out/world.json"
-family world "$(weights world-segmenter-3 segmenter)" "$world_translator" "$painter" "$out/world.json" Apache-2.0
+wide world "$(weights world-segmenter-3 segmenter)" "$world_translator" "$painter"
 
 # Family `kitti-mini`: goes on where runs/kitti_mini.sh ended (in the same OUT), towns beside real frames.
 stage segmenter-4 release-segmenter "$kitti" 34 data.train=train,train,labelled,"$out/towns/scans:all" \
@@ -237,5 +241,22 @@ mean "$out/mean/translator-5-6.safetensors" "$(weights translator-5 translator)"
 mean "$out/mean/translator-6.safetensors" "$translator" "$out/mean/translator-5-6.safetensors" 0.3,0.7
 tall=$out/prior/translator-6.safetensors
 python "$here/prior.py" "$out/mean/translator-6.safetensors" "$tall" --data "$kitti" --share 0.58
-lidar2pano evaluate "$painter+$tall+$rough" --data "$kitti" --split val --json "$out/kitti.json"
-family kitti-mini "$rough" "$tall" "$painter" "$out/kitti.json" CC-BY-NC-SA-4.0
+wide kitti-mini "$rough" "$tall" "$painter"
+
+# What is released has half of the arithmetic: networks pruned to fewer channels, then taught by the wide ones.
+prune() { # FAMILY ROLE SETTINGS DATA
+  python "$here/prune.py" "$out/wide/$1" "$2" "$out/pruned/$1-$2.safetensors" --settings "$3" --data "$4"
+}
+segmenter_widths='{"widths": [32, 48, 96, 192]}'
+translator_widths='{"widths": [16, 48, 96, 128, 192], "pyramid": 64}'
+painter_widths='{"widths": [16, 48, 96, 16]}'
+narrow() { # FAMILY DATA
+  prune "$1" segmenter "$segmenter_widths" "$2"
+  prune "$1" translator "$translator_widths" "$2"
+  prune "$1" painter "$painter_widths" "$2"
+}
+narrow world "$day:all,$out/towns/centre:all"
+narrow kitti-mini "$kitti:train"
+stage translator-7 fast-translator "$kitti" 9 data.train="$(printf 'train,%.0s' {1..5})$out/towns/centre:all,$day:all" \
+  options.segmenter="$rough" options.teacher="$tall" networks.translator.start="$out/pruned/kitti-mini-translator.safetensors" \
+  networks.translator.optimizer.rate=0.001 training.validate_minutes=0
