@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import adaptive_avg_pool2d, conv2d, interpolate
+from torch.nn.functional import adaptive_avg_pool2d, conv2d, interpolate, pad
 
 from lidar2pano.geometry.columns import rows_beside
 from lidar2pano.geometry.odds import multiply_odds
@@ -70,15 +70,20 @@ def deviations(channels: Tensor) -> tuple[Tensor, Tensor]:
     channels  (B, 5, H, W) of a RangeImage; rows are a beam's, or nearly.
     """
     flat = torch.hypot(channels[:, 1].float(), channels[:, 2].float())
-    inverse = torch.where(flat > 0, 1 / flat, 0.0)
-    total, count = torch.zeros_like(flat), torch.zeros_like(flat)
+    there, reach = flat > 0, max(BESIDE_PX)
+    around = torch.where(there, 1 / flat, 0.0)
+    around = torch.cat([around[..., -reach:], around, around[..., :reach]], 2).flatten()
+    place = pad(there, (reach, reach)).flatten().nonzero()[:, 0]  # only at points: they are a quarter of the pixels
+    middle, far_m = around[place], flat[there]
+    total, count = torch.zeros_like(middle), torch.zeros_like(middle)
     for away in BESIDE_PX:
-        left, right = inverse.roll(away, 2), inverse.roll(-away, 2)
-        known = (left > 0) & (right > 0) & (inverse > 0)
-        off_m = ((left + right).mul_(0.5).sub_(inverse)).abs_().mul_(flat).mul_(flat)  # to first order
+        left, right = around[place - away], around[place + away]
+        known = (left > 0) & (right > 0)
+        off_m = ((left + right).mul_(0.5).sub_(middle)).abs_().mul_(far_m).mul_(far_m)  # to first order
         total += off_m.add_(LEAST_M).clamp_(max=MOST_M).log_().mul_(known)
         count += known
-    return total, count
+    empty = torch.zeros_like(flat)
+    return empty.masked_scatter(there, total), empty.masked_scatter(there, count)
 
 
 def _around(x: Tensor) -> Tensor:
