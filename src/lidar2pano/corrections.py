@@ -28,7 +28,7 @@ ROUGH = (
 def corrected(logits: Tensor, depth_m: Tensor, channels: Tensor, view: View) -> tuple[Tensor, Tensor]:
     """A translator's logits (B, C, H, W) and depths (B, H, W), float32, by the range image (B, 5, H, W) on its raster.
 
-    The logits become logarithms of probabilities. Borders on the ground are evened; foliage and walls, grass and asphalt are weighed by roughness, sidewalk and road
+    Borders on the ground are evened; foliage and walls, grass and asphalt are weighed by roughness, sidewalk and road
     by height; depths keep to what was measured; a fence that carries a house is its wall.
     """
     logits = evened(logits, (ROAD, SIDEWALK, TERRAIN))

@@ -21,6 +21,7 @@ from lidar2pano.geometry.between_beams import denser
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.columns import rows_beside
 from lidar2pano.geometry.knn import clean_up
+from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.odds import likeliest
 from lidar2pano.geometry.projection import Normalisation, RangeImage, fitted_view, one_hot_layers, project
 from lidar2pano.geometry.whole_cars import WholeCars
@@ -104,8 +105,7 @@ class Translated(NamedTuple):
     name      of the scan.
     labels    (N,) int64 ids of SEMANTIC_KITTI of the scan's points; dropped: how many of them could not be used.
     channels  (1, 5, H, W) float32: the scan's RangeImage.
-    logits    (1, 16, H, W) of COMMON15, logarithms of probabilities where they were `corrected`.
-    depth_m   (1, H, W) float32, metres.
+    logits    (1, 16, H, W) of COMMON15;  depth_m (1, H, W) float32, metres.
     gaps_deg  sectors (left, right) of azimuth out of the sensor's field of view.
     beyond_rows  number of points that could be used, but lie above or below the segmenter's rows.
     points_between  number of points that were put between the beams of a sparse sensor.
@@ -202,10 +202,11 @@ class Pipeline:
                 read = self._checked(scan, project(scan, self.input_view, device=self.device))
         ids = self.segmenter.label(image, timer) if labels is None else torch.from_numpy(labels).to(self.device)
         with timer("translate"):
-            channels = around.channels[None].contiguous(memory_format=torch.channels_last)
+            channels = around.channels[None]
+            given = (channels if read is around else read.channels[None]).contiguous(memory_format=torch.channels_last)
             condition = one_hot_layers(read.spread(ids)[None], CONDITIONS)
             with fast_arithmetic(self.device):
-                logits, depth_m = self.translator(channels if read is around else read.channels[None], condition)
+                logits, depth_m = self.translator(given, condition)
             if self.input_view is None:  # what the paper's networks predict stays as it is
                 logits, depth_m = corrected(logits, depth_m, channels, self.view)
         beyond_rows = int((image.usable & ~image.inside).sum())
@@ -255,7 +256,7 @@ class Pipeline:
                 image = previous.image
         with timer("finish"):
             colour = image[0].float().add(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
-            segments, depth_m = self._finished(segments.clamp(min=TINY).log(), depth_m)
+            segments, depth_m = self._finished(segments, depth_m)
             confidence = grow_circular(scene.segments.amax(1, keepdim=True), 2)[0, 0]
             for left, right in translated.gaps_deg:  # nothing is claimed there
                 columns = columns_between(self.view.scaled(2), left, right)
@@ -280,10 +281,10 @@ class Pipeline:
 
     def completed(self, translated: Translated, pose: np.ndarray | None = None) -> WholeCars:
         """Probabilities and depths with whole cars; what the paper's networks predict stays as it is, without tones."""
-        logits, depth_m = translated.logits.float(), translated.depth_m
+        segments, depth_m = translated.logits.float().softmax(1), translated.depth_m
         if self.input_view is not None:
-            return WholeCars(logits.softmax(1), depth_m, logits.new_full((1, 3, *depth_m.shape[1:]), torch.nan))
-        return with_cars(logits.exp(), depth_m, self.view, pose)
+            return WholeCars(segments, depth_m, segments.new_full((1, 3, *depth_m.shape[1:]), torch.nan))
+        return with_cars(segments, depth_m, self.view, pose)
 
     def _around(self, translated: Translated, before: Surroundings | None, pose: np.ndarray) -> Surroundings:
         """The scan's classes and depths, averaged with those before."""
@@ -321,11 +322,11 @@ class Pipeline:
         return image
 
     @staticmethod
-    def _finished(logits: Tensor, depth_m: Tensor) -> tuple[Tensor, Tensor]:
+    def _finished(probabilities: Tensor, depth_m: Tensor) -> tuple[Tensor, Tensor]:
         """Class ids and depth on the panorama's raster; the sky has no depth."""
-        segments = grown_classes(logits, 2)
+        segments = grown_classes(probabilities, 2, least=TINY)
         depth_m = grow_circular(depth_m[None], 2)[0, 0]
-        return segments, torch.where(segments == SKY, 0.0, depth_m)
+        return segments, depth_m.mul_(as_float(segments != SKY))
 
 
 def load(

@@ -25,7 +25,7 @@ LEAST = 1e-6  # probability
 
 
 def evened(logits: Tensor, classes: Sequence[int]) -> Tensor:
-    """Logarithms of probabilities (B, C, H, W) float32 in which some classes give way to each other along smooth borders.
+    """Logarithms of probabilities (B, C, H, W) float32; some classes give way to each other along smooth borders.
 
     logits   (B, C, H, W), of a whole turn.
     classes  ids of those that lie on the ground. What they have together is kept in every pixel; how it is shared

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import adaptive_avg_pool2d, conv2d, interpolate, pad
+from torch.nn.functional import adaptive_avg_pool2d, conv2d, interpolate
 
 from lidar2pano.geometry.columns import rows_beside
+from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.odds import multiply_odds
 
 BESIDE_PX = (1, 2, 3)  # how far beside a point lie the two whose mean it is compared with
@@ -70,20 +71,16 @@ def deviations(channels: Tensor) -> tuple[Tensor, Tensor]:
     channels  (B, 5, H, W) of a RangeImage; rows are a beam's, or nearly.
     """
     flat = torch.hypot(channels[:, 1].float(), channels[:, 2].float())
-    there, reach = flat > 0, max(BESIDE_PX)
-    around = torch.where(there, 1 / flat, 0.0)
-    around = torch.cat([around[..., -reach:], around, around[..., :reach]], 2).flatten()
-    place = pad(there, (reach, reach)).flatten().nonzero()[:, 0]  # only at points: they are a quarter of the pixels
-    middle, far_m = around[place], flat[there]
-    total, count = torch.zeros_like(middle), torch.zeros_like(middle)
+    there = as_float(flat > 0)
+    inverse = there / flat.clamp(min=LEAST_M)
+    total, count = torch.zeros_like(flat), torch.zeros_like(flat)
     for away in BESIDE_PX:
-        left, right = around[place - away], around[place + away]
-        known = (left > 0) & (right > 0)
-        off_m = ((left + right).mul_(0.5).sub_(middle)).abs_().mul_(far_m).mul_(far_m)  # to first order
+        left, right = inverse.roll(away, 2), inverse.roll(-away, 2)
+        known = there.roll(away, 2).mul_(there.roll(-away, 2)).mul_(there)
+        off_m = ((left + right).mul_(0.5).sub_(inverse)).abs_().mul_(flat).mul_(flat)  # to first order
         total += off_m.add_(LEAST_M).clamp_(max=MOST_M).log_().mul_(known)
         count += known
-    empty = torch.zeros_like(flat)
-    return empty.masked_scatter(there, total), empty.masked_scatter(there, count)
+    return total, count
 
 
 def _around(x: Tensor) -> Tensor:

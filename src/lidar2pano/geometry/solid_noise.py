@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.surface import azimuths, slopes
 from lidar2pano.views import View
 
@@ -56,20 +57,22 @@ def solid_noise(
     column, row, start, sky_start = _axes(view, T_world_sensor, finest, depth_m.device)
     tile = noise_tile(depth_m.device, depth_m.dtype)
     slope = slopes(view, device=depth_m.device)
-    per_depth, minus_one = torch.rsqrt(1 + slope * slope)[:, None], slope.new_tensor(-1.0)
+    per_depth = torch.rsqrt(1 + slope * slope)[:, None]
+    sky_m, no_m, minus_one = slope.new_tensor([SKY_M, 1e-3, -1.0]).unbind()
     out = depth_m.new_empty(len(wavelengths_m), *depth_m.shape)
     has_sky = sky.any(1).tolist()
     for top in range(0, view.rows, STRIP):
         rows = slice(top, top + STRIP)
         distance = radius = depth_m[rows].float().clamp(0.1, FARTHEST_M)
         if any(has_sky[rows]):
-            radius, distance = distance.masked_fill(sky[rows], SKY_M), distance.masked_fill_(sky[rows], 1e-3)
+            is_sky = as_float(sky[rows])
+            radius, distance = torch.lerp(distance, sky_m, is_sky), torch.lerp(distance, no_m, is_sky)
         radius = radius * per_depth[rows]
         x, y, z = (
             (column[axis] + row[axis, rows, None]).mul_(radius).add_(start[axis]).to(torch.int32) for axis in range(3)
         )
         if any(sky_start) and any(has_sky[rows]):  # of the sky the sensor's place does not matter: take it back
-            is_sky = sky[rows].to(torch.int32)
+            is_sky = sky[rows].int()
             for part, move in zip((x, y, z), sky_start, strict=True):
                 part.sub_(is_sky, alpha=move)
         x, y = x.bitwise_left_shift_(2 * BITS), y.bitwise_left_shift_(BITS)

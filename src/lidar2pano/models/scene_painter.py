@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.outlines import against_the_sky
 from lidar2pano.geometry.solid_noise import STRIP, smooth_noise, solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals, viewpoint_height
@@ -242,9 +243,9 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     radius_m, z_m, above_m = _points(segments[:, ROAD] == highest, depth_m, view)
     height_m = z_m + above_m[:, None, None]
     shape = torch.cat([(height_m / 4).clamp(-1, 4)[:, None], normals(radius_m, z_m, view)], 1)
-    shape.masked_fill_(sky[:, None], 0)
+    shape.mul_(as_float(~sky[:, None]))
     read = 1 - segments[:, list(unread)].float().sum(1)
-    remission, valid = spread_out(image[:, 4].float(), (image[:, 0] > 0).float())
+    remission, valid = spread_out(image[:, 4].float(), as_float(image[:, 0] > 0))
     remission, valid = evened_beams(remission, valid, segments[:, ROAD]) * read, valid * read
     row = torch.linspace(1, -1, segments.shape[2], device=segments.device)[None, :, None].expand_as(valid)
     flat = torch.stack([depth_code(depth_m.clamp(max=FAR_M)), remission, valid, row], 1)
@@ -256,7 +257,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M, T_world_sensor).clamp(-1, 1)
     varied_tones = (torch.einsum("bchw,c->bhw", segments.float(), varied) * noise)[:, None]
     varied_tones = varied_tones + segments[:, BUILDING, None] * (HOUSES_VARIED * house)[:, :, None]
-    tones = varied_tones if tones is None else torch.where(tones.isnan(), varied_tones, tones)
+    tones = varied_tones if tones is None else varied_tones * as_float(tones.isnan()) + tones.nan_to_num()
     parts = [segments.float(), flat, shape, coarse, tones, openings[:, None]]
     return _joined(parts), fine.contiguous(memory_format=torch.channels_last)
 
@@ -288,9 +289,9 @@ def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     mean, found = torch.zeros_like(values), torch.zeros_like(values)
     for rows, columns in WINDOWS:
         total, count = _window_sums(sums, rows, columns).unbind(1)
-        here = (count > 0) & (found == 0)
-        mean = torch.where(here, total / count.clamp(min=1), mean)
-        found = torch.where(here, 1.0, found)
+        here = as_float(count > 0) * (1 - found)
+        mean += here * total / count.clamp(min=1)
+        found += here
     return mean, found
 
 
@@ -320,7 +321,8 @@ def _window_sums(x: Tensor, rows: int, columns: int) -> Tensor:
 
 
 def _noise(depths: Tensor, skies: Tensor, view: View, waves: Sequence[float], pose: np.ndarray | None) -> Tensor:
-    return torch.stack([solid_noise(*scene, view, waves, pose) for scene in zip(depths, skies, strict=True)])
+    noises = [solid_noise(*scene, view, waves, pose) for scene in zip(depths, skies, strict=True)]
+    return torch.stack(noises) if len(noises) > 1 else noises[0][None]  # without another copy
 
 
 def _lengthened(x: Tensor, rows: int) -> Tensor:
