@@ -10,6 +10,7 @@ from torch import Tensor
 
 from lidar2pano.geometry.kerbs import weigh_by_height
 from lidar2pano.geometry.measured_depth import measured_depth
+from lidar2pano.geometry.odds import likeliest
 from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.roughness import Evidence, weigh_by_roughness
 from lidar2pano.geometry.whole_walls import whole_walls
@@ -32,7 +33,7 @@ def corrected(logits: Tensor, depth_m: Tensor, channels: Tensor, view: View) -> 
     """
     logits = evened(logits, (ROAD, SIDEWALK, TERRAIN))
     weigh_by_roughness(logits, channels, depth_m, ROUGH)
-    best = logits.max(1).indices  # a tenth of argmax's time
+    best = likeliest(logits)
     depth_m = measured_depth(depth_m, channels, best, view, ROAD, VEGETATION)
     weigh_by_height(logits, best, depth_m, view, ROAD, SIDEWALK)
     whole_walls(logits, best, depth_m, view, ROAD, BUILDING, FENCE)

@@ -21,6 +21,8 @@ from lidar2pano.geometry.between_beams import denser
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.columns import rows_beside
 from lidar2pano.geometry.knn import clean_up
+from lidar2pano.geometry.masks import as_float
+from lidar2pano.geometry.odds import likeliest
 from lidar2pano.geometry.projection import Normalisation, RangeImage, fitted_view, one_hot_layers, project
 from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
@@ -81,8 +83,8 @@ class Segmenter:
             beyond = x[..., :spare] if image.view.circular else x.new_zeros(*x.shape[:3], spare)
             x = torch.cat([x, beyond], dim=3)
         with fast_arithmetic(x.device):
-            logits = self.network(x.contiguous(memory_format=torch.channels_last))[0]
-        return logits[..., :columns].max(0).indices.to(torch.uint8)  # several times as fast as argmax
+            logits = self.network(x.contiguous(memory_format=torch.channels_last))
+        return likeliest(logits[..., :columns])[0]
 
     def label(self, image: RangeImage, timer: Timer) -> Tensor:
         """Class ids (N,) int64 of the points of a range image on `view`: the network, then the KNN clean-up."""
@@ -200,10 +202,11 @@ class Pipeline:
                 read = self._checked(scan, project(scan, self.input_view, device=self.device))
         ids = self.segmenter.label(image, timer) if labels is None else torch.from_numpy(labels).to(self.device)
         with timer("translate"):
-            channels = around.channels[None].contiguous(memory_format=torch.channels_last)
+            channels = around.channels[None]
+            given = (channels if read is around else read.channels[None]).contiguous(memory_format=torch.channels_last)
             condition = one_hot_layers(read.spread(ids)[None], CONDITIONS)
             with fast_arithmetic(self.device):
-                logits, depth_m = self.translator(channels if read is around else read.channels[None], condition)
+                logits, depth_m = self.translator(given, condition)
             if self.input_view is None:  # what the paper's networks predict stays as it is
                 logits, depth_m = corrected(logits, depth_m, channels, self.view)
         beyond_rows = int((image.usable & ~image.inside).sum())
@@ -253,7 +256,7 @@ class Pipeline:
                 image = previous.image
         with timer("finish"):
             colour = image[0].float().add(1).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2)
-            segments, depth_m = self._finished(segments.clamp(min=TINY).log(), depth_m)
+            segments, depth_m = self._finished(segments, depth_m)
             confidence = grow_circular(scene.segments.amax(1, keepdim=True), 2)[0, 0]
             for left, right in translated.gaps_deg:  # nothing is claimed there
                 columns = columns_between(self.view.scaled(2), left, right)
@@ -319,11 +322,11 @@ class Pipeline:
         return image
 
     @staticmethod
-    def _finished(logits: Tensor, depth_m: Tensor) -> tuple[Tensor, Tensor]:
+    def _finished(probabilities: Tensor, depth_m: Tensor) -> tuple[Tensor, Tensor]:
         """Class ids and depth on the panorama's raster; the sky has no depth."""
-        segments = grown_classes(logits, 2)
+        segments = grown_classes(probabilities, 2, least=TINY)
         depth_m = grow_circular(depth_m[None], 2)[0, 0]
-        return segments, torch.where(segments == SKY, 0.0, depth_m)
+        return segments, depth_m.mul_(as_float(segments != SKY))
 
 
 def load(

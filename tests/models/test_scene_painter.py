@@ -181,3 +181,15 @@ def test_the_last_rows_are_painted_as_those_above_them(monkeypatch):
     with_foot = border()
     monkeypatch.setattr(scene_painter, "FOOT", 0)
     assert 5 * with_foot < border()
+
+
+def test_parts_are_joined_with_their_channels_last():
+    generator = torch.Generator().manual_seed(6)
+    parts = [torch.randn(2, channels, 37, 12, generator=generator) for channels in (3, 1, 5)]  # rows: not whole strips
+    joined = scene_painter._joined(parts)
+    assert torch.equal(joined, torch.cat(parts, 1)) and joined.is_contiguous(memory_format=torch.channels_last)
+
+
+def test_twice_repeats_each_pixel():
+    image = torch.arange(6).view(1, 2, 3)
+    assert torch.equal(twice(image), image.repeat_interleave(2, -2).repeat_interleave(2, -1))

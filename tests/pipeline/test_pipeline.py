@@ -351,6 +351,9 @@ def test_grown_classes_are_those_of_the_grown_logits(factor, chunk):
     expected = grow_circular(logits, factor)[0].argmax(0).to(torch.uint8)
     for layout in (torch.contiguous_format, torch.channels_last):
         assert torch.equal(grown_classes(logits.to(memory_format=layout), factor, chunk), expected)
+    probabilities = logits.softmax(1)
+    expected = grow_circular(probabilities.clamp(min=1e-3).log(), factor)[0].argmax(0).to(torch.uint8)
+    assert torch.equal(grown_classes(probabilities, factor, chunk, least=1e-3), expected)
 
 
 class Copies(nn.Module):

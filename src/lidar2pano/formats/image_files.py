@@ -8,6 +8,7 @@ import struct
 import threading
 import zlib
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -20,6 +21,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.labels import COMMON15, LabelSet
 
 DEPTH_STEPS = 256  # per metre, KITTI's form of 16 bit depth
+PARTS = 4  # of a PNG's rows, compressed by a thread each
 FAST_PNG = 1  # zlib's level: a third of the default's time for a tenth more bytes
 PART = ".lidar2pano-part"  # ending of unfinished files
 HOST = platform.node()[:64]
@@ -74,19 +76,27 @@ def fast_png(colour: np.ndarray, text: Mapping[str, str] | None = None) -> bytes
     """An RGB image (h, w, 3) uint8 as PNG, in a third of the time that Pillow takes, of about the same size.
 
     Every row is filtered by "Sub" (PNG specification, 9.2) where Pillow tries all filters, and compressed by run
-    lengths and Huffman codes alone.
+    lengths and Huffman codes alone, in PARTS at the same time.
     """
     rows, columns, _ = colour.shape
     lines = np.empty((rows, 1 + 3 * columns), dtype=np.uint8)
     lines[:, 0] = 1  # the filter's number
     lines[:, 1:4] = colour[:, 0]
     np.subtract(colour[:, 1:], colour[:, :-1], out=lines[:, 4:].reshape(rows, columns - 1, 3))
-    deflate = zlib.compressobj(FAST_PNG, strategy=zlib.Z_RLE)
     header = struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)  # 8 bits per channel, RGB, not interlaced
-    pixels = deflate.compress(lines.tobytes()) + deflate.flush()
+    with ThreadPoolExecutor(PARTS) as pool:
+        blocks = pool.map(_deflated, np.array_split(lines, PARTS))
+        end = b"\3\0" + struct.pack(">I", zlib.adler32(lines))  # an empty last block (RFC 1951), and a checksum (1950)
+        pixels = b"\x78\1" + b"".join(blocks) + end
     texts = [_chunk(b"tEXt", f"{key}\0{value}".encode("latin-1")) for key, value in (text or {}).items()]
     parts = (PNG_SIGNATURE, _chunk(b"IHDR", header), *texts, _chunk(b"IDAT", pixels), _chunk(b"IEND", b""))
     return b"".join(parts)
+
+
+def _deflated(data: np.ndarray) -> bytes:
+    """Whole blocks of a deflated stream, none of them its last."""
+    deflate = zlib.compressobj(FAST_PNG, wbits=-zlib.MAX_WBITS, strategy=zlib.Z_RLE)
+    return deflate.compress(data) + deflate.flush(zlib.Z_SYNC_FLUSH)
 
 
 def _chunk(name: bytes, data: bytes) -> bytes:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import reduce
+from operator import add
 from typing import NamedTuple
 
 import torch
@@ -27,7 +29,7 @@ AXLES, TYRE_M, RIM_M, WHEEL_M = (0.19, 0.80), 0.38, 0.19, 0.31  # places; radii;
 FRAME_M, PILLAR, PANES_TOP = 0.09, 0.012, 0.94  # around screens; half a pillar between doors; of the panes
 LAMP_M, PLATE_M, UNDER_M = 0.55, 0.26, 0.2  # width of lamps, half a number plate's, height below which it is dark
 SIDES, BELT, FLOOR, CABIN, SCREENS, ROOF = (2, 8), 8, 9, 12, (13, 15), 17  # numbers of faces: see `_planes`
-NEAREST_M = 0.1
+NEAREST_M, NOWHERE_M = 0.1, 1e9
 # How much brighter than the mean car parts are, in colours from -1 to 1.
 SKYWARD, SHADED, TYRE, RIM, UNDER, GRILLE, PLATE = 0.18, 0.2, -0.5, -0.12, -0.55, -0.45, 0.4
 GLASS, SCREEN_LIGHT, HEAD_LAMP, TAIL_LAMP = (-0.32, -0.3, -0.27), 0.3, (0.35, 0.35, 0.38), (0.2, -0.35, -0.35)
@@ -108,15 +110,15 @@ def _entered(
     planes: Sequence[Plane], start: tuple[Tensor, ...], steps: tuple[Tensor, ...], faces: bool
 ) -> tuple[Tensor, Tensor]:
     """Where rays enter the convex part n . x <= e of all planes (n, e): distance, inf where they do not; the plane."""
-    near, far = start[0].new_full((), NEAREST_M), start[0].new_full((), math.inf)
+    near, far, nowhere = start[0].new_tensor([NEAREST_M, NOWHERE_M, NOWHERE_M]).unbind()
     face = torch.zeros((), dtype=torch.int64, device=near.device)
     for number, (normal, end) in enumerate(planes):  # upright planes first: their terms are the same in all rows
         parts = [(n, begin, step) for n, begin, step in zip(normal, start, steps, strict=True) if n is not None]
-        speed = sum(n * step for n, _, step in parts[1:]) + parts[0][0] * parts[0][2]
-        at = (end - sum(n * begin for n, begin, _ in parts)) / speed
-        out = speed > 0
-        far = torch.minimum(far, torch.where(out, at, math.inf))
-        at = torch.where(out, -math.inf, at)
+        speed = reduce(add, (n * step for n, _, step in parts))
+        at = ((end - reduce(add, (n * begin for n, begin, _ in parts))) / speed).clamp_(-NOWHERE_M, NOWHERE_M)
+        out = speed.sign_().clamp_(min=0)  # 1 where the ray leaves, else 0: weights, for torch.where takes longer
+        far = torch.minimum(far, torch.lerp(nowhere, at, out))
+        at = torch.lerp(at, -nowhere, out)
         if faces:
             face = torch.where(at > near, number, face)
         near = torch.maximum(near, at)

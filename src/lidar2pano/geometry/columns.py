@@ -27,9 +27,10 @@ def world_columns(view: View, T_world_sensor: np.ndarray | None, device: torch.d
 def rows_beside(there: Tensor) -> tuple[Tensor, Tensor]:
     """The last row up to each pixel of (..., H, W) bool, and the first from it on, that is `there`; else -1 and H."""
     rows = there.shape[-2]
-    row = torch.arange(rows, device=there.device)[:, None]
-    above = torch.where(there, row, -1).cummax(-2).values
-    return above, torch.where(there, row, rows).flip(-2).cummin(-2).values.flip(-2)
+    from_top = torch.arange(1, rows + 1, device=there.device)[:, None]
+    there = there.long()  # products: torch.where takes several times as long
+    above = (there * from_top).cummax(-2).values - 1
+    return above, rows - (there * from_top.flip(0)).flip(-2).cummax(-2).values.flip(-2)
 
 
 def surface_profile(weight: Tensor, radius_m: Tensor, same: float, least: float, reach: int) -> tuple[Tensor, Tensor]:

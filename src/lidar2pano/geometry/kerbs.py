@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.odds import multiply_odds
 from lidar2pano.geometry.surface import azimuths, cylinder_points
 from lidar2pano.views import View
@@ -32,7 +33,7 @@ def weigh_by_height(logits: Tensor, ids: Tensor, depth_m: Tensor, view: View, ro
         if plane is None:
             continue
         height_m = z - (plane[0] * x + plane[1] * y + plane[2])
-        odds = ((height_m - KERB_M) * PER_M).clamp_(LEAST_ODDS, MOST_ODDS).mul_(radius < FARTHEST_M)
+        odds = ((height_m - KERB_M) * PER_M).clamp_(LEAST_ODDS, MOST_ODDS).mul_(as_float(radius < FARTHEST_M))
         multiply_odds(logits[number, None], sidewalk, [road], odds[None])
 
 

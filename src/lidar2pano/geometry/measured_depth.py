@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from lidar2pano.geometry.columns import rows_beside
+from lidar2pano.geometry.masks import as_float, either
 from lidar2pano.geometry.surface import cylinder_points, slopes, viewpoint_height
 from lidar2pano.views import View
 
@@ -41,13 +42,13 @@ def measured_depth(depth_m: Tensor, channels: Tensor, ids: Tensor, view: View, r
         return depth_m.float()
     guessed_m, z_m = cylinder_points(depth_m, view)
     measured_m = torch.hypot(channels[:, 1].float(), channels[:, 2].float())
-    inverse = torch.where(measured_m > LEAST_M, 1 / measured_m, 0.0)
+    inverse = as_float(measured_m > LEAST_M) / measured_m.clamp(min=LEAST_M)
     height_m = viewpoint_height(guessed_m, z_m, ids == road, view)
     slope = slopes(view, device=depth_m.device)
     plane = (-slope / height_m.clamp(min=LEAST_M)[:, None]).clamp(min=1 / FARTHEST_M)  # (B, H), inverse distances
     guessed = 1 / guessed_m.clamp(min=LEAST_M)
     found = _between(inverse, guessed, plane)
-    found = torch.where(found > 0, found, _above(inverse, guessed, ids, soft))
+    found = either(found > 0, found, _above(inverse, guessed, ids, soft))
     return torch.sqrt(1 + slope * slope)[:, None] / _evened(found)
 
 
@@ -62,16 +63,16 @@ def _between(inverse: Tensor, guessed: Tensor, plane: Tensor) -> Tensor:
     one_surface = torch.maximum(upper, lower) < ONE_SURFACE * torch.minimum(upper, lower)
     along = _along(lower, last, plane)
     nearer_upper = (guessed.square() > upper * along) == (upper > along)  # by the logarithm
-    between = torch.where(one_surface, upper + (lower - upper) * share, torch.where(nearer_upper, upper, along))
+    between = either(one_surface, upper + (lower - upper) * share, either(nearer_upper, upper, along))
     under = torch.maximum(_along(upper, first, plane), plane[:, :, None])
-    return torch.where(below < rows, between, under).where(above >= 0, 0.0)
+    return either(below < rows, between, under).mul_(as_float(above >= 0))
 
 
 def _along(inverse: Tensor, row: Tensor, plane: Tensor) -> Tensor:
     """Inverse distances (B, H, W) of surfaces met in other rows: level where it was the road, else upright."""
     there = plane.gather(1, row.flatten(1)).view_as(inverse)
     lift = inverse / there
-    return torch.where((lift > 1 / ON_ROAD) & (lift < ON_ROAD), plane[:, :, None] * lift, inverse)
+    return either((lift > 1 / ON_ROAD) & (lift < ON_ROAD), plane[:, :, None] * lift, inverse)
 
 
 def _above(inverse: Tensor, guessed: Tensor, ids: Tensor, soft: int) -> Tensor:
@@ -79,7 +80,7 @@ def _above(inverse: Tensor, guessed: Tensor, ids: Tensor, soft: int) -> Tensor:
     near = inverse
     for away in range(1, TOPMOST_PX + 1):
         beside = torch.maximum(inverse.roll(away, 2), inverse.roll(-away, 2))
-        near = torch.where(near > 0, near, beside)
+        near = either(near > 0, near, beside)
     there = near > 0
     top = there.int().argmax(1, keepdim=True)  # the first
     known, topmost, own = there.any(1, keepdim=True), near.gather(1, top), ids.gather(1, top)
@@ -89,7 +90,7 @@ def _above(inverse: Tensor, guessed: Tensor, ids: Tensor, soft: int) -> Tensor:
         total += topmost.roll(away, 2) * alike
         count += alike
     topmost = torch.where(own == soft, total / count.clamp(min=1), topmost)
-    return torch.where((ids == own) & known, topmost, guessed)
+    return either((ids == own) & known, topmost, guessed)
 
 
 def _evened(inverse: Tensor) -> Tensor:
@@ -111,6 +112,6 @@ def _evened(inverse: Tensor) -> Tensor:
 def _add_even(total: Tensor, count: Tensor, middle: Tensor, one: Tensor, other: Tensor) -> None:
     """Add the mean of two opposite pixels to `total`, and 1 to `count`, where it is near the value in their middle."""
     mean = torch.add(one, other).mul_(0.5)
-    even = (mean - middle).abs_() < ON_PLANE * middle
+    even = as_float((mean - middle).abs_() < ON_PLANE * middle)
     total.add_(mean.mul_(even))
     count.add_(even)

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, conv2d, interpolate
 
 from lidar2pano.geometry.columns import rows_beside
+from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.odds import multiply_odds
 
 BESIDE_PX = (1, 2, 3)  # how far beside a point lie the two whose mean it is compared with
@@ -70,11 +71,12 @@ def deviations(channels: Tensor) -> tuple[Tensor, Tensor]:
     channels  (B, 5, H, W) of a RangeImage; rows are a beam's, or nearly.
     """
     flat = torch.hypot(channels[:, 1].float(), channels[:, 2].float())
-    inverse = torch.where(flat > 0, 1 / flat, 0.0)
+    there = as_float(flat > 0)
+    inverse = there / flat.clamp(min=LEAST_M)
     total, count = torch.zeros_like(flat), torch.zeros_like(flat)
     for away in BESIDE_PX:
         left, right = inverse.roll(away, 2), inverse.roll(-away, 2)
-        known = (left > 0) & (right > 0) & (inverse > 0)
+        known = there.roll(away, 2).mul_(there.roll(-away, 2)).mul_(there)
         off_m = ((left + right).mul_(0.5).sub_(inverse)).abs_().mul_(flat).mul_(flat)  # to first order
         total += off_m.add_(LEAST_M).clamp_(max=MOST_M).log_().mul_(known)
         count += known

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.surface import azimuths, slopes
 from lidar2pano.views import View
 
@@ -57,26 +58,31 @@ def solid_noise(
     tile = noise_tile(depth_m.device, depth_m.dtype)
     slope = slopes(view, device=depth_m.device)
     per_depth = torch.rsqrt(1 + slope * slope)[:, None]
+    sky_m, no_m, minus_one = slope.new_tensor([SKY_M, 1e-3, -1.0]).unbind()
     out = depth_m.new_empty(len(wavelengths_m), *depth_m.shape)
-    mask = 2**BITS - 1
+    has_sky = sky.any(1).tolist()
     for top in range(0, view.rows, STRIP):
         rows = slice(top, top + STRIP)
-        is_sky = sky[rows]
-        distance = depth_m[rows].float().clamp(0.1, FARTHEST_M)
-        radius = distance.masked_fill(is_sky, SKY_M) * per_depth[rows]
-        q = []
-        for axis in range(3):
-            place = (column[axis] + row[axis, rows, None]).mul_(radius).add_(start[axis])
-            q.append(place.to(torch.int32))
-        # of the sky the sensor's place does not matter: take it back
-        if any(sky_start):
-            q = [part.sub_(is_sky.to(torch.int32).mul_(move)) for part, move in zip(q, sky_start, strict=True)]
-        inverse = distance.masked_fill_(is_sky, 1e-3).reciprocal_().mul_(view.focal_px)
+        distance = radius = depth_m[rows].float().clamp(0.1, FARTHEST_M)
+        if any(has_sky[rows]):
+            is_sky = as_float(sky[rows])
+            radius, distance = torch.lerp(distance, sky_m, is_sky), torch.lerp(distance, no_m, is_sky)
+        radius = radius * per_depth[rows]
+        x, y, z = (
+            (column[axis] + row[axis, rows, None]).mul_(radius).add_(start[axis]).to(torch.int32) for axis in range(3)
+        )
+        if any(sky_start) and any(has_sky[rows]):  # of the sky the sensor's place does not matter: take it back
+            is_sky = sky[rows].int()
+            for part, move in zip((x, y, z), sky_start, strict=True):
+                part.sub_(is_sky, alpha=move)
+        x, y = x.bitwise_left_shift_(2 * BITS), y.bitwise_left_shift_(BITS)
+        inverse = distance.reciprocal_().mul_(view.focal_px)
         for number, (wave, shift) in enumerate(zip(wavelengths_m, shifts, strict=True)):
-            x, y, z = (part.bitwise_right_shift(shift).bitwise_and_(mask) for part in q)
-            place = x.bitwise_left_shift_(BITS).add_(y).bitwise_left_shift_(BITS).add_(z)
-            noise = tile.index_select(0, place.flatten()).view(place.shape)
-            share = (inverse * wave).sub_(1).clamp_(0, 1)
+            mask = 2**BITS - 1 << shift
+            place = z.bitwise_and(mask)
+            place.bitwise_or_(y.bitwise_and(mask << BITS)).bitwise_or_(x.bitwise_and(mask << 2 * BITS))
+            noise = tile.index_select(0, place.bitwise_right_shift_(shift).flatten()).view(place.shape)
+            share = torch.add(minus_one, inverse, alpha=wave).clamp_(0, 1)
             torch.mul(noise, share, out=out[number, rows])
     return out
 
@@ -99,12 +105,13 @@ def smooth_noise(
     place = (sensor @ pose[:3, :3].T.to(radius) + pose[:3, 3].to(radius)) * (VOXELS / wavelength_m)
     low = place.floor()
     share, low = (place - low).float(), low.long()
-    tile, side = noise_tile(radius.device, torch.float32), 2**BITS
+    tile, mask = noise_tile(radius.device, torch.float32), 2**BITS - 1
+    ends = low & mask, (low + 1) & mask
     noise = torch.zeros_like(share[..., 0])
     for corner in itertools.product((0, 1), repeat=3):
-        x, y, level = ((low[..., axis] + step).remainder(side) for axis, step in enumerate(corner))
+        x, y, level = (ends[step][..., axis] for axis, step in enumerate(corner))
         weight = [share[..., axis] if step else 1 - share[..., axis] for axis, step in enumerate(corner)]
-        noise += tile[(x * side + y) * side + level] * weight[0] * weight[1] * weight[2]
+        noise += tile[x << 2 * BITS | y << BITS | level] * weight[0] * weight[1] * weight[2]
     return noise.repeat_interleave(COARSER, 1).repeat_interleave(COARSER, 2)
 
 

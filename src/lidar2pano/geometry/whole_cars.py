@@ -13,6 +13,7 @@ from torch import Tensor
 from lidar2pano.geometry.car_body import Boxes, Hits, first_hits, tones_of
 from lidar2pano.geometry.car_fitting import HALF, IN_FRONT_M, LENGTH_M, SAME_CAR, Measured, fitted, found_cars
 from lidar2pano.geometry.columns import world_columns
+from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.surface import slopes
 from lidar2pano.views import View
 
@@ -89,7 +90,7 @@ def _whole(  # noqa: PLR0913, PLR0917 as above
     inside = drawn.nearest_m.isfinite()
     gone = _outside(measured, drawn.nearest_m, found.number[good])
     segments, radius_m = _without(before.segments, measured, gone, inside, classes)
-    segments.masked_fill_(inside, 0)
+    segments.mul_(as_float(~inside))
     segments[classes.car].masked_fill_(inside, 1)
     radius_m = torch.where(inside, drawn.nearest_m, radius_m)
     along_ray = torch.sqrt(1 + slopes(view, device=radius_m.device)[:, None].square())

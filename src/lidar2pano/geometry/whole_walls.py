@@ -28,8 +28,8 @@ def whole_walls(  # noqa: PLR0913, PLR0917 one scene, and which class is what
     same = (radius_m[:, 1:] / radius_m[:, :-1]).log().abs() < ONE_WALL
     goes_on = torch.cat([torch.zeros_like(is_wall[:, :1]), is_wall[:, 1:] & is_wall[:, :-1] & same], 1)
     row = torch.arange(1, view.rows + 1, device=logits.device, dtype=torch.int32)[:, None]
-    begin = torch.where(goes_on, 0, row).cummax(1).values
-    tall = torch.where((ids == building) & (height_m > TALL_M), row, 0).cummax(1).values
+    begin = ((~goes_on).int() * row).cummax(1).values
+    tall = (((ids == building) & (height_m > TALL_M)).int() * row).cummax(1).values
     carries = (ids == fence) & (tall >= begin)
     walls, fences = logits[:, building], logits[:, fence]
     both = torch.logaddexp(walls[carries], fences[carries])

@@ -17,8 +17,9 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.outlines import against_the_sky
-from lidar2pano.geometry.solid_noise import smooth_noise, solid_noise
+from lidar2pano.geometry.solid_noise import STRIP, smooth_noise, solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals, viewpoint_height
 from lidar2pano.geometry.wall_openings import facades
 from lidar2pano.geometry.whole_cars import Classes, WholeCars, whole_cars
@@ -237,13 +238,14 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     unread    ids of classes whose remission and validity are not used.
     """
     depth_m = depth_m.float()
-    sky = segments[:, SKY] == segments.amax(1)
-    radius_m, z_m, above_m = _points(segments, depth_m, view)
+    highest = segments.amax(1)
+    sky = segments[:, SKY] == highest
+    radius_m, z_m, above_m = _points(segments[:, ROAD] == highest, depth_m, view)
     height_m = z_m + above_m[:, None, None]
     shape = torch.cat([(height_m / 4).clamp(-1, 4)[:, None], normals(radius_m, z_m, view)], 1)
-    shape.masked_fill_(sky[:, None], 0)
+    shape.mul_(as_float(~sky[:, None]))
     read = 1 - segments[:, list(unread)].float().sum(1)
-    remission, valid = spread_out(image[:, 4].float(), (image[:, 0] > 0).float())
+    remission, valid = spread_out(image[:, 4].float(), as_float(image[:, 0] > 0))
     remission, valid = evened_beams(remission, valid, segments[:, ROAD]) * read, valid * read
     row = torch.linspace(1, -1, segments.shape[2], device=segments.device)[None, :, None].expand_as(valid)
     flat = torch.stack([depth_code(depth_m.clamp(max=FAR_M)), remission, valid, row], 1)
@@ -255,27 +257,26 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M, T_world_sensor).clamp(-1, 1)
     varied_tones = (torch.einsum("bchw,c->bhw", segments.float(), varied) * noise)[:, None]
     varied_tones = varied_tones + segments[:, BUILDING, None] * (HOUSES_VARIED * house)[:, :, None]
-    tones = varied_tones if tones is None else torch.where(tones.isnan(), varied_tones, tones)
+    tones = varied_tones if tones is None else varied_tones * as_float(tones.isnan()) + tones.nan_to_num()
     parts = [segments.float(), flat, shape, coarse, tones, openings[:, None]]
-    return _channels_last(torch.cat(parts, 1)), _channels_last(fine)
+    return _joined(parts), fine.contiguous(memory_format=torch.channels_last)
 
 
 def with_cars(segments: Tensor, depth_m: Tensor, view: View, T_world_sensor: np.ndarray | None = None) -> WholeCars:
     """A scene with whole cars: see `whole_cars`; arguments as of `painter_inputs`."""
-    radius_m, _, above_m = _points(segments, depth_m.float(), view)
+    radius_m, _, above_m = _points(segments[:, ROAD] == segments.amax(1), depth_m, view)
     return whole_cars(segments.float(), depth_m.float(), radius_m, above_m, view, T_world_sensor, CARS)
 
 
-def _points(segments: Tensor, depth_m: Tensor, view: View) -> tuple[Tensor, Tensor, Tensor]:
-    """`cylinder_points`, and how high the view's origin is above the road, (B,) metres."""
+def _points(road: Tensor, depth_m: Tensor, view: View) -> tuple[Tensor, Tensor, Tensor]:
+    """`cylinder_points`, and how high the view's origin is above the road (B, H, W) bool: (B,) metres."""
     radius_m, z_m = cylinder_points(depth_m, view)
-    road = segments[:, ROAD] == segments.amax(1)
     return radius_m, z_m, viewpoint_height(radius_m, z_m, road, view)
 
 
 def twice(x: Tensor) -> Tensor:
     """(..., H, W) on the raster twice as fine: (..., 2H, 2W)."""
-    return x.repeat_interleave(2, -2).repeat_interleave(2, -1)
+    return torch.stack([x, x], -1).flatten(-2).repeat_interleave(2, -2)
 
 
 def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
@@ -288,9 +289,9 @@ def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     mean, found = torch.zeros_like(values), torch.zeros_like(values)
     for rows, columns in WINDOWS:
         total, count = _window_sums(sums, rows, columns).unbind(1)
-        here = (count > 0) & (found == 0)
-        mean = torch.where(here, total / count.clamp(min=1), mean)
-        found = torch.where(here, 1.0, found)
+        here = as_float(count > 0) * (1 - found)
+        mean += here * total / count.clamp(min=1)
+        found += here
     return mean, found
 
 
@@ -320,7 +321,8 @@ def _window_sums(x: Tensor, rows: int, columns: int) -> Tensor:
 
 
 def _noise(depths: Tensor, skies: Tensor, view: View, waves: Sequence[float], pose: np.ndarray | None) -> Tensor:
-    return torch.stack([solid_noise(*scene, view, waves, pose) for scene in zip(depths, skies, strict=True)])
+    noises = [solid_noise(*scene, view, waves, pose) for scene in zip(depths, skies, strict=True)]
+    return torch.stack(noises) if len(noises) > 1 else noises[0][None]  # without another copy
 
 
 def _lengthened(x: Tensor, rows: int) -> Tensor:
@@ -331,5 +333,15 @@ def _enlarged(x: Tensor) -> Tensor:
     return interpolate(x, scale_factor=2)
 
 
-def _channels_last(x: Tensor) -> Tensor:
-    return x.contiguous(memory_format=torch.channels_last)
+def _joined(parts: Sequence[Tensor]) -> Tensor:
+    """Parts (B, C, H, W) float32 one after the other, channels last in memory.
+
+    Transposed as matrices, STRIP rows at a time, in a third of the time of `cat` and `contiguous`.
+    """
+    batch, _, rows, columns = parts[0].shape
+    made = parts[0].new_empty(batch, rows, columns, sum(part.shape[1] for part in parts))
+    for number, one in enumerate(made):
+        for top in range(0, rows, STRIP):
+            strip = torch.cat([part[number, :, top : top + STRIP] for part in parts])
+            one[top : top + STRIP].flatten(0, 1).copy_(strip.flatten(1).t())
+    return made.movedim(3, 1)
