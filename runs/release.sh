@@ -97,12 +97,6 @@ stage world-translator-3 release-translator "$day" 16 data.train=all,"$all,$out/
   networks.translator.start="$(weights world-translator-2 translator)" networks.translator.optimizer.rate=0.0012
 world_translator=$out/mean/world-translator.safetensors
 mean "$world_translator" "$(weights world-translator-2 translator)" "$(weights world-translator-3 translator)" 0.4,0.6
-wide() { # NAME SEGMENTER TRANSLATOR PAINTER: a family that narrower networks come from
-  mkdir -p "$out/wide/$1"
-  cp "$2" "$out/wide/$1/segmenter.safetensors"
-  cp "$3" "$out/wide/$1/translator.safetensors"
-  cp "$4" "$out/wide/$1/painter.safetensors"
-}
 family() { # NAME SEGMENTER TRANSLATOR PAINTER SCORES LICENCE
   mkdir -p "$out/$1"
   cp "$2" "$out/$1/segmenter.safetensors"
@@ -139,7 +133,9 @@ scene world-scene-9 "$day" 27 "train,$all,$out/towns/squares:all" "${inputs2[@]}
   networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
 painter=$out/finished/world.safetensors
 python "$here/finish_painter.py" "$(weights world-scene-9 painter)" "$painter" "$out/frames/world-scene-9/painting/*/day-*.safetensors" --look day --power 4
-wide world "$(weights world-segmenter-3 segmenter)" "$world_translator" "$painter"
+lidar2pano evaluate "$painter+$world_translator+$out/world-segmenter-3" --data "$out/towns/test" --split all \
+  --json "$out/world.json"
+family world "$(weights world-segmenter-3 segmenter)" "$world_translator" "$painter" "$out/world.json" Apache-2.0
 
 # Family `kitti-mini`: goes on where runs/kitti_mini.sh ended (in the same OUT), towns beside real frames.
 stage segmenter-4 release-segmenter "$kitti" 34 data.train=train,train,labelled,"$out/towns/scans:all" \
@@ -241,22 +237,35 @@ mean "$out/mean/translator-5-6.safetensors" "$(weights translator-5 translator)"
 mean "$out/mean/translator-6.safetensors" "$translator" "$out/mean/translator-5-6.safetensors" 0.3,0.7
 tall=$out/prior/translator-6.safetensors
 python "$here/prior.py" "$out/mean/translator-6.safetensors" "$tall" --data "$kitti" --share 0.58
-wide kitti-mini "$rough" "$tall" "$painter"
 
 # What is released has half of the arithmetic: networks pruned to fewer channels, then taught by the wide ones.
-prune() { # FAMILY ROLE SETTINGS DATA
-  python "$here/prune.py" "$out/wide/$1" "$2" "$out/pruned/$1-$2.safetensors" --settings "$3" --data "$4"
+mkdir -p "$out/wide"
+cp "$rough" "$out/wide/segmenter.safetensors"
+cp "$tall" "$out/wide/translator.safetensors"
+cp "$painter" "$out/wide/painter.safetensors"
+narrow() { # ROLE SETTINGS
+  python "$here/prune.py" "$out/wide" "$1" "$out/pruned/$1.safetensors" --settings "$2" --data "$kitti:train"
 }
-segmenter_widths='{"widths": [32, 48, 96, 192]}'
-translator_widths='{"widths": [16, 48, 96, 128, 192], "pyramid": 64}'
-painter_widths='{"widths": [16, 48, 96, 16]}'
-narrow() { # FAMILY DATA
-  prune "$1" segmenter "$segmenter_widths" "$2"
-  prune "$1" translator "$translator_widths" "$2"
-  prune "$1" painter "$painter_widths" "$2"
-}
-narrow world "$day:all,$out/towns/centre:all"
-narrow kitti-mini "$kitti:train"
-stage translator-7 fast-translator "$kitti" 9 data.train="$(printf 'train,%.0s' {1..5})$out/towns/centre:all,$day:all" \
-  options.segmenter="$rough" options.teacher="$tall" networks.translator.start="$out/pruned/kitti-mini-translator.safetensors" \
-  networks.translator.optimizer.rate=0.001 training.validate_minutes=0
+narrow segmenter '{"widths": [32, 48, 96, 192]}'
+narrow translator '{"widths": [16, 48, 96, 128, 192], "pyramid": 64}'
+narrow painter '{"widths": [16, 48, 96, 16]}'
+more="$(printf 'train,%.0s' {1..5})$out/towns/centre:all,$day:all"
+stage translator-7 fast-translator "$kitti" 9 data.train="$more" options.segmenter="$rough" options.teacher="$tall" \
+  networks.translator.start="$out/pruned/translator.safetensors" networks.translator.optimizer.rate=0.001 \
+  training.validate_minutes=0
+stage translator-8 fast-translator "$kitti" 8 data.train="$more" options.segmenter="$rough" options.teacher="$tall" \
+  networks.translator.start="$(weights translator-7 translator)" networks.translator.optimizer.rate=0.0008 \
+  options.class_weight_exponent=0.35 training.validate_minutes=0
+stage scene-14 fast-painter "$kitti" 25 data.train=train,"$day:all" options.segmenter="$out/pruned/segmenter.safetensors" \
+  options.translator="$(weights translator-7 translator)" options.teacher="$painter" options.cache="$out/frames/scene-14" \
+  networks.painter.start="$out/pruned/painter.safetensors" "${kitti_looks[@]}" networks.painter.optimizer.rate=0.0006 \
+  networks.painter.settings.class_colours=true \
+  networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle \
+  options.simulated_probability=0.4 options.invented_probability=0.5 options.elsewhere_probability=0.35 \
+  options.fringes=200 options.teacher_probability=0.6 training.validate_minutes=0
+narrow_translator=$out/mean/translator-8.safetensors
+mean "$narrow_translator" "$(weights translator-7 translator)" "$(weights translator-8 translator)"
+narrow_family="$(weights scene-14 painter)+$narrow_translator+$out/pruned/segmenter.safetensors"
+lidar2pano evaluate "$narrow_family" --data "$kitti" --split val --json "$out/kitti.json"
+family kitti-mini "$out/pruned/segmenter.safetensors" "$narrow_translator" "$(weights scene-14 painter)" "$out/kitti.json" \
+  CC-BY-NC-SA-4.0
