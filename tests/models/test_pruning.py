@@ -136,7 +136,7 @@ def test_what_is_no_narrower_form_is_refused(name, changes):
         pruned(name, network, {**WIDE[name], **changes}, [inputs(name)])
 
 
-def test_networks_whose_layers_are_not_known_are_refused():
+def test_networks_of_unknown_layers_are_refused():
     with pytest.raises(InputError, match="no layers of 'scunet'"):
         pruned("scunet", nn.Identity(), {}, [])
 
@@ -147,9 +147,9 @@ def test_a_patch_is_what_a_convolution_reads(kernel, stride, dilation):
     conv = CircularConv(3, 5, kernel, stride=stride, dilation=dilation).double()
     x = torch.randn(1, 3, 12, 40, dtype=torch.float64)
     with torch.no_grad():
-        patches, seen = _sampled(conv, x, conv(x), 0)
-        told = patches.double() @ conv.weight.flatten(1).T + conv.bias
-    assert torch.allclose(told, seen.double(), atol=1e-5)
+        patches, answer = _sampled(conv, x, conv(x), 0)
+        expected = patches.double() @ conv.weight.flatten(1).T + conv.bias
+    assert torch.allclose(expected, answer.double(), atol=1e-5)
 
 
 def test_a_layer_is_fitted_to_what_it_should_answer():

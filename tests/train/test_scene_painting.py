@@ -120,7 +120,7 @@ def test_walls_with_invented_openings_need_not_be_equal(task, batch):
     assert (share == 1).all(), "a teacher's picture has the openings that were invented"
 
 
-def test_a_teachers_picture_is_learned_where_no_camera_looked(task, batch):
+def test_a_teachers_image_is_learned_where_no_camera_looked(task, batch):
     flat = batch.flat()._replace(tone=torch.full((2, 3), 0.3))
     flat.valid[:, :, 64:] = False
     inputs = torch.rand(2, 31, 32, 64), torch.rand(2, 3, 64, 128)
@@ -131,10 +131,10 @@ def test_a_teachers_picture_is_learned_where_no_camera_looked(task, batch):
     task.options = replace(task.options, teacher_probability=0.0)
     with torch.no_grad():
         taught, photographed = task._taught(flat, inputs)
-        picture = painter(*inputs, torch.eye(2), flat.tone)
+        expected = painter(*inputs, torch.eye(2), flat.tone)
         assert torch.equal(photographed, flat.valid) and taught.valid.all()
         assert torch.equal(taught.image[..., :64], flat.image[..., :64])
-        assert torch.allclose(taught.image[..., 64:], picture[..., 64:])
+        assert torch.allclose(taught.image[..., 64:], expected[..., 64:])
         assert torch.equal(taught.look, flat.look) and torch.equal(taught.tone, flat.tone)
         task.options = replace(task.options, teacher_probability=1.0)
         taught, photographed = task._taught(flat, inputs)

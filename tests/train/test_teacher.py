@@ -83,7 +83,7 @@ def test_a_task_draws_nearer_to_its_teacher(name, root, tmp_path):
 
 
 @pytest.mark.parametrize("name", SMALL)
-def test_whoever_is_the_teacher_has_nothing_to_learn_from_it(name, root, tmp_path):
+def test_the_teacher_itself_has_nothing_to_learn(name, root, tmp_path):
     teacher = written_teacher(name, tmp_path)
     task = build_task(override(small(name), f"options.teacher={tmp_path / 'teacher.safetensors'}"), root)
     (network,) = task.networks.values()
@@ -105,7 +105,7 @@ def test_a_translators_crops_begin_anywhere_where_there_is_a_teacher(root, tmp_p
     assert around.left - around.right == pytest.approx(360, abs=360 / around.columns + 1e-6)
 
 
-def test_a_teacher_of_another_kind_is_refused(root, tmp_path):
+def test_a_teacher_that_is_another_network_is_refused(root, tmp_path):
     written_teacher("fast-segmenter-mini", tmp_path)
     recipe = override(small("fast-translator-mini"), f"options.teacher={tmp_path / 'teacher.safetensors'}")
     with pytest.raises(InputError, match="titan-pano"):

@@ -30,6 +30,8 @@ from lidar2pano.geometry.projection import pixels, project
 from lidar2pano.scan import Scan
 from lidar2pano.views import View
 
+SHIFT_PX = 24
+
 
 class PanoramaSample(NamedTuple):
     """A sector of the panorama around the camera's; after collation every tensor gains a leading B.
@@ -91,7 +93,7 @@ class PanoramaDataset:
         columns: int = 640,
         *,
         image: bool = False,
-        shift_px: int = 24,
+        shift_px: int = SHIFT_PX,
     ) -> None:
         self.frames = frames_of(root, splits)
         self.view, self.columns, self.image, self.shift_px = view, columns, image, shift_px

@@ -153,7 +153,7 @@ def pruned(name: str, network: nn.Module, settings: Mapping[str, Any], inputs: I
         raise wrong
     convs = {layer.name: layer for layer in layers if isinstance(network.get_submodule(layer.name), nn.Conv2d)}
     before = _watched(network, list(convs), inputs)
-    kept = _chosen(layers, network, wanted, {layer: seen.squares() for layer, seen in before.items()})
+    kept = _chosen(layers, network, wanted, {layer: record.squares() for layer, record in before.items()})
     state = dict(network.state_dict())
     for layer in layers:
         state |= _of_layer(layer, state, sizes, kept)
@@ -162,10 +162,10 @@ def pruned(name: str, network: nn.Module, settings: Mapping[str, Any], inputs: I
     except RuntimeError:
         raise wrong from None
     for layer in before:  # in the order in which they are called
-        seen = before[layer].answers
-        written = kept.get(convs[layer].writes, torch.arange(seen.shape[1]))
+        record = before[layer].answers
+        written = kept.get(convs[layer].writes, torch.arange(record.shape[1]))
         now = _watched(smaller, [layer], inputs, stop=True)[layer]
-        _fit(cast(nn.Conv2d, smaller.get_submodule(layer)), now.patches, seen[:, written])
+        _fit(cast(nn.Conv2d, smaller.get_submodule(layer)), now.patches, record[:, written])
     return smaller
 
 
@@ -179,12 +179,12 @@ def _weight(network: nn.Module, layer: Layer) -> Tensor:
     return cast(nn.Conv2d, network.get_submodule(layer.name)).weight.detach()
 
 
-class _Stop(Exception):  # noqa: N818 no error: what is wanted has been seen
+class _Stop(Exception):  # noqa: N818 no error: what is wanted is recorded
     """Ends a forward pass."""
 
 
 @dataclass(slots=True)
-class _Seen:
+class _Record:
     """Of a convolution, at the same pixels whenever it is watched: patches (P, D) it read, answers (P, outputs)."""
 
     patches: Tensor
@@ -197,7 +197,7 @@ class _Seen:
 
 
 @torch.no_grad()
-def _watched(network: nn.Module, names: Sequence[str], inputs: Inputs, stop: bool = False) -> dict[str, _Seen]:
+def _watched(network: nn.Module, names: Sequence[str], inputs: Inputs, stop: bool = False) -> dict[str, _Record]:
     """What convolutions read and answer on `inputs`, in the order in which they are called.
 
     stop  whether forward passes end there.
@@ -225,7 +225,7 @@ def _watched(network: nn.Module, names: Sequence[str], inputs: Inputs, stop: boo
             hook.remove()
     joined = {name: [torch.cat(parts) for parts in zip(*pairs, strict=True)] for name, pairs in found.items()}
     taps = {name: cast(nn.Conv2d, network.get_submodule(name)).weight[0, 0].numel() for name in joined}
-    return {name: _Seen(patches, answers, taps[name]) for name, (patches, answers) in joined.items()}
+    return {name: _Record(patches, answers, taps[name]) for name, (patches, answers) in joined.items()}
 
 
 def _sampled(conv: nn.Conv2d, x: Tensor, answer: Tensor, seed: int) -> tuple[Tensor, Tensor]:
@@ -249,11 +249,11 @@ def _sampled(conv: nn.Conv2d, x: Tensor, answer: Tensor, seed: int) -> tuple[Ten
 def _fit(conv: nn.Conv2d, patches: Tensor, answers: Tensor) -> None:
     """Set weight and bias of a convolution so that it answers in the mean square as nearly as it can."""
     rows = torch.cat([patches, patches.new_ones(len(patches), 1)], 1)
-    moments = (rows.T @ rows).double()
-    moments += RIDGE * moments.diagonal().mean() * torch.eye(len(moments), dtype=moments.dtype)
+    gram = (rows.T @ rows).double()
+    gram += RIDGE * gram.diagonal().mean() * torch.eye(len(gram), dtype=gram.dtype)
     start = torch.cat([conv.weight.detach().flatten(1), cast(Tensor, conv.bias).detach()[:, None]], 1)
     left = answers - rows @ start.T  # what is missing: where little is known, weights stay as they were
-    best = start + torch.linalg.solve(moments, (rows.T @ left).double()).T
+    best = start + torch.linalg.solve(gram, (rows.T @ left).double()).T
     with torch.no_grad():
         conv.weight.copy_(best[:, :-1].view_as(conv.weight))
         cast(Tensor, conv.bias).copy_(best[:, -1])

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from lidar2pano.data.frames import IGNORE, evenly_spaced
-from lidar2pano.data.panorama_crops import PanoramaDataset, PanoramaSample
+from lidar2pano.data.panorama_crops import SHIFT_PX, PanoramaDataset, PanoramaSample
 from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
@@ -32,8 +32,9 @@ class PanoramaTranslation:
     def __init__(self, recipe: Recipe[PanoramaOptions], root: Path) -> None:
         self.view, self.options = VIEWS[recipe.view].scaled(recipe.scale), recipe.options
         options = recipe.options
-        anywhere = {"shift_px": (self.view.columns - options.columns) // 2} if options.teacher else {}
-        self.dataset = PanoramaDataset(root, recipe.data.train, self.view, options.columns, **anywhere)
+        anywhere = (self.view.columns - options.columns) // 2
+        shift_px = anywhere if options.teacher else SHIFT_PX
+        self.dataset = PanoramaDataset(root, recipe.data.train, self.view, options.columns, shift_px=shift_px)
         self.validation = PanoramaDataset(root, recipe.data.val, self.view, options.columns)
         self.networks = build_networks(recipe)
         self.weights = class_weights(
