@@ -26,6 +26,7 @@
 # Depths were the translator's own, not those of `geometry.measured_depth`, before `scene-9` and `world-scene-9`; the
 # other corrections of `lidar2pano.corrections` came between `scene-10` and `world-scene-9`, and remission that is evened
 # between beams with the latter. `scene-11` painted the frames of `scene-9`.
+# `translator-7` had 161 steps (with centre, half of its minutes went into labels), `translator-8` 212, `scene-14` 710.
 # The colours of classes were set on frames that the released segmenter, of `segmenter-9`, and `translator` had made.
 # Painters before `scene-12`, and translators but `world-translator-3`, learned with segmenters that did not read roughness.
 set -euo pipefail
@@ -264,7 +265,8 @@ stage scene-14 fast-painter "$kitti" 25 data.train=train,"$day:all" options.segm
   options.simulated_probability=0.4 options.invented_probability=0.5 options.elsewhere_probability=0.35 \
   options.fringes=200 options.teacher_probability=0.6 training.validate_minutes=0
 narrow_translator=$out/mean/translator-8.safetensors
-mean "$narrow_translator" "$(weights translator-7 translator)" "$(weights translator-8 translator)"
+python "$here/mean_weights.py" "$narrow_translator" "$out/pruned/translator.safetensors" "$(weights translator-7 translator)" \
+  "$(weights translator-8 translator)" --shares 0.2,0.3,0.5
 narrow_family="$(weights scene-14 painter)+$narrow_translator+$out/pruned/segmenter.safetensors"
 lidar2pano evaluate "$narrow_family" --data "$kitti" --split val --json "$out/kitti.json"
 family kitti-mini "$out/pruned/segmenter.safetensors" "$narrow_translator" "$(weights scene-14 painter)" "$out/kitti.json" \

@@ -60,7 +60,7 @@ def solid_noise(
     per_depth = torch.rsqrt(1 + slope * slope)[:, None]
     sky_m, no_m, minus_one = slope.new_tensor([SKY_M, 1e-3, -1.0]).unbind()
     out = depth_m.new_empty(len(wavelengths_m), *depth_m.shape)
-    has_sky = sky.any(1).tolist()
+    has_sky = sky.any(1).tolist() if sky.device.type == "cpu" else [True] * view.rows  # a GPU is not waited for
     for top in range(0, view.rows, STRIP):
         rows = slice(top, top + STRIP)
         distance = radius = depth_m[rows].float().clamp(0.1, FARTHEST_M)
