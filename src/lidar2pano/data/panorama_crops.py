@@ -30,7 +30,7 @@ from lidar2pano.geometry.projection import pixels, project
 from lidar2pano.scan import Scan
 from lidar2pano.views import View
 
-SHIFT_PX = 24
+SHIFT_PX = 24  # how far left or right of the camera's middle a crop may begin
 
 
 class PanoramaSample(NamedTuple):

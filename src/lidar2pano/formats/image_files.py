@@ -86,9 +86,7 @@ def fast_png(colour: np.ndarray, text: Mapping[str, str] | None = None) -> bytes
     header = struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)  # 8 bits per channel, RGB, not interlaced
     with ThreadPoolExecutor(PARTS) as pool:
         blocks = pool.map(_deflated, np.array_split(lines, PARTS))
-        end = b"\3\0" + struct.pack(
-            ">I", zlib.adler32(lines.data)
-        )  # an empty last block (RFC 1951), and a checksum (1950)
+        end = b"\3\0" + struct.pack(">I", zlib.adler32(lines.data))  # an empty block, RFC 1951; a checksum, RFC 1950
         pixels = b"\x78\1" + b"".join(blocks) + end
     texts = [_chunk(b"tEXt", f"{key}\0{value}".encode("latin-1")) for key, value in (text or {}).items()]
     parts = (PNG_SIGNATURE, _chunk(b"IHDR", header), *texts, _chunk(b"IDAT", pixels), _chunk(b"IEND", b""))

@@ -153,7 +153,11 @@ def pruned(name: str, network: nn.Module, settings: Mapping[str, Any], inputs: I
         raise wrong
     convs = {layer.name: layer for layer in layers if isinstance(network.get_submodule(layer.name), nn.Conv2d)}
     before = _watched(network, list(convs), inputs)
-    kept = _chosen(layers, network, wanted, {layer: record.squares() for layer, record in before.items()})
+    contributions = {
+        layer: _weight(network, convs[layer]).square().sum((0, 2, 3)) * record.squares()
+        for layer, record in before.items()
+    }
+    kept = _chosen(layers, sizes, wanted, contributions)
     state = dict(network.state_dict())
     for layer in layers:
         state |= _of_layer(layer, state, sizes, kept)
@@ -270,15 +274,17 @@ def _parts(layer: Layer, sizes: Mapping[str, int]) -> Iterator[tuple[str, bool, 
 
 
 def _chosen(
-    layers: Sequence[Layer], network: nn.Module, wanted: Mapping[str, int], squares: Mapping[str, Tensor]
+    layers: Sequence[Layer], sizes: Mapping[str, int], wanted: Mapping[str, int], contributions: Mapping[str, Tensor]
 ) -> dict[str, Tensor]:
-    """The channels of each group that stay, sorted; those of a shuffled group by four."""
-    sizes, together = _sizes(layers, network), set[str]()
+    """The channels of each group that stay, sorted; those of a shuffled group by four.
+
+    sizes, wanted  channels of each group, before and after;  contributions: of each channel that a layer reads.
+    """
+    together = set[str]()
     importance = {group: torch.zeros(size) for group, size in sizes.items()}
     for layer in layers:
-        if layer.name not in squares:
+        if (contribution := contributions.get(layer.name)) is None:
             continue
-        contribution = _weight(network, layer).square().sum((0, 2, 3)) * squares[layer.name]
         for group, shuffled, start, count in _parts(layer, sizes):
             if group:
                 part = contribution[start : start + count]
