@@ -3,7 +3,7 @@
     python runs/prune.py FAMILY ROLE OUT --data ROOT:SPLIT,... --settings '{"widths": [32, 48, 96, 192]}'
 
 FAMILY  as for `lidar2pano translate --weights`;  ROLE: segmenter, translator or painter.
-What the family makes of some scans of the data decides which channels stay (lidar2pano.models.pruning).
+What the family makes of some scans of the data (--scans, 12) decides which channels stay (lidar2pano.models.pruning).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lidar2pano.models.families import weight_files
 from lidar2pano.models.pruning import pruned
 from lidar2pano.pipeline import Pipeline, load
 
-SCANS, IMAGE = 12, 4
+IMAGE = 4  # dimensions of a batch of images
 SHARE = 4  # one of so many parts of each scan's columns is used
 
 
@@ -57,6 +57,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", required=True)
     parser.add_argument("--settings", type=json.loads, required=True)
+    parser.add_argument("--scans", type=int, default=12)
     arguments = parser.parse_args()
     files = weight_files(arguments.family)
     network, card = load_weights(files[arguments.role])
@@ -69,7 +70,7 @@ def main() -> None:
 
     inputs: list[tuple[Tensor, ...]] = []
     hook = network.register_forward_pre_hook(lambda _, given: inputs.append(cropped(given)))
-    for number, index in enumerate(evenly_spaced(len(frames), SCANS)):
+    for number, index in enumerate(evenly_spaced(len(frames), arguments.scans)):
         timer = Timer(pipeline.device)
         translated = pipeline.translate(frames[index].scan, timer)
         if arguments.role == "painter":

@@ -26,6 +26,11 @@ def fast_arithmetic(device: torch.device) -> AbstractContextManager[object]:
     return torch.autocast(device.type, dtype=torch.bfloat16, enabled=has_bfloat16(device))
 
 
+def arithmetic(device: torch.device) -> torch.dtype:
+    """What convolutions compute in here: bfloat16 inside `fast_arithmetic`, where the device has it."""
+    return torch.get_autocast_dtype(device.type) if torch.is_autocast_enabled(device.type) else torch.float32
+
+
 def pick_device(name: str | torch.device) -> torch.device:
     """The device that "auto", "cpu" or "cuda" stands for; InputError where it is unknown or not there."""
     if isinstance(name, torch.device):

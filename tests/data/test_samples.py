@@ -10,7 +10,7 @@ from PIL import Image
 from lidar2pano.data.augment import drop_points, drop_rings, mirror, turn, vary_remission
 from lidar2pano.data.frames import IGNORE, SampleIndex, evenly_spaced, frames, frames_of
 from lidar2pano.data.front_view import FrontViewDataset
-from lidar2pano.data.panorama_crops import PanoramaDataset, mirrored
+from lidar2pano.data.panorama_crops import SHIFT_PX, PanoramaDataset, mirrored
 from lidar2pano.data.range_images import RangeImageDataset, ScanAugmentation, augmented, ScanAugmentation, augmented
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import project
@@ -87,6 +87,18 @@ def test_panorama_samples_line_scan_and_camera_up(root):
     assert sample.image.shape == (3, 96, 320)
     assert sample.image[:, ~sample.valid].unique().tolist() == [-1.0]
     assert (sample.depth_m > 0).sum() == (sample.range_image[0] > 0).sum()
+
+
+@pytest.mark.parametrize(("elsewhere", "near"), [(0.0, 1.0), (0.5, 0.7), (1.0, 0.3)])
+def test_crops_begin_near_the_cameras_middle_but_for_a_share(root, elsewhere, near):
+    anywhere = (RASTER.columns - 96) // 2
+    samples = PanoramaDataset(root, ("train",), RASTER, columns=96, shift_px=anywhere, elsewhere=elsewhere)
+    full = samples.window(0).camera_labels != IGNORE
+    middle = full[:, anywhere + SHIFT_PX : anywhere + 96 - SHIFT_PX].any(0)
+    assert middle.all() and not full.any(0).all()
+    crops = [samples[SampleIndex(0, seed)].camera_labels != IGNORE for seed in range(60)]
+    inside = np.mean([bool(crop[:, SHIFT_PX:-SHIFT_PX].any(0).all()) for crop in crops])
+    assert abs(inside - near) < 0.2 and (inside == 1) == (elsewhere == 0)
 
 
 def test_mirrored_twice_is_the_sample_again(root):

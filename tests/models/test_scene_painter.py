@@ -186,8 +186,10 @@ def test_the_last_rows_are_painted_as_those_above_them(monkeypatch):
 def test_parts_are_joined_with_their_channels_last():
     generator = torch.Generator().manual_seed(6)
     parts = [torch.randn(2, channels, 37, 12, generator=generator) for channels in (3, 1, 5)]  # rows: not whole strips
-    joined = scene_painter._joined(parts)
-    assert torch.equal(joined, torch.cat(parts, 1)) and joined.is_contiguous(memory_format=torch.channels_last)
+    for dtype in (torch.float32, torch.bfloat16):
+        joined = scene_painter._joined(parts, dtype)
+        assert joined.dtype == dtype and joined.is_contiguous(memory_format=torch.channels_last)
+        assert torch.equal(joined, torch.cat(parts, 1).to(dtype))
 
 
 def test_twice_repeats_each_pixel():

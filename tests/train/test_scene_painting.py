@@ -179,6 +179,53 @@ def test_fringes_count_where_they_have_a_weight(task, batch):
     assert name == "painter" and loss.item() == pytest.approx(1e6 * task.logs["fringes"].item(), rel=0.01)
 
 
+def walls(batch, tone):
+    """The batch with the mean of houses at 0.1, and painter's inputs that are all walls of this tone."""
+    means = batch.class_means.clone()
+    means[:, BUILDING] = 0.1
+    scene = torch.zeros(len(batch.look), 31, 32, 64)
+    scene[:, BUILDING] = 1
+    scene[:, scene_painting.TONES] = torch.tensor(tone)[:, None, None]
+    return batch._replace(class_means=means), (scene, torch.rand(2, 3, 64, 128))
+
+
+def test_hues_of_walls_are_compared_with_their_houses(task, batch):
+    tone = (0.3, 0.1, -0.1)
+    batch, inputs = walls(batch.flat(), tone)
+    expected = (0.1 + torch.tensor(tone))[None, :, None, None].expand(2, 3, 64, 128)
+    gap, counted = task._wall_hues(batch, inputs, expected + 0.2)
+    assert gap.abs().max() < 1e-6 and (counted == 1).all()
+    gap, _ = task._wall_hues(batch, inputs, expected + torch.tensor([0.3, 0, 0])[:, None, None])
+    assert gap[:, 0].mean().item() == pytest.approx(0.2, abs=1e-5)
+    inputs[0][:, -1, :16] = 1  # windows
+    batch.class_means[1] = torch.nan  # a look of which no image is there
+    _, counted = task._wall_hues(batch, inputs, expected)
+    assert counted[0].mean().item() == pytest.approx(0.5) and not counted[1].any()
+
+
+def test_a_teachers_walls_have_their_hues_corrected(task, batch):
+    batch, inputs = walls(batch.flat(), (0.2, 0.0, -0.2))
+    batch.valid[:] = False
+    task.teacher = build("scene-painter", looks=task.looks, widths=(8, 12, 16, 8), blocks=1).eval()
+    gaps = {}
+    for weight in (0.0, 1.0):
+        task.options = replace(task.options, teacher_probability=0.0, walls=weight)
+        taught, _ = task._taught(batch, inputs)
+        gaps[weight] = task._wall_hues(batch, inputs, taught.image)[0].abs().mean().item()
+    assert gaps[1.0] < 0.1 * gaps[0.0]
+
+
+def test_hues_of_walls_count_where_they_have_a_weight(task, batch):
+    task.view = replace(task.view, rows=32)
+    batch.labels[:], batch.class_means[:] = BUILDING, 0.5
+    task.options = replace(task.options, ground_truth_probability=1.0)
+    list(task.updates(batch))
+    assert "walls" not in task.logs
+    task.options = replace(task.options, walls=1e6)
+    *_, (name, loss) = task.updates(batch)
+    assert name == "painter" and loss.item() == pytest.approx(1e6 * task.logs["walls"].item(), rel=0.01)
+
+
 def test_known_openings_are_painted_and_others_are_invented(task, batch, monkeypatch):
     given = []
     inputs = scene_painting.painter_inputs

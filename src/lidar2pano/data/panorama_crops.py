@@ -82,6 +82,8 @@ class PanoramaDataset:
 
     view      the raster of the translator (its origin is replaced by the camera's centre, frame by frame).
     columns   width of the crop, a multiple of 16; shift_px: how far left or right of the camera's middle it may begin.
+    elsewhere  probability of a crop beginning anywhere there; others of a frame whose labels end somewhere do so
+              SHIFT_PX at most from the middle.
     image     whether samples have the camera's image.
     """
 
@@ -94,8 +96,10 @@ class PanoramaDataset:
         *,
         image: bool = False,
         shift_px: int = SHIFT_PX,
+        elsewhere: float = 1.0,
     ) -> None:
         self.frames = frames_of(root, splits)
+        self.elsewhere = elsewhere
         self.view, self.columns, self.image, self.shift_px = view, columns, image, shift_px
         self.predicted: PredictedLabels | None = None
         self._cache, self._labels = LruCache(), LruCache()
@@ -145,9 +149,18 @@ class PanoramaDataset:
             scan = drop_points(scan, generator, generator.uniform(0, 0.5))
         if generator.random() < 0.3:
             scan = drop_rings(scan, generator, COARSE_BAND_DEG, generator.uniform(0, 0.5))
-        start = int(generator.integers(window.view.columns - self.columns + 1))
-        sample = self._sample(window, scan, frame.name, start)
+        sample = self._sample(window, scan, frame.name, self._start(window, generator))
         return mirrored(sample) if generator.random() < 0.5 else sample
+
+    def _start(self, window: PanoramaWindow, generator: np.random.Generator) -> int:
+        """The first column of an augmented crop."""
+        spare = window.view.columns - self.columns
+        if self.elsewhere < 1 and generator.random() >= self.elsewhere:
+            labelled = (window.camera_labels != IGNORE).any(0)
+            if not labelled.all():
+                shift = min(SHIFT_PX, spare // 2)
+                return spare // 2 + int(generator.integers(-shift, shift + 1))
+        return int(generator.integers(spare + 1))
 
     def _predicted(self, scan: Scan, index: int) -> Scan:
         assert self.predicted is not None

@@ -15,6 +15,7 @@ from lidar2pano.losses.adversarial import (
     gradient_penalty,
     hinge_critic,
     hinge_generator,
+    hue_gap,
     pooled,
 )
 from lidar2pano.losses.lovasz import lovasz_softmax
@@ -29,6 +30,7 @@ __all__ = [
     "gradient_penalty",
     "hinge_critic",
     "hinge_generator",
+    "hue_gap",
     "lovasz_softmax",
     "pooled",
 ]

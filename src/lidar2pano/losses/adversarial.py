@@ -10,6 +10,7 @@ from torch.nn import functional as F
 
 FRINGE_PX, FRINGE = 9, 0.3
 POOL = 4  # pixels
+HUE_PX = 16
 
 
 def gradient_penalty(
@@ -83,3 +84,14 @@ def fringes(image: Tensor) -> Tensor:
     chroma = torch.stack([blue - luma, red - luma], 1)
     around = F.avg_pool2d(chroma, FRINGE_PX, 1, FRINGE_PX // 2, count_include_pad=False)
     return ((chroma - around).square().sum(1).add(1e-9).sqrt() - FRINGE).clamp(min=0).mean()
+
+
+def hue_gap(image: Tensor, expected: Tensor, share: Tensor) -> tuple[Tensor, Tensor]:
+    """How far hues are from those expected, over squares of HUE_PX x HUE_PX pixels; the hue is a colour less its mean.
+
+    image, expected  (B, 3, H, W) in [-1, 1];  share: (B, 1, H, W), how much each pixel counts.
+    Returns (B, 3, H / HUE_PX, W / HUE_PX) and the mean shares (B, 1, H / HUE_PX, W / HUE_PX).
+    """
+    total = F.avg_pool2d(share, HUE_PX)
+    gap = F.avg_pool2d((image - expected) * share, HUE_PX) / total.clamp(min=1e-3)
+    return gap - gap.mean(1, keepdim=True), total

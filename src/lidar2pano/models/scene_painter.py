@@ -23,6 +23,7 @@ from lidar2pano.geometry.solid_noise import STRIP, smooth_noise, solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals, viewpoint_height
 from lidar2pano.geometry.wall_openings import facades
 from lidar2pano.geometry.whole_cars import Classes, WholeCars, whole_cars
+from lidar2pano.hardware import arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.circular import CircularConv, CircularResidual, closed, conv_norm_act
 from lidar2pano.models.titan_pano import FAR_M, depth_code
@@ -49,7 +50,7 @@ CARS = Classes(
 )
 MIXED_PX, MOST_UNEVEN = 16.0, 3.0  # pixels that the mean counts for in each row's; largest factor between beams
 STRIDE = 4  # input pixels per pixel of the coarsest level
-FOOT = 8  # rows like the last one that are painted below it and cut off: beside zero padding a network paints flecks
+FOOT = 16  # rows like the last one that are painted below it and cut off: beside zero padding a network paints flecks
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
 TONE = 3  # red, green, blue: how much brighter a picture, or a part of it, is than the mean of its look
 TONES = slice(-TONE - 1, -1)  # of the painter's inputs, which end with the openings
@@ -188,6 +189,7 @@ class ScenePainter(nn.Module):
             scene.T_world_sensor,
             tones=scene.tones,
             unread=self.unread,
+            dtype=arithmetic(scene.depth_m.device),
         )
         shares = torch.tensor([self.look_shares(scene.look)], device=inputs.device)
         return None, self(inputs, fine_noise, shares, shares.new_zeros(1, TONE))
@@ -225,8 +227,9 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     tones: Tensor | None = None,
     openings: Tensor | None = None,
     unread: Sequence[int] = (),
+    dtype: torch.dtype = torch.float32,
 ) -> tuple[Tensor, Tensor]:
-    """What the network sees: (B, classes + SHAPE + 7, H, W) and fine noise (B, 3, 2H, 2W), float32, channels last.
+    """What the network sees: (B, classes + SHAPE + 7, H, W) and fine noise (B, 3, 2H, 2W), channels last.
 
     segments  (B, classes, H, W): probabilities.
     depth_m   (B, H, W): metres, everywhere.
@@ -235,7 +238,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     tones     (B, 3, H, W): how much brighter each pixel is than the mean of its class in its look, in [-1, 1]; None,
               and where NaN: a tone for each house, and for the classes that VARIED names noise.
     openings  (B, H, W) in [0, 1]: where walls have windows and doors; None, and where NaN: as `facades` has them.
-    unread    ids of classes whose remission and validity are not used.
+    unread    ids of classes whose remission and validity are not used;  dtype: of what is returned.
     """
     depth_m = depth_m.float()
     highest = segments.amax(1)
@@ -259,7 +262,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     varied_tones = varied_tones + segments[:, BUILDING, None] * (HOUSES_VARIED * house)[:, :, None]
     tones = varied_tones if tones is None else varied_tones * as_float(tones.isnan()) + tones.nan_to_num()
     parts = [segments.float(), flat, shape, coarse, tones, openings[:, None]]
-    return _joined(parts), fine.contiguous(memory_format=torch.channels_last)
+    return _joined(parts, dtype), fine.to(dtype).contiguous(memory_format=torch.channels_last)
 
 
 def with_cars(segments: Tensor, depth_m: Tensor, view: View, T_world_sensor: np.ndarray | None = None) -> WholeCars:
@@ -333,15 +336,15 @@ def _enlarged(x: Tensor) -> Tensor:
     return interpolate(x, scale_factor=2)
 
 
-def _joined(parts: Sequence[Tensor]) -> Tensor:
+def _joined(parts: Sequence[Tensor], dtype: torch.dtype) -> Tensor:
     """Parts (B, C, H, W) float32 one after the other, channels last in memory.
 
     Transposed as matrices, STRIP rows at a time, in a third of the time of `cat` and `contiguous`.
     """
     batch, _, rows, columns = parts[0].shape
-    made = parts[0].new_empty(batch, rows, columns, sum(part.shape[1] for part in parts))
+    made = parts[0].new_empty(batch, rows, columns, sum(part.shape[1] for part in parts), dtype=dtype)
     for number, one in enumerate(made):
         for top in range(0, rows, STRIP):
-            strip = torch.cat([part[number, :, top : top + STRIP] for part in parts])
+            strip = torch.cat([part[number, :, top : top + STRIP].to(dtype) for part in parts])
             one[top : top + STRIP].flatten(0, 1).copy_(strip.flatten(1).t())
     return made.movedim(3, 1)

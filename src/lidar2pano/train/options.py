@@ -194,8 +194,8 @@ class PanoramaOptions(TaskOptions):
     segmenter              weight file whose labels take half of the training samples and all of validation;
                            "": the labels of the data everywhere.
     teacher, distillation  weight file of a translator whose classes and depths are learned beside the ground truth
-                           (knowledge distillation), "": none;  weight of that loss. Crops of real frames then begin
-                           anywhere, also where no camera looked.
+                           (knowledge distillation), "": none;  weight of that loss.
+    elsewhere_probability  with a teacher, of a crop of a real frame that begins anywhere, also where no camera looked.
     """
 
     task = "panorama"
@@ -207,6 +207,7 @@ class PanoramaOptions(TaskOptions):
     segmenter: str = ""
     teacher: str = ""
     distillation: float = 2.0
+    elsewhere_probability: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,6 +219,8 @@ class ScenePaintingOptions(TaskOptions):
     pixels, adversarial        weights of the losses; no discriminator where the last is 0.
     fringes                    weight of what single pixels differ in hue from those around them, beyond what images do.
     unseen                     weight of the distance of colours where no camera looked from the means of their classes.
+    walls                      weight of how far the hues of walls are from the mean of houses in the look and the
+                               house's tone; a teacher's pictures are corrected in it.
     statistics                 weight of the distance of the painted patches' features from the real ones' distribution.
     on_invented                share of the perceptual and the pixels' loss that counts on what is invented.
     invented_probability       of crops whose houses and cars have the tones and openings that they get in use, not the
@@ -250,6 +253,7 @@ class ScenePaintingOptions(TaskOptions):
     adversarial: float = 0.35
     fringes: float = 0.0
     unseen: float = 1.0
+    walls: float = 0.0
     statistics: float = 1.0
     on_invented: float = 0.2
     invented_probability: float = 0.0

@@ -34,7 +34,14 @@ class PanoramaTranslation:
         options = recipe.options
         anywhere = (self.view.columns - options.columns) // 2
         shift_px = anywhere if options.teacher else SHIFT_PX
-        self.dataset = PanoramaDataset(root, recipe.data.train, self.view, options.columns, shift_px=shift_px)
+        self.dataset = PanoramaDataset(
+            root,
+            recipe.data.train,
+            self.view,
+            options.columns,
+            shift_px=shift_px,
+            elsewhere=options.elsewhere_probability if options.teacher else 1.0,
+        )
         self.validation = PanoramaDataset(root, recipe.data.val, self.view, options.columns)
         self.networks = build_networks(recipe)
         self.weights = class_weights(

@@ -9,14 +9,14 @@ from typing import Any, cast
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, mse_loss
+from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, mse_loss
 
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
-from lidar2pano.losses import PatchStatistics, fringes, hinge_critic, hinge_generator, pooled
+from lidar2pano.losses import PatchStatistics, fringes, hinge_critic, hinge_generator, hue_gap, pooled
 from lidar2pano.losses.diff_augment import DiffAugment
 from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
 from lidar2pano.models.scene_painter import (
@@ -40,6 +40,8 @@ from lidar2pano.views import VIEWS, View
 
 NEARBY = (3, 8, 20)  # pixels on either side of which a car's tone is the mean
 SPREAD = 0.4  # how far colours of a class in [-1, 1] are from their mean without being outliers
+WALL = 0.3  # share of walls in a square whose hue is corrected
+HUE = 0.06  # how far a wall's hue is from what is expected without counting
 MATCHED = 3  # depths of features whose statistics are matched
 
 
@@ -118,6 +120,9 @@ class ScenePainting:
         if options.unseen:
             known = batch.valid & (invented < 0.5)
             terms["unseen"] = self._unseen(batch._replace(valid=known), segments, inputs[0][:, TONES], painted)
+        if options.walls:
+            gap, walls = self._wall_hues(batch, inputs, painted)
+            terms["walls"] = ((gap.abs() - HUE).clamp(min=0) * walls).sum() / (3 * walls.sum()).clamp(min=1)
         if options.statistics:
             terms["statistics"] = self.statistics(pairs[:MATCHED], counted[:, :1], batch.look)
         if options.adversarial:
@@ -135,6 +140,7 @@ class ScenePainting:
             "pixels": options.pixels,
             "fringes": options.fringes,
             "unseen": options.unseen,
+            "walls": options.walls,
             "statistics": options.statistics,
             "adversarial": options.adversarial,
         }
@@ -149,11 +155,28 @@ class ScenePainting:
             return batch, torch.ones_like(batch.valid)
         drawn = torch.rand(len(batch.look), device=batch.look.device) < self.options.teacher_probability
         look = torch.where(drawn, torch.randint_like(batch.look, len(self.looks)), batch.look)
-        batch = batch._replace(look=look, tone=batch.tone * ~drawn[:, None])
+        other = (look != batch.look)[:, None, None]
+        batch = batch._replace(
+            look=look, tone=batch.tone * ~drawn[:, None], class_means=batch.class_means.masked_fill(other, torch.nan)
+        )
         taught = self.teacher(*inputs, *self._look_and_tone(batch)).float()
+        if self.options.walls:
+            gap, walls = self._wall_hues(batch, inputs, taught)
+            enlarged = interpolate(gap * (walls > WALL), taught.shape[2:], mode="bilinear")
+            taught = taught - enlarged * twice(inputs[0][:, BUILDING, None])
         photographed = batch.valid & ~drawn[:, None, None]
         image = torch.where(photographed[:, None], batch.image, taught)
         return batch._replace(image=image, valid=torch.ones_like(batch.valid)), photographed
+
+    @staticmethod
+    def _wall_hues(batch: PaintingSample, inputs: tuple[Tensor, Tensor], picture: Tensor) -> tuple[Tensor, Tensor]:
+        """`hue_gap` of the walls in pictures (B, 3, 2H, 2W) from the mean of houses and their tones.
+
+        (Without it dark houses were painted blue and light ones pink: in images, shade and sunlight are.)
+        """
+        scene, mean = inputs[0], batch.class_means[:, BUILDING, :, None, None]
+        walls = scene[:, BUILDING, None] * (1 - scene[:, -1:]) * mean.isfinite().all(1, keepdim=True)
+        return hue_gap(picture, twice(mean.nan_to_num(0) + scene[:, TONES]), twice(walls))
 
     def _look_and_tone(self, batch: PaintingSample) -> tuple[Tensor, Tensor]:
         return torch.eye(len(self.looks), device=batch.look.device)[batch.look], batch.tone
