@@ -26,7 +26,8 @@
 # Depths were the translator's own, not those of `geometry.measured_depth`, before `scene-9` and `world-scene-9`; the
 # other corrections of `lidar2pano.corrections` came between `scene-10` and `world-scene-9`, and remission that is evened
 # between beams with the latter. `scene-11` painted the frames of `scene-9`.
-# `translator-7` had 161 steps (with centre, half of its minutes went into labels), `translator-8` 212, `scene-14` 710.
+# `translator-7` had 161 steps (with centre, half of its minutes went into labels), `translator-8` 212, `scene-14` 710,
+# `translator-9` 1250, `scene-15` 828.
 # Translator and painter were pruned with a ridge of 1e-3 in place of 3e-3.
 # The colours of classes were set on frames that the released segmenter, of `segmenter-9`, and `translator` had made.
 # Painters before `scene-12`, and translators but `world-translator-3`, learned with segmenters that did not read roughness.
@@ -135,9 +136,15 @@ scene world-scene-9 "$day" 27 "train,$all,$out/towns/squares:all" "${inputs2[@]}
   networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
 painter=$out/finished/world.safetensors
 python "$here/finish_painter.py" "$(weights world-scene-9 painter)" "$painter" "$out/frames/world-scene-9/painting/*/day-*.safetensors" --look day --power 4
-lidar2pano evaluate "$painter+$world_translator+$out/world-segmenter-3" --data "$out/towns/test" --split all \
-  --json "$out/world.json"
-family world "$(weights world-segmenter-3 segmenter)" "$world_translator" "$painter" "$out/world.json" Apache-2.0
+mkdir -p "$out/wide-world"
+cp "$(weights world-segmenter-3 segmenter)" "$out/wide-world/segmenter.safetensors"
+cp "$world_translator" "$out/wide-world/translator.safetensors"
+cp "$painter" "$out/wide-world/painter.safetensors"
+world_segmenter=$out/pruned/world-segmenter.safetensors # of less than half of the arithmetic, and not taught
+python "$here/prune.py" "$out/wide-world" segmenter "$world_segmenter" --settings '{"widths": [32, 48, 64, 128]}' \
+  --data "$day:all,$out/towns/centre:all" --scans 40
+lidar2pano evaluate "$painter+$world_translator+$world_segmenter" --data "$out/towns/test" --split all --json "$out/world.json"
+family world "$world_segmenter" "$world_translator" "$painter" "$out/world.json" Apache-2.0
 
 # Family `kitti-mini`: goes on where runs/kitti_mini.sh ended (in the same OUT), towns beside real frames.
 stage segmenter-4 release-segmenter "$kitti" 34 data.train=train,train,labelled,"$out/towns/scans:all" \
@@ -281,7 +288,8 @@ stage scene-15 fast-painter "$kitti" 20 data.train=train,"$day:all" options.segm
   networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle \
   options.simulated_probability=0.3 options.invented_probability=0.6 options.elsewhere_probability=0.35 \
   options.fringes=200 options.walls=3 options.teacher_probability=0.45 training.validate_minutes=0
-narrow_family="$(weights scene-15 painter)+$(weights translator-9 translator)+$narrow_segmenter"
-lidar2pano evaluate "$narrow_family" --data "$kitti" --split val --json "$out/kitti.json"
-family kitti-mini "$narrow_segmenter" "$(weights translator-9 translator)" "$(weights scene-15 painter)" "$out/kitti.json" \
-  CC-BY-NC-SA-4.0
+mean "$out/mean/translator-9.safetensors" "$narrow_translator" "$(weights translator-9 translator)" 0.7,0.3
+narrow_translator=$out/prior/translator-9.safetensors
+python "$here/prior.py" "$out/mean/translator-9.safetensors" "$narrow_translator" --data "$kitti" --share 0.15
+lidar2pano evaluate "$(weights scene-15 painter)+$narrow_translator+$narrow_segmenter" --data "$kitti" --split val --json "$out/kitti.json"
+family kitti-mini "$narrow_segmenter" "$narrow_translator" "$(weights scene-15 painter)" "$out/kitti.json" CC-BY-NC-SA-4.0

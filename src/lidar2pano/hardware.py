@@ -26,9 +26,10 @@ def fast_arithmetic(device: torch.device) -> AbstractContextManager[object]:
     return torch.autocast(device.type, dtype=torch.bfloat16, enabled=has_bfloat16(device))
 
 
-def arithmetic(device: torch.device) -> torch.dtype:
-    """What convolutions compute in here: bfloat16 inside `fast_arithmetic`, where the device has it."""
-    return torch.get_autocast_dtype(device.type) if torch.is_autocast_enabled(device.type) else torch.float32
+def inference_dtype(device: torch.device) -> torch.dtype:
+    """What convolutions compute in: inside `fast_arithmetic` and inference mode bfloat16, otherwise float32."""
+    fast = torch.is_inference_mode_enabled() and torch.is_autocast_enabled(device.type)
+    return torch.get_autocast_dtype(device.type) if fast else torch.float32
 
 
 def pick_device(name: str | torch.device) -> torch.device:

@@ -23,7 +23,7 @@ from lidar2pano.geometry.solid_noise import STRIP, smooth_noise, solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals, viewpoint_height
 from lidar2pano.geometry.wall_openings import facades
 from lidar2pano.geometry.whole_cars import Classes, WholeCars, whole_cars
-from lidar2pano.hardware import arithmetic
+from lidar2pano.hardware import inference_dtype
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.circular import CircularConv, CircularResidual, closed, conv_norm_act
 from lidar2pano.models.titan_pano import FAR_M, depth_code
@@ -189,7 +189,6 @@ class ScenePainter(nn.Module):
             scene.T_world_sensor,
             tones=scene.tones,
             unread=self.unread,
-            dtype=arithmetic(scene.depth_m.device),
         )
         shares = torch.tensor([self.look_shares(scene.look)], device=inputs.device)
         return None, self(inputs, fine_noise, shares, shares.new_zeros(1, TONE))
@@ -227,9 +226,10 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     tones: Tensor | None = None,
     openings: Tensor | None = None,
     unread: Sequence[int] = (),
-    dtype: torch.dtype = torch.float32,
 ) -> tuple[Tensor, Tensor]:
     """What the network sees: (B, classes + SHAPE + 7, H, W) and fine noise (B, 3, 2H, 2W), channels last.
+
+    They are float32; in inference what convolutions compute in (`hardware.inference_dtype`).
 
     segments  (B, classes, H, W): probabilities.
     depth_m   (B, H, W): metres, everywhere.
@@ -238,7 +238,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     tones     (B, 3, H, W): how much brighter each pixel is than the mean of its class in its look, in [-1, 1]; None,
               and where NaN: a tone for each house, and for the classes that VARIED names noise.
     openings  (B, H, W) in [0, 1]: where walls have windows and doors; None, and where NaN: as `facades` has them.
-    unread    ids of classes whose remission and validity are not used;  dtype: of what is returned.
+    unread    ids of classes whose remission and validity are not used.
     """
     depth_m = depth_m.float()
     highest = segments.amax(1)
@@ -262,6 +262,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     varied_tones = varied_tones + segments[:, BUILDING, None] * (HOUSES_VARIED * house)[:, :, None]
     tones = varied_tones if tones is None else varied_tones * as_float(tones.isnan()) + tones.nan_to_num()
     parts = [segments.float(), flat, shape, coarse, tones, openings[:, None]]
+    dtype = inference_dtype(depth_m.device)
     return _joined(parts, dtype), fine.to(dtype).contiguous(memory_format=torch.channels_last)
 
 

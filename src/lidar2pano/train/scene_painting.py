@@ -169,14 +169,14 @@ class ScenePainting:
         return batch._replace(image=image, valid=torch.ones_like(batch.valid)), photographed
 
     @staticmethod
-    def _wall_hues(batch: PaintingSample, inputs: tuple[Tensor, Tensor], picture: Tensor) -> tuple[Tensor, Tensor]:
-        """`hue_gap` of the walls in pictures (B, 3, 2H, 2W) from the mean of houses and their tones.
+    def _wall_hues(batch: PaintingSample, inputs: tuple[Tensor, Tensor], image: Tensor) -> tuple[Tensor, Tensor]:
+        """`hue_gap` of the walls in images (B, 3, 2H, 2W) from the mean of houses and their tones.
 
         (Without it dark houses were painted blue and light ones pink: in images, shade and sunlight are.)
         """
         scene, mean = inputs[0], batch.class_means[:, BUILDING, :, None, None]
         walls = scene[:, BUILDING, None] * (1 - scene[:, -1:]) * mean.isfinite().all(1, keepdim=True)
-        return hue_gap(picture, twice(mean.nan_to_num(0) + scene[:, TONES]), twice(walls))
+        return hue_gap(image, twice(mean.nan_to_num(0) + scene[:, TONES]), twice(walls))
 
     def _look_and_tone(self, batch: PaintingSample) -> tuple[Tensor, Tensor]:
         return torch.eye(len(self.looks), device=batch.look.device)[batch.look], batch.tone
