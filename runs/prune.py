@@ -1,6 +1,6 @@
 """Make a network of a family narrower: a start for training with options.teacher.
 
-    python runs/prune.py FAMILY ROLE OUT --data ROOT:SPLIT,... --settings '{"widths": [32, 48, 96, 192]}'
+    python runs/prune.py FAMILY ROLE OUT --data ROOT:SPLIT,... --settings '{"widths": [32, 48, 64, 128]}'
 
 FAMILY  as for `lidar2pano translate --weights`;  ROLE: segmenter, translator or painter.
 What the family makes of some scans of the data (--scans, 12) decides which channels stay (lidar2pano.models.pruning).

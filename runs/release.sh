@@ -100,12 +100,18 @@ stage world-translator-3 release-translator "$day" 16 data.train=all,"$all,$out/
   networks.translator.start="$(weights world-translator-2 translator)" networks.translator.optimizer.rate=0.0012
 world_translator=$out/mean/world-translator.safetensors
 mean "$world_translator" "$(weights world-translator-2 translator)" "$(weights world-translator-3 translator)" 0.4,0.6
-family() { # NAME SEGMENTER TRANSLATOR PAINTER SCORES LICENCE
+together() { # NAME SEGMENTER TRANSLATOR PAINTER: the networks of a family in one folder
   mkdir -p "$out/$1"
   cp "$2" "$out/$1/segmenter.safetensors"
   cp "$3" "$out/$1/translator.safetensors"
   cp "$4" "$out/$1/painter.safetensors"
+}
+family() { # NAME SEGMENTER TRANSLATOR PAINTER SCORES LICENCE
+  together "${@:1:4}"
   python "$here/release_family.py" "$out/$1" "$1" "$5" --licence "$6"
+}
+narrow() { # FAMILY DATA ROLE SETTINGS NAME [OPTION...]: a network of a family with fewer channels
+  python "$here/prune.py" "$out/$1" "$3" "$out/pruned/$5.safetensors" --settings "$4" --data "$2" "${@:6}"
 }
 
 # Painters of several looks: first with norms of each batch, then with their statistics fixed, as the pipeline uses them
@@ -136,13 +142,10 @@ scene world-scene-9 "$day" 27 "train,$all,$out/towns/squares:all" "${inputs2[@]}
   networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
 painter=$out/finished/world.safetensors
 python "$here/finish_painter.py" "$(weights world-scene-9 painter)" "$painter" "$out/frames/world-scene-9/painting/*/day-*.safetensors" --look day --power 4
-mkdir -p "$out/wide-world"
-cp "$(weights world-segmenter-3 segmenter)" "$out/wide-world/segmenter.safetensors"
-cp "$world_translator" "$out/wide-world/translator.safetensors"
-cp "$painter" "$out/wide-world/painter.safetensors"
-world_segmenter=$out/pruned/world-segmenter.safetensors # of less than half of the arithmetic, and not taught
-python "$here/prune.py" "$out/wide-world" segmenter "$world_segmenter" --settings '{"widths": [32, 48, 64, 128]}' \
-  --data "$day:all,$out/towns/centre:all" --scans 40
+together wide-world "$(weights world-segmenter-3 segmenter)" "$world_translator" "$painter"
+narrowest='{"widths": [32, 48, 64, 128]}' # of less than half of the arithmetic, and not taught
+narrow wide-world "$day:all,$out/towns/centre:all" segmenter "$narrowest" world-segmenter --scans 40
+world_segmenter=$out/pruned/world-segmenter.safetensors
 lidar2pano evaluate "$painter+$world_translator+$world_segmenter" --data "$out/towns/test" --split all --json "$out/world.json"
 family world "$world_segmenter" "$world_translator" "$painter" "$out/world.json" Apache-2.0
 
@@ -248,16 +251,10 @@ tall=$out/prior/translator-6.safetensors
 python "$here/prior.py" "$out/mean/translator-6.safetensors" "$tall" --data "$kitti" --share 0.58
 
 # What is released has half of the arithmetic: networks pruned to fewer channels, then taught by the wide ones.
-mkdir -p "$out/wide"
-cp "$rough" "$out/wide/segmenter.safetensors"
-cp "$tall" "$out/wide/translator.safetensors"
-cp "$painter" "$out/wide/painter.safetensors"
-narrow() { # ROLE SETTINGS [NAME [OPTION...]]
-  python "$here/prune.py" "$out/wide" "$1" "$out/pruned/${3:-$1}.safetensors" --settings "$2" --data "$kitti:train" "${@:4}"
-}
-narrow segmenter '{"widths": [32, 48, 96, 192]}'
-narrow translator '{"widths": [16, 48, 96, 128, 192], "pyramid": 64}'
-narrow painter '{"widths": [16, 48, 96, 16]}'
+together wide "$rough" "$tall" "$painter"
+narrow wide "$kitti:train" segmenter '{"widths": [32, 48, 96, 192]}' segmenter
+narrow wide "$kitti:train" translator '{"widths": [16, 48, 96, 128, 192], "pyramid": 64}' translator
+narrow wide "$kitti:train" painter '{"widths": [16, 48, 96, 16]}' painter
 more="$(printf 'train,%.0s' {1..5})$out/towns/centre:all,$day:all"
 stage translator-7 fast-translator "$kitti" 9 data.train="$more" options.segmenter="$rough" options.teacher="$tall" \
   networks.translator.start="$out/pruned/translator.safetensors" networks.translator.optimizer.rate=0.001 \
@@ -265,29 +262,27 @@ stage translator-7 fast-translator "$kitti" 9 data.train="$more" options.segment
 stage translator-8 fast-translator "$kitti" 8 data.train="$more" options.segmenter="$rough" options.teacher="$tall" \
   networks.translator.start="$(weights translator-7 translator)" networks.translator.optimizer.rate=0.0008 \
   options.class_weight_exponent=0.35 training.validate_minutes=0
-stage scene-14 fast-painter "$kitti" 25 data.train=train,"$day:all" options.segmenter="$out/pruned/segmenter.safetensors" \
-  options.translator="$(weights translator-7 translator)" options.teacher="$painter" options.cache="$out/frames/scene-14" \
-  networks.painter.start="$out/pruned/painter.safetensors" "${kitti_looks[@]}" networks.painter.optimizer.rate=0.0006 \
-  networks.painter.settings.class_colours=true \
-  networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle \
-  options.simulated_probability=0.4 options.invented_probability=0.5 options.elsewhere_probability=0.35 \
-  options.fringes=200 options.teacher_probability=0.6 training.validate_minutes=0
+taught_scene() { # RUN MINUTES START [OVERRIDE...]: frames are those of scene-14
+  stage "$1" fast-painter "$kitti" "$2" data.train=train,"$day:all" options.segmenter="$out/pruned/segmenter.safetensors" \
+    options.translator="$(weights translator-7 translator)" options.teacher="$painter" options.cache="$out/frames/scene-14" \
+    networks.painter.start="$3" "${kitti_looks[@]}" networks.painter.optimizer.rate=0.0006 \
+    networks.painter.settings.class_colours=true \
+    networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle \
+    options.elsewhere_probability=0.35 options.fringes=200 training.validate_minutes=0 "${@:4}"
+}
+taught_scene scene-14 25 "$out/pruned/painter.safetensors" \
+  options.simulated_probability=0.4 options.invented_probability=0.5 options.teacher_probability=0.6
 narrow_translator=$out/mean/translator-8.safetensors
 python "$here/mean_weights.py" "$narrow_translator" "$out/pruned/translator.safetensors" "$(weights translator-7 translator)" \
   "$(weights translator-8 translator)" --shares 0.2,0.3,0.5
 # A segmenter that is narrower still; a translator that learns more of what cameras saw; walls of the hues of their houses.
-narrow segmenter '{"widths": [32, 48, 64, 128]}' segmenter-2 --scans 40
+narrow wide "$kitti:train" segmenter "$narrowest" segmenter-2 --scans 40
 narrow_segmenter=$out/pruned/segmenter-2.safetensors
 stage translator-9 fast-translator "$kitti" 38 data.train="$more" options.segmenter="$narrow_segmenter" options.teacher="$tall" \
   networks.translator.start="$narrow_translator" networks.translator.optimizer.rate=0.001 \
   options.class_weight_exponent=0.35 options.elsewhere_probability=0.35 training.validate_minutes=0
-stage scene-15 fast-painter "$kitti" 20 data.train=train,"$day:all" options.segmenter="$out/pruned/segmenter.safetensors" \
-  options.translator="$(weights translator-7 translator)" options.teacher="$painter" options.cache="$out/frames/scene-14" \
-  networks.painter.start="$(weights scene-14 painter)" "${kitti_looks[@]}" networks.painter.optimizer.rate=0.0006 \
-  networks.painter.settings.class_colours=true \
-  networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle \
-  options.simulated_probability=0.3 options.invented_probability=0.6 options.elsewhere_probability=0.35 \
-  options.fringes=200 options.walls=3 options.teacher_probability=0.45 training.validate_minutes=0
+taught_scene scene-15 20 "$(weights scene-14 painter)" \
+  options.simulated_probability=0.3 options.invented_probability=0.6 options.teacher_probability=0.45 options.walls=3
 mean "$out/mean/translator-9.safetensors" "$narrow_translator" "$(weights translator-9 translator)" 0.7,0.3
 narrow_translator=$out/prior/translator-9.safetensors
 python "$here/prior.py" "$out/mean/translator-9.safetensors" "$narrow_translator" --data "$kitti" --share 0.15

@@ -82,9 +82,9 @@ class PanoramaDataset:
 
     view      the raster of the translator (its origin is replaced by the camera's centre, frame by frame).
     columns   width of the crop, a multiple of 16; shift_px: how far left or right of the camera's middle it may begin.
-    elsewhere  probability of a crop beginning anywhere there; others of a frame whose labels end somewhere do so
-              SHIFT_PX at most from the middle.
     image     whether samples have the camera's image.
+    elsewhere probability of a crop beginning anywhere there; others of a frame whose labels end somewhere do so
+              SHIFT_PX at most from the middle.
     """
 
     def __init__(
@@ -99,8 +99,8 @@ class PanoramaDataset:
         elsewhere: float = 1.0,
     ) -> None:
         self.frames = frames_of(root, splits)
-        self.elsewhere = elsewhere
-        self.view, self.columns, self.image, self.shift_px = view, columns, image, shift_px
+        self.view, self.columns, self.image = view, columns, image
+        self.shift_px, self.elsewhere = shift_px, elsewhere
         self.predicted: PredictedLabels | None = None
         self._cache, self._labels = LruCache(), LruCache()
 
@@ -155,11 +155,10 @@ class PanoramaDataset:
     def _start(self, window: PanoramaWindow, generator: np.random.Generator) -> int:
         """The first column of an augmented crop."""
         spare = window.view.columns - self.columns
-        if self.elsewhere < 1 and generator.random() >= self.elsewhere:
-            labelled = (window.camera_labels != IGNORE).any(0)
-            if not labelled.all():
-                shift = min(SHIFT_PX, spare // 2)
-                return spare // 2 + int(generator.integers(-shift, shift + 1))
+        near = self.elsewhere < 1 and generator.random() >= self.elsewhere
+        if near and not (window.camera_labels != IGNORE).any(0).all():
+            shift = min(SHIFT_PX, spare // 2)
+            return spare // 2 + int(generator.integers(-shift, shift + 1))
         return int(generator.integers(spare + 1))
 
     def _predicted(self, scan: Scan, index: int) -> Scan:

@@ -32,15 +32,13 @@ class PanoramaTranslation:
     def __init__(self, recipe: Recipe[PanoramaOptions], root: Path) -> None:
         self.view, self.options = VIEWS[recipe.view].scaled(recipe.scale), recipe.options
         options = recipe.options
-        anywhere = (self.view.columns - options.columns) // 2
-        shift_px = anywhere if options.teacher else SHIFT_PX
         self.dataset = PanoramaDataset(
             root,
             recipe.data.train,
             self.view,
             options.columns,
-            shift_px=shift_px,
-            elsewhere=options.elsewhere_probability if options.teacher else 1.0,
+            shift_px=(self.view.columns - options.columns) // 2 if options.teacher else SHIFT_PX,
+            elsewhere=options.elsewhere_probability,
         )
         self.validation = PanoramaDataset(root, recipe.data.val, self.view, options.columns)
         self.networks = build_networks(recipe)
