@@ -15,12 +15,14 @@ from lidar2pano.labels import COMMON15, THINGS
 from lidar2pano.views import View
 
 MOST = 6  # scans or images that a mean is taken of; larger flickers less, adapts slower
-LEAST_BEFORE = 2  # scans that what was there before counts for at least: any of them is as good as the newest
-LEAST_IMAGES = 5  # likewise images: the mean of two is paler than either, so that one of them has to prevail
+LEAST_IMAGES = 4  # images that those before count for at least: the mean of two is paler than either
 DOUBT = 0.5  # scans by which what was there counts for less with each that contradicts it
 MOST_RATIO = 2.0  # of depths of one surface in two scans, as they are averaged
 SKY = COMMON15.id_of("sky")
 SAME = 0.3  # share by which two depths of one surface may differ: the translator predicts them for each scan
+THIN = tuple(map(COMMON15.id_of, ("pole", "traffic-sign")))  # classes
+ANY = 1.0  # such a share that all depths agree
+FADED = 0.7  # weight of what was there before, in a pixel whose depth contradicts it
 
 
 class Surroundings(NamedTuple):
@@ -28,12 +30,14 @@ class Surroundings(NamedTuple):
 
     segments        (1, classes, H, W) float32 probabilities;  depth_m: (1, H, W) float32 metres from the view's origin.
     count           (H, W) float32: how many scans each pixel is the mean of.
+    measured        (H, W) bool: where the latest scan's depths come from its points.
     T_world_sensor  (4, 4) float64, metres.
     """
 
     segments: Tensor
     depth_m: Tensor
     count: Tensor
+    measured: Tensor
     T_world_sensor: Tensor
 
     @property
@@ -42,9 +46,17 @@ class Surroundings(NamedTuple):
         return self.segments[0].max(0).indices.to(torch.uint8)
 
     @property
+    def surface_share(self) -> Tensor:
+        """(H, W) float32: probability that a surface is there and not the sky; 1 where it was measured."""
+        return torch.where(self.measured | (self.ids == SKY), 1.0, 1 - self.segments[0, SKY])
+
+    @property
     def distance_m(self) -> Tensor:
-        """(H, W) float32 metres; infinite for the sky."""
-        return torch.where(self.ids == SKY, torch.inf, self.depth_m[0])
+        """(H, W) float32 metres, by which a pixel moves as the sensor does; infinite for the sky.
+
+        Its inverse is the mean over what may be there, and that of the sky is 0: what may be sky moves less.
+        """
+        return torch.where(self.ids == SKY, torch.inf, self.depth_m[0] / self.surface_share)
 
 
 class PreviousFrame(NamedTuple):
@@ -80,40 +92,40 @@ class Memory:
     previous: PreviousFrame | None = None
 
 
-def fused(now: Surroundings, before: Surroundings, view: View, measured: Tensor) -> Surroundings:
+def fused(now: Surroundings, before: Surroundings, view: View) -> Surroundings:
     """`now` averaged with the scans before it, moved to where the same surfaces are now.
 
     What is painted of it wavers less: invented windows and paint hang on depths, which the translator predicts for each
     scan again. Where `ego_flow` knows the flow, probabilities are averaged, and so are the logarithms of depths, each
-    changed as the sensor's motion has changed it; elsewhere the mean starts again. Weights are those of `smoothed`.
-    Where this scan's depth contradicts those before and was not measured, crowns and roofs above the scan would come
-    and go: what was there before stays, at its depth, until the mean of the probabilities is for another class, or
-    `DOUBT` has used up its count. What may move does not stay.
-    view      the raster of both.
-    measured  (H, W) bool: where this scan's depths come from its points.
+    changed as the sensor's motion has changed it; elsewhere the mean starts again. The newest scan counts for a share
+    of 1 / `MOST` or more. Where this scan's depth contradicts those before and was not measured, crowns and roofs above
+    the scan would come and go: what was there before stays, at its depth, until the mean of the probabilities is for
+    another class, or `DOUBT` has used up its count. What may move does not stay.
+    view  the raster of both.
     """
     T_before_now = torch.linalg.inv(before.T_world_sensor) @ now.T_world_sensor
     distance_m, distance_before_m = now.distance_m, before.distance_m
     flow = ego_flow(distance_m, distance_before_m, T_before_now, view, same=SAME)
     moved_m = moved_distances(distance_before_m, torch.linalg.inv(T_before_now), view)
     stays = ego_flow(moved_m, distance_before_m, T_before_now, view, same=SAME)
-    contradicted = stays.known & ~flow.known & ~measured
+    contradicted = stays.known & ~flow.known & ~now.measured
     shift = torch.where(contradicted, stays.shift, flow.shift)
-    parts = [before.segments, before.count[None, None], (1 / distance_before_m)[None, None]]
+    inverse_before = torch.where(before.ids == SKY, 0.0, 1 / before.depth_m)
+    parts = [before.segments, before.count[None, None], inverse_before[None], before.surface_share[None, None]]
     past = warp(torch.cat(parts, 1), shift[None], circular=True)
-    segments, count, inverse = past.split((now.segments.shape[1], 1, 1), 1)
+    segments, count, inverse, surface = past.split((now.segments.shape[1], 1, 1, 1), 1)
     ids = segments[0].max(0).indices
     count = count[0, 0].clamp(max=MOST - 1)
     contradicted &= ~may_move(ids) & (count > DOUBT)
     count = count * (flow.known | contradicted)
-    weight = _weight(count, LEAST_BEFORE)
+    weight = count / (count + 1)
     mean = torch.lerp(now.segments, segments, weight)
     stay = contradicted & (mean[0].max(0).indices == ids)
-    ratio = 1 / (inverse[0, 0] * distances_before(distance_m, T_before_now, view))
+    ratio = 1 / (inverse[0, 0] * distances_before(now.depth_m[0], T_before_now, view))
     ratio = torch.where(flow.known & distance_m.isfinite(), ratio.clamp(1 / MOST_RATIO, MOST_RATIO), 1.0)
     return now._replace(
         segments=mean,
-        depth_m=torch.where(stay & moved_m.isfinite(), moved_m, now.depth_m * ratio.pow(weight)),
+        depth_m=torch.where(stay & moved_m.isfinite(), moved_m * surface[0, 0], now.depth_m * ratio.pow(weight)),
         count=torch.where(stay, count - DOUBT, torch.where(flow.known, count + 1, 1.0)),
     )
 
@@ -122,12 +134,15 @@ def smoothed(now: PreviousFrame, before: PreviousFrame, view: View) -> PreviousF
     """`now` with its image averaged with those before, which are warped to where the same surfaces are now.
 
     Poses and distances give the warp (geometry.flow.ego_flow). A pixel is averaged where both panoramas agree on its
-    distance, and on its class if either may move; elsewhere the mean starts again. Images before count for
-    `LEAST_IMAGES` at least, the newest for 1 / `MOST` at least.
+    distance, and on its class if either may move. Images before count for `LEAST_IMAGES` at least, the newest for
+    1 / `MOST` at least. Elsewhere the mean starts again, but what was there fades and does not jump: it has the weight
+    `FADED`. What may move, and poles and signs beside another class, would leave a trail of themselves: they fade only
+    where the distance agrees.
     view  the raster H x W of both.
     """
     T_before_now = torch.linalg.inv(before.T_world_sensor) @ now.T_world_sensor
-    flow = ego_flow(now.distance_m, before.distance_m, T_before_now, view, same=SAME)
+    flow = ego_flow(now.distance_m, before.distance_m, T_before_now, view, same=ANY)
+    agreed = ego_flow(now.distance_m, before.distance_m, T_before_now, view, same=SAME).known
     rows, columns = torch.meshgrid(
         torch.arange(view.rows, device=flow.shift.device),
         torch.arange(view.columns, device=flow.shift.device),
@@ -136,11 +151,14 @@ def smoothed(now: PreviousFrame, before: PreviousFrame, view: View) -> PreviousF
     before_row = (rows + flow.shift[1].round().long()).clamp(0, view.rows - 1)
     before_column = (columns + flow.shift[0].round().long()).remainder(view.columns)
     ids = before.ids[before_row, before_column]
-    same = flow.known & ((ids == now.ids) | ~(may_move(ids) | may_move(now.ids)))
+    stands = ~(may_move(ids) | may_move(now.ids))
+    same = agreed & ((ids == now.ids) | stands)
     count = before.count[before_row, before_column].clamp(max=MOST - 1) * same
-    weight, shift = (
-        interpolate(part[None], scale_factor=2.0) for part in (_weight(count, LEAST_IMAGES)[None], 2 * flow.shift)
-    )
+    thin = torch.isin(torch.stack([ids, now.ids]), ids.new_tensor(THIN)).any(0)
+    fades = flow.known & (agreed | (stands & ((ids == now.ids) | ~thin)))
+    counted = count.clamp(min=LEAST_IMAGES)
+    weights = torch.where(same, counted / (counted + 1), FADED * fades)
+    weight, shift = (interpolate(part[None], scale_factor=2.0) for part in (weights[None], 2 * flow.shift))
     past = warp(before.image, shift, circular=True, cubic=True).clamp_(-1, 1)
     return now._replace(image=torch.lerp(now.image, past, weight), count=count + 1)
 
@@ -148,9 +166,3 @@ def smoothed(now: PreviousFrame, before: PreviousFrame, view: View) -> PreviousF
 def may_move(ids: Tensor) -> Tensor:
     """Bool: which ids of COMMON15 are of classes that may move."""
     return torch.isin(ids, ids.new_tensor(THINGS))
-
-
-def _weight(count: Tensor, least: float) -> Tensor:
-    """Weight of what `count` scans or images were averaged to, in a mean with one more; 0 of none."""
-    count = torch.where(count > 0, count.clamp(min=least), 0.0)
-    return count / (count + 1)

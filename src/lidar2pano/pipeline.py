@@ -241,7 +241,7 @@ class Pipeline:
         with timer("paint"), fast_arithmetic(self.device):
             scene = Scene(
                 segments=segments,
-                depth_m=depth_m,
+                depth_m=depth_m if around is None else depth_m / around.surface_share,
                 channels=translated.channels,
                 view=self.view,
                 T_world_sensor=pose,
@@ -288,16 +288,15 @@ class Pipeline:
 
     def _around(self, translated: Translated, before: Surroundings | None, pose: np.ndarray) -> Surroundings:
         """The scan's classes and depths, averaged with those before."""
+        above, _ = rows_beside(translated.channels[:, 0] > 0)
         now = Surroundings(
             segments=translated.logits.float().softmax(1),
             depth_m=translated.depth_m.float(),
             count=torch.ones_like(translated.depth_m[0].float()),
+            measured=above[0] >= 0,
             T_world_sensor=torch.from_numpy(np.asarray(pose, dtype=np.float64)).to(translated.depth_m.device),
         )
-        if before is None:
-            return now
-        above, _ = rows_beside(translated.channels[:, 0] > 0)
-        return fused(now, before, self.view, above[0] >= 0)
+        return now if before is None else fused(now, before, self.view)
 
     def _smoothed(self, previous: PreviousFrame | None, around: Surroundings, image: Tensor) -> PreviousFrame:
         """The image, averaged with those before."""

@@ -6,12 +6,15 @@ import torch
 
 from lidar2pano.geometry.projection import directions
 from lidar2pano.labels import COMMON15
-from lidar2pano.memory import DOUBT, LEAST_BEFORE, LEAST_IMAGES, MOST, PreviousFrame, Surroundings, fused, smoothed
+from lidar2pano.memory import DOUBT, FADED, LEAST_IMAGES, MOST, PreviousFrame, Surroundings, fused, smoothed
 from lidar2pano.views import View
 
 VIEW = View(rows=24, columns=96, up=0.24, down=-0.2836, kind="cylinder", origin=(0.3, 0.1, -0.1))
-ROAD, CAR, SKY, SIDEWALK, TREE = (COMMON15.id_of(name) for name in ("road", "car", "sky", "sidewalk", "vegetation"))
+NAMES = ("road", "car", "sky", "sidewalk", "vegetation", "pole")
+ROAD, CAR, SKY, SIDEWALK, TREE, POLE = map(COMMON15.id_of, NAMES)
 STILL = torch.eye(4, dtype=torch.float64)
+MEASURED = torch.ones(VIEW.rows, VIEW.columns, dtype=torch.bool)
+UNMEASURED = torch.zeros_like(MEASURED)
 
 
 def turned(columns):
@@ -94,13 +97,20 @@ def test_a_step_forward_carries_by_distance():
     assert (moved - right)[there].abs().mean() < 0.2 * (unmoved - right)[there].abs().mean()
 
 
-@pytest.mark.parametrize("what", ["ids", "distance_m"])
-def test_where_something_changed_the_image_begins_again(what):
-    new = {"ids": torch.full((24, 96), ROAD, dtype=torch.uint8), "distance_m": torch.full((24, 96), 10.0)}
-    new[what][5:9, 40:60] = {"ids": CAR, "distance_m": 5}[what]
-    memory = smoothed(frame(noise(0), **new), frame(noise(1)), VIEW)
-    assert (memory.count[5:9, 40:60] == 1).all() and memory.count[12:, :].min() == 2
-    assert torch.equal(memory.image[..., 10:18, 80:120], noise(0)[..., 10:18, 80:120])
+@pytest.mark.parametrize(
+    ("class_id", "distance_m", "weight"),
+    [(CAR, 5.0, 0.0), (POLE, 5.0, 0.0), (ROAD, 5.0, FADED), (TREE, 5.0, FADED), (CAR, 10.0, FADED)],
+)
+def test_where_something_changed_the_mean_begins_again(class_id, distance_m, weight):
+    """What was there is gone at once where it would leave a trail; elsewhere it fades."""
+    ids, now_m = torch.full((24, 96), ROAD, dtype=torch.uint8), torch.full((24, 96), 10.0)
+    ids[5:9, 40:60], now_m[5:9, 40:60] = class_id, distance_m
+    now = frame(noise(0), ids=ids, distance_m=now_m)
+    for one, other in ((now, frame(noise(1))), (frame(noise(0)), now._replace(image=noise(1)))):
+        memory = smoothed(one, other, VIEW)
+        assert (memory.count[5:9, 40:60] == 1).all() and memory.count[12:, :].min() == 2
+        mixed = torch.lerp(noise(0), noise(1), weight)
+        assert torch.allclose(memory.image[..., 10:18, 80:120], mixed[..., 10:18, 80:120], atol=1e-3)
 
 
 def test_the_sky_is_smoothed_by_the_turn_alone():
@@ -133,24 +143,20 @@ def test_what_is_warped_again_and_again_stays_detailed():
 # --- classes and depths -----------------------------------------------------------------------------------------------
 
 
-MEASURED = torch.ones(VIEW.rows, VIEW.columns, dtype=torch.bool)
-
-
-def around(share, depth_m=10.0, pose=STILL, count=1.0, class_id=CAR):
+def around(share, depth_m=10.0, pose=STILL, count=1.0, class_id=CAR, measured=MEASURED):
     """Surroundings of road and, with probability `share` (H, W), another class."""
     share = torch.as_tensor(share).expand(VIEW.rows, VIEW.columns).float()
     segments = torch.zeros(1, len(COMMON15), VIEW.rows, VIEW.columns)
     segments[0, class_id], segments[0, ROAD] = share, 1 - share
     depth_m = torch.as_tensor(depth_m).float().expand(1, VIEW.rows, VIEW.columns)
-    return Surroundings(segments, depth_m, torch.full((VIEW.rows, VIEW.columns), count), pose)
+    return Surroundings(segments, depth_m, torch.full((VIEW.rows, VIEW.columns), count), measured, pose)
 
 
 def test_scans_of_a_sensor_that_stands_are_averaged():
     memory, mean, log_m = around(0.2, 10.0), 0.2, np.log(10.0)
     for number, (share, depth_m) in enumerate(((0.6, 11.0), (0.1, 9.0), (0.4, 10.5)), start=1):
-        memory = fused(around(share, depth_m), memory, VIEW, MEASURED)
-        before = max(number, LEAST_BEFORE)
-        mean, log_m = (mean * before + share) / (before + 1), (log_m * before + np.log(depth_m)) / (before + 1)
+        memory = fused(around(share, depth_m), memory, VIEW)
+        mean, log_m = (mean * number + share) / (number + 1), (log_m * number + np.log(depth_m)) / (number + 1)
     assert torch.allclose(memory.segments[0, CAR], torch.tensor(mean), atol=1e-4)
     assert torch.allclose(memory.depth_m, torch.tensor(np.exp(log_m)).float(), atol=1e-3)
     assert (memory.count == 4).all()
@@ -158,7 +164,7 @@ def test_scans_of_a_sensor_that_stands_are_averaged():
 
 
 def test_the_newest_scan_never_weighs_less_than_one_of_most():
-    memory = fused(around(0.6), around(0.0, count=100.0), VIEW, MEASURED)
+    memory = fused(around(0.6), around(0.0, count=100.0), VIEW)
     assert (memory.count == MOST).all() and torch.allclose(memory.segments[0, CAR], torch.tensor(0.6 / MOST), atol=1e-5)
 
 
@@ -166,9 +172,9 @@ def test_classes_are_moved_over_a_turn_and_across_the_seam():
     """After a turn to the left by 7 columns, everything stands 7 columns further right."""
     share = torch.rand(VIEW.rows, VIEW.columns, generator=torch.Generator().manual_seed(0)) * 0.5
     now = share.roll(7, 1)
-    memory = fused(around(now, pose=turned(7)), around(share), VIEW, MEASURED)
+    memory = fused(around(now, pose=turned(7)), around(share), VIEW)
     assert (memory.count == 2).all() and torch.allclose(memory.segments[0, CAR], now, atol=1e-3)
-    other = fused(around(now, pose=turned(-7)), around(share), VIEW, MEASURED)
+    other = fused(around(now, pose=turned(-7)), around(share), VIEW)
     assert (other.segments[0, CAR] - now).abs().mean() > 0.05, "a turn the other way does not fit"
 
 
@@ -184,19 +190,19 @@ def test_depths_change_as_the_sensor_moves():
     pose, origin = torch.eye(4, dtype=torch.float64), np.array(VIEW.origin)
     pose[0, 3] = 2.0
     before_m, now_m = cylinder_m(origin), cylinder_m(origin + [2, 0, 0])
-    right = fused(around(0.2, now_m, pose), around(0.2, before_m), VIEW, MEASURED)
+    right = fused(around(0.2, now_m, pose), around(0.2, before_m), VIEW)
     averaged = right.count == 2
     assert averaged.float().mean() > 0.9
     assert (right.depth_m[0] / now_m - 1)[averaged].abs().max() < 0.02
     assert (before_m / now_m - 1).abs().max() > 0.1
-    wrong = fused(around(0.2, 1.08 * now_m, pose), around(0.2, before_m), VIEW, MEASURED)
-    assert (wrong.depth_m[0] / now_m).median() == pytest.approx(1.08 ** (1 / (LEAST_BEFORE + 1)), abs=0.015)
+    wrong = fused(around(0.2, 1.08 * now_m, pose), around(0.2, before_m), VIEW)
+    assert (wrong.depth_m[0] / now_m).median() == pytest.approx(1.08**0.5, abs=0.015)
 
 
 def test_what_is_at_another_distance_begins_again():
     depth_m = torch.full((VIEW.rows, VIEW.columns), 10.0)
     depth_m[5:9, 40:60] = 5
-    memory = fused(around(0.6, depth_m), around(0.0), VIEW, MEASURED)
+    memory = fused(around(0.6, depth_m), around(0.0), VIEW)
     assert (memory.count[5:9, 40:60] == 1).all() and (memory.count[12:] == 2).all()
     assert torch.equal(memory.segments[..., 5:9, 40:60], around(0.6).segments[..., 5:9, 40:60])
     assert torch.equal(memory.depth_m[0, 5:9, 40:60], depth_m[5:9, 40:60])
@@ -207,15 +213,26 @@ def test_the_sky_moves_by_the_turn_alone_and_keeps_its_depth():
     pose[:3, 3] += torch.tensor([5.0, 0.0, 0.0])
     share = 0.6 + 0.3 * torch.rand(VIEW.rows, VIEW.columns, generator=torch.Generator().manual_seed(1))
     now = share.roll(3, 1)
-    memory = fused(around(now, 80.0, pose, class_id=SKY), around(share, 70.0, class_id=SKY), VIEW, MEASURED)
+    memory = fused(around(now, 80.0, pose, class_id=SKY), around(share, 70.0, class_id=SKY), VIEW)
     assert (memory.count == 2).all() and torch.allclose(memory.segments[0, SKY], now, atol=1e-3)
     assert (memory.depth_m == 80).all()
 
 
+def test_what_may_be_sky_moves_less():
+    """The mean of inverse distances; not where the scan measured one, nor where it is the sky."""
+    share = torch.full((VIEW.rows, VIEW.columns), 0.4)
+    share[:12] = 0.9
+    measured = UNMEASURED.clone()
+    measured[:, :48] = True
+    there = around(share, 10.0, class_id=SKY, measured=measured)
+    assert there.distance_m[:12].isinf().all()
+    assert (there.distance_m[12:, :48] == 10).all()
+    assert torch.allclose(1 / there.distance_m[12:, 48:], torch.tensor(0.6 * (1 / 10) + 0.4 * 0))
+
+
 # --- what contradicts what was there ----------------------------------------------------------------------------------
 
-UNMEASURED = torch.zeros_like(MEASURED)
-CLEARED = around(1.0, 80.0, class_id=SKY)
+CLEARED = around(1.0, 80.0, class_id=SKY, measured=UNMEASURED)
 
 
 def tree(count, class_id=TREE, pose=STILL):
@@ -225,33 +242,32 @@ def tree(count, class_id=TREE, pose=STILL):
     segments = torch.zeros(1, len(COMMON15), VIEW.rows, VIEW.columns)
     segments[0, class_id], segments[0, SKY] = there, 1 - there
     depth_m = torch.where(there > 0, 10.0, 80.0)[None]
-    return Surroundings(segments, depth_m, torch.full_like(there, count), pose)
+    return Surroundings(segments, depth_m, torch.full_like(there, count), UNMEASURED, pose)
 
 
 def test_a_crown_stays_until_scans_without_it_outweigh_it():
     """A slow definition beside it: the mean of the probabilities, weighted by a count that falls."""
     memory, count, share, scans = tree(4.0), 4.0, 0.9, 0
     while share * 2 > 1:
-        memory = fused(CLEARED, memory, VIEW, UNMEASURED)
-        weight = max(count, LEAST_BEFORE) / (max(count, LEAST_BEFORE) + 1)
+        memory = fused(CLEARED, memory, VIEW)
+        weight = count / (count + 1)
         share, count, scans = share * weight, count - DOUBT, scans + 1
         assert torch.allclose(memory.segments[0, TREE, :, 41:59], torch.tensor(share), atol=1e-3)
         if share * 2 > 1:
-            assert (memory.depth_m[0, :, 41:59] == 10).all()
+            assert memory.depth_m[0, :, 41:59].sub(10).abs().max() < 1e-4
     assert scans > 1 and (memory.depth_m[0, :, 41:59] == 80).all() and (memory.count[:, 41:59] == 1).all()
 
 
 @pytest.mark.parametrize("what", ["measured", "car"])
 def test_what_was_measured_or_may_move_does_not_stay(what):
-    memory = fused(
-        CLEARED, tree(4.0, CAR if what == "car" else TREE), VIEW, MEASURED if what == "measured" else UNMEASURED
-    )
+    now = CLEARED._replace(measured=MEASURED if what == "measured" else UNMEASURED)
+    memory = fused(now, tree(4.0, CAR if what == "car" else TREE), VIEW)
     assert torch.equal(memory.segments[..., 41:59], CLEARED.segments[..., 41:59])
     assert (memory.depth_m[0, :, 41:59] == 80).all() and (memory.count[:, 41:59] == 1).all()
 
 
 def test_a_crown_that_stays_moves_as_the_sensor_does():
-    memory = fused(around(1.0, 80.0, turned(7), class_id=SKY), tree(4.0), VIEW, UNMEASURED)
+    memory = fused(around(1.0, 80.0, turned(7), class_id=SKY, measured=UNMEASURED), tree(4.0), VIEW)
     crown = memory.ids == TREE
     assert crown[:, 48:66].all() and not crown[:, :46].any() and not crown[:, 68:].any()
 
@@ -262,18 +278,18 @@ def test_another_depth_of_one_class_prevails_in_the_end():
     farther = farther._replace(depth_m=torch.where(farther.depth_m == 10, 40.0, farther.depth_m))
     depths = []
     for _ in range(6):
-        memory = fused(farther, memory, VIEW, UNMEASURED)
+        memory = fused(farther, memory, VIEW)
         depths.append(float(memory.depth_m[0, 5, 50]))
     assert depths[:2] == [10.0, 10.0] and depths[-1] == pytest.approx(40)
 
 
 def test_what_doubt_has_used_up_is_gone_altogether():
     """Scans that are nearly undecided never outweigh the crown: without a count, its class goes with its depth."""
-    nearly = around(1.0, 80.0, class_id=SKY)
+    nearly = around(1.0, 80.0, class_id=SKY, measured=UNMEASURED)
     nearly.segments[:, SKY], nearly.segments[:, TREE] = 0.55, 0.45
     memory = tree(1.0)
     for scan in range(2):
-        memory = fused(nearly, memory, VIEW, UNMEASURED)
+        memory = fused(nearly, memory, VIEW)
         here = memory.ids[5, 50].item(), memory.depth_m[0, 5, 50].item()
         assert here == ((TREE, 10.0) if scan == 0 else (SKY, 80.0))
     assert torch.equal(memory.segments[..., 50], nearly.segments[..., 50])
