@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from lidar2pano.geometry.flow import distances_before, ego_flow, moved_distances
+from lidar2pano.geometry.flow import distances_before, ego_flow, ego_flows, moved_distances
+from lidar2pano.geometry.odds import likeliest
 from lidar2pano.geometry.warp import warp
 from lidar2pano.labels import COMMON15, THINGS
 from lidar2pano.views import View
@@ -20,9 +21,9 @@ DOUBT = 0.5  # scans by which what was there counts for less with each that cont
 MOST_RATIO = 2.0  # of depths of one surface in two scans, as they are averaged
 SKY = COMMON15.id_of("sky")
 SAME = 0.3  # share by which two depths of one surface may differ: the translator predicts them for each scan
-THIN = tuple(map(COMMON15.id_of, ("pole", "traffic-sign")))  # classes
+THIN = tuple(map(COMMON15.id_of, ("pole", "traffic-sign")))  # whose fading stands out
 ANY = 1.0  # such a share that all depths agree
-FADED = 0.7  # weight of what was there before, in a pixel whose depth contradicts it
+FADED = 0.7  # weight of what was there before, where it is not averaged with the newest image
 
 
 class Surroundings(NamedTuple):
@@ -43,7 +44,7 @@ class Surroundings(NamedTuple):
     @property
     def ids(self) -> Tensor:
         """(H, W) uint8: the likeliest classes."""
-        return self.segments[0].max(0).indices.to(torch.uint8)
+        return likeliest(self.segments)[0]
 
     @property
     def surface_share(self) -> Tensor:
@@ -110,17 +111,17 @@ def fused(now: Surroundings, before: Surroundings, view: View) -> Surroundings:
     stays = ego_flow(moved_m, distance_before_m, T_before_now, view, same=SAME)
     contradicted = stays.known & ~flow.known & ~now.measured
     shift = torch.where(contradicted, stays.shift, flow.shift)
-    inverse_before = torch.where(before.ids == SKY, 0.0, 1 / before.depth_m)
+    inverse_before = torch.where(distance_before_m.isinf(), 0.0, 1 / before.depth_m)
     parts = [before.segments, before.count[None, None], inverse_before[None], before.surface_share[None, None]]
     past = warp(torch.cat(parts, 1), shift[None], circular=True)
     segments, count, inverse, surface = past.split((now.segments.shape[1], 1, 1, 1), 1)
-    ids = segments[0].max(0).indices
+    ids = likeliest(segments)[0]
     count = count[0, 0].clamp(max=MOST - 1)
     contradicted &= ~may_move(ids) & (count > DOUBT)
     count = count * (flow.known | contradicted)
     weight = count / (count + 1)
     mean = torch.lerp(now.segments, segments, weight)
-    stay = contradicted & (mean[0].max(0).indices == ids)
+    stay = contradicted & (likeliest(mean)[0] == ids)
     ratio = 1 / (inverse[0, 0] * distances_before(now.depth_m[0], T_before_now, view))
     ratio = torch.where(flow.known & distance_m.isfinite(), ratio.clamp(1 / MOST_RATIO, MOST_RATIO), 1.0)
     return now._replace(
@@ -141,8 +142,8 @@ def smoothed(now: PreviousFrame, before: PreviousFrame, view: View) -> PreviousF
     view  the raster H x W of both.
     """
     T_before_now = torch.linalg.inv(before.T_world_sensor) @ now.T_world_sensor
-    flow = ego_flow(now.distance_m, before.distance_m, T_before_now, view, same=ANY)
-    agreed = ego_flow(now.distance_m, before.distance_m, T_before_now, view, same=SAME).known
+    flow, agreeing = ego_flows(now.distance_m, before.distance_m, T_before_now, view, (ANY, SAME))
+    agreed = agreeing.known
     rows, columns = torch.meshgrid(
         torch.arange(view.rows, device=flow.shift.device),
         torch.arange(view.columns, device=flow.shift.device),
@@ -151,10 +152,10 @@ def smoothed(now: PreviousFrame, before: PreviousFrame, view: View) -> PreviousF
     before_row = (rows + flow.shift[1].round().long()).clamp(0, view.rows - 1)
     before_column = (columns + flow.shift[0].round().long()).remainder(view.columns)
     ids = before.ids[before_row, before_column]
-    stands = ~(may_move(ids) | may_move(now.ids))
+    both = torch.stack([ids, now.ids])
+    stands, thin = ~may_move(both).any(0), torch.isin(both, both.new_tensor(THIN)).any(0)
     same = agreed & ((ids == now.ids) | stands)
     count = before.count[before_row, before_column].clamp(max=MOST - 1) * same
-    thin = torch.isin(torch.stack([ids, now.ids]), ids.new_tensor(THIN)).any(0)
     fades = flow.known & (agreed | (stands & ((ids == now.ids) | ~thin)))
     counted = count.clamp(min=LEAST_IMAGES)
     weights = torch.where(same, counted / (counted + 1), FADED * fades)

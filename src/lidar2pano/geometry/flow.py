@@ -7,6 +7,7 @@ unknown.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -72,6 +73,13 @@ def ego_flow(
     Known where both distances are, and agree: what was occluded, or what moved, is not known.
     Raises ValueError where the shapes do not fit the raster.
     """
+    return ego_flows(now_m, before_m, T_before_now, raster, (same,))[0]
+
+
+def ego_flows(
+    now_m: Tensor, before_m: Tensor, T_before_now: Tensor, raster: View | Calibration, shares: Sequence[float]
+) -> list[Flow]:
+    """`ego_flow` for each of several shares by which two distances may differ; the motion is computed once."""
     size = (raster.rows, raster.columns) if isinstance(raster, View) else raster.size[::-1]
     if now_m.shape != size or before_m.shape != size:
         raise ValueError(f"distances must be {size}, got {tuple(now_m.shape)} and {tuple(before_m.shape)}")
@@ -85,9 +93,10 @@ def ego_flow(
     if circular:
         shift[0] = (shift[0] + columns / 2).remainder(columns) - columns / 2
     shift = shift.nan_to_num(nan=float(rows + columns)).float()  # behind the camera: outside
-    known = reaches(shift[None], circular=circular)[0] & (now_m > 0)
-    known &= _unoccluded(before_m, shift, torch.where(far, 0.0, 1 / ends.norm(dim=-1)).float(), circular, same)
-    return Flow(shift=shift * known, known=known)
+    inside = reaches(shift[None], circular=circular)[0] & (now_m > 0)
+    expected = torch.where(far, 0.0, 1 / ends.norm(dim=-1)).float()
+    all_known = [inside & _unoccluded(before_m, shift, expected, circular, same) for same in shares]
+    return [Flow(shift=shift * known, known=known) for known in all_known]
 
 
 def distances_before(now_m: Tensor, T_before_now: Tensor, raster: View | Calibration) -> Tensor:
