@@ -270,7 +270,8 @@ taught_scene() { # RUN MINUTES START [OVERRIDE...]: frames are those of scene-14
     networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle \
     options.elsewhere_probability=0.35 options.fringes=200 training.validate_minutes=0 "${@:4}"
 }
-taught_scene scene-14 25 "$out/pruned/painter.safetensors" \
+wider=(networks.painter.settings.widths=16,48,96,16 networks.painter.settings.colour_kernel=3)
+taught_scene scene-14 25 "$out/pruned/painter.safetensors" "${wider[@]}" \
   options.simulated_probability=0.4 options.invented_probability=0.5 options.teacher_probability=0.6
 narrow_translator=$out/mean/translator-8.safetensors
 python "$here/mean_weights.py" "$narrow_translator" "$out/pruned/translator.safetensors" "$(weights translator-7 translator)" \
@@ -281,10 +282,15 @@ narrow_segmenter=$out/pruned/segmenter-2.safetensors
 stage translator-9 fast-translator "$kitti" 38 data.train="$more" options.segmenter="$narrow_segmenter" options.teacher="$tall" \
   networks.translator.start="$narrow_translator" networks.translator.optimizer.rate=0.001 \
   options.class_weight_exponent=0.35 options.elsewhere_probability=0.35 training.validate_minutes=0
-taught_scene scene-15 20 "$(weights scene-14 painter)" \
+taught_scene scene-15 20 "$(weights scene-14 painter)" "${wider[@]}" \
   options.simulated_probability=0.3 options.invented_probability=0.6 options.teacher_probability=0.45 options.walls=3
 mean "$out/mean/translator-9.safetensors" "$narrow_translator" "$(weights translator-9 translator)" 0.7,0.3
 narrow_translator=$out/prior/translator-9.safetensors
 python "$here/prior.py" "$out/mean/translator-9.safetensors" "$narrow_translator" --data "$kitti" --share 0.15
-lidar2pano evaluate "$(weights scene-15 painter)+$narrow_translator+$narrow_segmenter" --data "$kitti" --split val --json "$out/kitti.json"
-family kitti-mini "$narrow_segmenter" "$narrow_translator" "$(weights scene-15 painter)" "$out/kitti.json" CC-BY-NC-SA-4.0
+# A painter that is narrower still, and is taught for longer.
+together narrow "$narrow_segmenter" "$narrow_translator" "$(weights scene-15 painter)"
+narrow narrow "$kitti:train" painter '{"widths": [16, 32, 80, 16], "colour_kernel": 1}' painter-2 --scans 24
+taught_scene scene-16 75 "$out/pruned/painter-2.safetensors" training.seed=11 \
+  options.simulated_probability=0.3 options.invented_probability=0.6 options.teacher_probability=0.45 options.walls=3
+lidar2pano evaluate "$(weights scene-16 painter)+$narrow_translator+$narrow_segmenter" --data "$kitti" --split val --json "$out/kitti.json"
+family kitti-mini "$narrow_segmenter" "$narrow_translator" "$(weights scene-16 painter)" "$out/kitti.json" CC-BY-NC-SA-4.0

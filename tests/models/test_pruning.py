@@ -29,7 +29,7 @@ WIDE = {
 NARROW = {
     "salsanext": {**WIDE["salsanext"], "widths": (12, 16, 24, 24)},
     "titan-pano": {**WIDE["titan-pano"], "widths": (12, 12, 20, 20, 24), "pyramid": 12},
-    "scene-painter": {**WIDE["scene-painter"], "widths": (12, 20, 28, 12)},
+    "scene-painter": {**WIDE["scene-painter"], "widths": (12, 20, 28, 12), "colour_kernel": 1},
 }
 
 
@@ -128,6 +128,7 @@ def test_every_layer_with_weights_is_known(name):
         ("salsanext", {"widths": (16, 24, 32, 48)}),
         ("salsanext", {"classes": 7}),
         ("scene-painter", {"blocks": 3}),
+        ("scene-painter", {"colour_kernel": 5}),
     ],
 )
 def test_what_is_no_narrower_form_is_refused(name, changes):

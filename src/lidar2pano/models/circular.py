@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import conv2d
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from lidar2pano.geometry.odds import likeliest
+from lidar2pano.models.summed import summed
 
 
 def closed(x: Tensor, reach: int) -> Tensor:
@@ -46,28 +47,41 @@ class CircularConv(nn.Conv2d):
         super().__init__(inputs, outputs, kernel, stride=stride, dilation=dilation)
         self.reach = dilation * (kernel // 2)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Convolve with rows padded by zeros and columns by those of the other end."""
-        reach, stride = self.reach, self.stride[0]
-        if reach and stride == 1 and not torch.is_grad_enabled() and x.shape[3] >= 2 * reach:
-            return self._mended(x)
-        return self._convolved(closed(x, reach), (reach, 0))
+    def forward(self, *parts: Tensor) -> Tensor:
+        """Convolve with rows padded by zeros and columns by those of the other end.
 
-    def _mended(self, x: Tensor) -> Tensor:
+        parts  (B, inputs, H, W), or such images of fewer channels each, which together are the inputs.
+        """
+        reach, stride = self.reach, self.stride[0]
+        if reach and stride == 1 and not torch.is_grad_enabled() and parts[0].shape[3] >= 2 * reach:
+            return self._mended(parts)
+        return summed(self, [closed(part, reach) for part in parts], (reach, 0))
+
+    def _mended(self, parts: Sequence[Tensor]) -> Tensor:
         """The same without a copy of the whole picture: only what lies next to the seam is done again, closed."""
         reach = self.reach
-        answer = self._convolved(x, (reach, reach))
-        seam = self._convolved(torch.cat([x[..., -2 * reach :], x[..., : 2 * reach]], dim=3), (reach, 0))
+        answer = summed(self, parts, (reach, reach))
+        ends = [torch.cat([part[..., -2 * reach :], part[..., : 2 * reach]], dim=3) for part in parts]
+        seam = summed(self, ends, (reach, 0))
         answer[..., -reach:], answer[..., :reach] = seam[..., :reach], seam[..., reach:]
         return answer
 
-    def _convolved(self, x: Tensor, padding: tuple[int, int]) -> Tensor:
-        return conv2d(x, self.weight, self.bias, self.stride, padding, self.dilation)
+
+class ConvNormAct(nn.Sequential):
+    """A CircularConv, and what follows it; takes parts of its inputs as the convolution does."""
+
+    def forward(self, *parts: Tensor) -> Tensor:
+        """(B, inputs, H, W), or parts of it -> (B, outputs, H/s, W/s)."""
+        first, *others = self
+        x = first(*parts)
+        for layer in others:
+            x = layer(x)
+        return x
 
 
-def conv_norm_act(inputs: int, outputs: int, kernel: int = 3, *, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+def conv_norm_act(inputs: int, outputs: int, kernel: int = 3, *, stride: int = 1, dilation: int = 1) -> ConvNormAct:
     """Circular convolution, batch norm, leaky ReLU."""
-    return nn.Sequential(
+    return ConvNormAct(
         CircularConv(inputs, outputs, kernel, stride=stride, dilation=dilation),
         nn.BatchNorm2d(outputs),
         nn.LeakyReLU(0.1, inplace=True),

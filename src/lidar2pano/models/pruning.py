@@ -161,6 +161,8 @@ def pruned(name: str, network: nn.Module, settings: Mapping[str, Any], inputs: I
     state = dict(network.state_dict())
     for layer in layers:
         state |= _of_layer(layer, state, sizes, kept)
+    for weight in (f"{name}.weight" for name in convs):
+        state[weight] = _middle(state[weight], smaller.get_parameter(weight).shape)
     try:
         smaller.load_state_dict(state)
     except RuntimeError:
@@ -210,7 +212,7 @@ def _watched(network: nn.Module, names: Sequence[str], inputs: Inputs, stop: boo
 
     def watch(name: str) -> Callable[..., None]:
         def hook(conv: nn.Conv2d, read: tuple[Tensor, ...], answer: Tensor) -> None:
-            found.setdefault(name, []).append(_sampled(conv, read[0], answer, len(found.get(name, []))))
+            found.setdefault(name, []).append(_sampled(conv, torch.cat(read, 1), answer, len(found.get(name, []))))
             if stop:
                 raise _Stop
 
@@ -313,6 +315,13 @@ def _of_layer(
     for part in ("weight", "bias", "running_mean", "running_var") if layer.norm else ():
         tensors[f"{layer.norm}.{part}"] = state[f"{layer.norm}.{part}"][written]
     return tensors
+
+
+def _middle(weight: Tensor, shape: torch.Size) -> Tensor:
+    """The middle of a convolution's kernel, where the smaller network's is smaller."""
+    first = [(have - want) // 2 for have, want in zip(weight.shape[2:], shape[2:], strict=True)]
+    (top, left), (rows, columns) = first, shape[2:]
+    return weight[:, :, top : top + rows, left : left + columns]
 
 
 def _within(group: str, shuffled: bool, count: int, kept: Mapping[str, Tensor]) -> Tensor:

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import torch
 from torch import Tensor, nn
 
 from lidar2pano.errors import InputError
+from lidar2pano.models.summed import SummedConv2d
 
 STRIDE = 16  # four poolings by two
 WIDTHS = (32, 64, 128, 256)  # of the published network
@@ -64,7 +64,7 @@ class ResBlock(nn.Module):
         self.bn2 = norm(outputs)
         self.conv4, self.act4 = nn.Conv2d(outputs, outputs, 2, padding=1, dilation=2), _act()
         self.bn3 = norm(outputs)
-        self.conv5, self.act5 = nn.Conv2d(3 * outputs, outputs, 1), _act()
+        self.conv5, self.act5 = SummedConv2d(3 * outputs, outputs, 1), _act()
         self.bn4 = norm(outputs)
         self.dropout = nn.Dropout2d(dropout)
 
@@ -74,7 +74,7 @@ class ResBlock(nn.Module):
         first = self.bn1(self.act2(self.conv2(x)))
         second = self.bn2(self.act3(self.conv3(first)))
         third = self.bn3(self.act4(self.conv4(second)))
-        return shortcut + self.bn4(self.act5(self.conv5(torch.cat([first, second, third], 1))))
+        return shortcut + self.bn4(self.act5(self.conv5(first, second, third)))
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, inputs, H, W) -> (B, outputs, H, W)."""
@@ -104,23 +104,23 @@ class UpBlock(nn.Module):
         super().__init__()
         self.shuffle = nn.PixelShuffle(2)
         self.dropout1, self.dropout2 = nn.Dropout2d(dropout), nn.Dropout2d(dropout)
-        self.conv1, self.act1 = nn.Conv2d(inputs // 4 + skip, outputs, 3, padding=1), _act()
+        self.conv1, self.act1 = SummedConv2d(inputs // 4 + skip, outputs, 3, padding=1), _act()
         self.bn1 = norm(outputs)
         self.conv2, self.act2 = nn.Conv2d(outputs, outputs, 3, padding=2, dilation=2), _act()
         self.bn2 = norm(outputs)
         self.conv3, self.act3 = nn.Conv2d(outputs, outputs, 2, padding=1, dilation=2), _act()
         self.bn3 = norm(outputs)
-        self.conv4, self.act4 = nn.Conv2d(3 * outputs, outputs, 1), _act()
+        self.conv4, self.act4 = SummedConv2d(3 * outputs, outputs, 1), _act()
         self.bn4 = norm(outputs)
         self.dropout3 = nn.Dropout2d(dropout)
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
         """(B, inputs, H/2, W/2) and (B, skip, H, W) -> (B, outputs, H, W)."""
-        joined = self.dropout2(torch.cat([self.dropout1(self.shuffle(x)), skip], 1))
-        first = self.bn1(self.act1(self.conv1(joined)))
+        coarse, fine = self.dropout2(self.dropout1(self.shuffle(x))), self.dropout2(skip)
+        first = self.bn1(self.act1(self.conv1(coarse, fine)))
         second = self.bn2(self.act2(self.conv2(first)))
         third = self.bn3(self.act3(self.conv3(second)))
-        return self.dropout3(self.bn4(self.act4(self.conv4(torch.cat([first, second, third], 1)))))
+        return self.dropout3(self.bn4(self.act4(self.conv4(first, second, third))))
 
 
 class Trunk(nn.Module):

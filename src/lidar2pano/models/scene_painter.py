@@ -96,9 +96,10 @@ class ScenePainter(nn.Module):
     sharp    power that class probabilities are raised to before they sum to 1 again.
     unread   classes whose remission is not read.
     class_colours  whether there is a table of what each look adds to the colours of each class, at first nothing.
+    colour_kernel  rows and columns of the last convolution, on the picture's raster.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913, PLR0917 settings of a card
         self,
         looks: Sequence[str] = ("day",),
         look: str = "",
@@ -108,6 +109,7 @@ class ScenePainter(nn.Module):
         sharp: float = 2.0,
         unread: Sequence[str] = UNREAD,
         class_colours: bool = False,
+        colour_kernel: int = 3,
     ) -> None:
         super().__init__()
         fine, middle, coarse, last = widths
@@ -126,7 +128,7 @@ class ScenePainter(nn.Module):
         self.mix0 = conv_norm_act(2 * fine + inputs, fine)
         self.narrow = conv_norm_act(fine, last)
         self.texture = nn.Sequential(conv_norm_act(last + len(FINE_M), last), conv_norm_act(last, last))
-        self.colour = CircularConv(last, 3)
+        self.colour = CircularConv(last, 3, colour_kernel)
         self.tuned = nn.ModuleList([nn.Linear(code + TONE, 2 * width) for width in (coarse, middle, fine)])
         self.class_colours = nn.Embedding(len(self.looks), TONE * len(COMMON15)) if class_colours else None
         for part in self.modules():
@@ -168,11 +170,11 @@ class ScenePainter(nn.Module):
         for block in self.trunk:
             x = block(x)
         # enlarged, not shuffled: pixel shuffles leave a weave of lines two and four pixels apart (Odena et al. 2016)
-        x = self.mix1(torch.cat([_enlarged(self.up1(torch.cat([x, inputs4], 1))), middle, inputs2], 1))
+        x = self.mix1[1](self.mix1[0](_enlarged(self.up1(x, inputs4)), middle, inputs2))
         x = self._tuned(1, x, code)
-        x = self.mix0(torch.cat([_enlarged(self.up0(x)), fine, inputs], 1))
+        x = self.mix0(_enlarged(self.up0(x)), fine, inputs)
         x = _enlarged(self.narrow(self._tuned(2, x, code)))
-        x = self.colour(self.texture(torch.cat([x, fine_noise], 1)))
+        x = self.colour(self.texture[1](self.texture[0](x, fine_noise)))
         if self.class_colours is not None:
             table = (shares @ self.class_colours.weight).view(-1, TONE, len(COMMON15)).to(x.dtype)
             x = x + _enlarged(torch.einsum("bkc,bchw->bkhw", table, inputs[:, : len(COMMON15)]))
