@@ -34,7 +34,7 @@ from random_weights import TRANSLATOR_VIEW, street, write_family, write_scan, wr
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 FILES = ["README.md", "noise.npy", "painter.onnx", "run.py", "segmenter.onnx", "translator.onnx"]
-SLIM = {"widths": [8, 8, 8, 8], "blocks": 1, "looks": ["day", "dusk"], "look": "dusk"}
+SLIM = {"widths": [8, 8, 8, 8], "looks": ["day", "dusk"], "look": "dusk"}
 
 
 @pytest.fixture(scope="module")

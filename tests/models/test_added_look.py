@@ -9,7 +9,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.models import build
 from lidar2pano.models.added_look import train_last_look, with_look
 
-SETTINGS = {"looks": ["day", "rain"], "look": "rain", "widths": [8, 12, 16, 8], "blocks": 1, "class_colours": True}
+SETTINGS = {"looks": ["day", "rain"], "look": "rain", "widths": [8, 12, 16, 8], "class_colours": True}
 
 
 @pytest.fixture

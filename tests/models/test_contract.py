@@ -43,7 +43,7 @@ SMALL: dict[str, tuple[dict[str, object], Callable[[], tuple[Tensor, ...]]]] = {
         lambda: (_range_image(32, 64), _one_hot(4, 32, 64)),
     ),
     "scene-painter": (
-        {"looks": ["day", "evening"], "widths": (8, 12, 16, 8), "blocks": 1},
+        {"looks": ["day", "evening"], "widths": (8, 12, 16, 8)},
         lambda: (torch.randn(2, 31, 16, 32), torch.randn(2, 3, 32, 64), torch.eye(2), torch.zeros(2, 3)),
     ),
     "projected-critic": (

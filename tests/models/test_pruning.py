@@ -24,7 +24,7 @@ from lidar2pano.recordings.drive_scans import read
 WIDE = {
     "salsanext": {"classes": 6, "channels": 5, "widths": (16, 24, 32, 32)},
     "titan-pano": {"classes": 6, "conditions": 4, "widths": (16, 16, 24, 24, 32), "pyramid": 16, "dropout": 0.0},
-    "scene-painter": {"looks": ("day", "evening"), "widths": (16, 24, 32, 12), "blocks": 2, "class_colours": True},
+    "scene-painter": {"looks": ("day", "evening"), "widths": (16, 24, 32, 12), "class_colours": True},
 }
 NARROW = {
     "salsanext": {**WIDE["salsanext"], "widths": (12, 16, 24, 24)},
@@ -127,7 +127,7 @@ def test_every_layer_with_weights_is_known(name):
     [
         ("salsanext", {"widths": (16, 24, 32, 48)}),
         ("salsanext", {"classes": 7}),
-        ("scene-painter", {"blocks": 3}),
+        ("scene-painter", {"class_colours": False}),
         ("scene-painter", {"colour_kernel": 5}),
     ],
 )

@@ -16,7 +16,7 @@ from lidar2pano.models.scene_painter import TONES, VARIED, Scene, outlined, pain
 from lidar2pano.views import View
 
 VIEW = View(rows=16, columns=64, up=0.24, down=-0.28, kind="cylinder")
-SMALL = {"widths": [8, 16, 24, 8], "blocks": 1, "code": 4}
+SMALL = {"widths": [8, 16, 24, 8], "code": 4}
 
 
 def scene(look: str = "", columns: int = 0) -> Scene:

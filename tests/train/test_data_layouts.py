@@ -26,7 +26,7 @@ EIGHTH = VIEWS["panorama"].scaled(1 / 8)
 SETTINGS = {
     "segmenter": {},
     "translator": {"classes": 16, "conditions": 20, "widths": (8, 8, 8, 8, 8), "pyramid": 8},
-    "painter": {"looks": ("day",), "widths": (8, 8, 8, 8), "blocks": 1},
+    "painter": {"looks": ("day",), "widths": (8, 8, 8, 8)},
     "critic": {"mixed": 8, "width": 8},
 }
 

@@ -46,7 +46,7 @@ def task() -> ScenePainting:
     one.view, one.options, one.looks = VIEWS["panorama"].scaled(0.5), ScenePaintingOptions(columns=64), ("day", "real")
     one.features = RandomFeatures()
     one.statistics = PatchStatistics(2, WIDTHS[:MATCHED])
-    painter = build("scene-painter", looks=one.looks, widths=(8, 12, 16, 8), blocks=1)
+    painter = build("scene-painter", looks=one.looks, widths=(8, 12, 16, 8))
     one.unread, one.teacher = painter.unread, None
     one.networks = {"painter": painter, "critic": build("projected-critic", features=WIDTHS, mixed=8, width=8)}
     return one
@@ -126,7 +126,7 @@ def test_a_teachers_image_is_learned_where_no_camera_looked(task, batch):
     inputs = torch.rand(2, 31, 32, 64), torch.rand(2, 3, 64, 128)
     untaught, photographed = task._taught(flat, inputs)
     assert untaught is flat and photographed.all()
-    painter = build("scene-painter", looks=task.looks, widths=(8, 12, 16, 8), blocks=1).eval()
+    painter = build("scene-painter", looks=task.looks, widths=(8, 12, 16, 8)).eval()
     task.teacher = painter
     task.options = replace(task.options, teacher_probability=0.0)
     with torch.no_grad():
@@ -206,7 +206,7 @@ def test_hues_of_walls_are_compared_with_their_houses(task, batch):
 def test_a_teachers_walls_have_their_hues_corrected(task, batch):
     batch, inputs = walls(batch.flat(), (0.2, 0.0, -0.2))
     batch.valid[:] = False
-    task.teacher = build("scene-painter", looks=task.looks, widths=(8, 12, 16, 8), blocks=1).eval()
+    task.teacher = build("scene-painter", looks=task.looks, widths=(8, 12, 16, 8)).eval()
     gaps = {}
     for weight in (0.0, 1.0):
         task.options = replace(task.options, teacher_probability=0.0, walls=weight)

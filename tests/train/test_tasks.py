@@ -36,7 +36,7 @@ SETTINGS = {
         "titan-pano-mini": {"classes": 16, "conditions": 20, "widths": (8, 8, 8, 8, 8), "pyramid": 8},
         "titan-mini": {"classes": 15, "conditions": 20, "size": (92, 160)},
     },
-    "painter": {"scene-painter-mini": {"looks": ("day",), "widths": (8, 8, 8, 8), "blocks": 1}},
+    "painter": {"scene-painter-mini": {"looks": ("day",), "widths": (8, 8, 8, 8)}},
     "critic": {
         "scene-painter-mini": {"mixed": 8, "width": 8},
         "titan-mini": {"image_channels": 15, "conditions": 20, "width": 4},

@@ -14,7 +14,8 @@ from lidar2pano.models.sdnet import SdNet
 from lidar2pano.models.titan import Titan, TitanCritic
 from lidar2pano.models.titan_next import TitanNext
 from lidar2pano.models.titan_pano import TitanPano
-from lidar2pano.models.vid2vid import ImageCritic, TemporalCritic, Vid2Vid, Vid2VidSingle
+from lidar2pano.models.vid2vid import Vid2Vid, Vid2VidSingle
+from lidar2pano.models.vid2vid_critics import ImageCritic, TemporalCritic
 
 MODELS: dict[str, type[nn.Module]] = {
     "salsanext": SalsaNext,

@@ -22,7 +22,7 @@ from torch.nn.functional import interpolate, pad
 
 from lidar2pano.errors import InputError
 from lidar2pano.models.instance_norm import InstanceNorm
-from lidar2pano.models.vid2vid import Norm, batch_norms, start_as_published
+from lidar2pano.models.vid2vid_layers import Norm, batch_norms, start_as_published
 
 NORMS = ("batch", "instance")
 MOST_WIDTHS = 8  # no level has more than this many times `width` channels

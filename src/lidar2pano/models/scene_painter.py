@@ -50,6 +50,7 @@ CARS = Classes(
 )
 MIXED_PX, MOST_UNEVEN = 16.0, 3.0  # pixels that the mean counts for in each row's; largest factor between beams
 STRIDE = 4  # input pixels per pixel of the coarsest level
+BLOCKS = 4  # residual blocks there
 FOOT = 16  # rows like the last one that are painted below it and cut off: beside zero padding a network paints flecks
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
 TONE = 3  # red, green, blue: how much brighter a picture, or a part of it, is than the mean of its look
@@ -92,19 +93,18 @@ class ScenePainter(nn.Module):
 
     looks    names of the looks it knows;  look: the one that is painted where none is given (default: the first).
     widths   channels at 1/1, 1/2, 1/4 of the input raster, and at the picture's raster.
-    blocks   residual blocks at 1/4;  code: numbers per look.
+    code     numbers per look.
     sharp    power that class probabilities are raised to before they sum to 1 again.
     unread   classes whose remission is not read.
     class_colours  whether there is a table of what each look adds to the colours of each class, at first nothing.
     colour_kernel  rows and columns of the last convolution, on the picture's raster.
     """
 
-    def __init__(  # noqa: PLR0913, PLR0917 settings of a card
+    def __init__(
         self,
         looks: Sequence[str] = ("day",),
         look: str = "",
         widths: Sequence[int] = (32, 80, 144, 16),
-        blocks: int = 4,
         code: int = 16,
         sharp: float = 2.0,
         unread: Sequence[str] = UNREAD,
@@ -121,7 +121,7 @@ class ScenePainter(nn.Module):
         self.stem = conv_norm_act(inputs, fine)
         self.down1 = nn.Sequential(conv_norm_act(fine, middle, stride=2), CircularResidual(middle))
         self.down2 = conv_norm_act(middle, coarse, stride=2)
-        self.trunk = nn.ModuleList([CircularResidual(coarse, dilation=(1, 2, 4)[i % 3]) for i in range(blocks)])
+        self.trunk = nn.ModuleList([CircularResidual(coarse, dilation=(1, 2, 4)[i % 3]) for i in range(BLOCKS)])
         self.up1 = conv_norm_act(coarse + inputs, middle, 1)
         self.mix1 = nn.Sequential(conv_norm_act(2 * middle + inputs, middle), CircularResidual(middle))
         self.up0 = conv_norm_act(middle, fine, 1)

@@ -21,7 +21,8 @@ from lidar2pano.errors import InputError
 from lidar2pano.labels import CITYSCAPES_IDS, COMMON15, TABLES, LabelSet
 from lidar2pano.models.circular import grow_circular, grown_classes
 from lidar2pano.models.scene_painter import Scene
-from lidar2pano.models.vid2vid import Vid2Vid, Vid2VidSingle, close
+from lidar2pano.models.vid2vid import Vid2Vid, Vid2VidSingle
+from lidar2pano.models.vid2vid_layers import close
 
 TWICE = Fraction(2)  # the finished panorama's raster is twice that of the segments
 MARGIN = 64  # columns that a panorama overlaps itself by at each end, where its width does not divide
