@@ -292,5 +292,8 @@ together narrow "$narrow_segmenter" "$narrow_translator" "$(weights scene-15 pai
 narrow narrow "$kitti:train" painter '{"widths": [16, 32, 80, 16], "colour_kernel": 1}' painter-2 --scans 24
 taught_scene scene-16 75 "$out/pruned/painter-2.safetensors" training.seed=11 \
   options.simulated_probability=0.3 options.invented_probability=0.6 options.teacher_probability=0.45 options.walls=3
-lidar2pano evaluate "$(weights scene-16 painter)+$narrow_translator+$narrow_segmenter" --data "$kitti" --split val --json "$out/kitti.json"
-family kitti-mini "$narrow_segmenter" "$narrow_translator" "$(weights scene-16 painter)" "$out/kitti.json" CC-BY-NC-SA-4.0
+taught_scene scene-17 17 "$(weights scene-16 painter)" training.seed=12 networks.painter.optimizer.rate=0.0004 \
+  data.train=train,train,"$day:all","$out/towns/pandar64-day:all" \
+  options.simulated_probability=0.3 options.invented_probability=0.6 options.teacher_probability=0.55 options.walls=3
+lidar2pano evaluate "$(weights scene-17 painter)+$narrow_translator+$narrow_segmenter" --data "$kitti" --split val --json "$out/kitti.json"
+family kitti-mini "$narrow_segmenter" "$narrow_translator" "$(weights scene-17 painter)" "$out/kitti.json" CC-BY-NC-SA-4.0

@@ -247,7 +247,7 @@ FAULTS = [
     Fault("a scan of NaN", scan(np.full((50, 3), np.nan)), TRANSLATE, "can be used"),
     # weights
     Fault("weights that are not finite", own(nan), OWN, "not finite"),
-    Fault("forty thousand blocks", own(setting(blocks=40_000), "painter"), OWN, "own/painter.safetensors: "),
+    Fault("a kernel of 40000 pixels", own(setting(colour_kernel=40_000), "painter"), OWN, "has shape"),
     Fault("a view of 30 million pixels", own(view(rows=1600, columns=19200)), OWN, "own/segmenter.safetensors: "),
     Fault("a view with half a row", own(view(rows=32.5)), OWN, "a whole number"),
     Fault("a view from infinity", own(view(origin=[1e999, 0, 0])), OWN, "own/segmenter.safetensors: "),

@@ -15,7 +15,7 @@ from lidar2pano.engines.tracing import example, recordable
 SLIM = {
     "salsanext": {},
     "titan-pano": {"widths": (8, 8, 8, 8, 8), "pyramid": 8},
-    "scene-painter": {"widths": (8, 8, 8, 8), "blocks": 1, "looks": ("day", "dusk")},
+    "scene-painter": {"widths": (8, 8, 8, 8), "looks": ("day", "dusk")},
 }
 
 
