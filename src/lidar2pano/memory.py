@@ -16,14 +16,14 @@ from lidar2pano.labels import COMMON15, THINGS
 from lidar2pano.views import View
 
 MOST = 6  # scans or images that a mean is taken of; larger flickers less, adapts slower
-LEAST_IMAGES = 4  # images that those before count for at least: the mean of two is paler than either
+LEAST_IMAGES = 3  # images that those before count for at least: the mean of two is paler than either
 DOUBT = 0.5  # scans by which what was there counts for less with each that contradicts it
 MOST_RATIO = 2.0  # of depths of one surface in two scans, as they are averaged
 SKY = COMMON15.id_of("sky")
 SAME = 0.3  # share by which two depths of one surface may differ: the translator predicts them for each scan
 THIN = tuple(map(COMMON15.id_of, ("pole", "traffic-sign")))  # whose fading stands out
 ANY = 1.0  # such a share that all depths agree
-FADED = 0.7  # weight of what was there before, where it is not averaged with the newest image
+FADED = 0.75  # weight of what was there before, where it is not averaged with the newest image
 
 
 class Surroundings(NamedTuple):
