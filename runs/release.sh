@@ -27,8 +27,8 @@
 # other corrections of `lidar2pano.corrections` came between `scene-10` and `world-scene-9`, and remission that is evened
 # between beams with the latter. `scene-11` painted the frames of `scene-9`.
 # `translator-7` had 161 steps (with centre, half of its minutes went into labels), `translator-8` 212, `scene-14` 710,
-# `translator-9` 1250, `scene-15` 828.
-# Translator and painter were pruned with a ridge of 1e-3 in place of 3e-3.
+# `translator-9` 1250, `scene-15` 828, `scene-16` 2949, `scene-17` 638; their frames were those of `scene-15`'s networks.
+# The first narrow translator and painter were pruned with a ridge of 1e-3 in place of 3e-3.
 # The colours of classes were set on frames that the released segmenter, of `segmenter-9`, and `translator` had made.
 # Painters before `scene-12`, and translators but `world-translator-3`, learned with segmenters that did not read roughness.
 set -euo pipefail
