@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import torch
 from torch import Tensor, nn
 
 from lidar2pano.errors import InputError
@@ -104,7 +105,7 @@ class UpBlock(nn.Module):
         super().__init__()
         self.shuffle = nn.PixelShuffle(2)
         self.dropout1, self.dropout2 = nn.Dropout2d(dropout), nn.Dropout2d(dropout)
-        self.conv1, self.act1 = SummedConv2d(inputs // 4 + skip, outputs, 3, padding=1), _act()
+        self.conv1, self.act1 = nn.Conv2d(inputs // 4 + skip, outputs, 3, padding=1), _act()
         self.bn1 = norm(outputs)
         self.conv2, self.act2 = nn.Conv2d(outputs, outputs, 3, padding=2, dilation=2), _act()
         self.bn2 = norm(outputs)
@@ -116,8 +117,8 @@ class UpBlock(nn.Module):
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
         """(B, inputs, H/2, W/2) and (B, skip, H, W) -> (B, outputs, H, W)."""
-        coarse, fine = self.dropout2(self.dropout1(self.shuffle(x))), self.dropout2(skip)
-        first = self.bn1(self.act1(self.conv1(coarse, fine)))
+        joined = self.dropout2(torch.cat([self.dropout1(self.shuffle(x)), skip], 1))
+        first = self.bn1(self.act1(self.conv1(joined)))
         second = self.bn2(self.act2(self.conv2(first)))
         third = self.bn3(self.act3(self.conv3(second)))
         return self.dropout3(self.bn4(self.act4(self.conv4(first, second, third))))
