@@ -282,18 +282,17 @@ narrow_segmenter=$out/pruned/segmenter-2.safetensors
 stage translator-9 fast-translator "$kitti" 38 data.train="$more" options.segmenter="$narrow_segmenter" options.teacher="$tall" \
   networks.translator.start="$narrow_translator" networks.translator.optimizer.rate=0.001 \
   options.class_weight_exponent=0.35 options.elsewhere_probability=0.35 training.validate_minutes=0
-taught_scene scene-15 20 "$(weights scene-14 painter)" "${wider[@]}" \
-  options.simulated_probability=0.3 options.invented_probability=0.6 options.teacher_probability=0.45 options.walls=3
+as_in_use=(options.simulated_probability=0.3 options.invented_probability=0.6 options.teacher_probability=0.45 options.walls=3)
+taught_scene scene-15 20 "$(weights scene-14 painter)" "${wider[@]}" "${as_in_use[@]}"
 mean "$out/mean/translator-9.safetensors" "$narrow_translator" "$(weights translator-9 translator)" 0.7,0.3
 narrow_translator=$out/prior/translator-9.safetensors
 python "$here/prior.py" "$out/mean/translator-9.safetensors" "$narrow_translator" --data "$kitti" --share 0.15
 # A painter that is narrower still, and is taught for longer.
 together narrow "$narrow_segmenter" "$narrow_translator" "$(weights scene-15 painter)"
 narrow narrow "$kitti:train" painter '{"widths": [16, 32, 80, 16], "colour_kernel": 1}' painter-2 --scans 24
-taught_scene scene-16 75 "$out/pruned/painter-2.safetensors" training.seed=11 \
-  options.simulated_probability=0.3 options.invented_probability=0.6 options.teacher_probability=0.45 options.walls=3
+taught_scene scene-16 75 "$out/pruned/painter-2.safetensors" "${as_in_use[@]}" training.seed=11
 taught_scene scene-17 17 "$(weights scene-16 painter)" training.seed=12 networks.painter.optimizer.rate=0.0004 \
   data.train=train,train,"$day:all","$out/towns/pandar64-day:all" \
-  options.simulated_probability=0.3 options.invented_probability=0.6 options.teacher_probability=0.55 options.walls=3
+  "${as_in_use[@]}" options.teacher_probability=0.55
 lidar2pano evaluate "$(weights scene-17 painter)+$narrow_translator+$narrow_segmenter" --data "$kitti" --split val --json "$out/kitti.json"
 family kitti-mini "$narrow_segmenter" "$narrow_translator" "$(weights scene-17 painter)" "$out/kitti.json" CC-BY-NC-SA-4.0

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from lidar2pano.geometry.odds import likeliest
-from lidar2pano.models.summed import summed
+from lidar2pano.models.summed import SummedSequential, summed
 
 
 def closed(x: Tensor, reach: int) -> Tensor:
@@ -67,21 +67,11 @@ class CircularConv(nn.Conv2d):
         return answer
 
 
-class ConvNormAct(nn.Sequential):
-    """A CircularConv, and what follows it; takes parts of its inputs as the convolution does."""
-
-    def forward(self, *parts: Tensor) -> Tensor:
-        """(B, inputs, H, W), or parts of it -> (B, outputs, H/s, W/s)."""
-        first, *others = self
-        x = first(*parts)
-        for layer in others:
-            x = layer(x)
-        return x
-
-
-def conv_norm_act(inputs: int, outputs: int, kernel: int = 3, *, stride: int = 1, dilation: int = 1) -> ConvNormAct:
+def conv_norm_act(
+    inputs: int, outputs: int, kernel: int = 3, *, stride: int = 1, dilation: int = 1
+) -> SummedSequential:
     """Circular convolution, batch norm, leaky ReLU."""
-    return ConvNormAct(
+    return SummedSequential(
         CircularConv(inputs, outputs, kernel, stride=stride, dilation=dilation),
         nn.BatchNorm2d(outputs),
         nn.LeakyReLU(0.1, inplace=True),

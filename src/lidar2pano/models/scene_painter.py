@@ -26,6 +26,7 @@ from lidar2pano.geometry.whole_cars import Classes, WholeCars, whole_cars
 from lidar2pano.hardware import inference_dtype
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.circular import CircularConv, CircularResidual, closed, conv_norm_act
+from lidar2pano.models.summed import SummedSequential
 from lidar2pano.models.titan_pano import FAR_M, depth_code
 from lidar2pano.views import View
 
@@ -123,11 +124,11 @@ class ScenePainter(nn.Module):
         self.down2 = conv_norm_act(middle, coarse, stride=2)
         self.trunk = nn.ModuleList([CircularResidual(coarse, dilation=(1, 2, 4)[i % 3]) for i in range(BLOCKS)])
         self.up1 = conv_norm_act(coarse + inputs, middle, 1)
-        self.mix1 = nn.Sequential(conv_norm_act(2 * middle + inputs, middle), CircularResidual(middle))
+        self.mix1 = SummedSequential(conv_norm_act(2 * middle + inputs, middle), CircularResidual(middle))
         self.up0 = conv_norm_act(middle, fine, 1)
         self.mix0 = conv_norm_act(2 * fine + inputs, fine)
         self.narrow = conv_norm_act(fine, last)
-        self.texture = nn.Sequential(conv_norm_act(last + len(FINE_M), last), conv_norm_act(last, last))
+        self.texture = SummedSequential(conv_norm_act(last + len(FINE_M), last), conv_norm_act(last, last))
         self.colour = CircularConv(last, 3, colour_kernel)
         self.tuned = nn.ModuleList([nn.Linear(code + TONE, 2 * width) for width in (coarse, middle, fine)])
         self.class_colours = nn.Embedding(len(self.looks), TONE * len(COMMON15)) if class_colours else None
@@ -170,11 +171,11 @@ class ScenePainter(nn.Module):
         for block in self.trunk:
             x = block(x)
         # enlarged, not shuffled: pixel shuffles leave a weave of lines two and four pixels apart (Odena et al. 2016)
-        x = self.mix1[1](self.mix1[0](_enlarged(self.up1(x, inputs4)), middle, inputs2))
+        x = self.mix1(_enlarged(self.up1(x, inputs4)), middle, inputs2)
         x = self._tuned(1, x, code)
         x = self.mix0(_enlarged(self.up0(x)), fine, inputs)
         x = _enlarged(self.narrow(self._tuned(2, x, code)))
-        x = self.colour(self.texture[1](self.texture[0](x, fine_noise)))
+        x = self.colour(self.texture(x, fine_noise))
         if self.class_colours is not None:
             table = (shares @ self.class_colours.weight).view(-1, TONE, len(COMMON15)).to(x.dtype)
             x = x + _enlarged(torch.einsum("bkc,bchw->bkhw", table, inputs[:, : len(COMMON15)]))

@@ -32,3 +32,15 @@ class SummedConv2d(nn.Conv2d):
     def forward(self, *parts: Tensor) -> Tensor:
         """(B, inputs, H, W), or images of fewer channels each, together the inputs -> (B, outputs, H, W)."""
         return summed(self, parts, cast(Pixels, self.padding))
+
+
+class SummedSequential(nn.Sequential):
+    """Layers of which the first is such a convolution, or begins with one."""
+
+    def forward(self, *parts: Tensor) -> Tensor:
+        """What the last layer makes of it; parts as the first one takes them."""
+        first, *others = self
+        x = first(*parts)
+        for layer in others:
+            x = layer(x)
+        return x
