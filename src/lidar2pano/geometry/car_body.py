@@ -22,7 +22,7 @@ BODIES = {
     "van": (0.53, 0.16, 0.63, 0.34, 0.955, 0.99, 0.58),
 }
 TALL_M = (1.62, 1.8)  # roofs: hatchbacks and saloons are lower than the second, vans higher than the first
-CORNER_M, FLOOR_M = 0.28, 0.02  # cut off the corners, seen from above; height of the lowest point
+CORNER_M, FLOOR_M = 0.38, 0.1  # cut off the corners, seen from above; height of the lowest point
 LEAN, SHOULDER = 0.28, 0.95  # of the cabin's sides, metres inwards per metre up; their distance at the belt
 DROP = 0.04  # share of its height by which a roof falls towards its ends
 AXLES, TYRE_M, RIM_M, WHEEL_M = (0.19, 0.80), 0.38, 0.19, 0.31  # places; radii; height of the wheels' middle

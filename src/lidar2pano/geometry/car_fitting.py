@@ -29,22 +29,25 @@ PARKED_M, MOST_PARTS = 5.2, 16  # a row of parked cars is cut into pieces of abo
 ANGLES = 30  # of rectangles that are tried, per quarter turn
 THICK_M = 0.1  # added to rectangles' sides, so that a straight row of points has an area
 COLUMNS, MOST = 12, 16  # a car fills so many columns at least; of a scene the nearest count, so many at most
-LENGTH_M, WIDTH_M, TOP_M = (3.8, 5.0), (1.65, 1.95), (1.35, 2.3)  # least and greatest of cars
-AROUND_M, OVER_M, ACROSS, DOWN = 1.2, 0.3, 26, 20  # what is looked at of a car: so far around it, columns, rows
+LENGTH_M, WIDTH_M, TOP_M = (3.3, 5.0), (1.5, 1.95), (1.35, 2.3)  # least and greatest of cars
+AROUND_M, OVER_M, ACROSS, DOWN = 1.2, 0.3, 32, 20  # what is looked at of a car: so far around it, columns, rows
 MOVES = (0.4, 0.25, 0.12, 0.08, 0.3)  # by which a box is tried elsewhere: along, across, turned, up, longer
 ROUNDS, TURN = (1.0, 0.9, 0.7, 0.6, 0.5, 0.4), 0.6  # shares of MOVES, one after the other; before TURN it is turned
 OFF, IN_FRONT_M = 1.0, 0.3  # how much a difference of distances counts; what is so much nearer than a car hides it
+BARE = 0.95  # probability from which on a pixel surely shows the ground; a body on it counts twice against a fit
 HALF = 0.5  # probability from which on a pixel shows a thing
 
 
 class Measured(NamedTuple):
     """What a panorama shows of cars.
 
-    cars, ground  (H, W): probabilities;  radius_m: (H, W), distance from the view's axis.
+    cars, others, ground  (H, W): probabilities of cars, of other vehicles, and of what they stand on.
+    radius_m      (H, W), distance from the view's axis.
     above_m       (): how high the viewpoint is above the road;  number: (W,), of the car of each column, -1 for none.
     """
 
     cars: Tensor
+    others: Tensor
     ground: Tensor
     radius_m: Tensor
     above_m: Tensor
@@ -71,7 +74,8 @@ class Sample(NamedTuple):
     """Q x R rays at each of n cars, and what the picture has there: whether it is the car, which distance it has.
 
     ray  (2, n, 1, Q);  slope: (n, 1, R);  the others: (n, 1, Q, R).
-    hides_m  what else is in the picture hides a body that is farther away;  counts: whether the ray is in the picture.
+    hides_m  what else is in the picture hides a body that is farther away;  bare: whether it is surely ground.
+    counts   whether the ray is in the picture.
     """
 
     ray: Tensor
@@ -80,10 +84,13 @@ class Sample(NamedTuple):
     car: Tensor
     radius_m: Tensor
     hides_m: Tensor
+    bare: Tensor
     counts: Tensor
 
 
-def found_cars(cars: Tensor, ground: Tensor, radius_m: Tensor, above_m: Tensor, view: View) -> tuple[Found, Measured]:
+def found_cars(  # noqa: PLR0913, PLR0917 the parts of Measured
+    cars: Tensor, others: Tensor, ground: Tensor, radius_m: Tensor, above_m: Tensor, view: View
+) -> tuple[Found, Measured]:
     """The nearest cars that fill enough columns; arguments as of Measured."""
     rows = slice(EVERY // 2, None, EVERY)
     height_m = (radius_m * slopes(view, device=cars.device)[:, None] + above_m)[rows]
@@ -103,7 +110,7 @@ def found_cars(cars: Tensor, ground: Tensor, radius_m: Tensor, above_m: Tensor, 
     column = column[enough & (_over(number, column, "amin") == column)]  # one of each car
     column = column[mean_m[column].argsort()[:MOST]]
     parts = (*_rectangles(point, number), top_m.clamp(*TOP_M), mean_m, number)
-    measured = Measured(cars, ground, radius_m, above_m, torch.where(here, number, -1), view)
+    measured = Measured(cars, others, ground, radius_m, above_m, torch.where(here, number, -1), view)
     return Found(*(part[..., column] for part in parts)), measured
 
 
@@ -207,7 +214,7 @@ def _sampled(found: Found, measured: Measured) -> Sample:
     ray = torch.stack([angle.cos(), angle.sin()])[:, :, None]
     is_car = (car > HALF) & same
     hides_m = torch.where(is_car | (ground > HALF), math.inf, radius_m + IN_FRONT_M)
-    parts = (is_car, radius_m, hides_m, inside)
+    parts = (is_car, radius_m, hides_m, ground > BARE, inside)
     return Sample(ray, slope[:, None], measured.above_m, *(part[:, None] for part in parts))
 
 
@@ -225,11 +232,11 @@ def _scores(boxes: Boxes, sample: Sample) -> tuple[Tensor, Tensor]:
     counts = sample.counts & ~hidden
     inside = hit & sample.car & sample.counts
     both = inside.sum((-1, -2))
-    union = ((hit | sample.car) & counts).sum((-1, -2))
+    union = ((hit | sample.car) & counts).sum((-1, -2)).clamp(min=1)
+    wrong = (hit & sample.bare & counts).sum((-1, -2))
     farther = (distance_m / sample.radius_m - 1).abs().clamp(max=SAME_CAR)
     off = (farther * inside).nan_to_num(0).sum((-1, -2)) / both.clamp(min=1)
-    covered = both / union.clamp(min=1)
-    return covered - OFF * off, covered
+    return both / (union + wrong) - OFF * off, both / union
 
 
 def _best(boxes: Boxes, sample: Sample) -> tuple[Boxes, Tensor, Tensor]:

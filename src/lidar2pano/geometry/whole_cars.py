@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from lidar2pano.geometry.car_body import Boxes, Hits, first_hits, tones_of
-from lidar2pano.geometry.car_fitting import HALF, IN_FRONT_M, LENGTH_M, SAME_CAR, Measured, fitted, found_cars
+from lidar2pano.geometry.car_fitting import BARE, HALF, IN_FRONT_M, LENGTH_M, SAME_CAR, Measured, fitted, found_cars
 from lidar2pano.geometry.columns import world_columns
 from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.surface import slopes
@@ -37,10 +37,10 @@ class WholeCars(NamedTuple):
 
 
 class Classes(NamedTuple):
-    """Ids of classes: cars, all vehicles, and what they stand on."""
+    """Ids of classes: cars, other vehicles, and what they stand on."""
 
     car: int
-    vehicles: Sequence[int]
+    others: Sequence[int]
     ground: Sequence[int]
 
 
@@ -79,7 +79,8 @@ def _whole(  # noqa: PLR0913, PLR0917 as above
     before: WholeCars, radius_m: Tensor, above_m: Tensor, view: View, pose: np.ndarray | None, classes: Classes
 ) -> WholeCars:
     ground = before.segments[list(classes.ground)].sum(0)
-    found, measured = found_cars(before.segments[classes.car], ground, radius_m, above_m, view)
+    cars, others = before.segments[classes.car], before.segments[list(classes.others)].sum(0)
+    found, measured = found_cars(cars, others, ground, radius_m, above_m, view)
     if len(found.number) == 0:
         return before
     boxes, covered = fitted(found, measured)
@@ -89,6 +90,7 @@ def _whole(  # noqa: PLR0913, PLR0917 as above
     drawn = _drawn(boxes.of(good), measured, pose)
     inside = drawn.nearest_m.isfinite()
     gone = _outside(measured, drawn.nearest_m, found.number[good])
+    gone &= measured.others < measured.cars  # a lorry that touches a car stays
     segments, radius_m = _without(before.segments, measured, gone, inside, classes)
     segments.mul_(as_float(~inside))
     segments[classes.car].masked_fill_(inside, 1)
@@ -120,9 +122,11 @@ def _drawn(boxes: Boxes, measured: Measured, pose: np.ndarray | None) -> Drawn:
     first = int((slope > _highest(boxes, measured.above_m)).sum())
     hits = first_hits(each, ray, slope[first:].expand(len(car), -1), measured.above_m)
     distance_m = hits.distance_m[:, 0]  # (pairs of car and column, rows from `first` on)
-    is_car, ground, radius_m = (part[first:].T[column] for part in measured[:3])
-    same = (is_car > HALF) & ((radius_m / distance_m).log().abs() < SAME_CAR)
-    distance_m = torch.where(same | (radius_m > distance_m - IN_FRONT_M) | (ground > HALF), distance_m, math.inf)
+    is_car, others, ground, radius_m = (part[first:].T[column] for part in measured[:4])
+    near = (radius_m / distance_m).log().abs() < SAME_CAR
+    seen = ((is_car > HALF) & near) | (radius_m > distance_m - IN_FRONT_M) | (ground > HALF)
+    seen &= (ground < BARE) & ~((others > is_car) & near)
+    distance_m = torch.where(seen, distance_m, math.inf)
     nearest = distance_m.new_full((view.columns, distance_m.shape[1]), math.inf)
     nearest.scatter_reduce_(0, column[:, None].expand_as(distance_m), distance_m, "amin")
     pair, row = (distance_m.isfinite() & (distance_m == nearest[column])).nonzero(as_tuple=True)
@@ -190,7 +194,7 @@ def _without(
     """
     segments, radius_m = segments.clone(), measured.radius_m.clone()
     rest = segments[:, gone]
-    rest[list(classes.vehicles)] = 0
+    rest[[classes.car, *classes.others]] = 0
     segments[:, gone] = rest / rest.sum(0).clamp(min=1e-9)
     column = gone.any(0).nonzero()[:, 0]
     upright = (segments[list(classes.ground)][..., column].sum(0) < HALF) & (gone | inside)[:, column]

@@ -46,7 +46,7 @@ UNREAD = ("building", "vegetation", "fence")
 GROUND = tuple(map(COMMON15.id_of, ("road", "sidewalk", "terrain")))
 CARS = Classes(
     CAR,
-    vehicles=tuple(map(COMMON15.id_of, ("car", "truck", "other-vehicle", "bicycle", "motorcycle"))),
+    others=tuple(map(COMMON15.id_of, ("truck", "other-vehicle", "bicycle", "motorcycle"))),
     ground=GROUND,
 )
 MIXED_PX, MOST_UNEVEN = 16.0, 3.0  # pixels that the mean counts for in each row's; largest factor between beams
