@@ -84,14 +84,11 @@ def _turned(x: Tensor, spare: int) -> Tensor:
 def _interpolated(raster: _Raster) -> _Raster:
     """The raster, with what lies between neighbours above each other."""
     there = raster.index >= 0
+    if (mean := _mean_gap(there)) < SPARSE:
+        return raster
     rows = len(there)
     above, below = rows_beside(there)
     row = torch.arange(rows, device=there.device)[:, None]
-    apart = (row[1:] - above[:-1])[there[1:] & (above[:-1] >= 0)]
-    apart = apart[apart <= FAR_PX]
-    mean = float(apart.float().mean()) if len(apart) else 1.0
-    if mean < SPARSE:
-        return raster
     new = ~there & (above >= 0) & (below < rows) & (below - above <= round(REACH * mean))
     above, below = above.clamp(min=0), below.clamp(max=rows - 1)
     share = (row - above) / (below - above).clamp(min=1)
@@ -102,3 +99,15 @@ def _interpolated(raster: _Raster) -> _Raster:
     remission = torch.lerp(raster.remission.gather(0, above), raster.remission.gather(0, below), share)
     index = torch.where(share <= 0.5, raster.index.gather(0, above), raster.index.gather(0, below))
     return _Raster(*(torch.where(new, *parts) for parts in zip((inverse, remission, index), raster, strict=True)))
+
+
+def _mean_gap(there: Tensor) -> float:
+    """How many rows neighbours above each other are apart on average in (H, W) bool, those beyond FAR_PX left out."""
+    alone = there.clone()  # what has met no neighbour above it yet
+    counts = []
+    for away in range(1, min(FAR_PX, len(there) - 1) + 1):
+        met = alone[away:] & there[:-away]
+        alone[away:] ^= met
+        counts.append(met.sum())
+    numbers = torch.stack(counts).tolist() if counts else []
+    return sum(away * number for away, number in enumerate(numbers, 1)) / sum(numbers) if any(numbers) else 1.0

@@ -165,18 +165,17 @@ def _turned(boxes: Boxes, top_m: Tensor) -> Boxes:
 def _nudged(boxes: Boxes, score: Tensor, covered: Tensor, step: float, sample: Sample) -> tuple[Boxes, Tensor, Tensor]:
     """The boxes, moved by a step of MOVES there or back where that is better: the best one alone, or all at once."""
     tried = [_moved(boxes, move, sign * step) for move, sign in product(range(len(MOVES)), (1, -1))]
-    each, _ = _scores(_alternatives(tried), sample)
+    each, covered_by_each = _scores(_alternatives(tried), sample)
     forth, back = each[:, ::2], each[:, 1::2]
     better = torch.maximum(forth, back) > score[:, None]
     by = torch.where(better, torch.where(forth > back, step, -step), 0.0)
     joint = boxes
     for move in range(len(MOVES)):
         joint = _moved(joint, move, by[:, move])
-    best = torch.maximum(forth, back).argmax(1)
-    single = boxes
-    for move in range(len(MOVES)):
-        single = _moved(single, move, by[:, move] * (best == move))
-    return _best(_alternatives([boxes, single, joint]), sample)
+    of_joint, covered_by_joint = _scores(_alternatives([joint]), sample)
+    scores = torch.cat([score[:, None], of_joint, each], 1)
+    shares = torch.cat([covered[:, None], covered_by_joint, covered_by_each], 1)
+    return _picked(_alternatives([boxes, joint, *tried]), scores, shares)
 
 
 def _moved(boxes: Boxes, move: int, step: Tensor | float) -> Boxes:
@@ -241,7 +240,11 @@ def _scores(boxes: Boxes, sample: Sample) -> tuple[Tensor, Tensor]:
 
 def _best(boxes: Boxes, sample: Sample) -> tuple[Boxes, Tensor, Tensor]:
     """Of the boxes (n, K) of each car the best, its score, and the share of overlap in union; (n,)."""
-    scores, covered = _scores(boxes, sample)
+    return _picked(boxes, *_scores(boxes, sample))
+
+
+def _picked(boxes: Boxes, scores: Tensor, covered: Tensor) -> tuple[Boxes, Tensor, Tensor]:
+    """As `_best`, where scores and shares (n, K) are known."""
     best = scores.argmax(-1, keepdim=True)
     chosen = Boxes(*(part.gather(-1, best.expand(*part.shape[:-1], 1))[..., 0] for part in boxes))
     return chosen, scores.gather(-1, best)[:, 0], covered.gather(-1, best)[:, 0]

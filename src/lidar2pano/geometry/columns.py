@@ -27,10 +27,15 @@ def world_columns(view: View, T_world_sensor: np.ndarray | None, device: torch.d
 def rows_beside(there: Tensor) -> tuple[Tensor, Tensor]:
     """The last row up to each pixel of (..., H, W) bool, and the first from it on, that is `there`; else -1 and H."""
     rows = there.shape[-2]
-    from_top = torch.arange(1, rows + 1, device=there.device)[:, None]
-    there = there.long()  # products: torch.where takes several times as long
-    above = (there * from_top).cummax(-2).values - 1
-    return above, rows - (there * from_top.flip(0)).flip(-2).cummax(-2).values.flip(-2)
+    number = torch.int16 if rows <= torch.iinfo(torch.int16).max else torch.int32
+    from_top = torch.arange(1, rows + 1, dtype=number, device=there.device)[:, None]
+    above, below = there * from_top, there * from_top.flip(0)  # products: torch.where takes several times as long
+    step = 1
+    while step < rows:  # the greatest of 2, 4, 8, ... rows: a seventh of cummax's time
+        above[..., step:, :] = torch.maximum(above[..., step:, :], above[..., :-step, :])
+        below[..., :-step, :] = torch.maximum(below[..., :-step, :], below[..., step:, :])
+        step *= 2
+    return above.long().sub_(1), below.long().neg_().add_(rows)
 
 
 def surface_profile(weight: Tensor, radius_m: Tensor, same: float, least: float, reach: int) -> tuple[Tensor, Tensor]:
