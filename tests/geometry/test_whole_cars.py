@@ -128,12 +128,12 @@ def test_what_stands_before_a_car_hides_it():
     assert overlap(drawn & beside, beside & ~pole) > 0.85
 
 
-def seen_otherwise(there: torch.Tensor, seen_as: int, sure: float) -> torch.Tensor:
-    """The ids (H, W) of `whole_cars` where a part of a car is seen as another class."""
+def labelled_otherwise(there: torch.Tensor, label: int, sure: float) -> torch.Tensor:
+    """The ids (H, W) of `whole_cars` where a part of a car is labelled otherwise."""
     ids, radius_m = street(PLACES[0])
     segments = probabilities(ids)
     segments[0, :, there] = (1 - sure) / 4
-    segments[0, seen_as, there] = sure
+    segments[0, label, there] = sure
     depth_m = radius_m * torch.sqrt(1 + slopes(VIEW)[:, None] ** 2)
     return (
         whole_cars(segments, depth_m[None], radius_m[None], torch.tensor([ABOVE_M]), VIEW, None, IDS)
@@ -158,15 +158,15 @@ def part_of_a_car(rows: slice, columns: slice) -> torch.Tensor:
 @pytest.mark.parametrize(("sure", "covered"), [(0.97, False), (0.9, True)])
 def test_a_car_does_not_cover_what_is_surely_ground(sure, covered):
     there = part_of_a_car(slice(60, 80), slice(40, 60))
-    found = seen_otherwise(there, ROAD, sure)
+    found = labelled_otherwise(there, ROAD, sure)
     assert there.sum() > 30 and overlap(found == CAR, street(PLACES[0])[0] == CAR) > 0.8
     assert (float((found[there] == CAR).float().mean()) > 0.9) == covered
     assert covered or not (found[there] == CAR).any()
 
 
-def test_a_lorry_taken_for_a_car_below_keeps_what_is_seen_of_it_above():
+def test_a_lorry_taken_for_a_car_below_keeps_its_upper_part():
     there = part_of_a_car(slice(0, 30), slice(0, 100))
-    found = seen_otherwise(there, TRUCK, LIKELY)
+    found = labelled_otherwise(there, TRUCK, LIKELY)
     assert there.sum() > 30 and (found == CAR).any()
     assert (found[there] == TRUCK).all()
 

@@ -124,9 +124,9 @@ def _drawn(boxes: Boxes, measured: Measured, pose: np.ndarray | None) -> Drawn:
     distance_m = hits.distance_m[:, 0]  # (pairs of car and column, rows from `first` on)
     is_car, others, ground, radius_m = (part[first:].T[column] for part in measured[:4])
     near = (radius_m / distance_m).log().abs() < SAME_CAR
-    seen = ((is_car > HALF) & near) | (radius_m > distance_m - IN_FRONT_M) | (ground > HALF)
-    seen &= (ground < BARE) & ~((others > is_car) & near)
-    distance_m = torch.where(seen, distance_m, math.inf)
+    visible = ((is_car > HALF) & near) | (radius_m > distance_m - IN_FRONT_M) | (ground > HALF)
+    visible &= (ground < BARE) & ~((others > is_car) & near)
+    distance_m = torch.where(visible, distance_m, math.inf)
     nearest = distance_m.new_full((view.columns, distance_m.shape[1]), math.inf)
     nearest.scatter_reduce_(0, column[:, None].expand_as(distance_m), distance_m, "amin")
     pair, row = (distance_m.isfinite() & (distance_m == nearest[column])).nonzero(as_tuple=True)
