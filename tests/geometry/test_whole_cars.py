@@ -52,9 +52,14 @@ def probabilities(ids: torch.Tensor) -> torch.Tensor:
 def completed(
     ids: torch.Tensor, radius_m: torch.Tensor, pose: np.ndarray | None = None, view: View = VIEW
 ) -> WholeCars:
+    return completed_scene(probabilities(ids), radius_m, pose, view)
+
+
+def completed_scene(
+    segments: torch.Tensor, radius_m: torch.Tensor, pose: np.ndarray | None = None, view: View = VIEW
+) -> WholeCars:
     depth_m = radius_m * torch.sqrt(1 + slopes(view)[:, None] ** 2)
-    above_m = torch.tensor([ABOVE_M])
-    return whole_cars(probabilities(ids), depth_m[None], radius_m[None], above_m, view, pose, IDS)
+    return whole_cars(segments, depth_m[None], radius_m[None], torch.tensor([ABOVE_M]), view, pose, IDS)
 
 
 def overlap(one: torch.Tensor, other: torch.Tensor) -> float:
@@ -134,12 +139,7 @@ def labelled_otherwise(there: torch.Tensor, label: int, sure: float) -> torch.Te
     segments = probabilities(ids)
     segments[0, :, there] = (1 - sure) / 4
     segments[0, label, there] = sure
-    depth_m = radius_m * torch.sqrt(1 + slopes(VIEW)[:, None] ** 2)
-    return (
-        whole_cars(segments, depth_m[None], radius_m[None], torch.tensor([ABOVE_M]), VIEW, None, IDS)
-        .segments[0]
-        .argmax(0)
-    )
+    return completed_scene(segments, radius_m).segments[0].argmax(0)
 
 
 def part_of_a_car(rows: slice, columns: slice) -> torch.Tensor:
@@ -148,8 +148,8 @@ def part_of_a_car(rows: slice, columns: slice) -> torch.Tensor:
     part = torch.zeros_like(car)
     (top, bottom), (left, right) = (car.any(axis).nonzero()[[0, -1], 0].tolist() for axis in (1, 0))
     row, column = (
-        (slice(*(begin + (end - begin) * at // 100 for at in (part.start, part.stop))))
-        for part, begin, end in ((rows, top, bottom), (columns, left, right))
+        slice(*(begin + (end - begin) * at // 100 for at in (share.start, share.stop)))
+        for share, begin, end in ((rows, top, bottom), (columns, left, right))
     )
     part[row, column] = True
     return part & car

@@ -105,9 +105,9 @@ def _mean_gap(there: Tensor) -> float:
     """How many rows neighbours above each other are apart on average in (H, W) bool, those beyond FAR_PX left out."""
     alone = there.clone()  # what has met no neighbour above it yet
     counts = []
-    for away in range(1, min(FAR_PX, len(there) - 1) + 1):
+    for away in range(1, FAR_PX + 1):
         met = alone[away:] & there[:-away]
         alone[away:] ^= met
         counts.append(met.sum())
-    numbers = torch.stack(counts).tolist() if counts else []
+    numbers = torch.stack(counts).tolist()
     return sum(away * number for away, number in enumerate(numbers, 1)) / sum(numbers) if any(numbers) else 1.0

@@ -41,13 +41,11 @@ HALF = 0.5  # probability from which on a pixel shows a thing
 class Measured(NamedTuple):
     """What a panorama shows of cars.
 
-    cars, others, ground  (H, W): probabilities of cars, of other vehicles, and of what they stand on.
-    radius_m      (H, W), distance from the view's axis.
+    cars, ground  (H, W): probabilities;  radius_m: (H, W), distance from the view's axis.
     above_m       (): how high the viewpoint is above the road;  number: (W,), of the car of each column, -1 for none.
     """
 
     cars: Tensor
-    others: Tensor
     ground: Tensor
     radius_m: Tensor
     above_m: Tensor
@@ -88,9 +86,7 @@ class Sample(NamedTuple):
     counts: Tensor
 
 
-def found_cars(  # noqa: PLR0913, PLR0917 the parts of Measured
-    cars: Tensor, others: Tensor, ground: Tensor, radius_m: Tensor, above_m: Tensor, view: View
-) -> tuple[Found, Measured]:
+def found_cars(cars: Tensor, ground: Tensor, radius_m: Tensor, above_m: Tensor, view: View) -> tuple[Found, Measured]:
     """The nearest cars that fill enough columns; arguments as of Measured."""
     rows = slice(EVERY // 2, None, EVERY)
     height_m = (radius_m * slopes(view, device=cars.device)[:, None] + above_m)[rows]
@@ -110,7 +106,7 @@ def found_cars(  # noqa: PLR0913, PLR0917 the parts of Measured
     column = column[enough & (_over(number, column, "amin") == column)]  # one of each car
     column = column[mean_m[column].argsort()[:MOST]]
     parts = (*_rectangles(point, number), top_m.clamp(*TOP_M), mean_m, number)
-    measured = Measured(cars, others, ground, radius_m, above_m, torch.where(here, number, -1), view)
+    measured = Measured(cars, ground, radius_m, above_m, torch.where(here, number, -1), view)
     return Found(*(part[..., column] for part in parts)), measured
 
 

@@ -79,18 +79,17 @@ def _whole(  # noqa: PLR0913, PLR0917 as above
     before: WholeCars, radius_m: Tensor, above_m: Tensor, view: View, pose: np.ndarray | None, classes: Classes
 ) -> WholeCars:
     ground = before.segments[list(classes.ground)].sum(0)
-    cars, others = before.segments[classes.car], before.segments[list(classes.others)].sum(0)
-    found, measured = found_cars(cars, others, ground, radius_m, above_m, view)
+    found, measured = found_cars(before.segments[classes.car], ground, radius_m, above_m, view)
     if len(found.number) == 0:
         return before
     boxes, covered = fitted(found, measured)
     good = _apart(boxes, covered)
     if not bool(good.any()):
         return before
-    drawn = _drawn(boxes.of(good), measured, pose)
+    others = before.segments[list(classes.others)].sum(0)
+    drawn = _drawn(boxes.of(good), measured, others, pose)
     inside = drawn.nearest_m.isfinite()
-    gone = _outside(measured, drawn.nearest_m, found.number[good])
-    gone &= measured.others < measured.cars  # a lorry that touches a car stays
+    gone = _outside(measured, others, drawn.nearest_m, found.number[good])
     segments, radius_m = _without(before.segments, measured, gone, inside, classes)
     segments.mul_(as_float(~inside))
     segments[classes.car].masked_fill_(inside, 1)
@@ -113,8 +112,8 @@ def _apart(boxes: Boxes, covered: Tensor) -> Tensor:
     return good
 
 
-def _drawn(boxes: Boxes, measured: Measured, pose: np.ndarray | None) -> Drawn:
-    """Cars' bodies where nothing hides them, and the shadows beside them."""
+def _drawn(boxes: Boxes, measured: Measured, others: Tensor, pose: np.ndarray | None) -> Drawn:
+    """Cars' bodies where nothing hides them and no other vehicle (H, W) is likelier, and the shadows beside them."""
     view = measured.view
     car, column = _columns(boxes, view)
     each, slope = boxes.of(car), slopes(view, device=car.device)
@@ -122,7 +121,7 @@ def _drawn(boxes: Boxes, measured: Measured, pose: np.ndarray | None) -> Drawn:
     first = int((slope > _highest(boxes, measured.above_m)).sum())
     hits = first_hits(each, ray, slope[first:].expand(len(car), -1), measured.above_m)
     distance_m = hits.distance_m[:, 0]  # (pairs of car and column, rows from `first` on)
-    is_car, others, ground, radius_m = (part[first:].T[column] for part in measured[:4])
+    is_car, ground, radius_m, others = (part[first:].T[column] for part in (*measured[:3], others))
     near = (radius_m / distance_m).log().abs() < SAME_CAR
     visible = ((is_car > HALF) & near) | (radius_m > distance_m - IN_FRONT_M) | (ground > HALF)
     visible &= (ground < BARE) & ~((others > is_car) & near)
@@ -176,13 +175,13 @@ def _shaded(each: Boxes, column: Tensor, measured: Measured, ray: Tensor) -> Ten
     return torch.where(darkest < -PALE, darkest, math.nan).expand(3, -1, -1).clone()
 
 
-def _outside(measured: Measured, nearest_m: Tensor, numbers: Tensor) -> Tensor:
-    """Pixels (H, W) bool that may be car in the picture but are outside of the bodies that were drawn there."""
+def _outside(measured: Measured, others: Tensor, nearest_m: Tensor, numbers: Tensor) -> Tensor:
+    """Pixels (H, W) bool that may be car, and are likelier so than another vehicle, but are outside of drawn bodies."""
     inside = nearest_m.isfinite()
     mean_m = torch.where(inside, nearest_m, 0).sum(0) / inside.sum(0)  # NaN where no body was drawn
     near = (measured.radius_m / mean_m).log().abs() < SAME_CAR
     own = (measured.number < 0) | torch.isin(measured.number, numbers)
-    return near & own & ~inside & (measured.cars > FAINT) & (measured.cars < SURE)
+    return near & own & ~inside & (measured.cars > FAINT) & (measured.cars < SURE) & (others < measured.cars)
 
 
 def _without(
