@@ -48,7 +48,7 @@ def pixels(painter: ScenePainter, file: Path, look: str) -> tuple[Tensor, Tensor
     channels = torch.zeros(1, 5, rows, columns)
     channels[0, 0], channels[0, 4] = kept["valid"][:, :columns], kept["remission"][:, :columns]
     window, depth_m = VIEW.window((VIEW.columns - columns) // 2, columns), kept["depth_m"][None, :, :columns].float()
-    segments, depth_m, tones = with_cars(kept["segments"][None, ..., :columns].float(), depth_m, window)
+    segments, depth_m, tones, _ = with_cars(kept["segments"][None, ..., :columns].float(), depth_m, window)
     segments = outlined(segments, painter.sharp, depth_m, window)
     inputs = painter_inputs(segments, depth_m, channels, window, tones=tones, unread=painter.unread)
     shares = torch.tensor([painter.look_shares(look)])

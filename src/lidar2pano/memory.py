@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
+from lidar2pano.geometry.car_body import Boxes
 from lidar2pano.geometry.flow import distances_before, ego_flow, ego_flows, moved_distances
 from lidar2pano.geometry.odds import likeliest
 from lidar2pano.geometry.warp import warp
@@ -83,12 +84,14 @@ class Memory:
 
     frames    number of scans before; a panorama's `frame` is its place in the stream.
     painted   what the painter gets back with the next scan (StreamPainter).
+    cars      that were drawn last, where the sensor's pose was given: whole_cars.WholeCars.boxes.
     around    classes and depths that were painted last, and previous: the latest panorama, where the sensor's pose was
               given.
     """
 
     frames: int = 0
     painted: Any = None
+    cars: Boxes | None = None
     around: Surroundings | None = None
     previous: PreviousFrame | None = None
 

@@ -19,6 +19,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.between_beams import denser
 from lidar2pano.geometry.camera import at_camera
+from lidar2pano.geometry.car_body import Boxes
 from lidar2pano.geometry.columns import rows_beside
 from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.masks import as_float
@@ -237,7 +238,7 @@ class Pipeline:
                 around = self._around(translated, memory.around, pose)
                 translated = translated._replace(logits=around.segments.clamp(min=TINY).log(), depth_m=around.depth_m)
         with timer("cars"):
-            segments, depth_m, tones = self.completed(translated, pose)
+            segments, depth_m, tones, cars = self.completed(translated, pose, memory.cars)
         with timer("paint"), fast_arithmetic(self.device):
             scene = Scene(
                 segments=segments,
@@ -277,14 +278,19 @@ class Pipeline:
             points_between=translated.points_between,
             milliseconds=timer.milliseconds,
         )
-        return Memory(frames=memory.frames + 1, painted=painted, around=around, previous=previous), panorama
+        return Memory(frames=memory.frames + 1, painted=painted, cars=cars, around=around, previous=previous), panorama
 
-    def completed(self, translated: Translated, pose: np.ndarray | None = None) -> WholeCars:
-        """Probabilities and depths with whole cars; what the paper's networks predict stays as it is, without tones."""
+    def completed(
+        self, translated: Translated, pose: np.ndarray | None = None, earlier: Boxes | None = None
+    ) -> WholeCars:
+        """Probabilities and depths with whole cars; what the paper's networks predict stays as it is, without tones.
+
+        earlier  the cars of the scan before, if there are poses.
+        """
         segments, depth_m = translated.logits.float().softmax(1), translated.depth_m
         if self.input_view is not None:
             return WholeCars(segments, depth_m, segments.new_full((1, 3, *depth_m.shape[1:]), torch.nan))
-        return with_cars(segments, depth_m, self.view, pose)
+        return with_cars(segments, depth_m, self.view, pose, None if pose is None else earlier)
 
     def _around(self, translated: Translated, before: Surroundings | None, pose: np.ndarray) -> Surroundings:
         """The scan's classes and depths, averaged with those before."""

@@ -50,16 +50,24 @@ def probabilities(ids: torch.Tensor) -> torch.Tensor:
 
 
 def completed(
-    ids: torch.Tensor, radius_m: torch.Tensor, pose: np.ndarray | None = None, view: View = VIEW
+    ids: torch.Tensor,
+    radius_m: torch.Tensor,
+    pose: np.ndarray | None = None,
+    view: View = VIEW,
+    earlier: Boxes | None = None,
 ) -> WholeCars:
-    return completed_scene(probabilities(ids), radius_m, pose, view)
+    return completed_scene(probabilities(ids), radius_m, pose, view, earlier)
 
 
 def completed_scene(
-    segments: torch.Tensor, radius_m: torch.Tensor, pose: np.ndarray | None = None, view: View = VIEW
+    segments: torch.Tensor,
+    radius_m: torch.Tensor,
+    pose: np.ndarray | None = None,
+    view: View = VIEW,
+    earlier: Boxes | None = None,
 ) -> WholeCars:
     depth_m = radius_m * torch.sqrt(1 + slopes(view)[:, None] ** 2)
-    return whole_cars(segments, depth_m[None], radius_m[None], torch.tensor([ABOVE_M]), view, pose, IDS)
+    return whole_cars(segments, depth_m[None], radius_m[None], torch.tensor([ABOVE_M]), view, pose, IDS, earlier)
 
 
 def overlap(one: torch.Tensor, other: torch.Tensor) -> float:
@@ -203,6 +211,56 @@ def test_a_parked_car_keeps_its_colour_when_the_sensor_moves():
         tones = completed(ids, radius_m, pose).tones[0]
         colours.append(tones[:, (ids == CAR) & tones[0].isfinite()].median(1).values)
     assert torch.allclose(colours[0], colours[1], atol=0.25) and torch.allclose(colours[0], colours[2], atol=0.25)
+
+
+def placed_around(x: float, y: float, heading: float) -> tuple[np.ndarray, tuple[float, float, float]]:
+    """A pose, and where the car that stands at (20, 9), heading 0.4 in the world, is around it."""
+    pose = np.eye(4)
+    pose[:2, :2] = [[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]]
+    pose[:2, 3] = x, y
+    place = pose[:2, :2].T @ np.subtract((20.0, 9.0), (x, y))
+    return pose, (float(place[0]), float(place[1]), 0.4 - heading)
+
+
+def boxes_of_a_drive(followed: bool) -> list[Boxes]:
+    """The box of one car, from five places, each with the one before or without."""
+    boxes: list[Boxes] = []
+    for step in range(5):
+        pose, place = placed_around(10 + step, 2 + step / 4, 0.1 * step)
+        ids, radius_m = holed(*street(place), seed=step)
+        whole = completed(ids, radius_m, pose, earlier=boxes[-1] if boxes and followed else None)
+        assert whole.boxes is not None
+        assert overlap(whole.segments[0].argmax(0) == CAR, street(place)[0] == CAR) > (0.85 if followed else 0.8)
+        assert (whole.boxes.middle[:, 0] - torch.tensor([20.0, 9.0])).norm() < 0.75
+        boxes.append(whole.boxes)
+    return boxes
+
+
+def test_a_car_that_stands_keeps_its_box_while_the_sensor_moves():
+    followed, alone = (
+        {tuple(one.middle[:, 0].round(decimals=4).tolist()) for one in boxes_of_a_drive(each)} for each in (True, False)
+    )
+    assert len(followed) <= 3 < len(alone)
+
+
+def test_a_car_that_drove_on_gets_a_new_box():
+    there, onward = (6.0, 4.0, 0.0), (7.2, 4.0, 0.0)
+    earlier = completed(*street(there)).boxes
+    assert earlier is not None
+    ids, radius_m = street(onward)
+    alone, followed = completed(ids, radius_m), completed(ids, radius_m, earlier=earlier)
+    assert torch.equal(alone.segments, followed.segments) and torch.equal(alone.depth_m, followed.depth_m)
+
+
+def test_a_box_far_in_the_world_stays_exact():
+    pose, place = placed_around(10, 2, 0.3)
+    ids, radius_m = street(place)
+    far = pose.copy()
+    far[:2, 3] += 4e6, 5e6
+    here, there = completed(ids, radius_m, pose).boxes, completed(ids, radius_m, far).boxes
+    assert here is not None and there is not None
+    offset = torch.tensor([[4e6], [5e6]], dtype=torch.float64)
+    assert torch.allclose(there.middle - offset, here.middle, atol=1e-6)
 
 
 def test_cars_that_stand_apart_differ_in_colour():

@@ -91,7 +91,7 @@ class PanoramaSystem:
         """The prediction with the camera's image."""
         with timer("camera"):
             lookup = panorama_in_camera(view.pipeline.view, calibration).to(view.pipeline.device)
-            segments, depth_m, _ = view.pipeline.completed(view.translated)
+            segments, depth_m, *_ = view.pipeline.completed(view.translated)
             ids = lookup.linear(segments[0].clamp(min=TINY).log()).max(0).indices
             depth_m = lookup.linear(depth_m[0].float())
         image: np.ndarray | None = None

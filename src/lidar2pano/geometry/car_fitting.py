@@ -35,6 +35,7 @@ MOVES = (0.4, 0.25, 0.12, 0.08, 0.3)  # by which a box is tried elsewhere: along
 ROUNDS, TURN = (1.0, 0.9, 0.7, 0.6, 0.5, 0.4), 0.6  # shares of MOVES, one after the other; before TURN it is turned
 OFF, IN_FRONT_M = 1.0, 0.3  # how much a difference of distances counts; what is so much nearer than a car hides it
 BARE = 0.95  # probability from which on a pixel surely shows the ground; a body on it counts twice against a fit
+KEPT, SAME_PLACE_M = 0.05, 1.5  # what a car's box of the scan before counts more; how far its middle is at most
 HALF = 0.5  # probability from which on a pixel shows a thing
 
 
@@ -117,14 +118,27 @@ def _closed(here: Tensor) -> Tensor:
     return torch.stack([grown.roll(shift) for shift in shifts]).all(0)
 
 
-def fitted(found: Found, measured: Measured) -> tuple[Boxes, Tensor]:
-    """The box (n,) of each car that fits best, and the overlap of its body with the car in the picture, in [0, 1]."""
+def fitted(found: Found, measured: Measured, earlier: Boxes | None = None) -> tuple[Boxes, Tensor]:
+    """The box (n,) of each car that fits best, and the overlap of its body with the car in the picture, in [0, 1].
+
+    earlier  (m,): boxes of the scan before. A car keeps its own unless another one fits better by KEPT, so that what
+             stands does not waver in a drive; then the overlap counts KEPT more.
+    """
     sample = _sampled(found, measured)
     boxes, score, covered = _best(_placed(found), sample)
     for step in ROUNDS:
         if step == TURN:
             boxes, score, covered = _best(_turned(boxes, found.top_m), sample)
         boxes, score, covered = _nudged(boxes, score, covered, step, sample)
+    if earlier is None:
+        return boxes, covered
+    apart_m, nearest = torch.cdist(boxes.middle.T, earlier.middle.T).min(1)
+    before = earlier.of(nearest)
+    scores, shares = _scores(_alternatives([boxes, before]), sample)
+    keeps = (apart_m < SAME_PLACE_M) & (scores[:, 1] + KEPT > scores[:, 0])
+    scores[:, 1] = torch.where(keeps, math.inf, -math.inf)
+    shares[:, 1] += KEPT
+    boxes, _, covered = _picked(_alternatives([boxes, before]), scores, shares)
     return boxes, covered
 
 

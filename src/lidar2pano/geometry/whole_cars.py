@@ -29,11 +29,13 @@ class WholeCars(NamedTuple):
 
     segments  (B, C, H, W): probabilities;  depth_m: (B, H, W) metres.
     tones     (B, 3, H, W): how much brighter than the mean of its class in red, green, blue; NaN where not known.
+    boxes     of the cars (n) that were drawn, in the world, float64; None: none, or not of a single scene.
     """
 
     segments: Tensor
     depth_m: Tensor
     tones: Tensor
+    boxes: Boxes | None = None
 
 
 class Classes(NamedTuple):
@@ -59,35 +61,47 @@ def whole_cars(  # noqa: PLR0913, PLR0917 one scene, and which class is what
     view: View,
     T_world_sensor: np.ndarray | None,
     classes: Classes,
+    earlier: Boxes | None = None,
 ) -> WholeCars:
     """Lay whole cars over what the sensor measured of them.
 
     segments  (B, C, H, W): probabilities;  depth_m, radius_m: (B, H, W), from the viewpoint and from its axis.
     above_m   (B,): how high the viewpoint is above the road.
     T_world_sensor  (4, 4): where the cars' colours hang; None: on the sensor frame.
+    earlier   what `boxes` was for the scan before: a car keeps its box while that fits about as well as a new one.
     """
     made = []
     for one, depth, radius, above in zip(segments, depth_m, radius_m, above_m, strict=True):
         before = WholeCars(one, depth, one.new_full((3, *depth.shape), math.nan))
-        made.append(_whole(before, radius, above, view, T_world_sensor, classes))
+        made.append(_whole(before, radius, above, view, T_world_sensor, classes, earlier))
     if len(made) == 1:  # without another copy
-        return WholeCars(*(part[None] for part in made[0]))
-    return WholeCars(*map(torch.stack, zip(*made, strict=True)))
+        (single,) = made
+        return WholeCars(single.segments[None], single.depth_m[None], single.tones[None], single.boxes)
+    segments, depth_m, tones = (torch.stack(parts) for parts in list(zip(*made, strict=True))[:3])
+    return WholeCars(segments, depth_m, tones)
 
 
 def _whole(  # noqa: PLR0913, PLR0917 as above
-    before: WholeCars, radius_m: Tensor, above_m: Tensor, view: View, pose: np.ndarray | None, classes: Classes
+    before: WholeCars,
+    radius_m: Tensor,
+    above_m: Tensor,
+    view: View,
+    pose: np.ndarray | None,
+    classes: Classes,
+    earlier: Boxes | None,
 ) -> WholeCars:
     ground = before.segments[list(classes.ground)].sum(0)
     found, measured = found_cars(before.segments[classes.car], ground, radius_m, above_m, view)
     if len(found.number) == 0:
         return before
-    boxes, covered = fitted(found, measured)
+    boxes, covered = fitted(found, measured, None if earlier is None else _in_view(earlier, view, pose))
     good = _apart(boxes, covered)
     if not bool(good.any()):
         return before
     others = before.segments[list(classes.others)].sum(0)
-    drawn = _drawn(boxes.of(good), measured, others, pose)
+    boxes = boxes.of(good)
+    world = _in_world(boxes, view, pose)
+    drawn = _drawn(boxes, measured, others, world.middle.to(radius_m))
     inside = drawn.nearest_m.isfinite()
     gone = _outside(measured, others, drawn.nearest_m, found.number[good])
     segments, radius_m = _without(before.segments, measured, gone, inside, classes)
@@ -96,7 +110,7 @@ def _whole(  # noqa: PLR0913, PLR0917 as above
     radius_m = torch.where(inside, drawn.nearest_m, radius_m)
     along_ray = torch.sqrt(1 + slopes(view, device=radius_m.device)[:, None].square())
     depth_m = torch.where(radius_m == measured.radius_m, before.depth_m, radius_m * along_ray)
-    return WholeCars(segments, depth_m, drawn.tones)
+    return WholeCars(segments, depth_m, drawn.tones, world)
 
 
 def _apart(boxes: Boxes, covered: Tensor) -> Tensor:
@@ -112,8 +126,11 @@ def _apart(boxes: Boxes, covered: Tensor) -> Tensor:
     return good
 
 
-def _drawn(boxes: Boxes, measured: Measured, others: Tensor, pose: np.ndarray | None) -> Drawn:
-    """Cars' bodies where nothing hides them and no other vehicle (H, W) is likelier, and the shadows beside them."""
+def _drawn(boxes: Boxes, measured: Measured, others: Tensor, place: Tensor) -> Drawn:
+    """Cars' bodies where nothing hides them and no other vehicle (H, W) is likelier, and the shadows beside them.
+
+    place  (2, n) in the world, metres, from which each car has its paint.
+    """
     view = measured.view
     car, column = _columns(boxes, view)
     each, slope = boxes.of(car), slopes(view, device=car.device)
@@ -130,7 +147,6 @@ def _drawn(boxes: Boxes, measured: Measured, others: Tensor, pose: np.ndarray | 
     nearest.scatter_reduce_(0, column[:, None].expand_as(distance_m), distance_m, "amin")
     pair, row = (distance_m.isfinite() & (distance_m == nearest[column])).nonzero(as_tuple=True)
     chosen = Hits(*(part.expand(hits.distance_m.shape)[pair, 0, row] for part in hits))
-    place = boxes.middle if pose is None else _in_world(boxes.middle, view, pose)
     tones = _shaded(each, column, measured, ray[..., 0])
     tones[:, row + first, column[pair]] = tones_of(each.of(pair), chosen, _paint(place)[:, car[pair]])
     above = nearest.new_full((first, view.columns), math.inf)
@@ -205,10 +221,28 @@ def _without(
     return segments, radius_m
 
 
-def _in_world(middle: Tensor, view: View, pose: np.ndarray) -> Tensor:
-    """Places (2, n) in the world of places around the viewpoint."""
-    _, start = world_columns(view, pose, middle.device)
-    return torch.from_numpy(pose[:2, :2]).to(middle) @ middle + start.to(middle)[:, None]
+def _in_world(boxes: Boxes, view: View, pose: np.ndarray | None) -> Boxes:
+    """Boxes in the world, float64, of boxes around the viewpoint; without a pose they stay where they are."""
+    turn, start = _world(boxes, view, pose)
+    middle, ahead = (turn @ part.double() for part in (boxes.middle, boxes.ahead))
+    return boxes._replace(middle=middle + start, ahead=ahead)
+
+
+def _in_view(boxes: Boxes, view: View, pose: np.ndarray | None) -> Boxes:
+    """The inverse of `_in_world`, float32."""
+    turn, start = _world(boxes, view, pose)
+    middle, ahead = turn.T @ (boxes.middle - start), turn.T @ boxes.ahead
+    return boxes._replace(middle=middle.float(), ahead=ahead.float())
+
+
+def _world(boxes: Boxes, view: View, pose: np.ndarray | None) -> tuple[Tensor, Tensor]:
+    """The rotation (2, 2) and the place (2, 1) of the viewpoint in the world, from above; float64."""
+    device = boxes.middle.device
+    if pose is None:
+        return torch.eye(2, dtype=torch.float64, device=device), torch.zeros(2, 1, dtype=torch.float64, device=device)
+    angle = math.atan2(pose[1, 0], pose[0, 0])
+    turn = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+    return torch.tensor(turn, dtype=torch.float64, device=device), world_columns(view, pose, device)[1][:, None]
 
 
 def _paint(place: Tensor) -> Tensor:

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.car_body import Boxes
 from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.outlines import against_the_sky
 from lidar2pano.geometry.solid_noise import STRIP, smooth_noise, solid_noise
@@ -269,10 +270,16 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     return _joined(parts, dtype), fine.to(dtype).contiguous(memory_format=torch.channels_last)
 
 
-def with_cars(segments: Tensor, depth_m: Tensor, view: View, T_world_sensor: np.ndarray | None = None) -> WholeCars:
+def with_cars(
+    segments: Tensor,
+    depth_m: Tensor,
+    view: View,
+    T_world_sensor: np.ndarray | None = None,
+    earlier: Boxes | None = None,
+) -> WholeCars:
     """A scene with whole cars: see `whole_cars`; arguments as of `painter_inputs`."""
     radius_m, _, above_m = _points(segments[:, ROAD] == segments.amax(1), depth_m, view)
-    return whole_cars(segments.float(), depth_m.float(), radius_m, above_m, view, T_world_sensor, CARS)
+    return whole_cars(segments.float(), depth_m.float(), radius_m, above_m, view, T_world_sensor, CARS, earlier)
 
 
 def _points(road: Tensor, depth_m: Tensor, view: View) -> tuple[Tensor, Tensor, Tensor]:

@@ -96,7 +96,7 @@ class LookPainting:
             pose = np.eye(4)
             pose[:3, 3] = np.random.uniform(0, 64, 3)  # noqa: NPY002 seeded by the loop, step by step
             window = self.view.window(int(np.random.randint(self.view.columns)), columns)  # noqa: NPY002
-            segments, depth_m, tones = with_cars(batch.segments.float(), batch.depth_m, window, pose)
+            segments, depth_m, tones, _ = with_cars(batch.segments.float(), batch.depth_m, window, pose)
             segments = outlined(segments, self.painter.sharp, depth_m, window, pose)
             inputs = painter_inputs(segments, depth_m, batch.channels, window, pose, tones, unread=self.painter.unread)
             shares = torch.eye(len(self.painter.looks), device=depth_m.device)[-1:].expand(samples, -1)

@@ -248,7 +248,7 @@ class ScenePainting:
         tones, depth_m, segments = self._tones(batch, segments), batch.depth_m.clone(), segments.clone()
         some = drawn.flatten()
         if bool(some.any()):
-            segments[some], depth_m[some], tones[some] = with_cars(segments[some], depth_m[some], window, pose)
+            segments[some], depth_m[some], tones[some], _ = with_cars(segments[some], depth_m[some], window, pose)
         return batch._replace(depth_m=depth_m), segments, tones
 
     def _scanned(self, batch: PaintingSample) -> Tensor:
@@ -298,7 +298,7 @@ class ScenePainting:
         one = one._replace(tone=torch.zeros_like(one.tone))
         segments = sharpened(one.segments, 2.0)
         window, pose = self._somewhere(segments)
-        segments, depth_m, tones = with_cars(segments, one.depth_m, window, pose)
+        segments, depth_m, tones, _ = with_cars(segments, one.depth_m, window, pose)
         inputs = painter_inputs(segments, depth_m, one.channels, window, pose, tones, unread=self.unread)
         return self.painted(one, inputs)[0].cpu(), sample
 
