@@ -285,12 +285,14 @@ class Pipeline:
     ) -> WholeCars:
         """Probabilities and depths with whole cars; what the paper's networks predict stays as it is, without tones.
 
-        earlier  the cars of the scan before, if there are poses.
+        earlier  `boxes` of the scan before. They hang in the world: without a pose they are neither used nor returned.
         """
         segments, depth_m = translated.logits.float().softmax(1), translated.depth_m
         if self.input_view is not None:
             return WholeCars(segments, depth_m, segments.new_full((1, 3, *depth_m.shape[1:]), torch.nan))
-        return with_cars(segments, depth_m, self.view, pose, None if pose is None else earlier)
+        if pose is None:
+            return with_cars(segments, depth_m, self.view)._replace(boxes=None)
+        return with_cars(segments, depth_m, self.view, pose, earlier)
 
     def _around(self, translated: Translated, before: Surroundings | None, pose: np.ndarray) -> Surroundings:
         """The scan's classes and depths, averaged with those before."""

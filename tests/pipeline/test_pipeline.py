@@ -18,8 +18,10 @@ from lidar2pano.cli import main
 from lidar2pano.corrections import corrected
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
+from lidar2pano.geometry.car_body import Boxes
 from lidar2pano.geometry.columns import rows_beside
 from lidar2pano.geometry.projection import Normalisation, directions, one_hot_layers, project
+from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import LEAST_IMAGES, Surroundings, fused
@@ -100,6 +102,21 @@ def test_a_stream_with_poses_is_smoothed(pipeline):
     assert memory.previous is not None and memory.around is not None
     again, _ = replace(pipeline, painter=Moody()).step(memory, scan)
     assert (again.previous, again.around) == (None, None), "without a pose it begins again"
+
+
+def test_cars_are_kept_from_scan_to_scan_with_poses_only(pipeline, monkeypatch):
+    given, boxes = [], Boxes(*(torch.zeros(2, 1),) * 2, *(torch.ones(1),) * 4, torch.zeros(1, dtype=torch.int64))
+
+    def with_cars(segments, depth_m, view, pose=None, earlier=None):
+        given.append(earlier)
+        return WholeCars(segments, depth_m, segments.new_full((1, 3, *depth_m.shape[1:]), torch.nan), boxes)
+
+    monkeypatch.setattr("lidar2pano.pipeline.with_cars", with_cars)
+    memory = Memory()
+    for pose in (np.eye(4), np.eye(4), None, np.eye(4)):
+        memory, _ = pipeline.step(memory, street(seed=1), pose)
+        assert memory.cars is (None if pose is None else boxes)
+    assert [one is boxes for one in given] == [False, True, False, False]
 
 
 def test_a_stream_with_poses_paints_the_mean_of_its_scans(pipeline):
