@@ -133,12 +133,11 @@ def fitted(found: Found, measured: Measured, earlier: Boxes | None = None) -> tu
     if earlier is None:
         return boxes, covered
     apart_m, nearest = torch.cdist(boxes.middle.T, earlier.middle.T).min(1)
-    before = earlier.of(nearest)
-    scores, shares = _scores(_alternatives([boxes, before]), sample)
-    keeps = (apart_m < SAME_PLACE_M) & (scores[:, 1] + KEPT > scores[:, 0])
-    scores[:, 1] = torch.where(keeps, math.inf, -math.inf)
+    both = _alternatives([boxes, earlier.of(nearest)])
+    scores, shares = _scores(both, sample)
+    scores[:, 1] += torch.where(apart_m < SAME_PLACE_M, KEPT, -math.inf)
     shares[:, 1] += KEPT
-    boxes, _, covered = _picked(_alternatives([boxes, before]), scores, shares)
+    boxes, _, covered = _picked(both, scores, shares)
     return boxes, covered
 
 
