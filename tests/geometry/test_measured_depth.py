@@ -95,7 +95,8 @@ class Slow:
             return top[1]
         around = [at % COLUMNS for at in range(column - module.CROWN_PX, column + module.CROWN_PX + 1)]
         near = [(one, at) for at in around if (one := self.tops[at])]
-        return float(np.mean([one[1] for one, at in near if self.ids[one[0], at] == TREE]))
+        mean = float(np.mean([one[1] for one, at in near if self.ids[one[0], at] == TREE]))
+        return mean * (self.guess[row, column] / mean) ** module.CROWN_GUESSED
 
     def between(self, row: int, column: int, first: int, last: int) -> float:
         """Between the points of two rows of a column."""
@@ -180,6 +181,15 @@ def test_a_crown_stands_above_its_own_points_on_average():
     crown = found(true_m, channels_of(true_m, rings()), ids)[0]
     assert crown.log().std() < 0.05 < true_m[RINGS.start].log().std()
     assert crown.mean() == pytest.approx(along_rays(torch.full((ROWS, 1), 8.0))[0, 0].item(), rel=0.05)
+
+
+def test_a_guess_draws_crowns_a_little_and_walls_not():
+    true_m, ids = street()
+    channels = channels_of(true_m, rings())
+    ids[:, :180] = torch.where(ids[:, :180] == WALL, TREE, ids[:, :180])
+    ratio = (found(true_m / 2, channels, ids) / true_m)[: RINGS.start].log2()
+    assert torch.allclose(ratio[:, 20:160], torch.tensor(-module.CROWN_GUESSED), atol=1e-3)
+    assert ratio[:, 200:340].abs().max() < 1e-3
 
 
 def test_between_two_surfaces_the_guess_decides():

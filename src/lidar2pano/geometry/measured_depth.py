@@ -23,6 +23,7 @@ TOPMOST_PX = 2  # columns on either side whose points say how far what stands ab
 EVEN_PX = (1, 2, 4)  # how far on either side lies what is averaged on a surface: noise, and rings out of line
 ON_PLANE = 0.03  # share of the inverse distance by which the mean of two opposite pixels may differ on one surface
 CROWN_PX = 12  # likewise, for crowns: a mean, for their own points lie near and far at random
+CROWN_GUESSED = 0.2  # power of the translator's distances in those of crowns, which are nearer than their lowest twigs
 FARTHEST_M = 1000.0
 
 
@@ -35,8 +36,8 @@ def measured_depth(depth_m: Tensor, channels: Tensor, ids: Tensor, view: View, r
     A pixel with a point has its distance. Between two points of a column lies their surface, if they are of one; else
     the upper one's, straight down, or the lower one's, straight up or along the road: that which the translator's depth
     is nearer to. Below a column's lowest point its surface goes on down to the road. Above its topmost, its surface
-    goes on up, as far as the pixels are of its class: trees and houses stand above their trunks and doors. Where that
-    is not so, and in columns without points, the translator's depth remains.
+    goes on up, as far as the pixels are of its class: trees and houses stand above their trunks and doors. A crown has
+    the translator's say as well. Where that is not so, and in columns without points, the translator's depth remains.
     """
     if view.kind != "cylinder":
         return depth_m.float()
@@ -89,7 +90,8 @@ def _above(inverse: Tensor, guessed: Tensor, ids: Tensor, soft: int) -> Tensor:
         alike = known.roll(away, 2) & (own.roll(away, 2) == soft)
         total += topmost.roll(away, 2) * alike
         count += alike
-    topmost = torch.where(own == soft, total / count.clamp(min=1), topmost)
+    crown = (total / count.clamp(min=1)).pow(1 - CROWN_GUESSED) * guessed.pow(CROWN_GUESSED)
+    topmost = torch.where(own == soft, crown, topmost)
     return either((ids == own) & known, topmost, guessed)
 
 
