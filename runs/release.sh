@@ -294,5 +294,12 @@ taught_scene scene-16 75 "$out/pruned/painter-2.safetensors" "${as_in_use[@]}" t
 taught_scene scene-17 17 "$(weights scene-16 painter)" training.seed=12 networks.painter.optimizer.rate=0.0004 \
   data.train=train,train,"$day:all","$out/towns/pandar64-day:all" \
   "${as_in_use[@]}" options.teacher_probability=0.55
+# A translator that also learns the towns of another sensor.
+stage translator-10 fast-translator "$kitti" 45 data.train="train,$more,$avenues,$out/towns/pandar64-day:all" \
+  options.segmenter="$narrow_segmenter" options.teacher="$tall" networks.translator.start="$narrow_translator" \
+  networks.translator.optimizer.rate=0.001 options.class_weight_exponent=0.35 options.elsewhere_probability=0.35 \
+  training.validate_minutes=0 training.seed=21
+mean "$out/mean/translator-10.safetensors" "$narrow_translator" "$(weights translator-10 translator)" 0.85,0.15
+narrow_translator=$out/mean/translator-10.safetensors
 lidar2pano evaluate "$(weights scene-17 painter)+$narrow_translator+$narrow_segmenter" --data "$kitti" --split val --json "$out/kitti.json"
 family kitti-mini "$narrow_segmenter" "$narrow_translator" "$(weights scene-17 painter)" "$out/kitti.json" CC-BY-NC-SA-4.0

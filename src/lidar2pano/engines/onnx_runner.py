@@ -332,7 +332,7 @@ def above(inverse, guess, best):
     known, topmost, own = (near > 0).any(0)[None], *(np.take_along_axis(each, top, 0) for each in (near, best))
     crown = known & (own == VEGETATION)
     total, count = (sum(np.roll(each, shift, 1) for shift in range(-12, 13)) for each in (topmost * crown, 1 * crown))
-    topmost = np.where(own == VEGETATION, (total / count.clip(min=1)) ** 0.8 * guess**0.2, topmost)
+    topmost = np.where(own == VEGETATION, (total / count.clip(min=1)) ** 0.9 * guess**0.1, topmost)
     return np.where((best == own) & known, topmost, guess)
 
 

@@ -23,7 +23,7 @@ TOPMOST_PX = 2  # columns on either side whose points say how far what stands ab
 EVEN_PX = (1, 2, 4)  # how far on either side lies what is averaged on a surface: noise, and rings out of line
 ON_PLANE = 0.03  # share of the inverse distance by which the mean of two opposite pixels may differ on one surface
 CROWN_PX = 12  # likewise, for crowns: a mean, for their own points lie near and far at random
-CROWN_GUESSED = 0.2  # power of the translator's distances in those of crowns, which are nearer than their lowest twigs
+CROWN_GUESSED = 0.1  # power of the translator's distances in those of crowns, which are nearer than their lowest twigs
 FARTHEST_M = 1000.0
 
 
