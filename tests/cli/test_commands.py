@@ -5,6 +5,7 @@ Run this file to write cli_options.txt again after a wanted change.
 
 from __future__ import annotations
 
+import inspect
 import io
 import json
 import subprocess
@@ -16,6 +17,7 @@ import pytest
 import torch
 import typer.main
 from PIL import Image
+from typer.models import OptionInfo
 
 import lidar2pano
 from engine_of_torch import TorchEngine
@@ -468,7 +470,20 @@ def listed() -> str:
 
 def test_options_are_the_recorded_ones():
     recorded = OPTIONS.read_text(encoding="utf-8")
-    assert listed() == recorded, "if the change is meant: .venv/bin/python tests/test_cli.py"
+    assert listed() == recorded, "if the change is meant: .venv/bin/python tests/cli/test_commands.py"
+
+
+def test_no_release_of_typer_takes_a_metavar_for_a_name():
+    """Typer 0.27 names an option after its metavar where both have the same letters: --HZ in place of --hz."""
+    taken = [
+        (command.callback.__name__, name)
+        for command in app.registered_commands
+        for name, parameter in inspect.signature(command.callback, eval_str=True).parameters.items()
+        for option in getattr(parameter.annotation, "__metadata__", ())
+        if isinstance(option, OptionInfo) and (option.metavar or "").lower() == name
+        if option.default is ...  # else it is the name
+    ]
+    assert taken == []
 
 
 def test_the_listing_knows_arguments_and_options():

@@ -19,7 +19,7 @@ def world(  # noqa: PLR0913, PLR0917 each is an option
     sequences: Annotated[int, typer.Option(min=1, metavar="N", help="Drives, each through a town of its own.")] = 1,
     frames: Annotated[int, typer.Option(min=1, metavar="M", help="Frames of each drive.")] = 20,
     hz: Annotated[
-        float, typer.Option(metavar="HZ", help="Frames a second; 1 for more variety in fewer frames.")
+        float, typer.Option("--hz", metavar="HZ", help="Frames a second; 1 for more variety in fewer frames.")
     ] = 10.0,
     seed: Annotated[int, typer.Option(metavar="S", help="The same seed gives the same bytes.")] = 0,
     sensor: Annotated[

@@ -25,7 +25,7 @@ VOXELS = 4  # per wavelength
 FARTHEST_M = 200.0  # nothing stands farther away
 SKY_M = 4.0  # the sky is a sphere of this radius that goes with the viewer
 COARSER = 4  # pixels of the raster for each at which long wavelengths are read
-STRIP = 16  # rows that are looked up at a time, so that they stay in the processor's cache
+STRIP = 16  # rows that are looked up at a time on a CPU, so that they stay in its cache
 AWAY_M = 4096.0  # added to coordinates, a multiple of every period: whole numbers are cut off, not rounded down
 
 
@@ -61,8 +61,9 @@ def solid_noise(
     sky_m, no_m, minus_one = slope.new_tensor([SKY_M, 1e-3, -1.0]).unbind()
     out = depth_m.new_empty(len(wavelengths_m), *depth_m.shape)
     has_sky = sky.any(1).tolist() if sky.device.type == "cpu" else [True] * view.rows  # a GPU is not waited for
-    for top in range(0, view.rows, STRIP):
-        rows = slice(top, top + STRIP)
+    strip = STRIP if depth_m.device.type == "cpu" else view.rows
+    for top in range(0, view.rows, strip):
+        rows = slice(top, top + strip)
         distance = radius = depth_m[rows].float().clamp(0.1, FARTHEST_M)
         if any(has_sky[rows]):
             is_sky = as_float(sky[rows])

@@ -90,8 +90,9 @@ def _whole(  # noqa: PLR0913, PLR0917 as above
     classes: Classes,
     earlier: Boxes | None,
 ) -> WholeCars:
-    ground = before.segments[list(classes.ground)].sum(0)
-    found, measured = found_cars(before.segments[classes.car], ground, radius_m, above_m, view)
+    device, ground = radius_m.device, before.segments[list(classes.ground)].sum(0)
+    rasters = (before.segments[classes.car], ground, radius_m, above_m)
+    found, measured = found_cars(*(raster.cpu() for raster in rasters), view)  # thousands of small steps
     if len(found.number) == 0:
         return before
     boxes, covered = fitted(found, measured, None if earlier is None else _in_view(earlier, view, pose))
@@ -100,10 +101,11 @@ def _whole(  # noqa: PLR0913, PLR0917 as above
         return before
     others = before.segments[list(classes.others)].sum(0)
     boxes = boxes.of(good)
-    world = _in_world(boxes, view, pose)
+    world, boxes = _in_world(boxes, view, pose), Boxes(*(part.to(device) for part in boxes))
+    measured = Measured(*rasters, measured.number.to(device), view)
     drawn = _drawn(boxes, measured, others, world.middle.to(radius_m))
     inside = drawn.nearest_m.isfinite()
-    gone = _outside(measured, others, drawn.nearest_m, found.number[good])
+    gone = _outside(measured, others, drawn.nearest_m, found.number[good].to(device))
     segments, radius_m = _without(before.segments, measured, gone, inside, classes)
     segments.mul_(as_float(~inside))
     segments[classes.car].masked_fill_(inside, 1)

@@ -350,8 +350,10 @@ def _enlarged(x: Tensor) -> Tensor:
 def _joined(parts: Sequence[Tensor], dtype: torch.dtype) -> Tensor:
     """Parts (B, C, H, W) float32 one after the other, channels last in memory.
 
-    Transposed as matrices, STRIP rows at a time, in a third of the time of `cat` and `contiguous`.
+    On a CPU transposed as matrices, STRIP rows at a time, in a third of the time of `cat` and `contiguous`.
     """
+    if parts[0].device.type != "cpu":
+        return torch.cat([part.to(dtype) for part in parts], 1).contiguous(memory_format=torch.channels_last)
     batch, _, rows, columns = parts[0].shape
     made = parts[0].new_empty(batch, rows, columns, sum(part.shape[1] for part in parts), dtype=dtype)
     for number, one in enumerate(made):

@@ -17,6 +17,7 @@ from lidar2pano.models.circular import CircularConv, CircularResidual, conv_norm
 
 STRIDE = 16  # input pixels per pixel of the coarsest level
 FAR_M = 120.0  # depths are predicted as log(1 + m) / log(1 + FAR_M)
+LOG_FAR = float(torch.log1p(torch.tensor(FAR_M, device="cpu")))
 
 
 class TitanPano(nn.Module):
@@ -77,7 +78,7 @@ class TitanPano(nn.Module):
         for depth in (2, 1, 0):
             x = self.smooth[depth](self.laterals[depth](features[depth]) + grow_circular(x, 2))
         x = self.head(torch.cat([self.shuffle(self.fuse(x)), fine], 1))
-        depth_m = torch.expm1(self.depth(x)[:, 0].float().sigmoid() * _log_far())
+        depth_m = torch.expm1(self.depth(x)[:, 0].float().sigmoid() * LOG_FAR)
         return self.classes(x), depth_m
 
 
@@ -105,13 +106,9 @@ def evidence(image: Tensor) -> Tensor:
     valid = (range_m > 0).to(image.dtype)
     row = torch.linspace(1, -1, image.shape[2], device=image.device, dtype=image.dtype)
     row = row[None, :, None].expand_as(range_m)
-    return torch.stack([torch.log1p(range_m) / _log_far(), z / 4, remission, valid, row], 1)
+    return torch.stack([torch.log1p(range_m) / LOG_FAR, z / 4, remission, valid, row], 1)
 
 
 def depth_code(depth_m: Tensor) -> Tensor:
     """Depth in metres as the head predicts it and as losses compare it: log(1 + m) / log(1 + FAR_M)."""
-    return torch.log1p(depth_m) / _log_far()
-
-
-def _log_far() -> float:
-    return float(torch.log1p(torch.tensor(FAR_M)))
+    return torch.log1p(depth_m) / LOG_FAR

@@ -248,7 +248,9 @@ class ScenePainting:
         tones, depth_m, segments = self._tones(batch, segments), batch.depth_m.clone(), segments.clone()
         some = drawn.flatten()
         if bool(some.any()):
-            segments[some], depth_m[some], tones[some], _ = with_cars(segments[some], depth_m[some], window, pose)
+            there = segments.device  # thousands of small steps, which a CPU makes faster
+            whole = with_cars(segments[some].cpu(), depth_m[some].cpu(), window, pose)
+            segments[some], depth_m[some], tones[some] = (part.to(there) for part in whole[:3])
         return batch._replace(depth_m=depth_m), segments, tones
 
     def _scanned(self, batch: PaintingSample) -> Tensor:

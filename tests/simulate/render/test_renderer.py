@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import pi
+from typing import Any
 
 import numpy as np
 import pytest
@@ -205,6 +206,22 @@ def test_the_same_call_gives_the_same_bytes():
     assert np.array_equal(first.image, again.image)
     assert not np.array_equal(first.image, other.image)  # the sensor's noise alone
     assert np.abs(first.image.astype(int) - other.image).max() < 25
+
+
+def test_numbers_fit_the_arrays_that_they_go_into(monkeypatch):
+    """NumPy 2.5 refuses in `where` what it wrapped around before: -1 beside uint8."""
+    where = np.where
+
+    def strict(condition, first: Any, second: Any):
+        for number, array in ((first, second), (second, first)):
+            if type(number) is int and isinstance(array, np.ndarray):
+                np.array(number, array.dtype)
+        return where(condition, first, second)
+
+    monkeypatch.setattr(np, "where", strict)
+    with pytest.raises(OverflowError):
+        np.where([True], np.zeros(1, np.uint8), -1)
+    assert camera.render(street(), *camera.cylinder(VIEW, pose()), look("day")).image.any()
 
 
 @pytest.mark.parametrize("shift", [2, 80])

@@ -24,6 +24,7 @@ SUBPIXELS = (
     (0.33, -0.18),
 )  # further rays of pixels at edges: offsets from the centre, pixels
 JUMP = 0.1  # relative difference in distance between neighbours that makes an edge
+NOTHING = np.uint8(255)  # the number of no type of object
 BLUR = (0.11, 0.78, 0.11)  # kernel along rows and columns: sigma 0.5 pixels
 SATURATION = 4.0  # times white: radiance is clipped there before the blur
 SENSOR_NOISE = 1.8  # standard deviation in steps of 8 bits
@@ -184,7 +185,7 @@ def _edges(hits: Hits, shape: tuple[int, int], circular: bool) -> tuple[np.ndarr
     At an edge, a neighbouring pixel differs in object type, material, distance or normal. Leaves have only a rim:
     inside it every pixel would be an edge.
     """
-    object_type = np.where(hits.valid, hits.object_type, -1).reshape(shape)
+    object_type = np.where(hits.valid, hits.object_type, NOTHING).reshape(shape)
     material, leaves = hits.material.reshape(shape), (_LEAFY[hits.material] & hits.valid).reshape(shape)
     sky, near = ~hits.valid.reshape(shape), (1 / np.maximum(hits.distance, 1e-3)).reshape(shape)
     normal = np.ascontiguousarray(hits.normal.T).reshape(3, *shape)
