@@ -91,8 +91,8 @@ def _whole(  # noqa: PLR0913, PLR0917 as above
     earlier: Boxes | None,
 ) -> WholeCars:
     device, ground = radius_m.device, before.segments[list(classes.ground)].sum(0)
-    rasters = (before.segments[classes.car], ground, radius_m, above_m)
-    found, measured = found_cars(*(raster.cpu() for raster in rasters), view)  # thousands of small steps
+    cars = before.segments[classes.car]
+    found, measured = found_cars(cars.cpu(), ground.cpu(), radius_m.cpu(), above_m.cpu(), view)  # many small steps
     if len(found.number) == 0:
         return before
     boxes, covered = fitted(found, measured, None if earlier is None else _in_view(earlier, view, pose))
@@ -102,7 +102,7 @@ def _whole(  # noqa: PLR0913, PLR0917 as above
     others = before.segments[list(classes.others)].sum(0)
     boxes = boxes.of(good)
     world, boxes = _in_world(boxes, view, pose), Boxes(*(part.to(device) for part in boxes))
-    measured = Measured(*rasters, measured.number.to(device), view)
+    measured = Measured(cars, ground, radius_m, above_m, measured.number.to(device), view)
     drawn = _drawn(boxes, measured, others, world.middle.to(radius_m))
     inside = drawn.nearest_m.isfinite()
     gone = _outside(measured, others, drawn.nearest_m, found.number[good].to(device))
