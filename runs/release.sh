@@ -301,5 +301,8 @@ stage translator-10 fast-translator "$kitti" 45 data.train="train,$more,$avenues
   training.validate_minutes=0 training.seed=21
 mean "$out/mean/translator-10.safetensors" "$narrow_translator" "$(weights translator-10 translator)" 0.85,0.15
 narrow_translator=$out/mean/translator-10.safetensors
-lidar2pano evaluate "$(weights scene-17 painter)+$narrow_translator+$narrow_segmenter" --data "$kitti" --split val --json "$out/kitti.json"
-family kitti-mini "$narrow_segmenter" "$narrow_translator" "$(weights scene-17 painter)" "$out/kitti.json" CC-BY-NC-SA-4.0
+# Edges of cars were red, and foliage flat.
+taught_scene scene-18 45 "$(weights scene-17 painter)" training.seed=31 networks.painter.optimizer.rate=0.0005 \
+  data.train=train,train,"$day:all","$out/towns/pandar64-day:all" "${as_in_use[@]}" options.objects=5 options.texture=1.5
+lidar2pano evaluate "$(weights scene-18 painter)+$narrow_translator+$narrow_segmenter" --data "$kitti" --split val --json "$out/kitti.json"
+family kitti-mini "$narrow_segmenter" "$narrow_translator" "$(weights scene-18 painter)" "$out/kitti.json" CC-BY-NC-SA-4.0

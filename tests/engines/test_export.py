@@ -116,6 +116,7 @@ def test_the_runner_makes_the_painters_inputs_as_we_do(graphs, monkeypatch):
     logits = torch.randn(1, 16, 6, 12, generator=generator).repeat_interleave(8, 2).repeat_interleave(8, 3) * 3
     logits[:, 7, 30:, :] = 20  # road
     logits[:, 9, 5:28, 20:70] = 20  # building
+    logits[:, 6, 24:36, 76:84] = 25  # person
     depth_m = 5 + 30 * torch.rand(1, 48, 96, generator=generator)
     image = project(street(), view).channels[None]
     segments = logits.softmax(1)
@@ -127,6 +128,7 @@ def test_the_runner_makes_the_painters_inputs_as_we_do(graphs, monkeypatch):
     assert np.abs(inputs - expected[0].numpy())[:24].max() < 1e-4
     assert (np.abs(inputs - expected[0].numpy()) < 1e-4).mean((1, 2)).min() > 0.99  # at borders of voxels and houses
     assert (inputs[30] > 0.3).any(), "there are openings"
+    assert np.abs(inputs[27:30, 24:36, 76:84]).mean() > 0.05, "and clothes"
     assert (np.abs(fine - expected_fine[0].numpy()) < 1e-3).mean() > 0.995  # at voxels' borders float32 reads another
 
 

@@ -64,3 +64,7 @@ def test_gaps_of_hue_are_as_defined():
     assert total[0, 0, 1, 0].item() == pytest.approx(float(weight.mean()))
     assert hue_gap(expected + 0.3, expected, share)[0].abs().max() < 1e-9, "brighter, but of the same hue"
     assert not hue_gap(image, expected, 0 * share)[0].any()
+    assert torch.equal(
+        hue_gap(image[..., :2, :2], expected[..., :2, :2], share[..., :2, :2], 2)[1][0, 0, 0, 0],
+        share[..., :2, :2].mean(),
+    )

@@ -10,9 +10,21 @@ import pytest
 import torch
 
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.clothing import HEAD_M, LEGS_M, clothing
+from lidar2pano.geometry.solid_noise import smooth_noise
+from lidar2pano.geometry.surface import cylinder_points
 from lidar2pano.labels import COMMON15
 from lidar2pano.models import build, scene_painter
-from lidar2pano.models.scene_painter import TONES, VARIED, Scene, outlined, painter_inputs, sharpened, twice
+from lidar2pano.models.scene_painter import (
+    OBJECT_M,
+    TONES,
+    VARIED,
+    Scene,
+    outlined,
+    painter_inputs,
+    sharpened,
+    twice,
+)
 from lidar2pano.views import View
 
 VIEW = View(rows=16, columns=64, up=0.24, down=-0.28, kind="cylinder")
@@ -125,11 +137,30 @@ def test_known_tones_are_painted_and_others_are_invented():
 def test_where_no_tones_are_given_only_things_that_vary_do():
     assert tones()[0].std() > 0.01
     one = scene()
-    for name in ("vegetation", "truck", "car"):
+    for name in ("vegetation", "truck", "car", "person"):
         segments = torch.zeros_like(one.segments)
         segments[:, COMMON15.id_of(name)] = 1
         inputs, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, one.T_world_sensor)
-        assert inputs[0, TONES].any() == (name in VARIED)
+        assert inputs[0, TONES].any() == (name in {*VARIED, "person"})
+
+
+def test_people_wear_clothes_by_their_height_above_the_road():
+    one = scene()
+    segments = torch.zeros_like(one.segments)
+    segments[:, COMMON15.id_of("road")] = 1
+    segments[:, :, :, 20:24] = 0
+    segments[:, COMMON15.id_of("person"), :, 20:24], segments[:, COMMON15.id_of("road"), :, 20:24] = 0.75, 0.25
+    depth_m = torch.full_like(one.depth_m, 6.0)
+    inputs, _ = painter_inputs(segments, depth_m, one.channels, VIEW, one.T_world_sensor)
+    found, height_m = inputs[0, TONES].float(), inputs[0, 20].float() * 4
+    assert not found[:, :, :20].any() and not found[:, :, 24:].any()
+    radius_m, z_m = cylinder_points(depth_m, VIEW)
+    noise = smooth_noise(radius_m, z_m, VIEW, OBJECT_M, one.T_world_sensor)[0].clamp(-1, 1)
+    for row in range(VIEW.rows):
+        expected = 0.75 * clothing(height_m[row, 20:24], noise[row, 20:24]).T
+        torch.testing.assert_close(found[:, row, 20:24], expected, atol=1e-5, rtol=0)
+    worn = height_m[:, 22]
+    assert (worn < LEGS_M).any() and ((worn > LEGS_M) & (worn < HEAD_M)).any(), "the test has legs and a trunk"
 
 
 def test_every_class_that_varies_exists():

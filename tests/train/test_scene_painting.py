@@ -12,11 +12,11 @@ from lidar2pano.data.frames import IGNORE
 from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.losses import PatchStatistics
 from lidar2pano.models import build
-from lidar2pano.models.scene_painter import BUILDING, twice
+from lidar2pano.models.scene_painter import BUILDING, CAR, twice
 from lidar2pano.train import scene_painting
 from lidar2pano.train.options import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingSample
-from lidar2pano.train.scene_painting import MATCHED, SPREAD, ScenePainting
+from lidar2pano.train.scene_painting import HUE, MATCHED, SPREAD, ScenePainting
 from lidar2pano.views import VIEWS
 
 WIDTHS = (4, 6, 8, 10)
@@ -224,6 +224,66 @@ def test_hues_of_walls_count_where_they_have_a_weight(task, batch):
     task.options = replace(task.options, walls=1e6)
     *_, (name, loss) = task.updates(batch)
     assert name == "painter" and loss.item() == pytest.approx(1e6 * task.logs["walls"].item(), rel=0.01)
+
+
+def vehicles(batch):
+    """The batch with the mean of cars at -0.1, and painter's inputs that are cars of a reddish tone on the left."""
+    means = batch.class_means.clone()
+    means[:, CAR] = -0.1
+    scene = torch.zeros(len(batch.look), 31, 32, 64)
+    scene[:, CAR, :, :32] = 1
+    scene[:, scene_painting.TONES] = torch.tensor([0.3, 0.0, 0.0])[:, None, None]
+    return batch._replace(class_means=means), (scene, torch.rand(2, 3, 64, 128))
+
+
+def test_hues_of_vehicles_are_compared_with_their_tones(task, batch):
+    batch, inputs = vehicles(batch.flat())
+    expected = torch.tensor([0.2, -0.1, -0.1])[None, :, None, None].expand(2, 3, 64, 128)
+    assert not task._object_hues(batch, inputs, expected + 0.4).any(), "brighter, but of the same hue"
+    streak = expected.clone()
+    streak[:, 0, :, 10:12] += 0.6
+    streak[:, 0, :, 100:] += 0.6
+    found = task._object_hues(batch, inputs, streak)
+    assert found[:, 0, :, 10:12].mean().item() == pytest.approx(0.4 - HUE, abs=1e-5)
+    assert found[:, 1, :, 10:12].mean().item() == pytest.approx(HUE - 0.2, abs=1e-5)
+    assert not found[..., 12:].any(), "no vehicle is there"
+    batch.class_means[:] = torch.nan  # a look of which no image is there
+    assert task._object_hues(batch, inputs, expected).abs().max() < 1e-6
+
+
+def test_a_teachers_vehicles_have_their_hues_corrected(task, batch):
+    batch, inputs = vehicles(batch.flat())
+    batch.valid[:] = False
+    task.teacher = build("scene-painter", looks=task.looks, widths=(8, 12, 16, 8)).eval()
+    left = {}
+    for weight in (0.0, 1.0):
+        task.options = replace(task.options, teacher_probability=0.0, objects=weight)
+        taught, _ = task._taught(batch, inputs)
+        left[weight] = task._object_hues(batch, inputs, taught.image).abs().mean().item()
+    assert left[0.0] > 0.01 and left[1.0] < 0.1 * left[0.0]
+
+
+@pytest.mark.parametrize("name", ["objects", "texture"])
+def test_hues_of_vehicles_and_textures_count_where_they_have_a_weight(task, batch, name):
+    task.view = replace(task.view, rows=32)
+    batch.labels[:], batch.class_means[:] = CAR, 0.5
+    task.options = replace(task.options, ground_truth_probability=1.0)
+    list(task.updates(batch))
+    assert name not in task.logs
+    task.options = replace(task.options, **{name: 1e6})
+    *_, (network, loss) = task.updates(batch)
+    assert network == "painter" and task.logs[name].item() > 0
+    assert loss.item() == pytest.approx(1e6 * task.logs[name].item(), rel=0.01)
+
+
+def test_textures_of_photographs_alone_count(task, batch):
+    flat = batch.flat()
+    segments = torch.nn.functional.one_hot(flat.labels.where(flat.labels != IGNORE, 0), 16).movedim(-1, 1).float()
+    painted = torch.rand_like(flat.image)
+    assert task._texture(flat, segments, flat.valid, painted) > 0
+    assert task._texture(flat, segments, torch.zeros_like(flat.valid), painted) == 0
+    flat.labels[:] = IGNORE
+    assert task._texture(flat, segments, flat.valid, painted) == 0
 
 
 def test_known_openings_are_painted_and_others_are_invented(task, batch, monkeypatch):

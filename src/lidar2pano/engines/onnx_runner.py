@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
-SKY, ROAD, BUILDING, FENCE, VEGETATION, GROUND = 15, 7, 9, 10, 11, [7, 8, 12]  # ids of common-15
+SKY, PERSON, ROAD, BUILDING, FENCE, VEGETATION, GROUND = 15, 6, 7, 9, 10, 11, [7, 8, 12]  # ids of common-15
 ROUGH = ((VEGETATION, [BUILDING], 0.04, 0.0, 1.0), (GROUND[2], GROUND[:2], 0.017, 0.8, 4.0))
 FAR_M, OWN_VEHICLE_M = 120.0, 1.0  # metres
 CLASSES = (  # noqa: SIM905 of common-15, as one line each they would fill the page
@@ -21,9 +21,20 @@ CLASSES = (  # noqa: SIM905 of common-15, as one line each they would fill the p
     " traffic-sign sky"
 ).split()
 COARSE_M, FINE_M, AWAY_M = (0.25, 1.0, 4.0), (0.0625, 0.125, 0.5), 4096.0  # wavelengths of the painter's noise
-VARIED = np.zeros(16)  # how the brightness of car, truck, other-vehicle, person, fence and pole varies
-VARIED[[1, 4, 5, 6, 10, 13]] = 0.15, 0.15, 0.15, 0.15, 0.15, 0.1
+VARIED = np.zeros(16)  # how the brightness of car, truck, other-vehicle, fence and pole varies
+VARIED[[1, 4, 5, 10, 13]] = 0.15, 0.15, 0.15, 0.15, 0.1
 OBJECT_M, COARSER = 16.0, 4  # wavelength of that, and the step at which it is read
+TOPS = (
+    (-0.25, -0.25, -0.2),
+    (0.1, -0.15, -0.15),
+    (0.5, 0.5, 0.48),
+    (0.05, 0.1, 0.3),
+    (0.2, 0.2, 0.2),
+    (-0.1, 0, -0.12),
+)
+TROUSERS = ((-0.15, -0.08, 0.1), (-0.3, -0.3, -0.3), (-0.12, -0.06, 0.12), (0.08, 0.03, -0.06), (-0.3, -0.3, -0.28))
+TROUSERS += ((-0.15, -0.08, 0.08),)  # what people wear
+SKIN, HAIR = (0.4, 0.22, 0.12), (-0.3, -0.32, -0.34)
 HOUSES_VARIED, HOUSE_M = 0.5, 11.0  # how much houses differ in brightness, their width
 REACH = 40  # columns around that say how a wall runs
 
@@ -192,10 +203,23 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     flat = [code, evened_beams(remission, valid, segments[ROAD]) * read, valid * read, row]
     coarse = solid_noise(depth_m, best == SKY, view, COARSE_M)
     fine = solid_noise(*(each.repeat(2, 0).repeat(2, 1) for each in (depth_m, best == SKY)), view, FINE_M)
-    brighter = np.einsum("chw,c->hw", segments, VARIED) * smooth_noise(radius_m, z_m, view, OBJECT_M).clip(-1, 1)
+    noise = smooth_noise(radius_m, z_m, view, OBJECT_M).clip(-1, 1)
+    dressed = clothing(z_m + above_m, noise) * np.where(segments[PERSON] > 0.05, segments[PERSON], 0)
+    brighter = np.einsum("chw,c->hw", segments, VARIED) * noise
     openings, house = facades(segments[BUILDING], radius_m, slope, above_m, view)
-    tones = brighter + segments[BUILDING] * HOUSES_VARIED * house[:, None]
+    tones = brighter + dressed + segments[BUILDING] * HOUSES_VARIED * house[:, None]
     return np.concatenate([segments, np.stack(flat), shape, coarse, tones, openings[None]]), fine
+
+
+def clothing(height_m, noise):
+    """How much brighter than the mean person people are (3, H, W): trousers, tops, faces, hair."""
+    at = (noise + 1) / 2 * (len(TOPS) - 1)
+    tops, trousers = (
+        np.stack([np.interp(at, range(len(TOPS)), colours) for colours in np.transpose(garment)])
+        for garment in (TOPS, TROUSERS)
+    )
+    head = np.where(height_m < 1.66, np.reshape(SKIN, (3, 1, 1)), np.reshape(HAIR, (3, 1, 1)))
+    return np.where(height_m < 0.85, trousers, np.where(height_m < 1.45, tops, head))
 
 
 def slopes(view, rows=None):

@@ -20,6 +20,7 @@ from lidar2pano.losses.adversarial import (
 )
 from lidar2pano.losses.lovasz import lovasz_softmax
 from lidar2pano.losses.patch_statistics import PatchStatistics
+from lidar2pano.losses.texture import texture_distance
 
 __all__ = [
     "PatchStatistics",
@@ -33,4 +34,5 @@ __all__ = [
     "hue_gap",
     "lovasz_softmax",
     "pooled",
+    "texture_distance",
 ]

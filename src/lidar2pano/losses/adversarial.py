@@ -86,12 +86,12 @@ def fringes(image: Tensor) -> Tensor:
     return ((chroma - around).square().sum(1).add(1e-9).sqrt() - FRINGE).clamp(min=0).mean()
 
 
-def hue_gap(image: Tensor, expected: Tensor, share: Tensor) -> tuple[Tensor, Tensor]:
-    """How far hues are from those expected, over squares of HUE_PX x HUE_PX pixels; the hue is a colour less its mean.
+def hue_gap(image: Tensor, expected: Tensor, share: Tensor, size: int = HUE_PX) -> tuple[Tensor, Tensor]:
+    """How far hues are from those expected, over squares of `size` x `size` pixels; the hue is a colour less its mean.
 
     image, expected  (B, 3, H, W) in [-1, 1];  share: (B, 1, H, W), how much each pixel counts.
-    Returns (B, 3, H / HUE_PX, W / HUE_PX) and the mean shares (B, 1, H / HUE_PX, W / HUE_PX).
+    Returns (B, 3, H / size, W / size) and the mean shares (B, 1, H / size, W / size).
     """
-    total = F.avg_pool2d(share, HUE_PX)
-    gap = F.avg_pool2d((image - expected) * share, HUE_PX) / total.clamp(min=1e-3)
+    total = F.avg_pool2d(share, size)
+    gap = F.avg_pool2d((image - expected) * share, size) / total.clamp(min=1e-3)
     return gap - gap.mean(1, keepdim=True), total

@@ -18,6 +18,7 @@ from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.car_body import Boxes
+from lidar2pano.geometry.clothing import clothing
 from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.outlines import against_the_sky
 from lidar2pano.geometry.solid_noise import STRIP, smooth_noise, solid_noise
@@ -31,14 +32,16 @@ from lidar2pano.models.summed import SummedSequential
 from lidar2pano.models.titan_pano import FAR_M, depth_code
 from lidar2pano.views import View
 
-SKY, ROAD, BUILDING, CAR, VEGETATION = map(COMMON15.id_of, ("sky", "road", "building", "car", "vegetation"))
+NAMES = ("sky", "road", "building", "car", "person", "vegetation")
+SKY, ROAD, BUILDING, CAR, PERSON, VEGETATION = map(COMMON15.id_of, NAMES)
 COARSE_M = (0.25, 1.0, 4.0)  # wavelengths of the noise on the translator's raster
 FINE_M = (0.0625, 0.125, 0.5)  # and on the picture's
 SHAPE = 8  # channels beside segments and noise: depth, remission, validity, row, height, normals
 OBJECT_M = 16.0  # wavelength at which things differ in brightness
 # Half of the deviations from image to image of how bright a class is in KITTI, colours in [-1, 1]: all of them, and
 # what noise has beyond its deviation, burn things out.
-VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence", "person"), 0.15) | {"pole": 0.1}
+VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence"), 0.15) | {"pole": 0.1}
+LIKELY = 0.05  # probability of people from which on they are dressed
 HOUSES_VARIED = 0.5  # how much brighter or darker than the mean a house is, at most
 WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
 # What these classes look like hardly hangs on their remission, which ends at the highest beam: a painter that reads it
@@ -240,7 +243,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     image     (B, 5, H, W): a RangeImage's channels, of which remission and validity are used.
     view      the raster H x W;  T_world_sensor: (4, 4), where the noise hangs (None: on the sensor's frame).
     tones     (B, 3, H, W): how much brighter each pixel is than the mean of its class in its look, in [-1, 1]; None,
-              and where NaN: a tone for each house, and for the classes that VARIED names noise.
+              and where NaN: a tone for each house, people's clothing, and for the classes that VARIED names noise.
     openings  (B, H, W) in [0, 1]: where walls have windows and doors; None, and where NaN: as `facades` has them.
     unread    ids of classes whose remission and validity are not used.
     """
@@ -264,6 +267,9 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M, T_world_sensor).clamp(-1, 1)
     varied_tones = (torch.einsum("bchw,c->bhw", segments.float(), varied) * noise)[:, None]
     varied_tones = varied_tones + segments[:, BUILDING, None] * (HOUSES_VARIED * house)[:, :, None]
+    people = (segments[:, PERSON] > LIKELY).nonzero(as_tuple=True)
+    dressed = segments[:, PERSON][people].float()[:, None] * clothing(height_m[people], noise[people])
+    varied_tones.movedim(1, 3)[people] += dressed
     tones = varied_tones if tones is None else varied_tones * as_float(tones.isnan()) + tones.nan_to_num()
     parts = [segments.float(), flat, shape, coarse, tones, openings[:, None]]
     dtype = inference_dtype(depth_m.device)

@@ -16,12 +16,21 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
-from lidar2pano.losses import PatchStatistics, fringes, hinge_critic, hinge_generator, hue_gap, pooled
+from lidar2pano.losses import (
+    PatchStatistics,
+    fringes,
+    hinge_critic,
+    hinge_generator,
+    hue_gap,
+    pooled,
+    texture_distance,
+)
 from lidar2pano.losses.diff_augment import DiffAugment
 from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
 from lidar2pano.models.scene_painter import (
     BUILDING,
     CAR,
+    PERSON,
     TONES,
     ScenePainter,
     painter_inputs,
@@ -41,7 +50,9 @@ from lidar2pano.views import VIEWS, View
 NEARBY = (3, 8, 20)  # pixels on either side of which a car's tone is the mean
 SPREAD = 0.4  # how far colours of a class in [-1, 1] are from their mean without being outliers
 WALL = 0.3  # share of walls in a square whose hue is corrected
-HUE = 0.06  # how far a wall's hue is from what is expected without counting
+HUE = 0.06  # how far a wall's or an object's hue is from what is expected without counting
+OBJECTS = [COMMON15.id_of(name) for name in ("car", "bicycle", "motorcycle", "truck", "other-vehicle", "person")]
+IN_USE = [BUILDING, CAR, PERSON]  # classes whose tones are invented in use
 MATCHED = 3  # depths of features whose statistics are matched
 
 
@@ -82,8 +93,8 @@ class ScenePainting:
         batch = batch._replace(openings=batch.openings.masked_fill(drawn, torch.nan))
         window, pose = self._somewhere(segments)
         batch, used, tones = self._with_cars(batch, segments, drawn, window, pose)
-        houses_and_cars = torch.maximum(segments, used)[:, [BUILDING, CAR]].sum(1).clamp(max=1)
-        segments, invented = used, drawn * houses_and_cars  # there, houses and cars are as in use: not the image's
+        varied = torch.maximum(segments, used)[:, IN_USE].sum(1).clamp(max=1)
+        segments, invented = used, drawn * varied  # there, houses, cars and people are as in use: not the image's
         inputs = self.inputs(batch, segments, tones, window, pose)
         batch, photographed = self._taught(batch, inputs)
         fake = painted = self.painted(batch, inputs)
@@ -117,12 +128,7 @@ class ScenePainting:
         }
         if options.fringes:
             terms["fringes"] = fringes(fake)
-        if options.unseen:
-            known = batch.valid & (invented < 0.5)
-            terms["unseen"] = self._unseen(batch._replace(valid=known), segments, inputs[0][:, TONES], painted)
-        if options.walls:
-            gap, walls = self._wall_hues(batch, inputs, painted)
-            terms["walls"] = ((gap.abs() - HUE).clamp(min=0) * walls).sum() / (3 * walls.sum()).clamp(min=1)
+        terms |= self._of_classes(batch, segments, inputs, painted, photographed, invented)
         if options.statistics:
             terms["statistics"] = self.statistics(pairs[:MATCHED], counted[:, :1], batch.look)
         if options.adversarial:
@@ -130,6 +136,30 @@ class ScenePainting:
                 terms["adversarial"] = _mean([hinge_generator(score.float()) for score in critic(condition, *on_fake)])
         self.logs = {name: term.detach() for name, term in terms.items()}
         yield "painter", torch.stack([self._weights[name] * term for name, term in terms.items()]).sum()
+
+    def _of_classes(  # noqa: PLR0913, PLR0917 what `updates` made
+        self,
+        batch: PaintingSample,
+        segments: Tensor,
+        inputs: tuple[Tensor, Tensor],
+        painted: Tensor,
+        photographed: Tensor,
+        invented: Tensor,
+    ) -> dict[str, Tensor]:
+        """The losses, of those that have a weight, that compare what is painted with what is known of its classes."""
+        options, terms = self.options, {}
+        if options.unseen:
+            known = batch.valid & (invented < 0.5)
+            terms["unseen"] = self._unseen(batch._replace(valid=known), segments, inputs[0][:, TONES], painted)
+        if options.walls:
+            gap, walls = self._wall_hues(batch, inputs, painted)
+            terms["walls"] = ((gap.abs() - HUE).clamp(min=0) * walls).sum() / (3 * walls.sum()).clamp(min=1)
+        if options.objects:
+            share = inputs[0][:, OBJECTS].sum().float() * 12  # three colours of four pixels each
+            terms["objects"] = self._object_hues(batch, inputs, painted).abs().sum() / share.clamp(min=1)
+        if options.texture:
+            terms["texture"] = self._texture(batch, segments, photographed, painted)
+        return terms
 
     @property
     def _weights(self) -> dict[str, float]:
@@ -141,6 +171,8 @@ class ScenePainting:
             "fringes": options.fringes,
             "unseen": options.unseen,
             "walls": options.walls,
+            "objects": options.objects,
+            "texture": options.texture,
             "statistics": options.statistics,
             "adversarial": options.adversarial,
         }
@@ -164,6 +196,8 @@ class ScenePainting:
             gap, walls = self._wall_hues(batch, inputs, taught)
             enlarged = interpolate(gap * (walls > WALL), taught.shape[2:], mode="bilinear")
             taught = taught - enlarged * twice(inputs[0][:, BUILDING, None])
+        if self.options.objects:
+            taught = taught - self._object_hues(batch, inputs, taught)
         photographed = batch.valid & ~drawn[:, None, None]
         image = torch.where(photographed[:, None], batch.image, taught)
         return batch._replace(image=image, valid=torch.ones_like(batch.valid)), photographed
@@ -177,6 +211,25 @@ class ScenePainting:
         scene, mean = inputs[0], batch.class_means[:, BUILDING, :, None, None]
         walls = scene[:, BUILDING, None] * (1 - scene[:, -1:]) * mean.isfinite().all(1, keepdim=True)
         return hue_gap(image, twice(mean.nan_to_num(0) + scene[:, TONES]), twice(walls))
+
+    @staticmethod
+    def _object_hues(batch: PaintingSample, inputs: tuple[Tensor, Tensor], image: Tensor) -> Tensor:
+        """How much farther than HUE hues of vehicles and people are from their classes' and tones': (B, 3, 2H, 2W).
+
+        (Without it edges of cars were painted red, as lamps are, and people as a whole.)
+        """
+        scene, means = inputs[0], batch.class_means[:, OBJECTS].nan_to_num(0)
+        shares = scene[:, OBJECTS].float()
+        expected = torch.einsum("bchw,bck->bkhw", shares, means) + scene[:, TONES]
+        gap, _ = hue_gap(image, twice(expected), twice(shares.sum(1, keepdim=True)), 2)
+        return twice((gap.abs() - HUE).clamp(min=0) * gap.sign())
+
+    @staticmethod
+    def _texture(batch: PaintingSample, segments: Tensor, photographed: Tensor, painted: Tensor) -> Tensor:
+        """`texture_distance` between what was photographed and painted, of the crops that are not the teacher's."""
+        labels = [batch.labels.where(batch.labels != IGNORE, -1), segments.argmax(1)]
+        real, fake = (twice(part).where(photographed, -1) for part in labels)
+        return texture_distance(batch.image, painted, real, fake)
 
     def _look_and_tone(self, batch: PaintingSample) -> tuple[Tensor, Tensor]:
         return torch.eye(len(self.looks), device=batch.look.device)[batch.look], batch.tone
