@@ -92,11 +92,12 @@ def test_a_class_that_is_hardly_there_does_not_count():
 def test_what_follows_it_gets_its_contrast():
     real, painted = speckle(1, 0.8), (0.2 * speckle(2)).clone().requires_grad_()
     before = texture_distance(real, painted, whole(), whole())
-    optimizer = torch.optim.Adam([painted], 0.005)
-    for _ in range(100):
+    optimizer = torch.optim.Adam([painted], 0.02)
+    for _ in range(150):
         optimizer.zero_grad()
         loss = texture_distance(real, painted, whole(), whole())
         loss.backward()
         optimizer.step()
-    assert loss < 0.5 * before
-    assert painted.std() == pytest.approx(real.std().item(), rel=0.2)
+    assert loss < 0.2 * before
+    luma = (painted.detach() * torch.tensor([0.299, 0.587, 0.114])[:, None, None]).sum(1)
+    assert luma.std().item() == pytest.approx(real.std().item(), rel=0.05)  # fine chroma is not compared
