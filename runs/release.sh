@@ -28,6 +28,7 @@
 # between beams with the latter. `scene-11` painted the frames of `scene-9`.
 # `translator-7` had 161 steps (with centre, half of its minutes went into labels), `translator-8` 212, `scene-14` 710,
 # `translator-9` 1250, `scene-15` 828, `scene-16` 2949, `scene-17` 638; their frames were those of `scene-15`'s networks.
+# `scene-18` had 1610 steps. `world-scene-10` had 1777, on 48 frames of `day` and 10 of each other look.
 # The first narrow translator and painter were pruned with a ridge of 1e-3 in place of 3e-3.
 # The colours of classes were set on frames that the released segmenter, of `segmenter-9`, and `translator` had made.
 # Painters before `scene-12`, and translators but `world-translator-3`, learned with segmenters that did not read roughness.
@@ -146,8 +147,13 @@ together wide-world "$(weights world-segmenter-3 segmenter)" "$world_translator"
 narrowest='{"widths": [32, 48, 64, 128]}' # of less than half of the arithmetic, and not taught
 narrow wide-world "$day:all,$out/towns/centre:all" segmenter "$narrowest" world-segmenter --scans 40
 world_segmenter=$out/pruned/world-segmenter.safetensors
-lidar2pano evaluate "$painter+$world_translator+$world_segmenter" --data "$out/towns/test" --split all --json "$out/world.json"
-family world "$world_segmenter" "$world_translator" "$painter" "$out/world.json" Apache-2.0
+scene world-scene-10 "$day" 45 "all,$all" "$world_segmenter" "$world_translator" "$painter" training.seed=37 options.fixed_norms=true \
+  networks.painter.optimizer.rate=0.0005 options.invented_probability=0.5 options.fringes=20 options.objects=5 \
+  networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
+world_painter=$out/finished/world-2.safetensors
+python "$here/finish_painter.py" "$(weights world-scene-10 painter)" "$world_painter" "$out/frames/world-scene-10/painting/*/day-*.safetensors" --look day --power 4
+lidar2pano evaluate "$world_painter+$world_translator+$world_segmenter" --data "$out/towns/test" --split all --json "$out/world.json"
+family world "$world_segmenter" "$world_translator" "$world_painter" "$out/world.json" Apache-2.0
 
 # Family `kitti-mini`: goes on where runs/kitti_mini.sh ended (in the same OUT), towns beside real frames.
 stage segmenter-4 release-segmenter "$kitti" 34 data.train=train,train,labelled,"$out/towns/scans:all" \
