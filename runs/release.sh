@@ -121,37 +121,41 @@ scene() { # RUN DATA MINUTES TRAIN SEGMENTER TRANSLATOR START [OVERRIDE...]: STA
   stage "$1" scene-painter "$2" "$3" data.train="$4" options.segmenter="$5" options.translator="$6" \
     options.cache="$out/frames/$1" ${7:+networks.painter.start="$7"} training.validate_minutes=0 "${@:8}"
 }
+finish() { # PAINTER RUN OUT DATA LOOK OPTION...: colours as in the frames of a data set in a run
+  python "$here/finish_painter.py" "$1" "$3" "$out/frames/$2/painting/*/${4##*/}-*.safetensors" --look "$5" "${@:6}"
+}
 looks=day,overcast,autumn,evening
 inputs=("$(weights world-segmenter segmenter)" "$(weights world-translator translator)")
 inputs2=("$(weights world-segmenter-2 segmenter)" "$(weights world-translator-2 translator)")
 fixed=(options.fixed_norms=true networks.painter.optimizer.rate=0.0006)
+unread=networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle # classes whose remission is not read
 scene world-scene "$day" 22 "train,$all" "${inputs[@]}" ""
 scene world-scene-2 "$day" 40 "train,$all" "${inputs[@]}" "$(weights world-scene painter)" "${fixed[@]}"
 scene world-scene-3 "$day" 28 "train,$all" "${inputs2[@]}" "$(weights world-scene-2 painter)" "${fixed[@]}"
 scene world-scene-4 "$day" 30 "train,$all" "${inputs2[@]}" "$(weights world-scene-3 painter)" "${fixed[@]}"
 scene world-scene-5 "$day" 18 "train,$all" "${inputs2[@]}" "$(weights world-scene-4 painter)" "${fixed[@]}"
 scene world-scene-6 "$day" 24 "train,$all" "${inputs2[@]}" "$(weights world-scene-5 painter)" "${fixed[@]}" \
-  networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
+  "$unread"
 scene world-scene-7 "$day" 51 "train,$all" "${inputs2[@]}" "$(weights world-scene-6 painter)" options.fixed_norms=true \
   networks.painter.optimizer.rate=0.0005 options.invented_probability=0.4
 scene world-scene-8 "$day" 24 "train,$all" "${inputs2[@]}" "$(weights world-scene-7 painter)" options.fixed_norms=true \
   networks.painter.optimizer.rate=0.0005 options.invented_probability=0.4 \
-  networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
+  "$unread"
 mean "$out/mean/world-painter.safetensors" "$(weights world-scene-6 painter)" "$(weights world-scene-8 painter)" 0.4,0.6
 scene world-scene-9 "$day" 27 "train,$all,$out/towns/squares:all" "${inputs2[@]}" "$out/mean/world-painter.safetensors" \
   options.fixed_norms=true networks.painter.optimizer.rate=0.0006 options.invented_probability=0.4 options.fringes=20 \
-  networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
+  "$unread"
 painter=$out/finished/world.safetensors
-python "$here/finish_painter.py" "$(weights world-scene-9 painter)" "$painter" "$out/frames/world-scene-9/painting/*/day-*.safetensors" --look day --power 4
+finish "$(weights world-scene-9 painter)" world-scene-9 "$painter" "$day" day --power 4
 together wide-world "$(weights world-segmenter-3 segmenter)" "$world_translator" "$painter"
 narrowest='{"widths": [32, 48, 64, 128]}' # of less than half of the arithmetic, and not taught
 narrow wide-world "$day:all,$out/towns/centre:all" segmenter "$narrowest" world-segmenter --scans 40
 world_segmenter=$out/pruned/world-segmenter.safetensors
 scene world-scene-10 "$day" 45 "all,$all" "$world_segmenter" "$world_translator" "$painter" training.seed=37 options.fixed_norms=true \
   networks.painter.optimizer.rate=0.0005 options.invented_probability=0.5 options.fringes=20 options.objects=5 \
-  networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
+  "$unread"
 world_painter=$out/finished/world-2.safetensors
-python "$here/finish_painter.py" "$(weights world-scene-10 painter)" "$world_painter" "$out/frames/world-scene-10/painting/*/day-*.safetensors" --look day --power 4
+finish "$(weights world-scene-10 painter)" world-scene-10 "$world_painter" "$day" day --power 4
 lidar2pano evaluate "$world_painter+$world_translator+$world_segmenter" --data "$out/towns/test" --split all --json "$out/world.json"
 family world "$world_segmenter" "$world_translator" "$world_painter" "$out/world.json" Apache-2.0
 
@@ -228,19 +232,16 @@ scene scene-12 "$kitti" 25 "train,$day:all,$all" "$rough_before" "$translator" "
   "${kitti_looks[@]}" training.batch=1 "${fixed[@]}" options.simulated_probability=0.4 options.invented_probability=0.4 \
   options.fringes=100 options.elsewhere_probability=0.35
 painter=$out/finished/kitti.safetensors
-finish() { # PAINTER RUN OUT OPTION...: colours as in the frames of a run
-  python "$here/finish_painter.py" "$1" "$3" "$out/frames/$2/painting/*/${kitti##*/}-*.safetensors" --look kitti "${@:4}"
-}
 mean "$out/mean/painter-12.safetensors" "$(weights scene-11 painter)" "$(weights scene-12 painter)" 0.4,0.6
-finish "$out/mean/painter-12.safetensors" scene-12 "$out/finished/kitti-12.safetensors" --power 4
+finish "$out/mean/painter-12.safetensors" scene-12 "$out/finished/kitti-12.safetensors" "$kitti" kitti --power 4
 # The remission of cars, of which one side is measured, left orange streaks on them.
 scene scene-13 "$kitti" 45 "train,$day:all,$all" "$(weights segmenter-8 segmenter)" "$translator" "$out/finished/kitti-12.safetensors" \
   "${kitti_looks[@]}" training.batch=1 "${fixed[@]}" options.simulated_probability=0.4 options.invented_probability=0.5 \
   options.fringes=200 options.elsewhere_probability=0.35 \
-  networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle
+  "$unread"
 mean "$out/mean/painter-13.safetensors" "$out/finished/kitti-12.safetensors" "$(weights scene-13 painter)" 0.4,0.6
-finish "$out/mean/painter-13.safetensors" scene-13 "$out/finished/kitti-13.safetensors" --power 4
-finish "$out/finished/kitti-13.safetensors" scene-13 "$painter" --class-colours
+finish "$out/mean/painter-13.safetensors" scene-13 "$out/finished/kitti-13.safetensors" "$kitti" kitti --power 4
+finish "$out/finished/kitti-13.safetensors" scene-13 "$painter" "$kitti" kitti --class-colours
 # Lorries and buses above the scan, which the translator gave to buildings and vegetation; then tall buildings as another
 # sensor scans them.
 shares="$(printf 'train,%.0s' {1..5})$out/towns/centre:all,$out/towns/centre:all,$day:all,$all"
@@ -273,7 +274,7 @@ taught_scene() { # RUN MINUTES START [OVERRIDE...]: frames are those of scene-14
     options.translator="$(weights translator-7 translator)" options.teacher="$painter" options.cache="$out/frames/scene-14" \
     networks.painter.start="$3" "${kitti_looks[@]}" networks.painter.optimizer.rate=0.0006 \
     networks.painter.settings.class_colours=true \
-    networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle \
+    "$unread" \
     options.elsewhere_probability=0.35 options.fringes=200 training.validate_minutes=0 "${@:4}"
 }
 wider=(networks.painter.settings.widths=16,48,96,16 networks.painter.settings.colour_kernel=3)
