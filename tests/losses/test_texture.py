@@ -9,6 +9,7 @@ from lidar2pano.losses import texture_distance
 from lidar2pano.losses.texture import BANDS, COLOURED, FEWEST, MOST
 
 SIZE = 128
+LUMA = torch.tensor([0.299, 0.587, 0.114])[:, None, None]  # ITU-R BT.601
 
 
 def speckle(seed: int, contrast: float = 1.0, size: int = 1, channels: int = 1) -> torch.Tensor:
@@ -64,8 +65,7 @@ def test_where_things_are_does_not_matter_but_how_strong_they_are_does():
 def test_fine_noise_of_colours_does_not_count():
     grey = speckle(1)
     fine, coarse = (speckle(2, 0.5, size, channels=3) for size in (1, 4))
-    luma = torch.tensor([0.299, 0.587, 0.114])[:, None, None]
-    fine, coarse = (part - (part * luma).sum(1, keepdim=True) for part in (fine, coarse))  # leaves the luma
+    fine, coarse = (part - (part * LUMA).sum(1, keepdim=True) for part in (fine, coarse))  # leaves the luma
     without = texture_distance(grey, grey, whole(), whole())
     assert without == 0
     assert texture_distance(grey, grey + coarse, whole(), whole()) > 1
@@ -99,5 +99,5 @@ def test_what_follows_it_gets_its_contrast():
         loss.backward()
         optimizer.step()
     assert loss < 0.2 * before
-    luma = (painted.detach() * torch.tensor([0.299, 0.587, 0.114])[:, None, None]).sum(1)
+    luma = (painted.detach() * LUMA).sum(1)
     assert luma.std().item() == pytest.approx(real.std().item(), rel=0.05)  # fine chroma is not compared
