@@ -9,7 +9,17 @@ import pytest
 import torch
 from torch.nn.functional import max_pool2d
 
-from lidar2pano.geometry.outlines import CROWN, KERB_DEG, KERB_ROWS, _nearest, against_the_sky, evened
+from lidar2pano.geometry.outlines import (
+    CROWN,
+    KERB_DEG,
+    KERB_ROWS,
+    LEAVES_M,
+    REACH,
+    _nearest,
+    _pixels_inside,
+    against_the_sky,
+    evened,
+)
 from lidar2pano.views import View
 
 GROUND, SKY, TREE, WALL = (1, 2), 0, 3, 4
@@ -93,6 +103,30 @@ def test_a_crown_has_leaves_that_hang_on_the_world():
     pose[:2, :2] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
     turned = cut(TREE, pose).roll(-32, 3)
     assert (turned - cut(TREE)).abs().median() < 1e-4, "the sensor turned left: all moves right, and so do the leaves"
+
+
+@pytest.mark.parametrize("depth_m", [10.0, 40.0])
+def test_leaves_are_as_far_from_the_crown_as_they_are_in_metres(depth_m):
+    rows = 120  # so that the sky's probability hardly changes from row to row
+    view = View(rows=rows, columns=COLUMNS, up=1.5, down=-1.5, kind="cylinder")
+    sky = torch.linspace(0.6, 0.4, rows)[None, :, None].expand(1, rows, COLUMNS)
+    probabilities = torch.zeros(1, 5, rows, COLUMNS)
+    probabilities[:, SKY], probabilities[:, TREE] = sky, 1 - sky
+    depths = torch.full((1, rows, COLUMNS), depth_m)
+    found = against_the_sky(probabilities, probabilities, depths, view, None, SKY, TREE)[0].argmax(0)
+    reach = 2 * sum(LEAVES_M.values()) * view.focal_px / depth_m + 2
+    row = torch.arange(rows)
+    assert (found[row < rows / 2 - reach] == SKY).all() and (found[row > rows / 2 + reach] == TREE).all()
+    if depth_m < 20:
+        assert (found[rows // 2 - 1 : rows // 2 + 1] == TREE).float().std() > 0.3, "a crown's outline is no line"
+
+
+def test_how_far_inside_a_pixel_is():
+    row, column = torch.arange(20.0)[:, None], torch.arange(30.0)
+    plane = (0.03 * (column - 15) + 0.04 * (row - 8))[None]
+    inner = (slice(None), slice(REACH, -REACH), slice(REACH, -REACH))
+    assert torch.allclose(_pixels_inside(plane)[inner], plane[inner] / 0.05, atol=1e-4)
+    assert _pixels_inside(torch.full((1, 9, 9), 0.4)).min() >= 40, "where nothing changes, no outline is near"
 
 
 def test_what_stands_below_the_sky_keeps_its_shares():

@@ -40,15 +40,18 @@ def test_remission_is_spread_as_defined(share):
     assert not found[:, :4].any() and found[:, 20:].any()
 
 
-def evened_slowly(remission, valid, road):
-    """The definition, row by row, of one image."""
+def evened_slowly(remission, valid, road, reach):
+    """The definition, pixel by pixel, of one image."""
     weight = valid * road
-    mean = (remission * weight).sum() / weight.sum().clamp(min=1)
-    rows = []
-    for values, weights in zip(remission, weight, strict=True):
-        own = ((values * weights).sum() + MIXED_PX * mean) / (weights.sum() + MIXED_PX)
-        rows.append(values * (mean / own).clamp(1 / MOST_UNEVEN, MOST_UNEVEN) if own > 0 else values)
-    return torch.stack(rows)
+    mean = (remission * weight).sum() / weight.sum()
+    found, columns = remission.clone(), remission.shape[1]
+    for row in range(len(remission)):
+        for column in range(columns):
+            around = [(column + shift) % columns for shift in range(-reach, reach + 1)]
+            own = (remission[row, around] * weight[row, around]).sum() + MIXED_PX * mean
+            own = own / (weight[row, around].sum() + MIXED_PX)
+            found[row, column] *= (mean / own).clamp(1 / MOST_UNEVEN, MOST_UNEVEN)
+    return found
 
 
 def test_beams_are_evened_as_defined():
@@ -56,20 +59,30 @@ def test_beams_are_evened_as_defined():
     remission, road = torch.rand(2, 2, 30, 24, generator=generator).unbind(0)
     valid = (torch.rand(2, 30, 24, generator=generator) < 0.5).float()
     remission[:, 10:14] *= 6
-    for number, found in enumerate(evened_beams(remission, valid, road)):
-        assert torch.allclose(found, evened_slowly(remission[number], valid[number], road[number]), atol=1e-5)
+    for number, found in enumerate(evened_beams(remission, valid, road, 4)):
+        assert torch.allclose(found, evened_slowly(remission[number], valid[number], road[number], 4), atol=1e-5)
+    whole = evened_beams(remission, valid, road, 11)
+    assert torch.equal(evened_beams(remission, valid, road, 99), whole), "never farther than once around"
 
 
 def test_a_beam_that_measures_more_leaves_no_line_and_lane_marks_stay():
     even = torch.full((1, 40, 400), 0.2)
     even[:, :, 190:200] = 0.6
     gain = torch.where(torch.arange(40) < 20, 1.0, 2.0)[:, None]
-    found = evened_beams(even * gain, torch.ones(1, 40, 400), torch.ones(1, 40, 400))
-    assert (found[:, :20].mean() / found[:, 20:].mean()).log().abs() < 0.05
-    assert torch.allclose(found[..., 195] / found[..., 0], torch.tensor(3.0))
+    found = evened_beams(even * gain, torch.ones(1, 40, 400), torch.ones(1, 40, 400), 60)
+    assert (found[:, :20].mean() / found[:, 20:].mean()).log().abs() < 0.1
+    assert 2.5 < found[0, 0, 195] / found[0, 0, 0] < 3, "a mark, ten columns wide, keeps most of its contrast"
+
+
+def test_a_beam_that_passes_from_row_to_row_leaves_no_line():
+    gain = torch.ones(1, 40, 600)
+    gain[0, 20, :300], gain[0, 21, 300:] = 0.4, 0.4
+    found = evened_beams(0.3 * gain, torch.ones(1, 40, 600), torch.ones(1, 40, 600), 40)
+    away = torch.cat([found[..., 50:250], found[..., 350:550]], 2)
+    assert away.max() / away.min() < 1.3, "of 2.5"
 
 
 def test_without_a_road_or_remission_nothing_changes():
     remission, nothing = torch.rand(1, 10, 20, generator=torch.Generator().manual_seed(1)), torch.zeros(1, 10, 20)
-    assert torch.allclose(evened_beams(remission, nothing + 1, nothing), remission, atol=1e-5)
-    assert torch.equal(evened_beams(nothing, nothing + 1, nothing + 1), nothing)
+    assert torch.allclose(evened_beams(remission, nothing + 1, nothing, 5), remission, atol=1e-5)
+    assert torch.equal(evened_beams(nothing, nothing + 1, nothing + 1, 5), nothing)

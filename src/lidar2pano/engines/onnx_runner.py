@@ -153,15 +153,19 @@ def softmax(logits):
 
 def evened(segments):
     """Probabilities in which road, sidewalk and terrain are shared as in a Gaussian around each pixel."""
-    ground, columns = segments[GROUND], segments.shape[2]
-    across, down = gaussian(1.6 / 360 * columns), gaussian(1.5)
-    around = sum(weight * np.roll(ground, i - len(across) // 2, 2) for i, weight in enumerate(across))
-    padded = np.pad(around, ((0, 0), (len(down) // 2,) * 2, (0, 0)), "edge")
-    around = sum(weight * padded[:, i : i + ground.shape[1]] for i, weight in enumerate(down))
-    around = around.clip(min=1e-12)
+    ground = segments[GROUND]
+    around = blurred(ground, 1.6, 1.5).clip(min=1e-12)
     segments = segments.copy()
     segments[GROUND] = around / around.sum(0) * ground.sum(0)
     return segments
+
+
+def blurred(x, degrees, rows):
+    """Images (..., H, W) under a Gaussian with these deviations."""
+    across, down = gaussian(degrees / 360 * x.shape[-1]), gaussian(rows)
+    around = sum(weight * np.roll(x, i - len(across) // 2, -1) for i, weight in enumerate(across))
+    padded = np.pad(around, ((0, 0),) * (x.ndim - 2) + ((len(down) // 2,) * 2, (0, 0)), "edge")
+    return sum(weight * padded[..., i : i + x.shape[-2], :] for i, weight in enumerate(down))
 
 
 def gaussian(deviation):
@@ -173,13 +177,18 @@ def gaussian(deviation):
 
 def against_the_sky(segments, probabilities, depth_m, view):
     """Segments with a sharp outline against the sky, that of trees with leaves."""
-    sky = probabilities[SKY].clip(1e-6, 1 - 1e-6)
+    sky, focal = probabilities[SKY], view["columns"] / (2 * np.pi)
     nearest = np.min([np.roll(depth_m, shift, 1) for shift in range(-8, 9)], 0)
     padded = np.pad(nearest, ((8, 8), (0, 0)), constant_values=np.inf)
-    nearest = np.min([padded[row : row + len(sky)] for row in range(17)], 0)
-    noise = solid_noise(nearest, np.zeros(sky.shape, dtype=bool), view, (0.25, 1.0)).sum(0) / np.sqrt(2)
-    leaves = noise.clip(-2, 2) * probabilities[VEGETATION] / (1 - sky)
-    open_sky = 1 / (1 + np.exp(-8 * (np.log(sky / (1 - sky)) - 0.3 * leaves)))
+    nearest = blurred(np.min([padded[row : row + len(sky)] for row in range(17)], 0), 2.0, 8.0)
+    noise = solid_noise(nearest, np.zeros(sky.shape, dtype=bool), view, (0.5, 2.0)).clip(-2, 2)
+    trees = probabilities[VEGETATION] / (1 - sky).clip(min=1e-6)
+    leaves_px = (0.12 * noise[0] + 0.4 * noise[1]) * focal / nearest * trees
+    inside = sky + trees * (blurred(sky, 0.5, 2.0) - sky) - 0.5
+    padded = np.pad(inside, ((3, 3), (0, 0)), "edge")
+    slope = np.hypot(padded[6:] - padded[:-6], np.roll(inside, -3, 1) - np.roll(inside, 3, 1)) / 6
+    pixels = inside / slope.clip(min=0.002) - leaves_px
+    open_sky = 1 / (1 + np.exp(-(pixels / 0.4).clip(-80, 80)))
     outlined = segments * (1 - open_sky) / (1 - segments[SKY]).clip(min=1e-6)
     outlined[SKY] = open_sky
     return outlined / outlined.sum(0)
@@ -401,9 +410,11 @@ def spread_out(remission, valid):
 
 def evened_beams(remission, valid, road):
     """Remission, so that the road's is the same in all rows: beams are not calibrated against each other."""
-    weight = valid * road
-    mean = (remission * weight).sum() / max(weight.sum(), 1)
-    of_rows = ((remission * weight).sum(1, keepdims=True) + 16 * mean) / (weight.sum(1, keepdims=True) + 16)
+    weight, reach = valid * road, round(remission.shape[1] / 24)
+    mean = (remission * weight).sum() / max(weight.sum(), 1e-6)
+    sums = np.pad(np.stack([remission * weight, weight]), ((0, 0), (0, 0), (reach, reach)), "wrap").cumsum(2)
+    total, count = sums[..., 2 * reach :] - np.pad(sums, ((0, 0), (0, 0), (1, 0)))[..., : -2 * reach - 1]
+    of_rows = (total + 16 * mean) / (count + 16)
     return remission * np.where(of_rows > 0, mean / of_rows.clip(min=1e-6), 1).clip(1 / 3, 3)
 
 

@@ -18,8 +18,12 @@ from lidar2pano.geometry.solid_noise import solid_noise
 from lidar2pano.views import View
 
 KERB_DEG, KERB_ROWS = 1.6, 1.5  # deviations of the Gaussian over which borders on the ground are evened
-SKY_POWER = 8.0  # that the odds of the sky are raised to
-LEAF, LEAVES_M = 0.3, (0.25, 1.0)  # how much leaves change the logarithm of these odds; wavelengths
+EDGE_PX = 0.4  # scale of the logistic function across an outline
+REACH = 3  # pixels to each side over which the slope of the sky's probability is taken
+LEAST_SLOPE = 0.002  # of it, per pixel
+CROWN_DEG, CROWN_ROWS = 0.5, 2.0  # deviations of the Gaussian over which the outlines of crowns are evened
+BOUGH_DEG, BOUGH_ROWS = 2.0, 8.0  # and how far away their leaves are: at a step in depth noise would be drawn out
+LEAVES_M = {0.5: 0.12, 2.0: 0.4}  # wavelengths, and how far leaves and boughs move the outline of a crown
 CROWN = 17  # pixels around in which the nearest thing is what stands before the sky
 LEAST = 1e-6  # probability
 
@@ -56,16 +60,27 @@ def against_the_sky(  # noqa: PLR0913, PLR0917 which class is what is the caller
     probabilities  (B, C, H, W): those that say where the sky is;  depth_m: (B, H, W) metres.
     The leaves are solid noise in the world (T_world_sensor as for `solid_noise`), at the distance of the nearest thing.
     """
-    share = probabilities[:, sky].float().clamp(LEAST, 1 - LEAST)
-    nearest = _nearest(depth_m.float())
+    share = probabilities[:, sky].float()
+    nearest = _blurred(_nearest(depth_m.float())[:, None], BOUGH_DEG / 360 * view.columns, BOUGH_ROWS)[:, 0]
     nowhere = torch.zeros_like(nearest[0], dtype=torch.bool)
-    noise = torch.stack([solid_noise(one, nowhere, view, LEAVES_M, T_world_sensor).sum(0) for one in nearest])
-    leaves = (noise / math.sqrt(len(LEAVES_M))).clamp(-2, 2) * probabilities[:, vegetation] / (1 - share)
-    open_sky = torch.sigmoid(SKY_POWER * (torch.logit(share) - LEAF * leaves))
+    noise = torch.stack([solid_noise(one, nowhere, view, tuple(LEAVES_M), T_world_sensor) for one in nearest])
+    leaves_m = torch.einsum("bkhw,k->bhw", noise.clamp_(-2, 2), noise.new_tensor(list(LEAVES_M.values())))
+    trees = probabilities[:, vegetation] / (1 - share).clamp(min=LEAST)
+    leaves_px = leaves_m * view.focal_px / nearest * trees
+    even = _blurred(share[:, None], CROWN_DEG / 360 * view.columns, CROWN_ROWS)[:, 0]
+    open_sky = torch.sigmoid((_pixels_inside(torch.lerp(share, even, trees) - 0.5) - leaves_px) / EDGE_PX)
     rest = (1 - open_sky) / (1 - segments[:, sky]).clamp(min=LEAST)
     outlined = segments * rest[:, None]
     outlined[:, sky] = open_sky
     return outlined
+
+
+def _pixels_inside(x: Tensor) -> Tensor:
+    """About how many pixels each is on the positive side of where (B, H, W) is zero; columns are circular."""
+    rows = torch.cat([x[:, :1].expand(-1, REACH, -1), x, x[:, -1:].expand(-1, REACH, -1)], 1)
+    down = rows[:, 2 * REACH :] - rows[:, : -2 * REACH]
+    across = x.roll(-REACH, 2) - x.roll(REACH, 2)
+    return x / (torch.hypot(down, across) / (2 * REACH)).clamp(min=LEAST_SLOPE)
 
 
 def _nearest(depth_m: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ work. Several looks in one network: a learned code per look scales and shifts fe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, cast
@@ -54,6 +55,7 @@ CARS = Classes(
     ground=GROUND,
 )
 MIXED_PX, MOST_UNEVEN = 16.0, 3.0  # pixels that the mean counts for in each row's; largest factor between beams
+BEAM_RAD = math.pi / 12  # to each side of a pixel, in which a row is of one beam
 STRIDE = 4  # input pixels per pixel of the coarsest level
 BLOCKS = 4  # residual blocks there
 FOOT = 16  # rows like the last one that are painted below it and cut off: beside zero padding a network paints flecks
@@ -256,7 +258,8 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     shape.mul_(as_float(~sky[:, None]))
     read = 1 - segments[:, list(unread)].float().sum(1)
     remission, valid = spread_out(image[:, 4].float(), as_float(image[:, 0] > 0))
-    remission, valid = evened_beams(remission, valid, segments[:, ROAD]) * read, valid * read
+    remission = evened_beams(remission, valid, segments[:, ROAD], round(BEAM_RAD * view.focal_px)) * read
+    valid = valid * read
     row = torch.linspace(1, -1, segments.shape[2], device=segments.device)[None, :, None].expand_as(valid)
     flat = torch.stack([depth_code(depth_m.clamp(max=FAR_M)), remission, valid, row], 1)
     coarse = _noise(depth_m, sky, view, COARSE_M, T_world_sensor)
@@ -315,16 +318,21 @@ def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     return mean, found
 
 
-def evened_beams(remission: Tensor, valid: Tensor, road: Tensor) -> Tensor:
+def evened_beams(remission: Tensor, valid: Tensor, road: Tensor, reach: int) -> Tensor:
     """Remission (B, H, W), so that the road's is the same in all rows: beams are not calibrated against each other.
 
     valid  (B, H, W), 0 or 1: where there is any;  road: (B, H, W) probabilities.
-    (In KITTI's scans it doubles from one row to the next, and a line was painted across the road there.)
+    reach  columns to each side of a pixel, which are circular, in which a row is of one beam.
+    (In KITTI's scans it doubles from one row to the next, and a line was painted across the road there. A sensor that
+    does not stand upright has a beam in other rows on its other side.)
     """
     weight = valid * road.float()
-    mean = (remission * weight).sum((1, 2), keepdim=True) / weight.sum((1, 2), keepdim=True).clamp(min=1)
-    of_rows = (remission * weight).sum(2, keepdim=True) + MIXED_PX * mean
-    of_rows = of_rows / (weight.sum(2, keepdim=True) + MIXED_PX)
+    sums = torch.stack([remission * weight, weight])
+    mean = sums[0].sum((1, 2), keepdim=True) / sums[1].sum((1, 2), keepdim=True).clamp(min=1e-6)
+    reach = min(reach, (remission.shape[2] - 1) // 2)
+    ends = closed(sums.flatten(0, 1)[:, None], reach)[:, 0].cumsum(2)
+    total, count = (ends[..., 2 * reach :] - pad(ends, (1, 0))[..., : -2 * reach - 1]).view_as(sums)
+    of_rows = (total + MIXED_PX * mean) / (count + MIXED_PX)
     return remission * torch.where(of_rows > 0, mean / of_rows.clamp(min=1e-6), 1.0).clamp(1 / MOST_UNEVEN, MOST_UNEVEN)
 
 
@@ -346,7 +354,9 @@ def _noise(depths: Tensor, skies: Tensor, view: View, waves: Sequence[float], po
 
 
 def _lengthened(x: Tensor, rows: int) -> Tensor:
-    return torch.cat([x, x[:, :, -1:].expand(-1, -1, rows, -1)], 2)
+    """With so many rows like the last one below it; channels are last, in memory and, for OpenVINO, by name."""
+    last = x.movedim(1, 3)
+    return torch.cat([last, last[:, -1:].expand(-1, rows, -1, -1)], 1).movedim(3, 1)
 
 
 def _enlarged(x: Tensor) -> Tensor:
