@@ -354,9 +354,7 @@ def _noise(depths: Tensor, skies: Tensor, view: View, waves: Sequence[float], po
 
 
 def _lengthened(x: Tensor, rows: int) -> Tensor:
-    """With so many rows like the last one below it; channels are last, in memory and, for OpenVINO, by name."""
-    last = x.movedim(1, 3)
-    return torch.cat([last, last[:, -1:].expand(-1, rows, -1, -1)], 1).movedim(3, 1)
+    return torch.cat([x, x[:, :, -1:].expand(-1, -1, rows, -1)], 2)
 
 
 def _enlarged(x: Tensor) -> Tensor:
