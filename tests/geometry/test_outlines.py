@@ -121,6 +121,14 @@ def test_leaves_are_as_far_from_the_crown_as_they_are_in_metres(depth_m):
         assert (found[rows // 2 - 1 : rows // 2 + 1] == TREE).float().std() > 0.3, "a crown's outline is no line"
 
 
+def test_nearby_leaves_open_no_hole_where_a_sky_is_unlikely():
+    sky = torch.linspace(0.02, 0.19, COLUMNS)[None, None].expand(1, ROWS, COLUMNS)
+    probabilities = torch.zeros(1, 5, ROWS, COLUMNS)
+    probabilities[:, SKY], probabilities[:, TREE] = sky, 1 - sky
+    found = against_the_sky(probabilities, probabilities, torch.full((1, ROWS, COLUMNS), 2.0), VIEW, None, SKY, TREE)
+    assert (found.argmax(1) == TREE)[..., 8:-8].all(), "a metre at two metres is wider than the panorama's rows"
+
+
 def test_how_far_inside_a_pixel_is():
     row, column = torch.arange(20.0)[:, None], torch.arange(30.0)
     plane = (0.03 * (column - 15) + 0.04 * (row - 8))[None]

@@ -183,8 +183,9 @@ def against_the_sky(segments, probabilities, depth_m, view):
     nearest = blurred(np.min([padded[row : row + len(sky)] for row in range(17)], 0), 2.0, 8.0)
     noise = solid_noise(nearest, np.zeros(sky.shape, dtype=bool), view, (0.5, 2.0)).clip(-2, 2)
     trees = probabilities[VEGETATION] / (1 - sky).clip(min=1e-6)
-    leaves_px = (0.12 * noise[0] + 0.4 * noise[1]) * focal / nearest * trees
     inside = sky + trees * (blurred(sky, 0.5, 2.0) - sky) - 0.5
+    leafy = ((0.3 - np.abs(inside)) / 0.15).clip(0, 1)
+    leaves_px = (0.12 * noise[0] + 0.4 * noise[1]) * focal / nearest * trees * leafy
     padded = np.pad(inside, ((3, 3), (0, 0)), "edge")
     slope = np.hypot(padded[6:] - padded[:-6], np.roll(inside, -3, 1) - np.roll(inside, 3, 1)) / 6
     pixels = inside / slope.clip(min=0.002) - leaves_px
