@@ -22,7 +22,7 @@ EDGE_PX = 0.4  # scale of the logistic function across an outline
 REACH = 3  # pixels to each side over which the slope of the sky's probability is taken
 LEAST_SLOPE = 0.002  # of it, per pixel
 CROWN_DEG, CROWN_ROWS = 0.5, 2.0  # deviations of the Gaussian over which the outlines of crowns are evened
-SURE, UNSURE = 0.3, 0.15  # distance of the sky's probability from 0.5 where leaves end, and from there to all of them
+LEAFLESS, THINNING = 0.3, 0.15  # distance of the sky's probability from 0.5 where leaves end, and over which they do
 BOUGH_DEG, BOUGH_ROWS = 2.0, 8.0  # and how far away their leaves are: at a step in depth noise would be drawn out
 LEAVES_M = {0.5: 0.12, 2.0: 0.4}  # wavelengths, and how far leaves and boughs move the outline of a crown
 CROWN = 17  # pixels around in which the nearest thing is what stands before the sky
@@ -69,7 +69,7 @@ def against_the_sky(  # noqa: PLR0913, PLR0917 which class is what is the caller
     trees = probabilities[:, vegetation] / (1 - share).clamp(min=LEAST)
     even = _blurred(share[:, None], CROWN_DEG / 360 * view.columns, CROWN_ROWS)[:, 0]
     above = torch.lerp(share, even, trees) - 0.5
-    leafy = ((SURE - above.abs()) / UNSURE).clamp_(0, 1)  # nearby, a metre is wider than what is unknown
+    leafy = ((LEAFLESS - above.abs()) / THINNING).clamp_(0, 1)  # nearby, a metre is wider than what is unknown
     leaves_px = leaves_m * view.focal_px / nearest * trees * leafy
     open_sky = torch.sigmoid((_pixels_inside(above) - leaves_px) / EDGE_PX)
     rest = (1 - open_sky) / (1 - segments[:, sky]).clamp(min=LEAST)
