@@ -29,6 +29,7 @@
 # `translator-7` had 161 steps (with centre, half of its minutes went into labels), `translator-8` 212, `scene-14` 710,
 # `translator-9` 1250, `scene-15` 828, `scene-16` 2949, `scene-17` 638; their frames were those of `scene-15`'s networks.
 # `scene-18` had 1610 steps. `world-scene-10` had 1777, on 48 frames of `day` and 10 of each other look.
+# Up to these two, remission was evened over whole rows of a turn, not over 15 degrees to each side.
 # The first narrow translator and painter were pruned with a ridge of 1e-3 in place of 3e-3.
 # The colours of classes were set on frames that the released segmenter, of `segmenter-9`, and `translator` had made.
 # Painters before `scene-12`, and translators but `world-translator-3`, learned with segmenters that did not read roughness.
