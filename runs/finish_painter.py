@@ -27,7 +27,17 @@ from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.models import build
 from lidar2pano.models.card import load, save
-from lidar2pano.models.scene_painter import STRIDE, TONE, ScenePainter, outlined, painter_inputs, twice, with_cars
+from lidar2pano.models.scene_painter import (
+    STRIDE,
+    TONE,
+    Known,
+    ScenePainter,
+    framed,
+    outlined,
+    painter_inputs,
+    twice,
+    with_cars,
+)
 from lidar2pano.views import VIEWS
 
 EVERY, STEPS, SATURATED = 4, 20, 0.985
@@ -50,10 +60,10 @@ def pixels(painter: ScenePainter, file: Path, look: str) -> tuple[Tensor, Tensor
     window, depth_m = VIEW.window((VIEW.columns - columns) // 2, columns), kept["depth_m"][None, :, :columns].float()
     segments, depth_m, tones, _ = with_cars(kept["segments"][None, ..., :columns].float(), depth_m, window)
     segments = outlined(segments, painter.sharp, depth_m, window)
-    inputs = painter_inputs(segments, depth_m, channels, window, tones=tones, unread=painter.unread)
+    inputs = painter_inputs(segments, depth_m, channels, window, known=Known(tones), unread=painter.unread)
     shares = torch.tensor([painter.look_shares(look)])
     with fast_arithmetic(torch.device("cpu")):
-        painted = painter(*inputs, shares, torch.zeros(1, TONE))[0].float()
+        painted = painter(*framed(*inputs), shares, torch.zeros(1, TONE))[0].float()
     valid = kept["seen"][:, : 2 * columns]
     classes = kept["camera"][:, :columns].long()
     classes = twice(classes.where(classes == segments[0].argmax(0), IGNORE))

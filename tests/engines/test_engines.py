@@ -39,7 +39,7 @@ def inputs_of(model: str, rows: int = 32, columns: int = 64) -> tuple[torch.Tens
     shapes = {
         "salsanext": [(5, rows, columns)],
         "titan-pano": [(5, rows, columns), (20, rows, columns)],
-        "scene-painter": [(31, rows, columns), (3, 2 * rows, 2 * columns), (2,), (3,)],
+        "scene-painter": [(31, rows + 16, columns + 4), (3, 2 * rows + 4, 2 * columns + 4), (2,), (3,)],
     }[model]
     return tuple(torch.rand(1, *shape, generator=generator) for shape in shapes)
 

@@ -26,7 +26,7 @@ from lidar2pano.geometry.solid_noise import noise_tile
 from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.geometry.whole_walls import whole_walls
 from lidar2pano.labels import COMMON15
-from lidar2pano.models.scene_painter import GROUND, outlined, painter_inputs
+from lidar2pano.models.scene_painter import GROUND, framed, outlined, painter_inputs
 from lidar2pano.pipeline import load
 from lidar2pano.views import VIEWS
 from random_weights import TRANSLATOR_VIEW, street, write_family, write_scan, write_weights
@@ -64,7 +64,7 @@ def test_a_family_becomes_graphs_with_cards(weights, graphs):
         tensors = (*model.graph.input, *model.graph.output)
         assert {each.type.tensor_type.shape.dim[0].dim_param for each in tensors} == {"batch"}
     readme = (graphs / "README.md").read_text()
-    assert "| `painter.onnx` | scene-painter | `inputs` (batch, 31, 48, 576)" in readme and "{" not in readme
+    assert "| `painter.onnx` | scene-painter | `inputs` (batch, 31, 64, 580)" in readme and "{" not in readme
 
 
 def test_the_runner_paints_what_the_pipeline_paints(weights, graphs, tmp_path, monkeypatch):
@@ -130,6 +130,10 @@ def test_the_runner_makes_the_painters_inputs_as_we_do(graphs, monkeypatch):
     assert (inputs[30] > 0.3).any(), "there are openings"
     assert np.abs(inputs[27:30, 24:36, 76:84]).mean() > 0.05, "and clothes"
     assert (np.abs(fine - expected_fine[0].numpy()) < 1e-3).mean() > 0.995  # at voxels' borders float32 reads another
+    for x, rows, frame in zip(
+        (inputs, fine), (16, 4), framed(*(torch.from_numpy(x)[None] for x in (inputs, fine))), strict=True
+    ):
+        assert np.array_equal(onnx_runner.framed(x, rows), frame[0])
 
 
 def test_the_runner_keeps_what_was_measured_as_we_do():

@@ -4,6 +4,7 @@ import math
 import os
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.errors import InputError, closest
+from lidar2pano.formats import image_files
 from lidar2pano.formats.image_files import HOST, PART, fast_png, read_image, write_colour, write_whole
 from lidar2pano.formats.readers import ENDINGS, read, scan_files, scans
 from lidar2pano.formats.scan_files import read_bin, read_label, write_bin, write_label
@@ -41,14 +43,27 @@ def write_text(path: Path, text: str) -> Path:
     return path
 
 
+@pytest.mark.parametrize("coder", ["zlib", "isal.isal_zlib"])
 @pytest.mark.parametrize("shape", [(1, 1), (3, 1), (1, 5), (24, 40)])
-def test_a_fast_png_holds_every_value(tmp_path: Path, shape):
+def test_a_fast_png_holds_every_value(tmp_path: Path, shape, coder, monkeypatch):
+    module = pytest.importorskip(coder)
+    monkeypatch.setattr(image_files, "_zlib", lambda: module)
     colour = np.random.default_rng(0).integers(0, 256, (*shape, 3), dtype=np.uint8)
     (tmp_path / "a.png").write_bytes(fast_png(colour))
     assert np.array_equal(read_image(tmp_path / "a.png"), colour)
     turned = np.rot90(colour)  # not contiguous
     (tmp_path / "b.png").write_bytes(fast_png(turned))
     assert np.array_equal(read_image(tmp_path / "b.png"), turned)
+
+
+def test_the_faster_coder_is_used_where_it_is_installed(monkeypatch):
+    module = pytest.importorskip("isal.isal_zlib")
+    image_files._zlib.cache_clear()
+    assert image_files._zlib() is module
+    image_files._zlib.cache_clear()
+    monkeypatch.setitem(sys.modules, "isal", None)
+    assert image_files._zlib() is zlib
+    image_files._zlib.cache_clear()
 
 
 @pytest.mark.parametrize("image_format", ["webp", "jpeg"])

@@ -27,6 +27,28 @@ def test_closing_has_the_gradients_of_its_definition(reach):
     assert torch.autograd.gradgradcheck(lambda part: closed(part, reach).square(), x)
 
 
+@pytest.mark.parametrize("before", [1, 2])
+def test_closing_again_brings_the_columns_beyond_those(before):
+    x = torch.randn(2, 3, 4, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(0), requires_grad=True)
+    weight = torch.arange(12 + 2 * before, dtype=torch.float64) ** 2
+    wanted, found = closed(x, before + 2), closed(closed(x, before), 2, before)
+    assert torch.equal(found, wanted)
+    with torch.no_grad():
+        assert torch.equal(closed(closed(x, before), 2, before), wanted)
+    torch.testing.assert_close(*(torch.autograd.grad((part * weight).sum(), x)[0] for part in (found, wanted)))
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_convolution_of_closed_images_needs_no_copy(stride):
+    block = conv_norm_act(5, 3, stride=stride).eval()
+    parts = torch.randn(2, 2, 6, 16), torch.randn(2, 3, 6, 16)
+    found = block(*(closed(part, 1) for part in parts), has_ends=True)
+    torch.testing.assert_close(found, block(*parts))
+    if stride == 1:
+        wide = block(*(closed(part, 3) for part in parts), has_ends=True)
+        torch.testing.assert_close(wide, closed(block(*parts), 2))
+
+
 @pytest.mark.parametrize("columns", [16, 7, 4])
 @pytest.mark.parametrize(
     ("kernel", "stride", "dilation"), [(1, 1, 1), (3, 1, 1), (3, 1, 2), (3, 1, 4), (5, 1, 1), (3, 2, 1)]

@@ -13,6 +13,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.models import MODELS, build
 from lidar2pano.models.card import Card, load, save
 from lidar2pano.models.circular import CircularConv
+from lidar2pano.models.scene_painter import ScenePainter, framed
 
 
 def _range_image(rows: int, columns: int) -> Tensor:
@@ -44,7 +45,7 @@ SMALL: dict[str, tuple[dict[str, object], Callable[[], tuple[Tensor, ...]]]] = {
     ),
     "scene-painter": (
         {"looks": ["day", "evening"], "widths": (8, 12, 16, 8)},
-        lambda: (torch.randn(2, 31, 16, 32), torch.randn(2, 3, 32, 64), torch.eye(2), torch.zeros(2, 3)),
+        lambda: (*framed(torch.randn(2, 31, 16, 32), torch.randn(2, 3, 32, 64)), torch.eye(2), torch.zeros(2, 3)),
     ),
     "projected-critic": (
         {"features": (4, 6, 8, 10), "conditions": 3, "mixed": 8, "width": 8},
@@ -162,9 +163,17 @@ def test_what_is_circular_says_so(network: str) -> None:
 def test_what_is_circular_turns_with_its_input(network: str, times: int) -> None:
     model, inputs = _example(network)
     turn, columns = times * CIRCULAR[network], inputs[0].shape[-1]
-    turned = [out.roll(turn * out.shape[-1] // columns, -1) for out in _run(model, inputs)]
+    framing = isinstance(model, ScenePainter)
+    if framing:
+        inputs = torch.randn(2, 31, 16, 32), torch.randn(2, 3, 32, 64), *inputs[2:]
+        columns = 32
+
+    def answers(*given: Tensor) -> list[Tensor]:
+        return _run(model, (*framed(*given[:2]), *given[2:]) if framing else given)
+
+    turned = [out.roll(turn * out.shape[-1] // columns, -1) for out in answers(*inputs)]
     rolled = (x.roll(turn * x.shape[-1] // columns, -1) if x.ndim > 2 else x for x in inputs)
-    _assert_near(_run(model, tuple(rolled)), turned, 1e-4)
+    _assert_near(answers(*rolled), turned, 1e-4)
 
 
 @every_network

@@ -18,6 +18,7 @@ from lidar2pano.models.card import load
 from lidar2pano.models.circular import CircularConv
 from lidar2pano.models.families import weight_files
 from lidar2pano.models.pruning import LAYERS, _fit, _sampled, pruned
+from lidar2pano.models.scene_painter import framed
 from lidar2pano.pipeline import card_view
 from lidar2pano.recordings.drive_scans import read
 
@@ -44,7 +45,7 @@ def inputs(name: str) -> tuple[Tensor, ...]:
         return (smooth(1, 5, 32, 256),)
     if name == "titan-pano":
         return smooth(1, 5, 32, 256).abs() * 5, smooth(1, 4, 32, 256)
-    return smooth(1, 31, 16, 128), smooth(1, 3, 32, 256), torch.tensor([[0.3, 0.7]]), torch.zeros(1, 3)
+    return *framed(smooth(1, 31, 16, 128), smooth(1, 3, 32, 256)), torch.tensor([[0.3, 0.7]]), torch.zeros(1, 3)
 
 
 def answers(network: nn.Module, given: tuple[Tensor, ...]) -> Tensor:

@@ -19,7 +19,9 @@ from lidar2pano.models.scene_painter import (
     OBJECT_M,
     TONES,
     VARIED,
+    Known,
     Scene,
+    framed,
     outlined,
     painter_inputs,
     sharpened,
@@ -115,14 +117,14 @@ def test_sharpening_is_a_power():
 
 
 def test_sizes_that_do_not_divide_are_refused():
-    with pytest.raises(InputError, match="must divide by 4"):
-        painter()(torch.zeros(1, 31, 10, 64), torch.zeros(1, 3, 20, 128), torch.ones(1, 2), torch.zeros(1, 3))
+    with pytest.raises(InputError, match=r"inputs of \(26, 68\) pixels, of which \(10, 64\).*must divide by 4"):
+        painter()(*framed(torch.zeros(1, 31, 10, 64), torch.zeros(1, 3, 20, 128)), torch.ones(1, 2), torch.zeros(1, 3))
 
 
 def tones(given: torch.Tensor | None = None) -> torch.Tensor:
     """The tones among the inputs (3, H, W) of the scene."""
     one = scene()
-    inputs, _ = painter_inputs(one.segments, one.depth_m, one.channels, VIEW, one.T_world_sensor, given)
+    inputs, _ = painter_inputs(one.segments, one.depth_m, one.channels, VIEW, one.T_world_sensor, Known(given))
     return inputs[0, TONES]
 
 
@@ -196,7 +198,7 @@ def test_no_weave():
     network = painter()
     inputs, fine = torch.ones(1, 31, 32, 64), torch.zeros(1, 3, 64, 128)
     with torch.inference_mode():
-        found = network(inputs, fine, torch.tensor([[1.0, 0]]), torch.zeros(1, 3))[0, :, 24:40]
+        found = network(*framed(inputs, fine), torch.tensor([[1.0, 0]]), torch.zeros(1, 3))[0, :, 24:40]
     assert torch.allclose(found, found[..., :1, :1].expand_as(found), atol=1e-5)
 
 
@@ -205,12 +207,15 @@ def test_the_last_rows_are_painted_as_those_above_them(monkeypatch):
 
     def border() -> float:
         with torch.inference_mode():
-            image = network(inputs, fine_noise, torch.tensor([[1.0, 0]]), torch.zeros(1, 3))
+            image = network(*framed(inputs, fine_noise), torch.tensor([[1.0, 0]]), torch.zeros(1, 3))
         assert image.shape == (1, 3, 128, 128)
         return (image[:, :, -1] - image[:, :, -30]).abs().max().item()
 
     with_foot = border()
-    monkeypatch.setattr(scene_painter, "FOOT", 0)
+    for name in ("FOOT", "LEAST_FOOT"):
+        monkeypatch.setattr(scene_painter, name, 0)
+    monkeypatch.setattr(scene_painter, "INPUTS_FRAME", (0, scene_painter.ENDS))
+    monkeypatch.setattr(scene_painter, "NOISE_FRAME", (0, scene_painter.ENDS))
     assert 5 * with_foot < border()
 
 
@@ -221,6 +226,23 @@ def test_parts_are_joined_with_their_channels_last():
         joined = scene_painter._joined(parts, dtype)
         assert joined.dtype == dtype and joined.is_contiguous(memory_format=torch.channels_last)
         assert torch.equal(joined, torch.cat(parts, 1).to(dtype))
+
+
+def test_inputs_are_framed_where_they_are_joined():
+    one = scene()
+    arguments = (one.segments, one.depth_m, one.channels, VIEW, one.T_world_sensor)
+    plain, frame = painter_inputs(*arguments), painter_inputs(*arguments, frame=True)
+    for found, expected, rows in zip(frame, plain, (16, 4), strict=True):
+        below = torch.cat([expected, expected[:, :, -1:].repeat(1, 1, rows, 1)], 2)
+        assert torch.equal(found, torch.cat([below[..., -2:], below, below[..., :2]], 3))
+        assert found.is_contiguous(memory_format=torch.channels_last)
+    for found, expected in zip(framed(*plain), frame, strict=True):
+        assert torch.equal(found, expected)
+
+
+def test_halving_takes_the_mean_of_four_pixels():
+    x = torch.randn(2, 5, 6, 8)
+    torch.testing.assert_close(scene_painter._halved(x), torch.nn.functional.avg_pool2d(x, 2))
 
 
 def test_twice_repeats_each_pixel():

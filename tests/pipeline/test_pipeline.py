@@ -30,6 +30,7 @@ from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.card import read_card, save
 from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import licence_note, weight_files
+from lidar2pano.models.scene_painter import framed
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline import Memory, Segmenter, load
@@ -355,7 +356,11 @@ def test_folding_norms_changes_nothing(network, widths):
     image = torch.rand(1, 5, 16, 64)
     inputs = {
         "titan-pano": (image, torch.rand(1, 20, 16, 64)),
-        "scene-painter": (torch.rand(1, 31, 16, 64), torch.rand(1, 3, 32, 128), torch.ones(1, 1), torch.zeros(1, 3)),
+        "scene-painter": (
+            *framed(torch.rand(1, 31, 16, 64), torch.rand(1, 3, 32, 128)),
+            torch.ones(1, 1),
+            torch.zeros(1, 3),
+        ),
     }
     with torch.inference_mode():
         before, after = plain(*inputs[network]), folded(*inputs[network])

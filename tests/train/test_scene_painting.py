@@ -12,7 +12,7 @@ from lidar2pano.data.frames import IGNORE
 from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.losses import PatchStatistics
 from lidar2pano.models import build
-from lidar2pano.models.scene_painter import BUILDING, CAR, twice
+from lidar2pano.models.scene_painter import BUILDING, CAR, framed, twice
 from lidar2pano.train import scene_painting
 from lidar2pano.train.options import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingSample
@@ -131,7 +131,7 @@ def test_a_teachers_image_is_learned_where_no_camera_looked(task, batch):
     task.options = replace(task.options, teacher_probability=0.0)
     with torch.no_grad():
         taught, photographed = task._taught(flat, inputs)
-        expected = painter(*inputs, torch.eye(2), flat.tone)
+        expected = painter(*framed(*inputs), torch.eye(2), flat.tone)
         assert torch.equal(photographed, flat.valid) and taught.valid.all()
         assert torch.equal(taught.image[..., :64], flat.image[..., :64])
         assert torch.allclose(taught.image[..., 64:], expected[..., 64:])
@@ -139,7 +139,7 @@ def test_a_teachers_image_is_learned_where_no_camera_looked(task, batch):
         task.options = replace(task.options, teacher_probability=1.0)
         taught, photographed = task._taught(flat, inputs)
         assert not photographed.any() and not taught.tone.any()
-        assert torch.allclose(taught.image, painter(*inputs, torch.eye(2)[taught.look], taught.tone))
+        assert torch.allclose(taught.image, painter(*framed(*inputs), torch.eye(2)[taught.look], taught.tone))
 
 
 def test_drawn_crops_have_whole_cars_and_invented_tones(task, batch, monkeypatch):

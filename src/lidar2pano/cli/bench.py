@@ -58,8 +58,8 @@ def bench(
             rows = compare(runs, device, name, engines)
             text = comparison_table(rows, said)
         else:
-            rows = measure(runs, device, name, engine)
             said["engine"] = pick_engine(engine, pick_device(device))
+            rows = measure(runs, device, name, said["engine"])  # "auto" would compile nothing
             text = table(rows, said)
         if name:
             note_licence(read_card(file) for file in weight_files(name).values())

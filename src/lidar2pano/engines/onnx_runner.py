@@ -62,7 +62,7 @@ def main(scan, out):
     inputs, fine_noise = painter_inputs(segments, depth_m, image, view, settings.get("sharp", 2.0), unread)
     looks, own = settings["looks"], settings.get("look")
     shares = np.eye(len(looks))[looks.index(own or looks[0])]  # a mean of looks: shares that sum to 1
-    (colour,) = painter(inputs, fine_noise, shares, np.zeros(3))
+    (colour,) = painter(framed(inputs, 16), framed(fine_noise, 4), shares, np.zeros(3))
     pixels = np.rint((colour + 1) * 127.5).clip(0, 255).astype(np.uint8).transpose(1, 2, 0)
     Path(out).write_bytes(b"P6 %d %d 255\n" % (pixels.shape[1], pixels.shape[0]) + pixels.tobytes())
 
@@ -219,6 +219,11 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     openings, house = facades(segments[BUILDING], radius_m, slope, above_m, view)
     tones = brighter + dressed + segments[BUILDING] * HOUSES_VARIED * house[:, None]
     return np.concatenate([segments, np.stack(flat), shape, coarse, tones, openings[None]]), fine
+
+
+def framed(channels, rows):
+    """Images (C, H, W) with the last row again so many times below, and two columns of the other end at each side."""
+    return np.pad(np.pad(channels, ((0, 0), (0, rows), (0, 0)), "edge"), ((0, 0), (0, 0), (2, 2)), "wrap")
 
 
 def clothing(height_m, noise):

@@ -27,15 +27,29 @@ def world_columns(view: View, T_world_sensor: np.ndarray | None, device: torch.d
 def rows_beside(there: Tensor) -> tuple[Tensor, Tensor]:
     """The last row up to each pixel of (..., H, W) bool, and the first from it on, that is `there`; else -1 and H."""
     rows = there.shape[-2]
-    number = torch.int16 if rows <= torch.iinfo(torch.int16).max else torch.int32
-    from_top = torch.arange(1, rows + 1, dtype=number, device=there.device)[:, None]
-    above, below = there * from_top, there * from_top.flip(0)  # products: torch.where takes several times as long
+    from_top = row_numbers(rows, there.device)
+    above = greatest_above(there * from_top)  # products: torch.where takes several times as long
+    below = there * from_top.flip(0)
     step = 1
-    while step < rows:  # the greatest of 2, 4, 8, ... rows: a seventh of cummax's time
-        above[..., step:, :] = torch.maximum(above[..., step:, :], above[..., :-step, :])
+    while step < rows:
         below[..., :-step, :] = torch.maximum(below[..., :-step, :], below[..., step:, :])
         step *= 2
     return above.long().sub_(1), below.long().neg_().add_(rows)
+
+
+def row_numbers(rows: int, device: torch.device) -> Tensor:
+    """1 to `rows`, (rows, 1), as narrow as they fit, for `greatest_above`."""
+    number = torch.int16 if rows <= torch.iinfo(torch.int16).max else torch.int32
+    return torch.arange(1, rows + 1, dtype=number, device=device)[:, None]
+
+
+def greatest_above(x: Tensor) -> Tensor:
+    """Change (..., H, W) to the greatest of each value and those above it: a seventh of cummax's time."""
+    step = 1
+    while step < x.shape[-2]:  # of 2, 4, 8, ... rows
+        x[..., step:, :] = torch.maximum(x[..., step:, :], x[..., :-step, :])
+        step *= 2
+    return x
 
 
 def surface_profile(weight: Tensor, radius_m: Tensor, same: float, least: float, reach: int) -> tuple[Tensor, Tensor]:

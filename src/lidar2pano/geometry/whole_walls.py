@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from lidar2pano.geometry.columns import greatest_above, row_numbers
 from lidar2pano.geometry.surface import cylinder_points, viewpoint_height
 from lidar2pano.views import View
 
@@ -27,9 +28,9 @@ def whole_walls(  # noqa: PLR0913, PLR0917 one scene, and which class is what
     is_wall = (ids == building) | (ids == fence)
     same = (radius_m[:, 1:] / radius_m[:, :-1]).log().abs() < ONE_WALL
     goes_on = torch.cat([torch.zeros_like(is_wall[:, :1]), is_wall[:, 1:] & is_wall[:, :-1] & same], 1)
-    row = torch.arange(1, view.rows + 1, device=logits.device, dtype=torch.int32)[:, None]
-    begin = ((~goes_on).int() * row).cummax(1).values
-    tall = (((ids == building) & (height_m > TALL_M)).int() * row).cummax(1).values
+    row = row_numbers(view.rows, logits.device)
+    begin = greatest_above(~goes_on * row)
+    tall = greatest_above(((ids == building) & (height_m > TALL_M)) * row)
     carries = (ids == fence) & (tall >= begin)
     walls, fences = logits[:, building], logits[:, fence]
     both = torch.logaddexp(walls[carries], fences[carries])

@@ -14,30 +14,41 @@ from lidar2pano.geometry.odds import likeliest
 from lidar2pano.models.summed import SummedSequential, summed
 
 
-def closed(x: Tensor, reach: int) -> Tensor:
-    """(B, C, H, W) with `reach` columns of the other end at each side: (B, C, H, W + 2 reach)."""
+def closed(x: Tensor, reach: int, before: int = 0) -> Tensor:
+    """(B, C, H, W) with `reach` columns of the other end at each side: (B, C, H, W + 2 reach).
+
+    before  how many such columns the image has at each side already.
+    """
     if not reach:
         return x
     if x.requires_grad and torch.is_grad_enabled() and not torch.compiler.is_compiling():
-        return _Closed.apply(x, reach)  # pyright: ignore[reportReturnType]
-    return torch.cat([x[..., -reach:], x, x[..., :reach]], dim=3)
+        return _Closed.apply(x, reach, before)  # pyright: ignore[reportReturnType]
+    left, right = _ends(x, reach, before)
+    return torch.cat([left, x, right], dim=3)
+
+
+def _ends(x: Tensor, reach: int, before: int) -> tuple[Tensor, Tensor]:
+    """The columns that `closed` puts to the left and to the right of an image."""
+    first = x.shape[3] - reach - 2 * before
+    return x[..., first : first + reach], x[..., 2 * before : 2 * before + reach]
 
 
 class _Closed(torch.autograd.Function):
     """`closed` for training: the gradient of each slice would be a whole image, a fifth of a painter's step."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, reach: int) -> Tensor:  # noqa: ANN401
-        ctx.reach = reach
-        return closed(x, reach)  # no gradients are recorded in here
+    def forward(ctx: Any, x: Tensor, reach: int, before: int) -> Tensor:  # noqa: ANN401
+        ctx.columns = reach, before
+        return closed(x, reach, before)  # no gradients are recorded in here
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:  # noqa: ANN401
-        (grad,), reach = grads, ctx.reach
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:  # noqa: ANN401
+        (grad,), (reach, before) = grads, ctx.columns
         inner = grad[..., reach:-reach].clone()
-        inner[..., -reach:] += grad[..., :reach]
-        inner[..., :reach] += grad[..., -reach:]
-        return inner, None
+        left, right = _ends(inner, reach, before)
+        left += grad[..., :reach]
+        right += grad[..., -reach:]
+        return inner, None, None
 
 
 class CircularConv(nn.Conv2d):
@@ -47,12 +58,16 @@ class CircularConv(nn.Conv2d):
         super().__init__(inputs, outputs, kernel, stride=stride, dilation=dilation)
         self.reach = dilation * (kernel // 2)
 
-    def forward(self, *parts: Tensor) -> Tensor:
+    def forward(self, *parts: Tensor, has_ends: bool = False) -> Tensor:
         """Convolve with rows padded by zeros and columns by those of the other end.
 
-        parts  (B, inputs, H, W), or such images of fewer channels each, which together are the inputs.
+        parts     (B, inputs, H, W), or such images of fewer channels each, which together are the inputs.
+        has_ends  whether they are `closed` already, so that none has to be copied: what comes out of a convolution of
+                  stride 1 has as many columns less its reach at either side.
         """
         reach, stride = self.reach, self.stride[0]
+        if has_ends:
+            return summed(self, parts, (reach, 0))
         if reach and stride == 1 and not torch.is_grad_enabled() and parts[0].shape[3] >= 2 * reach:
             return self._mended(parts)
         return summed(self, [closed(part, reach) for part in parts], (reach, 0))

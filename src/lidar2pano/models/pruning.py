@@ -243,7 +243,8 @@ def _sampled(conv: nn.Conv2d, x: Tensor, answer: Tensor, seed: int) -> tuple[Ten
     rows = torch.randint(answer.shape[2], (PIXELS,), generator=generator)
     away = -(-reach[1] // stride[1])  # columns at the ends are closed, or padded
     columns = torch.randint(away, answer.shape[3] - away, (PIXELS,), generator=generator)
-    padded = pad(x[0].float(), (reach[1], reach[1], reach[0], reach[0]))
+    ends = reach[1] if x.shape[3] <= answer.shape[3] * stride[1] else 0  # an image may have them already
+    padded = pad(x[0].float(), (ends, ends, reach[0], reach[0]))
     taps = [
         padded[:, rows * stride[0] + i * dilation[0], columns * stride[1] + j * dilation[1]]
         for i in range(kernel[0])

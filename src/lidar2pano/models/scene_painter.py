@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import avg_pool2d, interpolate, pad
+from torch.nn.functional import conv2d, interpolate, pad
 
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.car_body import Boxes
@@ -56,9 +56,12 @@ CARS = Classes(
 )
 MIXED_PX, MOST_UNEVEN = 16.0, 3.0  # pixels that the mean counts for in each row's; largest factor between beams
 BEAM_RAD = math.pi / 12  # to each side of a pixel, in which a row is of one beam
+FOOT = 16  # rows like the last one that are painted below it and cut off: beside zero padding a network paints flecks
+LEAST_FOOT = 2  # of them that the layers on the picture's raster reach
+ENDS = 2  # columns beyond the seam at either side that the network is given, so that it need not copy images
+INPUTS_FRAME, NOISE_FRAME = (FOOT, ENDS), (2 * LEAST_FOOT, ENDS)  # rows and columns
 STRIDE = 4  # input pixels per pixel of the coarsest level
 BLOCKS = 4  # residual blocks there
-FOOT = 16  # rows like the last one that are painted below it and cut off: beside zero padding a network paints flecks
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
 TONE = 3  # red, green, blue: how much brighter a picture, or a part of it, is than the mean of its look
 TONES = slice(-TONE - 1, -1)  # of the painter's inputs, which end with the openings
@@ -81,6 +84,21 @@ class Scene:
     T_world_sensor: np.ndarray | None = None
     look: str = ""
     tones: Tensor | None = None
+
+
+class Known(NamedTuple):
+    """What is known of how things look; where it is NaN, and None, it is invented.
+
+    tones     (B, 3, H, W): how much brighter each pixel is than the mean of its class in its look, in [-1, 1]; invented
+              are a tone for each house, people's clothing, and for the classes that VARIED names noise.
+    openings  (B, H, W) in [0, 1]: where walls have windows and doors; invented as `facades` has them.
+    """
+
+    tones: Tensor | None = None
+    openings: Tensor | None = None
+
+
+NOTHING_KNOWN = Known()
 
 
 class StreamPainter(Protocol):
@@ -126,7 +144,7 @@ class ScenePainter(nn.Module):
         inputs = len(COMMON15) + SHAPE + len(COARSE_M) + TONE + 1
         self.codes = nn.Embedding(len(self.looks), code)
         self.stem = conv_norm_act(inputs, fine)
-        self.down1 = nn.Sequential(conv_norm_act(fine, middle, stride=2), CircularResidual(middle))
+        self.down1 = SummedSequential(conv_norm_act(fine, middle, stride=2), CircularResidual(middle))
         self.down2 = conv_norm_act(middle, coarse, stride=2)
         self.trunk = nn.ModuleList([CircularResidual(coarse, dilation=(1, 2, 4)[i % 3]) for i in range(BLOCKS)])
         self.up1 = conv_norm_act(coarse + inputs, middle, 1)
@@ -134,7 +152,7 @@ class ScenePainter(nn.Module):
         self.up0 = conv_norm_act(middle, fine, 1)
         self.mix0 = conv_norm_act(2 * fine + inputs, fine)
         self.narrow = conv_norm_act(fine, last)
-        self.texture = SummedSequential(conv_norm_act(last + len(FINE_M), last), conv_norm_act(last, last))
+        self.texture = nn.Sequential(conv_norm_act(last + len(FINE_M), last), conv_norm_act(last, last))
         self.colour = CircularConv(last, 3, colour_kernel)
         self.tuned = nn.ModuleList([nn.Linear(code + TONE, 2 * width) for width in (coarse, middle, fine)])
         self.class_colours = nn.Embedding(len(self.looks), TONE * len(COMMON15)) if class_colours else None
@@ -159,33 +177,35 @@ class ScenePainter(nn.Module):
     def forward(self, inputs: Tensor, fine_noise: Tensor, shares: Tensor, tone: Tensor) -> Tensor:
         """Paint.
 
-        inputs, fine_noise  (B, classes + SHAPE + 7, H, W) and (B, 3, 2H, 2W) of `painter_inputs`.
+        inputs, fine_noise  (B, classes + SHAPE + 7, H, W) and (B, 3, 2H, 2W) of `painter_inputs`, both `framed`.
         shares  (B, looks): shares of each look;  tone: (B, 3), how much brighter than the mean of its look, in [-1, 1].
         Returns (B, 3, 2H, 2W) in [-1, 1]. Raises InputError unless H and W are multiples of 4.
         """
-        if inputs.shape[-2] % STRIDE or inputs.shape[-1] % STRIDE:
-            raise InputError(f"segments of {tuple(inputs.shape[-2:])} pixels: rows, columns must divide by {STRIDE}")
+        rows, columns = inputs.shape[2] - FOOT, inputs.shape[3] - 2 * ENDS
+        if rows % STRIDE or columns % STRIDE:
+            given = f"inputs of {tuple(inputs.shape[2:])} pixels, of which ({rows}, {columns}) are no frame"
+            raise InputError(f"{given}: these rows, columns must divide by {STRIDE}")
         code = torch.cat([shares @ self.codes.weight, tone], 1)
-        rows = fine_noise.shape[2]
-        inputs, fine_noise = _lengthened(inputs, FOOT), _lengthened(fine_noise, 2 * FOOT)
-        fine = self.stem(inputs)
+        fine = self.stem(inputs, has_ends=True)
         inputs, fine_noise = inputs.to(fine.dtype), fine_noise.to(fine.dtype)  # one float32 part would make all float32
-        inputs2 = avg_pool2d(inputs, 2)
-        inputs4 = avg_pool2d(inputs2, 2)
-        middle = self.down1(fine)
+        inputs2 = _halved(inputs)
+        inputs4 = _halved(inputs2[..., 1:-1])
+        middle = self.down1(fine, has_ends=True)
         x = self._tuned(0, self.down2(middle), code)
         for block in self.trunk:
             x = block(x)
         # enlarged, not shuffled: pixel shuffles leave a weave of lines two and four pixels apart (Odena et al. 2016)
-        x = self.mix1(_enlarged(self.up1(x, inputs4)), middle, inputs2)
-        x = self._tuned(1, x, code)
-        x = self.mix0(_enlarged(self.up0(x)), fine, inputs)
-        x = _enlarged(self.narrow(self._tuned(2, x, code)))
-        x = self.colour(self.texture(x, fine_noise))
+        x = closed(_enlarged(self.up1(x, inputs4)), 1)
+        x = self.mix1(x, closed(middle, 1), inputs2, has_ends=True)
+        x = _enlarged(closed(self.up0(self._tuned(1, x, code)), 1))
+        x = self._tuned(2, self.mix0(x, closed(fine, 1, before=1), inputs, has_ends=True), code)
+        x = _enlarged(closed(self.narrow(x, has_ends=True)[:, :, : rows + LEAST_FOOT], 1))
+        first, second = self.texture
+        x = self.colour(second(first(x, fine_noise, has_ends=True), has_ends=True))
         if self.class_colours is not None:
-            table = (shares @ self.class_colours.weight).view(-1, TONE, len(COMMON15)).to(x.dtype)
-            x = x + _enlarged(torch.einsum("bkc,bchw->bkhw", table, inputs[:, : len(COMMON15)]))
-        return torch.tanh(x)[:, :, :rows]
+            known = self._class_colours(self.class_colours.weight, inputs, shares)
+            x = x + _enlarged(known[:, :, : rows + LEAST_FOOT, ENDS:-ENDS])
+        return torch.tanh(x[:, :, : 2 * rows])
 
     def paint(self, past: object, scene: Scene) -> tuple[None, Tensor]:  # noqa: ARG002
         """Paint every scan for itself; arguments and answer as of StreamPainter."""
@@ -196,11 +216,21 @@ class ScenePainter(nn.Module):
             scene.channels,
             scene.view,
             scene.T_world_sensor,
-            tones=scene.tones,
+            known=Known(scene.tones),
             unread=self.unread,
+            frame=True,
         )
         shares = torch.tensor([self.look_shares(scene.look)], device=inputs.device)
         return None, self(inputs, fine_noise, shares, shares.new_zeros(1, TONE))
+
+    @staticmethod
+    def _class_colours(table: Tensor, inputs: Tensor, shares: Tensor) -> Tensor:
+        """What looks add to the colours of classes (B, 3, H, W): convolutions, beside which engines reorder nothing."""
+        looks, classes = len(table), len(COMMON15)
+        weight = pad(table.view(looks * TONE, classes), (0, inputs.shape[1] - classes))
+        each = conv2d(inputs, weight.to(inputs.dtype)[..., None, None])
+        each = each * shares.repeat_interleave(TONE, 1)[..., None, None].to(each.dtype)
+        return conv2d(each, torch.eye(TONE).to(each).repeat(1, looks)[..., None, None])
 
     def _tuned(self, number: int, x: Tensor, code: Tensor) -> Tensor:
         factor, shift = self.tuned[number](code)[..., None, None].to(x.dtype).chunk(2, 1)
@@ -232,9 +262,9 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     image: Tensor,
     view: View,
     T_world_sensor: np.ndarray | None = None,
-    tones: Tensor | None = None,
-    openings: Tensor | None = None,
+    known: Known = NOTHING_KNOWN,
     unread: Sequence[int] = (),
+    frame: bool = False,
 ) -> tuple[Tensor, Tensor]:
     """What the network sees: (B, classes + SHAPE + 7, H, W) and fine noise (B, 3, 2H, 2W), channels last.
 
@@ -244,10 +274,9 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     depth_m   (B, H, W): metres, everywhere.
     image     (B, 5, H, W): a RangeImage's channels, of which remission and validity are used.
     view      the raster H x W;  T_world_sensor: (4, 4), where the noise hangs (None: on the sensor's frame).
-    tones     (B, 3, H, W): how much brighter each pixel is than the mean of its class in its look, in [-1, 1]; None,
-              and where NaN: a tone for each house, people's clothing, and for the classes that VARIED names noise.
-    openings  (B, H, W) in [0, 1]: where walls have windows and doors; None, and where NaN: as `facades` has them.
+    known     tones and openings that need not be invented.
     unread    ids of classes whose remission and validity are not used.
+    frame     whether they are to be `framed`, which in here costs nothing.
     """
     depth_m = depth_m.float()
     highest = segments.amax(1)
@@ -265,7 +294,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     coarse = _noise(depth_m, sky, view, COARSE_M, T_world_sensor)
     fine = _noise(twice(depth_m), twice(sky), view.scaled(2), FINE_M, T_world_sensor)
     invented, house = facades(segments[:, BUILDING].float(), radius_m, above_m, view, T_world_sensor)
-    openings = invented if openings is None else torch.where(openings.isnan(), invented, openings)
+    openings = invented if known.openings is None else torch.where(known.openings.isnan(), invented, known.openings)
     varied = segments.new_tensor([VARIED.get(name, 0.0) for name in COMMON15.classes], dtype=torch.float32)
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M, T_world_sensor).clamp(-1, 1)
     varied_tones = (torch.einsum("bchw,c->bhw", segments.float(), varied) * noise)[:, None]
@@ -273,10 +302,13 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     people = (segments[:, PERSON] > LIKELY).nonzero(as_tuple=True)
     dressed = segments[:, PERSON][people].float()[:, None] * clothing(height_m[people], noise[people])
     varied_tones.movedim(1, 3)[people] += dressed
-    tones = varied_tones if tones is None else varied_tones * as_float(tones.isnan()) + tones.nan_to_num()
+    tones = varied_tones
+    if known.tones is not None:
+        tones = varied_tones * as_float(known.tones.isnan()) + known.tones.nan_to_num()
     parts = [segments.float(), flat, shape, coarse, tones, openings[:, None]]
     dtype = inference_dtype(depth_m.device)
-    return _joined(parts, dtype), fine.to(dtype).contiguous(memory_format=torch.channels_last)
+    frames = (INPUTS_FRAME, NOISE_FRAME) if frame else ((0, 0), (0, 0))
+    return _joined(parts, dtype, *frames[0]), _joined([fine], dtype, *frames[1])
 
 
 def with_cars(
@@ -353,25 +385,43 @@ def _noise(depths: Tensor, skies: Tensor, view: View, waves: Sequence[float], po
     return torch.stack(noises) if len(noises) > 1 else noises[0][None]  # without another copy
 
 
-def _lengthened(x: Tensor, rows: int) -> Tensor:
-    return torch.cat([x, x[:, :, -1:].expand(-1, -1, rows, -1)], 2)
+def framed(inputs: Tensor, fine_noise: Tensor) -> tuple[Tensor, Tensor]:
+    """What `painter_inputs` made, with ENDS columns beyond the seam at either side, and rows below like the last one.
+
+    Those are FOOT of the inputs, and of the noise as many as the last layers reach.
+    """
+    return _framed(inputs, *INPUTS_FRAME), _framed(fine_noise, *NOISE_FRAME)
+
+
+def _framed(x: Tensor, rows: int, columns: int) -> Tensor:
+    return closed(torch.cat([x, x[:, :, -1:].expand(-1, -1, rows, -1)], 2), columns)
+
+
+def _halved(x: Tensor) -> Tensor:
+    """Means of 2 x 2 pixels: `avg_pool2d` as a convolution, in a seventh of its time in OpenVINO."""
+    channels = x.shape[1]
+    return conv2d(x, x.new_full((channels, 1, 2, 2), 0.25), stride=2, groups=channels)
 
 
 def _enlarged(x: Tensor) -> Tensor:
     return interpolate(x, scale_factor=2)
 
 
-def _joined(parts: Sequence[Tensor], dtype: torch.dtype) -> Tensor:
-    """Parts (B, C, H, W) float32 one after the other, channels last in memory.
+def _joined(parts: Sequence[Tensor], dtype: torch.dtype, below: int = 0, ends: int = 0) -> Tensor:
+    """Parts (B, C, H, W) float32 one after the other, channels last in memory, in a frame as of `_framed`.
 
     On a CPU transposed as matrices, STRIP rows at a time, in a third of the time of `cat` and `contiguous`.
     """
     if parts[0].device.type != "cpu":
-        return torch.cat([part.to(dtype) for part in parts], 1).contiguous(memory_format=torch.channels_last)
+        joined = torch.cat([part.to(dtype) for part in parts], 1)
+        return _framed(joined, below, ends).contiguous(memory_format=torch.channels_last)
     batch, _, rows, columns = parts[0].shape
-    made = parts[0].new_empty(batch, rows, columns, sum(part.shape[1] for part in parts), dtype=dtype)
+    made = parts[0].new_empty(
+        batch, rows + below, columns + 2 * ends, sum(part.shape[1] for part in parts), dtype=dtype
+    )
     for number, one in enumerate(made):
         for top in range(0, rows, STRIP):
-            strip = torch.cat([part[number, :, top : top + STRIP].to(dtype) for part in parts])
-            one[top : top + STRIP].flatten(0, 1).copy_(strip.flatten(1).t())
+            strip = closed(torch.cat([part[number, None, :, top : top + STRIP].to(dtype) for part in parts], 1), ends)
+            one[top : top + STRIP].flatten(0, 1)[: strip[0, 0].numel()].copy_(strip[0].flatten(1).t())
+    made[:, rows:] = made[:, rows - 1 : rows]
     return made.movedim(3, 1)

@@ -37,10 +37,10 @@ class SummedConv2d(nn.Conv2d):
 class SummedSequential(nn.Sequential):
     """Layers of which the first is such a convolution, or begins with one."""
 
-    def forward(self, *parts: Tensor) -> Tensor:
-        """What the last layer makes of it; parts as the first one takes them."""
+    def forward(self, *parts: Tensor, **how: bool) -> Tensor:
+        """What the last layer makes of it; arguments as the first one takes them."""
         first, *others = self
-        x = first(*parts)
+        x = first(*parts, **how)
         for layer in others:
             x = layer(x)
         return x

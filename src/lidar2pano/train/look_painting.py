@@ -26,7 +26,7 @@ from lidar2pano.models.added_look import train_last_look, with_look
 from lidar2pano.models.card import load
 from lidar2pano.models.families import weight_files
 from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
-from lidar2pano.models.scene_painter import TONE, ScenePainter, outlined, painter_inputs, with_cars
+from lidar2pano.models.scene_painter import TONE, Known, ScenePainter, framed, outlined, painter_inputs, with_cars
 from lidar2pano.pipeline import Pipeline, load_part, load_segmenter
 from lidar2pano.train.look_samples import LookSample, LookSamples
 from lidar2pano.train.options import LookOptions
@@ -98,9 +98,10 @@ class LookPainting:
             window = self.view.window(int(np.random.randint(self.view.columns)), columns)  # noqa: NPY002
             segments, depth_m, tones, _ = with_cars(batch.segments.float(), batch.depth_m, window, pose)
             segments = outlined(segments, self.painter.sharp, depth_m, window, pose)
-            inputs = painter_inputs(segments, depth_m, batch.channels, window, pose, tones, unread=self.painter.unread)
+            known = Known(tones)
+            inputs = painter_inputs(segments, depth_m, batch.channels, window, pose, known, self.painter.unread)
             shares = torch.eye(len(self.painter.looks), device=depth_m.device)[-1:].expand(samples, -1)
-        return painter(*inputs, shares, shares.new_zeros(samples, TONE)).float(), segments
+        return painter(*framed(*inputs), shares, shares.new_zeros(samples, TONE)).float(), segments
 
     def _layers(self, image: Tensor) -> list[Tensor]:
         """Colours and features that are compared, (B, C, h, w) at 1/4, 1/4, 1/8, 1/16 of the image."""

@@ -32,7 +32,9 @@ from lidar2pano.models.scene_painter import (
     CAR,
     PERSON,
     TONES,
+    Known,
     ScenePainter,
+    framed,
     painter_inputs,
     sharpened,
     twice,
@@ -191,7 +193,7 @@ class ScenePainting:
         batch = batch._replace(
             look=look, tone=batch.tone * ~drawn[:, None], class_means=batch.class_means.masked_fill(other, torch.nan)
         )
-        taught = self.teacher(*inputs, *self._look_and_tone(batch)).float()
+        taught = self.teacher(*framed(*inputs), *self._look_and_tone(batch)).float()
         if self.options.walls:
             gap, walls = self._wall_hues(batch, inputs, taught)
             enlarged = interpolate(gap * (walls > WALL), taught.shape[2:], mode="bilinear")
@@ -284,8 +286,8 @@ class ScenePainting:
         self, batch: PaintingSample, segments: Tensor, tones: Tensor, window: View, pose: np.ndarray
     ) -> tuple[Tensor, Tensor]:
         """The painter's inputs for a batch, with these tones, and the scan as another sensor might have it."""
-        openings = batch.openings
-        return painter_inputs(segments, batch.depth_m, self._scanned(batch), window, pose, tones, openings, self.unread)
+        known = Known(tones, batch.openings)
+        return painter_inputs(segments, batch.depth_m, self._scanned(batch), window, pose, known, self.unread)
 
     def _somewhere(self, segments: Tensor) -> tuple[View, np.ndarray]:
         """A random sector of the view as wide as the crops, at a random place in the noise."""
@@ -333,7 +335,7 @@ class ScenePainting:
         painter = self.networks["painter"]
         if self.options.fixed_norms:
             fix_norms(painter)
-        return painter(*inputs, *self._look_and_tone(batch)).float()
+        return painter(*framed(*inputs), *self._look_and_tone(batch)).float()
 
     def segments(self, batch: PaintingSample) -> Tensor:
         """Segments (B, 16, H, W) to paint: the translator's, sharpened at random, or by chance the ground truth."""
@@ -354,7 +356,7 @@ class ScenePainting:
         segments = sharpened(one.segments, 2.0)
         window, pose = self._somewhere(segments)
         segments, depth_m, tones, _ = with_cars(segments, one.depth_m, window, pose)
-        inputs = painter_inputs(segments, depth_m, one.channels, window, pose, tones, unread=self.unread)
+        inputs = painter_inputs(segments, depth_m, one.channels, window, pose, Known(tones), self.unread)
         return self.painted(one, inputs)[0].cpu(), sample
 
     def validate(self) -> dict[str, float]:
