@@ -123,26 +123,28 @@ def grown_classes(logits: Tensor, factor: int, chunk: int = 1 << 14, least: floa
     """
     height, width = logits.shape[2:]
     ids = likeliest(logits)[0]
-    around = torch.cat([ids[:, -1:], ids, ids[:, :1]], 1)
-    around = torch.cat([around[:1], around, around[-1:]])
-    border = torch.zeros_like(ids, dtype=torch.bool)
-    for i, j in product(range(3), repeat=2):
-        border |= around[i : i + height, j : j + width] != ids
+    ids = torch.cat([ids[:1], ids, ids[-1:]])
+    beside = ids.roll(-1, 1)
+    border = (ids[:-1] != ids[1:]) | (ids[:-1] != beside[:-1]) | (ids[:-1] != beside[1:])  # between four pixels
     grown = ids[:, None, :, None].repeat(1, factor, 1, factor)
-    pixels = logits[0].flatten(1)
-    shares = [(place + 0.5) / factor - 0.5 for place in range(factor)]  # of the pixel before (below 0) or after
+    pixels, places = logits[0].flatten(1), _between_two(factor)
     for row, column in zip(*(part.split(chunk) for part in border.nonzero(as_tuple=True)), strict=True):
-        rows = [(row + step).clamp(0, height - 1) * width for step in (-1, 0, 1)]
-        columns = [(column + step) % width for step in (-1, 0, 1)]
+        rows = [(row + step).clamp(0, height - 1) * width for step in (-1, 0)]
+        columns = column, (column + 1) % width
         around = pixels.index_select(1, torch.cat([one + other for one, other in product(rows, columns)])).float()
         around = around.clamp_(min=least).log_() if least else around
-        before, middle, after = around.unflatten(1, (3, 3, -1)).movedim(1, 0).unbind(0)
-        for i, down in enumerate(shares):
-            three = torch.lerp(middle, before if down < 0 else after, abs(down))
-            for j, across in enumerate(shares):
-                mean = torch.lerp(three[:, 1], three[:, 0 if across < 0 else 2], abs(across))
-                grown[row, i, column, j] = likeliest(mean[None, :, None])[0, 0]
-    return grown.view(height * factor, width * factor)
+        upper, lower = around.unflatten(1, (2, 2, -1)).unbind(1)
+        for down, i, share in places:
+            left, right = torch.lerp(upper, lower, share).unbind(1)
+            for across, j, part in places:
+                grown[row + down, i, columns[across], j] = likeliest(torch.lerp(left, right, part)[None, :, None])[0, 0]
+    return grown[1:-1].reshape(height * factor, width * factor)
+
+
+def _between_two(factor: int) -> list[tuple[int, int, float]]:
+    """What lies from one pixel's middle to the next one's, enlarged: of which (0, 1), its number there, how far on."""
+    shares = [(place + 0.5) / factor - 0.5 for place in range(factor)]  # of the pixel before (below 0) or after
+    return [(int(share < 0), place, share % 1) for place, share in enumerate(shares)]
 
 
 def fold_norms(network: nn.Module) -> nn.Module:

@@ -22,7 +22,7 @@ from lidar2pano.geometry.car_body import Boxes
 from lidar2pano.geometry.clothing import clothing
 from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.outlines import against_the_sky
-from lidar2pano.geometry.solid_noise import STRIP, smooth_noise, solid_noise
+from lidar2pano.geometry.solid_noise import smooth_noise, solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals, viewpoint_height
 from lidar2pano.geometry.wall_openings import facades
 from lidar2pano.geometry.whole_cars import Classes, WholeCars, whole_cars
@@ -62,6 +62,7 @@ ENDS = 2  # columns beyond the seam at either side that the network is given, so
 INPUTS_FRAME, NOISE_FRAME = (FOOT, ENDS), (2 * LEAST_FOOT, ENDS)  # rows and columns
 STRIDE = 4  # input pixels per pixel of the coarsest level
 BLOCKS = 4  # residual blocks there
+FEW, JOINED_ROWS = 4, 6  # channels, and rows, of inputs that are joined at a time
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
 TONE = 3  # red, green, blue: how much brighter a picture, or a part of it, is than the mean of its look
 TONES = slice(-TONE - 1, -1)  # of the painter's inputs, which end with the openings
@@ -410,18 +411,23 @@ def _enlarged(x: Tensor) -> Tensor:
 def _joined(parts: Sequence[Tensor], dtype: torch.dtype, below: int = 0, ends: int = 0) -> Tensor:
     """Parts (B, C, H, W) float32 one after the other, channels last in memory, in a frame as of `_framed`.
 
-    On a CPU transposed as matrices, STRIP rows at a time, in a third of the time of `cat` and `contiguous`.
+    On a CPU a few channels are copied one by one and many some rows at a time, in less than half the time of `cat` and
+    `contiguous`.
     """
     if parts[0].device.type != "cpu":
         joined = torch.cat([part.to(dtype) for part in parts], 1)
         return _framed(joined, below, ends).contiguous(memory_format=torch.channels_last)
     batch, _, rows, columns = parts[0].shape
-    made = parts[0].new_empty(
-        batch, rows + below, columns + 2 * ends, sum(part.shape[1] for part in parts), dtype=dtype
-    )
-    for number, one in enumerate(made):
-        for top in range(0, rows, STRIP):
-            strip = closed(torch.cat([part[number, None, :, top : top + STRIP].to(dtype) for part in parts], 1), ends)
-            one[top : top + STRIP].flatten(0, 1)[: strip[0, 0].numel()].copy_(strip[0].flatten(1).t())
-    made[:, rows:] = made[:, rows - 1 : rows]
+    channels = sum(part.shape[1] for part in parts)
+    made = parts[0].new_empty(batch, rows + below, columns + 2 * ends, channels, dtype=dtype)
+    inner = made[:, :, ends : ends + columns]
+    if channels <= FEW:
+        for number, channel in enumerate(channel for part in parts for channel in part.unbind(1)):
+            inner[:, :rows, :, number] = channel
+    else:
+        for top in range(0, rows, JOINED_ROWS):
+            strip = torch.cat([part[:, :, top : top + JOINED_ROWS].to(dtype) for part in parts], 1)
+            inner[:, top : top + strip.shape[2]] = strip.movedim(1, 3)
+    inner[:, rows:] = inner[:, rows - 1 : rows]
+    made[:, :, :ends], made[:, :, ends + columns :] = inner[:, :, columns - ends :], inner[:, :, :ends]
     return made.movedim(3, 1)
