@@ -9,7 +9,7 @@ import torch
 
 from lidar2pano.geometry import wall_openings as subject
 from lidar2pano.geometry.surface import azimuths, slopes
-from lidar2pano.geometry.wall_openings import HOUSE_M, Walls, facades
+from lidar2pano.geometry.wall_openings import COOLEST, HOUSE_M, WARMEST, YELLOW, Walls, facades
 from lidar2pano.views import VIEWS
 
 VIEW = VIEWS["panorama"].scaled(0.5)
@@ -99,8 +99,10 @@ def test_what_stands_before_or_behind_a_wall_has_no_openings():
 
 def test_houses_have_one_tone_each():
     tone = facades(*street()[:3], VIEW).tone[0]
-    assert tone[1].abs().max() <= 1 and tone[1].std() > 0.3
-    assert ((tone - tone[1]).abs() <= 0.25 + 1e-6).all() and not torch.equal(tone[0], tone[2])
+    grey, warm = (tone[0] + tone[2]) / 2, (tone[0] - tone[2]) / 2
+    assert grey.abs().max() <= 1 and grey.std() > 0.3
+    assert warm.min() >= COOLEST - 1e-6 and warm.max() <= WARMEST + 1e-6 and warm.std() > 0.02
+    assert torch.allclose(tone[1], grey + YELLOW * warm, atol=1e-6)
     assert (tone[:, 1:] != tone[:, :-1]).any(0).sum() < 60
 
 

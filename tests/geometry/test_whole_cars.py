@@ -11,7 +11,7 @@ from lidar2pano.geometry import whole_cars as module
 from lidar2pano.geometry.car_body import TYRE, Boxes, first_hits
 from lidar2pano.geometry.columns import world_columns
 from lidar2pano.geometry.surface import slopes
-from lidar2pano.geometry.whole_cars import SHADE, Classes, WholeCars, whole_cars
+from lidar2pano.geometry.whole_cars import BRIGHTEST, SHADE, Classes, WholeCars, _paint, whole_cars
 from lidar2pano.views import VIEWS, View
 
 VIEW = replace(VIEWS["panorama"].scaled(0.375), origin=(0.0, 0.0, 0.0))
@@ -161,6 +161,16 @@ def part_of_a_car(rows: slice, columns: slice) -> torch.Tensor:
     )
     part[row, column] = True
     return part & car
+
+
+def test_most_cars_are_grey_and_coloured_ones_are_not_bright():
+    paint = _paint(torch.rand(2, 20_000, generator=torch.Generator().manual_seed(0)) * 500)
+    grey, hue = paint.mean(0), paint[0] - paint[2]
+    assert paint.min() >= -0.25 and paint.max() <= BRIGHTEST
+    assert 0.5 < (hue.abs() < 1e-6).float().mean() < 0.8
+    for share in ((hue > 0.2).float().mean(), (hue < -0.2).float().mean()):
+        assert 0.05 < share < 0.15
+    assert grey[hue.abs() > 0.35].max() < 0.05 and grey[hue == 0].std() > 0.1
 
 
 @pytest.mark.parametrize(("sure", "covered"), [(0.97, False), (0.9, True)])

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from lidar2pano.models.scene_painter import MIXED_PX, MOST_UNEVEN, WINDOWS, evened_beams, spread_out
+from lidar2pano.models.scene_painter import DIM, MIXED_PX, MOST_UNEVEN, NEARER, WINDOWS, evened_beams, spread_out
 
 
 def slowly(values, valid):
@@ -44,45 +44,75 @@ def evened_slowly(remission, valid, road, reach):
     """The definition, pixel by pixel, of one image."""
     weight = valid * road
     mean = (remission * weight).sum() / weight.sum()
-    found, columns = remission.clone(), remission.shape[1]
+    found, used, columns = remission.clone(), valid.clone(), remission.shape[1]
     for row in range(len(remission)):
         for column in range(columns):
-            around = [(column + shift) % columns for shift in range(-reach, reach + 1)]
-            own = (remission[row, around] * weight[row, around]).sum() + MIXED_PX * mean
-            own = own / (weight[row, around].sum() + MIXED_PX)
-            found[row, column] *= (mean / own).clamp(1 / MOST_UNEVEN, MOST_UNEVEN)
-    return found
+            own = []
+            for wide, mixed in ((reach, MIXED_PX), (reach // NEARER, MIXED_PX // NEARER)):
+                around = [(column + shift) % columns for shift in range(-wide, wide + 1)]
+                total = (remission[row, around] * weight[row, around]).sum() + mixed * mean
+                own.append(total / (weight[row, around].sum() + mixed))
+            found[row, column] *= (mean / own[0]).clamp(1 / MOST_UNEVEN, MOST_UNEVEN)
+            if min(own) < DIM * mean and road[row, column] > 0.5:
+                used[row, column] = 0
+    return found, used
+
+
+def everywhere(*size):
+    return torch.ones(1, *size)
 
 
 def test_beams_are_evened_as_defined():
     generator = torch.Generator().manual_seed(3)
-    remission, road = torch.rand(2, 2, 30, 24, generator=generator).unbind(0)
-    valid = (torch.rand(2, 30, 24, generator=generator) < 0.5).float()
+    remission, road = torch.rand(2, 2, 30, 64, generator=generator).unbind(0)
+    valid = (torch.rand(2, 30, 64, generator=generator) < 0.5).float()
+    road[:, 18:] = 0.6 + 0.4 * road[:, 18:]
     remission[:, 10:14] *= 6
-    for number, found in enumerate(evened_beams(remission, valid, road, 4)):
-        assert torch.allclose(found, evened_slowly(remission[number], valid[number], road[number], 4), atol=1e-5)
-    whole = evened_beams(remission, valid, road, 11)
-    assert torch.equal(evened_beams(remission, valid, road, 99), whole), "never farther than once around"
+    remission[:, 20:22] = 0
+    answers = evened_beams(remission, valid, road, 24)
+    for number, (found, used) in enumerate(zip(*answers, strict=True)):
+        expected, expected_used = evened_slowly(remission[number], valid[number], road[number], 24)
+        assert torch.allclose(found, expected, atol=1e-5)
+        assert torch.equal(used, expected_used) and (used < valid[number]).any()
+    whole = evened_beams(remission, valid, road, 31)
+    assert torch.equal(evened_beams(remission, valid, road, 34)[0], whole[0]), "never farther than once around"
 
 
 def test_a_beam_that_measures_more_leaves_no_line_and_lane_marks_stay():
     even = torch.full((1, 40, 400), 0.2)
     even[:, :, 190:200] = 0.6
-    gain = torch.where(torch.arange(40) < 20, 1.0, 2.0)[:, None]
-    found = evened_beams(even * gain, torch.ones(1, 40, 400), torch.ones(1, 40, 400), 60)
+    gain = torch.where(torch.arange(40) < 20, 1.0, 1.5)[:, None]
+    found, used = evened_beams(even * gain, everywhere(40, 400), everywhere(40, 400), 60)
+    assert used.all()
     assert (found[:, :20].mean() / found[:, 20:].mean()).log().abs() < 0.1
     assert 2.5 < found[0, 0, 195] / found[0, 0, 0] < 3, "a mark, ten columns wide, keeps most of its contrast"
 
 
-def test_a_beam_that_passes_from_row_to_row_leaves_no_line():
-    gain = torch.ones(1, 40, 600)
-    gain[0, 20, :300], gain[0, 21, 300:] = 0.4, 0.4
-    found = evened_beams(0.3 * gain, torch.ones(1, 40, 600), torch.ones(1, 40, 600), 40)
-    away = torch.cat([found[..., 50:250], found[..., 350:550]], 2)
-    assert away.max() / away.min() < 1.3, "of 2.5"
+@pytest.mark.parametrize("gain", [0.3, 0.7])
+def test_a_beam_that_passes_from_row_to_row_leaves_no_line(gain):
+    gains = torch.ones(1, 40, 600)
+    gains[0, 20, :300], gains[0, 21, 300:] = gain, gain
+    found, used = evened_beams(0.3 * gains, everywhere(40, 600), everywhere(40, 600), 40)
+    away = torch.cat(
+        [torch.where(used > 0, found, torch.nan)[..., part] for part in (slice(50, 250), slice(350, 550))], 2
+    )
+    kept = away[away.isfinite()]
+    assert kept.max() / kept.min() < 1.15
+    assert (used == 0).any() == (gain < DIM)
+
+
+def test_what_is_no_road_keeps_the_remission_of_dim_beams():
+    gains = torch.ones(1, 40, 400)
+    gains[0, 20] = 0.2
+    road = everywhere(40, 400)
+    road[..., :100] = 0
+    _, used = evened_beams(0.3 * gains, everywhere(40, 400), road, 60)
+    assert used[..., :100].all() and not used[0, 20, 100:].any()
 
 
 def test_without_a_road_or_remission_nothing_changes():
     remission, nothing = torch.rand(1, 10, 20, generator=torch.Generator().manual_seed(1)), torch.zeros(1, 10, 20)
-    assert torch.allclose(evened_beams(remission, nothing + 1, nothing, 5), remission, atol=1e-5)
-    assert torch.equal(evened_beams(nothing, nothing + 1, nothing + 1, 5), nothing)
+    found, used = evened_beams(remission, nothing + 1, nothing, 5)
+    assert torch.allclose(found, remission, atol=1e-5) and used.all()
+    found, used = evened_beams(nothing, nothing + 1, nothing + 1, 5)
+    assert torch.equal(found, nothing) and used.all()

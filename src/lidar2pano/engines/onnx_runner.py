@@ -209,8 +209,8 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     code = np.log1p(depth_m.clip(max=FAR_M)) / np.log1p(FAR_M)
     row = np.repeat(np.linspace(1, -1, rows)[:, None], columns, 1)
     read = 1 - segments[unread].sum(0)
-    remission, valid = spread_out(image[4], image[0] > 0)
-    flat = [code, evened_beams(remission, valid, segments[ROAD]) * read, valid * read, row]
+    remission, valid = spread_out(*evened_beams(image[4], image[0] > 0, segments[ROAD]))
+    flat = [code, remission * read, valid * read, row]
     coarse = solid_noise(depth_m, best == SKY, view, COARSE_M)
     fine = solid_noise(*(each.repeat(2, 0).repeat(2, 1) for each in (depth_m, best == SKY)), view, FINE_M)
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M).clip(-1, 1)
@@ -415,13 +415,19 @@ def spread_out(remission, valid):
 
 
 def evened_beams(remission, valid, road):
-    """Remission, so that the road's is the same in all rows: beams are not calibrated against each other."""
+    """Remission, so that the road's is the same in all rows, and where it is used: not of beams that are dim."""
     weight, reach = valid * road, round(remission.shape[1] / 24)
     mean = (remission * weight).sum() / max(weight.sum(), 1e-6)
-    sums = np.pad(np.stack([remission * weight, weight]), ((0, 0), (0, 0), (reach, reach)), "wrap").cumsum(2)
+    of_rows, nearby = (row_means(remission, weight, mean, *near) for near in ((reach, 16), (reach // 4, 4)))
+    factor = np.where(of_rows > 0, mean / of_rows.clip(min=1e-6), 1).clip(1 / 3, 3)
+    return remission * factor, valid & ~((np.minimum(of_rows, nearby) < 0.6 * mean) & (road > 0.5))
+
+
+def row_means(values, weight, mean, reach, mixed):
+    """Weighted means of values beside each other in rows, in which `mean` has the weight `mixed`."""
+    sums = np.pad(np.stack([values * weight, weight]), ((0, 0), (0, 0), (reach, reach)), "wrap").cumsum(2)
     total, count = sums[..., 2 * reach :] - np.pad(sums, ((0, 0), (0, 0), (1, 0)))[..., : -2 * reach - 1]
-    of_rows = (total + 16 * mean) / (count + 16)
-    return remission * np.where(of_rows > 0, mean / of_rows.clip(min=1e-6), 1).clip(1 / 3, 3)
+    return (total + mixed * mean) / (count + mixed)
 
 
 def facades(walls, radius_m, slope, above_m, view):
@@ -452,8 +458,8 @@ def facades(walls, radius_m, slope, above_m, view):
     width_m = pixel_m / np.maximum(np.abs(facing), 0.05)
     elsewhere = (np.abs(radius_m / radius - 1) / 0.25 - 1).clip(0, 1)
     share = openings(house, along % HOUSE_M, slope * radius + above_m, width_m, pixel_m)
-    warm = 0.25 * (2 * uniform(house, 9) - 1)
-    return share * walls * (1 - elsewhere), 2 * uniform(house, 0) - 1 + np.stack([warm, 0 * warm, -warm])
+    warm = -0.05 + 0.3 * uniform(house, 9)
+    return share * walls * (1 - elsewhere), 2 * uniform(house, 0) - 1 + np.stack([warm, 0.4 * warm, -warm])
 
 
 def wall_profile(walls, radius_m, height_m):

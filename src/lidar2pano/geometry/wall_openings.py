@@ -25,7 +25,8 @@ FARTHEST_M = 60.0  # walls beyond show no windows
 LOWEST_M, HIGHEST_M = 0.5, 9.0  # heights above the road at which the distance of a wall is read
 DIRECTIONS = 8  # in which walls run, per half turn: rounded, so that windows stand still while estimates waver
 HOUSE_M = 11.0  # width of a house
-WARMTH = 0.25  # how much redder and less blue than grey a house is, at most
+COOLEST, WARMEST = -0.05, 0.25  # how much redder and less blue than grey houses are: plaster, sandstone, brick
+YELLOW = 0.4  # how much greener they are, of that
 EVERY = 4  # rows of a raster for each that distances are read from
 LEAST = 0.3  # rows of a column that show a wall; with fewer the column has none
 AWAY = 1 << 20  # houses; keeps their numbers positive
@@ -69,8 +70,8 @@ def facades(
     level_m = slope * found.radius_m[:, None] + above_m
     elsewhere = ((radius_m / found.radius_m[:, None] - 1).abs() / SAME_WALL - 1).clamp(0, 1)
     openings = _openings(found, level_m, view) * walls * (1 - elsewhere)
-    warm = WARMTH * (2 * _uniform(found.house, 9) - 1)
-    tone = (2 * _uniform(found.house, 0) - 1)[:, None] + torch.stack([warm, torch.zeros_like(warm), -warm], 1)
+    warm = COOLEST + (WARMEST - COOLEST) * _uniform(found.house, 9)
+    tone = (2 * _uniform(found.house, 0) - 1)[:, None] + torch.stack([warm, YELLOW * warm, -warm], 1)
     return Facades(openings, tone)
 
 

@@ -21,7 +21,9 @@ COVERED = 0.6  # least share of overlap in union of a car that is drawn
 FAINT, SURE = 0.02, 0.9  # probabilities of what has to go where no body was drawn: less is no car, more is another
 SHADE, SHADE_M, PALE = 0.35, 0.3, 0.01  # tone and breadth of the shadow beside a car; no shadow that is paler
 PAINT_WAVES_M = (17.0, 27.0, 13.0)  # cars so far apart differ in paint
-BRIGHTEST, COLOURED = 0.5, 1.2  # tone of the brightest paint; how fast the few coloured cars gain colour
+BRIGHTEST, DARKEST = 0.5, -0.2  # tones of white and of black paint
+RED, BLUE = (0.15, -0.25, -0.25), (-0.25, -0.1, 0.15)  # tones of coloured paint, which is not bright
+DULL, COLOURED = (0.35, 0.8), (0.8, 1.0)  # of the sine that says so: between white, grey and colours lies a metre
 
 
 class WholeCars(NamedTuple):
@@ -248,12 +250,13 @@ def _world(boxes: Boxes, view: View, pose: np.ndarray | None) -> tuple[Tensor, T
 
 
 def _paint(place: Tensor) -> Tensor:
-    """A tone (3, n) for cars that stand at `place` (2, n) in the world, metres: most are grey, a few red or blue."""
+    """A tone (3, n) for cars that stand at `place` (2, n) in the world, metres: most are grey, few red or blue."""
     waves = [
         torch.sin(2 * math.pi / length * (place[0] * math.cos(1.1 * k) + place[1] * math.sin(1.1 * k)) + k)
         for k, length in enumerate(PAINT_WAVES_M)
     ]
     bright, hue = (waves[0] + waves[1]) / 1.5, waves[2]
-    light = BRIGHTEST * (bright + 0.3).clamp(0, 1)
-    red, blue = (COLOURED * (hue - 0.75)).clamp(min=0), (COLOURED * (-hue - 0.75)).clamp(min=0)
-    return torch.stack([light + red - blue / 2, light - red / 2 - blue / 4, light - red / 2 + blue])
+    grey = torch.where(bright > 0, bright * BRIGHTEST, -bright * DARKEST).clamp(DARKEST, BRIGHTEST)
+    dull, coloured = (((hue.abs() - low) / (high - low)).clamp(0, 1) for low, high in (DULL, COLOURED))
+    paint = torch.where(hue > 0, place.new_tensor(RED)[:, None], place.new_tensor(BLUE)[:, None])
+    return torch.lerp(grey * (1 - dull), paint, coloured)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
+from typing import get_args, get_type_hints
+
 from torch import nn
 
 from lidar2pano.errors import InputError, closest
@@ -36,6 +39,15 @@ MODELS: dict[str, type[nn.Module]] = {
 }
 
 
+def _settings(network: type[nn.Module]) -> set[str]:
+    """What a network can be built with: names of its parameters, and of those of a TypedDict that it unpacks."""
+    known = network.__init__.__annotations__.keys() - {"return"}
+    if unpacked := inspect.getfullargspec(network.__init__).varkw:
+        (switches,) = get_args(get_type_hints(network.__init__)[unpacked])
+        known = known - {unpacked} | switches.__annotations__.keys()
+    return known
+
+
 def build(name: str, **settings: object) -> nn.Module:
     """A network of MODELS with fresh weights; InputError for an unknown name, and settings that make no network.
 
@@ -43,7 +55,7 @@ def build(name: str, **settings: object) -> nn.Module:
     """
     if name not in MODELS:
         raise InputError(f"no network {name!r}{closest(name, MODELS)}")
-    known = MODELS[name].__init__.__annotations__.keys() - {"return"}
+    known = _settings(MODELS[name])
     if unknown := [setting for setting in settings if setting not in known]:
         raise InputError(f"network {name!r} has no setting {unknown[0]!r}{closest(unknown[0], known)}")
     try:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, Protocol, TypedDict, Unpack, cast
 
 import numpy as np
 import torch
@@ -55,6 +55,10 @@ CARS = Classes(
     ground=GROUND,
 )
 MIXED_PX, MOST_UNEVEN = 16.0, 3.0  # pixels that the mean counts for in each row's; largest factor between beams
+DIM, NEARER = (
+    0.6,
+    4,
+)  # share of the mean below which a beam's remission of the road says nothing, also in a quarter of it
 BEAM_RAD = math.pi / 12  # to each side of a pixel, in which a row is of one beam
 FOOT = 16  # rows like the last one that are painted below it and cut off: beside zero padding a network paints flecks
 LEAST_FOOT = 2  # of them that the layers on the picture's raster reach
@@ -114,6 +118,17 @@ class StreamPainter(Protocol):
         ...
 
 
+class Switches(TypedDict, total=False):
+    """What a ScenePainter may have.
+
+    class_colours  a table of what each look adds to the colours of each class, at first nothing.
+    bilinear       coarse features are enlarged bilinearly; their pixels repeated make a painter paint stairs.
+    """
+
+    class_colours: bool
+    bilinear: bool
+
+
 class ScenePainter(nn.Module):
     """RGB from segments and geometry.
 
@@ -122,8 +137,8 @@ class ScenePainter(nn.Module):
     code     numbers per look.
     sharp    power that class probabilities are raised to before they sum to 1 again.
     unread   classes whose remission is not read.
-    class_colours  whether there is a table of what each look adds to the colours of each class, at first nothing.
     colour_kernel  rows and columns of the last convolution, on the picture's raster.
+    switches  see there; all are off by default.
     """
 
     def __init__(
@@ -134,12 +149,15 @@ class ScenePainter(nn.Module):
         code: int = 16,
         sharp: float = 2.0,
         unread: Sequence[str] = UNREAD,
-        class_colours: bool = False,
         colour_kernel: int = 3,
+        **switches: Unpack[Switches],
     ) -> None:
         super().__init__()
         fine, middle, coarse, last = widths
         self.looks, self.look, self.sharp = tuple(looks), look or looks[0], sharp
+        if unknown := sorted(switches.keys() - Switches.__annotations__.keys()):
+            raise TypeError(f"got an unexpected keyword argument {unknown[0]!r}")
+        self.bilinear = switches.get("bilinear", False)
         self.unread = tuple(map(COMMON15.id_of, unread))
         self.look_shares(self.look)
         inputs = len(COMMON15) + SHAPE + len(COARSE_M) + TONE + 1
@@ -156,7 +174,8 @@ class ScenePainter(nn.Module):
         self.texture = nn.Sequential(conv_norm_act(last + len(FINE_M), last), conv_norm_act(last, last))
         self.colour = CircularConv(last, 3, colour_kernel)
         self.tuned = nn.ModuleList([nn.Linear(code + TONE, 2 * width) for width in (coarse, middle, fine)])
-        self.class_colours = nn.Embedding(len(self.looks), TONE * len(COMMON15)) if class_colours else None
+        colours = TONE * len(COMMON15)
+        self.class_colours = nn.Embedding(len(self.looks), colours) if switches.get("class_colours") else None
         for part in self.modules():
             if isinstance(part, nn.BatchNorm2d):
                 part.momentum = MOMENTUM
@@ -196,9 +215,8 @@ class ScenePainter(nn.Module):
         for block in self.trunk:
             x = block(x)
         # enlarged, not shuffled: pixel shuffles leave a weave of lines two and four pixels apart (Odena et al. 2016)
-        x = closed(_enlarged(self.up1(x, inputs4)), 1)
-        x = self.mix1(x, closed(middle, 1), inputs2, has_ends=True)
-        x = _enlarged(closed(self.up0(self._tuned(1, x, code)), 1))
+        x = self.mix1(self._grown(self.up1(x, inputs4), 1), closed(middle, 1), inputs2, has_ends=True)
+        x = self._grown(self.up0(self._tuned(1, x, code)), ENDS)
         x = self._tuned(2, self.mix0(x, closed(fine, 1, before=1), inputs, has_ends=True), code)
         x = _enlarged(closed(self.narrow(x, has_ends=True)[:, :, : rows + LEAST_FOOT], 1))
         first, second = self.texture
@@ -223,6 +241,13 @@ class ScenePainter(nn.Module):
         )
         shares = torch.tensor([self.look_shares(scene.look)], device=inputs.device)
         return None, self(inputs, fine_noise, shares, shares.new_zeros(1, TONE))
+
+    def _grown(self, x: Tensor, ends: int) -> Tensor:
+        """Features (B, C, H, W) on the next finer raster, `closed` by so many columns: (B, C, 2H, 2W + 2 ends)."""
+        if not self.bilinear:
+            return closed(_enlarged(x), ends)
+        grown = interpolate(closed(x, ends), scale_factor=2.0, mode="bilinear", align_corners=False)
+        return grown[..., ends:-ends]
 
     @staticmethod
     def _class_colours(table: Tensor, inputs: Tensor, shares: Tensor) -> Tensor:
@@ -287,9 +312,9 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     shape = torch.cat([(height_m / 4).clamp(-1, 4)[:, None], normals(radius_m, z_m, view)], 1)
     shape.mul_(as_float(~sky[:, None]))
     read = 1 - segments[:, list(unread)].float().sum(1)
-    remission, valid = spread_out(image[:, 4].float(), as_float(image[:, 0] > 0))
-    remission = evened_beams(remission, valid, segments[:, ROAD], round(BEAM_RAD * view.focal_px)) * read
-    valid = valid * read
+    measured = image[:, 4].float(), as_float(image[:, 0] > 0)
+    remission, valid = spread_out(*evened_beams(*measured, segments[:, ROAD], round(BEAM_RAD * view.focal_px)))
+    remission, valid = remission * read, valid * read
     row = torch.linspace(1, -1, segments.shape[2], device=segments.device)[None, :, None].expand_as(valid)
     flat = torch.stack([depth_code(depth_m.clamp(max=FAR_M)), remission, valid, row], 1)
     coarse = _noise(depth_m, sky, view, COARSE_M, T_world_sensor)
@@ -351,22 +376,35 @@ def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     return mean, found
 
 
-def evened_beams(remission: Tensor, valid: Tensor, road: Tensor, reach: int) -> Tensor:
-    """Remission (B, H, W), so that the road's is the same in all rows: beams are not calibrated against each other.
+def evened_beams(remission: Tensor, valid: Tensor, road: Tensor, reach: int) -> tuple[Tensor, Tensor]:
+    """Remission (B, H, W), so that the road's is the same in all rows, and (B, H, W) 1 where it is used, else 0.
 
+    Beams are not calibrated against each other: in KITTI's scans remission doubles from one row to the next, and a line
+    was painted across the road there. A DIM beam sees hardly more than noise, which would become lane marks: none of
+    its pixels on the road is used.
     valid  (B, H, W), 0 or 1: where there is any;  road: (B, H, W) probabilities.
     reach  columns to each side of a pixel, which are circular, in which a row is of one beam.
-    (In KITTI's scans it doubles from one row to the next, and a line was painted across the road there. A sensor that
-    does not stand upright has a beam in other rows on its other side.)
+    (A sensor that does not stand upright has a beam in other rows on its other side.)
     """
     weight = valid * road.float()
     sums = torch.stack([remission * weight, weight])
     mean = sums[0].sum((1, 2), keepdim=True) / sums[1].sum((1, 2), keepdim=True).clamp(min=1e-6)
-    reach = min(reach, (remission.shape[2] - 1) // 2)
+    of_rows = _row_means(sums, mean, reach, MIXED_PX)
+    factor = torch.where(of_rows > 0, mean / of_rows.clamp(min=1e-6), 1.0).clamp(1 / MOST_UNEVEN, MOST_UNEVEN)
+    nearby = _row_means(sums, mean, reach // NEARER, MIXED_PX // NEARER)
+    dim = as_float(torch.minimum(of_rows, nearby) < DIM * mean) * as_float(road > 0.5)
+    return remission * factor, valid * (1 - dim)
+
+
+def _row_means(sums: Tensor, mean: Tensor, reach: int, mixed: float) -> Tensor:
+    """Means (B, H, W) in rows, up to `reach` columns to each side, of sums (2, B, H, W): of values, of their weights.
+
+    mean  (B, 1, 1), which counts as much as `mixed` weights;  columns are circular.
+    """
+    reach = min(reach, (sums.shape[3] - 1) // 2)
     ends = closed(sums.flatten(0, 1)[:, None], reach)[:, 0].cumsum(2)
     total, count = (ends[..., 2 * reach :] - pad(ends, (1, 0))[..., : -2 * reach - 1]).view_as(sums)
-    of_rows = (total + MIXED_PX * mean) / (count + MIXED_PX)
-    return remission * torch.where(of_rows > 0, mean / of_rows.clamp(min=1e-6), 1.0).clamp(1 / MOST_UNEVEN, MOST_UNEVEN)
+    return (total + mixed * mean) / (count + mixed)
 
 
 def _window_sums(x: Tensor, rows: int, columns: int) -> Tensor:
