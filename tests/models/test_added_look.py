@@ -8,6 +8,7 @@ import torch
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
 from lidar2pano.models.added_look import train_last_look, with_look
+from lidar2pano.models.scene_painter import framed
 
 SETTINGS = {"looks": ["day", "rain"], "look": "rain", "widths": [8, 12, 16, 8], "class_colours": True}
 
@@ -23,7 +24,7 @@ def painter():
 @pytest.fixture
 def inputs(painter):
     channels = painter.stem[0].weight.shape[1]
-    return torch.rand(1, channels, 16, 32), torch.rand(1, 3, 32, 64)
+    return framed(torch.rand(1, channels, 16, 32), torch.rand(1, 3, 32, 64))
 
 
 def painted(painter, inputs, look: str) -> torch.Tensor:

@@ -11,7 +11,7 @@ from typing import Literal
 import pytest
 
 from lidar2pano.errors import InputError
-from lidar2pano.models import MODELS
+from lidar2pano.models import MODELS, settings_of
 from lidar2pano.train.device import shared
 from lidar2pano.train.options import TaskOptions
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, override, resolved
@@ -192,8 +192,7 @@ def test_every_recipe_names_what_exists_and_is_written_as_json(name):
     assert recipe.name == name and recipe.task in TASKS and recipe.view in VIEWS
     for spec in recipe.networks.values():
         assert spec.model in MODELS
-        known = MODELS[spec.model].__init__.__annotations__
-        assert set(spec.settings) <= set(known)
+        assert set(spec.settings) <= settings_of(MODELS[spec.model])
     written = resolved(recipe)
     assert json.loads(json.dumps(written, allow_nan=False)) == written
     assert written["training"]["batch"] == recipe.training.batch

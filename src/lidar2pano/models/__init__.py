@@ -39,7 +39,7 @@ MODELS: dict[str, type[nn.Module]] = {
 }
 
 
-def _settings(network: type[nn.Module]) -> set[str]:
+def settings_of(network: type[nn.Module]) -> set[str]:
     """What a network can be built with: names of its parameters, and of those of a TypedDict that it unpacks."""
     known = network.__init__.__annotations__.keys() - {"return"}
     if unpacked := inspect.getfullargspec(network.__init__).varkw:
@@ -55,7 +55,7 @@ def build(name: str, **settings: object) -> nn.Module:
     """
     if name not in MODELS:
         raise InputError(f"no network {name!r}{closest(name, MODELS)}")
-    known = _settings(MODELS[name])
+    known = settings_of(MODELS[name])
     if unknown := [setting for setting in settings if setting not in known]:
         raise InputError(f"network {name!r} has no setting {unknown[0]!r}{closest(unknown[0], known)}")
     try:
