@@ -29,7 +29,8 @@
 # `translator-7` had 161 steps (with centre, half of its minutes went into labels), `translator-8` 212, `scene-14` 710,
 # `translator-9` 1250, `scene-15` 828, `scene-16` 2949, `scene-17` 638; their frames were those of `scene-15`'s networks.
 # `scene-18` had 1610 steps. `world-scene-10` had 1777, on 48 frames of `day` and 10 of each other look.
-# Up to these two, remission was evened over whole rows of a turn, not over 15 degrees to each side.
+# Up to these two, remission was evened over whole rows of a turn, not over 15 degrees to each side, that of dim beams was used,
+# and cars and houses had livelier colours.
 # The first narrow translator and painter were pruned with a ridge of 1e-3 in place of 3e-3.
 # The colours of classes were set on frames that the released segmenter, of `segmenter-9`, and `translator` had made.
 # Painters before `scene-12`, and translators but `world-translator-3`, learned with segmenters that did not read roughness.
@@ -120,7 +121,8 @@ narrow() { # FAMILY DATA ROLE SETTINGS NAME [OPTION...]: a network of a family w
 # (batches of two crops are far from those statistics, and colours learned with the former are wrong with the latter).
 scene() { # RUN DATA MINUTES TRAIN SEGMENTER TRANSLATOR START [OVERRIDE...]: START is a file, or "" for fresh weights
   stage "$1" scene-painter "$2" "$3" data.train="$4" options.segmenter="$5" options.translator="$6" \
-    options.cache="$out/frames/$1" ${7:+networks.painter.start="$7"} training.validate_minutes=0 "${@:8}"
+    options.cache="$out/frames/$1" ${7:+networks.painter.start="$7"} training.validate_minutes=0 \
+    networks.painter.settings.bilinear=false "${@:8}"
 }
 finish() { # PAINTER RUN OUT DATA LOOK OPTION...: colours as in the frames of a data set in a run
   python "$here/finish_painter.py" "$1" "$3" "$out/frames/$2/painting/*/${4##*/}-*.safetensors" --look "$5" "${@:6}"
@@ -274,8 +276,7 @@ taught_scene() { # RUN MINUTES START [OVERRIDE...]: frames are those of scene-14
   stage "$1" fast-painter "$kitti" "$2" data.train=train,"$day:all" options.segmenter="$out/pruned/segmenter.safetensors" \
     options.translator="$(weights translator-7 translator)" options.teacher="$painter" options.cache="$out/frames/scene-14" \
     networks.painter.start="$3" "${kitti_looks[@]}" networks.painter.optimizer.rate=0.0006 \
-    networks.painter.settings.class_colours=true \
-    "$unread" \
+    networks.painter.settings.class_colours=true networks.painter.settings.bilinear=false "$unread" \
     options.elsewhere_probability=0.35 options.fringes=200 training.validate_minutes=0 "${@:4}"
 }
 wider=(networks.painter.settings.widths=16,48,96,16 networks.painter.settings.colour_kernel=3)
