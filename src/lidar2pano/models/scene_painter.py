@@ -7,7 +7,6 @@ work. Several looks in one network: a learned code per look scales and shifts fe
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, TypedDict, Unpack, cast
@@ -29,6 +28,7 @@ from lidar2pano.geometry.whole_cars import Classes, WholeCars, whole_cars
 from lidar2pano.hardware import inference_dtype
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.circular import CircularConv, CircularResidual, closed, conv_norm_act
+from lidar2pano.models.remission import BEAM_RAD, evened_beams, spread_out
 from lidar2pano.models.summed import SummedSequential
 from lidar2pano.models.titan_pano import FAR_M, depth_code
 from lidar2pano.views import View
@@ -44,7 +44,6 @@ OBJECT_M = 16.0  # wavelength at which things differ in brightness
 VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence"), 0.15) | {"pole": 0.1}
 LIKELY = 0.05  # probability of people from which on they are dressed
 HOUSES_VARIED = 0.5  # how much brighter or darker than the mean a house is, at most
-WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
 # What these classes look like hardly hangs on their remission, which ends at the highest beam: a painter that reads it
 # paints walls in two colours, and in speckles, other ones in each scan of a drive.
 UNREAD = ("building", "vegetation", "fence")
@@ -54,12 +53,6 @@ CARS = Classes(
     others=tuple(map(COMMON15.id_of, ("truck", "other-vehicle", "bicycle", "motorcycle"))),
     ground=GROUND,
 )
-MIXED_PX, MOST_UNEVEN = 16.0, 3.0  # pixels that the mean counts for in each row's; largest factor between beams
-DIM, NEARER = (
-    0.6,
-    4,
-)  # share of the mean below which a beam's remission of the road says nothing, also in a quarter of it
-BEAM_RAD = math.pi / 12  # to each side of a pixel, in which a row is of one beam
 FOOT = 16  # rows like the last one that are painted below it and cut off: beside zero padding a network paints flecks
 LEAST_FOOT = 2  # of them that the layers on the picture's raster reach
 ENDS = 2  # columns beyond the seam at either side that the network is given, so that it need not copy images
@@ -358,65 +351,6 @@ def _points(road: Tensor, depth_m: Tensor, view: View) -> tuple[Tensor, Tensor, 
 def twice(x: Tensor) -> Tensor:
     """(..., H, W) on the raster twice as fine: (..., 2H, 2W)."""
     return torch.stack([x, x], -1).flatten(-2).repeat_interleave(2, -2)
-
-
-def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
-    """Means over WINDOWS of what is valid, around every pixel; the first window that holds anything counts.
-
-    values, valid  (B, H, W), valid 0 or 1; columns are circular.
-    Returns the means, 0 where no window holds anything, and (B, H, W) 1 where one does.
-    """
-    sums = torch.stack([values * valid, valid], 1)
-    mean, found = torch.zeros_like(values), torch.zeros_like(values)
-    for rows, columns in WINDOWS:
-        total, count = _window_sums(sums, rows, columns).unbind(1)
-        here = as_float(count > 0) * (1 - found)
-        mean += here * total / count.clamp(min=1)
-        found += here
-    return mean, found
-
-
-def evened_beams(remission: Tensor, valid: Tensor, road: Tensor, reach: int) -> tuple[Tensor, Tensor]:
-    """Remission (B, H, W), so that the road's is the same in all rows, and (B, H, W) 1 where it is used, else 0.
-
-    Beams are not calibrated against each other: in KITTI's scans remission doubles from one row to the next, and a line
-    was painted across the road there. A DIM beam sees hardly more than noise, which would become lane marks: none of
-    its pixels on the road is used.
-    valid  (B, H, W), 0 or 1: where there is any;  road: (B, H, W) probabilities.
-    reach  columns to each side of a pixel, which are circular, in which a row is of one beam.
-    (A sensor that does not stand upright has a beam in other rows on its other side.)
-    """
-    weight = valid * road.float()
-    sums = torch.stack([remission * weight, weight])
-    mean = sums[0].sum((1, 2), keepdim=True) / sums[1].sum((1, 2), keepdim=True).clamp(min=1e-6)
-    of_rows = _row_means(sums, mean, reach, MIXED_PX)
-    factor = torch.where(of_rows > 0, mean / of_rows.clamp(min=1e-6), 1.0).clamp(1 / MOST_UNEVEN, MOST_UNEVEN)
-    nearby = _row_means(sums, mean, reach // NEARER, MIXED_PX // NEARER)
-    dim = as_float(torch.minimum(of_rows, nearby) < DIM * mean) * as_float(road > 0.5)
-    return remission * factor, valid * (1 - dim)
-
-
-def _row_means(sums: Tensor, mean: Tensor, reach: int, mixed: float) -> Tensor:
-    """Means (B, H, W) in rows, up to `reach` columns to each side, of sums (2, B, H, W): of values, of their weights.
-
-    mean  (B, 1, 1), which counts as much as `mixed` weights;  columns are circular.
-    """
-    reach = min(reach, (sums.shape[3] - 1) // 2)
-    ends = closed(sums.flatten(0, 1)[:, None], reach)[:, 0].cumsum(2)
-    total, count = (ends[..., 2 * reach :] - pad(ends, (1, 0))[..., : -2 * reach - 1]).view_as(sums)
-    return (total + mixed * mean) / (count + mixed)
-
-
-def _window_sums(x: Tensor, rows: int, columns: int) -> Tensor:
-    """Sums over windows around every pixel of (B, C, H, W); columns are circular, nothing is above and below.
-
-    One way and then the other, by adding shifted images: a tenth of avg_pool2d's time on CPUs.
-    """
-    height, width = x.shape[2:]
-    around = closed(x, columns // 2)
-    across = sum((around[..., shift : shift + width] for shift in range(1, columns)), start=around[..., :width])
-    padded = pad(across, (0, 0, rows // 2, rows // 2))
-    return sum((padded[:, :, shift : shift + height] for shift in range(1, rows)), start=padded[:, :, :height])
 
 
 def _noise(depths: Tensor, skies: Tensor, view: View, waves: Sequence[float], pose: np.ndarray | None) -> Tensor:

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from lidar2pano.models.scene_painter import DIM, MIXED_PX, MOST_UNEVEN, NEARER, WINDOWS, evened_beams, spread_out
+from lidar2pano.models.remission import DIM, MIXED_PX, MOST_UNEVEN, NEARER, WINDOWS, evened_beams, spread_out
 
 
 def slowly(values, valid):
