@@ -16,9 +16,11 @@ from lidar2pano.geometry.surface import cylinder_points
 from lidar2pano.labels import COMMON15
 from lidar2pano.models import build, scene_painter
 from lidar2pano.models.scene_painter import (
+    LOWEST_ROW,
     OBJECT_M,
     TONES,
     VARIED,
+    VEHICLES,
     Known,
     Scene,
     framed,
@@ -163,6 +165,46 @@ def test_people_wear_clothes_by_their_height_above_the_road():
         torch.testing.assert_close(found[:, row, 20:24], expected, atol=1e-5, rtol=0)
     worn = height_m[:, 22]
     assert (worn < LEGS_M).any() and ((worn > LEGS_M) & (worn < HEAD_M)).any(), "the test has legs and a trunk"
+
+
+def test_glass_is_no_brighter_than_the_mean_and_keeps_what_is_darker():
+    one, building = scene(), COMMON15.id_of("building")
+    walls = torch.zeros_like(one.segments)
+    walls[:, building] = 0.75
+    found = []
+    for openings in (0.0, 1.0, 0.25):
+        known = Known(openings=torch.full_like(one.depth_m, openings))
+        inputs, _ = painter_inputs(walls, torch.full_like(one.depth_m, 8.0), one.channels, VIEW, known=known)
+        found.append(inputs[:, TONES])
+    plaster, glass, blind = found
+    assert (plaster > 0.05).any() and (plaster < -0.05).any(), "the test has bright and dark houses"
+    torch.testing.assert_close(glass, plaster.clamp(max=0))
+    torch.testing.assert_close(blind, torch.lerp(plaster, glass, 0.25))
+
+
+def test_vehicles_people_and_poles_are_given_no_noise():
+    one, coarse = scene(), slice(24, 27)
+    for number, name in enumerate(COMMON15.classes[:-1]):
+        segments = torch.zeros_like(one.segments)
+        segments[:, number, :, :32], segments[:, COMMON15.id_of("road"), :, 32:] = 1, 1
+        inputs, fine = painter_inputs(segments, one.depth_m, one.channels, VIEW, one.T_world_sensor)
+        still = name not in {*VEHICLES, "person", "pole", "traffic-sign"}
+        assert inputs[:, coarse, :, :32].any() == still and fine[..., :64].any() == still, name
+        assert inputs[:, coarse, :, 32:].any() and fine[..., 64:].any()
+    halves = torch.zeros_like(one.segments)
+    halves[:, [COMMON15.id_of("car"), COMMON15.id_of("road")]] = 0.5
+    road = torch.zeros_like(one.segments)
+    road[:, COMMON15.id_of("road")] = 1
+    noises = [painter_inputs(each, one.depth_m, one.channels, VIEW) for each in (halves, road)]
+    torch.testing.assert_close(noises[0][0][:, coarse], noises[1][0][:, coarse] / 2)
+    torch.testing.assert_close(noises[0][1], noises[1][1] / 2)
+
+
+def test_rows_below_every_camera_are_painted_as_the_last_that_one_saw():
+    one = scene()
+    row = painter_inputs(one.segments, one.depth_m, one.channels, VIEW)[0][0, 19, :, 0]
+    expected = [max(1 - 2 * each / (VIEW.rows - 1), LOWEST_ROW) for each in range(VIEW.rows)]
+    assert row.tolist() == pytest.approx(expected) and expected[-3] == LOWEST_ROW
 
 
 def test_every_class_that_varies_exists():

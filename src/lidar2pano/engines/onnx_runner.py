@@ -15,6 +15,7 @@ import numpy as np
 HERE = Path(__file__).parent
 SKY, PERSON, ROAD, BUILDING, FENCE, VEGETATION, GROUND = 15, 6, 7, 9, 10, 11, [7, 8, 12]  # ids of common-15
 ROUGH = ((VEGETATION, [BUILDING], 0.04, 0.0, 1.0), (GROUND[2], GROUND[:2], 0.017, 0.8, 4.0))
+SMOOTH = [1, 2, 3, 4, 5, 6, 13, 14]  # vehicles, people, poles and signs: no noise
 FAR_M, OWN_VEHICLE_M = 120.0, 1.0  # metres
 CLASSES = (  # noqa: SIM905 of common-15, as one line each they would fill the page
     "unlabeled car bicycle motorcycle truck other-vehicle person road sidewalk building fence vegetation terrain pole"
@@ -185,7 +186,7 @@ def against_the_sky(segments, probabilities, depth_m, view):
     trees = probabilities[VEGETATION] / (1 - sky).clip(min=1e-6)
     inside = sky + trees * (blurred(sky, 0.5, 2.0) - sky) - 0.5
     leafy = ((0.3 - np.abs(inside)) / 0.15).clip(0, 1)
-    leaves_px = (0.12 * noise[0] + 0.4 * noise[1]) * focal / nearest * trees * leafy
+    leaves_px = (0.12 * noise[0] + 0.2 * noise[1]) * focal / nearest * trees * leafy
     padded = np.pad(inside, ((3, 3), (0, 0)), "edge")
     slope = np.hypot(padded[6:] - padded[:-6], np.roll(inside, -3, 1) - np.roll(inside, 3, 1)) / 6
     pixels = inside / slope.clip(min=0.002) - leaves_px
@@ -207,17 +208,20 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     height = ((z_m + above_m) / 4).clip(-1, 4)
     shape = np.stack([height, *normals(radius_m, z_m, 2 * np.pi / columns)]) * (best != SKY)
     code = np.log1p(depth_m.clip(max=FAR_M)) / np.log1p(FAR_M)
-    row = np.repeat(np.linspace(1, -1, rows)[:, None], columns, 1)
+    row = np.repeat(np.linspace(1, -1, rows).clip(-0.7)[:, None], columns, 1)
     read = 1 - segments[unread].sum(0)
     remission, valid = spread_out(*evened_beams(image[4], image[0] > 0, segments[ROAD]))
     flat = [code, remission * read, valid * read, row]
-    coarse = solid_noise(depth_m, best == SKY, view, COARSE_M)
-    fine = solid_noise(*(each.repeat(2, 0).repeat(2, 1) for each in (depth_m, best == SKY)), view, FINE_M)
+    rough = 1 - segments[SMOOTH].sum(0)
+    coarse = solid_noise(depth_m, best == SKY, view, COARSE_M) * rough
+    depth_m, sky, rough = (each.repeat(2, 0).repeat(2, 1) for each in (depth_m, best == SKY, rough))
+    fine = solid_noise(depth_m, sky, view, FINE_M) * rough
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M).clip(-1, 1)
     dressed = clothing(z_m + above_m, noise) * np.where(segments[PERSON] > 0.05, segments[PERSON], 0)
     brighter = np.einsum("chw,c->hw", segments, VARIED) * noise
     openings, house = facades(segments[BUILDING], radius_m, slope, above_m, view)
-    tones = brighter + dressed + segments[BUILDING] * HOUSES_VARIED * house[:, None]
+    walls = house[:, None] - openings * house[:, None].clip(0)
+    tones = brighter + dressed + segments[BUILDING] * HOUSES_VARIED * walls
     return np.concatenate([segments, np.stack(flat), shape, coarse, tones, openings[None]]), fine
 
 

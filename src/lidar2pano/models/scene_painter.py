@@ -44,6 +44,11 @@ OBJECT_M = 16.0  # wavelength at which things differ in brightness
 VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence"), 0.15) | {"pole": 0.1}
 LIKELY = 0.05  # probability of people from which on they are dressed
 HOUSES_VARIED = 0.5  # how much brighter or darker than the mean a house is, at most
+# What is of sheet metal, glass or cloth is given no noise, which blotched it; most of it moves through the noise, too.
+VEHICLES = ("car", "bicycle", "motorcycle", "truck", "other-vehicle")
+SMOOTH = tuple(map(COMMON15.id_of, (*VEHICLES, "person", "pole", "traffic-sign")))
+# No camera of the training data looks down farther: below, a painter paints another asphalt, from a line on.
+LOWEST_ROW = -0.7
 # What these classes look like hardly hangs on their remission, which ends at the highest beam: a painter that reads it
 # paints walls in two colours, and in speckles, other ones in each scan of a drive.
 UNREAD = ("building", "vegetation", "fence")
@@ -308,16 +313,20 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     measured = image[:, 4].float(), as_float(image[:, 0] > 0)
     remission, valid = spread_out(*evened_beams(*measured, segments[:, ROAD], round(BEAM_RAD * view.focal_px)))
     remission, valid = remission * read, valid * read
-    row = torch.linspace(1, -1, segments.shape[2], device=segments.device)[None, :, None].expand_as(valid)
+    row = torch.linspace(1, -1, segments.shape[2], device=segments.device).clamp(min=LOWEST_ROW)
+    row = row[None, :, None].expand_as(valid)
     flat = torch.stack([depth_code(depth_m.clamp(max=FAR_M)), remission, valid, row], 1)
     coarse = _noise(depth_m, sky, view, COARSE_M, T_world_sensor)
     fine = _noise(twice(depth_m), twice(sky), view.scaled(2), FINE_M, T_world_sensor)
+    rough = 1 - sum(segments[:, each].float() for each in SMOOTH)
+    coarse.mul_(rough[:, None])
+    fine.unflatten(3, (-1, 2)).unflatten(2, (-1, 2)).mul_(rough[:, None, :, None, :, None])
     invented, house = facades(segments[:, BUILDING].float(), radius_m, above_m, view, T_world_sensor)
     openings = invented if known.openings is None else torch.where(known.openings.isnan(), invented, known.openings)
     varied = segments.new_tensor([VARIED.get(name, 0.0) for name in COMMON15.classes], dtype=torch.float32)
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M, T_world_sensor).clamp(-1, 1)
     varied_tones = (torch.einsum("bchw,c->bhw", segments.float(), varied) * noise)[:, None]
-    varied_tones = varied_tones + segments[:, BUILDING, None] * (HOUSES_VARIED * house)[:, :, None]
+    varied_tones = varied_tones + segments[:, BUILDING, None] * _house_tones(house, openings)
     people = (segments[:, PERSON] > LIKELY).nonzero(as_tuple=True)
     dressed = segments[:, PERSON][people].float()[:, None] * clothing(height_m[people], noise[people])
     varied_tones.movedim(1, 3)[people] += dressed
@@ -346,6 +355,15 @@ def _points(road: Tensor, depth_m: Tensor, view: View) -> tuple[Tensor, Tensor, 
     """`cylinder_points`, and how high the view's origin is above the road (B, H, W) bool: (B,) metres."""
     radius_m, z_m = cylinder_points(depth_m, view)
     return radius_m, z_m, viewpoint_height(radius_m, z_m, road, view)
+
+
+def _house_tones(house: Tensor, openings: Tensor) -> Tensor:
+    """How much brighter than the mean (B, 3, H, W) houses are, of `facades`: the windows of bright ones are not.
+
+    (Panes as bright as the plaster around them were hardly seen.)
+    """
+    tones = (HOUSES_VARIED * house)[:, :, None]
+    return tones - openings[:, None] * tones.clamp(min=0)
 
 
 def twice(x: Tensor) -> Tensor:
