@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from lidar2pano.geometry.flat_ground import no_flat_fences
 from lidar2pano.geometry.kerbs import weigh_by_height
 from lidar2pano.geometry.measured_depth import measured_depth
 from lidar2pano.geometry.odds import likeliest
@@ -29,12 +30,13 @@ def corrected(logits: Tensor, depth_m: Tensor, channels: Tensor, view: View) -> 
     """A translator's logits (B, C, H, W) and depths (B, H, W), float32, by the range image (B, 5, H, W) on its raster.
 
     Borders on the ground are evened; foliage and walls, grass and asphalt are weighed by roughness, sidewalk and road
-    by height; depths keep to what was measured; a fence that carries a house is its wall.
+    by height; depths keep to what was measured; a fence that carries a house is its wall, one that lies flat is ground.
     """
     logits = evened(logits, (ROAD, SIDEWALK, TERRAIN))
     weigh_by_roughness(logits, channels, depth_m, ROUGH)
     best = likeliest(logits)
     depth_m = measured_depth(depth_m, channels, best, view, ROAD, VEGETATION)
     weigh_by_height(logits, best, depth_m, view, ROAD, SIDEWALK)
+    no_flat_fences(logits, best, depth_m, view, ROAD, (ROAD, SIDEWALK, TERRAIN), FENCE)
     whole_walls(logits, best, depth_m, view, ROAD, BUILDING, FENCE)
     return logits, depth_m

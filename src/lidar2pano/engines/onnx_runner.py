@@ -57,6 +57,7 @@ def main(scan, out):
     best = segments.argmax(0)
     depth_m = measured_depth(depth_m, image, best, view)
     segments = weigh_by_height(segments, best, depth_m, view)
+    segments = no_flat_fences(segments, best, depth_m, view)
     segments = whole_walls(segments, best, depth_m, view)
     settings = painter.card["settings"]
     unread = [CLASSES.index(name) for name in settings.get("unread", ("building", "vegetation", "fence"))]
@@ -245,6 +246,21 @@ def slopes(view, rows=None):
     """Tangents (H, 1) of the elevation of a view's rows, or of so many rows in their place."""
     rows = rows or view["rows"]
     return (view["up"] - (np.arange(rows) + 0.5) / rows * (view["up"] - view["down"]))[:, None]
+
+
+def no_flat_fences(segments, best, depth_m, view):
+    """Segments in which what is level and about as high as the road is no fence, but ground."""
+    slope, row = slopes(view), np.arange(len(depth_m))
+    radius_m = depth_m / np.sqrt(1 + slope**2)
+    z_m = radius_m * slope
+    height_m = z_m + height_above(best == ROAD, radius_m, z_m, view)
+    flat = (best == FENCE) & (radius_m < 25) & (np.abs(height_m) < 1)
+    for upper, lower in (((row - 3).clip(0), row), (row, (row + 3).clip(max=row[-1]))):
+        flat &= np.abs(z_m[upper] - z_m[lower]) <= 0.35 * np.abs(radius_m[upper] - radius_m[lower])
+    moved, ground, segments = np.where(flat, segments[FENCE], 0), segments[GROUND], segments.copy()
+    segments[GROUND] += moved * ground / ground.sum(0).clip(min=1e-30)
+    segments[FENCE] -= moved
+    return segments
 
 
 def whole_walls(segments, best, depth_m, view):

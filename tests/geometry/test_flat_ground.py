@@ -1,0 +1,83 @@
+"""What lies flat on the ground is no fence; what stands on it stays one."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from lidar2pano.geometry.flat_ground import FLAT, LOW_M, NEAR_M, REACH, no_flat_fences
+from lidar2pano.geometry.surface import slopes
+from lidar2pano.views import View
+
+ROAD, WALL, FENCE, GRASS = range(4)
+ROWS, COLUMNS, EYE_M = 60, 48, 1.73  # the road is where ROAD_Z_M says
+VIEW = View(rows=ROWS, columns=COLUMNS, up=0.5, down=-0.6, kind="cylinder")
+
+
+def levelled(ids: torch.Tensor, radius_m: torch.Tensor) -> torch.Tensor:
+    """Ids (H, W) after `no_flat_fences`, of a scene made of ids and horizontal distances."""
+    generator = torch.Generator().manual_seed(1)
+    logits = torch.rand(1, 4, ROWS, COLUMNS, generator=generator)
+    logits += 5 * torch.nn.functional.one_hot(ids, 4).movedim(2, 0)
+    depth_m = radius_m * torch.sqrt(1 + slopes(VIEW)[:, None].square())
+    after = logits.clone()
+    no_flat_fences(after, ids[None], depth_m[None], VIEW, ROAD, (ROAD, GRASS), FENCE)
+    before, now = logits.softmax(1), after.softmax(1)
+    assert torch.equal(after[:, WALL], logits[:, WALL])
+    assert torch.allclose(before.sum(1), now.sum(1))
+    assert torch.allclose(before[:, ROAD] / before[:, GRASS], now[:, ROAD] / now[:, GRASS], rtol=1e-3)
+    return after.argmax(1)[0]
+
+
+def slowly(ids: torch.Tensor, radius_m: torch.Tensor) -> torch.Tensor:
+    """Where a fence is none, (H, W) bool: the definition, pixel by pixel."""
+    z_m = radius_m * slopes(VIEW)[:, None]
+    flat = torch.zeros(ROWS, COLUMNS, dtype=torch.bool)
+    for row in range(ROWS):
+        for column in range(COLUMNS):
+            level = abs(z_m[row, column] + EYE_M) < LOW_M and radius_m[row, column] < NEAR_M
+            for other in (max(row - REACH, 0), min(row + REACH, ROWS - 1)):
+                up, away = (abs(part[other, column] - part[row, column]) for part in (z_m, radius_m))
+                level = level and up <= FLAT * away
+            flat[row, column] = level and ids[row, column] == FENCE
+    return flat
+
+
+def meadow(fence_m: float = math.inf, high_m: float = 1.0) -> torch.Tensor:
+    """Horizontal distances (H, W) of level ground up to 60 m, with a fence on it so far away."""
+    slope = slopes(VIEW)[:, None].expand(-1, COLUMNS)
+    radius_m = torch.where(slope < 0, EYE_M / -slope.clamp(max=-1e-6), math.inf).clamp(max=60)
+    stands = (radius_m >= fence_m) & (fence_m * slope + EYE_M < high_m)
+    return torch.where(stands, fence_m, radius_m)
+
+
+def test_a_fence_that_lies_flat_is_ground_down_to_the_last_row():
+    radius_m = meadow()
+    found = levelled(torch.full((ROWS, COLUMNS), FENCE), radius_m)
+    assert ((found == FENCE) == (radius_m >= NEAR_M - 5)).float().mean() > 0.95
+    assert (found[-1] != FENCE).all() and (found[0] == FENCE).all()
+
+
+def test_a_fence_that_stands_there_stays_down_to_its_foot():
+    radius_m = meadow(fence_m=6.0)
+    ids = torch.where(radius_m == 6, FENCE, GRASS)
+    assert (ids == FENCE).sum() > 2 * COLUMNS, "the test has a fence"
+    assert torch.equal(levelled(ids, radius_m), ids)
+
+
+def test_what_lies_higher_is_left_alone():
+    radius_m = meadow() / EYE_M * (EYE_M - LOW_M - 0.1)
+    ids = torch.full((ROWS, COLUMNS), FENCE)
+    assert torch.equal(levelled(ids, radius_m), ids)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_uneven_ground_is_levelled_as_defined(seed):
+    generator = torch.Generator().manual_seed(seed)
+    radius_m = meadow(fence_m=9.0) * torch.exp(0.05 * torch.randn(ROWS, COLUMNS, generator=generator))
+    ids = torch.where(torch.rand(ROWS, COLUMNS, generator=generator) < 0.5, FENCE, WALL)
+    flat = slowly(ids, radius_m)
+    assert 100 < flat.sum() < (ids == FENCE).sum() - 100
+    assert torch.equal(levelled(ids, radius_m) != FENCE, flat | (ids != FENCE))
