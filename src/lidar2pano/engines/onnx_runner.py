@@ -256,7 +256,7 @@ def no_flat_fences(segments, best, depth_m, view):
     height_m = z_m + height_above(best == ROAD, radius_m, z_m, view)
     flat = (best == FENCE) & (radius_m < 25) & (np.abs(height_m) < 1)
     for upper, lower in (((row - 3).clip(0), row), (row, (row + 3).clip(max=row[-1]))):
-        flat &= np.abs(z_m[upper] - z_m[lower]) <= 0.35 * np.abs(radius_m[upper] - radius_m[lower])
+        flat &= np.abs(z_m[upper] - z_m[lower]) <= 0.5 * np.abs(radius_m[upper] - radius_m[lower])
     moved, ground, segments = np.where(flat, segments[FENCE], 0), segments[GROUND], segments.copy()
     segments[GROUND] += moved * ground / ground.sum(0).clip(min=1e-30)
     segments[FENCE] -= moved

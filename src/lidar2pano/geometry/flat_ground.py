@@ -11,7 +11,7 @@ from lidar2pano.geometry.surface import cylinder_points, viewpoint_height
 from lidar2pano.views import View
 
 REACH = 3  # rows upwards, and rows downwards, over which the surface's slope is taken
-FLAT = 0.35  # greatest slope along a column: 19 degrees
+FLAT = 0.5  # greatest slope along a column: 27 degrees
 LOW_M, NEAR_M = 1.0, 25.0  # heights from the road's, and horizontal distances, up to which it is believed
 FAINT = -20.0  # logit, beside those of the ground, of what does not lie there
 
