@@ -12,11 +12,12 @@ from lidar2pano.data.frames import IGNORE
 from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.losses import PatchStatistics
 from lidar2pano.models import build
+from lidar2pano.models.card import Card, save
 from lidar2pano.models.scene_painter import BUILDING, CAR, framed, twice
 from lidar2pano.train import scene_painting
 from lidar2pano.train.options import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingSample
-from lidar2pano.train.scene_painting import HUE, MATCHED, SPREAD, ScenePainting
+from lidar2pano.train.scene_painting import HUE, MATCHED, SPREAD, ScenePainting, teacher_of
 from lidar2pano.views import VIEWS
 
 WIDTHS = (4, 6, 8, 10)
@@ -201,6 +202,15 @@ def test_hues_of_walls_are_compared_with_their_houses(task, batch):
     batch.class_means[1] = torch.nan  # a look of which no image is there
     _, counted = task._wall_hues(batch, inputs, expected)
     assert counted[0].mean().item() == pytest.approx(0.5) and not counted[1].any()
+
+
+@pytest.mark.parametrize("bilinear", [False, True])
+def test_a_teacher_enlarges_as_its_student(bilinear, tmp_path):
+    settings = {"looks": ["day"], "widths": [8, 12, 16, 8]}
+    card = Card(network="scene-painter", settings={**settings, "bilinear": not bilinear})
+    save(tmp_path / "teacher.safetensors", build(card.network, **card.settings), card)
+    student = build("scene-painter", **settings, bilinear=bilinear)
+    assert teacher_of(student, str(tmp_path / "teacher.safetensors")).network.bilinear == bilinear
 
 
 def test_a_teachers_walls_have_their_hues_corrected(task, batch):

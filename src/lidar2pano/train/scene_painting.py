@@ -58,6 +58,13 @@ IN_USE = [BUILDING, CAR, PERSON]  # classes whose tones are invented in use
 MATCHED = 3  # depths of features whose statistics are matched
 
 
+def teacher_of(painter: ScenePainter, file: str) -> Teacher:
+    """The scene painter in a file, which enlarges as its student does: from dashes of repeated pixels it learns dashes."""
+    teacher = Teacher(file, "scene-painter")
+    cast("ScenePainter", teacher.network).bilinear = painter.bilinear
+    return teacher
+
+
 class ScenePainting:
     """Trains a scene painter: perceptual loss, pooled colours, pixels, hinge loss of a projected discriminator.
 
@@ -78,7 +85,7 @@ class ScenePainting:
         translator, _ = load_part(Path(recipe.options.translator), device, expect="titan-pano")
         pipeline = Pipeline(segmenter=segmenter, translator=translator, painter=painter, view=self.view, device=device)
         self.looks, self.unread = painter.looks, painter.unread
-        self.teacher = Teacher(recipe.options.teacher, "scene-painter") if recipe.options.teacher else None
+        self.teacher = teacher_of(painter, recipe.options.teacher) if recipe.options.teacher else None
         self.dataset, self.validation = (
             PaintingFrames(root, splits, pipeline, recipe.options) for splits in (recipe.data.train, recipe.data.val)
         )
