@@ -59,7 +59,7 @@ MATCHED = 3  # depths of features whose statistics are matched
 
 
 def teacher_of(painter: ScenePainter, file: str) -> Teacher:
-    """The scene painter in a file, which enlarges as its student does: from dashes of repeated pixels it learns dashes."""
+    """The scene painter in a file, made to enlarge as its student does, which would learn dashes of repeated pixels."""
     teacher = Teacher(file, "scene-painter")
     cast("ScenePainter", teacher.network).bilinear = painter.bilinear
     return teacher
