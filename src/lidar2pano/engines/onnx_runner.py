@@ -187,7 +187,7 @@ def against_the_sky(segments, probabilities, depth_m, view):
     trees = probabilities[VEGETATION] / (1 - sky).clip(min=1e-6)
     inside = sky + trees * (blurred(sky, 0.5, 2.0) - sky) - 0.5
     leafy = ((0.3 - np.abs(inside)) / 0.15).clip(0, 1)
-    leaves_px = (0.12 * noise[0] + 0.2 * noise[1]) * focal / nearest * trees * leafy
+    leaves_px = (0.12 * noise[0] + 0.3 * noise[1]) * focal / nearest * trees * leafy
     padded = np.pad(inside, ((3, 3), (0, 0)), "edge")
     slope = np.hypot(padded[6:] - padded[:-6], np.roll(inside, -3, 1) - np.roll(inside, 3, 1)) / 6
     pixels = inside / slope.clip(min=0.002) - leaves_px
@@ -209,7 +209,7 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     height = ((z_m + above_m) / 4).clip(-1, 4)
     shape = np.stack([height, *normals(radius_m, z_m, 2 * np.pi / columns)]) * (best != SKY)
     code = np.log1p(depth_m.clip(max=FAR_M)) / np.log1p(FAR_M)
-    row = np.repeat(np.linspace(1, -1, rows).clip(-0.7)[:, None], columns, 1)
+    row = np.repeat(np.linspace(1, -1, rows).clip(-0.5)[:, None], columns, 1)
     read = 1 - segments[unread].sum(0)
     remission, valid = spread_out(*evened_beams(image[4], image[0] > 0, segments[ROAD]))
     flat = [code, remission * read, valid * read, row]

@@ -24,7 +24,7 @@ LEAST_SLOPE = 0.002  # of it, per pixel
 CROWN_DEG, CROWN_ROWS = 0.5, 2.0  # deviations of the Gaussian over which the outlines of crowns are evened
 LEAFLESS, THINNING = 0.3, 0.15  # distance of the sky's probability from 0.5 where leaves end, and over which they do
 BOUGH_DEG, BOUGH_ROWS = 2.0, 8.0  # and how far away their leaves are: at a step in depth noise would be drawn out
-LEAVES_M = {0.5: 0.12, 2.0: 0.2}  # wavelengths, and how far leaves and boughs move the outline of a crown
+LEAVES_M = {0.5: 0.12, 2.0: 0.3}  # wavelengths, and how far leaves and boughs move the outline of a crown
 CROWN = 17  # pixels around in which the nearest thing is what stands before the sky
 LEAST = 1e-6  # probability
 

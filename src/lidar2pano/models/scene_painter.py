@@ -47,8 +47,8 @@ HOUSES_VARIED = 0.5  # how much brighter or darker than the mean a house is, at 
 # What is of sheet metal, glass or cloth is given no noise, which blotched it; most of it moves through the noise, too.
 VEHICLES = ("car", "bicycle", "motorcycle", "truck", "other-vehicle")
 SMOOTH = tuple(map(COMMON15.id_of, (*VEHICLES, "person", "pole", "traffic-sign")))
-# No camera of the training data looks down farther: below, a painter paints another asphalt, from a line on.
-LOWEST_ROW = -0.7
+# Below this row painters painted another asphalt, from a line on; nothing else there hangs on the number of a row.
+LOWEST_ROW = -0.5
 # What these classes look like hardly hangs on their remission, which ends at the highest beam: a painter that reads it
 # paints walls in two colours, and in speckles, other ones in each scan of a drive.
 UNREAD = ("building", "vegetation", "fence")
