@@ -320,7 +320,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     fine = _noise(twice(depth_m), twice(sky), view.scaled(2), FINE_M, T_world_sensor)
     rough = 1 - sum(segments[:, each].float() for each in SMOOTH)
     coarse.mul_(rough[:, None])
-    fine.unflatten(3, (-1, 2)).unflatten(2, (-1, 2)).mul_(rough[:, None, :, None, :, None])
+    fine.mul_(twice(rough)[:, None])
     invented, house = facades(segments[:, BUILDING].float(), radius_m, above_m, view, T_world_sensor)
     openings = invented if known.openings is None else torch.where(known.openings.isnan(), invented, known.openings)
     varied = segments.new_tensor([VARIED.get(name, 0.0) for name in COMMON15.classes], dtype=torch.float32)
