@@ -318,7 +318,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     flat = torch.stack([depth_code(depth_m.clamp(max=FAR_M)), remission, valid, row], 1)
     coarse = _noise(depth_m, sky, view, COARSE_M, T_world_sensor)
     fine = _noise(twice(depth_m), twice(sky), view.scaled(2), FINE_M, T_world_sensor)
-    rough = 1 - sum(segments[:, each].float() for each in SMOOTH)
+    rough = 1 - sum((segments[:, each].float() for each in SMOOTH), start=torch.zeros_like(depth_m))
     coarse.mul_(rough[:, None])
     fine.mul_(twice(rough)[:, None])
     invented, house = facades(segments[:, BUILDING].float(), radius_m, above_m, view, T_world_sensor)
