@@ -315,8 +315,7 @@ narrow_translator=$out/mean/translator-10.safetensors
 # Edges of cars were red, and foliage flat.
 taught_scene scene-18 45 "$(weights scene-17 painter)" training.seed=31 networks.painter.optimizer.rate=0.0005 \
   data.train=train,train,"$day:all","$out/towns/pandar64-day:all" "${as_in_use[@]}" options.objects=5 options.texture=1.5
-# Coarse features are enlarged bilinearly: no dashes along kerbs, no stairs at the feet of walls. From `scene-21` on, vehicles
-# and people have no noise, and panes of bright houses are dark.
+# Coarse features are enlarged bilinearly: no dashes along kerbs, no stairs at the feet of walls.
 bilinear() { # RUN MINUTES START [OVERRIDE...]
   taught_scene "${@:1:3}" networks.painter.settings.bilinear=true data.train=train,train,"$day:all","$out/towns/pandar64-day:all" \
     "${as_in_use[@]}" options.objects=5 options.texture=1.5 "${@:4}"
@@ -325,6 +324,6 @@ bilinear scene-19 42 "$(weights scene-18 painter)" training.seed=41
 photographs=(options.elsewhere_probability=0.25 options.teacher_probability=0.3)
 bilinear scene-20 22 "$(weights scene-19 painter)" training.seed=43 "${photographs[@]}"
 bilinear scene-21 98 "$(weights scene-20 painter)" training.seed=51 "${photographs[@]}" options.teacher_probability=0.2
-mean "$out/mean/painter.safetensors" "$(weights scene-19 painter)" "$(weights scene-21 painter)" 0.5,0.5
-lidar2pano evaluate "$out/mean/painter.safetensors+$narrow_translator+$narrow_segmenter" --data "$kitti" --split val --json "$out/kitti.json"
-family kitti-mini "$narrow_segmenter" "$narrow_translator" "$out/mean/painter.safetensors" "$out/kitti.json" CC-BY-NC-SA-4.0
+mean "$out/mean/painter-21.safetensors" "$(weights scene-19 painter)" "$(weights scene-21 painter)" 0.5,0.5
+lidar2pano evaluate "$out/mean/painter-21.safetensors+$narrow_translator+$narrow_segmenter" --data "$kitti" --split val --json "$out/kitti.json"
+family kitti-mini "$narrow_segmenter" "$narrow_translator" "$out/mean/painter-21.safetensors" "$out/kitti.json" CC-BY-NC-SA-4.0

@@ -14,12 +14,14 @@ from lidar2pano.geometry.measured_depth import measured_depth
 from lidar2pano.geometry.odds import likeliest
 from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.roughness import Evidence, weigh_by_roughness
+from lidar2pano.geometry.surface import cylinder_points, viewpoint_height
 from lidar2pano.geometry.whole_walls import whole_walls
 from lidar2pano.labels import COMMON15
 from lidar2pano.views import View
 
 NAMES = ("road", "sidewalk", "terrain", "building", "fence", "vegetation")
 ROAD, SIDEWALK, TERRAIN, BUILDING, FENCE, VEGETATION = map(COMMON15.id_of, NAMES)
+GROUND = (ROAD, SIDEWALK, TERRAIN)
 ROUGH = (
     Evidence(VEGETATION, [BUILDING], limit_m=0.04, growth=0.0, power=1.0),
     Evidence(TERRAIN, [ROAD, SIDEWALK], limit_m=0.017, growth=0.8, power=4.0),
@@ -32,11 +34,13 @@ def corrected(logits: Tensor, depth_m: Tensor, channels: Tensor, view: View) -> 
     Borders on the ground are evened; foliage and walls, grass and asphalt are weighed by roughness, sidewalk and road
     by height; depths keep to what was measured; a fence that carries a house is its wall, one that lies flat is ground.
     """
-    logits = evened(logits, (ROAD, SIDEWALK, TERRAIN))
+    logits = evened(logits, GROUND)
     weigh_by_roughness(logits, channels, depth_m, ROUGH)
     best = likeliest(logits)
     depth_m = measured_depth(depth_m, channels, best, view, ROAD, VEGETATION)
     weigh_by_height(logits, best, depth_m, view, ROAD, SIDEWALK)
-    no_flat_fences(logits, best, depth_m, view, ROAD, (ROAD, SIDEWALK, TERRAIN), FENCE)
-    whole_walls(logits, best, depth_m, view, ROAD, BUILDING, FENCE)
+    radius_m, z_m = cylinder_points(depth_m, view)
+    height_m = z_m + viewpoint_height(radius_m, z_m, best == ROAD, view)[:, None, None]
+    no_flat_fences(logits, best, radius_m, height_m, GROUND, FENCE)
+    whole_walls(logits, best, radius_m, height_m, BUILDING, FENCE)
     return logits, depth_m

@@ -17,12 +17,14 @@ from lidar2pano.engines import export as engine_export
 from lidar2pano.engines import onnx_runner
 from lidar2pano.engines.export import Exportable, check_exportable, export
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.flat_ground import no_flat_fences
 from lidar2pano.geometry.kerbs import weigh_by_height
 from lidar2pano.geometry.measured_depth import measured_depth
 from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.projection import Normalisation, project
 from lidar2pano.geometry.roughness import weigh_by_roughness
 from lidar2pano.geometry.solid_noise import noise_tile
+from lidar2pano.geometry.surface import cylinder_points, viewpoint_height
 from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.geometry.whole_walls import whole_walls
 from lidar2pano.labels import COMMON15
@@ -185,12 +187,36 @@ def test_the_runner_makes_walls_whole_as_we_do():
     depth_m = torch.full((1, 48, 96), 12.0)
     depth_m[..., 40:60] = torch.linspace(20, 5, 48)[:, None]
     depth_m[:, 20:, 70:] = 8.0
-    segments = logits.softmax(1)[0].double().numpy()
-    whole_walls(logits, logits.argmax(1), depth_m, view, ROAD, BUILDING, FENCE)
+    segments, best = logits.softmax(1)[0].double().numpy(), logits.argmax(1)
+    whole_walls(logits, best, *heights(best, depth_m, view), BUILDING, FENCE)
     expected = logits.softmax(1)[0].double().numpy()
-    found = onnx_runner.whole_walls(segments, segments.argmax(0), depth_m[0].double().numpy(), view.as_dict())
+    surface = onnx_runner.radius_and_height(segments.argmax(0), depth_m[0].double().numpy(), view.as_dict())
+    found = onnx_runner.whole_walls(segments, segments.argmax(0), *surface)
     assert np.allclose(found, expected, atol=1e-5) and not np.allclose(found, segments, atol=0.1)
     assert (found.argmax(0)[25] == FENCE).any(), "fences stay fences"
+
+
+def heights(best, depth_m, view):
+    """Horizontal distances and heights above the road, (1, H, W) each."""
+    radius_m, z_m = cylinder_points(depth_m, view)
+    return radius_m, z_m + viewpoint_height(radius_m, z_m, best == ROAD, view)[:, None, None]
+
+
+def test_the_runner_leaves_no_flat_fences_as_we_do():
+    view = replace(TRANSLATOR_VIEW, rows=48, columns=96)
+    logits = torch.randn(1, 16, 48, 96, generator=torch.Generator().manual_seed(0))
+    logits[:, FENCE, :, 40:], logits[:, ROAD, 30:, :40] = 20, 20
+    depth_m = torch.full((1, 48, 96), 12.0)
+    depth_m[:, 28:] = 1.6 / torch.linspace(0.03, 0.25, 20)[:, None]
+    depth_m[:, 28:, 80:].clamp_(max=9.0)
+    segments, best = logits.softmax(1)[0].double().numpy(), logits.argmax(1)
+    surface = heights(best, depth_m, view)
+    no_flat_fences(logits, best, *surface, GROUND, FENCE)
+    found = onnx_runner.no_flat_fences(
+        segments, best[0].numpy(), *onnx_runner.radius_and_height(best[0].numpy(), depth_m[0].numpy(), view.as_dict())
+    )
+    assert np.allclose(found, logits.softmax(1)[0], atol=1e-5) and not np.allclose(found, segments, atol=0.1)
+    assert (found.argmax(0)[40] == FENCE).any() and (found.argmax(0)[-1, 40:80] != FENCE).all()
 
 
 def test_the_runner_knows_the_classes():

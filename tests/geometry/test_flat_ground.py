@@ -12,7 +12,7 @@ from lidar2pano.geometry.surface import slopes
 from lidar2pano.views import View
 
 ROAD, WALL, FENCE, GRASS = range(4)
-ROWS, COLUMNS, EYE_M = 60, 48, 1.73  # the road is where ROAD_Z_M says
+ROWS, COLUMNS, EYE_M = 60, 48, 1.73  # height of the sensor above the road
 VIEW = View(rows=ROWS, columns=COLUMNS, up=0.5, down=-0.6, kind="cylinder")
 
 
@@ -21,9 +21,10 @@ def levelled(ids: torch.Tensor, radius_m: torch.Tensor) -> torch.Tensor:
     generator = torch.Generator().manual_seed(1)
     logits = torch.rand(1, 4, ROWS, COLUMNS, generator=generator)
     logits += 5 * torch.nn.functional.one_hot(ids, 4).movedim(2, 0)
-    depth_m = radius_m * torch.sqrt(1 + slopes(VIEW)[:, None].square())
     after = logits.clone()
-    no_flat_fences(after, ids[None], depth_m[None], VIEW, ROAD, (ROAD, GRASS), FENCE)
+    no_flat_fences(
+        after, ids[None], radius_m[None], (radius_m * slopes(VIEW)[:, None] + EYE_M)[None], (ROAD, GRASS), FENCE
+    )
     before, now = logits.softmax(1), after.softmax(1)
     assert torch.equal(after[:, WALL], logits[:, WALL])
     assert torch.allclose(before.sum(1), now.sum(1))

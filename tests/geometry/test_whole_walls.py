@@ -9,7 +9,7 @@ from lidar2pano.geometry.whole_walls import TALL_M, whole_walls
 from lidar2pano.views import View
 
 ROAD, WALL, FENCE, TREE = range(4)
-ROWS, COLUMNS, EYE_M = 60, 90, 1.73  # the road is where ROAD_Z_M says
+ROWS, COLUMNS, EYE_M = 60, 90, 1.73  # height of the sensor above the road
 VIEW = View(rows=ROWS, columns=COLUMNS, up=0.5, down=-0.3, kind="cylinder")
 
 
@@ -18,9 +18,8 @@ def scene(ids: torch.Tensor, radius_m: torch.Tensor) -> torch.Tensor:
     generator = torch.Generator().manual_seed(1)
     logits = torch.rand(1, 4, ROWS, COLUMNS, generator=generator)
     logits += 5 * torch.nn.functional.one_hot(ids, 4).movedim(2, 0)
-    depth_m = radius_m * torch.sqrt(1 + slopes(VIEW)[:, None].square())
     after = logits.clone()
-    whole_walls(after, ids[None], depth_m[None], VIEW, ROAD, WALL, FENCE)
+    whole_walls(after, ids[None], radius_m[None], (radius_m * slopes(VIEW)[:, None] + EYE_M)[None], WALL, FENCE)
     before, now = logits.softmax(1), after.softmax(1)
     assert torch.equal(after[:, [ROAD, TREE]], logits[:, [ROAD, TREE]])
     assert torch.allclose(before[:, WALL] + before[:, FENCE], now[:, WALL] + now[:, FENCE], atol=1e-5)

@@ -200,7 +200,7 @@ def test_vehicles_people_and_poles_are_given_no_noise():
     torch.testing.assert_close(noises[0][1], noises[1][1] / 2)
 
 
-def test_rows_below_every_camera_are_painted_as_the_last_that_one_saw():
+def test_the_lowest_rows_have_one_number():
     one = scene()
     row = painter_inputs(one.segments, one.depth_m, one.channels, VIEW)[0][0, 19, :, 0]
     expected = [max(1 - 2 * each / (VIEW.rows - 1), LOWEST_ROW) for each in range(VIEW.rows)]

@@ -57,8 +57,8 @@ def main(scan, out):
     best = segments.argmax(0)
     depth_m = measured_depth(depth_m, image, best, view)
     segments = weigh_by_height(segments, best, depth_m, view)
-    segments = no_flat_fences(segments, best, depth_m, view)
-    segments = whole_walls(segments, best, depth_m, view)
+    surface = radius_and_height(best, depth_m, view)
+    segments = whole_walls(no_flat_fences(segments, best, *surface), best, *surface)
     settings = painter.card["settings"]
     unread = [CLASSES.index(name) for name in settings.get("unread", ("building", "vegetation", "fence"))]
     inputs, fine_noise = painter_inputs(segments, depth_m, image, view, settings.get("sharp", 2.0), unread)
@@ -248,26 +248,28 @@ def slopes(view, rows=None):
     return (view["up"] - (np.arange(rows) + 0.5) / rows * (view["up"] - view["down"]))[:, None]
 
 
-def no_flat_fences(segments, best, depth_m, view):
-    """Segments in which what is level and about as high as the road is no fence, but ground."""
-    slope, row = slopes(view), np.arange(len(depth_m))
+def radius_and_height(best, depth_m, view):
+    """How far away each pixel is horizontally, and how high above the road: (H, W) metres each."""
+    slope = slopes(view)
     radius_m = depth_m / np.sqrt(1 + slope**2)
-    z_m = radius_m * slope
-    height_m = z_m + height_above(best == ROAD, radius_m, z_m, view)
+    return radius_m, radius_m * slope + height_above(best == ROAD, radius_m, radius_m * slope, view)
+
+
+def no_flat_fences(segments, best, radius_m, height_m):
+    """Segments in which what is level and about as high as the road is no fence, but ground."""
+    row = np.arange(len(best))
     flat = (best == FENCE) & (radius_m < 25) & (np.abs(height_m) < 1)
     for upper, lower in (((row - 3).clip(0), row), (row, (row + 3).clip(max=row[-1]))):
-        flat &= np.abs(z_m[upper] - z_m[lower]) <= 0.5 * np.abs(radius_m[upper] - radius_m[lower])
+        flat &= np.abs(height_m[upper] - height_m[lower]) <= 0.5 * np.abs(radius_m[upper] - radius_m[lower])
     moved, ground, segments = np.where(flat, segments[FENCE], 0), segments[GROUND], segments.copy()
     segments[GROUND] += moved * ground / ground.sum(0).clip(min=1e-30)
     segments[FENCE] -= moved
     return segments
 
 
-def whole_walls(segments, best, depth_m, view):
+def whole_walls(segments, best, radius_m, height_m):
     """Segments in which no fence carries a building: what is below it, in the same wall, is building, too."""
-    slope, row = slopes(view), np.arange(1, len(depth_m) + 1)[:, None]
-    radius_m = depth_m / np.sqrt(1 + slope**2)
-    height_m = radius_m * slope + height_above(best == ROAD, radius_m, radius_m * slope, view)
+    row = np.arange(1, len(best) + 1)[:, None]
     wall = (best == BUILDING) | (best == FENCE)
     goes_on = np.zeros(wall.shape, dtype=bool)
     goes_on[1:] = wall[1:] & wall[:-1] & (np.abs(np.log(radius_m[1:] / radius_m[:-1])) < 0.1)

@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import logsigmoid
 
+FAINT = -20.0  # logit of a class that gave its probability away, beside that of those that have it
+
 
 def likeliest(scores: Tensor) -> Tensor:
     """Ids (B, H, W) uint8 of the class with the highest of scores (B, C, H, W); of equal ones the first.
@@ -34,3 +36,17 @@ def multiply_odds(logits: Tensor, one: int, others: Sequence[int], factor: Tenso
     change = both.add_(share).sub_(apart).sub_(before)  # logsigmoid(-x) = logsigmoid(x) - x
     for other in others:
         logits[:, other] += change
+
+
+def give_away(logits: Tensor, one: int, others: Sequence[int], where: Sequence[Tensor]) -> None:
+    """Change logits (B, C, H, W) so that others have the probability of class `one`, shared as they share their own.
+
+    where  indices of scenes, rows and columns (N,): of the pixels that change.
+    """
+    scene, row, column = where
+    shares = torch.stack([logits[scene, other, row, column] for other in others])
+    before = shares.logsumexp(0)
+    both = torch.logaddexp(before, logits[scene, one, row, column])
+    for other, share in zip(others, shares, strict=True):
+        logits[scene, other, row, column] = share + (both - before)
+    logits[scene, one, row, column] = both + FAINT

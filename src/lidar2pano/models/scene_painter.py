@@ -47,7 +47,7 @@ HOUSES_VARIED = 0.5  # how much brighter or darker than the mean a house is, at 
 # What is of sheet metal, glass or cloth is given no noise, which blotched it; most of it moves through the noise, too.
 VEHICLES = ("car", "bicycle", "motorcycle", "truck", "other-vehicle")
 SMOOTH = tuple(map(COMMON15.id_of, (*VEHICLES, "person", "pole", "traffic-sign")))
-# Below this row painters painted another asphalt, from a line on; nothing else there hangs on the number of a row.
+# Below this row, of 1 to -1, painters painted another asphalt, from a line on.
 LOWEST_ROW = -0.5
 # What these classes look like hardly hangs on their remission, which ends at the highest beam: a painter that reads it
 # paints walls in two colours, and in speckles, other ones in each scan of a drive.
@@ -309,7 +309,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     height_m = z_m + above_m[:, None, None]
     shape = torch.cat([(height_m / 4).clamp(-1, 4)[:, None], normals(radius_m, z_m, view)], 1)
     shape.mul_(as_float(~sky[:, None]))
-    read = 1 - segments[:, list(unread)].float().sum(1)
+    read = 1 - _together(segments, unread)
     measured = image[:, 4].float(), as_float(image[:, 0] > 0)
     remission, valid = spread_out(*evened_beams(*measured, segments[:, ROAD], round(BEAM_RAD * view.focal_px)))
     remission, valid = remission * read, valid * read
@@ -318,7 +318,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     flat = torch.stack([depth_code(depth_m.clamp(max=FAR_M)), remission, valid, row], 1)
     coarse = _noise(depth_m, sky, view, COARSE_M, T_world_sensor)
     fine = _noise(twice(depth_m), twice(sky), view.scaled(2), FINE_M, T_world_sensor)
-    rough = 1 - sum((segments[:, each].float() for each in SMOOTH), start=torch.zeros_like(depth_m))
+    rough = 1 - _together(segments, SMOOTH)
     coarse.mul_(rough[:, None])
     fine.mul_(twice(rough)[:, None])
     invented, house = facades(segments[:, BUILDING].float(), radius_m, above_m, view, T_world_sensor)
@@ -355,6 +355,11 @@ def _points(road: Tensor, depth_m: Tensor, view: View) -> tuple[Tensor, Tensor, 
     """`cylinder_points`, and how high the view's origin is above the road (B, H, W) bool: (B,) metres."""
     radius_m, z_m = cylinder_points(depth_m, view)
     return radius_m, z_m, viewpoint_height(radius_m, z_m, road, view)
+
+
+def _together(segments: Tensor, ids: Sequence[int]) -> Tensor:
+    """The probability (B, H, W) of several classes of (B, classes, H, W); a fraction of the time of indexing them."""
+    return sum((segments[:, each].float() for each in ids), start=torch.zeros_like(segments[:, 0], dtype=torch.float32))
 
 
 def _house_tones(house: Tensor, openings: Tensor) -> Tensor:

@@ -32,6 +32,7 @@ from lidar2pano.models.scene_painter import (
     CAR,
     PERSON,
     TONES,
+    VEHICLES,
     Known,
     ScenePainter,
     framed,
@@ -53,7 +54,7 @@ NEARBY = (3, 8, 20)  # pixels on either side of which a car's tone is the mean
 SPREAD = 0.4  # how far colours of a class in [-1, 1] are from their mean without being outliers
 WALL = 0.3  # share of walls in a square whose hue is corrected
 HUE = 0.06  # how far a wall's or an object's hue is from what is expected without counting
-OBJECTS = [COMMON15.id_of(name) for name in ("car", "bicycle", "motorcycle", "truck", "other-vehicle", "person")]
+OBJECTS = [COMMON15.id_of(name) for name in (*VEHICLES, "person")]
 IN_USE = [BUILDING, CAR, PERSON]  # classes whose tones are invented in use
 MATCHED = 3  # depths of features whose statistics are matched
 
