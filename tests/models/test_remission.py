@@ -1,9 +1,20 @@
-"""What the painter reads of a scan: remission spread over the gaps between beams."""
+"""What the painter reads of a scan: remission evened, spread over the gaps between beams, and quiet on the road."""
 
 import pytest
 import torch
 
-from lidar2pano.models.remission import DIM, MIXED_PX, MOST_UNEVEN, NEARER, WINDOWS, evened_beams, spread_out
+from lidar2pano.models.remission import (
+    DIM,
+    MARK,
+    MIXED_PX,
+    MOST_UNEVEN,
+    NEARER,
+    NOISE,
+    WINDOWS,
+    evened_beams,
+    quiet_road,
+    spread_out,
+)
 
 
 def slowly(values, valid):
@@ -116,3 +127,47 @@ def test_without_a_road_or_remission_nothing_changes():
     assert torch.allclose(found, remission, atol=1e-5) and used.all()
     found, used = evened_beams(nothing, nothing + 1, nothing + 1, 5)
     assert torch.equal(found, nothing) and used.all()
+
+
+def quiet_slowly(remission, valid, road):
+    """The definition, pixel by pixel, of one image."""
+    pixels = [(row, column) for row in range(len(remission)) for column in range(remission.shape[1])]
+    weights = [float(valid[at] * road[at]) for at in pixels]
+    mean = sum(w * float(remission[at]) for w, at in zip(weights, pixels, strict=True)) / sum(weights)
+    deviation = sum(w * abs(float(remission[at]) - mean) for w, at in zip(weights, pixels, strict=True)) / sum(weights)
+    found = remission.clone()
+    for w, at in zip(weights, pixels, strict=True):
+        away = abs(float(remission[at]) - mean) / deviation
+        share = 0.0 if away < NOISE else 1.0 if away > MARK else (away - NOISE) / (MARK - NOISE)
+        quiet = mean + share * (float(remission[at]) - mean)
+        found[at] = w * quiet + (1 - w) * float(remission[at])
+    return found
+
+
+def test_the_road_is_quiet_as_defined():
+    generator = torch.Generator().manual_seed(4)
+    remission = 0.3 + 0.05 * torch.randn(2, 20, 30, generator=generator)
+    remission[:, 5:7, 10:14] += 0.4
+    valid = (torch.rand(2, 20, 30, generator=generator) < 0.8).float()
+    road = torch.rand(2, 20, 30, generator=generator)
+    road[:, 12:] = 0
+    found = quiet_road(remission, valid, road)
+    for number in range(2):
+        assert torch.allclose(found[number], quiet_slowly(remission[number], valid[number], road[number]), atol=1e-5)
+    assert torch.equal(found[:, 12:], remission[:, 12:]), "what is no road keeps its remission"
+
+
+def test_noise_of_a_road_goes_and_its_marks_stay():
+    remission = 0.3 + 0.03 * torch.randn(1, 60, 400, generator=torch.Generator().manual_seed(5))
+    remission[:, 20:40, 100:104] = 0.6
+    found = quiet_road(remission, everywhere(60, 400), everywhere(60, 400))
+    assert (found[:, 20:40, 100:104] > 0.59).all()
+    others = found[..., 200:]
+    assert others.std() < 0.6 * remission[..., 200:].std()
+    assert (others == others.median()).float().mean() > 0.8, "most of it is the mean"
+
+
+def test_where_no_road_was_measured_nothing_is_quiet():
+    remission = torch.rand(1, 10, 20, generator=torch.Generator().manual_seed(1))
+    for nowhere in ((everywhere(10, 20), 0 * everywhere(10, 20)), (0 * everywhere(10, 20), everywhere(10, 20))):
+        assert torch.equal(quiet_road(remission, *nowhere), remission)

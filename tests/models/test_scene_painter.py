@@ -18,6 +18,7 @@ from lidar2pano.models import build, scene_painter
 from lidar2pano.models.scene_painter import (
     LOWEST_ROW,
     OBJECT_M,
+    SUNLIT,
     TONES,
     VARIED,
     VEHICLES,
@@ -141,11 +142,23 @@ def test_known_tones_are_painted_and_others_are_invented():
 def test_where_no_tones_are_given_only_things_that_vary_do():
     assert tones()[0].std() > 0.01
     one = scene()
-    for name in ("vegetation", "truck", "car", "person"):
+    for name in ("terrain", "truck", "car", "person"):
         segments = torch.zeros_like(one.segments)
         segments[:, COMMON15.id_of(name)] = 1
         inputs, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, one.T_world_sensor)
         assert inputs[0, TONES].any() == (name in {*VARIED, "person"})
+
+
+def test_some_trees_are_in_the_sun_and_none_is_darker_than_the_mean():
+    one = scene()
+    segments = torch.zeros_like(one.segments)
+    segments[:, COMMON15.id_of("vegetation")] = 0.75
+    inputs, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, one.T_world_sensor)
+    radius_m, z_m = cylinder_points(one.depth_m, VIEW)
+    noise = smooth_noise(radius_m, z_m, VIEW, OBJECT_M, one.T_world_sensor).clamp(-1, 1)
+    assert (noise < 0).any() and (noise > 0).any(), "the test has both"
+    expected = 0.75 * SUNLIT * noise.clamp(min=0)
+    torch.testing.assert_close(inputs[:, TONES].float(), expected[:, None].expand(1, 3, -1, -1))
 
 
 def test_people_wear_clothes_by_their_height_above_the_road():

@@ -212,6 +212,7 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     row = np.repeat(np.linspace(1, -1, rows).clip(-0.5)[:, None], columns, 1)
     read = 1 - segments[unread].sum(0)
     remission, valid = spread_out(*evened_beams(image[4], image[0] > 0, segments[ROAD]))
+    remission = quiet_road(remission, valid, segments[ROAD])
     flat = [code, remission * read, valid * read, row]
     rough = 1 - segments[SMOOTH].sum(0)
     coarse = solid_noise(depth_m, best == SKY, view, COARSE_M) * rough
@@ -219,7 +220,7 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     fine = solid_noise(depth_m, sky, view, FINE_M) * rough
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M).clip(-1, 1)
     dressed = clothing(z_m + above_m, noise) * np.where(segments[PERSON] > 0.05, segments[PERSON], 0)
-    brighter = np.einsum("chw,c->hw", segments, VARIED) * noise
+    brighter = np.einsum("chw,c->hw", segments, VARIED) * noise + segments[VEGETATION] * 0.2 * noise.clip(0)
     openings, house = facades(segments[BUILDING], radius_m, slope, above_m, view)
     walls = house[:, None] - openings * house[:, None].clip(0)
     tones = brighter + dressed + segments[BUILDING] * HOUSES_VARIED * walls
@@ -443,6 +444,15 @@ def evened_beams(remission, valid, road):
     of_rows, nearby = (row_means(remission, weight, mean, *near) for near in ((reach, 16), (reach // 4, 4)))
     factor = np.where(of_rows > 0, mean / of_rows.clip(min=1e-6), 1).clip(1 / 3, 3)
     return remission * factor, valid & ~((np.minimum(of_rows, nearby) < 0.6 * mean) & (road > 0.5))
+
+
+def quiet_road(remission, valid, road):
+    """Remission in which the road's is its mean, where it differs from it by little more than it does on average."""
+    weight = valid * road
+    excess = remission - (remission * weight).sum() / max(weight.sum(), 1e-6)
+    deviation = (np.abs(excess) * weight).sum() / max(weight.sum(), 1e-6)
+    noise = ((3 - np.abs(excess) / max(deviation, 1e-6)) / 1.3).clip(0, 1)
+    return remission - weight * noise * excess
 
 
 def row_means(values, weight, mean, reach, mixed):

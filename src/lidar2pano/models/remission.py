@@ -1,4 +1,4 @@
-"""What a scene painter reads of remission: beams evened against each other, and spread over the gaps between them."""
+"""What a scene painter reads of remission: beams evened, spread over the gaps between them, and quiet on the road."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 row
 BEAM_RAD = math.pi / 12  # to each side of a pixel, in which a row is of one beam
 MIXED_PX, MOST_UNEVEN = 16.0, 3.0  # pixels that the mean counts for in each row's; largest factor between beams
 DIM = 0.6  # share of the mean below which a beam's remission of the road says nothing
+NOISE, MARK = 1.7, 3.0  # mean deviations from the road's mean up to which remission is noise, from which it is paint
 NEARER = 4  # also where it is below that in so small a part of the columns only
 
 
@@ -52,6 +53,21 @@ def evened_beams(remission: Tensor, valid: Tensor, road: Tensor, reach: int) -> 
     nearby = _row_means(sums, mean, reach // NEARER, MIXED_PX // NEARER)
     dim = as_float(torch.minimum(of_rows, nearby) < DIM * mean) * as_float(road > 0.5)
     return remission * factor, valid * (1 - dim)
+
+
+def quiet_road(remission: Tensor, valid: Tensor, road: Tensor) -> Tensor:
+    """Remission (B, H, W) without its noise on the road, which became strokes of white paint there.
+
+    A scan's mean deviation from the mean of its road is the measure: up to NOISE of them there is the mean, from MARK
+    on what was measured, since lane marks are few and bright, and in between a share of the difference.
+    valid  (B, H, W), 0 or 1: where there is any;  road: (B, H, W) probabilities.
+    """
+    weight = valid * road.float()
+    count = weight.sum((1, 2), keepdim=True).clamp(min=1e-6)
+    excess = remission - (remission * weight).sum((1, 2), keepdim=True) / count
+    deviation = (excess.abs() * weight).sum((1, 2), keepdim=True) / count
+    noise = ((MARK - excess.abs() / deviation.clamp(min=1e-6)) / (MARK - NOISE)).clamp(0, 1)
+    return remission - weight * noise * excess
 
 
 def _row_means(sums: Tensor, mean: Tensor, reach: int, mixed: float) -> Tensor:

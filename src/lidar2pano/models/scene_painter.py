@@ -28,7 +28,7 @@ from lidar2pano.geometry.whole_cars import Classes, WholeCars, whole_cars
 from lidar2pano.hardware import inference_dtype
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.circular import CircularConv, CircularResidual, closed, conv_norm_act
-from lidar2pano.models.remission import BEAM_RAD, evened_beams, spread_out
+from lidar2pano.models.remission import BEAM_RAD, evened_beams, quiet_road, spread_out
 from lidar2pano.models.summed import SummedSequential
 from lidar2pano.models.titan_pano import FAR_M, depth_code
 from lidar2pano.views import View
@@ -42,6 +42,7 @@ OBJECT_M = 16.0  # wavelength at which things differ in brightness
 # Half of the deviations from image to image of how bright a class is in KITTI, colours in [-1, 1]: all of them, and
 # what noise has beyond its deviation, burn things out.
 VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence"), 0.15) | {"pole": 0.1}
+SUNLIT = 0.2  # how much brighter than the mean a tree is at most: none is darker, since most of KITTI's are black
 LIKELY = 0.05  # probability of people from which on they are dressed
 HOUSES_VARIED = 0.5  # how much brighter or darker than the mean a house is, at most
 # What is of sheet metal, glass or cloth is given no noise, which blotched it; most of it moves through the noise, too.
@@ -312,7 +313,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     read = 1 - _together(segments, unread)
     measured = image[:, 4].float(), as_float(image[:, 0] > 0)
     remission, valid = spread_out(*evened_beams(*measured, segments[:, ROAD], round(BEAM_RAD * view.focal_px)))
-    remission, valid = remission * read, valid * read
+    remission, valid = quiet_road(remission, valid, segments[:, ROAD]) * read, valid * read
     row = torch.linspace(1, -1, segments.shape[2], device=segments.device).clamp(min=LOWEST_ROW)
     row = row[None, :, None].expand_as(valid)
     flat = torch.stack([depth_code(depth_m.clamp(max=FAR_M)), remission, valid, row], 1)
@@ -325,7 +326,8 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     openings = invented if known.openings is None else torch.where(known.openings.isnan(), invented, known.openings)
     varied = segments.new_tensor([VARIED.get(name, 0.0) for name in COMMON15.classes], dtype=torch.float32)
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M, T_world_sensor).clamp(-1, 1)
-    varied_tones = (torch.einsum("bchw,c->bhw", segments.float(), varied) * noise)[:, None]
+    brighter = torch.einsum("bchw,c->bhw", segments.float(), varied) * noise
+    varied_tones = (brighter + segments[:, VEGETATION].float() * SUNLIT * noise.clamp(min=0))[:, None]
     varied_tones = varied_tones + segments[:, BUILDING, None] * _house_tones(house, openings)
     people = (segments[:, PERSON] > LIKELY).nonzero(as_tuple=True)
     dressed = segments[:, PERSON][people].float()[:, None] * clothing(height_m[people], noise[people])
