@@ -213,6 +213,18 @@ def test_vehicles_people_and_poles_are_given_no_noise():
     torch.testing.assert_close(noises[0][1], noises[1][1] / 2)
 
 
+def test_walls_are_given_half_of_the_fine_noise_and_all_of_the_coarse():
+    one, coarse, found = scene(), slice(24, 27), []
+    for name in ("building", "road"):
+        segments = torch.zeros_like(one.segments)
+        segments[:, COMMON15.id_of(name)] = 1
+        found.append(painter_inputs(segments, one.depth_m, one.channels, VIEW, one.T_world_sensor))
+    (walls, on_walls), (road, on_road) = found
+    assert on_road.any()
+    torch.testing.assert_close(on_walls, on_road / 2)
+    torch.testing.assert_close(walls[:, coarse], road[:, coarse])
+
+
 def test_the_lowest_rows_have_one_number():
     one = scene()
     row = painter_inputs(one.segments, one.depth_m, one.channels, VIEW)[0][0, 19, :, 0]

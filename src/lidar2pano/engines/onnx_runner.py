@@ -216,6 +216,7 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     flat = [code, remission * read, valid * read, row]
     rough = 1 - segments[SMOOTH].sum(0)
     coarse = solid_noise(depth_m, best == SKY, view, COARSE_M) * rough
+    rough = rough - 0.5 * segments[BUILDING]
     depth_m, sky, rough = (each.repeat(2, 0).repeat(2, 1) for each in (depth_m, best == SKY, rough))
     fine = solid_noise(depth_m, sky, view, FINE_M) * rough
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M).clip(-1, 1)

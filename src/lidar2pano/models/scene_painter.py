@@ -48,6 +48,7 @@ HOUSES_VARIED = 0.5  # how much brighter or darker than the mean a house is, at 
 # What is of sheet metal, glass or cloth is given no noise, which blotched it; most of it moves through the noise, too.
 VEHICLES = ("car", "bicycle", "motorcycle", "truck", "other-vehicle")
 SMOOTH = tuple(map(COMMON15.id_of, (*VEHICLES, "person", "pole", "traffic-sign")))
+PLASTER = 0.5  # share of the fine noise that walls are not given: their plaster was speckled
 # Below this row, of 1 to -1, painters painted another asphalt, from a line on.
 LOWEST_ROW = -0.5
 # What these classes look like hardly hangs on their remission, which ends at the highest beam: a painter that reads it
@@ -321,7 +322,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     fine = _noise(twice(depth_m), twice(sky), view.scaled(2), FINE_M, T_world_sensor)
     rough = 1 - _together(segments, SMOOTH)
     coarse.mul_(rough[:, None])
-    fine.mul_(twice(rough)[:, None])
+    fine.mul_(twice(rough - PLASTER * segments[:, BUILDING].float())[:, None])
     invented, house = facades(segments[:, BUILDING].float(), radius_m, above_m, view, T_world_sensor)
     openings = invented if known.openings is None else torch.where(known.openings.isnan(), invented, known.openings)
     varied = segments.new_tensor([VARIED.get(name, 0.0) for name in COMMON15.classes], dtype=torch.float32)
