@@ -22,6 +22,7 @@ from lidar2pano.views import View
 NAMES = ("road", "sidewalk", "terrain", "building", "fence", "vegetation")
 ROAD, SIDEWALK, TERRAIN, BUILDING, FENCE, VEGETATION = map(COMMON15.id_of, NAMES)
 GROUND = (ROAD, SIDEWALK, TERRAIN)
+VEHICLES = tuple(map(COMMON15.id_of, ("car", "truck", "other-vehicle")))
 ROUGH = (
     Evidence(VEGETATION, [BUILDING], limit_m=0.04, growth=0.0, power=1.0),
     Evidence(TERRAIN, [ROAD, SIDEWALK], limit_m=0.017, growth=0.8, power=4.0),
@@ -32,7 +33,8 @@ def corrected(logits: Tensor, depth_m: Tensor, channels: Tensor, view: View) -> 
     """A translator's logits (B, C, H, W) and depths (B, H, W), float32, by the range image (B, 5, H, W) on its raster.
 
     Borders on the ground are evened; foliage and walls, grass and asphalt are weighed by roughness, sidewalk and road
-    by height; depths keep to what was measured; a fence that carries a house is its wall, one that lies flat is ground.
+    by height; depths keep to what was measured; a fence that carries a house, or a vehicle that stands on one,
+    is its wall, a fence that lies flat is ground.
     """
     logits = evened(logits, GROUND)
     weigh_by_roughness(logits, channels, depth_m, ROUGH)
@@ -42,5 +44,5 @@ def corrected(logits: Tensor, depth_m: Tensor, channels: Tensor, view: View) -> 
     radius_m, z_m = cylinder_points(depth_m, view)
     height_m = z_m + viewpoint_height(radius_m, z_m, best == ROAD, view)[:, None, None]
     no_flat_fences(logits, best, radius_m, height_m, GROUND, FENCE)
-    whole_walls(logits, best, radius_m, height_m, BUILDING, FENCE)
+    whole_walls(logits, best, radius_m, height_m, BUILDING, FENCE, VEHICLES)
     return logits, depth_m

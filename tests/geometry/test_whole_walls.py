@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from lidar2pano.geometry.surface import slopes
-from lidar2pano.geometry.whole_walls import TALL_M, whole_walls
+from lidar2pano.geometry.whole_walls import ONE_WALL, TALL_M, whole_walls
 from lidar2pano.views import View
 
 ROAD, WALL, FENCE, TREE = range(4)
@@ -64,3 +64,61 @@ def test_a_wall_far_off_may_come_nearer_bit_by_bit():
     ids, radius_m = wall_on_fence()
     radius_m *= torch.exp(-0.05 * torch.arange(ROWS))[:, None]
     assert (scene(ids, radius_m) == WALL).all()
+
+
+CAR, LORRY = 4, 5
+
+
+def with_vehicles(ids: torch.Tensor, radius_m: torch.Tensor) -> torch.Tensor:
+    """Ids (H, W) of a panorama of six classes with whole walls."""
+    logits = 5.0 * torch.nn.functional.one_hot(ids, 6).movedim(2, 0)[None]
+    height_m = (radius_m * slopes(VIEW)[:, None] + EYE_M)[None]
+    before = logits.softmax(1)
+    whole_walls(logits, ids[None], radius_m[None], height_m, WALL, FENCE, [CAR, LORRY])
+    shares = logits.softmax(1)
+    torch.testing.assert_close(shares.sum(1), torch.ones_like(shares[:, 0]))
+    moved = [WALL, FENCE, CAR, LORRY]
+    torch.testing.assert_close(shares[:, moved].sum(1), before[:, moved].sum(1))
+    return logits.argmax(1)[0]
+
+
+def lorry_on_wall(wall_m: float = 3.0, below: int = WALL) -> tuple[torch.Tensor, torch.Tensor]:
+    """A lorry 3 m away between two rows, wall above it and, 20 rows of it, below; the road at the foot."""
+    ids = torch.full((ROWS, COLUMNS), WALL)
+    ids[20:30, 30:60], ids[30:50], ids[50:] = LORRY, below, ROAD
+    radius_m = torch.full((ROWS, COLUMNS), 3.0)
+    radius_m[30:50] = wall_m
+    return ids, radius_m
+
+
+def test_a_lorry_on_a_wall_is_wall():
+    found = with_vehicles(*lorry_on_wall())
+    assert (found[:50] == WALL).all() and (found[50:] == ROAD).all()
+
+
+def test_what_stands_on_the_road_or_behind_a_wall_stays():
+    on_road, behind = lorry_on_wall(below=ROAD), lorry_on_wall(wall_m=2.0)
+    for ids, radius_m in (on_road, behind):
+        assert torch.equal(with_vehicles(ids, radius_m), ids)
+
+
+def test_vehicles_on_walls_as_defined():
+    generator = torch.Generator().manual_seed(2)
+    ids = torch.randint(6, (ROWS, COLUMNS), generator=generator)
+    ids = torch.where(torch.rand(ROWS, COLUMNS, generator=generator) < 0.8, ids.clamp(min=CAR), ids)
+    ids[ids == FENCE] = TREE
+    radius_m = 8 * torch.exp(0.06 * torch.randn(ROWS, COLUMNS, generator=generator))
+    expected = ids.clone()
+    for column in range(COLUMNS):
+        stands = False
+        for row in reversed(range(ROWS)):
+            here = int(ids[row, column])
+            below = int(ids[row + 1, column]) if row + 1 < ROWS else ROAD
+            joined = {here, below} <= {WALL, CAR, LORRY} and row + 1 < ROWS
+            near = joined and abs(float((radius_m[row + 1, column] / radius_m[row, column]).log())) < ONE_WALL
+            stands = here == WALL or (near and stands)
+            if here in {CAR, LORRY} and stands:
+                expected[row, column] = WALL
+    found = with_vehicles(ids, radius_m)
+    assert torch.equal(found, expected) and (expected != ids).sum() > 50
+    assert {CAR, LORRY} <= set(expected.unique().tolist())

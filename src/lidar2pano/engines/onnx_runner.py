@@ -14,6 +14,7 @@ import numpy as np
 
 HERE = Path(__file__).parent
 SKY, PERSON, ROAD, BUILDING, FENCE, VEGETATION, GROUND = 15, 6, 7, 9, 10, 11, [7, 8, 12]  # ids of common-15
+LARGE = [1, 4, 5]  # car, truck, other-vehicle
 ROUGH = ((VEGETATION, [BUILDING], 0.04, 0.0, 1.0), (GROUND[2], GROUND[:2], 0.017, 0.8, 4.0))
 SMOOTH = [1, 2, 3, 4, 5, 6, 13, 14]  # vehicles, people, poles and signs: no noise
 FAR_M, OWN_VEHICLE_M = 120.0, 1.0  # metres
@@ -270,18 +271,26 @@ def no_flat_fences(segments, best, radius_m, height_m):
 
 
 def whole_walls(segments, best, radius_m, height_m):
-    """Segments in which no fence carries a building: what is below it, in the same wall, is building, too."""
-    row = np.arange(1, len(best) + 1)[:, None]
-    wall = (best == BUILDING) | (best == FENCE)
-    goes_on = np.zeros(wall.shape, dtype=bool)
-    goes_on[1:] = wall[1:] & wall[:-1] & (np.abs(np.log(radius_m[1:] / radius_m[:-1])) < 0.1)
-    begin = np.maximum.accumulate(np.where(goes_on, 0, row), 0)
-    tall = np.maximum.accumulate(np.where((best == BUILDING) & (height_m > 2.5), row, 0), 0)
-    moved = np.where((best == FENCE) & (tall >= begin), segments[FENCE], 0)
+    """Segments in which no fence carries a building and no vehicle stands on one, in one wall: they are building."""
+    same = np.abs(np.log(radius_m[1:] / radius_m[:-1])) < 0.1
+    house, fence, vehicle = best == BUILDING, best == FENCE, np.isin(best, LARGE)
+    carries = begun(house & (height_m > 2.5), house | fence, same)
+    stands = begun(house[::-1], (house | vehicle)[::-1], same[::-1])[::-1]
     segments = segments.copy()
-    segments[BUILDING] += moved
-    segments[FENCE] -= moved
+    for each, where in [(FENCE, carries), *((each, stands) for each in LARGE)]:
+        moved = np.where((best == each) & where, segments[each], 0)
+        segments[BUILDING] += moved
+        segments[each] -= moved
     return segments
+
+
+def begun(marked, one, same):
+    """Whether a pixel, or one above it in a surface of pixels of `one`, is marked."""
+    row = np.arange(1, len(one) + 1)[:, None]
+    goes_on = np.zeros(one.shape, dtype=bool)
+    goes_on[1:] = one[1:] & one[:-1] & same
+    begin, last = (np.maximum.accumulate(np.where(each, row, 0), 0) for each in (~goes_on, marked))
+    return last >= begin
 
 
 def weigh_by_roughness(segments, image, depth_m):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -13,19 +15,42 @@ ONE_WALL = 0.1  # logarithm of the ratio of distances, up to which the next lowe
 
 
 def whole_walls(  # noqa: PLR0913, PLR0917 one scene, and which class is what
-    logits: Tensor, ids: Tensor, radius_m: Tensor, height_m: Tensor, building: int, fence: int
+    logits: Tensor,
+    ids: Tensor,
+    radius_m: Tensor,
+    height_m: Tensor,
+    building: int,
+    fence: int,
+    vehicles: Sequence[int] = (),
 ) -> None:
-    """Change logits (B, C, H, W) so that no fence carries a building: what is below it, in one wall, is building, too.
+    """Change logits (B, C, H, W) so that no fence carries a building and no vehicle stands on one, in one wall.
 
-    ids  (B, H, W): the best classes, of which those of building and fence are given.
+    Such fences and vehicles are building.
+    ids  (B, H, W): the best classes, of which those of building, fence and vehicles are given.
     radius_m, height_m  (B, H, W): horizontal distances and heights above the road, of `measured_depth`, for a guess
          that wavers does not show which pixels are of one wall.
-    A wall is what is building or fence, each pixel about as far away as the next one up.
+    A wall is what is building or fence, or building or vehicle, each pixel about as far away as the next one up.
     """
-    is_wall = (ids == building) | (ids == fence)
     same = (radius_m[:, 1:] / radius_m[:, :-1]).log().abs() < ONE_WALL
-    goes_on = torch.cat([torch.zeros_like(is_wall[:, :1]), is_wall[:, 1:] & is_wall[:, :-1] & same], 1)
-    row = row_numbers(ids.shape[1], logits.device)
-    begin = greatest_above(~goes_on * row)
-    tall = greatest_above(((ids == building) & (height_m > TALL_M)) * row)
-    give_away(logits, fence, [building], ((ids == fence) & (tall >= begin)).nonzero(as_tuple=True))
+    house, is_fence = ids == building, ids == fence
+    carries = _begun(house & (height_m > TALL_M), _joined(house | is_fence, same))
+    give_away(logits, fence, [building], (is_fence & carries).nonzero(as_tuple=True))
+    if not vehicles:
+        return
+    is_vehicle = torch.stack([ids == each for each in vehicles]).any(0)
+    stands = _begun(house.flip(1), _joined((house | is_vehicle).flip(1), same.flip(1))).flip(1)
+    where = (is_vehicle & stands).nonzero(as_tuple=True)
+    found = ids[where]
+    for each in vehicles:
+        give_away(logits, each, [building], [part[found == each] for part in where])
+
+
+def _joined(one: Tensor, same: Tensor) -> Tensor:
+    """Whether a pixel (B, H, W) and the one above it are both of `one` and, in `same` (B, H - 1, W), of one surface."""
+    return torch.cat([torch.zeros_like(one[:, :1]), one[:, 1:] & one[:, :-1] & same], 1)
+
+
+def _begun(marked: Tensor, joined: Tensor) -> Tensor:
+    """Whether a pixel, or one above that it is joined to, is marked: (B, H, W) bool."""
+    row = row_numbers(marked.shape[1], marked.device)
+    return greatest_above(marked * row) >= greatest_above(~joined * row)
