@@ -31,7 +31,8 @@
 # `scene-18` had 1610 steps, `scene-19` 2120, `scene-20` 1417, `scene-21` 5388, of which the first 1174 still saw noise on
 # vehicles and panes as bright as their walls; the teacher of `scene-19` repeated pixels. `world-scene-10` had 1777, on 48 frames
 # of `day` and 10 of each other look. `world-scene-11` ran on an H100, in nine minutes, with panoramas of the towns as JPEG, and
-# `world-scene-12` had 3146 steps; all of its towns but those of `day` had three frames, and remission had its noise on the road.
+# `world-scene-12` had 3146 steps; all of its towns but those of `day` had three frames; remission had its noise on the road,
+# walls had all of theirs, and no tree stood in the sun.
 # Up to `scene-18` and `world-scene-10`, remission was evened over whole rows of a turn, not over 15 degrees to each side,
 # that of dim beams was used, and cars and houses had livelier colours.
 # The first narrow translator and painter were pruned with a ridge of 1e-3 in place of 3e-3.

@@ -22,7 +22,7 @@ from lidar2pano.views import View
 NAMES = ("road", "sidewalk", "terrain", "building", "fence", "vegetation")
 ROAD, SIDEWALK, TERRAIN, BUILDING, FENCE, VEGETATION = map(COMMON15.id_of, NAMES)
 GROUND = (ROAD, SIDEWALK, TERRAIN)
-VEHICLES = tuple(map(COMMON15.id_of, ("car", "truck", "other-vehicle")))
+FOUR_WHEELED = tuple(map(COMMON15.id_of, ("car", "truck", "other-vehicle")))
 ROUGH = (
     Evidence(VEGETATION, [BUILDING], limit_m=0.04, growth=0.0, power=1.0),
     Evidence(TERRAIN, [ROAD, SIDEWALK], limit_m=0.017, growth=0.8, power=4.0),
@@ -44,5 +44,5 @@ def corrected(logits: Tensor, depth_m: Tensor, channels: Tensor, view: View) -> 
     radius_m, z_m = cylinder_points(depth_m, view)
     height_m = z_m + viewpoint_height(radius_m, z_m, best == ROAD, view)[:, None, None]
     no_flat_fences(logits, best, radius_m, height_m, GROUND, FENCE)
-    whole_walls(logits, best, radius_m, height_m, BUILDING, FENCE, VEHICLES)
+    whole_walls(logits, best, radius_m, height_m, BUILDING, FENCE, FOUR_WHEELED)
     return logits, depth_m

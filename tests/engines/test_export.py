@@ -12,7 +12,7 @@ import torch
 
 from lidar2pano.cli import main
 from lidar2pano.cli.export import inputs_of, networks_of
-from lidar2pano.corrections import BUILDING, FENCE, ROAD, ROUGH, VEGETATION, VEHICLES
+from lidar2pano.corrections import BUILDING, FENCE, FOUR_WHEELED, ROAD, ROUGH, VEGETATION
 from lidar2pano.engines import export as engine_export
 from lidar2pano.engines import onnx_runner
 from lidar2pano.engines.export import Exportable, check_exportable, export
@@ -187,10 +187,10 @@ def test_the_runner_makes_walls_whole_as_we_do():
     depth_m = torch.full((1, 48, 96), 12.0)
     depth_m[..., 40:60] = torch.linspace(20, 5, 48)[:, None]
     depth_m[:, 20:, 70:] = 8.0
-    for each, columns in zip(VEHICLES, (slice(0, 8), slice(8, 16), slice(16, 24)), strict=True):
+    for each, columns in zip(FOUR_WHEELED, (slice(0, 8), slice(8, 16), slice(16, 24)), strict=True):
         logits[:, each, 8:12, columns] = 30
     segments, best = logits.softmax(1)[0].double().numpy(), logits.argmax(1)
-    whole_walls(logits, best, *heights(best, depth_m, view), BUILDING, FENCE, VEHICLES)
+    whole_walls(logits, best, *heights(best, depth_m, view), BUILDING, FENCE, FOUR_WHEELED)
     expected = logits.softmax(1)[0].double().numpy()
     surface = onnx_runner.radius_and_height(segments.argmax(0), depth_m[0].double().numpy(), view.as_dict())
     found = onnx_runner.whole_walls(segments, segments.argmax(0), *surface)

@@ -8,7 +8,7 @@ from lidar2pano.geometry.surface import slopes
 from lidar2pano.geometry.whole_walls import ONE_WALL, TALL_M, whole_walls
 from lidar2pano.views import View
 
-ROAD, WALL, FENCE, TREE = range(4)
+ROAD, WALL, FENCE, TREE, CAR, LORRY = range(6)
 ROWS, COLUMNS, EYE_M = 60, 90, 1.73  # height of the sensor above the road
 VIEW = View(rows=ROWS, columns=COLUMNS, up=0.5, down=-0.3, kind="cylinder")
 
@@ -16,10 +16,10 @@ VIEW = View(rows=ROWS, columns=COLUMNS, up=0.5, down=-0.3, kind="cylinder")
 def scene(ids: torch.Tensor, radius_m: torch.Tensor) -> torch.Tensor:
     """Ids (H, W) of the panorama with whole walls, made of ids and horizontal distances."""
     generator = torch.Generator().manual_seed(1)
-    logits = torch.rand(1, 4, ROWS, COLUMNS, generator=generator)
-    logits += 5 * torch.nn.functional.one_hot(ids, 4).movedim(2, 0)
-    after = logits.clone()
-    whole_walls(after, ids[None], radius_m[None], (radius_m * slopes(VIEW)[:, None] + EYE_M)[None], WALL, FENCE)
+    logits = torch.rand(1, 6, ROWS, COLUMNS, generator=generator)
+    logits += 5 * torch.nn.functional.one_hot(ids, 6).movedim(2, 0)
+    after, height_m = logits.clone(), (radius_m * slopes(VIEW)[:, None] + EYE_M)[None]
+    whole_walls(after, ids[None], radius_m[None], height_m, WALL, FENCE, [CAR, LORRY])
     before, now = logits.softmax(1), after.softmax(1)
     assert torch.equal(after[:, [ROAD, TREE]], logits[:, [ROAD, TREE]])
     assert torch.allclose(before[:, WALL] + before[:, FENCE], now[:, WALL] + now[:, FENCE], atol=1e-5)
@@ -64,9 +64,6 @@ def test_a_wall_far_off_may_come_nearer_bit_by_bit():
     ids, radius_m = wall_on_fence()
     radius_m *= torch.exp(-0.05 * torch.arange(ROWS))[:, None]
     assert (scene(ids, radius_m) == WALL).all()
-
-
-CAR, LORRY = 4, 5
 
 
 def with_vehicles(ids: torch.Tensor, radius_m: torch.Tensor) -> torch.Tensor:

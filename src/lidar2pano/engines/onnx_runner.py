@@ -14,7 +14,7 @@ import numpy as np
 
 HERE = Path(__file__).parent
 SKY, PERSON, ROAD, BUILDING, FENCE, VEGETATION, GROUND = 15, 6, 7, 9, 10, 11, [7, 8, 12]  # ids of common-15
-LARGE = [1, 4, 5]  # car, truck, other-vehicle
+FOUR_WHEELED = [1, 4, 5]  # car, truck, other-vehicle
 ROUGH = ((VEGETATION, [BUILDING], 0.04, 0.0, 1.0), (GROUND[2], GROUND[:2], 0.017, 0.8, 4.0))
 SMOOTH = [1, 2, 3, 4, 5, 6, 13, 14]  # vehicles, people, poles and signs: no noise
 FAR_M, OWN_VEHICLE_M = 120.0, 1.0  # metres
@@ -273,11 +273,11 @@ def no_flat_fences(segments, best, radius_m, height_m):
 def whole_walls(segments, best, radius_m, height_m):
     """Segments in which no fence carries a building and no vehicle stands on one, in one wall: they are building."""
     same = np.abs(np.log(radius_m[1:] / radius_m[:-1])) < 0.1
-    house, fence, vehicle = best == BUILDING, best == FENCE, np.isin(best, LARGE)
+    house, fence, vehicle = best == BUILDING, best == FENCE, np.isin(best, FOUR_WHEELED)
     carries = begun(house & (height_m > 2.5), house | fence, same)
     stands = begun(house[::-1], (house | vehicle)[::-1], same[::-1])[::-1]
     segments = segments.copy()
-    for each, where in [(FENCE, carries), *((each, stands) for each in LARGE)]:
+    for each, where in [(FENCE, carries), *((each, stands) for each in FOUR_WHEELED)]:
         moved = np.where((best == each) & where, segments[each], 0)
         segments[BUILDING] += moved
         segments[each] -= moved

@@ -21,7 +21,7 @@ def whole_walls(  # noqa: PLR0913, PLR0917 one scene, and which class is what
     height_m: Tensor,
     building: int,
     fence: int,
-    vehicles: Sequence[int] = (),
+    vehicles: Sequence[int],
 ) -> None:
     """Change logits (B, C, H, W) so that no fence carries a building and no vehicle stands on one, in one wall.
 
@@ -35,14 +35,11 @@ def whole_walls(  # noqa: PLR0913, PLR0917 one scene, and which class is what
     house, is_fence = ids == building, ids == fence
     carries = _begun(house & (height_m > TALL_M), _joined(house | is_fence, same))
     give_away(logits, fence, [building], (is_fence & carries).nonzero(as_tuple=True))
-    if not vehicles:
-        return
-    is_vehicle = torch.stack([ids == each for each in vehicles]).any(0)
-    stands = _begun(house.flip(1), _joined((house | is_vehicle).flip(1), same.flip(1))).flip(1)
-    where = (is_vehicle & stands).nonzero(as_tuple=True)
-    found = ids[where]
-    for each in vehicles:
-        give_away(logits, each, [building], [part[found == each] for part in where])
+    of_vehicles = [ids == each for each in vehicles]
+    solid = torch.stack([house, *of_vehicles]).any(0)
+    stands = _begun(house.flip(1), _joined(solid.flip(1), same.flip(1))).flip(1)
+    for each, own in zip(vehicles, of_vehicles, strict=True):
+        give_away(logits, each, [building], (own & stands).nonzero(as_tuple=True))
 
 
 def _joined(one: Tensor, same: Tensor) -> Tensor:

@@ -42,7 +42,7 @@ OBJECT_M = 16.0  # wavelength at which things differ in brightness
 # Half of the deviations from image to image of how bright a class is in KITTI, colours in [-1, 1]: all of them, and
 # what noise has beyond its deviation, burn things out.
 VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence"), 0.15) | {"pole": 0.1}
-SUNLIT = 0.2  # how much brighter than the mean a tree is at most: none is darker, since most of KITTI's are black
+SUNLIT = 0.2  # how much brighter than the mean a tree is at most; none is darker: painted trees are too dark as it is
 LIKELY = 0.05  # probability of people from which on they are dressed
 HOUSES_VARIED = 0.5  # how much brighter or darker than the mean a house is, at most
 # What is of sheet metal, glass or cloth is given no noise, which blotched it; most of it moves through the noise, too.
