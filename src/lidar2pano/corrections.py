@@ -15,7 +15,7 @@ from lidar2pano.geometry.odds import likeliest
 from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.roughness import Evidence, weigh_by_roughness
 from lidar2pano.geometry.surface import cylinder_points, viewpoint_height
-from lidar2pano.geometry.whole_walls import whole_walls
+from lidar2pano.geometry.whole_walls import no_patches, whole_walls
 from lidar2pano.labels import COMMON15
 from lidar2pano.views import View
 
@@ -23,6 +23,7 @@ NAMES = ("road", "sidewalk", "terrain", "building", "fence", "vegetation")
 ROAD, SIDEWALK, TERRAIN, BUILDING, FENCE, VEGETATION = map(COMMON15.id_of, NAMES)
 GROUND = (ROAD, SIDEWALK, TERRAIN)
 FOUR_WHEELED = tuple(map(COMMON15.id_of, ("car", "truck", "other-vehicle")))
+PATCHES = ((VEGETATION, BUILDING), (FENCE, VEGETATION))  # none of one within the other
 ROUGH = (
     Evidence(VEGETATION, [BUILDING], limit_m=0.04, growth=0.0, power=1.0),
     Evidence(TERRAIN, [ROAD, SIDEWALK], limit_m=0.017, growth=0.8, power=4.0),
@@ -34,7 +35,7 @@ def corrected(logits: Tensor, depth_m: Tensor, channels: Tensor, view: View) -> 
 
     Borders on the ground are evened; foliage and walls, grass and asphalt are weighed by roughness, sidewalk and road
     by height; depths keep to what was measured; a fence that carries a house, or a vehicle that stands on one,
-    is its wall, a fence that lies flat is ground.
+    is its wall, a fence that lies flat is ground; foliage within a wall and fences within foliage are no longer there.
     """
     logits = evened(logits, GROUND)
     weigh_by_roughness(logits, channels, depth_m, ROUGH)
@@ -45,4 +46,5 @@ def corrected(logits: Tensor, depth_m: Tensor, channels: Tensor, view: View) -> 
     height_m = z_m + viewpoint_height(radius_m, z_m, best == ROAD, view)[:, None, None]
     no_flat_fences(logits, best, radius_m, height_m, GROUND, FENCE)
     whole_walls(logits, best, radius_m, height_m, BUILDING, FENCE, FOUR_WHEELED)
+    no_patches(logits, best, radius_m, PATCHES)
     return logits, depth_m

@@ -12,7 +12,7 @@ import torch
 
 from lidar2pano.cli import main
 from lidar2pano.cli.export import inputs_of, networks_of
-from lidar2pano.corrections import BUILDING, FENCE, FOUR_WHEELED, ROAD, ROUGH, VEGETATION
+from lidar2pano.corrections import BUILDING, FENCE, FOUR_WHEELED, PATCHES, ROAD, ROUGH, VEGETATION
 from lidar2pano.engines import export as engine_export
 from lidar2pano.engines import onnx_runner
 from lidar2pano.engines.export import Exportable, check_exportable, export
@@ -26,7 +26,7 @@ from lidar2pano.geometry.roughness import weigh_by_roughness
 from lidar2pano.geometry.solid_noise import noise_tile
 from lidar2pano.geometry.surface import cylinder_points, viewpoint_height
 from lidar2pano.geometry.whole_cars import WholeCars
-from lidar2pano.geometry.whole_walls import whole_walls
+from lidar2pano.geometry.whole_walls import no_patches, whole_walls
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.scene_painter import GROUND, framed, outlined, painter_inputs
 from lidar2pano.pipeline import load
@@ -220,6 +220,20 @@ def test_the_runner_leaves_no_flat_fences_as_we_do():
     )
     assert np.allclose(found, logits.softmax(1)[0], atol=1e-5) and not np.allclose(found, segments, atol=0.1)
     assert (found.argmax(0)[40] == FENCE).any() and (found.argmax(0)[-1, 40:80] != FENCE).all()
+
+
+def test_the_runner_leaves_no_patches_as_we_do():
+    logits = torch.randn(1, 16, 48, 96, generator=torch.Generator().manual_seed(0))
+    logits[:, BUILDING], logits[:, VEGETATION, :, 60:] = 4, 6
+    logits[:, VEGETATION, 20:28, :40], logits[:, FENCE, 24:30, 50:] = 9, 9
+    radius_m = torch.full((1, 48, 96), 12.0)
+    radius_m[:, 24:, 20:30] = 8.0
+    segments, best = logits.softmax(1)[0].double().numpy(), logits.argmax(1)
+    no_patches(logits, best, radius_m, PATCHES)
+    found = onnx_runner.no_patches(segments, best[0].numpy(), radius_m[0].numpy())
+    assert np.allclose(found, logits.softmax(1)[0], atol=1e-5)
+    assert (found.argmax(0)[20:28, :20] == BUILDING).all() and (found.argmax(0)[20:28, 20:30] == VEGETATION).all()
+    assert (found.argmax(0)[24:30, 60:] == VEGETATION).all() and (found.argmax(0)[24:30, 50:60] == FENCE).all()
 
 
 def test_the_runner_knows_the_classes():

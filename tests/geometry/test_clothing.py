@@ -1,11 +1,22 @@
-"""Clothing: from the road up trousers, top, face, hair; outfits that go over into each other."""
+"""Clothing: from the road up trousers, top, face, hair; outfits, and colours of signs, go over into each other."""
 
 from __future__ import annotations
 
 import pytest
 import torch
 
-from lidar2pano.geometry.clothing import HAIR, HAIR_M, HEAD_M, LEGS_M, SKIN, TOPS, TROUSERS, clothing
+from lidar2pano.geometry.clothing import (
+    HAIR,
+    HAIR_M,
+    HEAD_M,
+    LEGS_M,
+    SIGNS,
+    SKIN,
+    TOPS,
+    TROUSERS,
+    clothing,
+    sign_colours,
+)
 
 
 @pytest.mark.parametrize("outfit", range(len(TOPS)))
@@ -34,3 +45,11 @@ def test_the_mean_of_all_outfits_is_hardly_brighter_than_the_mean_person():
 
 def test_where_there_are_no_people_nothing_is_worn():
     assert clothing(torch.zeros(0), torch.zeros(0)).shape == (0, 3)
+
+
+def test_signs_have_one_colour_after_the_other():
+    noise = torch.linspace(-1, 1, 2 * len(SIGNS) - 1)
+    found = sign_colours(noise)
+    torch.testing.assert_close(found[::2], torch.tensor(SIGNS), atol=1e-6, rtol=0)
+    torch.testing.assert_close(found[1::2], (found[:-1:2] + found[2::2]) / 2, atol=1e-6, rtol=0)
+    assert sign_colours(torch.zeros(0)).shape == (0, 3)

@@ -1,11 +1,11 @@
-"""Walls are building from the roof to the foot; fences stay fences."""
+"""Walls are building from the roof to the foot; fences stay fences; no surface has patches."""
 
 from __future__ import annotations
 
 import torch
 
 from lidar2pano.geometry.surface import slopes
-from lidar2pano.geometry.whole_walls import ONE_WALL, TALL_M, whole_walls
+from lidar2pano.geometry.whole_walls import ONE_WALL, TALL_M, no_patches, whole_walls
 from lidar2pano.views import View
 
 ROAD, WALL, FENCE, TREE, CAR, LORRY = range(6)
@@ -119,3 +119,48 @@ def test_vehicles_on_walls_as_defined():
     found = with_vehicles(ids, radius_m)
     assert torch.equal(found, expected) and (expected != ids).sum() > 50
     assert {CAR, LORRY} <= set(expected.unique().tolist())
+
+
+def without_patches(ids: torch.Tensor, radius_m: torch.Tensor) -> torch.Tensor:
+    """Ids (H, W) of a panorama of six classes without trees within walls and fences within trees."""
+    logits = 5.0 * torch.nn.functional.one_hot(ids, 6).movedim(2, 0)[None]
+    no_patches(logits, ids[None], radius_m[None], [(TREE, WALL), (FENCE, TREE)])
+    shares = logits.softmax(1)
+    torch.testing.assert_close(shares.sum(1), torch.ones_like(shares[:, 0]))
+    return logits.argmax(1)[0]
+
+
+def test_foliage_within_a_wall_is_wall_and_before_it_stays():
+    ids, radius_m = torch.full((ROWS, COLUMNS), WALL), torch.full((ROWS, COLUMNS), 8.0)
+    ids[20:30, 40:50], ids[30:, 60:70], ids[:20, 75:] = TREE, TREE, TREE
+    found = without_patches(ids, radius_m)
+    assert (found[:, 40:50] == WALL).all(), "wall above and below"
+    assert torch.equal(found[:, 50:], ids[:, 50:]), "from the road or the sky on it is a tree"
+    radius_m[20:30, 40:50] = 6.0
+    assert torch.equal(without_patches(ids, radius_m), ids)
+
+
+def test_patches_as_defined():
+    generator = torch.Generator().manual_seed(4)
+    ids = torch.randint(WALL, CAR, (ROWS, COLUMNS), generator=generator)
+    radius_m = 8 * torch.exp(0.05 * torch.randn(ROWS, COLUMNS, generator=generator))
+    expected = ids.clone()
+    for row in range(ROWS):
+        for column in range(COLUMNS):
+            around = {TREE: WALL, FENCE: TREE}.get(int(ids[row, column]))
+            ends = []
+            for step in (-1, 1):
+                at = row
+                while int(ids[at, column]) == int(ids[row, column]) and 0 <= at + step < ROWS:
+                    near = abs(float((radius_m[at + step, column] / radius_m[at, column]).log())) < ONE_WALL
+                    at += step
+                    if not near:
+                        break
+                    if int(ids[at, column]) == around:
+                        ends.append(step)
+            if around is not None and len(ends) == 2:
+                expected[row, column] = around
+    assert torch.equal(without_patches(ids, radius_m), expected)
+    assert {(TREE, WALL), (FENCE, TREE)} <= set(
+        zip(ids[expected != ids].tolist(), expected[expected != ids].tolist(), strict=True)
+    )

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.clothing import HEAD_M, LEGS_M, clothing
+from lidar2pano.geometry.clothing import HEAD_M, LEGS_M, clothing, sign_colours
 from lidar2pano.geometry.solid_noise import smooth_noise
 from lidar2pano.geometry.surface import cylinder_points
 from lidar2pano.labels import COMMON15
@@ -178,6 +178,39 @@ def test_people_wear_clothes_by_their_height_above_the_road():
         torch.testing.assert_close(found[:, row, 20:24], expected, atol=1e-5, rtol=0)
     worn = height_m[:, 22]
     assert (worn < LEGS_M).any() and ((worn > LEGS_M) & (worn < HEAD_M)).any(), "the test has legs and a trunk"
+
+
+def test_a_persons_surface_has_no_slope():
+    one = scene()
+    person = COMMON15.id_of("person")
+    segments = torch.zeros_like(one.segments)
+    segments[:, COMMON15.id_of("road")] = 1
+    before, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW)
+    segments[:, :, :, 20:24] *= 0.25
+    segments[:, person, :, 20:24] = 0.75
+    after, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW)
+    share = (1 - segments[:, person, None]).expand(1, 3, -1, -1)
+    assert before[:, 21:24].abs().amax() > 0.1
+    torch.testing.assert_close(after[:, 21:24], share * before[:, 21:24], atol=1e-2, rtol=0)
+
+
+def test_signs_have_colours_of_their_own():
+    one = scene()
+    segments = torch.zeros_like(one.segments)
+    segments[:, COMMON15.id_of("road")] = 1
+    segments[:, :, 2:6, 20:24] = 0
+    segments[:, COMMON15.id_of("traffic-sign"), 2:6, 20:24], segments[:, COMMON15.id_of("road"), 2:6, 20:24] = (
+        0.75,
+        0.25,
+    )
+    depth_m = torch.full_like(one.depth_m, 6.0)
+    inputs, _ = painter_inputs(segments, depth_m, one.channels, VIEW, one.T_world_sensor)
+    noise = smooth_noise(*cylinder_points(depth_m, VIEW), VIEW, OBJECT_M, one.T_world_sensor)[0, 2:6, 20:24].clamp(
+        -1, 1
+    )
+    expected = torch.zeros(3, *depth_m.shape[1:])
+    expected[:, 2:6, 20:24] = 0.75 * sign_colours(noise.flatten()).T.unflatten(1, (4, 4))
+    torch.testing.assert_close(inputs[0, TONES].float(), expected, atol=1e-5, rtol=0)
 
 
 def test_glass_is_no_brighter_than_the_mean_and_keeps_what_is_darker():

@@ -13,7 +13,7 @@ from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.losses import PatchStatistics
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, save
-from lidar2pano.models.scene_painter import BUILDING, CAR, framed, twice
+from lidar2pano.models.scene_painter import BUILDING, CAR, OPENINGS, ROAD, VEGETATION, framed, twice
 from lidar2pano.train import scene_painting
 from lidar2pano.train.options import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingSample
@@ -314,7 +314,7 @@ def test_known_openings_are_painted_and_others_are_invented(task, batch, monkeyp
 
 
 def test_a_car_has_the_tone_of_the_image_nearby(task, batch, monkeypatch):
-    monkeypatch.setattr(scene_painting, "NEARBY", (3,))  # which is drawn at random
+    monkeypatch.setattr(scene_painting, "NEARBY", dict.fromkeys(scene_painting.NEARBY, (3, 3, 3)))  # drawn at random
     task.view = replace(task.view, rows=32)
     flat = batch.flat()
     flat.labels[:] = 7
@@ -332,6 +332,51 @@ def test_a_car_has_the_tone_of_the_image_nearby(task, batch, monkeypatch):
     assert task._tones(flat, segments)[:, :, 12:20, 10:30].isnan().all(), "the look's mean car is not known"
     inputs, _ = task.inputs(flat, segments, task._tones(flat, segments), *task._somewhere(segments))
     assert inputs.isfinite().all(), "they are invented"
+
+
+def test_a_tree_has_the_tone_of_the_image_nearby_and_elsewhere_that_of_all_trees(task, batch, monkeypatch):
+    monkeypatch.setattr(scene_painting, "NEARBY", dict.fromkeys(scene_painting.NEARBY, (3, 3, 3)))
+    task.view = replace(task.view, rows=32)
+    flat = batch.flat()
+    flat.labels[:, :, :30] = VEGETATION
+    flat.image[:] = 0.1
+    flat.image[:, :, 24:40, 20:40] = torch.tensor([0.5, 0.7, 0.0])[:, None, None]
+    flat.valid[:, :, 80:] = False
+    flat.class_means[:, VEGETATION], flat.class_tones[:, VEGETATION] = -0.2, 0.15
+    labels = flat.labels.index_fill(2, torch.arange(40, 64), VEGETATION)
+    segments = nn.functional.one_hot(labels, 16).movedim(-1, 1).float()
+    found = task._tones(flat, segments)
+    assert torch.allclose(found[:, :, 15:17, 14:16], torch.tensor([0.7, 0.9, 0.2])[:, None, None], atol=1e-5)
+    assert torch.allclose(found[:, :, 24:, :6], torch.tensor(0.3))
+    assert torch.allclose(found[:, :, :, 48:], torch.tensor(0.15)), "no camera looked there"
+    drawn = torch.ones(2, 1, 1, dtype=torch.bool)
+    _, _, tones = task._with_cars(flat, segments, drawn, *task._somewhere(segments))
+    assert torch.equal(tones[:, :, :, :20], found[:, :, :, :20]), "what stands in the sun there is in the photograph"
+
+
+def test_lines_are_streaks_on_roads_unless_an_image_has_them_and_in_panes(task, batch):
+    flat = batch.flat()
+    inputs = torch.zeros(2, 31, 32, 64), torch.zeros(2, 3, 64, 128)
+    painted = flat.image.clone()
+    painted[:, :, 50:54, 20:100] = 0.5
+    inputs[0][:, ROAD, 16:] = 1
+    assert task._streaks(flat, inputs, painted) > 0.02
+    assert task._streaks(flat._replace(image=painted), inputs, painted) == 0
+    assert task._streaks(flat._replace(valid=flat.valid & False), inputs, painted) == 0
+    inputs[0][:, ROAD], inputs[0][:, OPENINGS, 16:] = 0, 1
+    assert task._streaks(flat._replace(image=painted), inputs, painted) > 0.02
+    inputs[0][:, OPENINGS] = 0
+    assert task._streaks(flat, inputs, painted) == 0
+
+
+def test_streaks_count_where_they_have_a_weight(task, batch, monkeypatch):
+    monkeypatch.setattr(ScenePainting, "_streaks", lambda _task, _batch, _inputs, painted: 0 * painted.mean() + 0.5)
+    task.view = replace(task.view, rows=32)
+    list(task.updates(batch))
+    assert "streaks" not in task.logs
+    task.options = replace(task.options, streaks=1e6)
+    name, loss = list(task.updates(batch))[-1]
+    assert name == "painter" and loss.item() == pytest.approx(0.5e6, rel=0.01)
 
 
 def test_ground_truth_is_painted_where_it_is_known_and_drawn(task, batch):

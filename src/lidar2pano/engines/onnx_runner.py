@@ -14,6 +14,7 @@ import numpy as np
 
 HERE = Path(__file__).parent
 SKY, PERSON, ROAD, BUILDING, FENCE, VEGETATION, GROUND = 15, 6, 7, 9, 10, 11, [7, 8, 12]  # ids of common-15
+SIGN, LIKELY = 14, 0.05  # probability of people and of signs from which on they are given colours
 FOUR_WHEELED = [1, 4, 5]  # car, truck, other-vehicle
 ROUGH = ((VEGETATION, [BUILDING], 0.04, 0.0, 1.0), (GROUND[2], GROUND[:2], 0.017, 0.8, 4.0))
 SMOOTH = [1, 2, 3, 4, 5, 6, 13, 14]  # vehicles, people, poles and signs: no noise
@@ -36,6 +37,7 @@ TOPS = (
 )
 TROUSERS = ((-0.15, -0.08, 0.1), (-0.3, -0.3, -0.3), (-0.12, -0.06, 0.12), (0.08, 0.03, -0.06), (-0.3, -0.3, -0.28))
 TROUSERS += ((-0.15, -0.08, 0.08),)  # what people wear
+SIGNS = ((0.5, 0, -0.05), (0.6, 0.35, -0.25), (0.6, 0.6, 0.55), (-0.25, -0.05, 0.4), (0.1, 0.1, 0.05))
 SKIN, HAIR = (0.4, 0.22, 0.12), (-0.3, -0.32, -0.34)
 HOUSES_VARIED, HOUSE_M = 0.5, 11.0  # how much houses differ in brightness, their width
 REACH = 40  # columns around that say how a wall runs
@@ -60,6 +62,7 @@ def main(scan, out):
     segments = weigh_by_height(segments, best, depth_m, view)
     surface = radius_and_height(best, depth_m, view)
     segments = whole_walls(no_flat_fences(segments, best, *surface), best, *surface)
+    segments = no_patches(segments, best, surface[0])
     settings = painter.card["settings"]
     unread = [CLASSES.index(name) for name in settings.get("unread", ("building", "vegetation", "fence"))]
     inputs, fine_noise = painter_inputs(segments, depth_m, image, view, settings.get("sharp", 2.0), unread)
@@ -208,7 +211,8 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     z_m = radius_m * slope
     above_m = height_above(best == ROAD, radius_m, z_m, view)
     height = ((z_m + above_m) / 4).clip(-1, 4)
-    shape = np.stack([height, *normals(radius_m, z_m, 2 * np.pi / columns)]) * (best != SKY)
+    tilted = normals(radius_m, z_m, 2 * np.pi / columns) * (1 - segments[PERSON])
+    shape = np.stack([height, *tilted]) * (best != SKY)
     code = np.log1p(depth_m.clip(max=FAR_M)) / np.log1p(FAR_M)
     row = np.repeat(np.linspace(1, -1, rows).clip(-0.5)[:, None], columns, 1)
     read = 1 - segments[unread].sum(0)
@@ -221,7 +225,8 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     depth_m, sky, rough = (each.repeat(2, 0).repeat(2, 1) for each in (depth_m, best == SKY, rough))
     fine = solid_noise(depth_m, sky, view, FINE_M) * rough
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M).clip(-1, 1)
-    dressed = clothing(z_m + above_m, noise) * np.where(segments[PERSON] > 0.05, segments[PERSON], 0)
+    people, signs = (np.where(segments[each] > LIKELY, segments[each], 0) for each in (PERSON, SIGN))
+    dressed = clothing(z_m + above_m, noise) * people + blended(SIGNS, noise) * signs
     brighter = np.einsum("chw,c->hw", segments, VARIED) * noise + segments[VEGETATION] * 0.2 * noise.clip(0)
     openings, house = facades(segments[BUILDING], radius_m, slope, above_m, view)
     walls = house[:, None] - openings * house[:, None].clip(0)
@@ -236,13 +241,15 @@ def framed(channels, rows):
 
 def clothing(height_m, noise):
     """How much brighter than the mean person people are (3, H, W): trousers, tops, faces, hair."""
-    at = (noise + 1) / 2 * (len(TOPS) - 1)
-    tops, trousers = (
-        np.stack([np.interp(at, range(len(TOPS)), colours) for colours in np.transpose(garment)])
-        for garment in (TOPS, TROUSERS)
-    )
+    tops, trousers = (blended(garment, noise) for garment in (TOPS, TROUSERS))
     head = np.where(height_m < 1.66, np.reshape(SKIN, (3, 1, 1)), np.reshape(HAIR, (3, 1, 1)))
     return np.where(height_m < 0.85, trousers, np.where(height_m < 1.45, tops, head))
+
+
+def blended(colours, noise):
+    """Of colours from -1 to 1 at even distances those of noise (H, W): (3, H, W)."""
+    at = (noise + 1) / 2 * (len(colours) - 1)
+    return np.stack([np.interp(at, range(len(colours)), each) for each in np.transpose(colours)])
 
 
 def slopes(view, rows=None):
@@ -281,6 +288,19 @@ def whole_walls(segments, best, radius_m, height_m):
         moved = np.where((best == each) & where, segments[each], 0)
         segments[BUILDING] += moved
         segments[each] -= moved
+    return segments
+
+
+def no_patches(segments, best, radius_m):
+    """Segments without foliage that has wall above and below it in one surface, nor fences that have foliage there."""
+    same, segments = np.abs(np.log(radius_m[1:] / radius_m[:-1])) < 0.1, segments.copy()
+    for patch, around in ((VEGETATION, BUILDING), (FENCE, VEGETATION)):
+        inside, outside = best == patch, best == around
+        above = begun(outside, inside | outside, same)
+        below = begun(outside[::-1], (inside | outside)[::-1], same[::-1])[::-1]
+        moved = np.where(inside & above & below, segments[patch], 0)
+        segments[around] += moved
+        segments[patch] -= moved
     return segments
 
 

@@ -1,7 +1,8 @@
-"""Walls that are of one class from their foot to the roof."""
+"""Walls that are of one class from their foot to the roof, and surfaces without patches of another class."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -31,7 +32,7 @@ def whole_walls(  # noqa: PLR0913, PLR0917 one scene, and which class is what
          that wavers does not show which pixels are of one wall.
     A wall is what is building or fence, or building or vehicle, each pixel about as far away as the next one up.
     """
-    same = (radius_m[:, 1:] / radius_m[:, :-1]).log().abs() < ONE_WALL
+    same = _one_surface(radius_m)
     house, is_fence = ids == building, ids == fence
     carries = _begun(house & (height_m > TALL_M), _joined(house | is_fence, same))
     give_away(logits, fence, [building], (is_fence & carries).nonzero(as_tuple=True))
@@ -40,6 +41,27 @@ def whole_walls(  # noqa: PLR0913, PLR0917 one scene, and which class is what
     stands = _begun(house.flip(1), _joined(solid.flip(1), same.flip(1))).flip(1)
     for each, own in zip(vehicles, of_vehicles, strict=True):
         give_away(logits, each, [building], (own & stands).nonzero(as_tuple=True))
+
+
+def no_patches(logits: Tensor, ids: Tensor, radius_m: Tensor, within: Sequence[tuple[int, int]]) -> None:
+    """Change logits (B, C, H, W) so that a patch that has another class above and below it in one surface is of that.
+
+    ids, radius_m  as of `whole_walls`;  within: pairs of classes, that of such patches and the one around them.
+    """
+    same = _one_surface(radius_m)
+    upwards = same.flip(1)
+    for patch, around in within:
+        inside, outside = ids == patch, ids == around
+        both = inside | outside
+        below_one = _begun(outside, _joined(both, same))
+        above_one = _begun(outside.flip(1), _joined(both.flip(1), upwards)).flip(1)
+        give_away(logits, patch, [around], (inside & below_one & above_one).nonzero(as_tuple=True))
+
+
+def _one_surface(radius_m: Tensor) -> Tensor:
+    """Whether each pixel but the highest is about as far away as the one above it: (B, H - 1, W) bool."""
+    ratio = radius_m[:, 1:] / radius_m[:, :-1]
+    return (ratio - math.cosh(ONE_WALL)).abs() < math.sinh(ONE_WALL)  # as |log| < ONE_WALL, in half of the time
 
 
 def _joined(one: Tensor, same: Tensor) -> Tensor:

@@ -20,6 +20,7 @@ from lidar2pano.losses.adversarial import (
 )
 from lidar2pano.losses.lovasz import lovasz_softmax
 from lidar2pano.losses.patch_statistics import PatchStatistics
+from lidar2pano.losses.streaks import inside, streaks
 from lidar2pano.losses.texture import texture_distance
 
 __all__ = [
@@ -32,7 +33,9 @@ __all__ = [
     "hinge_critic",
     "hinge_generator",
     "hue_gap",
+    "inside",
     "lovasz_softmax",
     "pooled",
+    "streaks",
     "texture_distance",
 ]

@@ -18,7 +18,7 @@ from torch.nn.functional import conv2d, interpolate, pad
 
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.car_body import Boxes
-from lidar2pano.geometry.clothing import clothing
+from lidar2pano.geometry.clothing import clothing, sign_colours
 from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.outlines import against_the_sky
 from lidar2pano.geometry.solid_noise import smooth_noise, solid_noise
@@ -33,8 +33,8 @@ from lidar2pano.models.summed import SummedSequential
 from lidar2pano.models.titan_pano import FAR_M, depth_code
 from lidar2pano.views import View
 
-NAMES = ("sky", "road", "building", "car", "person", "vegetation")
-SKY, ROAD, BUILDING, CAR, PERSON, VEGETATION = map(COMMON15.id_of, NAMES)
+NAMES = ("sky", "road", "building", "car", "person", "traffic-sign", "vegetation")
+SKY, ROAD, BUILDING, CAR, PERSON, SIGN, VEGETATION = map(COMMON15.id_of, NAMES)
 COARSE_M = (0.25, 1.0, 4.0)  # wavelengths of the noise on the translator's raster
 FINE_M = (0.0625, 0.125, 0.5)  # and on the picture's
 SHAPE = 8  # channels beside segments and noise: depth, remission, validity, row, height, normals
@@ -43,7 +43,7 @@ OBJECT_M = 16.0  # wavelength at which things differ in brightness
 # what noise has beyond its deviation, burn things out.
 VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence"), 0.15) | {"pole": 0.1}
 SUNLIT = 0.2  # how much brighter than the mean a tree is at most; none is darker: painted trees are too dark as it is
-LIKELY = 0.05  # probability of people from which on they are dressed
+LIKELY = 0.05  # probability of people and of signs from which on they are given colours
 HOUSES_VARIED = 0.5  # how much brighter or darker than the mean a house is, at most
 # What is of sheet metal, glass or cloth is given no noise, which blotched it; most of it moves through the noise, too.
 VEHICLES = ("car", "bicycle", "motorcycle", "truck", "other-vehicle")
@@ -69,7 +69,7 @@ BLOCKS = 4  # residual blocks there
 FEW, JOINED_ROWS = 4, 6  # channels, and rows, of inputs that are joined at a time
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
 TONE = 3  # red, green, blue: how much brighter a picture, or a part of it, is than the mean of its look
-TONES = slice(-TONE - 1, -1)  # of the painter's inputs, which end with the openings
+TONES, OPENINGS = slice(-TONE - 1, -1), -1  # of the painter's inputs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -311,6 +311,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     height_m = z_m + above_m[:, None, None]
     shape = torch.cat([(height_m / 4).clamp(-1, 4)[:, None], normals(radius_m, z_m, view)], 1)
     shape.mul_(as_float(~sky[:, None]))
+    shape[:, 1:].mul_(1 - segments[:, PERSON, None].float())  # of two beams each, they became scribbles on people
     read = 1 - _together(segments, unread)
     measured = image[:, 4].float(), as_float(image[:, 0] > 0)
     remission, valid = spread_out(*evened_beams(*measured, segments[:, ROAD], round(BEAM_RAD * view.focal_px)))
@@ -330,9 +331,10 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     brighter = torch.einsum("bchw,c->bhw", segments.float(), varied) * noise
     varied_tones = (brighter + segments[:, VEGETATION].float() * SUNLIT * noise.clamp(min=0))[:, None]
     varied_tones = varied_tones + segments[:, BUILDING, None] * _house_tones(house, openings)
-    people = (segments[:, PERSON] > LIKELY).nonzero(as_tuple=True)
-    dressed = segments[:, PERSON][people].float()[:, None] * clothing(height_m[people], noise[people])
-    varied_tones.movedim(1, 3)[people] += dressed
+    people, signs = ((segments[:, each] > LIKELY).nonzero(as_tuple=True) for each in (PERSON, SIGN))
+    dressed, lettered = clothing(height_m[people], noise[people]), sign_colours(noise[signs])
+    for each, at, colours in ((PERSON, people, dressed), (SIGN, signs, lettered)):
+        varied_tones.movedim(1, 3)[at] += segments[:, each][at].float()[:, None] * colours
     tones = varied_tones
     if known.tones is not None:
         tones = varied_tones * as_float(known.tones.isnan()) + known.tones.nan_to_num()

@@ -221,12 +221,13 @@ class ScenePaintingOptions(TaskOptions):
     unseen                     weight of the distance of colours where no camera looked from the means of their classes.
     walls                      weight of how far the hues of walls are from the mean of houses in the look and the
                                house's tone; a teacher's pictures are corrected in it.
-    objects                    weight of how far the hues of vehicles and people are from those of their tones; a
+    objects                    weight of how far the hues of vehicles, people and signs are from those of their tones; a
                                teacher's pictures are corrected in it.
     texture                    weight of the distance between distributions of bands of frequency, class by class.
+    streaks                    weight of lines along rows that are painted on roads and in panes and that no image has.
     statistics                 weight of the distance of the painted patches' features from the real ones' distribution.
     on_invented                share of the perceptual and the pixels' loss that counts on what is invented.
-    invented_probability       of crops whose houses, cars and people have the tones and openings of use, not the
+    invented_probability       of crops whose houses, cars, people and signs have the tones and openings of use, not the
                                image's, with which they are then hardly compared.
     ground_truth_probability   of samples painted from the ground truth's classes, where they are known.
     sharpest                   largest power that class probabilities are raised to.
@@ -259,6 +260,7 @@ class ScenePaintingOptions(TaskOptions):
     walls: float = 0.0
     objects: float = 0.0
     texture: float = 0.0
+    streaks: float = 0.0
     statistics: float = 1.0
     on_invented: float = 0.2
     invented_probability: float = 0.0

@@ -22,7 +22,9 @@ from lidar2pano.losses import (
     hinge_critic,
     hinge_generator,
     hue_gap,
+    inside,
     pooled,
+    streaks,
     texture_distance,
 )
 from lidar2pano.losses.diff_augment import DiffAugment
@@ -30,8 +32,12 @@ from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
 from lidar2pano.models.scene_painter import (
     BUILDING,
     CAR,
+    OPENINGS,
     PERSON,
+    ROAD,
+    SIGN,
     TONES,
+    VEGETATION,
     VEHICLES,
     Known,
     ScenePainter,
@@ -50,12 +56,16 @@ from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import Teacher, as_image, build_networks, device_of, fix_norms
 from lidar2pano.views import VIEWS, View
 
-NEARBY = (3, 8, 20)  # pixels on either side of which a car's tone is the mean
+# Pixels on either side of which the tone of a class in a photograph is the mean: each car has a paint, and each tree
+# stands in the sun or in the shade. A random one of three counts.
+NEARBY = {CAR: (3, 8, 20), SIGN: (2, 4, 8), VEGETATION: (6, 16, 40)}
+PAINTED = (CAR, SIGN)  # one has nothing to do with the next
 SPREAD = 0.4  # how far colours of a class in [-1, 1] are from their mean without being outliers
 WALL = 0.3  # share of walls in a square whose hue is corrected
 HUE = 0.06  # how far a wall's or an object's hue is from what is expected without counting
-OBJECTS = [COMMON15.id_of(name) for name in (*VEHICLES, "person")]
-IN_USE = [BUILDING, CAR, PERSON]  # classes whose tones are invented in use
+OBJECTS = [COMMON15.id_of(name) for name in (*VEHICLES, "person", "traffic-sign")]
+IN_USE = [BUILDING, CAR, PERSON, SIGN]  # classes whose tones are invented in use
+INSIDE_PX = 2  # a road's or a pane's edge is no streak
 MATCHED = 3  # depths of features whose statistics are matched
 
 
@@ -104,7 +114,10 @@ class ScenePainting:
         window, pose = self._somewhere(segments)
         batch, used, tones = self._with_cars(batch, segments, drawn, window, pose)
         varied = torch.maximum(segments, used)[:, IN_USE].sum(1).clamp(max=1)
-        segments, invented = used, drawn * varied  # there, houses, cars and people are as in use: not the image's
+        segments, invented = (
+            used,
+            drawn * varied,
+        )  # there, houses, cars, people and signs are as in use: not the image's
         inputs = self.inputs(batch, segments, tones, window, pose)
         batch, photographed = self._taught(batch, inputs)
         fake = painted = self.painted(batch, inputs)
@@ -167,6 +180,8 @@ class ScenePainting:
         if options.objects:
             share = inputs[0][:, OBJECTS].sum().float() * 12  # three colours of four pixels each
             terms["objects"] = self._object_hues(batch, inputs, painted).abs().sum() / share.clamp(min=1)
+        if options.streaks:
+            terms["streaks"] = self._streaks(batch, inputs, painted)
         if options.texture:
             terms["texture"] = self._texture(batch, segments, photographed, painted)
         return terms
@@ -183,6 +198,7 @@ class ScenePainting:
             "walls": options.walls,
             "objects": options.objects,
             "texture": options.texture,
+            "streaks": options.streaks,
             "statistics": options.statistics,
             "adversarial": options.adversarial,
         }
@@ -233,6 +249,13 @@ class ScenePainting:
         expected = torch.einsum("bchw,bck->bkhw", shares, means) + scene[:, TONES]
         gap, _ = hue_gap(image, twice(expected), twice(shares.sum(1, keepdim=True)), 2)
         return twice((gap.abs() - HUE).clamp(min=0) * gap.sign())
+
+    @staticmethod
+    def _streaks(batch: PaintingSample, inputs: tuple[Tensor, Tensor], painted: Tensor) -> Tensor:
+        """`streaks` on roads, which a photograph may have as well, and in panes, in which nothing is expected."""
+        road, panes = (twice(inside(inputs[0][:, layer].float(), INSIDE_PX)) for layer in (ROAD, OPENINGS))
+        image = batch.image * road[:, None]  # the openings of a photograph are elsewhere
+        return streaks(painted, image, torch.maximum(road * batch.valid, panes))
 
     @staticmethod
     def _texture(batch: PaintingSample, segments: Tensor, photographed: Tensor, painted: Tensor) -> Tensor:
@@ -313,7 +336,9 @@ class ScenePainting:
         if bool(some.any()):
             there = segments.device  # thousands of small steps, which a CPU makes faster
             whole = with_cars(segments[some].cpu(), depth_m[some].cpu(), window, pose)
-            segments[some], depth_m[some], tones[some] = (part.to(there) for part in whole[:3])
+            segments[some], depth_m[some], invented = (part.to(there) for part in whole[:3])
+            trees = (segments[some, VEGETATION] > 0.5)[:, None]  # in use they are in the sun elsewhere
+            tones[some] = torch.where(invented.isnan() & trees, tones[some], invented)
         return batch._replace(depth_m=depth_m), segments, tones
 
     def _scanned(self, batch: PaintingSample) -> Tensor:
@@ -326,17 +351,24 @@ class ScenePainting:
 
     @staticmethod
     def _tones(batch: PaintingSample, segments: Tensor) -> Tensor:
-        """Tones (B, 3, H, W) of the images: a class's in the whole image, a car's nearby; NaN where no car is known."""
-        mean = batch.class_means[:, CAR, :, None, None]
-        known = (batch.labels == CAR) & (avg_pool2d(batch.valid[:, None].float(), 2)[:, 0] == 1) & mean.isfinite()[:, 0]
-        reach = NEARBY[int(np.random.randint(len(NEARBY)))]  # noqa: NPY002
-        parts = [(avg_pool2d(batch.image, 2) - mean).nan_to_num(0) * known[:, None], known[:, None].float()]
-        nearby = avg_pool2d(torch.cat(parts, 1), 2 * reach + 1, 1, reach)
-        cars = torch.where(nearby[:, 3:] > 0, nearby[:, :3] / nearby[:, 3:], torch.nan)
-        other_tones = batch.class_tones.index_fill(1, batch.labels.new_tensor(CAR), 0)
-        others = torch.einsum("bchw,bck->bkhw", segments, other_tones)
-        share = segments[:, CAR, None]
-        return others + torch.where(share > 0.01, share * cars, 0)
+        """Tones (B, 3, H, W) of the images: a class's in the whole image, that of NEARBY's classes where it is known.
+
+        NaN where a car's or a sign's is not: its paint is invented.
+        """
+        apart = batch.labels.new_tensor(list(NEARBY))
+        tones = torch.einsum("bchw,bck->bkhw", segments, batch.class_tones.index_fill(1, apart, 0))
+        lot = int(np.random.randint(3))  # noqa: NPY002
+        colour, seen = avg_pool2d(batch.image, 2), avg_pool2d(batch.valid[:, None].float(), 2)[:, 0] == 1
+        for each, reaches in NEARBY.items():
+            mean, reach = batch.class_means[:, each, :, None, None], reaches[lot]
+            known = (batch.labels == each) & seen & mean.isfinite()[:, 0]
+            parts = [(colour - mean).nan_to_num(0) * known[:, None], known[:, None].float()]
+            nearby = avg_pool2d(torch.cat(parts, 1), 2 * reach + 1, 1, reach)
+            whole = torch.nan if each in PAINTED else batch.class_tones[:, each, :, None, None]
+            tone = torch.where(nearby[:, 3:] > 0, nearby[:, :3] / nearby[:, 3:], whole)
+            share = segments[:, each, None]
+            tones = tones + torch.where(share > 0.01, share * tone, 0)
+        return tones
 
     def painted(self, batch: PaintingSample, inputs: tuple[Tensor, Tensor]) -> Tensor:
         """Pictures (B, 3, 2H, 2W) float32 in [-1, 1] of a batch."""
