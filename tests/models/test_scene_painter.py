@@ -16,9 +16,12 @@ from lidar2pano.geometry.surface import cylinder_points
 from lidar2pano.labels import COMMON15
 from lidar2pano.models import build, scene_painter
 from lidar2pano.models.scene_painter import (
+    LEAVES,
+    LIT,
     LOWEST_ROW,
     OBJECT_M,
     SUNLIT,
+    SUNNY_SIDE,
     TONES,
     VARIED,
     VEHICLES,
@@ -149,16 +152,26 @@ def test_where_no_tones_are_given_only_things_that_vary_do():
         assert inputs[0, TONES].any() == (name in {*VARIED, "person"})
 
 
-def test_some_trees_are_in_the_sun_and_none_is_darker_than_the_mean():
-    one = scene()
+def test_trees_on_the_left_are_in_the_sun_and_some_beside():
+    one, turned = scene(), np.eye(4)
+    turned[:2, :2] = [[0, -1], [1, 0]]  # what is ahead of the sensor is on the world's left
     segments = torch.zeros_like(one.segments)
     segments[:, COMMON15.id_of("vegetation")] = 0.75
-    inputs, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, one.T_world_sensor)
-    radius_m, z_m = cylinder_points(one.depth_m, VIEW)
-    noise = smooth_noise(radius_m, z_m, VIEW, OBJECT_M, one.T_world_sensor).clamp(-1, 1)
+    for pose in (None, one.T_world_sensor, turned):
+        inputs, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, pose)
+        noise = smooth_noise(*cylinder_points(one.depth_m, VIEW), VIEW, OBJECT_M, pose).clamp(-1, 1)[0]
+        rotation = np.eye(4) if pose is None else pose
+        expected = torch.zeros(3, *noise.shape)
+        for column in range(VIEW.columns):
+            azimuth = np.pi - (column + 0.5) / VIEW.columns * 2 * np.pi
+            left = (rotation[:2, :2] @ [np.cos(azimuth), np.sin(azimuth)])[1]
+            bright = LIT + SUNNY_SIDE * left + SUNLIT * noise[:, column].clamp(min=0)
+            expected[:, :, column] = 0.75 * bright * torch.tensor(LEAVES)[:, None]
+        torch.testing.assert_close(inputs[0, TONES].float(), expected, atol=1e-3, rtol=0)
     assert (noise < 0).any() and (noise > 0).any(), "the test has both"
-    expected = 0.75 * SUNLIT * noise.clamp(min=0)
-    torch.testing.assert_close(inputs[:, TONES].float(), expected[:, None].expand(1, 3, -1, -1))
+    quarter = VIEW.columns // 4
+    ahead = expected[0, :, 2 * quarter - 3 : 2 * quarter + 3]
+    assert ahead.min() > expected[0, :, :3].max(), "turned, the sunny side is ahead and the shady one behind"
 
 
 def test_people_wear_clothes_by_their_height_above_the_road():

@@ -19,6 +19,7 @@ from torch.nn.functional import conv2d, interpolate, pad
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.car_body import Boxes
 from lidar2pano.geometry.clothing import clothing, sign_colours
+from lidar2pano.geometry.columns import world_columns
 from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.outlines import against_the_sky
 from lidar2pano.geometry.solid_noise import smooth_noise, solid_noise
@@ -42,7 +43,10 @@ OBJECT_M = 16.0  # wavelength at which things differ in brightness
 # Half of the deviations from image to image of how bright a class is in KITTI, colours in [-1, 1]: all of them, and
 # what noise has beyond its deviation, burn things out.
 VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence"), 0.15) | {"pole": 0.1}
-SUNLIT = 0.2  # how much brighter than the mean a tree is at most; none is darker: painted trees are too dark as it is
+# How much brighter than the mean trees are: all of them, for painted ones are too dark as it is; those that the sun
+# shines on as one sees them, which stand on the world's left, and by as much less those before it; at most one by one.
+LIT, SUNNY_SIDE, SUNLIT = 0.1, 0.18, 0.2
+LEAVES = (1.0, 1.03, 0.78)  # of red, green and blue in a brighter tree of KITTI's images
 LIKELY = 0.05  # probability of people and of signs from which on they are given colours
 HOUSES_VARIED = 0.5  # how much brighter or darker than the mean a house is, at most
 # What is of sheet metal, glass or cloth is given no noise, which blotched it; most of it moves through the noise, too.
@@ -329,7 +333,8 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     varied = segments.new_tensor([VARIED.get(name, 0.0) for name in COMMON15.classes], dtype=torch.float32)
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M, T_world_sensor).clamp(-1, 1)
     brighter = torch.einsum("bchw,c->bhw", segments.float(), varied) * noise
-    varied_tones = (brighter + segments[:, VEGETATION].float() * SUNLIT * noise.clamp(min=0))[:, None]
+    trees = segments[:, VEGETATION].float() * _sunlight(noise, view, T_world_sensor)
+    varied_tones = brighter[:, None] + trees[:, None] * noise.new_tensor(LEAVES)[:, None, None]
     varied_tones = varied_tones + segments[:, BUILDING, None] * _house_tones(house, openings)
     people, signs = ((segments[:, each] > LIKELY).nonzero(as_tuple=True) for each in (PERSON, SIGN))
     dressed, lettered = clothing(height_m[people], noise[people]), sign_colours(noise[signs])
@@ -365,6 +370,12 @@ def _points(road: Tensor, depth_m: Tensor, view: View) -> tuple[Tensor, Tensor, 
 def _together(segments: Tensor, ids: Sequence[int]) -> Tensor:
     """The probability (B, H, W) of several classes of (B, classes, H, W); a fraction of the time of indexing them."""
     return sum((segments[:, each].float() for each in ids), start=torch.zeros_like(segments[:, 0], dtype=torch.float32))
+
+
+def _sunlight(noise: Tensor, view: View, T_world_sensor: np.ndarray | None) -> Tensor:
+    """How much brighter than the mean trees are (B, H, W) by noise (B, H, W) and where they stand: see SUNNY_SIDE."""
+    (_, left), _ = world_columns(view, T_world_sensor, noise.device)
+    return noise.clamp(min=0).mul_(SUNLIT).add_(LIT + SUNNY_SIDE * left.float())
 
 
 def _house_tones(house: Tensor, openings: Tensor) -> Tensor:
