@@ -18,6 +18,7 @@ from lidar2pano.models import build, scene_painter
 from lidar2pano.models.scene_painter import (
     LEAVES,
     LIT,
+    LIT_M,
     LOWEST_ROW,
     OBJECT_M,
     SUNLIT,
@@ -159,16 +160,18 @@ def test_trees_on_the_left_are_in_the_sun_and_some_beside():
     segments[:, COMMON15.id_of("vegetation")] = 0.75
     for pose in (None, one.T_world_sensor, turned):
         inputs, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, pose)
-        noise = smooth_noise(*cylinder_points(one.depth_m, VIEW), VIEW, OBJECT_M, pose).clamp(-1, 1)[0]
+        radius_m, z_m = cylinder_points(one.depth_m, VIEW)
+        noise = smooth_noise(radius_m, z_m, VIEW, OBJECT_M, pose).clamp(-1, 1)[0]
         rotation = np.eye(4) if pose is None else pose
         expected = torch.zeros(3, *noise.shape)
         for column in range(VIEW.columns):
             azimuth = np.pi - (column + 0.5) / VIEW.columns * 2 * np.pi
             left = (rotation[:2, :2] @ [np.cos(azimuth), np.sin(azimuth)])[1]
-            bright = LIT + SUNNY_SIDE * left + SUNLIT * noise[:, column].clamp(min=0)
+            near = (2 - radius_m[0, :, column] / LIT_M).clamp(0, 1)
+            bright = LIT * near + SUNNY_SIDE * left + SUNLIT * noise[:, column].clamp(min=0)
             expected[:, :, column] = 0.75 * bright * torch.tensor(LEAVES)[:, None]
         torch.testing.assert_close(inputs[0, TONES].float(), expected, atol=1e-3, rtol=0)
-    assert (noise < 0).any() and (noise > 0).any(), "the test has both"
+    assert (noise < 0).any() and (noise > 0).any() and radius_m.min() < LIT_M < radius_m.max(), "the test has both"
     quarter = VIEW.columns // 4
     ahead = expected[0, :, 2 * quarter - 3 : 2 * quarter + 3]
     assert ahead.min() > expected[0, :, :3].max(), "turned, the sunny side is ahead and the shady one behind"

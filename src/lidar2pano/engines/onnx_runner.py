@@ -39,7 +39,13 @@ TROUSERS = ((-0.15, -0.08, 0.1), (-0.3, -0.3, -0.3), (-0.12, -0.06, 0.12), (0.08
 TROUSERS += ((-0.15, -0.08, 0.08),)  # what people wear
 SIGNS = ((0.5, 0, -0.05), (0.6, 0.35, -0.25), (0.6, 0.6, 0.55), (-0.25, -0.05, 0.4), (0.1, 0.1, 0.05))
 SKIN, HAIR = (0.4, 0.22, 0.12), (-0.3, -0.32, -0.34)
-LIT, SUNNY_SIDE, SUNLIT, LEAVES = 0.1, 0.18, 0.2, (1.0, 1.03, 0.78)  # how much brighter than the mean trees are
+LIT, LIT_M, SUNNY_SIDE, SUNLIT, LEAVES = (
+    0.15,
+    15.0,
+    0.18,
+    0.2,
+    (1.0, 1.03, 0.78),
+)  # how much brighter than the mean trees are
 HOUSES_VARIED, HOUSE_M = 0.5, 11.0  # how much houses differ in brightness, their width
 REACH = 40  # columns around that say how a wall runs
 
@@ -230,7 +236,7 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     dressed = clothing(z_m + above_m, noise) * people + blended(SIGNS, noise) * signs
     brighter = np.einsum("chw,c->hw", segments, VARIED) * noise
     left = np.sin((np.arange(columns) + 0.5) / columns * 2 * np.pi)
-    sun = segments[VEGETATION] * (LIT + SUNNY_SIDE * left + SUNLIT * noise.clip(0))
+    sun = segments[VEGETATION] * (LIT * (2 - radius_m / LIT_M).clip(0, 1) + SUNNY_SIDE * left + SUNLIT * noise.clip(0))
     openings, house = facades(segments[BUILDING], radius_m, slope, above_m, view)
     walls = house[:, None] - openings * house[:, None].clip(0)
     tones = brighter + np.reshape(LEAVES, (3, 1, 1)) * sun + dressed + segments[BUILDING] * HOUSES_VARIED * walls

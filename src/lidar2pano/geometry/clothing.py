@@ -1,6 +1,6 @@
 """Colours of what a scan shows as a silhouette only: people's clothes by height above the ground, and traffic signs.
 
-A painter that is not told them paints each such thing in its mean colour.
+A painter that is not given them paints each such thing in its mean colour.
 """
 
 from __future__ import annotations

@@ -43,9 +43,10 @@ OBJECT_M = 16.0  # wavelength at which things differ in brightness
 # Half of the deviations from image to image of how bright a class is in KITTI, colours in [-1, 1]: all of them, and
 # what noise has beyond its deviation, burn things out.
 VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence"), 0.15) | {"pole": 0.1}
-# How much brighter than the mean trees are: all of them, for painted ones are too dark as it is; those that the sun
-# shines on as one sees them, which stand on the world's left, and by as much less those before it; at most one by one.
-LIT, SUNNY_SIDE, SUNLIT = 0.1, 0.18, 0.2
+# How much brighter than the mean trees are: up to LIT_M, and none at twice that, for there painters paint them darker
+# than photographs are; those that the sun shines on as one sees them, which stand on the world's left, and by as much
+# less those before it; some, by noise, at most.
+LIT, LIT_M, SUNNY_SIDE, SUNLIT = 0.15, 15.0, 0.18, 0.2
 LEAVES = (1.0, 1.03, 0.78)  # of red, green and blue in a brighter tree of KITTI's images
 LIKELY = 0.05  # probability of people and of signs from which on they are given colours
 HOUSES_VARIED = 0.5  # how much brighter or darker than the mean a house is, at most
@@ -333,13 +334,10 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     varied = segments.new_tensor([VARIED.get(name, 0.0) for name in COMMON15.classes], dtype=torch.float32)
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M, T_world_sensor).clamp(-1, 1)
     brighter = torch.einsum("bchw,c->bhw", segments.float(), varied) * noise
-    trees = segments[:, VEGETATION].float() * _sunlight(noise, view, T_world_sensor)
+    trees = segments[:, VEGETATION].float() * _sunlight(noise, radius_m, view, T_world_sensor)
     varied_tones = brighter[:, None] + trees[:, None] * noise.new_tensor(LEAVES)[:, None, None]
     varied_tones = varied_tones + segments[:, BUILDING, None] * _house_tones(house, openings)
-    people, signs = ((segments[:, each] > LIKELY).nonzero(as_tuple=True) for each in (PERSON, SIGN))
-    dressed, lettered = clothing(height_m[people], noise[people]), sign_colours(noise[signs])
-    for each, at, colours in ((PERSON, people, dressed), (SIGN, signs, lettered)):
-        varied_tones.movedim(1, 3)[at] += segments[:, each][at].float()[:, None] * colours
+    _add_colours(varied_tones, segments, height_m, noise)
     tones = varied_tones
     if known.tones is not None:
         tones = varied_tones * as_float(known.tones.isnan()) + known.tones.nan_to_num()
@@ -372,10 +370,19 @@ def _together(segments: Tensor, ids: Sequence[int]) -> Tensor:
     return sum((segments[:, each].float() for each in ids), start=torch.zeros_like(segments[:, 0], dtype=torch.float32))
 
 
-def _sunlight(noise: Tensor, view: View, T_world_sensor: np.ndarray | None) -> Tensor:
-    """How much brighter than the mean trees are (B, H, W) by noise (B, H, W) and where they stand: see SUNNY_SIDE."""
+def _add_colours(tones: Tensor, segments: Tensor, height_m: Tensor, noise: Tensor) -> None:
+    """Add to tones (B, 3, H, W) those of people and signs, which are few pixels."""
+    people, signs = ((segments[:, each] > LIKELY).nonzero(as_tuple=True) for each in (PERSON, SIGN))
+    dressed, lettered = clothing(height_m[people], noise[people]), sign_colours(noise[signs])
+    for each, at, colours in ((PERSON, people, dressed), (SIGN, signs, lettered)):
+        tones.movedim(1, 3)[at] += segments[:, each][at].float()[:, None] * colours
+
+
+def _sunlight(noise: Tensor, radius_m: Tensor, view: View, T_world_sensor: np.ndarray | None) -> Tensor:
+    """How much brighter than the mean trees are (B, H, W), by noise (B, H, W) and where they stand: see LIT."""
     (_, left), _ = world_columns(view, T_world_sensor, noise.device)
-    return noise.clamp(min=0).mul_(SUNLIT).add_(LIT + SUNNY_SIDE * left.float())
+    near = (2 - radius_m / LIT_M).clamp_(0, 1).mul_(LIT)
+    return noise.clamp(min=0).mul_(SUNLIT).add_(near).add_(SUNNY_SIDE * left.float())
 
 
 def _house_tones(house: Tensor, openings: Tensor) -> Tensor:

@@ -358,10 +358,10 @@ class ScenePainting:
         apart = batch.labels.new_tensor(list(NEARBY))
         tones = torch.einsum("bchw,bck->bkhw", segments, batch.class_tones.index_fill(1, apart, 0))
         lot = int(np.random.randint(3))  # noqa: NPY002
-        colour, seen = avg_pool2d(batch.image, 2), avg_pool2d(batch.valid[:, None].float(), 2)[:, 0] == 1
+        colour, covered = avg_pool2d(batch.image, 2), avg_pool2d(batch.valid[:, None].float(), 2)[:, 0] == 1
         for each, reaches in NEARBY.items():
             mean, reach = batch.class_means[:, each, :, None, None], reaches[lot]
-            known = (batch.labels == each) & seen & mean.isfinite()[:, 0]
+            known = (batch.labels == each) & covered & mean.isfinite()[:, 0]
             parts = [(colour - mean).nan_to_num(0) * known[:, None], known[:, None].float()]
             nearby = avg_pool2d(torch.cat(parts, 1), 2 * reach + 1, 1, reach)
             whole = torch.nan if each in PAINTED else batch.class_tones[:, each, :, None, None]
