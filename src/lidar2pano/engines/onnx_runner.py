@@ -39,13 +39,8 @@ TROUSERS = ((-0.15, -0.08, 0.1), (-0.3, -0.3, -0.3), (-0.12, -0.06, 0.12), (0.08
 TROUSERS += ((-0.15, -0.08, 0.08),)  # what people wear
 SIGNS = ((0.5, 0, -0.05), (0.6, 0.35, -0.25), (0.6, 0.6, 0.55), (-0.25, -0.05, 0.4), (0.1, 0.1, 0.05))
 SKIN, HAIR = (0.4, 0.22, 0.12), (-0.3, -0.32, -0.34)
-LIT, LIT_M, SUNNY_SIDE, SUNLIT, LEAVES = (
-    0.15,
-    15.0,
-    0.18,
-    0.2,
-    (1.0, 1.03, 0.78),
-)  # how much brighter than the mean trees are
+LIT, LIT_M, SUNNY_SIDE, SUNLIT = 0.22, 15.0, 0.15, 0.2  # how much brighter than the mean trees are
+LEAVES = (1.0, 1.03, 0.78)  # of red, green and blue in that
 HOUSES_VARIED, HOUSE_M = 0.5, 11.0  # how much houses differ in brightness, their width
 REACH = 40  # columns around that say how a wall runs
 

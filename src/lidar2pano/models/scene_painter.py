@@ -46,7 +46,7 @@ VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence"), 0.15) | {"pol
 # How much brighter than the mean trees are: up to LIT_M, and none at twice that, for there painters paint them darker
 # than photographs are; those that the sun shines on as one sees them, which stand on the world's left, and by as much
 # less those before it; some, by noise, at most.
-LIT, LIT_M, SUNNY_SIDE, SUNLIT = 0.15, 15.0, 0.18, 0.2
+LIT, LIT_M, SUNNY_SIDE, SUNLIT = 0.22, 15.0, 0.15, 0.2
 LEAVES = (1.0, 1.03, 0.78)  # of red, green and blue in a brighter tree of KITTI's images
 LIKELY = 0.05  # probability of people and of signs from which on they are given colours
 HOUSES_VARIED = 0.5  # how much brighter or darker than the mean a house is, at most
