@@ -340,7 +340,8 @@ mean "$out/mean/painter-21.safetensors" "$(weights scene-19 painter)" "$(weights
 # No streaks on roads; signs of many colours; the remission of people is not read. (What was released went on with the
 # critic of scene-21; `streaks` were 0 and 20 for the first minutes.)
 bilinear scene-22 107 "$(weights scene-21 painter)" training.seed=51 "${photographs[@]}" options.teacher_probability=0.2 \
-  options.streaks=40 networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle,person
+  options.streaks=40 networks.painter.settings.sun=true \
+  networks.painter.settings.unread=building,vegetation,fence,car,truck,other-vehicle,person
 mean "$out/mean/painter-22.safetensors" "$out/mean/painter-21.safetensors" "$(weights scene-22 painter)" 0.35,0.65
 lidar2pano evaluate "$out/mean/painter-22.safetensors+$narrow_translator+$narrow_segmenter" --data "$kitti" --split val --json "$out/kitti.json"
 family kitti-mini "$narrow_segmenter" "$narrow_translator" "$out/mean/painter-22.safetensors" "$out/kitti.json" CC-BY-NC-SA-4.0

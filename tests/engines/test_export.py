@@ -28,7 +28,7 @@ from lidar2pano.geometry.surface import cylinder_points, viewpoint_height
 from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.geometry.whole_walls import no_patches, whole_walls
 from lidar2pano.labels import COMMON15
-from lidar2pano.models.scene_painter import GROUND, framed, outlined, painter_inputs
+from lidar2pano.models.scene_painter import GROUND, Known, framed, outlined, painter_inputs
 from lidar2pano.pipeline import load
 from lidar2pano.views import VIEWS
 from random_weights import TRANSLATOR_VIEW, street, write_family, write_scan, write_weights
@@ -123,10 +123,10 @@ def test_the_runner_makes_the_painters_inputs_as_we_do(graphs, monkeypatch):
     image = project(street(), view).channels[None]
     segments = logits.softmax(1)
     expected, expected_fine = painter_inputs(
-        outlined(segments, 2.0, depth_m, view), depth_m, image, view, unread=(9, 11)
+        outlined(segments, 2.0, depth_m, view), depth_m, image, view, known=Known(sun=1.0), unread=(9, 11)
     )
     arrays = (part[0].double().numpy() for part in (segments, depth_m, image))
-    inputs, fine = onnx_runner.painter_inputs(*arrays, view.as_dict(), 2.0, [9, 11])
+    inputs, fine = onnx_runner.painter_inputs(*arrays, view.as_dict(), {"sharp": 2.0, "sun": True}, [9, 11])
     assert np.abs(inputs - expected[0].numpy())[:24].max() < 1e-4
     assert (np.abs(inputs - expected[0].numpy()) < 1e-4).mean((1, 2)).min() > 0.99  # at borders of voxels and houses
     assert (inputs[30] > 0.3).any(), "there are openings"

@@ -159,7 +159,8 @@ def test_trees_on_the_left_are_in_the_sun_and_some_beside():
     segments = torch.zeros_like(one.segments)
     segments[:, COMMON15.id_of("vegetation")] = 0.75
     for pose in (None, one.T_world_sensor, turned):
-        inputs, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, pose)
+        inputs, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, pose, Known(sun=1.0))
+        without, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, pose)
         radius_m, z_m = cylinder_points(one.depth_m, VIEW)
         noise = smooth_noise(radius_m, z_m, VIEW, OBJECT_M, pose).clamp(-1, 1)[0]
         rotation = np.eye(4) if pose is None else pose
@@ -170,11 +171,13 @@ def test_trees_on_the_left_are_in_the_sun_and_some_beside():
             near = (2 - radius_m[0, :, column] / LIT_M).clamp(0, 1)
             bright = LIT * near + SUNNY_SIDE * left + SUNLIT * noise[:, column].clamp(min=0)
             expected[:, :, column] = 0.75 * bright * torch.tensor(LEAVES)[:, None]
+        alone = 0.75 * SUNLIT * noise.clamp(min=0) * torch.tensor(LEAVES)[:, None, None]
+        torch.testing.assert_close(without[0, TONES].float(), alone, atol=1e-3, rtol=0)
         torch.testing.assert_close(inputs[0, TONES].float(), expected, atol=1e-3, rtol=0)
     assert (noise < 0).any() and (noise > 0).any() and radius_m.min() < LIT_M < radius_m.max(), "the test has both"
     quarter = VIEW.columns // 4
     ahead = expected[0, :, 2 * quarter - 3 : 2 * quarter + 3]
-    assert ahead.min() > expected[0, :, :3].max(), "turned, the sunny side is ahead and the shady one behind"
+    assert ahead.mean() > expected[0, :, :3].mean() + SUNNY_SIDE, "turned, the sunny side is ahead and the shady one behind"
 
 
 def test_people_wear_clothes_by_their_height_above_the_road():

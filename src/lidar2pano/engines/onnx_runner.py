@@ -67,7 +67,7 @@ def main(scan, out):
     segments = no_patches(segments, best, surface[0])
     settings = painter.card["settings"]
     unread = [CLASSES.index(name) for name in settings.get("unread", ("building", "vegetation", "fence"))]
-    inputs, fine_noise = painter_inputs(segments, depth_m, image, view, settings.get("sharp", 2.0), unread)
+    inputs, fine_noise = painter_inputs(segments, depth_m, image, view, settings, unread)
     looks, own = settings["looks"], settings.get("look")
     shares = np.eye(len(looks))[looks.index(own or looks[0])]  # a mean of looks: shares that sum to 1
     (colour,) = painter(framed(inputs, 16), framed(fine_noise, 4), shares, np.zeros(3))
@@ -203,9 +203,10 @@ def against_the_sky(segments, probabilities, depth_m, view):
     return outlined / outlined.sum(0)
 
 
-def painter_inputs(segments, depth_m, image, view, exponent, unread):
+def painter_inputs(segments, depth_m, image, view, settings, unread):
     """What the scene painter sees: `inputs` (31, H, W) and `fine_noise` (3, 2H, 2W); the README lists the channels."""
     rows, columns = depth_m.shape
+    exponent = settings.get("sharp", 2.0)
     segments = against_the_sky(segments**exponent / (segments**exponent).sum(0), segments, depth_m, view)
     best = segments.argmax(0)
     slope = slopes(view)
@@ -231,7 +232,8 @@ def painter_inputs(segments, depth_m, image, view, exponent, unread):
     dressed = clothing(z_m + above_m, noise) * people + blended(SIGNS, noise) * signs
     brighter = np.einsum("chw,c->hw", segments, VARIED) * noise
     left = np.sin((np.arange(columns) + 0.5) / columns * 2 * np.pi)
-    sun = segments[VEGETATION] * (LIT * (2 - radius_m / LIT_M).clip(0, 1) + SUNNY_SIDE * left + SUNLIT * noise.clip(0))
+    sun = settings.get("sun", False) * (LIT * (2 - radius_m / LIT_M).clip(0, 1) + SUNNY_SIDE * left)
+    sun = segments[VEGETATION] * (sun + SUNLIT * noise.clip(0))
     openings, house = facades(segments[BUILDING], radius_m, slope, above_m, view)
     walls = house[:, None] - openings * house[:, None].clip(0)
     tones = brighter + np.reshape(LEAVES, (3, 1, 1)) * sun + dressed + segments[BUILDING] * HOUSES_VARIED * walls

@@ -43,9 +43,9 @@ OBJECT_M = 16.0  # wavelength at which things differ in brightness
 # Half of the deviations from image to image of how bright a class is in KITTI, colours in [-1, 1]: all of them, and
 # what noise has beyond its deviation, burn things out.
 VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence"), 0.15) | {"pole": 0.1}
-# How much brighter than the mean trees are: up to LIT_M, and none at twice that, for there painters paint them darker
-# than photographs are; those that the sun shines on as one sees them, which stand on the world's left, and by as much
-# less those before it; some, by noise, at most.
+# How much brighter than the mean trees are in the sun of a painter that has one: up to LIT_M, and none at twice that,
+# for there painters paint them darker than photographs are; those that it shines on as one sees them, which are on the
+# world's left, and by as much less those before it. With or without it some are, by noise, at most.
 LIT, LIT_M, SUNNY_SIDE, SUNLIT = 0.22, 15.0, 0.15, 0.2
 LEAVES = (1.0, 1.03, 0.78)  # of red, green and blue in a brighter tree of KITTI's images
 LIKELY = 0.05  # probability of people and of signs from which on they are given colours
@@ -102,10 +102,12 @@ class Known(NamedTuple):
     tones     (B, 3, H, W): how much brighter each pixel is than the mean of its class in its look, in [-1, 1]; invented
               are a tone for each house, people's clothing, and for the classes that VARIED names noise.
     openings  (B, H, W) in [0, 1]: where walls have windows and doors; invented as `facades` has them.
+    sun       how much of the sun trees are invented with, from 0 to 1.
     """
 
     tones: Tensor | None = None
     openings: Tensor | None = None
+    sun: float = 0.0
 
 
 NOTHING_KNOWN = Known()
@@ -128,10 +130,12 @@ class Switches(TypedDict, total=False):
 
     class_colours  a table of what each look adds to the colours of each class, at first nothing.
     bilinear       coarse features are enlarged bilinearly; their pixels repeated make a painter paint stairs.
+    sun            trees are lit by a sun that is invented, as in photographs; steady pictures flicker more.
     """
 
     class_colours: bool
     bilinear: bool
+    sun: bool
 
 
 class ScenePainter(nn.Module):
@@ -162,7 +166,7 @@ class ScenePainter(nn.Module):
         self.looks, self.look, self.sharp = tuple(looks), look or looks[0], sharp
         if unknown := sorted(switches.keys() - Switches.__annotations__.keys()):
             raise TypeError(f"got an unexpected keyword argument {unknown[0]!r}")
-        self.bilinear = switches.get("bilinear", False)
+        self.bilinear, self.sun = switches.get("bilinear", False), switches.get("sun", False)
         self.unread = tuple(map(COMMON15.id_of, unread))
         self.look_shares(self.look)
         inputs = len(COMMON15) + SHAPE + len(COARSE_M) + TONE + 1
@@ -240,7 +244,7 @@ class ScenePainter(nn.Module):
             scene.channels,
             scene.view,
             scene.T_world_sensor,
-            known=Known(scene.tones),
+            known=Known(scene.tones, sun=float(self.sun)),
             unread=self.unread,
             frame=True,
         )
@@ -334,7 +338,7 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     varied = segments.new_tensor([VARIED.get(name, 0.0) for name in COMMON15.classes], dtype=torch.float32)
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M, T_world_sensor).clamp(-1, 1)
     brighter = torch.einsum("bchw,c->bhw", segments.float(), varied) * noise
-    trees = segments[:, VEGETATION].float() * _sunlight(noise, radius_m, view, T_world_sensor)
+    trees = segments[:, VEGETATION].float() * _sunlight(noise, radius_m, view, T_world_sensor, known.sun)
     varied_tones = brighter[:, None] + trees[:, None] * noise.new_tensor(LEAVES)[:, None, None]
     varied_tones = varied_tones + segments[:, BUILDING, None] * _house_tones(house, openings)
     _add_colours(varied_tones, segments, height_m, noise)
@@ -378,11 +382,13 @@ def _add_colours(tones: Tensor, segments: Tensor, height_m: Tensor, noise: Tenso
         tones.movedim(1, 3)[at] += segments[:, each][at].float()[:, None] * colours
 
 
-def _sunlight(noise: Tensor, radius_m: Tensor, view: View, T_world_sensor: np.ndarray | None) -> Tensor:
+def _sunlight(noise: Tensor, radius_m: Tensor, view: View, T_world_sensor: np.ndarray | None, sun: float) -> Tensor:
     """How much brighter than the mean trees are (B, H, W), by noise (B, H, W) and where they stand: see LIT."""
-    (_, left), _ = world_columns(view, T_world_sensor, noise.device)
-    near = (2 - radius_m / LIT_M).clamp_(0, 1).mul_(LIT)
-    return noise.clamp(min=0).mul_(SUNLIT).add_(near).add_(SUNNY_SIDE * left.float())
+    bright = noise.clamp(min=0).mul_(SUNLIT)
+    if sun:
+        (_, left), _ = world_columns(view, T_world_sensor, noise.device)
+        bright.add_((2 - radius_m / LIT_M).clamp_(0, 1), alpha=sun * LIT).add_(sun * SUNNY_SIDE * left.float())
+    return bright
 
 
 def _house_tones(house: Tensor, openings: Tensor) -> Tensor:
