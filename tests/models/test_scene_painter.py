@@ -177,7 +177,9 @@ def test_trees_on_the_left_are_in_the_sun_and_some_beside():
     assert (noise < 0).any() and (noise > 0).any() and radius_m.min() < LIT_M < radius_m.max(), "the test has both"
     quarter = VIEW.columns // 4
     ahead = expected[0, :, 2 * quarter - 3 : 2 * quarter + 3]
-    assert ahead.mean() > expected[0, :, :3].mean() + SUNNY_SIDE, "turned, the sunny side is ahead and the shady one behind"
+    assert ahead.mean() > expected[0, :, :3].mean() + SUNNY_SIDE, (
+        "turned, the sunny side is ahead and the shady one behind"
+    )
 
 
 def test_people_wear_clothes_by_their_height_above_the_road():
