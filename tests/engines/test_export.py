@@ -123,7 +123,7 @@ def test_the_runner_makes_the_painters_inputs_as_we_do(graphs, monkeypatch):
     image = project(street(), view).channels[None]
     segments = logits.softmax(1)
     expected, expected_fine = painter_inputs(
-        outlined(segments, 2.0, depth_m, view), depth_m, image, view, known=Known(sun=1.0), unread=(9, 11)
+        outlined(segments, 2.0, depth_m, view), depth_m, image, view, known=Known(sun=True), unread=(9, 11)
     )
     arrays = (part[0].double().numpy() for part in (segments, depth_m, image))
     inputs, fine = onnx_runner.painter_inputs(*arrays, view.as_dict(), {"sharp": 2.0, "sun": True}, [9, 11])

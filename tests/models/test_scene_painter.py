@@ -159,7 +159,7 @@ def test_trees_on_the_left_are_in_the_sun_and_some_beside():
     segments = torch.zeros_like(one.segments)
     segments[:, COMMON15.id_of("vegetation")] = 0.75
     for pose in (None, one.T_world_sensor, turned):
-        inputs, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, pose, Known(sun=1.0))
+        inputs, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, pose, Known(sun=True))
         without, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, pose)
         radius_m, z_m = cylinder_points(one.depth_m, VIEW)
         noise = smooth_noise(radius_m, z_m, VIEW, OBJECT_M, pose).clamp(-1, 1)[0]

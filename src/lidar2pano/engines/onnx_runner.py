@@ -288,7 +288,7 @@ def whole_walls(segments, best, radius_m, height_m):
     same = np.abs(np.log(radius_m[1:] / radius_m[:-1])) < 0.1
     house, fence, vehicle = best == BUILDING, best == FENCE, np.isin(best, FOUR_WHEELED)
     carries = begun(house & (height_m > 2.5), house | fence, same)
-    stands = begun(house[::-1], (house | vehicle)[::-1], same[::-1])[::-1]
+    stands = begun_below(house, house | vehicle, same)
     segments = segments.copy()
     for each, where in [(FENCE, carries), *((each, stands) for each in FOUR_WHEELED)]:
         moved = np.where((best == each) & where, segments[each], 0)
@@ -302,9 +302,8 @@ def no_patches(segments, best, radius_m):
     same, segments = np.abs(np.log(radius_m[1:] / radius_m[:-1])) < 0.1, segments.copy()
     for patch, around in ((VEGETATION, BUILDING), (FENCE, VEGETATION)):
         inside, outside = best == patch, best == around
-        above = begun(outside, inside | outside, same)
-        below = begun(outside[::-1], (inside | outside)[::-1], same[::-1])[::-1]
-        moved = np.where(inside & above & below, segments[patch], 0)
+        between = begun(outside, inside | outside, same) & begun_below(outside, inside | outside, same)
+        moved = np.where(inside & between, segments[patch], 0)
         segments[around] += moved
         segments[patch] -= moved
     return segments
@@ -317,6 +316,11 @@ def begun(marked, one, same):
     goes_on[1:] = one[1:] & one[:-1] & same
     begin, last = (np.maximum.accumulate(np.where(each, row, 0), 0) for each in (~goes_on, marked))
     return last >= begin
+
+
+def begun_below(marked, one, same):
+    """Likewise, whether a pixel, or one below it, is marked."""
+    return begun(marked[::-1], one[::-1], same[::-1])[::-1]
 
 
 def weigh_by_roughness(segments, image, depth_m):

@@ -34,11 +34,11 @@ def whole_walls(  # noqa: PLR0913, PLR0917 one scene, and which class is what
     """
     same = _one_surface(radius_m)
     house, is_fence = ids == building, ids == fence
-    carries = _begun(house & (height_m > TALL_M), _joined(house | is_fence, same))
+    carries = _begun(house & (height_m > TALL_M), house | is_fence, same)
     give_away(logits, fence, [building], (is_fence & carries).nonzero(as_tuple=True))
     of_vehicles = [ids == each for each in vehicles]
     solid = torch.stack([house, *of_vehicles]).any(0)
-    stands = _begun(house.flip(1), _joined(solid.flip(1), same.flip(1))).flip(1)
+    stands = _begun_below(house, solid, same)
     for each, own in zip(vehicles, of_vehicles, strict=True):
         give_away(logits, each, [building], (own & stands).nonzero(as_tuple=True))
 
@@ -49,13 +49,11 @@ def no_patches(logits: Tensor, ids: Tensor, radius_m: Tensor, within: Sequence[t
     ids, radius_m  as of `whole_walls`;  within: pairs of classes, that of such patches and the one around them.
     """
     same = _one_surface(radius_m)
-    upwards = same.flip(1)
     for patch, around in within:
         inside, outside = ids == patch, ids == around
         both = inside | outside
-        below_one = _begun(outside, _joined(both, same))
-        above_one = _begun(outside.flip(1), _joined(both.flip(1), upwards)).flip(1)
-        give_away(logits, patch, [around], (inside & below_one & above_one).nonzero(as_tuple=True))
+        between = _begun(outside, both, same) & _begun_below(outside, both, same)
+        give_away(logits, patch, [around], (inside & between).nonzero(as_tuple=True))
 
 
 def _one_surface(radius_m: Tensor) -> Tensor:
@@ -64,12 +62,16 @@ def _one_surface(radius_m: Tensor) -> Tensor:
     return (ratio - math.cosh(ONE_WALL)).abs() < math.sinh(ONE_WALL)  # as |log| < ONE_WALL, in half of the time
 
 
-def _joined(one: Tensor, same: Tensor) -> Tensor:
-    """Whether a pixel (B, H, W) and the one above it are both of `one` and, in `same` (B, H - 1, W), of one surface."""
-    return torch.cat([torch.zeros_like(one[:, :1]), one[:, 1:] & one[:, :-1] & same], 1)
+def _begun(marked: Tensor, one: Tensor, same: Tensor) -> Tensor:
+    """Whether a pixel, or one above that it is joined to, is marked: (B, H, W) bool.
 
-
-def _begun(marked: Tensor, joined: Tensor) -> Tensor:
-    """Whether a pixel, or one above that it is joined to, is marked: (B, H, W) bool."""
+    Pixels are joined where both are of `one` (B, H, W) and, in `same` (B, H - 1, W), of one surface.
+    """
+    joined = torch.cat([torch.zeros_like(one[:, :1]), one[:, 1:] & one[:, :-1] & same], 1)
     row = row_numbers(marked.shape[1], marked.device)
     return greatest_above(marked * row) >= greatest_above(~joined * row)
+
+
+def _begun_below(marked: Tensor, one: Tensor, same: Tensor) -> Tensor:
+    """Likewise, whether a pixel, or one below that it is joined to, is marked."""
+    return _begun(marked.flip(1), one.flip(1), same.flip(1)).flip(1)

@@ -102,12 +102,12 @@ class Known(NamedTuple):
     tones     (B, 3, H, W): how much brighter each pixel is than the mean of its class in its look, in [-1, 1]; invented
               are a tone for each house, people's clothing, and for the classes that VARIED names noise.
     openings  (B, H, W) in [0, 1]: where walls have windows and doors; invented as `facades` has them.
-    sun       how much of the sun trees are invented with, from 0 to 1.
+    sun       whether trees are invented that stand in a sun.
     """
 
     tones: Tensor | None = None
     openings: Tensor | None = None
-    sun: float = 0.0
+    sun: bool = False
 
 
 NOTHING_KNOWN = Known()
@@ -244,7 +244,7 @@ class ScenePainter(nn.Module):
             scene.channels,
             scene.view,
             scene.T_world_sensor,
-            known=Known(scene.tones, sun=float(self.sun)),
+            known=Known(scene.tones, sun=self.sun),
             unread=self.unread,
             frame=True,
         )
@@ -382,12 +382,12 @@ def _add_colours(tones: Tensor, segments: Tensor, height_m: Tensor, noise: Tenso
         tones.movedim(1, 3)[at] += segments[:, each][at].float()[:, None] * colours
 
 
-def _sunlight(noise: Tensor, radius_m: Tensor, view: View, T_world_sensor: np.ndarray | None, sun: float) -> Tensor:
+def _sunlight(noise: Tensor, radius_m: Tensor, view: View, T_world_sensor: np.ndarray | None, sun: bool) -> Tensor:
     """How much brighter than the mean trees are (B, H, W), by noise (B, H, W) and where they stand: see LIT."""
     bright = noise.clamp(min=0).mul_(SUNLIT)
     if sun:
         (_, left), _ = world_columns(view, T_world_sensor, noise.device)
-        bright.add_((2 - radius_m / LIT_M).clamp_(0, 1), alpha=sun * LIT).add_(sun * SUNNY_SIDE * left.float())
+        bright.add_((2 - radius_m / LIT_M).clamp_(0, 1), alpha=LIT).add_(SUNNY_SIDE * left.float())
     return bright
 
 

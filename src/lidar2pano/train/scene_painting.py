@@ -114,10 +114,8 @@ class ScenePainting:
         window, pose = self._somewhere(segments)
         batch, used, tones = self._with_cars(batch, segments, drawn, window, pose)
         varied = torch.maximum(segments, used)[:, IN_USE].sum(1).clamp(max=1)
-        segments, invented = (
-            used,
-            drawn * varied,
-        )  # there, houses, cars, people and signs are as in use: not the image's
+        # there, houses, cars, people and signs are as in use: not the image's
+        segments, invented = used, drawn * varied
         inputs = self.inputs(batch, segments, tones, window, pose)
         batch, photographed = self._taught(batch, inputs)
         fake = painted = self.painted(batch, inputs)
