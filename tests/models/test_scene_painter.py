@@ -15,16 +15,11 @@ from lidar2pano.geometry.solid_noise import smooth_noise
 from lidar2pano.geometry.surface import cylinder_points
 from lidar2pano.labels import COMMON15
 from lidar2pano.models import build, scene_painter
+from lidar2pano.models.invented_tones import LEAVES, LIT, LIT_M, SUNLIT, SUNNY_SIDE, VARIED
 from lidar2pano.models.scene_painter import (
-    LEAVES,
-    LIT,
-    LIT_M,
     LOWEST_ROW,
     OBJECT_M,
-    SUNLIT,
-    SUNNY_SIDE,
     TONES,
-    VARIED,
     VEHICLES,
     Known,
     Scene,

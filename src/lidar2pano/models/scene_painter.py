@@ -18,7 +18,6 @@ from torch.nn.functional import conv2d, interpolate, pad
 
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.car_body import Boxes
-from lidar2pano.geometry.clothing import clothing, sign_colours
 from lidar2pano.geometry.columns import world_columns
 from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.outlines import against_the_sky
@@ -29,6 +28,7 @@ from lidar2pano.geometry.whole_cars import Classes, WholeCars, whole_cars
 from lidar2pano.hardware import inference_dtype
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.circular import CircularConv, CircularResidual, closed, conv_norm_act
+from lidar2pano.models.invented_tones import invented_tones
 from lidar2pano.models.remission import BEAM_RAD, evened_beams, quiet_road, spread_out
 from lidar2pano.models.summed import SummedSequential
 from lidar2pano.models.titan_pano import FAR_M, depth_code
@@ -40,16 +40,6 @@ COARSE_M = (0.25, 1.0, 4.0)  # wavelengths of the noise on the translator's rast
 FINE_M = (0.0625, 0.125, 0.5)  # and on the picture's
 SHAPE = 8  # channels beside segments and noise: depth, remission, validity, row, height, normals
 OBJECT_M = 16.0  # wavelength at which things differ in brightness
-# Half of the deviations from image to image of how bright a class is in KITTI, colours in [-1, 1]: all of them, and
-# what noise has beyond its deviation, burn things out.
-VARIED = dict.fromkeys(("car", "truck", "other-vehicle", "fence"), 0.15) | {"pole": 0.1}
-# How much brighter than the mean trees are in the sun of a painter that has one: up to LIT_M, and none at twice that,
-# for there painters paint them darker than photographs are; those that it shines on as one sees them, which are on the
-# world's left, and by as much less those before it. With or without it some are, by noise, at most.
-LIT, LIT_M, SUNNY_SIDE, SUNLIT = 0.22, 15.0, 0.15, 0.2
-LEAVES = (1.0, 1.03, 0.78)  # of red, green and blue in a brighter tree of KITTI's images
-LIKELY = 0.05  # probability of people and of signs from which on they are given colours
-HOUSES_VARIED = 0.5  # how much brighter or darker than the mean a house is, at most
 # What is of sheet metal, glass or cloth is given no noise, which blotched it; most of it moves through the noise, too.
 VEHICLES = ("car", "bicycle", "motorcycle", "truck", "other-vehicle")
 SMOOTH = tuple(map(COMMON15.id_of, (*VEHICLES, "person", "pole", "traffic-sign")))
@@ -100,7 +90,7 @@ class Known(NamedTuple):
     """What is known of how things look; where it is NaN, and None, it is invented.
 
     tones     (B, 3, H, W): how much brighter each pixel is than the mean of its class in its look, in [-1, 1]; invented
-              are a tone for each house, people's clothing, and for the classes that VARIED names noise.
+              as `invented_tones` has them.
     openings  (B, H, W) in [0, 1]: where walls have windows and doors; invented as `facades` has them.
     sun       whether trees are invented that stand in a sun.
     """
@@ -335,16 +325,11 @@ def painter_inputs(  # noqa: PLR0913, PLR0917 the record Scene has one look and 
     fine.mul_(twice(rough - PLASTER * segments[:, BUILDING].float())[:, None])
     invented, house = facades(segments[:, BUILDING].float(), radius_m, above_m, view, T_world_sensor)
     openings = invented if known.openings is None else torch.where(known.openings.isnan(), invented, known.openings)
-    varied = segments.new_tensor([VARIED.get(name, 0.0) for name in COMMON15.classes], dtype=torch.float32)
     noise = smooth_noise(radius_m, z_m, view, OBJECT_M, T_world_sensor).clamp(-1, 1)
-    brighter = torch.einsum("bchw,c->bhw", segments.float(), varied) * noise
-    trees = segments[:, VEGETATION].float() * _sunlight(noise, radius_m, view, T_world_sensor, known.sun)
-    varied_tones = brighter[:, None] + trees[:, None] * noise.new_tensor(LEAVES)[:, None, None]
-    varied_tones = varied_tones + segments[:, BUILDING, None] * _house_tones(house, openings)
-    _add_colours(varied_tones, segments, height_m, noise)
-    tones = varied_tones
+    left = world_columns(view, T_world_sensor, radius_m.device)[0][1].float() if known.sun else None
+    tones = invented_tones(segments, height_m, radius_m, noise, house, openings, left)
     if known.tones is not None:
-        tones = varied_tones * as_float(known.tones.isnan()) + known.tones.nan_to_num()
+        tones = tones * as_float(known.tones.isnan()) + known.tones.nan_to_num()
     parts = [segments.float(), flat, shape, coarse, tones, openings[:, None]]
     dtype = inference_dtype(depth_m.device)
     frames = (INPUTS_FRAME, NOISE_FRAME) if frame else ((0, 0), (0, 0))
@@ -372,32 +357,6 @@ def _points(road: Tensor, depth_m: Tensor, view: View) -> tuple[Tensor, Tensor, 
 def _together(segments: Tensor, ids: Sequence[int]) -> Tensor:
     """The probability (B, H, W) of several classes of (B, classes, H, W); a fraction of the time of indexing them."""
     return sum((segments[:, each].float() for each in ids), start=torch.zeros_like(segments[:, 0], dtype=torch.float32))
-
-
-def _add_colours(tones: Tensor, segments: Tensor, height_m: Tensor, noise: Tensor) -> None:
-    """Add to tones (B, 3, H, W) those of people and signs, which are few pixels."""
-    people, signs = ((segments[:, each] > LIKELY).nonzero(as_tuple=True) for each in (PERSON, SIGN))
-    dressed, lettered = clothing(height_m[people], noise[people]), sign_colours(noise[signs])
-    for each, at, colours in ((PERSON, people, dressed), (SIGN, signs, lettered)):
-        tones.movedim(1, 3)[at] += segments[:, each][at].float()[:, None] * colours
-
-
-def _sunlight(noise: Tensor, radius_m: Tensor, view: View, T_world_sensor: np.ndarray | None, sun: bool) -> Tensor:
-    """How much brighter than the mean trees are (B, H, W), by noise (B, H, W) and where they stand: see LIT."""
-    bright = noise.clamp(min=0).mul_(SUNLIT)
-    if sun:
-        (_, left), _ = world_columns(view, T_world_sensor, noise.device)
-        bright.add_((2 - radius_m / LIT_M).clamp_(0, 1), alpha=LIT).add_(SUNNY_SIDE * left.float())
-    return bright
-
-
-def _house_tones(house: Tensor, openings: Tensor) -> Tensor:
-    """How much brighter than the mean (B, 3, H, W) houses are, of `facades`: the windows of bright ones are not.
-
-    (Panes as bright as the plaster around them were hardly seen.)
-    """
-    tones = (HOUSES_VARIED * house)[:, :, None]
-    return tones - openings[:, None] * tones.clamp(min=0)
 
 
 def twice(x: Tensor) -> Tensor:
