@@ -14,7 +14,7 @@ def main(weights: str, out: str, look: str) -> None:
     network, card = load(weights, expect="scene-painter")
     settings = {**card.settings, "looks": [*card.settings["looks"], look], "look": look}
     wider, state = build("scene-painter", **settings), network.state_dict()
-    for name in {"codes.weight", "class_colours.weight"} & state.keys():
+    for name in {"codes.weight", "class_colours.weight", "glass.weight"} & state.keys():
         state[name] = torch.cat([state[name], state[name].mean(0, keepdim=True)])
     wider.load_state_dict(state)
     save(Path(out), wider, replace(card, settings=settings))

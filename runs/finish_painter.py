@@ -1,12 +1,13 @@
 """Finish a scene painter: the power of class probabilities, and its colours.
 
-    python runs/finish_painter.py PAINTER OUT FRAMES --look NAME [--power 4 | --class-colours]
+    python runs/finish_painter.py PAINTER OUT FRAMES --look NAME [--power 4 | --class-colours | --glass]
 
 Losses that compare images pixel by pixel make colours too even. Two numbers of the last layer, a gain and an offset
 before its tanh, are set so that what is painted of FRAMES has the images' mean, and a deviation nearer to theirs: all
 the way, shadows would lose their detail.
 They also draw each class towards its median: an overexposed sky becomes white, and foliage dark. With --class-colours
 it is the table of what the look adds to each class that is set instead, so that each class has the images' mean.
+With --glass panes lose their texture: their colour is the linear function of what it hangs on that is nearest to what is painted, the same for all looks.
 FRAMES  what training kept of its frames (`options.cache`), as a pattern: 'frames/painting/*/kitti-mini-*.safetensors'.
 Training draws powers at random, so that no weight depends on the power.
 """
@@ -14,6 +15,7 @@ Training draws powers at random, so that no weight depends on the power.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -21,13 +23,18 @@ from typing import cast
 import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
+from torch.nn.functional import avg_pool2d
 
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
+from lidar2pano.losses import inside
 from lidar2pano.models import build
 from lidar2pano.models.card import load, save
 from lidar2pano.models.scene_painter import (
+    EDGE_PX,
+    GLASS,
+    OPENINGS,
     STRIDE,
     TONE,
     Known,
@@ -47,12 +54,8 @@ VIEW = VIEWS["panorama"].scaled(0.5)
 
 
 @torch.inference_mode()
-def pixels(painter: ScenePainter, file: Path, look: str) -> tuple[Tensor, Tensor, Tensor]:
-    """Of a frame's pixels that its camera saw: painted and real colours (3, N) in [-1, 1], and classes (N,) int64.
-
-    Classes are those of the camera's image where the painted class is the same, and IGNORE elsewhere.
-    """
-    kept = load_file(file)
+def paint(painter: ScenePainter, kept: dict[str, Tensor], look: str) -> tuple[Tensor, Tensor, Tensor]:
+    """A frame painted (3, 2H, 2W) in [-1, 1], its segments (classes, H, W), and the painter's inputs (C, H, W)."""
     rows, columns = kept["camera"].shape
     columns -= columns % STRIDE
     channels = torch.zeros(1, 5, rows, columns)
@@ -64,10 +67,29 @@ def pixels(painter: ScenePainter, file: Path, look: str) -> tuple[Tensor, Tensor
     shares = torch.tensor([painter.look_shares(look)])
     with fast_arithmetic(torch.device("cpu")):
         painted = painter(*framed(*inputs), shares, torch.zeros(1, TONE))[0].float()
+    return painted, segments[0], inputs[0][0].float()
+
+
+def pixels(painter: ScenePainter, file: Path, look: str) -> tuple[Tensor, Tensor, Tensor]:
+    """Of a frame's pixels that its camera saw: painted and real colours (3, N) in [-1, 1], and classes (N,) int64.
+
+    Classes are those of the camera's image where the painted class is the same, and IGNORE elsewhere.
+    """
+    kept = load_file(file)
+    painted, segments, _ = paint(painter, kept, look)
+    columns = segments.shape[2]
     valid = kept["seen"][:, : 2 * columns]
     classes = kept["camera"][:, :columns].long()
-    classes = twice(classes.where(classes == segments[0].argmax(0), IGNORE))
+    classes = twice(classes.where(classes == segments.argmax(0), IGNORE))
     return painted[:, valid], (kept["colour"][..., : 2 * columns].float() / 127.5 - 1)[:, valid], classes[valid]
+
+
+def panes(painter: ScenePainter, file: Path, look: str) -> tuple[Tensor, Tensor]:
+    """Of a frame's pixels that are inside of panes: what their colour hangs on (GLASS, N), and painted colours (3, N)."""
+    painted, _, inputs = paint(painter, load_file(file), look)
+    known = inputs[-GLASS:]
+    glass = inside(known[None, OPENINGS], EDGE_PX)[0] > 0
+    return known[:, glass], avg_pool2d(painted, 2)[:, glass]
 
 
 def fitted(painted: Tensor, real: Tensor) -> tuple[float, float]:
@@ -111,6 +133,21 @@ def colours_of_classes(finished: ScenePainter, painted: Tensor, real: Tensor, cl
             print(name, int(here.sum()), *(f"{value:.2f}" for value in shift.tolist()))
 
 
+def colours_of_glass(finished: ScenePainter, known: Tensor, painted: Tensor) -> None:
+    """Set the colours of panes."""
+    assert finished.glass is not None
+    before = torch.atanh(painted.clamp(-SATURATED, SATURATED))
+    table = torch.linalg.lstsq(known.double().T, before.double().T).solution.T.float()  # tones are nearly alike
+    rest = (before - table @ known).var() / before.var()
+    print(f"{known.shape[1]} pixels, of whose variance {rest:.3f} is left")
+    with torch.no_grad():
+        finished.glass.weight.copy_(table.flatten())
+
+
+def _joined(found: Iterable[tuple[Tensor, ...]]) -> tuple[Tensor, ...]:
+    return tuple(torch.cat(parts, -1) for parts in zip(*found, strict=True))
+
+
 def main() -> None:
     """Read the arguments and write the file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -120,24 +157,28 @@ def main() -> None:
     parser.add_argument("--look", default="")
     parser.add_argument("--power", type=float, default=0.0, help="default: the painter's own")
     parser.add_argument("--class-colours", action="store_true")
+    parser.add_argument("--glass", action="store_true")
     arguments = parser.parse_args()
     network, card = load(arguments.painter, expect="scene-painter")
     settings = {**card.settings, "sharp": arguments.power or cast(ScenePainter, network).sharp}
-    if arguments.class_colours:
-        settings["class_colours"] = True
+    for switch in ("class_colours", "glass"):
+        if getattr(arguments, switch):
+            settings[switch] = True
     finished = cast(ScenePainter, build("scene-painter", **settings)).eval()
     finished.load_state_dict(finished.state_dict() | network.state_dict())
     look = arguments.look or finished.look
     start = Path(arguments.frames).anchor
     files = sorted(Path(start).glob(arguments.frames.removeprefix(start)))
     files = files if arguments.class_colours else files[::EVERY]
-    found = [pixels(finished, file, look) for file in files]
-    painted, real, classes = (torch.cat(parts, -1) for parts in zip(*found, strict=True))
     print(f"{len(files)} frames")
-    if arguments.class_colours:
-        colours_of_classes(finished, painted, real, classes, look)
+    if arguments.glass:
+        colours_of_glass(finished, *_joined(panes(cast(ScenePainter, network), file, look) for file in files))
     else:
-        colours_of_all(finished, painted, real)
+        painted, real, classes = _joined(pixels(finished, file, look) for file in files)
+        if arguments.class_colours:
+            colours_of_classes(finished, painted, real, classes, look)
+        else:
+            colours_of_all(finished, painted, real)
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     save(arguments.out, finished, replace(card, settings=settings))
 

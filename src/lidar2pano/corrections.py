@@ -23,7 +23,7 @@ NAMES = ("road", "sidewalk", "terrain", "building", "fence", "vegetation")
 ROAD, SIDEWALK, TERRAIN, BUILDING, FENCE, VEGETATION = map(COMMON15.id_of, NAMES)
 GROUND = (ROAD, SIDEWALK, TERRAIN)
 FOUR_WHEELED = tuple(map(COMMON15.id_of, ("car", "truck", "other-vehicle")))
-PATCHES = ((VEGETATION, BUILDING), (FENCE, VEGETATION))  # none of one within the other
+PATCHES = ((VEGETATION, BUILDING), (FENCE, BUILDING), (FENCE, VEGETATION))  # none of one within the other
 ROUGH = (
     Evidence(VEGETATION, [BUILDING], limit_m=0.04, growth=0.0, power=1.0),
     Evidence(TERRAIN, [ROAD, SIDEWALK], limit_m=0.017, growth=0.8, power=4.0),
@@ -35,7 +35,7 @@ def corrected(logits: Tensor, depth_m: Tensor, channels: Tensor, view: View) -> 
 
     Borders on the ground are evened; foliage and walls, grass and asphalt are weighed by roughness, sidewalk and road
     by height; depths keep to what was measured; a fence that carries a house, or a vehicle that stands on one,
-    is its wall, a fence that lies flat is ground; foliage within a wall and fences within foliage are no longer there.
+    is its wall, a fence that lies flat is ground; foliage and fences within a wall, or foliage, are no longer there.
     """
     logits = evened(logits, GROUND)
     weigh_by_roughness(logits, channels, depth_m, ROUGH)

@@ -9,7 +9,17 @@ import torch
 
 from lidar2pano.geometry import wall_openings as subject
 from lidar2pano.geometry.surface import azimuths, slopes
-from lidar2pano.geometry.wall_openings import COOLEST, HOUSE_M, WARMEST, YELLOW, Walls, facades
+from lidar2pano.geometry.wall_openings import (
+    BAR_M,
+    COOLEST,
+    HOUSE_M,
+    NO_MULLION,
+    NO_TRANSOM,
+    WARMEST,
+    YELLOW,
+    Walls,
+    facades,
+)
 from lidar2pano.views import VIEWS
 
 VIEW = VIEWS["panorama"].scaled(0.5)
@@ -85,8 +95,9 @@ def test_turning_by_whole_columns_turns_the_answer():
 def test_where_nothing_is_a_wall_nothing_opens():
     walls, radius_m, above_m, pose = street()
     assert not facades(torch.zeros_like(walls), radius_m, above_m, VIEW, pose).openings.any()
-    found = facades(walls * 0.5, radius_m, above_m, VIEW, pose).openings
-    assert found.max() <= 0.5 and found.isfinite().all()
+    whole, likely, unlikely = (facades(walls * p, radius_m, above_m, VIEW, pose).openings for p in (1, 0.6, 0.25))
+    assert ((whole - likely).abs() < 0.02).float().mean() > 0.99, "where it is likelier than all others it has whole windows"
+    assert unlikely.max() <= 0.5 and unlikely.isfinite().all()
 
 
 def test_what_stands_before_or_behind_a_wall_has_no_openings():
@@ -126,7 +137,7 @@ def mixed(number: int) -> int:
 
 
 def opening(house: int, along: float, level: float) -> bool:
-    """Whether a place on a wall is a window or a door, of `_openings` without its soft edges."""
+    """Whether a place on a wall is a pane or a door, of `_openings` without its soft edges."""
     storey, base = 2.6 + 0.7 * uniform(house, 1), 0.1 + 0.7 * uniform(house, 6)
     count = math.floor(3 + 3 * uniform(house, 4))
     window, floor = math.floor(along / (HOUSE_M / count)), math.floor((level - base) / storey)
@@ -134,10 +145,12 @@ def opening(house: int, along: float, level: float) -> bool:
         return False
     middle, tall = 0.7 + 0.4 * uniform(house, 2), 1.1 + 0.5 * uniform(house, 3)
     middle += tall / 2
+    divided = uniform(house, 10) >= NO_MULLION, uniform(house, 11) >= NO_TRANSOM
     if floor == 0 and window == math.floor(count * uniform(house, 7)):
-        middle, tall = 1.0, 2.1
+        middle, tall, divided = 1.0, 2.1, (False, False)
     up, aside = level - base - floor * storey - middle, along - (window + 0.5) * HOUSE_M / count
-    return abs(up) < tall / 2 and abs(aside) < (0.9 + 0.6 * uniform(house, 5)) / 2
+    bar = (divided[0] and abs(aside) < BAR_M / 2) or (divided[1] and abs(up - tall / 6) < BAR_M / 2)
+    return abs(up) < tall / 2 and abs(aside) < (0.9 + 0.6 * uniform(house, 5)) / 2 and not bar
 
 
 def test_openings_agree_with_their_definition():

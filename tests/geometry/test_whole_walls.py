@@ -10,6 +10,7 @@ from lidar2pano.views import View
 
 ROAD, WALL, FENCE, TREE, CAR, LORRY = range(6)
 ROWS, COLUMNS, EYE_M = 60, 90, 1.73  # height of the sensor above the road
+TOP = 40  # row from which on a fence is
 VIEW = View(rows=ROWS, columns=COLUMNS, up=0.5, down=-0.3, kind="cylinder")
 
 
@@ -27,11 +28,11 @@ def scene(ids: torch.Tensor, radius_m: torch.Tensor) -> torch.Tensor:
 
 
 def wall_on_fence(far_m: float = 8.0, fence_m: float = 8.0, top: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
-    """A fence in the lower half, building above it up to the row `top`, trees above that."""
+    """A fence from the row TOP on, building above it up to the row `top`, trees above that."""
     ids = torch.full((ROWS, COLUMNS), WALL)
-    ids[:top], ids[ROWS // 2 :] = TREE, FENCE
+    ids[:top], ids[TOP :] = TREE, FENCE
     radius_m = torch.full((ROWS, COLUMNS), far_m)
-    radius_m[ROWS // 2 :] = fence_m
+    radius_m[TOP :] = fence_m
     return ids, radius_m
 
 
@@ -55,7 +56,7 @@ def test_a_low_wall_beside_a_fence_stays():
 
 def test_a_tree_parts_what_is_below_it_from_the_wall():
     ids, radius_m = wall_on_fence()
-    ids[ROWS // 2 - 3 : ROWS // 2, 40:50] = TREE
+    ids[TOP - 3 : TOP, 40:50] = TREE
     found = scene(ids, radius_m)
     assert torch.equal(found[:, 40:50], ids[:, 40:50]) and (found[:, 50:] == WALL).all()
 
@@ -99,32 +100,41 @@ def test_what_stands_on_the_road_or_behind_a_wall_stays():
         assert torch.equal(with_vehicles(ids, radius_m), ids)
 
 
-def test_vehicles_on_walls_as_defined():
+def marked_along(ids: torch.Tensor, radius_m: torch.Tensor, start: torch.Tensor, solid: set[int], step: int):
+    """Whether a pixel (H, W), or one before it on the way by `step` that it is joined to, is in `start`."""
+    found = torch.zeros_like(start)
+    for column in range(COLUMNS):
+        on = False
+        for row in range(ROWS)[::step]:
+            before = row - step
+            joined = 0 <= before < ROWS and {int(ids[row, column]), int(ids[before, column])} <= solid
+            if joined:
+                joined = abs(float((radius_m[before, column] / radius_m[row, column]).log())) < ONE_WALL
+            on = bool(start[row, column]) or (joined and on)
+            found[row, column] = on
+    return found
+
+
+def test_whole_walls_as_defined():
     generator = torch.Generator().manual_seed(2)
     ids = torch.randint(6, (ROWS, COLUMNS), generator=generator)
     ids = torch.where(torch.rand(ROWS, COLUMNS, generator=generator) < 0.8, ids.clamp(min=CAR), ids)
-    ids[ids == FENCE] = TREE
     radius_m = 8 * torch.exp(0.06 * torch.randn(ROWS, COLUMNS, generator=generator))
-    expected = ids.clone()
-    for column in range(COLUMNS):
-        stands = False
-        for row in reversed(range(ROWS)):
-            here = int(ids[row, column])
-            below = int(ids[row + 1, column]) if row + 1 < ROWS else ROAD
-            joined = {here, below} <= {WALL, CAR, LORRY} and row + 1 < ROWS
-            near = joined and abs(float((radius_m[row + 1, column] / radius_m[row, column]).log())) < ONE_WALL
-            stands = here == WALL or (near and stands)
-            if here in {CAR, LORRY} and stands:
-                expected[row, column] = WALL
+    expected, tall = ids.clone(), radius_m * slopes(VIEW)[:, None] + EYE_M > TALL_M
+    stands = marked_along(ids, radius_m, ids == WALL, {WALL, FENCE, CAR, LORRY}, -1)
+    expected[stands & ((ids == CAR) | (ids == LORRY))] = WALL
+    carries = marked_along(expected, radius_m, (expected == WALL) & tall, {WALL, FENCE}, 1)
+    expected[carries & (ids == FENCE)] = WALL
     found = with_vehicles(ids, radius_m)
-    assert torch.equal(found, expected) and (expected != ids).sum() > 50
-    assert {CAR, LORRY} <= set(expected.unique().tolist())
+    assert torch.equal(found, expected)
+    for each in (FENCE, CAR, LORRY):
+        assert {WALL, each} <= set(expected[ids == each].tolist()), "some are wall, and some are not"
 
 
 def without_patches(ids: torch.Tensor, radius_m: torch.Tensor) -> torch.Tensor:
-    """Ids (H, W) of a panorama of six classes without trees within walls and fences within trees."""
+    """Ids (H, W) of a panorama of six classes without trees and fences within walls and fences within trees."""
     logits = 5.0 * torch.nn.functional.one_hot(ids, 6).movedim(2, 0)[None]
-    no_patches(logits, ids[None], radius_m[None], [(TREE, WALL), (FENCE, TREE)])
+    no_patches(logits, ids[None], radius_m[None], [(TREE, WALL), (FENCE, WALL), (FENCE, TREE)])
     shares = logits.softmax(1)
     torch.testing.assert_close(shares.sum(1), torch.ones_like(shares[:, 0]))
     return logits.argmax(1)[0]
@@ -147,20 +157,18 @@ def test_patches_as_defined():
     expected = ids.clone()
     for row in range(ROWS):
         for column in range(COLUMNS):
-            around = {TREE: WALL, FENCE: TREE}.get(int(ids[row, column]))
-            ends = []
+            within, ends = {TREE: [WALL], FENCE: [WALL, TREE]}.get(int(ids[row, column]), []), []
             for step in (-1, 1):
                 at = row
-                while int(ids[at, column]) == int(ids[row, column]) and 0 <= at + step < ROWS:
-                    near = abs(float((radius_m[at + step, column] / radius_m[at, column]).log())) < ONE_WALL
+                while ids[at, column] == ids[row, column] and 0 <= at + step < ROWS:
                     at += step
-                    if not near:
+                    if abs(float((radius_m[at, column] / radius_m[at - step, column]).log())) >= ONE_WALL:
                         break
-                    if int(ids[at, column]) == around:
-                        ends.append(step)
-            if around is not None and len(ends) == 2:
-                expected[row, column] = around
+                else:
+                    ends.append(int(ids[at, column]))
+            if len(ends) == 2 and ends[0] == ends[1] and ends[0] in within:
+                expected[row, column] = ends[0]
     assert torch.equal(without_patches(ids, radius_m), expected)
-    assert {(TREE, WALL), (FENCE, TREE)} <= set(
+    assert {(TREE, WALL), (FENCE, WALL), (FENCE, TREE)} <= set(
         zip(ids[expected != ids].tolist(), expected[expected != ids].tolist(), strict=True)
     )

@@ -10,7 +10,7 @@ from lidar2pano.models import build
 from lidar2pano.models.added_look import train_last_look, with_look
 from lidar2pano.models.scene_painter import framed
 
-SETTINGS = {"looks": ["day", "rain"], "look": "rain", "widths": [8, 12, 16, 8], "class_colours": True}
+SETTINGS = {"looks": ["day", "rain"], "look": "rain", "widths": [8, 12, 16, 8], "class_colours": True, "glass": True}
 
 
 @pytest.fixture
@@ -18,6 +18,7 @@ def painter():
     torch.manual_seed(0)
     network = build("scene-painter", **SETTINGS).eval()
     torch.nn.init.normal_(network.class_colours.weight)
+    torch.nn.init.normal_(network.glass.weight)
     return network
 
 

@@ -17,8 +17,10 @@ from lidar2pano.labels import COMMON15
 from lidar2pano.models import build, scene_painter
 from lidar2pano.models.invented_tones import LEAVES, LIT, LIT_M, SUNLIT, SUNNY_SIDE, VARIED
 from lidar2pano.models.scene_painter import (
+    GLASS,
     LOWEST_ROW,
     OBJECT_M,
+    OPENINGS,
     TONES,
     VEHICLES,
     Known,
@@ -98,6 +100,32 @@ def test_a_look_adds_its_colours_to_those_of_a_class_before_the_tanh():
     expected = torch.atanh(painted(plain, one)) + twice(shares)[:, None] * added[:, None, None]
     torch.testing.assert_close(painted(network, one), torch.tanh(expected), atol=1e-4, rtol=0)
     assert torch.equal(painted(network, scene("day")), painted(plain, scene("day")))
+
+
+def test_inside_of_panes_there_is_nothing_but_their_colour():
+    """A pane across the seam, at the picture's upper edge: as the network paints it only near its border."""
+    torch.manual_seed(0)
+    inputs, noise, shares = torch.randn(1, 31, 16, 64), torch.randn(1, 3, 32, 128), torch.tensor([[0.25, 0.75]])
+    inputs[:, OPENINGS] = 0
+    inputs[:, OPENINGS, 0:9].index_fill_(2, torch.arange(-6, 5) % 64, 1)
+    inputs[:, OPENINGS, 10:13, 20:30], inputs[:, OPENINGS, 6, 0] = 1, 0.9
+    plain = build("scene-painter", looks=["day", "evening"], **SMALL).eval()
+    network = build("scene-painter", looks=["day", "evening"], glass=True, **SMALL).eval()
+    torch.nn.init.normal_(network.glass.weight)
+    network.load_state_dict(plain.state_dict() | {"glass.weight": network.glass.weight})
+    with torch.inference_mode():
+        before, after = (one(*framed(inputs, noise), shares, torch.zeros(1, 3)) for one in (plain, network))
+    table = (shares @ network.glass.weight).view(3, GLASS)
+    colour = torch.einsum("kc,bchw->bkhw", table, inputs[:, -GLASS:])
+    share = torch.zeros(1, 16, 64)
+    for row in range(16):
+        for column in range(64):
+            rows, columns = range(max(row - 2, 0), min(row + 3, 16)), [(column + step) % 64 for step in range(-2, 3)]
+            mean = inputs[0, OPENINGS, rows][:, columns].sum() / 25
+            share[0, row, column] = ((mean - 0.75) / 0.25).clamp(0, 1)
+    assert (share == 1).sum() > 10 and 0 < (share > 0).float().mean() < 0.1
+    expected = torch.lerp(torch.atanh(before), twice(colour), twice(share)[:, None])
+    torch.testing.assert_close(torch.atanh(after), expected, atol=1e-3, rtol=1e-3)
 
 
 def test_an_unknown_look_is_named_with_those_there_are():

@@ -287,8 +287,9 @@ def whole_walls(segments, best, radius_m, height_m):
     """Segments in which no fence carries a building and no vehicle stands on one, in one wall: they are building."""
     same = np.abs(np.log(radius_m[1:] / radius_m[:-1])) < 0.1
     house, fence, vehicle = best == BUILDING, best == FENCE, np.isin(best, FOUR_WHEELED)
-    carries = begun(house & (height_m > 2.5), house | fence, same)
-    stands = begun_below(house, house | vehicle, same)
+    stands = begun_below(house, house | fence | vehicle, same)
+    house = house | (vehicle & stands)
+    carries = begun(house & (height_m > 2), house | fence, same)
     segments = segments.copy()
     for each, where in [(FENCE, carries), *((each, stands) for each in FOUR_WHEELED)]:
         moved = np.where((best == each) & where, segments[each], 0)
@@ -298,9 +299,9 @@ def whole_walls(segments, best, radius_m, height_m):
 
 
 def no_patches(segments, best, radius_m):
-    """Segments without foliage that has wall above and below it in one surface, nor fences that have foliage there."""
+    """Segments without foliage or fences that have wall above and below them in one surface, or fences within foliage."""
     same, segments = np.abs(np.log(radius_m[1:] / radius_m[:-1])) < 0.1, segments.copy()
-    for patch, around in ((VEGETATION, BUILDING), (FENCE, VEGETATION)):
+    for patch, around in ((VEGETATION, BUILDING), (FENCE, BUILDING), (FENCE, VEGETATION)):
         inside, outside = best == patch, best == around
         between = begun(outside, inside | outside, same) & begun_below(outside, inside | outside, same)
         moved = np.where(inside & between, segments[patch], 0)
@@ -531,7 +532,7 @@ def facades(walls, radius_m, slope, above_m, view):
     elsewhere = (np.abs(radius_m / radius - 1) / 0.25 - 1).clip(0, 1)
     share = openings(house, along % HOUSE_M, slope * radius + above_m, width_m, pixel_m)
     warm = -0.05 + 0.3 * uniform(house, 9)
-    return share * walls * (1 - elsewhere), 2 * uniform(house, 0) - 1 + np.stack([warm, 0.4 * warm, -warm])
+    return share * (2 * walls).clip(0, 1) * (1 - elsewhere), 2 * uniform(house, 0) - 1 + np.stack([warm, 0.4 * warm, -warm])
 
 
 def wall_profile(walls, radius_m, height_m):
@@ -559,7 +560,7 @@ def median_around(values, reach):
 
 
 def openings(house, along_m, level_m, width_m, pixel_m):
-    """Share of each pixel (H, W) that is a window or a door, of walls that are divided into storeys and windows."""
+    """Share of each pixel (H, W) that is a pane or a door, of walls that are divided into storeys and windows."""
     storey, base = 2.6 + 0.7 * uniform(house, 1), 0.1 + 0.7 * uniform(house, 6)
     count = np.floor(3 + 3 * uniform(house, 4))
     every = HOUSE_M / count
@@ -572,7 +573,14 @@ def openings(house, along_m, level_m, width_m, pixel_m):
     across = inside_of(wide / 2 - np.abs(aside), width_m) * (every / width_m / 2 - 1).clip(0, 1)
     there = (floor >= 0) & (floor < np.floor(2 + 3 * uniform(house, 8)))
     there &= uniform(mixed(house + window.astype(np.int64) * 7 + 1), 0) > 0.1
-    return across * inside_of(tall / 2 - np.abs(up), pixel_m) * there
+    mullion, transom = bar(aside, width_m) * (uniform(house, 10) >= 0.25), bar(up - tall / 6, pixel_m)
+    glass = 1 - ~door * np.maximum(mullion, transom * (uniform(house, 11) >= 0.4))
+    return across * inside_of(tall / 2 - np.abs(up), pixel_m) * glass * there
+
+
+def bar(middle_m, pixel_m):
+    """The share of pixels that is a bar that divides a window, so far from its middle."""
+    return inside_of(0.04 - middle_m, pixel_m) - inside_of(-0.04 - middle_m, pixel_m)
 
 
 def inside_of(inside_m, pixel_m):

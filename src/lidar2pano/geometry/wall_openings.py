@@ -29,6 +29,10 @@ COOLEST, WARMEST = -0.05, 0.25  # how much redder and less blue than grey houses
 YELLOW = 0.4  # how much greener they are, of that
 EVERY = 4  # rows of a raster for each that distances are read from
 LEAST = 0.3  # rows of a column that show a wall; with fewer the column has none
+BAR_M = 0.08  # width of mullions and transoms, which divide windows into panes
+NO_MULLION, NO_TRANSOM = 0.25, 0.4  # share of houses whose windows have none
+# Openings are whole where a wall is the likeliest: the classes' noise made slats of panes.
+WALL_SHARE = 2.0
 AWAY = 1 << 20  # houses; keeps their numbers positive
 DRAWN = 10_000_030  # which houses there are: with these, the ones beside a sensor whose pose is not known are light
 
@@ -69,7 +73,7 @@ def facades(
     found = _walls(profile, weight, view, T_world_sensor)
     level_m = slope * found.radius_m[:, None] + above_m
     elsewhere = ((radius_m / found.radius_m[:, None] - 1).abs() / SAME_WALL - 1).clamp(0, 1)
-    openings = _openings(found, level_m, view) * walls * (1 - elsewhere)
+    openings = _openings(found, level_m, view) * (WALL_SHARE * walls).clamp(max=1) * (1 - elsewhere)
     warm = COOLEST + (WARMEST - COOLEST) * _uniform(found.house, 9)
     tone = (2 * _uniform(found.house, 0) - 1)[:, None] + torch.stack([warm, YELLOW * warm, -warm], 1)
     return Facades(openings, tone)
@@ -127,7 +131,7 @@ def _direction(tangent: Tensor, weight: Tensor) -> Tensor:
 
 
 def _openings(walls: Walls, level_m: Tensor, view: View) -> Tensor:
-    """Share (B, H, W) of each pixel that is a window or a door, of walls whose pixels are level_m above the road."""
+    """Share (B, H, W) of each pixel that is a pane or a door, of walls whose pixels are level_m above the road."""
     house = walls.house
     storey = (2.6 + 0.7 * _uniform(house, 1))[:, None]
     sill, tall = (0.7 + 0.4 * _uniform(house, 2))[:, None], (1.1 + 0.5 * _uniform(house, 3))[:, None]
@@ -146,10 +150,18 @@ def _openings(walls: Walls, level_m: Tensor, view: View) -> Tensor:
     pixel_m = walls.radius_m / view.focal_px
     across = pixel_share(wide / 2 - aside, walls.width_m) * (every / walls.width_m / 2 - 1).clamp(0, 1)
     upward = pixel_share(tall / 2 - (up - middle).abs(), pixel_m[:, None])
+    mullion = _bar(aside, walls.width_m) * (_uniform(house, 10) >= NO_MULLION)
+    transom = _bar(up - middle - tall / 6, pixel_m[:, None]) * (_uniform(house, 11) >= NO_TRANSOM)[:, None]
+    glass = 1 - (1 - door) * torch.maximum(mullion[:, None], transom)
     blind = _uniform(_mixed(house + window.long() * 7 + 1), 0)  # a column of windows may be missing
     storeys = (2 + 3 * _uniform(house, 8)).floor()[:, None]
     there = (floor >= 0) & (floor < storeys) & (blind > 0.1)[:, None]
-    return across[:, None] * upward * there
+    return across[:, None] * upward * glass * there
+
+
+def _bar(middle_m: Tensor, pixel_m: Tensor) -> Tensor:
+    """The share of pixels that is a bar, so far from its middle."""
+    return pixel_share(BAR_M / 2 - middle_m, pixel_m) - pixel_share(-BAR_M / 2 - middle_m, pixel_m)
 
 
 def _mixed(number: Tensor) -> Tensor:

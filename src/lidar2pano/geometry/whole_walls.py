@@ -11,7 +11,7 @@ from torch import Tensor
 from lidar2pano.geometry.columns import greatest_above, row_numbers
 from lidar2pano.geometry.odds import give_away
 
-TALL_M = 2.5  # above the road: a fence is lower
+TALL_M = 2.0  # above the road: a fence is lower
 ONE_WALL = 0.1  # logarithm of the ratio of distances, up to which the next lower pixel shows the same wall
 
 
@@ -30,17 +30,17 @@ def whole_walls(  # noqa: PLR0913, PLR0917 one scene, and which class is what
     ids  (B, H, W): the best classes, of which those of building, fence and vehicles are given.
     radius_m, height_m  (B, H, W): horizontal distances and heights above the road, of `measured_depth`, for a guess
          that wavers does not show which pixels are of one wall.
-    A wall is what is building or fence, or building or vehicle, each pixel about as far away as the next one up.
+    A wall is what is building, fence or vehicle, each pixel about as far away as the next one up.
     """
     same = _one_surface(radius_m)
-    house, is_fence = ids == building, ids == fence
+    house, is_fence, of_vehicles = ids == building, ids == fence, [ids == each for each in vehicles]
+    vehicle = torch.stack(of_vehicles).any(0)
+    on_wall = vehicle & _begun_below(house, house | is_fence | vehicle, same)
+    for each, own in zip(vehicles, of_vehicles, strict=True):
+        give_away(logits, each, [building], (own & on_wall).nonzero(as_tuple=True))
+    house |= on_wall
     carries = _begun(house & (height_m > TALL_M), house | is_fence, same)
     give_away(logits, fence, [building], (is_fence & carries).nonzero(as_tuple=True))
-    of_vehicles = [ids == each for each in vehicles]
-    solid = torch.stack([house, *of_vehicles]).any(0)
-    stands = _begun_below(house, solid, same)
-    for each, own in zip(vehicles, of_vehicles, strict=True):
-        give_away(logits, each, [building], (own & stands).nonzero(as_tuple=True))
 
 
 def no_patches(logits: Tensor, ids: Tensor, radius_m: Tensor, within: Sequence[tuple[int, int]]) -> None:

@@ -28,9 +28,10 @@ def with_look(painter: ScenePainter, settings: dict[str, Any], look: str) -> tup
     state = painter.state_dict()
     codes = torch.cat([state["codes.weight"], row_of(painter, painter.codes, painter.look)[None]])
     state["codes.weight"] = torch.cat([codes, torch.eye(len(codes))[:, -1:].to(codes)], 1)
-    if painter.class_colours is not None:
-        own = row_of(painter, painter.class_colours, painter.look)
-        state["class_colours.weight"] = torch.cat([state["class_colours.weight"], own[None]])
+    for name, table in (("class_colours", painter.class_colours), ("glass", painter.glass)):
+        if table is not None:
+            own = row_of(painter, table, painter.look)
+            state[f"{name}.weight"] = torch.cat([state[f"{name}.weight"], own[None]])
     for name in (f"tuned.{number}.weight" for number in range(len(painter.tuned))):
         weight = state[name]
         state[name] = torch.cat([weight[:, :code], torch.zeros_like(weight[:, :1]), weight[:, code:]], 1)

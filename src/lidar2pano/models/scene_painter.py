@@ -65,6 +65,9 @@ FEW, JOINED_ROWS = 4, 6  # channels, and rows, of inputs that are joined at a ti
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
 TONE = 3  # red, green, blue: how much brighter a picture, or a part of it, is than the mean of its look
 TONES, OPENINGS = slice(-TONE - 1, -1), -1  # of the painter's inputs
+# Inside of a pane no pixel nearby is wall: up to so many rows and columns away, of which nearly all have to be glass.
+EDGE_PX, NEARLY = 2, 0.75
+GLASS = TONE + 2  # the last inputs, on which the colour of panes hangs: the noise of the longest wavelength, tones, 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -119,11 +122,13 @@ class Switches(TypedDict, total=False):
     """What a ScenePainter may have.
 
     class_colours  a table of what each look adds to the colours of each class, at first nothing.
+    glass          panes have colours of their own, with hardly any texture: near ones were painted with slats.
     bilinear       coarse features are enlarged bilinearly; their pixels repeated make a painter paint stairs.
     sun            trees are lit by a sun that is invented, as in photographs; steady pictures flicker more.
     """
 
     class_colours: bool
+    glass: bool
     bilinear: bool
     sun: bool
 
@@ -175,14 +180,16 @@ class ScenePainter(nn.Module):
         self.tuned = nn.ModuleList([nn.Linear(code + TONE, 2 * width) for width in (coarse, middle, fine)])
         colours = TONE * len(COMMON15)
         self.class_colours = nn.Embedding(len(self.looks), colours) if switches.get("class_colours") else None
+        self.glass = nn.Embedding(len(self.looks), TONE * GLASS) if switches.get("glass") else None
         for part in self.modules():
             if isinstance(part, nn.BatchNorm2d):
                 part.momentum = MOMENTUM
         for layer in self.tuned:
             nn.init.normal_(cast(Tensor, layer.weight), std=0.05)
             nn.init.zeros_(cast(Tensor, layer.bias))
-        if self.class_colours is not None:
-            nn.init.zeros_(self.class_colours.weight)
+        for table in (self.class_colours, self.glass):
+            if table is not None:
+                nn.init.zeros_(table.weight)
 
     def look_shares(self, look: str) -> list[float]:
         """Shares of each look in what a name stands for, "A" or "A+B" (their mean); InputError for an unknown name."""
@@ -221,8 +228,11 @@ class ScenePainter(nn.Module):
         first, second = self.texture
         x = self.colour(second(first(x, fine_noise, has_ends=True), has_ends=True))
         if self.class_colours is not None:
-            known = self._class_colours(self.class_colours.weight, inputs, shares)
+            known = _colours_of(self.class_colours.weight, inputs, shares)
             x = x + _enlarged(known[:, :, : rows + LEAST_FOOT, ENDS:-ENDS])
+        if self.glass is not None:
+            panes = _panes(self.glass.weight, inputs, shares)
+            x = torch.lerp(x, *(_enlarged(part[:, :, : rows + LEAST_FOOT]) for part in panes))
         return torch.tanh(x[:, :, : 2 * rows])
 
     def paint(self, past: object, scene: Scene) -> tuple[None, Tensor]:  # noqa: ARG002
@@ -248,18 +258,33 @@ class ScenePainter(nn.Module):
         grown = interpolate(closed(x, ends), scale_factor=2.0, mode="bilinear", align_corners=False)
         return grown[..., ends:-ends]
 
-    @staticmethod
-    def _class_colours(table: Tensor, inputs: Tensor, shares: Tensor) -> Tensor:
-        """What looks add to the colours of classes (B, 3, H, W): convolutions, beside which engines reorder nothing."""
-        looks, classes = len(table), len(COMMON15)
-        weight = pad(table.view(looks * TONE, classes), (0, inputs.shape[1] - classes))
-        each = conv2d(inputs, weight.to(inputs.dtype)[..., None, None])
-        each = each * shares.repeat_interleave(TONE, 1)[..., None, None].to(each.dtype)
-        return conv2d(each, torch.eye(TONE).to(each).repeat(1, looks)[..., None, None])
-
     def _tuned(self, number: int, x: Tensor, code: Tensor) -> Tensor:
         factor, shift = self.tuned[number](code)[..., None, None].to(x.dtype).chunk(2, 1)
         return torch.addcmul(shift, x, 1 + factor)
+
+
+def _colours_of(table: Tensor, inputs: Tensor, shares: Tensor, first: int = 0) -> Tensor:
+    """Colours (B, 3, H, W) that looks have for some of the inputs: convolutions, beside which engines reorder nothing.
+
+    table  (looks, 3 n): of n inputs from the first on;  shares: (B, looks).
+    """
+    looks, some = len(table), table.shape[1] // TONE
+    weight = pad(table.view(looks * TONE, some), (first, inputs.shape[1] - first - some))
+    each = conv2d(inputs, weight.to(inputs.dtype)[..., None, None])
+    each = each * shares.repeat_interleave(TONE, 1)[..., None, None].to(each.dtype)
+    return conv2d(each, torch.eye(TONE).to(each).repeat(1, looks)[..., None, None])
+
+
+def _panes(table: Tensor, inputs: Tensor, shares: Tensor) -> tuple[Tensor, Tensor]:
+    """The colour of glass (B, 3, H, W) and how much of each pixel is inside of a pane (B, 1, H, W), without the ENDS.
+
+    inputs  (B, C, H, W + 2 ENDS), the last of which are GLASS.
+    """
+    channels, size = inputs.shape[1], 2 * EDGE_PX + 1
+    colour = _colours_of(table, inputs[..., ENDS:-ENDS], shares, channels - GLASS)
+    openings = conv2d(inputs, torch.eye(channels)[OPENINGS, None, :, None, None].to(inputs))
+    around = conv2d(openings, openings.new_full((1, 1, size, size), size**-2.0), padding=(EDGE_PX, 0))
+    return colour, ((around - NEARLY) / (1 - NEARLY)).clamp(0, 1)
 
 
 def sharpened(segments: Tensor, power: Tensor | float) -> Tensor:

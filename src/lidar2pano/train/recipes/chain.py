@@ -54,7 +54,8 @@ def scene_painter() -> Recipe[ScenePaintingOptions]:
     painter = Optimizer(algorithm="adam", rate=1e-3, betas=(0.5, 0.99), warmup=10, clip=5.0)
     critic = Optimizer(algorithm="adam", rate=5e-4, betas=(0.0, 0.99), schedule="constant")
     unread = ("building", "vegetation", "fence")
-    settings = {"looks": ("day", "overcast", "autumn", "evening"), "look": "day", "unread": unread, "bilinear": True}
+    settings = {"looks": ("day", "overcast", "autumn", "evening"), "look": "day", "unread": unread}
+    settings |= {"bilinear": True, "glass": True, "sun": False}
     return Recipe(
         view="panorama",
         scale=0.5,
