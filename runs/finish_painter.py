@@ -7,7 +7,8 @@ before its tanh, are set so that what is painted of FRAMES has the images' mean,
 the way, shadows would lose their detail.
 They also draw each class towards its median: an overexposed sky becomes white, and foliage dark. With --class-colours
 it is the table of what the look adds to each class that is set instead, so that each class has the images' mean.
-With --glass panes lose their texture: their colour is the linear function of what it hangs on that is nearest to what is painted, the same for all looks.
+With --glass panes lose their texture: their colour is the linear function of what it hangs on that is nearest to what
+is painted, the same for all looks.
 FRAMES  what training kept of its frames (`options.cache`), as a pattern: 'frames/painting/*/kitti-mini-*.safetensors'.
 Training draws powers at random, so that no weight depends on the power.
 """
@@ -85,7 +86,7 @@ def pixels(painter: ScenePainter, file: Path, look: str) -> tuple[Tensor, Tensor
 
 
 def panes(painter: ScenePainter, file: Path, look: str) -> tuple[Tensor, Tensor]:
-    """Of a frame's pixels that are inside of panes: what their colour hangs on (GLASS, N), and painted colours (3, N)."""
+    """Of a frame's pixels inside of panes: what their colour hangs on (GLASS, N), and painted colours (3, N)."""
     painted, _, inputs = paint(painter, load_file(file), look)
     known = inputs[-GLASS:]
     glass = inside(known[None, OPENINGS], EDGE_PX)[0] > 0

@@ -96,7 +96,9 @@ def test_where_nothing_is_a_wall_nothing_opens():
     walls, radius_m, above_m, pose = street()
     assert not facades(torch.zeros_like(walls), radius_m, above_m, VIEW, pose).openings.any()
     whole, likely, unlikely = (facades(walls * p, radius_m, above_m, VIEW, pose).openings for p in (1, 0.6, 0.25))
-    assert ((whole - likely).abs() < 0.02).float().mean() > 0.99, "where it is likelier than all others it has whole windows"
+    assert ((whole - likely).abs() < 0.02).float().mean() > 0.99, (
+        "where it is likelier than all others it has whole windows"
+    )
     assert unlikely.max() <= 0.5 and unlikely.isfinite().all()
 
 

@@ -297,9 +297,32 @@ def test_no_more_cars_are_drawn_than_the_nearest(monkeypatch):
     monkeypatch.setattr("lidar2pano.geometry.car_fitting.MOST", 1)
     ids, radius_m = street(*PLACES)
     tones = completed(ids, radius_m).tones[0, 0]
-    tyres = (tones == TYRE).any(0)
+    drawn = (tones.isfinite() & (ids == CAR)).any(0)
     near, farther = ((street(*places)[0] == CAR).any(0) for places in (PLACES[1:2], (PLACES[0], *PLACES[2:])))
-    assert tyres.any() and not (tyres & farther & ~near).any()
+    assert drawn.any() and not (drawn & farther & ~near).any()
+
+
+def beside(view: View = VIEW) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """A car 1.4 m beside the sensor, whose windows show its far side or a wall; and whether a pixel shows it."""
+    ids, radius_m = street((0.4, 2.3, 0.05), view=view)
+    car = (ids == CAR) & (radius_m < 6)
+    height_m = radius_m * slopes(view)[:, None] + ABOVE_M
+    window = car & (height_m > 1.0) & (height_m < 1.35)
+    column = torch.arange(view.columns)
+    radius_m = torch.where(window & (column % 90 < 45), radius_m + 1.5, radius_m)  # of 1728: 9 degrees and a half
+    return ids, torch.where(window & (column % 90 >= 70), 7.0, radius_m), car
+
+
+def test_a_car_beside_the_sensor_is_one_car_and_nothing_is_left_around_it():
+    ids, radius_m, car = beside()
+    columns = car.any(0)
+    assert columns.sum() > VIEW.columns / 4 and radius_m[-1][columns].min() < 1.6, "its foot is not in view"
+    whole = completed(ids, radius_m)
+    assert whole.boxes is not None and whole.boxes.middle.shape[1] == 1
+    found = whole.segments[0].argmax(0) == CAR
+    assert overlap(found, car) > 0.8
+    assert whole.tones[0, 0][found].isfinite().float().mean() > 0.98, "hardly anything is left of it but its body"
+    assert (whole.boxes.ahead[1].abs() < 0.35).all(), "one sees its side, along which it stands"
 
 
 def test_a_body_that_covers_too_little_is_not_drawn(monkeypatch):

@@ -30,9 +30,9 @@ def scene(ids: torch.Tensor, radius_m: torch.Tensor) -> torch.Tensor:
 def wall_on_fence(far_m: float = 8.0, fence_m: float = 8.0, top: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
     """A fence from the row TOP on, building above it up to the row `top`, trees above that."""
     ids = torch.full((ROWS, COLUMNS), WALL)
-    ids[:top], ids[TOP :] = TREE, FENCE
+    ids[:top], ids[TOP:] = TREE, FENCE
     radius_m = torch.full((ROWS, COLUMNS), far_m)
-    radius_m[TOP :] = fence_m
+    radius_m[TOP:] = fence_m
     return ids, radius_m
 
 

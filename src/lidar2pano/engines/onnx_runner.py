@@ -299,7 +299,7 @@ def whole_walls(segments, best, radius_m, height_m):
 
 
 def no_patches(segments, best, radius_m):
-    """Segments without foliage or fences that have wall above and below them in one surface, or fences within foliage."""
+    """Segments without foliage or fences that have wall above and below in one surface, nor fences within foliage."""
     same, segments = np.abs(np.log(radius_m[1:] / radius_m[:-1])) < 0.1, segments.copy()
     for patch, around in ((VEGETATION, BUILDING), (FENCE, BUILDING), (FENCE, VEGETATION)):
         inside, outside = best == patch, best == around
@@ -532,7 +532,9 @@ def facades(walls, radius_m, slope, above_m, view):
     elsewhere = (np.abs(radius_m / radius - 1) / 0.25 - 1).clip(0, 1)
     share = openings(house, along % HOUSE_M, slope * radius + above_m, width_m, pixel_m)
     warm = -0.05 + 0.3 * uniform(house, 9)
-    return share * (2 * walls).clip(0, 1) * (1 - elsewhere), 2 * uniform(house, 0) - 1 + np.stack([warm, 0.4 * warm, -warm])
+    return share * (2 * walls).clip(0, 1) * (1 - elsewhere), 2 * uniform(house, 0) - 1 + np.stack(
+        [warm, 0.4 * warm, -warm]
+    )
 
 
 def wall_profile(walls, radius_m, height_m):

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import max_pool1d, pad
 
 from lidar2pano.geometry.car_body import TALL_M, Boxes, distances
 from lidar2pano.geometry.columns import median_around, surface_profile, world_columns
@@ -21,14 +22,22 @@ from lidar2pano.views import View
 
 EVERY = 2  # rows of a raster for each that cars are looked for in
 LOWEST_M, BELT_M, HIGHEST_M, FARTHEST_M = 0.15, 1.0, 2.6, 32.0  # above the road; from the view's axis
+# Cars within BESIDE_M are cut off by the picture's lower edge. Hardly more than their windows is in view, and what is
+# seen through these: of a column's distances the nearest ones count, up to CUT_M above that edge at any height, and a
+# gap of up to 2 x WINDOW columns is a window.
+BESIDE_M, CUT_M, NEARNESS, WINDOW = 4.0, 0.4, 8.0, 30
 LEAST = 0.75  # rows that show a car; with fewer the column has none
 REACH, HOLE = 8, 4  # columns on either side, of which the median is taken; half of the widest gap in a car
-SAME_SURFACE, SAME_CAR, THROUGH_GLASS = 0.12, 0.35, 0.6  # of the logarithm of the distance
-GAP_M, GAP = 0.6, 0.02  # columns farther apart than GAP_M + GAP x distance are of two cars
+SAME_SURFACE, SAME_CAR = 0.12, 0.35  # of the logarithm of the distance
+THROUGH_GLASS, THROUGH_WINDOWS = 0.6, 1.5  # likewise, by how much what one sees through a car is farther away; beside
+GAP_M, GAP, GAP_BESIDE_M = 0.6, 0.02, 1.1  # columns farther apart than GAP_M + GAP x distance are of two cars; beside
 PARKED_M, MOST_PARTS = 5.2, 16  # a row of parked cars is cut into pieces of about that length, at most so many
 ANGLES = 30  # of rectangles that are tried, per quarter turn
 THICK_M = 0.1  # added to rectangles' sides, so that a straight row of points has an area
 COLUMNS, MOST = 12, 16  # a car fills so many columns at least; of a scene the nearest count, so many at most
+# A rectangle whose longer side is longer than that is around a car's side, not its front or back; of cars that are in
+# view from this height above the road on it has to be said, for bodies either way cover them.
+WIDEST_M, CUT_FROM_M = 2.6, 0.3
 LENGTH_M, WIDTH_M, TOP_M = (3.3, 5.0), (1.5, 1.95), (1.35, 2.3)  # least and greatest of cars
 AROUND_M, OVER_M, ACROSS, DOWN = 1.2, 0.3, 32, 20  # what is looked at of a car: so far around it, columns, rows
 MOVES = (0.4, 0.25, 0.12, 0.08, 0.3)  # by which a box is tried elsewhere: along, across, turned, up, longer
@@ -90,14 +99,20 @@ class Sample(NamedTuple):
 def found_cars(cars: Tensor, ground: Tensor, radius_m: Tensor, above_m: Tensor, view: View) -> tuple[Found, Measured]:
     """The nearest cars that fill enough columns; arguments as of Measured."""
     rows = slice(EVERY // 2, None, EVERY)
-    height_m = (radius_m * slopes(view, device=cars.device)[:, None] + above_m)[rows]
-    inside = (height_m > LOWEST_M) & (height_m < HIGHEST_M) & (radius_m[rows] < FARTHEST_M)
-    body = cars[rows] * (inside & (height_m < BELT_M))
-    (profile,), (total,) = surface_profile(body[None], radius_m[rows][None], SAME_SURFACE, LEAST, REACH)
-    distance_m, here = profile.exp(), _closed(total > LEAST)
+    slope, radii_m = slopes(view, device=cars.device)[:, None], radius_m[rows]
+    height_m, over_edge_m = radii_m * slope[rows] + above_m, radii_m * (slope[rows] - slope[-1])
+    inside = (height_m > LOWEST_M) & (height_m < HIGHEST_M) & (radii_m < FARTHEST_M)
+    low = height_m < BELT_M
+    profile, total = _profile(cars[rows] * (inside & low), radii_m)
+    nearest, near = _profile(
+        cars[rows] * (inside & (low | (over_edge_m < CUT_M)) & (radii_m < BESIDE_M)), radii_m, NEARNESS
+    )
+    nearest, here = _without_windows(nearest), _closed(torch.maximum(total, near) > LEAST)
+    distance_m = torch.where(nearest < math.log(BESIDE_M), nearest, profile).exp()
     ray, _ = world_columns(view, None, cars.device)
     point = (distance_m * ray.to(distance_m)).nan_to_num(0)
-    apart = torch.hypot(*(point - point.roll(1, 1)).unbind(0)) > GAP_M + GAP * distance_m
+    gap_m = torch.where(distance_m < BESIDE_M, GAP_BESIDE_M, GAP_M + GAP * distance_m)
+    apart = torch.hypot(*(point - point.roll(1, 1)).unbind(0)) > gap_m
     number = _cut(point, _numbers(apart | ~here | ~here.roll(1)))
     tops = torch.where((cars[rows] > HALF) & inside, height_m, 0).amax(0)
     tops = median_around(torch.where(here, tops, torch.nan)[None], REACH)[0].nan_to_num(0)
@@ -109,6 +124,25 @@ def found_cars(cars: Tensor, ground: Tensor, radius_m: Tensor, above_m: Tensor, 
     parts = (*_rectangles(point, number), top_m.clamp(*TOP_M), mean_m, number)
     measured = Measured(cars, ground, radius_m, above_m, torch.where(here, number, -1), view)
     return Found(*(part[..., column] for part in parts)), measured
+
+
+def _profile(weight: Tensor, radius_m: Tensor, nearness: float = 0.0) -> tuple[Tensor, Tensor]:
+    """`surface_profile` (W,) and (W,) of one scene (H, W)."""
+    (profile,), (total,) = surface_profile(weight[None], radius_m[None], SAME_SURFACE, LEAST, REACH, nearness)
+    return profile, total
+
+
+def _without_windows(profile: Tensor) -> Tensor:
+    """Logarithms of distances (W,), NaN where there is none; as of what is beside where that is nearer on both sides.
+
+    The closing of mathematical morphology, of nearness; circular.
+    """
+    closed = _greatest_around(-_greatest_around(-profile.nan_to_num(math.inf)))
+    return torch.where(profile - closed < SAME_SURFACE, profile, closed)
+
+
+def _greatest_around(values: Tensor) -> Tensor:
+    return max_pool1d(pad(values[None], (WINDOW, WINDOW), mode="circular"), 2 * WINDOW + 1, 1)[0]
 
 
 def _closed(here: Tensor) -> Tensor:
@@ -125,7 +159,7 @@ def fitted(found: Found, measured: Measured, earlier: Boxes | None = None) -> tu
              stands does not waver in a drive; then the overlap counts KEPT more.
     """
     sample = _sampled(found, measured)
-    boxes, score, covered = _best(_placed(found), sample)
+    boxes, score, covered = _best(_placed(found, measured), sample)
     for step in ROUNDS:
         if step == TURN:
             boxes, score, covered = _best(_turned(boxes, found.top_m), sample)
@@ -141,13 +175,15 @@ def fitted(found: Found, measured: Measured, earlier: Boxes | None = None) -> tu
     return boxes, covered
 
 
-def _placed(found: Found) -> Boxes:
+def _placed(found: Found, measured: Measured) -> Boxes:
     """Boxes (n, 12) that the visible parts of cars may belong to: two directions, three places along, two across."""
-    made = []
+    made, in_view_m = [], measured.above_m + found.distance_m * slopes(measured.view)[-1]
+    sideways = (found.length_m > WIDEST_M) & (in_view_m > CUT_FROM_M)
     for lengthwise, ends in product((True, False), product((1.0, 0.0, -1.0), (1.0, 0.0))):
         across = torch.stack([-found.axis[1], found.axis[0]])
-        axes = (found.axis, across) if lengthwise else (across, found.axis)
-        visible = (found.length_m, found.width_m) if lengthwise else (found.width_m, found.length_m)
+        along = lengthwise | sideways
+        axes = torch.where(along, found.axis, across), torch.where(along, across, found.axis)
+        visible = torch.where(along, found.length_m, found.width_m), torch.where(along, found.width_m, found.length_m)
         middle, sizes = found.middle, []
         for axis, extent, end, limits in zip(axes, visible, ends, (LENGTH_M, WIDTH_M), strict=True):
             size = extent.clamp(*limits)
@@ -218,7 +254,8 @@ def _sampled(found: Found, measured: Measured) -> Sample:
     car, ground, radius_m = (part[row, column] for part in (measured.cars, measured.ground, measured.radius_m))
     owner = measured.number[column]
     farther, own = (radius_m / found.distance_m[:, None, None]).log(), owner == found.number[:, None, None]
-    same = (farther > -SAME_CAR) & (farther < torch.where(own, THROUGH_GLASS, SAME_CAR)) & (own | (owner < 0))
+    through = torch.where(found.distance_m < BESIDE_M, THROUGH_WINDOWS, THROUGH_GLASS)[:, None, None]
+    same = (farther > -SAME_CAR) & (farther < torch.where(own, through, SAME_CAR)) & (own | (owner < 0))
     ray = torch.stack([angle.cos(), angle.sin()])[:, :, None]
     is_car = (car > HALF) & same
     hides_m = torch.where(is_car | (ground > HALF), math.inf, radius_m + IN_FRONT_M)

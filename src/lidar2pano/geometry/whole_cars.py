@@ -11,14 +11,25 @@ import torch
 from torch import Tensor
 
 from lidar2pano.geometry.car_body import Boxes, Hits, first_hits, tones_of
-from lidar2pano.geometry.car_fitting import BARE, HALF, IN_FRONT_M, LENGTH_M, SAME_CAR, Measured, fitted, found_cars
+from lidar2pano.geometry.car_fitting import (
+    BARE,
+    BESIDE_M,
+    HALF,
+    IN_FRONT_M,
+    LENGTH_M,
+    SAME_CAR,
+    Measured,
+    fitted,
+    found_cars,
+)
 from lidar2pano.geometry.columns import world_columns
 from lidar2pano.geometry.masks import as_float
 from lidar2pano.geometry.surface import slopes
 from lidar2pano.views import View
 
 COVERED = 0.6  # least share of overlap in union of a car that is drawn
-FAINT, SURE = 0.02, 0.9  # probabilities of what has to go where no body was drawn: less is no car, more is another
+# Probabilities of what has to go where no body was drawn: less is no car, more is another, but for a car beside one.
+FAINT, SURE = 0.02, 0.9
 SHADE, SHADE_M, PALE = 0.35, 0.3, 0.01  # tone and breadth of the shadow beside a car; no shadow that is paler
 PAINT_WAVES_M = (17.0, 27.0, 13.0)  # cars so far apart differ in paint
 BRIGHTEST, DARKEST = 0.5, -0.2  # tones of white and of black paint
@@ -201,7 +212,8 @@ def _outside(measured: Measured, others: Tensor, nearest_m: Tensor, numbers: Ten
     mean_m = torch.where(inside, nearest_m, 0).sum(0) / inside.sum(0)  # NaN where no body was drawn
     near = (measured.radius_m / mean_m).log().abs() < SAME_CAR
     own = (measured.number < 0) | torch.isin(measured.number, numbers)
-    return near & own & ~inside & (measured.cars > FAINT) & (measured.cars < SURE) & (others < measured.cars)
+    some = (measured.cars > FAINT) & ((measured.cars < SURE) | (mean_m < BESIDE_M))
+    return near & own & ~inside & some & (others < measured.cars)
 
 
 def _without(
