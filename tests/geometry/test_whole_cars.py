@@ -321,7 +321,7 @@ def test_a_car_beside_the_sensor_is_one_car_and_nothing_is_left_around_it():
     assert whole.boxes is not None and whole.boxes.middle.shape[1] == 1
     found = whole.segments[0].argmax(0) == CAR
     assert overlap(found, car) > 0.8
-    assert whole.tones[0, 0][found].isfinite().float().mean() > 0.98, "hardly anything is left of it but its body"
+    assert whole.tones[0, 0][found].isfinite().float().mean() > 0.95, "hardly anything is left of it but its body"
     assert (whole.boxes.ahead[1].abs() < 0.35).all(), "one sees its side, along which it stands"
 
 
