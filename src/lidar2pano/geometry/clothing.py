@@ -28,8 +28,8 @@ TROUSERS = (
     (-0.3, -0.3, -0.28),
     (-0.15, -0.08, 0.08),
 )
-# Likewise, less the mean sign: red, yellow, white, blue, and the back, which is grey.
-SIGNS = ((0.5, 0.0, -0.05), (0.6, 0.35, -0.25), (0.6, 0.6, 0.55), (-0.25, -0.05, 0.4), (0.1, 0.1, 0.05))
+# Likewise, less the mean sign: the back, which is grey, yellow, white, blue, and grey again. (Red ones were lollipops.)
+SIGNS = ((0.1, 0.1, 0.05), (0.6, 0.45, -0.2), (0.6, 0.6, 0.55), (-0.25, -0.05, 0.4), (0.1, 0.1, 0.05))
 SKIN, HAIR = (0.4, 0.22, 0.12), (-0.3, -0.32, -0.34)
 
 

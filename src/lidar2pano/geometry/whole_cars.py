@@ -33,7 +33,7 @@ FAINT, SURE = 0.02, 0.9
 SHADE, SHADE_M, PALE = 0.35, 0.3, 0.01  # tone and breadth of the shadow beside a car; no shadow that is paler
 PAINT_WAVES_M = (17.0, 27.0, 13.0)  # cars so far apart differ in paint
 BRIGHTEST, DARKEST = 0.5, -0.2  # tones of white and of black paint
-RED, BLUE = (0.15, -0.25, -0.25), (-0.25, -0.1, 0.15)  # tones of coloured paint, which is not bright
+RED, BLUE = (0.0, -0.4, -0.3), (-0.25, -0.1, 0.15)  # tones of coloured paint, which is not bright
 DULL, COLOURED = (0.35, 0.8), (0.8, 1.0)  # of the sine that says so: between white, grey and colours lies a metre
 
 
