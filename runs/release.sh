@@ -126,7 +126,7 @@ narrow() { # FAMILY DATA ROLE SETTINGS NAME [OPTION...]: a network of a family w
 scene() { # RUN DATA MINUTES TRAIN SEGMENTER TRANSLATOR START [OVERRIDE...]: START is a file, or "" for fresh weights
   stage "$1" scene-painter "$2" "$3" data.train="$4" options.segmenter="$5" options.translator="$6" \
     options.cache="$out/frames/$1" ${7:+networks.painter.start="$7"} training.validate_minutes=0 \
-    networks.painter.settings.bilinear=false "${@:8}"
+    networks.painter.settings.bilinear=false networks.painter.settings.glass=false "${@:8}"
 }
 finish() { # PAINTER RUN OUT DATA LOOK OPTION...: colours as in the frames of a data set in a run
   python "$here/finish_painter.py" "$1" "$3" "$out/frames/$2/painting/*/${4##*/}-*.safetensors" --look "$5" "${@:6}"
@@ -291,6 +291,7 @@ taught_scene() { # RUN MINUTES START [OVERRIDE...]: frames are those of scene-14
     options.translator="$(weights translator-7 translator)" options.teacher="$painter" options.cache="$out/frames/scene-14" \
     networks.painter.start="$3" "${kitti_looks[@]}" networks.painter.optimizer.rate=0.0006 \
     networks.painter.settings.class_colours=true networks.painter.settings.bilinear=false "$unread" \
+    networks.painter.settings.glass=false \
     options.elsewhere_probability=0.35 options.fringes=200 training.validate_minutes=0 "${@:4}"
 }
 wider=(networks.painter.settings.widths=16,48,96,16 networks.painter.settings.colour_kernel=3)

@@ -21,7 +21,7 @@ from lidar2pano.views import View
 
 NAMES = ("road", "sidewalk", "terrain", "building", "fence", "vegetation")
 ROAD, SIDEWALK, TERRAIN, BUILDING, FENCE, VEGETATION = map(COMMON15.id_of, NAMES)
-GROUND = (ROAD, SIDEWALK, TERRAIN)
+GROUND, BANK = (ROAD, SIDEWALK, TERRAIN), (TERRAIN, VEGETATION)
 FOUR_WHEELED = tuple(map(COMMON15.id_of, ("car", "truck", "other-vehicle")))
 PATCHES = ((VEGETATION, BUILDING), (FENCE, BUILDING), (FENCE, VEGETATION))  # none of one within the other
 ROUGH = (
@@ -34,8 +34,9 @@ def corrected(logits: Tensor, depth_m: Tensor, channels: Tensor, view: View) -> 
     """A translator's logits (B, C, H, W) and depths (B, H, W), float32, by the range image (B, 5, H, W) on its raster.
 
     Borders on the ground are evened; foliage and walls, grass and asphalt are weighed by roughness, sidewalk and road
-    by height; depths keep to what was measured; a fence that carries a house, or a vehicle that stands on one,
-    is its wall, a fence that lies flat is ground; foliage and fences within a wall, or foliage, are no longer there.
+    by height; depths keep to what was measured; a fence that carries a house, or a vehicle that stands on one, is its
+    wall, a fence that lies flat is ground, and one that slopes a bank; foliage and fences within a wall, or fences within
+    foliage, are no longer there.
     """
     logits = evened(logits, GROUND)
     weigh_by_roughness(logits, channels, depth_m, ROUGH)
@@ -44,7 +45,7 @@ def corrected(logits: Tensor, depth_m: Tensor, channels: Tensor, view: View) -> 
     weigh_by_height(logits, best, depth_m, view, ROAD, SIDEWALK)
     radius_m, z_m = cylinder_points(depth_m, view)
     height_m = z_m + viewpoint_height(radius_m, z_m, best == ROAD, view)[:, None, None]
-    no_flat_fences(logits, best, radius_m, height_m, GROUND, FENCE)
+    no_flat_fences(logits, best, radius_m, height_m, GROUND, BANK, FENCE)
     whole_walls(logits, best, radius_m, height_m, BUILDING, FENCE, FOUR_WHEELED)
     no_patches(logits, best, radius_m, PATCHES)
     return logits, depth_m

@@ -12,7 +12,7 @@ import torch
 
 from lidar2pano.cli import main
 from lidar2pano.cli.export import inputs_of, networks_of
-from lidar2pano.corrections import BUILDING, FENCE, FOUR_WHEELED, PATCHES, ROAD, ROUGH, VEGETATION
+from lidar2pano.corrections import BANK, BUILDING, FENCE, FOUR_WHEELED, PATCHES, ROAD, ROUGH, VEGETATION
 from lidar2pano.engines import export as engine_export
 from lidar2pano.engines import onnx_runner
 from lidar2pano.engines.export import Exportable, check_exportable, export
@@ -24,7 +24,7 @@ from lidar2pano.geometry.outlines import evened
 from lidar2pano.geometry.projection import Normalisation, project
 from lidar2pano.geometry.roughness import weigh_by_roughness
 from lidar2pano.geometry.solid_noise import noise_tile
-from lidar2pano.geometry.surface import cylinder_points, viewpoint_height
+from lidar2pano.geometry.surface import cylinder_points, slopes, viewpoint_height
 from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.geometry.whole_walls import no_patches, whole_walls
 from lidar2pano.labels import COMMON15
@@ -212,20 +212,23 @@ def test_the_runner_leaves_no_flat_fences_as_we_do():
     depth_m = torch.full((1, 48, 96), 12.0)
     depth_m[:, 28:] = 1.6 / torch.linspace(0.03, 0.25, 20)[:, None]
     depth_m[:, 28:, 80:].clamp_(max=9.0)
+    slope = slopes(view)[:, None]
+    depth_m[..., 70:80] = torch.where(slope < 0.6, 5.0 / (0.7 - slope), 60.0) * torch.sqrt(1 + slope.square())
     segments, best = logits.softmax(1)[0].double().numpy(), logits.argmax(1)
     surface = heights(best, depth_m, view)
-    no_flat_fences(logits, best, *surface, GROUND, FENCE)
+    no_flat_fences(logits, best, *surface, GROUND, BANK, FENCE)
     found = onnx_runner.no_flat_fences(
         segments, best[0].numpy(), *onnx_runner.radius_and_height(best[0].numpy(), depth_m[0].numpy(), view.as_dict())
     )
     assert np.allclose(found, logits.softmax(1)[0], atol=1e-5) and not np.allclose(found, segments, atol=0.1)
-    assert (found.argmax(0)[40] == FENCE).any() and (found.argmax(0)[-1, 40:80] != FENCE).all()
+    assert (found.argmax(0)[40] == FENCE).any() and (found.argmax(0)[-1, 40:70] != FENCE).all()
+    assert np.isin(found.argmax(0)[20:40, 70:80], BANK).mean() > 0.3, "a slope is a bank"
 
 
 def test_the_runner_leaves_no_patches_as_we_do():
     logits = torch.randn(1, 16, 48, 96, generator=torch.Generator().manual_seed(0))
     logits[:, BUILDING], logits[:, VEGETATION, :, 60:] = 4, 6
-    logits[:, VEGETATION, 20:28, :40], logits[:, FENCE, 24:30, 50:] = 9, 9
+    logits[:, VEGETATION, 20:28, :40], logits[:, FENCE, 24:30, 50:], logits[:, FENCE, 35:40, :20] = 9, 9, 9
     radius_m = torch.full((1, 48, 96), 12.0)
     radius_m[:, 24:, 20:30] = 8.0
     segments, best = logits.softmax(1)[0].double().numpy(), logits.argmax(1)
@@ -233,7 +236,7 @@ def test_the_runner_leaves_no_patches_as_we_do():
     found = onnx_runner.no_patches(segments, best[0].numpy(), radius_m[0].numpy())
     assert np.allclose(found, logits.softmax(1)[0], atol=1e-5)
     assert (found.argmax(0)[20:28, :20] == BUILDING).all() and (found.argmax(0)[20:28, 20:30] == VEGETATION).all()
-    assert (found.argmax(0)[24:30, 60:] == VEGETATION).all() and (found.argmax(0)[24:30, 50:60] == FENCE).all()
+    assert (found.argmax(0)[24:30, 60:] == VEGETATION).all() and (found.argmax(0)[35:40, :20] == BUILDING).all()
 
 
 def test_the_runner_knows_the_classes():

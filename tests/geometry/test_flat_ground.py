@@ -1,4 +1,4 @@
-"""What lies flat on the ground is no fence; what stands on it stays one."""
+"""What lies flat on the ground, or slopes, is no fence; what stands on it stays one."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import math
 import pytest
 import torch
 
-from lidar2pano.geometry.flat_ground import FLAT, LOW_M, NEAR_M, REACH, no_flat_fences
+from lidar2pano.geometry.flat_ground import FLAT, HIGH_M, LOW_M, NEAR_M, REACH, STEEP, no_flat_fences
 from lidar2pano.geometry.surface import slopes
 from lidar2pano.views import View
 
-ROAD, WALL, FENCE, GRASS = range(4)
+ROAD, WALL, FENCE, GRASS, SHRUB = range(5)
 ROWS, COLUMNS, EYE_M = 60, 48, 1.73  # height of the sensor above the road
 VIEW = View(rows=ROWS, columns=COLUMNS, up=0.5, down=-0.6, kind="cylinder")
 
@@ -19,16 +19,19 @@ VIEW = View(rows=ROWS, columns=COLUMNS, up=0.5, down=-0.6, kind="cylinder")
 def levelled(ids: torch.Tensor, radius_m: torch.Tensor) -> torch.Tensor:
     """Ids (H, W) after `no_flat_fences`, of a scene made of ids and horizontal distances."""
     generator = torch.Generator().manual_seed(1)
-    logits = torch.rand(1, 4, ROWS, COLUMNS, generator=generator)
-    logits += 5 * torch.nn.functional.one_hot(ids, 4).movedim(2, 0)
-    after = logits.clone()
-    no_flat_fences(
-        after, ids[None], radius_m[None], (radius_m * slopes(VIEW)[:, None] + EYE_M)[None], (ROAD, GRASS), FENCE
-    )
+    logits = torch.rand(1, 5, ROWS, COLUMNS, generator=generator)
+    logits += 5 * torch.nn.functional.one_hot(ids, 5).movedim(2, 0)
+    after, height_m = logits.clone(), radius_m * slopes(VIEW)[:, None] + EYE_M
+    no_flat_fences(after, ids[None], radius_m[None], height_m[None], (ROAD, GRASS), (GRASS, SHRUB), FENCE)
     before, now = logits.softmax(1), after.softmax(1)
     assert torch.equal(after[:, WALL], logits[:, WALL])
     assert torch.allclose(before.sum(1), now.sum(1))
-    assert torch.allclose(before[:, ROAD] / before[:, GRASS], now[:, ROAD] / now[:, GRASS], rtol=1e-3)
+    gained = now > before + 1e-3
+    level, bank = (gained[:, each] & (ids != each) for each in (ROAD, SHRUB))
+    for there, (one, other) in ((level, (ROAD, GRASS)), (bank, (GRASS, SHRUB))):
+        before_it, now_it = ((part[:, one] / part[:, other])[there] for part in (before, now))
+        torch.testing.assert_close(before_it, now_it, rtol=1e-3, atol=0)
+    assert not (level & bank).any()
     return after.argmax(1)[0]
 
 
@@ -38,11 +41,12 @@ def slowly(ids: torch.Tensor, radius_m: torch.Tensor) -> torch.Tensor:
     flat = torch.zeros(ROWS, COLUMNS, dtype=torch.bool)
     for row in range(ROWS):
         for column in range(COLUMNS):
-            level = abs(z_m[row, column] + EYE_M) < LOW_M and radius_m[row, column] < NEAR_M
-            for other in (max(row - REACH, 0), min(row + REACH, ROWS - 1)):
-                up, away = (abs(part[other, column] - part[row, column]) for part in (z_m, radius_m))
-                level = level and up <= FLAT * away
-            flat[row, column] = level and ids[row, column] == FENCE
+            for slope, most_m in ((FLAT, LOW_M), (STEEP, HIGH_M)):
+                level = abs(z_m[row, column] + EYE_M) < most_m and radius_m[row, column] < NEAR_M
+                for other in (max(row - REACH, 0), min(row + REACH, ROWS - 1)):
+                    up, away = (abs(part[other, column] - part[row, column]) for part in (z_m, radius_m))
+                    level = level and up <= slope * away
+                flat[row, column] |= level and ids[row, column] == FENCE
     return flat
 
 
@@ -68,10 +72,36 @@ def test_a_fence_that_stands_there_stays_down_to_its_foot():
     assert torch.equal(levelled(ids, radius_m), ids)
 
 
-def test_what_lies_higher_is_left_alone():
-    radius_m = meadow() / EYE_M * (EYE_M - LOW_M - 0.1)
+def bank(rise: float) -> torch.Tensor:
+    """Horizontal distances (H, W) of a slope that rises so steeply from the road's edge, 4 m away, on."""
+    slope = slopes(VIEW)[:, None].expand(-1, COLUMNS)
+    return torch.minimum(meadow(), torch.where(slope < rise, (EYE_M + 4 * rise) / (rise - slope), math.inf)).clamp(
+        max=60
+    )
+
+
+def test_a_slope_is_a_bank_and_what_is_steeper_a_fence():
+    radius_m = bank(0.8)
+    on_it = (radius_m > 4.5) & (radius_m < 7)
+    assert on_it.sum() > 5 * COLUMNS
     ids = torch.full((ROWS, COLUMNS), FENCE)
-    assert torch.equal(levelled(ids, radius_m), ids)
+    found = levelled(ids, radius_m)
+    assert set(found[on_it].unique().tolist()) == {GRASS, SHRUB}, "as they share what they have"
+    radius_m = bank(1.5)
+    assert (levelled(ids, radius_m)[(radius_m > 4.3) & (radius_m < 6)] == FENCE).all()
+
+
+def test_what_lies_higher_is_left_alone():
+    """Level ground above the road's: up to HIGH_M it may be a bank's top."""
+    ids = torch.full((ROWS, COLUMNS), FENCE)
+    for above_m, classes in ((LOW_M + 0.1, {GRASS, SHRUB}), (HIGH_M + 0.1, {FENCE})):
+        radius_m = torch.full((ROWS, COLUMNS), 60.0)
+        slope = slopes(VIEW)[:, None].expand(-1, COLUMNS)
+        level = (slope * (above_m - EYE_M) > 0) & ((above_m - EYE_M) / slope < 20)
+        radius_m = torch.where(level, (above_m - EYE_M) / slope, radius_m)
+        assert level.sum() > 5 * COLUMNS
+        inner = level & level.roll(REACH, 0) & level.roll(-REACH, 0)
+        assert set(levelled(ids, radius_m)[inner].unique().tolist()) == classes
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -13,7 +13,16 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
-SKY, PERSON, ROAD, BUILDING, FENCE, VEGETATION, GROUND = 15, 6, 7, 9, 10, 11, [7, 8, 12]  # ids of common-15
+SKY, PERSON, ROAD, BUILDING, FENCE, VEGETATION, TERRAIN, GROUND = (
+    15,
+    6,
+    7,
+    9,
+    10,
+    11,
+    12,
+    [7, 8, 12],
+)  # ids of common-15
 SIGN, LIKELY = 14, 0.05  # probability of people and of signs from which on they are given colours
 FOUR_WHEELED = [1, 4, 5]  # car, truck, other-vehicle
 ROUGH = ((VEGETATION, [BUILDING], 0.04, 0.0, 1.0), (GROUND[2], GROUND[:2], 0.017, 0.8, 4.0))
@@ -272,14 +281,18 @@ def radius_and_height(best, depth_m, view):
 
 
 def no_flat_fences(segments, best, radius_m, height_m):
-    """Segments in which what is level and about as high as the road is no fence, but ground."""
+    """Segments in which what is level and about as high as the road is no fence, but ground, and a slope is a bank."""
     row = np.arange(len(best))
-    flat = (best == FENCE) & (radius_m < 25) & (np.abs(height_m) < 1)
+    sloping = (best == FENCE) & (radius_m < 25) & (np.abs(height_m) < 3)
+    level = sloping & (np.abs(height_m) < 0.5)
     for upper, lower in (((row - 3).clip(0), row), (row, (row + 3).clip(max=row[-1]))):
-        flat &= np.abs(height_m[upper] - height_m[lower]) <= 0.5 * np.abs(radius_m[upper] - radius_m[lower])
-    moved, ground, segments = np.where(flat, segments[FENCE], 0), segments[GROUND], segments.copy()
-    segments[GROUND] += moved * ground / ground.sum(0).clip(min=1e-30)
-    segments[FENCE] -= moved
+        up, away = (np.abs(part[upper] - part[lower]) for part in (height_m, radius_m))
+        level, sloping = level & (up <= 0.5 * away), sloping & (up <= away)
+    segments = segments.copy()
+    for others, there in ((GROUND, level), ([TERRAIN, VEGETATION], sloping & ~level)):
+        moved, shares = np.where(there, segments[FENCE], 0), segments[others]
+        segments[others] += moved * shares / shares.sum(0).clip(min=1e-30)
+        segments[FENCE] -= moved
     return segments
 
 
