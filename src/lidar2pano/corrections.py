@@ -35,8 +35,8 @@ def corrected(logits: Tensor, depth_m: Tensor, channels: Tensor, view: View) -> 
 
     Borders on the ground are evened; foliage and walls, grass and asphalt are weighed by roughness, sidewalk and road
     by height; depths keep to what was measured; a fence that carries a house, or a vehicle that stands on one, is its
-    wall, a fence that lies flat is ground, and one that slopes a bank; foliage and fences within a wall, or fences within
-    foliage, are no longer there.
+    wall, a fence that lies flat is ground, and one that slopes a bank; foliage and fences within a wall, and fences
+    within foliage are no longer there.
     """
     logits = evened(logits, GROUND)
     weigh_by_roughness(logits, channels, depth_m, ROUGH)

@@ -87,8 +87,8 @@ def test_a_slope_is_a_bank_and_what_is_steeper_a_fence():
     ids = torch.full((ROWS, COLUMNS), FENCE)
     found = levelled(ids, radius_m)
     assert set(found[on_it].unique().tolist()) == {GRASS, SHRUB}, "as they share what they have"
-    radius_m = bank(1.5)
-    assert (levelled(ids, radius_m)[(radius_m > 4.3) & (radius_m < 6)] == FENCE).all()
+    radius_m = bank(2.5)
+    assert (levelled(ids, radius_m)[(radius_m > 4.3) & (radius_m < 5)] == FENCE).all()
 
 
 def test_what_lies_higher_is_left_alone():

@@ -287,7 +287,7 @@ def no_flat_fences(segments, best, radius_m, height_m):
     level = sloping & (np.abs(height_m) < 0.5)
     for upper, lower in (((row - 3).clip(0), row), (row, (row + 3).clip(max=row[-1]))):
         up, away = (np.abs(part[upper] - part[lower]) for part in (height_m, radius_m))
-        level, sloping = level & (up <= 0.5 * away), sloping & (up <= away)
+        level, sloping = level & (up <= 0.5 * away), sloping & (up <= 1.5 * away)
     segments = segments.copy()
     for others, there in ((GROUND, level), ([TERRAIN, VEGETATION], sloping & ~level)):
         moved, shares = np.where(there, segments[FENCE], 0), segments[others]

@@ -10,7 +10,7 @@ from torch import Tensor
 from lidar2pano.geometry.odds import give_away
 
 REACH = 3  # rows upwards, and rows downwards, over which the surface's slope is taken
-FLAT, STEEP = 0.5, 1.0  # greatest slope along a column of level ground, and of a bank: 27 and 45 degrees
+FLAT, STEEP = 0.5, 1.5  # greatest slope along a column of level ground, and of a bank: 27 and 56 degrees
 LOW_M, HIGH_M, NEAR_M = 0.5, 3.0, 25.0  # heights from the road's of these, and horizontal distances, that are believed
 
 
