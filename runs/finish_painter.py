@@ -33,9 +33,11 @@ from lidar2pano.losses import inside
 from lidar2pano.models import build
 from lidar2pano.models.card import load, save
 from lidar2pano.models.scene_painter import (
+    DEPTH,
     EDGE_PX,
     GLASS,
     OPENINGS,
+    PANES_M,
     STRIDE,
     TONE,
     Known,
@@ -46,10 +48,12 @@ from lidar2pano.models.scene_painter import (
     twice,
     with_cars,
 )
+from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.views import VIEWS
 
 EVERY, STEPS, SATURATED = 4, 20, 0.985
 LEAST = 100_000  # pixels that a class needs: what one vehicle looks like is not what a class does
+DAMPED = 1e-3  # ridge of the least squares for panes, by pixel
 SHARE = 0.6  # of the way, in the logarithm of the gain
 VIEW = VIEWS["panorama"].scaled(0.5)
 
@@ -86,10 +90,10 @@ def pixels(painter: ScenePainter, file: Path, look: str) -> tuple[Tensor, Tensor
 
 
 def panes(painter: ScenePainter, file: Path, look: str) -> tuple[Tensor, Tensor]:
-    """Of a frame's pixels inside of panes: what their colour hangs on (GLASS, N), and painted colours (3, N)."""
+    """Of a frame's pixels inside of near panes: what their colour hangs on (GLASS, N), and painted colours (3, N)."""
     painted, _, inputs = paint(painter, load_file(file), look)
     known = inputs[-GLASS:]
-    glass = inside(known[None, OPENINGS], EDGE_PX)[0] > 0
+    glass = (inside(known[None, OPENINGS], EDGE_PX)[0] > 0) & (inputs[DEPTH] < depth_code(torch.tensor(PANES_M[1])))
     return known[:, glass], avg_pool2d(painted, 2)[:, glass]
 
 
@@ -138,7 +142,8 @@ def colours_of_glass(finished: ScenePainter, known: Tensor, painted: Tensor) -> 
     """Set the colours of panes."""
     assert finished.glass is not None
     before = torch.atanh(painted.clamp(-SATURATED, SATURATED))
-    table = torch.linalg.lstsq(known.double().T, before.double().T).solution.T.float()  # tones are nearly alike
+    squares = known @ known.T + DAMPED * known.shape[1] * torch.eye(GLASS)  # tones are nearly alike in red, green, blue
+    table = torch.linalg.solve(squares, known @ before.T).T
     rest = (before - table @ known).var() / before.var()
     print(f"{known.shape[1]} pixels, of whose variance {rest:.3f} is left")
     with torch.no_grad():

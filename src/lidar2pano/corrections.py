@@ -45,7 +45,7 @@ def corrected(logits: Tensor, depth_m: Tensor, channels: Tensor, view: View) -> 
     weigh_by_height(logits, best, depth_m, view, ROAD, SIDEWALK)
     radius_m, z_m = cylinder_points(depth_m, view)
     height_m = z_m + viewpoint_height(radius_m, z_m, best == ROAD, view)[:, None, None]
-    no_flat_fences(logits, best, radius_m, height_m, GROUND, BANK, FENCE)
     whole_walls(logits, best, radius_m, height_m, BUILDING, FENCE, FOUR_WHEELED)
     no_patches(logits, best, radius_m, PATCHES)
+    no_flat_fences(logits, best, radius_m, height_m, GROUND, BANK, FENCE)  # of what is no wall
     return logits, depth_m

@@ -155,6 +155,14 @@ def opening(house: int, along: float, level: float) -> bool:
     return abs(up) < tall / 2 and abs(aside) < (0.9 + 0.6 * uniform(house, 5)) / 2 and not bar
 
 
+def test_bars_are_of_their_width_and_those_too_fine_fade_out():
+    middle_m = torch.linspace(-0.5, 0.5, 2001)
+    for pixel_m, expected in ((0.01, 1.0), (0.04, 1.0), (0.05, 0.6), (0.08, 0.0), (0.2, 0.0)):
+        share = subject._bar(middle_m, torch.tensor(pixel_m))
+        assert math.isclose(float(share.mean()) * 1.0005, expected * BAR_M, abs_tol=1e-3)
+        assert share.max() <= 1 and not share[middle_m.abs() > (BAR_M + pixel_m) / 2].any()
+
+
 def test_openings_agree_with_their_definition():
     generator = torch.Generator().manual_seed(3)
     house = torch.randint(0, 2**31, (1, 300), generator=generator)

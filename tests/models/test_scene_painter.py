@@ -17,10 +17,12 @@ from lidar2pano.labels import COMMON15
 from lidar2pano.models import build, scene_painter
 from lidar2pano.models.invented_tones import LEAVES, LIT, LIT_M, SUNLIT, SUNNY_SIDE, VARIED
 from lidar2pano.models.scene_painter import (
+    DEPTH,
     GLASS,
     LOWEST_ROW,
     OBJECT_M,
     OPENINGS,
+    PANES_M,
     TONES,
     VEHICLES,
     Known,
@@ -31,6 +33,7 @@ from lidar2pano.models.scene_painter import (
     sharpened,
     twice,
 )
+from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.views import View
 
 VIEW = View(rows=16, columns=64, up=0.24, down=-0.28, kind="cylinder")
@@ -103,12 +106,15 @@ def test_a_look_adds_its_colours_to_those_of_a_class_before_the_tanh():
 
 
 def test_inside_of_panes_there_is_nothing_but_their_colour():
-    """A pane across the seam, at the picture's upper edge: as the network paints it only near its border."""
+    """Two across the seam and at the picture's upper edge: as the network paints them near their borders and far off."""
     torch.manual_seed(0)
     inputs, noise, shares = torch.randn(1, 31, 16, 64), torch.randn(1, 3, 32, 128), torch.tensor([[0.25, 0.75]])
     inputs[:, OPENINGS] = 0
     inputs[:, OPENINGS, 0:9].index_fill_(2, torch.arange(-6, 5) % 64, 1)
     inputs[:, OPENINGS, 10:13, 20:30], inputs[:, OPENINGS, 6, 0] = 1, 0.9
+    inputs[:, OPENINGS, 4:14, 32:60] = 1
+    inputs[:, DEPTH] = depth_code(14 - 12 * torch.linspace(-1, 1, 64).abs())
+    close, far = depth_code(torch.tensor(PANES_M))
     plain = build("scene-painter", looks=["day", "evening"], **SMALL).eval()
     network = build("scene-painter", looks=["day", "evening"], glass=True, **SMALL).eval()
     torch.nn.init.normal_(network.glass.weight)
@@ -122,8 +128,9 @@ def test_inside_of_panes_there_is_nothing_but_their_colour():
         for column in range(64):
             rows, columns = range(max(row - 2, 0), min(row + 3, 16)), [(column + step) % 64 for step in range(-2, 3)]
             mean = inputs[0, OPENINGS, rows][:, columns].sum() / 25
-            share[0, row, column] = ((mean - 0.75) / 0.25).clamp(0, 1)
-    assert (share == 1).sum() > 10 and 0 < (share > 0).float().mean() < 0.1
+            near = ((far - inputs[0, DEPTH, row, column]) / (far - close)).clamp(0, 1)
+            share[0, row, column] = ((mean - 0.75) / 0.25).clamp(0, 1) * near
+    assert (share == 1).sum() > 10 and ((share > 0) & (share < 1))[..., 34:58].any() and not share[..., 34:40].any()
     expected = torch.lerp(torch.atanh(before), twice(colour), twice(share)[:, None])
     torch.testing.assert_close(torch.atanh(after), expected, atol=1e-3, rtol=1e-3)
 

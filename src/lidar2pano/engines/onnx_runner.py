@@ -72,8 +72,8 @@ def main(scan, out):
     depth_m = measured_depth(depth_m, image, best, view)
     segments = weigh_by_height(segments, best, depth_m, view)
     surface = radius_and_height(best, depth_m, view)
-    segments = whole_walls(no_flat_fences(segments, best, *surface), best, *surface)
-    segments = no_patches(segments, best, surface[0])
+    segments = no_patches(whole_walls(segments, best, *surface), best, surface[0])
+    segments = no_flat_fences(segments, segments.argmax(0), *surface)
     settings = painter.card["settings"]
     unread = [CLASSES.index(name) for name in settings.get("unread", ("building", "vegetation", "fence"))]
     inputs, fine_noise = painter_inputs(segments, depth_m, image, view, settings, unread)
@@ -594,8 +594,9 @@ def openings(house, along_m, level_m, width_m, pixel_m):
 
 
 def bar(middle_m, pixel_m):
-    """The share of pixels that is a bar that divides a window, so far from its middle."""
-    return inside_of(0.04 - middle_m, pixel_m) - inside_of(-0.04 - middle_m, pixel_m)
+    """The share of pixels that is a bar that divides a window, so far from its middle: none where bars are too fine."""
+    share = inside_of(0.04 - middle_m, pixel_m) - inside_of(-0.04 - middle_m, pixel_m)
+    return share * (0.08 / pixel_m - 1).clip(0, 1)
 
 
 def inside_of(inside_m, pixel_m):

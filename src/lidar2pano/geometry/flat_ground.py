@@ -25,11 +25,13 @@ def no_flat_fences(  # noqa: PLR0913, PLR0917 one scene, and which class is what
 ) -> None:
     """Change logits (B, C, H, W) so that what is level and about as high as the road, or a slope, is no fence.
 
-    ids       (B, H, W): the best classes, of which that of fences is given.
+    ids       (B, H, W): the best classes, of which that of fences is given; what is no fence any more stays as it is.
     radius_m, height_m  (B, H, W): horizontal distances and heights above the road, of `measured_depth`.
     ground, bank  ids of classes of level ground and of a bank, which share what the fence had as they share their own.
     """
     scene, row, column = ((ids == fence) & (radius_m < NEAR_M) & (height_m.abs() < HIGH_M)).nonzero(as_tuple=True)
+    still = logits[scene, :, row, column].argmax(1) == fence
+    scene, row, column = scene[still], row[still], column[still]
     highest, lowest = (row - REACH).clamp(min=0), (row + REACH).clamp(max=ids.shape[1] - 1)
     level = height_m[scene, row, column].abs() < LOW_M
     sloping = torch.ones_like(level)

@@ -160,8 +160,9 @@ def _openings(walls: Walls, level_m: Tensor, view: View) -> Tensor:
 
 
 def _bar(middle_m: Tensor, pixel_m: Tensor) -> Tensor:
-    """The share of pixels that is a bar, so far from its middle."""
-    return pixel_share(BAR_M / 2 - middle_m, pixel_m) - pixel_share(-BAR_M / 2 - middle_m, pixel_m)
+    """The share of pixels that is a bar, so far from its middle; bars as fine as a pixel fade out, as they flicker."""
+    share = pixel_share(BAR_M / 2 - middle_m, pixel_m) - pixel_share(-BAR_M / 2 - middle_m, pixel_m)
+    return share * (BAR_M / pixel_m - 1).clamp(0, 1)
 
 
 def _mixed(number: Tensor) -> Tensor:

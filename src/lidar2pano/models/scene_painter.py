@@ -64,10 +64,13 @@ BLOCKS = 4  # residual blocks there
 FEW, JOINED_ROWS = 4, 6  # channels, and rows, of inputs that are joined at a time
 MOMENTUM = 0.02  # of norm statistics: batches are two small crops
 TONE = 3  # red, green, blue: how much brighter a picture, or a part of it, is than the mean of its look
-TONES, OPENINGS = slice(-TONE - 1, -1), -1  # of the painter's inputs
+DEPTH, TONES, OPENINGS = len(COMMON15), slice(-TONE - 1, -1), -1  # of the painter's inputs
 # Inside of a pane no pixel nearby is wall: up to so many rows and columns away, of which nearly all have to be glass.
-EDGE_PX, NEARLY = 2, 0.75
-GLASS = TONE + 2  # the last inputs, on which the colour of panes hangs: the noise of the longest wavelength, tones, 1
+# Panes farther away than these metres are painted as well as all else; up to the first one none is.
+EDGE_PX, NEARLY, PANES_M = 2, 0.75, (5.0, 10.0)
+GLASS = (
+    TONE + 1
+)  # of the last inputs, of which the colour of panes is a linear function: tones, and openings, which are 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -122,7 +125,7 @@ class Switches(TypedDict, total=False):
     """What a ScenePainter may have.
 
     class_colours  a table of what each look adds to the colours of each class, at first nothing.
-    glass          panes have colours of their own, with hardly any texture: near ones were painted with slats.
+    glass          near panes have colours of their own, with hardly any texture: they were painted with slats.
     bilinear       coarse features are enlarged bilinearly; their pixels repeated make a painter paint stairs.
     sun            trees are lit by a sun that is invented, as in photographs; steady pictures flicker more.
     """
@@ -276,15 +279,18 @@ def _colours_of(table: Tensor, inputs: Tensor, shares: Tensor, first: int = 0) -
 
 
 def _panes(table: Tensor, inputs: Tensor, shares: Tensor) -> tuple[Tensor, Tensor]:
-    """The colour of glass (B, 3, H, W) and how much of each pixel is inside of a pane (B, 1, H, W), without the ENDS.
+    """The colour of glass (B, 3, H, W) and how much each pixel is inside of a near pane (B, 1, H, W), without ENDS.
 
     inputs  (B, C, H, W + 2 ENDS), the last of which are GLASS.
     """
     channels, size = inputs.shape[1], 2 * EDGE_PX + 1
     colour = _colours_of(table, inputs[..., ENDS:-ENDS], shares, channels - GLASS)
-    openings = conv2d(inputs, torch.eye(channels)[OPENINGS, None, :, None, None].to(inputs))
+    picked = torch.eye(channels)[[OPENINGS, DEPTH], :, None, None].to(inputs)
+    openings, depth = conv2d(inputs, picked).split(1, 1)
     around = conv2d(openings, openings.new_full((1, 1, size, size), size**-2.0), padding=(EDGE_PX, 0))
-    return colour, ((around - NEARLY) / (1 - NEARLY)).clamp(0, 1)
+    near, far = depth_code(torch.tensor(PANES_M)).tolist()
+    close = ((far - depth[..., ENDS:-ENDS]) / (far - near)).clamp(0, 1)
+    return colour, ((around - NEARLY) / (1 - NEARLY)).clamp(0, 1) * close
 
 
 def sharpened(segments: Tensor, power: Tensor | float) -> Tensor:
