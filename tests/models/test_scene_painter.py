@@ -106,7 +106,7 @@ def test_a_look_adds_its_colours_to_those_of_a_class_before_the_tanh():
 
 
 def test_inside_of_panes_there_is_nothing_but_their_colour():
-    """Two across the seam and at the picture's upper edge: as the network paints them near their borders and far off."""
+    """Across the seam and at the upper edge, too: as the network paints them near their borders and far off."""
     torch.manual_seed(0)
     inputs, noise, shares = torch.randn(1, 31, 16, 64), torch.randn(1, 3, 32, 128), torch.tensor([[0.25, 0.75]])
     inputs[:, OPENINGS] = 0
