@@ -128,7 +128,7 @@ def test_every_layer_with_weights_is_known(name):
     [
         ("salsanext", {"widths": (16, 24, 32, 48)}),
         ("salsanext", {"classes": 7}),
-        ("scene-painter", {"class_colours": False}),
+        ("scene-painter", {"class_colours": False, "glass": False}),
         ("scene-painter", {"colour_kernel": 5}),
     ],
 )

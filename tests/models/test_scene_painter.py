@@ -115,10 +115,15 @@ def test_inside_of_panes_there_is_nothing_but_their_colour():
     inputs[:, OPENINGS, 4:14, 32:60] = 1
     inputs[:, DEPTH] = depth_code(14 - 12 * torch.linspace(-1, 1, 64).abs())
     close, far = depth_code(torch.tensor(PANES_M))
-    plain = build("scene-painter", looks=["day", "evening"], **SMALL).eval()
+    plain = build("scene-painter", looks=["day", "evening"], class_colours=True, **SMALL).eval()
     network = build("scene-painter", looks=["day", "evening"], glass=True, **SMALL).eval()
-    torch.nn.init.normal_(network.glass.weight)
-    network.load_state_dict(plain.state_dict() | {"glass.weight": network.glass.weight})
+    for table in (network.glass, network.class_colours):
+        torch.nn.init.normal_(table.weight, std=0.2)
+    own = {
+        name: value for name, value in network.state_dict().items() if name.split(".")[0] in {"glass", "class_colours"}
+    }
+    plain.load_state_dict({name: value for name, value in own.items() if name != "glass.weight"}, strict=False)
+    network.load_state_dict(plain.state_dict() | own)
     with torch.inference_mode():
         before, after = (one(*framed(inputs, noise), shares, torch.zeros(1, 3)) for one in (plain, network))
     table = (shares @ network.glass.weight).view(3, GLASS)

@@ -125,7 +125,7 @@ class Switches(TypedDict, total=False):
     """What a ScenePainter may have.
 
     class_colours  a table of what each look adds to the colours of each class, at first nothing.
-    glass          near panes have colours of their own, with hardly any texture: they were painted with slats.
+    glass          near panes have no texture, but a colour: they were painted with slats. It brings class_colours.
     bilinear       coarse features are enlarged bilinearly; their pixels repeated make a painter paint stairs.
     sun            trees are lit by a sun that is invented, as in photographs; steady pictures flicker more.
     """
@@ -182,7 +182,8 @@ class ScenePainter(nn.Module):
         self.colour = CircularConv(last, 3, colour_kernel)
         self.tuned = nn.ModuleList([nn.Linear(code + TONE, 2 * width) for width in (coarse, middle, fine)])
         colours = TONE * len(COMMON15)
-        self.class_colours = nn.Embedding(len(self.looks), colours) if switches.get("class_colours") else None
+        has_colours = switches.get("class_colours") or switches.get("glass")
+        self.class_colours = nn.Embedding(len(self.looks), colours) if has_colours else None
         self.glass = nn.Embedding(len(self.looks), TONE * GLASS) if switches.get("glass") else None
         for part in self.modules():
             if isinstance(part, nn.BatchNorm2d):
@@ -231,11 +232,10 @@ class ScenePainter(nn.Module):
         first, second = self.texture
         x = self.colour(second(first(x, fine_noise, has_ends=True), has_ends=True))
         if self.class_colours is not None:
-            known = _colours_of(self.class_colours.weight, inputs, shares)
-            x = x + _enlarged(known[:, :, : rows + LEAST_FOOT, ENDS:-ENDS])
-        if self.glass is not None:
-            panes = _panes(self.glass.weight, inputs, shares)
-            x = torch.lerp(x, *(_enlarged(part[:, :, : rows + LEAST_FOOT]) for part in panes))
+            added, share = self._flat_colours(self.class_colours.weight, inputs, shares)
+            if share is not None:
+                x = x * _enlarged(1 - share[:, :, : rows + LEAST_FOOT])
+            x = x + _enlarged(added[:, :, : rows + LEAST_FOOT])
         return torch.tanh(x[:, :, : 2 * rows])
 
     def paint(self, past: object, scene: Scene) -> tuple[None, Tensor]:  # noqa: ARG002
@@ -261,36 +261,43 @@ class ScenePainter(nn.Module):
         grown = interpolate(closed(x, ends), scale_factor=2.0, mode="bilinear", align_corners=False)
         return grown[..., ends:-ends]
 
+    def _flat_colours(self, table: Tensor, inputs: Tensor, shares: Tensor) -> tuple[Tensor, Tensor | None]:
+        """What is added to the network's colours (B, 3, H, W), without ENDS, and by how much these count less before.
+
+        By convolutions, beside which engines reorder nothing; of colours of classes and of near panes' glass.
+        """
+        channels = inputs.shape[1]
+        tables = [_padded(table, 0, channels)]
+        if self.glass is None:
+            return _mixed(inputs[..., ENDS:-ENDS], tables, [], shares), None
+        tables.append(_padded(self.glass.weight, channels - GLASS, channels))
+        parts = _mixed(inputs, tables, [channels + OPENINGS, DEPTH], shares)
+        known, glass, openings, depth = parts.split((TONE, TONE, 1, 1), 1)
+        size = 2 * EDGE_PX + 1
+        around = conv2d(openings, openings.new_full((1, 1, size, size), size**-2.0), padding=(EDGE_PX, 0))
+        near, far = depth_code(torch.tensor(PANES_M)).tolist()
+        known, glass, depth = (part[..., ENDS:-ENDS] for part in (known, glass, depth))
+        share = ((around - NEARLY) / (1 - NEARLY)).clamp(0, 1) * ((far - depth) / (far - near)).clamp(0, 1)
+        return known + share * (glass - known), share
+
     def _tuned(self, number: int, x: Tensor, code: Tensor) -> Tensor:
         factor, shift = self.tuned[number](code)[..., None, None].to(x.dtype).chunk(2, 1)
         return torch.addcmul(shift, x, 1 + factor)
 
 
-def _colours_of(table: Tensor, inputs: Tensor, shares: Tensor, first: int = 0) -> Tensor:
-    """Colours (B, 3, H, W) that looks have for some of the inputs: convolutions, beside which engines reorder nothing.
-
-    table  (looks, 3 n): of n inputs from the first on;  shares: (B, looks).
-    """
-    looks, some = len(table), table.shape[1] // TONE
-    weight = pad(table.view(looks * TONE, some), (first, inputs.shape[1] - first - some))
-    each = conv2d(inputs, weight.to(inputs.dtype)[..., None, None])
-    each = each * shares.repeat_interleave(TONE, 1)[..., None, None].to(each.dtype)
-    return conv2d(each, torch.eye(TONE).to(each).repeat(1, looks)[..., None, None])
+def _padded(table: Tensor, first: int, channels: int) -> Tensor:
+    """A table (looks, 3 n) of colours that hang on n of the inputs, from the first on: (3 looks, channels)."""
+    rows = table.view(len(table) * TONE, -1)
+    return pad(rows, (first, channels - first - rows.shape[1]))
 
 
-def _panes(table: Tensor, inputs: Tensor, shares: Tensor) -> tuple[Tensor, Tensor]:
-    """The colour of glass (B, 3, H, W) and how much each pixel is inside of a near pane (B, 1, H, W), without ENDS.
-
-    inputs  (B, C, H, W + 2 ENDS), the last of which are GLASS.
-    """
-    channels, size = inputs.shape[1], 2 * EDGE_PX + 1
-    colour = _colours_of(table, inputs[..., ENDS:-ENDS], shares, channels - GLASS)
-    picked = torch.eye(channels)[[OPENINGS, DEPTH], :, None, None].to(inputs)
-    openings, depth = conv2d(inputs, picked).split(1, 1)
-    around = conv2d(openings, openings.new_full((1, 1, size, size), size**-2.0), padding=(EDGE_PX, 0))
-    near, far = depth_code(torch.tensor(PANES_M)).tolist()
-    close = ((far - depth[..., ENDS:-ENDS]) / (far - near)).clamp(0, 1)
-    return colour, ((around - NEARLY) / (1 - NEARLY)).clamp(0, 1) * close
+def _mixed(inputs: Tensor, tables: Sequence[Tensor], picked: Sequence[int], shares: Tensor) -> Tensor:
+    """Of each table (3 looks, C) three channels, by the shares (B, looks) of looks; and those of the inputs picked."""
+    looks, alone = shares.shape[1], torch.eye(inputs.shape[1])[list(picked)].to(inputs)
+    each = conv2d(inputs, torch.cat([*(table.to(inputs.dtype) for table in tables), alone])[..., None, None])
+    by = [shares.repeat_interleave(TONE, 1).repeat(1, len(tables)), shares.new_ones(len(shares), len(picked))]
+    sums = torch.block_diag(*[torch.eye(TONE).repeat(1, looks)] * len(tables), torch.eye(len(picked)))
+    return conv2d(each * torch.cat(by, 1)[..., None, None].to(each.dtype), sums.to(each)[..., None, None])
 
 
 def sharpened(segments: Tensor, power: Tensor | float) -> Tensor:
