@@ -272,11 +272,10 @@ class ScenePainter(nn.Module):
             return _mixed(inputs[..., ENDS:-ENDS], tables, [], shares), None
         tables.append(_padded(self.glass.weight, channels - GLASS, channels))
         parts = _mixed(inputs, tables, [channels + OPENINGS, DEPTH], shares)
-        known, glass, openings, depth = parts.split((TONE, TONE, 1, 1), 1)
         size = 2 * EDGE_PX + 1
-        around = conv2d(openings, openings.new_full((1, 1, size, size), size**-2.0), padding=(EDGE_PX, 0))
+        around = conv2d(parts[:, -2:-1], parts.new_full((1, 1, size, size), size**-2.0), padding=(EDGE_PX, 0))
+        known, glass, _, depth = parts[..., ENDS:-ENDS].split((TONE, TONE, 1, 1), 1)
         near, far = depth_code(torch.tensor(PANES_M)).tolist()
-        known, glass, depth = (part[..., ENDS:-ENDS] for part in (known, glass, depth))
         share = ((around - NEARLY) / (1 - NEARLY)).clamp(0, 1) * ((far - depth) / (far - near)).clamp(0, 1)
         return known + share * (glass - known), share
 
