@@ -32,7 +32,7 @@ from lidar2pano.views import View
 NOT_FLIPPED = ("look", "tone", "class_tones", "class_means")
 SCORED_PIXELS = 30  # known pixels of a class in a frame, of every 64th; fewer say nothing about its tone
 MEAN_OF = 48  # frames at most of a look, evenly spaced, for its mean colours
-FORM = 6  # raised when the files of the same frames hold something else
+FORM = 7  # raised when the files of the same frames hold something else
 MARGIN = 48  # columns of a camera's sector that are kept on each side beyond those of a crop
 
 
