@@ -187,6 +187,7 @@ def test_the_runner_makes_walls_whole_as_we_do():
     depth_m = torch.full((1, 48, 96), 12.0)
     depth_m[..., 40:60] = torch.linspace(20, 5, 48)[:, None]
     depth_m[:, 20:, 70:] = 8.0
+    logits[:, FOUR_WHEELED[1], :, 30:36] = 40
     for each, columns in zip(FOUR_WHEELED, (slice(0, 8), slice(8, 16), slice(16, 24)), strict=True):
         logits[:, each, 8:12, columns] = 30
     segments, best = logits.softmax(1)[0].double().numpy(), logits.argmax(1)
@@ -197,6 +198,7 @@ def test_the_runner_makes_walls_whole_as_we_do():
     assert np.allclose(found, expected, atol=1e-5) and not np.allclose(found, segments, atol=0.1)
     assert (found.argmax(0)[25] == FENCE).any(), "fences stay fences"
     assert (found.argmax(0)[9, :24] == BUILDING).all(), "vehicles on a wall are none"
+    assert (found.argmax(0)[10:30, 30:36] == BUILDING).all(), "nor is what is taller"
 
 
 def heights(best, depth_m, view):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from lidar2pano.geometry.surface import slopes
-from lidar2pano.geometry.whole_walls import ONE_WALL, TALL_M, no_patches, whole_walls
+from lidar2pano.geometry.whole_walls import LORRY_M, ONE_WALL, TALL_M, no_patches, whole_walls
 from lidar2pano.views import View
 
 ROAD, WALL, FENCE, TREE, CAR, LORRY = range(6)
@@ -80,6 +80,17 @@ def with_vehicles(ids: torch.Tensor, radius_m: torch.Tensor) -> torch.Tensor:
     return logits.argmax(1)[0]
 
 
+def test_a_lorry_is_no_taller_than_lorries_are():
+    height_m = 8.0 * slopes(VIEW) + EYE_M
+    radius_m = torch.full((ROWS, COLUMNS), 8.0)
+    ids = torch.full((ROWS, COLUMNS), LORRY)
+    ids[:, 50:] = torch.where(height_m[:, None] < LORRY_M, LORRY, TREE)
+    ids[height_m < 0.2] = ROAD
+    found = with_vehicles(ids, radius_m)
+    assert (height_m > LORRY_M).any() and (found[:, :50] == ids[:, :50]).sum() == (ids[:, :50] == ROAD).sum()
+    assert torch.equal(found[:, 50:], ids[:, 50:]), "and what is a lorry up to there stays one"
+
+
 def lorry_on_wall(wall_m: float = 3.0, below: int = WALL) -> tuple[torch.Tensor, torch.Tensor]:
     """A lorry 3 m away between two rows, wall above it and, 20 rows of it, below; the road at the foot."""
     ids = torch.full((ROWS, COLUMNS), WALL)
@@ -120,10 +131,12 @@ def test_whole_walls_as_defined():
     ids = torch.randint(6, (ROWS, COLUMNS), generator=generator)
     ids = torch.where(torch.rand(ROWS, COLUMNS, generator=generator) < 0.8, ids.clamp(min=CAR), ids)
     radius_m = 8 * torch.exp(0.06 * torch.randn(ROWS, COLUMNS, generator=generator))
-    expected, tall = ids.clone(), radius_m * slopes(VIEW)[:, None] + EYE_M > TALL_M
+    expected, height_m = ids.clone(), radius_m * slopes(VIEW)[:, None] + EYE_M
     stands = marked_along(ids, radius_m, ids == WALL, {WALL, FENCE, CAR, LORRY}, -1)
+    solid, above = {WALL, FENCE, CAR, LORRY}, (ids != ROAD) & (ids != TREE) & (height_m > LORRY_M)
+    stands |= marked_along(ids, radius_m, above, solid, 1)
     expected[stands & ((ids == CAR) | (ids == LORRY))] = WALL
-    carries = marked_along(expected, radius_m, (expected == WALL) & tall, {WALL, FENCE}, 1)
+    carries = marked_along(expected, radius_m, (expected == WALL) & (height_m > TALL_M), {WALL, FENCE}, 1)
     expected[carries & (ids == FENCE)] = WALL
     found = with_vehicles(ids, radius_m)
     assert torch.equal(found, expected)

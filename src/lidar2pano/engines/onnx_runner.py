@@ -297,10 +297,11 @@ def no_flat_fences(segments, best, radius_m, height_m):
 
 
 def whole_walls(segments, best, radius_m, height_m):
-    """Segments in which no fence carries a building and no vehicle stands on one, in one wall: they are building."""
+    """Segments in which no fence carries a building and no vehicle stands on one or is too tall: they are building."""
     same = np.abs(np.log(radius_m[1:] / radius_m[:-1])) < 0.1
     house, fence, vehicle = best == BUILDING, best == FENCE, np.isin(best, FOUR_WHEELED)
-    stands = begun_below(house, house | fence | vehicle, same)
+    solid = house | fence | vehicle
+    stands = begun_below(house, solid, same) | begun(solid & (height_m > 4.2), solid, same)
     house = house | (vehicle & stands)
     carries = begun(house & (height_m > 2), house | fence, same)
     segments = segments.copy()

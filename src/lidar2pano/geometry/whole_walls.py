@@ -12,6 +12,7 @@ from lidar2pano.geometry.columns import greatest_above, row_numbers
 from lidar2pano.geometry.odds import give_away
 
 TALL_M = 2.0  # above the road: a fence is lower
+LORRY_M = 4.2  # likewise, no vehicle is taller
 ONE_WALL = 0.1  # logarithm of the ratio of distances, up to which the next lower pixel shows the same wall
 
 
@@ -24,9 +25,9 @@ def whole_walls(  # noqa: PLR0913, PLR0917 one scene, and which class is what
     fence: int,
     vehicles: Sequence[int],
 ) -> None:
-    """Change logits (B, C, H, W) so that no fence carries a building and no vehicle stands on one, in one wall.
+    """Change logits (B, C, H, W) so that no fence carries a building and no vehicle stands on one, or carries one.
 
-    Such fences and vehicles are building.
+    Such fences and vehicles are building; a vehicle carries one where its surface goes on above LORRY_M.
     ids  (B, H, W): the best classes, of which those of building, fence and vehicles are given.
     radius_m, height_m  (B, H, W): horizontal distances and heights above the road, of `measured_depth`, for a guess
          that wavers does not show which pixels are of one wall.
@@ -35,7 +36,8 @@ def whole_walls(  # noqa: PLR0913, PLR0917 one scene, and which class is what
     same = _one_surface(radius_m)
     house, is_fence, of_vehicles = ids == building, ids == fence, [ids == each for each in vehicles]
     vehicle = torch.stack(of_vehicles).any(0)
-    on_wall = vehicle & _begun_below(house, house | is_fence | vehicle, same)
+    solid = house | is_fence | vehicle
+    on_wall = vehicle & (_begun_below(house, solid, same) | _begun(solid & (height_m > LORRY_M), solid, same))
     for each, own in zip(vehicles, of_vehicles, strict=True):
         give_away(logits, each, [building], (own & on_wall).nonzero(as_tuple=True))
     house |= on_wall
