@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from lidar2pano.geometry.flat_ground import FLAT, HIGH_M, LOW_M, NEAR_M, REACH, STEEP, no_flat_fences
+from lidar2pano.geometry.flat_ground import AROUND, BANK_M, FLAT, HIGH_M, LOW_M, NEAR_M, REACH, STEEP, no_flat_fences
 from lidar2pano.geometry.surface import slopes
 from lidar2pano.views import View
 
@@ -41,13 +41,32 @@ def slowly(ids: torch.Tensor, radius_m: torch.Tensor) -> torch.Tensor:
     flat = torch.zeros(ROWS, COLUMNS, dtype=torch.bool)
     for row in range(ROWS):
         for column in range(COLUMNS):
-            for slope, most_m in ((FLAT, LOW_M), (STEEP, HIGH_M)):
-                level = abs(z_m[row, column] + EYE_M) < most_m and radius_m[row, column] < NEAR_M
+            for slope, most_m, farthest_m in ((FLAT, LOW_M, NEAR_M), (STEEP, HIGH_M, BANK_M)):
+                level = abs(z_m[row, column] + EYE_M) < most_m and radius_m[row, column] < farthest_m
                 for other in (max(row - REACH, 0), min(row + REACH, ROWS - 1)):
                     up, away = (abs(part[other, column] - part[row, column]) for part in (z_m, radius_m))
                     level = level and up <= slope * away
                 flat[row, column] |= level and ids[row, column] == FENCE
-    return flat
+    return mostly(flat, ids == FENCE)
+
+
+def mostly(flat: torch.Tensor, fence: torch.Tensor) -> torch.Tensor:
+    """Where more than half of a fence is flat: of what adjoins in a column, in the mean over the columns around."""
+    share = torch.zeros(ROWS, COLUMNS)
+    for column in range(COLUMNS):
+        for row in range(ROWS):
+            first, last = row, row
+            while first > 0 and fence[first - 1, column]:
+                first -= 1
+            while last < ROWS - 1 and fence[last + 1, column]:
+                last += 1
+            share[row, column] = flat[first : last + 1, column].float().mean() if fence[row, column] else 0
+    found = torch.zeros(ROWS, COLUMNS, dtype=torch.bool)
+    for column in range(COLUMNS):
+        columns = [(column + step) % COLUMNS for step in range(-AROUND, AROUND + 1)]
+        count = fence[:, columns].sum(1)
+        found[:, column] = fence[:, column] & (share[:, columns].sum(1) > count / 2 + 1e-4)
+    return found
 
 
 def meadow(fence_m: float = math.inf, high_m: float = 1.0) -> torch.Tensor:
@@ -60,9 +79,9 @@ def meadow(fence_m: float = math.inf, high_m: float = 1.0) -> torch.Tensor:
 
 def test_a_fence_that_lies_flat_is_ground_down_to_the_last_row():
     radius_m = meadow()
-    found = levelled(torch.full((ROWS, COLUMNS), FENCE), radius_m)
-    assert ((found == FENCE) == (radius_m >= NEAR_M - 5)).float().mean() > 0.95
-    assert (found[-1] != FENCE).all() and (found[0] == FENCE).all()
+    found = levelled(torch.where(radius_m < NEAR_M, FENCE, WALL), radius_m)
+    assert (found != FENCE).all() and (found[-1] != WALL).all()
+    assert (levelled(torch.where(radius_m > 4, FENCE, GRASS), radius_m)[0] == FENCE).all(), "most of it is too far away"
 
 
 def test_a_fence_that_stands_there_stays_down_to_its_foot():
@@ -84,16 +103,26 @@ def test_a_slope_is_a_bank_and_what_is_steeper_a_fence():
     radius_m = bank(0.8)
     on_it = (radius_m > 4.5) & (radius_m < 7)
     assert on_it.sum() > 5 * COLUMNS
-    ids = torch.full((ROWS, COLUMNS), FENCE)
-    found = levelled(ids, radius_m)
+    found = levelled(torch.where(on_it, FENCE, WALL), radius_m)
     assert set(found[on_it].unique().tolist()) == {GRASS, SHRUB}, "as they share what they have"
     radius_m = bank(2.5)
-    assert (levelled(ids, radius_m)[(radius_m > 4.3) & (radius_m < 5)] == FENCE).all()
+    ids = torch.where((radius_m > 4.3) & (radius_m < 5), FENCE, WALL)
+    assert (ids == FENCE).any() and torch.equal(levelled(ids, radius_m), ids)
+
+
+def test_a_fence_that_is_torn_here_and_there_stays():
+    """Stairs between beams, in a few columns: what the columns around say counts."""
+    radius_m = meadow(fence_m=6.0)
+    ids = torch.where(radius_m == 6, FENCE, GRASS)
+    torn = radius_m.clone()
+    torn[:, 20:24] = meadow()[:, 20:24]
+    assert torch.equal(levelled(ids, torn), ids)
+    torn[:, 5:45] = meadow()[:, 5:45]
+    assert (levelled(ids, torn)[:, 15:35] != FENCE).all()
 
 
 def test_what_lies_higher_is_left_alone():
     """Level ground above the road's: up to HIGH_M it may be a bank's top."""
-    ids = torch.full((ROWS, COLUMNS), FENCE)
     for above_m, classes in ((LOW_M + 0.1, {GRASS, SHRUB}), (HIGH_M + 0.1, {FENCE})):
         radius_m = torch.full((ROWS, COLUMNS), 60.0)
         slope = slopes(VIEW)[:, None].expand(-1, COLUMNS)
@@ -101,7 +130,8 @@ def test_what_lies_higher_is_left_alone():
         radius_m = torch.where(level, (above_m - EYE_M) / slope, radius_m)
         assert level.sum() > 5 * COLUMNS
         inner = level & level.roll(REACH, 0) & level.roll(-REACH, 0)
-        assert set(levelled(ids, radius_m)[inner].unique().tolist()) == classes
+        found = levelled(torch.where(inner, FENCE, WALL), radius_m)
+        assert set(found[inner].unique().tolist()) == classes
 
 
 @pytest.mark.parametrize("seed", [1, 2])

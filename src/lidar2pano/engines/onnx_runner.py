@@ -282,14 +282,19 @@ def radius_and_height(best, depth_m, view):
 
 def no_flat_fences(segments, best, radius_m, height_m):
     """Segments in which what is level and about as high as the road is no fence, but ground, and a slope is a bank."""
-    row = np.arange(len(best))
-    sloping = (best == FENCE) & (radius_m < 25) & (np.abs(height_m) < 3)
-    level = sloping & (np.abs(height_m) < 0.5)
+    row, fence, columns = np.arange(len(best)), best == FENCE, best.shape[1]
+    level = fence & (radius_m < 25) & (np.abs(height_m) < 0.5)
+    sloping = fence & (radius_m < 12) & (np.abs(height_m) < 3)
     for upper, lower in (((row - 3).clip(0), row), (row, (row + 3).clip(max=row[-1]))):
         up, away = (np.abs(part[upper] - part[lower]) for part in (height_m, radius_m))
         level, sloping = level & (up <= 0.5 * away), sloping & (up <= 1.5 * away)
-    segments = segments.copy()
-    for others, there in ((GROUND, level), ([TERRAIN, VEGETATION], sloping & ~level)):
+    begins = fence & ~np.pad(fence, ((1, 0), (0, 0)))[:-1]
+    number = begins.T.cumsum().reshape(columns, -1).T  # of what adjoins in a column
+    votes, counts = (np.bincount(number[fence], part[fence], number.max() + 1) for part in (level | sloping, fence))
+    share = np.where(fence, (votes / counts.clip(1))[number], 0)
+    share, count = (sum(np.roll(part.astype(float), shift, 1) for shift in range(-12, 13)) for part in (share, fence))
+    bank, segments = fence & (share > count / 2), segments.copy()
+    for others, there in ((GROUND, bank & level), ([TERRAIN, VEGETATION], bank & ~level)):
         moved, shares = np.where(there, segments[FENCE], 0), segments[others]
         segments[others] += moved * shares / shares.sum(0).clip(min=1e-30)
         segments[FENCE] -= moved
