@@ -28,8 +28,8 @@ def no_flat_fences(  # noqa: PLR0913, PLR0917 one scene, and which class is what
 ) -> None:
     """Change logits (B, C, H, W) so that what is level and about as high as the road, or a slope, is no fence.
 
-    Pixel by pixel, surfaces between beams are stairs, and guard rails would be torn. So it is said of all that adjoins in
-    a column, if in the mean over the columns around more than half of it is so.
+    Pixel by pixel, surfaces between beams are stairs, and guard rails would be torn. So it is said of all that adjoins
+    in a column, if in the mean over the columns around more than half of it is so.
     ids       (B, H, W): the best classes, of which that of fences is given; what is no fence any more stays as it is.
     radius_m, height_m  (B, H, W): horizontal distances and heights above the road, of `measured_depth`.
     ground, bank  ids of classes of level ground and of a bank, which share what the fence had as they share their own.
