@@ -102,11 +102,9 @@ def found_cars(cars: Tensor, ground: Tensor, radius_m: Tensor, above_m: Tensor, 
     slope, radii_m = slopes(view, device=cars.device)[:, None], radius_m[rows]
     height_m, over_edge_m = radii_m * slope[rows] + above_m, radii_m * (slope[rows] - slope[-1])
     inside = (height_m > LOWEST_M) & (height_m < HIGHEST_M) & (radii_m < FARTHEST_M)
-    low = height_m < BELT_M
+    low, beside = height_m < BELT_M, radii_m < BESIDE_M
     profile, total = _profile(cars[rows] * (inside & low), radii_m)
-    nearest, near = _profile(
-        cars[rows] * (inside & (low | (over_edge_m < CUT_M)) & (radii_m < BESIDE_M)), radii_m, NEARNESS
-    )
+    nearest, near = _profile(cars[rows] * (inside & beside & (low | (over_edge_m < CUT_M))), radii_m, NEARNESS)
     nearest, here = _without_windows(nearest), _closed(torch.maximum(total, near) > LEAST)
     distance_m = torch.where(nearest < math.log(BESIDE_M), nearest, profile).exp()
     ray, _ = world_columns(view, None, cars.device)

@@ -68,9 +68,8 @@ DEPTH, TONES, OPENINGS = len(COMMON15), slice(-TONE - 1, -1), -1  # of the paint
 # Inside of a pane no pixel nearby is wall: up to so many rows and columns away, of which nearly all have to be glass.
 # Panes farther away than these metres are painted as well as all else; up to the first one none is.
 EDGE_PX, NEARLY, PANES_M = 2, 0.75, (5.0, 10.0)
-GLASS = (
-    TONE + 1
-)  # of the last inputs, of which the colour of panes is a linear function: tones, and openings, which are 1
+NEAR_CODE, FAR_CODE = depth_code(torch.tensor(PANES_M)).tolist()
+GLASS = TONE + 1  # of the last inputs: the colour of panes is a linear function of tones, and of openings, which are 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -275,8 +274,8 @@ class ScenePainter(nn.Module):
         size = 2 * EDGE_PX + 1
         around = conv2d(parts[:, -2:-1], parts.new_full((1, 1, size, size), size**-2.0), padding=(EDGE_PX, 0))
         known, glass, _, depth = parts[..., ENDS:-ENDS].split((TONE, TONE, 1, 1), 1)
-        near, far = depth_code(torch.tensor(PANES_M)).tolist()
-        share = ((around - NEARLY) / (1 - NEARLY)).clamp(0, 1) * ((far - depth) / (far - near)).clamp(0, 1)
+        near = ((FAR_CODE - depth) / (FAR_CODE - NEAR_CODE)).clamp(0, 1)
+        share = ((around - NEARLY) / (1 - NEARLY)).clamp(0, 1) * near
         return known + share * (glass - known), share
 
     def _tuned(self, number: int, x: Tensor, code: Tensor) -> Tensor:
