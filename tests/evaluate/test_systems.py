@@ -48,7 +48,7 @@ from random_weights import (
 )
 from small_recipes import small
 
-ROAD, CAR = COMMON15.id_of("road"), COMMON15.id_of("car")
+ROAD, CAR, PERSON = map(COMMON15.id_of, ("road", "car", "person"))
 RASTER = f"[{CAMERA[1]},{CAMERA[0]}]"  # a network whose images have the camera's own size: nothing is resized
 VIDEO = {"channels": 16, "widths": [8], "downsamplings": 2, "blocks": [1, 1], "foreground": []}
 FRONT_STAGES = ["project", "segment", "clean_up", "translate", "camera"]
@@ -234,7 +234,7 @@ def test_the_front_view_is_resized_to_the_cameras_image(front_weights, frame):
 def test_a_panorama_is_resampled_to_the_camera(random_weights, kitti):
     plain = system(random_weights, device="cpu")
     assert isinstance(plain, PanoramaSystem)
-    one = replace(plain, pipeline=replace(plain.pipeline, translator=(sides := Sides(CAR, ROAD))))
+    one = replace(plain, pipeline=replace(plain.pipeline, translator=(sides := Sides(PERSON, ROAD))))
     _, prediction = one.predict(SystemInput(scan=street(), calibration=kitti, colours=False))
     whole, _, _ = denser(street(), one.pipeline.segmenter.project(street()))
     assert torch.equal(sides.inputs[0][0], project(whole, at_camera(one.pipeline.view, kitti)).channels)
@@ -242,7 +242,7 @@ def test_a_panorama_is_resampled_to_the_camera(random_weights, kitti):
     assert (
         prediction.camera_labels[:5, 590:620] == 0
     ).all()  # ahead, the panorama reaches up to tan 0.24: row 180 - 0.24 * 718.9
-    assert (prediction.camera_labels[16:, :600] == CAR).all() and (
+    assert (prediction.camera_labels[16:, :600] == PERSON).all() and (
         prediction.camera_labels[16:, 615:] == ROAD
     ).all()  # ahead is column 607
     assert (prediction.depth_m[16:] > 0).all() and prediction.depth_m[0, 600] == 0

@@ -11,7 +11,7 @@ from torch.nn.functional import avg_pool2d, pad
 from lidar2pano.geometry.odds import give_away
 
 REACH = 3  # rows upwards, and rows downwards, over which the surface's slope is taken
-AROUND = 12  # columns on either side that are judged together
+AROUND = 12  # columns on either side that count together
 FLAT, STEEP = 0.5, 1.5  # greatest slope along a column of level ground, and of a bank: 27 and 56 degrees
 LOW_M, HIGH_M = 0.5, 3.0  # heights from the road's of these that are believed
 NEAR_M, BANK_M = 25.0, 12.0  # likewise, horizontal distances: farther away guard rails are too few rows
