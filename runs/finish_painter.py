@@ -35,9 +35,9 @@ from lidar2pano.models.card import load, save
 from lidar2pano.models.scene_painter import (
     DEPTH,
     EDGE_PX,
+    FAR_CODE,
     GLASS,
     OPENINGS,
-    PANES_M,
     STRIDE,
     TONE,
     Known,
@@ -48,7 +48,6 @@ from lidar2pano.models.scene_painter import (
     twice,
     with_cars,
 )
-from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.views import VIEWS
 
 EVERY, STEPS, SATURATED = 4, 20, 0.985
@@ -93,7 +92,7 @@ def panes(painter: ScenePainter, file: Path, look: str) -> tuple[Tensor, Tensor]
     """Of a frame's pixels inside of near panes: what their colour hangs on (GLASS, N), and painted colours (3, N)."""
     painted, _, inputs = paint(painter, load_file(file), look)
     known = inputs[-GLASS:]
-    glass = (inside(known[None, OPENINGS], EDGE_PX)[0] > 0) & (inputs[DEPTH] < depth_code(torch.tensor(PANES_M[1])))
+    glass = (inside(known[None, OPENINGS], EDGE_PX)[0] > 0) & (inputs[DEPTH] < FAR_CODE)
     return known[:, glass], avg_pool2d(painted, 2)[:, glass]
 
 
