@@ -12,7 +12,7 @@ import torch
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
 from lidar2pano.errors import InputError
-from lidar2pano.evaluate import MetricConfig, Prediction, SystemInput, score, system
+from lidar2pano.evaluate import MetricConfig, Prediction, SystemInput, report, score, system
 from lidar2pano.evaluate.evaluation import ROLL, EvaluatedSystem, rotated
 from lidar2pano.evaluate.ground_truth_flow import camera_distances, camera_flow, follows, panorama_flow
 from lidar2pano.evaluate.interface import SystemInfo
@@ -106,7 +106,7 @@ def test_counted_by_hand():
     iou = evaluation.systems[0].metrics.classes("camera").confusion().iou()
     assert iou[ROAD] == pytest.approx(2 / 5)  # 2 hits, 4 in the target, 1 more claimed; the last row's do not count
     assert iou[CAR] == pytest.approx(5 / 6)
-    assert evaluation.as_dict()["results"][0]["score"] == {
+    assert report.as_dict(evaluation)["results"][0]["score"] == {
         "segmenter": {"point_miou": pytest.approx(0.5), "point_accuracy": pytest.approx(2 / 3), "split": "val"},
         "translator": {
             "camera_miou": pytest.approx((2 / 5 + 5 / 6) / 2),
@@ -120,20 +120,20 @@ def test_counted_by_hand():
 def test_answers_of_absent_classes_do_not_change_what_is_averaged():
     evaluation = scored([frame_of()], fixed([[ROAD] * 6] * 2, [1] * 4), fixed([[BUS] + [ROAD] * 5] * 2, [1] * 4))
     assert evaluation.target_classes() == [CAR, ROAD]
-    mious = [one["score"]["translator"]["camera_miou"] for one in evaluation.as_dict()["results"]]
+    mious = [one["score"]["translator"]["camera_miou"] for one in report.as_dict(evaluation)["results"]]
     assert mious == [pytest.approx(4 / 10 / 2), pytest.approx(3 / 10 / 2)]
-    assert "the 2 of the paper's 14 classes" in evaluation.heading()
+    assert "the 2 of the paper's 14 classes" in report.heading(evaluation)
 
 
 def test_frames_with_camera_or_point_labels_only():
     points_only = scored([frame_of(calibration=None, camera_labels=None)], one := fixed([[ROAD] * 6] * 2, [9, 1, 9, 9]))
     assert (points_only.images, points_only.scans) == (0, 1)
     assert value_of(points_only, "points", "accuracy") == 1 and one.inputs[0].calibration is None
-    assert "mIoU of 2 SemanticKITTI" in points_only.table() and "| road" not in points_only.table()
-    json.dumps(points_only.as_dict(), allow_nan=False)
+    assert "mIoU of 2 SemanticKITTI" in report.table(points_only) and "| road" not in report.table(points_only)
+    json.dumps(report.as_dict(points_only), allow_nan=False)
     camera_only = scored([frame_of(point_labels=None)], fixed([[ROAD] * 6] * 2))
     assert (camera_only.images, camera_only.scans) == (1, 0)
-    assert "SemanticKITTI" not in camera_only.table()
+    assert "SemanticKITTI" not in report.table(camera_only)
     with pytest.raises(InputError, match="00/000000 has neither camera_labels/ nor labels/"):
         scored([frame_of(calibration=None, camera_labels=None, point_labels=None)], fixed())
 
@@ -145,7 +145,7 @@ def test_only_the_oracle_receives_the_ground_frame_of():
         given.append(one.inputs[0].camera_labels)
     assert given[0] is None
     assert given[1].tolist() == np.where(TARGET == IGNORE, 0, TARGET).tolist()
-    heading = scored([frame_of()], Fixed("oracle+x", oracle=True)).heading()
+    heading = report.heading(scored([frame_of()], Fixed("oracle+x", oracle=True)))
     assert "Input is the camera's ground-truth labels, not the scan: oracle+x." in heading
 
 
@@ -162,10 +162,10 @@ def test_intervals_need_several_frames():
         scored([frame_of()], fixed(ids)),
         scored([frame_of(), frame_of("00/000007", camera_labels=other)], fixed(ids)),
     )
-    assert "In brackets" not in alone.heading() and "In brackets" in both.heading()
+    assert "In brackets" not in report.heading(alone) and "In brackets" in report.heading(both)
     found = {(one.sector, one.name): one for one in both.values(both.systems[0].metrics)}["camera", "accuracy"]
     assert (found.value, found.low, found.high, found.frames) == (pytest.approx(16 / 22), 0.4, 1.0, 2)
-    assert "| accuracy |  | 0.727 (0.400 to 1.000) |" in both.table()
+    assert "| accuracy |  | 0.727 (0.400 to 1.000) |" in report.table(both)
 
 
 # --- system inputs ---------------------------------------------------------------------------------------------------
@@ -221,13 +221,13 @@ def test_images_are_compared_with_the_cameras():
     assert value_of(evaluation, "camera", "ssim") == pytest.approx(1)
     assert value_of(evaluation, "camera", "ssim", 1) < 0.1
     assert value_of(evaluation, "camera", "swd") < value_of(evaluation, "camera", "swd", 1)
-    table = evaluation.table()
+    table = report.table(evaluation)
     assert "| FID |  | no Inception weights | no Inception weights | - |" in table
     ssim = next(line for line in table.splitlines() if line.startswith("| SSIM"))
     assert ssim.startswith("| SSIM |  | 1.000 (1.000 to 1.000) | 0.0") and ssim.endswith("| - |")
-    assert "against the camera's images (2)" in evaluation.heading()
+    assert "against the camera's images (2)" in report.heading(evaluation)
     assert "mIoU of" not in table
-    json.dumps(evaluation.as_dict(), allow_nan=False)
+    json.dumps(report.as_dict(evaluation), allow_nan=False)
 
 
 def test_metrics_by_other_networks(tmp_path):
@@ -266,9 +266,12 @@ def test_metrics_by_other_networks(tmp_path):
     assert value_of(evaluation, "camera", "fid", 1) == 0
     (own,) = [one for one in evaluation.values(evaluation.reference) if one.name == "resegmentation_accuracy"]
     assert own.value == pytest.approx(0.5)  # all of the camera image is dark, half of it is road
-    table = evaluation.table()
+    table = report.table(evaluation)
     assert "| FSD (features of abababab) |" in table and "| re-segmentation mIoU | ground truth 0.250 |" in table
-    assert (evaluation.as_dict()["inception"], evaluation.as_dict()["camera_segmenter"]) == ("cd" * 32, "ab" * 32)
+    assert (report.as_dict(evaluation)["inception"], report.as_dict(evaluation)["camera_segmenter"]) == (
+        "cd" * 32,
+        "ab" * 32,
+    )
     assert len(calls) < 2 * 2 * 2 * 2  # frames, systems, sides, networks: features of the ground truth are cached
 
 
@@ -347,14 +350,15 @@ def test_panoramas_by_hand():
     assert value_of(evaluation, "panorama", "depth_abs_rel") == pytest.approx(0.2)
     assert value_of(evaluation, "panorama", "depth_rmse_m") == pytest.approx(2)
     assert value_of(evaluation, "panorama", "ssim") == pytest.approx(1)
-    table = evaluation.table()
+    table = report.table(evaluation)
     assert "| panorama: car | 16.8% | 0.000 |" in table and "| panorama: **mIoU of 2** |" in table
-    assert (
-        "| panorama: seam ratio | ground truth " in table
-        and "against ground-truth panoramas (1)" in evaluation.heading()
+    assert "| panorama: seam ratio | ground truth " in table and "against ground-truth panoramas (1)" in report.heading(
+        evaluation
     )
-    assert evaluation.as_dict()["panorama_classes"] == ["car", "road"]
-    assert evaluation.as_dict()["results"][0]["score"]["translator"]["panorama_depth_abs_rel"] == pytest.approx(0.2)
+    assert report.as_dict(evaluation)["panorama_classes"] == ["car", "road"]
+    assert report.as_dict(evaluation)["results"][0]["score"]["translator"]["panorama_depth_abs_rel"] == pytest.approx(
+        0.2
+    )
 
 
 def test_colours_count_where_they_are_known():
@@ -432,7 +436,7 @@ def test_flicker_of_what_stands_still():
     assert value_of(evaluation, "camera", "warping_error", 1) == pytest.approx(3 * 0.2**2)
     assert value_of(evaluation, "panorama", "warping_error") == pytest.approx(0)
     assert "| warping error x 1000 | ground truth 0.00 | 0.00 (0.00 to 0.00) | 120.00 (120.00 to 120.00) |" in (
-        evaluation.table()
+        report.table(evaluation)
     )
 
 
@@ -545,6 +549,7 @@ def test_roll_error_of_panoramas_that_rotate_and_that_do_not():
 
 
 def test_real_weights_score_through_and_through(random_weights):
-    (one,) = scored([frame_of(panorama=true_panorama())], system(random_weights, device="cpu")).as_dict()["results"]
+    evaluation = scored([frame_of(panorama=true_panorama())], system(random_weights, device="cpu"))
+    (one,) = report.as_dict(evaluation)["results"]
     assert one["networks"]["translator"]["network"] == "titan-pano"
     assert {value["sector"] for value in one["values"]} == {"camera", "panorama", "points"}

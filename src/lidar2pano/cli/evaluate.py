@@ -57,7 +57,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.cli.files import check_file, check_folder
     from lidar2pano.cli.progress import bar
     from lidar2pano.data.frames import frames
-    from lidar2pano.evaluate import MetricConfig, score, system
+    from lidar2pano.evaluate import MetricConfig, report, score, system
     from lidar2pano.hardware import keep_buffers
 
     for path, option in ((as_json, "--json"), (as_csv, "--csv")):
@@ -74,17 +74,18 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
         evaluation = score(systems, scored, data=name, split=split, config=config, worst=worst, after_each=advance)
     write_files(evaluation, as_json, as_csv, out if worst else None)
     note_systems(systems)
-    print(evaluation.table())
+    print(report.table(evaluation))
 
 
 def write_files(evaluation: Evaluation, as_json: Path | None, as_csv: Path | None, out: Path | None) -> None:
     """Write the requested files: JSON, CSV, the worst frames."""
     from lidar2pano.cli.files import write_json
+    from lidar2pano.evaluate import report
 
     if as_json:
-        write_json(as_json, evaluation.as_dict(), "--json")
+        write_json(as_json, report.as_dict(evaluation), "--json")
     if as_csv:
-        write_csv(as_csv, evaluation.records(), "--csv")
+        write_csv(as_csv, report.records(evaluation), "--csv")
     if out:
         write_csv(out / "worst.csv", write_worst(evaluation, out), "--out")
 

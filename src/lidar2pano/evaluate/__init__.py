@@ -2,7 +2,7 @@
 
     system(weights, painter=None, device="auto", sensor="") -> System
     score(systems, frames, *, data, split, config=None, after_each=...) -> Evaluation
-    Evaluation.as_dict() -> dict[str, Any]     ready for JSON; `.table()` is Markdown, `.records()` rows for CSV
+    report.as_dict(evaluation) -> dict[str, Any]     ready for JSON; `table` is Markdown, `records` rows for CSV
 
 weights   an argument of `lidar2pano evaluate`, or a chain "TRANSLATOR+PAINTER"; "oracle" is a TRANSLATOR.
 systems   each gets the scan and the calibration of a frame (`SystemInput`); only the oracle gets ground-truth labels.

@@ -12,7 +12,6 @@ import numpy as np
 
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame
 from lidar2pano.errors import InputError
-from lidar2pano.evaluate import report
 from lidar2pano.evaluate.ground_truth_flow import camera_flow, follows, panorama_flow
 from lidar2pano.evaluate.interface import Prediction, System, SystemInput
 from lidar2pano.evaluate.metric_config import MetricConfig
@@ -126,22 +125,6 @@ class Evaluation:
     def values(self, metrics: MetricCollection) -> list[MetricValue]:
         """Every value of a system's metrics, or of the reference."""
         return list(metrics.values({sector: self.target_classes(sector) for sector in SECTOR_ORDER}))
-
-    def heading(self) -> str:
-        """What is scored and how."""
-        return report.heading(self, [report.by_name(self.values(one.metrics)) for one in self.systems])
-
-    def table(self) -> str:
-        """Markdown: the heading, then a column per system."""
-        return report.table(self)
-
-    def records(self) -> list[dict[str, Any]]:
-        """One row per system and value, ready for CSV."""
-        return report.records(self)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Everything, ready for JSON; undefined values are None or left out."""
-        return report.as_dict(self)
 
 
 def score(

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+from lidar2pano.evaluate.evaluation import EvaluatedSystem, Evaluation
 from lidar2pano.evaluate.metric_values import SECTOR_ORDER, SWD_LEVELS, UNSCORED, MetricCollection, MetricValue
 from lidar2pano.labels import COMMON15
-
-if TYPE_CHECKING:
-    from lidar2pano.evaluate.evaluation import EvaluatedSystem, Evaluation
 
 Values = Mapping[tuple[str, str], MetricValue]
 # role -> (sector, value) -> name in "score", which cards of released weights take over
@@ -63,8 +61,9 @@ ROWS: dict[str, Row] = {
 PREFIX = {"camera": "", "panorama": "panorama: "}
 
 
-def heading(one: Evaluation, values: list[Values]) -> str:
-    """What is scored and how; values: of every system."""
+def heading(one: Evaluation) -> str:
+    """Describe the data, the metrics and the limits of an evaluation."""
+    values = [by_name(one.values(each.metrics)) for each in one.systems]
     present = one.target_classes() or ([] if one.images else one.target_classes("panorama"))
     missing = [name for c, name in enumerate(COMMON15.classes) if c not in (*present, *UNSCORED)]
     absent = f" (absent: {', '.join(missing)})" if missing else ""
@@ -121,7 +120,7 @@ def table(one: Evaluation) -> str:
         cells = [f"{time[stage]:.0f}" if stage in time else "-" for time in times]
         rows.append([f"{stage.replace('_', ' ')}, ms", "", *cells])
     rows += _network_rows(one)
-    return "\n".join([heading(one, values), "", *(f"| {' | '.join(row)} |" for row in rows)])
+    return "\n".join([heading(one), "", *(f"| {' | '.join(row)} |" for row in rows)])
 
 
 def records(one: Evaluation) -> list[dict[str, Any]]:
@@ -145,7 +144,7 @@ def records(one: Evaluation) -> list[dict[str, Any]]:
 
 
 def as_dict(one: Evaluation) -> dict[str, Any]:
-    """Everything, ready for JSON."""
+    """Everything, ready for JSON; undefined values are None or left out."""
     config = one.config
     values = [one.values(each.metrics) for each in one.systems]
     return {
@@ -164,7 +163,7 @@ def as_dict(one: Evaluation) -> dict[str, Any]:
         "camera_segmenter": config.image_segmenter.sha256 if config.image_segmenter else None,
         "classes": [COMMON15.classes[c] for c in one.target_classes()],
         "panorama_classes": [COMMON15.classes[c] for c in one.target_classes("panorama")],
-        "heading": heading(one, [by_name(each) for each in values]),
+        "heading": heading(one),
         "results": [_result(one, each, found) for each, found in zip(one.systems, values, strict=True)],
         "ground_truth": [_plain(value) for value in one.values(one.reference)],
     }

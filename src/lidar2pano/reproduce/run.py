@@ -12,7 +12,7 @@ from typing import Any
 
 from lidar2pano.data.frames import FrameList, frames
 from lidar2pano.errors import InputError
-from lidar2pano.evaluate import MetricConfig, score, system
+from lidar2pano.evaluate import MetricConfig, report, score, system
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.hardware import Timer, pick_device
@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 class Outcome:
     """The result of a plan.
 
-    results   row -> its `Evaluation.as_dict()`;  failures: part or row -> the reason.
+    results   row -> its `report.as_dict`;  failures: part or row -> the reason.
     camera_segmenter_ms  time of SD-Net for an image of the split; None: there is no image.
     """
 
@@ -142,7 +142,7 @@ def score_row(
     around = load(plan.chain(row), plan.device) if name == "titan" else None  # the paper's panoramas
     write_images(plan.out / "images" / name, one, scored, config, around)
     evaluation = score([one], scored, data=plan.data.resolve().name, split=plan.split, config=config)
-    result = evaluation.as_dict()
+    result = report.as_dict(evaluation)
     text = json.dumps({"key": key, "result": result}, indent=1)
     write_whole(path, lambda beside: beside.write_text(text, encoding="utf-8"))
     return result
