@@ -16,7 +16,8 @@ import numpy as np
 from PIL import Image
 
 from lidar2pano import load
-from lidar2pano.data.frames import Frame, frames
+from lidar2pano.data.frames import Frame
+from lidar2pano.data.layouts import frames
 from lidar2pano.labels import COMMON15
 
 GAP = 4  # pixels

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar2pano.data.frames import frames
+from lidar2pano.data.layouts import frames
 from lidar2pano.labels import SEMANTIC_KITTI
 
 

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import torch
 
-from lidar2pano.data.frames import IGNORE, evenly_spaced, frames
+from lidar2pano.data.frames import IGNORE, evenly_spaced
+from lidar2pano.data.layouts import frames
 from lidar2pano.hardware import Timer
 from lidar2pano.metrics.reliability import Reliability
 from lidar2pano.pipeline import load

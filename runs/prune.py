@@ -17,7 +17,8 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
-from lidar2pano.data.frames import evenly_spaced, frames_of
+from lidar2pano.data.frames import evenly_spaced
+from lidar2pano.data.layouts import frames_of
 from lidar2pano.hardware import Timer
 from lidar2pano.memory import Memory
 from lidar2pano.models.card import load as load_weights

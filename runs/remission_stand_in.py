@@ -18,7 +18,8 @@ import numpy as np
 import torch
 
 from lidar2pano.data import pandaset
-from lidar2pano.data.frames import Frame, frames
+from lidar2pano.data.frames import Frame
+from lidar2pano.data.layouts import frames
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.models.families import weight_files
 from lidar2pano.pipeline import Segmenter, load_segmenter

@@ -16,7 +16,8 @@ import numpy as np
 import torch
 from PIL import Image
 
-from lidar2pano.data.frames import Frame, PanoramaGroundTruth, frames
+from lidar2pano.data.frames import Frame, PanoramaGroundTruth
+from lidar2pano.data.layouts import frames
 from lidar2pano.geometry.depth_completion import complete_depth
 from lidar2pano.labels import COMMON15
 from lidar2pano.views import VIEWS

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lidar2pano.data.frames import frames
+from lidar2pano.data.layouts import frames
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15

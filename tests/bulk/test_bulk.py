@@ -20,7 +20,7 @@ from lidar2pano.bulk.entries import SEMANTIC_KITTI
 from lidar2pano.bulk.instances import grow
 from lidar2pano.bulk.stores import SCRATCH, open_store
 from lidar2pano.cli.bulk import BAD_SCANS, TERMINATED
-from lidar2pano.data.frames import frames
+from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
 from lidar2pano.labels import COMMON15

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from lidar2pano.data.cache import LruCache, PredictedLabels, nbytes
-from lidar2pano.data.frames import Frame, frames
+from lidar2pano.data.frames import Frame
+from lidar2pano.data.layouts import frames
 from lidar2pano.scan import Scan
 from miniature import street, write_data_set
 

@@ -23,7 +23,8 @@ from lidar2pano.data.clips import (
     panorama_image,
     runs,
 )
-from lidar2pano.data.frames import SampleIndex, frames
+from lidar2pano.data.frames import SampleIndex
+from lidar2pano.data.layouts import frames
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.warp import warp

@@ -13,7 +13,8 @@ import torch
 from PIL import Image
 
 from lidar2pano.data import semantic_kitti
-from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame, frames, frames_of
+from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame
+from lidar2pano.data.layouts import frames, frames_of
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_depth, write_ids, write_palette, write_png
 from lidar2pano.geometry.projection import pixels, project

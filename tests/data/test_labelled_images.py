@@ -8,7 +8,8 @@ from PIL import Image
 
 from lidar2pano.data.camera_images import CameraImageDataset, ImageAugmentation
 from lidar2pano.data.clips import ClipDataset, Framing
-from lidar2pano.data.frames import IGNORE, SampleIndex, frames
+from lidar2pano.data.frames import IGNORE, SampleIndex
+from lidar2pano.data.layouts import frames
 from lidar2pano.data.front_view import FrontViewDataset
 from lidar2pano.data.labelled_images import TRAIN_IDS
 from lidar2pano.errors import InputError

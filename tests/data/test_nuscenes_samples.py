@@ -13,7 +13,8 @@ import pytest
 import torch
 
 from lidar2pano.data import nuscenes_tables
-from lidar2pano.data.frames import IGNORE, Frame, frames
+from lidar2pano.data.frames import IGNORE, Frame
+from lidar2pano.data.layouts import frames
 from lidar2pano.data.nuscenes_samples import CLASSES, MINI_VAL, SPLITS, VAL, NuscenesSample, class_table
 from lidar2pano.data.nuscenes_tables import CHANNELS, nuscenes_index
 from lidar2pano.errors import InputError

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lidar2pano.data.frames import frames
+from lidar2pano.data.layouts import frames
 from lidar2pano.data.poses import Poses
 from lidar2pano.scan import Scan
 

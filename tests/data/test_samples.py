@@ -8,7 +8,8 @@ import torch
 from PIL import Image
 
 from lidar2pano.data.augment import drop_points, drop_rings, mirror, turn, vary_remission
-from lidar2pano.data.frames import IGNORE, SampleIndex, evenly_spaced, frames, frames_of
+from lidar2pano.data.frames import IGNORE, SampleIndex, evenly_spaced
+from lidar2pano.data.layouts import frames, frames_of
 from lidar2pano.data.front_view import FrontViewDataset
 from lidar2pano.data.panorama_crops import SHIFT_PX, PanoramaDataset, mirrored
 from lidar2pano.data.range_images import RangeImageDataset, ScanAugmentation, augmented, ScanAugmentation, augmented

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.data.frames import frames
+from lidar2pano.data.layouts import frames
 from lidar2pano.data.pandaset import CLASSES, class_table
 from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.errors import InputError

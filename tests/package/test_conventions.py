@@ -14,7 +14,8 @@ import torch
 from PIL import Image
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.frames import IGNORE, frames
+from lidar2pano.data.frames import IGNORE
+from lidar2pano.data.layouts import frames
 from lidar2pano.data.panorama_crops import PanoramaDataset
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.errors import InputError

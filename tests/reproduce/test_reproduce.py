@@ -11,7 +11,7 @@ import pytest
 
 from lidar2pano.cli import main
 from lidar2pano.cli.app import BROKEN
-from lidar2pano.data.frames import frames
+from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.reproduce import Outcome, Plan
 from lidar2pano.reproduce.image_sheets import SAMPLES, WIDTH, sample_indices, write_sheets

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lidar2pano.data.frames import frames
+from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import report, score, system
 from lidar2pano.evaluate.evaluation import Evaluation

@@ -10,7 +10,8 @@ import pytest
 import torch
 from PIL import Image
 
-from lidar2pano.data.frames import IGNORE, frames_of
+from lidar2pano.data.frames import IGNORE
+from lidar2pano.data.layouts import frames_of
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import camera_in_panorama
 from lidar2pano.labels import CITYSCAPES, COMMON15

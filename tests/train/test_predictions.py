@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from lidar2pano.data.cache import PredictedLabels
-from lidar2pano.data.frames import Frame, FrameList, frames
+from lidar2pano.data.frames import Frame, FrameList
+from lidar2pano.data.layouts import frames
 from lidar2pano.scan import Scan
 from lidar2pano.train import predictions
 from lidar2pano.train.predictions import predict_all

@@ -56,7 +56,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     """Score predictions from the scan alone against camera images and labels; print a table in Markdown."""
     from lidar2pano.cli.files import check_file, check_folder
     from lidar2pano.cli.progress import bar
-    from lidar2pano.data.frames import frames
+    from lidar2pano.data.layouts import frames
     from lidar2pano.evaluate import MetricConfig, report, score, system
     from lidar2pano.hardware import keep_buffers
 

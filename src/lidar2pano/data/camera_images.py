@@ -11,7 +11,8 @@ import torch
 from PIL import Image, ImageEnhance
 from torch import Tensor
 
-from lidar2pano.data.frames import IGNORE, SampleIndex, frames_of
+from lidar2pano.data.frames import IGNORE, SampleIndex
+from lidar2pano.data.layouts import frames_of
 
 PADDING_RGB = (124, 116, 104)  # beyond an image's border: ImageNet's mean, which normalisation makes zero
 

@@ -13,7 +13,8 @@ from torch.nn.functional import interpolate
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.augment import drop_points
 from lidar2pano.data.cache import LruCache
-from lidar2pano.data.frames import Frame, SampleIndex, frames_of
+from lidar2pano.data.frames import Frame, SampleIndex
+from lidar2pano.data.layouts import frames_of
 from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.scan import Scan
 

@@ -15,7 +15,8 @@ from torch import Tensor
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.cache import LruCache
-from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame, FrameList, SampleIndex, frames_of
+from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame, FrameList, SampleIndex
+from lidar2pano.data.layouts import frames_of
 from lidar2pano.data.optical_flow import optical_flow
 from lidar2pano.data.panorama_crops import panorama_on
 from lidar2pano.errors import InputError

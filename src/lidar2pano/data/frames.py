@@ -1,9 +1,4 @@
-"""Frame: everything that a data set knows about one moment, read when it is asked for; and the frames of a split.
-
-Layouts are distinguished by what lies in their root: SemanticKITTI's (sequences/), worlds that `lidar2pano world` simulated
-(the same, and world.json), PandaSet (classes.json), nuScenes (v1.0-*/, or single samples with info.json), KITTI-360
-(data_3d_raw/), and images without scans: Cityscapes (leftImg8bit/) and any images/ beside labels/.
-"""
+"""Frame: the parts of one moment of a data set, read on access; FrameList: the frames of a split."""
 
 from __future__ import annotations
 
@@ -19,7 +14,7 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError
 from lidar2pano.labels import TABLES
 from lidar2pano.scan import Scan
-from lidar2pano.views import VIEWS, View
+from lidar2pano.views import View
 
 IGNORE = 255  # label id of pixels whose class is unknown: they are neither trained nor scored
 CITYSCAPES_TO_COMMON15 = np.full(256, IGNORE, dtype=np.uint8)
@@ -177,48 +172,6 @@ class FrameList(Sequence[F]):
         return FrameList(self.layout, self._entries + other._entries)
 
 
-def frames(root: Path, split: str, view: View = VIEWS["panorama"]) -> FrameList[Frame]:
-    """Frames of a split of the data set in `root`, in its order.
-
-    view  the raster of panoramas that are stitched from surround cameras; its origin becomes the front camera's centre.
-          A simulated world's panoramas keep the raster that they were rendered on.
-    Raises InputError where the folder has none of the known layouts, or no such split.
-    """
-    from lidar2pano.data import kitti360, labelled_images, nuscenes, nuscenes_samples, pandaset, semantic_kitti
-
-    if (root / "info.json").is_file():
-        return nuscenes.frames(root, split, view)
-    if (root / "classes.json").is_file():
-        return pandaset.frames(root, split, view)
-    if (root / "sequences").is_dir():
-        return semantic_kitti.frames(root, split)
-    if nuscenes_samples.versions(root):
-        return nuscenes_samples.frames(root, split, view)
-    if kitti360.is_one(root):
-        return kitti360.frames(root, split, view)
-    if labelled_images.is_one(root):
-        return labelled_images.frames(root, split)
-    raise InputError(
-        f"{root}: is no data set; name one in SemanticKITTI layout (with a folder sequences/), a simulated world"
-        " (world.json), a PandaSet (classes.json), nuScenes (v1.0-*/, or info.json), KITTI-360 (data_3d_raw/), Cityscapes"
-        " (leftImg8bit/), or images/ beside labels/"
-    )
-
-
-def frames_of(root: Path, splits: Sequence[str]) -> FrameList[Frame]:
-    """Frames of several splits, one after another; a split named twice counts twice.
-
-    "FOLDER:split" is a split of another data set, e.g. a simulated one beside the real one in `root`.
-    """
-    return sum((frames(*located(root, name)) for name in splits), FrameList[Frame]("semantic-kitti", ()))
-
-
 def evenly_spaced(frames: int, most: int = 500) -> list[int]:
     """Up to `most` indices of so many frames, evenly spaced: enough for statistics, however large the data set is."""
     return np.linspace(0, frames - 1, min(frames, most)).round().astype(int).tolist()
-
-
-def located(root: Path, name: str) -> tuple[Path, str]:
-    """Folder of the data set and name of the split that "split" (of `root`) or "FOLDER:split" stands for."""
-    folder, colon, split = name.rpartition(":")
-    return Path(folder) if colon else root, split

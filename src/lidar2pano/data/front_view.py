@@ -15,7 +15,8 @@ from torch.nn.functional import interpolate
 from lidar2pano.data.augment import drop_points, mirror
 from lidar2pano.data.cache import LruCache, PredictedLabels, Predictions
 from lidar2pano.data.camera_projection import in_unit, stretched
-from lidar2pano.data.frames import Frame, SampleIndex, frames_of
+from lidar2pano.data.frames import Frame, SampleIndex
+from lidar2pano.data.layouts import frames_of
 from lidar2pano.data.range_images import labelled
 from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.geometry.projection import Normalisation

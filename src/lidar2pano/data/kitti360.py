@@ -198,11 +198,6 @@ class Kitti360Frame(Frame):
         }.get(part) or super().missing(part)
 
 
-def is_one(root: Path) -> bool:
-    """Whether a folder is such a data set."""
-    return (root / SCANS).is_dir()
-
-
 def frames(root: Path, split: str, view: View) -> FrameList[Kitti360Frame]:
     """Frames of a split. InputError where there is none.
 

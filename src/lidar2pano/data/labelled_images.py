@@ -81,8 +81,8 @@ def read_train_ids(path: Path) -> np.ndarray:
     return ids
 
 
-def is_one(root: Path) -> bool:
-    """Whether a folder is such a data set."""
+def matches(root: Path) -> bool:
+    """Return whether a folder is such a data set."""
     return (root / IMAGES).is_dir() or ((root / "images").is_dir() and (root / "labels").is_dir())
 
 

@@ -6,7 +6,7 @@
 
 weights   an argument of `lidar2pano evaluate`, or a chain "TRANSLATOR+PAINTER"; "oracle" is a TRANSLATOR.
 systems   each gets the scan and the calibration of a frame (`SystemInput`); only the oracle gets ground-truth labels.
-frames    `data.frames.frames(root, split)`: the parts that a frame has decide what is measured on it.
+frames    `data.layouts.frames(root, split)`: the parts that a frame has decide what is measured on it.
 
 In the camera the whole image is scored at its own size, in the paper's 14 classes: pixels whose target is unlabeled,
 sky or IGNORE do not count; predictions of unlabeled or sky are wrong. mIoU is the mean over those of the 14 classes

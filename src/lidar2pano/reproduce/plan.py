@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar2pano.data.clips import runs
-from lidar2pano.data.frames import frames
+from lidar2pano.data.layouts import frames
 from lidar2pano.data.semantic_kitti import SEQUENCES
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from lidar2pano.data.frames import FrameList, frames
+from lidar2pano.data.frames import FrameList
+from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import MetricConfig, report, score, system
 from lidar2pano.formats.image_files import write_whole

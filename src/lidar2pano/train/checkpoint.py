@@ -33,7 +33,7 @@ except ModuleNotFoundError:
     fcntl = None
 
 from lidar2pano import __version__
-from lidar2pano.data.frames import located
+from lidar2pano.data.layouts import locate_split
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.formats.json_files import read_json, validated
@@ -269,7 +269,7 @@ def make_card(spec: Network, known: Mapping[str, Any], ours: Mapping[str, Any]) 
 
 def trained_on(root: Path, splits: Iterable[str]) -> str:
     """Names of the data sets that splits come from, joined by "+": `root`'s, and those of FOLDER:split."""
-    return "+".join(dict.fromkeys(located(root, name)[0].resolve().name for name in splits))
+    return "+".join(dict.fromkeys(locate_split(root, name)[0].resolve().name for name in splits))
 
 
 def commit() -> str:

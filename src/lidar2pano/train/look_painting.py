@@ -16,7 +16,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d
 
-from lidar2pano.data.frames import IGNORE, frames_of
+from lidar2pano.data.frames import IGNORE
+from lidar2pano.data.layouts import frames_of
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.hardware import fast_arithmetic

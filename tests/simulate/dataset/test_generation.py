@@ -15,7 +15,7 @@ from PIL import Image
 
 from lidar2pano.calibration import read_calib
 from lidar2pano.cli import main
-from lidar2pano.data.frames import frames
+from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.labels import COMMON15, unpack_label
 from lidar2pano.views import KITTI_CAMERA, VIEWS
