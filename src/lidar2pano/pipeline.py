@@ -177,11 +177,19 @@ class Pipeline:
             yield panorama
 
     def step(
-        self, memory: Memory, scan: Scan, pose: np.ndarray | None = None, timer: Timer | None = None
+        self,
+        memory: Memory,
+        scan: Scan,
+        pose: np.ndarray | None = None,
+        timer: Timer | None = None,
+        labels: np.ndarray | None = None,
     ) -> tuple[Memory, Panorama]:
-        """One scan of a stream: `translate`, then `paint`. Returns the memory for the next scan, and the panorama."""
+        """Translate and paint one scan of a stream; return the memory for the next scan, and the panorama.
+
+        labels  (N,) int64 ids of SEMANTIC_KITTI of its points, where they are known better than by the segmenter.
+        """
         timer = timer or Timer(self.device)
-        return self.paint(self.translate(scan, timer), memory, pose, timer)
+        return self.paint(self.translate(scan, timer, labels), memory, pose, timer)
 
     @torch.inference_mode()
     def translate(self, scan: Scan, timer: Timer, labels: np.ndarray | None = None) -> Translated:

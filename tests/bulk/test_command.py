@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import shutil
 
+import numpy as np
 import pytest
-import torch
 from typer.main import get_command
 
 from lidar2pano import demo
 from lidar2pano.cli import app, main
-from lidar2pano.hardware import Timer
+from lidar2pano.memory import Memory
 from lidar2pano.pipeline import load
 from random_weights import street
 
@@ -45,12 +45,11 @@ def test_the_bytes_are_those_of_translate(drive, random_weights, capsys):
 
 def test_given_labels_do_what_the_segmenters_do(random_weights):
     pipeline, scan = load(random_weights, "cpu"), street()
-    timer = Timer(pipeline.device)
-    own = pipeline.translate(scan, timer)
-    again = pipeline.translate(scan, timer, own.labels.numpy())
-    assert torch.equal(own.logits, again.logits) and torch.equal(own.labels, again.labels)
-    other = pipeline.translate(scan, timer, (own.labels.numpy() + 1) % 20)
-    assert not torch.equal(own.logits, other.logits)
+    _, own = pipeline.step(Memory(), scan)
+    _, again = pipeline.step(Memory(), scan, labels=own.labels)
+    assert np.array_equal(own.confidence, again.confidence) and np.array_equal(own.labels, again.labels)
+    _, changed = pipeline.step(Memory(), scan, labels=(own.labels + 1) % 20)
+    assert not np.array_equal(own.confidence, changed.confidence)
 
 
 @pytest.mark.parametrize(

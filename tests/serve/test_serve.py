@@ -92,7 +92,7 @@ def scan(tmp_path):
     path = write_scan(tmp_path / "a.bin", street(60))
     timer = Timer(StandIn().device)
     pipeline = StandIn()
-    _, panorama = pipeline.paint(pipeline.translate(read(path), timer), Memory(), None, timer)
+    _, panorama = pipeline.step(Memory(), read(path), None, timer)
     return path.read_bytes(), panorama.colour
 
 
@@ -233,9 +233,9 @@ def test_a_full_queue_refuses_and_says_when_to_come_again(scan):
 class Counting(StandIn):
     """Counts the scans that were begun, in `cards`."""
 
-    def translate(self, scan, timer, labels=None):
+    def step(self, *arguments):
         self.cards["begun"] = self.cards.get("begun", 0) + 1
-        return super().translate(scan, timer, labels)
+        return super().step(*arguments)
 
 
 def test_a_client_that_goes_away_costs_nothing(scan):

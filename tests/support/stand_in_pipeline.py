@@ -42,7 +42,9 @@ class StandIn:
         """See Pipeline."""
         return replace(self, offset=float(calibration.T_camera_lidar[0, 3]))
 
-    def translate(self, scan: Scan, timer: Timer, labels: np.ndarray | None = None) -> tuple[Scan, np.ndarray]:
+    def step(
+        self, memory: Memory, scan: Scan, pose: None, timer: Timer, labels: np.ndarray | None = None
+    ) -> tuple[Memory, Panorama]:
         """See Pipeline."""
         if scan.xyz[0, 0] > 1000:
             raise InputError(f"{scan.name}: no point is in view; turn the scan")
@@ -50,13 +52,6 @@ class StandIn:
             raise RuntimeError("a bug")
         with timer("translate"):
             ids = np.full(len(scan), 9) if labels is None else labels
-        return scan, ids
-
-    def paint(
-        self, translated: tuple[Scan, np.ndarray], memory: Memory, pose: None, timer: Timer
-    ) -> tuple[Memory, Panorama]:
-        """See Pipeline."""
-        scan, ids = translated
         with timer("paint"):
             time.sleep(self.seconds)
             generator = np.random.default_rng(abs(int(1e6 * (scan.xyz.sum() + self.offset))) + int(ids.sum()))

@@ -158,8 +158,7 @@ class Worker:
                 pipeline, labels = self.pipeline, work.scan.label if self.job.use_labels else None
                 if work.entry.calibration is not None:
                     pipeline = _at_sequence_camera(self, work.entry.calibration)
-                translated = pipeline.translate(work.scan, work.timer, labels)
-                _, work.panorama = pipeline.paint(translated, Memory(), None, work.timer)
+                _, work.panorama = pipeline.step(Memory(), work.scan, None, work.timer, labels)
                 if work.instance is not None:
                     with work.timer("instances"):
                         work.instances = instance_raster(work.scan, work.instance, work.panorama)

@@ -75,8 +75,7 @@ class Translation:
                     scan = replace(read(path), name="scan")
                 if len(scan) > self.most_points:
                     raise InputError(f"scan: {len(scan)} points are too many (at most {self.most_points}); thin it out")
-                translated = self.pipeline.translate(scan, timer)
-                _, panorama = self.pipeline.paint(translated, Memory(), None, timer)
+                _, panorama = self.pipeline.step(Memory(), scan, None, timer)
                 with timer("save"):
                     parts = tuple(part for part in save if part != PAGE)
                     paths = panorama.save(name, parts, None, "panorama")
