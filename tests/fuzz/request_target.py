@@ -14,7 +14,8 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from lidar2pano.hardware import Timer
+from lidar2pano.memory import Memory
+from lidar2pano.panorama import Panorama
 from lidar2pano.scan import Scan
 from lidar2pano.serve import Limits, Translation, create_application
 from random_weights import street, write_scan
@@ -36,10 +37,10 @@ HEADS = [
 class Blank(StandIn):
     """A pipeline that takes every scan."""
 
-    def translate(self, scan: Scan, timer: Timer, labels: np.ndarray | None = None) -> tuple[Scan, np.ndarray]:
+    def step(self, memory: Memory, scan: Scan, *arguments: Any) -> tuple[Memory, Panorama]:
         """See Pipeline; the scan's points do not matter."""
-        assert labels is None
-        return Scan(xyz=np.zeros_like(scan.xyz), remission=scan.remission, name=scan.name), np.full(len(scan), 9)
+        blank = Scan(xyz=np.zeros_like(scan.xyz), remission=scan.remission, name=scan.name)
+        return super().step(memory, blank, *arguments)
 
 
 def request_run(folder: Path) -> tuple[list[bytes], Callable[[bytes], object]]:
