@@ -24,7 +24,7 @@ from lidar2pano.geometry.camera import at_camera, points_in_camera
 from lidar2pano.geometry.depth_completion import complete_depth
 from lidar2pano.geometry.projection import directions
 from lidar2pano.geometry.stitching import CameraImage, stitch
-from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
+from lidar2pano.simulate.dataset.generation import SequenceWriter
 from lidar2pano.simulate.dataset.settings import WorldSettings, panorama_view
 from lidar2pano.simulate.render.looks import look
 from lidar2pano.simulate.render.renderer import cylinder, pinhole, render

@@ -341,7 +341,7 @@ def test_without_opencv_its_installation_is_suggested(monkeypatch):
 
 def test_a_rendered_image_is_the_one_before_it_warped(tmp_path):
     pytest.importorskip("embreex", reason="the street world needs embreex: pip install 'lidar2pano[world]'")
-    from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
+    from lidar2pano.simulate.dataset.generation import SequenceWriter
     from lidar2pano.simulate.dataset.settings import WorldSettings
 
     settings = WorldSettings(seed=5, frames=2, place="motorway", save=("panorama",), views=("panorama/4",))

@@ -9,8 +9,7 @@ from pathlib import Path
 from statistics import median
 
 from lidar2pano.bench.timings import Row
-from lidar2pano.simulate.dataset.generation import generate
-from lidar2pano.simulate.dataset.sequence_writer import SequenceWriter
+from lidar2pano.simulate.dataset.generation import SequenceWriter, generate
 from lidar2pano.simulate.dataset.settings import WorldSettings
 
 SEED, PLACE = 5, "residential"

@@ -8,11 +8,11 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
-from lidar2pano.simulate.assets import barriers, furniture, houses, large_buildings, plants, traffic_signs
-from lidar2pano.simulate.scene.cutouts import SIZE, masks, solid_at
+from lidar2pano.simulate.assets import barriers, buildings, plants
+from lidar2pano.simulate.assets import street_furniture as furniture
 from lidar2pano.simulate.scene.mesh import Mesh, face_normals
 from lidar2pano.simulate.scene.random_streams import stream
-from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, OBJECT_TYPE_IDS
+from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, OBJECT_TYPE_IDS, SIZE, masks, solid_at
 
 Maker = Callable[[np.random.Generator], Mesh]
 
@@ -25,16 +25,16 @@ def slope(x: np.ndarray) -> np.ndarray:
 THINGS: dict[str, tuple[Maker, set[str], tuple[float, float, float], tuple[float, float, float], int]] = {
     "bush": (plants.bush, {"vegetation"}, (0.5, 0.5, 0.6), (4.5, 4.5, 3.4), 4500),
     "hedge": (lambda rng: plants.hedge(rng, 8, 1.6, 0.8), {"vegetation"}, (7.5, 0.6, 1.5), (8.8, 1.5, 2.4), 4000),
-    "house": (lambda rng: houses.house(rng, 12, 9), {"building"}, (9.5, 12.2, 5), (14, 15, 16), 4000),
-    "narrow house": (lambda rng: houses.house(rng, 8, 10), {"building"}, (10.2, 8.2, 5), (14, 12, 16), 4000),
-    "flats": (lambda rng: large_buildings.flats(rng, 20, 12), {"building"}, (12, 20, 9), (17, 22, 32), 8000),
-    "garage": (houses.garage, {"building"}, (5.5, 2.9, 2.4), (7.5, 4, 5), 300),
-    "shed": (houses.shed, {"building"}, (2, 2.2, 2), (4, 4.8, 5), 300),
-    "hall": (lambda rng: large_buildings.hall(rng, 30, 20), {"building"}, (20, 30, 4.4), (23, 31, 14), 1200),
+    "house": (lambda rng: buildings.house(rng, 12, 9), {"building"}, (9.5, 12.2, 5), (14, 15, 16), 4000),
+    "narrow house": (lambda rng: buildings.house(rng, 8, 10), {"building"}, (10.2, 8.2, 5), (14, 12, 16), 4000),
+    "flats": (lambda rng: buildings.flats(rng, 20, 12), {"building"}, (12, 20, 9), (17, 22, 32), 8000),
+    "garage": (buildings.garage, {"building"}, (5.5, 2.9, 2.4), (7.5, 4, 5), 300),
+    "shed": (buildings.shed, {"building"}, (2, 2.2, 2), (4, 4.8, 5), 300),
+    "hall": (lambda rng: buildings.hall(rng, 30, 20), {"building"}, (20, 30, 4.4), (23, 31, 14), 1200),
     "lamp": (furniture.street_lamp, {"pole"}, (0.1, 0.1, 3.3), (3.5, 1.2, 10.2), 500),
     "pole": (furniture.pole, {"pole"}, (0.2, 1.4, 6.5), (1, 2, 10.2), 500),
     "traffic light": (furniture.traffic_light, {"pole", "traffic-light"}, (0.2, 0.2, 3), (1, 6, 6.5), 1500),
-    "sign": (traffic_signs.sign, {"pole", "traffic-sign"}, (0.05, 0.2, 1.2), (1, 1.5, 4.2), 700),
+    "sign": (furniture.sign, {"pole", "traffic-sign"}, (0.05, 0.2, 1.2), (1, 1.5, 4.2), 700),
     "bollard": (furniture.bollard, {"pole"}, (0.08, 0.08, 0.4), (0.5, 0.5, 1.2), 400),
     "bin": (furniture.bin, {"other-object"}, (0.5, 0.4, 0.9), (1.4, 2.3, 1.2), 500),
     "bench": (furniture.bench, {"other-object"}, (0.3, 1.5, 0.4), (1, 2.1, 1.1), 300),
@@ -47,8 +47,8 @@ THINGS: dict[str, tuple[Maker, set[str], tuple[float, float, float], tuple[float
         for name in plants.SPECIES
     },
     **{
-        f"sign {n}": (partial(traffic_signs.sign, name=n), {"pole", "traffic-sign"}, (0, 0.3, 1), (1, 1.5, 4.2), 700)
-        for n in traffic_signs.SIGNS
+        f"sign {n}": (partial(furniture.sign, name=n), {"pole", "traffic-sign"}, (0, 0.3, 1), (1, 1.5, 4.2), 700)
+        for n in furniture.SIGNS
     },
 }  # fmt: skip
 
@@ -154,7 +154,7 @@ def covered(places: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def test_house_walls_have_no_gaps_but_their_openings() -> None:
-    mesh = houses.house(stream(4, "front"), 12, 9)
+    mesh = buildings.house(stream(4, "front"), 12, 9)
     front = mesh.vertices[of(mesh, "object_type", "building")]
     level = np.ptp(front[..., 0], axis=1) < 1e-4
     front = front[level & (front[:, 0, 0] > 4.2)][
@@ -221,9 +221,9 @@ def test_birch_has_white_bark_and_spruce_needles() -> None:
     assert len(of(plants.tree(stream(1), "spruce"), "material", "needles"))
 
 
-@pytest.mark.parametrize("name", traffic_signs.SIGNS)
+@pytest.mark.parametrize("name", furniture.SIGNS)
 def test_signs_face_x(name: str) -> None:
-    mesh = traffic_signs.sign(stream(1, name), name)
+    mesh = furniture.sign(stream(1, name), name)
     normals = face_normals(mesh.vertices, mesh.faces)
     plate, back = (mesh.material == MATERIAL_IDS[material] for material in ("sign", "sign-back"))
     assert normals[plate][0, 0] > 0.99

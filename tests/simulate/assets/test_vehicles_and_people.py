@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from lidar2pano.simulate.assets.cars import BODIES, COLOURS, SHARES, car, colour
-from lidar2pano.simulate.assets.large_vehicles import bus, trailer, tram, truck
+from lidar2pano.simulate.assets.motor_vehicles import BODIES, COLOURS, SHARES, bus, car, colour, trailer, tram, truck
 from lidar2pano.simulate.assets.people import person
 from lidar2pano.simulate.assets.two_wheelers import bicycle, bicyclist, motorcycle, motorcyclist
 from lidar2pano.simulate.scene.mesh import Mesh, face_normals

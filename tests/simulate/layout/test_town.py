@@ -7,11 +7,10 @@ import itertools
 import numpy as np
 import pytest
 
-from lidar2pano.simulate.layout.drive import Drive, SpeedProfile, lanes
-from lidar2pano.simulate.layout.ground import GroundCover, Terrain, ground, split_triangles
-from lidar2pano.simulate.layout.places import LAND_USES, PLACES
-from lidar2pano.simulate.layout.roads import Bay, Road, locate, winding_centreline
-from lidar2pano.simulate.layout.town import ROAD_MARGIN, build_town, clear_of_roads
+from lidar2pano.simulate.layout.ground import ground, split_triangles
+from lidar2pano.simulate.layout.roads import Bay, Road, Terrain, locate, winding_centreline
+from lidar2pano.simulate.layout.town import LAND_USES, PLACES, ROAD_MARGIN, GroundCover, build_town, clear_of_roads
+from lidar2pano.simulate.layout.traffic import Drive, SpeedProfile, lanes
 from lidar2pano.simulate.scene.random_streams import stream
 from lidar2pano.simulate.scene.surfaces import OBJECT_TYPE_IDS
 

@@ -13,11 +13,9 @@ from lidar2pano.geometry.projection import pixels
 from lidar2pano.views import View
 
 pytest.importorskip("embreex")
-from lidar2pano.simulate.render import ambient_occlusion as occlusion
 from lidar2pano.simulate.render import renderer as camera
 from lidar2pano.simulate.render import shading
-from lidar2pano.simulate.render.looks import look, seasonal_albedo
-from lidar2pano.simulate.render.sky import sky
+from lidar2pano.simulate.render.looks import look, seasonal_albedo, sky
 from lidar2pano.simulate.scene.mesh import box, ellipsoid
 from lidar2pano.simulate.scene.raycast import Scene, SceneObject
 from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, MATERIALS, OBJECT_TYPE_IDS, SKY
@@ -279,8 +277,8 @@ def test_half_the_sky_is_hidden_at_the_foot_of_a_wall():
     view = replace(VIEW, rows=100, columns=500, down=-0.9)
     origin, ray, _ = camera.cylinder(view, pose())
     hits = scene.cast(origin, ray.reshape(-1, 3))
-    surfaces = occlusion.gbuffer(hits, origin, ray)
-    free = occlusion.sky_visibility(scene, hits, surfaces, True)
+    surfaces = shading.gbuffer(hits, origin, ray)
+    free = shading.sky_visibility(scene, hits, surfaces, True)
     floor = (hits.object_type == OBJECT_TYPE_IDS["road"]).reshape(free.shape)
     x, y, _ = surfaces.position
     assert 0.4 < free[floor & (x > 2.85) & (np.abs(y) < 3)].mean() < 0.72  # what is seen far along the wall counts less

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from lidar2pano.simulate.render import textures
-from lidar2pano.simulate.render.looks import LOOKS, look
-from lidar2pano.simulate.render.noise import SIZE, bilinear, spatial_hash, spectral
-from lidar2pano.simulate.render.sky import sky
+from lidar2pano.simulate.render.looks import LOOKS, look, sky
+from lidar2pano.simulate.render.textures import SIZE, bilinear, spatial_hash, spectral
 from lidar2pano.simulate.scene.surfaces import MATERIALS
 
 

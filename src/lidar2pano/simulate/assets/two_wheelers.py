@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.assets.cars import colour
+from lidar2pano.simulate.assets.motor_vehicles import colour
 from lidar2pano.simulate.assets.people import Arm, Human, Leg, Pose, figure, middle_joint, random_human, shoulder_of
 from lidar2pano.simulate.assets.vehicle_body import both_sides, lathe
 from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, ellipsoid, merged, polygons, tube

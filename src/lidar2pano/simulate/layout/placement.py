@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.layout.places import LAND_USES, LandUse
 from lidar2pano.simulate.layout.roads import Road
-from lidar2pano.simulate.layout.town import Stretch, Town
+from lidar2pano.simulate.layout.town import LAND_USES, LandUse, Stretch, Town
 from lidar2pano.simulate.scene.mesh import Mesh
 from lidar2pano.simulate.scene.random_streams import stream
 

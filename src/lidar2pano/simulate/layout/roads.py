@@ -164,3 +164,31 @@ def _frenet(road: Road, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     along = i * STEP + ahead
     beyond = np.maximum(np.maximum(-along, along - road.length), 0)
     return np.clip(along, 0, road.length), aside, beyond
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Terrain:
+    """Height as a sum of waves: (n, 4) rows of wave numbers x and y (1/m), phase, amplitude (m)."""
+
+    waves: np.ndarray
+
+    @classmethod
+    def random(cls, rng: np.random.Generator, slope: float) -> Terrain:
+        """Seven waves of 90 to 700 metres whose slopes add up to about `slope`."""
+        length, way = np.geomspace(90, 700, 7), rng.uniform(0, 2 * np.pi, 7)
+        number = 2 * np.pi / length
+        slopes = slope * rng.uniform(0.15, 0.55, 7)
+        return cls(np.stack([number * np.cos(way), number * np.sin(way), rng.uniform(0, 6.28, 7), slopes / number], 1))
+
+    def height(self, xy: np.ndarray) -> np.ndarray:
+        """Heights (...) in metres at points (..., 2)."""
+        x, y = np.asarray(xy)[..., 0, None], np.asarray(xy)[..., 1, None]
+        return (self.waves[:, 3] * np.sin(x * self.waves[:, 0] + y * self.waves[:, 1] + self.waves[:, 2])).sum(-1)
+
+    def normal(self, xy: np.ndarray) -> np.ndarray:
+        """Unit normals (..., 3) at points (..., 2)."""
+        x, y = np.asarray(xy)[..., 0, None], np.asarray(xy)[..., 1, None]
+        wave = self.waves[:, 3] * np.cos(x * self.waves[:, 0] + y * self.waves[:, 1] + self.waves[:, 2])
+        slope = np.stack([(wave * self.waves[:, 0]).sum(-1), (wave * self.waves[:, 1]).sum(-1)], axis=-1)
+        normal = np.concatenate([-slope, np.ones((*slope.shape[:-1], 1))], axis=-1)
+        return normal / np.linalg.norm(normal, axis=-1, keepdims=True)

@@ -6,14 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lidar2pano.simulate.layout import kerbside, lots
-from lidar2pano.simulate.layout.drive import Drive, SpeedProfile
-from lidar2pano.simulate.layout.ground import ground
+from lidar2pano.simulate.layout.ground import ground, markings
 from lidar2pano.simulate.layout.placement import PlacedObject, Planner
-from lidar2pano.simulate.layout.places import LAND_USES, PLACES
-from lidar2pano.simulate.layout.road_markings import markings
-from lidar2pano.simulate.layout.town import ROAD_MARGIN, Town, build_town
-from lidar2pano.simulate.layout.traffic import Delay, Traffic, build_traffic
+from lidar2pano.simulate.layout.roadside import STEPS
+from lidar2pano.simulate.layout.town import LAND_USES, PLACES, ROAD_MARGIN, Town, build_town
+from lidar2pano.simulate.layout.traffic import Delay, Drive, SpeedProfile, Traffic, build_traffic
 from lidar2pano.simulate.scene.mesh import Mesh
 from lidar2pano.simulate.scene.random_streams import stream, weighted_choice
 from lidar2pano.simulate.scene.raycast import Scene, SceneObject
@@ -91,11 +88,7 @@ def build_world(seed: int, seconds: float, place: str = "") -> World:
     town = build_town(seed, max(length, 1.0), name)
     drive = Drive.random(town, speed)
     plan = Planner(town=town)
-    for step in (
-        lots.buildings, lots.borders, kerbside.parked, kerbside.lamps, kerbside.signs, kerbside.delineators,
-        lots.street_trees, kerbside.driveways, kerbside.clutter, lots.shrubs, lots.yards, lots.horizon,
-        lots.guard_rails,
-    ):  # fmt: skip
+    for step in STEPS:
         step(plan)
     return World(
         seed=seed,

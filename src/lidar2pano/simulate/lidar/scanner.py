@@ -3,14 +3,158 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from lidar2pano.simulate.lidar.returns import Echoes, as_float, lost, noisy_range, remission
 from lidar2pano.simulate.lidar.sensor_models import BLIND_CELL, FULL_TURN, SensorModel, blind_table
 from lidar2pano.simulate.scene.raycast import Hits, Scene
-from lidar2pano.simulate.scene.surfaces import material_table
+from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, MATERIALS, material_table
+
+NO_EDGE = 0.15  # metres: smaller steps between firings are no edges
+BRIGHTEST = 0.99  # KITTI's remission has steps of 0.01 from 0 to 0.99
+TABLE = 1 << 14
+PATCH, PATCHY = 0.5, 0.3  # materials with more dropout than PATCHY (windows) lose patches of PATCH metres
+ANCHORS = ((0.12, 0.8), (1.3, 0.6))  # spatial variation of reflectance: cell in metres, weight
+GRAZE = 0.02  # share of a matt surface's power that is still detected: rough ground reflects more at grazing angles
+
+# Roughness of surfaces: standard deviation of height in metres. Real lawns: 16 mm of range at 5 m, 35 mm beyond 20 m.
+ROUGH = {
+    "grass": 0.005, "meadow": 0.008, "field": 0.008, "soil": 0.004, "gravel": 0.002,
+    "leaves": 0.012, "needles": 0.012, "hedge": 0.012,
+}  # fmt: skip
+# Materials whose tint changes the reflectance at 905 nm too; dyes of cloth and plaster hardly do.
+TINTED = ("paint",)
+DYE = 0.6  # exponent of the tint: black paint is less black at 905 nm
+
+_REMISSION, _SPREAD, _RETRO, _DROPOUT = (
+    material_table(name) for name in ("remission", "variation", "retroreflection", "dropout")
+)
+_MIRROR = (material_table("roughness") < 0.2).astype(np.float32)  # smooth surfaces reflect little at grazing angles
+_ROUGH = np.array([ROUGH.get(name, 0.0) for name in MATERIALS], dtype=np.float32)
+_TINTED = np.isin(np.arange(len(MATERIALS)), [MATERIAL_IDS[name] for name in TINTED])
+_NORMAL = np.random.default_rng(905).standard_normal(TABLE).astype(np.float32)  # of hashed places
+_EVEN = np.random.default_rng(906).random(TABLE).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Echoes:
+    """Echoes of N pulses.
+
+    hits    in the world frame;  start, direction: (N, 3) in the sensor frame at time 0;  frame: T_world_lidar then.
+    ring    (N,) uint8;  facing: (N,) float32 cosine of the angle of incidence.
+    """
+
+    hits: Hits
+    start: np.ndarray
+    direction: np.ndarray
+    ring: np.ndarray
+    facing: np.ndarray
+    frame: np.ndarray
+
+    def within(self, which: np.ndarray) -> Echoes:
+        """The echoes with hits outside of `which` (N,) bool at one metre: their values are not used."""
+        near = np.where(which, self.hits.distance, np.float32(1))
+        return replace(self, hits=replace(self.hits, distance=near))
+
+    def subset(self, which: np.ndarray) -> Echoes:
+        """Some echoes, by index."""
+        arrays = {name: getattr(self, name)[which] for name in ("start", "direction", "ring", "facing")}
+        return Echoes(hits=self.hits.subset(which), frame=self.frame, **arrays)
+
+    def positions(self) -> np.ndarray:
+        """Positions of the hits (N, 3): in the world frame, on moving objects on their own surface."""
+        turn, position = as_float(self.frame[:3, :3].T), as_float(self.frame[:3, 3])
+        where = (self.start + self.direction * self.hits.distance[:, None]) @ turn + position
+        if self.hits.moving.any():
+            own = np.concatenate([self.hits.uv, self.hits.uv[:, :1]], axis=1)
+            where = np.where(self.hits.moving[:, None], own, where)
+        return where
+
+
+def as_float(values: np.ndarray) -> np.ndarray:
+    """The values in float32, the precision of the rays."""
+    return values.astype(np.float32)
+
+
+def noisy_range(sensor: SensorModel, echoes: Echoes, live: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Ranges (N,) with noise of the shot, bias of the beam, roughness of the surface, and mixed returns at edges."""
+    true = _mixed_returns(echoes.hits.distance, len(sensor), live, rng)
+    noise = rng.standard_normal(len(true), dtype=np.float32)
+    # Weak echoes are noisier: 1.3 times at 25 m and 1.9 times at 40 m in real scans.
+    sigma = sensor.range_noise * np.sqrt(1 + (np.minimum(true, sensor.max_range) / 30) ** 3)
+    rough = _ROUGH[echoes.hits.material] / np.maximum(echoes.facing, 0.14)
+    bias = as_float(sensor.per_beam("range_bias"))[echoes.ring]
+    distance = true + bias + noise * np.sqrt(sigma * sigma + rough * rough)
+    return np.round(distance / np.float32(sensor.range_step)) * np.float32(sensor.range_step)
+
+
+def _mixed_returns(distance: np.ndarray, beams: int, live: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Ranges with mixed returns: some pulses at an edge return a range between its two sides.
+
+    In real scans 1-4 % of the edges of 3 m and more have such a point, and some 10 % more of those of half a metre.
+    """
+    grid = np.full(len(live), np.inf, dtype=np.float32)
+    grid[live] = distance
+    grid = grid.reshape(-1, beams)
+    ahead = np.roll(grid, -1, axis=0)
+    with np.errstate(invalid="ignore"):
+        jump = np.abs(ahead - grid)
+    edge = np.flatnonzero((jump > NO_EDGE) & (jump < np.inf))
+    depth = jump.ravel()[edge]
+    edge = edge[rng.random(len(edge), dtype=np.float32) < 0.02 + 0.11 * np.exp(-depth)]
+    share = rng.random(len(edge), dtype=np.float32)
+    out = grid.ravel()
+    out[edge] += share * (ahead.ravel()[edge] - out[edge])
+    return out[live]
+
+
+def lost(sensor: SensorModel, echoes: Echoes, rng: np.random.Generator) -> np.ndarray:
+    """Pulses (N,) bool without a return: at random, by the material's dropout, or too weak."""
+    material, facing = echoes.hits.material, echoes.facing
+    kept = 1 - as_float(sensor.per_beam("dropout"))[echoes.ring]
+    kept *= 1 - _DROPOUT[material] ** np.sqrt(facing)
+    # Power falls with the square of the range; the threshold is soft: a factor e changes a quarter of all pulses.
+    distance = np.minimum(echoes.hits.distance, 1e4)
+    power = np.maximum(_REMISSION[material] * facing, _RETRO[material]) / 0.1 * (sensor.half_loss_range / distance) ** 2
+    kept *= np.clip(0.5 + 0.25 * np.log(np.maximum(power, 1e-9) / GRAZE), 0, 1)
+    draw = rng.random(len(kept), dtype=np.float32)
+    patchy = np.flatnonzero(_DROPOUT[material] > PATCHY)
+    draw[patchy] = _EVEN[_spatial_hash(echoes.subset(patchy).positions(), PATCH)]
+    return draw >= kept
+
+
+def remission(sensor: SensorModel, echoes: Echoes, rng: np.random.Generator | None) -> np.ndarray:
+    """Remission (N,) of returns; without `rng` that of a perfect sensor."""
+    hits, material = echoes.hits, echoes.hits.material
+    bright = _REMISSION[material] * echoes.facing ** _MIRROR[material]
+    tinted = np.flatnonzero(_TINTED[material])
+    bright[tinted] *= np.clip(hits.tint[tinted].mean(axis=1), 0.01, 1.6) ** DYE
+    if rng is None:
+        return np.clip(np.maximum(bright, _RETRO[material]) * sensor.remission_scale, 0, 1)
+    positions, varied = echoes.positions(), np.zeros(len(bright), dtype=np.float32)
+    for cell, weight in ANCHORS:
+        varied += np.float32(weight) * _NORMAL[_spatial_hash(positions, cell)]
+    bright *= np.maximum(1 + _SPREAD[material] * varied, 0.05)
+    start, rate = sensor.remission_fade
+    if rate:
+        # In real scans ground and walls fade alike: the range counts, not the angle of incidence.
+        bright -= np.float32(2 * rate) * np.log(np.maximum(hits.distance / np.float32(start), 1))
+        dark, shine = (as_float(sensor.per_beam(name))[echoes.ring] for name in ("dark_offset", "bright_offset"))
+        bright += shine + (dark - shine) * np.clip((0.36 - bright) / 0.14, 0, 2)
+    bright += sensor.remission_noise / sensor.remission_scale * rng.standard_normal(len(bright), dtype=np.float32)
+    bright = np.where(bright < sensor.remission_floor, 0, bright * np.float32(sensor.remission_scale))
+    retro = _RETRO[material] * as_float(rng.uniform(0.9, 1.06, len(bright)))
+    return (np.floor(np.clip(np.maximum(bright, retro), 0, BRIGHTEST) * 100 + 0.5) / 100).astype(np.float32)
+
+
+def _spatial_hash(position: np.ndarray, cell: float) -> np.ndarray:
+    """Spatial hash: integers (N,) in [0, TABLE), constant within cubes of `cell` metres."""
+    key = np.floor(position * np.float32(1 / cell)).astype(np.int32)
+    mixed = key[:, 0] * np.int32(73856093) ^ key[:, 1] * np.int32(19349663) ^ key[:, 2] * np.int32(83492791)
+    mixed = (mixed ^ (mixed >> 15)) * np.int32(0x2C1B3C6D)
+    return (mixed ^ (mixed >> 12)) & (TABLE - 1)
+
 
 SECTORS = 8  # parts of a turn, each with moving objects at one time
 # Real leaves are smaller than cards and a beam is wider than a ray: this share of the pulses passes the first leaf and

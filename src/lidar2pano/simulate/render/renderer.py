@@ -9,9 +9,8 @@ from functools import lru_cache
 import numpy as np
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.simulate.render.ambient_occlusion import edge_aware_mean, gbuffer, sky_visibility
 from lidar2pano.simulate.render.looks import Look
-from lidar2pano.simulate.render.shading import Visibility, shade, sunlit
+from lidar2pano.simulate.render.shading import Visibility, edge_aware_mean, gbuffer, shade, sky_visibility, sunlit
 from lidar2pano.simulate.scene.random_streams import stream
 from lidar2pano.simulate.scene.raycast import Hits, Scene
 from lidar2pano.simulate.scene.surfaces import MATERIALS

@@ -8,9 +8,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.simulate.scene.cutouts import masks, solid_at
 from lidar2pano.simulate.scene.mesh import Mesh, face_normals, merged
-from lidar2pano.simulate.scene.surfaces import RAW_IDS, RAW_MOVING_IDS, SKY
+from lidar2pano.simulate.scene.surfaces import RAW_IDS, RAW_MOVING_IDS, SKY, masks, solid_at
 
 LAYERS = 8  # surfaces with cut-outs that a ray passes at most: the last one stops it, hole or not
 SHADOW_LAYERS = 4  # the same for shadow rays

@@ -1,4 +1,4 @@
-"""Facades: walls with openings, windows and doors, steps, canopies, balconies, awnings and shop signs."""
+"""Parts of buildings: walls with windows and doors, what stands out from them, plinths, roofs and chimneys; metres."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.scene.mesh import Mesh, Tint, mesh, projected_uv
+from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, merged, mesh, projected_uv, tube
 from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, OBJECT_TYPE_IDS
 
 Span = tuple[float, float]
@@ -318,3 +318,325 @@ def shop_sign(rng: np.random.Generator, boards: Boards, wall: Wall, along: Span,
         boards.add(wall, (left, left + 0.08), (0.08, 0.1), (low + 0.12, high - 0.12), "plastic", ink, "f")
         cross = high - rng.choice((0.2, 0.3, 0.42))
         boards.add(wall, (left, left + 0.25), (0.08, 0.1), (cross, cross + 0.07), "plastic", ink, "f")
+
+
+THICK = 0.2  # of a roof's slab, metres upwards
+
+
+class Roof(NamedTuple):
+    """A pitched roof over a footprint `long` (y, along its ridge) times `span` (x), centred at the origin.
+
+    form      gable, hip or half-hip.
+    eaves     height of the walls that it rests on;  slope: metres up for each metre inwards.
+    overhang  how far it stands out at the eaves, and at the verges (gables).
+    """
+
+    form: str
+    long: float
+    span: float
+    eaves: float
+    slope: float
+    overhang: tuple[float, float]
+    material: str
+    tint: Tint
+
+    @property
+    def ridge(self) -> float:
+        """Height of its underside at the ridge."""
+        return self.eaves + self.slope * self.span / 2
+
+    @property
+    def cut(self) -> float:
+        """Height at which a half-hip begins; the ridge for gables, the eaves for hips."""
+        share = {"gable": 1.0, "hip": 0.0, "half-hip": 0.6}[self.form]
+        return self.eaves + share * (self.ridge - self.eaves)
+
+    def gable(self, wall_length: float) -> tuple[Callable[[np.ndarray], np.ndarray], list[float]]:
+        """Height of the wall under a gable as a function of the position along it, and the positions of its kinks."""
+        half = wall_length / 2
+        shoulder = (self.cut - self.eaves) / self.slope
+        bends = [half] if self.form == "gable" else [shoulder, wall_length - shoulder]
+
+        def top(along: np.ndarray) -> np.ndarray:
+            return np.minimum(self.eaves + self.slope * np.minimum(along, wall_length - along), self.cut) + 0.04
+
+        return top, bends
+
+    def mesh(self) -> Mesh:
+        """The roof with its ridge along y."""
+        return slabs(*self._outline(), (self.material, self.tint))
+
+    def _outline(self) -> tuple[np.ndarray, list[list[int]]]:
+        out, verge = self.overhang
+        x, low, high = self.span / 2 + out, self.eaves - self.slope * out, self.ridge
+        if self.form == "gable":
+            y = self.long / 2 + verge
+            points = [(x, -y, low), (x, y, low), (0, y, high), (0, -y, high), (-x, y, low), (-x, -y, low)]
+            return np.array(points), [[0, 1, 2, 3], [4, 5, 3, 2]]
+        if self.form == "hip":
+            y = self.long / 2 + out
+            end = max(y - x, 0.05)
+            points = [(x, -y, low), (x, y, low), (0, end, high), (0, -end, high), (-x, y, low), (-x, -y, low)]
+            return np.array(points), [[0, 1, 2, 3], [4, 5, 3, 2], [1, 4, 2], [5, 0, 3]]
+        y = self.long / 2 + verge
+        inner, end = (high - self.cut) / self.slope, y - 0.8 * (high - self.cut) / self.slope
+        points = [
+            (x, -y, low),
+            (x, y, low),
+            (inner, y, self.cut),
+            (0, end, high),
+            (0, -end, high),
+            (inner, -y, self.cut),
+        ]
+        points += [(-x, y, low), (-x, -y, low), (-inner, -y, self.cut), (-inner, y, self.cut)]
+        return np.array(points), [[0, 1, 2, 3, 4, 5], [6, 7, 8, 4, 3, 9], [2, 9, 3], [8, 5, 4]]
+
+
+def slabs(points: np.ndarray, slopes: Sequence[Sequence[int]], finish: tuple[str, Tint]) -> Mesh:
+    """Slopes (polygons of points (N, 3), counter-clockwise from above) as one slab: covering, underside and edges."""
+    parts, edges = [], {}
+    for slope in slopes:
+        corner = points[list(slope)]
+        fan = np.array([(0, i, i + 1) for i in range(1, len(slope) - 1)])
+        along = corner[1] - corner[0]
+        along /= np.linalg.norm(along)
+        normal = np.cross(along, corner[-1] - corner[0])
+        normal /= np.linalg.norm(normal)
+        up = np.cross(normal, along)
+        uv = np.stack([(corner - corner[0]) @ along, (corner - corner[0]) @ up], axis=1)
+        top = corner + (0, 0, THICK)
+        parts.append(
+            mesh(top, fan, finish[0], "building", normals=np.tile(normal, (len(top), 1)), uv=uv, tint=finish[1])
+        )
+        parts.append(mesh(corner, fan[:, ::-1], "wood", "building", normals=np.tile(-normal, (len(top), 1)), uv=uv))
+        for pair in zip(slope, [*slope[1:], slope[0]], strict=True):
+            edges[pair] = True
+    rim = np.array([pair for pair in edges if pair[::-1] not in edges])
+    a, b = points[rim[:, 0]], points[rim[:, 1]]
+    quads = np.stack([a, b, b + (0, 0, THICK), a + (0, 0, THICK)], axis=1).reshape(-1, 3)
+    start = 4 * np.arange(len(rim))[:, None]
+    faces = np.concatenate([start + (0, 1, 2), start + (0, 2, 3)], axis=1)
+    parts.append(mesh(quads, faces, "wood", "building", tint=(1.3, 1.25, 1.2)))
+    return merged(parts)
+
+
+def flat_roof(width: float, depth: float, height: float, tint: Tint) -> Mesh:
+    """A flat roof with a parapet around it; width along y."""
+    boards = Boards()
+    for wall in four_walls(width + 0.1, depth + 0.1).values():
+        boards.add(wall, (0.0, wall.length), (-0.3, 0.0), (height, height + 0.45), "plaster", tint, "fkt")
+        boards.add(
+            wall,
+            (-0.03, wall.length + 0.03),
+            (-0.33, 0.04),
+            (height + 0.42, height + 0.48),
+            "metal",
+            (0.7, 0.7, 0.7),
+            "fktu",
+        )
+    lid = box((0, 0, height + 0.05), (depth, width, 0.1), "gravel", "building", without=("bottom",))
+    return merged([boards.mesh(), lid])
+
+
+def dormer(roof: Roof, place: float, rise: float, size: tuple[float, float], finish: tuple[str, Tint]) -> Mesh:
+    """A dormer of `size` (width, height) on the slope that falls to +x, at y = `place`, its sill `rise` over the eaves.
+
+    `finish`: material and tint of its sides.
+    """
+    width, height = size
+    x, low = roof.span / 2 - rise / roof.slope, roof.eaves + rise + 0.1
+    back = min(height + 0.5, roof.ridge - low) / roof.slope
+    wall = four_walls(width, back, (x - back / 2, place))["front"]
+    cheeks = box(
+        (x - back / 2, place, low + height / 2), (back, width, height), *(finish[0], "building"), tint=finish[1]
+    )
+    boards = Boards()
+    boards.add(wall, (0.12, width - 0.12), (0.0, 0.03), (low + 0.2, low + height - 0.1), "frame", faces="flrtu")
+    count = max(round(width / 0.75), 1)
+    step = (width - 0.31) / count
+    for i in range(count):
+        side = (0.19 + i * step, 0.12 + (i + 1) * step)
+        boards.add(wall, side, (0.0, 0.045), (low + 0.27, low + height - 0.17), "pane", faces="f")
+    y, top, out = width / 2 + 0.2, low + height, x + 0.25
+    peak = top + (0.45 * width if width < 2.0 else 0.0)
+    if width < 2.0:
+        points = np.array(
+            [
+                (out, -y, top),
+                (out, 0, peak),
+                (out, y, top),
+                (x - back - 1, -y, top),
+                (x - back - 1, 0, peak),
+                (x - back - 1, y, top),
+            ]
+        )
+        slopes = [[5, 2, 1, 4][::-1], [0, 3, 4, 1][::-1]]
+    else:  # one long slope, flatter than the roof
+        points = np.array(
+            [(out, -y, top - 0.1), (out, y, top - 0.1), (x - back - 0.3, y, top + 0.4), (x - back - 0.3, -y, top + 0.4)]
+        )
+        slopes = [[0, 1, 2, 3]]
+    cover = slabs(points + (0, place, 0), slopes, (roof.material, roof.tint))
+    gable = np.array([(x, -width / 2, top), (x, width / 2, top), (x, 0, peak)]) + (0, place, 0)
+    face = mesh(gable, np.array([(0, 1, 2)]), finish[0], "building", tint=finish[1])
+    return merged([cheeks, boards.mesh(), cover, face] if width < 2.0 else [cheeks, boards.mesh(), cover])
+
+
+def skylight(roof: Roof, place: float, rise: float) -> Mesh:
+    """A roof window on the slope that falls to +x: y of its middle, height of its foot over the eaves."""
+    lean = np.hypot(1.0, roof.slope)
+    inwards, up = np.array([-1.0, 0, roof.slope]) / lean, np.array([roof.slope, 0, 1.0]) / lean
+    foot = np.array([roof.span / 2 - rise / roof.slope, place, roof.eaves + rise + THICK])
+    parts = []
+    for grow, lift, material, tint in (
+        (0.0, 0.05, "dark-metal", (2.0, 2.0, 2.0)),
+        (-0.07, 0.062, "pane", (1.5, 1.5, 1.5)),
+    ):
+        wide, long = 0.4 + grow, 0.6 + grow
+        corner = [
+            foot + inwards * (0.6 + j * long) + (0, i * wide, 0) + up * lift
+            for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        ]
+        parts.append(mesh(np.array(corner), np.array([(0, 1, 2), (0, 2, 3)]), material, "building", tint=tint))
+    return merged(parts)
+
+
+def chimney(rng: np.random.Generator, at: tuple[float, float], foot: float, top: float) -> Mesh:
+    """A chimney from under the roof (`foot`) to its top."""
+    side, x, y = rng.uniform(0.4, 0.7), *at
+    shaft = box((x, y, (foot + top) / 2), (side, side, top - foot), "brick", "building", without=("bottom",))
+    cap = box((x, y, top + 0.04), (side + 0.14, side + 0.14, 0.08), "concrete", "building")
+    pot = tube(np.array([(x, y, top), (x, y, top + 0.3)]), 0.1, "tiles", "building", sides=6)
+    return merged([shaft, cap, pot])
+
+
+def gutters(roof: Roof) -> Mesh:
+    """Gutters along both eaves, and a pipe down at each."""
+    out, _ = roof.overhang
+    x, z, y = roof.span / 2 + out + 0.05, roof.eaves - roof.slope * out + 0.1, roof.long / 2
+    parts = []
+    for side in (-1, 1):
+        parts.append(tube(np.array([(side * x, -y, z), (side * x, y, z)]), 0.07, "metal", "building", sides=6))
+        wall, foot = side * (roof.span / 2 + 0.07), side * (y - 0.25)
+        course = [(side * x, foot, z), (wall, foot, z - 0.35), (wall, foot, -0.1)]
+        parts.append(tube(np.array(course), 0.05, "metal", "building", sides=5, closed=False))
+    return merged(parts)
+
+
+PLASTERS: tuple[Tint, ...] = (
+    (1.14, 1.16, 1.24), (1.14, 1.16, 1.24), (1.1, 1.08, 1.02), (1.14, 1.04, 0.86), (1.12, 0.98, 0.66),
+    (0.98, 0.78, 0.5), (1.08, 0.84, 0.7), (0.82, 0.84, 0.9), (0.86, 0.94, 0.78), (0.6, 0.6, 0.62), (0.9, 0.66, 0.52),
+    (0.95, 0.92, 0.86),
+)  # fmt: skip
+SHUTTERS: tuple[Tint, ...] = (
+    (0.3, 0.5, 0.3),
+    (0.55, 0.3, 0.15),
+    (0.7, 0.25, 0.2),
+    (1.5, 1.5, 1.5),
+    (0.35, 0.45, 0.6),
+    (0.9, 0.85, 0.75),
+)
+DOORS: tuple[Tint, ...] = (
+    PLAIN,
+    (0.7, 0.45, 0.25),
+    (1.9, 2.1, 2.5),
+    (0.4, 0.6, 0.6),
+    (0.9, 0.35, 0.3),
+    (0.5, 0.55, 0.65),
+)
+COVERS: tuple[tuple[str, Tint], ...] = (
+    ("tiles", PLAIN), ("tiles", (1.15, 1.1, 1.0)), ("tiles", (0.8, 0.8, 0.85)), ("tiles", (0.6, 0.75, 0.9)),
+    ("slate", PLAIN), ("slate", (1.5, 1.4, 1.3)),
+)  # fmt: skip
+
+
+class Shell(NamedTuple):
+    """The walls of a building and the style of their openings."""
+
+    walls: dict[str, Wall]
+    finish: tuple[str, Tint]
+    style: WindowStyle
+    base: float  # height of the ground floor
+    storeys: int
+    storey: float  # height of each
+    dressed: tuple[str, ...] = ("front", "left", "back", "right")  # walls with borders around their windows
+
+    @property
+    def eaves(self) -> float:
+        """Height of the walls."""
+        return self.base + self.storeys * self.storey
+
+    def sill(self, floor: int) -> float:
+        """Height of the window sills of a floor."""
+        return self.base + floor * self.storey + 0.9
+
+
+def pick(rng: np.random.Generator, choices: tuple[Tint, ...]) -> Tint:
+    """A random tint."""
+    return choices[int(rng.integers(len(choices)))]
+
+
+def window_style(rng: np.random.Generator, shutters: str, wall: Tint) -> WindowStyle:
+    """A style of windows; `shutters` as in Style, `wall` the tint of the plaster in the reveals."""
+    dark = rng.uniform() < 0.2
+    return WindowStyle(
+        frame=(0.35, 0.22, 0.14) if dark else (0.35, 0.36, 0.38) if rng.uniform() < 0.15 else PLAIN,
+        cross=bool(rng.uniform() < 0.25),
+        shutters=shutters,
+        shutter=pick(rng, SHUTTERS)
+        if shutters == "swing"
+        else (1.5, 1.5, 1.5)
+        if rng.uniform() < 0.7
+        else (0.9, 0.85, 0.75),
+        surround=("stone", "plaster", "")[int(rng.choice(3, p=(0.15, 0.2, 0.65)))],
+        surround_tint=(1.1, 0.85, 0.75) if rng.uniform() < 0.4 else (1.2, 1.2, 1.2),
+        reveal=wall,
+        sill=(0.9, 0.9, 0.9) if rng.uniform() < 0.6 else (1.5, 1.55, 1.6),
+        door=pick(rng, DOORS),
+    )
+
+
+def window_columns(rng: np.random.Generator, length: float, every: float) -> list[float]:
+    """Centres of windows along a wall."""
+    count = max(round((length - 0.6) / every), 1)
+    margin = length / count / 2
+    middles = np.linspace(margin, length - margin, count) + rng.uniform(-0.06, 0.06, count) * length / count
+    return [float(middle) for middle in middles]
+
+
+def has_gable(roof: Roof, name: str) -> bool:
+    """Whether a wall ends in a gable; only for roofs that have gables at left and right (their ridge along y)."""
+    return roof.form != "hip" and name in ("left", "right")
+
+
+def closed_walls(
+    rng: np.random.Generator, boards: Boards, shell: Shell, holes: dict[str, list[Opening]], roof: Roof | None
+) -> list[Mesh]:
+    """The four walls with their openings filled."""
+    parts = []
+    for name, wall in shell.walls.items():
+        if roof is not None and has_gable(roof, name):
+            top, bends = roof.gable(wall.length)
+        else:
+            top, bends = _level(shell.eaves + 0.04), []
+        parts.append(wall_with_openings(wall, DEEP, top, bends, holes[name], *shell.finish))
+        style = shell.style if name in shell.dressed else shell.style._replace(surround="")
+        for hole in holes[name]:
+            fill_opening(boards, wall, hole, style, rng)
+    return parts
+
+
+def _level(height: float) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda along: np.full(len(along), height)
+
+
+def plinth(boards: Boards, shell: Shell, holes: dict[str, list[Opening]], tint: Tint) -> None:
+    """A plinth around the walls, up to the ground floor; interrupted at doors."""
+    for name, wall in shell.walls.items():
+        edges = [-0.03, wall.length + 0.03]
+        for hole in holes[name]:
+            if hole.low < shell.base + 0.1:
+                edges += [hole.along[0] - 0.02, hole.along[1] + 0.02]
+        edges.sort()
+        for span in zip(edges[::2], edges[1::2], strict=True):
+            boards.add(wall, span, (0.0, 0.03), (DEEP, max(shell.base, 0.3)), "plaster", tint, "flrt")
