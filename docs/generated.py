@@ -206,7 +206,7 @@ def paper_rows() -> str:
 
     def row(name: str) -> list[str]:
         parts = " + ".join(f"`{part}`" for part in ROWS[name].parts)
-        origin = "the paper" if ROWS[name].paper or ROWS[name].miou is not None else "ours, beside it"
+        origin = ROWS[name].source if ROWS[name].paper or ROWS[name].miou is not None else "ours, beside it"
         return [ROWS[name].name, "1, 2" if ROWS[name].segments else "2", origin, parts, f"`--rows {name}`"]
 
     return table(["row", "tables", "from", "recipes", "option of `reproduce`"], map(row, ROWS))

@@ -78,7 +78,7 @@ def evaluated(weights: Path, segmenter: Path, root: Path, split: str) -> Evaluat
 def test_nuscenes_trains_a_translator_from_every_direction(nuscenes_root, segmenter, tmp_path):
     options = ["scale=0.125", "options.columns=64"]
     train(small("titan-pano-mini", *MINI, *options), nuscenes_root, tmp_path / "run", device="cpu")
-    records = report.records(evaluated(tmp_path / "run", segmenter, nuscenes_root, "mini_val"))
+    records = report.records(report.as_dict(evaluated(tmp_path / "run", segmenter, nuscenes_root, "mini_val")))
     named = {(record["sector"], record["metric"]): record["value"] for record in records}
     assert any(sector == "panorama" for sector, _ in named) and any("miou" in metric for _, metric in named)
 
@@ -97,7 +97,7 @@ def test_kitti_360_trains_a_translator_and_a_painter_on_a_segmenters_labels(kitt
     with pytest.raises(InputError, match="KITTI-360 has no labels of single scans"):
         train(small("titan-pano-mini", *options), kitti360_root, tmp_path / "none", device="cpu")
     train(small("titan-pano-mini", labels, *options), kitti360_root, tmp_path / "translator", device="cpu")
-    records = report.records(evaluated(tmp_path / "translator", segmenter, kitti360_root, "val"))
+    records = report.records(report.as_dict(evaluated(tmp_path / "translator", segmenter, kitti360_root, "val")))
     named = {(record["sector"], record["metric"]): record["value"] for record in records}
     assert any(sector == "camera" and "miou" in metric for sector, metric in named)
     assert not any(sector == "panorama" for sector, _ in named), "one camera is no panorama"
@@ -121,7 +121,9 @@ def test_kitti_360_with_its_fisheyes_trains_and_is_evaluated_all_around(fisheye_
     painter = weight_files(tmp_path / "painter")["painter"]
     chain = f"{segmenter.parents[1]}+{weights}+{painter}"
     scored = frames(fisheye_root, "val", EIGHTH)[:1]
-    records = report.records(score([system(chain, device="cpu")], scored, data="kitti-360", split="val"))
+    records = report.records(
+        report.as_dict(score([system(chain, device="cpu")], scored, data="kitti-360", split="val"))
+    )
     named = {(record["sector"], record["metric"]): record["value"] for record in records}
     assert any(sector == "camera" and "miou" in metric for sector, metric in named)
     assert any(sector == "panorama" and "ssim" in metric for sector, metric in named)

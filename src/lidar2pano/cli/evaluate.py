@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -54,54 +54,59 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     engine: EngineOption = "torch",  # scores do not depend on what is installed
 ) -> None:
     """Score predictions from the scan alone against camera images and labels; print a table in Markdown."""
-    from lidar2pano.cli.files import check_file, check_folder
     from lidar2pano.cli.progress import bar
     from lidar2pano.data.layouts import frames
     from lidar2pano.evaluate import MetricConfig, report, score, system
     from lidar2pano.hardware import keep_buffers
 
-    for path, option in ((as_json, "--json"), (as_csv, "--csv")):
-        if path:
-            check_file(path, option)
-    if worst:
-        check_folder(out, "--out")
+    check_outputs(as_json, as_csv, out if worst else None)
     keep_buffers()
     scored = frames(data, split)
     config = MetricConfig.parse(metrics, inception=inception, sdnet=sdnet, device=device)
     systems = [system(name, device=device, sensor=sensor, engine=engine) for name in dict.fromkeys(weights)]
+    name = data.resolve().name
     with bar(len(scored), f"evaluating {split}") as advance:
-        name = data.resolve().name
         evaluation = score(systems, scored, data=name, split=split, config=config, worst=worst, after_each=advance)
-    write_files(evaluation, as_json, as_csv, out if worst else None)
+    summary = report.as_dict(evaluation)
+    write_files(summary, as_json, as_csv)
+    if worst:
+        write_worst(evaluation, out)
     note_systems(systems)
-    print(report.table(evaluation))
+    print(report.table(summary))
 
 
-def write_files(evaluation: Evaluation, as_json: Path | None, as_csv: Path | None, out: Path | None) -> None:
-    """Write the requested files: JSON, CSV, the worst frames."""
+def check_outputs(as_json: Path | None, as_csv: Path | None, folder: Path | None) -> None:
+    """Check the places of the requested files; InputError for one without write access."""
+    from lidar2pano.cli.files import check_file, check_folder
+
+    for path, option in ((as_json, "--json"), (as_csv, "--csv")):
+        if path:
+            check_file(path, option)
+    if folder:
+        check_folder(folder, "--out")
+
+
+def write_files(summary: dict[str, Any], as_json: Path | None, as_csv: Path | None) -> None:
+    """Write the requested files: JSON and CSV."""
     from lidar2pano.cli.files import write_json
     from lidar2pano.evaluate import report
 
     if as_json:
-        write_json(as_json, report.as_dict(evaluation), "--json")
+        write_json(as_json, summary, "--json")
     if as_csv:
-        write_csv(as_csv, report.records(evaluation), "--csv")
-    if out:
-        write_csv(out / "worst.csv", write_worst(evaluation, out), "--out")
+        write_csv(as_csv, report.records(summary), "--csv")
 
 
-def write_worst(evaluation: Evaluation, out: Path) -> list[dict[str, object]]:
-    """Write the sheets of the worst frames, a folder per system (1, 2, ...); return the list of them."""
+def write_worst(evaluation: Evaluation, out: Path) -> None:
+    """Write the sheets of the worst frames, a folder per system (1, 2, ...), and worst.csv with the list of them."""
     rows: list[dict[str, object]] = []
-    for number, one in enumerate(evaluation.systems, 1):
-        paths = one.worst.write(out / str(number))
-        for rank, ((frame, metric, value), path) in enumerate(zip(one.worst.rows(), paths, strict=True), 1):
-            where = path.relative_to(out).as_posix() if path else ""
-            name = one.system.info.name
-            rows.append(
-                {"system": name, "rank": rank, "frame": frame, "metric": metric, "value": value, "image": where}
-            )
-    return rows
+    for number, system in enumerate(evaluation.systems, 1):
+        paths = system.worst.write(out / str(number))
+        for rank, ((frame, metric, value), path) in enumerate(zip(system.worst.rows(), paths, strict=True), 1):
+            ranked = {"rank": rank, "frame": frame, "metric": metric, "value": value}
+            image = path.relative_to(out).as_posix() if path else ""
+            rows.append({"system": system.system.info.name, **ranked, "image": image})
+    write_csv(out / "worst.csv", rows, "--out")
 
 
 def write_csv(path: Path, rows: list[dict[str, object]], option: str) -> None:
@@ -115,14 +120,14 @@ def write_csv(path: Path, rows: list[dict[str, object]], option: str) -> None:
     writer = csv.DictWriter(text, rows[0] if rows else [], lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    write_whole(path, lambda beside: beside.write_text(text.getvalue(), encoding="utf-8"), option)
+    write_whole(path, lambda temporary: temporary.write_text(text.getvalue(), encoding="utf-8"), option)
 
 
 def note_systems(systems: Iterable[System]) -> None:
-    """One line on stderr for each licence that restricts the use of these systems' weights."""
+    """Print a line on stderr for each licence that restricts the use of these systems' weights."""
     from lidar2pano.models.card import read_card
     from lidar2pano.models.families import licence_note
 
-    for note in dict.fromkeys(licence_note(map(read_card, one.info.files.values())) for one in systems):
+    for note in dict.fromkeys(licence_note(map(read_card, system.info.files.values())) for system in systems):
         if note:
             complain(note)

@@ -1,16 +1,17 @@
-"""An evaluation as Markdown, as rows for CSV and as JSON."""
+"""An evaluation as JSON, as rows for CSV and as Markdown; the last two are made from the first."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from lidar2pano.evaluate.evaluation import EvaluatedSystem, Evaluation
-from lidar2pano.evaluate.metric_values import SECTOR_ORDER, SWD_LEVELS, UNSCORED, MetricCollection, MetricValue
+from lidar2pano.evaluate.metric_values import SWD_LEVELS, UNSCORED, MetricValue
 from lidar2pano.labels import COMMON15
 
-Values = Mapping[tuple[str, str], MetricValue]
+Entry = Mapping[str, Any]  # of "values": sector, name, value, low, high, frames; None where undefined
+Values = Mapping[tuple[str, str], Entry]  # by sector and name
 # role -> (sector, value) -> name in "score", which cards of released weights take over
 CARD_SCORES = {
     "segmenter": {("points", "miou"): "point_miou", ("points", "accuracy"): "point_accuracy"},
@@ -27,6 +28,7 @@ CARD_SCORES = {
         for name in ("ssim", "swd", "fid", "fsd", "resegmentation_miou", "warping_error")
     },
 }
+CLASS_TABLES = {"camera": "classes", "panorama": "panorama_classes", "points": "point_classes"}  # sector -> key
 
 
 class Row(NamedTuple):
@@ -34,7 +36,7 @@ class Row(NamedTuple):
 
     title: str
     decimals: int = 3
-    times: float = 1.0
+    factor: float = 1.0
     interval: bool = False
 
 
@@ -58,258 +60,269 @@ ROWS: dict[str, Row] = {
     "roll_error": Row("roll error, grey levels", 2),
     "roll_error_ids": Row("roll error, share of classes", 4),
 }
+WITH_INTERVAL = Row("", interval=True)
 PREFIX = {"camera": "", "panorama": "panorama: "}
 
 
-def heading(one: Evaluation) -> str:
-    """Describe the data, the metrics and the limits of an evaluation."""
-    values = [by_name(one.values(each.metrics)) for each in one.systems]
-    present = one.target_classes() or ([] if one.images else one.target_classes("panorama"))
-    missing = [name for c, name in enumerate(COMMON15.classes) if c not in (*present, *UNSCORED)]
-    absent = f" (absent: {', '.join(missing)})" if missing else ""
-    parts = [
-        f"`{one.split}` of {one.data}: {max(one.images, one.camera_images)} camera images, each scored as a whole at"
-        f" its own size, predicted from the scan alone; {one.scans} scans with point labels. Pixels whose target is"
-        f" unlabeled, sky or unknown are not scored; predictions of unlabeled or sky count as wrong."
-    ]
-    if pseudo := [f"{part} of {n} frames by {name[:8]}" for (part, name), n in sorted(one.pseudo_labels.items())]:
-        parts.append(f"**Pseudo-labels of networks, not ground truth: {', '.join(pseudo)}.**")
-    if present:
-        parts.append(f"mIoU: mean over the {len(present)} of the paper's 14 classes that occur{absent}.")
-    names = {name for each in values for _, name in each}
-    if names & {"ssim", "swd"}:
-        parts.append(f"Colours: against the camera's images ({one.camera_images}), resized to 1024 x 1024 for SWD.")
-    if one.panoramas:
-        parts.append(
-            f"Panorama: against ground-truth panoramas ({one.panoramas}), on their raster, where they are valid; "
-            "SWD in quarters."
-        )
-    if any(not math.isnan(value.low) for each in values for value in each.values()):
-        parts.append("In brackets: 95 % interval, by the bootstrap over frames (distances of sets: by the jackknife).")
-    if chosen := [each.system.info.name for each in one.systems if _selected_here(one, each)]:
-        parts.append(f"**Weights were selected on this split, so its scores flatter them: {', '.join(chosen)}.**")
-    if oracles := [each.system.info.name for each in one.systems if each.system.uses_ground_truth]:
-        parts.append(f"Input is the camera's ground-truth labels, not the scan: {', '.join(oracles)}.")
-    if steady := [each.system.info.name for each in one.systems if getattr(each.system, "steady", False)]:
-        parts.append(f"Input is the sensor's pose beside the scan: {', '.join(steady)}.")
-    return " ".join(parts)
+# --- JSON -------------------------------------------------------------------------------------------------------------
 
 
-def _selected_here(one: Evaluation, each: EvaluatedSystem) -> bool:
-    """Whether the best of a network's checkpoints was selected on the split that is scored."""
-    cards = each.system.info.networks.values()
-    return any(
-        one.split in str(card.get("split", "")).split(" + ") and one.data in str(card.get("data", "")).split("+")
-        for card in cards
-    )
-
-
-def table(one: Evaluation) -> str:
-    """Markdown: the heading, then a column per system."""
-    names = [each.system.info.name for each in one.systems]
-    head = ["class", "pixels", *names]
-    rows = [head, ["---", *["---:"] * (len(head) - 1)]]
-    values = [by_name(one.values(each.metrics)) for each in one.systems]
-    reference = by_name(one.values(one.reference))
-    for sector, prefix in PREFIX.items():
-        rows += _class_rows(one, sector, prefix, values)
-        rows += _value_rows(one, sector, prefix, values, reference)
-    rows += _point_rows(one, values)
-    times = [each.mean_milliseconds() for each in one.systems]
-    for stage in dict.fromkeys(stage for time in times for stage in time):
-        cells = [f"{time[stage]:.0f}" if stage in time else "-" for time in times]
-        rows.append([f"{stage.replace('_', ' ')}, ms", "", *cells])
-    rows += _network_rows(one)
-    return "\n".join([heading(one), "", *(f"| {' | '.join(row)} |" for row in rows)])
-
-
-def records(one: Evaluation) -> list[dict[str, Any]]:
-    """One row per system and value, with IoU of classes and milliseconds; the reference is system "ground truth"."""
-    rows: list[dict[str, Any]] = []
-
-    def add(system: str, value: MetricValue) -> None:
-        plain = _plain(value)
-        rows.append({"system": system, "sector": plain.pop("sector"), "metric": plain.pop("name"), **plain})
-
-    for each in one.systems:
-        name = each.system.info.name
-        for value in (*one.values(each.metrics), *_class_values(each.metrics)):
-            add(name, value)
-        for stage, mean in each.mean_milliseconds().items():
-            frames = len(each.milliseconds[stage])
-            add(name, MetricValue(sector="milliseconds", name=stage, value=mean, frames=frames))
-    for value in one.values(one.reference):
-        add("ground truth", value)
-    return rows
-
-
-def as_dict(one: Evaluation) -> dict[str, Any]:
-    """Everything, ready for JSON; undefined values are None or left out."""
-    config = one.config
-    values = [one.values(each.metrics) for each in one.systems]
+def as_dict(evaluation: Evaluation) -> dict[str, Any]:
+    """Return everything, ready for JSON; undefined values are None or left out."""
+    config = evaluation.config
+    results = [_result(evaluation, system) for system in evaluation.systems]
     return {
-        "data": one.data,
-        "split": one.split,
-        "images": one.images,
-        "scans": one.scans,
-        "camera_images": one.camera_images,
-        "panoramas": one.panoramas,
+        "data": evaluation.data,
+        "split": evaluation.split,
+        "images": evaluation.images,
+        "scans": evaluation.scans,
+        "camera_images": evaluation.camera_images,
+        "panoramas": evaluation.panoramas,
         "pseudo_labels": [
-            {"part": part, "made_by": name, "frames": count} for (part, name), count in one.pseudo_labels.items()
+            {"part": part, "made_by": name, "frames": count}
+            for (part, name), count in sorted(evaluation.pseudo_labels.items())
         ],
         "metrics": list(config.groups),
         "sectors": list(config.sectors),
         "inception": config.inception.sha256 if config.inception else None,
         "camera_segmenter": config.image_segmenter.sha256 if config.image_segmenter else None,
-        "classes": [COMMON15.classes[c] for c in one.target_classes()],
-        "panorama_classes": [COMMON15.classes[c] for c in one.target_classes("panorama")],
-        "heading": heading(one),
-        "results": [_result(one, each, found) for each, found in zip(one.systems, values, strict=True)],
-        "ground_truth": [_plain(value) for value in one.values(one.reference)],
+        "classes": [COMMON15.classes[c] for c in evaluation.target_classes()],
+        "panorama_classes": [COMMON15.classes[c] for c in evaluation.target_classes("panorama")],
+        "heading": _heading(evaluation, [entry for result in results for entry in result["values"]]),
+        "results": results,
+        "ground_truth": [_entry(value) for value in evaluation.values(evaluation.reference)],
     }
 
 
-def _result(one: Evaluation, each: EvaluatedSystem, found: list[MetricValue]) -> dict[str, Any]:
-    values = {key: value.value for key, value in by_name(found).items()}
+def _result(evaluation: Evaluation, system: EvaluatedSystem) -> dict[str, Any]:
+    """Return the entry of one system in "results"."""
+    entries = [_entry(value) for value in evaluation.values(system.metrics)]
+    values = by_name(entries)
     scores = {
-        role: {name: values[key] for key, name in wanted.items() if not math.isnan(values.get(key, math.nan))}
-        for role, wanted in CARD_SCORES.items()
+        role: {name: values[key]["value"] for key, name in names.items() if value_of(values, *key) is not None}
+        for role, names in CARD_SCORES.items()
     }
     scores["renderer"] = scores["painter"]
-    networks = each.system.info.networks
-    scored = {"segmenter", "translator", *(networks.keys() & scores.keys())}
-    result = {
-        "weights": each.system.info.name,
+    networks = system.system.info.networks
+    scored_roles = {"segmenter", "translator", *(networks.keys() & scores.keys())}
+    counts = {key: system.metrics.classes(sector) for sector, key in CLASS_TABLES.items()}
+    return {
+        "weights": system.system.info.name,
         "networks": {role: dict(card) for role, card in networks.items()},
-        "score": {role: part | {"split": one.split} for role, part in scores.items() if role in scored},
-        "milliseconds": {stage: round(value, 2) for stage, value in each.mean_milliseconds().items()},
-        "values": [_plain(value) for value in found],
-        "worst": [{"frame": name, "metric": metric, "value": value} for name, metric, value in each.worst.rows()],
+        "score": {role: score | {"split": evaluation.split} for role, score in scores.items() if role in scored_roles},
+        "milliseconds": {stage: round(value, 2) for stage, value in system.mean_milliseconds().items()},
+        "values": entries,
+        "worst": [{"frame": name, "metric": metric, "value": value} for name, metric, value in system.worst.rows()],
+        **{key: [] if count is None else count.confusion().table() for key, count in counts.items()},
     }
-    for sector, name in (("camera", "classes"), ("points", "point_classes"), ("panorama", "panorama_classes")):
-        counts = each.metrics.classes(sector)
-        result[name] = [] if counts is None else counts.confusion().table()
-    return result
 
 
-def _class_rows(one: Evaluation, sector: str, prefix: str, values: Iterable[Values]) -> list[list[str]]:
-    """A row per class, and their mean."""
-    present = one.target_classes(sector)
-    counts = [each.metrics.classes(sector) for each in one.systems]
-    tables = [None if each is None else each.confusion() for each in counts]
-    first = next((each for each in tables if each is not None), None)
-    if first is None or not present:
-        return []
-    targets = first.counts.sum(1)
-    ious = [None if each is None else each.iou() for each in tables]
-    rows = []
-    for c in present:
-        cells = ["-" if iou is None else _number(float(iou[c]), Row("")) for iou in ious]
-        rows.append([prefix + COMMON15.classes[c], f"{targets[c] / targets.sum():.1%}", *cells])
-    cells = []
-    for each in values:
-        value = each.get((sector, "miou"))
-        cells.append("-" if value is None else f"**{_number(value.value, Row(''))}**{_between(value, Row(''))}")
-    pseudo = _pseudo(one, "camera labels") if sector == "camera" else ""
-    rows.append([f"{prefix}**mIoU of {len(present)}**{pseudo}", "", *cells])
+def _entry(value: MetricValue) -> dict[str, Any]:
+    numbers = {"value": value.value, "low": value.low, "high": value.high}
+    finite = {name: number if math.isfinite(number) else None for name, number in numbers.items()}
+    return {"sector": value.sector, "name": value.name, **finite, "frames": value.frames}
+
+
+def by_name(entries: Iterable[Entry]) -> dict[tuple[str, str], Entry]:
+    """Return the entries by sector and name."""
+    return {(entry["sector"], entry["name"]): entry for entry in entries}
+
+
+def value_of(values: Values, sector: str, name: str) -> float | None:
+    """Return a value; None if it is absent or undefined."""
+    entry = values.get((sector, name))
+    return None if entry is None else entry["value"]
+
+
+def _heading(evaluation: Evaluation, entries: Sequence[Entry]) -> str:
+    """Describe the data, the metrics and their limits; entries: of all systems."""
+    present = evaluation.target_classes() or ([] if evaluation.images else evaluation.target_classes("panorama"))
+    missing = [name for c, name in enumerate(COMMON15.classes) if c not in (*present, *UNSCORED)]
+    absent = f" (absent: {', '.join(missing)})" if missing else ""
+    images = max(evaluation.images, evaluation.camera_images)
+    parts = [
+        f"`{evaluation.split}` of {evaluation.data}: {images} camera images, each scored as a whole at"
+        f" its own size, predicted from the scan alone; {evaluation.scans} scans with point labels. Pixels whose target"
+        f" is unlabeled, sky or unknown are not scored; predictions of unlabeled or sky count as wrong."
+    ]
+    teachers = sorted(evaluation.pseudo_labels.items())
+    if teachers:
+        pseudo = ", ".join(f"{part} of {count} frames by {name[:8]}" for (part, name), count in teachers)
+        parts.append(f"**Pseudo-labels of networks, not ground truth: {pseudo}.**")
+    if present:
+        parts.append(f"mIoU: mean over the {len(present)} of the paper's 14 classes that occur{absent}.")
+    names = {entry["name"] for entry in entries}
+    if names & {"ssim", "swd"}:
+        parts.append(
+            f"Colours: against the camera's images ({evaluation.camera_images}), resized to 1024 x 1024 for SWD."
+        )
+        if evaluation.config.inception is None:
+            parts.append("FID: not measured, no Inception weights were given.")
+    if evaluation.panoramas:
+        parts.append(
+            f"Panorama: against ground-truth panoramas ({evaluation.panoramas}), on their raster, where they are valid;"
+            " SWD in quarters."
+        )
+    if any(entry["low"] is not None for entry in entries):
+        parts.append("In brackets: 95 % interval, by the bootstrap over frames (distances of sets: by the jackknife).")
+    return " ".join([*parts, *_reservations(evaluation)])
+
+
+def _reservations(evaluation: Evaluation) -> Iterable[str]:
+    """Name the systems whose scores are flattered, or that receive more than the scan."""
+    systems = [system.system for system in evaluation.systems]
+    selected = [system.info.name for system in systems if _selected_here(evaluation, system.info.networks)]
+    if selected:
+        yield f"**Weights were selected on this split, so its scores flatter them: {', '.join(selected)}.**"
+    oracles = [system.info.name for system in systems if system.uses_ground_truth]
+    if oracles:
+        yield f"Input is the camera's ground-truth labels, not the scan: {', '.join(oracles)}."
+    steady = [system.info.name for system in systems if getattr(system, "steady", False)]
+    if steady:
+        yield f"Input is the sensor's pose beside the scan: {', '.join(steady)}."
+
+
+def _selected_here(evaluation: Evaluation, networks: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Return whether the best of a network's checkpoints was selected on the split that is scored."""
+    return any(
+        evaluation.split in str(card.get("split", "")).split(" + ")
+        and evaluation.data in str(card.get("data", "")).split("+")
+        for card in networks.values()
+    )
+
+
+# --- CSV --------------------------------------------------------------------------------------------------------------
+
+
+def records(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return one row per system and value, with IoU of classes and milliseconds.
+
+    summary  `as_dict` of an evaluation. Its reference is the system "ground truth".
+    """
+    rows: list[dict[str, Any]] = []
+
+    def add(system: str, entry: Entry) -> None:
+        plain = dict(entry)
+        rows.append({"system": system, "sector": plain.pop("sector"), "metric": plain.pop("name"), **plain})
+
+    for result in summary["results"]:
+        values, empty = by_name(result["values"]), {"low": None, "high": None, "frames": None}
+        for entry in result["values"]:
+            add(result["weights"], entry)
+        for sector, key in CLASS_TABLES.items():
+            frames = values.get((sector, "miou"), empty)["frames"]
+            for row in result[key]:
+                if row["pixels"]:
+                    entry = {"sector": sector, "name": f"iou {row['class']}", "value": row["iou"]}
+                    add(result["weights"], empty | entry | {"frames": frames})
+        for stage, mean in result["milliseconds"].items():
+            add(result["weights"], {"sector": "milliseconds", "name": stage, "value": mean} | empty)
+    for entry in summary["ground_truth"]:
+        add("ground truth", entry)
     return rows
 
 
-def _pseudo(one: Evaluation, part: str) -> str:
-    """Says in a row's title that the labels are predictions, and of which networks."""
-    names = sorted({name[:8] for which, name in one.pseudo_labels if which == part})
-    return f" (pseudo-labels by {', '.join(names)})" if names else ""
+# --- Markdown ---------------------------------------------------------------------------------------------------------
 
 
-def _value_rows(one: Evaluation, sector: str, prefix: str, values: list[Values], reference: Values) -> list[list[str]]:
-    """A row per value that some system has."""
-    rows = []
+def table(summary: Mapping[str, Any]) -> str:
+    """Return Markdown of `as_dict` of an evaluation: its heading, then a column per system."""
+    results = summary["results"]
+    values = [by_name(result["values"]) for result in results]
+    reference = by_name(summary["ground_truth"])
+    rows: list[Sequence[str]] = []
+    for sector, prefix in PREFIX.items():
+        rows.extend(_class_rows(summary, sector, prefix, values))
+        rows.extend(_value_rows(summary, sector, prefix, values, reference))
+    rows.extend(_point_rows(summary, values))
+    times = [result["milliseconds"] for result in results]
+    for stage in dict.fromkeys(stage for time in times for stage in time):
+        cells = [f"{time[stage]:.0f}" if stage in time else "-" for time in times]
+        rows.append([f"{stage.replace('_', ' ')}, ms", "", *cells])
+    head = ["class", "pixels", *(result["weights"] for result in results)]
+    return f"{summary['heading']}\n\n{markdown_table(head, rows)}"
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table whose columns are aligned to the right, but for the first."""
+    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def number_cell(value: float | None, decimals: int = 3) -> str:
+    """Return a number as text; "-" for None and NaN."""
+    return "-" if value is None or math.isnan(value) else f"{value:.{decimals}f}"
+
+
+def entry_cell(entry: Entry | None, row: Row) -> str:
+    """Return a value, with its interval if the row shows intervals; "-" if it is absent or undefined."""
+    if entry is None:
+        return "-"
+    value, low, high = (
+        number_cell(None if entry[end] is None else entry[end] * row.factor, row.decimals)
+        for end in ("value", "low", "high")
+    )
+    return value if not row.interval or entry["low"] is None else f"{value} ({low} to {high})"
+
+
+def _class_rows(
+    summary: Mapping[str, Any], sector: str, prefix: str, values: Iterable[Values]
+) -> Iterable[Sequence[str]]:
+    """Return a row per class, and their mean."""
+    present, tables = summary[CLASS_TABLES[sector]], [result[CLASS_TABLES[sector]] for result in summary["results"]]
+    pixels = {row["class"]: row["pixels"] for row in next(filter(None, tables), [])}
+    if not pixels or not present:
+        return
+    ious = [{row["class"]: row["iou"] for row in rows} for rows in tables]
+    for name in present:
+        cells = [number_cell(iou.get(name)) for iou in ious]
+        yield [prefix + name, f"{pixels[name] / sum(pixels.values()):.1%}", *cells]
+    cells = [_bold(entry_cell(entries.get((sector, "miou")), WITH_INTERVAL)) for entries in values]
+    pseudo = _pseudo_labels(summary, "camera labels") if sector == "camera" else ""
+    yield [f"{prefix}**mIoU of {len(present)}**{pseudo}", "", *cells]
+
+
+def _bold(cell: str) -> str:
+    """Return a cell with its number, not its interval, in bold."""
+    number, space, interval = cell.partition(" ")
+    return cell if cell == "-" else f"**{number}**{space}{interval}"
+
+
+def _pseudo_labels(summary: Mapping[str, Any], part: str) -> str:
+    """Return the addition to a row's title that names the networks which predicted the labels; "" for ground truth."""
+    names = sorted({label["made_by"] for label in summary["pseudo_labels"] if label["part"] == part})
+    return f" (pseudo-labels by {', '.join(name[:8] for name in names)})" if names else ""
+
+
+def _value_rows(
+    summary: Mapping[str, Any], sector: str, prefix: str, values: Sequence[Values], reference: Values
+) -> Iterable[Sequence[str]]:
+    """Return a row per value that some system has."""
     for name, row in ROWS.items():
-        key = (sector, name)
-        if key == ("camera", "fid") and one.config.inception is None:
-            if any((sector, "swd") in each for each in values):
-                cells = ["no Inception weights" if (sector, "swd") in each else "-" for each in values]
-                rows.append([row.title, "", *cells])
+        key, title = (sector, name), row.title
+        if not any(key in entries for entries in values):
             continue
-        if not any(key in each for each in values):
-            continue
-        segmenter, title = one.config.image_segmenter, row.title
-        if name == "fsd" and segmenter is not None:
-            title = f"{title} (features of {segmenter.sha256[:8]})"
-        own = f"ground truth {_number(reference[key].value, row)}" if key in reference else ""
-        rows.append([prefix + title, own, *(_cell(each.get(key), row) for each in values)])
+        if name == "fsd" and summary["camera_segmenter"]:
+            title = f"{title} (features of {summary['camera_segmenter'][:8]})"
+        truth = f"ground truth {entry_cell(reference[key], row._replace(interval=False))}" if key in reference else ""
+        yield [prefix + title, truth, *(entry_cell(entries.get(key), row) for entries in values)]
         if name == "swd":
             levels = " ".join(level.removeprefix("swd_") for level in SWD_LEVELS)
-            cells = [
-                " ".join(_cell(each.get((sector, level)), row) for level in SWD_LEVELS) if key in each else "-"
-                for each in values
-            ]
-            rows.append([f"{prefix}SWD x 1000 by level, {levels}", "", *cells])
-    return rows
+            cells = (
+                " ".join(entry_cell(entries.get((sector, level)), row._replace(interval=False)) for level in SWD_LEVELS)
+                if key in entries
+                else "-"
+                for entries in values
+            )
+            yield [f"{prefix}SWD x 1000 by level, {levels}", "", *cells]
 
 
-def _point_rows(one: Evaluation, values: list[Values]) -> list[list[str]]:
-    if not any(("points", "miou") in each for each in values):
-        return []
-    present = len(one.target_classes("points"))
-    mious = (_cell(each.get(("points", "miou")), Row("", interval=True)) for each in values)
-    return [
-        [f"points: mIoU of {present} SemanticKITTI classes{_pseudo(one, 'point labels')}", "", *mious],
-        ["points: accuracy", "", *(_cell(each.get(("points", "accuracy")), ROWS["accuracy"]) for each in values)],
-    ]
-
-
-def _network_rows(one: Evaluation) -> list[list[str]]:
-    """Recipe and commit of each system's networks, by their cards."""
-    rows = []
-    networks = [each.system.info.networks for each in one.systems]
-    for role in dict.fromkeys(role for each in networks for role in each):
-        cards = [each.get(role) for each in networks]
-        training = [
-            "-"
-            if card is None
-            else f"{card.get('recipe') or '?'}, {card.get('steps', 0)} steps, {card.get('hours', 0)} h"
-            for card in cards
-        ]
-        rows.append([f"{role}: recipe", "", *training])
-        rows.append([f"{role}: commit", "", *("-" if c is None else c.get("commit", "")[:12] or "?" for c in cards)])
-    return rows
-
-
-def _class_values(metrics: MetricCollection) -> Iterable[MetricValue]:
-    for sector in SECTOR_ORDER:
-        counts = metrics.classes(sector)
-        if counts is None:
-            continue
-        whole = counts.confusion()
-        for c in metrics.target_classes(sector) or ():
-            iou = float(whole.iou()[c])
-            yield MetricValue(sector=sector, name=f"iou {whole.names[c]}", value=iou, frames=len(counts))
-
-
-def by_name(values: Iterable[MetricValue]) -> Values:
-    """Values by sector and name."""
-    return {(value.sector, value.name): value for value in values}
-
-
-def _cell(value: MetricValue | None, row: Row) -> str:
-    return "-" if value is None else _number(value.value, row) + (_between(value, row) if row.interval else "")
-
-
-def _number(value: float, row: Row) -> str:
-    return "-" if math.isnan(value) else f"{value * row.times:.{row.decimals}f}"
-
-
-def _between(value: MetricValue, row: Row) -> str:
-    if math.isnan(value.low):
-        return ""
-    return f" ({_number(value.low, row)} to {_number(value.high, row)})"
-
-
-def _plain(value: MetricValue) -> dict[str, Any]:
-    numbers = {name: _finite(getattr(value, name)) for name in ("value", "low", "high")}
-    return {"sector": value.sector, "name": value.name, **numbers, "frames": value.frames}
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def _point_rows(summary: Mapping[str, Any], values: Sequence[Values]) -> Iterable[Sequence[str]]:
+    """Return the rows of the points' classes, if some system has any."""
+    if not any(("points", "miou") in entries for entries in values):
+        return
+    classes = next(filter(None, (result["point_classes"] for result in summary["results"])), [])
+    present = sum(row["pixels"] > 0 for row in classes)
+    title = f"points: mIoU of {present} SemanticKITTI classes{_pseudo_labels(summary, 'point labels')}"
+    for name, heading in (("miou", title), ("accuracy", "points: accuracy")):
+        yield [heading, "", *(entry_cell(entries.get(("points", name)), WITH_INTERVAL) for entries in values)]

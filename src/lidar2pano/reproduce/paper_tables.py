@@ -1,4 +1,4 @@
-"""The rows of the tables of Cortinhal et al. 2021 with the paper's values, and our own rows."""
+"""The rows of the tables of Cortinhal et al. 2021 and of TITAN-Next with their published values, and our own rows."""
 
 from __future__ import annotations
 
@@ -15,10 +15,6 @@ def _image_values(ssim: float, fid: float, swd: tuple[float, ...], mean: float) 
     return {"ssim": ssim, "fid": fid, **levels, "swd_pairs": mean}
 
 
-def _classes(*values: float) -> tuple[float, ...]:
-    return values
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PaperRow:
     """One system of the tables.
@@ -26,8 +22,9 @@ class PaperRow:
     name      as in the paper;  parts: names of recipes (without -mini) in the order of the chain; "oracle": the
               camera's ground-truth labels.
     segments  whether it is in the tables of segmentation (1, and 3 of the supplement).
-    paper     the paper's values of table 2, by our names;  miou: its mIoU in percent, None where it has none;
-              classes: its IoU of the 14 classes in percent.
+    paper     published values of table 2, by our names;  miou: published mIoU in percent, None if there is none;
+              classes: published IoU of the 14 classes in percent, empty if there are none.
+    source    the publication of these values.
     """
 
     name: str
@@ -36,6 +33,7 @@ class PaperRow:
     paper: Mapping[str, float] = field(default_factory=dict)
     miou: float | None = None
     classes: tuple[float, ...] = ()
+    source: str = "the paper"
 
 
 ROWS: dict[str, PaperRow] = {
@@ -45,7 +43,7 @@ ROWS: dict[str, PaperRow] = {
         segments=True,
         paper=_image_values(0.2543, 73.476, (2.29, 2.22, 2.18, 2.15, 2.11, 2.13, 3.95), 2.59),
         miou=12.5,
-        classes=_classes(8.8, 0, 0, 0, 0, 0, 57.7, 15.7, 32.8, 12.5, 32.7, 14.8, 0.5, 0),
+        classes=(8.8, 0, 0, 0, 0, 0, 57.7, 15.7, 32.8, 12.5, 32.7, 14.8, 0.5, 0),
     ),
     "titan": PaperRow(
         name="TITAN-Net -> Vid2Vid",
@@ -53,14 +51,14 @@ ROWS: dict[str, PaperRow] = {
         segments=True,
         paper=_image_values(0.2610, 61.914, (2.22, 2.18, 2.15, 2.11, 2.08, 2.13, 3.78), 2.38),
         miou=31.1,
-        classes=_classes(68.2, 9.9, 7.6, 7.6, 0, 7.3, 75.4, 48.3, 62.9, 33.6, 60.1, 49.9, 2, 3.7),
+        classes=(68.2, 9.9, 7.6, 7.6, 0, 7.3, 75.4, 48.3, 62.9, 33.6, 60.1, 49.9, 2, 3.7),
     ),
     "titan-no-lovasz": PaperRow(
         name="TITAN-Net w/o Lovasz -> Vid2Vid",
         parts=("titan-no-lovasz", "vid2vid"),
         segments=True,
         miou=26.2,
-        classes=_classes(60.5, 0, 0, 0.3, 0, 0.05, 78.0, 43.6, 56.9, 33.0, 52.8, 42.9, 0.08, 0.07),
+        classes=(60.5, 0, 0, 0.3, 0, 0.05, 78.0, 43.6, 56.9, 33.0, 52.8, 42.9, 0.08, 0.07),
     ),
     "scunet": PaperRow(
         name="SC-UNET",
@@ -83,7 +81,14 @@ ROWS: dict[str, PaperRow] = {
         segments=True,
         paper=_image_values(0.2442, 76.932, (2.31, 2.23, 2.18, 2.16, 2.15, 2.22, 4.47), 2.53),
     ),
-    "titan-next": PaperRow(name="TITAN-Next -> Vid2Vid", parts=("titan-next", "vid2vid"), segments=True),
+    "titan-next": PaperRow(
+        name="TITAN-Next -> Vid2Vid",
+        parts=("titan-next", "vid2vid"),
+        segments=True,
+        paper={"fid": 29.56, "swd_pairs": 1.82},
+        miou=54.8,
+        source="its follow-up",
+    ),
     "titan-pano": PaperRow(name="titan-pano -> scene-painter", parts=("titan-pano", "scene-painter"), segments=True),
     "titan-pano-vid2vid": PaperRow(name="titan-pano -> Vid2Vid", parts=("titan-pano", "vid2vid"), segments=True),
     "ceiling": PaperRow(
@@ -137,9 +142,9 @@ CLAIMS = (
 
 
 def chosen(names: str) -> dict[str, PaperRow]:
-    """Rows of a list "titan,scunet"; all if it is empty; InputError for an unknown name."""
-    wanted = [name.strip() for name in names.split(",") if name.strip()]
-    for name in wanted:
+    """Return the rows of a list "titan,scunet"; all if it is empty; InputError for an unknown name."""
+    listed = [name.strip() for name in names.split(",") if name.strip()]
+    for name in listed:
         if name not in ROWS:
             raise InputError(f"--rows: no row {name!r}{closest(name, ROWS)}")
-    return {name: row for name, row in ROWS.items() if not wanted or name in wanted}
+    return {name: row for name, row in ROWS.items() if not listed or name in listed}

@@ -1,4 +1,4 @@
-"""Training of the missing networks, and scoring of the rows whose inputs changed."""
+"""Training of missing networks, and scoring of rows whose inputs changed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lidar2pano.models.camera_segmenter import CameraSegmenter, ImageNormalisati
 from lidar2pano.models.card import read_card
 from lidar2pano.models.families import weight_files
 from lidar2pano.pipeline import load
-from lidar2pano.reproduce.image_sheets import write_images
+from lidar2pano.reproduce.images import write_images
 from lidar2pano.reproduce.paper_tables import PaperRow
 from lidar2pano.reproduce.plan import SEGMENTER, Plan, training_data
 from lidar2pano.train.recipes import recipe_named
@@ -44,7 +44,7 @@ class Outcome:
 
 
 def reproduce(plan: Plan) -> Outcome:
-    """Train and score what is missing; a part or row that fails is logged, and the rest goes on."""
+    """Train and score missing parts and rows; failures are logged, and the rest goes on."""
     outcome = Outcome()
     files: dict[str, Path] = {}
     scored = sampled(frames(plan.data, plan.split), plan.frames)  # now: a mistake in the data concerns every part
@@ -72,7 +72,7 @@ def reproduce(plan: Plan) -> Outcome:
 
 
 def _camera_segmenter_ms(plan: Plan, scored: FrameList, config: MetricConfig) -> float | None:
-    """Milliseconds of SD-Net for an image: the given one or, since weights do not matter, a fresh one of the recipe."""
+    """Time SD-Net on an image, milliseconds: the given one or, since weights do not matter, a fresh one."""
     image = scored[0].image
     if image is None:
         return None
@@ -90,7 +90,7 @@ def _camera_segmenter_ms(plan: Plan, scored: FrameList, config: MetricConfig) ->
 
 
 def train_part(plan: Plan, part: str, files: Mapping[str, Path]) -> Path:
-    """The best weights of a part, trained unless its run is finished."""
+    """Return the best weights of a part, trained unless its run is finished."""
     from lidar2pano.train.engine import train
 
     recipe = plan.recipe(part, files)
@@ -103,7 +103,7 @@ def train_part(plan: Plan, part: str, files: Mapping[str, Path]) -> Path:
 
 
 def _released(part: str) -> str:
-    """The name of a part's network within its task."""
+    """Return the name of a part's network within its task."""
     if part == SEGMENTER:
         return "segmenter"
     if part in ("scene-painter", "vid2vid"):
@@ -112,14 +112,14 @@ def _released(part: str) -> str:
 
 
 def _segmenter(name: str) -> Path:
-    found = weight_files(name, fill=False)
-    if "segmenter" not in found:
+    files = weight_files(name, fill=False)
+    if "segmenter" not in files:
         raise InputError(f"--segmenter {name}: has no weights of a LiDAR segmenter; name a family, run or file")
-    return found["segmenter"]
+    return files["segmenter"]
 
 
 def sampled(split: FrameList, count: int) -> FrameList:
-    """All frames, or `count` of them, evenly over the split."""
+    """Return all frames, or `count` of them, evenly over the split."""
     if not count or count >= len(split):
         return split
     return split[:: len(split) // count][:count]
@@ -128,29 +128,29 @@ def sampled(split: FrameList, count: int) -> FrameList:
 def score_row(
     plan: Plan, name: str, row: PaperRow, files: Mapping[str, Path], scored: FrameList, config: MetricConfig
 ) -> dict[str, Any]:
-    """A row's evaluation, from DIR/rows where none of its inputs has changed."""
+    """Return a row's evaluation, from DIR/rows if none of its inputs has changed."""
     path = plan.out / "rows" / f"{name}.json"
     key = _key(plan, row, files, scored, config)
     if path.is_file():
         try:
-            held = read_json(path)
+            stored = read_json(path)
         except InputError:
-            held = None  # damaged: scored again
-        if isinstance(held, dict) and held.get("key") == key and isinstance(held.get("result"), dict):
-            return held["result"]
+            stored = None  # damaged: scored again
+        if isinstance(stored, dict) and stored.get("key") == key and isinstance(stored.get("result"), dict):
+            return stored["result"]
     log.info("scoring %s", row.name)
-    one = system(plan.chain(row), device=plan.device)
-    around = load(plan.chain(row), plan.device) if name == "titan" else None  # the paper's panoramas
-    write_images(plan.out / "images" / name, one, scored, config, around)
-    evaluation = score([one], scored, data=plan.data.resolve().name, split=plan.split, config=config)
+    row_system = system(plan.chain(row), device=plan.device)
+    painter = load(plan.chain(row), plan.device) if name == "titan" else None  # the paper's panoramas
+    write_images(plan.out / "images" / name, row_system, scored, config, painter)
+    evaluation = score([row_system], scored, data=plan.data.resolve().name, split=plan.split, config=config)
     result = report.as_dict(evaluation)
     text = json.dumps({"key": key, "result": result}, indent=1)
-    write_whole(path, lambda beside: beside.write_text(text, encoding="utf-8"))
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     return result
 
 
 def _key(plan: Plan, row: PaperRow, files: Mapping[str, Path], scored: FrameList, config: MetricConfig) -> str:
-    """A hash of everything that a row's evaluation depends on: weights, frames and metrics."""
+    """Hash everything on which a row's evaluation depends: weights, frames and metrics."""
     parts = [part for part in (SEGMENTER, *row.parts) if part in files]
     inputs = {
         "weights": [read_card(files[part]).sha256 for part in parts],
