@@ -1,44 +1,38 @@
 #!/usr/bin/env bash
-# Write RESULTS.md: scores of the released families (and of other weights beside them), and times on this machine.
-#   runs/results.sh KITTI TOWNS PANDASET NUSCENES [WEIGHTS|RUN...]
-# KITTI has the splits val and labelled; TOWNS is a simulated set that no network was trained on (runs/release.sh makes it);
-# PANDASET and NUSCENES have surround cameras. WEIGHTS are scored beside the families on KITTI.
+# Measure the released families and write RESULTS.md, step by step:
+#   runs/results.sh KITTI TOWNS PANDASET NUSCENES [STEP...]
+# KITTI has the splits val and labelled; TOWNS is a simulated set that no network was trained on (see `towns` below);
+# PANDASET and NUSCENES have surround cameras. Without a STEP all run in turn; each writes one file in docs/results:
+#   make-towns  simulate TOWNS, unless it is there
+#   val labelled towns pandaset nuscenes   scores, as CSV
+#   beams remission                        scores with fewer beams and without remission
+#   times                                  milliseconds on this machine
+#   page        RESULTS.md from these files; costs nothing
 set -euo pipefail
 kitti=$1 towns=$2 pandaset=$3 nuscenes=$4
 shift 4
-cd "$(dirname "$0")/.."
-panorama() { # TITLE ROOT
-  echo
-  echo "## $1"
-  echo
-  lidar2pano evaluate world world+steady kitti-mini kitti-mini+steady --data "$2" --split all
+out=$(dirname "$0")/../docs/results
+scores() { # STEP EVALUATE-ARGUMENTS...
+  lidar2pano evaluate "${@:2}" --csv "$out/$1.csv"
 }
-{
-  echo '# Results'
-  echo
-  echo 'Written by `runs/results.sh`; not edited by hand.'
-  echo
-  echo '## Camera sector, from the scan alone'
-  echo
-  lidar2pano evaluate kitti-mini world "$@" --data "$kitti" --split val
-  echo
-  echo '## Points, against manual labels'
-  echo
-  lidar2pano evaluate world --data "$kitti" --split labelled --metrics points
-  echo
-  echo '## Fewer beams: every, every second and every fourth beam of the scans of `val`'
-  echo
-  python runs/fewer_beams.py "$kitti" kitti-mini "$@"
-  echo
-  echo '## Without remission: mIoU of point classes with constants in its place (`val` and PandaSet)'
-  echo
-  python runs/remission_stand_in.py --kitti "$kitti" --pandaset "$pandaset"
-  panorama 'Panorama: towns of the street world that no network was trained on' "$towns"
-  panorama 'Panorama: PandaSet' "$pandaset"
-  panorama 'Panorama: a nuScenes sample' "$nuscenes"
-  echo
-  echo '## Times'
-  echo
-  lidar2pano bench --weights kitti-mini --runs 9
-} >RESULTS.md.new
-mv RESULTS.md.new RESULTS.md
+text() { # STEP COMMAND...
+  "${@:2}" >"$out/$1.txt.new" && mv "$out/$1.txt.new" "$out/$1.txt"
+}
+step() {
+  case $1 in
+    make-towns) [ -d "$towns" ] || lidar2pano world "$towns" --sequences 5 --frames 4 --hz 10 --seed 909 ;;
+    val) scores val kitti-mini world --data "$kitti" --split val ;;
+    labelled) scores labelled world --data "$kitti" --split labelled --metrics points ;;
+    towns) scores towns kitti-mini kitti-mini+steady world world+steady --data "$towns" --split all ;;
+    pandaset) scores pandaset kitti-mini world --data "$pandaset" --split all ;;
+    nuscenes) scores nuscenes kitti-mini world --data "$nuscenes" --split all ;;
+    beams) text beams python "$(dirname "$0")/fewer_beams.py" "$kitti" kitti-mini ;;
+    remission) text remission python "$(dirname "$0")/remission_stand_in.py" --kitti "$kitti" --pandaset "$pandaset" ;;
+    times) text times lidar2pano bench --weights kitti-mini --runs 9 ;;
+    page) python "$(dirname "$0")/results.py" ;;
+    *) echo "$0: no step $1" >&2 && return 2 ;;
+  esac
+}
+for each in "${@:-make-towns val labelled towns pandaset nuscenes beams remission times page}"; do
+  for name in $each; do step "$name"; done
+done
