@@ -11,7 +11,8 @@ import pytest
 
 from lidar2pano.simulate.lidar.scanner import Sweep, passing_time, sweep
 from lidar2pano.simulate.lidar.sensor_models import SENSOR_MODELS, SensorModel, blind_table
-from lidar2pano.simulate.scene.mesh import Mesh, box
+from lidar2pano.simulate.scene import mesh
+from lidar2pano.simulate.scene.mesh import Mesh
 from lidar2pano.simulate.scene.random_streams import stream
 from lidar2pano.simulate.scene.surfaces import MATERIALS
 
@@ -21,6 +22,10 @@ from lidar2pano.simulate.scene.raycast import Scene, SceneObject  # noqa: E402 n
 
 HDL = SENSOR_MODELS["hdl64e"]
 HALF = np.array([14.0, 9.0, 6.0])  # of the room's size, metres; its middle is the origin
+
+
+def box(centre: tuple[float, ...], size: tuple[float, ...], material: str, object_type: str) -> Mesh:
+    return mesh.merged([mesh.box(centre, size, material)], object_type)
 
 
 def room(material: str = "concrete") -> Scene:

@@ -16,12 +16,16 @@ pytest.importorskip("embreex")
 from lidar2pano.simulate.render import renderer as camera
 from lidar2pano.simulate.render import shading
 from lidar2pano.simulate.render.looks import look, seasonal_albedo, sky
-from lidar2pano.simulate.scene.mesh import box, ellipsoid
+from lidar2pano.simulate.scene import mesh
 from lidar2pano.simulate.scene.raycast import Scene, SceneObject
 from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, MATERIALS, OBJECT_TYPE_IDS, SKY
 
 VIEW = View(rows=40, columns=240, up=0.3, down=-0.5, kind="cylinder", origin=(0.2, 0.1, -0.1))
 DOWN = np.array([[0.0, 0.0, -1.0]], dtype=np.float32)
+
+
+def box(centre: Any, size: Any, material: str, object_type: str, **more: Any) -> mesh.Mesh:
+    return mesh.merged([mesh.box(centre, size, material, **more)], object_type)
 
 
 def ground(material="asphalt", object_type="road"):
@@ -34,7 +38,7 @@ def street():
         box((12, 6, 3), (8, 6, 6), "plaster", "building"),
         box((-9, -7, 2), (6, 6, 4), "brick", "building", yaw=0.3),
         box((8, -3, 0.8), (4, 1.8, 1.4), "paint", "car", tint=(1.5, 0.2, 0.2)),
-        ellipsoid((6, 2, 0.8), (0.8, 0.8, 0.8), "hedge-core", "vegetation"),
+        mesh.merged([mesh.ellipsoid((6, 2, 0.8), (0.8, 0.8, 0.8), "hedge-core")], "vegetation"),
     ]
     return Scene([ground(), *(SceneObject(mesh=thing) for thing in things)])
 

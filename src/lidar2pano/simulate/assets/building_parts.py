@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, merged, mesh, projected_uv, tube
-from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, OBJECT_TYPE_IDS
+from lidar2pano.simulate.scene.mesh import PLAIN, UNTYPED, Mesh, Tint, box, merged, mesh, projected_uv, tube
+from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS
 
 Span = tuple[float, float]
-PLAIN: Tint = (1.0, 1.0, 1.0)
 DEEP = -0.6  # where walls begin, metres: the ground may fall away along a house
 PANE_TINTS: tuple[Tint, ...] = (
     PLAIN,
@@ -64,10 +63,9 @@ _CUT = ("railing", "pickets")  # their uv runs 0..1 over the board's height
 
 
 class Boards:
-    """Boards that become one mesh of one object type."""
+    """Boards that become one mesh."""
 
-    def __init__(self, object_type: str = "building") -> None:
-        self.object_type = object_type
+    def __init__(self) -> None:
         self._rows: list[tuple[float, ...]] = []
         self._finish: list[tuple[float, ...]] = []
         self._faces: list[str] = []
@@ -101,7 +99,7 @@ class Boards:
             uv=uv.reshape(-1, 2).astype(np.float32),
             faces=np.concatenate([start + (0, 1, 2), start + (0, 2, 3)], axis=1).reshape(-1, 3).astype(np.int32),
             material=np.repeat(finish[board, 0], 2).astype(np.uint8),
-            object_type=np.full(2 * len(board), OBJECT_TYPE_IDS[self.object_type], dtype=np.uint8),
+            object_type=np.full(2 * len(board), UNTYPED, dtype=np.uint8),
             tint=np.repeat(finish[board, 1:], 2, axis=0).astype(np.float32),
         )
 
@@ -169,7 +167,7 @@ def wall_with_openings(  # noqa: PLR0913 outline, openings and finish
     start = 4 * np.arange(len(quads))[:, None]
     faces = np.concatenate([start + (0, 1, 2), start + (0, 2, 3)], axis=1).reshape(-1, 3)
     normals = np.tile((*wall.out, 0.0), (len(points), 1))
-    return mesh(points, faces, material, "building", normals=normals, tint=tint)
+    return mesh(points, faces, material, tint, normals=normals)
 
 
 def fill_opening(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle, rng: np.random.Generator) -> None:
@@ -303,7 +301,7 @@ def awning(wall: Wall, along: Span, up: float, out: float, tint: Tint) -> Mesh:
     places += [(left, out + 0.01, up - 0.8), (right, out + 0.01, up - 0.8)]
     corner = np.array(places)
     points = wall.at(corner[:, 0], corner[:, 1], corner[:, 2])
-    return mesh(points, np.array([(3, 2, 1), (3, 1, 0), (4, 5, 2), (4, 2, 3)]), "tarpaulin", "building", tint=tint)
+    return mesh(points, [(3, 2, 1), (3, 1, 0), (4, 5, 2), (4, 2, 3)], "tarpaulin", tint)
 
 
 def shop_sign(rng: np.random.Generator, boards: Boards, wall: Wall, along: Span, low: float) -> None:
@@ -381,13 +379,8 @@ class Roof(NamedTuple):
         y = self.long / 2 + verge
         inner, end = (high - self.cut) / self.slope, y - 0.8 * (high - self.cut) / self.slope
         points = [
-            (x, -y, low),
-            (x, y, low),
-            (inner, y, self.cut),
-            (0, end, high),
-            (0, -end, high),
-            (inner, -y, self.cut),
-        ]
+            (x, -y, low), (x, y, low), (inner, y, self.cut), (0, end, high), (0, -end, high), (inner, -y, self.cut),
+        ]  # fmt: skip
         points += [(-x, y, low), (-x, -y, low), (-inner, -y, self.cut), (-inner, y, self.cut)]
         return np.array(points), [[0, 1, 2, 3, 4, 5], [6, 7, 8, 4, 3, 9], [2, 9, 3], [8, 5, 4]]
 
@@ -405,10 +398,8 @@ def slabs(points: np.ndarray, slopes: Sequence[Sequence[int]], finish: tuple[str
         up = np.cross(normal, along)
         uv = np.stack([(corner - corner[0]) @ along, (corner - corner[0]) @ up], axis=1)
         top = corner + (0, 0, THICK)
-        parts.append(
-            mesh(top, fan, finish[0], "building", normals=np.tile(normal, (len(top), 1)), uv=uv, tint=finish[1])
-        )
-        parts.append(mesh(corner, fan[:, ::-1], "wood", "building", normals=np.tile(-normal, (len(top), 1)), uv=uv))
+        parts.append(mesh(top, fan, finish[0], finish[1], normals=np.tile(normal, (len(top), 1)), uv=uv))
+        parts.append(mesh(corner, fan[:, ::-1], "wood", normals=np.tile(-normal, (len(top), 1)), uv=uv))
         for pair in zip(slope, [*slope[1:], slope[0]], strict=True):
             edges[pair] = True
     rim = np.array([pair for pair in edges if pair[::-1] not in edges])
@@ -416,7 +407,7 @@ def slabs(points: np.ndarray, slopes: Sequence[Sequence[int]], finish: tuple[str
     quads = np.stack([a, b, b + (0, 0, THICK), a + (0, 0, THICK)], axis=1).reshape(-1, 3)
     start = 4 * np.arange(len(rim))[:, None]
     faces = np.concatenate([start + (0, 1, 2), start + (0, 2, 3)], axis=1)
-    parts.append(mesh(quads, faces, "wood", "building", tint=(1.3, 1.25, 1.2)))
+    parts.append(mesh(quads, faces, "wood", (1.3, 1.25, 1.2)))
     return merged(parts)
 
 
@@ -434,7 +425,7 @@ def flat_roof(width: float, depth: float, height: float, tint: Tint) -> Mesh:
             (0.7, 0.7, 0.7),
             "fktu",
         )
-    lid = box((0, 0, height + 0.05), (depth, width, 0.1), "gravel", "building", without=("bottom",))
+    lid = box((0, 0, height + 0.05), (depth, width, 0.1), "gravel", without=("bottom",))
     return merged([boards.mesh(), lid])
 
 
@@ -447,9 +438,7 @@ def dormer(roof: Roof, place: float, rise: float, size: tuple[float, float], fin
     x, low = roof.span / 2 - rise / roof.slope, roof.eaves + rise + 0.1
     back = min(height + 0.5, roof.ridge - low) / roof.slope
     wall = four_walls(width, back, (x - back / 2, place))["front"]
-    cheeks = box(
-        (x - back / 2, place, low + height / 2), (back, width, height), *(finish[0], "building"), tint=finish[1]
-    )
+    cheeks = box((x - back / 2, place, low + height / 2), (back, width, height), *finish)
     boards = Boards()
     boards.add(wall, (0.12, width - 0.12), (0.0, 0.03), (low + 0.2, low + height - 0.1), "frame", faces="flrtu")
     count = max(round(width / 0.75), 1)
@@ -460,16 +449,10 @@ def dormer(roof: Roof, place: float, rise: float, size: tuple[float, float], fin
     y, top, out = width / 2 + 0.2, low + height, x + 0.25
     peak = top + (0.45 * width if width < 2.0 else 0.0)
     if width < 2.0:
-        points = np.array(
-            [
-                (out, -y, top),
-                (out, 0, peak),
-                (out, y, top),
-                (x - back - 1, -y, top),
-                (x - back - 1, 0, peak),
-                (x - back - 1, y, top),
-            ]
-        )
+        points = np.array([
+            (out, -y, top), (out, 0, peak), (out, y, top), (x - back - 1, -y, top), (x - back - 1, 0, peak),
+            (x - back - 1, y, top),
+        ])  # fmt: skip
         slopes = [[5, 2, 1, 4][::-1], [0, 3, 4, 1][::-1]]
     else:  # one long slope, flatter than the roof
         points = np.array(
@@ -478,7 +461,7 @@ def dormer(roof: Roof, place: float, rise: float, size: tuple[float, float], fin
         slopes = [[0, 1, 2, 3]]
     cover = slabs(points + (0, place, 0), slopes, (roof.material, roof.tint))
     gable = np.array([(x, -width / 2, top), (x, width / 2, top), (x, 0, peak)]) + (0, place, 0)
-    face = mesh(gable, np.array([(0, 1, 2)]), finish[0], "building", tint=finish[1])
+    face = mesh(gable, [(0, 1, 2)], finish[0], finish[1])
     return merged([cheeks, boards.mesh(), cover, face] if width < 2.0 else [cheeks, boards.mesh(), cover])
 
 
@@ -497,16 +480,16 @@ def skylight(roof: Roof, place: float, rise: float) -> Mesh:
             foot + inwards * (0.6 + j * long) + (0, i * wide, 0) + up * lift
             for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))
         ]
-        parts.append(mesh(np.array(corner), np.array([(0, 1, 2), (0, 2, 3)]), material, "building", tint=tint))
+        parts.append(mesh(np.array(corner), [(0, 1, 2), (0, 2, 3)], material, tint))
     return merged(parts)
 
 
 def chimney(rng: np.random.Generator, at: tuple[float, float], foot: float, top: float) -> Mesh:
     """A chimney from under the roof (`foot`) to its top."""
     side, x, y = rng.uniform(0.4, 0.7), *at
-    shaft = box((x, y, (foot + top) / 2), (side, side, top - foot), "brick", "building", without=("bottom",))
-    cap = box((x, y, top + 0.04), (side + 0.14, side + 0.14, 0.08), "concrete", "building")
-    pot = tube(np.array([(x, y, top), (x, y, top + 0.3)]), 0.1, "tiles", "building", sides=6)
+    shaft = box((x, y, (foot + top) / 2), (side, side, top - foot), "brick", without=("bottom",))
+    cap = box((x, y, top + 0.04), (side + 0.14, side + 0.14, 0.08), "concrete")
+    pot = tube([(x, y, top), (x, y, top + 0.3)], 0.1, "tiles", sides=6)
     return merged([shaft, cap, pot])
 
 
@@ -516,10 +499,10 @@ def gutters(roof: Roof) -> Mesh:
     x, z, y = roof.span / 2 + out + 0.05, roof.eaves - roof.slope * out + 0.1, roof.long / 2
     parts = []
     for side in (-1, 1):
-        parts.append(tube(np.array([(side * x, -y, z), (side * x, y, z)]), 0.07, "metal", "building", sides=6))
+        parts.append(tube([(side * x, -y, z), (side * x, y, z)], 0.07, "metal", sides=6))
         wall, foot = side * (roof.span / 2 + 0.07), side * (y - 0.25)
         course = [(side * x, foot, z), (wall, foot, z - 0.35), (wall, foot, -0.1)]
-        parts.append(tube(np.array(course), 0.05, "metal", "building", sides=5, closed=False))
+        parts.append(tube(np.array(course), 0.05, "metal", sides=5, closed=False))
     return merged(parts)
 
 
@@ -529,21 +512,11 @@ PLASTERS: tuple[Tint, ...] = (
     (0.95, 0.92, 0.86),
 )  # fmt: skip
 SHUTTERS: tuple[Tint, ...] = (
-    (0.3, 0.5, 0.3),
-    (0.55, 0.3, 0.15),
-    (0.7, 0.25, 0.2),
-    (1.5, 1.5, 1.5),
-    (0.35, 0.45, 0.6),
-    (0.9, 0.85, 0.75),
-)
+    (0.3, 0.5, 0.3), (0.55, 0.3, 0.15), (0.7, 0.25, 0.2), (1.5, 1.5, 1.5), (0.35, 0.45, 0.6), (0.9, 0.85, 0.75),
+)  # fmt: skip
 DOORS: tuple[Tint, ...] = (
-    PLAIN,
-    (0.7, 0.45, 0.25),
-    (1.9, 2.1, 2.5),
-    (0.4, 0.6, 0.6),
-    (0.9, 0.35, 0.3),
-    (0.5, 0.55, 0.65),
-)
+    PLAIN, (0.7, 0.45, 0.25), (1.9, 2.1, 2.5), (0.4, 0.6, 0.6), (0.9, 0.35, 0.3), (0.5, 0.55, 0.65),
+)  # fmt: skip
 COVERS: tuple[tuple[str, Tint], ...] = (
     ("tiles", PLAIN), ("tiles", (1.15, 1.1, 1.0)), ("tiles", (0.8, 0.8, 0.85)), ("tiles", (0.6, 0.75, 0.9)),
     ("slate", PLAIN), ("slate", (1.5, 1.4, 1.3)),

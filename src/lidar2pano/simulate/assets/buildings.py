@@ -105,7 +105,7 @@ def _house(rng: np.random.Generator, width: float, depth: float, front: str) -> 
     if timbered:
         _timber(boards, shell, roof, holes)
     parts += [roof.mesh(), gutters(roof), *_on_roof(rng, roof, shell.finish, plain=bool(wing))]
-    return merged([*parts, boards.mesh()])
+    return merged([*parts, boards.mesh()], "building")
 
 
 def _roof(rng: np.random.Generator, shell: Shell, width: float, depth: float) -> Roof:
@@ -262,8 +262,8 @@ def garage(rng: np.random.Generator) -> Mesh:
         shell = shell._replace(walls=four_walls(depth, width))
         holes = {name: holes["front"] if name == "right" else [] for name in shell.walls}
         parts = [*closed_walls(rng, boards, shell, holes, roof), roof.mesh(), boards.mesh()]
-        return merged(parts).placed((0, 0, 0), np.pi / 2)
-    return merged([*parts, boards.mesh()])
+        return merged(parts, "building").placed((0, 0, 0), np.pi / 2)
+    return merged([*parts, boards.mesh()], "building")
 
 
 def shed(rng: np.random.Generator) -> Mesh:
@@ -277,18 +277,13 @@ def shed(rng: np.random.Generator) -> Mesh:
     holes["front"] = [Opening(0.7, 0.8, 0.08, 1.95, "door"), Opening(width - 0.7, 0.6, 1.1, 1.7)]
     boards = Boards()
     parts = [*closed_walls(rng, boards, shell, holes, roof), roof.mesh()]
-    return merged([*parts, boards.mesh()])
+    return merged([*parts, boards.mesh()], "building")
 
 
 SANDSTONE: Tint = (1.25, 0.85, 0.72)
 CLOTHS: tuple[Tint, ...] = (
-    (1.0, 0.2, 0.15),
-    (0.15, 0.4, 0.2),
-    (1.5, 1.3, 0.95),
-    (1.6, 1.6, 1.6),
-    (0.2, 0.25, 0.5),
-    (1.5, 0.9, 0.2),
-)
+    (1.0, 0.2, 0.15), (0.15, 0.4, 0.2), (1.5, 1.3, 0.95), (1.6, 1.6, 1.6), (0.2, 0.25, 0.5), (1.5, 0.9, 0.2),
+)  # fmt: skip
 
 
 def flats(rng: np.random.Generator, width: float, depth: float) -> Mesh:
@@ -315,7 +310,7 @@ def flats(rng: np.random.Generator, width: float, depth: float) -> Mesh:
         _belts(boards, shell, style.surround_tint)
     parts += closed_walls(rng, boards, shell, holes, None)
     parts += _cover(rng, shell, era, width, depth)
-    return merged([*parts, boards.mesh()])
+    return merged([*parts, boards.mesh()], "building")
 
 
 def _windows(rng: np.random.Generator, shell: Shell, name: str, era: str) -> list[Opening]:
@@ -459,10 +454,10 @@ def hall(rng: np.random.Generator, width: float, depth: float) -> Mesh:
                 )
     if market or rng.uniform() < 0.6:
         parts.append(flat_roof(width, depth, height - 0.3, tint))
-        return merged([*parts, boards.mesh()])
+        return merged([*parts, boards.mesh()], "building")
     roof = Roof("gable", width, depth, shell.eaves, rng.uniform(0.1, 0.25), (0.3, 0.2), "slate", (2.5, 2.5, 2.6))
     gables = [_gable(shell, roof, name) for name in ("left", "right")]
-    return merged([*parts, roof.mesh(), *gables, boards.mesh()])
+    return merged([*parts, roof.mesh(), *gables, boards.mesh()], "building")
 
 
 def _hall_holes(rng: np.random.Generator, shell: Shell, name: str, market: bool) -> list[Opening]:

@@ -142,28 +142,28 @@ def varied(rng: np.random.Generator, shape: VehicleShape) -> VehicleShape:
 
 
 def _assembled(rng: np.random.Generator, shape: VehicleShape, tint: tuple[float, float, float]) -> Mesh:
-    skin = body(shape, "car", tint)
+    skin = body(shape, tint)
     front_z, rear_z = float(np.mean(shape.nose_rows[1:3])), float(np.mean(shape.tail_rows[1:3]))
     parts = [
         skin.mesh,
-        plate(_place(skin.nose, front_z) + 0.012, front_z, "car", forward=True),
-        plate(_place(skin.tail, rear_z) - 0.012, rear_z, "car", forward=False),
-        *wheels(shape, "car", int(rng.choice([0, 5, 6, 7, 10], p=[0.3, 0.25, 0.1, 0.2, 0.15])), width=0.2),
+        plate(_place(skin.nose, front_z) + 0.012, front_z, forward=True),
+        plate(_place(skin.tail, rear_z) - 0.012, rear_z, forward=False),
+        *wheels(shape, int(rng.choice([0, 5, 6, 7, 10], p=[0.3, 0.25, 0.1, 0.2, 0.15])), 0.2),
         *_mirrors(shape, tint),
         *_handles(shape, tint),
         *_bulbs(skin, shape),
         *_extras(rng, skin, shape),
     ]
-    return merged(parts)
+    return merged(parts, "car")
 
 
 def _place(line: np.ndarray, z: float) -> float:
     return float(np.interp(z, line[::-1, 1], line[::-1, 0]))
 
 
-def wheels(shape: VehicleShape, object_type: str, spokes: int, width: float) -> list[Mesh]:
+def wheels(shape: VehicleShape, spokes: int, width: float) -> list[Mesh]:
     """A pair of wheels under each axle of a body; `width` of a tyre in metres."""
-    one = wheel(shape.wheel, width, object_type, spokes)
+    one = wheel(shape.wheel, width, spokes)
     y = shape.width / 2 - width / 2 - 0.03
     return [side for axle in shape.axles for side in both_sides(one.placed((shape.length / 2 - axle, y, shape.wheel)))]
 
@@ -171,9 +171,9 @@ def wheels(shape: VehicleShape, object_type: str, spokes: int, width: float) -> 
 def _mirrors(shape: VehicleShape, tint: tuple[float, float, float]) -> list[Mesh]:
     x = shape.length / 2 - shape.profile[1][0] - 0.36
     y, z = shape.width / 2 + 0.06, shape.belt[0] + 0.07
-    shell = ellipsoid((x, y, z), (0.075, 0.105, 0.07), "paint", "car", detail=4, tint=tint)
-    glass = box((x - 0.055, y, z), (0.02, 0.15, 0.09), "window", "car")
-    arm = box((x, y - 0.12, z - 0.05), (0.05, 0.16, 0.03), "underbody", "car")
+    shell = ellipsoid((x, y, z), (0.075, 0.105, 0.07), "paint", tint, detail=4)
+    glass = box((x - 0.055, y, z), (0.02, 0.15, 0.09), "window")
+    arm = box((x, y - 0.12, z - 0.05), (0.05, 0.16, 0.03), "underbody")
     return list(both_sides(merged([shell, glass, arm])))
 
 
@@ -182,7 +182,7 @@ def _handles(shape: VehicleShape, tint: tuple[float, float, float]) -> list[Mesh
     parts = []
     for seam in shape.seams[1:]:
         z = np.interp(seam, [shape.profile[1][0], shape.length], shape.belt) - 0.13
-        parts.append(box((shape.length / 2 - seam + 0.16, y, z), (0.19, 0.03, 0.03), "paint", "car", tint=tint))
+        parts.append(box((shape.length / 2 - seam + 0.16, y, z), (0.19, 0.03, 0.03), "paint", tint))
     return list(both_sides(merged(parts)))
 
 
@@ -191,27 +191,25 @@ def _bulbs(skin: Body, shape: VehicleShape) -> list[Mesh]:
     z = (shape.profile[0][1] - 0.06 + shape.nose_rows[1]) / 2
     y = 0.76 * 0.44 * shape.width
     x = _place(skin.nose, z) - shape.sweep[0] * (2 * y / shape.width) ** 2.6 - 0.012
-    return list(
-        both_sides(ellipsoid((x, y, z), (0.04, 0.068, 0.06), "headlamp", "car", detail=3, tint=(1.1, 1.1, 1.1)))
-    )
+    return list(both_sides(ellipsoid((x, y, z), (0.04, 0.068, 0.06), "headlamp", (1.1, 1.1, 1.1), detail=3)))
 
 
 def _extras(rng: np.random.Generator, skin: Body, shape: VehicleShape) -> list[Mesh]:
     """Badges, the third brake lamp, and what some cars have: roof rails, rub strips, an aerial."""
     half, parts = shape.length / 2, []
     z = shape.profile[0][1] - 0.09
-    parts.append(ellipsoid((_place(skin.nose, z), 0, z), (0.015, 0.05, 0.05), "rim", "car", detail=3))
+    parts.append(ellipsoid((_place(skin.nose, z), 0, z), (0.015, 0.05, 0.05), "rim", detail=3))
     z = shape.tail_rows[0] - 0.03
-    parts.append(ellipsoid((_place(skin.tail, z), 0, z), (0.012, 0.045, 0.045), "rim", "car", detail=3))
+    parts.append(ellipsoid((_place(skin.tail, z), 0, z), (0.012, 0.045, 0.045), "rim", detail=3))
     head, foot = shape.profile[4:6]
-    parts.append(box((half - head[0] - 0.05, 0, head[1] - 0.04), (0.06, 0.26, 0.022), "tail-lamp", "car"))
+    parts.append(box((half - head[0] - 0.05, 0, head[1] - 0.04), (0.06, 0.26, 0.022), "tail-lamp"))
     if rng.uniform() < 0.35:
-        parts.append(box((half - head[0] + 0.25, 0, head[1] + 0.03), (0.1, 0.015, 0.06), "underbody", "car"))
+        parts.append(box((half - head[0] + 0.25, 0, head[1] + 0.03), (0.1, 0.015, 0.06), "underbody"))
     strips = rng.uniform() < 0.3
     if strips:
         low, high = shape.axles[0] + shape.wheel + 0.09, shape.axles[-1] - shape.wheel - 0.09
         middle = float(shape.sill + np.mean(shape.belt)) / 2
-        strip = box((half - (low + high) / 2, shape.width / 2, middle), (high - low, 0.024, 0.055), "dark-metal", "car")
+        strip = box((half - (low + high) / 2, shape.width / 2, middle), (high - low, 0.024, 0.055), "dark-metal")
         parts += both_sides(strip)
     rails = rng.uniform() < 0.5
     if rails and foot[0] - head[0] < 0.42 and head[0] > 3.8:  # estates, minivans, SUVs
@@ -219,9 +217,7 @@ def _extras(rng: np.random.Generator, skin: Body, shape: VehicleShape) -> list[M
         x = np.array([ends[0], ends[0] + 0.12, ends[1] - 0.12, ends[1]])
         top = np.interp(half - x, *np.array(shape.profile[2:5]).T)
         y = np.full(4, 0.5 * shape.rail * shape.width - 0.03)
-        parts += both_sides(
-            tube(np.stack([x, y, top + (-0.03, 0.02, 0.02, -0.03)], axis=1), 0.016, "rim", "car", sides=4)
-        )
+        parts += both_sides(tube(np.stack([x, y, top + (-0.03, 0.02, 0.02, -0.03)], axis=1), 0.016, "rim", sides=4))
     return parts
 
 
@@ -230,29 +226,24 @@ WHITE: Tint = (1.42, 1.42, 1.4)
 
 def trailer(rng: np.random.Generator) -> Mesh:
     """A trailer by itself: a small one for cars, a caravan, or a lorry's."""
-    which = rng.uniform()
-    if which < 0.45:
-        return centred(_small_trailer(rng))
-    if which < 0.75:
-        return centred(_caravan(rng))
-    return centred(semitrailer(rng, "trailer"))
+    draw = rng.uniform()
+    made = _small_trailer(rng) if draw < 0.45 else _caravan(rng) if draw < 0.75 else semitrailer(rng, parked=True)
+    return merged([centred(made)], "trailer")
 
 
-def semitrailer(rng: np.random.Generator, object_type: str) -> Mesh:
+def semitrailer(rng: np.random.Generator, *, parked: bool) -> Mesh:
     """The trailer of a tractor, 13.6 m, around x = 0; by itself it stands on its legs."""
     length, wide, tall = 13.6, 2.5, 2.75
-    bed = box((0, 0, 1.18), (length, wide, 0.14), "dark-metal", object_type)
-    frame = box((-1.0, 0, 0.95), (length - 3.2, 1.0, 0.3), "underbody", object_type)
+    bed = box((0, 0, 1.18), (length, wide, 0.14), "dark-metal")
+    frame = box((-1.0, 0, 0.95), (length - 3.2, 1.0, 0.3), "underbody")
     fill = (
-        boxed(length, wide, 1.25, tall, WHITE, object_type)
-        if rng.uniform() < 0.4
-        else covered(length, wide, 1.25, tall, cloth(rng), object_type)
+        boxed(length, wide, 1.25, tall, WHITE) if rng.uniform() < 0.4 else covered(length, wide, 1.25, tall, cloth(rng))
     )
-    axles = [part for x in (-2.9, -4.2, -5.5) for part in axle(x, 1.0, object_type)]
-    down = 1.15 if object_type == "trailer" else 0.5
-    legs = both_sides(box((3.4, 0.6, 1.155 - down / 2), (0.14, 0.14, down), "dark-metal", object_type))
-    guard = both_sides(box((0.6, 1.2, 0.75), (4.6, 0.03, 0.12), "metal", object_type))
-    return merged([bed, frame, *fill, *axles, *legs, *guard, *rear_end(-length / 2, 1.05, 1.25, object_type)])
+    axles = [part for x in (-2.9, -4.2, -5.5) for part in axle(x, 1.0)]
+    down = 1.15 if parked else 0.5
+    legs = both_sides(box((3.4, 0.6, 1.155 - down / 2), (0.14, 0.14, down), "dark-metal"))
+    guard = both_sides(box((0.6, 1.2, 0.75), (4.6, 0.03, 0.12), "metal"))
+    return merged([bed, frame, *fill, *axles, *legs, *guard, *rear_end(-length / 2, 1.05, 1.25)])
 
 
 def centred(mesh: Mesh) -> Mesh:
@@ -261,20 +252,20 @@ def centred(mesh: Mesh) -> Mesh:
     return mesh.placed((-float(x.min() + x.max()) / 2, 0.0, 0.0))
 
 
-def axle(x: float, scale: float, object_type: str) -> list[Mesh]:
+def axle(x: float, scale: float) -> list[Mesh]:
     """A pair of twin wheels with mudguards."""
     radius = 0.5 * scale
-    twin = wheel(radius, 0.52 * scale, object_type, spokes=8, rim=0.56)
-    guard = box((x, 0.98 * scale, 2 * radius + 0.04), (2.1 * radius, 0.5 * scale, 0.04), "dark-metal", object_type)
-    across = box((x, 0, radius), (0.16, 1.6 * scale, 0.16), "underbody", object_type)
+    twin = wheel(radius, 0.52 * scale, 8, 0.56)
+    guard = box((x, 0.98 * scale, 2 * radius + 0.04), (2.1 * radius, 0.5 * scale, 0.04), "dark-metal")
+    across = box((x, 0, radius), (0.16, 1.6 * scale, 0.16), "underbody")
     return [*both_sides(twin.placed((x, 0.98 * scale, radius))), *both_sides(guard), across]
 
 
-def rear_end(x: float, z: float, half: float, object_type: str) -> list[Mesh]:
+def rear_end(x: float, z: float, half: float) -> list[Mesh]:
     """Tail lamps, the bar below them and the plate, at the end x of a lorry or trailer."""
-    lamp = box((x + 0.02, half - 0.26, z - 0.14), (0.08, 0.42, 0.14), "tail-lamp", object_type)
-    bar = box((x + 0.15, 0, 0.52), (0.1, 2 * half - 0.1, 0.12), "metal", object_type)
-    return [*both_sides(lamp), bar, plate(x - 0.02, z - 0.16, object_type, forward=False)]
+    lamp = box((x + 0.02, half - 0.26, z - 0.14), (0.08, 0.42, 0.14), "tail-lamp")
+    bar = box((x + 0.15, 0, 0.52), (0.1, 2 * half - 0.1, 0.12), "metal")
+    return [*both_sides(lamp), bar, plate(x - 0.02, z - 0.16, forward=False)]
 
 
 def cloth(rng: np.random.Generator) -> Tint:
@@ -289,35 +280,25 @@ def cloth(rng: np.random.Generator) -> Tint:
     )[rng.integers(6)]
 
 
-def boxed(length: float, wide: float, low: float, tall: float, tint: Tint, object_type: str) -> list[Mesh]:
+def boxed(length: float, wide: float, low: float, tall: float, tint: Tint) -> list[Mesh]:
     """A plain box with metal edges and doors at its back."""
-    parts = [box((0, 0, low + tall / 2), (length, wide, tall), "paint", object_type, tint=tint)]
+    parts = [box((0, 0, low + tall / 2), (length, wide, tall), "paint", tint)]
     for x in (-length / 2, length / 2):
         for y in (-wide / 2, wide / 2):
-            parts.append(box((x, y, low + tall / 2), (0.08, 0.08, tall), "metal", object_type))
+            parts.append(box((x, y, low + tall / 2), (0.08, 0.08, tall), "metal"))
     for z in (low, low + tall):
-        parts += [box((0, s * wide / 2, z), (length + 0.08, 0.06, 0.08), "metal", object_type) for s in (-1, 1)]
-        parts += [box((s * length / 2, 0, z), (0.08, wide, 0.08), "metal", object_type) for s in (-1, 1)]
+        parts += [box((0, s * wide / 2, z), (length + 0.08, 0.06, 0.08), "metal") for s in (-1, 1)]
+        parts += [box((s * length / 2, 0, z), (0.08, wide, 0.08), "metal") for s in (-1, 1)]
     for y in (-0.3 * wide, -0.12 * wide, 0.12 * wide, 0.3 * wide):
-        parts.append(box((-length / 2 - 0.03, y, low + tall / 2), (0.03, 0.035, tall), "metal", object_type))
+        parts.append(box((-length / 2 - 0.03, y, low + tall / 2), (0.03, 0.035, tall), "metal"))
     return parts
 
 
-def covered(length: float, wide: float, low: float, tall: float, tint: Tint, object_type: str) -> list[Mesh]:
+def covered(length: float, wide: float, low: float, tall: float, tint: Tint) -> list[Mesh]:
     """A tarpaulin over hoops, with boards of metal below and straps."""
-    boards = box((0, 0, low + 0.25), (length, wide, 0.5), "metal", object_type)
-    cover = [
-        box(
-            (0, 0, low + 0.45 + (tall - 0.55) / 2),
-            (length - 0.02, wide + 0.03, tall - 0.55),
-            "tarpaulin",
-            object_type,
-            tint=tint,
-        )
-    ]
-    cover.append(
-        box((0, 0, low + tall - 0.07), (length - 0.06, wide - 0.14, 0.14), "tarpaulin", object_type, tint=tint)
-    )
+    boards = box((0, 0, low + 0.25), (length, wide, 0.5), "metal")
+    cover = [box((0, 0, low + 0.45 + (tall - 0.55) / 2), (length - 0.02, wide + 0.03, tall - 0.55), "tarpaulin", tint)]
+    cover.append(box((0, 0, low + tall - 0.07), (length - 0.06, wide - 0.14, 0.14), "tarpaulin", tint))
     straps = []
     for x in np.linspace(-0.47, 0.47, max(4, int(length / 0.7))) * length:
         straps.append(
@@ -325,43 +306,36 @@ def covered(length: float, wide: float, low: float, tall: float, tint: Tint, obj
                 (x, 0, low + 0.42 + tall / 4),
                 (0.05, wide + 0.05, tall / 2 - 0.1),
                 "dark-metal",
-                object_type,
                 without=("top", "bottom"),
             )
         )
     return [boards, *cover, *straps]
 
 
-def _drawbar(front: float, z: float, object_type: str) -> list[Mesh]:
+def _drawbar(front: float, z: float) -> list[Mesh]:
     """The bar that couples a small trailer to a car, with its jockey wheel; `front` is the body's end."""
-    bar = tube(np.array([(front - 0.3, 0.0, z), (front + 1.15, 0.0, z)]), 0.04, "metal", object_type, sides=6)
-    ties = both_sides(
-        tube(np.array([(front - 0.1, 0.45, z), (front + 0.7, 0.02, z)]), 0.03, "metal", object_type, sides=6)
-    )
-    leg = tube(
-        np.array([(front + 0.85, 0.08, z + 0.35), (front + 0.85, 0.08, 0.09)]), 0.025, "metal", object_type, sides=6
-    )
-    return [bar, *ties, leg, wheel(0.09, 0.06, object_type, 0).placed((front + 0.85, 0.08, 0.09))]
+    bar = tube([(front - 0.3, 0.0, z), (front + 1.15, 0.0, z)], 0.04, "metal", sides=6)
+    ties = both_sides(tube([(front - 0.1, 0.45, z), (front + 0.7, 0.02, z)], 0.03, "metal", sides=6))
+    leg = tube([(front + 0.85, 0.08, z + 0.35), (front + 0.85, 0.08, 0.09)], 0.025, "metal", sides=6)
+    return [bar, *ties, leg, wheel(0.09, 0.06, 0).placed((front + 0.85, 0.08, 0.09))]
 
 
 def _small_trailer(rng: np.random.Generator) -> Mesh:
     """A car's trailer with boards, mostly under a tarpaulin."""
-    object_type, length, wide = "trailer", float(rng.uniform(2.0, 2.9)), float(rng.uniform(1.15, 1.45))
+    length, wide = float(rng.uniform(2.0, 2.9)), float(rng.uniform(1.15, 1.45))
     low, lidded = 0.5, rng.uniform() < 0.7
-    parts = covered(length, wide, low, float(rng.uniform(0.95, 1.5)), cloth(rng), object_type) if lidded else []
+    parts = covered(length, wide, low, float(rng.uniform(0.95, 1.5)), cloth(rng)) if lidded else []
     if not lidded:
         for s in (-1, 1):
-            parts.append(box((0, s * wide / 2, low + 0.18), (length, 0.03, 0.36), "metal", object_type))
-            parts.append(box((s * length / 2, 0, low + 0.18), (0.03, wide, 0.36), "metal", object_type))
-    parts.append(box((0, 0, low), (length, wide, 0.05), "wood", object_type))
-    one = wheel(0.29, 0.16, object_type, 0).placed((-0.1, wide / 2 + 0.12, 0.29))
-    guard = box((-0.1, wide / 2 + 0.12, 0.63), (0.7, 0.2, 0.03), "dark-metal", object_type)
-    across = box((-0.1, 0, 0.3), (0.08, wide + 0.1, 0.08), "underbody", object_type)
-    lamp = box((-length / 2 - 0.03, wide / 2 - 0.14, low - 0.06), (0.06, 0.22, 0.12), "tail-lamp", object_type)
-    back = plate(-length / 2 - 0.04, low - 0.08, object_type, forward=False)
-    return merged(
-        [*parts, across, back, *both_sides(merged([one, guard, lamp])), *_drawbar(length / 2, 0.45, object_type)]
-    )
+            parts.append(box((0, s * wide / 2, low + 0.18), (length, 0.03, 0.36), "metal"))
+            parts.append(box((s * length / 2, 0, low + 0.18), (0.03, wide, 0.36), "metal"))
+    parts.append(box((0, 0, low), (length, wide, 0.05), "wood"))
+    one = wheel(0.29, 0.16, 0).placed((-0.1, wide / 2 + 0.12, 0.29))
+    guard = box((-0.1, wide / 2 + 0.12, 0.63), (0.7, 0.2, 0.03), "dark-metal")
+    across = box((-0.1, 0, 0.3), (0.08, wide + 0.1, 0.08), "underbody")
+    lamp = box((-length / 2 - 0.03, wide / 2 - 0.14, low - 0.06), (0.06, 0.22, 0.12), "tail-lamp")
+    back = plate(-length / 2 - 0.04, low - 0.08, forward=False)
+    return merged([*parts, across, back, *both_sides(merged([one, guard, lamp])), *_drawbar(length / 2, 0.45)])
 
 
 def _caravan(rng: np.random.Generator) -> Mesh:
@@ -375,12 +349,10 @@ def _caravan(rng: np.random.Generator) -> Mesh:
         nose_rows=(1.1, 0.95, 0.75, 0.55), tail_rows=(1.1, 0.95, 0.75, 0.55),
         panes=((0.6, 1.5), (0.55 * long, 0.55 * long + 1.1)), rear=(Patch("tail-lamp", (5, 6), (2, 4), 0.05),),
     )  # fmt: skip
-    skin = body(shape, "trailer", (1.4, 1.38, 1.32))
-    stripe = box(
-        (0, 0, 0.98), (0.86 * long, 2.225, 0.09), "paint", "trailer", tint=colour(rng), without=("top", "bottom")
-    )
-    parts = [skin.mesh, stripe, *wheels(shape, "trailer", 0, width=0.19), *_drawbar(long / 2 - 0.1, 0.47, "trailer")]
-    return merged([*parts, plate(-long / 2 - 0.01, 0.68, "trailer", forward=False)])
+    skin = body(shape, (1.4, 1.38, 1.32))
+    stripe = box((0, 0, 0.98), (0.86 * long, 2.225, 0.09), "paint", colour(rng), without=("top", "bottom"))
+    parts = [skin.mesh, stripe, *wheels(shape, 0, 0.19), *_drawbar(long / 2 - 0.1, 0.47)]
+    return merged([*parts, plate(-long / 2 - 0.01, 0.68, forward=False)])
 
 
 CAB = VehicleShape(
@@ -425,39 +397,38 @@ def truck(rng: np.random.Generator) -> Mesh:
     cab = _cab(rng, tint)
     cab = replace(cab, vertices=cab.vertices * np.float32(scale))
     if articulated:
-        bed = semitrailer(rng, "truck")
-        tractor = [cab.placed((1.9, 0, 0)), _frame(3.6, "truck").placed((1.2, 0, 0)), *axle(-0.2, 1.0, "truck")]
-        whole = merged([bed.placed((-1.25, 0, 0)), *(part.placed((5.15, 0, 0)) for part in tractor)])
-        return centred(whole)
+        bed = semitrailer(rng, parked=False)
+        tractor = [cab.placed((1.9, 0, 0)), _frame(3.6).placed((1.2, 0, 0)), *axle(-0.2, 1.0)]
+        return centred(merged([bed.placed((-1.25, 0, 0)), *(part.placed((5.15, 0, 0)) for part in tractor)], "truck"))
     length = float(rng.uniform(3.6, 4.8) if small else rng.uniform(4.6, 6.6))
     front = length / 2 + 1.2 * scale
-    parts = [cab.placed((front + 0.05, 0, 0)), _cargo(rng, length, 0.92 * scale, scale, "truck")]
-    parts.append(_frame(length + 1.6 * scale, "truck").placed((0.8 * scale + 0.1, 0, 0)))
+    parts = [cab.placed((front + 0.05, 0, 0)), _cargo(rng, length, 0.92 * scale, scale)]
+    parts.append(_frame(length + 1.6 * scale).placed((0.8 * scale + 0.1, 0, 0)))
     tandem = not small and rng.uniform() < 0.4
     for x in (0.5, -0.85) if tandem else (0.0,):
-        parts += axle(x - 0.2 * length, scale, "truck")
-    parts += rear_end(-length / 2, 0.85 * scale, 1.2 * scale, "truck")
-    parts += both_sides(box((0.35 * length, 0.95 * scale, 0.62), (0.8, 0.45, 0.45), "metal", "truck"))
-    return centred(merged(parts))
+        parts += axle(x - 0.2 * length, scale)
+    parts += rear_end(-length / 2, 0.85 * scale, 1.2 * scale)
+    parts += both_sides(box((0.35 * length, 0.95 * scale, 0.62), (0.8, 0.45, 0.45), "metal"))
+    return centred(merged(parts, "truck"))
 
 
 def bus(rng: np.random.Generator) -> Mesh:
     """A city bus of 12 m with doors on its right."""
     tint = LIVERIES[rng.integers(len(LIVERIES))]
-    skin = body(BUS, "bus", tint)
+    skin = body(BUS, tint)
     half, side = BUS.length / 2, -BUS.width / 2
-    parts = [skin.mesh, *wheels(BUS, "bus", 0, width=0.3)]
+    parts = [skin.mesh, *wheels(BUS, 0, 0.3)]
     for x in (1.15, 5.9, 9.75):
-        parts += _door(half - x, side, 1.25, 0.36, 2.45, "bus")
-    parts.append(box((half - 0.18, 0, 2.68), (0.2, 1.7, 0.26), "underbody", "bus"))
-    parts.append(box((half - 0.075, 0, 2.68), (0.01, 1.3, 0.13), "light-yellow", "bus", tint=(0.6, 0.6, 0.6)))
+        parts += _door(half - x, side, 1.25, 0.36, 2.45)
+    parts.append(box((half - 0.18, 0, 2.68), (0.2, 1.7, 0.26), "underbody"))
+    parts.append(box((half - 0.075, 0, 2.68), (0.01, 1.3, 0.13), "light-yellow", (0.6, 0.6, 0.6)))
     arm = np.array([(half - 0.25, 1.15, 2.7), (half + 0.12, 1.28, 2.65), (half + 0.14, 1.3, 2.4)])
-    mirror = [tube(arm, 0.022, "dark-metal", "bus", sides=5)]
-    mirror.append(box((half + 0.13, 1.31, 2.2), (0.1, 0.2, 0.42), "dark-metal", "bus"))
+    mirror = [tube(arm, 0.022, "dark-metal", sides=5)]
+    mirror.append(box((half + 0.13, 1.31, 2.2), (0.1, 0.2, 0.42), "dark-metal"))
     parts += both_sides(merged(mirror))
-    roof = [box((x, 0, 3.1), (long, 1.5, 0.28), "paint", "bus", tint=tint) for x, long in ((1.8, 2.4), (-3.4, 3.0))]
-    plates = [plate(half + 0.005, 0.55, "bus", forward=True), plate(-half - 0.005, 0.72, "bus", forward=False)]
-    return merged([*parts, *roof[: int(rng.integers(0, 3))], *plates])
+    roof = [box((x, 0, 3.1), (long, 1.5, 0.28), "paint", tint) for x, long in ((1.8, 2.4), (-3.4, 3.0))]
+    plates = [plate(half + 0.005, 0.55, forward=True), plate(-half - 0.005, 0.72, forward=False)]
+    return merged([*parts, *roof[: int(rng.integers(0, 3))], *plates], "bus")
 
 
 def tram(rng: np.random.Generator) -> Mesh:
@@ -469,36 +440,33 @@ def tram(rng: np.random.Generator) -> Mesh:
     for low, high in zip(joints[:-1] + 0.75, joints[1:] - 0.75, strict=True):
         ends = np.linspace(low, high, max(2, round((high - low) / 1.7)) + 1)
         panes += [(float(a) + 0.04, float(b) - 0.04) for a, b in zip(ends[:-1], ends[1:], strict=True)]
-    parts = [body(replace(TRAM, panes=tuple(panes)), "tram", tint).mesh]
+    parts = [body(replace(TRAM, panes=tuple(panes)), tint).mesh]
     for low, high in zip(joints[:-1], joints[1:], strict=True):
         middle = half - (low + high) / 2
-        parts.append(box((middle, 0, 3.26), (0.6 * (high - low), 1.6, 0.3), "dark-metal", "tram"))
-        parts.append(box((middle, 0, 0.25), (2.4, 2.0, 0.46), "underbody", "tram"))
+        parts.append(box((middle, 0, 3.26), (0.6 * (high - low), 1.6, 0.3), "dark-metal"))
+        parts.append(box((middle, 0, 0.25), (2.4, 2.0, 0.46), "underbody"))
         for x in (0.22, -0.22) if sections == 3 else (0.0,):
-            parts += _door(middle + x * (high - low), side, 1.3, 0.34, 2.55, "tram")
+            parts += _door(middle + x * (high - low), side, 1.3, 0.34, 2.55)
     for joint in joints[1:-1]:
-        parts.append(box((half - joint, 0, 1.72), (0.7, 2.44, 2.75), "rubber", "tram"))
-    band = box((0, 0, 2.72), (TRAM.length - 4.0, TRAM.width * 0.955, 0.16), "paint", "tram", tint=WHITE)
+        parts.append(box((half - joint, 0, 1.72), (0.7, 2.44, 2.75), "rubber"))
+    band = box((0, 0, 2.72), (TRAM.length - 4.0, TRAM.width * 0.955, 0.16), "paint", WHITE)
     parts.append(band)
     low, high = (half - 6.5, 0.0, 3.45), (half - 5.2, 0.0, 4.2)
     arms = [
-        tube(np.array([low, high, (low[0] + 0.1, 0, 4.95)]) + (0, y, 0), 0.03, "metal", "tram", sides=5)
-        for y in (-0.3, 0.3)
+        tube(np.array([low, high, (low[0] + 0.1, 0, 4.95)]) + (0, y, 0), 0.03, "metal", sides=5) for y in (-0.3, 0.3)
     ]
-    parts += [*arms, box((low[0] + 0.1, 0, 4.97), (0.3, 1.6, 0.05), "dark-metal", "tram")]
-    parts.append(box((half - 0.86, 0, 2.72), (0.25, 1.2, 0.24), "underbody", "tram"))
-    parts.append(box((half - 0.72, 0, 2.72), (0.01, 0.9, 0.13), "light-yellow", "tram", tint=(0.6, 0.6, 0.6)))
-    return merged(parts)
+    parts += [*arms, box((low[0] + 0.1, 0, 4.97), (0.3, 1.6, 0.05), "dark-metal")]
+    parts.append(box((half - 0.86, 0, 2.72), (0.25, 1.2, 0.24), "underbody"))
+    parts.append(box((half - 0.72, 0, 2.72), (0.01, 0.9, 0.13), "light-yellow", (0.6, 0.6, 0.6)))
+    return merged(parts, "tram")
 
 
-def _door(x: float, y: float, wide: float, low: float, high: float, object_type: str) -> list[Mesh]:
+def _door(x: float, y: float, wide: float, low: float, high: float) -> list[Mesh]:
     """A glazed double door in the right side at y, centred at x."""
     middle, tall = (low + high) / 2, high - low
-    frame = box((x, y + 0.015, middle), (wide, 0.06, tall), "dark-metal", object_type)
+    frame = box((x, y + 0.015, middle), (wide, 0.06, tall), "dark-metal")
     leaf = wide / 2 - 0.1
-    glass = [
-        box((x + s * wide / 4, y - 0.012, middle), (leaf, 0.02, tall - 0.16), "window", object_type) for s in (-1, 1)
-    ]
+    glass = [box((x + s * wide / 4, y - 0.012, middle), (leaf, 0.02, tall - 0.16), "window") for s in (-1, 1)]
     return [frame, *glass]
 
 
@@ -506,40 +474,36 @@ def _cab(rng: np.random.Generator, tint: Tint) -> Mesh:
     """A lorry's cab around its front axle, its back wall at x = -1.125."""
     high = 1 + 0.1 * rng.uniform()
     shape = replace(CAB, profile=tuple((x, z * (high if z > 2.5 else 1)) for x, z in CAB.profile))
-    skin, half = body(shape, "truck", tint), CAB.length / 2
-    parts = [skin.mesh, *wheels(shape, "truck", 10, width=0.3), plate(half + 0.01, 0.6, "truck", forward=True)]
-    arm = tube(np.array([(half - 0.3, 1.2, 2.5), (half - 0.2, 1.4, 2.48)]), 0.02, "dark-metal", "truck", sides=5)
-    mirror = box((half - 0.2, 1.44, 2.22), (0.12, 0.22, 0.55), "dark-metal", "truck")
-    visor = box((half - 0.2, 0, 2.66 * high), (0.18, 2.0, 0.05), "dark-metal", "truck")
-    steps = box((half - 0.42, 1.19, 0.42), (0.45, 0.1, 0.1), "dark-metal", "truck")
+    skin, half = body(shape, tint), CAB.length / 2
+    parts = [skin.mesh, *wheels(shape, 10, 0.3), plate(half + 0.01, 0.6, forward=True)]
+    arm = tube([(half - 0.3, 1.2, 2.5), (half - 0.2, 1.4, 2.48)], 0.02, "dark-metal", sides=5)
+    mirror = box((half - 0.2, 1.44, 2.22), (0.12, 0.22, 0.55), "dark-metal")
+    visor = box((half - 0.2, 0, 2.66 * high), (0.18, 2.0, 0.05), "dark-metal")
+    steps = box((half - 0.42, 1.19, 0.42), (0.45, 0.1, 0.1), "dark-metal")
     return merged([*parts, visor, *both_sides(merged([arm, mirror, steps]))])
 
 
-def _frame(length: float, object_type: str) -> Mesh:
+def _frame(length: float) -> Mesh:
     """A lorry's girders."""
-    return box((0, 0, 0.72), (length, 0.8, 0.3), "underbody", object_type)
+    return box((0, 0, 0.72), (length, 0.8, 0.3), "underbody")
 
 
-def _cargo(rng: np.random.Generator, length: float, floor: float, scale: float, object_type: str) -> Mesh:
+def _cargo(rng: np.random.Generator, length: float, floor: float, scale: float) -> Mesh:
     """What a lorry carries, around x = 0: a box, a tarpaulin over boards, or a tipper's tub."""
     which, wide, tall = rng.uniform(), 2.5 * scale, float(rng.uniform(2.3, 2.7)) * scale
-    bed = box((0, 0, floor + 0.06), (length, wide, 0.12), "dark-metal", object_type)
+    bed = box((0, 0, floor + 0.06), (length, wide, 0.12), "dark-metal")
     if which < 0.4:
-        return merged(
-            [bed, *boxed(length, wide, floor + 0.12, tall, WHITE if rng.uniform() < 0.6 else colour(rng), object_type)]
-        )
+        return merged([bed, *boxed(length, wide, floor + 0.12, tall, WHITE if rng.uniform() < 0.6 else colour(rng))])
     if which < 0.75:
-        return merged([bed, *covered(length, wide, floor + 0.12, tall, cloth(rng), object_type)])
+        return merged([bed, *covered(length, wide, floor + 0.12, tall, cloth(rng))])
     tint, high = colour(rng), 1.0 * scale
     z, thick = floor + 0.12 + high / 2, 0.07
-    tub = [box((0, s * (wide - thick) / 2, z), (length, thick, high), "paint", object_type, tint=tint) for s in (-1, 1)]
-    tub += [
-        box((s * (length - thick) / 2, 0, z), (thick, wide, high), "paint", object_type, tint=tint) for s in (-1, 1)
-    ]
+    tub = [box((0, s * (wide - thick) / 2, z), (length, thick, high), "paint", tint) for s in (-1, 1)]
+    tub += [box((s * (length - thick) / 2, 0, z), (thick, wide, high), "paint", tint) for s in (-1, 1)]
     ribs = [
-        box((x, 0, z), (0.08, wide + 0.08, high), "paint", object_type, tint=tint, without=("top", "bottom"))
+        box((x, 0, z), (0.08, wide + 0.08, high), "paint", tint, without=("top", "bottom"))
         for x in np.linspace(-0.45, 0.45, 5) * length
     ]
-    load = ellipsoid((0, 0, floor + 0.6 * scale), (0.46 * length, 0.46 * wide, 0.5 * scale), "gravel", object_type, 8)
-    shield = box((length / 2 + 0.06, 0, z + 0.3), (0.08, wide, high + 0.6), "paint", object_type, tint=tint)
+    load = ellipsoid((0, 0, floor + 0.6 * scale), (0.46 * length, 0.46 * wide, 0.5 * scale), "gravel", detail=8)
+    shield = box((length / 2 + 0.06, 0, z + 0.3), (0.08, wide, high + 0.6), "paint", tint)
     return merged([bed, *tub, *ribs, load, shield])

@@ -75,14 +75,14 @@ def lowest(human: Human, leg: Leg) -> float:
 
 def figure(human: Human, pose: Pose, object_type: str, helmet: Tint | None = None) -> Mesh:
     """A person in a pose; `helmet`: its tint over plastic's grey, None for a bare head."""
-    parts = [_trunk(human, pose, object_type), *_head(human, pose, object_type, helmet)]
+    parts = [_trunk(human, pose), *_head(human, pose, object_type, helmet)]
     for leg in pose.legs:
-        parts += [*_leg(human, leg, object_type), _shoe(human, leg, object_type)]
+        parts += [*_leg(human, leg, object_type), _shoe(human, leg)]
     for arm in pose.arms:
-        parts += _arm(human, arm, object_type)
+        parts += _arm(human, arm)
     if human.legs in ("skirt", "coat") and pose.pelvis[2] > 0.45 * human.height and object_type == "person":
-        parts.append(_hem(human, pose, object_type))
-    return merged([*parts, *_bag(human, pose, object_type)])
+        parts.append(_hem(human, pose))
+    return merged([*parts, *_bag(human, pose, object_type)], object_type)
 
 
 def _rings(spine: np.ndarray, wide: np.ndarray, deep: np.ndarray, columns: int = 12) -> np.ndarray:
@@ -95,16 +95,16 @@ def _rings(spine: np.ndarray, wide: np.ndarray, deep: np.ndarray, columns: int =
     return spine[:, None] + np.cos(turn)[None, :, None] * (deep[:, None, None] * ahead[:, None]) + aside
 
 
-def _wrapped(rings: np.ndarray, object_type: str, tint: Tint) -> Mesh:
+def _wrapped(rings: np.ndarray, tint: Tint) -> Mesh:
     """Cloth over closed sections (n, m, 3), without a crease where they close."""
-    cloth = loft(rings, "cloth", object_type, tint=tint)
+    cloth = loft(rings, "cloth", tint)
     normals = cloth.normals.reshape(rings.shape).copy()
     seam = normals[:, 0] + normals[:, -1]
     normals[:, 0] = normals[:, -1] = seam / np.maximum(np.linalg.norm(seam, axis=1, keepdims=True), 1e-9)
     return replace(cloth, normals=normals.reshape(-1, 3))
 
 
-def _trunk(human: Human, pose: Pose, object_type: str) -> Mesh:
+def _trunk(human: Human, pose: Pose) -> Mesh:
     k, b = human.size, human.size * human.build
     up = np.array([-0.17, -0.1, 0.0, 0.2, 0.45, 0.7, 0.87, 0.965, 1.04])
     wide = np.array([0.06, 0.155, 0.168, 0.145, 0.155, 0.175, 0.172, 0.095, 0.05])
@@ -119,7 +119,7 @@ def _trunk(human: Human, pose: Pose, object_type: str) -> Mesh:
     top, bottom = human.top, human.top if human.legs == "coat" else human.bottom
     shirt = rings[cut - 1 :].copy()
     shirt[0] += (shirt[0] - spine[cut - 1]) * 0.06
-    return merged([_wrapped(rings[: cut + 1], object_type, bottom), _wrapped(shirt, object_type, top)])
+    return merged([_wrapped(rings[: cut + 1], bottom), _wrapped(shirt, top)])
 
 
 def _head(human: Human, pose: Pose, object_type: str, helmet: Tint | None) -> list[Mesh]:
@@ -128,54 +128,39 @@ def _head(human: Human, pose: Pose, object_type: str, helmet: Tint | None) -> li
     middle = base + np.array([0.02, 0, 0.155]) * k
     parts = [
         tube(
-            np.stack([base - (0, 0, 0.05 * k), middle - (0.01, 0, 0.04)]),
-            0.053 * k,
-            "skin",
-            object_type,
-            closed=False,
-            tint=human.skin,
+            np.stack([base - (0, 0, 0.05 * k), middle - (0.01, 0, 0.04)]), 0.053 * k, "skin", human.skin, closed=False
         ),
-        ellipsoid(middle, np.array([0.092, 0.074, 0.115]) * k, "skin", object_type, detail=6, tint=human.skin),
+        ellipsoid(middle, np.array([0.092, 0.074, 0.115]) * k, "skin", human.skin, detail=6),
         ellipsoid(
-            middle + np.array([0.09, 0, -0.012]) * k,
-            (0.018 * k, 0.014 * k, 0.022 * k),
-            "skin",
-            object_type,
-            3,
-            human.skin,
+            middle + np.array([0.09, 0, -0.012]) * k, (0.018 * k, 0.014 * k, 0.022 * k), "skin", human.skin, detail=3
         ),
     ]
     if helmet is not None and object_type == "motorcyclist":  # it covers the face, but for a visor
         shell, visor = middle + np.array([-0.01, 0, 0.005]) * k, middle + np.array([0.045, 0, 0.02]) * k
         return [
             parts[0],
-            ellipsoid(shell, np.array([0.14, 0.12, 0.15]) * k, "plastic", object_type, detail=7, tint=helmet),
-            ellipsoid(visor, np.array([0.1, 0.1, 0.06]) * k, "window", object_type, detail=6),
+            ellipsoid(shell, np.array([0.14, 0.12, 0.15]) * k, "plastic", helmet, detail=7),
+            ellipsoid(visor, np.array([0.1, 0.1, 0.06]) * k, "window", detail=6),
         ]
     if helmet is not None:
         shell = middle + np.array([-0.012, 0, 0.035]) * k
         return [
             *parts,
-            ellipsoid(shell, np.array([0.135, 0.105, 0.105]) * k, "plastic", object_type, detail=6, tint=helmet),
+            ellipsoid(shell, np.array([0.135, 0.105, 0.105]) * k, "plastic", helmet, detail=6),
         ]
     parts.append(
         ellipsoid(
-            middle + np.array([-0.022, 0, 0.026]) * k,
-            np.array([0.093, 0.083, 0.103]) * k,
-            "hair",
-            object_type,
-            6,
-            human.hair,
+            middle + np.array([-0.022, 0, 0.026]) * k, np.array([0.093, 0.083, 0.103]) * k, "hair", human.hair, detail=6
         )
     )
     if human.long_hair:
         low = middle + np.array([-0.05, 0, -0.075]) * k
-        parts.append(ellipsoid(low, np.array([0.058, 0.082, 0.14]) * k, "hair", object_type, 5, human.hair))
+        parts.append(ellipsoid(low, np.array([0.058, 0.082, 0.14]) * k, "hair", human.hair, detail=5))
     if human.hat:
         crown = middle + np.array([-0.01, 0, 0.065]) * k
-        parts.append(ellipsoid(crown, np.array([0.108, 0.093, 0.075]) * k, "cloth", object_type, 5, human.bottom))
+        parts.append(ellipsoid(crown, np.array([0.108, 0.093, 0.075]) * k, "cloth", human.bottom, detail=5))
         brim = crown + np.array([0.085, 0, -0.012]) * k
-        parts.append(ellipsoid(brim, np.array([0.075, 0.07, 0.012]) * k, "cloth", object_type, 4, human.bottom))
+        parts.append(ellipsoid(brim, np.array([0.075, 0.07, 0.012]) * k, "cloth", human.bottom, detail=4))
     return parts
 
 
@@ -194,38 +179,28 @@ def _leg(human: Human, leg: Leg, object_type: str) -> list[Mesh]:
     radius = np.array(loose if whole else bare) * b
     cloth = human.bottom if whole else human.tights if human.tights is not None and human.legs == "skirt" else None
     material, tint = ("skin", human.skin) if cloth is None else ("cloth", cloth)
-    parts = [tube(_course(joints, at), radius, material, object_type, tint=tint)]
+    parts = [tube(_course(joints, at), radius, material, tint)]
     if human.legs == "shorts" or (human.legs == "skirt" and object_type != "person"):
-        parts.append(
-            tube(
-                _course(joints, [0, 0.4, 0.85]),
-                np.array([0.1, 0.095, 0.082]) * b,
-                "cloth",
-                object_type,
-                tint=human.bottom,
-            )
-        )
+        parts.append(tube(_course(joints, [0, 0.4, 0.85]), np.array([0.1, 0.095, 0.082]) * b, "cloth", human.bottom))
     return parts
 
 
-def _arm(human: Human, arm: Arm, object_type: str) -> list[Mesh]:
+def _arm(human: Human, arm: Arm) -> list[Mesh]:
     b = human.size * (0.55 + 0.45 * human.build)
     joints = tuple(arm)
-    shoulder = ellipsoid(arm.shoulder, np.array([0.06, 0.056, 0.058]) * b, "cloth", object_type, 5, human.top)
+    shoulder = ellipsoid(arm.shoulder, np.array([0.06, 0.056, 0.058]) * b, "cloth", human.top, detail=5)
     hand = ellipsoid(
-        arm.hand + (arm.hand - arm.elbow) * 0.14, np.array([0.045, 0.03, 0.055]) * b, "skin", object_type, 4, human.skin
+        arm.hand + (arm.hand - arm.elbow) * 0.14, np.array([0.045, 0.03, 0.055]) * b, "skin", human.skin, detail=4
     )
     at, radius = [0, 0.5, 0.92, 1.08, 1.4, 2], np.array([0.06, 0.053, 0.045, 0.043, 0.041, 0.032]) * b
     if not human.short_sleeves:
-        return [shoulder, hand, tube(_course(joints, at), radius * 1.08, "cloth", object_type, tint=human.top)]
-    bare = tube(_course(joints, at), radius * 0.85, "skin", object_type, tint=human.skin)
+        return [shoulder, hand, tube(_course(joints, at), radius * 1.08, "cloth", human.top)]
+    bare = tube(_course(joints, at), radius * 0.85, "skin", human.skin)
     return [
         shoulder,
         hand,
         bare,
-        tube(
-            _course(joints, [0.04, 0.3, 0.62]), np.array([0.052, 0.059, 0.06]) * b, "cloth", object_type, tint=human.top
-        ),
+        tube(_course(joints, [0.04, 0.3, 0.62]), np.array([0.052, 0.059, 0.06]) * b, "cloth", human.top),
     ]
 
 
@@ -236,15 +211,8 @@ def _sole(human: Human, leg: Leg, points: np.ndarray) -> np.ndarray:
     return leg.ankle + points * human.size @ turn
 
 
-def _shoe(human: Human, leg: Leg, object_type: str) -> Mesh:
-    shape = ellipsoid(
-        (0.055, 0, -0.035),
-        (0.135, 0.05, 0.065),
-        "rubber",
-        object_type,
-        detail=5,
-        tint=tint_for(human.leather, 0.06, 0.4),
-    )
+def _shoe(human: Human, leg: Leg) -> Mesh:
+    shape = ellipsoid((0.055, 0, -0.035), (0.135, 0.05, 0.065), "rubber", tint_for(human.leather, 0.06, 0.4), detail=5)
     points = shape.vertices.astype(np.float64)
     points[:, 2] = np.clip(points[:, 2] - 0.25 * np.maximum(points[:, 0] - 0.03, 0), -0.075, None)
     c, s = np.cos(leg.pitch), np.sin(leg.pitch)
@@ -254,7 +222,7 @@ def _shoe(human: Human, leg: Leg, object_type: str) -> Mesh:
     )
 
 
-def _hem(human: Human, pose: Pose, object_type: str) -> Mesh:
+def _hem(human: Human, pose: Pose) -> Mesh:
     """A skirt, or a coat's tails: from the waist around both legs."""
     b, coat = human.size * human.build, human.legs == "coat"
     tail = 0.72 if coat else 0.95
@@ -265,7 +233,7 @@ def _hem(human: Human, pose: Pose, object_type: str) -> Mesh:
     wide = np.array([0.15, 0.18, 0.19, 0.2, 0.21]) * b
     rings = _rings(spine, wide, np.linspace(0.118 * b, deep, 5) + np.array([0.0, 0.015, 0.012, 0.006, 0.0]))
     tint = human.top if coat else human.bottom
-    return _wrapped(rings[::-1], object_type, tint)
+    return _wrapped(rings[::-1], tint)
 
 
 def _bag(human: Human, pose: Pose, object_type: str) -> list[Mesh]:
@@ -273,12 +241,12 @@ def _bag(human: Human, pose: Pose, object_type: str) -> list[Mesh]:
     if human.bag == "backpack":
         back = np.array([-trunk[2], 0, trunk[0]]) / np.linalg.norm(trunk)
         at = pose.pelvis + 0.62 * trunk + 0.16 * k * back
-        return [ellipsoid(at, np.array([0.11, 0.15, 0.22]) * k, "cloth", object_type, 5, human.leather)]
+        return [ellipsoid(at, np.array([0.11, 0.15, 0.22]) * k, "cloth", human.leather, detail=5)]
     if human.bag == "shoulder" and object_type == "person":
         hip = pose.pelvis + np.array([-0.02, -0.25, 0.02]) * k
-        bag = ellipsoid(hip, np.array([0.15, 0.055, 0.12]) * k, "cloth", object_type, 5, human.leather)
+        bag = ellipsoid(hip, np.array([0.15, 0.055, 0.12]) * k, "cloth", human.leather, detail=5)
         strap = np.stack([hip + (0, 0, 0.1 * k), pose.arms[1].shoulder + (0, 0.03, 0.06 * k)])
-        return [bag, tube(strap, 0.012, "cloth", object_type, sides=5, closed=False, tint=human.leather)]
+        return [bag, tube(strap, 0.012, "cloth", human.leather, sides=5, closed=False)]
     return []
 
 

@@ -105,10 +105,11 @@ def tree(rng: np.random.Generator, name: str | None = None, detail: float = 1.0)
         clumps, around = _clumps(rng, species, (height, foot, radius))
         cards = _crown(rng, species, clumps, around, (foot, height, radius), detail)
         limbs = _limbs(rng, species, trunk, clumps, detail)
-    wood = tube(
-        trunk[:, :3], trunk[:, 3].tolist(), species.bark, "trunk", sides=10 if detail > 0.5 else 6, closed=False
+    wood = tube(trunk[:, :3], trunk[:, 3].tolist(), species.bark, sides=10 if detail > 0.5 else 6, closed=False)
+    return merged(
+        [merged([wood], "trunk"), *limbs, _leafed(cards._replace(tint=cards.tint * tint), species.foliage)],
+        "vegetation",
     )
-    return merged([wood, *limbs, _leafed(cards._replace(tint=cards.tint * tint), species.foliage)])
 
 
 def bush(rng: np.random.Generator, detail: float = 1.0) -> Mesh:
@@ -128,22 +129,15 @@ def bush(rng: np.random.Generator, detail: float = 1.0) -> Mesh:
     species = species._replace(height=(height, height), spread=(radius / height, radius / height))
     cards = _crown(rng, species, clumps, around, (0.0, height, radius), detail)
     stems = [
-        tube(
-            np.array([(0, 0, -0.1), 0.4 * clump + (0, 0, 0.1), clump]),
-            (0.03, 0.02, 0.01),
-            "bark",
-            "vegetation",
-            sides=4,
-            closed=False,
-        )
+        tube([(0, 0, -0.1), 0.4 * clump + (0, 0, 0.1), clump], (0.03, 0.02, 0.01), "bark", sides=4, closed=False)
         for clump in clumps[:4]
     ]
-    return merged([*stems, _leafed(cards._replace(tint=cards.tint * tint), "leaves")])
+    return merged([*stems, _leafed(cards._replace(tint=cards.tint * tint), "leaves")], "vegetation")
 
 
 def hedge(rng: np.random.Generator, length: float, height: float, depth: float, detail: float = 1.0) -> Mesh:
     """A clipped hedge along x, its middle at the origin: a dark core under a skin of cards; metres."""
-    core = box((0, 0, height / 2 - 0.2), (length - 0.24, depth - 0.24, height + 0.2), "hedge-core", "vegetation")
+    core = box((0, 0, height / 2 - 0.2), (length - 0.24, depth - 0.24, height + 0.2), "hedge-core")
     half = np.array([length, depth, height]) / 2
     sides = np.array([(0, 1, 0), (0, -1, 0), (0, 0, 1), (1, 0, 0), (-1, 0, 0)], dtype=float)
     area = np.array([length * height, length * height, length * depth, depth * height, depth * height])
@@ -163,7 +157,7 @@ def hedge(rng: np.random.Generator, length: float, height: float, depth: float, 
         tint=_shades(rng, count, 0.16),
     )
     tint = rng.normal(1.0, (0.12, 0.06, 0.1)) * rng.uniform(0.8, 1.3)
-    return merged([core, _leafed(cards._replace(tint=cards.tint * tint), "hedge")])
+    return merged([core, _leafed(cards._replace(tint=cards.tint * tint), "hedge")], "vegetation")
 
 
 def _unit(way: np.ndarray) -> np.ndarray:
@@ -188,7 +182,7 @@ def _leafed(cards: _Cards, material: str) -> Mesh:
     # Towards its corners a card is lit as if it were bent, so that it does not look like a board.
     spread = (points - cards.middle[:, None]) / np.maximum(cards.size.max(axis=1)[:, None, None] / 2, 1e-9)
     normals = _unit(cards.lit[:, None] + 0.35 * spread).reshape(-1, 3)
-    leaves = mesh(points, faces, material, "vegetation", normals=normals, uv=uv)
+    leaves = mesh(points, faces, material, normals=normals, uv=uv)
     leaves.tint[:] = np.repeat(cards.tint, 2, axis=0)
     return leaves
 
@@ -275,9 +269,7 @@ def _limbs(
         thick = float(min(0.6 * np.interp(start, trunk[:, 2], trunk[:, 3]), 0.08 * np.linalg.norm(target - foot)))
         half = 0.5 * (foot + target) + (*rng.normal(0, 0.04 * rise + 0.02, 2), 0.12 * rise)
         course = np.array([foot, half, target])
-        limbs.append(
-            tube(course, (thick, 0.6 * thick, 0.15 * thick), species.bark, "vegetation", sides=5, closed=False)
-        )
+        limbs.append(tube(course, (thick, 0.6 * thick, 0.15 * thick), species.bark, sides=5, closed=False))
     return limbs
 
 

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, ellipsoid, loft, merged, mesh, polygons, tube
+from lidar2pano.simulate.scene.mesh import PLAIN, Mesh, Tint, box, ellipsoid, loft, merged, polygons, tube
+from lidar2pano.simulate.scene.random_streams import pick, weighted_choice
 
 WHITE: Tint = (1.1, 1.1, 1.1)
 RED: Tint = (0.85, 0.04, 0.05)
 BLUE: Tint = (0.02, 0.16, 0.6)
 YELLOW: Tint = (1.15, 0.72, 0.04)
 BLACK: Tint = (0.03, 0.03, 0.03)
-GREY: Tint = (0.55, 0.55, 0.55)
+LIME: Tint = (0.02, 0.4, 0.16)
+BINS: tuple[tuple[Tint, Tint], ...] = (  # tints of body and lid
+    ((0.3, 0.31, 0.32), (0.3, 0.31, 0.32)), ((0.3, 0.31, 0.32), (2.0, 1.5, 0.1)),
+    ((0.3, 0.31, 0.32), (0.2, 0.5, 1.4)), ((0.5, 0.35, 0.22), (0.5, 0.35, 0.22)), ((0.25, 0.6, 0.3), (0.25, 0.6, 0.3)),
+)  # fmt: skip
+GREEN: Tint = (1.0, 3.0, 1.8)  # times dark metal: the green of old lamp posts
+UNLIT: dict[str, Tint] = {"light-red": (2.5, 0.7, 0.7), "light-yellow": (2.2, 1.6, 0.5), "light-green": (0.5, 1.7, 1.0)}
 RAISED = 0.003  # metres from one layer of a plate to the next
 
 
@@ -101,37 +108,11 @@ def _banned(inner: Tint) -> Plate:
     return [Layer(_disc(0.3), RED), Layer(_disc(0.235), inner)]
 
 
-def _speed_limit(rng: np.random.Generator) -> Plate:
-    return [*_banned(WHITE), *_written(str(rng.choice(("30", "30", "50", "60", "70", "80"))), 0.11, 0.05, BLACK)]
-
-
-def _give_way(rng: np.random.Generator) -> Plate:
-    return [Layer(_ngon(3, 0.52, -np.pi / 2), RED), Layer(_ngon(3, 0.33, -np.pi / 2), WHITE)]
-
-
 def _warning(rng: np.random.Generator) -> Plate:
     plate = [Layer(_ngon(3, 0.52, np.pi / 2), RED), Layer(_ngon(3, 0.35, np.pi / 2), WHITE)]
     if rng.uniform() < 0.5:
         return [*plate, Layer(_oblong(0.05, 0.24, (0, 0.02)), BLACK), Layer(_oblong(0.12, 0.04, (0, -0.12)), BLACK)]
-    return [
-        *plate,
-        Layer(_bar((-0.1, -0.14), (0.1, 0.08), 0.05), BLACK),
-        Layer(_bar((0.1, -0.14), (-0.1, 0.08), 0.05), BLACK),
-    ]
-
-
-def _priority(rng: np.random.Generator) -> Plate:
-    return [
-        Layer(_ngon(4, 0.42), WHITE),
-        Layer(_ngon(4, 0.40), BLACK),
-        Layer(_ngon(4, 0.39), WHITE),
-        Layer(_ngon(4, 0.28), YELLOW),
-    ]
-
-
-def _stop(rng: np.random.Generator) -> Plate:
-    plate = [Layer(_ngon(8, 0.45, np.pi / 8), WHITE), Layer(_ngon(8, 0.42, np.pi / 8), RED)]
-    return [*plate, *_written("ST0P", 0.1, 0.05, WHITE)]
+    return [*plate, *(Layer(_bar((x, -0.14), (-x, 0.08), 0.05), BLACK) for x in (-0.1, 0.1))]
 
 
 def _no_parking(rng: np.random.Generator) -> Plate:
@@ -139,27 +120,18 @@ def _no_parking(rng: np.random.Generator) -> Plate:
     return plate if rng.uniform() < 0.6 else [*plate, Layer(_bar((-0.2, -0.2), (0.2, 0.2), 0.06), RED)]
 
 
-def _no_entry(rng: np.random.Generator) -> Plate:
-    return [Layer(_disc(0.3), WHITE), Layer(_disc(0.285), RED), Layer(_oblong(0.42, 0.1), WHITE)]
-
-
-def _one_way(rng: np.random.Generator) -> Plate:
-    turn = 0.0 if rng.uniform() < 0.5 else np.pi
-    return [Layer(_oblong(0.8, 0.3), BLUE), *_arrow(0.3, turn, WHITE)]
-
-
-def _crossing(rng: np.random.Generator) -> Plate:
+def _crossing(_: np.random.Generator) -> Plate:
     plate = [Layer(_oblong(0.6, 0.6), BLUE), Layer(_ngon(3, 0.3, np.pi / 2, (0, -0.06)), WHITE)]
     plate += [Layer(_oblong(0.3, 0.03, (0, -0.17)), BLACK), Layer(_oblong(0.07, 0.2, (0, -0.01)), BLACK)]
     return [*plate, Layer(_ngon(8, 0.035, 0, (0, 0.12)), BLACK)]
 
 
 def _direction(rng: np.random.Generator) -> Plate:
-    ground, ink = (YELLOW, BLACK) if rng.uniform() < 0.7 else (WHITE, BLACK)
+    ground = YELLOW if rng.uniform() < 0.7 else WHITE
     pointed = np.array([(-0.6, -0.17), (0.5, -0.17), (0.66, 0), (0.5, 0.17), (-0.6, 0.17)])
     if rng.uniform() < 0.5:
         pointed = (pointed * (-1, 1))[::-1]
-    return [Layer(pointed, ink), Layer(pointed * (0.97, 0.88), ground), *_lines(rng, 0.9, [0.0], 0.13, ink)]
+    return [Layer(pointed, BLACK), Layer(pointed * (0.97, 0.88), ground), *_lines(rng, 0.9, [0.0], 0.13, BLACK)]
 
 
 def _town_name(rng: np.random.Generator) -> Plate:
@@ -172,67 +144,52 @@ def _street_name(rng: np.random.Generator) -> Plate:
     return [Layer(_oblong(0.9, 0.2), ink), Layer(_oblong(0.88, 0.18), ground), *_lines(rng, 0.8, [0.0], 0.1, ink)]
 
 
-def _parking(rng: np.random.Generator) -> Plate:
-    return [Layer(_oblong(0.6, 0.6), WHITE), Layer(_oblong(0.57, 0.57), BLUE), *_written("P", 0.17, 0.08, WHITE)]
-
-
-def _cycle_path(rng: np.random.Generator) -> Plate:
-    plate = [Layer(_disc(0.3), WHITE), Layer(_disc(0.285), BLUE)]
+def _cycle_path(_: np.random.Generator) -> Plate:
+    plate = [*_MANDATORY]
     for side in (-0.12, 0.12):
         plate += [Layer(_ngon(12, 0.09, 0, (side, -0.06)), WHITE), Layer(_ngon(12, 0.065, 0, (side, -0.06)), BLUE)]
-    frame = [
-        ((-0.12, -0.06), (-0.04, 0.07)),
-        ((-0.04, 0.07), (0.09, 0.07)),
-        ((0.12, -0.06), (0.08, 0.12)),
-        ((0.0, -0.06), (0.09, 0.07)),
-    ]
+    hub, seat, head = (-0.12, -0.06), (-0.04, 0.07), (0.09, 0.07)
+    frame = [(hub, seat), (seat, head), ((0.12, -0.06), (0.08, 0.12)), ((0.0, -0.06), head)]
     return [*plate, *(Layer(_bar(*ends, 0.022), WHITE) for ends in frame)]
 
 
-def _keep_right(rng: np.random.Generator) -> Plate:
-    return [Layer(_disc(0.3), WHITE), Layer(_disc(0.285), BLUE), *_arrow(0.2, -np.pi / 4, WHITE)]
-
-
-def _bus_stop(rng: np.random.Generator) -> Plate:
-    plate = [Layer(_disc(0.22), (0.02, 0.4, 0.16)), Layer(_disc(0.2), YELLOW)]
-    return [*plate, *_written("H", 0.1, 0.05, (0.02, 0.4, 0.16))]
-
-
+_MANDATORY = [Layer(_disc(0.3), WHITE), Layer(_disc(0.285), BLUE)]
+_PRIORITY = ((0.42, WHITE), (0.40, BLACK), (0.39, WHITE), (0.28, YELLOW))
 SIGNS: dict[str, Callable[[np.random.Generator], Plate]] = {
-    "speed limit": _speed_limit,
-    "give way": _give_way,
-    "priority road": _priority,
-    "stop": _stop,
+    "speed limit": lambda rng: [
+        *_banned(WHITE), *_written(str(rng.choice(("30", "30", "50", "60", "70", "80"))), 0.11, 0.05, BLACK),
+    ],
+    "give way": lambda _: [Layer(_ngon(3, 0.52, -np.pi / 2), RED), Layer(_ngon(3, 0.33, -np.pi / 2), WHITE)],
+    "priority road": lambda _: [Layer(_ngon(4, radius), tint) for radius, tint in _PRIORITY],
+    "stop": lambda _: [
+        Layer(_ngon(8, 0.45, np.pi / 8), WHITE), Layer(_ngon(8, 0.42, np.pi / 8), RED),
+        *_written("ST0P", 0.1, 0.05, WHITE),
+    ],
     "warning": _warning,
     "no parking": _no_parking,
-    "no entry": _no_entry,
-    "one way": _one_way,
+    "no entry": lambda _: [Layer(_disc(0.3), WHITE), Layer(_disc(0.285), RED), Layer(_oblong(0.42, 0.1), WHITE)],
+    "one way": lambda rng: [Layer(_oblong(0.8, 0.3), BLUE), *_arrow(0.3, 0 if rng.uniform() < 0.5 else np.pi, WHITE)],
     "crossing": _crossing,
-    "parking": _parking,
+    "parking": lambda _: [
+        Layer(_oblong(0.6, 0.6), WHITE), Layer(_oblong(0.57, 0.57), BLUE), *_written("P", 0.17, 0.08, WHITE),
+    ],
     "cycle path": _cycle_path,
-    "keep right": _keep_right,
+    "keep right": lambda _: [*_MANDATORY, *_arrow(0.2, -np.pi / 4, WHITE)],
     "direction": _direction,
     "town name": _town_name,
     "street name": _street_name,
-    "bus stop": _bus_stop,
-}
-_OFTEN = {
-    "speed limit": 3.0,
-    "no parking": 4.0,
-    "priority road": 2.0,
-    "parking": 2.0,
-    "stop": 0.4,
-    "town name": 0.2,
+    "bus stop": lambda _: [Layer(_disc(0.22), LIME), Layer(_disc(0.2), YELLOW), *_written("H", 0.1, 0.05, LIME)],
+}  # fmt: skip
+_FREQUENCY = {
+    "speed limit": 3.0, "no parking": 4.0, "priority road": 2.0, "parking": 2.0, "stop": 0.4, "town name": 0.2,
     "bus stop": 0.3,
-}
+}  # fmt: skip
 _HIGH = {"street name": 0.25, "one way": 0.2, "town name": -0.1, "keep right": -1.2}
 
 
 def sign(rng: np.random.Generator, name: str | None = None) -> Mesh:
     """One of SIGNS on its post, some with a small plate below."""
-    names = list(SIGNS)
-    often = np.array([_OFTEN.get(each, 1.0) for each in names])
-    name = name or names[int(rng.choice(len(names), p=often / often.sum()))]
+    name = name or weighted_choice(rng, {each: _FREQUENCY.get(each, 1.0) for each in SIGNS})
     layers = SIGNS[name](rng)
     tall = float(np.ptp(layers[0].outline[:, 1]))
     middle = rng.uniform(2.05, 2.35) + _HIGH.get(name, 0.0) + tall / 2
@@ -242,50 +199,24 @@ def sign(rng: np.random.Generator, name: str | None = None) -> Mesh:
         parts.append(_plate(SIGNS[name](rng)).placed((0.0, 0.045, middle + 0.22), np.pi / 2))
         top += 0.22
     elif rng.uniform() < 0.25 and name not in ("town name", "direction", "keep right", "bus stop"):
-        small = [
-            Layer(_oblong(0.42, 0.23), BLACK),
-            Layer(_oblong(0.4, 0.21), WHITE),
-            *_lines(rng, 0.32, [0.04, -0.04], 0.06, BLACK),
-        ]
+        small = [Layer(_oblong(0.42, 0.23), BLACK), Layer(_oblong(0.4, 0.21), WHITE)]
+        small += _lines(rng, 0.32, [0.04, -0.04], 0.06, BLACK)
         parts.append(_plate(small).placed((0.045, 0.0, middle - tall / 2 - 0.14)))
-    if name == "town name":
-        return merged([*parts, *(post(top, 0.03).placed((0.0, side, 0.0)) for side in (-0.45, 0.45))])
-    return merged([*parts, post(top, 0.03)])
-
-
-def street_sign(name: str) -> Mesh:
-    """A sign without random variation."""
-    return sign(np.random.default_rng(0), name)
-
-
-def post(height: float, radius: float) -> Mesh:
-    """A grey post."""
-    return tube(np.array([(0, 0, -0.2), (0, 0, height)]), radius, "metal", "pole", sides=8, tint=(0.9, 0.9, 0.9))
+    post = tube([(0, 0, -0.2), (0, 0, top)], 0.03, "metal", (0.9, 0.9, 0.9))
+    posts = [post.placed((0.0, side, 0.0)) for side in (-0.45, 0.45)] if name == "town name" else [post]
+    return merged([*parts, *posts], "pole")
 
 
 def _plate(layers: Plate) -> Mesh:
     """A plate in the plane x = 0 around the origin: its layers, each in front of the last, and its back."""
+    # Strokes of one colour lie side by side; only the first few layers need an offset.
+    faces = [(outline, RAISED * min(i, 3), "sign", tint) for i, (outline, tint) in enumerate(layers)]
+    faces.append((layers[0].outline[::-1], -0.012, "sign-back", PLAIN))
     parts = []
-    for i, (outline, tint) in enumerate(layers):
-        # Strokes of one colour lie side by side; only the first few layers need an offset.
-        parts.append(_flat(outline, RAISED * min(i, 3), "sign", tint))
-    parts.append(_flat(layers[0].outline[::-1], -0.012, "sign-back", (1.0, 1.0, 1.0)))
-    return merged(parts)
-
-
-def _flat(outline: np.ndarray, x: float, material: str, tint: Tint) -> Mesh:
-    points = np.column_stack([np.full(len(outline), x), outline])
-    fan = np.array([(0, i, i + 1) for i in range(1, len(outline) - 1)])
-    return mesh(points, fan, material, "traffic-sign", tint=tint)
-
-
-GREEN: Tint = (1.0, 3.0, 1.8)  # times dark metal: the green of old lamp posts
-
-
-def _round(
-    points: Sequence[tuple[float, float, float]], radius: float | Sequence[float], material: str, tint: Tint
-) -> Mesh:
-    return tube(np.array(points), radius, material, "pole", sides=8, tint=tint)
+    for outline, x, material, tint in faces:
+        points = np.column_stack([np.full(len(outline), x), outline])
+        parts.append(polygons(points, np.arange(len(outline)), material, tint))
+    return merged(parts, "traffic-sign")
 
 
 def street_lamp(rng: np.random.Generator) -> Mesh:
@@ -295,46 +226,35 @@ def street_lamp(rng: np.random.Generator) -> Mesh:
         return _low_lamp(rng, form)
     height, reach = rng.uniform(5.5, 9.5), rng.uniform(0.6, 1.8)
     material, tint = ("metal", (0.9, 0.9, 0.9)) if rng.uniform() < 0.7 else ("dark-metal", GREEN)
-    parts = [_round([(0, 0, -0.2), (0, 0, 1.1)], 0.085, material, tint)]
+    parts = [tube([(0, 0, -0.2), (0, 0, 1.1)], 0.085, material, tint)]
     if form == "curved":
         turn = np.linspace(0, 0.5 * np.pi, 6)
         bend = np.column_stack([reach * (1 - np.cos(turn)), 0 * turn, height - 0.8 + 0.8 * np.sin(turn)])
         course = np.concatenate([[(0, 0, 1.0)], bend])
-        parts.append(_round([(x, y, z) for x, y, z in course], [0.075, 0.055, *[0.04] * 5], material, tint))
+        parts.append(tube(course, [0.075, 0.055, *[0.04] * 5], material, tint))
     else:
-        parts.append(_round([(0, 0, 1.0), (0, 0, height)], [0.07, 0.045], material, tint))
-        parts.append(_round([(0, 0, height - 0.05), (reach, 0, height + 0.05)], 0.035, material, tint))
+        parts.append(tube([(0, 0, 1.0), (0, 0, height)], [0.07, 0.045], material, tint))
+        parts.append(tube([(0, 0, height - 0.05), (reach, 0, height + 0.05)], 0.035, material, tint))
     long, wide, flat = rng.uniform(0.5, 0.8), rng.uniform(0.2, 0.3), rng.uniform(0.08, 0.16)
     z = height if form == "curved" else height + 0.05
-    parts.append(box((reach + long / 2 - 0.1, 0, z), (long, wide, flat), "plastic", "pole", tint=(1.2, 1.2, 1.2)))
-    parts.append(box((reach + long / 2 - 0.05, 0, z - flat / 2 - 0.02), (0.7 * long, 0.8 * wide, 0.04), "lamp", "pole"))
-    return merged(parts)
+    parts.append(box((reach + long / 2 - 0.1, 0, z), (long, wide, flat), "plastic", (1.2, 1.2, 1.2)))
+    parts.append(box((reach + long / 2 - 0.05, 0, z - flat / 2 - 0.02), (0.7 * long, 0.8 * wide, 0.04), "lamp"))
+    return merged(parts, "pole")
 
 
 def _low_lamp(rng: np.random.Generator, form: str) -> Mesh:
     height = rng.uniform(3.4, 4.6)
     tint = GREEN if rng.uniform() < 0.5 else (1.5, 1.5, 1.6)
     parts = [
-        _round([(0, 0, -0.2), (0, 0, 0.8), (0, 0, 0.85), (0, 0, height)], [0.09, 0.08, 0.05, 0.04], "dark-metal", tint)
+        tube([(0, 0, -0.2), (0, 0, 0.8), (0, 0, 0.85), (0, 0, height)], [0.09, 0.08, 0.05, 0.04], "dark-metal", tint)
     ]
     if form == "post":
-        parts.append(tube(np.array([(0, 0, height), (0, 0, height + 0.45)]), [0.12, 0.2], "lamp", "pole", sides=6))
-        parts.append(
-            tube(
-                np.array([(0, 0, height + 0.45), (0, 0, height + 0.65)]),
-                [0.24, 0.03],
-                "dark-metal",
-                "pole",
-                sides=6,
-                tint=tint,
-            )
-        )
+        parts.append(tube([(0, 0, height), (0, 0, height + 0.45)], [0.12, 0.2], "lamp", sides=6))
+        parts.append(tube([(0, 0, height + 0.45), (0, 0, height + 0.65)], [0.24, 0.03], "dark-metal", tint, sides=6))
     else:
-        parts.append(tube(np.array([(0, 0, height - 0.02), (0, 0, height + 0.22)]), 0.13, "lamp", "pole", sides=10))
-        parts.append(
-            tube(np.array([(0, 0, height + 0.22), (0, 0, height + 0.32)]), [0.42, 0.2], "plastic", "pole", sides=12)
-        )
-    return merged(parts)
+        parts.append(tube([(0, 0, height - 0.02), (0, 0, height + 0.22)], 0.13, "lamp", sides=10))
+        parts.append(tube([(0, 0, height + 0.22), (0, 0, height + 0.32)], [0.42, 0.2], "plastic", sides=12))
+    return merged(parts, "pole")
 
 
 def pole(rng: np.random.Generator) -> Mesh:
@@ -342,15 +262,15 @@ def pole(rng: np.random.Generator) -> Mesh:
     height, lean = rng.uniform(7.0, 9.5), rng.normal(0, 0.05, 2)
     wooden = rng.uniform() < 0.75
     course = [(0.0, 0.0, -0.3), (float(lean[0]), float(lean[1]), height)]
-    finish: tuple[str, Tint] = ("wood", (0.8, 0.8, 0.85)) if wooden else ("concrete", (1.0, 1.0, 1.0))
-    parts = [_round(course, [0.14, 0.09] if wooden else [0.2, 0.11], *finish)]
+    finish: tuple[str, Tint] = ("wood", (0.8, 0.8, 0.85)) if wooden else ("concrete", PLAIN)
+    parts = [tube(course, [0.14, 0.09] if wooden else [0.2, 0.11], *finish)]
     for i in range(int(rng.integers(1, 3))):
         z = height - 0.35 - 0.7 * i
-        parts.append(box((lean[0], lean[1], z), (0.09, 1.5, 0.1), *(finish[0], "pole"), tint=finish[1]))
+        parts.append(box((lean[0], lean[1], z), (0.09, 1.5, 0.1), *finish))
         for side in (-0.65, -0.3, 0.3, 0.65):
             foot = (lean[0], lean[1] + side, z + 0.05)
-            parts.append(_round([foot, (foot[0], foot[1], foot[2] + 0.16)], 0.035, "plastic", (1.6, 1.6, 1.6)))
-    return merged(parts)
+            parts.append(tube([foot, (foot[0], foot[1], foot[2] + 0.16)], 0.035, "plastic", (1.6, 1.6, 1.6)))
+    return merged(parts, "pole")
 
 
 def traffic_light(rng: np.random.Generator) -> Mesh:
@@ -359,15 +279,15 @@ def traffic_light(rng: np.random.Generator) -> Mesh:
     arm = bool(rng.uniform() < 0.3)
     height = rng.uniform(5.4, 5.8) if arm else rng.uniform(3.2, 3.6)
     paint: tuple[str, Tint] = ("metal", (0.85, 0.85, 0.85)) if rng.uniform() < 0.6 else ("dark-metal", GREEN)
-    parts = [_round([(0, 0, -0.2), (0, 0, height)], 0.1 if arm else 0.06, *paint)]
+    parts = [tube([(0, 0, -0.2), (0, 0, height)], 0.1 if arm else 0.06, *paint)]
     parts.append(_head((0.16, 0, 2.65), lit, (1, 0)))
     if rng.uniform() < 0.6:
         parts.append(_head((0, 0.16, 2.4), 2 if lit == 0 else 0, (0, 1), lamps=2, size=0.8))  # for those on foot
     if arm:
         reach = rng.uniform(2.5, 4.5)
-        parts.append(_round([(0, 0, height - 0.15), (0, -reach, height + 0.15)], [0.07, 0.045], *paint))
+        parts.append(tube([(0, 0, height - 0.15), (0, -reach, height + 0.15)], [0.07, 0.045], *paint))
         parts.append(_head((0.14, 0.3 - reach, height + 0.05), lit, (1, 0), board=True))
-    return merged(parts)
+    return merged(parts, "pole")
 
 
 def _head(
@@ -381,149 +301,109 @@ def _head(
 ) -> Mesh:
     """A housing with lamps, red at the top; `at` is its middle, `lit` the lamp that is on, `way` its direction."""
     step = 0.3 * size
-    colours = ["light-red", "light-yellow", "light-green"] if lamps == 3 else ["light-red", "light-green"]
+    colours = list(UNLIT) if lamps == 3 else ["light-red", "light-green"]
     lit = lit if lamps == 3 else min(lit, 1)
-    parts = [
-        box((0, 0, 0), (0.18, 0.3 * size, step * lamps + 0.04), "dark-metal", "traffic-light", tint=(0.7, 0.8, 0.7))
-    ]
+    parts = [box((0, 0, 0), (0.18, 0.3 * size, step * lamps + 0.04), "dark-metal", (0.7, 0.8, 0.7))]
     if board:
-        parts.append(
-            box((-0.04, 0, 0), (0.02, 0.55, step * lamps + 0.3), "dark-metal", "traffic-light", tint=(0.6, 0.6, 0.6))
-        )
+        parts.append(box((-0.04, 0, 0), (0.02, 0.55, step * lamps + 0.3), "dark-metal", (0.6, 0.6, 0.6)))
     for i, colour in enumerate(colours):
         z = step * ((lamps - 1) / 2 - i)
-        material = colour if i == lit else "light-off"
-        tint: Tint = (
-            (1, 1, 1) if i == lit else ((2.5, 0.7, 0.7), (2.2, 1.6, 0.5), (0.5, 1.7, 1.0))[i if lamps == 3 else 2 * i]
-        )
-        lens = np.array([(0.09, 0, z), (0.1, 0, z)])
-        parts.append(tube(lens, 0.1 * size, material, "traffic-light", sides=10, tint=tint))
+        finish = (colour, PLAIN) if i == lit else ("light-off", UNLIT[colour])
+        parts.append(tube([(0.09, 0, z), (0.1, 0, z)], 0.1 * size, *finish, sides=10))
         turn = np.linspace(-0.1, np.pi + 0.1, 7)
         rim = np.column_stack([np.zeros(7), 0.12 * size * np.cos(turn), z + 0.12 * size * np.sin(turn)])
-        parts.append(_hood(rim, 0.09, 0.26))
+        parts.append(loft(np.stack([rim + (0.09, 0, 0), rim + (0.26, 0, 0)]), "dark-metal", (0.6, 0.7, 0.6)))  # a hood
     x, y, z = at
-    return merged(parts).placed((x, y, z), float(np.arctan2(way[1], way[0])))
-
-
-def _hood(rim: np.ndarray, near: float, far: float) -> Mesh:
-    return loft(np.stack([rim + (near, 0, 0), rim + (far, 0, 0)]), "dark-metal", "traffic-light", tint=(0.6, 0.7, 0.6))
+    return merged(parts, "traffic-light").placed((x, y, z), float(np.arctan2(way[1], way[0])))
 
 
 def bollard(rng: np.random.Generator) -> Mesh:
     """A bollard, of metal or stone."""
     height, radius = rng.uniform(0.75, 1.05), rng.uniform(0.05, 0.09)
     if rng.uniform() < 0.25:
-        stone = tube(np.array([(0, 0, -0.1), (0, 0, 0.45)]), [0.2, 0.17], "concrete", "pole", sides=10)
-        return merged([stone, ellipsoid((0, 0, 0.45), (0.17, 0.17, 0.1), "concrete", "pole", 6)])
-    tint = [(1.5, 1.5, 1.6), GREEN, (9.0, 1.0, 0.8)][int(rng.integers(3))]
-    shaft = _round([(0, 0, -0.1), (0, 0, height)], radius, "dark-metal", tint)
-    band = _round([(0, 0, height - 0.25), (0, 0, height - 0.15)], radius + 0.004, "sign", (1.0, 1.0, 1.0))
-    return merged(
-        [shaft, band, ellipsoid((0, 0, height), (radius, radius, 0.5 * radius), "dark-metal", "pole", 6, tint)]
-    )
+        stone = tube([(0, 0, -0.1), (0, 0, 0.45)], [0.2, 0.17], "concrete", sides=10)
+        return merged([stone, ellipsoid((0, 0, 0.45), (0.17, 0.17, 0.1), "concrete", detail=6)], "pole")
+    tint = pick(rng, ((1.5, 1.5, 1.6), GREEN, (9.0, 1.0, 0.8)))
+    shaft = tube([(0, 0, -0.1), (0, 0, height)], radius, "dark-metal", tint)
+    band = tube([(0, 0, height - 0.25), (0, 0, height - 0.15)], radius + 0.004, "sign")
+    head = ellipsoid((0, 0, height), (radius, radius, 0.5 * radius), "dark-metal", tint, detail=6)
+    return merged([shaft, band, head], "pole")
 
 
 def bin(rng: np.random.Generator) -> Mesh:  # noqa: A001 the builtin is not needed here
     """One to three wheelie bins side by side along y."""
-    lids: list[tuple[Tint, Tint]] = [
-        ((0.3, 0.31, 0.32), (0.3, 0.31, 0.32)), ((0.3, 0.31, 0.32), (2.0, 1.5, 0.1)),
-        ((0.3, 0.31, 0.32), (0.2, 0.5, 1.4)), ((0.5, 0.35, 0.22), (0.5, 0.35, 0.22)),
-        ((0.25, 0.6, 0.3), (0.25, 0.6, 0.3)),
-    ]  # fmt: skip
     count = int(rng.choice((1, 2, 3), p=(0.4, 0.35, 0.25)))
     parts = []
     for i in range(count):
-        body, lid = lids[int(rng.integers(len(lids)))]
+        body, lid = pick(rng, BINS)
         large = rng.uniform() < 0.25
         width, deep, high = (0.58, 0.72, 1.0) if large else (0.48, 0.54, 0.93)
         one = _tapered((0.78 * deep, 0.8 * width), (deep, width), 0.06, high, body)
-        cover = box((0.02, 0, high + 0.035), (deep + 0.06, width + 0.04, 0.07), "plastic", "other-object", tint=lid)
-        grip = box((-deep / 2 - 0.06, 0, high - 0.02), (0.08, 0.7 * width, 0.04), "plastic", "other-object", tint=body)
+        cover = box((0.02, 0, high + 0.035), (deep + 0.06, width + 0.04, 0.07), "plastic", lid)
+        grip = box((-deep / 2 - 0.06, 0, high - 0.02), (0.08, 0.7 * width, 0.04), "plastic", body)
         wheels = [
-            tube(
-                np.array([(-deep / 2 + 0.08, y, 0.1), (-deep / 2 + 0.08, y + 0.05, 0.1)]),
-                0.1,
-                "rubber",
-                "other-object",
-                sides=8,
-            )
+            tube([(-deep / 2 + 0.08, y, 0.1), (-deep / 2 + 0.08, y + 0.05, 0.1)], 0.1, "rubber")
             for y in (-0.45 * width, 0.45 * width - 0.05)
         ]
-        foot = box((0.3 * deep, 0, 0.03), (0.08, 0.6 * width, 0.08), "plastic", "other-object", tint=body)
+        foot = box((0.3 * deep, 0, 0.03), (0.08, 0.6 * width, 0.08), "plastic", body)
         place = (float(rng.normal(0, 0.05)), 0.66 * (i - (count - 1) / 2), 0.0)
         parts.append(merged([one, cover, grip, foot, *wheels]).placed(place, float(rng.normal(0, 0.08))))
-    return merged(parts)
+    return merged(parts, "other-object")
 
 
 def _tapered(low: tuple[float, float], high: tuple[float, float], foot: float, top: float, tint: Tint) -> Mesh:
     unit = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
     points = np.concatenate([np.column_stack([unit * size, np.full(4, z)]) for size, z in ((low, foot), (high, top))])
     sides = np.array([(0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (3, 2, 1, 0)])
-    return polygons(points, sides, "plastic", "other-object", tint=tint)
+    return polygons(points, sides, "plastic", tint)
 
 
 def bench(rng: np.random.Generator) -> Mesh:
     """A bench that faces +x: slats of wood on feet of iron or concrete."""
     length = rng.uniform(1.6, 2.0)
     tint = (1.0, 1.0, 1.0) if rng.uniform() < 0.7 else (0.5, 0.9, 0.7)
-    slats = [
-        box((x, 0, 0.45), (0.09, length, 0.035), "wood", "other-object", tint=tint) for x in (-0.15, -0.04, 0.07, 0.18)
-    ]
+    slats = [box((x, 0, 0.45), (0.09, length, 0.035), "wood", tint) for x in (-0.15, -0.04, 0.07, 0.18)]
     backed = bool(rng.uniform() < 0.75)
     if backed:
-        slats += [
-            box((-0.27 - 0.03 * i, 0, 0.58 + 0.13 * i), (0.035, length, 0.1), "wood", "other-object", tint=tint)
-            for i in range(3)
-        ]
+        slats += [box((-0.27 - 0.03 * i, 0, 0.58 + 0.13 * i), (0.035, length, 0.1), "wood", tint) for i in range(3)]
     feet = []
     for y in (-0.36 * length, 0.36 * length):
-        feet.append(box((0.0, y, 0.2), (0.42, 0.07, 0.48), "concrete", "other-object"))
+        feet.append(box((0.0, y, 0.2), (0.42, 0.07, 0.48), "concrete"))
         if backed:
-            feet.append(box((-0.31, y, 0.6), (0.05, 0.06, 0.55), "dark-metal", "other-object"))
-    return merged([*slats, *feet])
+            feet.append(box((-0.31, y, 0.6), (0.05, 0.06, 0.55), "dark-metal"))
+    return merged([*slats, *feet], "other-object")
 
 
 def bus_stop(rng: np.random.Generator) -> Mesh:
     """A glass shelter along y that is open to +x, with a bench, and the stop's sign beside it."""
     length, deep, high = rng.uniform(3.0, 4.5), 1.4, 2.4
     grey: Tint = (2.0, 2.0, 2.1) if rng.uniform() < 0.6 else (1.0, 2.5, 1.6)
-    parts = [
-        box((0, 0, high + 0.06), (deep + 0.3, length + 0.2, 0.12), "plastic", "other-object", tint=(1.2, 1.2, 1.2))
-    ]
-    for x, y in [
-        (-deep / 2, -length / 2),
-        (-deep / 2, 0),
-        (-deep / 2, length / 2),
-        (deep / 2, -length / 2),
-        (deep / 2, length / 2),
-    ]:
-        parts.append(box((x, y, high / 2 - 0.05), (0.06, 0.06, high + 0.1), "dark-metal", "pole", tint=grey))
+    parts = [box((0, 0, high + 0.06), (deep + 0.3, length + 0.2, 0.12), "plastic", (1.2, 1.2, 1.2))]
+    corners = [(x * deep / 2, y * length / 2) for x, y in ((-1, -1), (-1, 0), (-1, 1), (1, -1), (1, 1))]
+    posts = [box((x, y, high / 2 - 0.05), (0.06, 0.06, high + 0.1), "dark-metal", grey) for x, y in corners]
+    parts.append(merged(posts, "pole"))
     glass: Tint = (3.0, 3.4, 3.4)
-    parts.append(box((-deep / 2, 0, 1.3), (0.02, length - 0.1, 1.9), "pane", "other-object", tint=glass))
-    parts += [
-        box((0, side * length / 2, 1.3), (deep - 0.1, 0.02, 1.9), "pane", "other-object", tint=glass)
-        for side in (-1, 1)
-    ]
+    parts.append(box((-deep / 2, 0, 1.3), (0.02, length - 0.1, 1.9), "pane", glass))
+    parts += [box((0, side * length / 2, 1.3), (deep - 0.1, 0.02, 1.9), "pane", glass) for side in (-1, 1)]
     poster: Tint = (1.6 * rng.uniform(), 1.6 * rng.uniform(), 1.6 * rng.uniform())
-    parts.append(box((0.02, length / 2 - 0.04, 1.35), (1.15, 0.06, 1.7), "plastic", "other-object", tint=poster))
-    parts.append(box((-0.4, 0, 0.45), (0.4, 0.6 * length, 0.04), "wood", "other-object"))
-    parts += [
-        box((-0.4, y, 0.2), (0.06, 0.06, 0.5), "dark-metal", "other-object") for y in (-0.25 * length, 0.25 * length)
-    ]
-    return merged([*parts, street_sign("bus stop").placed((0.75, -length / 2 - 0.6, 0.0), np.pi / 2)])
+    parts.append(box((0.02, length / 2 - 0.04, 1.35), (1.15, 0.06, 1.7), "plastic", poster))
+    parts.append(box((-0.4, 0, 0.45), (0.4, 0.6 * length, 0.04), "wood"))
+    parts += [box((-0.4, y, 0.2), (0.06, 0.06, 0.5), "dark-metal") for y in (-0.25 * length, 0.25 * length)]
+    post = sign(np.random.default_rng(0), "bus stop")
+    return merged([*parts, post.placed((0.75, -length / 2 - 0.6, 0.0), np.pi / 2)], "other-object")
 
 
 def advertising_column(rng: np.random.Generator) -> Mesh:
     """A round column with posters."""
     radius, high = rng.uniform(0.55, 0.7), rng.uniform(2.5, 3.2)
-    parts = [tube(np.array([(0, 0, -0.1), (0, 0, high)]), radius, "concrete", "other-object", sides=24)]
-    parts.append(tube(np.array([(0, 0, -0.1), (0, 0, 0.3)]), radius + 0.06, "stone", "other-object", sides=24))
-    parts.append(tube(np.array([(0, 0, high), (0, 0, high + 0.12)]), radius + 0.08, "metal", "other-object", sides=24))
-    parts.append(ellipsoid((0, 0, high + 0.1), (radius, radius, 0.3), "metal", "other-object", 8))
+    parts = [tube([(0, 0, -0.1), (0, 0, high)], radius, "concrete", sides=24)]
+    parts.append(tube([(0, 0, -0.1), (0, 0, 0.3)], radius + 0.06, "stone", sides=24))
+    parts.append(tube([(0, 0, high), (0, 0, high + 0.12)], radius + 0.08, "metal", sides=24))
+    parts.append(ellipsoid((0, 0, high + 0.1), (radius, radius, 0.3), "metal", detail=8))
     for i in range(6):
         for low in (0.4, 0.45 + (high - 0.5) / 2):
             parts.append(_poster(rng, radius, 1.05 * i, low, (high - 0.7) / 2))
-    return merged(parts)
+    return merged(parts, "other-object")
 
 
 def _poster(rng: np.random.Generator, radius: float, turn: float, low: float, high: float) -> Mesh:
@@ -531,7 +411,7 @@ def _poster(rng: np.random.Generator, radius: float, turn: float, low: float, hi
     rim = (radius + 0.012) * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(5)])
     light, hue = rng.uniform(0.3, 1.8), rng.uniform(0.5, 1.3, 3)
     tint: Tint = (light * hue[0], light * hue[1], light * hue[2])
-    return loft(np.stack([rim + (0, 0, low + high), rim + (0, 0, low)]), "plastic", "other-object", tint=tint)
+    return loft(np.stack([rim + (0, 0, low + high), rim + (0, 0, low)]), "plastic", tint)
 
 
 def junction_box(rng: np.random.Generator) -> Mesh:
@@ -539,11 +419,11 @@ def junction_box(rng: np.random.Generator) -> Mesh:
     width, deep, high = rng.uniform(0.5, 1.6), rng.uniform(0.3, 0.45), rng.uniform(0.85, 1.4)
     light = rng.uniform(0.9, 1.6)
     tint: Tint = (light, light, 0.95 * light) if rng.uniform() < 0.75 else (0.5, 0.7, 0.5)
-    parts = [box((0, 0, high / 2), (deep, width, high), "plastic", "other-object", tint=tint)]
-    parts.append(box((0, 0, 0.0), (deep + 0.06, width + 0.06, 0.24), "concrete", "other-object"))
-    parts.append(box((0, 0, high + 0.02), (deep + 0.06, width + 0.06, 0.05), "plastic", "other-object", tint=tint))
+    parts = [box((0, 0, high / 2), (deep, width, high), "plastic", tint)]
+    parts.append(box((0, 0, 0.0), (deep + 0.06, width + 0.06, 0.24), "concrete"))
+    parts.append(box((0, 0, high + 0.02), (deep + 0.06, width + 0.06, 0.05), "plastic", tint))
     doors = max(round(width / 0.6), 1)
     for i in range(1, doors):
         y = width * (i / doors - 0.5)
-        parts.append(box((deep / 2, y, high / 2 + 0.05), (0.01, 0.015, high - 0.2), "dark-metal", "other-object"))
-    return merged(parts)
+        parts.append(box((deep / 2, y, high / 2 + 0.05), (0.01, 0.015, high - 0.2), "dark-metal"))
+    return merged(parts, "other-object")

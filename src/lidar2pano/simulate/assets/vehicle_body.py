@@ -12,8 +12,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.scene.mesh import Mesh, box, merged, mesh, polygons, projected_uv, quads_of, smooth_normals
-from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, OBJECT_TYPE_IDS
+from lidar2pano.simulate.scene.mesh import (
+    UNTYPED,
+    Mesh,
+    Points,
+    Tint,
+    box,
+    merged,
+    mesh,
+    polygons,
+    projected_uv,
+    quads_of,
+    smooth_normals,
+)
+from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS
 
 SEAM = 0.009  # metres: width of the gap around a door
 
@@ -121,21 +133,21 @@ def columns(shape: VehicleShape) -> tuple[np.ndarray, np.ndarray]:
     return x[by_x], bottom[by_x]
 
 
-def lathe(outline: np.ndarray, material: str, object_type: str, sides: int = 16) -> Mesh:
+def lathe(outline: Points, material: str, sides: int = 16) -> Mesh:
     """A body of revolution around the y axis from an outline (n, 2) of (y, radius); smooth.
 
     An outline of increasing y has its outside away from the axis.
     """
     turn = np.linspace(0, 2 * np.pi, sides + 1)
-    y, radius = (np.broadcast_to(part[:, None], (len(outline), sides + 1)) for part in outline.T)
+    y, radius = (np.broadcast_to(part[:, None], (len(outline), sides + 1)) for part in np.asarray(outline).T)
     points = np.stack([radius * np.cos(turn), y, radius * np.sin(turn)], axis=-1)
     grid = np.arange(sides * len(outline)).reshape(len(outline), sides)
     faces = quads_of(np.concatenate([grid, grid[:, :1]], axis=1))
     flat = points[:, :-1].reshape(-1, 3)
-    return mesh(flat, faces, material, object_type, normals=smooth_normals(flat, faces))
+    return mesh(flat, faces, material, normals=smooth_normals(flat, faces))
 
 
-def wheel(radius: float, width: float, object_type: str, spokes: int = 5, rim: float = 0.68) -> Mesh:
+def wheel(radius: float, width: float, spokes: int = 5, rim: float = 0.68) -> Mesh:
     """A wheel around the y axis with its outside to +y, centre at the origin; `rim`: its share of the radius.
 
     spokes = 0 gives a closed cover.
@@ -143,21 +155,17 @@ def wheel(radius: float, width: float, object_type: str, spokes: int = 5, rim: f
     half, inner = width / 2, radius * rim
     tyre = [(-half, 0.9 * radius), (-0.36 * width, radius), (0.36 * width, radius)]
     tyre += [(half, 0.93 * radius), (half + 0.004, 0.84 * radius), (half - 0.006, inner)]
-    parts = [lathe(np.array(tyre), "rubber", object_type)]
+    parts = [lathe(tyre, "rubber")]
     if spokes == 0:
         cover = [
-            (half - 0.006, inner),
-            (half + 0.006, 0.9 * inner),
-            (half - 0.02, 0.6 * inner),
+            (half - 0.006, inner), (half + 0.006, 0.9 * inner), (half - 0.02, 0.6 * inner),
             (half - 0.002, 0.25 * inner),
-        ]
-        parts.append(lathe(np.array([*cover, (half, 1e-3)]), "rim", object_type))
+        ]  # fmt: skip
+        parts.append(lathe([*cover, (half, 1e-3)], "rim"))
         return merged(parts)
     ring = [(half - 0.006, inner), (half - 0.008, 0.9 * inner), (half - 0.05, 0.86 * inner)]
-    parts.append(lathe(np.array(ring), "rim", object_type))
-    parts.append(
-        lathe(np.array([(half - 0.05, 0.88 * inner), (half - 0.06, 1e-3)]), "underbody", object_type, sides=10)
-    )
+    parts.append(lathe(ring, "rim"))
+    parts.append(lathe([(half - 0.05, 0.88 * inner), (half - 0.06, 1e-3)], "underbody", 10))
     points, quads = [], []
     wide = np.clip(1.5 / spokes, 0.12, 0.3) * inner
     for angle in np.arange(spokes) * 2 * np.pi / spokes + 0.3:
@@ -165,20 +173,20 @@ def wheel(radius: float, width: float, object_type: str, spokes: int = 5, rim: f
         for distance, y, w in ((0.0, half - 0.02, 1.25 * wide), (0.9 * inner, half - 0.012, wide)):
             points += [out * distance - side * w / 2 + (0, y, 0), out * distance + side * w / 2 + (0, y, 0)]
         quads.append(np.array([0, 1, 3, 2]) + len(points) - 4)
-    parts.append(polygons(np.array(points), np.array(quads), "rim", object_type))
+    parts.append(polygons(np.array(points), np.array(quads), "rim"))
     return merged(parts)
 
 
-def plate(x: float, z: float, object_type: str, forward: bool) -> Mesh:
+def plate(x: float, z: float, forward: bool) -> Mesh:
     """A number plate of 0.52 x 0.11 m at (x, 0, z) that looks along +x (forward) or -x; its uv are
     the pattern's, 0.52 x 0.14 m."""
-    frame = box((x, 0, z), (0.02, 0.54, 0.13), "underbody", object_type)
+    frame = box((x, 0, z), (0.02, 0.54, 0.13), "underbody")
     sign = 1.0 if forward else -1.0
     across, up = np.array([-0.26, 0.26, 0.26, -0.26]), np.array([-0.055, -0.055, 0.055, 0.055])
     points = np.stack([np.full(4, x + sign * 0.013), sign * across, z + up], axis=1)
     uv = np.stack([across + 0.26, up + 0.07], axis=1)
     normals = np.tile([sign, 0.0, 0.0], (4, 1))
-    return merged([frame, mesh(points, np.array([(0, 1, 2), (0, 2, 3)]), "plate", object_type, normals=normals, uv=uv)])
+    return merged([frame, mesh(points, [(0, 1, 2), (0, 2, 3)], "plate", normals=normals, uv=uv)])
 
 
 ACROSS = np.array([0.0, 0.32, 0.62, 0.9, 1.0])  # places of the grids' lines between the middle and the edge
@@ -194,7 +202,7 @@ class Body(NamedTuple):
     tail: np.ndarray
 
 
-def body(shape: VehicleShape, object_type: str, tint: tuple[float, float, float]) -> Body:
+def body(shape: VehicleShape, tint: Tint) -> Body:
     """The skin of a vehicle with its underside and its wheel arches; `tint` multiplies the paint's grey."""
     x, bottom = columns(shape)
     top = _top(shape, x)
@@ -203,8 +211,8 @@ def body(shape: VehicleShape, object_type: str, tint: tuple[float, float, float]
     grids = [_warped(shape, grid) for grid in (side, top, *ends)]
     names = [_side_cells(shape, x), _top_cells(shape, x)]
     names += [_end_cells(patches) for patches in (shape.front, shape.rear)]
-    half = _skin(grids, names, [(0, 1, 0), (0, 0, 1), (1, 0, 0), (-1, 0, 0)], object_type, tint)
-    lining = _lining(shape, grids[0], x, bottom, object_type)
+    half = _skin(grids, names, [(0, 1, 0), (0, 0, 1), (1, 0, 0), (-1, 0, 0)], tint)
+    lining = _lining(shape, grids[0], x, bottom)
     middle = [np.stack([grid[:, 0, 0], grid[:, 0, 2]], axis=1) for grid in grids[2:]]
     return Body(merged([*both_sides(half), *both_sides(lining)]), *middle)
 
@@ -344,8 +352,7 @@ def _skin(
     grids: list[np.ndarray],
     cells: list[np.ndarray],
     outwards: list[tuple[int, int, int]],
-    object_type: str,
-    tint: tuple[float, float, float],
+    tint: Tint,
 ) -> Mesh:
     """Grids (n, m, 3) and the material names of their cells as one mesh; smooth, but not from glass to metal."""
     points, faces, names, start = [], [], [], 0
@@ -379,12 +386,12 @@ def _skin(
         uv=projected_uv(vertices, normals),
         faces=tri,
         material=np.array([MATERIAL_IDS[n] for n in name], dtype=np.uint8),
-        object_type=np.full(len(tri), OBJECT_TYPE_IDS[object_type], dtype=np.uint8),
+        object_type=np.full(len(tri), UNTYPED, dtype=np.uint8),
         tint=tints,
     )
 
 
-def _lining(shape: VehicleShape, side: np.ndarray, x: np.ndarray, bottom: np.ndarray, object_type: str) -> Mesh:
+def _lining(shape: VehicleShape, side: np.ndarray, x: np.ndarray, bottom: np.ndarray) -> Mesh:
     """What closes the left half below: the wheel arches' insides, and the underside."""
     edge = side[:, -1]
     inner = shape.width / 2 - 0.34
@@ -394,13 +401,13 @@ def _lining(shape: VehicleShape, side: np.ndarray, x: np.ndarray, bottom: np.nda
     for arch in arches:
         flat = arch.reshape(-1, 3)
         tri = quads_of(np.arange(len(flat)).reshape(arch.shape[:2]))
-        parts.append(mesh(flat, tri[:, ::-1], "underbody", object_type))
+        parts.append(mesh(flat, tri[:, ::-1], "underbody"))
     wall = np.array([(-1, 0.0), (1, 0.0), (1, 1), (-1, 1)]) * np.array([shape.length / 2 - 0.3, 0.0])
     low, high = shape.sill + 0.06, shape.wheel * 2 + shape.gap + 0.03
     plate = np.stack([wall[:, 0], np.full(4, inner), [low, low, high, high]], axis=1)
     floor = np.stack([wall[:, 0], [inner, inner, 0.0, 0.0], np.full(4, low)], axis=1)
-    parts.append(polygons(plate, np.array([[1, 0, 3, 2]]), "underbody", object_type))
-    parts.append(polygons(floor, np.array([[0, 1, 2, 3]])[:, ::-1], "underbody", object_type))
+    parts.append(polygons(plate, [[1, 0, 3, 2]], "underbody"))
+    parts.append(polygons(floor, np.array([[0, 1, 2, 3]])[:, ::-1], "underbody"))
     return merged(parts)
 
 

@@ -174,11 +174,10 @@ def _kerb(cuts: np.ndarray, terrain: Terrain, height: float) -> Mesh:
 def _rim(terrain: Terrain, low: np.ndarray, high: np.ndarray, cover: GroundCover) -> list[Mesh]:
     """Four coarse pieces of land around the grid."""
     boxes = [
-        (low - FAR, np.array([high[0] + FAR, low[1]])),
-        (np.array([low[0] - FAR, high[1]]), high + FAR),
+        (low - FAR, np.array([high[0] + FAR, low[1]])), (np.array([low[0] - FAR, high[1]]), high + FAR),
         (np.array([low[0] - FAR, low[1]]), np.array([low[0], high[1]])),
         (np.array([high[0], low[1]]), np.array([high[0] + FAR, high[1]])),
-    ]
+    ]  # fmt: skip
     return [_field(terrain, first, last, cover) for first, last in boxes]
 
 
@@ -207,7 +206,7 @@ def markings(town: Town, low: np.ndarray, high: np.ndarray) -> Mesh:
             parts += [_strip(town, index, (s, min(s + dash, road.length)), d, width, low, high) for s in starts]
     for number, (s, side) in enumerate(town.junctions):
         parts += _junction(town, number + 1, s, side, low, high)
-    return merged(parts)
+    return merged(parts, "lane-marking")
 
 
 def _lines(road: Road, main: bool) -> list[tuple[float, float, float, float]]:
@@ -254,7 +253,7 @@ def _painted(quads: np.ndarray, terrain: Terrain) -> Mesh:
     points = np.column_stack([xy, terrain.height(xy) + LIFT])
     corner = np.arange(len(xy)).reshape(-1, 4)
     faces = np.concatenate([corner[:, [0, 1, 2]], corner[:, [0, 2, 3]]])
-    return mesh(points, faces, "paint-white", "lane-marking", normals=terrain.normal(xy), uv=xy)
+    return mesh(points, faces, "paint-white", normals=terrain.normal(xy), uv=xy)
 
 
 def _junction(town: Town, index: int, s: float, side: int, low: np.ndarray, high: np.ndarray) -> list[Mesh]:

@@ -23,11 +23,8 @@ def _building_maker(make: str, wide: float, deep: float) -> Maker:
     """The maker of a building of `wide` x `deep` metres."""
     small = {"shed": buildings.shed, "garage": buildings.garage}
     large = {
-        "house": buildings.house,
-        "terrace": buildings.house,
-        "flats": buildings.flats,
-        "hall": buildings.hall,
-    }
+        "house": buildings.house, "terrace": buildings.house, "flats": buildings.flats, "hall": buildings.hall,
+    }  # fmt: skip
     if make in small:
         return lambda rng, _: small[make](rng)
     return lambda rng, _: large[make](rng, wide, deep)
@@ -148,13 +145,9 @@ def _barrier(plan: Planner, barrier: str, start: np.ndarray, yaw: float, length:
 
         return grown
     makers = {
-        "picket": barriers.picket_fence,
-        "wire": barriers.wire_fence,
-        "railing": barriers.railing,
-        "wall": barriers.wall,
-        "noise": barriers.noise_barrier,
-        "guard": barriers.guard_rail,
-    }
+        "picket": barriers.picket_fence, "wire": barriers.wire_fence, "railing": barriers.railing,
+        "wall": barriers.wall, "noise": barriers.noise_barrier, "guard": barriers.guard_rail,
+    }  # fmt: skip
     return lambda rng, _: makers[barrier](rng, length, land)
 
 

@@ -99,17 +99,11 @@ def lanes(town: Town) -> list[tuple[float, int]]:
 
 
 _MAKERS = {
-    "car": motor_vehicles.car,
-    "van": partial(motor_vehicles.car, body="van"),
-    "truck": motor_vehicles.truck,
-    "trailer": motor_vehicles.trailer,
-    "bus": motor_vehicles.bus,
-    "tram": motor_vehicles.tram,
-    "motorcycle": two_wheelers.motorcycle,
-    "bicycle": two_wheelers.bicycle,
-    "motorcyclist": two_wheelers.motorcyclist,
+    "car": motor_vehicles.car, "van": partial(motor_vehicles.car, body="van"), "truck": motor_vehicles.truck,
+    "trailer": motor_vehicles.trailer, "bus": motor_vehicles.bus, "tram": motor_vehicles.tram,
+    "motorcycle": two_wheelers.motorcycle, "bicycle": two_wheelers.bicycle, "motorcyclist": two_wheelers.motorcyclist,
     "bicyclist": two_wheelers.bicyclist,
-}
+}  # fmt: skip
 
 
 def _made(rng: np.random.Generator, _: float, name: str) -> Mesh:

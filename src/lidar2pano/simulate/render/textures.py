@@ -320,33 +320,20 @@ def _litter() -> Drawing:
 
 
 PATTERNS: dict[str, Pattern] = {
-    "asphalt": Pattern((3.0, 3.0), _asphalt, "roadway"),
-    "paint": Pattern((2.0, 2.0), _paint, "roadway"),
-    "cobbles": Pattern((1.9, 1.9), _cobbles),
-    "paving": Pattern((2.4, 2.4), _paving, "roadway"),
-    "concrete": Pattern((3.0, 3.0), _concrete),
-    "gravel": Pattern((1.6, 1.6), _gravel),
-    "soil": Pattern((2.0, 2.0), _soil),
-    "grass": Pattern((2.3, 2.3), lambda: _blades("grass", 0.8, 10), "lawn"),
+    "asphalt": Pattern((3.0, 3.0), _asphalt, "roadway"), "paint": Pattern((2.0, 2.0), _paint, "roadway"),
+    "cobbles": Pattern((1.9, 1.9), _cobbles), "paving": Pattern((2.4, 2.4), _paving, "roadway"),
+    "concrete": Pattern((3.0, 3.0), _concrete), "gravel": Pattern((1.6, 1.6), _gravel),
+    "soil": Pattern((2.0, 2.0), _soil), "grass": Pattern((2.3, 2.3), lambda: _blades("grass", 0.8, 10), "lawn"),
     "meadow": Pattern((4.1, 4.1), lambda: _blades("meadow", 1.4, 26), "lawn"),
-    "field": Pattern((6.0, 6.0), _field, "lawn"),
-    "plaster": Pattern((2.6, 2.6), _plaster, "weather"),
-    "brick": Pattern((2.0, 2.0), _brick, "weather"),
-    "tiles": Pattern((2.2, 2.6), _tiles, "weather"),
-    "stone": Pattern((2.6, 2.1), _stone, "weather"),
-    "wood": Pattern((1.2, 2.4), lambda: _planks(8, 0.08), "weather"),
-    "shutter": Pattern((1.0, 1.0), _shutter),
-    "door": Pattern((1.0, 2.1), lambda: _planks(4, 0.03)),
-    "pane": Pattern((5.3, 4.7), _pane),
-    "metal": Pattern((1.5, 1.5), _metal),
-    "car-paint": Pattern((2.0, 2.0), _car_paint),
-    "cloth": Pattern((0.7, 0.7), _cloth),
-    "plate": Pattern((0.52, 0.14), _plate),
-    "bark": Pattern((0.9, 0.9), _bark),
-    "birch": Pattern((0.8, 0.8), _birch),
-    "leaves": Pattern((1.0, 1.0), _leaves),
-    "litter": Pattern((3.4, 3.4), _litter),
-}
+    "field": Pattern((6.0, 6.0), _field, "lawn"), "plaster": Pattern((2.6, 2.6), _plaster, "weather"),
+    "brick": Pattern((2.0, 2.0), _brick, "weather"), "tiles": Pattern((2.2, 2.6), _tiles, "weather"),
+    "stone": Pattern((2.6, 2.1), _stone, "weather"), "wood": Pattern((1.2, 2.4), lambda: _planks(8, 0.08), "weather"),
+    "shutter": Pattern((1.0, 1.0), _shutter), "door": Pattern((1.0, 2.1), lambda: _planks(4, 0.03)),
+    "pane": Pattern((5.3, 4.7), _pane), "metal": Pattern((1.5, 1.5), _metal),
+    "car-paint": Pattern((2.0, 2.0), _car_paint), "cloth": Pattern((0.7, 0.7), _cloth),
+    "plate": Pattern((0.52, 0.14), _plate), "bark": Pattern((0.9, 0.9), _bark), "birch": Pattern((0.8, 0.8), _birch),
+    "leaves": Pattern((1.0, 1.0), _leaves), "litter": Pattern((3.4, 3.4), _litter),
+}  # fmt: skip
 
 
 WIDE_M = 67.0  # metres before a wide pattern repeats
@@ -386,11 +373,8 @@ def _weather() -> np.ndarray:
 
 
 WIDE: dict[str, Callable[[], np.ndarray]] = {
-    "blotches": _blotches,
-    "roadway": _roadway,
-    "lawn": _lawn,
-    "weather": _weather,
-}
+    "blotches": _blotches, "roadway": _roadway, "lawn": _lawn, "weather": _weather,
+}  # fmt: skip
 
 TEXTURES = ("", *PATTERNS)
 TEXTURE_IDS: dict[str, int] = {name: index for index, name in enumerate(TEXTURES)}

@@ -9,8 +9,12 @@ import numpy as np
 
 from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, OBJECT_TYPE_IDS
 
+Point = Sequence[float] | np.ndarray
+Points = Sequence[Point] | np.ndarray
 Tint = tuple[float, float, float]
 """Factors on the linear RGB albedo of a material."""
+PLAIN: Tint = (1.0, 1.0, 1.0)
+UNTYPED = 254  # object type of a mesh until it is `merged` into an object
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -20,7 +24,7 @@ class Mesh:
     vertices  (V, 3) float32;  normals (V, 3) float32 unit, pointing outwards.
     uv        (V, 2) float32 texture coordinates: metres along the surface.
     faces     (F, 3) int32, counter-clockwise from outside.
-    material  (F,) uint8 of MATERIAL_IDS;  object_type (F,) uint8 of OBJECT_TYPE_IDS.
+    material  (F,) uint8 of MATERIAL_IDS;  object_type (F,) uint8 of OBJECT_TYPE_IDS, or UNTYPED.
     tint      (F, 3) float32: multiplies the material's albedo.
     """
 
@@ -49,17 +53,16 @@ class Mesh:
         return scaled.transformed(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), at)
 
 
-def mesh(  # noqa: PLR0913 one array or name per field
-    vertices: np.ndarray,
-    faces: np.ndarray,
+def mesh(
+    vertices: Points,
+    faces: Points,
     material: str,
-    object_type: str,
+    tint: Tint = PLAIN,
     *,
     normals: np.ndarray | None = None,
     uv: np.ndarray | None = None,
-    tint: Tint = (1.0, 1.0, 1.0),
 ) -> Mesh:
-    """A mesh of one material and object type.
+    """A mesh of one material and tint, UNTYPED.
 
     Without `normals` faces are flat and share no vertices; without `uv` each face is projected onto the axis plane that
     is closest to it.
@@ -79,7 +82,7 @@ def mesh(  # noqa: PLR0913 one array or name per field
         uv=uv,
         faces=faces,
         material=np.full(count, MATERIAL_IDS[material], dtype=np.uint8),
-        object_type=np.full(count, OBJECT_TYPE_IDS[object_type], dtype=np.uint8),
+        object_type=np.full(count, UNTYPED, dtype=np.uint8),
         tint=np.tile(np.asarray(tint, dtype=np.float32), (count, 1)),
     )
 
@@ -116,63 +119,62 @@ def projected_uv(vertices: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return np.stack([u, np.where(flat, vertices[:, 1], vertices[:, 2])], axis=1).astype(np.float32)
 
 
-def merged(meshes: Iterable[Mesh]) -> Mesh:
-    """All meshes as one."""
+def merged(meshes: Iterable[Mesh], object_type: str = "") -> Mesh:
+    """All meshes as one; `object_type` is that of the untyped ones."""
     parts = [part for part in meshes if len(part)]
     if not parts:
-        return mesh(np.zeros((0, 3)), np.zeros((0, 3)), "asphalt", "road")
+        return mesh(np.zeros((0, 3)), np.zeros((0, 3)), "asphalt")
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    return Mesh(
+    whole = Mesh(
         faces=np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]).astype(np.int32),
         **{
             name: np.concatenate([getattr(part, name) for part in parts])
             for name in ("vertices", "normals", "uv", "material", "object_type", "tint")
         },
     )
+    if object_type:
+        whole.object_type[whole.object_type == UNTYPED] = OBJECT_TYPE_IDS[object_type]
+    return whole
 
 
 _BOX = np.array([(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (2, 3, 7, 6), (1, 2, 6, 5), (3, 0, 4, 7)])
 SIDES = ("bottom", "top", "right", "left", "front", "back")  # right is -y, front is +x
 
 
-def box(  # noqa: PLR0913 position, size and surface
-    centre: Sequence[float] | np.ndarray,
-    size: Sequence[float] | np.ndarray,
+def box(
+    centre: Point,
+    size: Point,
     material: str,
-    object_type: str,
+    tint: Tint = PLAIN,
     *,
     yaw: float = 0.0,
     without: Sequence[str] = (),
-    tint: Tint = (1.0, 1.0, 1.0),
 ) -> Mesh:
     """A box of `size` (along x, y, z) around `centre`, rotated by `yaw` radians, without some of SIDES."""
     corner = np.array(
         [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1), (-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1)]
     )
     quads = _BOX[[i for i, side in enumerate(SIDES) if side not in without]]
-    solid = polygons(corner * np.asarray(size) / 2, quads, material, object_type, tint=tint)
+    solid = polygons(corner * np.asarray(size) / 2, quads, material, tint)
     x, y, z = centre
     return solid.placed((x, y, z), yaw)
 
 
-def polygons(
-    points: np.ndarray, polygon: np.ndarray, material: str, object_type: str, tint: Tint = (1.0, 1.0, 1.0)
-) -> Mesh:
+def polygons(points: Points, polygon: Points, material: str, tint: Tint = PLAIN) -> Mesh:
     """Flat convex polygons (P, n) of indices into points (N, 3), counter-clockwise from outside."""
     polygon = np.atleast_2d(polygon)
     fan = [polygon[:, [0, i, i + 1]] for i in range(1, polygon.shape[1] - 1)]
-    return mesh(points, np.stack(fan, axis=1).reshape(-1, 3), material, object_type, tint=tint)
+    return mesh(points, np.stack(fan, axis=1).reshape(-1, 3), material, tint)
 
 
-def tube(  # noqa: PLR0913 centreline, radius and surface
-    course: np.ndarray,
-    radius: float | Sequence[float] | np.ndarray,
+def tube(
+    course: Points,
+    radius: float | Point,
     material: str,
-    object_type: str,
+    tint: Tint = PLAIN,
     *,
     sides: int = 8,
     closed: bool = True,
-    tint: Tint = (1.0, 1.0, 1.0),
 ) -> Mesh:
     """A smooth tube along the centreline `course` (n, 3); `radius`: one or n values; `closed`: with end caps."""
     course = np.asarray(course, dtype=np.float64)
@@ -206,16 +208,16 @@ def tube(  # noqa: PLR0913 centreline, radius and surface
             i = np.arange(sides)
             fan = np.stack([start + i, start + (i + 1) % sides, np.full(sides, start + sides)], axis=1)
             faces = np.concatenate([faces, fan[:, ::-1]])
-    return mesh(points, faces, material, object_type, normals=normals, uv=uv, tint=tint)
+    return mesh(points, faces, material, tint, normals=normals, uv=uv)
 
 
 def ellipsoid(
-    centre: Sequence[float] | np.ndarray,
-    radii: Sequence[float] | np.ndarray,
+    centre: Point,
+    radii: Point,
     material: str,
-    object_type: str,
+    tint: Tint = PLAIN,
+    *,
     detail: int = 8,
-    tint: Tint = (1.0, 1.0, 1.0),
 ) -> Mesh:
     """A smooth ellipsoid with `detail` rings of twice as many faces."""
     polar, turn = np.meshgrid(
@@ -227,10 +229,10 @@ def ellipsoid(
     faces = quads_of(np.arange(unit.shape[0] * unit.shape[1]).reshape(unit.shape[:2]))
     uv = np.stack([turn * max(radii[:2]), polar * radii[2]], axis=-1).reshape(-1, 2)
     points = (unit * np.asarray(radii) + np.asarray(centre)).reshape(-1, 3)
-    return mesh(points, faces, material, object_type, normals=normals.reshape(-1, 3), uv=uv, tint=tint)
+    return mesh(points, faces, material, tint, normals=normals.reshape(-1, 3), uv=uv)
 
 
-def loft(sections: np.ndarray, material: str, object_type: str, tint: Tint = (1.0, 1.0, 1.0)) -> Mesh:
+def loft(sections: np.ndarray, material: str, tint: Tint = PLAIN) -> Mesh:
     """A smooth surface through cross sections (n, m, 3), open or closed lines of m points.
 
     Seen along the direction from section to section, the points run counter-clockwise.
@@ -238,7 +240,7 @@ def loft(sections: np.ndarray, material: str, object_type: str, tint: Tint = (1.
     n, m = sections.shape[:2]
     faces = quads_of(np.arange(n * m).reshape(n, m))[:, ::-1]
     points = np.asarray(sections, dtype=np.float32).reshape(-1, 3)
-    return mesh(points, faces, material, object_type, normals=smooth_normals(points, faces), uv=None, tint=tint)
+    return mesh(points, faces, material, tint, normals=smooth_normals(points, faces), uv=None)
 
 
 def quads_of(grid: np.ndarray) -> np.ndarray:

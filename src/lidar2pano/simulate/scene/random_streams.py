@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
+
+T = TypeVar("T")
 
 
 def stream(seed: int, *names: str | int) -> np.random.Generator:
@@ -17,3 +21,8 @@ def weighted_choice(rng: np.random.Generator, weights: dict[str, float]) -> str:
     """One of the names, with probability proportional to its weight."""
     names, shares = list(weights), np.array(list(weights.values()))
     return names[int(rng.choice(len(names), p=shares / shares.sum()))]
+
+
+def pick(rng: np.random.Generator, choices: Sequence[T], p: Sequence[float] | None = None) -> T:
+    """One of the choices, each with the same probability or with those of `p`, which add up to 1."""
+    return choices[int(rng.integers(len(choices)) if p is None else rng.choice(len(choices), p=p))]

@@ -260,12 +260,8 @@ def _railing() -> np.ndarray:
 
 
 CUTOUTS: dict[str, Callable[[], np.ndarray]] = {
-    "leaves": _leaves,
-    "needles": _needles,
-    "wire": _wire,
-    "pickets": _pickets,
-    "railing": _railing,
-}
+    "leaves": _leaves, "needles": _needles, "wire": _wire, "pickets": _pickets, "railing": _railing,
+}  # fmt: skip
 
 
 @cache
