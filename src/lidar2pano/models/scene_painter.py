@@ -293,7 +293,10 @@ def _mixed(inputs: Tensor, tables: Sequence[Tensor], picked: Sequence[int], shar
     """Of each table (3 looks, C) three channels, by the shares (B, looks) of looks; and those of the inputs picked."""
     looks, alone = shares.shape[1], torch.eye(inputs.shape[1])[list(picked)].to(inputs)
     each = conv2d(inputs, torch.cat([*(table.to(inputs.dtype) for table in tables), alone])[..., None, None])
-    by = [shares.repeat_interleave(TONE, 1).repeat(1, len(tables)), shares.new_ones(len(shares), len(picked))]
+    by = [
+        shares.repeat_interleave(TONE, 1).repeat(1, len(tables)),
+        shares.new_ones(1, len(picked)).expand(shares.shape[0], -1),
+    ]
     sums = torch.block_diag(*[torch.eye(TONE).repeat(1, looks)] * len(tables), torch.eye(len(picked)))
     return conv2d(each * torch.cat(by, 1)[..., None, None].to(each.dtype), sums.to(each)[..., None, None])
 
