@@ -20,7 +20,9 @@ def export(
     weights: Annotated[
         str, typer.Argument(metavar="WEIGHTS", help="A family of weights, a run's folder, or a weight file.")
     ],
-    onnx: Annotated[Path, typer.Option("--onnx", metavar="DIR", help="Folder for the graphs, a runner and a README.")],
+    onnx: Annotated[
+        Path, typer.Option("--onnx", metavar="DIR", help="Folder for the graphs and a README with their tensors.")
+    ],
 ) -> None:
     """Write segmenter, translator and painter as ONNX graphs, each compared with torch first."""
     import torch
@@ -31,23 +33,23 @@ def export(
     from lidar2pano.hardware import keep_buffers
     from lidar2pano.pipeline import load
 
-    out = check_folder(onnx, "--onnx")
+    folder = check_folder(onnx, "--onnx")
     keep_buffers()
     pipeline = load(weights, "cpu", "torch")
     check_exportable({role: card.network for role, card in pipeline.cards.items()})
-    networks, inputs = networks_of(pipeline), inputs_of(pipeline)
+    networks, inputs = networks_of(pipeline), record_inputs(pipeline)
     parts = {
         role: Exportable(network=networks[role], model=card.network, card=card.to_json(), inputs=inputs[role])
         for role, card in pipeline.cards.items()
     }
     noise = noise_tile(torch.device("cpu"), torch.float32).reshape(3 * (2**BITS,))
-    written = export(parts, out, noise.numpy())
+    written = export(parts, folder, noise.numpy())
     note_licence(pipeline.cards.values())
     print("\n".join(map(str, written)))
 
 
 def networks_of(pipeline: Pipeline) -> dict[str, nn.Module]:
-    """The networks by role."""
+    """Return the networks by role."""
     return {
         "segmenter": pipeline.segmenter.network,
         "translator": pipeline.translator,
@@ -55,16 +57,16 @@ def networks_of(pipeline: Pipeline) -> dict[str, nn.Module]:
     }
 
 
-def inputs_of(pipeline: Pipeline) -> dict[str, tuple[Tensor, ...]]:
-    """What the networks take, by role, when the scan that ships with the package is translated."""
+def record_inputs(pipeline: Pipeline) -> dict[str, tuple[Tensor, ...]]:
+    """Return the networks' input tensors, by role, while the scan that ships with the package is translated."""
     from lidar2pano.demo import street
 
     inputs: dict[str, tuple[Tensor, ...]] = {}
     hooks = []
     for role, network in networks_of(pipeline).items():
 
-        def keep(_: nn.Module, given: tuple[Tensor, ...], role: str = role) -> None:
-            inputs[role] = tuple(each.float() for each in given)
+        def keep(_: nn.Module, tensors: tuple[Tensor, ...], role: str = role) -> None:
+            inputs[role] = tuple(tensor.float() for tensor in tensors)
 
         hooks.append(network.register_forward_pre_hook(keep))
     pipeline(street())

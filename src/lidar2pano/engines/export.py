@@ -1,9 +1,9 @@
-"""Networks of a pipeline as ONNX graphs in a folder, compared with torch before any file appears."""
+"""Export of a pipeline's networks as ONNX graphs, compared with torch before any file appears."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
@@ -20,12 +20,16 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
 
 TOLERANCE = 1e-4  # of the difference between graph and torch; relative where an output is greater than 1
-RUNNER, README, NOISE = "run.py", "README.md", "noise.npy"
+README, NOISE = "README.md", "noise.npy"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Exportable:
-    """A network to export: its name in SIGNATURES, its card as JSON, and inputs (batch 1) that it is compared on."""
+    """A network to export.
+
+    model   its name in SIGNATURES;  card: of its weights, as JSON.
+    inputs  of a batch of one, on which graph and torch are compared.
+    """
 
     network: nn.Module
     model: str
@@ -33,10 +37,10 @@ class Exportable:
     inputs: tuple[Tensor, ...]
 
 
-def export(parts: Mapping[str, Exportable], out: Path, noise: np.ndarray) -> list[Path]:
-    """Write ROLE.onnx for each part, the runner, its noise and a README into a folder; return their paths.
+def export(parts: Mapping[str, Exportable], folder: Path, noise: np.ndarray) -> list[Path]:
+    """Write ROLE.onnx for each part, the noise and a README with all tensors into a folder; return their paths.
 
-    noise  (64, 64, 64) float32, periodic: what the scene painter's noise is read from.
+    noise  (64, 64, 64) float32, periodic: the tile of the scene painter's solid noise.
     Raises InputError without the extra, for a network that cannot be exported, where a graph's outputs differ from
     torch's by more than TOLERANCE, and where a file cannot be written; in all cases but the last no file is written.
     """
@@ -44,16 +48,15 @@ def export(parts: Mapping[str, Exportable], out: Path, noise: np.ndarray) -> lis
     contents: dict[str, bytes] = {}
     differences: dict[str, float] = {}
     for role, part in parts.items():
-        inputs = tuple(torch.cat([each, _turned(each)]) for each in part.inputs)
+        inputs = tuple(torch.cat([tensor, _turned(tensor)]) for tensor in part.inputs)
         proto = graph(part.network, part.model, inputs, {"card": part.card, "role": role})
         contents[f"{role}.onnx"] = compiled = proto.SerializeToString()
         differences[role] = compare(compiled, part, inputs)
     array = io.BytesIO()
     np.save(array, noise)
     contents[NOISE] = array.getvalue()
-    contents[RUNNER] = (files("lidar2pano.engines") / "onnx_runner.py").read_bytes()
     contents[README] = readme(parts, differences).encode()
-    return [write_whole(out / name, partial(_write, data)) for name, data in contents.items()]
+    return [write_whole(folder / name, partial(_write, data)) for name, data in contents.items()]
 
 
 def _write(data: bytes, path: Path) -> None:
@@ -66,25 +69,25 @@ def check_exportable(models: Mapping[str, str]) -> None:
         raise InputError(f"the export needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'")
     for role, model in models.items():
         if model not in SIGNATURES:
-            known = ", ".join(SIGNATURES)
-            raise InputError(f"the {role} is a {model!r}, which cannot be exported; name weights of {known}")
+            names = ", ".join(SIGNATURES)
+            raise InputError(f"the {role} is a {model!r}, which cannot be exported; name weights of {names}")
 
 
 def _turned(x: Tensor) -> Tensor:
-    """Another input of the same sort: rasters turned by a quarter in azimuth."""
+    """Return another input of the same sort: rasters turned by a quarter in azimuth."""
     return x.roll(x.shape[-1] // 4, -1) if x.ndim > 2 else x
 
 
 @torch.inference_mode()
 def compare(compiled: bytes, part: Exportable, inputs: tuple[Tensor, ...]) -> float:
-    """The greatest difference between a graph and torch in float32, for a batch and its first alone.
+    """Return the greatest difference between a graph and torch in float32, for a batch and for its first alone.
 
     Raises InputError where it is above TOLERANCE, or another class is the best one by more than that.
     """
     opened, signature = session(compiled), SIGNATURES[part.model]
     greatest = 0.0
-    for batch in (inputs, tuple(each[:1] for each in inputs)):
-        arrays = (each.float().contiguous().numpy() for each in batch)
+    for batch in (inputs, tuple(tensor[:1] for tensor in inputs)):
+        arrays = (tensor.float().contiguous().numpy() for tensor in batch)
         outputs = opened.run(None, dict(zip(signature.inputs, arrays, strict=True)))
         with torch.autocast("cpu", enabled=False):
             expected = as_tuple(part.network(*batch))
@@ -100,25 +103,31 @@ def compare(compiled: bytes, part: Exportable, inputs: tuple[Tensor, ...]) -> fl
 
 
 def _other_best(scores: Tensor, reference: Tensor) -> bool:
-    """Whether some pixel's best class is one that the reference scores lower than its best, by more than TOLERANCE."""
+    """Return whether some pixel's best class scores lower than the reference's best, by more than TOLERANCE."""
     best = reference.amax(1)
     chosen = reference.gather(1, scores.argmax(1, keepdim=True))[:, 0]
     return bool((best - chosen > TOLERANCE * best.abs().clamp(min=1)).any())
 
 
 def readme(parts: Mapping[str, Exportable], differences: Mapping[str, float]) -> str:
-    """What the folder holds: the graphs with their tensors, and how they follow one another."""
-    lines = []
-    for role, part in parts.items():
-        signature = SIGNATURES[part.model]
-        with torch.inference_mode():
-            outputs = as_tuple(part.network(*part.inputs))
-        named = zip((*signature.inputs, *signature.outputs), (*part.inputs, *outputs), strict=True)
-        shapes = [f"`{name}` (batch, {', '.join(map(str, each.shape[1:]))})" for name, each in named]
-        cut = len(signature.inputs)
-        lines.append(
-            f"| `{role}.onnx` | {part.model} | {', '.join(shapes[:cut])} | {', '.join(shapes[cut:])}"
-            f" | {differences[role]:.0e} |"
-        )
+    """Return the folder's README: the graphs, a row for each of their tensors, and how inputs are made of a scan."""
+    graphs = [f"| `{role}.onnx` | {part.model} | {differences[role]:.0e} |" for role, part in parts.items()]
+    tensors = [row for role, part in parts.items() for row in _tensor_rows(role, part)]
     text = (files("lidar2pano.engines") / "onnx_readme.md").read_text(encoding="utf-8")
-    return text.replace("{graphs}", "\n".join(lines)).replace("{opset}", str(OPSET))
+    for name, value in {"graphs": "\n".join(graphs), "tensors": "\n".join(tensors), "opset": str(OPSET)}.items():
+        text = text.replace(f"{{{name}}}", value)
+    return text
+
+
+def _tensor_rows(role: str, part: Exportable) -> Iterator[str]:
+    """Yield a table's row for each input and output of a graph."""
+    signature = SIGNATURES[part.model]
+    with torch.inference_mode():
+        outputs = as_tuple(part.network(*part.inputs))
+    for kind, contents, tensors in (
+        ("input", signature.inputs, part.inputs),
+        ("output", signature.outputs, outputs),
+    ):
+        for (name, content), tensor in zip(contents.items(), tensors, strict=True):
+            shape = ", ".join(map(str, tensor.shape[1:]))
+            yield f"| `{role}.onnx` | `{name}` | {kind} | (batch, {shape}) | {content} |"
