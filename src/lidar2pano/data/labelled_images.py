@@ -64,7 +64,7 @@ class LabelledImage(Frame):
         """See Frame."""
         if part == "camera_labels":
             return f"{self.labels_file}: is missing; complete the labels, or leave {self.image_file.name} out"
-        return f"{self.root}: has images and labels only, no {part.replace('_', ' ')}; sdnet, vid2vid and scene-look train on it"
+        return f"{self.root}: has images and labels only, no {part.replace('_', ' ')}; sdnet and vid2vid train on it"
 
 
 def read_train_ids(path: Path) -> np.ndarray:

@@ -281,35 +281,6 @@ class ScenePaintingOptions(TaskOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LookOptions(TaskOptions):
-    """A new look of a scene painter, from pictures without scans and scans without pictures.
-
-    look               its name.
-    weights            family, run or files (A+B) whose painter learns it, and whose other networks make the scenes.
-    field_of_view_deg  horizontal field of view of the pictures (Cityscapes: 48.7).
-    columns            width of a crop on the translator's raster;  scenes: most scans that are used, evenly spaced.
-    colours, statistics  weights of the distances in colour and in features.
-    cache              folder that keeps what is made of each scan, some 16 MB; "": .lidar2pano of its data set.
-    """
-
-    task = "look"
-    SIZES = ("columns", "scenes")
-    look: str = ""
-    weights: str = ""
-    field_of_view_deg: float = 48.7
-    columns: int = 320
-    scenes: int = 64
-    colours: float = 1.0
-    statistics: float = 1.0
-    cache: str = ""
-
-    def __post_init__(self) -> None:
-        """Refuse what TaskOptions refuses, and fields of view that no pinhole camera has (InputError)."""
-        super().__post_init__()
-        check_range("options", 1, 170, field_of_view_deg=self.field_of_view_deg)
-
-
-@dataclass(frozen=True, kw_only=True)
 class VideoOptions(TaskOptions):
     """vid2vid.
 

@@ -10,7 +10,6 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.train.camera_segmentation import CameraSegmentation
 from lidar2pano.train.colour import CameraColour, FrontColour, Pix2PixColours
 from lidar2pano.train.front import FrontDepthTranslation, FrontTranslation, Pix2PixSegments
-from lidar2pano.train.look_painting import LookPainting
 from lidar2pano.train.panorama import PanoramaTranslation
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.scene_painting import ScenePainting
@@ -29,7 +28,6 @@ TASKS: dict[str, Callable[[Recipe[Any], Path], Any]] = {
     "pix2pix-colours": Pix2PixColours,
     "panorama": PanoramaTranslation,
     "scene-painting": ScenePainting,
-    "look": LookPainting,
     "video": VideoPainting,
 }
 

@@ -18,8 +18,6 @@ RECIPES: dict[str, Callable[[], Recipe]] = {
     "titan-pano-mini": lambda: on_two_cores(chain.titan_pano(), minutes=24, batch=4),
     "scene-painter": chain.scene_painter,
     "scene-painter-mini": lambda: on_two_cores(chain.scene_painter(), minutes=40, batch=2, ema=0.99),
-    "scene-look": chain.scene_look,
-    "scene-look-mini": lambda: on_two_cores(chain.scene_look(), minutes=15, batch=2, ema=0.98),
     "release-segmenter": chain.release_segmenter,
     "release-segmenter-mini": lambda: on_two_cores(chain.release_segmenter(), minutes=40, batch=2, ema=0.997),
     "release-translator": chain.release_translator,

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from lidar2pano.train.options import LookOptions, PanoramaOptions, ScenePaintingOptions, SegmentationOptions
+from lidar2pano.train.options import PanoramaOptions, ScenePaintingOptions, SegmentationOptions
 from lidar2pano.train.recipe import Data, Network, Optimizer, Recipe, Training, on_two_cores, vary
 
 
@@ -72,18 +72,6 @@ def scene_painter() -> Recipe[ScenePaintingOptions]:
             remission_drop_probability=0.15,
         ),
         training=Training(steps=50_000, batch=8),
-    )
-
-
-def scene_look() -> Recipe[LookOptions]:
-    """A new look of a scene painter, from pictures without scans: a factor and a shift of each tuned channel."""
-    optimizer = Optimizer(algorithm="adam", rate=1e-2, betas=(0.9, 0.99), warmup=10, clip=5.0)
-    return Recipe(
-        view="panorama",
-        scale=0.5,
-        networks={"painter": Network(model="scene-painter", optimizer=optimizer)},
-        options=LookOptions(),
-        training=Training(steps=3_000, batch=8),
     )
 
 
