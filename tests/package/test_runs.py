@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-import torch
-from torch import nn
 
-from lidar2pano.models import build
-from lidar2pano.models.card import Card, load, save
-from lidar2pano.models.circular import conv_norm_act
+from lidar2pano.train.recipe import override
+from lidar2pano.train.recipes import recipe_named
 
 SUPPORT = Path(__file__).resolve().parents[1] / "support"
 RUNS = Path(__file__).resolve().parents[2] / "runs"
@@ -59,26 +57,29 @@ def test_shell_scripts_parse(path: Path) -> None:
     assert subprocess.run(["bash", "-n", path], capture_output=True, text=True, check=False).stderr == ""
 
 
-def test_four_convolutions_of_a_shuffle_become_their_mean() -> None:
-    torch.manual_seed(0)
-    shuffled, merged = nn.Module(), runpy.run_path(str(RUNS / "without_shuffles.py"))["merged"]
-    shuffled.up0 = nn.Sequential(conv_norm_act(5, 12, 1), nn.PixelShuffle(2)).eval()
-    norm = shuffled.up0[0][1]
-    for value in (norm.weight.data, norm.bias.data, norm.running_mean, norm.running_var):
-        value.uniform_(0.5, 2)
-    enlarged = conv_norm_act(5, 3, 1).eval()
-    state = merged(shuffled.state_dict(), "up0")
-    enlarged.load_state_dict({name.removeprefix("up0."): value for name, value in state.items()})
-    x = torch.randn(1, 5, 4, 6)
-    expected = shuffled.up0[0][:2](x).unflatten(1, (3, 4)).mean(2)
-    assert torch.allclose(enlarged[:2](x), expected, atol=1e-5)
-
-
-def test_a_segmenter_that_reads_roughness_begins_as_the_one_before(tmp_path: Path) -> None:
-    network, card = build("salsanext", classes=4), Card(network="salsanext", settings={"classes": 4})
-    save(tmp_path / "five.safetensors", network, card)
-    runpy.run_path(str(RUNS / "with_roughness.py"))["main"](str(tmp_path / "five.safetensors"), str(tmp_path / "six"))
-    longer, card = load(tmp_path / "six")
-    assert card.settings["channels"] == 6 and len(card.normalisation["mean"]) == 6
-    x = torch.randn(1, 6, 16, 16)
-    torch.testing.assert_close(longer.eval()(x), network.eval()(x[:, :5]), atol=0.002, rtol=0)
+def test_every_stage_of_a_release_is_a_recipe_with_settings_that_exist(tmp_path: Path) -> None:
+    calls = tmp_path / "calls"
+    programs = {
+        "lidar2pano": 'printf "%s\\t" "$@" >>"$CALLS"; echo >>"$CALLS"',
+        "python": f'if [ "$1" = -c ]; then exec {sys.executable} "$@"; fi',
+        "cp": "",
+    }
+    (tmp_path / "bin").mkdir()
+    for name, text in programs.items():
+        (tmp_path / "bin" / name).write_text(f"#!/bin/bash\n{text}\n")
+        (tmp_path / "bin" / name).chmod(0o755)
+    path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "CALLS": str(calls)}
+    subprocess.run(["bash", RUNS / "release.sh", "KITTI", tmp_path / "out"], check=True, env=environment)
+    commands = [line.rstrip("\t").split("\t") for line in calls.read_text().splitlines()]
+    stages = [words for words in commands if words[0] == "train"]
+    assert len(stages) >= 10
+    made = set()
+    for _, name, *options in stages:
+        recipe = recipe_named(name)
+        for option, value in zip(options, options[1:], strict=False):
+            if option == "--set":
+                recipe = override(recipe, value)
+                file = value.partition("=")[2]
+                assert not file.endswith(".safetensors") or Path(file).parents[1] in made, value
+        made.add(Path(options[options.index("--out") + 1]))
