@@ -5,7 +5,6 @@ The public names below are imported on first use (PEP 562), so that `import lida
 
 from __future__ import annotations
 
-import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -48,8 +47,6 @@ _HOME = {
     "read_calib": "calibration",
     "scans": "recordings.drive_scans",
 }
-# names that the next version no longer has
-_DEPRECATED = {"SegmentMap": "geometry.projection", "back_project": "geometry.projection"}
 
 __all__ = [
     "CITYSCAPES",
@@ -78,9 +75,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    if name in _DEPRECATED:
-        warnings.warn(f"lidar2pano.{name} goes with the next version", DeprecationWarning, stacklevel=2)
-        return getattr(import_module(f"{__name__}.{_DEPRECATED[name]}"), name)
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

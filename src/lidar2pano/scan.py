@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -18,7 +17,6 @@ class Scan:
     xyz        (N, 3) float32, metres; sensor frame: x forward, y left, z up.
     remission  (N,)   float32, in [0, 1].
     label      (N,)   int64 ids of SEMANTIC_KITTI, or None when there are no labels.
-    stamp      deprecated, not used.
     name       where it came from (a file's stem), for messages and output names.
     ring       (N,) int64 numbers of the beams, or None.
     time_s     (N,) float64 seconds of the points from the scan's own stamp, or None.
@@ -28,7 +26,6 @@ class Scan:
     xyz: np.ndarray
     remission: np.ndarray
     label: np.ndarray | None = None
-    stamp: float | None = None
     name: str = "scan"
     ring: np.ndarray | None = None
     time_s: np.ndarray | None = None
@@ -36,8 +33,6 @@ class Scan:
 
     def __post_init__(self) -> None:
         """Turn lists into arrays; refuse arrays of another type, or that do not belong together (ValueError)."""
-        if self.stamp is not None:
-            warnings.warn("Scan.stamp goes with the next version", DeprecationWarning, stacklevel=4)
         for name, dtype in (("xyz", np.float32), ("remission", np.float32), ("label", np.int64)):
             if isinstance(values := getattr(self, name), list | tuple):
                 object.__setattr__(self, name, np.asarray(values, dtype=dtype))

@@ -328,8 +328,6 @@ def test_a_calibration_may_be_named_by_a_string(tmp_path):
     assert np.array_equal(read_calib(str(tmp_path / "calib.txt")).K, read_calib(tmp_path / "calib.txt").K)
 
 
-def test_a_scan_takes_lists_and_warns_of_its_stamp():
+def test_a_scan_takes_lists():
     scan = Scan(xyz=[[1, 2, 3]], remission=[0.5], label=[7])
     assert (scan.xyz.dtype, scan.remission.dtype, scan.label.dtype) == (np.float32, np.float32, np.int64)
-    with pytest.warns(DeprecationWarning, match="Scan.stamp goes with the next version"):
-        Scan(xyz=[[1, 2, 3]], remission=[0.5], stamp=1.0)

@@ -28,13 +28,14 @@ from lidar2pano.formats.json_files import parse_json, validated
 from lidar2pano.formats.ply_writer import write_ply
 from lidar2pano.formats.readers import ReadOptions, open_path
 from lidar2pano.formats.scan_files import read_bin, read_label, write_bin, write_label
-from lidar2pano.geometry.projection import back_project, project_points
+from lidar2pano.geometry.projection import project_points
 from lidar2pano.labels import CITYSCAPES, COMMON14, COMMON15, LABEL_SETS, SEMANTIC_KITTI, TABLES, LabelSet
 from lidar2pano.models.card import Card
 from lidar2pano.scan import Scan
 from lidar2pano.train.checkpoint import Progress, load_checkpoint, save_checkpoint
 from lidar2pano.train.recipe import Optimizer
 from lidar2pano.views import View
+from slow_definitions import points_on_rays
 
 FLOATS = st.floats(-1e6, 1e6, width=32)
 NUMBERS = st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False, allow_infinity=False)
@@ -182,7 +183,7 @@ def test_a_view_is_read_as_it_was_written(view):
 def test_what_is_projected_back_falls_into_its_pixel(view, seed):
     generator = torch.Generator().manual_seed(seed)
     range_m = torch.rand((view.rows, view.columns), generator=generator) * 50 + 1
-    points = back_project(range_m, view).reshape(-1, 3)
+    points = points_on_rays(range_m, view).reshape(-1, 3)
     image = project_points(points, torch.zeros(len(points)), view)
     assert bool(image.valid.all())
     assert torch.allclose(image.channels[0], range_m, atol=1e-3)

@@ -16,7 +16,6 @@ from lidar2pano.geometry.camera import at_camera
 from lidar2pano.geometry.projection import (
     Normalisation,
     RangeImage,
-    back_project,
     directions,
     fitted_view,
     nearest_points,
@@ -26,7 +25,7 @@ from lidar2pano.geometry.projection import (
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, View
 from published_projection import published_projection, synthetic_scan
-from slow_definitions import nearest_slowly, place_slowly, project_slowly
+from slow_definitions import nearest_slowly, place_slowly, points_on_rays, project_slowly
 
 FRONT = View(rows=32, columns=512, up=3, down=-15, left=45, right=-45)
 BEHIND = View(rows=32, columns=90, up=10, down=-25, left=225, right=135)
@@ -162,7 +161,9 @@ def test_a_sixth_channel_is_the_roughness_beside_each_point():
     range_m[0, ::4] = 10.2
     range_m[1, 5:] = 0
     image = project(
-        Scan(xyz=back_project(range_m, view).reshape(-1, 3).nan_to_num(0).numpy(), remission=np.ones(128, np.float32)),
+        Scan(
+            xyz=points_on_rays(range_m, view).reshape(-1, 3).nan_to_num(0).numpy(), remission=np.ones(128, np.float32)
+        ),
         view,
     )
     five, six = Normalisation()(image), Normalisation.of(6)(image)
@@ -176,21 +177,16 @@ def test_a_sixth_channel_is_the_roughness_beside_each_point():
 
 
 @pytest.mark.parametrize("name", SMALL)
-def test_back_project_is_the_way_back(name):
+def test_points_on_the_rays_of_their_pixels_are_projected_there(name):
     view = SMALL[name]
     range_m = torch.from_numpy(np.random.default_rng(0).uniform(2, 50, (view.rows, view.columns))).float()
     range_m[3, 5] = 0
-    points = back_project(range_m, view)
+    points = points_on_rays(range_m, view)
     assert points.shape == (view.rows, view.columns, 3) and points[3, 5].isnan().all()
     image = project(Scan(xyz=points.reshape(-1, 3).numpy(), remission=np.ones(range_m.numel(), np.float32)), view)
     assert not image.valid[3, 5] and image.valid.sum() == view.rows * view.columns - 1
     assert torch.equal(image.index[image.valid], torch.arange(view.rows * view.columns)[image.valid.flatten()])
     torch.testing.assert_close(image.channels[0][image.valid], range_m[image.valid], rtol=1e-5, atol=1e-5)
-
-
-def test_back_project_refuses_another_raster():
-    with pytest.raises(ValueError, match=r"\(32, 512\) picture of ranges is needed, got \(2, 2\)"):
-        back_project(torch.ones(2, 2), FRONT)
 
 
 @pytest.mark.parametrize("name", SMALL)

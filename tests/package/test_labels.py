@@ -5,9 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from lidar2pano.geometry.projection import SegmentMap
 from lidar2pano.labels import (
     CITYSCAPES,
     CITYSCAPES_IDS,
@@ -201,16 +199,3 @@ def test_palette_and_paint(name):
     assert not labels.paint(np.array([-255, -1, 256, 257])).any(), "no id wraps around"
     repeated = 6 if labels is CITYSCAPES_IDS else 0  # published so: what is unlabelled, and two kinds of poles and cars
     assert len(set(labels.colours)) == len(labels) - repeated, "colours tell the classes apart"
-
-
-@pytest.mark.parametrize("dtype", [torch.uint8, torch.int64])
-def test_segment_map_in_another_set(dtype):
-    ids = torch.tensor([[0, 15], [7, 8]], dtype=dtype)
-    found = SegmentMap(ids=ids, labels=COMMON15).translated(COMMON14, TABLES["common-15", "common-14"])
-    assert found.labels is COMMON14 and found.ids.dtype == dtype and found.ids.tolist() == [[0, 0], [7, 8]]
-
-
-@pytest.mark.parametrize("ids", [torch.zeros(2, 2), torch.zeros(4, dtype=torch.int64)])
-def test_a_segment_map_is_a_raster_of_integers(ids):
-    with pytest.raises(ValueError, match=r"must be \(H, W\) integers"):
-        SegmentMap(ids=ids, labels=COMMON15)

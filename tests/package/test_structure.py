@@ -275,13 +275,6 @@ def test_unknown_names_are_refused():
         lidar2pano.__getattr__("Sacn")
 
 
-@pytest.mark.parametrize("name", ["SegmentMap", "back_project"])
-def test_names_that_will_go_still_work_and_warn(name):
-    with pytest.warns(DeprecationWarning, match=f"lidar2pano.{name} goes with the next version"):
-        assert getattr(lidar2pano, name).__name__ == name
-    assert name not in lidar2pano.__all__
-
-
 # --- the command line's door ----------------------------------------------------------------------------------------
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from lidar2pano.calibration import LensCalibration
+from lidar2pano.geometry.projection import directions
 from lidar2pano.views import View
 
 
@@ -31,6 +32,12 @@ def place_slowly(point: np.ndarray, view: View) -> tuple[int, int] | None:
     if not 0 <= depth < view.rows or not 0 <= column < view.columns:
         return None
     return math.floor(depth), column
+
+
+def points_on_rays(range_m: torch.Tensor, view: View) -> torch.Tensor:
+    """Points (H, W, 3) float32, sensor frame, metres, of ranges (H, W) from the view's origin; NaN where they are 0."""
+    points = range_m[..., None] * directions(view) + torch.tensor(view.origin)
+    return points.where(range_m[..., None] > 0, torch.nan)
 
 
 def project_slowly(xyz: np.ndarray, view: View) -> dict[tuple[int, int], int]:

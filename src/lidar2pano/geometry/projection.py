@@ -15,7 +15,6 @@ from torch import Tensor
 from torch.nn.functional import embedding
 
 from lidar2pano.geometry.roughness import deviations
-from lidar2pano.labels import LabelSet
 from lidar2pano.scan import Scan
 from lidar2pano.views import View, view_of
 
@@ -224,18 +223,6 @@ def directions(view: View, *, device: str | torch.device = "cpu") -> Tensor:
     return ray
 
 
-def back_project(range_m: Tensor, view: View) -> Tensor:
-    """Points (H, W, 3) float32, sensor frame, metres, of a picture of ranges (H, W) measured from the view's origin.
-
-    Ranges of zero (nothing there) give NaN.
-    """
-    if range_m.shape != (view.rows, view.columns):
-        raise ValueError(f"a ({view.rows}, {view.columns}) picture of ranges is needed, got {tuple(range_m.shape)}")
-    rays = directions(view, device=range_m.device)
-    points = range_m[..., None] * rays + rays.new_tensor(view.origin)
-    return points.where(range_m[..., None] > 0, torch.nan)
-
-
 def nearest_points(cell: Tensor, distance_m: Tensor, cells: int) -> Tensor:
     """Z-buffer: index (cells,) int64 of the point that owns each cell, the nearest; -1 where there is none.
 
@@ -253,25 +240,3 @@ def nearest_points(cell: Tensor, distance_m: Tensor, cells: int) -> Tensor:
 def one_hot_layers(ids: Tensor, number: int) -> Tensor:
     """(B, number, H, W) float32 of ids (B, H, W) in [0, number): one where a pixel is of the class, else zero."""
     return embedding(ids.long(), torch.eye(number, device=ids.device)).movedim(-1, 1)  # a sixth of one_hot's time
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SegmentMap:
-    """Class ids on a raster.
-
-    ids     (H, W) integer ids of `labels`.
-    labels  the set they belong to.
-    """
-
-    ids: Tensor
-    labels: LabelSet
-
-    def __post_init__(self) -> None:
-        """Refuse anything but a raster of integers (ValueError)."""
-        if self.ids.ndim != 2 or self.ids.is_floating_point():
-            raise ValueError(f"SegmentMap.ids must be (H, W) integers, got {tuple(self.ids.shape)} {self.ids.dtype}")
-
-    def translated(self, labels: LabelSet, table: np.ndarray | Tensor) -> SegmentMap:
-        """The same map in another label set, by a look-up table (K,) as `labels.TABLES` holds them."""
-        table = torch.as_tensor(table, device=self.ids.device)
-        return SegmentMap(ids=table[self.ids.long()].to(self.ids.dtype), labels=labels)
