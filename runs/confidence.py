@@ -11,11 +11,11 @@ import sys
 from pathlib import Path
 
 import torch
+from torchmetrics.classification import BinaryCalibrationError
 
 from lidar2pano.data.frames import IGNORE, evenly_spaced
 from lidar2pano.data.layouts import frames
 from lidar2pano.hardware import Timer
-from lidar2pano.metrics.reliability import Reliability
 from lidar2pano.pipeline import load
 
 TEMPERATURES = (0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 1.8, 2.2, 2.7, 3.3)
@@ -24,7 +24,7 @@ TEMPERATURES = (0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 1.8, 2.2, 2.7, 3.3)
 def main(data: Path, split: str, weights: str, most: int) -> None:
     pipeline = load(weights, "cpu")
     found = frames(data, split)
-    metrics = {T: Reliability() for T in TEMPERATURES}
+    metrics = {T: BinaryCalibrationError(n_bins=15) for T in TEMPERATURES}
     loss, pixels, right = dict.fromkeys(TEMPERATURES, 0.0), 0, 0
     for index in evenly_spaced(len(found), most):
         frame = found[index]
@@ -38,10 +38,10 @@ def main(data: Path, split: str, weights: str, most: int) -> None:
         for T in TEMPERATURES:
             p = (scores / T).softmax(0)
             loss[T] -= float(p.gather(0, target[None]).clamp(min=1e-12).log().sum())
-            metrics[T].update(p.amax(0).numpy(), (p.argmax(0) == target).numpy())
+            metrics[T].update(p.amax(0), (p.argmax(0) == target).long())
     print(f"{weights}: {pixels} pixels, accuracy {right / pixels:.3f}")
     for T in TEMPERATURES:
-        print(f"  T {T:4}: negative log-likelihood {loss[T] / pixels:.3f}, ECE {metrics[T].ece:.3f}")
+        print(f"  T {T:4}: negative log-likelihood {loss[T] / pixels:.3f}, ECE {metrics[T].compute():.3f}")
 
 
 if __name__ == "__main__":

@@ -171,13 +171,12 @@ def page(scores: dict[str, Scores], texts: dict[str, str]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def main() -> None:
-    """Read docs/results and write RESULTS.md."""
+def text() -> str:
+    """Return RESULTS.md of the files in docs/results."""
     scores = {name: read_scores(SCORES / f"{name}.csv") for name in SETS}
     files = {name: SCORES / f"{name}.txt" for name in TEXTS}
-    texts = {name: file.read_text(encoding="utf-8") for name, file in files.items() if file.is_file()}
-    (ROOT / "RESULTS.md").write_text(page(scores, texts), encoding="utf-8")
+    return page(scores, {name: file.read_text(encoding="utf-8") for name, file in files.items() if file.is_file()})
 
 
 if __name__ == "__main__":
-    main()
+    (ROOT / "RESULTS.md").write_text(text(), encoding="utf-8")

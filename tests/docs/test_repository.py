@@ -46,6 +46,23 @@ def test_the_readme_states_the_measured_costs():
     assert "| memory | " in written
 
 
+def test_the_results_are_those_of_the_measured_scores():
+    results = runpy.run_path(str(ROOT / "runs" / "results.py"))
+    assert (ROOT / "RESULTS.md").read_text(encoding="utf-8") == results["text"](), "run runs/results.py"
+
+
+def test_scores_that_were_not_measured_are_dashes(tmp_path):
+    results = runpy.run_path(str(ROOT / "runs" / "results.py"))
+    (tmp_path / "val.csv").write_text(
+        "system,sector,metric,value,low,high,frames\nworld,camera,miou,0.25,0.2,0.3,14\nworld,camera,accuracy,,,,14\n"
+    )
+    scores = dict.fromkeys(results["SETS"], {}) | {"val": results["read_scores"](tmp_path / "val.csv")}
+    page = results["page"](scores, {"times": "no time"})
+    assert "| camera: mIoU of 14 classes, % | KITTI | - | 25.0 (20.0 to 30.0) | 31.1 | 54.8 |" in page
+    assert "| camera: accuracy, % | KITTI | - | - | - | - |" in page and "14 street images" in page
+    assert page.endswith("## Times\n\nno time\n")
+
+
 def test_the_time_is_that_of_the_whole_panorama():
     time_of = runpy.run_path(str(ROOT / "runs" / "readme.py"))["time_of"]
     text = (

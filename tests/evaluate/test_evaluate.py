@@ -14,11 +14,24 @@ from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import MetricConfig, Prediction, SystemInput, report, score, system
 from lidar2pano.evaluate.evaluation import ROLL, EvaluatedSystem, rotated
-from lidar2pano.evaluate.ground_truth_flow import camera_distances, camera_flow, follows, panorama_flow
+from lidar2pano.evaluate.ground_truth import (
+    camera_distances,
+    camera_flow,
+    follows,
+    panorama_flow,
+    resampled,
+    resampling_lookup,
+    same_raster,
+    windows,
+)
 from lidar2pano.evaluate.interface import SystemInfo
-from lidar2pano.evaluate.metric_config import DEFAULT_GROUPS, FeatureExtractor, ImageSegmenter
-from lidar2pano.evaluate.metric_values import MetricCollection, PreviousImage
-from lidar2pano.evaluate.resampling import resampled, resampling_lookup, same_raster, windows
+from lidar2pano.evaluate.metric_collection import (
+    DEFAULT_GROUPS,
+    FeatureExtractor,
+    ImageSegmenter,
+    MetricCollection,
+    PreviousImage,
+)
 from lidar2pano.evaluate.worst_frames import WorstFrames
 from lidar2pano.geometry.flow import Flow
 from lidar2pano.geometry.projection import project

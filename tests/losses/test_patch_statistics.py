@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from lidar2pano.losses.patch_statistics import FIRST, MOST, PatchStatistics, transport
-from lidar2pano.metrics.patch_frechet import Normal, normal_distance
+from lidar2pano.metrics.frechet import Normal, normal_distance
 
 SIZE = 4
 

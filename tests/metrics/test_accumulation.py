@@ -11,12 +11,10 @@ import pytest
 import torch
 
 from lidar2pano.metrics.accumulation import StoredArrays
-from lidar2pano.metrics.confusion import MeanIoU, Resegmentation
-from lidar2pano.metrics.consistency import RollError, SeamRatio, WarpingError
-from lidar2pano.metrics.depth_error import DepthError
+from lidar2pano.metrics.confusion import MeanIoU
+from lidar2pano.metrics.frame_metrics import SSIM, DepthError, RollError, SeamRatio, WarpingError
 from lidar2pano.metrics.frechet import FrechetDistance
 from lidar2pano.metrics.sliced_wasserstein import SlicedWasserstein
-from lidar2pano.metrics.ssim import SSIM
 
 FRAMES = [f"08/{number:06d}" for number in range(7)]
 
@@ -42,10 +40,6 @@ def features(images: torch.Tensor) -> torch.Tensor:
     return images[:, :, :2, 0].flatten(1).float()
 
 
-def reds(image: np.ndarray) -> np.ndarray:
-    return image[..., 0] // 64
-
-
 class Case(NamedTuple):
     """How to make a metric, and the arguments of `update` for one frame."""
 
@@ -56,7 +50,6 @@ class Case(NamedTuple):
 CASES = {
     "ssim": Case(SSIM, pair),
     "classes": Case(lambda: MeanIoU(5, unscored=(0,)), ids),
-    "resegmentation": Case(lambda: Resegmentation(reds, 5), lambda name: (image(name, 0), ids(name)[1])),
     "depth": Case(DepthError, lambda name: tuple(drawn(name).uniform(1, 50, (2, 16, 24)))),
     "time": Case(lambda: WarpingError(circular=True), lambda name: (*pair(name), drawn(name).normal(size=(2, 16, 24)))),
     "seam": Case(SeamRatio, lambda name: (image(name, 0),)),
@@ -122,6 +115,6 @@ def test_arrays_on_disk_are_those_that_were_stored():
     assert np.array_equal(stored.stacked(), np.stack([arrays[name] for name in "abcd"]))
     assert np.array_equal(stored.stacked(2), np.stack([arrays[name][2] for name in "abcd"]))
     del stored["b"]
-    stored["e"], stored["a"] = arrays["b"], arrays["d"]  # the first takes the free place, the second its own
+    stored["e"], stored["a"] = arrays["b"], arrays["d"]
     assert np.array_equal(stored.stacked(), np.stack([arrays[name] for name in "dcdb"]))
     assert "b" not in stored and len(stored) == 4

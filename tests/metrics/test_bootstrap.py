@@ -12,7 +12,7 @@ import scipy.stats
 from lidar2pano.metrics import bootstrap
 from lidar2pano.metrics.bootstrap import interval, multiplicities
 from lidar2pano.metrics.confusion import MeanIoU
-from lidar2pano.metrics.consistency import RollError
+from lidar2pano.metrics.frame_metrics import RollError
 
 
 def means(values, weights=None) -> RollError:

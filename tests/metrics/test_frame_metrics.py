@@ -10,10 +10,8 @@ import torch
 from PIL import Image
 
 from lidar2pano.labels import COMMON14
-from lidar2pano.metrics.confusion import Confusion, MeanIoU, Resegmentation
-from lidar2pano.metrics.consistency import RollError, SeamRatio, WarpingError
-from lidar2pano.metrics.depth_error import DepthError
-from lidar2pano.metrics.ssim import SSIM, ssim_map
+from lidar2pano.metrics.confusion import Confusion, MeanIoU
+from lidar2pano.metrics.frame_metrics import SSIM, DepthError, RollError, SeamRatio, WarpingError, ssim_map
 from metric_definitions import depth_slowly, scikit_ssim, seam_slowly, torchmetrics_ssim, warping_slowly
 
 
@@ -143,23 +141,6 @@ def test_class_counts_of_a_frame_are_over_the_classes_it_has():
     assert [counts.value_of_frame(name, "mIoU") for name in "ab"] == [1.0, pytest.approx(1 / 4)]
     assert isnan(counts.value_of_frame("c", "mIoU"))
     assert counts.compute() == pytest.approx((1 + 2 / 3 + 1 / 2) / 3)
-
-
-def test_resegmentation_segments_the_painted_image():
-    inputs = []
-
-    def segment(image):
-        inputs.append(image)
-        return (image[..., 0] > 100).astype(np.int64)
-
-    painted = smooth(1)
-    target = (painted[..., 0] > 120).astype(np.int64)
-    metric = of(Resegmentation(segment, 2), painted, target)
-    assert np.array_equal(inputs[0], painted)
-    assert inputs[0].dtype == np.uint8
-    plain = of(MeanIoU(2), (painted[..., 0] > 100).astype(np.int64), target)
-    assert metric.values() == plain.values()
-    assert 0.5 < metric.compute() < 1
 
 
 # --- depth ----------------------------------------------------------------------------------------------------------

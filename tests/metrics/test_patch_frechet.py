@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.metrics.patch_frechet import PatchFrechetDistance, patch_features
+from lidar2pano.metrics.frechet import PatchFrechetDistance, patch_features
 
 
 def frechet_slowly(one: np.ndarray, other: np.ndarray) -> float:

@@ -6,19 +6,19 @@
 
 weights   an argument of `lidar2pano evaluate`, or a chain "TRANSLATOR+PAINTER"; "oracle" is a TRANSLATOR.
 systems   each gets the scan and the calibration of a frame (`SystemInput`); only the oracle gets ground-truth labels.
-frames    `data.layouts.frames(root, split)`: the parts that a frame has decide what is measured on it.
+frames    `data.layouts.frames(root, split)`: the parts of a frame decide the metrics on it.
 
 In the camera the whole image is scored at its own size, in the paper's 14 classes: pixels whose target is unlabeled,
 sky or IGNORE do not count; predictions of unlabeled or sky are wrong. mIoU is the mean over those of the 14 classes
-that the split's targets have. Panoramas likewise, on the ground truth's raster. Colours count where they are known.
-Frames are read one at a time, and what metrics keep of them is in temporary files: memory does not grow with the split.
+in the split's targets. Panoramas likewise, on the ground truth's raster. Unknown colours do not count.
+Frames are read one at a time, and metrics keep their sums in temporary files: memory does not grow with the split.
 """
 
 from __future__ import annotations
 
 from lidar2pano.evaluate.evaluation import Evaluation, score
 from lidar2pano.evaluate.interface import Prediction, System, SystemInput
-from lidar2pano.evaluate.metric_config import MetricConfig
+from lidar2pano.evaluate.metric_collection import MetricConfig
 from lidar2pano.evaluate.systems import system
 
 __all__ = ["Evaluation", "MetricConfig", "Prediction", "System", "SystemInput", "score", "system"]

@@ -1,4 +1,4 @@
-"""Systems of the paper's kind, which predict the camera's image: front-view translators, renderers and the oracle."""
+"""Systems of the paper's kind, for the camera's image: front-view translators, renderers and the oracle."""
 
 from __future__ import annotations
 
@@ -29,8 +29,7 @@ from lidar2pano.views import VIEWS, View
 class CameraPainter:
     """vid2vid: paints label maps of the camera, each frame after the previous one.
 
-    scale  factor between the camera's size and the size at which it is painted, so that objects are as large as in
-           training.
+    scale  of the painted image to the camera's: objects are as large as in training.
     """
 
     painter: Vid2VidPainter
@@ -39,7 +38,7 @@ class CameraPainter:
 
     @classmethod
     def from_files(cls, file: Path, first: Path | None, device: torch.device) -> Self:
-        """The painter of a weight file, and of that of vid2vid's network for first frames, if there is one.
+        """Return the painter of a weight file, and of that of vid2vid's network for first frames, if there is one.
 
         Raises InputError for another network than vid2vid: its inputs (depth, remission, a panorama) do not exist
         behind a translator of the paper's kind.
@@ -55,7 +54,7 @@ class CameraPainter:
         return cls(painter=painter.eval(), scale=training_scale(card), device=device)
 
     def paint(self, past: Past | None, ids: Tensor) -> tuple[Past, np.ndarray]:
-        """Paint ids (h, w) of COMMON15 that follow earlier ones: the memory for the next frame, (h, w, 3) uint8 RGB."""
+        """Paint ids (h, w) of COMMON15 after earlier ones: the memory for the next frame, (h, w, 3) uint8 RGB."""
         size = (int(ids.shape[0]), int(ids.shape[1]))
         scaled = (round(size[0] * self.scale), round(size[1] * self.scale))
         ids = interpolate(ids.to(self.device)[None, None].to(torch.uint8), size=scaled, mode="nearest-exact")[0, 0]
@@ -65,13 +64,13 @@ class CameraPainter:
 
 
 def training_scale(card: Card) -> float:
-    """Size of the images that a painter was trained on, relative to KITTI's: by the raster of its panorama."""
+    """Return the size of a painter's training images, relative to KITTI's: by the raster of its panorama."""
     raster = card.views.get("panorama")
     return raster["columns"] / VIEWS["panorama"].columns if raster else 1.0
 
 
 def to_image(colour: Tensor, size: tuple[int, int]) -> np.ndarray:
-    """Colours (3, H, W) in [-1, 1], resized to `size` (rows, columns): (rows, columns, 3) uint8."""
+    """Resize colours (3, H, W) in [-1, 1] to `size` (rows, columns): (rows, columns, 3) uint8."""
     colour = colour.float()
     if colour.shape[1:] != size:
         colour = interpolate(colour[None], size=size, mode="bilinear", align_corners=False, antialias=True)[0]
@@ -134,7 +133,7 @@ class CameraRenderer:
     """SC-UNET, and Pix2Pix and TITAN-Net without labels: the scan in, the camera's colours out.
 
     renderer  input (1, C, H, W) -> (1, 3, h, w) in [-1, 1].
-    view      of the range image that is its input; None: its input is the scan projected into the camera.
+    view      of its input, a range image; None: its input is the scan projected into the camera.
     size      rows and columns of that projection; None: those of the camera's image.
     channels  of that projection: 1, remission; 2, remission and range.
     """
@@ -182,7 +181,7 @@ class Oracle:
 
     @torch.inference_mode()
     def predict(self, inputs: SystemInput, memory: Any = None) -> tuple[Any, Prediction]:  # noqa: ANN401
-        """As System: an image where labels are known."""
+        """As System: an image if labels are known."""
         if inputs.camera_labels is None or not inputs.colours:
             return memory, Prediction()
         timer = Timer(self.painter.device)
@@ -193,5 +192,5 @@ class Oracle:
 
 
 def _resized(layers: Tensor, size: tuple[int, int]) -> Tensor:
-    """(1, C, H, W) -> (1, C, *size) float32."""
+    """Resize (1, C, H, W) to (1, C, *size) float32."""
     return interpolate(layers.float(), size=size, mode="bilinear", align_corners=False)

@@ -12,22 +12,32 @@ import numpy as np
 
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame
 from lidar2pano.errors import InputError
-from lidar2pano.evaluate.ground_truth_flow import camera_flow, follows, panorama_flow
+from lidar2pano.evaluate.ground_truth import (
+    Resampled,
+    camera_flow,
+    follows,
+    panorama_flow,
+    pseudo_labels,
+    resampled,
+)
 from lidar2pano.evaluate.interface import Prediction, System, SystemInput
-from lidar2pano.evaluate.metric_config import MetricConfig
-from lidar2pano.evaluate.metric_values import SECTOR_ORDER, MetricCollection, MetricValue, PreviousImage
-from lidar2pano.evaluate.pseudo_labels import pseudo_labels
-from lidar2pano.evaluate.resampling import Resampled, resampled
+from lidar2pano.evaluate.metric_collection import (
+    SECTOR_ORDER,
+    MetricCollection,
+    MetricConfig,
+    MetricValue,
+    PreviousImage,
+)
 from lidar2pano.evaluate.worst_frames import WorstFrame, WorstFrames, sheet
 from lidar2pano.geometry.flow import Flow
 from lidar2pano.scan import Scan
 
-ROLL = 5 / 16  # of a full turn: a whole number of columns of every raster that networks use
+ROLL = 5 / 16  # of a full turn: a whole number of columns of every network's raster
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flows:
-    """Whether a frame follows the previous one in a sequence, and the flow of each sector where it is known."""
+    """A frame's relation to the previous one: whether it follows in a sequence, and known flows of the sectors."""
 
     following: bool
     camera: Flow | None = None
@@ -38,8 +48,8 @@ class Flows:
 class EvaluatedSystem:
     """A system under evaluation and its metrics.
 
-    memory, image, around  from the previous frame: the system's memory, its camera image, its panorama.
-    milliseconds           per stage, one entry per frame.
+    memory, image, panorama  from the previous frame: the system's memory, its camera image, its panorama.
+    milliseconds             per stage, one entry per frame.
     """
 
     system: System
@@ -47,32 +57,32 @@ class EvaluatedSystem:
     worst: WorstFrames
     memory: Any = None
     image: np.ndarray | None = None
-    around: Resampled | None = None
+    panorama: Resampled | None = None
     milliseconds: dict[str, list[float]] = field(default_factory=dict)
 
     def evaluate(self, frame: Frame, inputs: SystemInput, flows: Flows) -> None:
         """Predict a frame and count the prediction."""
         if not flows.following:
-            self.memory = self.image = self.around = None
-        given = inputs if self.system.uses_ground_truth else replace(inputs, camera_labels=None)
-        self.memory, prediction = self.system.predict(given, self.memory)
+            self.memory = self.image = self.panorama = None
+        system_inputs = inputs if self.system.uses_ground_truth else replace(inputs, camera_labels=None)
+        self.memory, prediction = self.system.predict(system_inputs, self.memory)
         for stage, value in prediction.milliseconds.items():
             self.milliseconds.setdefault(stage, []).append(value)
         self.metrics.points(frame, prediction)
         self.metrics.camera(frame, prediction, _previous(self.image, flows.camera))
-        around = None
+        panorama = None
         if prediction.panorama is not None and frame.panorama is not None:
-            around = resampled(prediction.panorama, frame.panorama.view)
-            before = None if self.around is None else self.around.image
-            self.metrics.panorama(frame, around, prediction.painted, _previous(before, flows.panorama))
+            panorama = resampled(prediction.panorama, frame.panorama.view)
+            previous = _previous(None if self.panorama is None else self.panorama.image, flows.panorama)
+            self.metrics.panorama(frame, panorama, prediction.painted, previous)
             if prediction.painted:
                 self.metrics.seam(prediction.panorama.colour, frame.name)
             if "roll" in self.metrics.config.groups:
                 self._roll(frame.name, inputs, flows, prediction)
-        self.image, self.around = prediction.image, around
-        ranked = self.metrics.rank(frame.name) if self.worst.number else None
-        if ranked is not None and self.worst.wanted(ranked[1]):
-            self.worst.take(WorstFrame(frame.name, *ranked, sheet(frame, prediction, around)))
+        self.image, self.panorama = prediction.image, panorama
+        rank = self.metrics.rank(frame.name) if self.worst.number else None
+        if rank is not None and self.worst.wanted(rank[1]):
+            self.worst.take(WorstFrame(frame.name, *rank, sheet(frame, prediction, panorama)))
 
     def _roll(self, name: str, inputs: SystemInput, flows: Flows, prediction: Prediction) -> None:
         """Predict the scan rotated about the sensor's axis; both predictions begin a sequence."""
@@ -84,13 +94,13 @@ class EvaluatedSystem:
             straight = self.system.predict(replace(inputs, calibration=None))[1].panorama
         scan, R = rotated(inputs.scan, columns, width)
         x, y, z = (R @ np.array(inputs.origin)).tolist()
-        other = self.system.predict(replace(inputs, scan=scan, calibration=None, origin=(x, y, z)))[1].panorama
-        if straight is not None and other is not None:
-            pair = [Resampled(one.colour, one.segments, one.depth_m) for one in (straight, other)]
+        turned = self.system.predict(replace(inputs, scan=scan, calibration=None, origin=(x, y, z)))[1].panorama
+        if straight is not None and turned is not None:
+            pair = [Resampled(item.colour, item.segments, item.depth_m) for item in (straight, turned)]
             self.metrics.roll(pair[0], pair[1], columns, name)
 
     def mean_milliseconds(self) -> dict[str, float]:
-        """Mean per stage; the first frame, which warms up, is left out where there are several."""
+        """Return the mean per stage; of several frames the first, for warming up, is left out."""
         return {
             stage: sum(warm) / len(warm) for stage, times in self.milliseconds.items() if (warm := times[1:] or times)
         }
@@ -102,7 +112,7 @@ class Evaluation:
 
     images     number of frames with camera labels;  scans: with point labels;  camera_images: with a camera image;
                panoramas: with a ground-truth panorama.
-    pseudo_labels  number of frames by part ("point labels", ...) and hash of the teacher that predicted it.
+    pseudo_labels  number of frames by part ("point labels", ...) and hash of the teacher of its labels.
     reference  metrics of the ground truth itself: seams, warping error, re-segmentation.
     """
 
@@ -118,12 +128,12 @@ class Evaluation:
     pseudo_labels: Counter[tuple[str, str]] = field(default_factory=Counter)
 
     def target_classes(self, sector: str = "camera") -> list[int]:
-        """The classes that the sector's targets have: mIoU is the mean over them, whatever is predicted."""
-        found = (one.metrics.target_classes(sector) for one in self.systems)
-        return next((ids for ids in found if ids is not None), [])
+        """Return the classes of the sector's targets: mIoU is the mean over them, for every prediction."""
+        classes = (system.metrics.target_classes(sector) for system in self.systems)
+        return next((ids for ids in classes if ids is not None), [])
 
     def values(self, metrics: MetricCollection) -> list[MetricValue]:
-        """Every value of a system's metrics, or of the reference."""
+        """Return every value of a system's metrics, or of the reference."""
         return list(metrics.values({sector: self.target_classes(sector) for sector in SECTOR_ORDER}))
 
 
@@ -139,33 +149,33 @@ def score(
 ) -> Evaluation:
     """Let every system predict every frame, and count metrics.
 
-    config  all that data and weights allow, when None;  worst: how many of a system's worst frames are kept.
-    On each frame the metrics are counted whose ground truth it has. Frames with successive numbers in one sequence are
-    a video. Only the current and the previous frame are held.
-    Raises InputError for a frame without any ground truth, and for files that are missing, damaged or do not fit.
+    config  everything within data and weights, when None;  worst: number of a system's worst frames to keep.
+    Metrics without ground truth on a frame are left out there. Frames with successive numbers in one sequence are a
+    video. Only the current and the previous frame are held.
+    Raises InputError for a frame without any ground truth, and for missing, damaged or unfit files.
     """
     config = config or MetricConfig()
     evaluated = [
-        EvaluatedSystem(system=one, metrics=MetricCollection(config), worst=WorstFrames(worst)) for one in systems
+        EvaluatedSystem(system=system, metrics=MetricCollection(config), worst=WorstFrames(worst)) for system in systems
     ]
     reference = MetricCollection(config)
     result = Evaluation(systems=evaluated, reference=reference, config=config, data=data, split=split)
-    before: Frame | None = None
+    previous: Frame | None = None
     for frame in frames:
         _count_parts(result, frame)
-        inputs, flows = system_input(frame, config), _flows(before, frame, config)
-        for one in evaluated:
-            one.evaluate(frame, inputs, flows)
-        _count_reference(reference, before, frame, flows)
-        before = frame
+        inputs, flows = system_input(frame, config), _flows(previous, frame, config)
+        for system in evaluated:
+            system.evaluate(frame, inputs, flows)
+        _count_reference(reference, previous, frame, flows)
+        previous = frame
         after_each()
     return result
 
 
 def system_input(frame: Frame, config: MetricConfig) -> SystemInput:
-    """The input of systems for a frame: every viewpoint at which there is ground truth to compare with."""
+    """Return the input of systems for a frame: every viewpoint with ground truth."""
     camera = config.has("camera") and (frame.camera_labels is not None or frame.image is not None)
-    around = frame.panorama if config.has("panorama") else None
+    panorama = frame.panorama if config.has("panorama") else None
     labels = None
     if camera and frame.camera_labels is not None:
         labels = CITYSCAPES_TO_COMMON15[frame.camera_labels]
@@ -173,7 +183,7 @@ def system_input(frame: Frame, config: MetricConfig) -> SystemInput:
     return SystemInput(
         scan=frame.scan,
         calibration=frame.calibration if camera else None,
-        origin=None if around is None else around.view.origin,
+        origin=None if panorama is None else panorama.view.origin,
         camera_labels=labels,
         colours=config.colours,
         pose=frame.pose,
@@ -181,9 +191,9 @@ def system_input(frame: Frame, config: MetricConfig) -> SystemInput:
 
 
 def rotated(scan: Scan, columns: int, width: int) -> tuple[Scan, np.ndarray]:
-    """The scan rotated about the sensor's axis so that panoramas of `width` columns move right by `columns`.
+    """Rotate the scan about the sensor's axis: panoramas of `width` columns move right by `columns`.
 
-    Also the rotation itself, (3, 3) float64.
+    Returns the rotation as well, (3, 3) float64.
     """
     angle = -columns * math.tau / width
     R = np.array([[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]])
@@ -191,7 +201,7 @@ def rotated(scan: Scan, columns: int, width: int) -> tuple[Scan, np.ndarray]:
 
 
 def _count_parts(result: Evaluation, frame: Frame) -> None:
-    """Count which ground truth a frame has; InputError where it has none."""
+    """Count the ground truth of a frame; InputError if it has none."""
     parts = (frame.camera_labels, frame.point_labels, frame.image, frame.panorama)
     if all(part is None for part in parts):
         raise InputError(f"{frame.name} has neither camera_labels/ nor labels/, and no image; label it first")
@@ -200,33 +210,32 @@ def _count_parts(result: Evaluation, frame: Frame) -> None:
     result.pseudo_labels.update(pseudo_labels(frame).items())
 
 
-def _flows(before: Frame | None, now: Frame, config: MetricConfig) -> Flows:
-    if before is None or not follows(before, now):
+def _flows(previous: Frame | None, frame: Frame, config: MetricConfig) -> Flows:
+    if previous is None or not follows(previous, frame):
         return Flows(following=False)
     timed = "time" in config.groups
     return Flows(
         following=True,
-        camera=camera_flow(before, now) if timed and "camera" in config.sectors else None,
-        panorama=panorama_flow(before, now) if timed and "panorama" in config.sectors else None,
+        camera=camera_flow(previous, frame) if timed and "camera" in config.sectors else None,
+        panorama=panorama_flow(previous, frame) if timed and "panorama" in config.sectors else None,
     )
 
 
-def _count_reference(reference: MetricCollection, before: Frame | None, now: Frame, flows: Flows) -> None:
-    """Count the ground truth itself, by the metrics that need an image alone."""
-    sectors = reference.config.sectors
-    if now.image is not None and "camera" in sectors:
-        reference.resegmentation(now.image, now)
-        if previous := _previous(None if before is None else before.image, flows.camera):
-            reference.warping("camera", now.image, previous, now.name)
-    around = now.panorama
-    if around is None or "panorama" not in sectors:
+def _count_reference(reference: MetricCollection, previous: Frame | None, frame: Frame, flows: Flows) -> None:
+    """Count the ground truth itself, by the metrics of an image alone."""
+    sectors, panorama = reference.config.sectors, frame.panorama
+    if frame.image is not None and "camera" in sectors:
+        reference.resegmentation(frame.image, frame)
+        if pair := _previous(None if previous is None else previous.image, flows.camera):
+            reference.warping("camera", frame.image, pair, frame.name)
+    if panorama is None or "panorama" not in sectors:
         return
-    rows = around.valid.all(1)
-    if around.view.circular and rows.any():
-        reference.seam(np.ascontiguousarray(around.image[rows]), now.name)
-    earlier = None if before is None or before.panorama is None else before.panorama.image
-    if previous := _previous(earlier, flows.panorama):
-        reference.warping("panorama", around.image, previous, now.name)
+    rows = panorama.valid.all(1)
+    if panorama.view.circular and rows.any():
+        reference.seam(np.ascontiguousarray(panorama.image[rows]), frame.name)
+    previous_panorama = None if previous is None else previous.panorama
+    if pair := _previous(None if previous_panorama is None else previous_panorama.image, flows.panorama):
+        reference.warping("panorama", panorama.image, pair, frame.name)
 
 
 def _previous(image: np.ndarray | None, flow: Flow | None) -> PreviousImage | None:

@@ -16,13 +16,13 @@ from lidar2pano.scan import Scan
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SystemInput:
-    """Input of a system for one frame: the scan, and the viewpoints that are requested.
+    """Input of a system for one frame: the scan, and the requested viewpoints.
 
-    calibration    the camera whose image is requested, at its size; None: no camera.
-    origin         the point in the scan's frame, metres, around which a panorama is requested; None: no panorama.
-    camera_labels  (h, w) uint8 ids of COMMON15, 0 where unknown: ground truth, for the oracle only.
+    calibration    the camera of the requested image, at its size; None: no camera.
+    origin         the centre of the requested panorama in the scan's frame, metres; None: no panorama.
+    camera_labels  (h, w) uint8 ids of COMMON15, unknown: 0; ground truth, for the oracle only.
     colours        whether colours are requested, or only classes and depths.
-    pose           (4, 4) float64 T_world_sensor, metres; None where unknown.
+    pose           (4, 4) float64 T_world_sensor, metres; None if unknown.
     """
 
     scan: Scan
@@ -35,14 +35,14 @@ class SystemInput:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prediction:
-    """Output of a system for one frame; None where it has none.
+    """Output of a system for one frame; missing parts are None.
 
     point_labels   (N,) integer ids of SEMANTIC_KITTI of the scan's points.
     camera_labels  (h, w) integer ids of COMMON15 in the camera's image.
     image          (h, w, 3) uint8 RGB, the camera's image.
     depth_m        (h, w) float32 metres along the ray in the camera's image; 0 = none.
     panorama       the 360-degree panorama;  painted: whether its colours are predicted, not only classes and depths.
-    milliseconds   time per stage of the camera's image, or of the panorama where no camera was requested.
+    milliseconds   time per stage of the camera's image, or of the panorama if no camera was requested.
     """
 
     point_labels: np.ndarray | None = None
@@ -67,7 +67,7 @@ class SystemInfo:
 
 
 class System(Protocol):
-    """Anything that predicts images from a scan."""
+    """A predictor of images from a scan."""
 
     @property
     def info(self) -> SystemInfo:
@@ -76,13 +76,13 @@ class System(Protocol):
 
     @property
     def uses_ground_truth(self) -> bool:
-        """True for the oracle that receives ground-truth labels."""
+        """True for the oracle, with ground-truth labels as input."""
         ...
 
     def predict(self, inputs: SystemInput, memory: Any = None) -> tuple[Any, Prediction]:  # noqa: ANN401
         """Predict one frame; returns the memory for the next frame, and the prediction.
 
-        memory  what it returned for the previous frame; None at the beginning of a sequence.
+        memory  its memory of the previous frame; None at the beginning of a sequence.
         Raises InputError for a scan without usable points.
         """
         ...

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from lidar2pano.evaluate.evaluation import EvaluatedSystem, Evaluation
-from lidar2pano.evaluate.metric_values import SWD_LEVELS, UNSCORED, MetricValue
+from lidar2pano.evaluate.metric_collection import SWD_LEVELS, UNSCORED, MetricValue
 from lidar2pano.labels import COMMON15
 
 Entry = Mapping[str, Any]  # of "values": sector, name, value, low, high, frames; None where undefined

@@ -1,4 +1,4 @@
-"""The frames on which a system scores worst, with images: ground truth beside prediction."""
+"""The frames with a system's worst scores, with images: ground truth beside prediction."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame
+from lidar2pano.evaluate.ground_truth import Resampled
 from lidar2pano.evaluate.interface import Prediction
-from lidar2pano.evaluate.resampling import Resampled
 from lidar2pano.formats.image_files import write_png, write_whole
 from lidar2pano.labels import COMMON15
 
 
 class WorstFrame(NamedTuple):
-    """A frame, the metric that it is ranked by and its value (more is better), and its sheet (H, W, 3) uint8."""
+    """A frame, the metric of its rank and its value (more is better), and its sheet (H, W, 3) uint8."""
 
     name: str
     metric: str
@@ -35,51 +35,54 @@ class WorstFrames:
 
     def take(self, frame: WorstFrame) -> None:
         """Hold a frame if it is among the worst; of equal ones the first in the alphabet."""
-        self.held = heapq.nsmallest(self.number, [*self.held, frame], key=lambda one: (one.value, one.name))
+        self.held = heapq.nsmallest(self.number, [*self.held, frame], key=lambda item: (item.value, item.name))
 
     def wanted(self, value: float) -> bool:
-        """Whether a frame of this value would be held."""
-        return len(self.held) < self.number or value <= max(one.value for one in self.held)
+        """Return whether a frame of this value would be held."""
+        return len(self.held) < self.number or value <= max(frame.value for frame in self.held)
 
     def rows(self) -> Iterator[tuple[str, str, float]]:
-        """Name, metric and its value, the worst first."""
-        return ((one.name, one.metric, one.value) for one in self.held)
+        """Yield name, metric and its value, the worst first."""
+        return ((frame.name, frame.metric, frame.value) for frame in self.held)
 
     def write(self, folder: Path) -> list[Path | None]:
-        """Write the sheets into `folder`, the worst first: RANK-seq-NNNNNN.png; InputError where that fails."""
+        """Write the sheets into `folder`, the worst first: RANK-seq-NNNNNN.png; InputError on failure."""
         paths: list[Path | None] = []
-        for rank, one in enumerate(self.held, 1):
-            path, sheet = folder / f"{rank:03d}-{one.name.replace('/', '-')}.png", one.sheet
-            paths.append(write_whole(path, lambda to, s=sheet: write_png(to, s)) if sheet is not None else None)
+        for rank, frame in enumerate(self.held, 1):
+            path, image = folder / f"{rank:03d}-{frame.name.replace('/', '-')}.png", frame.sheet
+            paths.append(None if image is None else write_whole(path, lambda file, image=image: write_png(file, image)))
         return paths
 
 
 def sheet(frame: Frame, prediction: Prediction, panorama: Resampled | None) -> np.ndarray | None:
-    """Ground truth on the left (of panoramas: above), prediction on the right (below): colours, then classes.
+    """Put ground truth on the left (of panoramas: above), prediction on the right (below): colours, then classes.
 
-    (H, W, 3) uint8; None where there is nothing to show. What one side does not have is black.
+    Returns (H, W, 3) uint8; None if there is nothing to show. Missing images are black.
     """
     labels = None if frame.camera_labels is None else CITYSCAPES_TO_COMMON15[frame.camera_labels]
-    pairs = [(frame.image, prediction.image), (_painted(labels), _painted(prediction.camera_labels))]
-    rows = [np.concatenate(both, 1) for pair in pairs if (both := _both(*pair))]
+    rows = [
+        _joined(frame.image, prediction.image, axis=1),
+        _joined(_painted(labels), _painted(prediction.camera_labels), axis=1),
+    ]
     true = frame.panorama
     if true is not None and panorama is not None:
-        stacked = [(true.image, panorama.image), (_painted(true.labels), _painted(panorama.labels))]
-        rows += [np.concatenate(both, 0) for pair in stacked if (both := _both(*pair))]
-    if not rows:
+        rows.append(_joined(true.image, panorama.image, axis=0))
+        rows.append(_joined(_painted(true.labels), _painted(panorama.labels), axis=0))
+    images = [row for row in rows if row is not None]
+    if not images:
         return None
-    width = max(row.shape[1] for row in rows)
-    return np.concatenate([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows])
+    width = max(image.shape[1] for image in images)
+    return np.concatenate([np.pad(image, ((0, 0), (0, width - image.shape[1]), (0, 0))) for image in images])
 
 
 def _painted(ids: np.ndarray | None) -> np.ndarray | None:
     return None if ids is None else COMMON15.paint(np.asarray(ids))
 
 
-def _both(left: np.ndarray | None, right: np.ndarray | None) -> list[np.ndarray] | None:
-    """Two images of one size, a missing one black; None where both are missing or of different sizes."""
-    given = [one for one in (left, right) if one is not None]
-    if not given or len({one.shape for one in given}) > 1:
+def _joined(first: np.ndarray | None, second: np.ndarray | None, axis: int) -> np.ndarray | None:
+    """Join two images of one size, a missing one black; None if both are missing or of different sizes."""
+    images = [image for image in (first, second) if image is not None]
+    if not images or len({image.shape for image in images}) > 1:
         return None
-    black = np.zeros_like(given[0])
-    return [black if one is None else one for one in (left, right)]
+    black = np.zeros_like(images[0])
+    return np.concatenate([black if image is None else image for image in (first, second)], axis)

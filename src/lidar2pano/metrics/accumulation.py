@@ -1,16 +1,16 @@
-"""What metrics keep of every frame until the end: one array per frame, in a temporary file, so memory stays bounded.
+"""Accumulation of metrics over frames: sums of each frame, and arrays of images in temporary files.
 
-The result is the same, to the last bit, in whatever order the frames were counted, and a frame that is counted twice is
-an error.
+The result is the same, to the last bit, in any order of frames; a frame counted twice is an error.
 """
 
 from __future__ import annotations
 
 import copy
 import hashlib
-import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, MutableMapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import ClassVar, Self
 
 import numpy as np
@@ -19,71 +19,61 @@ SIDES = ("predicted", "target")
 
 
 class StoredArrays(MutableMapping[str, np.ndarray]):
-    """Arrays of one shape and type by name, in a temporary file (in TMPDIR); memory holds the names only."""
+    """Arrays of one shape and type by name, each a file in a temporary folder (in TMPDIR); memory holds names only."""
 
     def __init__(self) -> None:
-        self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 closed with this object
-        self._owner: StoredArrays | None = None  # of the file; None: this object
-        self._slots: dict[str, int] = {}
-        self._free: list[int] = []
-        self._blank = np.zeros(0)
+        self._folder = TemporaryDirectory()
+        self._owner: StoredArrays | None = None  # of the folder; None: this object
+        self._numbers: dict[str, int] = {}  # of the files
+        self._next = 0
 
     def __del__(self) -> None:
-        """Delete the file."""
+        """Delete the files."""
         if self._owner is None:
-            self._file.close()
+            self._folder.cleanup()
 
     def only(self, names: Collection[str]) -> StoredArrays:
-        """Those with these names, in the same file; nothing may be stored or deleted as long as it is in use."""
-        part = copy.copy(self)
-        part._owner, part._slots = self, {name: slot for name, slot in self._slots.items() if name in names}
-        return part
+        """Return the arrays of these names, in the same files; while it is in use, nothing may be stored or deleted."""
+        subset = copy.copy(self)
+        subset._owner = self
+        subset._numbers = {name: number for name, number in self._numbers.items() if name in names}
+        return subset
 
     def __setitem__(self, name: str, array: np.ndarray) -> None:
-        """Store an array; the first one decides shape and type."""
-        if not self._slots:
-            self._blank = np.empty_like(array)
-        if name not in self._slots:
-            self._slots[name] = self._free.pop() if self._free else len(self._slots)
-        self._file.seek(self._slots[name] * self._blank.nbytes)
-        self._file.write(array.astype(self._blank.dtype).tobytes())
+        """Store an array."""
+        if name not in self._numbers:
+            self._numbers[name], self._next = self._next, self._next + 1
+        np.save(self._path(name), array)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """A copy of the array."""
-        return self.read(name, self._blank.size, 0).reshape(self._blank.shape)
+        """Return a copy of the array."""
+        return np.load(self._path(name))
 
     def __delitem__(self, name: str) -> None:
-        """Forget an array; the next one takes its place in the file."""
-        self._free.append(self._slots.pop(name))
+        """Delete an array."""
+        self._path(name).unlink()
+        del self._numbers[name]
 
     def __iter__(self) -> Iterator[str]:
-        """Names, in the order in which they were stored."""
-        return iter(self._slots)
+        """Iterate over the names, in the order of storing."""
+        return iter(self._numbers)
 
     def __len__(self) -> int:
-        """Number of arrays."""
-        return len(self._slots)
-
-    def read(self, name: str, count: int, start: int) -> np.ndarray:
-        """`count` successive values of an array, from `start` on."""
-        size = self._blank.itemsize
-        self._file.seek(self._slots[name] * self._blank.nbytes + start * size)
-        return np.frombuffer(self._file.read(count * size), dtype=self._blank.dtype)
+        """Return the number of arrays."""
+        return len(self._numbers)
 
     def stacked(self, part: int | None = None) -> np.ndarray:
-        """All arrays (N, ...) in the order of their names, or of each the one at index `part`; (0,) for none."""
-        if not self._slots:
-            return np.zeros(0, dtype=self._blank.dtype)
-        shape = self._blank.shape if part is None else self._blank.shape[1:]
-        count = int(np.prod(shape))
-        found = np.empty((len(self), *shape), dtype=self._blank.dtype)
-        for row, name in zip(found, sorted(self._slots), strict=True):
-            row[...] = self.read(name, count, count * (part or 0)).reshape(shape)
-        return found
+        """Return all arrays (N, ...) in the order of their names, or of each the one at index `part`; (0,) for none."""
+        index = slice(None) if part is None else part
+        arrays = [np.load(self._path(name), mmap_mode="r")[index] for name in sorted(self._numbers)]
+        return np.stack(arrays) if arrays else np.zeros(0)
+
+    def _path(self, name: str) -> Path:
+        return Path(self._folder.name) / f"{self._numbers[name]}.npy"
 
 
 class FrameMetric(ABC):
-    """A metric whose values follow from sums over frames; `update` of a subclass keeps each frame's sums by name.
+    """A metric of sums over frames; `update` of a subclass keeps each frame's sums by name.
 
     Since each frame's own sums are kept, the worst frames can be named and `bootstrap` can resample the frames.
     sum_names  names of the S sums;  rows: frame name -> (S,) float64.
@@ -91,35 +81,35 @@ class FrameMetric(ABC):
 
     def __init__(self, *sum_names: str) -> None:
         self.sum_names = sum_names
-        self.rows: MutableMapping[str, np.ndarray] = StoredArrays()
+        self.rows: dict[str, np.ndarray] = {}
 
     @abstractmethod
     def values_of(self, sums: np.ndarray) -> dict[str, np.ndarray]:
-        """Values by name, each (...), from sums (..., S) float64; the leading one first; NaN where undefined."""
+        """Return values by name, each (...), from sums (..., S) float64; the leading one first; undefined: NaN."""
 
     def sums(self) -> np.ndarray:
-        """Sums of the frames (F, S) float64, in the order of the frames' names."""
-        assert isinstance(self.rows, StoredArrays)
-        return self.rows.stacked().reshape(len(self), len(self.sum_names))
+        """Return the sums of the frames (F, S) float64, in the order of the frames' names."""
+        rows = [self.rows[name] for name in sorted(self.rows)]
+        return np.array(rows, dtype=np.float64).reshape(len(self), len(self.sum_names))
 
     def values(self) -> dict[str, float]:
-        """Every value over all frames; NaN where nothing was counted."""
+        """Return every value over all frames; NaN if nothing was counted."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return {name: float(value) for name, value in self.values_of(self.sums().sum(0)).items()}
 
     def compute(self) -> float:
-        """The leading value over all frames; NaN where nothing was counted."""
+        """Return the leading value over all frames; NaN if nothing was counted."""
         return next(iter(self.values().values()))
 
     def value_of_frame(self, frame: str, name: str) -> float:
-        """A value of one frame alone; NaN where it is undefined or the frame was not counted."""
+        """Return a value of one frame alone; NaN if it is undefined or the frame was not counted."""
         if frame not in self.rows:
             return float("nan")
         with np.errstate(invalid="ignore", divide="ignore"):
             return float(self.values_of(self.rows[frame])[name])
 
     def __len__(self) -> int:
-        """Number of frames."""
+        """Return the number of frames."""
         return len(self.rows)
 
     def _keep(self, name: str, *sums: float) -> None:
@@ -135,7 +125,7 @@ class FrameMetric(ABC):
 class SetMetric(ABC):
     """A distance between two sets of images, the predicted and the target ones; of each image one array is kept.
 
-    Of more than MOST images of a side a pseudo-random sample of MOST is kept, which depends on nothing but their names.
+    Of more than MOST images of a side a pseudo-random sample of MOST is kept, by their names alone.
     kept  side -> image name -> array.
     """
 
@@ -146,35 +136,35 @@ class SetMetric(ABC):
 
     @abstractmethod
     def values(self) -> dict[str, float]:
-        """Every value, the leading one first; NaN where there are too few images."""
+        """Return every value, the leading one first; NaN for too few images."""
 
     def compute(self) -> float:
-        """The leading value; NaN where there are too few images."""
+        """Return the leading value; NaN for too few images."""
         return next(iter(self.values().values()))
 
     def thinned(self) -> Self:
-        """A copy whose values cost less and vary more, for intervals; it shares the arrays."""
+        """Return a copy with cheaper, less precise values, for intervals; it shares the arrays."""
         return copy.copy(self)
 
     def groups(self, most: int) -> list[frozenset[str]]:
-        """The images' names in up to `most` groups of about equal size, at random but by their names alone."""
+        """Return the images' names in up to `most` groups of about equal size, at random but by their names alone."""
         names = sorted(set().union(*self.kept.values()), key=_rank)
         return [frozenset(names[first::most]) for first in range(min(most, len(names)))]
 
     def without(self, names: frozenset[str]) -> Self:
-        """A thinned copy without some images, on both sides."""
+        """Return a thinned copy without some images, on both sides."""
         metric = self.thinned()
         metric.kept = {side: arrays.only(arrays.keys() - names) for side, arrays in self.kept.items()}
         return metric
 
     def __len__(self) -> int:
-        """Number of predicted images that are kept."""
+        """Return the number of predicted images kept."""
         return len(self.kept["predicted"])
 
     def _makes_room(self, name: str, side: str) -> bool:
-        """Whether an image is to be kept, for which another one may have been dropped.
+        """Return whether to keep an image; another one may be dropped for it.
 
-        Raises ValueError for an unknown side, and for an image that is kept already.
+        Raises ValueError for an unknown side, and for an image kept already.
         """
         if side not in SIDES:
             raise ValueError(f"an image is {' or '.join(SIDES)}, not {side!r}")
@@ -191,5 +181,5 @@ class SetMetric(ABC):
 
 
 def _rank(name: str) -> bytes:
-    """Where a name comes in a pseudo-random order of all names."""
+    """Return the position of a name in a pseudo-random order of all names."""
     return hashlib.sha256(name.encode()).digest()

@@ -14,7 +14,7 @@ BLOCK = 1 << 23  # multiplicities in memory at a time, 64 MB
 
 
 class Interval(NamedTuple):
-    """A value and the ends of its confidence interval; low and high are NaN where there is no frame."""
+    """A value and the ends of its confidence interval; low and high are NaN without frames."""
 
     value: float
     low: float
@@ -25,11 +25,11 @@ class Interval(NamedTuple):
 def interval(
     metric: FrameMetric, name: str | None = None, *, level: float = 0.95, resamples: int = 2000, seed: int = 0
 ) -> Interval:
-    """Percentile bootstrap of a value over frames (Efron and Tibshirani 1993, chapter 13).
+    """Compute the percentile bootstrap of a value over frames (Efron and Tibshirani 1993, chapter 13).
 
     Frames are drawn with replacement, as many as there are; their sums give the value as all frames' sums do.
     name   of the value, the leading one when None;  level: share of resamples within the interval.
-    Resamples in which the value is undefined are left out. Raises ValueError for a level outside (0, 1).
+    Resamples of undefined value are left out. Raises ValueError for a level outside (0, 1).
     """
     if not 0 < level < 1 or resamples < 1:
         raise ValueError(f"an interval needs a level in (0, 1) and a resample, not {level} and {resamples}")
@@ -46,27 +46,27 @@ def interval(
 
 
 def set_intervals(metric: SetMetric, *, most: int = 10) -> dict[str, Interval]:
-    """95 % intervals of a set distance's values by the jackknife that leaves out a group of images at a time.
+    """Compute 95 % intervals of a set distance's values by the jackknife over groups of images.
 
     Shao and Tu 1995, section 2.3, with Student's t: value -+ t ((G - 1) / G sum (v_g - mean)^2)^(1/2) over up to `most`
-    groups G; NaN for fewer than LEAST_IMAGES images, and where a value is undefined. Distances never are below zero.
+    groups G; NaN for fewer than LEAST_IMAGES images, and for undefined values. Distances never are below zero.
     """
     values, images = metric.values(), len(metric)
     groups = metric.groups(most) if images >= LEAST_IMAGES else []
     parts = [metric.without(group).values() for group in groups]
-    found: dict[str, Interval] = {}
+    intervals: dict[str, Interval] = {}
     for name, value in values.items():
         left = np.array([part[name] for part in parts])
         half = np.nan
         if len(left) > 1:
             spread = np.sqrt((len(left) - 1) / len(left) * np.square(left - left.mean()).sum())
             half = STUDENT_T[len(left) - 1] * spread
-        found[name] = Interval(value, float(np.maximum(value - half, 0.0)), float(value + half), images)
-    return found
+        intervals[name] = Interval(value, float(np.maximum(value - half, 0.0)), float(value + half), images)
+    return intervals
 
 
 def multiplicities(frames: int, resamples: int, generator: np.random.Generator) -> np.ndarray:
-    """How often each frame is in each resample: (resamples, frames) float64, each row's sum is `frames`."""
+    """Count each frame in each resample: (resamples, frames) float64, each row's sum is `frames`."""
     draws = generator.integers(frames, size=(resamples, frames))
     cells = draws + frames * np.arange(resamples)[:, None]
     return np.bincount(cells.ravel(), minlength=resamples * frames).reshape(resamples, frames).astype(np.float64)

@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Protocol, Self
+from collections.abc import Iterable, Sequence
+from typing import Any, Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from lidar2pano.labels import LabelSet
 from lidar2pano.metrics.accumulation import FrameMetric
-from lidar2pano.metrics.input_checks import Array, as_tensor, image_tensor
-
-
-class NamesClasses(Protocol):
-    """Anything with the names of classes, index = id: a LabelSet."""
-
-    @property
-    def classes(self) -> Sequence[str]:
-        """The names."""
-        ...
+from lidar2pano.metrics.input_checks import Array, as_tensor
 
 
 class Confusion:
@@ -28,7 +20,7 @@ class Confusion:
 
     update    predicted, target: integer tensors or arrays of one shape; ids outside [0, K) in target are not scored,
               nor are those of `unscored`. A prediction of `unscored` counts as wrong.
-    iou       (K,) float64, NaN for a class that neither side ever has where it is scored, and for `unscored`.
+    iou       (K,) float64, NaN for a class without scored pixels on either side, and for `unscored`.
     miou      the mean of iou over the requested classes, without the NaN.
     counts    (K, K) int64 on the CPU; row = target, column = predicted.
 
@@ -36,7 +28,7 @@ class Confusion:
     predictions of 0 are counted as misses.
     """
 
-    def __init__(self, classes: int | NamesClasses, *, unscored: Iterable[int] = ()) -> None:
+    def __init__(self, classes: int | LabelSet, *, unscored: Iterable[int] = ()) -> None:
         """classes: their number, or a label set; unscored: target ids that are not scored, each in [0, K)."""
         self.names = tuple(str(c) for c in (range(classes) if isinstance(classes, int) else classes.classes))
         self.unscored = tuple(sorted(set(unscored)))
@@ -49,8 +41,8 @@ class Confusion:
     def update(self, predicted: Tensor | np.ndarray, target: Tensor | np.ndarray) -> None:
         """Count one image, one batch or one scan.
 
-        Raises ValueError when the shapes differ, when either is not of integers, and when a predicted id outside
-        [0, K) stands where the target is scored.
+        Raises ValueError when the shapes differ, when either is not of integers, and for predicted ids outside [0, K)
+        of scored pixels.
         """
         predicted, target = torch.as_tensor(predicted), torch.as_tensor(target)
         if predicted.shape != target.shape:
@@ -73,23 +65,20 @@ class Confusion:
         return scored
 
     def iou(self) -> Tensor:
-        """(K,) float64: intersection / union."""
-        hit = self.counts.diag().double()
-        iou = hit / (self.counts.sum(0) + self.counts.sum(1) - hit)
-        iou[list(self.unscored)] = torch.nan
-        return iou
+        """Return (K,) float64: intersection / union."""
+        return torch.from_numpy(class_ious(self.counts.double().numpy(), self.unscored))
 
     def miou(self, over: Sequence[int] | None = None) -> float:
-        """Mean IoU over the ids in `over` (all when None) that have one; NaN when none has."""
+        """Return the mean IoU over the ids in `over` (all when None), without undefined ones; NaN when none is left."""
         iou = self.iou()
         return float((iou if over is None else iou[list(over)]).nanmean())
 
     def accuracy(self) -> float:
-        """Share of scored pixels that are correct; NaN when none was scored."""
+        """Return the share of correct pixels among the scored ones; NaN when none was scored."""
         return float(self.counts.diag().sum().double() / self.counts.sum())
 
     def table(self) -> list[dict[str, Any]]:
-        """One row per scored class, ready for JSON: class, iou, precision, recall (None where undefined), pixels."""
+        """Return a row per scored class, ready for JSON: class, iou, precision, recall (undefined: None), pixels."""
         hit, predicted, targets = self.counts.diag().double(), self.counts.sum(0), self.counts.sum(1)
         columns = (self.iou(), hit / predicted, hit / targets)
         return [
@@ -107,33 +96,33 @@ class Confusion:
 class MeanIoU(FrameMetric):
     """A `Confusion` per frame: "mIoU", "accuracy", "published mIoU" of their sum, of each frame and of each resample.
 
-    A class that neither side has is undefined and not in the mean: with `over` None, the mean of one frame or of one
-    resample is over the classes that it has.
+    A class of neither side is undefined and not in the mean: with `over` None, the mean of one frame or of one resample
+    is over its own classes.
     """
 
     def __init__(
-        self, classes: int | NamesClasses, *, unscored: Iterable[int] = (), over: Sequence[int] | None = None
+        self, classes: int | LabelSet, *, unscored: Iterable[int] = (), over: Sequence[int] | None = None
     ) -> None:
-        """classes, unscored: as for Confusion; over: ids of the mean, None for all that are scored."""
+        """classes, unscored: as for Confusion; over: ids of the mean, None for all scored ones."""
         self.blank = Confusion(classes, unscored=unscored)
         self.over = tuple(range(len(self.blank.names)) if over is None else over)
         names = self.blank.names
         super().__init__(*(f"{target}/{predicted}" for target in names for predicted in names))
 
     def update(self, predicted: Array, target: Array, name: str) -> None:
-        """Count the frame `name`: ids of one shape; raises what Confusion.update raises."""
+        """Count the frame `name`: ids of one shape; raises as Confusion.update."""
         frame = self._empty()
         frame.update(as_tensor(predicted), as_tensor(target))
         self._keep(name, *frame.counts.flatten().tolist())
 
     def averaged_over(self, ids: Sequence[int]) -> Self:
-        """The same counts with the mean over other classes."""
+        """Return the same counts with the mean over other classes."""
         metric = copy.copy(self)
         metric.over = tuple(ids)
         return metric
 
     def values_of(self, sums: np.ndarray) -> dict[str, np.ndarray]:
-        """Mean IoU, accuracy and the published code's mean IoU from counts (..., K * K).
+        """Return mean IoU, accuracy and the published code's mean IoU from counts (..., K * K).
 
         The published code (evaluate_iou.py, ioueval.py) leaves out predictions of unscored classes, too, instead of
         counting them as misses.
@@ -150,15 +139,12 @@ class MeanIoU(FrameMetric):
         }
 
     def _mean(self, cells: np.ndarray) -> np.ndarray:
-        hit = cells.diagonal(axis1=-2, axis2=-1)
-        iou = hit / (cells.sum(-1) + cells.sum(-2) - hit)
-        iou[..., list(self.blank.unscored)] = np.nan
-        iou = iou[..., list(self.over)]
+        iou = class_ious(cells, self.blank.unscored)[..., list(self.over)]
         defined = ~np.isnan(iou)
         return np.where(defined, iou, 0).sum(-1) / defined.sum(-1)
 
     def confusion(self) -> Confusion:
-        """The counts of all frames together."""
+        """Return the counts of all frames together."""
         whole = self._empty()
         whole.counts += torch.from_numpy(self.sums().sum(0).reshape(whole.counts.shape)).long()
         return whole
@@ -169,20 +155,10 @@ class MeanIoU(FrameMetric):
         return empty
 
 
-class Resegmentation(MeanIoU):
-    """mIoU and accuracy of the labels that a camera segmenter predicts in a painted image.
-
-    The segmenter errs too: its score on the camera's images is the upper bound.
-    """
-
-    def __init__(
-        self, segment: Callable[[np.ndarray], Array], classes: int | NamesClasses, *, unscored: Iterable[int] = ()
-    ) -> None:
-        """segment: image (H, W, 3) uint8 -> ids (H, W)."""
-        self.segment = segment
-        super().__init__(classes, unscored=unscored)
-
-    def update(self, predicted: Array, target: Array, name: str) -> None:
-        """Count the frame `name`: a painted image (H, W, 3) uint8 and the ids (H, W) that should be in it."""
-        image = image_tensor(predicted, "the painted image").movedim(0, 2).numpy()
-        super().update(as_tensor(self.segment(image)), target, name)
+def class_ious(cells: np.ndarray, unscored: Iterable[int]) -> np.ndarray:
+    """Return intersection / union (..., K) of confusion matrices (..., K, K); NaN for unscored and absent classes."""
+    hit = cells.diagonal(axis1=-2, axis2=-1)
+    with np.errstate(invalid="ignore"):
+        iou = hit / (cells.sum(-1) + cells.sum(-2) - hit)
+    iou[..., list(unscored)] = np.nan
+    return iou

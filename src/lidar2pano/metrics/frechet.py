@@ -1,16 +1,19 @@
-"""Frechet distance between the features of two sets of images: FID, and FSD with a segmenter's features."""
+"""Frechet distances between features of two sets of images: FID, FSD with a segmenter's features, and of patches."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
 from lidar2pano.metrics.accumulation import SIDES, SetMetric
 from lidar2pano.metrics.input_checks import Array, image_tensor
+
+PATCH, STRIDE, DOWN = 128, 64, 16  # pixels; DOWN: of the image per pixel of the features
 
 
 class FrechetDistance(SetMetric):
@@ -46,14 +49,14 @@ class FrechetDistance(SetMetric):
         self.kept[side][name] = features[0].float().cpu().numpy()
 
     def values(self) -> dict[str, float]:
-        """The distance under its own name; NaN while a side has fewer than two images."""
+        """Return the distance under its own name; NaN while a side has fewer than two images."""
         enough = min(map(len, self.kept.values())) > 1
         sides = (self.kept[side].stacked() for side in SIDES)
         return {self.name: frechet_distance(*sides) if enough else float("nan")}
 
 
 def frechet_distance(first: np.ndarray, second: np.ndarray) -> float:
-    """|m1 - m2|^2 + tr(C1 + C2 - 2 (C1 C2)^(1/2)) of features (N, D) and (M, D), in float64.
+    """Return |m1 - m2|^2 + tr(C1 + C2 - 2 (C1 C2)^(1/2)) of features (N, D) and (M, D), in float64.
 
     m: means, C: sample covariances (N - 1). With C = X^T X, X the centred features over (N - 1)^(1/2), the eigenvalues
     of C1 C2 are the squares of the singular values of X1 X2^T, so the trace of the root is their sum: no root of a
@@ -74,11 +77,87 @@ def frechet_distance(first: np.ndarray, second: np.ndarray) -> float:
     return max(float(distance), 0.0)  # equal sets: rounding on either side of zero
 
 
-def fingerprint(network: nn.Module) -> str:
-    """SHA-256 over name, type, shape and bytes of all of a network's tensors, in the order of their names."""
-    digest = hashlib.sha256()
-    for key, tensor in sorted(network.state_dict().items()):
-        plain = tensor.detach().cpu().contiguous()
-        digest.update(f"{key} {plain.dtype} {list(plain.shape)}\n".encode())
-        digest.update(plain.reshape(-1).view(torch.uint8).numpy().data)
-    return digest.hexdigest()
+# --- patches ----------------------------------------------------------------------------------------------------------
+
+
+class PatchFrechetDistance(SetMetric):
+    """Patch Frechet distance: how far images are from real ones, patch by patch.
+
+    Frechet distance (Heusel et al. 2017) between normal distributions of the features of patches, PATCH pixels wide at
+    every STRIDE-th pixel: features at 1/DOWN of the raster, averaged over each patch. A few images hold many patches;
+    texture and parts of things are compared, not the layout. Divided by the same distance between two halves of the
+    real images it says how many times farther they are than those from each other. Of each image the count, sum and sum
+    of products of its patches' features are kept.
+    """
+
+    MOST = 10_000  # images of a side
+
+    def __init__(self, extract: Callable[[Tensor], Tensor]) -> None:
+        """extract: (B, 3, H, W) uint8 -> (B, D, H / DOWN, W / DOWN) float features."""
+        self.extract = extract
+        super().__init__()
+
+    def update(self, predicted: Array, target: Array, name: str, valid: np.ndarray | None = None) -> None:
+        """Count two images (H, W, 3) uint8 of the frame `name`, but for patches with a pixel not `valid` (H, W)."""
+        for side, image in zip(SIDES, (predicted, target), strict=True):
+            if self._makes_room(name, side):
+                with torch.inference_mode():
+                    features = self.extract(image_tensor(image)[None])[0]
+                patches = patch_features(features, valid)
+                count = np.full(patches.shape[1], len(patches))
+                self.kept[side][name] = np.vstack([patches.sum(0), patches.T @ patches, count]).astype(np.float64)
+
+    def values(self) -> dict[str, float]:
+        """Return the distance over that of the halves of the real images, and both; NaN for too few patches."""
+        painted, real = ([self.kept[side][name] for name in sorted(self.kept[side])] for side in SIDES)
+        first, second = (_normal(half) for half in (real[: len(real) // 2], real[len(real) // 2 :]))
+        distance, among = normal_distance(_normal(painted), _normal(real)), normal_distance(first, second)
+        ratio = distance / among if among > 0 else float("nan")
+        return {"ratio": ratio, "distance": distance, "real to real": among}
+
+
+class Normal(NamedTuple):
+    """A normal distribution: mean (D,), covariance (D, D), and of how many samples it was estimated."""
+
+    mean: np.ndarray
+    spread: np.ndarray
+    samples: int
+
+
+def patch_features(features: Tensor, valid: np.ndarray | None = None) -> np.ndarray:
+    """Return features (P, D) float64 of the patches of an image.
+
+    features  (D, H / DOWN, W / DOWN) of the whole image.
+    valid     (H, W) bool: patches with any other pixel are left out.
+    """
+    patches = avg_pool2d(features.float(), PATCH // DOWN, STRIDE // DOWN).flatten(1).T
+    if valid is not None:
+        rows, columns = (DOWN * size for size in features.shape[1:])
+        holes = torch.ones(rows, columns)
+        holes[: valid.shape[0], : valid.shape[1]] = torch.from_numpy(~valid[:rows, :columns]).float()
+        patches = patches[avg_pool2d(holes[None], PATCH, STRIDE).flatten() == 0]
+    return patches.double().cpu().numpy()
+
+
+def normal_distance(first: Normal, second: Normal) -> float:
+    """Return the Frechet distance |m1 - m2|^2 + tr(C1 + C2 - 2 (C1^1/2 C2 C1^1/2)^1/2), after Dowson and Landau 1982.
+
+    NaN if either was estimated of fewer than two samples.
+    """
+    if min(first.samples, second.samples) < 2:
+        return float("nan")
+    values, vectors = np.linalg.eigh(first.spread)
+    root = (vectors * np.sqrt(values.clip(0))) @ vectors.T
+    cross = np.sqrt(np.linalg.eigvalsh(root @ second.spread @ root).clip(0)).sum()
+    traces = np.trace(first.spread) + np.trace(second.spread)
+    distance = np.square(first.mean - second.mean).sum() + traces - 2 * cross
+    return max(float(distance), 0.0)
+
+
+def _normal(kept: list[np.ndarray]) -> Normal:
+    total = np.sum(kept, axis=0) if kept else np.zeros((2, 0))
+    samples = int(total[-1, 0]) if total.size else 0
+    if samples < 2:
+        return Normal(np.zeros(0), np.zeros((0, 0)), samples)
+    mean = total[0] / samples
+    return Normal(mean, (total[1:-1] - samples * np.outer(mean, mean)) / (samples - 1), samples)

@@ -1,4 +1,4 @@
-"""The Inception-v3 of FID, and its published weights, which the user has to supply.
+"""The Inception-v3 of FID, and its published weights, to be supplied by the user.
 
 Szegedy et al. 2016 (arXiv:1512.00567), in the variant of TensorFlow's graph `inception-2015-12-05` that Heusel et al.
 2017 took the third pooling's 2048 features of. The weights were ported to torch by M. Seitzer (pytorch-fid, Apache
@@ -31,28 +31,28 @@ ADDRESS = f"https://github.com/mseitzer/pytorch-fid/releases/download/fid_weight
 ABSENT = f"FID needs the weights of Inception-v3, which are not downloaded: fetch {ADDRESS}"
 
 
-def find_inception(given: Path | str | None = None) -> Path | None:
-    """The file with Inception's weights: the given one, else one in torch hub's cache folder, else None.
+def find_inception(path: Path | str | None = None) -> Path | None:
+    """Return the file with Inception's weights: `path`, else one in torch hub's cache folder, else None.
 
-    Nothing is downloaded. InputError when a given file is not there.
+    Nothing is downloaded. InputError when there is no file at `path`.
     """
-    if given is not None:
-        if not Path(given).is_file():
-            raise InputError(f"{given}: no such file; {ABSENT}")
-        return Path(given)
+    if path is not None:
+        if not Path(path).is_file():
+            raise InputError(f"{path}: no such file; {ABSENT}")
+        return Path(path)
     cache = Path(torch.hub.get_dir()) / "checkpoints"
     return next((cache / name for name in FILE_NAMES if (cache / name).is_file()), None)
 
 
 def load_inception(path: Path | str, device: torch.device | str = "cpu", sha256: str = SHA256) -> Inception:
-    """The network with the weights in `path`, in evaluation mode; InputError for any other file."""
+    """Return the network with the weights in `path`, in evaluation mode; InputError for any other file."""
     try:
         with Path(path).open("rb") as file:
-            found = hashlib.file_digest(file, "sha256").hexdigest()
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); {ABSENT}") from None
-    if found != sha256:
-        raise InputError(f"{path}: is not the published file (SHA-256 {found[:8]}..., not {sha256[:8]}...); {ABSENT}")
+    if digest != sha256:
+        raise InputError(f"{path}: is not the published file (SHA-256 {digest[:8]}..., not {sha256[:8]}...); {ABSENT}")
     network = Inception()
     network.load_published(_read(path), str(path))
     return network.to(device).eval()
@@ -94,14 +94,14 @@ class Inception(nn.Module):
     def load_published(self, state: Mapping[str, Tensor], source: str) -> None:
         """Load published weights, every one; `source` begins the InputError for tensors that do not fit."""
         # batch-norm counters are not used in evaluation, and not every file has them
-        known = {key: value for key, value in state.items() if not key.endswith(".num_batches_tracked")}
+        theirs = {key: value for key, value in state.items() if not key.endswith(".num_batches_tracked")}
         ours = {key: value for key, value in self.state_dict().items() if not key.endswith(".num_batches_tracked")}
-        if wrong := sorted(known.keys() ^ ours.keys()):
+        if wrong := sorted(theirs.keys() ^ ours.keys()):
             raise InputError(f"{source}: {len(wrong)} tensors too many or too few, the first {wrong[0]!r}; {ABSENT}")
-        for key, value in known.items():
+        for key, value in theirs.items():
             if value.shape != ours[key].shape:
                 raise InputError(f"{source}: {key!r} has shape {list(value.shape)}; {ABSENT}")
-        self.load_state_dict(known, strict=False)
+        self.load_state_dict(theirs, strict=False)
 
     def forward(self, images: Tensor) -> Tensor:
         """Features of images of any size."""

@@ -17,7 +17,7 @@ def _image_values(ssim: float, fid: float, swd: tuple[float, ...], mean: float) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PaperRow:
-    """One system of the tables.
+    """A system of the tables.
 
     name      as in the paper;  parts: names of recipes (without -mini) in the order of the chain; "oracle": the
               camera's ground-truth labels.
@@ -111,7 +111,7 @@ PAPER_TIMES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Claim:
-    """An ordering that the paper reports: `first` is better than `second` in `metric` of the camera's image."""
+    """An ordering reported by the paper: `first` is better than `second` in `metric` of the camera's image."""
 
     text: str
     metric: str

@@ -107,16 +107,17 @@ def _segments(plan: Plan, outcome: Outcome) -> str:
         if not row.segments:
             continue
         result = outcome.results.get(name)
-        classes = result["results"][0]["classes"] if result else []
-        ious = {entry["class"]: entry["iou"] for entry in classes} | {
-            "": value_of(_values(outcome, name), "camera", "miou")
-        }
-        percent = {each: number_cell(None if iou is None else 100 * iou, 1) for each, iou in ious.items()}
-        rows.append([row.name, *(percent.get(each, "-") for each in CLASSES), f"**{percent['']}**"])
+        ious = {entry["class"]: entry["iou"] for entry in (result["results"][0]["classes"] if result else ())}
+        mean = value_of(_values(outcome, name), "camera", "miou")
+        rows.append([row.name, *(_percent(ious.get(label)) for label in CLASSES), f"**{_percent(mean)}**"])
         if row.miou is not None:
             theirs = [f"{value:g}" for value in row.classes] or ["-"] * len(CLASSES)
-            rows.append([f"{row.name}: paper", *theirs, f"{row.miou:g}"])
+            rows.append([f"{row.name}: published", *theirs, f"{row.miou:g}"])
     return markdown_table(["approach", *CLASSES, "mIoU"], rows)
+
+
+def _percent(share: float | None) -> str:
+    return number_cell(None if share is None else 100 * share, 1)
 
 
 def _images(plan: Plan, outcome: Outcome) -> str:
@@ -127,7 +128,7 @@ def _images(plan: Plan, outcome: Outcome) -> str:
         rows.append([row.name, *(number_cell(value_of(values, "camera", key), digits[key]) for key in IMAGE_METRICS)])
         if row.paper:
             theirs = (f"{row.paper[key]:g}" if key in row.paper else "-" for key in IMAGE_METRICS)
-            rows.append([f"{row.name}: paper", *theirs])
+            rows.append([f"{row.name}: published", *theirs])
     measured = any(value_of(_values(outcome, name), "camera", "fid") is not None for name in plan.rows)
     return markdown_table(["approach", *IMAGE_METRICS.values()], rows) + SWD_NOTE + ("" if measured else FID_NOTE)
 

@@ -16,7 +16,7 @@ from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.data.front_view import FrontViewDataset, FrontViewSample, SampleParts
 from lidar2pano.errors import InputError
 from lidar2pano.losses import pooled
-from lidar2pano.metrics.ssim import SSIM
+from lidar2pano.metrics.frame_metrics import SSIM
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.train.adversarial import pix2pix_updates, renamed, wasserstein_updates
 from lidar2pano.train.options import CameraColourOptions, FrontColourOptions, Pix2PixColoursOptions

@@ -1,0 +1,223 @@
+"""Ground truth of frames: optical flow, panoramas on its raster, and labels predicted by teachers.
+
+Flow between successive frames of a sequence comes from ground-truth poses, depths and labels alone. It is known of
+static things: the side of a passing bus keeps its depth, but not the flow of the poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import astuple, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lidar2pano.calibration import Calibration
+from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame, PanoramaGroundTruth
+from lidar2pano.data.semantic_kitti import SemanticKittiFrame
+from lidar2pano.evaluate.panorama_system import SAME_PLACE_M
+from lidar2pano.formats.json_files import json_lines
+from lidar2pano.geometry.camera import Lookup, panorama_in_camera
+from lidar2pano.geometry.depth_completion import complete_depth
+from lidar2pano.geometry.flow import Flow, ego_flow, scan_distances
+from lidar2pano.geometry.projection import directions, pixels
+from lidar2pano.geometry.warp import warp
+from lidar2pano.labels import COMMON15
+from lidar2pano.memory import may_move
+from lidar2pano.panorama import Panorama
+from lidar2pano.views import View
+
+SAME_MOUNT_M = 0.02  # calibrations of one mount, written frame by frame, differ by less
+SKY = COMMON15.id_of("sky")
+WINDOWS = 4  # a quarter of KITTI's panorama has about the shape of the camera's image
+GREY = 128  # of unknown pixels, on both sides
+ZERO = (0.0, 0.0, 0.0)
+JOURNAL = "prepared.jsonl"  # of a sequence's folder: a line of JSON per file of `lidar2pano prepare`
+PARTS = {"point labels": ("labels", ".label"), "camera labels": ("camera_labels", ".png")}
+
+
+# --- the raster of a ground-truth panorama ----------------------------------------------------------------------------
+
+
+class Resampled(NamedTuple):
+    """A panorama on another raster (H, W); beyond the old one it is black, unlabeled and without depth.
+
+    image (H, W, 3) uint8;  labels (H, W) uint8 of COMMON15;  depth_m (H, W) float32.
+    """
+
+    image: np.ndarray
+    labels: np.ndarray
+    depth_m: np.ndarray
+
+
+def resampled(panorama: Panorama, view: View) -> Resampled:
+    """Return the panorama on the raster `view`; the origins of the two views are ignored."""
+    if same_raster(panorama.view, view):
+        return Resampled(panorama.colour, panorama.segments, panorama.depth_m)
+    lookup = resampling_lookup(replace(panorama.view, origin=ZERO), replace(view, origin=ZERO))
+    image = lookup.linear(torch.from_numpy(panorama.colour).movedim(2, 0).float())
+    return Resampled(
+        image=image.round().movedim(0, 2).to(torch.uint8).numpy(),
+        labels=lookup.nearest(torch.from_numpy(panorama.segments)).numpy(),
+        depth_m=lookup.nearest(torch.from_numpy(panorama.depth_m)).numpy(),
+    )
+
+
+def same_raster(first: View, second: View) -> bool:
+    """Return whether two views have the same pixels, whatever their origins."""
+    fields = (astuple(replace(view, kind="sphere", origin=ZERO)) for view in (first, second))
+    numbers = [np.array([value for value in values if isinstance(value, int | float)]) for values in fields]
+    return first.kind == second.kind and np.allclose(numbers[0], numbers[1], rtol=0, atol=1e-9)
+
+
+@lru_cache(maxsize=4)
+def resampling_lookup(old: View, new: View) -> Lookup:
+    """Return the look-up from the raster `old` to `new`, around the same origin."""
+    x, y, z = directions(new).unbind(-1)
+    row, column = pixels(x, y, z, old)
+    valid = (row >= 0) & (row < old.rows)
+    if not old.circular:
+        valid &= (column >= 0) & (column < old.columns)
+    row, column = (torch.where(valid, position, 0.0).float() for position in (row, column))
+    return Lookup(row=row, column=column, valid=valid, circular=old.circular)
+
+
+def windows(predicted: np.ndarray, target: np.ndarray, valid: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield those quarters of two panoramas (H, W, 3) uint8 of at least half valid pixels; the rest is grey in both."""
+    hidden = ~valid[..., None]
+    sides = [np.where(hidden, np.uint8(GREY), side) for side in (predicted, target)]
+    for quarter in np.array_split(np.arange(valid.shape[1]), min(WINDOWS, valid.shape[1])):
+        cut = slice(int(quarter[0]), int(quarter[-1]) + 1)
+        if valid[:, cut].mean() >= 0.5:
+            yield sides[0][:, cut], sides[1][:, cut]
+
+
+# --- optical flow -----------------------------------------------------------------------------------------------------
+
+
+def follows(previous: Frame | None, frame: Frame) -> bool:
+    """Return whether a frame is the next one of the same sequence, by its number, and both have poses.
+
+    Sets of single frames are numbered, too: without poses the numbers need not be time.
+    """
+    if previous is None or previous.pose is None or frame.pose is None:
+        return False
+    (sequence, _, number), (last_sequence, _, last) = frame.name.rpartition("/"), previous.name.rpartition("/")
+    decimal = number.isdecimal() and last.isdecimal()
+    return sequence == last_sequence and decimal and int(number) == int(last) + 1
+
+
+def relative_pose(previous: Frame, frame: Frame) -> Tensor:
+    """Return T_previous_frame (4, 4) float64, metres, of two frames with poses."""
+    assert previous.pose is not None and frame.pose is not None
+    return torch.from_numpy(np.linalg.inv(previous.pose) @ frame.pose)
+
+
+def camera_flow(previous: Frame, frame: Frame) -> Flow | None:
+    """Return the flow in the camera, by poses and depths, of a frame that follows another; None without camera labels.
+
+    They tell the sky, which has no depth, and moving classes, of unknown flow.
+    """
+    if frame.calibration is None or frame.camera_labels is None or previous.camera_labels is None:
+        return None
+    if frame.camera_labels.shape != previous.camera_labels.shape:
+        return None
+    distances = [camera_distances(item, frame.calibration) for item in (frame, previous)]
+    flow = ego_flow(distances[0], distances[1], relative_pose(previous, frame), frame.calibration)
+    return _static(flow, CITYSCAPES_TO_COMMON15[frame.camera_labels])
+
+
+def panorama_flow(previous: Frame, frame: Frame) -> Flow | None:
+    """Return the flow on the ground-truth panorama's raster, by poses and depths, of a frame that follows another.
+
+    None without panoramas or depths. It is known only of pixels with colours in both panoramas and, if there are
+    labels, of static classes.
+    """
+    new, old = frame.panorama, previous.panorama
+    if new is None or old is None or not same_raster(new.view, old.view):
+        return None
+    if np.abs(np.subtract(new.view.origin, old.view.origin)).max() > SAME_MOUNT_M:
+        return None
+    distances = [_panorama_distances(item) for item in (frame, previous)]
+    if distances[0] is None or distances[1] is None:
+        return None
+    flow = ego_flow(distances[0], distances[1], relative_pose(previous, frame), new.view)
+    valid = torch.from_numpy(np.array(old.valid))[None, None].float()
+    old_valid = warp(valid, flow.shift[None], circular=new.view.circular)[0, 0] > 0.999
+    flow = Flow(shift=flow.shift, known=flow.known & old_valid & torch.from_numpy(np.array(new.valid)))
+    return flow if new.labels is None else _static(flow, np.array(new.labels))
+
+
+def camera_distances(frame: Frame, calibration: Calibration) -> Tensor:
+    """Return distances (h, w) for `ego_flow`: those of a dense panorama around this camera, else the scan's."""
+    panorama = frame.panorama
+    if panorama is not None and _is_dense(panorama):
+        offset = np.abs(np.subtract(panorama.view.origin, calibration.centre)).max()
+        distances = _panorama_distances(frame)
+        if offset <= SAME_PLACE_M and distances is not None:
+            return panorama_in_camera(panorama.view, calibration).nearest(distances)
+    distance = scan_distances(torch.from_numpy(frame.scan.xyz), calibration)
+    assert frame.camera_labels is not None
+    return distance.where(torch.from_numpy(CITYSCAPES_TO_COMMON15[frame.camera_labels]) != SKY, torch.inf)
+
+
+def _panorama_distances(frame: Frame) -> Tensor | None:
+    """Return distances (H, W) on the panorama's raster, infinite in the sky: dense ones, or the scan's completed."""
+    panorama = frame.panorama
+    assert panorama is not None
+    if _is_dense(panorama):
+        distance = torch.from_numpy(np.array(panorama.depth_m, dtype=np.float32))
+        return torch.where(distance == 0, torch.inf, distance)
+    if panorama.view.kind != "cylinder":
+        return None
+    return complete_depth(torch.from_numpy(frame.scan.xyz), panorama.view)
+
+
+def _static(flow: Flow, labels: np.ndarray) -> Flow:
+    """Return the flow, unknown of moving classes; labels: (H, W) uint8 ids of COMMON15."""
+    known = flow.known & ~may_move(torch.from_numpy(labels))
+    return Flow(shift=flow.shift * known, known=known)
+
+
+def _is_dense(panorama: PanoramaGroundTruth) -> bool:
+    """Return whether every pixel has a depth or is sky, as in simulated panoramas; depths of a scan are sparse."""
+    if panorama.depth_m is None or panorama.labels is None:
+        return False
+    return bool(((panorama.depth_m > 0) | (panorama.labels == SKY)).all())
+
+
+# --- labels of teachers -----------------------------------------------------------------------------------------------
+
+
+def pseudo_labels(frame: Frame) -> dict[str, str]:
+    """Return parts of a frame ("point labels", "camera labels") written by a teacher -> the teacher's hash.
+
+    They are scored like ground truth. A file counts as the teacher's while it has the size and the modification time in
+    the journal of `prepare`.
+    """
+    if not isinstance(frame, SemanticKittiFrame):
+        return {}
+    teachers, journal = {}, _journal(frame.folder / JOURNAL)
+    for part, (folder, suffix) in PARTS.items():
+        path = frame.file(folder, suffix)
+        stamp, teacher = journal.get(f"{folder}/{path.name}", (None, ""))
+        if stamp and path.is_file() and stamp == [path.stat().st_size, path.stat().st_mtime_ns]:
+            teachers[part] = teacher
+    return teachers
+
+
+@lru_cache(maxsize=1)
+def _journal(path: Path) -> Mapping[str, tuple[list[Any], str]]:
+    """Return file -> its latest [size, modification time in ns], and the teacher; damaged lines are skipped."""
+    entries: dict[str, tuple[list[Any], str]] = {}
+    for entry in json_lines(path.read_bytes()) if path.is_file() else ():
+        try:
+            stamp = [entry["stamp"][name] for name in ("size", "changed_ns")]
+            entries[entry["file"]] = (stamp, str(entry["made_by"]))
+        except (ValueError, TypeError, KeyError):
+            continue
+    return entries
