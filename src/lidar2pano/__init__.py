@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from lidar2pano.calibration import Calibration, LensCalibration, read_calib
-    from lidar2pano.drive_motion import posed_scans
+    from lidar2pano.drives.reading import posed_scans, scans
     from lidar2pano.errors import InputError
     from lidar2pano.geometry.projection import RangeImage, project
     from lidar2pano.labels import CITYSCAPES, COMMON14, COMMON15, SEMANTIC_KITTI, LabelSet
     from lidar2pano.memory import Memory
     from lidar2pano.panorama import Panorama
     from lidar2pano.pipeline import Pipeline, load
-    from lidar2pano.recordings.drive_scans import read, scans
+    from lidar2pano.recordings.recorded_scans import read
     from lidar2pano.scan import Scan
     from lidar2pano.views import VIEWS, View
 
@@ -41,11 +41,11 @@ _HOME = {
     "Scan": "scan",
     "View": "views",
     "load": "pipeline",
-    "posed_scans": "drive_motion",
+    "posed_scans": "drives.reading",
     "project": "geometry.projection",
-    "read": "recordings.drive_scans",
+    "read": "recordings.recorded_scans",
     "read_calib": "calibration",
-    "scans": "recordings.drive_scans",
+    "scans": "drives.reading",
 }
 
 __all__ = [

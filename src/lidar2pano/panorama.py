@@ -29,6 +29,7 @@ from lidar2pano.views import View
 
 OUTPUTS = ("rgb", "segments", "labels", "depth")
 CONFIDENCE = "confidence"  # an output that "all" does not name
+STEM_ENDINGS = (".segments", ".depth", ".confidence", ".camera", ".camera-segments")  # of further outputs of a scan
 VIEW_KEYWORD = "lidar2pano-view"  # of the text in a panorama's PNG: its View as JSON
 GREY = 128  # of points without a colour
 # A point is occluded when it is farther than the panorama's (predicted) depth at its pixel by so much.

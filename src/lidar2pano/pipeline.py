@@ -39,7 +39,7 @@ from lidar2pano.models.scene_painter import Scene, ScenePainter, StreamPainter, 
 from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
-from lidar2pano.recordings.drive_scans import read
+from lidar2pano.recordings.recorded_scans import read
 from lidar2pano.scan import OWN_VEHICLE_M, Scan
 from lidar2pano.views import View, columns_between, sensor_view
 

@@ -25,7 +25,7 @@ from lidar2pano.cli import main
 from lidar2pano.cli.bulk import BAD_SCANS, TERMINATED
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.data.semantic_kitti import open_frame
-from lidar2pano.drive_motion import posed_scans
+from lidar2pano.drives.reading import posed_scans
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.formats.scan_files import read_bin, write_bin

@@ -23,13 +23,14 @@ import lidar2pano
 from engine_of_torch import TorchEngine
 from lidar2pano.bench import default_weights, untrained
 from lidar2pano.cli import app, main
-from lidar2pano.cli.app import complain
-from lidar2pano.cli.batch import ENDINGS, parse_save, stems
-from lidar2pano.cli.progress import bar
+from lidar2pano.cli.console import bar, print_error
+from lidar2pano.cli.options import parse_save
+from lidar2pano.drives.folders import output_stems
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.models import build
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.card import read_card
+from lidar2pano.panorama import STEM_ENDINGS
 from lidar2pano.pipeline import load
 from random_weights import CALIB, LICENCE, street, write_data_set, write_scan, write_weights
 
@@ -185,23 +186,23 @@ def test_one_stem_in_two_folders_is_two_files(here, translate):
     ],
 )
 def test_names_of_outputs(here, files, names):
-    assert list(stems([Path(file) for file in files]).values()) == names
+    assert list(output_stems([Path(file) for file in files]).values()) == names
 
 
 @pytest.mark.parametrize(
     "files", [["a/1.bin", "a/1.pcd"], ["a/velodyne/1.bin", "a/1.bin"], ["a/1.bin", "b/a-1.bin", "b/1.bin"]]
 )
 def test_names_of_outputs_always_differ(here, files):
-    assert len(set(stems([Path(file) for file in files]).values())) == len(files)
+    assert len(set(output_stems([Path(file) for file in files]).values())) == len(files)
 
 
 def test_outputs_of_a_and_of_a_dot_segments_differ(here):
-    names = stems([Path("a.bin"), Path("a.segments.bin")]).values()
-    assert len({f"{name}{ending}" for name in names for ending in ("", *ENDINGS)}) == 2 * (1 + len(ENDINGS))
+    names = output_stems([Path("a.bin"), Path("a.segments.bin")]).values()
+    assert len({f"{name}{ending}" for name in names for ending in ("", *STEM_ENDINGS)}) == 2 * (1 + len(STEM_ENDINGS))
 
 
 def test_a_message_is_short_and_printable(capsys):
-    complain("a\x1b[31mred\n" + "b" * 100_000)
+    print_error("a\x1b[31mred\n" + "b" * 100_000)
     said = capsys.readouterr().err
     assert said.startswith("lidar2pano: a\\x1b[31mred bbb") and len(said) < 600 and said.count("\n") == 1
 

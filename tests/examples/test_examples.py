@@ -25,7 +25,7 @@ def example(name: str) -> dict[str, Any]:
 def test_every_example_is_listed_and_tested():
     names = {path.name for path in EXAMPLES.glob("*.py")}
     listed = (EXAMPLES / "README.md").read_text(encoding="utf-8")
-    assert names == {"panorama_from_numpy.py", "colour_points.py", "drive_to_video.py"}
+    assert names == {"panorama_from_numpy.py", "colour_points.py", "drive_to_video.py", "ros_node.py"}
     assert [name for name in names if f"({name})" not in listed] == []
 
 

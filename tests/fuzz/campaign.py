@@ -72,7 +72,7 @@ def _peak_bytes() -> int:
 
 
 def _quotes_newline(message: str) -> bool:
-    """The command line makes one line of any message (`complain`); a quoted name may hold anything."""
+    """The command line makes one line of any message (`print_error`); a quoted name may hold anything."""
     return len(message) < 5000
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from lidar2pano.memory import Memory
 from lidar2pano.panorama import Panorama
 from lidar2pano.scan import Scan
-from lidar2pano.serve import Limits, Translation, create_application
+from lidar2pano.serve import Limits, UploadTranslator, create_application
 from random_weights import street, write_scan
 from stand_in_pipeline import StandIn
 
@@ -47,8 +47,8 @@ def request_run(folder: Path) -> tuple[list[bytes], Callable[[bytes], object]]:
     """Good requests, and the function that sends one and checks that it gets a whole answer which is no fault's."""
     body = write_scan(folder / "request.bin", street(50)).read_bytes()
     limits = Limits(body_bytes=4000, upload_seconds=5, seconds=5)
-    translation = Translation(pipeline=Blank(), weights="stand-in", most_points=200)  # pyright: ignore
-    application = create_application(translation, limits, ["127.0.0.1", "localhost"])
+    translator = UploadTranslator(pipeline=Blank(), weights="stand-in", most_points=200)  # pyright: ignore
+    application = create_application(translator, limits, ["127.0.0.1", "localhost"])
     loop = asyncio.new_event_loop()
 
     def run(data: bytes) -> None:

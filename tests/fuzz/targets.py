@@ -26,6 +26,7 @@ from lidar2pano.calibration import read_calib
 from lidar2pano.cli import batch
 from lidar2pano.data import kitti360, nuscenes, pandaset, semantic_kitti
 from lidar2pano.data.poses import lidar_poses
+from lidar2pano.drives.folders import times
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
 from lidar2pano.formats.interpretation import Overrides, interpret
@@ -36,7 +37,6 @@ from lidar2pano.formats.scan_files import read_label
 from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.models.card import Card, read_card
 from lidar2pano.prepare.journal import Journal, Record, Stamp
-from lidar2pano.recordings.drive_scans import times
 from lidar2pano.reproduce.plan import budget
 from lidar2pano.simulate.dataset.settings import WorldSettings, claim_folder, panorama_view
 from lidar2pano.train.checkpoint import Progress, check_recipe

@@ -19,7 +19,8 @@ import torch
 
 import lidar2pano.train.engine  # noqa: F401 imported once, before any child begins
 from lidar2pano.cli import main
-from lidar2pano.cli.app import complain, exit_status
+from lidar2pano.cli.app import exit_status
+from lidar2pano.cli.console import print_error
 from lidar2pano.models import card  # noqa: F401
 from lidar2pano.reproduce import run
 from lidar2pano.simulate.dataset import generation  # noqa: F401
@@ -40,7 +41,7 @@ def toy_training(out: str) -> int:
         lidar2pano.train.engine.train(toy_recipe("toy", checkpoint_minutes=1e-9), Path(), Path(out), device="cpu")
     except (KeyboardInterrupt, Exception) as error:
         code, line = exit_status(error)
-        complain(line)
+        print_error(line)
         return code
     return 0
 

@@ -20,7 +20,7 @@ from lidar2pano.cli.app import BROKEN, MISTAKE
 from random_weights import street, write_data_set, write_scan
 
 FEW_BYTES = 2000  # fewer than the largest file of any command here
-REFUSED = re.compile(r"(cannot be written|the system refuses it) \((No space left on device|File too large)")
+REFUSED = re.compile(r"(cannot be written \(|: )(No space left on device|File too large)")
 # What is written on the way without being an output, or differs from run to run.
 OTHERS = ("tensorboard", "weights/", "checkpoints/", "state.json", "prepared.jsonl", "manifest/")
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from lidar2pano.cli import main
-from lidar2pano.cli.app import BROKEN, FAULT, INTERRUPTED, MISTAKE, TERMINATED, Terminated, complain
+from lidar2pano.cli.app import BROKEN, FAULT, INTERRUPTED, MISTAKE, TERMINATED, Terminated
+from lidar2pano.cli.console import print_error
 from random_weights import write_scan
 
 PROGRAM = f"exec {sys.executable} -m lidar2pano"
@@ -53,10 +54,10 @@ def fail(error: BaseException, monkeypatch, capsys, *words: str) -> tuple[int, s
 @pytest.mark.parametrize(
     ("error", "code", "says"),
     [
-        (OSError(28, "No space left on device", "a/b"), BROKEN, "a/b: the system refuses it (No space"),
-        (OSError(24, "Too many open files"), BROKEN, "the system refuses it (Too many open files)"),
+        (OSError(28, "No space left on device", "a/b"), BROKEN, "a/b: No space"),
+        (OSError(24, "Too many open files"), BROKEN, "Too many open files; fix this"),
         (OSError(36, "File name too long", "n" * 9000), MISTAKE, "too long"),
-        (PermissionError(13, "Permission denied", "x"), MISTAKE, "x: the system refuses it"),
+        (PermissionError(13, "Permission denied", "x"), MISTAKE, "x: Permission denied; fix this"),
         (MemoryError(), BROKEN, "not enough memory"),
         (RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried"), BROKEN, "not enough memory"),
         (ZeroDivisionError("float division"), FAULT, "a fault of the program (ZeroDivisionError"),
@@ -77,7 +78,7 @@ def test_debug_shows_the_traceback_wherever_it_stands(monkeypatch, capsys):
 
 
 def test_strange_names_are_escaped_and_long_ones_shortened(capsys):
-    complain(f"\x1b[2Ja\u202eb\udc80 {'n' * 100_000}: is wrong")
+    print_error(f"\x1b[2Ja\u202eb\udc80 {'n' * 100_000}: is wrong")
     err = capsys.readouterr().err
     assert (
         err.startswith("lidar2pano: \\x1b[2Ja\\u202eb\\udc80 nnn") and err.endswith(": is wrong\n") and len(err) < 600

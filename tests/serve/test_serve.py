@@ -28,10 +28,9 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import read
 from lidar2pano.hardware import Timer
 from lidar2pano.memory import Memory
-from lidar2pano.serve import Limits, Translation, create_application
+from lidar2pano.serve import Limits, UploadTranslator, create_application
 from lidar2pano.serve.fair_queue import FairQueue
-from lidar2pano.serve.results import KeptResults
-from lidar2pano.serve.translation import Result, known_ending, parse_parts
+from lidar2pano.serve.uploads import KeptResults, Result, known_ending, parse_parts
 from random_weights import street, write_scan
 from stand_in_pipeline import StandIn
 
@@ -63,8 +62,8 @@ class Server:
 
 @contextmanager
 def serving(pipeline: StandIn = StandIn(), points: int = 1000, **limits) -> Iterator[Server]:  # noqa: B008
-    translation = Translation(pipeline=pipeline, weights="stand-in", most_points=points)
-    application = create_application(translation, Limits(**limits), ["127.0.0.1", "localhost"])
+    translator = UploadTranslator(pipeline=pipeline, weights="stand-in", most_points=points)
+    application = create_application(translator, Limits(**limits), ["127.0.0.1", "localhost"])
     listening = socket.socket()
     listening.bind(("127.0.0.1", 0))
     server = uvicorn.Server(uvicorn.Config(application, log_level="critical", server_header=False))
@@ -315,7 +314,7 @@ def test_pages_load_nothing_from_elsewhere(server):
 
 def test_the_description_has_every_route(server):
     described = json.loads(server.ask("GET", "/openapi.json")[2])["paths"]
-    application = create_application(Translation(pipeline=StandIn(), weights="", most_points=1), Limits())
+    application = create_application(UploadTranslator(pipeline=StandIn(), weights="", most_points=1), Limits())
     routes = {(route.path, method.lower()) for route in application.routes for method in route.methods - {"HEAD"}}
     pages = {("/", "get"), ("/docs", "get"), ("/openapi.json", "get")}
     assert {(path, method) for path, methods in described.items() for method in methods} == routes - pages

@@ -36,10 +36,11 @@ FLOORS: tuple[frozenset[str], ...] = (
             "engines",
         }
     ),
-    frozenset({"pipeline", "drive_motion", "viewer"}),
+    frozenset({"pipeline", "drives", "viewer"}),
+    frozenset({"translation"}),
     frozenset({"prepare", "train", "evaluate", "bench", "bulk", "serve"}),
     frozenset({"reproduce"}),
-    frozenset({"cli", "ros", "__main__"}),
+    frozenset({"cli", "__main__"}),
 )
 DOOR = len(FLOORS) - 1
 ANYWHERE = {"errors", "bounded_files"}  # below every floor: the one exception class, and files read within bounds

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from lidar2pano.bulk.entries import Entry, ScanKey, Shard
-from lidar2pano.bulk.job import Job
+from lidar2pano.bulk.job import Job, translate_all
 from lidar2pano.bulk.listing import entries
-from lidar2pano.bulk.local import translate_all
 from lidar2pano.bulk.manifest import Manifest
-from lidar2pano.bulk.run_settings import start
+from lidar2pano.bulk.resume import start
 
 __all__ = ["Entry", "Job", "Manifest", "ScanKey", "Shard", "entries", "start", "translate_all"]

@@ -1,35 +1,40 @@
-"""What is done with each scan of a bulk run: read, paint, write, each a step of its own so that they can overlap."""
+"""The work on each scan of a bulk run: read, paint, write, each a step of its own so that they can overlap."""
 
 from __future__ import annotations
 
 import hashlib
-import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from dataclasses import replace as changed
-from functools import cached_property, lru_cache
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from lidar2pano.bulk.entries import MIRRORED, SEMANTIC_KITTI, Entry
 from lidar2pano.bulk.instances import instance_raster
 from lidar2pano.bulk.manifest import line
-from lidar2pano.bulk.scan_reading import Request, ScanReading
-from lidar2pano.bulk.stores import Store, local_copy, open_store
-from lidar2pano.calibration import has_camera, read_calib
+from lidar2pano.bulk.scan_reading import Request, ScanReading, source_of
+from lidar2pano.bulk.stores import local_copy, open_store
+from lidar2pano.calibration import Calibration, has_camera, read_calib
+from lidar2pano.drives.reading import Reading
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import COLOUR_FORMATS, write_ids, write_whole
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.formats.scan_files import read_label, write_bin
-from lidar2pano.hardware import Timer
 from lidar2pano.labels import unpack_label
-from lidar2pano.memory import Memory
-from lidar2pano.panorama import OUTPUTS, Panorama
+from lidar2pano.panorama import OUTPUTS
 from lidar2pano.pipeline import Pipeline
-from lidar2pano.scan import Scan
+from lidar2pano.translation import Translation, Translator
+
+A = TypeVar("A")
+B = TypeVar("B")
+MOST_THREADS = 8  # for writing: coding a panorama's PNG takes a core about a seventh of a second
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,51 +68,31 @@ class Job:
 
 @dataclass(kw_only=True)
 class Work:
-    """One scan on its way through the steps; each sets what the next one needs, or `error`.
+    """One scan on its way through the steps.
 
     sha256     of the scan's file, or of its message in a recording.
-    instance   (N,) uint16 ids of SemanticKITTI, None where they are not used.
+    instance   (N,) uint16 ids of SemanticKITTI's points, None without labels or their use.
     instances  (h, w) uint16: the same on the panorama.
     """
 
     entry: Entry
-    timer: Timer
+    translation: Translation
     sha256: str = ""
-    scan: Scan | None = None
     instance: np.ndarray | None = None
-    panorama: Panorama | None = None
     instances: np.ndarray | None = None
-    error: str | None = None
-
-    def note(self, sha256: str) -> None:
-        """Set the checksum as soon as it is known."""
-        self.sha256 = sha256
-
-    @contextmanager
-    def step(self, stage: str = "") -> Iterator[None]:
-        """Turn what is raised into the scan's error: whatever is wrong with one scan, the others go on."""
-        try:
-            if stage:
-                with self.timer(stage):
-                    yield
-            else:
-                yield
-        except InputError as error:
-            self.error = str(error)
-        except Exception as error:  # a bug or a lack of memory costs this scan alone
-            self.error = f"{self.entry.key}: {type(error).__name__}: {error}"
 
     def record(self, job: Job) -> dict[str, Any]:
-        """The manifest's line."""
+        """Return the manifest's line."""
+        error = self.translation.error
+        text = str(error) if isinstance(error, InputError) else f"{self.entry.key}: {type(error).__name__}: {error}"
         return line(
             self.entry.key,
             self.sha256,
             job.weights,
-            outputs=[] if self.error else list(job.outputs(self.entry).values()),
-            error=self.error and " ".join(self.error.split()),
-            points=None if self.scan is None else len(self.scan),
-            dropped=None if self.panorama is None else self.panorama.dropped,
-            milliseconds={stage: round(value, 2) for stage, value in self.timer.milliseconds.items()},
+            outputs=[] if error else list(job.outputs(self.entry).values()),
+            error=" ".join(text.split()) if error else None,
+            doubts=self.translation.doubts,
+            **self.translation.counts(),
         )
 
 
@@ -121,86 +106,116 @@ class Worker:
         self.job, self._folder = job, folder
         self.source, self.out = open_store(job.source), open_store(job.out)
         self._reading = ScanReading(self.source, job.selection)
-
-    @cached_property
-    def pipeline(self) -> Pipeline:
-        """Made when the first scan has been read."""
-        return self.job.pipeline()
+        self.translator = Translator(job.pipeline, every_fault=True)  # a bug or a lack of memory costs one scan alone
+        self._calibration = lru_cache(maxsize=8)(self._read_calibration)
 
     def request(self, entry: Entry) -> Request:
-        """A scan that is to be loaded; to be called for one after the other, in order."""
+        """Return a scan that is to be loaded; to be called for one entry after the other, in order."""
         return self._reading.request(entry)
 
     def load(self, request: Request) -> Work:
-        """Read a scan, and its labels where they are used."""
-        from torch import device
+        """Read a scan, its labels and its sequence's camera, as far as they are used."""
+        entry, checksums = request.entry, [""]
+        instance = None
+        try:
+            reading = request.read(checksums.append)
+            if reading.scan is not None and not reading.error:
+                reading, instance = self._labelled(reading, entry)
+        except Exception as error:
+            reading = Reading(source=source_of(entry, self.source), error=error)
+        return Work(
+            entry=entry,
+            translation=Translation(reading=reading, error=reading.error),
+            sha256=checksums[-1],
+            instance=instance,
+        )
 
-        entry = request.entry
-        work = Work(entry=entry, timer=Timer(device("cpu")))
-        with work.step("read"):
-            place = f"{self.source.place}/{entry.key}"
-            work.scan = changed(request.read(work.note), name=place)
-            if entry.label is not None:
-                with local_copy(self.source, entry.label) as path:
-                    label = read_label(path, len(work.scan))
+    def _labelled(self, reading: Reading, entry: Entry) -> tuple[Reading, np.ndarray | None]:
+        """Return a reading with labels and calibration, and the instances of its points."""
+        scan, instance = reading.scan, None
+        assert scan is not None
+        if entry.label is not None:
+            with local_copy(self.source, entry.label) as path:
+                scan = replace(scan, label=read_label(path, len(scan)))
+                if self.job.layout == SEMANTIC_KITTI:
                     instance = unpack_label(np.fromfile(path, dtype="<u4"))[1].astype(np.uint16)
-                work.scan = changed(work.scan, label=label)
-                work.instance = instance if self.job.layout == SEMANTIC_KITTI else None
-            elif self.job.use_labels:
-                raise InputError(f"{place}: has no labels (.label beside it, or in labels/); leave --labels out")
-        return work
+        elif self.job.use_labels:
+            raise InputError(
+                f"{reading.source.title}: has no labels (.label beside it, or in labels/); leave --labels out"
+            )
+        labels = scan.label if self.job.use_labels else None
+        calibration = self._calibration(entry.calibration) if entry.calibration else None
+        return replace(reading, scan=scan, labels=labels, calibration=calibration), instance
+
+    def _read_calibration(self, name: str) -> Calibration | None:
+        """Read the camera of a sequence, None if its file names none."""
+        with self.source.local(name) as path:
+            return read_calib(path) if has_camera(path) else None
 
     def paint(self, work: Work) -> Work:
         """Make the panorama; each scan by itself, so that the order of scans does not matter."""
-        if work.error is None and work.scan is not None:
-            work.timer.device = self.pipeline.device
-            with work.step():
-                pipeline, labels = self.pipeline, work.scan.label if self.job.use_labels else None
-                if work.entry.calibration is not None:
-                    pipeline = _at_sequence_camera(self, work.entry.calibration)
-                _, work.panorama = pipeline.step(Memory(), work.scan, None, work.timer, labels)
-                if work.instance is not None:
-                    with work.timer("instances"):
-                        work.instances = instance_raster(work.scan, work.instance, work.panorama)
+        work.translation = self.translator(work.translation.reading)
+        scan, panorama = work.translation.reading.scan, work.translation.panorama
+        if work.instance is not None and scan and panorama:
+            try:
+                with work.translation.timer("instances"):
+                    work.instances = instance_raster(scan, work.instance, panorama)
+            except Exception as error:
+                work.translation.error = error
         return work
 
     def write(self, work: Work) -> Work:
-        """Write the outputs. Raises InputError where OUT cannot be written: then no other scan's can be either."""
-        if work.error is None and work.panorama is not None:
-            names = self.job.outputs(work.entry)
-            with work.timer("save"):
+        """Write the outputs. Raises InputError if OUT cannot be written: then no other scan's can be either."""
+        panorama, scan = work.translation.panorama, work.translation.reading.scan
+        if work.translation.error is None and panorama and scan:
+            names, save = self.job.outputs(work.entry), self.job.save
+            with work.translation.timer("save"):
                 stem = hashlib.sha256(str(work.entry.key).encode()).hexdigest()
-                files = work.panorama.save(self._folder, self.job.save, None, stem, self.job.image_format)
-                of = dict(zip((part for part in OUTPUTS if part in self.job.save), files, strict=True))
+                files = panorama.save(self._folder, save, None, stem, self.job.image_format)
+                file_by_output = dict(zip((output for output in OUTPUTS if output in save), files, strict=True))
                 if (raster := work.instances) is not None:
                     file = self._folder / f"{stem}.instances.png"
-                    of["instances"] = write_whole(file, lambda path: write_ids(path, raster))
-                if "scan" in names and (scan := work.scan):
+                    file_by_output["instances"] = write_whole(file, lambda path: write_ids(path, raster))
+                if "scan" in names:
                     file = self._folder / f"{stem}.bin"
-                    of["scan"] = write_whole(file, lambda path: write_bin(path, scan))
-                for part, name in names.items():
-                    self.out.put(of[part], name)
+                    file_by_output["scan"] = write_whole(file, lambda path: write_bin(path, scan))
+                for output, name in names.items():
+                    self.out.put(file_by_output[output], name)
         return work
-
-    def translate(self, entry: Entry) -> dict[str, Any]:
-        """All steps; the manifest's line."""
-        return self.write(self.paint(self.load(self.request(entry)))).record(self.job)
 
     def close(self) -> None:
         """Close recordings."""
         self._reading.close()
 
 
-@lru_cache(maxsize=8)
-def _at_sequence_camera(worker: Worker, calibration: str) -> Pipeline:
-    """The pipeline with the viewpoint of a sequence's camera, where it has one."""
-    with worker.source.local(calibration) as path:
-        return worker.pipeline.at(read_calib(path)) if has_camera(path) else worker.pipeline
+def translate_all(job: Job, todo: Iterable[Entry], stopped: Callable[[], bool]) -> Iterator[dict[str, Any]]:
+    """Translate scans and yield the manifest's lines in their order, each when its outputs are written.
+
+    stopped  asked before each scan: when true, those that were begun are finished, and that is all.
+    Raises InputError when the outputs cannot be written or the pipeline cannot be made.
+    """
+    threads = min(MOST_THREADS, os.cpu_count() or 1)
+    going = takewhile(lambda _: not stopped(), todo)
+    with (
+        open_store(job.out).scratch() as folder,
+        closing(Worker(job, folder)) as worker,
+        ThreadPoolExecutor(threads) as pool,
+    ):
+        painted = (worker.paint(work) for work in _map_ahead(pool, worker.load, map(worker.request, going), threads))
+        for work in _map_ahead(pool, worker.write, painted, threads):
+            yield work.record(job)
 
 
-def copy_beside(source: Store, out: Store, name: str, target: str) -> None:
-    """Copy a small file of a data set, unless it is there or there is none."""
-    if source.exists(name) and not out.exists(target):
-        with source.local(name) as path, out.scratch() as scratch:
-            shutil.copyfile(path, scratch / "copy")
-            out.put(scratch / "copy", target)
+def _map_ahead(pool: ThreadPoolExecutor, function: Callable[[A], B], items: Iterable[A], most: int) -> Iterator[B]:
+    """Map in threads, in order, with at most so many items begun beyond the one that is yielded."""
+    begun: deque[Future[B]] = deque()
+    try:
+        for item in items:
+            begun.append(pool.submit(function, item))
+            while begun and (len(begun) > most or begun[0].done()):
+                yield begun.popleft().result()
+        while begun:
+            yield begun.popleft().result()
+    finally:
+        for future in begun:
+            future.cancel()

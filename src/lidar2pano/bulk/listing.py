@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 from lidar2pano.bulk.entries import MIRRORED, RUN_FILE, SEMANTIC_KITTI, SUFFIXES, Entry, ScanKey, Shard
 from lidar2pano.bulk.stores import Folder, Store, local_copy
+from lidar2pano.drives.folders import select_files
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ENDINGS, PACKED, ReadOptions
-from lidar2pano.recordings.drive_scans import wanted
 from lidar2pano.recordings.playback import playback
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
 from lidar2pano.recordings.recorded_scans import METADATA
@@ -117,7 +117,7 @@ def _wanted(
                     f"{store.place}: --from and --to choose among scan files of this machine's folders only"
                 )
             paths = {store.root / name: name for name in names}
-            chosen = [paths[path] for path in wanted(list(paths), selection)]
+            chosen = [paths[path] for path in select_files(list(paths), selection)]
         except InputError as error:
             place = f"{folder}/" if folder else "./"
             entry = Entry(key=ScanKey(place), stem=place, error=str(error))

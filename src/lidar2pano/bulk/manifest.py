@@ -83,10 +83,10 @@ class Manifest:
             self._store.put(scratch / "manifest", self.name)
 
 
-def line(key: ScanKey, sha256: str, weights: str, **known: Any) -> dict[str, Any]:  # noqa: ANN401
-    """A line with all its fields, None where they are not in `known`: outputs, error, points, dropped, milliseconds."""
-    fields: dict[str, Any] = dict.fromkeys(("outputs", "error", "points", "dropped", "milliseconds"))
-    return {"input": key.input, "scan": key.scan, "sha256": sha256, **(fields | known), "weights": weights}
+def line(key: ScanKey, sha256: str, weights: str, **values: Any) -> dict[str, Any]:  # noqa: ANN401
+    """Return a line with all fields; None for what is not in `values`."""
+    fields: dict[str, Any] = dict.fromkeys(("outputs", "error", "points", "dropped", "milliseconds", "doubts"))
+    return {"input": key.input, "scan": key.scan, "sha256": sha256, **(fields | values), "weights": weights}
 
 
 def _key(record: dict[str, Any]) -> ScanKey:

@@ -54,7 +54,7 @@ class RayWorker:
 
     def prepare(self) -> None:
         """Make the pipeline."""
-        _ = self._worker.pipeline
+        _ = self._worker.translator.pipeline
 
     def translate(self, entry: Entry) -> dict[str, Any]:
         """Translate a scan; the manifest's line."""
@@ -87,7 +87,7 @@ class Pool:
             self._start()
 
     def records(self, job: Job, stopped: Callable[[], bool]) -> Iterator[dict[str, Any]]:
-        """Translate all scans and yield the manifest's lines as they come; see `bulk.local.translate_all`."""
+        """Translate all scans and yield the manifest's lines as they come; see `bulk.job.translate_all`."""
         import ray
 
         while True:
@@ -161,7 +161,7 @@ def translate_on_ray(
     """Translate scans on the connected cluster and yield the manifest's lines as they come.
 
     workers  how many;  cores, gpus: of each. What the cluster lacks is waited for, and asked of its autoscaler.
-    Raises InputError as `bulk.local.translate_all`.
+    Raises InputError as `bulk.job.translate_all`.
     """
     import ray
 

@@ -1,16 +1,98 @@
-"""What of a bulk run is done already: the outputs that are there say so, and the manifest is put right."""
+"""A repeated bulk run: it must have the settings of the run before, and outputs that are there are not made again."""
 
 from __future__ import annotations
 
+import json
+import shutil
+from collections.abc import Mapping
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
-from lidar2pano.bulk.entries import Entry, ScanKey
+from lidar2pano import __version__
+from lidar2pano.bulk.entries import RUN_FILE, SEMANTIC_KITTI, Entry, ScanKey
 from lidar2pano.bulk.job import Job
 from lidar2pano.bulk.manifest import Manifest, line
-from lidar2pano.bulk.scan_reading import ScanReading
-from lidar2pano.bulk.stores import open_store
+from lidar2pano.bulk.scan_reading import ScanReading, file_hash
+from lidar2pano.bulk.stores import Folder, Store, open_store
 from lidar2pano.errors import InputError
+from lidar2pano.formats.json_files import read_json
+from lidar2pano.labels import COMMON15
+
+SEQUENCE_FILES = ("calib.txt", "poses.txt", "times.txt")
+
+
+def start(job: Job, found: list[Entry], files: Mapping[str, Path], options: Mapping[str, str]) -> None:
+    """Write bulk.json beside the panoramas, or check that the one that is there has the same settings.
+
+    files  the weight files by role;  options: what else the outputs depend on.
+    In a data set's layout, calibrations, poses and splits are copied too. Raises InputError where OUT holds panoramas
+    of other settings, or files that no bulk run wrote.
+    """
+    source, out = open_store(job.source), open_store(job.out)
+    same = isinstance(source, Folder) and isinstance(out, Folder) and source.root.resolve() == out.root.resolve()
+    if same and job.layout != SEMANTIC_KITTI:
+        raise InputError(f"{job.out}: is the folder of the scans; choose another --out")
+    settings = {
+        "lidar2pano": __version__,
+        "weights": job.weights,
+        "sha256": {role: file_hash(file) for role, file in sorted(files.items())},
+        **options,
+        "save": list(job.save),
+        "as": job.layout,
+        "labels": job.use_labels,
+        "topic": job.selection.topic or None,
+        "classes": {
+            str(index): {"name": name, "colour": list(colour)}
+            for index, (name, colour) in enumerate(zip(COMMON15.classes, COMMON15.colours, strict=True))
+        },
+    }
+    if out.exists(RUN_FILE):
+        _compare(out, settings)
+    else:
+        _refuse_others(job, out, found)
+        with out.scratch() as scratch:
+            (scratch / RUN_FILE).write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
+            out.put(scratch / RUN_FILE, RUN_FILE)
+    if job.layout == SEMANTIC_KITTI and not same:
+        _copy_beside(source, out, "splits.json", "splits.json")
+        of_files = [entry for entry in found if entry.key.scan is None and not entry.error]
+        for folder, sequence in sorted({(_sequence_folder(entry), entry.sequence) for entry in of_files}):
+            for name in SEQUENCE_FILES:
+                _copy_beside(source, out, f"{folder}{name}", f"sequences/{sequence}/{name}")
+
+
+def _compare(out: Store, settings: dict[str, Any]) -> None:
+    with out.local(RUN_FILE) as path:
+        before = read_json(path)
+    for name, value in settings.items():
+        if not isinstance(before, dict) or before.get(name) != value:
+            raise InputError(
+                f"{out.place}/{RUN_FILE}: these panoramas were made with another {name!r}; choose another --out, or"
+                " repeat the command with the same options"
+            )
+
+
+def _refuse_others(job: Job, out: Store, found: list[Entry]) -> None:
+    """A file that would count as done, but is not ours, must not be taken for a panorama of this run."""
+    for entry in found:
+        for name in () if entry.error else job.outputs(entry).values():
+            if out.exists(name):
+                raise InputError(f"{out.place}/{name}: is there already, but no {RUN_FILE}; choose another --out")
+
+
+def _sequence_folder(entry: Entry) -> str:
+    folder = entry.key.input.rpartition("/")[0]
+    above = folder.removesuffix("velodyne").rstrip("/")
+    return f"{above}/" if above else ""
+
+
+def _copy_beside(source: Store, out: Store, name: str, target: str) -> None:
+    """Copy a small file of a data set, unless it is there or there is none."""
+    if source.exists(name) and not out.exists(target):
+        with source.local(name) as path, out.scratch() as scratch:
+            shutil.copyfile(path, scratch / "copy")
+            out.put(scratch / "copy", target)
 
 
 def remaining(job: Job, found: list[Entry], manifest: Manifest) -> list[Entry]:

@@ -14,14 +14,16 @@ import numpy as np
 
 from lidar2pano.bulk.entries import Entry
 from lidar2pano.bulk.stores import Store, local_copy
-from lidar2pano.drive_motion import DriveMotion
+from lidar2pano.drives.drive_motion import DriveMotion
+from lidar2pano.drives.reading import Reading, ReadingOptions, ScanSource, move_scan, read_scan
 from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import Interpretation, interpret
-from lidar2pano.formats.readers import ReadOptions, read
+from lidar2pano.formats.point_cloud import PointCloud
+from lidar2pano.formats.readers import ReadOptions, open_path
 from lidar2pano.recordings.playback import Playback, playback
 from lidar2pano.recordings.recorded_scans import Frame
-from lidar2pano.scan import Scan
 
+ALONE = ReadingOptions()
 ATTEMPTS = 8  # first scans of a recording, of which one says how to read the others
 
 
@@ -30,18 +32,18 @@ class Request(Protocol):
 
     @property
     def entry(self) -> Entry:
-        """What it is."""
+        """Its entry."""
         ...
 
-    def read(self, note: Callable[[str], None]) -> Scan:
-        """The scan; InputError where it cannot be read.
+    def read(self, note: Callable[[str], None]) -> Reading:
+        """Read the scan, or its error.
 
-        note  takes the SHA-256 of what it is read from, of a bad scan too.
+        note  takes the SHA-256 of the content that is read, of a bad scan too.
         """
         ...
 
     def sha256(self) -> str:
-        """The SHA-256 alone."""
+        """Return the SHA-256 alone; InputError for a damaged recording."""
         ...
 
 
@@ -50,31 +52,35 @@ class FileRequest:
     """The scan of a scan file; or one that is known to be bad."""
 
     entry: Entry
-    source: Store
+    store: Store
 
-    def read(self, note: Callable[[str], None]) -> Scan:
+    def read(self, note: Callable[[str], None]) -> Reading:
         """See Request."""
-        if self.entry.error:
-            raise InputError(self.entry.error)
-        with local_copy(self.source, self.entry.key.input) as path:
-            note(file_hash(path))
-            return read(path)
+
+        def cloud() -> PointCloud:
+            if self.entry.error:
+                raise InputError(self.entry.error)
+            with local_copy(self.store, self.entry.key.input) as path:
+                note(file_hash(path))
+                return next(open_path(path).clouds(path, ReadOptions()))
+
+        return read_scan(source_of(self.entry, self.store, cloud), ALONE)
 
     def sha256(self) -> str:
         """See Request."""
-        with self.source.local(self.entry.key.input) as path:
+        with self.store.local(self.entry.key.input) as path:
             return file_hash(path)
 
 
 class RecordedScan(NamedTuple):
     """A scan of a recording, not decoded yet.
 
-    like    how the first scan of the recording was read, None for that scan itself, and where there is none.
-    motion  of the sensor, where its points have times and the recording holds poses.
+    first   how the first scan of the recording was read, None for that scan itself, and without one.
+    motion  of the sensor, for points with times in a recording that holds poses.
     """
 
     frame: Frame
-    like: Interpretation | None
+    first: Interpretation | None
     motion: DriveMotion | None
 
 
@@ -83,25 +89,45 @@ class FrameRequest:
     """A scan of a recording. It is read like the recording's first one, and without skew, as `translate` does."""
 
     entry: Entry
-    place: str
+    store: Store
     recorded: Future[RecordedScan]
 
-    def read(self, note: Callable[[str], None]) -> Scan:
+    def read(self, note: Callable[[str], None]) -> Reading:
         """See Request."""
-        frame, like, motion = self.recorded.result()
-        note(frame.sha256())
         try:
-            scan, found = interpret(frame.cloud(), None, like)
+            frame, first, motion = self.recorded.result()
         except InputError as error:
-            text = str(error) if str(error).startswith(frame.title) else f"{frame.title}: {error}"
-            raise InputError(text.replace(str(frame.path), self.place)) from None
-        if motion is not None:
-            scan, _ = motion.step(scan, found, found.stamp_s or 0.0)
-        return scan
+            return Reading(source=source_of(self.entry, self.store), error=error)
+        note(frame.sha256())
+
+        def cloud() -> PointCloud:
+            try:
+                return frame.cloud()
+            except InputError as error:
+                place = f"{self.store.place}/{self.entry.key.input}"
+                raise InputError(str(error).replace(str(frame.path), place)) from None
+
+        reading = read_scan(source_of(self.entry, self.store, cloud), ALONE, first)
+        return move_scan(reading, motion, poses=False) if motion else reading
 
     def sha256(self) -> str:
         """See Request."""
         return self.recorded.result().frame.sha256()
+
+
+def source_of(entry: Entry, store: Store, cloud: Callable[[], PointCloud] | None = None) -> ScanSource:
+    """Return an entry as the source of a scan that follows no other; without `cloud`, an unreadable one."""
+
+    def fail() -> PointCloud:
+        raise InputError(f"{store.place}/{entry.key}: cannot be read")
+
+    return ScanSource(
+        path=Path(entry.key.input),
+        title=f"{store.place}/{entry.key}",
+        stem=entry.stem,
+        cloud=cloud or fail,
+        number=entry.key.scan,
+    )
 
 
 class ScanReading:
@@ -121,8 +147,7 @@ class ScanReading:
         """The scan of an entry. Those of recordings are read at once, one after the other."""
         if entry.key.scan is None:
             return FileRequest(entry, self._source)
-        place = f"{self._source.place}/{entry.key.input}"
-        return FrameRequest(entry, place, self._thread.submit(self._recorded, entry.key.input, entry.key.scan))
+        return FrameRequest(entry, self._source, self._thread.submit(self._recorded, entry.key.input, entry.key.scan))
 
     def close(self) -> None:
         """Close the recording that is open."""
@@ -149,11 +174,11 @@ class OpenRecording:
     def __init__(self, opened: Playback) -> None:
         self._opened = opened
         self._first: int | None = None
-        self._like: Interpretation | None = None
+        self._interpretation: Interpretation | None = None
         self._has_times = False
         for number in range(ATTEMPTS):
             try:
-                scan, self._like = interpret(opened.frame(number).cloud())
+                scan, self._interpretation = interpret(opened.frame(number).cloud())
             except InputError:
                 continue  # it is bad, or there are no more
             self._first, self._has_times = number, scan.time_s is not None
@@ -162,8 +187,8 @@ class OpenRecording:
     def scan(self, number: int) -> RecordedScan:
         """The scan of that number; InputError where it is damaged."""
         frame = self._opened.frame(number)
-        like = None if number == self._first else self._like
-        return RecordedScan(frame, like, self._motion(number) if self._has_times else None)
+        first = None if number == self._first else self._interpretation
+        return RecordedScan(frame, first, self._motion(number) if self._has_times else None)
 
     def pose(self, number: int) -> tuple[float, np.ndarray | None]:
         """When that scan was taken, seconds since the epoch, and T_world_sensor (4, 4) float64 then, None if unknown.
@@ -175,14 +200,14 @@ class OpenRecording:
         try:
             if (motion := self._motion(number)) is None:
                 return stamp_s, None
-            _, found = interpret(cloud, None, None if number == self._first else self._like)
-            return stamp_s, motion.pose(found, stamp_s)
+            _, interpretation = interpret(cloud, None, None if number == self._first else self._interpretation)
+            return stamp_s, motion.pose(interpretation, stamp_s)
         except InputError:  # it is no sweep, or the poses are damaged
             return stamp_s, None
 
     def _motion(self, number: int) -> DriveMotion | None:
         """The motion of the sensor around the time of a scan, where the recording holds it."""
-        recorded = self._opened.motion(number, self._like.frame) if self._like else None
+        recorded = self._opened.motion(number, self._interpretation.frame) if self._interpretation else None
         return DriveMotion(*recorded, estimate=False) if recorded else None
 
 

@@ -11,25 +11,21 @@ import sys
 import threading
 import traceback
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from typer.main import get_command
 
 from lidar2pano import __version__
+from lidar2pano.cli.console import print_error
 from lidar2pano.errors import InputError
-
-if TYPE_CHECKING:
-    from lidar2pano.models.card import Card
 
 # Exit codes: a user's mistake; the run is lost (a full disk, no memory, a loss that is no number); a fault of the
 # program's own; Ctrl-C; SIGTERM.
 MISTAKE, BROKEN, FAULT, INTERRUPTED, TERMINATED = 2, 1, 70, 130, 143
-MOST_CHARACTERS = 2000  # of a message
-MOST_WORD = 400  # characters of one word of it, such as a path
 # What the system says of a name that cannot be used; anything else it refuses is no mistake of the user's.
 NAMES_ERRORS = {
     *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM, errno.EROFS, errno.EEXIST),
@@ -97,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if debug:
                 traceback.print_exception(error)
             if line:
-                complain(line)
+                print_error(line)
             return code
     return 0
 
@@ -161,31 +157,11 @@ def exit_status(error: BaseException) -> tuple[int, str]:
     if isinstance(error, OSError):
         code = MISTAKE if error.errno in NAMES_ERRORS else BROKEN
         place = f"{error.filename}: " if error.filename is not None else ""
-        return code, f"{place}the system refuses it ({error.strerror or error}); mend that and repeat the command"
-    what = f"{type(error).__name__}: {error}".partition("\n")[0]
-    return FAULT, f"a fault of the program ({what}); repeat the command with --debug and report what it prints"
+        return code, f"{place}{error.strerror or error}; fix this and run the command again"
+    summary = f"{type(error).__name__}: {error}".partition("\n")[0]
+    return FAULT, f"a fault of the program ({summary}); repeat the command with --debug and report its output"
 
 
 def _missing(error: ModuleNotFoundError) -> str:
     """The top module that was not found; our own messages read "training needs MODULE: ..."."""
     return (error.name or str(error).partition(" needs ")[2].partition(":")[0]).partition(".")[0]
-
-
-def note_licence(cards: Iterable[Card]) -> None:
-    """One line on stderr where a licence restricts the use of the weights that have these cards."""
-    from lidar2pano.models.families import licence_note
-
-    if note := licence_note(cards):
-        complain(note)
-
-
-def complain(problem: object) -> None:
-    """One line on stderr of printable characters: others are escaped, long words and long lines shortened."""
-    line = " ".join(_shortened(word) for word in str(problem).split())
-    line = "".join(one if one.isprintable() else one.encode("unicode_escape").decode() for one in line)
-    with suppress(OSError):  # stderr is full or closed
-        print(f"lidar2pano: {_shortened(line, MOST_CHARACTERS)}", file=sys.stderr, flush=True)
-
-
-def _shortened(text: str, most: int = MOST_WORD) -> str:
-    return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"

@@ -1,54 +1,45 @@
-"""Many scans through one pipeline: the names of their outputs, the summary of each, and what happens to bad ones."""
+"""Many scans through one pipeline: checked options, files and records of each scan, reports of bad ones."""
 
 from __future__ import annotations
 
 import json
-import re
-from collections import Counter
+import os
+import signal
+import sys
+import webbrowser
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
-from lidar2pano.calibration import Calibration, read_calib
-from lidar2pano.cli.app import MISTAKE, complain, note_licence
-from lidar2pano.cli.follow import followed, until_interrupted
-from lidar2pano.cli.progress import bar
-from lidar2pano.cli.scan_queue import Complaints, QueuedScan, queued, refuse_doubts
-from lidar2pano.drive_motion import Motion, motion_of
-from lidar2pano.errors import InputError, closest
+from lidar2pano.calibration import Calibration
+from lidar2pano.cli.app import MISTAKE
+from lidar2pano.cli.console import bar, print_error, print_licence, until_signal
+from lidar2pano.cli.files import check_file
+from lidar2pano.drives.folders import drive_files, output_stems
+from lidar2pano.drives.following import follow_folder
+from lidar2pano.drives.reading import ReadingOptions, ScanSource, StreamReader, scan_sources
+from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
-from lidar2pano.formats.image_files import COLOUR_FORMATS
-from lidar2pano.formats.interpretation import Interpretation, Overrides
-from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.hardware import Timer, keep_buffers
-from lidar2pano.memory import Memory
+from lidar2pano.hardware import keep_buffers
 from lidar2pano.models.families import paints_look
-from lidar2pano.panorama import CONFIDENCE, OUTPUTS, Panorama
 from lidar2pano.pipeline import Pipeline, load
-from lidar2pano.recordings.drive_scans import drive_files
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
-from lidar2pano.scan import Scan
+from lidar2pano.translation import Translation, Translator, translate
 from lidar2pano.viewer.outputs import Output, OutputFiles
-
-ENDINGS = (".segments", ".depth", ".confidence", ".camera", ".camera-segments")  # of outputs' stems
-KITTI_SIZE = "1242x375"
-MOST_PIXELS = 1 << 26  # of a camera's image
+from lidar2pano.viewer.page import title_of
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """What the user asked of every scan, checked.
+    """Checked options of a run, the same for every scan.
 
     weights  the name that was given;  files: the weight files by role that it stands for.
     sensor   name in VIEWS of the scans' rows, "" for the weights' own.
-    smooth   whether a folder's or recording's panoramas are temporally smoothed.
-    selection  which scans of a recording or folder;  overrides: what is known about them.
-    strict     whether a scan that no LiDAR gives is an error.
-    ply        whether the points of each scan are written, too;  common: files about all panoramas.
+    reading  which scans are read, and how; with `poses` the panoramas of a stream are temporally smoothed.
+    ply      whether the points of each scan are written, too;  common: files about all panoramas.
     """
 
     out: Path
@@ -59,18 +50,15 @@ class Options:
     sensor: str = ""
     calibration: Calibration | None = None
     as_json: bool = False
-    smooth: bool = False
     look: str = ""
-    selection: ReadOptions = field(default_factory=ReadOptions)
-    overrides: Overrides = field(default_factory=Overrides)
+    reading: ReadingOptions = field(default_factory=ReadingOptions)
     engine: str = "auto"
     image_format: str = "png"
     ply: bool = False
-    strict: bool = False
     common: OutputFiles = field(default_factory=OutputFiles)
 
     def pipeline(self) -> Pipeline:
-        """The pipeline with these weights, for this sensor and camera."""
+        """Make the pipeline with these weights, for this sensor and camera."""
         keep_buffers()
         pipeline = load(self.files, self.device, self.engine)
         if self.sensor:
@@ -80,176 +68,118 @@ class Options:
         return pipeline.at(self.calibration) if self.calibration else pipeline
 
 
-def parse_camera(calib: Path | None, image_size: str) -> Calibration | None:
-    """The camera of --calib with an image of --image-size."""
-    if image_size and calib is None:
-        raise InputError(f"--image-size {image_size} is the size of a camera's image; name its --calib too")
-    size = parse_size(image_size or KITTI_SIZE)
-    return read_calib(calib, size) if calib else None
+def common_files(scans: Sequence[Path], page: Path | None, video: Path | None, rerun: Path | None) -> OutputFiles:
+    """Return the files about all scans that were asked for; InputError for one that cannot be written."""
+    for file, option in ((page, "--out"), (video, "--video"), (rerun, "--rerun")):
+        if file:
+            check_file(file, option)
+    return OutputFiles(page=page, title=title_of(scans), video=video, rerun=rerun)
 
 
-def parse_save(text: str, confidence: bool = False) -> tuple[str, ...]:
-    """--save's list, in the order of OUTPUTS; `confidence` may be in it, too, but "all" does not mean it."""
-    further = (CONFIDENCE,) if confidence else ()
-    names = [name.strip() for name in text.split(",") if name.strip()]
-    if not names:
-        raise InputError(f"--save {text!r} names nothing; there is {', '.join((*OUTPUTS, *further))} and all")
-    for name in names:
-        if name not in (*OUTPUTS, *further, "all"):
-            raise InputError(f"--save: nothing is called {name!r}{closest(name, (*OUTPUTS, *further, 'all'))}")
-    wanted = {*names, *(OUTPUTS if "all" in names else ())}
-    return tuple(name for name in (*OUTPUTS, *further) if name in wanted)
+def open_page(path: Path | None, code: int) -> None:
+    """Open a page in the user's browser, if it was written (exit code 0) and there is a screen."""
+    headless = sys.platform.startswith("linux") and not ({"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys())
+    if path and not code and not headless:
+        webbrowser.open(path.resolve().as_uri())
 
 
-def parse_format(name: str) -> str:
-    """--format's name, one of COLOUR_FORMATS."""
-    if name not in COLOUR_FORMATS:
-        raise InputError(f"--format {name!r}: no format for colour images{closest(name, COLOUR_FORMATS)}")
-    return name
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """--image-size's width and height in pixels."""
-    found = re.fullmatch(r"([1-9]\d{0,4})[xX]([1-9]\d{0,4})", text.strip())
-    if not found:
-        raise InputError(f"--image-size {text!r} is not of the form WIDTHxHEIGHT in pixels, e.g. {KITTI_SIZE}")
-    width, height = int(found[1]), int(found[2])
-    if width * height > MOST_PIXELS:
-        raise InputError(f"--image-size {text!r} has more than {MOST_PIXELS} pixels; name that of the camera's image")
-    return width, height
-
-
-def stems(files: Sequence[Path]) -> dict[Path, str]:
-    """The name of each file's outputs: its stem; where several share one, with folders' names before it."""
-    whole = {file: (*file.resolve().parts[1:-1], stem_of(file)) for file in files}
-    names = {file: stem_of(file) for file in files}
-    for depth in range(2, 2 + max((len(parts) for parts in whole.values()), default=0)):
-        shared = {name for name, count in Counter(names.values()).items() if count > 1}
-        if not shared:
-            break
-        names |= {file: "-".join(_telling(whole[file])[-depth:]) for file in files if names[file] in shared}
-    taken = {f"{name}{ending}" for name in names.values() for ending in ("", *ENDINGS)}
-    if len(taken) < (1 + len(ENDINGS)) * len(files):  # another suffix only, or "a" beside "a.segments"
-        names = {file: "-".join(file.resolve().parts[1:]) for file in files}
-    return names
-
-
-def _telling(parts: tuple[str, ...]) -> tuple[str, ...]:
-    """A path's parts without the folder that every sequence has."""
-    return tuple(part for part in parts[:-1] if part != "velodyne") + parts[-1:]
-
-
-def gather(paths: Iterable[Path], selection: ReadOptions) -> tuple[list[Path], bool]:
-    """Scan files and recordings that paths stand for, each once; and whether some could not be used (on stderr)."""
+def gather_files(paths: Iterable[Path], options: Options) -> tuple[list[Path], bool]:
+    """Return the scan files and recordings of paths, each once; and whether a path was reported as unusable."""
     files: dict[Path, Path] = {}
     failed = False
     for path in paths:
         try:
-            for file in drive_files(path, selection):
+            for file in drive_files(path, options.reading.selection):
                 files.setdefault(file.resolve(), file)
         except InputError as error:
-            complain(error)
+            print_error(error)
             failed = True
     return list(files.values()), failed
 
 
 def translate_files(paths: Iterable[Path], options: Options) -> int:
-    """Translate the scans that `paths` stand for and return the exit code: a bad scan is reported, the rest goes on.
+    """Translate the scans of `paths` and return the exit code: a bad scan is reported, the others go on.
 
     Scans of one folder are one stream. Weights are loaded when the first scan has been read.
     """
-    files, failed = gather(paths, options.selection)
-    names = stems(files)
-    if renamed := sum(names[file] != stem_of(file) for file in files):
-        complain(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
-    unknown = any(file.suffix.lower() in RECORDINGS or file.is_dir() for file in files)  # how many scans these hold
-    failed |= translate_queue(queued(files, names, options.selection), 0 if unknown else len(files), options)
+    files, failed = gather_files(paths, options)
+    stems = output_stems(files)
+    if renamed := sum(stems[file] != stem_of(file) for file in files):
+        print_error(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
+    countable = not any(file.suffix.lower() in RECORDINGS or file.is_dir() for file in files)
+    sources = scan_sources(files, options.reading.selection, stems)
+    failed |= translate_sources(sources, len(files) if countable else 0, options)
     return MISTAKE if failed else 0
 
 
 def translate_followed(folder: Path, options: Options) -> int:
-    """Translate what is written into a folder, as it is completed, until interrupted; the exit code."""
-    with until_interrupted() as stopped:
-        return MISTAKE if translate_queue(followed(folder, options.selection, stopped), 0, options) else 0
+    """Translate the scans of a folder as they are completed, until interrupted; return the exit code."""
+    with until_signal(signal.SIGINT, signal.SIGTERM) as stopped:
+        sources = follow_folder(folder, options.reading.selection, stopped)
+        return MISTAKE if translate_sources(sources, 0, options) else 0
 
 
-def translate_queue(scans: Iterable[QueuedScan], total: int, options: Options) -> bool:
-    """Translate scans one after the other; whether one failed. Those of one stream share a memory."""
-    pipeline: Pipeline | None = None
-    memory, stream, like, motion, noted = Memory(), None, None, None, False
-    complaints = Complaints()
+def translate_sources(sources: Iterable[ScanSource], total: int, options: Options) -> bool:
+    """Translate scans one after the other and print a record of each; return whether one failed."""
+    translator, reporter = Translator(options.pipeline), ScanReporter()
     with options.common.opened() as common, bar(total, "translating") as advance:
-        for waiting in scans:
-            timer = Timer(options.device)
-            try:
-                with timer("read"):
-                    scan, found = waiting.read(options.overrides, like if waiting.stream == stream else None)
-                    if options.strict:
-                        refuse_doubts(found, waiting)
-            except InputError as error:
-                complaints.add(error, waiting)
-                advance()
-                continue
-            pipeline = pipeline or options.pipeline()
-            if waiting.stream != stream:
-                memory, stream, like = Memory(), waiting.stream, found
-                motion = motion_of(stream, scan, found, options.selection, options.smooth)
-            try:
-                scan, pose = _timed_pose(motion, waiting, scan, found, timer) if motion else (scan, None)
-                memory, panorama = pipeline.step(memory, scan, pose if options.smooth else None, timer)
-                complaints.doubt(found, waiting)  # a scan that failed has had its line
-                complaints.assume(found, waiting)
-                if not noted:  # before the first panorama is written
-                    note_licence(pipeline.cards.values())
-                noted = True
-                with timer("save"):
-                    outputs = _save(panorama, scan, waiting, options, common)
-            except InputError as error:
-                complaints.add(error, waiting)
+
+        def save(translation: Translation) -> list[Path]:
+            reporter.warn(translation)
+            reporter.note_licence(translator.pipeline)  # before the first panorama is written
+            return write_outputs(translation, options, common)
+
+        for translation in translate(StreamReader(options.reading)(sources), translator, [save]):
+            if translation.error:
+                reporter.add(translation)
             else:
-                record = {
-                    "input": str(waiting.input),
-                    **waiting.place(found),
-                    "outputs": [str(path) for path in outputs],
-                    "points": len(scan),
-                    "dropped": panorama.dropped,
-                    "beyond_rows": panorama.beyond_rows,
-                    "points_between": panorama.points_between,
-                    "reading": found.as_dict(),
-                    "milliseconds": {stage: round(value, 2) for stage, value in timer.milliseconds.items()},
-                    "weights": options.weights,
-                    "device": str(options.device),
-                    "engine": pipeline.engine,
-                }
-                print(json.dumps(record) if options.as_json else summary(record), flush=True)
+                line = record(translation, options, translator.pipeline.engine)
+                print(json.dumps(line) if options.as_json else summary(line), flush=True)
             advance()
-        complaints.flush()
+        reporter.flush()
         for path in [output.finish() for output in common]:
             if path and not options.as_json:
                 print(path, flush=True)
-    return complaints.failed
+    return reporter.failed
 
 
-def _save(
-    panorama: Panorama, scan: Scan, waiting: QueuedScan, options: Options, common: Iterable[Output]
-) -> list[Path]:
-    outputs = panorama.save(options.out, options.save, options.calibration, waiting.stem, options.image_format)
+def write_outputs(translation: Translation, options: Options, common: Iterable[Output]) -> list[Path]:
+    """Write the files of a scan, add it to the files about all scans, and return its own ones."""
+    panorama, scan, source = translation.panorama, translation.reading.scan, translation.reading.source
+    assert panorama and scan
+    files = panorama.save(options.out, options.save, options.calibration, source.stem, options.image_format)
     if options.ply:
-        outputs.append(panorama.save_points(options.out / f"{waiting.stem}.ply", scan))
+        files.append(panorama.save_points(options.out / f"{source.stem}.ply", scan))
     for output in common:
-        output.add(panorama, scan, waiting.input, waiting.stem)
-    return outputs
+        output.add(panorama, scan, source.path, source.stem)
+    return files
 
 
-def _timed_pose(
-    motion: Motion, waiting: QueuedScan, scan: Scan, found: Interpretation, timer: Timer
-) -> tuple[Scan, np.ndarray | None]:
-    with timer("pose"):
-        return motion(waiting.input, scan, found)
+def record(translation: Translation, options: Options, engine: str) -> dict[str, Any]:
+    """Return the JSON record of a scan; a recording's scan has its number and stamp."""
+    source, panorama = translation.reading.source, translation.panorama
+    interpretation = translation.reading.interpretation
+    assert panorama and interpretation
+    place = {} if source.number is None else {"scan": source.number, "stamp_s": interpretation.stamp_s}
+    counts = translation.counts()
+    return {
+        "input": str(source.path),
+        **place,
+        "outputs": [str(path) for path in translation.outputs],
+        "points": counts["points"],
+        "dropped": counts["dropped"],
+        "beyond_rows": panorama.beyond_rows,
+        "points_between": panorama.points_between,
+        "reading": interpretation.as_dict(),
+        "milliseconds": counts["milliseconds"],
+        "weights": options.weights,
+        "device": str(options.device),
+        "engine": engine,
+    }
 
 
-def summary(record: dict[str, Any]) -> str:
-    """One scan's record as text."""
+def summary(record: Mapping[str, Any]) -> str:
+    """Return one scan's record as text."""
     stages = record["milliseconds"]
     times = ", ".join(f"{stage.replace('_', ' ')} {value:.0f}" for stage, value in stages.items())
     dropped = f", {record['dropped']} of them unusable" if record["dropped"] else ""
@@ -259,3 +189,53 @@ def summary(record: dict[str, Any]) -> str:
             *(f"  {path}" for path in record["outputs"]),
         ]
     )
+
+
+class ScanReporter:
+    """Reports on stderr: bad files one line each at once, bad scans of a recording one line together at its end."""
+
+    def __init__(self) -> None:
+        self.failed = False
+        self._licence_noted = False
+        self._warnings: set[tuple[Any, str]] = set()  # stream, text
+        self._recording: Path | None = None
+        self._first_error, self._further_errors = "", 0
+
+    def add(self, translation: Translation) -> None:
+        """Report a scan that failed."""
+        self.failed = True
+        source = translation.reading.source
+        if source.number is None:
+            print_error(translation.error)
+        elif self._recording == source.path:
+            self._further_errors += 1
+        else:
+            self.flush()
+            self._recording, self._first_error = source.path, str(translation.error)
+
+    def warn(self, translation: Translation) -> None:
+        """Say once for each stream what is implausible about its scans, and that the sensor's height is assumed."""
+        warnings = {text: f"{text} (a warning; --strict makes it an error)" for text in translation.doubts}
+        interpretation, source = translation.reading.interpretation, translation.reading.source
+        if interpretation and (height_m := interpretation.assumed_height_m) is not None:
+            warnings["height"] = (
+                f"the sensor is assumed {height_m:g} m above the ground, since its place cannot be found; name its"
+                " height with --sensor-height"
+            )
+        for key, text in warnings.items():
+            if (source.stream, key) not in self._warnings:
+                self._warnings.add((source.stream, key))
+                print_error(f"{source.title}: {text}")
+
+    def note_licence(self, pipeline: Pipeline) -> None:
+        """Say once what a licence restricts."""
+        if not self._licence_noted:
+            print_licence(pipeline.cards.values())
+        self._licence_noted = True
+
+    def flush(self) -> None:
+        """Report the errors of a recording that are held back."""
+        if self._recording:
+            further = f"; {self._further_errors} more of its scans failed" if self._further_errors else ""
+            print_error(self._first_error + further)
+        self._recording, self._first_error, self._further_errors = None, "", 0

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from lidar2pano.cli.app import app, note_licence
+from lidar2pano.cli.app import app
+from lidar2pano.cli.console import print_licence
 
 
 @app.command()
@@ -62,7 +63,7 @@ def bench(
             rows = measure(runs, device, name, said["engine"])  # "auto" would compile nothing
             text = table(rows, said)
         if name:
-            note_licence(read_card(file) for file in weight_files(name).values())
+            print_licence(read_card(file) for file in weight_files(name).values())
     if as_json:
         write_json(as_json, said | {"rows": [row.as_dict() for row in rows]}, "--json")
     print(text)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import signal
-import threading
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 from typer.core import TyperCommand
 
-from lidar2pano.cli.app import TERMINATED, app, complain, note_licence
-from lidar2pano.cli.translate import (
+from lidar2pano.cli.app import TERMINATED, app
+from lidar2pano.cli.console import bar, print_error, print_licence, until_signal
+from lidar2pano.cli.options import (
     DeviceOption,
     EngineOption,
     EveryOption,
@@ -25,6 +24,8 @@ from lidar2pano.cli.translate import (
     ToOption,
     TopicOption,
     WeightsOption,
+    parse_format,
+    parse_save,
 )
 from lidar2pano.errors import InputError, closest
 
@@ -102,7 +103,8 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
 ) -> None:
     """Translate any number of scans. Repeat the command to go on where it stopped."""
     from lidar2pano.bulk import Shard
-    from lidar2pano.cli.batch import Options, parse_format, parse_save
+    from lidar2pano.cli.batch import Options
+    from lidar2pano.drives.reading import ReadingOptions
     from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.families import weight_files
@@ -119,7 +121,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
         look=look,
         engine=engine,
         image_format=parse_format(image_format),
-        selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
+        reading=ReadingOptions(selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)),
     )
     job = job_of(source, out, options, layout, use_labels)
     raise typer.Exit(run(job, part, options, Cluster(address, device, workers, cores), only))
@@ -140,7 +142,7 @@ def run(job: Job, part: Shard, options: Options, cluster: Cluster, only: str) ->
     found = entries(store, part, job.layout, labels=job.use_labels, selection=job.selection, only=only)
     settings = {"look": options.look, "engine": options.engine, "format": options.image_format}
     start(job, found, options.files, settings)
-    note_licence(read_card(file) for file in options.files.values())
+    print_licence(read_card(file) for file in options.files.values())
     manifest = Manifest(open_store(job.out), part)
     if cluster.address:
         return work_on_ray(job, found, manifest, options, cluster)
@@ -184,7 +186,7 @@ def job_of(root: str, out: str, options: Options, layout: str, use_labels: bool)
         weights=options.weights,
         pipeline=options.pipeline,
         image_format=options.image_format,
-        selection=options.selection,
+        selection=options.reading.selection,
     )
 
 
@@ -229,10 +231,10 @@ def work(job: Job, found: list[Entry], manifest: Manifest, translate: Translate)
     from lidar2pano.bulk.resume import remaining
 
     todo = remaining(job, found, manifest)
-    with until_terminated() as stopped:
+    with until_signal(signal.SIGTERM) as terminated:
+        stopped = terminated.is_set
         written, bad = consume(translate(job, todo, stopped), len(todo), manifest)
         timed = write_all_times(job, found, manifest.shard, stopped)
-        terminated = stopped()
     before = len(found) - len(todo)
     left = len(todo) - written - bad
     counts = [(written, "written"), (before, "there before"), (bad, "bad"), (left, "left")]
@@ -240,8 +242,8 @@ def work(job: Job, found: list[Entry], manifest: Manifest, translate: Translate)
         f"{len(found)} scan{'s' * (len(found) != 1)}: "
         + ", ".join(f"{count} {name}" for count, name in counts if count)
     )
-    if terminated and (left or not timed):
-        complain(f"stopped {f'with {left} scans left' if left else 'before times.txt'}; repeat the command to go on")
+    if terminated.is_set() and (left or not timed):
+        print_error(f"stopped {f'with {left} scans left' if left else 'before times.txt'}; repeat the command to go on")
         return TERMINATED
     return BAD_SCANS if bad else 0
 
@@ -249,7 +251,6 @@ def work(job: Job, found: list[Entry], manifest: Manifest, translate: Translate)
 def write_all_times(job: Job, found: list[Entry], shard: Shard, stopped: Callable[[], bool]) -> bool:
     """Write times.txt and poses.txt of recordings in a data set's layout; false where it was stopped before all are."""
     from lidar2pano.bulk.recorded_times import untimed, write_times
-    from lidar2pano.cli.progress import bar
 
     sequences = untimed(job, found, shard)
     with bar(len(sequences), "reading poses") as advance:
@@ -261,9 +262,7 @@ def write_all_times(job: Job, found: list[Entry], shard: Shard, stopped: Callabl
 
 
 def consume(records: Iterable[dict[str, Any]], total: int, manifest: Manifest) -> tuple[int, int]:
-    """Enter records into the manifest as they come; how many were written, and how many are of bad scans."""
-    from lidar2pano.cli.progress import bar
-
+    """Enter records into the manifest as they come; return the counts of written and of bad scans."""
     written, bad = 0, 0
     reported = set[str]()  # recordings with bad scans, which cost a line each
     try:
@@ -272,7 +271,7 @@ def consume(records: Iterable[dict[str, Any]], total: int, manifest: Manifest) -
                 manifest.add(record)
                 if record["error"]:
                     if record["scan"] is None or record["input"] not in reported:
-                        complain(record["error"])
+                        print_error(record["error"])
                     if record["scan"] is not None:
                         reported.add(record["input"])
                     bad += 1
@@ -282,14 +281,3 @@ def consume(records: Iterable[dict[str, Any]], total: int, manifest: Manifest) -
     finally:
         manifest.flush()
     return written, bad
-
-
-@contextmanager
-def until_terminated() -> Iterator[Callable[[], bool]]:
-    """A function that says whether SIGTERM has come, which in the context does not end the process."""
-    stop = threading.Event()
-    before = signal.signal(signal.SIGTERM, lambda *_: stop.set())
-    try:
-        yield stop.is_set
-    finally:
-        signal.signal(signal.SIGTERM, before)

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lidar2pano.cli.app import app, complain
-from lidar2pano.cli.translate import EngineOption
+from lidar2pano.cli.app import app
+from lidar2pano.cli.console import print_error
+from lidar2pano.cli.options import EngineOption
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -54,7 +55,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     engine: EngineOption = "torch",  # scores do not depend on what is installed
 ) -> None:
     """Score predictions from the scan alone against camera images and labels; print a table in Markdown."""
-    from lidar2pano.cli.progress import bar
+    from lidar2pano.cli.console import bar
     from lidar2pano.data.layouts import frames
     from lidar2pano.evaluate import MetricConfig, report, score, system
     from lidar2pano.hardware import keep_buffers
@@ -130,4 +131,4 @@ def note_systems(systems: Iterable[System]) -> None:
 
     for note in dict.fromkeys(licence_note(map(read_card, system.info.files.values())) for system in systems):
         if note:
-            complain(note)
+            print_error(note)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lidar2pano.cli.app import MISTAKE, app, complain
+from lidar2pano.cli.app import MISTAKE, app
+from lidar2pano.cli.console import print_error
 from lidar2pano.errors import InputError
 
 if TYPE_CHECKING:
@@ -77,13 +78,13 @@ def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
         teachers.append(made)
     found = frames_to_label(root, split or [])
     if teacher == NO_TEACHER and any(frame.image_file for frame in found):
-        complain("images are left alone: name who labels them with --teacher")
+        print_error("images are left alone: name who labels them with --teacher")
     raise typer.Exit(_work(found, teachers, as_json))
 
 
 def _work(found: FrameList[SemanticKittiFrame], teachers: list[Teacher], as_json: bool) -> int:
     """Label everything, say so, and return the exit code."""
-    from lidar2pano.cli.progress import bar
+    from lidar2pano.cli.console import bar
     from lidar2pano.hardware import keep_buffers
     from lidar2pano.prepare import State, label
 
@@ -94,7 +95,7 @@ def _work(found: FrameList[SemanticKittiFrame], teachers: list[Teacher], as_json
             for one in done:
                 counts[one.folder][one.state] += 1
                 if one.problem:
-                    complain(one.problem)
+                    print_error(one.problem)
                 elif one.state is State.WRITTEN and counts[one.folder][State.WRITTEN] == 1:
                     _note_licence(next(teacher for teacher in teachers if teacher.folder == one.folder))
             if as_json:
@@ -103,7 +104,7 @@ def _work(found: FrameList[SemanticKittiFrame], teachers: list[Teacher], as_json
     for teacher in teachers:
         count = counts[teacher.folder]
         if count[State.KEPT]:
-            complain(
+            print_error(
                 f"{count[State.KEPT]} files in {teacher.folder}/ are not prepare's own and stay as they are; to have"
                 f" labels beside them choose another {OPTIONS[teacher.suffix]}"
             )
@@ -137,7 +138,7 @@ def _note_licence(teacher: Teacher) -> None:
     from lidar2pano.models.families import licence_note
 
     if note := licence_note(read_card(path) for path in teacher.weights if path.suffix == ".safetensors"):
-        complain(f"{teacher.folder}: {note}")
+        print_error(f"{teacher.folder}: {note}")
 
 
 def _folder_name(name: str, option: str) -> str:

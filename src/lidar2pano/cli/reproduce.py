@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar2pano.cli.app import BROKEN, app, complain
+from lidar2pano.cli.app import BROKEN, app
+from lidar2pano.cli.console import print_error
 
 if TYPE_CHECKING:
     from lidar2pano.reproduce import Plan
@@ -83,5 +84,5 @@ def run_plan(plan: Plan) -> None:
     write_csv(plan.out / "results.csv", records(plan, outcome), "--out")
     print(written)
     if outcome.failures:
-        complain(f"{len(outcome.failures)} parts or rows failed: {', '.join(outcome.failures)}; see {written}")
+        print_error(f"{len(outcome.failures)} parts or rows failed: {', '.join(outcome.failures)}; see {written}")
         raise typer.Exit(BROKEN)

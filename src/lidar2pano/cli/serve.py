@@ -9,8 +9,9 @@ from typing import Annotated
 
 import typer
 
-from lidar2pano.cli.app import app, note_licence
-from lidar2pano.cli.translate import DeviceOption, EngineOption, WeightsOption
+from lidar2pano.cli.app import app
+from lidar2pano.cli.console import print_licence
+from lidar2pano.cli.options import DeviceOption, EngineOption, LookOption, WeightsOption
 from lidar2pano.errors import InputError
 
 LOOPBACK: tuple[str, ...] = ("127.0.0.1", "localhost")
@@ -23,9 +24,7 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, metavar="N", help="Port; 0: any that is free.")] = 8360,
     weights: WeightsOption = "kitti-mini",
-    look: Annotated[
-        str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
-    ] = "",
+    look: LookOption = "",
     device: DeviceOption = "auto",
     engine: EngineOption = "auto",
     most_megabytes: Annotated[
@@ -45,7 +44,7 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.cli.batch import Options
     from lidar2pano.hardware import pick_device
     from lidar2pano.models.families import weight_files
-    from lidar2pano.serve import Limits, Translation, create_application
+    from lidar2pano.serve import Limits, UploadTranslator, create_application
 
     listening = _socket(host, port)
     options = Options(
@@ -59,10 +58,10 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
     )
     limits = replace(Limits(), body_bytes=int(most_megabytes * 1e6), points=most_points, waiting=queue, seconds=seconds)
     pipeline = options.pipeline()
-    note_licence(pipeline.cards.values())
-    translation = Translation(pipeline=pipeline, weights=weights, most_points=limits.points)
+    print_licence(pipeline.cards.values())
+    translator = UploadTranslator(pipeline=pipeline, weights=weights, most_points=limits.points)
     hosts = list(LOOPBACK) if host in LOOPBACK else None  # a page elsewhere may have a name that leads here
-    application = create_application(translation, limits, hosts)
+    application = create_application(translator, limits, hosts)
     config = uvicorn.Config(application, log_level="warning", server_header=False, limit_concurrency=1000)
     name, bound = listening.getsockname()[:2]
     print(f"http://{f'[{name}]' if ':' in name else name}:{bound}", flush=True)
@@ -71,7 +70,7 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
 
 
 def _socket(host: str, port: int) -> socket.socket:
-    """The socket to listen on, before the model is loaded; InputError where it cannot be had."""
+    """Open the socket to listen on, before the model is loaded; InputError if it cannot be had."""
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         return socket.create_server((host, port), family=family, backlog=128)  # calls wait while the model is loaded

@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from lidar2pano.cli.app import app
+from lidar2pano.cli.console import bar
 from lidar2pano.cli.files import check_folder
-from lidar2pano.cli.progress import bar
 
 
 @app.command()

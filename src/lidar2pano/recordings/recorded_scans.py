@@ -9,11 +9,14 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats import readers
 from lidar2pano.formats.file_contents import HEAD_BYTES
+from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.messages import cloud_of_message
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions
@@ -24,6 +27,7 @@ from lidar2pano.recordings.mcap_files import MAGIC, McapFile
 from lidar2pano.recordings.packet_captures import PCAP, PCAPNG, VELODYNE, PacketCapture, cloud_of_turn
 from lidar2pano.recordings.ros_bags import ROSBAG, SQLITE, open_folder, open_ros1, open_sqlite
 from lidar2pano.recordings.ros_messages import RawMessage, Recording
+from lidar2pano.scan import Scan
 
 ENDINGS = (".bag", ".db3", ".mcap", ".pcap", ".pcapng", ".osf")  # of recordings among a folder's files
 METADATA = "metadata.yaml"  # of a ROS 2 bag's folder
@@ -247,6 +251,23 @@ def frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
     if reader is None:
         raise InputError(f"{path}: is no recording ({', '.join(one.name for one in RECORDINGS)}); name one")
     return reader.frames(path, options)
+
+
+def read(source: Any, overrides: Overrides | None = None) -> Scan:  # noqa: ANN401
+    """Read one scan.
+
+    source     path of a file of a known format, whatever its name; of a recording the first scan is read; or an array
+               (N, 3 or more) of x y z [intensity [ring]]; or a cloud of Open3D or PyVista; or a PointCloud2 of ROS.
+    overrides  what is known better than it can be found out; None: everything is found out.
+    Raises InputError for a file that is missing, of no known format or damaged, and for what is no sweep.
+    """
+    if isinstance(source, str | Path) and (reader := recording_reader(Path(source))):
+        cloud = next(reader.clouds(Path(source), ReadOptions()))
+        try:
+            return interpret(cloud, overrides)[0]
+        except InputError as error:
+            raise InputError(f"{source}: {error}") from None
+    return readers.read(source, overrides)
 
 
 def recorded_motion(path: Path, options: ReadOptions, frame: str) -> tuple[SensorMotion, str] | None:

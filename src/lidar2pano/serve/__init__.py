@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from lidar2pano.serve.application import create_application
-from lidar2pano.serve.limits import Limits
-from lidar2pano.serve.translation import Translation
+from lidar2pano.serve.uploads import Limits, UploadTranslator
 
-__all__ = ["Limits", "Translation", "create_application"]
+__all__ = ["Limits", "UploadTranslator", "create_application"]

@@ -11,6 +11,7 @@ from functools import cache, partial
 from importlib.resources import files
 from typing import Any
 
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
@@ -21,10 +22,7 @@ from starlette.routing import Route
 
 from lidar2pano.errors import InputError
 from lidar2pano.serve.fair_queue import FairQueue
-from lidar2pano.serve.limits import Limits
-from lidar2pano.serve.measurements import Measurements
-from lidar2pano.serve.results import KeptResults
-from lidar2pano.serve.translation import FILES, PAGE, Result, Translation, parse_parts
+from lidar2pano.serve.uploads import FILES, PAGE, KeptResults, Limits, Result, UploadTranslator, parse_parts
 
 TYPES = {"rgb": "image/png", "segments": "image/png", "labels": "application/octet-stream", "depth": "image/png"} | {
     PAGE: "text/html"
@@ -40,12 +38,12 @@ HEADERS = {
 }
 
 
-def create_application(translation: Translation, limits: Limits, hosts: list[str] | None = None) -> Starlette:
+def create_application(translator: UploadTranslator, limits: Limits, hosts: list[str] | None = None) -> Starlette:
     """The application, with one worker that ends with it.
 
     hosts  names by which it may be called (the header Host); None: any.
     """
-    service = Service(translation, limits)
+    service = Service(translator, limits)
 
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
@@ -69,11 +67,38 @@ def create_application(translation: Translation, limits: Limits, hosts: list[str
     )
 
 
+class Measurements:
+    """Counters of one server, with a registry of their own, as /metrics gives them: Prometheus' text format."""
+
+    def __init__(self) -> None:
+        self._registry = CollectorRegistry()
+        self.requests = Counter(
+            "lidar2pano_requests", "Requests for panoramas by HTTP status.", ["status"], registry=self._registry
+        )
+        self.waiting = Gauge(
+            "lidar2pano_waiting", "Requests that are taken and not answered yet.", registry=self._registry
+        )
+        self.points = Counter("lidar2pano_points", "Points of translated scans.", registry=self._registry)
+        self.stages = Histogram(
+            "lidar2pano_stage_seconds", "Time of each stage of a panorama.", ["stage"], registry=self._registry
+        )
+        self.seconds = Histogram(
+            "lidar2pano_request_seconds",
+            "Time from a request to its answer.",
+            buckets=(0.1, 0.25, 0.5, 1, 2.5, 5, 10, 25, 60, 120),
+            registry=self._registry,
+        )
+
+    def text(self) -> bytes:
+        """Return all counters as Prometheus reads them."""
+        return generate_latest(self._registry)
+
+
 class Service:
     """The handlers of requests for panoramas, and what they share."""
 
-    def __init__(self, translation: Translation, limits: Limits) -> None:
-        self.translation, self.limits = translation, limits
+    def __init__(self, translator: UploadTranslator, limits: Limits) -> None:
+        self.translator, self.limits = translator, limits
         self.queue, self.kept, self.measurements = FairQueue(), KeptResults(limits), Measurements()
         self._taken = 0
         self._usual_seconds = 1.0  # of one panorama, a running mean
@@ -123,7 +148,7 @@ class Service:
             raise HTTPException(408, f"no whole body within {self.limits.upload_seconds:g} s; try again") from None
         client = request.client.host if request.client else ""
         ending = request.query_params.get("name", "")
-        future = self.queue.submit(client, partial(self.translation, body, ending, save))
+        future = self.queue.submit(client, partial(self.translator, body, ending, save))
         waiting = asyncio.wrap_future(future)
         gone = asyncio.ensure_future(_disconnected(request))
         try:
@@ -169,8 +194,9 @@ class Service:
         content = {
             "points": result.points,
             "dropped": result.dropped,
-            "milliseconds": {stage: round(value, 2) for stage, value in result.milliseconds.items()},
-            "weights": self.translation.weights,
+            "milliseconds": result.milliseconds,
+            "doubts": result.doubts,
+            "weights": self.translator.weights,
             "outputs": {part: f"/results/{name}/{part}" for part in result.files},
             "seconds": self.limits.kept_seconds,
         }
@@ -186,7 +212,7 @@ class Service:
 
     async def health(self, request: Request) -> Response:
         """GET /health."""
-        device, weights = str(self.translation.pipeline.device), self.translation.weights
+        device, weights = str(self.translator.pipeline.device), self.translator.weights
         return JSONResponse({"status": "ok", "weights": weights, "device": device, "waiting": self._taken})
 
     async def metrics(self, request: Request) -> Response:

@@ -11,12 +11,11 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import COLOUR_FORMATS, DEPTH_STEPS, image_size, image_text, read_image
 from lidar2pano.formats.json_files import parse_json, validated
 from lidar2pano.formats.readers import ReadOptions, open_path
-from lidar2pano.panorama import VIEW_KEYWORD
+from lidar2pano.panorama import STEM_ENDINGS, VIEW_KEYWORD
 from lidar2pano.viewer.page import PageFrame
 from lidar2pano.views import VIEWS, View
 
 ENDINGS = tuple(ending for ending, _ in COLOUR_FORMATS.values())
-BESIDE = (".segments", ".depth", ".confidence", ".camera", ".camera-segments")  # endings of the stems of other outputs
 PROPORTION_TOLERANCE = 0.02
 
 
@@ -30,7 +29,7 @@ def panorama_files(path: Path) -> list[Path]:
         found = sorted(file for file in path.iterdir() if file.suffix in ENDINGS and file.is_file())
     except OSError as error:
         raise InputError(f"{path}: cannot be looked into ({error.strerror}); ask for permission") from error
-    return [file for file in found if not file.stem.endswith(BESIDE) and not file.name.startswith(".")]
+    return [file for file in found if not file.stem.endswith(STEM_ENDINGS) and not file.name.startswith(".")]
 
 
 def read_frame(path: Path) -> PageFrame:

@@ -11,10 +11,10 @@ import pytest
 pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
 
 import lidar2pano
+from lidar2pano.drives.folders import drive_files, times
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.formats.scan_files import write_bin
-from lidar2pano.recordings.drive_scans import drive_files, times
 from miniature import street
 from miniature_recordings import START_NS, STEP_NS, points, write
 

@@ -10,7 +10,8 @@ import pytest
 pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
 
 import lidar2pano
-from lidar2pano.drive_motion import CITY_COLUMNS, CITY_POSES, DriveMotion, T_scan_cloud, city_motion, posed_scans
+from lidar2pano.drives.drive_motion import CITY_COLUMNS, CITY_POSES, DriveMotion, T_scan_cloud, city_motion
+from lidar2pano.drives.reading import posed_scans
 from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
@@ -74,7 +75,7 @@ def test_poses_follow_how_a_cloud_was_read(overrides):
 
 def test_an_estimated_motion_deskews_the_next_scan():
     pytest.importorskip("kiss_icp", reason="poses are estimated by KISS-ICP")
-    from lidar2pano.drive_motion import DriveMotion
+    from lidar2pano.drives.drive_motion import DriveMotion
 
     motion = DriveMotion(None, "", estimate=True)
     assert motion.origin == "KISS-ICP"

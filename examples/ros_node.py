@@ -1,6 +1,6 @@
 """A ROS 2 node: PointCloud2 in, the panorama as Image and CameraInfo out.
 
-    python -m lidar2pano.ros --ros-args -r points:=/velodyne_points -p weights:=world
+    python ros_node.py --ros-args -r points:=/velodyne_points -p weights:=world
 
 It subscribes to `points` (sensor_msgs/PointCloud2), and publishes `panorama/image` (sensor_msgs/Image, rgb8) and
 `panorama/camera_info` (sensor_msgs/CameraInfo) with the stamp and frame of the cloud. Clouds that come while one is at
@@ -21,9 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from lidar2pano.calibration import Calibration
-from lidar2pano.errors import InputError
-from lidar2pano.views import View
+from lidar2pano import Calibration, InputError, View, load, read_calib
+from lidar2pano.drives.reading import ScanSource, StreamReader
+from lidar2pano.formats.messages import cloud_of_message
+from lidar2pano.translation import Translator
 
 CYLINDRICAL = "cylindrical"
 
@@ -68,7 +69,7 @@ def fill_pinhole_info(info: Any, header: Any, calibration: Calibration) -> Any: 
     return info
 
 
-class Translator:
+class CloudTranslator:
     """What the node does with each cloud, without ROS.
 
     pipeline     lidar2pano.Pipeline;  new_image, new_info: make empty messages.
@@ -76,20 +77,23 @@ class Translator:
     """
 
     def __init__(self, pipeline: Any, new_image: Any, new_info: Any, calibration: Calibration | None = None) -> None:  # noqa: ANN401
-        from lidar2pano.memory import Memory
-
-        self._pipeline = pipeline.at(calibration) if calibration else pipeline
+        pipeline = pipeline.at(calibration) if calibration else pipeline
+        self._reader, self._translator = StreamReader(), Translator(lambda: pipeline)
         self._new_image, self._new_info, self._calibration = new_image, new_info, calibration
-        self._memory, self._like = Memory(), None
 
     def __call__(self, message: Any) -> tuple[Any, Any]:  # noqa: ANN401
         """(Image, CameraInfo) of a PointCloud2; InputError where it holds no scan."""
-        from lidar2pano.formats.interpretation import interpret
-        from lidar2pano.formats.messages import cloud_of_message
-
-        scan, found = interpret(cloud_of_message(message, "points"), like=self._like)
-        self._memory, panorama = self._pipeline.step(self._memory, scan)
-        self._like = self._like or found
+        source = ScanSource(
+            path=Path(),
+            title="points",
+            stem="points",
+            cloud=lambda: cloud_of_message(message, "points"),
+            stream="points",
+        )
+        translation = self._translator(self._reader.read(source))
+        if translation.error:
+            raise translation.error
+        panorama = translation.panorama
         image, info = self._new_image(), self._new_info()
         if self._calibration is None:
             fill_camera_info(info, message.header, panorama.view)
@@ -108,11 +112,8 @@ def run(arguments: Sequence[str] | None = None) -> None:
         from sensor_msgs.msg import CameraInfo, Image, PointCloud2  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise InputError(
-            "lidar2pano.ros needs rclpy, which comes with ROS 2 and not from PyPI: source /opt/ros/DISTRO/setup.bash"
+            "ros_node.py needs rclpy, which comes with ROS 2 and not from PyPI: source /opt/ros/DISTRO/setup.bash"
         ) from error
-    from lidar2pano.calibration import read_calib
-    from lidar2pano.pipeline import load
-
     rclpy.init(args=arguments)
     try:
         node = Node("lidar2pano")
@@ -121,7 +122,7 @@ def run(arguments: Sequence[str] | None = None) -> None:
             for name, value in (("weights", "kitti-mini"), ("device", "auto"), ("calib", ""))
         )
         calibration = read_calib(Path(calib)) if calib else None
-        translate = Translator(load(weights, device), Image, CameraInfo, calibration)
+        translate = CloudTranslator(load(weights, device), Image, CameraInfo, calibration)
         images = node.create_publisher(Image, "panorama/image", 1)
         infos = node.create_publisher(CameraInfo, "panorama/camera_info", 1)
 
@@ -146,13 +147,11 @@ def run(arguments: Sequence[str] | None = None) -> None:
 
 def main() -> int:
     """Run the node; its exit code."""
-    from lidar2pano.cli.app import complain, exit_status
-
     try:
         run()
     except InputError as error:
-        complain(error)
-        return exit_status(error)[0]
+        print(f"ros_node.py: {error}", file=sys.stderr)
+        return 2
     return 0
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,10 +11,9 @@ import numpy as np
 
 from lidar2pano.data.poses import Poses, odometry
 from lidar2pano.errors import InputError
-from lidar2pano.formats.interpretation import FORWARD, Interpretation, Overrides
+from lidar2pano.formats.interpretation import FORWARD, Interpretation
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.motion import SensorMotion, Trajectory, deskewed
-from lidar2pano.recordings.drive_scans import drive_scans
 from lidar2pano.recordings.recorded_scans import recorded_motion, recording_reader
 from lidar2pano.scan import Scan
 
@@ -43,6 +42,10 @@ class DriveMotion:
         """The motion of the scans of a recording, which are in the coordinate frame `frame`; InputError at damage."""
         recorded = recorded_motion(path, options, frame)
         return cls(*recorded, estimate) if recorded else cls(None, "", estimate)
+
+    def __call__(self, _: Path, scan: Scan, interpretation: Interpretation) -> tuple[Scan, np.ndarray | None]:
+        """`step` at the scan's own stamp: a Motion."""
+        return self.step(scan, interpretation, interpretation.stamp_s or 0.0)
 
     def step(self, scan: Scan, found: Interpretation, stamp_s: float) -> tuple[Scan, np.ndarray | None]:
         """The scan as a sensor at rest at its stamp would have measured it, and T_world_sensor (4, 4) float64 then.
@@ -80,49 +83,28 @@ class DriveMotion:
         return replace(scan, xyz=deskewed(scan.xyz, scan.time_s, stamp_s, motion))
 
 
-def motion_of(stream: Path, scan: Scan, found: Interpretation, options: ReadOptions, smooth: bool) -> Motion | None:
-    """The motion of the sensor through a stream, by its first scan; None where it is unknown or of no use.
+def motion_of(
+    stream: Path, scan: Scan, interpretation: Interpretation, options: ReadOptions, estimate: bool
+) -> Motion | None:
+    """Return the motion of the sensor through a stream, by its first scan; None for an unknown or a useless one.
 
-    stream  a recording, or a folder of scan files.
-    smooth  whether poses are wanted: they are estimated where none are recorded. Otherwise the motion is of use only
-            where the points have times, and a recording holds poses.
-    Raises InputError where poses are damaged, or none are recorded and KISS-ICP is missing.
+    stream    a recording, or a folder of scan files.
+    estimate  whether poses are wanted: they are estimated unless recorded. Otherwise motion is of use only for points
+              with times, in a recording that holds poses.
+    Raises InputError for damaged poses, and without recorded ones if KISS-ICP is missing.
     """
     if recording_reader(stream):
-        if not smooth and scan.time_s is None:
+        if not estimate and scan.time_s is None:
             return None
-        drive = DriveMotion.of_recording(stream, options, found.frame, estimate=smooth)
-    elif not smooth:
+        drive = DriveMotion.of_recording(stream, options, interpretation.frame, estimate)
+    elif not estimate:
         return None
     elif city := city_motion(stream):
         drive = DriveMotion(*city, estimate=False)
     else:
         poses = Poses(stream)
         return lambda file, scan, _: (scan, poses.of(file, scan))
-    return (lambda _, scan, found: drive.step(scan, found, found.stamp_s or 0.0)) if drive.origin else None
-
-
-def posed_scans(
-    path: str | Path,
-    *,
-    topic: str = "",
-    every: int = 1,
-    start_s: float | None = None,
-    end_s: float | None = None,
-    overrides: Overrides | None = None,
-) -> Iterator[tuple[Scan, np.ndarray | None]]:
-    """The scans of a recording or of a folder of scan files, without skew, each with T_world_sensor (4, 4) float64.
-
-    topic, every, start_s, end_s  which scans, as in `scans`;  overrides: as in `read`.
-    A pose is None where the sensor's motion is unknown at that time. Raises InputError as `scans`, and where poses are
-    damaged, or none are recorded and KISS-ICP (extra `odometry`) is missing.
-    """
-    options = ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)
-    stream, motion = None, None
-    for one in drive_scans(path, options, overrides):
-        if one.stream != stream:
-            stream, motion = one.stream, motion_of(one.stream, one.scan, one.found, options, smooth=True)
-        yield motion(one.file, one.scan, one.found) if motion else (one.scan, None)
+    return drive if drive.origin else None
 
 
 def _of_scan(recorded: SensorMotion, found: Interpretation) -> SensorMotion:

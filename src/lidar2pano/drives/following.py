@@ -1,21 +1,18 @@
-"""translate --follow: scans that a recorder writes into a folder, as soon as each is complete, until interrupted."""
+"""A folder that still grows: scans that a recorder writes into it, as soon as each is complete."""
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 
-from lidar2pano.cli.scan_queue import QueuedScan, queued
+from lidar2pano.drives.folders import drive_files
+from lidar2pano.drives.reading import ScanSource, scan_sources
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.recordings.drive_scans import drive_files
 
 LOOK_S = 0.2  # between looks into the folder
 SETTLED_S = 1.0  # a file that was not changed for so long is complete
@@ -24,7 +21,7 @@ Version = tuple[int, int]  # size in bytes and time of the last change in nanose
 
 
 def check_followed(paths: list[Path], selection: ReadOptions) -> Path:
-    """The one folder to follow; InputError for anything else."""
+    """Return the one folder to follow; InputError for anything else."""
     if len(paths) != 1 or not paths[0].is_dir():
         raise InputError(f"--follow {' '.join(map(str, paths))}: name one folder, into which scans are written")
     if selection.start_s is not None or selection.end_s is not None:
@@ -32,60 +29,39 @@ def check_followed(paths: list[Path], selection: ReadOptions) -> Path:
     return paths[0]
 
 
-@contextmanager
-def until_interrupted() -> Iterator[threading.Event]:
-    """An event that the first SIGINT or SIGTERM sets, so that the scan at work is finished; a second one kills."""
-    stopped = threading.Event()
+def follow_folder(folder: Path, selection: ReadOptions, stopped: threading.Event) -> Iterator[ScanSource]:
+    """Yield the scans of a folder as they are completed, in order of their names, until `stopped` is set.
 
-    def stop(*_: int | FrameType | None) -> None:
-        stopped.set()
-        restore()
-
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-
-    def restore() -> None:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-    try:
-        yield stopped
-    finally:
-        restore()
-
-
-def followed(folder: Path, selection: ReadOptions, stopped: threading.Event) -> Iterator[QueuedScan]:
-    """The scans of a folder as they are completed, in order of their names, until `stopped` is set.
-
-    A file that changes after it was taken is taken again; one that cannot be read fails after GIVE_UP_S only.
+    A file that changes later is taken again; one that cannot be read fails after GIVE_UP_S only.
     """
     taken: dict[Path, Version] = {}
     first_look: dict[Path, tuple[Version, float]] = {}
-    names: dict[str, Path] = {}
+    owner: dict[str, Path] = {}  # of a stem: the first file that has it
     arrived = 0
     while not stopped.is_set():
-        for file, version, age_s in _settled(folder, taken, first_look):
+        for file, version, age_s in _settled_files(folder, taken, first_look):
             if stopped.is_set():
                 return
             stem = stem_of(file)
-            name = stem if names.setdefault(stem, file) == file else file.name
+            stems = {file: stem if owner.setdefault(stem, file) == file else file.name}
             new = file not in taken
             arrived += new
             if new and (arrived - 1) % selection.every:
                 taken[file] = version
                 continue
-            for scan in _readable([file], {file: name}, selection, age_s > GIVE_UP_S):
+            for source in _readable_sources(scan_sources([file], selection, stems), age_s > GIVE_UP_S):
                 taken[file] = version
-                yield scan
+                yield source
             arrived -= new and file not in taken
         stopped.wait(LOOK_S)
 
 
-def _settled(
+def _settled_files(
     folder: Path, taken: dict[Path, Version], first_look: dict[Path, tuple[Version, float]]
 ) -> list[tuple[Path, Version, float]]:
-    """Files that are complete and were not taken like this: path, version, seconds since their last change.
+    """List files that are complete and not taken in this version: path, version, seconds since the last change.
 
-    first_look  when each file was first found like this, by our own clock: that of a file server may be ahead of it.
+    first_look  when each version of a file was first seen, by our own clock: a file server's may be ahead of it.
     """
     try:
         files = drive_files(folder, ReadOptions())
@@ -93,7 +69,7 @@ def _settled(
         if not folder.is_dir():
             raise
         return []  # none yet
-    found = []
+    settled = []
     for file in files:
         try:
             status = file.stat()
@@ -106,21 +82,21 @@ def _settled(
             first_look[file] = version, now_s
         age_s = max(time.time() - status.st_mtime, now_s - first_look[file][1])
         if age_s >= SETTLED_S:
-            found.append((file, version, age_s))
-    return found
+            settled.append((file, version, age_s))
+    return settled
 
 
-def _readable(files: list[Path], names: dict[Path, str], selection: ReadOptions, final: bool) -> Iterator[QueuedScan]:
-    """The scans of a file, the first one decoded; none where that cannot be done, unless this is `final`."""
-    for number, scan in enumerate(queued(files, names, selection)):
-        if number:
-            yield scan
+def _readable_sources(sources: Iterator[ScanSource], final: bool) -> Iterator[ScanSource]:
+    """Yield the scans of a file, the first one decoded; none for an unreadable file, unless this is `final`."""
+    for index, source in enumerate(sources):
+        if index:
+            yield source
             continue
         try:
-            cloud = scan.cloud()
+            cloud = source.cloud()
         except InputError:
             if not final:
                 return
-            yield scan
+            yield source
         else:
-            yield replace(scan, cloud=lambda cloud=cloud: cloud)
+            yield replace(source, cloud=lambda cloud=cloud: cloud)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 import subprocess
 import sys
 from types import ModuleType, SimpleNamespace
@@ -9,13 +10,16 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from lidar2pano import ros
+from house_rules import ROOT
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError
 from lidar2pano.pipeline import load
 from lidar2pano.views import VIEWS
 from miniature import street
 from slow_definitions import place_slowly
+
+NODE = ROOT / "examples" / "ros_node.py"
+ros = SimpleNamespace(**runpy.run_path(str(NODE)))
 
 HEADER = SimpleNamespace(stamp=SimpleNamespace(sec=12, nanosec=500), frame_id="velodyne")
 
@@ -36,7 +40,7 @@ def cloud(scan, **changed) -> SimpleNamespace:
 def test_a_cloud_becomes_image_and_camera_info(random_weights):
     pipeline = load(random_weights, "cpu")
     scan = street(0, 3000)
-    image, info = ros.Translator(pipeline, Message, Message)(cloud(scan))
+    image, info = ros.CloudTranslator(pipeline, Message, Message)(cloud(scan))
     wanted = pipeline(scan)
     rows, columns = wanted.colour.shape[:2]
     assert (image.height, image.width, image.encoding, image.step) == (rows, columns, "rgb8", 3 * columns)
@@ -64,7 +68,7 @@ def test_a_camera_of_its_own_is_a_pinhole(random_weights):
     axes = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
     calibration = Calibration(K=K, T_camera_lidar=axes, size=(120, 36))
     pipeline = load(random_weights, "cpu")
-    image, info = ros.Translator(pipeline, Message, Message, calibration)(cloud(street(0, 3000)))
+    image, info = ros.CloudTranslator(pipeline, Message, Message, calibration)(cloud(street(0, 3000)))
     assert (image.width, image.height) == (info.width, info.height) == (120, 36)
     assert info.distortion_model == "plumb_bob" and info.k == K.ravel().tolist() and info.p[:4] == [70, 0, 60, 0]
     assert np.array_equal(
@@ -75,7 +79,7 @@ def test_a_camera_of_its_own_is_a_pinhole(random_weights):
 
 def test_a_cloud_without_points_is_an_error(random_weights):
     with pytest.raises(InputError, match="holds no points"):
-        ros.Translator(load(random_weights, "cpu"), Message, Message)(cloud(street(0, 3000), width=0))
+        ros.CloudTranslator(load(random_weights, "cpu"), Message, Message)(cloud(street(0, 3000), width=0))
 
 
 def module(name: str, **content) -> ModuleType:
@@ -127,5 +131,5 @@ def test_the_node_publishes_what_it_is_sent(random_weights, monkeypatch):
 
 
 def test_without_ros_it_is_one_line():
-    done = subprocess.run([sys.executable, "-m", "lidar2pano.ros"], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, str(NODE)], capture_output=True, text=True, check=False)
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "source /opt/ros/DISTRO/setup.bash" in done.stderr

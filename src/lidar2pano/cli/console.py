@@ -1,0 +1,74 @@
+"""What people see on stderr while a command runs: errors, licences, a progress bar; and the signals they send."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lidar2pano.models.card import Card
+
+MOST_CHARACTERS = 2000  # of a message
+MOST_WORD = 400  # characters of one word of it, such as a path
+
+
+def print_error(problem: object) -> None:
+    """Print one line of printable characters on stderr: others are escaped, long words and long lines shortened."""
+    line = " ".join(_shorten(word) for word in str(problem).split())
+    line = "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in line)
+    with suppress(OSError):  # stderr is full or closed
+        print(f"lidar2pano: {_shorten(line, MOST_CHARACTERS)}", file=sys.stderr, flush=True)
+
+
+def _shorten(text: str, most: int = MOST_WORD) -> str:
+    return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
+
+
+def print_licence(cards: Iterable[Card]) -> None:
+    """Print one line on stderr if a licence restricts the use of the weights that have these cards."""
+    from lidar2pano.models.families import licence_note
+
+    if note := licence_note(cards):
+        print_error(note)
+
+
+@contextmanager
+def bar(total: int, title: str) -> Iterator[Callable[[], None]]:
+    """Give a function to call after each of `total` things; silent for one, and unless stderr is a terminal."""
+    if total < 2 or not sys.stderr.isatty():
+        yield lambda: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, redirect_stdout=sys.stdout.isatty()) as progress:
+        task = progress.add_task(title, total=total)
+        yield lambda: progress.advance(task)
+
+
+@contextmanager
+def until_signal(*numbers: signal.Signals) -> Iterator[threading.Event]:
+    """Give an event that the first of these signals sets, so that the scan at work is finished; a second one kills."""
+    stopped = threading.Event()
+
+    def stop(*_: int | FrameType | None) -> None:
+        stopped.set()
+        restore()
+
+    handlers = {number: signal.signal(number, stop) for number in numbers}
+
+    def restore() -> None:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+    try:
+        yield stopped
+    finally:
+        restore()

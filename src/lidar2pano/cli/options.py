@@ -1,0 +1,133 @@
+"""Options and arguments that commands share, and the parsers of their texts."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lidar2pano.errors import InputError, closest
+
+if TYPE_CHECKING:
+    from lidar2pano.calibration import Calibration
+
+KITTI_SIZE = "1242x375"
+MOST_PIXELS = 1 << 26  # of a camera's image
+OUT = Path("panoramas")
+OutOption = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the pictures.")]
+WeightsOption = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME|FILE", help="A family of weights, a run's folder, a weight file; or several: A+B takes B's first."
+    ),
+]
+DeviceOption = Annotated[
+    str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute; auto: CUDA if there is one.")
+]
+ScansArgument = Annotated[
+    list[Path],
+    typer.Argument(metavar="SCAN...", help="Scans of any format, folders of them, sequence folders, recordings."),
+]
+FormatOption = Annotated[str, typer.Option("--format", metavar="png|webp|jpeg", help="Format of the colour images.")]
+SensorOption = Annotated[
+    str, typer.Option(metavar="NAME", help="Rows of this sensor, for weights that know them; else the weights'.")
+]
+CalibOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="KITTI's calib.txt (P2, Tr): look from that camera, and save its view too."),
+]
+LookOption = Annotated[
+    str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
+]
+SteadyOption = Annotated[
+    bool,
+    typer.Option("--steady", help="A folder's or recording's scans are a video: smooth it over time, without flicker."),
+]
+TopicOption = Annotated[
+    str, typer.Option(metavar="NAME", help="The recording's topic or sensor, where it has several.")
+]
+EveryOption = Annotated[int, typer.Option(min=1, metavar="N", help="One of N scans of a recording or folder.")]
+FromOption = Annotated[
+    float | None, typer.Option("--from", min=0, metavar="SECONDS", help="Scans from so long after the start on.")
+]
+ToOption = Annotated[
+    float | None, typer.Option("--to", min=0, metavar="SECONDS", help="Scans until so long after the start.")
+]
+FollowOption = Annotated[
+    bool, typer.Option("--follow", help="Go on with what is written into the folder, until interrupted.")
+]
+HeightOption = Annotated[
+    float | None, typer.Option(metavar="METRES", help="Height of the viewpoint above the ground; else found out.")
+]
+ForwardOption = Annotated[str, typer.Option(metavar="AXIS", help="What points forward: x, y, -x, -y; else found out.")]
+RemissionOption = Annotated[
+    str, typer.Option(metavar="FULL", help="Full remission: 1, 255, 65535; or none, if unusable; else found out.")
+]
+InventOption = Annotated[
+    bool, typer.Option("--invent", help="Depth and segments outside the field of view too; else they are unknown.")
+]
+
+EngineOption = Annotated[
+    str,
+    typer.Option(
+        metavar="auto|torch|compile|onnx|openvino",
+        help="What runs the networks; auto: OpenVINO where --engine openvino compiled the networks before, else torch.",
+    ),
+]
+SaveOption = Annotated[
+    str, typer.Option(metavar="LIST", help="What to write: rgb,segments,labels,depth or all; confidence.")
+]
+ViewOption = Annotated[bool, typer.Option("--view", help="Write DIR/view.html to look around in, and open it.")]
+PlyOption = Annotated[bool, typer.Option("--ply", help="Write DIR/<stem>.ply: the points with colours and classes.")]
+StrictOption = Annotated[bool, typer.Option("--strict", help="A scan that is as no LiDAR gives it is an error.")]
+VideoOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write the panoramas as a video (.mp4), ten a second.")
+]
+RerunOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write points and panoramas as a recording for Rerun (.rrd).")
+]
+
+
+def parse_camera(calib: Path | None, image_size: str) -> Calibration | None:
+    """Return the camera of --calib with an image of --image-size."""
+    from lidar2pano.calibration import read_calib
+
+    if image_size and calib is None:
+        raise InputError(f"--image-size {image_size} is the size of a camera's image; name its --calib too")
+    size = parse_size(image_size or KITTI_SIZE)
+    return read_calib(calib, size) if calib else None
+
+
+def parse_save(text: str, confidence: bool = False) -> tuple[str, ...]:
+    """Return --save's list, in the order of OUTPUTS; `confidence` may be in it, too, but "all" does not include it."""
+    from lidar2pano.panorama import CONFIDENCE, OUTPUTS
+
+    outputs = (*OUTPUTS, CONFIDENCE) if confidence else OUTPUTS
+    names = {name.strip() for name in text.split(",") if name.strip()}
+    if not names:
+        raise InputError(f"--save: empty list; choose from {', '.join(outputs)} and all")
+    if unknown := sorted(names - {*outputs, "all"}):
+        raise InputError(f"--save: unknown output {unknown[0]!r}{closest(unknown[0], (*outputs, 'all'))}")
+    return tuple(name for name in outputs if name in names or ("all" in names and name in OUTPUTS))
+
+
+def parse_format(name: str) -> str:
+    """Return --format's name, one of COLOUR_FORMATS."""
+    from lidar2pano.formats.image_files import COLOUR_FORMATS
+
+    if name not in COLOUR_FORMATS:
+        raise InputError(f"--format {name!r}: no format for colour images{closest(name, COLOUR_FORMATS)}")
+    return name
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Return --image-size's width and height in pixels."""
+    size = re.fullmatch(r"([1-9]\d{0,4})[xX]([1-9]\d{0,4})", text.strip())
+    if not size:
+        raise InputError(f"--image-size {text!r} is not of the form WIDTHxHEIGHT in pixels, e.g. {KITTI_SIZE}")
+    width, height = int(size[1]), int(size[2])
+    if width * height > MOST_PIXELS:
+        raise InputError(f"--image-size {text!r} has more than {MOST_PIXELS} pixels; name that of the camera's image")
+    return width, height

@@ -1,0 +1,235 @@
+"""Readings of a drive: scans one after the other, all of a stream as its first one was read, without skew, with poses.
+
+Commands, fleets, servers and nodes read scans here; `translation` turns readings into panoramas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+import torch
+
+from lidar2pano.calibration import Calibration
+from lidar2pano.drives.drive_motion import Motion, motion_of
+from lidar2pano.drives.folders import drive_files, output_stems
+from lidar2pano.errors import InputError
+from lidar2pano.formats.file_contents import stem_of
+from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
+from lidar2pano.formats.point_cloud import PointCloud
+from lidar2pano.formats.readers import ReadOptions, open_path
+from lidar2pano.hardware import Timer
+from lidar2pano.recordings.recorded_scans import recording_reader
+from lidar2pano.scan import Scan
+
+CPU = torch.device("cpu")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanSource:
+    """A scan that is still to be read.
+
+    path    of the scan file or recording;  title: for messages;  stem: of its outputs' names.
+    cloud   returns its points; raises InputError for damage.
+    stream  the scans of one stream follow each other in time: a folder, a recording; None for a scan by itself.
+    number  of a recording's scan, None for a scan file.
+    """
+
+    path: Path
+    title: str
+    stem: str
+    cloud: Callable[[], PointCloud]
+    stream: Hashable = None
+    number: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """A scan that was read, or the error that prevented it.
+
+    scan            named by the source's title; None with an error.
+    interpretation  how the cloud was read.
+    pose            (4, 4) float64 T_world_sensor, metres; None if it is unknown or not wanted.
+    labels          (N,) int64 ids of SEMANTIC_KITTI that take the place of the segmenter's; None: the segmenter's.
+    calibration     of the camera at whose optical centre the panorama stands; None: the pipeline's own place.
+    timer           milliseconds of the stages "read" and "pose"; translation goes on with it.
+    """
+
+    source: ScanSource
+    scan: Scan | None = None
+    interpretation: Interpretation | None = None
+    pose: np.ndarray | None = None
+    labels: np.ndarray | None = None
+    calibration: Calibration | None = None
+    timer: Timer = field(default_factory=partial(Timer, CPU))
+    error: Exception | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadingOptions:
+    """How scans are read.
+
+    selection  which ones of a folder or recording;  overrides: what is known about them.
+    motion     whether recorded motion of the sensor takes the skew out of scans whose points have times.
+    poses      whether a pose is wanted for each scan: estimated by KISS-ICP unless recorded.
+    strict     whether an implausible scan is an error.
+    """
+
+    selection: ReadOptions = field(default_factory=ReadOptions)
+    overrides: Overrides = field(default_factory=Overrides)
+    motion: bool = True
+    poses: bool = False
+    strict: bool = False
+
+
+class StreamReader:
+    """Reads scan after scan; the first one of each stream tells how the others are read, and how the sensor moves."""
+
+    def __init__(self, options: ReadingOptions | None = None) -> None:
+        self._options = options or ReadingOptions()
+        self._stream: Hashable = None
+        self._first: Interpretation | None = None
+        self._motion: Motion | None = None
+
+    def read(self, source: ScanSource) -> Reading:
+        """Read a scan. Raises InputError for damaged poses of its stream, which no later scan can do without."""
+        followed = source.stream is not None and source.stream == self._stream
+        reading = read_scan(source, self._options, self._first if followed else None)
+        if reading.scan is None or reading.interpretation is None:
+            return reading
+        if not followed:
+            self._stream, self._first, self._motion = source.stream, reading.interpretation, None
+            if isinstance(source.stream, Path) and self._options.motion:
+                selection, poses = self._options.selection, self._options.poses
+                self._motion = motion_of(source.stream, reading.scan, reading.interpretation, selection, poses)
+        return move_scan(reading, self._motion, self._options.poses) if self._motion else reading
+
+    def __call__(self, sources: Iterable[ScanSource]) -> Iterator[Reading]:
+        """Read scans one at a time."""
+        return map(self.read, sources)
+
+
+def read_scan(source: ScanSource, options: ReadingOptions, first: Interpretation | None = None) -> Reading:
+    """Read a scan like the first one of its stream; a damaged one gives a reading with an error."""
+    reading = Reading(source=source)
+    try:
+        with reading.timer("read"):
+            cloud = replace(source.cloud(), name=source.title)
+            try:
+                scan, interpretation = interpret(cloud, options.overrides, first)
+            except InputError as error:
+                raise InputError(f"{source.title}: {error}") from None
+            if options.strict and interpretation.doubts:
+                raise InputError(f"{source.title}: {interpretation.doubts[0]} (an error because of --strict)")
+    except InputError as error:
+        return replace(reading, error=error)
+    return replace(reading, scan=scan, interpretation=interpretation)
+
+
+def move_scan(reading: Reading, motion: Motion, poses: bool) -> Reading:
+    """Take the skew out of a reading's scan, and give it its pose if `poses`; an unknown place is its error."""
+    if reading.scan is None or reading.interpretation is None:
+        return reading
+    try:
+        with reading.timer("pose"):
+            scan, pose = motion(reading.source.path, reading.scan, reading.interpretation)
+    except InputError as error:
+        return replace(reading, error=error)
+    return replace(reading, scan=scan, pose=pose if poses else None)
+
+
+def scan_sources(
+    files: Iterable[Path], selection: ReadOptions, stems: Mapping[Path, str] | None = None
+) -> Iterator[ScanSource]:
+    """Yield the scans of files and recordings; one that cannot be opened is among them, and fails when it is read.
+
+    stems  of the outputs' names by file; None: `output_stems`.
+    """
+    files = list(files)
+    stems = output_stems(files) if stems is None else stems
+    for file in files:
+        try:
+            reader = recording_reader(file)
+            if reader is None:
+                yield _file_source(file, stems[file], partial(_only_cloud, file, selection))
+                continue
+            for frame in reader.frames(file, selection):
+                yield ScanSource(
+                    path=file,
+                    title=frame.title,
+                    stem=stems[file] + frame.name.removeprefix(file.stem),
+                    cloud=frame.cloud,
+                    stream=file,
+                    number=frame.number,
+                )
+        except InputError as error:
+            yield _file_source(file, stems[file], partial(_fail, error))
+
+
+def _file_source(file: Path, stem: str, cloud: Callable[[], PointCloud]) -> ScanSource:
+    return ScanSource(path=file, title=str(file), stem=stem, cloud=cloud, stream=file.parent)
+
+
+def _only_cloud(file: Path, selection: ReadOptions) -> PointCloud:
+    for cloud in open_path(file).clouds(file, selection):
+        return cloud
+    raise InputError(f"{file}: holds no scan; name another file")
+
+
+def _fail(error: InputError) -> NoReturn:
+    raise error
+
+
+def posed_scans(
+    path: str | Path,
+    *,
+    topic: str = "",
+    every: int = 1,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    overrides: Overrides | None = None,
+) -> Iterator[tuple[Scan, np.ndarray | None]]:
+    """Yield the scans of a recording or folder, without skew, each with T_world_sensor (4, 4) float64.
+
+    topic, every, start_s, end_s  which scans, as in `scans`;  overrides: as in `read`.
+    A pose is None at times of unknown motion. Raises InputError as `scans`, for damaged poses, and without recorded
+    ones where KISS-ICP (extra `odometry`) is missing.
+    """
+    selection = ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)
+    options = ReadingOptions(selection=selection, overrides=overrides or Overrides(), poses=True)
+    return ((scan, reading.pose) for scan, reading in _named_scans(Path(path), options))
+
+
+def scans(
+    path: str | Path,
+    overrides: Overrides | None = None,
+    *,
+    topic: str = "",
+    every: int = 1,
+    start_s: float | None = None,
+    end_s: float | None = None,
+) -> Iterator[Scan]:
+    """Yield the scans of a file, a folder or a recording one at a time, those of one stream read alike.
+
+    topic           of a recording that has several topics of points; "" for the only one.
+    every           one of so many scans of a recording or folder.
+    start_s, end_s  seconds after the start of the recording or folder; the end is not included.
+    Raises InputError for what cannot be read.
+    """
+    selection = ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)
+    options = ReadingOptions(selection=selection, overrides=overrides or Overrides(), motion=False)
+    return (scan for scan, _ in _named_scans(Path(path), options))
+
+
+def _named_scans(path: Path, options: ReadingOptions) -> Iterator[tuple[Scan, Reading]]:
+    """Yield the scans of a path, named by their files' stems, with their readings; raise a reading's error."""
+    files = drive_files(path, options.selection)
+    stems = {file: stem_of(file) for file in files}
+    for reading in StreamReader(options)(scan_sources(files, options.selection, stems)):
+        if reading.error or reading.scan is None:
+            raise reading.error or AssertionError
+        yield replace(reading.scan, name=reading.source.stem), reading

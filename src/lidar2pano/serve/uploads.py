@@ -1,0 +1,189 @@
+"""Uploaded scans: the bytes of a scan in, the bytes of the outputs out. No name or path of the client is used."""
+
+from __future__ import annotations
+
+import io
+import secrets
+import tempfile
+import time
+import zipfile
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lidar2pano.drives.reading import ReadingOptions, ScanSource, read_scan
+from lidar2pano.errors import InputError
+from lidar2pano.formats.point_cloud import PointCloud
+from lidar2pano.formats.readers import ENDINGS, PACKED, TEXT_ENDINGS, ReadOptions, open_path
+from lidar2pano.panorama import OUTPUTS
+from lidar2pano.pipeline import Pipeline
+from lidar2pano.translation import Translation, Translator
+from lidar2pano.viewer.page import PageFrame, PageWriter
+
+PAGE = "page"  # an output like OUTPUTS: the page to look around in
+FILES = {
+    "rgb": "panorama.png",
+    "segments": "panorama.segments.png",
+    "labels": "panorama.label",
+    "depth": "panorama.depth.png",
+    PAGE: "panorama.html",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """Bounds of a server.
+
+    body_bytes  of one request;  points: of one scan.
+    waiting     requests that are taken and not answered yet; one more is refused with 429.
+    seconds     from a request to its answer;  upload_seconds: until its body is there.
+    kept        results that links point to; kept_seconds: for how long.
+    """
+
+    body_bytes: int = 64 << 20
+    points: int = 2_000_000
+    waiting: int = 8
+    seconds: float = 120.0
+    upload_seconds: float = 30.0
+    kept: int = 16
+    kept_seconds: float = 300.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Result:
+    """The outputs of a scan.
+
+    files   by their names in OUTPUTS, and PAGE;  doubts: sentences about implausible properties of the scan.
+    """
+
+    files: Mapping[str, bytes]
+    points: int
+    dropped: int
+    milliseconds: Mapping[str, float]
+    doubts: list[str] = field(default_factory=list)
+
+    def zipped(self) -> bytes:
+        """Return all files in a ZIP archive; they are compressed already."""
+        buffer = io.BytesIO()
+        with zipfile.ZipFile(buffer, "w") as archive:
+            for part, data in self.files.items():
+                archive.writestr(zipfile.ZipInfo(FILES[part]), data)
+        return buffer.getvalue()
+
+
+class KeptResults:
+    """Results under names that cannot be guessed; the oldest goes when there are too many or it is too old."""
+
+    def __init__(self, limits: Limits, clock: Callable[[], float] = time.monotonic) -> None:
+        self._limits, self._clock = limits, clock
+        self._kept: OrderedDict[str, tuple[float, Result]] = OrderedDict()
+
+    def keep(self, result: Result) -> str:
+        """Keep a result and return its name."""
+        name = secrets.token_urlsafe(16)
+        self._kept[name] = (self._clock(), result)
+        while len(self._kept) > self._limits.kept:
+            self._kept.popitem(last=False)
+        return name
+
+    def get(self, name: str) -> Result | None:
+        """Return the result of this name, None if there is none (any more)."""
+        oldest = self._clock() - self._limits.kept_seconds
+        while self._kept and next(iter(self._kept.values()))[0] < oldest:
+            self._kept.popitem(last=False)
+        kept = self._kept.get(name)
+        return kept and kept[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class UploadTranslator:
+    """Makes panoramas of uploaded scans, one at a time.
+
+    pipeline  the model in memory;  weights: its name;  most_points: of a scan.
+    """
+
+    pipeline: Pipeline
+    weights: str
+    most_points: int
+
+    def __call__(self, body: bytes, ending: str, save: tuple[str, ...]) -> Result:
+        """Return the outputs `save` of a scan file's bytes.
+
+        ending  of the file's name, used for content that no reader is sure of, and only if it is known.
+        Raises InputError for a scan that cannot be used.
+        """
+        with tempfile.TemporaryDirectory(prefix="lidar2pano-") as name:
+            path = Path(name, f"scan{known_ending(ending)}")
+            try:
+                source = ScanSource(path=path, title="scan", stem="panorama", cloud=lambda: self._cloud(path, body))
+                translation = Translator(lambda: self.pipeline)(read_scan(source, ReadingOptions()))
+                if translation.error:
+                    raise translation.error
+                return _result(translation, save, Path(name))
+            except InputError as error:
+                raise InputError(str(error).replace(str(path), "scan").replace(name, "")) from None
+
+    def _cloud(self, path: Path, body: bytes) -> PointCloud:
+        path.write_bytes(body)
+        cloud = next(open_path(path).clouds(path, ReadOptions()))
+        if len(cloud) > self.most_points:
+            raise InputError(f"scan: {len(cloud)} points are too many (at most {self.most_points}); thin it out")
+        return cloud
+
+
+def _result(translation: Translation, save: tuple[str, ...], folder: Path) -> Result:
+    """Write the outputs of a scan into a folder and return their bytes."""
+    panorama, scan, timer = translation.panorama, translation.reading.scan, translation.timer
+    assert panorama and scan
+    with timer("save"):
+        parts = tuple(part for part in save if part != PAGE)
+        paths = panorama.save(folder, parts, None, translation.reading.source.stem)
+        files = dict(zip(parts, (file.read_bytes() for file in paths), strict=True))
+    if PAGE in save:
+        with timer("page"):
+            files[PAGE] = _page_of(translation, folder / FILES[PAGE])
+    return Result(
+        files=files,
+        points=len(scan),
+        dropped=panorama.dropped,
+        milliseconds=translation.counts()["milliseconds"],
+        doubts=translation.doubts,
+    )
+
+
+def _page_of(translation: Translation, path: Path) -> bytes:
+    """Return the bytes of a page to look around in a panorama, by way of a file at `path`."""
+    panorama, scan = translation.panorama, translation.reading.scan
+    assert panorama and scan
+    writer = PageWriter("panorama")
+    try:
+        frame = PageFrame(
+            name="scan",
+            view=panorama.view,
+            colour=panorama.colour,
+            segments=panorama.segments,
+            depth_m=panorama.depth_m,
+            xyz=scan.xyz,
+        )
+        writer.add(frame)
+        return writer.write(path).read_bytes()
+    finally:
+        writer.close()
+
+
+def known_ending(name: str) -> str:
+    """Return the ending of a file's name if a reader knows it, such as ".pcd" or ".csv.gz"; else ""."""
+    endings = [f".{part.lower()}" for part in name.split(".")[1:]]
+    packing = endings.pop() if endings and endings[-1] in PACKED else ""
+    ending = endings[-1] if endings and endings[-1] in (*ENDINGS, *TEXT_ENDINGS) else ""
+    return ending + packing
+
+
+def parse_parts(text: str) -> tuple[str, ...]:
+    """Return the outputs that a request names, in the order of FILES; InputError for an unknown name."""
+    names = {name.strip() for name in text.split(",") if name.strip()}
+    if not names or not names <= {*FILES, "all"}:
+        raise InputError(f"save: name some of {', '.join(FILES)}, or all (but the page)")
+    names |= set(OUTPUTS) if "all" in names else set()
+    return tuple(name for name in FILES if name in names)
