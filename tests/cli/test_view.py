@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from lidar2pano.cli import main
-from lidar2pano.cli.view import open_page
+from lidar2pano.cli.batch import open_page
 from random_weights import street, write_scan
 from small_panoramas import small_panorama
 
