@@ -111,6 +111,24 @@ def test_what_floors_allow(tree):
     assert house_rules.climbs(source) == []
 
 
+def test_no_files_import_each_other_in_a_circle():
+    assert house_rules.circles(house_rules.SOURCE) == []
+
+
+def test_a_circle_is_found(tree):
+    source = tree(
+        scan="import math",
+        formats__pcd="from lidar2pano.formats.ply import x\nfrom lidar2pano.scan import Scan",
+        formats__ply="def later():\n    from lidar2pano.formats import las",
+        formats__las="from .pcd import y",
+        models__card="if TYPE_CHECKING:\n    from lidar2pano.models.titan import Titan",
+        models__titan="from lidar2pano.models.card import Card",
+    )
+    assert house_rules.circles(source) == [
+        "formats/las.py and formats/pcd.py and formats/ply.py import each other in a circle"
+    ]
+
+
 def test_floor_0_knows_numpy_only():
     assert house_rules.foreign(house_rules.SOURCE) == []
 

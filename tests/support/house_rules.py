@@ -142,6 +142,31 @@ def _climb(ours: str, theirs: str) -> str | None:
     return f"floor {here} may not know floor {there}"
 
 
+def circles(source: Path) -> list[str]:
+    """Return files that import each other in a circle, at any depth of their functions but not for types alone."""
+    trees = dict(parsed(source))
+    file_of = {".".join([PACKAGE, *path.with_suffix("").parts]).removesuffix(".__init__"): path for path in trees}
+    imported = {path: _imported_files(path, tree, file_of) for path, tree in trees.items()}
+    reached: dict[Path, set[Path]] = {}
+    for path in trees:
+        reached[path], waiting = set(), list(imported[path])
+        while waiting:
+            if (file := waiting.pop()) not in reached[path]:
+                reached[path].add(file)
+                waiting += imported[file]
+    rings = {tuple(sorted(f for f in reached[path] if path in reached[f])) for path in trees if path in reached[path]}
+    return [f"{' and '.join(map(str, ring))} import each other in a circle" for ring in sorted(rings)]
+
+
+def _imported_files(path: Path, tree: ast.Module, file_of: dict[str, Path]) -> set[Path]:
+    """Return the files of the package that a file imports when it runs."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            node.body = []
+    names = {file_of.get(name) or file_of.get(name.rpartition(".")[0]) for name in imports(tree, path)}
+    return {file for file in names if file and file != path}
+
+
 def foreign(source: Path) -> list[str]:
     """Imports on floor 0 from outside numpy, the standard library and floor 0 itself."""
     allowed = {"numpy", PACKAGE, *sys.stdlib_module_names}
