@@ -21,15 +21,17 @@ from lidar2pano.cli.files import check_file
 from lidar2pano.drives.folders import drive_files, output_stems
 from lidar2pano.drives.following import follow_folder
 from lidar2pano.drives.reading import ReadingOptions, ScanSource, StreamReader, scan_sources
+from lidar2pano.engines import pick_engine
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
-from lidar2pano.hardware import keep_buffers
-from lidar2pano.models.families import paints_look
+from lidar2pano.hardware import keep_buffers, pick_device
+from lidar2pano.models.families import paints_look, weight_files
 from lidar2pano.pipeline import Pipeline, load
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
 from lidar2pano.translation import Translation, Translator, translate
 from lidar2pano.viewer.outputs import Output, OutputFiles
 from lidar2pano.viewer.page import title_of
+from lidar2pano.views import sensor_view
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +68,21 @@ class Options:
         if self.look and not paints_look(self.files, self.look):
             pipeline = pipeline.in_look(self.look)
         return pipeline.at(self.calibration) if self.calibration else pipeline
+
+
+def checked_options(
+    weights: str, *, look: str = "", device: str = "auto", engine: str = "auto", **further: Any
+) -> Options:
+    """Return a run's options; InputError for weights, a device, an engine or a sensor that cannot be had.
+
+    further  fields of Options.
+    """
+    files, picked = weight_files(weights, look=look), pick_device(device)
+    pick_engine(engine, picked)
+    options = Options(weights=weights, files=files, device=picked, look=look, engine=engine, **further)
+    if options.sensor:
+        sensor_view(options.sensor)
+    return options
 
 
 def common_files(scans: Sequence[Path], page: Path | None, video: Path | None, rerun: Path | None) -> OutputFiles:

@@ -12,21 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 from typer.core import TyperCommand
 
+from lidar2pano.cli import options as opt
 from lidar2pano.cli.app import TERMINATED, app
 from lidar2pano.cli.console import bar, print_error, print_licence, until_signal
-from lidar2pano.cli.options import (
-    DeviceOption,
-    EngineOption,
-    EveryOption,
-    FormatOption,
-    FromOption,
-    LookOption,
-    ToOption,
-    TopicOption,
-    WeightsOption,
-    parse_format,
-    parse_save,
-)
 from lidar2pano.errors import InputError, closest
 
 if TYPE_CHECKING:
@@ -88,42 +76,47 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     save: SaveOption = "",
     layout: LayoutOption = "",
     use_labels: LabelsOption = False,
-    topic: TopicOption = "",
-    every: EveryOption = 1,
-    start_s: FromOption = None,
-    end_s: ToOption = None,
-    weights: WeightsOption = "kitti-mini",
-    look: LookOption = "",
-    device: DeviceOption = "auto",
-    engine: EngineOption = "auto",
-    image_format: FormatOption = "png",
+    topic: opt.TopicOption = "",
+    every: opt.EveryOption = 1,
+    start_s: opt.FromOption = None,
+    end_s: opt.ToOption = None,
+    weights: opt.WeightsOption = "kitti-mini",
+    look: opt.LookOption = "",
+    device: opt.DeviceOption = "auto",
+    engine: opt.EngineOption = "auto",
+    image_format: opt.FormatOption = "png",
     address: AddressOption = "",
     workers: WorkersOption = 0,
     cores: Annotated[int, typer.Option(min=1, metavar="N", help="With --ray: processor cores of each worker.")] = 2,
 ) -> None:
     """Translate any number of scans. Repeat the command to go on where it stopped."""
-    from lidar2pano.bulk import Shard
-    from lidar2pano.cli.batch import Options
-    from lidar2pano.drives.reading import ReadingOptions
+    from lidar2pano.bulk import Job, Shard
+    from lidar2pano.cli.batch import checked_options
     from lidar2pano.formats.readers import ReadOptions
-    from lidar2pano.hardware import pick_device
-    from lidar2pano.models.families import weight_files
 
     _check_layout(layout, image_format)
     source, only = _source(root)
     part = Shard.parsed(shard)
-    options = Options(
-        out=Path(out),
-        save=parse_save(save or ("rgb,segments,depth" if layout else "rgb")),
-        weights=weights,
-        files=weight_files(weights, look=look),
-        device=pick_device("cpu" if address else device),
+    options = checked_options(
+        weights,
         look=look,
+        device="cpu" if address else device,
         engine=engine,
-        image_format=parse_format(image_format),
-        reading=ReadingOptions(selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)),
+        out=Path(out),
+        save=opt.parse_save(save or ("rgb,segments,depth" if layout else "rgb")),
+        image_format=opt.parse_format(image_format),
     )
-    job = job_of(source, out, options, layout, use_labels)
+    job = Job(
+        source=_absolute(source),
+        out=_absolute(out),
+        save=options.save,
+        layout=layout,
+        use_labels=use_labels,
+        weights=weights,
+        pipeline=options.pipeline,
+        image_format=options.image_format,
+        selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
+    )
     raise typer.Exit(run(job, part, options, Cluster(address, device, workers, cores), only))
 
 
@@ -134,10 +127,8 @@ def run(job: Job, part: Shard, options: Options, cluster: Cluster, only: str) ->
     """
     from lidar2pano.bulk import Manifest, entries, start, translate_all
     from lidar2pano.bulk.stores import open_store
-    from lidar2pano.engines import pick_engine
     from lidar2pano.models.card import read_card
 
-    pick_engine(options.engine, options.device)
     store = open_store(job.source)
     found = entries(store, part, job.layout, labels=job.use_labels, selection=job.selection, only=only)
     settings = {"look": options.look, "engine": options.engine, "format": options.image_format}
@@ -171,23 +162,6 @@ def work_on_ray(job: Job, found: list[Entry], manifest: Manifest, options: Optio
         translate = partial(translate_on_ray, workers=count, cores=cluster.cores, gpus=gpus)
         options = replace(options, device=torch.device("cuda" if gpus else "cpu"))
         return work(replace(job, pipeline=options.pipeline), found, manifest, translate)
-
-
-def job_of(root: str, out: str, options: Options, layout: str, use_labels: bool) -> Job:
-    """What is wanted of every scan."""
-    from lidar2pano.bulk import Job
-
-    return Job(
-        source=_absolute(root),
-        out=_absolute(out),
-        save=options.save,
-        layout=layout,
-        use_labels=use_labels,
-        weights=options.weights,
-        pipeline=options.pipeline,
-        image_format=options.image_format,
-        selection=options.reading.selection,
-    )
 
 
 def _source(root: str) -> tuple[str, str]:

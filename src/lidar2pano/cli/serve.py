@@ -9,9 +9,9 @@ from typing import Annotated
 
 import typer
 
+from lidar2pano.cli import options as opt
 from lidar2pano.cli.app import app
 from lidar2pano.cli.console import print_licence
-from lidar2pano.cli.options import DeviceOption, EngineOption, LookOption, WeightsOption
 from lidar2pano.errors import InputError
 
 LOOPBACK: tuple[str, ...] = ("127.0.0.1", "localhost")
@@ -23,10 +23,10 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
         str, typer.Option(metavar="ADDRESS", help="Address to listen on; the default takes calls of this machine only.")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, metavar="N", help="Port; 0: any that is free.")] = 8360,
-    weights: WeightsOption = "kitti-mini",
-    look: LookOption = "",
-    device: DeviceOption = "auto",
-    engine: EngineOption = "auto",
+    weights: opt.WeightsOption = "kitti-mini",
+    look: opt.LookOption = "",
+    device: opt.DeviceOption = "auto",
+    engine: opt.EngineOption = "auto",
     most_megabytes: Annotated[
         float, typer.Option("--max-megabytes", min=0.001, metavar="N", help="Of one request's body.")
     ] = 64,
@@ -41,21 +41,11 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
 
     import uvicorn
 
-    from lidar2pano.cli.batch import Options
-    from lidar2pano.hardware import pick_device
-    from lidar2pano.models.families import weight_files
+    from lidar2pano.cli.batch import checked_options
     from lidar2pano.serve import Limits, UploadTranslator, create_application
 
     listening = _socket(host, port)
-    options = Options(
-        out=Path(),
-        save=("rgb",),
-        weights=weights,
-        files=weight_files(weights, look=look),
-        device=pick_device(device),
-        look=look,
-        engine=engine,
-    )
+    options = checked_options(weights, look=look, device=device, engine=engine, out=Path(), save=("rgb",))
     limits = replace(Limits(), body_bytes=int(most_megabytes * 1e6), points=most_points, waiting=queue, seconds=seconds)
     pipeline = options.pipeline()
     print_licence(pipeline.cards.values())

@@ -3,66 +3,23 @@
 from __future__ import annotations
 
 import shlex
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from lidar2pano.cli import options as opt
 from lidar2pano.cli.app import app
 from lidar2pano.cli.files import check_folder
-from lidar2pano.cli.options import (
-    OUT,
-    CalibOption,
-    DeviceOption,
-    EngineOption,
-    EveryOption,
-    FollowOption,
-    FormatOption,
-    ForwardOption,
-    FromOption,
-    HeightOption,
-    InventOption,
-    LookOption,
-    OutOption,
-    PlyOption,
-    RemissionOption,
-    RerunOption,
-    SaveOption,
-    ScansArgument,
-    SensorOption,
-    SteadyOption,
-    StrictOption,
-    ToOption,
-    TopicOption,
-    VideoOption,
-    ViewOption,
-    WeightsOption,
-    parse_camera,
-    parse_format,
-    parse_save,
-)
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from lidar2pano.cli.batch import Options
 
 
 @app.command()
-def demo(out: OutOption = OUT, weights: WeightsOption = "world", device: DeviceOption = "auto") -> None:
+def demo(out: opt.OutOption = opt.OUT, weights: opt.WeightsOption = "world", device: opt.DeviceOption = "auto") -> None:
     """Turn the scan that ships with the package into a panorama; say where the pictures are."""
-    from lidar2pano.cli.batch import Options, translate_files
+    from lidar2pano.cli.batch import checked_options, translate_files
     from lidar2pano.demo import street
-    from lidar2pano.hardware import pick_device
-    from lidar2pano.models.families import weight_files
     from lidar2pano.panorama import OUTPUTS
 
-    options = Options(
-        out=check_folder(out, "--out"),
-        save=OUTPUTS,
-        device=pick_device(device),
-        weights=weights,
-        files=weight_files(weights),
-    )
+    options = checked_options(weights, device=device, out=check_folder(out, "--out"), save=OUTPUTS)
     code = translate_files([street()], options)
     if not code:
         print(f"look around in it: lidar2pano view {shlex.quote(str(out))}")
@@ -71,79 +28,64 @@ def demo(out: OutOption = OUT, weights: WeightsOption = "world", device: DeviceO
 
 @app.command()
 def translate(  # noqa: PLR0913, PLR0917 one parameter per option
-    scans: ScansArgument,
-    out: OutOption = OUT,
-    weights: WeightsOption = "kitti-mini",
-    device: DeviceOption = "auto",
-    sensor: SensorOption = "",
-    calib: CalibOption = None,
+    scans: opt.ScansArgument,
+    out: opt.OutOption = opt.OUT,
+    weights: opt.WeightsOption = "kitti-mini",
+    device: opt.DeviceOption = "auto",
+    sensor: opt.SensorOption = "",
+    calib: opt.CalibOption = None,
     image_size: Annotated[str, typer.Option(metavar="WxH", help="Size of that camera's image (1242x375).")] = "",
-    save: SaveOption = "rgb",
+    save: opt.SaveOption = "rgb",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per scan on stdout.")] = False,
-    steady: SteadyOption = False,
-    sensor_height: HeightOption = None,
-    forward: ForwardOption = "",
-    remission: RemissionOption = "",
-    invent: InventOption = False,
-    look: LookOption = "",
-    topic: TopicOption = "",
-    every: EveryOption = 1,
-    start_s: FromOption = None,
-    end_s: ToOption = None,
-    follow: FollowOption = False,
-    engine: EngineOption = "auto",
-    image_format: FormatOption = "png",
-    view: ViewOption = False,
-    ply: PlyOption = False,
-    strict: StrictOption = False,
-    video: VideoOption = None,
-    rerun: RerunOption = None,
+    steady: opt.SteadyOption = False,
+    sensor_height: opt.HeightOption = None,
+    forward: opt.ForwardOption = "",
+    remission: opt.RemissionOption = "",
+    invent: opt.InventOption = False,
+    look: opt.LookOption = "",
+    topic: opt.TopicOption = "",
+    every: opt.EveryOption = 1,
+    start_s: opt.FromOption = None,
+    end_s: opt.ToOption = None,
+    follow: opt.FollowOption = False,
+    engine: opt.EngineOption = "auto",
+    image_format: opt.FormatOption = "png",
+    view: opt.ViewOption = False,
+    ply: opt.PlyOption = False,
+    strict: opt.StrictOption = False,
+    video: opt.VideoOption = None,
+    rerun: opt.RerunOption = None,
 ) -> None:
     """Turn scans into panoramas: DIR/<stem>.png, .segments.png, .label, .depth.png, .camera.png."""
-    from lidar2pano.cli.batch import Options, common_files
+    from lidar2pano.cli import batch
+    from lidar2pano.drives.following import check_followed
     from lidar2pano.drives.reading import ReadingOptions
     from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.formats.readers import ReadOptions
-    from lidar2pano.hardware import pick_device
-    from lidar2pano.models.families import weight_files
 
-    options = Options(
-        out=check_folder(out, "--out"),
-        calibration=parse_camera(calib, image_size),
-        device=pick_device(device),
-        weights=weights,
-        files=weight_files(weights, look=look),
-        sensor=sensor,
-        save=parse_save(save, confidence=True),
-        as_json=as_json,
+    options = batch.checked_options(
+        weights,
         look=look,
+        device=device,
+        engine=engine,
+        sensor=sensor,
+        out=check_folder(out, "--out"),
+        calibration=opt.parse_camera(calib, image_size),
+        save=opt.parse_save(save, confidence=True),
+        as_json=as_json,
         reading=ReadingOptions(
             selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
             overrides=Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission, invent=invent),
             poses=steady,
             strict=strict,
         ),
-        engine=engine,
-        image_format=parse_format(image_format),
+        image_format=opt.parse_format(image_format),
         ply=ply,
-        common=common_files(scans, out / "view.html" if view else None, video, rerun),
+        common=batch.common_files(scans, out / "view.html" if view else None, video, rerun),
     )
-    raise typer.Exit(_translate(scans, options, follow))
-
-
-def _translate(scans: list[Path], options: Options, follow: bool) -> int:
-    """Translate scans and open the page that was asked for; return the exit code."""
-    from lidar2pano.cli.batch import open_page, translate_files, translate_followed
-    from lidar2pano.drives.following import check_followed
-    from lidar2pano.engines import pick_engine
-    from lidar2pano.views import sensor_view
-
-    if options.sensor:
-        sensor_view(options.sensor)
-    pick_engine(options.engine, options.device)
     if follow:
-        code = translate_followed(check_followed(scans, options.reading.selection), options)
+        code = batch.translate_followed(check_followed(scans, options.reading.selection), options)
     else:
-        code = translate_files(scans, options)
-    open_page(options.common.page, code)
-    return code
+        code = batch.translate_files(scans, options)
+    batch.open_page(options.common.page, code)
+    raise typer.Exit(code)

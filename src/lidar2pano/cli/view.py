@@ -8,19 +8,8 @@ from typing import Annotated
 
 import typer
 
+from lidar2pano.cli import options as opt
 from lidar2pano.cli.app import app
-from lidar2pano.cli.options import (
-    DeviceOption,
-    EngineOption,
-    EveryOption,
-    FromOption,
-    LookOption,
-    SteadyOption,
-    ToOption,
-    TopicOption,
-    WeightsOption,
-    parse_camera,
-)
 from lidar2pano.errors import InputError
 
 
@@ -31,28 +20,25 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
         typer.Argument(metavar="PATH...", help="Panoramas (PNG, or folders of what translate wrote), or scans."),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The page.")] = Path("view.html"),
-    weights: WeightsOption = "kitti-mini",
-    device: DeviceOption = "auto",
+    weights: opt.WeightsOption = "kitti-mini",
+    device: opt.DeviceOption = "auto",
     calib: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="KITTI's calib.txt (P2, Tr): translate scans as that camera sees them."),
     ] = None,
-    look: LookOption = "",
-    steady: SteadyOption = False,
-    topic: TopicOption = "",
-    every: EveryOption = 1,
-    start_s: FromOption = None,
-    end_s: ToOption = None,
-    engine: EngineOption = "auto",
+    look: opt.LookOption = "",
+    steady: opt.SteadyOption = False,
+    topic: opt.TopicOption = "",
+    every: opt.EveryOption = 1,
+    start_s: opt.FromOption = None,
+    end_s: opt.ToOption = None,
+    engine: opt.EngineOption = "auto",
     no_open: Annotated[bool, typer.Option("--no-open", help="Only write the page.")] = False,
 ) -> None:
     """Write one HTML page to look around in, which needs no network, and open it. Scans are translated first."""
-    from lidar2pano.cli.batch import Options, common_files, open_page, translate_files
+    from lidar2pano.cli.batch import checked_options, common_files, open_page, translate_files
     from lidar2pano.drives.reading import ReadingOptions
-    from lidar2pano.engines import pick_engine
     from lidar2pano.formats.readers import ReadOptions
-    from lidar2pano.hardware import pick_device
-    from lidar2pano.models.families import weight_files
     from lidar2pano.viewer.page import title_of
     from lidar2pano.viewer.saved_frames import panorama_files
 
@@ -61,21 +47,18 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
     if scans := [path for path, files in panoramas.items() if not files]:
         if len(scans) < len(panoramas):
             raise InputError(f"{scans[0]}: is no panorama, others are; view panoramas or scans, not both in one page")
-        options = Options(
+        selection = ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)
+        options = checked_options(
+            weights,
+            look=look,
+            device=device,
+            engine=engine,
             out=out.parent,
             save=(),
-            device=pick_device(device),
-            weights=weights,
-            files=weight_files(weights, look=look),
-            calibration=parse_camera(calib, ""),
-            look=look,
-            reading=ReadingOptions(
-                selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s), poses=steady
-            ),
-            engine=engine,
+            calibration=opt.parse_camera(calib, ""),
+            reading=ReadingOptions(selection=selection, poses=steady),
             common=common,
         )
-        pick_engine(options.engine, options.device)
         code = translate_files(scans, options)
     else:
         code = _view_panoramas([file for files in panoramas.values() for file in files], out, title_of(paths))
