@@ -6,9 +6,10 @@ import hashlib
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,51 +28,6 @@ ALONE = ReadingOptions()
 ATTEMPTS = 8  # first scans of a recording, of which one says how to read the others
 
 
-class Request(Protocol):
-    """A scan that is read when it is needed."""
-
-    @property
-    def entry(self) -> Entry:
-        """Its entry."""
-        ...
-
-    def read(self, note: Callable[[str], None]) -> Reading:
-        """Read the scan, or its error.
-
-        note  takes the SHA-256 of the content that is read, of a bad scan too.
-        """
-        ...
-
-    def sha256(self) -> str:
-        """Return the SHA-256 alone; InputError for a damaged recording."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class FileRequest:
-    """The scan of a scan file; or one that is known to be bad."""
-
-    entry: Entry
-    store: Store
-
-    def read(self, note: Callable[[str], None]) -> Reading:
-        """See Request."""
-
-        def cloud() -> PointCloud:
-            if self.entry.error:
-                raise InputError(self.entry.error)
-            with local_copy(self.store, self.entry.key.input) as path:
-                note(file_hash(path))
-                return next(open_path(path).clouds(path, ReadOptions()))
-
-        return read_scan(source_of(self.entry, self.store, cloud), ALONE)
-
-    def sha256(self) -> str:
-        """See Request."""
-        with self.store.local(self.entry.key.input) as path:
-            return file_hash(path)
-
-
 class RecordedScan(NamedTuple):
     """A scan of a recording, not decoded yet.
 
@@ -85,49 +41,63 @@ class RecordedScan(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class FrameRequest:
-    """A scan of a recording. It is read like the recording's first one, and without skew, as `translate` does."""
+class Request:
+    """A scan that is read when it is needed.
+
+    recorded  of a recording's scan, which is read like the recording's first one and without skew, as `translate` does;
+              None for a scan file.
+    """
 
     entry: Entry
     store: Store
-    recorded: Future[RecordedScan]
+    recorded: Future[RecordedScan] | None = None
 
     def read(self, note: Callable[[str], None]) -> Reading:
-        """See Request."""
+        """Read the scan, or its error.
+
+        note  takes the SHA-256 of the content that is read, of a bad scan too.
+        """
+        source = source_of(self.entry, self.store)
+        if self.recorded is None:
+            return read_scan(replace(source, cloud=partial(self._file_cloud, note)), ALONE)
         try:
             frame, first, motion = self.recorded.result()
         except InputError as error:
-            return Reading(source=source_of(self.entry, self.store), error=error)
+            return Reading(source=source, error=error)
         note(frame.sha256())
-
-        def cloud() -> PointCloud:
-            try:
-                return frame.cloud()
-            except InputError as error:
-                place = f"{self.store.place}/{self.entry.key.input}"
-                raise InputError(str(error).replace(str(frame.path), place)) from None
-
-        reading = read_scan(source_of(self.entry, self.store, cloud), ALONE, first)
+        reading = read_scan(replace(source, cloud=partial(self._frame_cloud, frame)), ALONE, first)
         return move_scan(reading, motion, poses=False) if motion else reading
 
     def sha256(self) -> str:
-        """See Request."""
-        return self.recorded.result().frame.sha256()
+        """Return the SHA-256 alone; InputError for a damaged recording."""
+        if self.recorded is not None:
+            return self.recorded.result().frame.sha256()
+        with self.store.local(self.entry.key.input) as path:
+            return file_hash(path)
+
+    def _file_cloud(self, note: Callable[[str], None]) -> PointCloud:
+        if self.entry.error:
+            raise InputError(self.entry.error)
+        with local_copy(self.store, self.entry.key.input) as path:
+            note(file_hash(path))
+            return next(open_path(path).clouds(path, ReadOptions()))
+
+    def _frame_cloud(self, frame: Frame) -> PointCloud:
+        try:
+            return frame.cloud()
+        except InputError as error:
+            place = f"{self.store.place}/{self.entry.key.input}"
+            raise InputError(str(error).replace(str(frame.path), place)) from None
 
 
-def source_of(entry: Entry, store: Store, cloud: Callable[[], PointCloud] | None = None) -> ScanSource:
-    """Return an entry as the source of a scan that follows no other; without `cloud`, an unreadable one."""
+def source_of(entry: Entry, store: Store) -> ScanSource:
+    """Return an entry as the source of a scan that follows no other; its cloud is still to be given."""
 
-    def fail() -> PointCloud:
+    def cloud() -> PointCloud:
         raise InputError(f"{store.place}/{entry.key}: cannot be read")
 
-    return ScanSource(
-        path=Path(entry.key.input),
-        title=f"{store.place}/{entry.key}",
-        stem=entry.stem,
-        cloud=cloud or fail,
-        number=entry.key.scan,
-    )
+    place, key = store.place, entry.key
+    return ScanSource(path=Path(key.input), title=f"{place}/{key}", stem=entry.stem, cloud=cloud, number=key.scan)
 
 
 class ScanReading:
@@ -144,10 +114,10 @@ class ScanReading:
         self._scans: OpenRecording | None = None
 
     def request(self, entry: Entry) -> Request:
-        """The scan of an entry. Those of recordings are read at once, one after the other."""
+        """Return the request for an entry's scan. Those of recordings are read at once, one after the other."""
         if entry.key.scan is None:
-            return FileRequest(entry, self._source)
-        return FrameRequest(entry, self._source, self._thread.submit(self._recorded, entry.key.input, entry.key.scan))
+            return Request(entry, self._source)
+        return Request(entry, self._source, self._thread.submit(self._recorded, entry.key.input, entry.key.scan))
 
     def close(self) -> None:
         """Close the recording that is open."""

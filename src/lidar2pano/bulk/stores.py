@@ -10,7 +10,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Protocol
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import reason
@@ -18,40 +17,6 @@ from lidar2pano.formats.image_files import reason
 SCRATCH = ".lidar2pano-"  # folders of unfinished files: .lidar2pano-HOST-PROCESS-xxxx
 HOST = platform.node()[:64]
 STALE_S = 24 * 3600  # unfinished files that are not known to be a killed process's are left alone for so long
-
-
-class Store(Protocol):
-    """Files by name: the path below the store's root, with slashes.
-
-    place  the root, for messages;  appends: whether a file can grow.
-    """
-
-    place: str
-    appends: bool
-
-    def names(self, below: str = "") -> Iterator[str]:
-        """Names of all files, or of those in the folder `below`, whose folders are not hidden."""
-        ...
-
-    def exists(self, name: str) -> bool:
-        """Whether there is such a file."""
-        ...
-
-    def local(self, name: str) -> Any:  # noqa: ANN401
-        """A context that gives the path of a local file or folder with the content; InputError where there is none."""
-        ...
-
-    def scratch(self) -> Any:  # noqa: ANN401
-        """A context that gives a local folder whose files `put` takes; the folder goes with the context."""
-        ...
-
-    def put(self, file: Path, name: str) -> None:
-        """Make a file of the scratch folder the file `name`, complete or not at all; raises InputError."""
-        ...
-
-    def append(self, name: str, data: bytes) -> None:
-        """Append to the file `name`, if `appends`; raises InputError."""
-        ...
 
 
 def open_store(place: str | Path) -> Store:
@@ -73,7 +38,11 @@ def local_copy(store: Store, name: str) -> Iterator[Path]:
 
 
 class Folder:
-    """A folder of this machine, or one that it shares with others."""
+    """Files by name in a folder of this machine, or in one that it shares with others.
+
+    A name is the path below the root, with slashes.
+    place  the root, for messages;  appends: whether a file can grow.
+    """
 
     appends = True
 
@@ -81,7 +50,10 @@ class Folder:
         self.root, self.place = root, str(root)
 
     def names(self, below: str = "") -> Iterator[str]:
-        """See Store; links to folders are followed, each folder is listed once."""
+        """Yield the names of all files, or of those in the folder `below`, whose folders are not hidden.
+
+        Links to folders are followed, each folder is listed once.
+        """
         if not (self.root / below).is_dir():
             return
         listed: set[tuple[int, int]] = set()
@@ -96,17 +68,20 @@ class Folder:
             yield from ((inner / name).as_posix() for name in sorted(files))
 
     def exists(self, name: str) -> bool:
-        """See Store."""
+        """Return whether there is such a file."""
         return (self.root / name).is_file()
 
     @contextmanager
     def local(self, name: str) -> Iterator[Path]:
-        """See Store."""
+        """Give the path of a local file or folder with the content; InputError if there is none."""
         yield self.root / name
 
     @contextmanager
     def scratch(self) -> Iterator[Path]:
-        """See Store. It lies in the folder itself, so that `put` is a renaming; what killed runs left is removed."""
+        """Give a local folder for files that `put` takes; the folder goes with the context.
+
+        It lies in the folder itself, so that `put` is a renaming; those that killed runs left are removed.
+        """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
             self._sweep()
@@ -119,7 +94,7 @@ class Folder:
             shutil.rmtree(folder, ignore_errors=True)
 
     def put(self, file: Path, name: str) -> None:
-        """See Store."""
+        """Make a file of the scratch folder the file `name`, complete or not at all; raises InputError."""
         try:
             (self.root / name).parent.mkdir(parents=True, exist_ok=True)
             file.replace(self.root / name)
@@ -127,7 +102,7 @@ class Folder:
             raise _unwritable(str(self.root / name), error) from error
 
     def append(self, name: str, data: bytes) -> None:
-        """See Store; one call of the system, so that lines of several processes do not mix."""
+        """Append to a file by one call of the system, so that processes' lines do not mix; raises InputError."""
         try:
             with (self.root / name).open("ab", buffering=0) as file:
                 file.write(data)
@@ -144,7 +119,7 @@ class Folder:
 
 
 class Remote:
-    """A URL that fsspec opens. A file is uploaded in one piece, which object stores show whole or not at all."""
+    """Files by name at a URL that fsspec opens; each is uploaded in one piece, which is seen whole or not at all."""
 
     appends = False
 
@@ -159,16 +134,16 @@ class Remote:
         self._known: set[str] | None = None
 
     def names(self, below: str = "") -> Iterator[str]:
-        """See Store; listed once."""
+        """List the names once, as of Folder.names."""
         return iter(sorted(name for name in self._listed() if not below or name.startswith(f"{below}/")))
 
     def exists(self, name: str) -> bool:
-        """See Store, by the list of names."""
+        """Return whether the list of names has it."""
         return name in self._listed()
 
     @contextmanager
     def local(self, name: str) -> Iterator[Path]:
-        """See Store: a download."""
+        """Download a file or folder for the time of the context."""
         with tempfile.TemporaryDirectory(prefix=SCRATCH) as folder:
             path = Path(folder, name.rpartition("/")[2])
             for file in list(self.names(name)) or [name]:
@@ -182,12 +157,12 @@ class Remote:
 
     @contextmanager
     def scratch(self) -> Iterator[Path]:
-        """See Store."""
+        """Give a temporary folder."""
         with tempfile.TemporaryDirectory(prefix=SCRATCH) as folder:
             yield Path(folder)
 
     def put(self, file: Path, name: str) -> None:
-        """See Store: an upload."""
+        """Upload a file."""
         try:
             self._files.pipe_file(f"{self._root}/{name}", file.read_bytes())
         except OSError as error:
@@ -197,7 +172,7 @@ class Remote:
             self._known.add(name)
 
     def append(self, name: str, data: bytes) -> None:
-        """Not possible."""
+        """Raise NotImplementedError: objects cannot grow."""
         raise NotImplementedError
 
     def _listed(self) -> set[str]:
@@ -205,6 +180,9 @@ class Remote:
             found = (path.removeprefix(self._root).lstrip("/") for path in self._files.find(self._root))
             self._known = {name for name in found if not any(part.startswith(".") for part in name.split("/")[:-1])}
         return self._known
+
+
+Store = Folder | Remote
 
 
 def _unwritable(place: str, error: OSError) -> InputError:
