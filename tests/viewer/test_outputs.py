@@ -13,8 +13,7 @@ from lidar2pano.calibration import read_calib
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_png
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
-from lidar2pano.viewer.camera_layer import camera_layer
-from lidar2pano.viewer.outputs import PageOutput, RerunOutput, VideoOutput
+from lidar2pano.viewer.outputs import PageOutput, RerunOutput, VideoOutput, camera_layer
 from lidar2pano.views import VIEWS
 from random_weights import CALIB, street, write_scan
 from small_panoramas import small_panorama

@@ -9,6 +9,7 @@ import time
 import zipfile
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from lidar2pano.formats.readers import ENDINGS, PACKED, TEXT_ENDINGS, ReadOption
 from lidar2pano.panorama import OUTPUTS
 from lidar2pano.pipeline import Pipeline
 from lidar2pano.translation import Translation, Translator
-from lidar2pano.viewer.page import PageFrame, PageWriter
+from lidar2pano.viewer.page import PageWriter, page_frame
 
 PAGE = "page"  # an output like OUTPUTS: the page to look around in
 FILES = {
@@ -156,20 +157,9 @@ def _page_of(translation: Translation, path: Path) -> bytes:
     """Return the bytes of a page to look around in a panorama, by way of a file at `path`."""
     panorama, scan = translation.panorama, translation.reading.scan
     assert panorama and scan
-    writer = PageWriter("panorama")
-    try:
-        frame = PageFrame(
-            name="scan",
-            view=panorama.view,
-            colour=panorama.colour,
-            segments=panorama.segments,
-            depth_m=panorama.depth_m,
-            xyz=scan.xyz,
-        )
-        writer.add(frame)
+    with closing(PageWriter("panorama")) as writer:
+        writer.add(page_frame(panorama, scan, "scan"))
         return writer.write(path).read_bytes()
-    finally:
-        writer.close()
 
 
 def known_ending(name: str) -> str:

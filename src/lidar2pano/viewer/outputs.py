@@ -12,15 +12,18 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+import torch
 from PIL import Image
 
+from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import DEPTH_STEPS, write_whole
+from lidar2pano.geometry.camera import camera_in_panorama
 from lidar2pano.labels import COMMON15
 from lidar2pano.panorama import Panorama
 from lidar2pano.scan import Scan
-from lidar2pano.viewer.camera_layer import camera_layer
-from lidar2pano.viewer.page import RATE_HZ, PageFrame, PageWriter
+from lidar2pano.viewer.page import RATE_HZ, PageWriter, page_frame
+from lidar2pano.views import View
 
 VIDEO_COLUMNS = 3840  # at most: wider H.264 is not decoded by hardware
 VIDEO_QUALITY = 20  # x264's constant rate factor
@@ -53,16 +56,16 @@ class Output(Protocol):
     """A file that is made of all panoramas of a run."""
 
     def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
-        """Take the next panorama, its scan, the file or recording of that, and its name among all.
+        """Take the next panorama, its scan, the scan's file or recording, and its name among all.
 
-        Raises InputError where that cannot be done.
+        Raises InputError if that cannot be done.
         """
 
     def finish(self) -> Path | None:
-        """Write the file, complete or not at all, and return its path; None where no panorama was added."""
+        """Write the file, complete or not at all, and return its path; None if no panorama was added."""
 
     def close(self) -> None:
-        """Remove what was kept until the file is written."""
+        """Remove everything that was kept until the file is written."""
 
 
 class PageOutput:
@@ -71,28 +74,15 @@ class PageOutput:
     def __init__(self, path: Path, title: str) -> None:
         self.path = path
         self.writer = PageWriter(title)
+        self.close = self.writer.close
 
     def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
         """See Output."""
-        frame = PageFrame(
-            name=name,
-            view=panorama.view,
-            colour=panorama.colour,
-            segments=panorama.segments,
-            depth_m=panorama.depth_m,
-            confidence=panorama.confidence,
-            camera=camera_layer(source, panorama.view),
-            xyz=scan.xyz,
-        )
-        self.writer.add(frame)
+        self.writer.add(page_frame(panorama, scan, name, camera_layer(source, panorama.view)))
 
     def finish(self) -> Path | None:
         """See Output."""
         return self.writer.write(self.path) if len(self.writer) else None
-
-    def close(self) -> None:
-        """See Output."""
-        self.writer.close()
 
 
 class VideoOutput:
@@ -186,3 +176,23 @@ def _extra(module: str, option: str, extra: str) -> Any:  # noqa: ANN401
         return import_module(module)
     except ModuleNotFoundError as error:
         raise InputError(f"{option} needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'") from error
+
+
+def camera_layer(scan_file: Path, view: View) -> np.ndarray | None:
+    """Return the camera's image on a panorama, (h, w, 4) uint8 RGBA, transparent outside the image; None without one.
+
+    SemanticKITTI's layout only: <sequence>/velodyne/<stem>.bin, image_2/<stem>.png or .jpg, calib.txt. The scene is
+    taken to be far away, or the panorama's origin to be the camera's centre. A simulated world has an image all around.
+    Raises InputError for a damaged file.
+    """
+    if scan_file.resolve().parent.name != "velodyne":
+        return None
+    frame = SemanticKittiFrame(scan_file.resolve().parents[1], scan_file.stem)
+    if (around := frame.panorama) is not None and around.view.circular:
+        return np.dstack([around.image, np.uint8(255) * around.valid])
+    if frame.image_file is None or not (frame.folder / "calib.txt").is_file():
+        return None
+    image, calibration = frame.require("image", "calibration")
+    lookup = camera_in_panorama(view, calibration)
+    colour = lookup.linear(torch.from_numpy(image).movedim(2, 0).float()).round().to(torch.uint8).movedim(0, 2)
+    return np.dstack([colour.numpy(), np.uint8(255) * lookup.valid.numpy()])

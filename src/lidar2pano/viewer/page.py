@@ -23,7 +23,8 @@ from lidar2pano import __version__
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.labels import COMMON15
-from lidar2pano.panorama import OCCLUDED_FACTOR, OCCLUDED_M
+from lidar2pano.panorama import OCCLUDED_FACTOR, OCCLUDED_M, Panorama
+from lidar2pano.scan import Scan
 from lidar2pano.viewer.layers import (
     CONFIDENCE_STEPS,
     FARTHEST_M,
@@ -72,6 +73,23 @@ class PageFrame:
     confidence: np.ndarray | None = None
     camera: np.ndarray | None = None
     xyz: np.ndarray | None = None
+
+
+def page_frame(panorama: Panorama, scan: Scan, name: str, camera: np.ndarray | None = None) -> PageFrame:
+    """Return a panorama with its scan as a frame of a page.
+
+    camera  (h, w, 4) uint8 RGBA: see PageFrame.
+    """
+    return PageFrame(
+        name=name,
+        view=panorama.view,
+        colour=panorama.colour,
+        segments=panorama.segments,
+        depth_m=panorama.depth_m,
+        confidence=panorama.confidence,
+        camera=camera,
+        xyz=scan.xyz,
+    )
 
 
 def title_of(paths: Sequence[Path]) -> str:
