@@ -17,7 +17,7 @@ import torch
 from lidar2pano.calibration import Calibration
 from lidar2pano.cli.app import MISTAKE
 from lidar2pano.cli.console import bar, print_error, print_licence, until_signal
-from lidar2pano.cli.files import check_file
+from lidar2pano.cli.options import check_file
 from lidar2pano.drives.folders import drive_files, output_stems
 from lidar2pano.drives.following import follow_folder
 from lidar2pano.drives.reading import ReadingOptions, ScanSource, StreamReader, scan_sources

@@ -39,7 +39,7 @@ def bench(
         measure_world,
         table,
     )
-    from lidar2pano.cli.files import check_file, write_json
+    from lidar2pano.cli.options import check_file, write_json
     from lidar2pano.engines import pick_engine
     from lidar2pano.hardware import keep_buffers, pick_device
     from lidar2pano.models.card import read_card

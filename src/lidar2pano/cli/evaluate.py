@@ -78,7 +78,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
 
 def check_outputs(as_json: Path | None, as_csv: Path | None, folder: Path | None) -> None:
     """Check the places of the requested files; InputError for one without write access."""
-    from lidar2pano.cli.files import check_file, check_folder
+    from lidar2pano.cli.options import check_file, check_folder
 
     for path, option in ((as_json, "--json"), (as_csv, "--csv")):
         if path:
@@ -89,7 +89,7 @@ def check_outputs(as_json: Path | None, as_csv: Path | None, folder: Path | None
 
 def write_files(summary: dict[str, Any], as_json: Path | None, as_csv: Path | None) -> None:
     """Write the requested files: JSON and CSV."""
-    from lidar2pano.cli.files import write_json
+    from lidar2pano.cli.options import write_json
     from lidar2pano.evaluate import report
 
     if as_json:

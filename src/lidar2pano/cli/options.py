@@ -1,10 +1,12 @@
-"""Options and arguments that commands share, and the parsers of their texts."""
+"""Options and arguments that commands share, the parsers of their texts, and checks of files that they name."""
 
 from __future__ import annotations
 
+import json
 import re
+import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -131,3 +133,33 @@ def parse_size(text: str) -> tuple[int, int]:
     if width * height > MOST_PIXELS:
         raise InputError(f"--image-size {text!r} has more than {MOST_PIXELS} pixels; name that of the camera's image")
     return width, height
+
+
+def check_folder(folder: Path, option: str) -> Path:
+    """Return `folder`; InputError unless it is, or can become, a folder to write into. Nothing is made yet."""
+    ancestor = folder
+    while not ancestor.exists() and ancestor != ancestor.parent:
+        ancestor = ancestor.parent
+    if not ancestor.is_dir():
+        raise InputError(f"{folder}: cannot be written ({ancestor} is not a folder); choose another {option}")
+    try:
+        with tempfile.TemporaryFile(dir=ancestor):  # permissions do not say everything: read-only disks, /proc
+            return folder
+    except OSError as error:
+        reason = f"{error.strerror}, in {ancestor}"
+        raise InputError(f"{folder}: cannot be written ({reason}); choose another {option}") from error
+
+
+def check_file(path: Path, option: str) -> None:
+    """Raise InputError unless a file can be written to `path`."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file for {option}")
+    check_folder(path.parent, option)
+
+
+def write_json(path: Path, value: Any, option: str) -> None:  # noqa: ANN401
+    """Write `value` as JSON, beside and then renamed; InputError if that cannot be done."""
+    from lidar2pano.formats.image_files import write_whole
+
+    text = json.dumps(value, indent=2, allow_nan=False) + "\n"
+    write_whole(path, lambda unfinished: unfinished.write_text(text, encoding="utf-8"), option)

@@ -38,7 +38,7 @@ def reproduce(  # noqa: PLR0913, PLR0917 one parameter per option
     devices: Annotated[int, typer.Option(min=1, metavar="N", help="GPUs or processes that train.")] = 1,
 ) -> None:
     """Make the paper's tables: train what is missing, score every row, write DIR/RESULTS.md. Repeat to resume."""
-    from lidar2pano.cli.files import check_folder
+    from lidar2pano.cli.options import check_folder
     from lidar2pano.errors import InputError
     from lidar2pano.hardware import keep_buffers, pick_device
     from lidar2pano.reproduce import Plan
@@ -73,7 +73,7 @@ def run_plan(plan: Plan) -> None:
     import sys
 
     from lidar2pano.cli.evaluate import write_csv
-    from lidar2pano.cli.files import write_json
+    from lidar2pano.cli.options import write_json
     from lidar2pano.reproduce import reproduce as run
     from lidar2pano.reproduce.results_page import records, write_results_page
 

@@ -9,7 +9,6 @@ import typer
 
 from lidar2pano.cli import options as opt
 from lidar2pano.cli.app import app
-from lidar2pano.cli.files import check_folder
 
 
 @app.command()
@@ -19,7 +18,7 @@ def demo(out: opt.OutOption = opt.OUT, weights: opt.WeightsOption = "world", dev
     from lidar2pano.demo import street
     from lidar2pano.panorama import OUTPUTS
 
-    options = checked_options(weights, device=device, out=check_folder(out, "--out"), save=OUTPUTS)
+    options = checked_options(weights, device=device, out=opt.check_folder(out, "--out"), save=OUTPUTS)
     code = translate_files([street()], options)
     if not code:
         print(f"look around in it: lidar2pano view {shlex.quote(str(out))}")
@@ -69,7 +68,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         device=device,
         engine=engine,
         sensor=sensor,
-        out=check_folder(out, "--out"),
+        out=opt.check_folder(out, "--out"),
         calibration=opt.parse_camera(calib, image_size),
         save=opt.parse_save(save, confidence=True),
         as_json=as_json,

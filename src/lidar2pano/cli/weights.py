@@ -79,7 +79,7 @@ def import_files(
     """Turn a published checkpoint into a weight file; nothing in it is executed, every tensor must fit."""
     import torch
 
-    from lidar2pano.cli.files import check_file
+    from lidar2pano.cli.options import check_file
     from lidar2pano.models import build
     from lidar2pano.models.card import save
     from lidar2pano.models.published import import_published, published_card

@@ -10,7 +10,7 @@ import typer
 
 from lidar2pano.cli.app import app
 from lidar2pano.cli.console import bar
-from lidar2pano.cli.files import check_folder
+from lidar2pano.cli.options import check_folder
 
 
 @app.command()
