@@ -223,7 +223,7 @@ def test_smoothed_streams_get_the_poses(here, translate, monkeypatch):
     monkeypatch.setattr(
         lidar2pano.Pipeline,
         "step",
-        lambda self, memory, scan, pose, timer: given.append(pose) or step(self, memory, scan, pose, timer),
+        lambda self, memory, scan, pose, *rest: given.append(pose) or step(self, memory, scan, pose, *rest),
     )
     for name in ("000000", "000002"):
         write_scan(here / "seq" / "velodyne" / f"{name}.bin")
