@@ -1,4 +1,4 @@
-"""Any number of scans through one pipeline, on one machine or many; the files that are there say what is done."""
+"""Any number of scans through one pipeline, on one machine or many; existing files tell the progress."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scan of a bulk run: what it is known by, what its outputs are called; and which scans a shard takes."""
+"""Scans of a bulk run: their keys, the names of their outputs, and their division into shards."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lidar2pano.errors import InputError
 MIRRORED, SEMANTIC_KITTI = "", "semantickitti"  # layouts
 LAYOUTS = (MIRRORED, SEMANTIC_KITTI)
 RUN_FILE = "bulk.json"  # in the folder of every run's outputs
-# What is added to a scan's stem, by what an output holds; and an output's name in the folder of its sequence.
+# Suffix after a scan's stem, by output; and an output's name in the folder of its sequence.
 SUFFIXES = {"rgb": ".png", "segments": ".segments.png", "labels": ".label", "depth": ".depth.png"}
 IN_SEQUENCE = {
     "rgb": "pano/{}.png",
@@ -26,9 +26,9 @@ IN_SEQUENCE = {
 
 
 class ScanKey(NamedTuple):
-    """What a scan is known by.
+    """The key of a scan.
 
-    input  name of its file or recording below ROOT;  scan: its number in the recording, None where it has a file.
+    input  name of its file or recording below ROOT;  scan: its number in the recording, None for a scan file.
     """
 
     input: str
@@ -44,11 +44,11 @@ class Entry:
     """One scan of a bulk run.
 
     key          its name and number.
-    stem         of its outputs: the same folder and the stem of the file or recording, which is longer where two share
-                 one; a recording's scans have their numbers behind it.
-    label        name of its SemanticKITTI labels, None where it has none or they are not used.
+    stem         of its outputs: the same folder and the stem of the file or recording, a longer one if two share it;
+                 a recording's scans have their numbers behind it.
+    label        name of its SemanticKITTI labels, None without labels or their use.
     calibration  name of its sequence's calib.txt, likewise.
-    error        what is wrong with a recording that cannot be read, or with a folder; the entry then stands for it.
+    error        fault of an unreadable recording or folder; the entry then stands for it.
     """
 
     key: ScanKey
@@ -59,13 +59,13 @@ class Entry:
 
     @property
     def sequence(self) -> str:
-        """Its sequence's name: that of its folders, and its recording, without those which every sequence has."""
+        """Name of its sequence: of its folders, and its recording, without folders common to every sequence."""
         parts = self.stem.split("/")
         parts = parts[:-1] if self.key.scan is None else parts
         return "-".join(part for part in parts if part not in ("sequences", "velodyne")) or "00"
 
     def outputs(self, save: Sequence[str], layout: str = MIRRORED, colour: str = ".png") -> dict[str, str]:
-        """Names of its outputs below OUT, by what they hold; `colour` is the ending of colour images."""
+        """Return the names of its outputs below OUT, by output; `colour` is the ending of colour images."""
         number = "" if self.key.scan is None else f"{self.key.scan:06d}"
         if layout == MIRRORED:
             stem = f"{self.stem}-{number}" if number else self.stem
@@ -84,22 +84,22 @@ class Shard:
 
     @classmethod
     def parsed(cls, text: str) -> Shard:
-        """The shard of --shard's "i/n"; InputError for another text."""
-        found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text.strip())
-        if not found or int(found[1]) >= int(found[2]):
+        """Return the shard of --shard's "i/n"; InputError for another text."""
+        numbers = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text.strip())
+        if not numbers or int(numbers[1]) >= int(numbers[2]):
             raise InputError(f"--shard {text}: is not of the form i/n with i from 0 to n - 1, e.g. 0/8")
-        return cls(int(found[1]), int(found[2]))
+        return cls(int(numbers[1]), int(numbers[2]))
 
     def takes(self, name: str) -> bool:
-        """Whether the scan of this name is the shard's: by the hash of the name alone, whatever else there is."""
+        """Return whether the scan of this name is the shard's: by the hash of the name, whatever other scans exist."""
         return _hash(name) % self.count == self.index
 
     def takes_end(self, name: str) -> bool:
-        """Whether the shard takes the last scans of the recording of this name, as exactly one shard does."""
+        """Return whether the shard takes the last scans of the recording of this name, as exactly one shard does."""
         return (self.index - _hash(name)) % self.count == self.count - 1
 
     def part(self, name: str, numbers: Sequence[int]) -> Sequence[int]:
-        """The shard's scans of the recording of this name: consecutive ones, as many as other shards', or one more."""
+        """Return the shard's scans of a recording: consecutive ones, as many as other shards', or one more."""
         place = (self.index - _hash(name)) % self.count
         return numbers[len(numbers) * place // self.count : len(numbers) * (place + 1) // self.count]
 

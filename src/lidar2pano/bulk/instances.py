@@ -16,11 +16,11 @@ REACH = 12  # pixels of the translator's raster: beams are up to about so many r
 
 
 def instance_raster(scan: Scan, instance: np.ndarray, panorama: Panorama) -> np.ndarray:
-    """Instance ids (h, w) uint16 on the panorama's raster, 0 where there is none.
+    """Return instance ids (h, w) uint16 on the panorama's raster, 0 for none.
 
-    scan      with labels;  instance: (N,) uint16 ids of its points, which are unique within a class.
+    scan      with labels;  instance: (N,) uint16 ids of its points, unique within a class.
     A pixel gets the instance of the nearest point of the pixel's own class, at most 2 REACH pixels away through pixels
-    of that class; where several are equally near, the greatest id.
+    of that class; of several equally near ones, the greatest id.
     """
     assert scan.label is not None
     image = project(scan.beyond(), panorama.view.scaled(1 / 2))
@@ -29,25 +29,25 @@ def instance_raster(scan: Scan, instance: np.ndarray, panorama: Panorama) -> np.
     classes = image.spread(table[torch.from_numpy(scan.label)])
     segments = torch.from_numpy(panorama.segments)
     rows = [segments[row::2, column::2] for row in (0, 1) for column in (0, 1)]
-    found = torch.zeros(segments.shape, dtype=torch.int64)
+    instances = torch.zeros(segments.shape, dtype=torch.int64)
     for thing in THINGS:
         seeds = ids * (classes == thing)
         if not bool(seeds.any()):
             continue
         inside = torch.stack([part == thing for part in rows]).any(0)
         grown = grow(seeds * inside, inside, REACH)
-        found = torch.where(segments == thing, grown.repeat_interleave(2, 0).repeat_interleave(2, 1), found)
-    return found.numpy().astype(np.uint16)
+        instances = torch.where(segments == thing, grown.repeat_interleave(2, 0).repeat_interleave(2, 1), instances)
+    return instances.numpy().astype(np.uint16)
 
 
 def grow(seeds: Tensor, inside: Tensor, steps: int) -> Tensor:
-    """Ids (H, W) int64 spread from `seeds` (0: none) over the pixels `inside`, one pixel all around per step.
+    """Spread ids (H, W) int64 from `seeds` (0: none) over the pixels `inside`, one pixel all padded per step.
 
-    The columns are circular. A pixel that several ids reach in the same step takes the greatest.
+    The columns are circular. Of several ids in the same step a pixel takes the greatest.
     """
     grown = seeds
     for _ in range(steps):
-        around = pad(pad(grown[None, None].float(), (1, 1, 0, 0), mode="circular"), (0, 0, 1, 1))
-        reached = max_pool2d(around, 3, stride=1)[0, 0].long()  # ids of 16 bits are exact as float32
+        padded = pad(pad(grown[None, None].float(), (1, 1, 0, 0), mode="circular"), (0, 0, 1, 1))
+        reached = max_pool2d(padded, 3, stride=1)[0, 0].long()  # ids of 16 bits are exact as float32
         grown = torch.where((grown == 0) & inside, reached, grown)
     return grown

@@ -39,7 +39,7 @@ MOST_THREADS = 8  # for writing: coding a panorama's PNG takes a core about a se
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """What is wanted of every scan. It can be pickled, to be sent to other processes.
+    """Settings of a bulk run, the same for every scan. They can be pickled, to be sent to other processes.
 
     source, out  folder or URL of the scans, and of the panoramas.
     save         of OUTPUTS, in that order.
@@ -62,7 +62,7 @@ class Job:
     selection: ReadOptions = field(default_factory=ReadOptions)
 
     def outputs(self, entry: Entry) -> dict[str, str]:
-        """Names of a scan's outputs below `out`, by what they hold."""
+        """Return the names of a scan's outputs below `out`, by output."""
         return entry.outputs(self.save, self.layout, COLOUR_FORMATS[self.image_format][0])
 
 
@@ -110,7 +110,7 @@ class Worker:
         self._calibration = lru_cache(maxsize=8)(self._read_calibration)
 
     def request(self, entry: Entry) -> Request:
-        """Return a scan that is to be loaded; to be called for one entry after the other, in order."""
+        """Return the request for a scan; to be called for one entry after the other, in order."""
         return self._reading.request(entry)
 
     def load(self, request: Request) -> Work:
@@ -191,7 +191,7 @@ class Worker:
 def translate_all(job: Job, todo: Iterable[Entry], stopped: Callable[[], bool]) -> Iterator[dict[str, Any]]:
     """Translate scans and yield the manifest's lines in their order, each when its outputs are written.
 
-    stopped  asked before each scan: when true, those that were begun are finished, and that is all.
+    stopped  asked before each scan: when true, no further one is begun.
     Raises InputError when the outputs cannot be written or the pipeline cannot be made.
     """
     threads = min(MOST_THREADS, os.cpu_count() or 1)
@@ -207,7 +207,7 @@ def translate_all(job: Job, todo: Iterable[Entry], stopped: Callable[[], bool]) 
 
 
 def _map_ahead(pool: ThreadPoolExecutor, function: Callable[[A], B], items: Iterable[A], most: int) -> Iterator[B]:
-    """Map in threads, in order, with at most so many items begun beyond the one that is yielded."""
+    """Map in threads, in order, with at most so many items begun beyond the yielded one."""
     begun: deque[Future[B]] = deque()
     try:
         for item in items:

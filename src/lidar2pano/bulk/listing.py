@@ -1,4 +1,4 @@
-"""The scans below a folder or URL: scan files and those of recordings, in the order of their names."""
+"""List the scans below a folder or URL: scan files and scans of recordings, in the order of their names."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Source(NamedTuple):
 
     @property
     def folder(self) -> str:
-        """The folder that it is in."""
+        """Name of its folder."""
         return self.name.rpartition("/")[0]
 
 
@@ -45,52 +45,54 @@ def entries(
     selection: ReadOptions = ALL,
     only: str = "",
 ) -> list[Entry]:
-    """A shard's scans in the order of their folders, names and numbers.
+    """List a shard's scans in the order of their folders, names and numbers.
 
-    labels     whether the scans' own labels are needed; in a data set's layout they and the calibration are looked for.
+    labels     whether the scans' own labels are needed; in a data set's layout, labels and calibration are looked for.
     selection  which scans of each recording and folder.
-    only       name of the recording whose scans are meant; "": whatever is found.
-    Raises InputError when there is no scan at all, or two would have the same outputs. A recording that cannot be read
+    only       name of the recording whose scans are meant; "": all scans.
+    Raises InputError when there is no scan at all, or two would have the same outputs. An unreadable recording
     is an entry with an error.
     """
-    found: list[Entry] = []
+    listed: list[Entry] = []
     total, place_of = 0, dict[str, str]()
-    sources = [Source(only, True)] if only else sorted(_sources(store), key=lambda one: (one.folder, one.name))
-    grouped = {folder: _stems(list(group)) for folder, group in groupby(sources, key=lambda one: one.folder)}
+    sources = [Source(only, True)] if only else sorted(_sources(store), key=lambda item: (item.folder, item.name))
+    grouped = {folder: _stems(list(group)) for folder, group in groupby(sources, key=lambda item: item.folder)}
     if layout == SEMANTIC_KITTI and store.exists(RUN_FILE):
         grouped = _without_outputs(grouped)
     for folder, stems in grouped.items():
         total += len(stems)
-        files, refused = _wanted(store, folder, [one.name for one in stems if not one.recording], shard, selection)
-        found += refused
+        files, refused = _select_files(
+            store, folder, [item.name for item in stems if not item.recording], shard, selection
+        )
+        listed += refused
         for source, stem in stems.items():
             if layout == SEMANTIC_KITTI:
                 _check_sequence(store, source, stem, place_of)
             if source.recording:
-                found += _recorded(store, source.name, stem, shard, selection)
+                listed += _recorded(store, source.name, stem, shard, selection)
             elif source.name in files:
                 entry = Entry(key=ScanKey(source.name), stem=stem)
-                found.append(_completed(entry, store, layout) if labels or layout == SEMANTIC_KITTI else entry)
+                listed.append(_completed(entry, store, layout) if labels or layout == SEMANTIC_KITTI else entry)
     if not total:
-        known = ", ".join((*ENDINGS, *RECORDINGS))
-        raise InputError(f"{store.place}: holds no scan (known endings: {known}); name another folder")
-    return found
+        endings = ", ".join((*ENDINGS, *RECORDINGS))
+        raise InputError(f"{store.place}: holds no scan (known endings: {endings}); name another folder")
+    return listed
 
 
 def is_bag_folder(store: Store) -> bool:
-    """Whether the root of a store is a ROS 2 bag's folder itself."""
+    """Return whether the root of a store is a ROS 2 bag's folder itself."""
     return store.exists(METADATA) and any("/" not in name and name.endswith(STORAGE) for name in store.names())
 
 
 def _sources(store: Store) -> Iterator[Source]:
-    """The scan files and recordings of a store; the files of a ROS 2 bag's folder are no recordings of their own."""
-    described, stored = set[str](), dict[str, list[str]]()
+    """Yield the scan files and recordings of a store; files of a ROS 2 bag's folder are no recordings of their own."""
+    bag_folders, stored = set[str](), dict[str, list[str]]()
     for name in store.names():
         folder, _, file = name.rpartition("/")
         if file.startswith("."):
             continue
         if file == METADATA:
-            described.add(folder)
+            bag_folders.add(folder)
         elif file.lower().endswith(STORAGE):
             stored.setdefault(folder, []).append(name)
         elif file.lower().endswith(RECORDINGS):
@@ -98,16 +100,16 @@ def _sources(store: Store) -> Iterator[Source]:
         elif _unpacked(file).suffix.lower() in ENDINGS:
             yield Source(name, recording=False)
     for folder, names in stored.items():
-        if folder and folder in described:
+        if folder and folder in bag_folders:
             yield Source(folder, recording=True)
         else:
             yield from (Source(name, recording=True) for name in names if name.lower().endswith(RECORDINGS))
 
 
-def _wanted(
+def _select_files(
     store: Store, folder: str, names: Sequence[str], shard: Shard, selection: ReadOptions
 ) -> tuple[set[str], list[Entry]]:
-    """The shard's scan files of a folder, of those that are selected; an entry with an error where none can be."""
+    """Return the shard's selected scan files of a folder; an entry with an error if none can be selected."""
     timed = selection.start_s is not None or selection.end_s is not None
     chosen = list(names)
     if timed and names:
@@ -128,7 +130,7 @@ def _wanted(
 
 
 def _recorded(store: Store, name: str, stem: str, shard: Shard, selection: ReadOptions) -> list[Entry]:
-    """The shard's scans of a recording: of a download all or none, since each shard has to download it first."""
+    """List the shard's scans of a recording: of a download all or none, since each shard has to download it first."""
     whole = not isinstance(store, Folder)
     if whole and not shard.takes(name):
         return []
@@ -141,9 +143,9 @@ def _recorded(store: Store, name: str, stem: str, shard: Shard, selection: ReadO
 
 
 def _without_outputs(grouped: dict[str, dict[Source, str]]) -> dict[str, dict[Source, str]]:
-    """The groups without the scan files that a run with ROOT as its OUT wrote of ROOT's recordings."""
-    recordings = [(one, stem) for stems in grouped.values() for one, stem in stems.items() if one.recording]
-    written = {f"sequences/{_sequence(one, stem)}/velodyne" for one, stem in recordings}
+    """Return the groups without scan files written by a run whose ROOT was its OUT."""
+    recordings = [(item, stem) for stems in grouped.values() for item, stem in stems.items() if item.recording]
+    written = {f"sequences/{_sequence(item, stem)}/velodyne" for item, stem in recordings}
     return {folder: stems for folder, stems in grouped.items() if folder not in written}
 
 
@@ -152,7 +154,7 @@ def _sequence(source: Source, stem: str) -> str:
 
 
 def _check_sequence(store: Store, source: Source, stem: str, place_of: dict[str, str]) -> None:
-    """Refuse a second folder or recording that would be the same sequence."""
+    """Refuse a second folder or recording for the same sequence."""
     sequence = _sequence(source, stem)
     place = source.name if source.recording else source.folder
     if place_of.setdefault(sequence, place) != place:
@@ -175,33 +177,35 @@ def _completed(entry: Entry, store: Store, layout: str) -> Entry:
 
 
 def _unpacked(name: str) -> PurePosixPath:
-    """The name without the ending of its packing."""
+    """Return the name without the ending of its packing."""
     path = PurePosixPath(name)
     return path.with_suffix("") if path.suffix.lower() in PACKED else path
 
 
 def _stems(sources: Sequence[Source]) -> dict[Source, str]:
-    """The stem of each file and recording of a folder; those whose outputs would clash keep their endings."""
-    stems = {one: str(_unpacked(one.name).with_suffix("")) for one in sources}
-    stems |= {one: one.name for one in _clashing(stems)}
+    """Return the stem of each file and recording of a folder; those whose outputs would clash keep their endings."""
+    stems = {item: str(_unpacked(item.name).with_suffix("")) for item in sources}
+    stems |= {item: item.name for item in _clashing(stems)}
     if clashing := _clashing(stems):
         raise InputError(f"{sources[0].folder}: two scans would have the outputs of {clashing[0].name!r}; rename one")
     return stems
 
 
 def _clashing(stems: dict[Source, str]) -> list[Source]:
-    """The files and recordings that would have an output of the same name as another one."""
+    """List the files and recordings with an output of the same name as another item."""
     outputs = {
-        one: {f"{stem}{'-#' if one.recording else ''}{suffix}" for suffix in SUFFIXES.values()}
-        for one, stem in stems.items()
+        item: {f"{stem}{'-#' if item.recording else ''}{suffix}" for suffix in SUFFIXES.values()}
+        for item, stem in stems.items()
     }
     count = Counter(name for names in outputs.values() for name in names)
-    numbered = {one: {NUMBER.sub("-#", name) for name in names} for one, names in outputs.items() if not one.recording}
+    numbered = {
+        item: {NUMBER.sub("-#", name) for name in names} for item, names in outputs.items() if not item.recording
+    }
     of_files = {name for names in numbered.values() for name in names}
-    of_recordings = {name for one, names in outputs.items() if one.recording for name in names}
+    of_recordings = {name for item, names in outputs.items() if item.recording for name in names}
     return [
-        one
-        for one, names in outputs.items()
+        item
+        for item, names in outputs.items()
         if any(count[name] > 1 for name in names)
-        or (names & of_files if one.recording else numbered[one] & of_recordings)
+        or (names & of_files if item.recording else numbered[item] & of_recordings)
     ]

@@ -1,4 +1,4 @@
-"""The manifest of a shard: a line of JSON per scan, which says what was made of it or what is wrong with it."""
+"""The manifest of a shard: a line of JSON per scan, with its outputs or its fault."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ from lidar2pano.bulk.entries import ScanKey, Shard
 from lidar2pano.bulk.stores import Store
 from lidar2pano.formats.json_files import json_lines
 
-FLUSH_S = 30.0  # how often a manifest is uploaded where files cannot grow
+FLUSH_S = 30.0  # between uploads of a manifest to a store whose files cannot grow
 FOLDER = "manifest"
 
 
 class Manifest:
     """The lines of one shard, in manifest/<i>-of-<n>.jsonl of the output's store.
 
-    The outputs are the state and the manifest only reports on them: a line that was lost is written again by
-    `reconcile`, and one whose outputs are gone is removed.
+    The outputs are the state and the manifest only reports on them: `reconcile` writes a lost line again and removes
+    one whose outputs are gone.
     """
 
     def __init__(self, store: Store, shard: Shard) -> None:
         self.shard = shard
         self.name = f"{FOLDER}/{shard.index}-of-{shard.count}.jsonl"
         self._store = store
-        self._lines: list[bytes] = []  # only where files cannot grow
+        self._lines: list[bytes] = []  # only for a store whose files cannot grow
         self._flushed = time.monotonic()
 
     def reconcile(self, done: Collection[ScanKey], describe: Callable[[ScanKey], dict[str, Any]]) -> None:
         """Make the lines fit the outputs: one for each scan in `done`, none with an error.
 
         done      scans of the shard whose outputs are all there;  describe: scan -> its line, if it was lost.
-        Scans that a manifest of another division into shards has a line of get no second one.
+        Scans with a line in a manifest of another division into shards get no second one.
         """
-        before = self._read(self.name)
-        known = {_key(record): record for record in _parsed(before) if _made(record)}
-        kept = {name: record for name, record in known.items() if name in done or self._complete(record)}
+        content = self._read(self.name)
+        complete = {_key(record): record for record in _parsed(content) if _made(record)}
+        kept = {name: record for name, record in complete.items() if name in done or self._complete(record)}
         elsewhere = {
             _key(record)
             for name in self._store.names(FOLDER)
@@ -49,7 +49,7 @@ class Manifest:
             if name not in kept and name not in elsewhere:
                 kept[name] = describe(name)
         lines = [_line(record) for record in kept.values()]
-        if b"".join(lines) != before or not self._store.exists(self.name):
+        if b"".join(lines) != content or not self._store.exists(self.name):
             self._write(b"".join(lines))
         self._lines = [] if self._store.appends else lines
 
@@ -63,7 +63,7 @@ class Manifest:
             self.flush()
 
     def flush(self) -> None:
-        """Upload the lines where files cannot grow."""
+        """Upload the lines to a store whose files cannot grow."""
         if self._lines and not self._store.appends:
             self._write(b"".join(self._lines))
         self._flushed = time.monotonic()
@@ -84,7 +84,7 @@ class Manifest:
 
 
 def line(key: ScanKey, sha256: str, weights: str, **values: Any) -> dict[str, Any]:  # noqa: ANN401
-    """Return a line with all fields; None for what is not in `values`."""
+    """Return a line with all fields; None for fields missing in `values`."""
     fields: dict[str, Any] = dict.fromkeys(("outputs", "error", "points", "dropped", "milliseconds", "doubts"))
     return {"input": key.input, "scan": key.scan, "sha256": sha256, **(fields | values), "weights": weights}
 
@@ -98,11 +98,11 @@ def _line(record: dict[str, Any]) -> bytes:
 
 
 def _parsed(data: bytes) -> Iterator[dict[str, Any]]:
-    """The records of whole lines; a torn one is passed over."""
+    """Yield the records of whole lines; a torn one is passed over."""
     records = (record for record in json_lines(data) if isinstance(record.get("input"), str))
     return (record for record in records if isinstance(record.get("scan"), int | None))
 
 
 def _made(record: dict[str, Any]) -> bool:
-    """Whether the line is of a scan that has its outputs."""
+    """Return whether the line is of a scan with outputs."""
     return record.get("error") is None and isinstance(record.get("outputs"), list) and bool(record["outputs"])

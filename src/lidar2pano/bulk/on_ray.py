@@ -1,4 +1,4 @@
-"""A bulk run on a Ray cluster: a pool of workers, one per GPU or per so many cores, that may be killed at any time."""
+"""A bulk run on a Ray cluster: a pool of workers, one per GPU or per so many cores; any may be killed at any time."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from lidar2pano.bulk.stores import open_store
 from lidar2pano.errors import InputError
 
 AT_ONCE = 3  # scans in a worker: one is read and one written while one is painted
-ATTEMPTS = 3  # that a scan gets whose worker dies
+ATTEMPTS = 3  # at a scan whose worker dies
 POLL_S = 1.0
 
 
 @contextmanager
 def connected(address: str) -> Iterator[dict[str, float]]:
-    """Connect to a Ray cluster; its resources: "CPU", "GPU".
+    """Connect to a Ray cluster; give its resources: "CPU", "GPU".
 
-    address  of the cluster; "auto": what RAY_ADDRESS names, else one that runs on this machine, else a new one.
-    Raises InputError where there is none.
+    address  of the cluster; "auto": of RAY_ADDRESS, else one on this machine, else a new one.
+    Raises InputError if there is none.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is reported to others
     import ray
@@ -57,7 +57,7 @@ class RayWorker:
         _ = self._worker.translator.pipeline
 
     def translate(self, entry: Entry) -> dict[str, Any]:
-        """Translate a scan; the manifest's line."""
+        """Translate a scan; return the manifest's line."""
         work = self._worker.load(self._worker.request(entry))
         with self._painting:
             self._worker.paint(work)
@@ -70,7 +70,7 @@ class RayWorker:
 
 
 class Pool:
-    """Workers, and what each is doing. A dead worker is replaced, and its scans are given out again.
+    """Workers and their tasks. A dead worker is replaced, and its scans are given out again.
 
     make  starts a worker;  size: how many there are;  todo: the scans.
     """
@@ -78,7 +78,7 @@ class Pool:
     def __init__(self, make: Callable[[], Any], size: int, todo: Iterable[Entry]) -> None:
         self._make = make
         self._todo = deque(todo)
-        self._suspects: deque[Entry] = deque()  # were in a worker that died: each is tried again alone
+        self._suspects: deque[Entry] = deque()  # were in a dead worker: each is tried again alone
         self._deaths: Counter[ScanKey] = Counter()
         self._failed_starts = 0
         self._free: dict[Any, int] = {}  # worker -> how many more scans it takes; not while it starts
@@ -101,7 +101,7 @@ class Pool:
                     yield record
 
     def _taken(self, reference: Any, job: Job) -> dict[str, Any] | None:  # noqa: ANN401
-        """What a call that has ended gave: a line, or None where a worker has started or a scan is tried again."""
+        """Return the line of a call that has ended; None for a started worker, or a scan to be tried again."""
         from ray import get
         from ray.exceptions import RayActorError, RayTaskError
 
@@ -131,16 +131,16 @@ class Pool:
     def _give_out(self) -> None:
         for worker in list(self._free):
             while self._free[worker] > 0:
-                alone = bool(self._suspects) and self._free[worker] == AT_ONCE
-                if not alone and not self._todo:
+                retry = bool(self._suspects) and self._free[worker] == AT_ONCE
+                if not retry and not self._todo:
                     break
-                entry = (self._suspects if alone else self._todo).popleft()
-                load = AT_ONCE if alone else 1
+                entry = (self._suspects if retry else self._todo).popleft()
+                load = AT_ONCE if retry else 1
                 self._free[worker] -= load
                 self._running[worker.translate.remote(entry)] = (worker, entry, load)
 
     def _bury(self, worker: Any, entry: Entry | None, job: Job) -> dict[str, Any] | None:  # noqa: ANN401
-        """Replace a worker that died; the line of the scan if it has cost too many workers."""
+        """Replace a dead worker; return the line of the scan if it has cost too many workers."""
         if self._free.pop(worker, None) is not None or entry is None:
             self._failed_starts += entry is None
             if self._failed_starts > ATTEMPTS:
@@ -160,7 +160,7 @@ def translate_on_ray(
 ) -> Iterator[dict[str, Any]]:
     """Translate scans on the connected cluster and yield the manifest's lines as they come.
 
-    workers  how many;  cores, gpus: of each. What the cluster lacks is waited for, and asked of its autoscaler.
+    workers  how many;  cores, gpus: of each. Missing resources are waited for, and asked of the autoscaler.
     Raises InputError as `bulk.job.translate_all`.
     """
     import ray
@@ -172,5 +172,5 @@ def translate_on_ray(
         yield from pool.records(job, stopped)
     finally:
         pool.close()
-        with open_store(job.out).scratch():  # which removes what killed workers left
+        with open_store(job.out).scratch():  # removes files of killed workers
             pass

@@ -1,4 +1,4 @@
-"""KITTI's files of a recording's sequence: times.txt; and poses.txt with calib.txt, where the recording holds poses."""
+"""KITTI's files of a recording's sequence: times.txt; and poses.txt with calib.txt, if the recording holds poses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CAMERA0 = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 
 
 class RecordedSequence(NamedTuple):
-    """A recording, and the name of the sequence that its scans are in the output."""
+    """A recording, and the name of its sequence in the output."""
 
     recording: str
     name: str
@@ -33,24 +33,24 @@ class RecordedSequence(NamedTuple):
         return f"sequences/{self.name}"
 
 
-def untimed(job: Job, found: list[Entry], shard: Shard) -> list[RecordedSequence]:
-    """The recordings whose files are still to be written by this shard: by that which takes their last scans.
+def untimed(job: Job, listed: list[Entry], shard: Shard) -> list[RecordedSequence]:
+    """List the recordings whose files this shard still has to write: the shard with their last scans does.
 
-    found  the shard's scans.
+    listed  the shard's scans.
     """
     if job.layout != SEMANTIC_KITTI:
         return []
     source, out = open_store(job.source), open_store(job.out)
-    recorded = {RecordedSequence(entry.key.input, entry.sequence) for entry in found if entry.key.scan is not None}
-    own = (one for one in sorted(recorded) if not isinstance(source, Folder) or shard.takes_end(one.recording))
-    return [one for one in own if not out.exists(f"{one.folder}/{TIMES}")]
+    recorded = {RecordedSequence(entry.key.input, entry.sequence) for entry in listed if entry.key.scan is not None}
+    own = (item for item in sorted(recorded) if not isinstance(source, Folder) or shard.takes_end(item.recording))
+    return [item for item in own if not out.exists(f"{item.folder}/{TIMES}")]
 
 
 def write_times(job: Job, sequence: RecordedSequence, stopped: Callable[[], bool]) -> bool:
-    """Write the files of one sequence; false where it was stopped, and nothing written.
+    """Write the files of one sequence; return false if it was stopped, and nothing written.
 
     Line n of times.txt and poses.txt is scan n of the recording, whichever scans are chosen. times.txt is written last:
-    where it is, the others are too, or there are none. Raises InputError where the recording cannot be read any more,
+    once it exists, no other file is missing. Raises InputError if the recording cannot be read any more,
     or OUT cannot be written.
     """
     source, out = open_store(job.source), open_store(job.out)
@@ -69,7 +69,7 @@ def write_times(job: Job, sequence: RecordedSequence, stopped: Callable[[], bool
 
 
 def _track(opened: Playback) -> Iterator[tuple[float, np.ndarray | None]]:
-    """When each scan was taken, seconds since the epoch, and T_world_sensor (4, 4) float64; None where it is unknown.
+    """Yield each scan's time, seconds since the epoch, and T_world_sensor (4, 4) float64, None if unknown.
 
     A damaged scan is as late behind its recording as the one before it.
     """
@@ -84,11 +84,11 @@ def _track(opened: Playback) -> Iterator[tuple[float, np.ndarray | None]]:
 
 
 def _texts(stamp_s: np.ndarray, poses: list[np.ndarray | None]) -> dict[str, str]:
-    """The files' contents by their names. A pose that is unknown is a line of NaN."""
+    """Return the files' contents by their names. An unknown pose is a line of NaN."""
     texts: dict[str, str] = {}
-    known = [pose for pose in poses if pose is not None]
-    if known:
-        origin = CAMERA0 @ np.linalg.inv(known[0])
+    available = [pose for pose in poses if pose is not None]
+    if available:
+        origin = CAMERA0 @ np.linalg.inv(available[0])
         unknown = np.full((4, 4), np.nan)
         of_camera = (unknown if pose is None else origin @ pose @ np.linalg.inv(CAMERA0) for pose in poses)
         texts[CALIB] = f"Tr: {_line(CAMERA0)}\n"

@@ -1,4 +1,4 @@
-"""A repeated bulk run: it must have the settings of the run before, and outputs that are there are not made again."""
+"""Repeated bulk runs: settings must be those of the earlier run, and existing outputs are not made again."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from lidar2pano.labels import COMMON15
 SEQUENCE_FILES = ("calib.txt", "poses.txt", "times.txt")
 
 
-def start(job: Job, found: list[Entry], files: Mapping[str, Path], options: Mapping[str, str]) -> None:
-    """Write bulk.json beside the panoramas, or check that the one that is there has the same settings.
+def start(job: Job, listed: list[Entry], files: Mapping[str, Path], options: Mapping[str, str]) -> None:
+    """Write bulk.json beside the panoramas, or check that an existing one has the same settings.
 
-    files  the weight files by role;  options: what else the outputs depend on.
-    In a data set's layout, calibrations, poses and splits are copied too. Raises InputError where OUT holds panoramas
-    of other settings, or files that no bulk run wrote.
+    files  the weight files by role;  options: further settings of the outputs.
+    In a data set's layout, calibrations, poses and splits are copied too. Raises InputError if OUT holds panoramas
+    of other settings, or files of another origin.
     """
     source, out = open_store(job.source), open_store(job.out)
-    same = isinstance(source, Folder) and isinstance(out, Folder) and source.root.resolve() == out.root.resolve()
-    if same and job.layout != SEMANTIC_KITTI:
+    in_place = isinstance(source, Folder) and isinstance(out, Folder) and source.root.resolve() == out.root.resolve()
+    if in_place and job.layout != SEMANTIC_KITTI:
         raise InputError(f"{job.out}: is the folder of the scans; choose another --out")
     settings = {
         "lidar2pano": __version__,
@@ -50,13 +50,13 @@ def start(job: Job, found: list[Entry], files: Mapping[str, Path], options: Mapp
     if out.exists(RUN_FILE):
         _compare(out, settings)
     else:
-        _refuse_others(job, out, found)
+        _refuse_others(job, out, listed)
         with out.scratch() as scratch:
             (scratch / RUN_FILE).write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
             out.put(scratch / RUN_FILE, RUN_FILE)
-    if job.layout == SEMANTIC_KITTI and not same:
+    if job.layout == SEMANTIC_KITTI and not in_place:
         _copy_beside(source, out, "splits.json", "splits.json")
-        of_files = [entry for entry in found if entry.key.scan is None and not entry.error]
+        of_files = [entry for entry in listed if entry.key.scan is None and not entry.error]
         for folder, sequence in sorted({(_sequence_folder(entry), entry.sequence) for entry in of_files}):
             for name in SEQUENCE_FILES:
                 _copy_beside(source, out, f"{folder}{name}", f"sequences/{sequence}/{name}")
@@ -64,18 +64,18 @@ def start(job: Job, found: list[Entry], files: Mapping[str, Path], options: Mapp
 
 def _compare(out: Store, settings: dict[str, Any]) -> None:
     with out.local(RUN_FILE) as path:
-        before = read_json(path)
+        settings_there = read_json(path)
     for name, value in settings.items():
-        if not isinstance(before, dict) or before.get(name) != value:
+        if not isinstance(settings_there, dict) or settings_there.get(name) != value:
             raise InputError(
                 f"{out.place}/{RUN_FILE}: these panoramas were made with another {name!r}; choose another --out, or"
                 " repeat the command with the same options"
             )
 
 
-def _refuse_others(job: Job, out: Store, found: list[Entry]) -> None:
-    """A file that would count as done, but is not ours, must not be taken for a panorama of this run."""
-    for entry in found:
+def _refuse_others(job: Job, out: Store, listed: list[Entry]) -> None:
+    """Refuse files of another origin, which must not be taken for panoramas of this run."""
+    for entry in listed:
         for name in () if entry.error else job.outputs(entry).values():
             if out.exists(name):
                 raise InputError(f"{out.place}/{name}: is there already, but no {RUN_FILE}; choose another --out")
@@ -83,8 +83,8 @@ def _refuse_others(job: Job, out: Store, found: list[Entry]) -> None:
 
 def _sequence_folder(entry: Entry) -> str:
     folder = entry.key.input.rpartition("/")[0]
-    above = folder.removesuffix("velodyne").rstrip("/")
-    return f"{above}/" if above else ""
+    parent = folder.removesuffix("velodyne").rstrip("/")
+    return f"{parent}/" if parent else ""
 
 
 def _copy_beside(source: Store, out: Store, name: str, target: str) -> None:
@@ -95,12 +95,12 @@ def _copy_beside(source: Store, out: Store, name: str, target: str) -> None:
             out.put(scratch / "copy", target)
 
 
-def remaining(job: Job, found: list[Entry], manifest: Manifest) -> list[Entry]:
-    """The scans that lack an output, in order; the manifest's lines then fit those that lack none."""
+def remaining(job: Job, listed: list[Entry], manifest: Manifest) -> list[Entry]:
+    """Return the scans that lack an output, in order; the manifest's lines then fit all others."""
     out = open_store(job.out)
     done: dict[ScanKey, Entry] = {}
     todo: list[Entry] = []
-    for entry in found:
+    for entry in listed:
         if not entry.error and all(out.exists(name) for name in job.outputs(entry).values()):
             done[entry.key] = entry
         else:
@@ -110,7 +110,7 @@ def remaining(job: Job, found: list[Entry], manifest: Manifest) -> list[Entry]:
         def describe(key: ScanKey) -> dict[str, Any]:
             try:
                 sha256 = reading.request(done[key]).sha256()
-            except InputError:  # it was damaged after its outputs were written
+            except InputError:  # damaged after its outputs were written
                 sha256 = ""
             return line(key, sha256, job.weights, outputs=list(job.outputs(done[key]).values()))
 

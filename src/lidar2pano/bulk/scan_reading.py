@@ -1,4 +1,4 @@
-"""Reading the scans of a bulk run: files where they are needed, recordings by one thread and in order."""
+"""Read the scans of a bulk run: files as they are needed, recordings by one thread and in order."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from lidar2pano.recordings.playback import Playback, playback
 from lidar2pano.recordings.recorded_scans import Frame
 
 ALONE = ReadingOptions()
-ATTEMPTS = 8  # first scans of a recording, of which one says how to read the others
+ATTEMPTS = 8  # first scans of a recording; one of them tells how to read all others
 
 
 class RecordedScan(NamedTuple):
     """A scan of a recording, not decoded yet.
 
-    first   how the first scan of the recording was read, None for that scan itself, and without one.
-    motion  of the sensor, for points with times in a recording that holds poses.
+    first   how the first scan of the recording was read, None for the first scan itself, and without one.
+    motion  of the sensor, for points with times in a recording with poses.
     """
 
     frame: Frame
@@ -42,9 +42,9 @@ class RecordedScan(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A scan that is read when it is needed.
+    """A scan to be read when it is needed.
 
-    recorded  of a recording's scan, which is read like the recording's first one and without skew, as `translate` does;
+    recorded  of a recording's scan, read like the recording's first one and without skew, as `translate` does;
               None for a scan file.
     """
 
@@ -55,7 +55,7 @@ class Request:
     def read(self, note: Callable[[str], None]) -> Reading:
         """Read the scan, or its error.
 
-        note  takes the SHA-256 of the content that is read, of a bad scan too.
+        note  takes the SHA-256 of the content, of a bad scan too.
         """
         source = source_of(self.entry, self.store)
         if self.recorded is None:
@@ -91,7 +91,7 @@ class Request:
 
 
 def source_of(entry: Entry, store: Store) -> ScanSource:
-    """Return an entry as the source of a scan that follows no other; its cloud is still to be given."""
+    """Return an entry as the source of a single scan; its cloud is still to be given."""
 
     def cloud() -> PointCloud:
         raise InputError(f"{store.place}/{entry.key}: cannot be read")
@@ -120,12 +120,12 @@ class ScanReading:
         return Request(entry, self._source, self._thread.submit(self._recorded, entry.key.input, entry.key.scan))
 
     def close(self) -> None:
-        """Close the recording that is open."""
+        """Close the open recording."""
         self._thread.submit(self._open.close)
         self._thread.shutdown(cancel_futures=False)
 
     def _recorded(self, name: str, number: int) -> RecordedScan:
-        """A scan of a recording, which is opened unless it is open; errors name its place, not that of a download."""
+        """Return a scan of a recording, opened unless it is open; errors name its place, not a download's."""
         try:
             if name != self._name or self._scans is None:
                 self._open.close()
@@ -150,20 +150,20 @@ class OpenRecording:
             try:
                 scan, self._interpretation = interpret(opened.frame(number).cloud())
             except InputError:
-                continue  # it is bad, or there are no more
+                continue  # a bad one, or the end
             self._first, self._has_times = number, scan.time_s is not None
             break
 
     def scan(self, number: int) -> RecordedScan:
-        """The scan of that number; InputError where it is damaged."""
+        """Return the scan of a number; InputError for a damaged one."""
         frame = self._opened.frame(number)
         first = None if number == self._first else self._interpretation
         return RecordedScan(frame, first, self._motion(number) if self._has_times else None)
 
     def pose(self, number: int) -> tuple[float, np.ndarray | None]:
-        """When that scan was taken, seconds since the epoch, and T_world_sensor (4, 4) float64 then, None if unknown.
+        """Return a scan's time, seconds since the epoch, and T_world_sensor (4, 4) float64, None if unknown.
 
-        Raises InputError where it is damaged.
+        Raises InputError for a damaged scan.
         """
         cloud = self._opened.frame(number).cloud()
         stamp_s = cloud.stamp_s or self._opened.recorded_s(number)
@@ -172,11 +172,11 @@ class OpenRecording:
                 return stamp_s, None
             _, interpretation = interpret(cloud, None, None if number == self._first else self._interpretation)
             return stamp_s, motion.pose(interpretation, stamp_s)
-        except InputError:  # it is no sweep, or the poses are damaged
+        except InputError:  # not a sweep, or damaged poses
             return stamp_s, None
 
     def _motion(self, number: int) -> DriveMotion | None:
-        """The motion of the sensor around the time of a scan, where the recording holds it."""
+        """Return the motion of the sensor around the time of a scan, None if the recording has none."""
         recorded = self._opened.motion(number, self._interpretation.frame) if self._interpretation else None
         return DriveMotion(*recorded, estimate=False) if recorded else None
 

@@ -1,4 +1,4 @@
-"""Where scans come from and panoramas go to: a folder, or any URL that fsspec opens (s3://, gs://, memory://)."""
+"""Stores of scans and panoramas: a folder, or any URL of fsspec (s3://, gs://, memory://)."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from lidar2pano.formats.image_files import reason
 
 SCRATCH = ".lidar2pano-"  # folders of unfinished files: .lidar2pano-HOST-PROCESS-xxxx
 HOST = platform.node()[:64]
-STALE_S = 24 * 3600  # unfinished files that are not known to be a killed process's are left alone for so long
+STALE_S = 24 * 3600  # age at which unfinished files go, unless their process is known to be dead
 
 
 def open_store(place: str | Path) -> Store:
-    """The store at a folder or URL; InputError where the URL cannot be opened."""
+    """Return the store at a folder or URL; InputError for a URL that cannot be opened."""
     text = str(place)
     if text.startswith("file://"):
         return Folder(Path(text.removeprefix("file://")))
@@ -29,7 +29,7 @@ def open_store(place: str | Path) -> Store:
 
 @contextmanager
 def local_copy(store: Store, name: str) -> Iterator[Path]:
-    """`store.local` whose errors name the place of the file in the store, and not that of a download."""
+    """Give `store.local`, with errors that name the place of the file in the store instead of a download's."""
     with store.local(name) as path:
         try:
             yield path
@@ -38,7 +38,7 @@ def local_copy(store: Store, name: str) -> Iterator[Path]:
 
 
 class Folder:
-    """Files by name in a folder of this machine, or in one that it shares with others.
+    """Files by name in a folder of this machine, or in a shared one.
 
     A name is the path below the root, with slashes.
     place  the root, for messages;  appends: whether a file can grow.
@@ -49,15 +49,15 @@ class Folder:
     def __init__(self, root: Path) -> None:
         self.root, self.place = root, str(root)
 
-    def names(self, below: str = "") -> Iterator[str]:
-        """Yield the names of all files, or of those in the folder `below`, whose folders are not hidden.
+    def names(self, prefix: str = "") -> Iterator[str]:
+        """Yield the names of all files, or of those in the folder `prefix`, whose folders are not hidden.
 
         Links to folders are followed, each folder is listed once.
         """
-        if not (self.root / below).is_dir():
+        if not (self.root / prefix).is_dir():
             return
         listed: set[tuple[int, int]] = set()
-        for folder, folders, files in os.walk(self.root / below, followlinks=True, onerror=_refuse):
+        for folder, folders, files in os.walk(self.root / prefix, followlinks=True, onerror=_refuse):
             state = Path(folder).stat()
             if (state.st_dev, state.st_ino) in listed:
                 folders.clear()
@@ -80,7 +80,7 @@ class Folder:
     def scratch(self) -> Iterator[Path]:
         """Give a local folder for files that `put` takes; the folder goes with the context.
 
-        It lies in the folder itself, so that `put` is a renaming; those that killed runs left are removed.
+        It lies in the folder itself, so that `put` is a renaming; files of killed runs are removed.
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
@@ -119,7 +119,7 @@ class Folder:
 
 
 class Remote:
-    """Files by name at a URL that fsspec opens; each is uploaded in one piece, which is seen whole or not at all."""
+    """Files by name at a URL that fsspec opens; each is uploaded in one piece and seen whole or not at all."""
 
     appends = False
 
@@ -133,9 +133,9 @@ class Remote:
         self.place, self._root = url, root.rstrip("/")
         self._known: set[str] | None = None
 
-    def names(self, below: str = "") -> Iterator[str]:
+    def names(self, prefix: str = "") -> Iterator[str]:
         """List the names once, as of Folder.names."""
-        return iter(sorted(name for name in self._listed() if not below or name.startswith(f"{below}/")))
+        return iter(sorted(name for name in self._listed() if not prefix or name.startswith(f"{prefix}/")))
 
     def exists(self, name: str) -> bool:
         """Return whether the list of names has it."""
@@ -177,8 +177,8 @@ class Remote:
 
     def _listed(self) -> set[str]:
         if self._known is None:
-            found = (path.removeprefix(self._root).lstrip("/") for path in self._files.find(self._root))
-            self._known = {name for name in found if not any(part.startswith(".") for part in name.split("/")[:-1])}
+            names = (path.removeprefix(self._root).lstrip("/") for path in self._files.find(self._root))
+            self._known = {name for name in names if not any(part.startswith(".") for part in name.split("/")[:-1])}
         return self._known
 
 

@@ -19,7 +19,7 @@ from lidar2pano.cli.app import MISTAKE
 from lidar2pano.cli.console import bar, print_error, print_licence, until_signal
 from lidar2pano.cli.options import check_file
 from lidar2pano.drives.folders import drive_files, output_stems
-from lidar2pano.drives.following import follow_folder
+from lidar2pano.drives.following import check_followed, follow_folder
 from lidar2pano.drives.reading import ReadingOptions, ScanSource, StreamReader, scan_sources
 from lidar2pano.engines import pick_engine
 from lidar2pano.errors import InputError
@@ -93,11 +93,12 @@ def common_files(scans: Sequence[Path], page: Path | None, video: Path | None, r
     return OutputFiles(page=page, title=title_of(scans), video=video, rerun=rerun)
 
 
-def open_page(path: Path | None, code: int) -> None:
-    """Open a page in the user's browser, if it was written (exit code 0) and there is a screen."""
+def open_page(path: Path | None, code: int) -> int:
+    """Open a page in the user's browser, if it was written (exit code 0) and there is a screen; return the code."""
     headless = sys.platform.startswith("linux") and not ({"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys())
     if path and not code and not headless:
         webbrowser.open(path.resolve().as_uri())
+    return code
 
 
 def gather_files(paths: Iterable[Path], options: Options) -> tuple[list[Path], bool]:
@@ -129,8 +130,9 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
     return MISTAKE if failed else 0
 
 
-def translate_followed(folder: Path, options: Options) -> int:
-    """Translate the scans of a folder as they are completed, until interrupted; return the exit code."""
+def translate_followed(paths: Sequence[Path], options: Options) -> int:
+    """Translate the scans of one folder as they are completed, until interrupted; return the exit code."""
+    folder = check_followed(paths, options.reading.selection)
     with until_signal(signal.SIGINT, signal.SIGTERM) as stopped:
         sources = follow_folder(folder, options.reading.selection, stopped)
         return MISTAKE if translate_sources(sources, 0, options) else 0

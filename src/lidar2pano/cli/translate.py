@@ -57,7 +57,6 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
 ) -> None:
     """Turn scans into panoramas: DIR/<stem>.png, .segments.png, .label, .depth.png, .camera.png."""
     from lidar2pano.cli import batch
-    from lidar2pano.drives.following import check_followed
     from lidar2pano.drives.reading import ReadingOptions
     from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.formats.readers import ReadOptions
@@ -82,9 +81,5 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         ply=ply,
         common=batch.common_files(scans, out / "view.html" if view else None, video, rerun),
     )
-    if follow:
-        code = batch.translate_followed(check_followed(scans, options.reading.selection), options)
-    else:
-        code = batch.translate_files(scans, options)
-    batch.open_page(options.common.page, code)
-    raise typer.Exit(code)
+    code = batch.translate_followed(scans, options) if follow else batch.translate_files(scans, options)
+    raise typer.Exit(batch.open_page(options.common.page, code))

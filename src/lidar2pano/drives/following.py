@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +20,7 @@ GIVE_UP_S = 10.0  # one that cannot be read may still grow for so long
 Version = tuple[int, int]  # size in bytes and time of the last change in nanoseconds
 
 
-def check_followed(paths: list[Path], selection: ReadOptions) -> Path:
+def check_followed(paths: Sequence[Path], selection: ReadOptions) -> Path:
     """Return the one folder to follow; InputError for anything else."""
     if len(paths) != 1 or not paths[0].is_dir():
         raise InputError(f"--follow {' '.join(map(str, paths))}: name one folder, into which scans are written")
