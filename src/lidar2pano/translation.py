@@ -18,9 +18,9 @@ from lidar2pano.pipeline import Pipeline
 
 @dataclass(kw_only=True)
 class Translation:
-    """A reading with its panorama, or with the error that ended it.
+    """A reading with its panorama, or with an error.
 
-    outputs  files that the sinks wrote.
+    outputs  files from the sinks.
     """
 
     reading: Reading
@@ -47,14 +47,14 @@ class Translation:
         }
 
 
-# Writes what is made of a panorama and returns the files; InputError costs this scan alone.
+# Writes files of a panorama and returns them; InputError costs this scan alone.
 Sink = Callable[[Translation], list[Path]]
 
 
 class Translator:
     """Makes panoramas of readings, one at a time; those of one stream share a memory.
 
-    make_pipeline  called for the first scan that could be read; its errors end the run.
+    make_pipeline  called for the first readable scan; its errors end the run.
     every_fault    whether any exception costs one scan alone; otherwise InputError does, and others end the run.
     """
 
@@ -69,7 +69,7 @@ class Translator:
         return self._make_pipeline()
 
     def __call__(self, reading: Reading) -> Translation:
-        """Translate a reading, which follows the earlier ones of its stream."""
+        """Translate a reading as the next one of its stream."""
         translation = Translation(reading=reading, error=reading.error)
         if reading.error or reading.scan is None:
             return translation

@@ -41,7 +41,7 @@ def instance_raster(scan: Scan, instance: np.ndarray, panorama: Panorama) -> np.
 
 
 def grow(seeds: Tensor, inside: Tensor, steps: int) -> Tensor:
-    """Spread ids (H, W) int64 from `seeds` (0: none) over the pixels `inside`, one pixel all padded per step.
+    """Spread ids (H, W) int64 from `seeds` (0: none) over the pixels `inside`, one pixel all around per step.
 
     The columns are circular. Of several ids in the same step a pixel takes the greatest.
     """

@@ -192,7 +192,7 @@ def _stems(sources: Sequence[Source]) -> dict[Source, str]:
 
 
 def _clashing(stems: dict[Source, str]) -> list[Source]:
-    """List the files and recordings with an output of the same name as another item."""
+    """List the files and recordings with an output of the same name as another one."""
     outputs = {
         item: {f"{stem}{'-#' if item.recording else ''}{suffix}" for suffix in SUFFIXES.values()}
         for item, stem in stems.items()

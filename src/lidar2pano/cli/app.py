@@ -1,4 +1,4 @@
-"""The program, and the one place where an exception becomes a line on stderr and an exit code."""
+"""The program; here alone exceptions become a line on stderr and an exit code."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from lidar2pano.errors import InputError
 # Exit codes: a user's mistake; the run is lost (a full disk, no memory, a loss that is no number); a fault of the
 # program's own; Ctrl-C; SIGTERM.
 MISTAKE, BROKEN, FAULT, INTERRUPTED, TERMINATED = 2, 1, 70, 130, 143
-# What the system says of a name that cannot be used; anything else it refuses is no mistake of the user's.
+# Errors of the system about an unusable name; all its other errors are not the user's mistake.
 NAMES_ERRORS = {
     *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM, errno.EROFS, errno.EEXIST),
     *(errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL, errno.ENOTEMPTY, errno.EFBIG),
 }
-NO_MEMORY = ("allocate memory", "out of memory", "Cannot allocate")  # what libraries say
+NO_MEMORY = ("allocate memory", "out of memory", "Cannot allocate")  # in messages of libraries
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM has come: what is begun is undone, as by Ctrl-C."""
+    """SIGTERM has come: unfinished work is undone, as by Ctrl-C."""
 
 
 # module -> extra of the package that installs it
@@ -70,7 +70,7 @@ def program(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program with `arguments` (the process's own when None) and return its exit code.
 
-    Whatever goes wrong becomes one line on stderr and an exit code; the traceback follows where --debug is given.
+    Any exception becomes one line on stderr and an exit code, with --debug after its traceback.
     """
     command = get_command(app)
     words = list(sys.argv[1:] if arguments is None else arguments)
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if arguments is None:
             stack.enter_context(_quiet(debug))
         try:
-            # not command.main(), which handles Ctrl-C and a closed pipe in its own way
+            # not command.main(): it handles Ctrl-C and a closed pipe in its own way
             with command.make_context("lidar2pano", words) as context:
                 command.invoke(context)
             sys.stdout.flush()
@@ -99,7 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _open_streams() -> None:
-    """Let output go somewhere where it was closed, and be text whatever a file is called."""
+    """Replace closed streams, and let names of files be printed whatever their characters."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None or stream.closed:
@@ -109,7 +109,7 @@ def _open_streams() -> None:
 
 
 def _flushed() -> bool:
-    """Whether what was printed has got out; if not, the rest goes nowhere, so that leaving raises nothing."""
+    """Flush stdout and return whether that worked; if not, discard further output, so that leaving raises nothing."""
     try:
         sys.stdout.flush()
     except OSError:
@@ -120,7 +120,7 @@ def _flushed() -> bool:
 
 @contextmanager
 def _quiet(debug: bool) -> Iterator[None]:
-    """A process of its own: SIGTERM raises Terminated, and libraries' warnings are not shown unless `debug`."""
+    """Let SIGTERM raise Terminated, and hide libraries' warnings unless `debug`, in a process of our own."""
 
     def terminate(*_: object) -> None:
         raise Terminated("terminated")
@@ -130,14 +130,14 @@ def _quiet(debug: bool) -> Iterator[None]:
         if not debug and not sys.warnoptions:
             warnings.simplefilter("ignore")
             logging.lastResort = logging.NullHandler()  # None would say that there is no handler
-            # What ends a library's thread ends the command that waits for it; what it meets in __del__ ends nothing.
+            # An exception in a library's thread ends the command that waits for it; one in __del__ ends nothing.
             threading.excepthook = sys.unraisablehook = lambda _: None
         yield
 
 
 def exit_status(error: BaseException) -> tuple[int, str]:
-    """Exit code and line on stderr for an exception."""
-    known: list[tuple[type[BaseException], int, str]] = [
+    """Return exit code and line on stderr for an exception."""
+    rules: list[tuple[type[BaseException], int, str]] = [
         (InputError, MISTAKE, str(error)),
         (FloatingPointError, BROKEN, str(error)),
         (Terminated, TERMINATED, str(error)),
@@ -145,7 +145,7 @@ def exit_status(error: BaseException) -> tuple[int, str]:
         (BrokenPipeError, BROKEN, ""),  # the reader of our output has closed it, e.g. `| head`
         (MemoryError, BROKEN, "there is not enough memory; give the program more of it, or less to do at a time"),
     ]
-    for category, code, line in known:
+    for category, code, line in rules:
         if isinstance(error, category):
             return code, line
     if isinstance(error, ModuleNotFoundError) and (extra := EXTRAS.get(_missing(error))):
@@ -163,5 +163,5 @@ def exit_status(error: BaseException) -> tuple[int, str]:
 
 
 def _missing(error: ModuleNotFoundError) -> str:
-    """The top module that was not found; our own messages read "training needs MODULE: ..."."""
+    """Return the missing top module; our own messages read "training needs MODULE: ..."."""
     return (error.name or str(error).partition(" needs ")[2].partition(":")[0]).partition(".")[0]

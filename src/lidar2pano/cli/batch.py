@@ -40,7 +40,7 @@ class Options:
 
     weights  the name that was given;  files: the weight files by role that it stands for.
     sensor   name in VIEWS of the scans' rows, "" for the weights' own.
-    reading  which scans are read, and how; with `poses` the panoramas of a stream are temporally smoothed.
+    reading  of scans; with `poses` the panoramas of a stream are temporally smoothed.
     ply      whether the points of each scan are written, too;  common: files about all panoramas.
     """
 
@@ -233,7 +233,7 @@ class ScanReporter:
             self._recording, self._first_error = source.path, str(translation.error)
 
     def warn(self, translation: Translation) -> None:
-        """Say once for each stream what is implausible about its scans, and that the sensor's height is assumed."""
+        """Print once for each stream the doubts about its scans, and an assumed height of the sensor."""
         warnings = {text: f"{text} (a warning; --strict makes it an error)" for text in translation.doubts}
         interpretation, source = translation.reading.interpretation, translation.reading.source
         if interpretation and (height_m := interpretation.assumed_height_m) is not None:
@@ -247,7 +247,7 @@ class ScanReporter:
                 print_error(f"{source.title}: {text}")
 
     def note_licence(self, pipeline: Pipeline) -> None:
-        """Say once what a licence restricts."""
+        """Print the weights' restrictive licence once."""
         if not self._licence_noted:
             print_licence(pipeline.cards.values())
         self._licence_noted = True

@@ -9,6 +9,7 @@ import typer
 
 from lidar2pano.cli.app import app
 from lidar2pano.cli.console import print_licence
+from lidar2pano.cli.options import DeviceOption, check_file, write_json
 
 
 @app.command()
@@ -18,7 +19,7 @@ def bench(
         str,
         typer.Option(metavar="NAME|FILE", help="Weights; if none are installed: untrained ones, as fast."),
     ] = "",
-    device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
+    device: DeviceOption = "auto",
     engine: Annotated[
         str,
         typer.Option(
@@ -39,7 +40,6 @@ def bench(
         measure_world,
         table,
     )
-    from lidar2pano.cli.options import check_file, write_json
     from lidar2pano.engines import pick_engine
     from lidar2pano.hardware import keep_buffers, pick_device
     from lidar2pano.models.card import read_card
@@ -48,22 +48,22 @@ def bench(
     if as_json:
         check_file(as_json, "--json")
     if world:
-        rows, said = measure_world(runs, processes), {"device": "cpu", "runs": runs, "processes": processes}
-        text = table(rows, said)
+        rows, settings = measure_world(runs, processes), {"device": "cpu", "runs": runs, "processes": processes}
+        text = table(rows, settings)
     else:
-        kept = keep_buffers()
+        buffers_kept = keep_buffers()
         name = weights or default_weights()
         engines = list(dict.fromkeys(part.strip() for part in engine.split(",")))
-        said = conditions(device, runs) | {"weights": name or "untrained", "buffers_kept": kept}
+        settings = conditions(device, runs) | {"weights": name or "untrained", "buffers_kept": buffers_kept}
         if len(engines) > 1:
             rows = compare(runs, device, name, engines)
-            text = comparison_table(rows, said)
+            text = comparison_table(rows, settings)
         else:
-            said["engine"] = pick_engine(engine, pick_device(device))
-            rows = measure(runs, device, name, said["engine"])  # "auto" would compile nothing
-            text = table(rows, said)
+            settings["engine"] = pick_engine(engine, pick_device(device))
+            rows = measure(runs, device, name, settings["engine"])  # "auto" would compile nothing
+            text = table(rows, settings)
         if name:
             print_licence(read_card(file) for file in weight_files(name).values())
     if as_json:
-        write_json(as_json, said | {"rows": [row.as_dict() for row in rows]}, "--json")
+        write_json(as_json, settings | {"rows": [row.as_dict() for row in rows]}, "--json")
     print(text)

@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from lidar2pano.bulk import Entry, Job, Manifest, Shard
     from lidar2pano.cli.batch import Options
 
-# (job, scans to do, whether to stop) -> the manifest's lines
+# (job, scans, whether to stop) -> the manifest's lines
 Translate = Callable[["Job", "list[Entry]", Callable[[], bool]], Iterable[dict[str, Any]]]
 BAD_SCANS = 3  # exit code: some scans failed
 
 RootArgument = Annotated[
     str,
     typer.Argument(
-        metavar="ROOT", help="Folder, or URL, below which all scans and recordings are translated; or a recording."
+        metavar="ROOT", help="Folder, or URL: all scans and recordings below it are translated; or a recording."
     ),
 ]
 ShardOption = Annotated[
@@ -37,7 +37,7 @@ ShardOption = Annotated[
 SaveOption = Annotated[
     str,
     typer.Option(
-        metavar="LIST", help="What to write: rgb,segments,labels,depth or all (rgb; with --as: rgb,segments,depth)."
+        metavar="LIST", help="Outputs: rgb,segments,labels,depth or all (rgb; with --as: rgb,segments,depth)."
     ),
 ]
 LayoutOption = Annotated[
@@ -61,7 +61,7 @@ class WithOptionalAddress(TyperCommand):
     """A command whose --ray may stand without a value."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
-        """Insert "auto" where --ray is followed by another option or by nothing."""
+        """Insert "auto" between --ray and another option, or the end."""
         words: list[str] = []
         for word, following in zip(args, [*args[1:], "-"], strict=True):
             words += [word, "auto"] if word == "--ray" and following.startswith("-") else [word]
@@ -89,7 +89,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     workers: WorkersOption = 0,
     cores: Annotated[int, typer.Option(min=1, metavar="N", help="With --ray: processor cores of each worker.")] = 2,
 ) -> None:
-    """Translate any number of scans. Repeat the command to go on where it stopped."""
+    """Translate any number of scans. Repeat the command to go on."""
     from lidar2pano.bulk import Job, Shard
     from lidar2pano.cli.batch import checked_options
     from lidar2pano.formats.readers import ReadOptions
@@ -121,23 +121,23 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
 
 
 def run(job: Job, part: Shard, options: Options, cluster: Cluster, only: str) -> int:
-    """List the scans, check what is there, translate the rest, and return the exit code.
+    """List the scans, check existing outputs, translate the other scans, and return the exit code.
 
-    only  name of the recording whose scans are meant; "": all below the job's source.
+    only  name of the single recording to translate; "": all below the job's source.
     """
     from lidar2pano.bulk import Manifest, entries, start, translate_all
     from lidar2pano.bulk.stores import open_store
     from lidar2pano.models.card import read_card
 
     store = open_store(job.source)
-    found = entries(store, part, job.layout, labels=job.use_labels, selection=job.selection, only=only)
+    listed = entries(store, part, job.layout, labels=job.use_labels, selection=job.selection, only=only)
     settings = {"look": options.look, "engine": options.engine, "format": options.image_format}
-    start(job, found, options.files, settings)
+    start(job, listed, options.files, settings)
     print_licence(read_card(file) for file in options.files.values())
     manifest = Manifest(open_store(job.out), part)
     if cluster.address:
-        return work_on_ray(job, found, manifest, options, cluster)
-    return work(job, found, manifest, translate_all)
+        return work_on_ray(job, listed, manifest, options, cluster)
+    return work(job, listed, manifest, translate_all)
 
 
 class Cluster(NamedTuple):
@@ -149,8 +149,8 @@ class Cluster(NamedTuple):
     cores: int
 
 
-def work_on_ray(job: Job, found: list[Entry], manifest: Manifest, options: Options, cluster: Cluster) -> int:
-    """`work` on a Ray cluster, whose machines and not this one decide on the device."""
+def work_on_ray(job: Job, listed: list[Entry], manifest: Manifest, options: Options, cluster: Cluster) -> int:
+    """Do `work` on a Ray cluster; its machines and not this one decide on the device."""
     import torch
 
     from lidar2pano.bulk.on_ray import connected, translate_on_ray
@@ -161,11 +161,11 @@ def work_on_ray(job: Job, found: list[Entry], manifest: Manifest, options: Optio
         count = cluster.workers or max(1, int(fitting))
         translate = partial(translate_on_ray, workers=count, cores=cluster.cores, gpus=gpus)
         options = replace(options, device=torch.device("cuda" if gpus else "cpu"))
-        return work(replace(job, pipeline=options.pipeline), found, manifest, translate)
+        return work(replace(job, pipeline=options.pipeline), listed, manifest, translate)
 
 
 def _source(root: str) -> tuple[str, str]:
-    """The folder or URL of the scans; and the name of the recording in it, where ROOT is one."""
+    """Return the folder or URL of the scans, and the name of the recording in it if ROOT is one."""
     from lidar2pano.bulk.listing import is_bag_folder
     from lidar2pano.bulk.stores import open_store
     from lidar2pano.recordings.recorded_scans import ENDINGS, recording_reader
@@ -173,14 +173,14 @@ def _source(root: str) -> tuple[str, str]:
     url = "://" in root and not root.startswith("file://")
     path = Path(root.removeprefix("file://"))
     if url:
-        one = root.lower().endswith(ENDINGS) or is_bag_folder(open_store(root))
+        is_recording = root.lower().endswith(ENDINGS) or is_bag_folder(open_store(root))
     elif path.is_dir():
-        one = is_bag_folder(open_store(path))
+        is_recording = is_bag_folder(open_store(path))
     elif path.is_file() and recording_reader(path):
-        one = True
+        is_recording = True
     else:
         raise InputError(f"{root}: is neither a folder nor a recording; name one, or a URL")
-    if not one:
+    if not is_recording:
         return root, ""
     folder, _, name = (root if url else str(path.absolute())).rstrip("/").rpartition("/")
     return folder or "/", name
@@ -196,24 +196,24 @@ def _check_layout(layout: str, image_format: str) -> None:
 
 
 def _absolute(place: str) -> str:
-    """A folder's whole path, as processes elsewhere need it; a URL as it is."""
+    """Return a folder's whole path, as processes elsewhere need it; a URL as it is."""
     return place if "://" in place else str(Path(place).absolute())
 
 
-def work(job: Job, found: list[Entry], manifest: Manifest, translate: Translate) -> int:
-    """Translate what is not done yet, and return the exit code."""
+def work(job: Job, listed: list[Entry], manifest: Manifest, translate: Translate) -> int:
+    """Translate scans without outputs, and return the exit code."""
     from lidar2pano.bulk.resume import remaining
 
-    todo = remaining(job, found, manifest)
+    todo = remaining(job, listed, manifest)
     with until_signal(signal.SIGTERM) as terminated:
         stopped = terminated.is_set
         written, bad = consume(translate(job, todo, stopped), len(todo), manifest)
-        timed = write_all_times(job, found, manifest.shard, stopped)
-    before = len(found) - len(todo)
+        timed = write_all_times(job, listed, manifest.shard, stopped)
+    done = len(listed) - len(todo)
     left = len(todo) - written - bad
-    counts = [(written, "written"), (before, "there before"), (bad, "bad"), (left, "left")]
+    counts = [(written, "written"), (done, "there before"), (bad, "bad"), (left, "left")]
     print(
-        f"{len(found)} scan{'s' * (len(found) != 1)}: "
+        f"{len(listed)} scan{'s' * (len(listed) != 1)}: "
         + ", ".join(f"{count} {name}" for count, name in counts if count)
     )
     if terminated.is_set() and (left or not timed):
@@ -222,14 +222,14 @@ def work(job: Job, found: list[Entry], manifest: Manifest, translate: Translate)
     return BAD_SCANS if bad else 0
 
 
-def write_all_times(job: Job, found: list[Entry], shard: Shard, stopped: Callable[[], bool]) -> bool:
-    """Write times.txt and poses.txt of recordings in a data set's layout; false where it was stopped before all are."""
+def write_all_times(job: Job, listed: list[Entry], shard: Shard, stopped: Callable[[], bool]) -> bool:
+    """Write times.txt and poses.txt of recordings in a data set's layout; return false if stopped before the last."""
     from lidar2pano.bulk.recorded_times import untimed, write_times
 
-    sequences = untimed(job, found, shard)
+    sequences = untimed(job, listed, shard)
     with bar(len(sequences), "reading poses") as advance:
-        for one in sequences:
-            if stopped() or not write_times(job, one, stopped):
+        for is_recording in sequences:
+            if stopped() or not write_times(job, is_recording, stopped):
                 return False
             advance()
     return True
@@ -238,7 +238,7 @@ def write_all_times(job: Job, found: list[Entry], shard: Shard, stopped: Callabl
 def consume(records: Iterable[dict[str, Any]], total: int, manifest: Manifest) -> tuple[int, int]:
     """Enter records into the manifest as they come; return the counts of written and of bad scans."""
     written, bad = 0, 0
-    reported = set[str]()  # recordings with bad scans, which cost a line each
+    reported = set[str]()  # recordings with bad scans: a line each
     try:
         with bar(total, "translating") as advance:
             for record in records:

@@ -1,4 +1,4 @@
-"""What people see on stderr while a command runs: errors, licences, a progress bar; and the signals they send."""
+"""The terminal: errors, licences and a progress bar on stderr; signals from the keyboard or the system."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ WeightsOption = Annotated[
     ),
 ]
 DeviceOption = Annotated[
-    str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute; auto: CUDA if there is one.")
+    str, typer.Option(metavar="auto|cpu|cuda", help="Device that computes; auto: CUDA if there is one.")
 ]
 ScansArgument = Annotated[
     list[Path],
@@ -47,9 +47,7 @@ SteadyOption = Annotated[
     bool,
     typer.Option("--steady", help="A folder's or recording's scans are a video: smooth it over time, without flicker."),
 ]
-TopicOption = Annotated[
-    str, typer.Option(metavar="NAME", help="The recording's topic or sensor, where it has several.")
-]
+TopicOption = Annotated[str, typer.Option(metavar="NAME", help="The recording's topic or sensor, if it has several.")]
 EveryOption = Annotated[int, typer.Option(min=1, metavar="N", help="One of N scans of a recording or folder.")]
 FromOption = Annotated[
     float | None, typer.Option("--from", min=0, metavar="SECONDS", help="Scans from so long after the start on.")
@@ -58,12 +56,12 @@ ToOption = Annotated[
     float | None, typer.Option("--to", min=0, metavar="SECONDS", help="Scans until so long after the start.")
 ]
 FollowOption = Annotated[
-    bool, typer.Option("--follow", help="Go on with what is written into the folder, until interrupted.")
+    bool, typer.Option("--follow", help="Go on with scans that are written into the folder, until interrupted.")
 ]
 HeightOption = Annotated[
     float | None, typer.Option(metavar="METRES", help="Height of the viewpoint above the ground; else found out.")
 ]
-ForwardOption = Annotated[str, typer.Option(metavar="AXIS", help="What points forward: x, y, -x, -y; else found out.")]
+ForwardOption = Annotated[str, typer.Option(metavar="AXIS", help="The forward axis: x, y, -x, -y; else found out.")]
 RemissionOption = Annotated[
     str, typer.Option(metavar="FULL", help="Full remission: 1, 255, 65535; or none, if unusable; else found out.")
 ]
@@ -75,12 +73,10 @@ EngineOption = Annotated[
     str,
     typer.Option(
         metavar="auto|torch|compile|onnx|openvino",
-        help="What runs the networks; auto: OpenVINO where --engine openvino compiled the networks before, else torch.",
+        help="Engine of the networks; auto: OpenVINO if --engine openvino compiled them before, else torch.",
     ),
 ]
-SaveOption = Annotated[
-    str, typer.Option(metavar="LIST", help="What to write: rgb,segments,labels,depth or all; confidence.")
-]
+SaveOption = Annotated[str, typer.Option(metavar="LIST", help="Outputs: rgb,segments,labels,depth or all; confidence.")]
 ViewOption = Annotated[bool, typer.Option("--view", help="Write DIR/view.html to look around in, and open it.")]
 PlyOption = Annotated[bool, typer.Option("--ply", help="Write DIR/<stem>.ply: the points with colours and classes.")]
 StrictOption = Annotated[bool, typer.Option("--strict", help="A scan that is as no LiDAR gives it is an error.")]

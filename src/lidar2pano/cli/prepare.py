@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lidar2pano.cli.app import MISTAKE, app
-from lidar2pano.cli.console import print_error
+from lidar2pano.cli.console import bar, print_error
+from lidar2pano.cli.options import DeviceOption
 from lidar2pano.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,13 +28,13 @@ TAKEN = ("velodyne", "image_2", "image_3", "calib", "pano")  # folders of a sequ
 def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
     root: Annotated[Path, typer.Argument(metavar="ROOT", help="A data set in SemanticKITTI's layout.")],
     lidar: Annotated[
-        str, typer.Option(metavar="NAME|FILE|none", help="Who labels scans: a family, a run or a weight file.")
+        str, typer.Option(metavar="NAME|FILE|none", help="Teacher of scans: a family, a run or a weight file.")
     ] = "kitti-mini",
     teacher: Annotated[
         str,
         typer.Option(
             metavar="FILE|KIND:PATH|none",
-            help="Who labels pictures: weights of sdnet, mask2former:PATH or oneformer:PATH (a folder, or a model in"
+            help="Teacher of pictures: weights of sdnet, mask2former:PATH or oneformer:PATH (a folder, or a model in"
             " the hub's cache).",
         ),
     ] = NO_TEACHER,
@@ -41,7 +42,7 @@ def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
         list[str] | None, typer.Option(metavar="NAME", help="Only this split; repeatable (all sequences).")
     ] = None,
     scales: Annotated[
-        str, typer.Option(metavar="LIST", help="Sizes at which pictures are looked at, e.g. 0.5,1,2 (the teacher's).")
+        str, typer.Option(metavar="LIST", help="Scales of pictures for the teacher, e.g. 0.5,1,2 (its own).")
     ] = "",
     min_probability: Annotated[
         float,
@@ -53,7 +54,7 @@ def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
     camera_labels_folder: Annotated[
         str, typer.Option(metavar="NAME", help="Folder of each sequence for the labels of pictures.")
     ] = "camera_labels",
-    device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
+    device: DeviceOption = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per frame on stdout.")] = False,
 ) -> None:
     """Let teachers label a data set's scans and pictures. Repeat the command to go on; files of others stay."""
@@ -72,32 +73,31 @@ def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
     if lidar != NO_TEACHER:
         teachers.append(lidar_teacher(lidar, folder=folders[0], device=device))
     if teacher != NO_TEACHER:
-        made = camera_teacher(
+        camera = camera_teacher(
             teacher, folder=folders[1], scales=factors, min_probability=min_probability, device=device
         )
-        teachers.append(made)
-    found = frames_to_label(root, split or [])
-    if teacher == NO_TEACHER and any(frame.image_file for frame in found):
-        print_error("images are left alone: name who labels them with --teacher")
-    raise typer.Exit(_work(found, teachers, as_json))
+        teachers.append(camera)
+    frames = frames_to_label(root, split or [])
+    if teacher == NO_TEACHER and any(frame.image_file for frame in frames):
+        print_error("images are left alone: name their teacher with --teacher")
+    raise typer.Exit(_work(frames, teachers, as_json))
 
 
-def _work(found: FrameList[SemanticKittiFrame], teachers: list[Teacher], as_json: bool) -> int:
-    """Label everything, say so, and return the exit code."""
-    from lidar2pano.cli.console import bar
+def _work(frames: FrameList[SemanticKittiFrame], teachers: list[Teacher], as_json: bool) -> int:
+    """Label everything, print a summary, and return the exit code."""
     from lidar2pano.hardware import keep_buffers
     from lidar2pano.prepare import State, label
 
     keep_buffers()
     counts: dict[str, Counter[State]] = {teacher.folder: Counter() for teacher in teachers}
-    with bar(len(found), "preparing") as advance:
-        for frame, done in label(found, teachers):
-            for one in done:
-                counts[one.folder][one.state] += 1
-                if one.problem:
-                    print_error(one.problem)
-                elif one.state is State.WRITTEN and counts[one.folder][State.WRITTEN] == 1:
-                    _note_licence(next(teacher for teacher in teachers if teacher.folder == one.folder))
+    with bar(len(frames), "preparing") as advance:
+        for frame, done in label(frames, teachers):
+            for file in done:
+                counts[file.folder][file.state] += 1
+                if file.problem:
+                    print_error(file.problem)
+                elif file.state is State.WRITTEN and counts[file.folder][State.WRITTEN] == 1:
+                    _note_licence(next(teacher for teacher in teachers if teacher.folder == file.folder))
             if as_json:
                 print(json.dumps(record_of(frame, done)), flush=True)
             advance()
@@ -114,18 +114,18 @@ def _work(found: FrameList[SemanticKittiFrame], teachers: list[Teacher], as_json
 
 
 def record_of(frame: SemanticKittiFrame, done: list[LabelledFile]) -> dict[str, Any]:
-    """What --json prints of one frame."""
+    """Return the record of one frame for --json."""
     return {
         "frame": frame.name,
         "outputs": [
-            {"file": str(one.file), "state": one.state.value} | ({"problem": one.problem} if one.problem else {})
-            for one in done
+            {"file": str(file.file), "state": file.state.value} | ({"problem": file.problem} if file.problem else {})
+            for file in done
         ],
     }
 
 
 def summary(folder: str, count: Counter[Any]) -> str:
-    """What is printed of one folder for people."""
+    """Return one folder's summary for people."""
     from lidar2pano.prepare import State
 
     words = {State.WRITTEN: "written", State.CURRENT: "up to date", State.KEPT: "kept", State.FAILED: "failed"}

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lidar2pano.cli.app import app
+from lidar2pano.cli.options import DeviceOption
 from lidar2pano.train.recipes import RECIPES
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def train(
     changes: Annotated[
         list[str] | None, typer.Option("--set", metavar="A.B=C", help="Change a value of the recipe; repeatable.")
     ] = None,
-    device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
+    device: DeviceOption = "auto",
     devices: Annotated[int, typer.Option(min=1, metavar="N", help="GPUs or processes per node.")] = 1,
     nodes: Annotated[int, typer.Option(min=1, metavar="N", help="Machines that train together.")] = 1,
 ) -> None:
@@ -51,7 +52,7 @@ def train(
 
 
 def brief(recipe: Recipe) -> str:
-    """The resolved recipe in a few lines."""
+    """Return the resolved recipe in a few lines."""
     options = ", ".join(f"{name}={value}" for name, value in asdict(recipe.options).items() if value != "")
     lines = [f"recipe {recipe.name}: {recipe.task} on {recipe.view} x {recipe.scale:g}; {options}"]
     for name, network in recipe.networks.items():

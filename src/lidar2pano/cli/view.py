@@ -17,7 +17,7 @@ from lidar2pano.errors import InputError
 def view(  # noqa: PLR0913, PLR0917 one parameter per option
     paths: Annotated[
         list[Path],
-        typer.Argument(metavar="PATH...", help="Panoramas (PNG, or folders of what translate wrote), or scans."),
+        typer.Argument(metavar="PATH...", help="Panoramas (PNG, or folders written by translate), or scans."),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The page.")] = Path("view.html"),
     weights: opt.WeightsOption = "kitti-mini",
@@ -35,7 +35,7 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
     engine: opt.EngineOption = "auto",
     no_open: Annotated[bool, typer.Option("--no-open", help="Only write the page.")] = False,
 ) -> None:
-    """Write one HTML page to look around in, which needs no network, and open it. Scans are translated first."""
+    """Write one HTML page to look around in, without need of a network, and open it. Scans are translated first."""
     from lidar2pano.cli.batch import checked_options, common_files, open_page, translate_files
     from lidar2pano.drives.reading import ReadingOptions
     from lidar2pano.formats.readers import ReadOptions

@@ -1,4 +1,4 @@
-"""The motion of a drive's sensor: as it was recorded, else estimated from the scans; and scans without its skew."""
+"""Motion of a drive's sensor, recorded or else estimated from the scans; scans without its skew."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from lidar2pano.scan import Scan
 Motion = Callable[[Path, Scan, Interpretation], tuple[Scan, np.ndarray | None]]
 CITY_POSES = "city_SE3_egovehicle.feather"  # of an Argoverse 2 log, above sensors/lidar/
 CITY_COLUMNS = ("timestamp_ns", "tx_m", "ty_m", "tz_m", "qx", "qy", "qz", "qw")
-MOST_STEP_S = 1.0  # between scans whose motion tells how the next one is skewed
+MOST_STEP_S = 1.0  # between scans from whose motion the skew of the next one is predicted
 
 
 class DriveMotion:
     """The motion of the sensor of one drive, requested scan after scan.
 
-    origin  where it is from: a topic or "tf from ... to ...", a file, "KISS-ICP", or "" where it is unknown.
+    origin  of the motion: a topic or "tf from ... to ...", a file, "KISS-ICP", or "" for an unknown motion.
     """
 
     def __init__(self, recorded: SensorMotion | None, origin: str, estimate: bool) -> None:
-        """Estimate where nothing is recorded and `estimate` is true; InputError where KISS-ICP is missing then."""
+        """Estimate a motion that is not recorded, if `estimate`; InputError if KISS-ICP is missing then."""
         self._recorded = recorded
         self._estimated: Any = odometry() if recorded is None and estimate else None
         self._stamp_s: float | None = None
@@ -39,22 +39,22 @@ class DriveMotion:
 
     @classmethod
     def of_recording(cls, path: Path, options: ReadOptions, frame: str, estimate: bool) -> DriveMotion:
-        """The motion of the scans of a recording, which are in the coordinate frame `frame`; InputError at damage."""
+        """Return the motion of a recording's scans, given in the coordinate frame `frame`; InputError at damage."""
         recorded = recorded_motion(path, options, frame)
         return cls(*recorded, estimate) if recorded else cls(None, "", estimate)
 
     def __call__(self, _: Path, scan: Scan, interpretation: Interpretation) -> tuple[Scan, np.ndarray | None]:
-        """`step` at the scan's own stamp: a Motion."""
+        """Return `step` at the scan's own stamp: a Motion."""
         return self.step(scan, interpretation, interpretation.stamp_s or 0.0)
 
-    def step(self, scan: Scan, found: Interpretation, stamp_s: float) -> tuple[Scan, np.ndarray | None]:
-        """The scan as a sensor at rest at its stamp would have measured it, and T_world_sensor (4, 4) float64 then.
+    def step(self, scan: Scan, interpretation: Interpretation, stamp_s: float) -> tuple[Scan, np.ndarray | None]:
+        """Return the scan as measured by a sensor at rest at its stamp, and T_world_sensor (4, 4) float64 then.
 
-        found  how the scan was read from its cloud.
-        A scan without times stays as it is. The pose is None where the motion is unknown at that time.
+        interpretation  how the scan was read from its cloud.
+        A scan without times stays as it is. The pose is None at times of unknown motion.
         """
         if self._recorded is not None:
-            motion, pose = _of_scan(self._recorded, found), self.pose(found, stamp_s)
+            motion, pose = _of_scan(self._recorded, interpretation), self.pose(interpretation, stamp_s)
             return (self._without_skew(scan, stamp_s, motion) if pose is not None else scan), pose
         if self._estimated is None:
             return scan, None
@@ -63,12 +63,12 @@ class DriveMotion:
         self._stamp_s = stamp_s
         return scan, self._estimated.last_pose.copy()
 
-    def pose(self, found: Interpretation, stamp_s: float) -> np.ndarray | None:
-        """T_world_sensor (4, 4) float64 of a scan, as it was recorded; None where that is unknown."""
-        return None if self._recorded is None else _of_scan(self._recorded, found).pose(stamp_s)
+    def pose(self, interpretation: Interpretation, stamp_s: float) -> np.ndarray | None:
+        """Return T_world_sensor (4, 4) float64 of a scan, as recorded; None if unknown."""
+        return None if self._recorded is None else _of_scan(self._recorded, interpretation).pose(stamp_s)
 
     def _last_motion(self, stamp_s: float) -> SensorMotion | None:
-        """The motion if it goes on as between the two scans before; None at the beginning and after a gap."""
+        """Return the motion, continued from the two previous scans; None at the beginning and after a gap."""
         if self._stamp_s is None or not 0 < (step_s := stamp_s - self._stamp_s) < MOST_STEP_S:
             return None
         delta = np.asarray(self._estimated.last_delta)
@@ -107,24 +107,24 @@ def motion_of(
     return drive if drive.origin else None
 
 
-def _of_scan(recorded: SensorMotion, found: Interpretation) -> SensorMotion:
-    """The motion of a scan's own frame, by that of its cloud's frame."""
-    return SensorMotion((*recorded.links, np.linalg.inv(T_scan_cloud(found))))
+def _of_scan(recorded: SensorMotion, interpretation: Interpretation) -> SensorMotion:
+    """Return the motion of a scan's own frame, from the motion of its cloud's frame."""
+    return SensorMotion((*recorded.links, np.linalg.inv(T_scan_cloud(interpretation))))
 
 
-def T_scan_cloud(found: Interpretation) -> np.ndarray:
-    """(4, 4) float64 pose of a cloud's own frame in its scan's frame, metres."""
-    cosine, sine = FORWARD[found.forward]
+def T_scan_cloud(interpretation: Interpretation) -> np.ndarray:
+    """Return the (4, 4) float64 pose of a cloud's own frame in its scan's frame, metres."""
+    cosine, sine = FORWARD[interpretation.forward]
     T = np.eye(4)
     T[:2, :2] = [[cosine, sine], [-sine, cosine]]
-    T[:3, 3] = -T[:3, :3] @ np.asarray(found.viewpoint_m)
+    T[:3, 3] = -T[:3, :3] @ np.asarray(interpretation.viewpoint_m)
     return T
 
 
 def city_motion(folder: Path) -> tuple[SensorMotion, str] | None:
-    """The motion of the vehicle of an Argoverse 2 log whose sweeps are in `folder`; None for any other folder.
+    """Return the motion of the vehicle of an Argoverse 2 log with sweeps in `folder`; None for any other folder.
 
-    Raises InputError where the file of the poses is damaged, or pyarrow (extra `arrow`) is missing.
+    Raises InputError if the file of the poses is damaged, or pyarrow (extra `arrow`) is missing.
     """
     path = folder.resolve().parent.parent / CITY_POSES
     if not path.is_file():
@@ -137,6 +137,6 @@ def city_motion(folder: Path) -> tuple[SensorMotion, str] | None:
         table = feather.read_table(path, columns=list(CITY_COLUMNS))
         rows = np.stack([table[name].to_numpy() * (1e-9 if name == "timestamp_ns" else 1) for name in CITY_COLUMNS], 1)
         return SensorMotion((Trajectory.of(rows),)), str(path)
-    except Exception as error:  # of Arrow, by what is broken
-        said = " ".join(str(error).split())[:200]
-        raise InputError(f"{path}: holds no poses that can be read ({said}); take it from the data set") from error
+    except Exception as error:  # of Arrow, depending on the damage
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(f"{path}: holds no poses that can be read ({reason}); take it from the data set") from error

@@ -1,4 +1,4 @@
-"""Scan files and recordings of a folder: which ones are selected, when they were taken, names of their outputs."""
+"""Scan files and recordings of a folder: selection, times, names of their outputs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ UNIT_S = {19: 1e-9, 18: 1e-9, 16: 1e-6}  # digits of a name that is a time since
 
 
 def drive_files(path: Path, options: ReadOptions) -> list[Path]:
-    """Return the scan files and recordings that a path stands for: itself, or the selected ones of a folder, by name.
+    """Return the scan files and recordings of a path: itself, or the selected ones of a folder, by name.
 
     A ROS 2 bag's folder stands for itself. Raises InputError as `scan_files`, and for --from or --to with scans of
     unknown times.

@@ -1,4 +1,4 @@
-"""A folder that still grows: scans that a recorder writes into it, as soon as each is complete."""
+"""A growing folder: the scans that a recorder writes into it, as soon as each is complete."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.readers import ReadOptions
 
 LOOK_S = 0.2  # between looks into the folder
-SETTLED_S = 1.0  # a file that was not changed for so long is complete
-GIVE_UP_S = 10.0  # one that cannot be read may still grow for so long
+SETTLED_S = 1.0  # a file unchanged for so long is complete
+GIVE_UP_S = 10.0  # an unreadable one may still grow for so long
 Version = tuple[int, int]  # size in bytes and time of the last change in nanoseconds
 
 
@@ -32,7 +32,7 @@ def check_followed(paths: Sequence[Path], selection: ReadOptions) -> Path:
 def follow_folder(folder: Path, selection: ReadOptions, stopped: threading.Event) -> Iterator[ScanSource]:
     """Yield the scans of a folder as they are completed, in order of their names, until `stopped` is set.
 
-    A file that changes later is taken again; one that cannot be read fails after GIVE_UP_S only.
+    A file that changes later is taken again; an unreadable one fails after GIVE_UP_S only.
     """
     taken: dict[Path, Version] = {}
     first_look: dict[Path, tuple[Version, float]] = {}

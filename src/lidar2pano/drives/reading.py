@@ -31,7 +31,7 @@ CPU = torch.device("cpu")
 
 @dataclass(frozen=True, kw_only=True)
 class ScanSource:
-    """A scan that is still to be read.
+    """A scan to be read.
 
     path    of the scan file or recording;  title: for messages;  stem: of its outputs' names.
     cloud   returns its points; raises InputError for damage.
@@ -49,12 +49,12 @@ class ScanSource:
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """A scan that was read, or the error that prevented it.
+    """A scan as it was read, or the error of reading it.
 
     scan            named by the source's title; None with an error.
     interpretation  how the cloud was read.
     pose            (4, 4) float64 T_world_sensor, metres; None if it is unknown or not wanted.
-    labels          (N,) int64 ids of SEMANTIC_KITTI that take the place of the segmenter's; None: the segmenter's.
+    labels          (N,) int64 ids of SEMANTIC_KITTI in place of the segmenter's; None: the segmenter's.
     calibration     of the camera at whose optical centre the panorama stands; None: the pipeline's own place.
     timer           milliseconds of the stages "read" and "pose"; translation goes on with it.
     """
@@ -71,9 +71,9 @@ class Reading:
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingOptions:
-    """How scans are read.
+    """Options of reading scans.
 
-    selection  which ones of a folder or recording;  overrides: what is known about them.
+    selection  of scans of a folder or recording;  overrides: facts about them.
     motion     whether recorded motion of the sensor takes the skew out of scans whose points have times.
     poses      whether a pose is wanted for each scan: estimated by KISS-ICP unless recorded.
     strict     whether an implausible scan is an error.
@@ -96,7 +96,7 @@ class StreamReader:
         self._motion: Motion | None = None
 
     def read(self, source: ScanSource) -> Reading:
-        """Read a scan. Raises InputError for damaged poses of its stream, which no later scan can do without."""
+        """Read a scan. Raises InputError for damaged poses of its stream: they are missing to all its scans."""
         followed = source.stream is not None and source.stream == self._stream
         reading = read_scan(source, self._options, self._first if followed else None)
         if reading.scan is None or reading.interpretation is None:
@@ -145,7 +145,7 @@ def move_scan(reading: Reading, motion: Motion, poses: bool) -> Reading:
 def scan_sources(
     files: Iterable[Path], selection: ReadOptions, stems: Mapping[Path, str] | None = None
 ) -> Iterator[ScanSource]:
-    """Yield the scans of files and recordings; one that cannot be opened is among them, and fails when it is read.
+    """Yield the scans of files and recordings; an unreadable one is among them, and fails when it is read.
 
     stems  of the outputs' names by file; None: `output_stems`.
     """
@@ -195,9 +195,9 @@ def posed_scans(
 ) -> Iterator[tuple[Scan, np.ndarray | None]]:
     """Yield the scans of a recording or folder, without skew, each with T_world_sensor (4, 4) float64.
 
-    topic, every, start_s, end_s  which scans, as in `scans`;  overrides: as in `read`.
+    topic, every, start_s, end_s  choose scans as in `scans`;  overrides: as in `read`.
     A pose is None at times of unknown motion. Raises InputError as `scans`, for damaged poses, and without recorded
-    ones where KISS-ICP (extra `odometry`) is missing.
+    ones if KISS-ICP (extra `odometry`) is missing.
     """
     selection = ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)
     options = ReadingOptions(selection=selection, overrides=overrides or Overrides(), poses=True)
@@ -218,7 +218,7 @@ def scans(
     topic           of a recording that has several topics of points; "" for the only one.
     every           one of so many scans of a recording or folder.
     start_s, end_s  seconds after the start of the recording or folder; the end is not included.
-    Raises InputError for what cannot be read.
+    Raises InputError for a path or scan that cannot be read.
     """
     selection = ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)
     options = ReadingOptions(selection=selection, overrides=overrides or Overrides(), motion=False)

@@ -1,4 +1,4 @@
-"""A drive: the scans of a recording in time, chosen by topic, time and number; what a recording holds."""
+"""Recordings: their contents, their scans in time, selected by topic, time and number."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class Frame:
 
     path     of the recording;  number: of the scan among all of its topic, from 0.
     stamp_s  when it was recorded, seconds since the epoch.
-    decode   (title for messages) -> its points; raises InputError where they are damaged, or there is none.
-    content  the bytes that it is decoded from: of its message, or an array of what its packets measured.
+    decode   (title for messages) -> its points; raises InputError for damaged or missing points.
+    content  the source of its points: the bytes of its message, or an array of its packets' measurements.
     """
 
     path: Path
@@ -52,7 +52,7 @@ class Frame:
 
     @property
     def name(self) -> str:
-        """The recording's stem and the scan's number: its outputs are called so."""
+        """The recording's stem and the scan's number: the name of its outputs."""
         return f"{self.path.stem}-{self.number:06d}"
 
     @property
@@ -61,22 +61,22 @@ class Frame:
         return f"{self.path}, scan {self.number}"
 
     def sha256(self) -> str:
-        """SHA-256 of its content, in hexadecimal."""
+        """Return the SHA-256 of its content, in hexadecimal."""
         content = self.content if isinstance(self.content, bytes) else self.content.tobytes()
         return hashlib.sha256(content).hexdigest()
 
     def cloud(self) -> PointCloud:
-        """The points, with the time of recording where the scan has no stamp of its own."""
+        """Return the points, with the time of recording for a scan without a stamp of its own."""
         cloud = self.decode(self.title)
         return replace(cloud, name=self.name, stamp_s=cloud.stamp_s or self.stamp_s)
 
 
 @dataclass(frozen=True)
 class RecordingReader:
-    """The reader of a format that keeps a drive in a file or folder.
+    """Reader of a format for a drive in a file or folder.
 
     accept    (first bytes, path) -> whether the file is of this format.
-    describe  path -> what it holds;  frames: (path, options) -> its scans, in time.
+    describe  path -> its contents;  frames: (path, options) -> its scans, in time.
     open      path -> the open recording, of ROS messages; None for others.
     """
 
@@ -87,17 +87,17 @@ class RecordingReader:
     open: Callable[[Path], Recording] | None = None
 
     def accepts(self, head: bytes, path: Path) -> bool:
-        """Whether the file is of this format."""
+        """Return whether the file is of this format."""
         return self.accept(head, path)
 
     def clouds(self, path: Path, options: ReadOptions) -> Iterator[PointCloud]:
-        """The clouds of the recording, one at a time; InputError at the first that is damaged."""
+        """Yield the clouds of the recording, one at a time; InputError at the first damaged one."""
         for frame in self.frames(path, options):
             yield frame.cloud()
 
 
 def ros_reader(name: str, accept: Callable[[bytes, Path], bool], open: Callable[[Path], Recording]) -> RecordingReader:
-    """The reader of a recording of ROS messages."""
+    """Return the reader of a recording of ROS messages."""
 
     def describe(path: Path) -> Description:
         with closing(open(path)) as recording:
@@ -124,7 +124,7 @@ def _ros_frames(recording: Recording, options: ReadOptions) -> Iterator[Frame]:
 
 
 def ros_frame(recording: Recording, number: int, message: RawMessage) -> Frame:
-    """The scan of that number, which the message holds."""
+    """Return a message as the scan of a number."""
     return Frame(
         path=recording.path,
         number=number,
@@ -141,7 +141,7 @@ def _ros_cloud(recording: Recording, message: RawMessage, title: str) -> PointCl
 
 
 def span_ns(about: Description, options: ReadOptions) -> tuple[int | None, int | None]:
-    """--from and --to in nanoseconds since the epoch."""
+    """Return --from and --to in nanoseconds since the epoch."""
     start_ns, end_ns = (
         None if offset_s is None else about.first_ns + round(offset_s * 1e9)
         for offset_s in (options.start_s, options.end_s)
@@ -150,11 +150,11 @@ def span_ns(about: Description, options: ReadOptions) -> tuple[int | None, int |
 
 
 def _captured_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
-    """The turns of a Velodyne in a packet capture, or the scans of an Ouster."""
+    """Yield the turns of a Velodyne in a packet capture, or the scans of an Ouster."""
     capture = PacketCapture(path)
     about = capture.description
     if not any(topic.type == VELODYNE for topic in about.topics):
-        if not any(path.parent.glob(f"{glob.escape(path.stem)}*.json")):  # of which Ouster's captures have need
+        if not any(path.parent.glob(f"{glob.escape(path.stem)}*.json")):  # needed by Ouster's captures
             raise InputError(_other_packets(path, about))
         yield from _ouster_frames(path, options)
         return
@@ -167,7 +167,7 @@ def _captured_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
 
 
 def _without_padding(points: np.ndarray) -> np.ndarray:
-    """The bytes of structured points, field after field; what lies between the fields may be anything."""
+    """Return the bytes of structured points, field after field, without the bytes between the fields."""
     return np.concatenate([np.ascontiguousarray(points[name]).view(np.uint8) for name in points.dtype.names or ()])
 
 
@@ -188,7 +188,7 @@ def _ouster_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
 
 
 def _selected(path: Path, scans: Iterable[tuple[float, Decode, np.ndarray]], options: ReadOptions) -> Iterator[Frame]:
-    """The frames among (stamp_s, decode, content) that are wanted; --from and --to count from the first scan."""
+    """Yield the selected frames among (stamp_s, decode, content); --from and --to count from the first scan."""
     first = origin_s = None
     after_s = 0.0
     for number, (stamp_s, decode, content) in enumerate(scans):
@@ -205,7 +205,7 @@ def _selected(path: Path, scans: Iterable[tuple[float, Decode, np.ndarray]], opt
 
 
 def none_within(path: Path, duration_s: float) -> InputError:
-    """The error for --from and --to that leave no scan."""
+    """Return the error for --from and --to without any scan between them."""
     return InputError(f"{path}: has no scan between --from and --to; it lasts {duration_s:.1f} s")
 
 
@@ -225,9 +225,9 @@ FOLDER = ros_reader("ROS 2 bag", lambda _, path: (path / METADATA).is_file(), op
 
 
 def recording_reader(path: Path) -> RecordingReader | None:
-    """The reader of a recording, which is a file or a ROS 2 bag's folder; None for any other file or folder.
+    """Return the reader of a recording, a file or a ROS 2 bag's folder; None for any other file or folder.
 
-    Raises InputError where the file cannot be read.
+    Raises InputError if the file cannot be read.
     """
     if path.is_dir():
         return FOLDER if FOLDER.accepts(b"", path) else None
@@ -240,16 +240,16 @@ def recording_reader(path: Path) -> RecordingReader | None:
 
 
 def describe(path: str | Path) -> Description | None:
-    """What a recording holds; None for what is no recording. Raises InputError where it is damaged."""
+    """Return the contents of a recording; None for anything else. Raises InputError for a damaged one."""
     reader = recording_reader(Path(path))
     return reader.describe(Path(path)) if reader else None
 
 
 def frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
-    """The scans of a recording in time, not decoded yet. Raises InputError where it is damaged or is none."""
+    """Return the scans of a recording in time, not decoded yet. Raises InputError for a damaged one, or none."""
     reader = recording_reader(path)
     if reader is None:
-        raise InputError(f"{path}: is no recording ({', '.join(one.name for one in RECORDINGS)}); name one")
+        raise InputError(f"{path}: is no recording ({', '.join(reader.name for reader in RECORDINGS)}); name one")
     return reader.frames(path, options)
 
 
@@ -258,8 +258,8 @@ def read(source: Any, overrides: Overrides | None = None) -> Scan:  # noqa: ANN4
 
     source     path of a file of a known format, whatever its name; of a recording the first scan is read; or an array
                (N, 3 or more) of x y z [intensity [ring]]; or a cloud of Open3D or PyVista; or a PointCloud2 of ROS.
-    overrides  what is known better than it can be found out; None: everything is found out.
-    Raises InputError for a file that is missing, of no known format or damaged, and for what is no sweep.
+    overrides  facts that are not to be found out; None: everything is found out.
+    Raises InputError for a file that is missing, of no known format or damaged, and for anything but a single sweep.
     """
     if isinstance(source, str | Path) and (reader := recording_reader(Path(source))):
         cloud = next(reader.clouds(Path(source), ReadOptions()))
@@ -271,7 +271,7 @@ def read(source: Any, overrides: Overrides | None = None) -> Scan:  # noqa: ANN4
 
 
 def recorded_motion(path: Path, options: ReadOptions, frame: str) -> tuple[SensorMotion, str] | None:
-    """The motion of a coordinate frame as a recording holds it, and the name of what it is from; None without one.
+    """Return the motion of a coordinate frame in a recording, and the name of its origin; None without one.
 
     Poses are read for the times of `options` only. Raises InputError at damage.
     """

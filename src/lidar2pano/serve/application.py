@@ -1,4 +1,4 @@
-"""The HTTP application: its routes, what each refuses, and what it answers."""
+"""The HTTP application: its routes, refusals and answers."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ HEADERS = {
 
 
 def create_application(translator: UploadTranslator, limits: Limits, hosts: list[str] | None = None) -> Starlette:
-    """The application, with one worker that ends with it.
+    """Return the application, with one worker that ends with it.
 
-    hosts  names by which it may be called (the header Host); None: any.
+    hosts  names allowed in the header Host; None: any.
     """
     service = Service(translator, limits)
 
@@ -95,7 +95,7 @@ class Measurements:
 
 
 class Service:
-    """The handlers of requests for panoramas, and what they share."""
+    """The handlers of requests for panoramas, and their common state."""
 
     def __init__(self, translator: UploadTranslator, limits: Limits) -> None:
         self.translator, self.limits = translator, limits
@@ -221,7 +221,7 @@ class Service:
 
 
 def _wanted(request: Request) -> tuple[str, tuple[str, ...]]:
-    """The form of the answer and the outputs that a request names; HTTPException for what there is not."""
+    """Return the form of the answer and the outputs of a request; HTTPException for unknown ones."""
     answer = request.query_params.get("as", "png")
     if answer not in ANSWERS:
         raise HTTPException(422, f"as: there is {', '.join(ANSWERS)}")
@@ -238,7 +238,7 @@ async def _disconnected(request: Request) -> None:
 
 
 def _forgotten(future: asyncio.Future[Any]) -> None:
-    """Take the result that nothing waits for, so that asyncio does not complain."""
+    """Take a result without a waiter, so that asyncio does not complain."""
     if not future.cancelled():
         future.exception()
 
@@ -249,20 +249,20 @@ def _page_text(name: str) -> str:
 
 
 async def page(name: str, media_type: str, request: Request) -> Response:
-    """A page of the package; `name` is never the client's."""
+    """Answer with a page of the package; `name` is never the client's."""
     return Response(_page_text(name), media_type=media_type, headers=HEADERS)
 
 
 async def refused(request: Request, error: HTTPException) -> Response:
-    """A refusal as JSON."""
+    """Answer a refusal as JSON."""
     return JSONResponse({"error": error.detail}, error.status_code, headers=HEADERS | dict(error.headers or {}))
 
 
 async def unusable(request: Request, error: InputError) -> Response:
-    """A scan or an option that cannot be used."""
+    """Answer an unusable scan or option as JSON."""
     return JSONResponse({"error": str(error)}, 422, headers=HEADERS)
 
 
 async def broken(request: Request, error: Exception) -> Response:
-    """A fault of the server: its log has the traceback, the client gets none of it."""
+    """Answer a fault of the server: its log has the traceback, the client gets none of it."""
     return JSONResponse({"error": "the server failed; its log says why"}, 500, headers=HEADERS)

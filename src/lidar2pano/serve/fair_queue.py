@@ -23,7 +23,7 @@ class FairQueue:
         self._thread.start()
 
     def submit(self, client: str, call: Callable[[], Any]) -> Future[Any]:
-        """Enter a call; its result or exception comes with the future. Raises RuntimeError after `close`."""
+        """Enter a call and return the future of its result or exception. Raises RuntimeError after `close`."""
         future: Future[Any] = Future()
         with self._changed:
             if self._closed:
@@ -33,14 +33,14 @@ class FairQueue:
         return future
 
     def close(self) -> None:
-        """Take no more calls, finish those that wait, and end the thread."""
+        """Take no more calls, finish the waiting ones, and end the thread."""
         with self._changed:
             self._closed = True
             self._changed.notify()
         self._thread.join()
 
     def _next(self) -> tuple[Future[Any], Callable[[], Any]] | None:
-        """The first call of the client whose turn it is, which then waits behind the others; None at the end."""
+        """Return the first call of the next client, and put that client behind all others; None at the end."""
         with self._changed:
             while not self._waiting and not self._closed:
                 self._changed.wait()
@@ -59,5 +59,5 @@ class FairQueue:
                 continue
             try:
                 future.set_result(call())
-            except BaseException as error:  # it is the caller's, whatever it is
+            except BaseException as error:  # any error is the caller's
                 future.set_exception(error)

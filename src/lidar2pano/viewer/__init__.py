@@ -1,7 +1,7 @@
-"""What panoramas are looked at with: one self-contained HTML page, a video, a log for Rerun.
+"""Views of panoramas: one self-contained HTML page, a video, a log for Rerun.
 
 page          PageWriter: frames in, one HTML file out; its HTML, CSS, JavaScript and shaders lie in web/.
-layers        how the layers of a frame are coded as images.
-saved_frames  frames of panoramas that were saved as PNG.
-outputs       what `translate` writes about all of its scans together.
+layers        coding of a frame's layers as images.
+saved_frames  frames of panoramas saved as PNG.
+outputs       files of `translate` about all of its scans together.
 """

@@ -12,18 +12,18 @@ from PIL import Image
 NEAREST_M, FARTHEST_M = 1.0, 256.0  # depths of the codes 1 and 255; equal steps of the logarithm, 2.2 % each
 STEPS = 254
 CONFIDENCE_STEPS = 20  # of 5 %: finer ones would be noise that no coding makes small
-CENTIMETRE = 0.01  # of point coordinates, which thus reach 327 m
+CENTIMETRE = 0.01  # of point coordinates: they reach 327 m
 FEW_FRAMES = 4  # so many are coded exactly
 MOST_FRAMES = 60  # more than that, and every image is coarser
-MANY_POINTS = 3000  # of a scan, where there are more than MOST_FRAMES of them
+MANY_POINTS = 3000  # of a scan, on a page with more than MOST_FRAMES
 MOST_POINTS = 1_200_000  # of a page with fewer: those of ten scans
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coding:
-    """How many bytes a frame may take.
+    """Bounds of a frame's bytes.
 
-    quality      of WebP for colours, 0 .. 100; None: PNG, which keeps every value.
+    quality      of WebP for colours, 0 .. 100; None: PNG, without loss.
     coarser      panorama pixels per pixel of the colours and classes, in either direction.
     depth_coarser  likewise of the depth and the confidence.
     points       of a scan, at most.
@@ -36,7 +36,7 @@ class Coding:
 
 
 def coding_for(frames: int) -> Coding:
-    """Coding of a page with so many frames: exact for few; such that 300 frames are about 30 MB."""
+    """Return the coding of a page with so many frames: exact for few; such that 300 frames are about 30 MB."""
     if frames > MOST_FRAMES:
         return Coding(quality=65, coarser=2, depth_coarser=4, points=MANY_POINTS)
     points = MOST_POINTS // max(frames, 1)
@@ -46,7 +46,7 @@ def coding_for(frames: int) -> Coding:
 
 
 def colour_image(colour: np.ndarray, coding: Coding) -> tuple[bytes, str]:
-    """(bytes, MIME type) of colours (h, w, 3 or 4) uint8; the fourth channel says where there is something."""
+    """Return (bytes, MIME type) of colours (h, w, 3 or 4) uint8; the fourth channel is opacity."""
     image = Image.fromarray(colour)
     if coding.coarser > 1:
         image = image.resize(_coarser(colour, coding.coarser), Image.Resampling.BOX)
@@ -56,22 +56,22 @@ def colour_image(colour: np.ndarray, coding: Coding) -> tuple[bytes, str]:
 
 
 def class_image(segments: np.ndarray, coding: Coding) -> tuple[bytes, str]:
-    """(bytes, MIME type) of class ids (h, w) uint8, as grey values, exact."""
+    """Return (bytes, MIME type) of class ids (h, w) uint8, as grey values, exact."""
     return _codes(segments, coding.coarser)
 
 
 def depth_image(depth_m: np.ndarray, coding: Coding) -> tuple[bytes, str]:
-    """(bytes, MIME type) of depths (h, w) in metres, as `depth_codes`."""
+    """Return (bytes, MIME type) of depths (h, w) in metres, as `depth_codes`."""
     return _codes(depth_codes(depth_m), coding.depth_coarser)
 
 
 def confidence_image(confidence: np.ndarray, coding: Coding) -> tuple[bytes, str]:
-    """(bytes, MIME type) of confidences (h, w) in [0, 1], in CONFIDENCE_STEPS."""
+    """Return (bytes, MIME type) of confidences (h, w) in [0, 1], in CONFIDENCE_STEPS."""
     return _codes(np.round(confidence * CONFIDENCE_STEPS).astype(np.uint8), coding.depth_coarser)
 
 
 def depth_codes(depth_m: np.ndarray) -> np.ndarray:
-    """Codes uint8 of depths in metres: 0 = none, 1 = NEAREST_M, 255 = FARTHEST_M, in equal steps of the logarithm.
+    """Return codes uint8 of depths in metres: 0 = none, 1 = NEAREST_M, 255 = FARTHEST_M, equal steps of the logarithm.
 
     Depths outside of that range take its ends.
     """
@@ -81,9 +81,9 @@ def depth_codes(depth_m: np.ndarray) -> np.ndarray:
 
 
 def point_bytes(xyz: np.ndarray, coding: Coding) -> tuple[bytes, int, int]:
-    """(bytes, points in them, usable points) of points (N, 3) in metres: `coding.points` at most, evenly chosen.
+    """Return (bytes, points in them, usable points) of points (N, 3) in metres: `coding.points` at most, evenly chosen.
 
-    Usable are finite points within 327 m, but for the sensor's origin, which means no echo. They are whole centimetres,
+    Usable are finite points within 327 m, but for the sensor's origin, the mark of no echo. They are whole centimetres,
     each the difference from the point before, in six planes (low and high bytes of x, of y, of z), compressed by zlib.
     """
     centimetres = np.round(xyz.astype(np.float64) / CENTIMETRE)

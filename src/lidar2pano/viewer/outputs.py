@@ -1,4 +1,4 @@
-"""What `translate` writes about all of its scans together: the page, a video, a log for Rerun."""
+"""Files of `translate` about all of its scans together: the page, a video, a log for Rerun."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ VIDEO_QUALITY = 20  # x264's constant rate factor
 
 @dataclass(frozen=True, kw_only=True)
 class OutputFiles:
-    """The files about all panoramas of a run that are wanted; None: not wanted.  title: of the page."""
+    """Paths of the files about all panoramas of a run; None: not asked for.  title: of the page."""
 
     page: Path | None = None
     title: str = ""
@@ -40,7 +40,7 @@ class OutputFiles:
 
     @contextmanager
     def opened(self) -> Iterator[list[Output]]:
-        """Outputs for these files, closed in the end; InputError where an extra is missing."""
+        """Give outputs for these files, closed in the end; InputError for a missing extra."""
         with ExitStack() as stack:
             outputs: list[Output] = []
             if self.page:
@@ -119,7 +119,9 @@ class VideoOutput:
             for packet in self._stream.encode():
                 self._container.mux(packet)
         self._container.close()
-        return write_whole(self.path, lambda beside: shutil.copyfile(self._part, beside)) if self._stream else None
+        return (
+            write_whole(self.path, lambda unfinished: shutil.copyfile(self._part, unfinished)) if self._stream else None
+        )
 
     def close(self) -> None:
         """See Output."""
@@ -163,12 +165,18 @@ class RerunOutput:
     def finish(self) -> Path | None:
         """See Output."""
         self._log.disconnect()
-        return write_whole(self.path, lambda beside: shutil.copyfile(self._part, beside)) if self._frames else None
+        return (
+            write_whole(self.path, lambda unfinished: shutil.copyfile(self._part, unfinished)) if self._frames else None
+        )
 
     def close(self) -> None:
         """See Output."""
         self._log.disconnect()
         self._folder.cleanup()
+
+
+def _copy_whole(part: Path, path: Path) -> Path:
+    return write_whole(path, lambda unfinished: shutil.copyfile(part, unfinished))
 
 
 def _extra(module: str, option: str, extra: str) -> Any:  # noqa: ANN401
@@ -188,8 +196,8 @@ def camera_layer(scan_file: Path, view: View) -> np.ndarray | None:
     if scan_file.resolve().parent.name != "velodyne":
         return None
     frame = SemanticKittiFrame(scan_file.resolve().parents[1], scan_file.stem)
-    if (around := frame.panorama) is not None and around.view.circular:
-        return np.dstack([around.image, np.uint8(255) * around.valid])
+    if (world := frame.panorama) is not None and world.view.circular:
+        return np.dstack([world.image, np.uint8(255) * world.valid])
     if frame.image_file is None or not (frame.folder / "calib.txt").is_file():
         return None
     image, calibration = frame.require("image", "calibration")

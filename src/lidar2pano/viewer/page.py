@@ -61,7 +61,7 @@ class PageFrame:
     segments  (h, w) uint8 ids of COMMON15.
     depth_m   (h, w) float32 metres, 0 = none.
     confidence  (h, w) float32 in [0, 1]: the translator's probability of the class.
-    camera    (h, w, 4) uint8 RGBA: camera images on the panorama, transparent where there is none.
+    camera    (h, w, 4) uint8 RGBA: camera images on the panorama, transparent outside them.
     xyz       (N, 3) float32: the scan's points, sensor frame, metres.
     """
 
@@ -93,7 +93,7 @@ def page_frame(panorama: Panorama, scan: Scan, name: str, camera: np.ndarray | N
 
 
 def title_of(paths: Sequence[Path]) -> str:
-    """The page's title for what a user named: the first one, without the folders far above it, and how many more."""
+    """Return the page's title: the first path without the folders far above it, and the number of further ones."""
     first = Path(*Path(os.path.realpath(paths[0])).parts[-2:]).as_posix().lstrip("/")
     return first if len(paths) == 1 else f"{first} and {len(paths) - 1} more"
 
@@ -101,7 +101,7 @@ def title_of(paths: Sequence[Path]) -> str:
 class PageWriter:
     """Collects frames on the disk and writes the page: memory does not depend on the number of frames.
 
-    How exactly frames are coded depends on how many there are, so MOST_FRAMES of them wait as they are.
+    The coding depends on the number of frames, so MOST_FRAMES of them wait as they are.
     """
 
     def __init__(self, title: str) -> None:
@@ -114,7 +114,7 @@ class PageWriter:
         self._present = np.zeros(256, dtype=bool)
 
     def add(self, frame: PageFrame) -> None:
-        """Add the next frame; InputError where its view is no cylinder."""
+        """Add the next frame; InputError unless its view is a cylinder."""
         if frame.view.kind != "cylinder":
             raise InputError(f"{frame.name}: is no cylinder (its rows are not tangents of elevation); view a panorama")
         self._count += 1
@@ -130,7 +130,7 @@ class PageWriter:
         return self._count
 
     def _code_waiting(self) -> None:
-        """Code the frames that wait; now it is known how."""
+        """Code the waiting frames, once the coding is known."""
         self._coding = coding_for(self._count)
         self._waiting.seek(0)
         for _ in range(self._count):
@@ -138,7 +138,7 @@ class PageWriter:
         self._waiting.truncate(0)
 
     def _coded(self, frame: PageFrame, coding: Coding) -> dict[str, Any]:
-        """Write a frame's blocks; its entry in the page's index."""
+        """Write a frame's blocks; return its entry in the page's index."""
         view = frame.view
         layers = {"colour": self._block(*colour_image(frame.colour, coding))}
         if frame.segments is not None:
@@ -163,15 +163,15 @@ class PageWriter:
         return entry
 
     def write(self, path: Path) -> Path:
-        """Write the page, complete or not at all, and return `path`; InputError where it cannot be written."""
+        """Write the page, complete or not at all, and return `path`; InputError if it cannot be written."""
         if not self._count:
             raise ValueError("a page needs a frame")
         if self._coding is None:
             self._code_waiting()
         head, tail = (part.encode("utf-8", "replace") for part in self._document())
 
-        def write(beside: Path) -> None:
-            with beside.open("wb") as file:
+        def write(unfinished: Path) -> None:
+            with unfinished.open("wb") as file:
                 file.write(head)
                 self._data.seek(0)
                 shutil.copyfileobj(self._data, file)
@@ -185,7 +185,7 @@ class PageWriter:
         self._data.close()
 
     def _block(self, data: bytes, mime: str) -> list[str]:
-        """Write bytes as a block of the page; [its id, its MIME type]."""
+        """Write bytes as a block of the page; return [its id, its MIME type]."""
         name = f"d{self._blocks}"
         self._blocks += 1
         self._data.write(f'<script type="text/plain" id="{name}">'.encode())
@@ -194,11 +194,11 @@ class PageWriter:
         return [name, mime]
 
     def _document(self) -> tuple[str, str]:
-        """The page before and after its blocks of data."""
+        """Return the parts of the page in front of and behind its blocks of data."""
         parts = files(__name__.rpartition(".")[0]) / "web"
-        read = {name: (parts / name).read_text(encoding="utf-8") for name in ("page.html", "page.css", "page.js")}
+        source = {name: (parts / name).read_text(encoding="utf-8") for name in ("page.html", "page.css", "page.js")}
         shaders = (parts / "shaders.js").read_text(encoding="utf-8")
-        style, script = f"\n{read['page.css']}", f"\n{shaders}\n{read['page.js']}"
+        style, script = f"\n{source['page.css']}", f"\n{shaders}\n{source['page.js']}"
         policy = f"default-src 'none'; img-src data: blob:; script-src {_hash(script)}; style-src {_hash(style)};"
         values = {
             "policy": f"{policy} base-uri 'none'; form-action 'none'",
@@ -208,8 +208,8 @@ class PageWriter:
             "script": script,
             "index": _json(self._index()),
         }
-        before, _, after = read["page.html"].partition("{{data}}")
-        return _substituted(before, values), _substituted(after, values)
+        head, _, tail = source["page.html"].partition("{{data}}")
+        return _substituted(head, values), _substituted(tail, values)
 
     def _index(self) -> dict[str, Any]:
         return {
@@ -226,25 +226,25 @@ class PageWriter:
 
 
 def _ramp(stops: tuple[tuple[int, int, int], ...], steps: int) -> list[list[int]]:
-    """`steps` colours between the first and the last of `stops`, which are evenly spaced."""
+    """Return `steps` colours between the first and the last of the evenly spaced `stops`."""
     places = np.linspace(0, len(stops) - 1, steps)
     channels = [np.interp(places, np.arange(len(stops)), channel) for channel in zip(*stops, strict=True)]
     return np.stack(channels, axis=1).round().astype(int).tolist()
 
 
 def _hash(text: str) -> str:
-    """The source of a content security policy that allows this text and nothing else."""
+    """Return the source of a content security policy that allows this text and nothing else."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 def _json(value: object) -> str:
-    """JSON in ASCII without characters that mean something in HTML."""
+    """Return JSON in ASCII without characters that mean something in HTML."""
     text = json.dumps(value, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _substituted(template: str, values: dict[str, str]) -> str:
-    """The template with {{NAME}} replaced; what is put in is not looked into again."""
+    """Return the template with {{NAME}} replaced; values are not searched again."""
     first, *rest = template.split("{{")
     parts = (part.partition("}}") for part in rest)
     return first + "".join(values[name] + text for name, _, text in parts)

@@ -1,4 +1,4 @@
-"""Panoramas that were saved, with what lies beside them, as frames of the page."""
+"""Saved panoramas, with their other outputs, as frames of the page."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ PROPORTION_TOLERANCE = 0.02
 
 
 def panorama_files(path: Path) -> list[Path]:
-    """The panoramas that a path stands for: an image itself, or those of a folder in order of their names; else []."""
+    """Return the panoramas of a path: an image itself, or those of a folder in order of their names; else []."""
     if path.suffix in ENDINGS and not path.is_dir():
         return [path]
     if not path.is_dir():
         return []
     try:
-        found = sorted(file for file in path.iterdir() if file.suffix in ENDINGS and file.is_file())
+        files = sorted(file for file in path.iterdir() if file.suffix in ENDINGS and file.is_file())
     except OSError as error:
         raise InputError(f"{path}: cannot be looked into ({error.strerror}); ask for permission") from error
-    return [file for file in found if not file.stem.endswith(STEM_ENDINGS) and not file.name.startswith(".")]
+    return [file for file in files if not file.stem.endswith(STEM_ENDINGS) and not file.name.startswith(".")]
 
 
 def read_frame(path: Path) -> PageFrame:
-    """The panorama of an image, with what lies beside it: .segments.png, .depth.png, .confidence.png, .ply.
+    """Read the panorama of an image, with its other outputs: .segments.png, .depth.png, .confidence.png, .ply.
 
-    Raises InputError where a file is damaged or is no panorama.
+    Raises InputError for a damaged file, and for one that is no panorama.
     """
     view = saved_view(path)
     segments, steps, levels = (_beside(path, f".{part}.png") for part in ("segments", "depth", "confidence"))
@@ -51,9 +51,9 @@ def read_frame(path: Path) -> PageFrame:
 
 
 def saved_view(path: Path) -> View:
-    """The view of a panorama's file: as its text says; without one, the usual one of the same proportions.
+    """Return the view of a panorama's file: as its text says; else the usual one of the same proportions.
 
-    Raises InputError for an image that is none.
+    Raises InputError for an image that is no panorama.
     """
     width, height = image_size(path)
     try:
@@ -71,17 +71,17 @@ def saved_view(path: Path) -> View:
 
 
 def _beside(path: Path, ending: str) -> np.ndarray | None:
-    beside = path.with_name(path.stem + ending)
-    if not beside.is_file():
+    file = path.with_name(path.stem + ending)
+    if not file.is_file():
         return None
-    values = read_image(beside)
+    values = read_image(file)
     if values.ndim != 2 or not np.issubdtype(values.dtype, np.integer):
-        raise InputError(f"{beside}: has colours where numbers belong; write it again with `translate --save all`")
+        raise InputError(f"{file}: has colours where numbers belong; write it again with `translate --save all`")
     return values
 
 
 def _points(path: Path) -> np.ndarray | None:
-    """(N, 3) float32 of the points that were saved with the panorama: in the sensor's frame, metres."""
+    """Read the points saved with the panorama: (N, 3) float32, sensor frame, metres."""
     if not path.is_file():
         return None
     for cloud in open_path(path).clouds(path, ReadOptions()):
