@@ -1,6 +1,6 @@
 """Files from outside, opened only where they are regular files and read only up to a size.
 
-All functions raise OSError, with a `strerror` that says what is wrong; callers add which file it should have been.
+All functions but `read_input` raise OSError, whose `strerror` is the reason; callers add the kind of file.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ import io
 import os
 import stat
 from pathlib import Path
+
+from lidar2pano.errors import InputError
 
 MOST_TEXT_BYTES = 1 << 26  # of JSON, calibrations, poses, times: 64 MiB list a million frames
 
@@ -38,3 +40,11 @@ def read_bytes(path: str | Path, most: int) -> bytes:
 def read_text(path: str | Path, most: int = MOST_TEXT_BYTES) -> str:
     """The text of a regular file in UTF-8; raises UnicodeDecodeError (a ValueError), and OSError as `read_bytes`."""
     return read_bytes(path, most).decode("utf-8")
+
+
+def read_input(path: str | Path, mend: str, most: int = MOST_TEXT_BYTES) -> bytes:
+    """Read like `read_bytes`; InputError "PATH: cannot be read (REASON); MEND" in place of an OSError."""
+    try:
+        return read_bytes(path, most)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); {mend}") from error

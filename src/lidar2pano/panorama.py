@@ -20,7 +20,7 @@ from lidar2pano.formats.image_files import (
     write_palette,
     write_whole,
 )
-from lidar2pano.formats.ply_writer import write_ply
+from lidar2pano.formats.ply import write_ply
 from lidar2pano.geometry.camera import panorama_in_camera
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import SEMANTIC_KITTI

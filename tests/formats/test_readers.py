@@ -15,7 +15,7 @@ import pytest
 import lidar2pano
 import sample_files as made
 from lidar2pano.errors import InputError
-from lidar2pano.formats import lzf
+from lidar2pano.formats import pcd
 from lidar2pano.formats.arrays import cloud_of
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.messages import DATATYPES
@@ -117,15 +117,15 @@ def test_lzf_in_python_as_the_library_does(monkeypatch):
         )
         packed = library.compress(data) if size > 30 else None
         packed = packed or made.lzf(data)
-        assert lzf.decompress_in_python(packed, len(data)) == data
-        assert lzf.decompress(packed, len(data)) == data
+        assert pcd.decompress_in_python(packed, len(data)) == data
+        assert pcd.decompress(packed, len(data)) == data
     with pytest.raises(ValueError, match="before its beginning"):
-        lzf.decompress_in_python(bytes([0, 65, 0x20, 9]), 4)
+        pcd.decompress_in_python(bytes([0, 65, 0x20, 9]), 4)
     for wrong in (len(data) - 1, len(data) + 1):
         with pytest.raises(ValueError):
-            lzf.decompress(packed, wrong)
+            pcd.decompress(packed, wrong)
         with pytest.raises(ValueError):
-            lzf.decompress_in_python(packed, wrong)
+            pcd.decompress_in_python(packed, wrong)
 
 
 # --- PCD and PLY -----------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from lidar2pano.formats.image_files import (
     write_png,
 )
 from lidar2pano.formats.json_files import parse_json, validated
-from lidar2pano.formats.ply_writer import write_ply
+from lidar2pano.formats.ply import write_ply
 from lidar2pano.formats.readers import ReadOptions, open_path
 from lidar2pano.formats.scan_files import read_bin, read_label, write_bin, write_label
 from lidar2pano.geometry.projection import project_points

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.ply_writer import write_ply
+from lidar2pano.formats.ply import write_ply
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.panorama import GREY, Panorama
 from lidar2pano.scan import Scan

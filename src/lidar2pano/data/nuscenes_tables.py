@@ -25,7 +25,7 @@ from lidar2pano.calibration import is_camera_matrix
 from lidar2pano.data.cache import kept_at, write_first
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import read_json
-from lidar2pano.formats.json_tables import table_rows
+from lidar2pano.formats.json_files import table_rows
 from lidar2pano.geometry.motion import rotation_matrices
 
 LIDAR = "LIDAR_TOP"
@@ -120,7 +120,9 @@ def _read(path: Path) -> dict[str, np.ndarray] | None:
     """The arrays of an index; None where the file is missing or damaged."""
     try:
         with open_regular(path) as file, np.load(file, allow_pickle=False) as kept:
-            return {name: kept[name] for name in ("scenes", "first", "tokens", "files", "poses", "sensors", "mounts", "K")}
+            return {
+                name: kept[name] for name in ("scenes", "first", "tokens", "files", "poses", "sensors", "mounts", "K")
+            }
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
 
@@ -243,7 +245,9 @@ def _checked(path: Path, row: dict[str, Any], **types: type) -> dict[str, Any]:
     """The row; InputError where one of these fields is missing or of another type."""
     for name, wanted in types.items():
         if type(row.get(name)) is not wanted:
-            raise InputError(f"{path}: row {str(row.get('token'))!r} has no {name!r} as nuScenes' schema has it; {MEND}")
+            raise InputError(
+                f"{path}: row {str(row.get('token'))!r} has no {name!r} as nuScenes' schema has it; {MEND}"
+            )
     return row
 
 

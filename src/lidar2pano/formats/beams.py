@@ -1,12 +1,10 @@
-"""The beams of a spinning LiDAR, found from one scan, and the sensor that has such beams."""
+"""The beams of a spinning LiDAR, the sensor that has such beams, and the point from which they are sharp cones."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-
-from lidar2pano.formats.viewpoint import sharpness
 
 NEAR_M = 2.0  # nearer points blur: a beam begins some centimetres from the sensor's origin
 BIN_DEG = 0.02  # of the histogram in which beams are peaks
@@ -19,7 +17,16 @@ ORDERED_DEG = 3.0
 WRAP_DEG = 180.0
 WIDEST_DEG = 0.5  # between the quartiles of a beam's elevations
 NEAR_DEG = 2.0  # elevations of a sensor's outermost beams agree so well
-SKY_DEG = 6.0  # or the highest that returns lies so far below, where a beam above it saw the sky only
+SKY_DEG = 6.0  # or the highest that returns lies so far below, if a beam above it saw the sky only
+# Of the search for the point from which beams are sharp cones.
+CONE_BIN_DEG, SMOOTH = 0.05, 31  # of the histogram of elevations, and of the smoothed one it is compared with
+MOST_DEG = 35.0
+SAMPLE = 15_000
+START_M, LAST_M = 0.5, 0.03  # steps of the search
+REACH_M = 3.0  # it goes no farther from the start
+CLEARLY = 1.1  # times as sharp as the start
+CONE_NEAR_M, CONE_FAR_M = 5.0, 80.0  # of the points used: nearer ones blur with the beam's own offsets
+DIRECTIONS = 12  # along which the points are halved
 # name -> beams, elevation of the highest and the lowest in degrees, by the data sheets
 SENSORS: dict[str, tuple[int, float, float]] = {
     "Velodyne HDL-64E": (64, 2.0, -24.8),
@@ -53,7 +60,7 @@ class Beams:
     found_by: str
 
     def sensor(self) -> str:
-        """Names of the sensors of SENSORS that have such beams, "" where none has."""
+        """Return the names of the sensors of SENSORS with such beams, "" if there is none."""
         if not self.elevations_deg:
             return ""
         up, down = self.elevations_deg[0], self.elevations_deg[-1]
@@ -67,9 +74,9 @@ class Beams:
 
 
 def find_beams(xyz: np.ndarray, ring: np.ndarray | None = None) -> Beams | None:
-    """The beams of a scan (N, 3) in metres, from the sensor's origin; None where it does not show any.
+    """Return the beams of a scan (N, 3) in metres, from the sensor's origin; None where it does not show any.
 
-    ring  (N,) integer number of each point's beam, where it is known.
+    ring  (N,) integer number of each point's beam, if known.
     """
     with np.errstate(invalid="ignore"):
         near = np.linalg.norm(xyz, axis=1) > NEAR_M
@@ -85,7 +92,7 @@ def find_beams(xyz: np.ndarray, ring: np.ndarray | None = None) -> Beams | None:
     wraps &= np.diff(np.flatnonzero(wraps), prepend=-len(wraps)).min(initial=len(wraps)) >= FEWEST_POINTS
     if FEWEST <= wraps.sum() < MOST and (np.abs(turn[~wraps]) < ORDERED_DEG).mean() > ORDERED:
         number = np.concatenate([[0], np.cumsum(wraps)])
-        width = [np.ptp(np.percentile(elevation[number == one], (25, 75))) for one in np.unique(number)]
+        width = [np.ptp(np.percentile(elevation[number == turn_number], (25, 75))) for turn_number in np.unique(number)]
         if np.median(width) < WIDEST_DEG:
             return _of_rings(elevation, number, "file order")
     if sharpness(xyz[near], np.zeros(3)) < GATHERED:
@@ -105,9 +112,54 @@ def _of_peaks(elevation: np.ndarray) -> Beams | None:
     smooth = np.convolve(counts, (0.25, 0.5, 0.25), "same")
     peak = (smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:])
     place = np.flatnonzero(peak) + 1
-    most = np.array([smooth[max(0, at - 4) : at + 5].max() for at in place])
+    most = np.array([smooth[max(0, peak_bin - 4) : peak_bin + 5].max() for peak_bin in place])
     place = place[(smooth[place] == most) & (smooth[place] > LEAST_SHARE * np.percentile(smooth[place], 90))]
     if not FEWEST <= len(place) < MOST:
         return None
     centres = (edges[place] + edges[place + 1]) / 2
     return Beams(elevations_deg=tuple(float(value) for value in centres[::-1]), found_by="peaks")
+
+
+def sharpness(xyz: np.ndarray, origin: np.ndarray) -> float:
+    """Return how much elevations of points (N, 3) from `origin` gather at few values; 1 for not at all."""
+    x, y, z = (xyz - origin).T
+    elevation = np.degrees(np.arctan2(z, np.hypot(x, y)))
+    counts = np.histogram(elevation, np.arange(-MOST_DEG, MOST_DEG, CONE_BIN_DEG))[0].astype(np.float64)
+    smooth = np.convolve(counts, np.ones(SMOOTH) / SMOOTH, "same")
+    return float((counts @ counts) / max(counts @ smooth, 1.0))
+
+
+def sharpest_origin(xyz: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Return the sharpest origin (3,) near `start`, by a pattern search; `start` itself if none is clearly sharper."""
+    distance = np.linalg.norm(xyz - start, axis=1)
+    sample = xyz[(distance > CONE_NEAR_M) & (distance < CONE_FAR_M)]
+    sample = sample[:: max(1, len(sample) // SAMPLE)]
+    steps = np.arange(-REACH_M / 2, REACH_M / 2 + 0.01, START_M / 2)
+    first = sharpness(sample, start)
+    best, score = max(
+        ((start + (x, 0, z), sharpness(sample, start + (x, 0, z))) for x in steps for z in steps[::2]),
+        key=lambda candidate: candidate[1],
+    )
+    step = START_M / 2
+    while step >= LAST_M:
+        origins = [best + step * np.eye(3)[axis] * sign for axis in range(3) for sign in (-1, 1)]
+        scores = [sharpness(sample, origin) for origin in origins]
+        if max(scores) > score:
+            best, score = origins[int(np.argmax(scores))], max(scores)
+        else:
+            step /= 2
+    return best if score > CLEARLY * first and np.abs(best - start).max() <= REACH_M else start
+
+
+def horizontal_centre(xyz: np.ndarray) -> np.ndarray:
+    """Return the point (3,) that halves the points (N, 3) along every direction, at the height of the lower ones.
+
+    A LiDAR takes as many points on one side of any line through it as on the other: it stands near that point.
+    """
+    azimuth = np.linspace(0, np.pi, DIRECTIONS, endpoint=False)
+    across = np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+    middle = np.median(xyz, axis=0)
+    local = xyz[:, :2] - middle[:2]
+    medians = [np.median(local @ direction) for direction in across]
+    centre = np.linalg.lstsq(across, np.array(medians), rcond=None)[0]
+    return np.array([*(middle[:2] + centre), np.percentile(xyz[:, 2], 10)])

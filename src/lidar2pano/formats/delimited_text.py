@@ -21,8 +21,8 @@ MOST_LINE = 1 << 14
 LEAST = 3  # columns
 
 
-def accepts(head: bytes, path: Path) -> bool:
-    """Whether a file begins with text in which some line has three numbers or the names of axes."""
+def has_points(head: bytes) -> bool:
+    """Return whether a file begins with text in which some line has three numbers or the names of axes."""
     text = head.removeprefix(b"\xef\xbb\xbf")
     if not text or b"\0" in text:
         return False

@@ -11,11 +11,6 @@ from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
 
 
-def accepts(head: bytes, path: Path) -> bool:
-    """Whether a file begins like an Arrow file or the first version of Feather."""
-    return head.startswith((b"ARROW1", b"FEA1"))
-
-
 def decode(data: bytes, path: Path) -> PointCloud:
     """The points of its columns; the stamp is the file's name where that is nanoseconds (Argoverse 2).
 

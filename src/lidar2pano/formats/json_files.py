@@ -1,7 +1,7 @@
 """The gate for JSON from outside: bounded in size and depth, finite numbers, and typed values out of it.
 
-Everything that is read as JSON passes here once: `read_json` and `parse_json` give plain values, `validated` makes a
-dataclass of them. What has passed is not checked again.
+All JSON passes here once: `read_json` and `parse_json` give plain values, `validated` makes a dataclass of them, and
+`table_rows` reads a list of flat objects piece by piece, however large it is. It is not checked again elsewhere.
 """
 
 from __future__ import annotations
@@ -9,27 +9,25 @@ from __future__ import annotations
 import json
 import math
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from lidar2pano.bounded_files import MOST_TEXT_BYTES, read_bytes
+from lidar2pano.bounded_files import MOST_TEXT_BYTES, open_regular, read_input
 from lidar2pano.errors import InputError, closest
 
 DEEPEST = 64  # lists and objects within each other
 LARGEST = 2**63  # of whole numbers
+BLOCK_BYTES = 1 << 22  # of a table are read at a time: nuScenes' sample_data.json has 2.6 million rows in 1.2 GB
+LONGEST_ROW = 1 << 20
 NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", type(None): "null"}
 T = TypeVar("T")
 
 
 def read_json(path: Path, mend: str = "complete the data set", *, nan: bool = False) -> Any:
     """Read a JSON file; InputError where it is missing, no regular file, too large, or refused by `parse_json`."""
-    try:
-        data = read_bytes(path, MOST_TEXT_BYTES)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); {mend}") from error
-    return parse_json(data, str(path), mend, nan=nan)
+    return parse_json(read_input(path, mend), str(path), mend, nan=nan)
 
 
 def parse_json(data: str | bytes, source: str, mend: str = "replace it", *, nan: bool = False) -> Any:
@@ -61,6 +59,40 @@ def json_lines(data: bytes) -> Iterator[dict[str, Any]]:
             continue
         if isinstance(entry, dict):
             yield entry
+
+
+def table_rows(
+    path: Path, is_needed: Callable[[bytes], object] = lambda _: True, mend: str = "complete the data set"
+) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a file that is a list of objects without objects (or braces in a text) in them, in its order.
+
+    is_needed  (text of a row without its braces) -> whether the row is parsed.
+    Memory holds one piece of the file at a time. Raises InputError where the file is missing, damaged or ends early;
+    only rows that are needed are looked into.
+    """
+    expected_separator, rest = b"[", b""
+    for block in _blocks(path, mend):
+        *rows, rest = (rest + block).split(b"}")
+        for row in rows:
+            separator, brace, fields = row.partition(b"{")
+            if not brace or separator.strip() != expected_separator:
+                raise InputError(f"{path}: is no list of flat objects; {mend}")
+            expected_separator = b","
+            if is_needed(fields):
+                yield parse_json(b"{%b}" % fields, str(path), mend)
+        if len(rest) > LONGEST_ROW:
+            raise InputError(f"{path}: has a row of more than {LONGEST_ROW} bytes; {mend}")
+    if b"".join(rest.split()) != (b"]" if expected_separator == b"," else b"[]"):
+        raise InputError(f"{path}: ends within a row; {mend}")
+
+
+def _blocks(path: Path, mend: str) -> Iterator[bytes]:
+    try:
+        with open_regular(path) as file:
+            while block := file.read(BLOCK_BYTES):
+                yield block
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); {mend}") from error
 
 
 def validated(cls: type[T], value: Any, source: str, mend: str = "replace it") -> T:  # noqa: ANN401

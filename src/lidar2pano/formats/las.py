@@ -18,11 +18,6 @@ from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_col
 RECORD_BYTES, EXTENDED_RECORD_BYTES = 54, 60  # of a variable length record, without what it holds
 
 
-def accepts(head: bytes, path: Path) -> bool:
-    """Whether a file begins like a LAS."""
-    return head.startswith(b"LASF")
-
-
 def decode(data: bytes, path: Path) -> PointCloud:
     """The points; InputError where the file is damaged, or laspy is not installed."""
     try:

@@ -1,4 +1,9 @@
-"""PCD, the format of PCL: ascii, binary, binary_compressed; any field types, padding, organised clouds."""
+"""PCD, the format of PCL: ascii, binary, binary_compressed; any field types, padding, organised clouds.
+
+Compressed data are LZF: by python-neo-lzf (extra `pcd`) where it is installed, else in Python. A packet begins with one
+byte: below 32 it is followed by so many plus one literal bytes; otherwise its upper three bits are a length (7: a
+further byte is added) and the lower five with the next byte a distance to copy from.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +16,10 @@ import numpy as np
 from lidar2pano.errors import InputError
 from lidar2pano.formats.delimited_text import numbers
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
-from lidar2pano.formats.lzf import MOST_RATIO, decompress
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
 
 MOST_HEADER = 1 << 16
+MOST_RATIO = 90  # of LZF: three bytes stand for 264 at most
 BYTES = {"F": (2, 4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 ENTRY = re.compile(rb"(?m)^(?:VERSION|FIELDS|COLUMNS|SIZE|TYPE|WIDTH|POINTS|DATA) ")
 
@@ -33,11 +38,6 @@ class Header:
     points: int
     layout: str
     start: int
-
-
-def accepts(head: bytes, path: Path) -> bool:
-    """Whether a file begins with entries of a PCD header."""
-    return ENTRY.search(head) is not None and (b"FIELDS " in head or b"COLUMNS " in head)
 
 
 def decode(data: bytes, path: Path) -> PointCloud:
@@ -158,3 +158,50 @@ def _check_length(found: int, wanted: int, header: Header, path: Path) -> None:
             f"{path}: its header says {header.points} points, which need {wanted} bytes, but {found} follow;"
             " the file is truncated"
         )
+
+
+def decompress(data: bytes, size: int) -> bytes:
+    """The `size` bytes that `data` unpacks to; ValueError where it unpacks to something else."""
+    try:
+        import lzf
+    except ModuleNotFoundError:
+        return decompress_in_python(data, size)
+    try:
+        found = lzf.decompress(data, size)
+    except Exception as error:  # its own errors are not documented
+        raise ValueError(str(error)) from None
+    if found is None or len(found) != size:
+        raise ValueError("it does not have the length that it says")
+    return found
+
+
+def decompress_in_python(data: bytes, size: int) -> bytes:
+    """Like `decompress`, without a library."""
+    out = bytearray()
+    at, end = 0, len(data)
+    try:
+        while at < end and len(out) <= size:
+            control = data[at]
+            at += 1
+            if control < 32:
+                out += data[at : at + control + 1]
+                at += control + 1
+                continue
+            length = control >> 5
+            if length == 7:
+                length += data[at]
+                at += 1
+            start = len(out) - ((control & 31) << 8) - data[at] - 1
+            at += 1
+            length += 2
+            if start < 0:
+                raise ValueError("it copies from before its beginning")
+            piece = bytes(out[start : start + length])
+            if len(piece) < length:  # what is copied overlaps what it is copied to
+                piece *= -(-length // len(piece))
+            out += piece[:length]
+    except IndexError:
+        raise ValueError("it ends too early") from None
+    if len(out) != size or at != end:
+        raise ValueError("it does not have the length that it says")
+    return bytes(out)

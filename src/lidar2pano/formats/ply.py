@@ -1,7 +1,8 @@
-"""PLY: ascii and both byte orders; the scalar properties of its vertices."""
+"""PLY: reads ascii and both byte orders, the scalar properties of the vertices; writes binary vertices."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +18,8 @@ TYPES = {
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
     "double": "f8", "float64": "f8", "int64": "i8", "uint64": "u8",
 }  # fmt: skip
+WRITTEN = {"float32": "float", "uint8": "uchar", "uint16": "ushort"}  # numpy's name -> PLY's
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
-
-
-def accepts(head: bytes, path: Path) -> bool:
-    """Whether a file begins like a PLY."""
-    return head.startswith((b"ply\n", b"ply\r", b"ply "))
 
 
 def decode(data: bytes, path: Path) -> PointCloud:
@@ -98,3 +95,19 @@ def _ascii(data: bytes, count: int, dtype: np.dtype, path: Path, last: bool) -> 
     if len(table) != count:
         raise InputError(f"{path}: its header says {count} points, but it holds {len(table)}; fetch it again")
     return {name: table[:, place].astype(dtype[name]) for place, name in enumerate(names)}
+
+
+def write_ply(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Write binary vertices, as Open3D, CloudCompare and MeshLab open them.
+
+    columns  the properties, each (N,) float32, uint8 or uint16, in that order.
+    """
+    vertices = np.empty(
+        len(next(iter(columns.values()))),
+        dtype=[(name, values.dtype.newbyteorder("<")) for name, values in columns.items()],
+    )
+    for name, values in columns.items():
+        vertices[name] = values
+    properties = [f"property {WRITTEN[values.dtype.name]} {name}" for name, values in columns.items()]
+    form = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+    path.write_bytes("\n".join([*form, *properties, "end_header", ""]).encode() + vertices.tobytes())

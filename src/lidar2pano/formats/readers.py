@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats import delimited_text, feather, float_rows, las, numpy_files, pcd, ply
-from lidar2pano.formats.arrays import cloud_of
+from lidar2pano.formats import arrays, delimited_text, feather, las, pcd, ply
+from lidar2pano.formats import scan_files as float_rows
 from lidar2pano.formats.file_contents import contents, head_of
 from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
@@ -17,13 +17,13 @@ from lidar2pano.scan import Scan
 
 # Endings of the names of scan files; a file that is named is read whatever its name.
 ENDINGS = (".bin", ".pcd", ".ply", ".npy", ".npz", ".las", ".laz", ".feather")
-TEXT_ENDINGS = (".csv", ".txt", ".xyz", ".pts", ".asc")  # of a folder's files only where there are no others
+TEXT_ENDINGS = (".csv", ".txt", ".xyz", ".pts", ".asc")  # of a folder's files only if there are no others
 PACKED = (".gz", ".zst", ".zstd")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReadOptions:
-    """Which scans of a recording are read; a file of one scan has no use for it.
+    """The scans of a recording to read; a file of one scan has no use for it.
 
     topic           name of the topic or stream; "" for the only one.
     every           one of so many scans is read.
@@ -41,15 +41,15 @@ class Reader(Protocol):
 
     @property
     def name(self) -> str:
-        """What the format is called."""
+        """Name of the format, for people."""
         ...
 
-    def accepts(self, head: bytes, path: Path) -> bool:
-        """Whether the file is of this format: by its first HEAD_BYTES; `path` as the last hint only."""
+    def accepts(self, head: bytes, path: Path, /) -> bool:
+        """Return whether the file is of this format: by its first HEAD_BYTES; `path` as the last hint only."""
         ...
 
     def clouds(self, path: Path, options: ReadOptions) -> Iterator[PointCloud]:
-        """The clouds of the file: one for a scan, many for a recording. Raises InputError for a damaged file."""
+        """Yield the clouds of the file: one for a scan, many for a recording; InputError for a damaged file."""
         ...
 
 
@@ -57,36 +57,41 @@ class Reader(Protocol):
 class FileReader:
     """The reader of a format that keeps one scan in a file.
 
-    accept  (first bytes, path) -> whether the file is of this format;  decode: (all bytes, path) -> its cloud.
+    accepts  (first bytes, path) -> whether the file is of this format;  decode: (all bytes, path) -> its cloud.
     """
 
     name: str
-    accept: Callable[[bytes, Path], bool]
+    accepts: Callable[[bytes, Path], bool]
     decode: Callable[[bytes, Path], PointCloud]
 
-    def accepts(self, head: bytes, path: Path) -> bool:
-        """Whether the file is of this format."""
-        return self.accept(head, path)
-
     def clouds(self, path: Path, options: ReadOptions) -> Iterator[PointCloud]:
-        """The one cloud of the file."""
+        """Yield the one cloud of the file."""
         yield self.decode(contents(path), path)
 
 
-READERS: tuple[Reader, ...] = (  # in the order in which they are asked: those that are sure by content first
-    FileReader("PCD", pcd.accepts, pcd.decode),
-    FileReader("PLY", ply.accepts, ply.decode),
-    FileReader("NPY", numpy_files.accepts_npy, numpy_files.decode_npy),
-    FileReader("NPZ", numpy_files.accepts_npz, numpy_files.decode_npz),
-    FileReader("LAS", las.accepts, las.decode),
-    FileReader("Feather", feather.accepts, feather.decode),
-    FileReader("text", delimited_text.accepts, delimited_text.decode),
+def begins(*magics: bytes) -> Callable[[bytes, Path], bool]:
+    """Return a function that tells whether the first bytes of a file are one of `magics`."""
+    return lambda head, _: head.startswith(magics)
+
+
+def _begins_pcd(head: bytes, _: Path) -> bool:
+    return pcd.ENTRY.search(head) is not None and (b"FIELDS " in head or b"COLUMNS " in head)
+
+
+READERS: tuple[Reader, ...] = (  # the first that accepts a file reads it: those that are sure by content come first
+    FileReader("PCD", _begins_pcd, pcd.decode),
+    FileReader("PLY", begins(b"ply\n", b"ply\r", b"ply "), ply.decode),
+    FileReader("NPY", begins(b"\x93NUMPY"), arrays.decode_npy),
+    FileReader("NPZ", begins(b"PK\x03\x04", b"PK\x05\x06"), arrays.decode_npz),
+    FileReader("LAS", begins(b"LASF"), las.decode),
+    FileReader("Feather", begins(b"ARROW1", b"FEA1"), feather.decode),
+    FileReader("text", lambda head, _: b"\0" not in head and delimited_text.has_points(head), delimited_text.decode),
     FileReader("float32 rows", float_rows.accepts, float_rows.decode),
 )
 
 
 def open_path(path: str | Path, readers: Sequence[Reader] = READERS) -> Reader:
-    """The first reader that takes the file; InputError when it cannot be read or none takes it.
+    """Return the first reader that accepts the file; InputError when it cannot be read or none accepts it.
 
     readers  the table; a package above this one (recordings) gives a longer one.
     """
@@ -97,8 +102,8 @@ def open_path(path: str | Path, readers: Sequence[Reader] = READERS) -> Reader:
             return reader
     if not head:
         raise InputError(f"{path}: is empty; name a scan file that holds points")
-    known = ", ".join(reader.name for reader in readers)
-    raise InputError(f"{path}: is of no format that is read ({known}); write it as one of them")
+    formats = ", ".join(reader.name for reader in readers)
+    raise InputError(f"{path}: is of no format that is read ({formats}); write it as one of them")
 
 
 def interpreted(
@@ -108,18 +113,18 @@ def interpreted(
     like: Interpretation | None = None,
     readers: Sequence[Reader] = READERS,
 ) -> Iterator[tuple[Scan, Interpretation]]:
-    """The scans of a file or recording, one at a time, each with how it was read.
+    """Yield the scans of a file or recording, one at a time, each with its interpretation.
 
-    like  how the first scan of the same stream was read; what is found out once holds for all scans of a stream.
+    like  interpretation of the stream's first scan; its geometry holds for all scans of the stream.
     """
     path = Path(path)
     for cloud in open_path(path, readers).clouds(path, options or ReadOptions()):
         try:
-            scan, found = interpret(cloud, overrides, like)
+            scan, interpretation = interpret(cloud, overrides, like)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        like = like or found
-        yield scan, found
+        like = like or interpretation
+        yield scan, interpretation
 
 
 def read(source: Any, overrides: Overrides | None = None) -> Scan:  # noqa: ANN401
@@ -127,14 +132,14 @@ def read(source: Any, overrides: Overrides | None = None) -> Scan:  # noqa: ANN4
 
     source     path of a file of a known format, whatever its name; or an array (N, 3 or more) of x y z [intensity
                [ring]]; or a cloud of Open3D or PyVista; or a PointCloud2 message of ROS.
-    overrides  what is known better than it can be found out; None: everything is found out.
-    Raises InputError for a file that is missing, of no known format or damaged, and for what is no sweep.
+    overrides  the user's knowledge; None: everything is found out from the scan.
+    Raises InputError for a file that is missing, of no known format or damaged, and for points that are no sweep.
     """
-    if isinstance(source, str | Path):
-        for scan, _ in interpreted(source, overrides=overrides):
-            return scan
-        raise InputError(f"{source}: holds no scan; name another file")
-    return interpret(cloud_of(source), overrides)[0]
+    if not isinstance(source, str | Path):
+        return interpret(arrays.cloud_of(source), overrides)[0]
+    for scan, _ in interpreted(source, overrides=overrides):
+        return scan
+    raise InputError(f"{source}: holds no scan; name another file")
 
 
 def scan_files(path: str | Path) -> list[Path]:
@@ -160,19 +165,18 @@ def scan_files(path: str | Path) -> list[Path]:
 
 
 def scans(path: str | Path, overrides: Overrides | None = None) -> Iterator[Scan]:
-    """Yield the scans of the files that `scan_files` finds, read one at a time and all alike, as one sensor's."""
+    """Yield the scans of the files that `scan_files` finds, one at a time, all interpreted as one sensor's."""
     like = None
     for file in scan_files(path):
-        for scan, found in interpreted(file, overrides=overrides, like=like):
-            like = like or found
+        for scan, interpretation in interpreted(file, overrides=overrides, like=like):
+            like = like or interpretation
             yield scan
 
 
 def _ending(path: Path) -> str:
-    """The lower-case ending of a name, without that of its packing."""
-    whole = Path(path.stem) if path.suffix.lower() in PACKED else path
-    return whole.suffix.lower()
+    """Return the lower-case ending of a name, without that of its packing."""
+    return Path(path.stem if path.suffix.lower() in PACKED else path).suffix.lower()
 
 
 def _is_table(path: Path) -> bool:
-    return path.is_file() and delimited_text.accepts(head_of(path), path)
+    return path.is_file() and delimited_text.has_points(head_of(path))

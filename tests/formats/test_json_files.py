@@ -7,8 +7,8 @@ import json
 import pytest
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats import json_tables
-from lidar2pano.formats.json_tables import LONGEST_ROW, table_rows
+from lidar2pano.formats import json_files
+from lidar2pano.formats.json_files import LONGEST_ROW, table_rows
 
 ROWS = [{"token": "a", "K": [[1, 2], []], "big": 2**40}, {"token": "b", "K": [], "text": "x, y: [z]"}, {"token": "c"}]
 
@@ -16,7 +16,7 @@ ROWS = [{"token": "a", "K": [[1, 2], []], "big": 2**40}, {"token": "b", "K": [],
 @pytest.mark.parametrize("block", [1, 7, 1 << 22])
 @pytest.mark.parametrize("indent", [None, 0, 2])
 def test_rows_are_those_of_the_list(tmp_path, monkeypatch, block, indent):
-    monkeypatch.setattr(json_tables, "BLOCK_BYTES", block)
+    monkeypatch.setattr(json_files, "BLOCK_BYTES", block)
     path = tmp_path / "a.json"
     path.write_text(json.dumps(ROWS, indent=indent) + "\n")
     assert list(table_rows(path)) == ROWS
