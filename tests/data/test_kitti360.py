@@ -15,8 +15,8 @@ from PIL import Image
 
 from lidar2pano.data.clips import camera_image, distances_m
 from lidar2pano.data.frames import IGNORE, Frame, SampleIndex
-from lidar2pano.data.layouts import frames
 from lidar2pano.data.kitti360 import LABELS, Kitti360Frame, fisheye_calibrations
+from lidar2pano.data.layouts import frames
 from lidar2pano.data.panorama_crops import PanoramaDataset
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera

@@ -1,4 +1,4 @@
-"""nuScenes as it is downloaded: where its points, cameras and poses are, its labels, its splits, and what is damaged."""
+"""nuScenes as it is downloaded: its points, cameras, poses, labels and splits, and what is damaged."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import torch
 from lidar2pano.data import nuscenes_tables
 from lidar2pano.data.frames import IGNORE, Frame
 from lidar2pano.data.layouts import frames
-from lidar2pano.data.nuscenes_samples import CLASSES, MINI_VAL, SPLITS, VAL, NuscenesSample, class_table
+from lidar2pano.data.nuscenes import CLASSES, MINI_VAL, SPLITS, VAL, NuscenesSample, class_table
 from lidar2pano.data.nuscenes_tables import CHANNELS, nuscenes_index
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import pixels
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.views import VIEWS
-from miniature_layouts import CAMERA_OF, SCENES, NuscenesTables, nuscenes_pose, write_nuscenes_layout
+from miniature_layouts import CAMERA_OF, NuscenesTables, nuscenes_pose, write_nuscenes_layout
 from miniature_surround import painting, six, sweep
 
 QUARTER = VIEWS["panorama"].scaled(1 / 4)
@@ -73,7 +73,7 @@ def test_a_point_of_the_world_is_where_each_camera_has_it(root):
     for name, camera in frame.cameras.items():
         mount, calibration = mounts[CAMERA_OF[name]], camera.calibration
         assert calibration.T_camera_lidar == pytest.approx(mount.T_camera_lidar, abs=1e-9)
-        assert calibration.K == pytest.approx(mount.K) and calibration.size == mount.size
+        assert pytest.approx(mount.K) == calibration.K and calibration.size == mount.size
         u, v, ahead = projected(points, calibration)
         inside = (ahead > 0.5) & (u > 1) & (u < mount.size[0] - 2) & (v > 1) & (v < mount.size[1] - 2)
         assert inside.sum() > 60
@@ -215,11 +215,17 @@ def torn(root: Path, pattern: str) -> None:
 
 
 DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
-    "no table": (lambda r: (r / VERSION / "ego_pose.json").unlink(), r"ego_pose.json: is missing; complete the data set"),
+    "no table": (
+        lambda r: (r / VERSION / "ego_pose.json").unlink(),
+        r"ego_pose.json: is missing; complete the data set",
+    ),
     "half a table": (lambda r: torn(r, "v1.0-mini/sample_data.json"), r"sample_data.json: ends within a row"),
     "half a small table": (lambda r: torn(r, "v1.0-mini/sample.json"), r"sample.json: is no JSON"),
     "another table": (lambda r: (r / VERSION / "scene.json").write_text("{}"), r"scene.json: is no list of objects"),
-    "no token": (lambda r: edited(r, "scene", lambda rows: rows[0].pop("token")), r"scene.json: row 'None' has no 'token'"),
+    "no token": (
+        lambda r: edited(r, "scene", lambda rows: rows[0].pop("token")),
+        r"scene.json: row 'None' has no 'token'",
+    ),
     "a strange token": (
         lambda r: edited(r, "sample", lambda rows: rows[0].update(scene_token="x")),
         r"sample.json: row '.*' names 'x', which scene.json has not",
@@ -309,7 +315,7 @@ def test_the_real_sample_is_the_same_as_by_its_info_file(nuscenes, tmp_path):
     for name, camera in new.cameras.items():
         other = old.cameras[name]
         assert camera.calibration.T_camera_lidar == pytest.approx(other.calibration.T_camera_lidar, abs=1e-4)
-        assert camera.calibration.K == pytest.approx(other.calibration.K)
+        assert pytest.approx(other.calibration.K) == camera.calibration.K
         assert np.array_equal(camera.image, other.image)
         assert (camera.ego_mask is None) == (other.ego_mask is None)
     # the implied way is a car's: ahead, the farther back the earlier the image was taken

@@ -171,7 +171,7 @@ def read_pandaset(root: Path, _: Path) -> None:
 
 
 def read_nuscenes(path: Path) -> None:
-    for frame in nuscenes.frames(path.parent, "all", VIEWS["panorama"]):
+    for frame in nuscenes.info_frames(path.parent, "all", VIEWS["panorama"]):
         assert frame.pose is not None
         with suppress(InputError):  # its image is not there
             frame.calibration  # noqa: B018

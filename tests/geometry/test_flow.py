@@ -315,7 +315,7 @@ def test_damaged_poses_are_named(tmp_path, content, message):
 
 def test_flow_between_images():
     pytest.importorskip("cv2", reason="flow between pictures needs opencv: pip install 'lidar2pano[flow]'")
-    from lidar2pano.data.optical_flow import optical_flow
+    from lidar2pano.data.clips import optical_flow
     from miniature_video import texture
 
     wide = torch.from_numpy(texture(0, 80, 200)).movedim(2, 0)
@@ -331,7 +331,7 @@ def test_flow_between_images():
 
 
 def test_without_opencv_its_installation_is_suggested(monkeypatch):
-    from lidar2pano.data.optical_flow import optical_flow
+    from lidar2pano.data.clips import optical_flow
 
     monkeypatch.setitem(sys.modules, "cv2", None)
     image = torch.zeros(3, 8, 8, dtype=torch.uint8)

@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from lidar2pano.calibration import Calibration, LensCalibration
-from lidar2pano.data.nuscenes_samples import CLASSES
+from lidar2pano.data.nuscenes import CLASSES
 from lidar2pano.geometry.motion import quaternion
 from miniature_surround import HEIGHT, OURS, camera, camera_view, distances, painting, six, sweep
 

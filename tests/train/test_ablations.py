@@ -13,8 +13,8 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate
 from torch.utils.data import default_collate
 
+from lidar2pano.data.camera_pairs import FrontViewDataset, SampleParts
 from lidar2pano.data.frames import SampleIndex
-from lidar2pano.data.front_view import FrontViewDataset, SampleParts
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.losses import lovasz_softmax

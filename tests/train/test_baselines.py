@@ -14,7 +14,7 @@ from torch.utils.data import default_collate
 from golden_fill import assert_weights_as_recorded, fill, key_rows, sym
 from golden_vectors import recorded as recorded_tensors
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.camera_projection import CameraProjectionDataset, in_unit, stretched
+from lidar2pano.data.camera_pairs import CameraProjectionDataset, in_unit, stretched
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import project_to_camera

@@ -9,8 +9,8 @@ import numpy as np
 from lidar2pano.formats.interpretation import STAND_IN
 from lidar2pano.scan import Scan
 
-# Heights of the bands of elevation that two augmentations leave out.
-HDL64E_BEAM_DEG = 0.42  # of one beam: between neighbours of an HDL-64E's 64 beams, which see 26.8 degrees
+# Heights of the bands of elevation left out by two augmentations.
+HDL64E_BEAM_DEG = 0.42  # of one beam: between neighbours of an HDL-64E's 64 beams within 26.8 degrees
 COARSE_BAND_DEG = 0.8  # of about two beams
 
 
@@ -26,9 +26,9 @@ def drop_rings(scan: Scan, generator: np.random.Generator, steps_deg: float, sha
 
 
 def bands(scan: Scan, steps_deg: float) -> np.ndarray:
-    """The band of elevation that each point lies in, (N,) int64: bands are `steps_deg` degrees high, the nadir's is 0.
+    """Return the band of elevation of each point, (N,) int64: bands are `steps_deg` degrees high, the nadir's is 0.
 
-    Points that are NaN are in the nadir's.
+    NaN points are in the nadir's.
     """
     elevation = np.degrees(np.arctan2(scan.xyz[:, 2], np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])))
     return np.floor((np.nan_to_num(elevation, nan=-90.0) + 90) / steps_deg).astype(np.int64)
@@ -61,7 +61,7 @@ def vary_remission(scan: Scan, generator: np.random.Generator, reach: float) -> 
 
 
 def drop_remission(scan: Scan) -> Scan:
-    """A scan of a sensor that measures none: all points have the value that stands in for it."""
+    """Return a scan of a sensor without remission: all points have the stand-in value."""
     return replace(scan, remission=np.full_like(scan.remission, STAND_IN))
 
 

@@ -1,4 +1,4 @@
-"""What data sets keep: in memory the frames that were read last, on disk a segmenter's predictions."""
+"""Caches of data sets: in memory the last frames, on disk a segmenter's predictions."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ LIMIT_BYTES = 256 * 2**20  # of one cache; every worker of a loader has its own
 
 
 class LruCache:
-    """The values that were used last, as many as fit into `limit` bytes of arrays; at least one."""
+    """The values used last, as many as fit into `limit` bytes of arrays; at least one."""
 
     def __init__(self, limit: int = LIMIT_BYTES) -> None:
         self.limit, self.held_bytes = limit, 0
         self._held: OrderedDict[Hashable, Any] = OrderedDict()
 
-    def get(self, key: Hashable, read: Callable[[], T]) -> T:
-        """The value of `key`: the one that is held, else what `read` returns."""
+    def get(self, key: Hashable, load: Callable[[], T]) -> T:
+        """Return the value of `key`: the one held, else the result of `read`."""
         if key in self._held:
             self._held.move_to_end(key)
             return self._held[key]
-        value = self._held[key] = read()
+        value = self._held[key] = load()
         self.held_bytes += nbytes(value)
         while self.held_bytes > self.limit and len(self._held) > 1:
             self.held_bytes -= nbytes(self._held.popitem(last=False)[1])
@@ -43,7 +43,7 @@ class LruCache:
 
 
 def nbytes(value: object) -> int:
-    """Bytes of the arrays and tensors in a value: itself, or parts of a tuple or a dataclass."""
+    """Return bytes of the arrays and tensors in a value: itself, or parts of a tuple or a dataclass."""
     if isinstance(value, np.ndarray | Tensor):
         return value.nbytes
     if isinstance(value, tuple):
@@ -57,15 +57,15 @@ class Predictions(Protocol):
     """A segmenter's labels of scans."""
 
     def of(self, frame: Frame) -> np.ndarray:
-        """(N,) int64 ids of SEMANTIC_KITTI of the points of a frame's scan."""
+        """Return (N,) int64 ids of SEMANTIC_KITTI of the points of a frame's scan."""
         ...
 
 
 class StoredPredictions:
-    """Labels that `prepare --labels-folder predicted_labels` wrote."""
+    """Labels by `prepare --labels-folder predicted_labels`."""
 
     def of(self, frame: Frame) -> np.ndarray:
-        """(N,) int64 ids of the points of a frame's scan; InputError where the file is missing."""
+        """Return (N,) int64 ids of the points of a frame's scan; InputError if the file is missing."""
         return frame.require("predicted_labels")[0]
 
 
@@ -74,8 +74,8 @@ class PredictedLabels:
 
     label_points  the segmenter: scan -> (N,) integer ids of SEMANTIC_KITTI.
     weights       its weight file.
-    A file is found by the SHA-256 of the weights and of the scan, so that it is never out of date. It lies in the data
-    set's folder .lidar2pano/ or, where that may not be written, in the user's cache (XDG_CACHE_HOME).
+    A file is found by the SHA-256 of the weights and of the scan, so it is never out of date. It lies in the data
+    set's folder .lidar2pano/ or, if it may not be written, in the user's cache (XDG_CACHE_HOME).
     """
 
     def __init__(self, label_points: Callable[[Scan], Tensor], weights: str | Path) -> None:
@@ -84,17 +84,17 @@ class PredictedLabels:
             self.key = hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
     def complete(self, frames: Sequence[Frame]) -> bool:
-        """Whether these frames, with files as they are now, are known to be labelled; no scan is read."""
+        """Return whether these frames, with files as they are now, are known to be labelled; no scan is read."""
         name = self._completed(frames)
         return name is not None and any(path.is_file() for path in self._paths(frames[0], name))
 
     def note_complete(self, frames: Sequence[Frame]) -> None:
-        """Note that all these frames are labelled, where that can be noted."""
+        """Note all these frames as labelled, if possible."""
         if (name := self._completed(frames)) is not None:
             write_first(self._paths(frames[0], name), Path.touch)
 
     def _completed(self, frames: Sequence[Frame]) -> str | None:
-        """Name of the note for these frames; None where one of them is not a file of its own."""
+        """Return name of the note for these frames; None if one of them is not a file of its own."""
         digest = hashlib.sha256()
         for frame in frames:
             try:
@@ -105,11 +105,11 @@ class PredictedLabels:
         return f"{digest.hexdigest()[:32]}.complete" if len(frames) else None
 
     def _paths(self, frame: Frame, name: str) -> list[Path]:
-        """Where a file may be, the first place first: beside the data, and in the user's cache."""
+        """Return the places of a file, the first place first: beside the data, and in the user's cache."""
         return kept_at(frame.root, f"predictions/{self.key}/{name}")
 
     def of(self, frame: Frame) -> np.ndarray:
-        """(N,) int64 ids of the points of a frame's scan."""
+        """Return (N,) int64 ids of the points of a frame's scan."""
         scan = frame.scan
         digest = hashlib.sha256(scan.xyz.tobytes() + scan.remission.tobytes())
         paths = self._paths(frame, f"{digest.hexdigest()[:32]}.zlib")
@@ -123,13 +123,13 @@ class PredictedLabels:
 
 
 def kept_at(root: Path | None, name: str) -> list[Path]:
-    """Where a file that is made of a data set may be, the first place first: beside the data, in the user's cache."""
+    """Return the places of a file made of a data set, the first place first: beside the data, in the user's cache."""
     user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lidar2pano"
     return [folder / name for folder in ([root / ".lidar2pano"] if root else []) + [user]]
 
 
 def write_first(paths: Iterable[Path], write: Callable[[Path], object]) -> None:
-    """Write a file to the first of the places that may be written; to none where all are read-only."""
+    """Write a file to the first writable place; to none if all are read-only."""
     for path in paths:
         try:
             write_whole(path, write)

@@ -14,14 +14,14 @@ from torch import Tensor
 from lidar2pano.data.frames import IGNORE, SampleIndex
 from lidar2pano.data.layouts import frames_of
 
-PADDING_RGB = (124, 116, 104)  # beyond an image's border: ImageNet's mean, which normalisation makes zero
+PADDING_RGB = (124, 116, 104)  # beyond an image's border: ImageNet's mean, zero after normalisation
 
 
 class CameraImageSample(NamedTuple):
     """An image and its labels; after collation every tensor gains a leading B.
 
     image   (3, H, W) uint8 RGB.
-    labels  (H, W) int64 ids of CITYSCAPES, IGNORE where unknown or beyond the image.
+    labels  (H, W) int64 ids of CITYSCAPES, IGNORE if unknown or beyond the image.
     name    "seq/frame".
     """
 
@@ -53,32 +53,32 @@ class CameraImageDataset:
         self.augmentation = augmentation
 
     def __len__(self) -> int:
-        """Number of images."""
+        """Return the number of images."""
         return len(self.frames)
 
     def pair(self, index: int) -> tuple[np.ndarray, np.ndarray]:
-        """A frame's image (h, w, 3) uint8 RGB and labels (h, w) uint8.
+        """Return a frame's image (h, w, 3) uint8 RGB and labels (h, w) uint8.
 
-        InputError where their sizes differ, and where one is missing or damaged.
+        InputError if their sizes differ, and if one is missing or damaged.
         """
         image, labels = self.frames[index].require("image", "camera_labels")
         return image, labels
 
-    def __getitem__(self, at: SampleIndex | int) -> CameraImageSample:
-        """Sample: of the size `augmentation.crop`, augmented by a SampleIndex's seed, or the whole image for an int."""
-        if isinstance(at, int):
-            return _sample(*self.pair(at), self.frames[at].name)
-        generator = np.random.default_rng(at.seed)
-        image, labels = augmented(*self.pair(at.index), self.augmentation, generator)
-        return _sample(image, labels, self.frames[at.index].name)
+    def __getitem__(self, index: SampleIndex | int) -> CameraImageSample:
+        """Return a sample: a crop augmented by a SampleIndex's seed, or the whole image for an int."""
+        if isinstance(index, int):
+            return _sample(*self.pair(index), self.frames[index].name)
+        generator = np.random.default_rng(index.seed)
+        image, labels = augmented(*self.pair(index.index), self.augmentation, generator)
+        return _sample(image, labels, self.frames[index.index].name)
 
 
 def augmented(
-    image: np.ndarray, ids: np.ndarray, by: ImageAugmentation, generator: np.random.Generator
+    image: np.ndarray, ids: np.ndarray, augmentation: ImageAugmentation, generator: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """An image (h, w, 3) uint8 and its ids (h, w) uint8: resized, cropped or padded, mirrored, recoloured."""
-    rows, columns = by.crop
-    factor = generator.uniform(*by.scale)
+    """Return an image (h, w, 3) uint8 and its ids (h, w) uint8: resized, cropped or padded, mirrored, recoloured."""
+    rows, columns = augmentation.crop
+    factor = generator.uniform(*augmentation.scale)
     size = (max(round(image.shape[1] * factor), 1), max(round(image.shape[0] * factor), 1))
     top, left = (
         int(generator.integers(min(0, have - want), max(0, have - want) + 1))
@@ -88,13 +88,13 @@ def augmented(
     crop = _cut(Image.fromarray(image).resize(size, Image.Resampling.BILINEAR), window, PADDING_RGB)
     labels = _cut(Image.fromarray(ids).resize(size, Image.Resampling.NEAREST), window, IGNORE)
     for enhance in (ImageEnhance.Brightness, ImageEnhance.Contrast, ImageEnhance.Color):
-        crop = enhance(crop).enhance(generator.uniform(1 - by.colour_jitter, 1 + by.colour_jitter))
+        crop = enhance(crop).enhance(generator.uniform(1 - augmentation.colour_jitter, 1 + augmentation.colour_jitter))
     step = -1 if generator.random() < 0.5 else 1
     return np.array(crop)[:, ::step], np.array(labels)[:, ::step]
 
 
 def _cut(image: Image.Image, window: tuple[int, int, int, int], padding: int | tuple[int, int, int]) -> Image.Image:
-    """The window (left, top, right, bottom) of an image, padded where it sticks out."""
+    """Return the window (left, top, right, bottom) of an image, padded beyond its border."""
     left, top, right, bottom = window
     cut = Image.new(image.mode, (right - left, bottom - top), padding)
     cut.paste(image, (-left, -top))

@@ -1,4 +1,4 @@
-"""ClipDataset: consecutive frames, their labels and the flow between them, for networks that paint videos."""
+"""ClipDataset: consecutive frames, their labels and the flow between them, for networks painting videos."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.data.cache import LruCache
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame, FrameList, SampleIndex
 from lidar2pano.data.layouts import frames_of
-from lidar2pano.data.optical_flow import optical_flow
 from lidar2pano.data.panorama_crops import panorama_on
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import Lookup, at_camera, panorama_in_camera
 from lidar2pano.geometry.flow import Flow, ego_flow, reaches, relative_pose, scan_distances
+from lidar2pano.geometry.warp import warp
 from lidar2pano.labels import COMMON15
 from lidar2pano.views import View
 
 SKY = COMMON15.id_of("sky")
-# How far a single frame's window moves per step at most: rows and columns in pixels, and by which share it grows.
+# How far a single frame's window moves per step at most: rows and columns in pixels, and its share of growth.
 PAN, ZOOM = (2.0, 12.0), 0.04
 
 
@@ -34,9 +34,9 @@ class ClipSample(NamedTuple):
     """K frames, the earliest first; after collation every tensor gains a leading B.
 
     image   (K, 3, H, W) float32 in [-1, 1].
-    labels  (K, H, W) int64 ids of COMMON15, 0 where unknown.
-    shift   (K, 2, H, W) float32 pixels: flow of each frame to the one before it; zero where not known and in frame 0.
-    known   (K, H, W) float32, 1 where the flow is known; 0 in frame 0.
+    labels  (K, H, W) int64 ids of COMMON15, 0 if unknown.
+    shift   (K, 2, H, W) float32 pixels: flow of each frame to the one before it; zero if not known and in frame 0.
+    known   (K, H, W) float32, 1 if the flow is known; 0 in frame 0.
     name    of the last frame, "seq/frame".
     """
 
@@ -49,10 +49,10 @@ class ClipSample(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Framing:
-    """The part of a frame that a clip shows.
+    """The part of a frame in a clip.
 
-    rows, columns  of the window that is cut out of every frame of a clip at one place.
-    scale          factor by which the camera's image is resized first.
+    rows, columns  of the window, at one place in every frame of a clip.
+    scale          factor of resizing the camera's image first.
     view           the panorama's raster, to take the true panorama instead; then `scale` is not used. Windows as wide
                    as a circular view are turned by any angle instead of cut.
     """
@@ -71,8 +71,8 @@ class Framing:
 class LabelledImage(NamedTuple):
     """An image and its labels on one raster.
 
-    raster  the panorama's View, or the camera whose image it is; None: a camera that is not known.
-    image   (3, H, W) uint8 RGB;  labels: (H, W) uint8 ids of COMMON15, 0 where unknown.
+    raster  the panorama's View, or the camera of the image; None: an unknown camera.
+    image   (3, H, W) uint8 RGB;  labels: (H, W) uint8 ids of COMMON15, 0 if unknown.
     """
 
     raster: View | Calibration | None
@@ -85,10 +85,10 @@ class ClipDataset:
 
     splits  every run of `length` frames whose numbers follow each other, in one sequence, is a clip; so frames must be
             numbered in time.
-    stills  splits whose frames are unrelated to each other: each becomes a clip by itself, under a window that pans
-            and zooms over it, so that its flow is known. Where there are both kinds, runs are repeated until they are
+    stills  splits whose frames are unrelated to each other: each becomes a clip by itself, under a window panning
+            and zooming over it, so its flow is known. With both kinds, runs are repeated until they are
             as many as the stills.
-    Raises InputError where the splits hold no clip.
+    Raises InputError if the splits hold no clip.
     """
 
     def __init__(
@@ -96,42 +96,42 @@ class ClipDataset:
     ) -> None:
         self.framing, self.length = framing, length
         self.frames = FrameList("semantic-kitti", ())
-        found: list[range | tuple[int, ...]] = []
+        sequences: list[range | tuple[int, ...]] = []
         for split in splits:
             frames = frames_of(root, (split,))
-            found += [tuple(len(self.frames) + index for index in run) for run in runs(frames.names, length)]
+            sequences += [tuple(len(self.frames) + index for index in run) for run in runs(frames.names, length)]
             self.frames += frames
         single = frames_of(root, stills)
-        alone = [range(index, index + 1) for index in range(len(self.frames), len(self.frames) + len(single))]
+        singles = [range(index, index + 1) for index in range(len(self.frames), len(self.frames) + len(single))]
         self.frames += single
-        if not found and not alone:
+        if not sequences and not singles:
             raise InputError(
                 f"{root}: no {length} frames of split {' or '.join(splits)} follow each other; choose another split or "
                 "fewer options.frames, or name the split in options.stills"
             )
-        self.clips = found * max(1, len(alone) // max(len(found), 1)) + alone  # indices of frames
+        self.clips = sequences * max(1, len(singles) // max(len(sequences), 1)) + singles  # indices of frames
         self._images, self._flows = LruCache(), LruCache()
 
     def __len__(self) -> int:
-        """Number of clips, repeated ones counted."""
+        """Return the number of clips, repeated ones counted."""
         return len(self.clips)
 
-    def __getitem__(self, at: SampleIndex | int) -> ClipSample:
-        """Clip: window, pan and mirror by a SampleIndex's seed, or for an int the middle, unmirrored."""
-        plain = isinstance(at, int)
-        generator = np.random.default_rng(at if plain else at.seed)
-        run = self.clips[at if plain else at.index]
-        frames = {index: self.frames[index] for index in run}
-        images = [self._images.get(index, lambda i=index: self._read(frames[i])) for index in run]
+    def __getitem__(self, index: SampleIndex | int) -> ClipSample:
+        """Return the clip: window, pan and mirror by a SampleIndex's seed, or for an int the middle, unmirrored."""
+        plain = isinstance(index, int)
+        generator = np.random.default_rng(index if plain else index.seed)
+        run = self.clips[index if plain else index.index]
+        frames = {number: self.frames[number] for number in run}
+        images = [self._images.get(number, lambda i=number: self._read(frames[i])) for number in run]
         self._check(frames[run[0]], images[0])
         if len(run) == 1:
             clip = panned(images[0], generator, self.framing, self.length, frames[run[0]].name)
         else:
             flows = [
                 self._flows.get(
-                    (before, now), lambda k=k, b=before, n=now: flow_to(frames[b], frames[n], images[k], images[k + 1])
+                    pair, lambda k=k, pair=pair: flow_to(frames[pair[0]], frames[pair[1]], images[k], images[k + 1])
                 )
-                for k, (before, now) in enumerate(pairwise(run))
+                for k, pair in enumerate(pairwise(run))
             ]
             clip = self._window(frames[run[-1]].name, images, flows, None if plain else generator)
         return clip if plain or generator.random() < 0.5 else mirrored(clip)
@@ -143,11 +143,11 @@ class ClipDataset:
 
     def _check(self, frame: Frame, image: LabelledImage) -> None:
         rows, columns = image.labels.shape
-        wanted = self.framing
-        if rows < wanted.rows or columns < wanted.columns:
+        framing = self.framing
+        if rows < framing.rows or columns < framing.columns:
             raise InputError(
                 f"{frame.name}: its image at this scale has {rows} x {columns} pixels, fewer than the window of "
-                f"{wanted.rows} x {wanted.columns}; set scale, options.rows or options.columns"
+                f"{framing.rows} x {framing.columns}; set scale, options.rows or options.columns"
             )
 
     def _window(
@@ -169,19 +169,19 @@ class ClipDataset:
             return turned[..., top : top + self.framing.rows, left : left + self.framing.columns]
 
         shift = torch.stack([torch.zeros_like(flows[0].shift), *(flow.shift for flow in flows)])
-        known = torch.stack([torch.zeros_like(flows[0].known), *(flow.known for flow in flows)])
-        shift, known = cut(shift), cut(known)
-        known = known & reaches(shift, circular=self.framing.circular)
+        valid = torch.stack([torch.zeros_like(flows[0].known), *(flow.known for flow in flows)])
+        shift, valid = cut(shift), cut(valid)
+        valid = valid & reaches(shift, circular=self.framing.circular)
         return _clip(
-            torch.stack([cut(one.image) for one in images]).float(),
-            torch.stack([cut(one.labels) for one in images]),
-            Flow(shift=shift, known=known),
+            torch.stack([cut(image.image) for image in images]).float(),
+            torch.stack([cut(image.labels) for image in images]),
+            Flow(shift=shift, known=valid),
             name,
         )
 
 
 def runs(names: Sequence[str], length: int) -> list[tuple[int, ...]]:
-    """Every run of `length` frames "seq/NNNNNN" of one sequence whose numbers follow each other, as indices."""
+    """Return every run of `length` frames "seq/NNNNNN" of one sequence whose numbers follow each other, as indices."""
     parts = [
         (sequence, int(stem), index)
         for index, name in enumerate(names)
@@ -193,12 +193,12 @@ def runs(names: Sequence[str], length: int) -> list[tuple[int, ...]]:
     return [
         tuple(index for _, _, index in window)
         for window in windows
-        if all(one[0] == other[0] and other[1] == one[1] + 1 for one, other in pairwise(window))
+        if all(left[0] == right[0] and right[1] == left[1] + 1 for left, right in pairwise(window))
     ]
 
 
 def camera_image(frame: Frame, scale: float) -> LabelledImage:
-    """The camera's image and labels, resized by the factor `scale`; InputError where a file is missing."""
+    """Return the camera's image and labels, resized by the factor `scale`; InputError if a file is missing."""
     image, ids = frame.require("image", "camera_labels")
     common = CITYSCAPES_TO_COMMON15[ids]
     common[common == IGNORE] = 0
@@ -212,24 +212,49 @@ def camera_image(frame: Frame, scale: float) -> LabelledImage:
 
 
 def panorama_image(frame: Frame, view: View) -> LabelledImage:
-    """The true panorama and its labels on the raster `view` around the camera; InputError where there is none."""
+    """Return the true panorama and its labels on the raster `view` around the camera; InputError if there is none."""
     panorama = panorama_on(frame, view)
     image = torch.from_numpy(panorama.image).movedim(2, 0).contiguous()
     return LabelledImage(panorama.view, image, torch.from_numpy(panorama.labels))
 
 
-def flow_to(before: Frame, now: Frame, image_before: LabelledImage, image_now: LabelledImage) -> Flow:
-    """Flow of a frame to the one before: by poses and depths, else by the images themselves (optical flow)."""
-    if before.pose is None or now.pose is None or image_now.raster is None:
-        return optical_flow(image_now.image, image_before.image)
-    distances = distances_m(now, image_now), distances_m(before, image_before)
-    return ego_flow(*distances, relative_pose(before.pose, now.pose), image_now.raster)
+def flow_to(previous: Frame, current: Frame, image_previous: LabelledImage, image_current: LabelledImage) -> Flow:
+    """Return the flow of a frame to the one before: by poses and depths, else optical flow of the images."""
+    if previous.pose is None or current.pose is None or image_current.raster is None:
+        return optical_flow(image_current.image, image_previous.image)
+    distances = distances_m(current, image_current), distances_m(previous, image_previous)
+    return ego_flow(*distances, relative_pose(previous.pose, current.pose), image_current.raster)
+
+
+def optical_flow(current: Tensor, previous: Tensor) -> Flow:
+    """Return the flow from an image (3, H, W) uint8 RGB to the one before: (2, H, W) pixels and (H, W) bool.
+
+    Kroeger et al. 2016 (arXiv:1603.03590), preset "medium". Known where the flows forth and back undo each other
+    as far as Sundaram et al. 2010 (ECCV), equation 5, ask: |w + w'|^2 < 0.01 (|w|^2 + |w'|^2) + 0.5.
+    Raises InputError if OpenCV is not installed.
+    """
+    forth, back = _dis(current, previous), _dis(previous, current)
+    returned = warp(back[None], forth[None])[0]
+    gap, length = (forth + returned).square().sum(0), forth.square().sum(0) + returned.square().sum(0)
+    valid = (gap < 0.01 * length + 0.5) & reaches(forth[None])[0]
+    return Flow(shift=forth * valid, known=valid)
+
+
+def _dis(first: Tensor, second: Tensor) -> Tensor:
+    """Return the flow (2, H, W) float32 from `first` to `second`, pixels."""
+    try:
+        import cv2
+    except ModuleNotFoundError as error:
+        raise InputError("flow without poses.txt needs OpenCV: pip install 'lidar2pano[flow]'") from error
+    grey = [cv2.cvtColor(image.movedim(0, 2).numpy().copy(), cv2.COLOR_RGB2GRAY) for image in (first, second)]
+    dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    return torch.from_numpy(dis.calc(grey[0], grey[1], None)).movedim(2, 0).contiguous()  # pyright: ignore[reportCallIssue, reportArgumentType]
 
 
 def distances_m(frame: Frame, image: LabelledImage) -> Tensor:
-    """Distances (H, W) float32 as `ego_flow` takes them: of the true panorama if it has labels, else of the scan.
+    """Return distances (H, W) float32 for `ego_flow`: of the true panorama if it has labels, else of the scan.
 
-    Depths of a panorama that was stitched without labels are sparse; the scan's are completed.
+    Depths of a panorama stitched without labels are sparse; the scan's are completed.
     """
     raster = image.raster
     assert raster is not None, "without a camera flow comes from the images"
@@ -250,7 +275,7 @@ def _sky_is_far(depth_m: np.ndarray | None) -> Tensor:
 def panned(
     image: LabelledImage, generator: np.random.Generator, framing: Framing, length: int, name: str
 ) -> ClipSample:
-    """One frame under a window that moves (see `pan`)."""
+    """Return a clip of one frame under a moving window (see `pan`)."""
     rows, columns = framing.rows, framing.columns
     size, middle = pan(generator, image.labels.shape, (rows, columns), length)
     row, column = torch.arange(rows) - (rows - 1) / 2, torch.arange(columns) - (columns - 1) / 2
@@ -265,15 +290,15 @@ def panned(
             was = [(place - middle[k - 1, axis]) / size[k - 1] for axis, place in enumerate(places)]
             shifts.append(torch.stack([was[1] - column, was[0] - row[:, None]]))
     shift = torch.stack(shifts)
-    known = reaches(shift)
-    known[0] = False
-    return _clip(torch.stack(images), torch.stack(labels), Flow(shift=shift, known=known), name)
+    valid = reaches(shift)
+    valid[0] = False
+    return _clip(torch.stack(images), torch.stack(labels), Flow(shift=shift, known=valid), name)
 
 
 def pan(
     generator: np.random.Generator, whole: tuple[int, ...], window: tuple[int, int], length: int
 ) -> tuple[Tensor, Tensor]:
-    """A window's way over an image of `whole` (rows, columns): sizes (K,) in windows, middles (K, 2) (row, column).
+    """Return the path of a window over an image of `whole` (rows, columns): sizes (K,), middles (K, 2) (row, column).
 
     Float32; it stays inside, and changes from frame to frame by the same steps. Pixel centres are at integers.
     """
@@ -295,7 +320,7 @@ def pan(
 
 
 def mirrored(clip: ClipSample) -> ClipSample:
-    """The clip with left and right swapped."""
+    """Return the clip with left and right swapped."""
     shift = clip.shift.flip(-1) * torch.tensor([-1.0, 1.0])[:, None, None]
     return clip._replace(image=clip.image.flip(-1), labels=clip.labels.flip(-1), shift=shift, known=clip.known.flip(-1))
 

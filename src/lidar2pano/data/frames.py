@@ -32,12 +32,12 @@ class SampleIndex(NamedTuple):
 class PanoramaGroundTruth:
     """The true panorama on the raster `view` (H rows, W columns; its origin in the scan's frame).
 
-    image    (H, W, 3) uint8 RGB; black where not valid.
+    image    (H, W, 3) uint8 RGB; black if not valid.
     valid    (H, W) bool: the colour is known.
-    labels   (H, W) uint8 ids of COMMON15, IGNORE where unknown; None where no pixel's class is known.
-    depth_m  (H, W) float32 metres from the view's origin along the ray, 0 where there is none (sky) or it is unknown;
-             None where no pixel's depth is known.
-    openings (H, W) float32 in [0, 1], the share of a pixel that is a window or a door of a building; None: not known.
+    labels   (H, W) uint8 ids of COMMON15, IGNORE if unknown; None if no pixel's class is known.
+    depth_m  (H, W) float32 metres from the view's origin along the ray, 0 if there is none (sky) or it is unknown;
+             None if no pixel's depth is known.
+    openings (H, W) float32 in [0, 1], the share of a pixel of windows and doors of buildings; None: not known.
     """
 
     view: View
@@ -55,19 +55,19 @@ class Frame:
     scan           in the sensor's frame (x forward, y left, z up), without labels.
     point_labels   (N,) int64 ids of SEMANTIC_KITTI, file order;  predicted_labels: likewise, but a segmenter's.
     calibration    of the (front) camera, for the size of image and camera_labels.
-    image          (h, w, 3) uint8 RGB of that camera.
-    camera_labels  (h, w) uint8 train ids of CITYSCAPES, IGNORE where unknown.
+    image          (h, w, 3) uint8 RGB of the camera.
+    camera_labels  (h, w) uint8 train ids of CITYSCAPES, IGNORE if unknown.
     pose           (4, 4) float64 T_world_sensor: the sensor's coordinates -> a frame fixed to the world, metres.
     panorama       the true panorama.
-    root           the data set's folder, None where the frame comes from nowhere.
-    Parts raise InputError where a file is damaged, does not fit the others, or is missing though the others need it.
+    root           the data set's folder, None if the frame comes from nowhere.
+    Parts raise InputError if a file is damaged, does not fit the others, or is missing though the others need it.
     """
 
     root: Path | None = None
 
     def __init__(self, name: str, **parts: Any) -> None:  # noqa: ANN401
         self.name = name
-        vars(self).update(parts)  # where cached properties look first
+        vars(self).update(parts)  # looked up first by cached properties
 
     @cached_property
     def scan(self) -> Scan:
@@ -111,39 +111,39 @@ class Frame:
 
     @cached_property
     def panorama_labels(self) -> np.ndarray | None:
-        """The labels of the panorama; where they have a file of their own, nothing else is read."""
+        """The labels of the panorama; if they have a file of their own, nothing else is read."""
         return None if self.panorama is None else self.panorama.labels
 
-    def panorama_for(self, view: View) -> PanoramaGroundTruth | None:  # noqa: ARG002 of use where panoramas are stitched
-        """The panorama for use on the raster `view`: stitched on it where it has to be stitched, else as it is."""
+    def panorama_for(self, view: View) -> PanoramaGroundTruth | None:  # noqa: ARG002 for stitched panoramas
+        """Return the panorama for use on the raster `view`: a stitched one on it, others as they are."""
         return self.panorama
 
     def require(self, *parts: str) -> tuple[Any, ...]:
-        """Parts by name; InputError that names the missing file and says what to do where one is None."""
-        found = tuple(getattr(self, part) for part in parts)
-        for part, value in zip(parts, found, strict=True):
+        """Return parts by name; InputError with the missing file and the remedy if one is None."""
+        values = tuple(getattr(self, part) for part in parts)
+        for part, value in zip(parts, values, strict=True):
             if value is None:
                 raise InputError(self.missing(part))
-        return found
+        return values
 
     def missing(self, part: str) -> str:
-        """The message of the error where a part that is needed is not there."""
+        """Return the message of the error if a needed part is not there."""
         return f"{self.name}: this data set has no {part.replace('_', ' ')}; choose another data set or split"
 
 
-F = TypeVar("F", bound=Frame, covariant=True)
+F_co = TypeVar("F_co", bound=Frame, covariant=True)
 
 
-class FrameList(Sequence[F]):
-    """Frames of a split. Indexing makes a new Frame, and nothing is held: memory does not depend on what was read.
+class FrameList(Sequence[F_co]):
+    """Frames of a split. Indexing makes a new Frame, and nothing is held: memory does not grow with reading.
 
     layout  "semantic-kitti", "simulated", "pandaset", "nuscenes", "kitti-360", "cityscapes" or "images".
     names   of the frames, in order.
     """
 
-    def __init__(self, layout: str, entries: Iterable[tuple[str, Callable[[str], F]]]) -> None:
+    def __init__(self, layout: str, entries: Iterable[tuple[str, Callable[[str], F_co]]]) -> None:
         self.layout = layout
-        self._entries = tuple(entries)  # name -> Frame, by a function that all frames of a split share
+        self._entries = tuple(entries)  # name -> Frame, by a function shared by all frames of a split
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -151,27 +151,27 @@ class FrameList(Sequence[F]):
         return tuple(name for name, _ in self._entries)
 
     def __len__(self) -> int:
-        """Number of frames."""
+        """Return the number of frames."""
         return len(self._entries)
 
     @overload
-    def __getitem__(self, index: int) -> F: ...
+    def __getitem__(self, index: int) -> F_co: ...
 
     @overload
-    def __getitem__(self, index: slice) -> FrameList[F]: ...
+    def __getitem__(self, index: slice) -> FrameList[F_co]: ...
 
-    def __getitem__(self, index: int | slice) -> F | FrameList[F]:
-        """A new Frame, or the FrameList of a slice; nothing is read."""
+    def __getitem__(self, index: int | slice) -> F_co | FrameList[F_co]:
+        """Return a new Frame, or the FrameList of a slice; nothing is read."""
         if isinstance(index, slice):
             return FrameList(self.layout, self._entries[index])
         name, open_frame = self._entries[index]
         return open_frame(name)
 
-    def __add__(self, other: FrameList[Any]) -> FrameList[F]:
-        """The frames of both; the layout is that of the first."""
-        return FrameList(self.layout, self._entries + other._entries)
+    def __add__(self, frames: FrameList[Any]) -> FrameList[F_co]:
+        """Return the frames of both; the layout is the first's."""
+        return FrameList(self.layout, self._entries + frames._entries)
 
 
 def evenly_spaced(frames: int, most: int = 500) -> list[int]:
-    """Up to `most` indices of so many frames, evenly spaced: enough for statistics, however large the data set is."""
+    """Return up to `most` indices of so many frames, evenly spaced: enough for statistics of any data set."""
     return np.linspace(0, frames - 1, min(frames, most)).round().astype(int).tolist()

@@ -10,27 +10,23 @@ Formats: the data set's documentation, and kitti360scripts/{helpers/project.py, 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
-from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
-from lidar2pano.bounded_files import read_text
+from lidar2pano.bounded_files import read_input
 from lidar2pano.calibration import Calibration, LensCalibration
-from lidar2pano.data.frames import IGNORE, Frame, FrameList, PanoramaGroundTruth
+from lidar2pano.data.frames import IGNORE, FrameList, PanoramaGroundTruth
 from lidar2pano.data.labelled_images import TRAIN_IDS
 from lidar2pano.data.poses import read_poses
-from lidar2pano.data.semantic_kitti import stems
-from lidar2pano.data.splits import listed_names, listed_splits
-from lidar2pano.data.surround import matrix, stitched_panorama
+from lidar2pano.data.splits import listed_names, listed_splits, names_with_scans, stems
+from lidar2pano.data.surround import SurroundFrame, matrix
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import image_size, read_image
 from lidar2pano.formats.scan_files import read_bin
-from lidar2pano.geometry.camera import at_camera
-from lidar2pano.geometry.projection import project
 from lidar2pano.geometry.stitching import CameraImage
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.scan import Scan
@@ -44,7 +40,7 @@ LARGEST_COEFFICIENT = 100.0  # of a lens; the data set's are below 5
 LISTS = "data_2d_semantics/train/2013_05_28_drive_{}_frames.txt"  # the data set's own lists of labelled images
 FILES = ("perspective.txt", "calib_cam_to_velo.txt", "calib_cam_to_pose.txt")
 LABEL_IDS = 45
-# Cityscapes' label ids, and those that KITTI-360 has beyond them (kitti360scripts/helpers/labels.py), as train ids.
+# Cityscapes' label ids, and KITTI-360's beyond them (kitti360scripts/helpers/labels.py), as train ids.
 LABELS = TRAIN_IDS.copy()
 LABELS[34:] = IGNORE
 for _beyond, _name in {34: "building", 35: "fence", 37: "pole"}.items():  # garage, gate, smallpole
@@ -63,19 +59,19 @@ class Kitti360Calibration:
     T_ego_lidar: np.ndarray
 
 
-class Kitti360Frame(Frame):
+class Kitti360Frame(SurroundFrame):
     """A frame by its root and its name, "<seq>/NNNNNNNNNN".
 
     view  the raster of its panorama, whose origin becomes the perspective camera's centre.
-    The panorama, where all three images and the calibrations are there, has no labels; its depths are the scan's alone.
+    The panorama, which needs all three images and the calibrations, has no labels; its depths are the scan's alone.
     """
 
+    front = CAMERA
+
     def __init__(self, root: Path, view: View, name: str) -> None:
-        super().__init__(name)
+        super().__init__(name, view)
         self.root: Path = root
-        self.view = view
         self.sequence, _, self.stem = name.partition("/")
-        self._panoramas: dict[View, PanoramaGroundTruth] = {}
 
     @property
     def scan_file(self) -> Path:
@@ -84,18 +80,18 @@ class Kitti360Frame(Frame):
 
     @property
     def image_file(self) -> Path:
-        """The file of the image, which may be missing."""
+        """The file of the image; it may be missing."""
         return self.root / "data_2d_raw" / self.sequence / CAMERA / "data_rect" / f"{self.stem}.png"
 
     @property
     def fisheye_files(self) -> Mapping[str, Path]:
-        """The files of the fisheye cameras' images, any of which may be missing."""
+        """The files of the fisheye cameras' images; any may be missing."""
         folder = self.root / "data_2d_raw" / self.sequence
         return {name: folder / name / "data_rgb" / f"{self.stem}.png" for name in FISHEYES}
 
     @property
     def labels_file(self) -> Path:
-        """The file of the image's labels, which only a part of the images has."""
+        """The file of the image's labels; only a part of the images has one."""
         return self.root / "data_2d_semantics" / "train" / self.sequence / CAMERA / "semantic" / f"{self.stem}.png"
 
     @cached_property
@@ -120,62 +116,43 @@ class Kitti360Frame(Frame):
 
     @cached_property
     def calibration(self) -> Calibration | None:
-        """See Frame; None where there is neither an image nor labels."""
+        """See Frame; None if there is neither an image nor labels."""
         files = [path for path in (self.image_file, self.labels_file) if path.is_file()]
         if not files:
             return None
         camera = calibration(self.root).camera
         for path in files:
-            if (size := image_size(path)) != camera.size:
-                (width, height), (w, h) = size, camera.size
-                raise InputError(
-                    f"{path}: is {width}x{height}, but {FILES[0]} says {w}x{h}; take both from the data set"
-                )
+            _check_size(path, camera.size, FILES[0])
         return camera
 
     @cached_property
     def cameras(self) -> Mapping[str, CameraImage]:
-        """The images of the three cameras by name; InputError where one is missing or damaged, or not of its size."""
+        """The images of the three cameras by name; InputError if one is missing or damaged, or not of its size."""
         image, camera = self.require("image", "calibration")
-        found = {CAMERA: CameraImage(image=image, calibration=camera)}
+        cameras = {CAMERA: CameraImage(image=image, calibration=camera)}
         lenses = fisheye_calibrations(self.root)
         for name, path in self.fisheye_files.items():
-            if (size := image_size(path)) != lenses[name].size:
-                (width, height), (w, h) = size, lenses[name].size
-                raise InputError(
-                    f"{path}: is {width}x{height}, but {name}.yaml says {w}x{h}; take both from the data set"
-                )
-            found[name] = CameraImage(image=read_image(path, "RGB"), calibration=lenses[name])
-        return found
-
-    @cached_property
-    def panorama(self) -> PanoramaGroundTruth | None:
-        """See Frame."""
-        return self.panorama_for(self.view)
+            _check_size(path, lenses[name].size, f"{name}.yaml")
+            cameras[name] = CameraImage(image=read_image(path, "RGB"), calibration=lenses[name])
+        return cameras
 
     @cached_property
     def panorama_labels(self) -> None:
-        """See Frame: there are none, and nothing is stitched to say so."""
+        """See Frame: there are none, and nothing is stitched to find out."""
         return
 
     def panorama_for(self, view: View) -> PanoramaGroundTruth | None:
-        """See Frame; None where an image or the calibration of one of the three cameras is missing."""
-        if self._absent() is not None:
-            return None
-        if view not in self._panoramas:
-            scan = self.scan.beyond()
-            range_image = project(scan, at_camera(view, self.cameras[CAMERA].calibration))
-            self._panoramas[view] = stitched_panorama(list(self.cameras.values()), scan, range_image)
-        return self._panoramas[view]
+        """See Frame; None if an image or the calibration of one of the three cameras is missing."""
+        return super().panorama_for(view) if self._absent() is None else None
 
     def _absent(self) -> Path | None:
-        """The first file without which there is no panorama, if one is missing."""
+        """Return the first missing file of the panorama, None if all are there."""
         files = (self.image_file, *self.fisheye_files.values(), *_lens_files(self.root))
         return next((path for path in files if not path.is_file()), None)
 
     @cached_property
     def pose(self) -> np.ndarray | None:
-        """See Frame; None where poses.txt, which leaves out frames, has none."""
+        """See Frame; None if poses.txt has none."""
         path = self.root / "data_poses" / self.sequence / "poses.txt"
         T_world_ego = _poses(path, path.stat().st_mtime_ns).get(int(self.stem)) if path.is_file() else None
         return None if T_world_ego is None else T_world_ego @ calibration(self.root).T_ego_lidar
@@ -199,17 +176,19 @@ class Kitti360Frame(Frame):
 
 
 def frames(root: Path, split: str, view: View) -> FrameList[Kitti360Frame]:
-    """Frames of a split. InputError where there is none.
+    """Return frames of a split. InputError if there is none.
 
-    split  of splits.json; "train" or "val": the data set's own lists of labelled images, of which those without a scan
-           are left out; "all", or the name of a sequence: all scans.
+    split  of splits.json; "train" or "val": the data set's own lists of labelled images, those with a
+           scan; "all", or the name of a sequence: all scans.
     view   the raster of stitched panoramas.
     """
     sequences = sorted(path.name for path in (root / SCANS).iterdir() if path.is_dir())
+    scans = partial(_scans, root)
     if split in listed_splits(root / "splits.json"):
-        names = list(_with_scans(root, listed_names(root / "splits.json", split), split))
+        names = listed_names(root / "splits.json", split, "SEQUENCE/NNNNNNNNNN", _is_frame_name)
+        names = list(names_with_scans(names, scans, split))
     elif split in ("train", "val"):
-        names = list(_with_scans(root, _labelled(root, split)))
+        names = list(names_with_scans(_labelled(root, split), scans))
     elif split in ("all", *sequences):
         names = [
             f"{sequence}/{stem}"
@@ -226,13 +205,22 @@ def frames(root: Path, split: str, view: View) -> FrameList[Kitti360Frame]:
 
 
 def calibration(root: Path) -> Kitti360Calibration:
-    """The files of ROOT/calibration; InputError where one is missing or damaged."""
+    """Return the files of ROOT/calibration; InputError if one is missing or damaged."""
     return _calibration(root, _changed(root / "calibration" / name for name in FILES))
 
 
 def fisheye_calibrations(root: Path) -> Mapping[str, LensCalibration]:
-    """The fisheye cameras by name (calibration/image_*.yaml); InputError where a file is missing or damaged."""
+    """Return the fisheye cameras by name (calibration/image_*.yaml); InputError if a file is missing or damaged."""
     return _fisheyes(root, _changed((*(root / "calibration" / name for name in FILES), *_lens_files(root))))
+
+
+def _check_size(path: Path, size: tuple[int, int], source: str) -> None:
+    """Raise InputError if an image is not of the calibration's size."""
+    width, height = image_size(path)
+    if (width, height) != size:
+        raise InputError(
+            f"{path}: is {width}x{height}, but {source} says {size[0]}x{size[1]}; take both from the data set"
+        )
 
 
 def _lens_files(root: Path) -> list[Path]:
@@ -240,7 +228,7 @@ def _lens_files(root: Path) -> list[Path]:
 
 
 def _changed(files: Iterable[Path]) -> tuple[int, ...]:
-    """When files were changed, 0 for those that are missing."""
+    """Return the times of the last change of files, 0 for missing ones."""
     return tuple(path.stat().st_mtime_ns if path.is_file() else 0 for path in files)
 
 
@@ -270,17 +258,17 @@ def _calibration(root: Path, changed: tuple[int, ...]) -> Kitti360Calibration:  
 @lru_cache(maxsize=4)
 def _fisheyes(root: Path, changed: tuple[int, ...]) -> dict[str, LensCalibration]:  # noqa: ARG001 a part of the cache's key
     T_ego_lidar, mounts = calibration(root).T_ego_lidar, root / "calibration" / FILES[2]
-    found = {}
+    lenses = {}
     for name, path in zip(FISHEYES, _lens_files(root), strict=True):
         T_ego_camera = _motion(mounts, name, _numbers(mounts, _rows(mounts), name, 12).reshape(3, 4))
-        found[name] = _lens(path, np.linalg.inv(T_ego_camera) @ T_ego_lidar)
-    return found
+        lenses[name] = _lens(path, np.linalg.inv(T_ego_camera) @ T_ego_lidar)
+    return lenses
 
 
 # The files are CamOdoCal's (CataCamera.cc), whose distortion is (k1, k2, p1, p2) of "brown". The data set's own
 # project.py leaves out p1 and p2, "for simplicity" (issue 95 there): up to a pixel of 1400 at the rim.
 def _lens(path: Path, T_camera_lidar: np.ndarray) -> LensCalibration:
-    """A fisheye camera by its file: OpenCV's YAML, "NAME: number" a line below the names of sections."""
+    """Return a fisheye camera by its file: OpenCV's YAML, "NAME: number" a line below the names of sections."""
     rows = _rows(path)
     if rows.get("model_type", "").strip().strip("\"'") != "MEI":
         raise InputError(f"{path}: says no 'model_type: MEI'; take the file from the data set")
@@ -307,22 +295,21 @@ def _lens(path: Path, T_camera_lidar: np.ndarray) -> LensCalibration:
 
 
 def read_calibration(path: Path) -> str:
-    """The text of a file; InputError where it is missing or no text."""
+    """Return the text of a file; InputError if it is missing or no text."""
     try:
-        return read_text(path)
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not text"
-        raise InputError(f"{path}: cannot be read ({reason}); complete the data set") from error
+        return read_input(path, "complete the data set").decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: cannot be read (not text); complete the data set") from error
 
 
 def _rows(path: Path) -> dict[str, str]:
-    """The rows "NAME: numbers" of a file."""
+    """Return the rows "NAME: numbers" of a file."""
     parts = (line.partition(":") for line in read_calibration(path).splitlines())
     return {name.strip(): numbers for name, _, numbers in parts}
 
 
 def _numbers(path: Path, rows: Mapping[str, str], name: str, count: int) -> np.ndarray:
-    """The numbers (count,) float64 of a row."""
+    """Return the numbers (count,) float64 of a row."""
     try:
         numbers = np.array(rows.get(name, "").split(), dtype=np.float64)
     except ValueError:
@@ -334,7 +321,7 @@ def _numbers(path: Path, rows: Mapping[str, str], name: str, count: int) -> np.n
 
 
 def _motion(path: Path, name: str, rows: np.ndarray) -> np.ndarray:
-    """(4, 4) of a rotation and a translation (3, 4)."""
+    """Return (4, 4) of a rotation and a translation (3, 4)."""
     return matrix(path, {name: np.vstack([rows, [0, 0, 0, 1]])}, name, (4, 4))
 
 
@@ -352,8 +339,13 @@ def _scans(root: Path, sequence: str) -> Path:
     return root / SCANS / sequence / "velodyne_points" / "data"
 
 
+def _is_frame_name(name: str) -> bool:
+    sequence, _, stem = name.partition("/")
+    return bool(sequence) and stem.isdecimal()
+
+
 def _labelled(root: Path, split: str) -> list[str]:
-    """Names of the frames in the list of labelled images, whose lines begin with .../SEQ/image_00/data_rect/N.png."""
+    """Return names in the list of labelled images, whose lines begin with .../SEQ/image_00/data_rect/N.png."""
     path = root / LISTS.format(split)
     if not path.is_file():
         raise InputError(
@@ -362,18 +354,5 @@ def _labelled(root: Path, split: str) -> list[str]:
     images = [Path(line.split()[0]).parts for line in read_calibration(path).splitlines() if line.strip()]
     if not all(len(parts) >= 4 for parts in images):
         raise InputError(f"{path}: must have lines .../SEQUENCE/{CAMERA}/data_rect/N.png; take it from the data set")
-    return [f"{sequence}/{Path(file).stem}" for *_, sequence, camera, _, file in images if camera == CAMERA]
-
-
-def _with_scans(root: Path, names: list[str], complete: str = "") -> Iterator[str]:
-    """The names whose scans are there; with a split's name (`complete`), a missing one is an InputError."""
-    for sequence, group in groupby(names, lambda name: name.partition("/")[0]):
-        there = set(stems(_scans(root, sequence), ".bin"))
-        for name in group:
-            stem = name.partition("/")[2]
-            if stem in there and stem.isdecimal():
-                yield name
-            elif complete:
-                raise InputError(
-                    f"{_scans(root, sequence)}: scan {stem}.bin of split {complete!r} is missing; complete it"
-                )
+    names = (f"{sequence}/{Path(file).stem}" for *_, sequence, camera, _, file in images if camera == CAMERA)
+    return [name for name in names if _is_frame_name(name)]

@@ -1,11 +1,10 @@
 """Data sets of camera images and their labels, without scans: Cityscapes' layout, and any folder of images and labels.
 
 Cityscapes   ROOT/leftImg8bit/<split>/<city>/<city>_<drive>_<frame>_leftImg8bit.png and
-             ROOT/gtFine/<split>/<city>/<...>_gtFine_labelIds.png or, where there is one, ..._gtFine_labelTrainIds.png.
-Folder       ROOT/images/<split>/<name>.png|jpg and ROOT/labels/<split>/<name>.png with Cityscapes train ids; where
+             ROOT/gtFine/<split>/<city>/<...>_gtFine_labelIds.png or if there is one, ..._gtFine_labelTrainIds.png.
+Folder       ROOT/images/<split>/<name>.png|jpg and ROOT/labels/<split>/<name>.png with Cityscapes train ids; if
              images lie in images/ itself, all in it are of the split "train".
-Frames have an image and camera labels, so a camera segmenter, vid2vid and a painter's look train on them; nothing that
-needs a scan of the same place does.
+Frames have an image and camera labels, so a camera segmenter, vid2vid and a painter's look train on them.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from lidar2pano.labels import CITYSCAPES, CITYSCAPES_IDS
 
 IMAGES, FINE = "leftImg8bit", "gtFine"
 SUFFIXES = (".png", ".jpg", ".jpeg")
-TRAIN_IDS = np.full(256, IGNORE, dtype=np.uint8)  # of label ids; those that are not trained are IGNORE
+TRAIN_IDS = np.full(256, IGNORE, dtype=np.uint8)  # of label ids; untrained ones are IGNORE
 TRAIN_IDS[[CITYSCAPES_IDS.id_of(name) for name in CITYSCAPES.classes]] = np.arange(len(CITYSCAPES))
 
 
@@ -54,7 +53,7 @@ class LabelledImage(Frame):
         return TRAIN_IDS[ids]
 
     def _check_sizes(self) -> None:
-        """Raise InputError where image and labels differ in size."""
+        """Raise InputError if image and labels differ in size."""
         if self.labels_file.is_file():
             (w, h), (width, height) = image_size(self.image_file), image_size(self.labels_file)
             if (w, h) != (width, height):
@@ -68,7 +67,7 @@ class LabelledImage(Frame):
 
 
 def read_train_ids(path: Path) -> np.ndarray:
-    """An image of Cityscapes train ids (h, w) uint8, IGNORE where unknown; InputError where it holds something else."""
+    """Read an image of Cityscapes train ids (h, w) uint8, IGNORE if unknown; InputError for other values."""
     ids = read_image(path)
     if ids.ndim != 2 or ids.dtype != np.uint8:
         raise InputError(f"{path}: is no image of class ids (one channel of 8 bits); write Cityscapes train ids")
@@ -87,25 +86,25 @@ def matches(root: Path) -> bool:
 
 
 def frames(root: Path, split: str) -> FrameList[LabelledImage]:
-    """Frames of a split, sorted by name; InputError where there is no such split."""
+    """Return frames of a split, sorted by name; InputError if there is no such split."""
     cityscapes = (root / IMAGES).is_dir()
     folder = root / (IMAGES if cityscapes else "images")
     if (folder / split).is_dir():
-        found = dict(_cityscapes(root, split) if cityscapes else _folder(root, split))
+        entries = dict(_cityscapes(root, split) if cityscapes else _folder(root, split))
     elif split == "train" and not cityscapes and any(path.suffix.lower() in SUFFIXES for path in folder.iterdir()):
-        found = dict(_folder(root, ""))
+        entries = dict(_folder(root, ""))
     else:
         splits = sorted(path.name for path in folder.iterdir() if path.is_dir())
         raise InputError(f"{root}: no split {split!r}{closest(split, splits)}")
-    if not found:
+    if not entries:
         raise InputError(f"{root}: split {split!r} has no image (.png or .jpg); complete the data")
-    entries = ((name, partial(_opened, root, found)) for name in sorted(found))
-    return FrameList("cityscapes" if cityscapes else "images", entries)
+    named = ((name, partial(_opened, root, entries)) for name in sorted(entries))
+    return FrameList("cityscapes" if cityscapes else "images", named)
 
 
-def _opened(root: Path, found: dict[str, LabelledImage], name: str) -> LabelledImage:
-    one = found[name]
-    return LabelledImage(name, root, one.image_file, one.labels_file, one.label_ids)
+def _opened(root: Path, entries: dict[str, LabelledImage], name: str) -> LabelledImage:
+    entry = entries[name]
+    return LabelledImage(name, root, entry.image_file, entry.labels_file, entry.label_ids)
 
 
 def _cityscapes(root: Path, split: str) -> Iterator[tuple[str, LabelledImage]]:

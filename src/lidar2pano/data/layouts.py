@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from lidar2pano.data import kitti360, labelled_images, nuscenes, nuscenes_samples, pandaset, semantic_kitti
+from lidar2pano.data import kitti360, labelled_images, nuscenes, pandaset, semantic_kitti
 from lidar2pano.data.frames import Frame, FrameList
 from lidar2pano.errors import InputError
 from lidar2pano.views import VIEWS, View
@@ -23,13 +23,13 @@ class Layout(NamedTuple):
     frames: Callable[[Path, str, View], FrameList[Any]]
 
 
-LAYOUTS: dict[str, Layout] = {  # the first one that matches is taken
-    "nuScenes' info.json": Layout(lambda root: (root / "info.json").is_file(), nuscenes.frames),
+LAYOUTS: dict[str, Layout] = {  # the first to match is taken
+    "nuScenes' info.json": Layout(lambda root: (root / "info.json").is_file(), nuscenes.info_frames),
     "PandaSet": Layout(lambda root: (root / "classes.json").is_file(), pandaset.frames),
     "SemanticKITTI, simulated worlds": Layout(
         lambda root: (root / "sequences").is_dir(), lambda root, split, _: semantic_kitti.frames(root, split)
     ),
-    "nuScenes": Layout(nuscenes_samples.versions, nuscenes_samples.frames),
+    "nuScenes": Layout(nuscenes.versions, nuscenes.frames),
     "KITTI-360": Layout(lambda root: (root / kitti360.SCANS).is_dir(), kitti360.frames),
     "Cityscapes, images beside labels": Layout(
         labelled_images.matches, lambda root, split, _: labelled_images.frames(root, split)
@@ -40,17 +40,17 @@ LAYOUTS: dict[str, Layout] = {  # the first one that matches is taken
 def frames(root: Path, split: str, view: View = VIEWS["panorama"]) -> FrameList[Frame]:
     """Return the frames of a split of the data set in `root`, in its order.
 
-    view  the raster of panoramas that are stitched from surround cameras; its origin becomes the front camera's centre.
-          A simulated world's panoramas keep the raster that they were rendered on.
-    Raises InputError where the folder has none of the known layouts, or no such split.
+    view  the raster of panoramas stitched from surround cameras; its origin becomes the front camera's centre.
+          A simulated world's panoramas keep their own raster.
+    Raises InputError if the folder has none of the known layouts, or no such split.
     """
     for layout in LAYOUTS.values():
         if layout.matches(root):
             return layout.frames(root, split, view)
     raise InputError(
         f"{root}: is no data set; name one in SemanticKITTI layout (with a folder sequences/), a simulated world"
-        " (world.json), a PandaSet (classes.json), nuScenes (v1.0-*/, or info.json), KITTI-360 (data_3d_raw/), Cityscapes"
-        " (leftImg8bit/), or images/ beside labels/"
+        " (world.json), a PandaSet (classes.json), nuScenes (v1.0-*/, or info.json), KITTI-360 (data_3d_raw/),"
+        " Cityscapes (leftImg8bit/), or images/ beside labels/"
     )
 
 

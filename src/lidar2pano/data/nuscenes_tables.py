@@ -1,8 +1,8 @@
-"""The tables of nuScenes (ROOT/v1.0-*/*.json) as an index of its samples, which is built once and kept on disk.
+"""The tables of nuScenes (ROOT/v1.0-*/*.json) as an index of its samples, built once and kept on disk.
 
-The tables of v1.0-trainval have 2.6 million rows of sensor data in 1.9 GB, sweeps between the samples included. The index
-holds what the 34,149 samples need: 1.2 kB of each, 40 MB. It lies in ROOT/.lidar2pano/ or, where that may not be written,
-in the user's cache.
+The tables of v1.0-trainval have 2.6 million rows of sensor data in 1.9 GB, sweeps between the samples included. The
+index holds the 34,149 samples: 1.2 kB of each, 40 MB. It lies in ROOT/.lidar2pano/ or, if it may not be written, in the
+user's cache.
 Format: nuScenes' schema (docs/schema_nuscenes.md of nutonomy/nuscenes-devkit).
 """
 
@@ -24,8 +24,7 @@ from lidar2pano.bounded_files import open_regular
 from lidar2pano.calibration import is_camera_matrix
 from lidar2pano.data.cache import kept_at, write_first
 from lidar2pano.errors import InputError
-from lidar2pano.formats.json_files import read_json
-from lidar2pano.formats.json_files import table_rows
+from lidar2pano.formats.json_files import read_json, table_rows
 from lidar2pano.geometry.motion import rotation_matrices
 
 LIDAR = "LIDAR_TOP"
@@ -62,19 +61,19 @@ class NuscenesIndex:
     K: np.ndarray
 
     def samples(self, scene: str) -> range:
-        """The rows of a scene's samples; none where the version has no such scene."""
+        """Return the rows of a scene's samples; none if the version has no such scene."""
         number = int(np.searchsorted(self.scenes, scene))
         if number == len(self.scenes) or self.scenes[number] != scene:
             return range(0)
         return range(int(self.first[number]), int(self.first[number + 1]))
 
     def T_world_sensor(self, sample: int, channel: int) -> np.ndarray:
-        """(4, 4) float64: a sensor's own axes -> the world, when it measured."""
+        """Return (4, 4) float64: a sensor's own axes -> the world, when it measured."""
         return motion(self.poses[sample, channel]) @ motion(self.mounts[self.sensors[sample, channel]])
 
 
 def motion(pose: np.ndarray) -> np.ndarray:
-    """(4, 4) float64 of translation and unit quaternion w x y z (7,)."""
+    """Return (4, 4) float64 of translation and unit quaternion w x y z (7,)."""
     T = np.eye(4)
     T[:3, :3] = rotation_matrices(pose[None, [4, 5, 6, 3]])[0]
     T[:3, 3] = pose[:3]
@@ -82,14 +81,14 @@ def motion(pose: np.ndarray) -> np.ndarray:
 
 
 def versions(root: Path) -> list[str]:
-    """The versions whose tables lie in a folder, sorted; none where it is no nuScenes in its official layout."""
+    """Return the versions whose tables lie in a folder, sorted; none if it is no nuScenes in its official layout."""
     return sorted(path.name for path in root.glob("v1.0-*") if path.is_dir())
 
 
 def nuscenes_index(root: Path, version: str) -> NuscenesIndex:
-    """The index of a version: read from the disk where it was built of the tables as they are now, else built.
+    """Return the index of a version: read from the disk if built of the tables as they are now, else built.
 
-    Raises InputError where a table is missing or damaged.
+    Raises InputError if a table is missing or damaged.
     """
     stamps = [f"{FORM} {version}"]
     for table in TABLES:
@@ -117,7 +116,7 @@ def _index(root: Path, version: str, key: str) -> NuscenesIndex:
 
 
 def _read(path: Path) -> dict[str, np.ndarray] | None:
-    """The arrays of an index; None where the file is missing or damaged."""
+    """Return the arrays of an index; None if the file is missing or damaged."""
     try:
         with open_regular(path) as file, np.load(file, allow_pickle=False) as kept:
             return {
@@ -131,7 +130,7 @@ def _read(path: Path) -> dict[str, np.ndarray] | None:
 
 
 def _build(folder: Path) -> dict[str, np.ndarray]:
-    """The arrays of the index of the tables in a folder."""
+    """Return the arrays of the index of the tables in a folder."""
     scenes = {row["token"]: row["name"] for row in _small_table(folder / "scene.json", token=str, name=str)}
     order = sorted(
         (scenes[_known(folder, row, "sample", "scene", scenes)], row["timestamp"], row["token"])
@@ -170,7 +169,7 @@ def _build(folder: Path) -> dict[str, np.ndarray]:
 
 
 def _key_frames(path: Path) -> Iterator[dict[str, Any]]:
-    """The rows of sample_data.json that belong to a sample, not to a sweep between two."""
+    """Yield the rows of sample_data.json of samples, not of sweeps between two."""
     for row in table_rows(path, KEY_FRAME.search):
         yield _checked(
             path, row, token=str, sample_token=str, calibrated_sensor_token=str, ego_pose_token=str, filename=str
@@ -202,26 +201,27 @@ def _camera_matrix(path: Path, row: Mapping[str, Any]) -> np.ndarray:
 
 
 def _ego_poses(path: Path, tokens: np.ndarray) -> np.ndarray:
-    """(N, 7, 7) float64: the poses of ego_pose.json by their tokens (N, 7)."""
-    wanted: dict[bytes, list[int]] = {}
+    """Return (N, 7, 7) float64: the poses of ego_pose.json by their tokens (N, 7)."""
+    rows_by_token: dict[bytes, list[int]] = {}
     for number, token in enumerate(tokens.ravel().tolist()):
-        wanted.setdefault(token.encode(), []).append(number)
+        rows_by_token.setdefault(token.encode(), []).append(number)
 
-    def is_wanted(fields: bytes) -> bool:
+    def is_needed(fields: bytes) -> bool:
         token = TOKEN.search(fields)
-        return token is not None and token[1] in wanted
+        return token is not None and token[1] in rows_by_token
 
     poses = np.zeros((tokens.size, 7))
-    for row in table_rows(path, is_wanted):
+    for row in table_rows(path, is_needed):
         _checked(path, row, token=str, translation=list, rotation=list)
-        poses[wanted.pop(row["token"].encode(), [])] = _pose(path, row)
-    if wanted:
-        raise InputError(f"{path}: has no pose {next(iter(wanted)).decode()!r}, which sample_data.json names; {MEND}")
+        poses[rows_by_token.pop(row["token"].encode(), [])] = _pose(path, row)
+    if rows_by_token:
+        token = next(iter(rows_by_token)).decode()
+        raise InputError(f"{path}: has no pose {token!r}, which sample_data.json names; {MEND}")
     return poses.reshape(*tokens.shape, 7)
 
 
 def _pose(path: Path, row: Mapping[str, Any]) -> np.ndarray:
-    """(7,) float64 of a row's translation and rotation, a unit quaternion; InputError where they are none."""
+    """Return (7,) float64 of a row's translation and rotation, a unit quaternion; InputError if they are none."""
     try:
         pose = np.array([*row["translation"], *row["rotation"]], dtype=np.float64)
         norm = float(np.linalg.norm(pose[3:]))
@@ -234,7 +234,7 @@ def _pose(path: Path, row: Mapping[str, Any]) -> np.ndarray:
 
 
 def _small_table(path: Path, **types: type) -> list[dict[str, Any]]:
-    """The rows of a table that fits into memory, whose fields have these types."""
+    """Return the rows of a small table, whose fields have these types."""
     rows = read_json(path)
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise InputError(f"{path}: is no list of objects; {MEND}")
@@ -242,26 +242,26 @@ def _small_table(path: Path, **types: type) -> list[dict[str, Any]]:
 
 
 def _checked(path: Path, row: dict[str, Any], **types: type) -> dict[str, Any]:
-    """The row; InputError where one of these fields is missing or of another type."""
-    for name, wanted in types.items():
-        if type(row.get(name)) is not wanted:
+    """Return the row; InputError if one of these fields is missing or of another type."""
+    for name, field_type in types.items():
+        if type(row.get(name)) is not field_type:
             raise InputError(
                 f"{path}: row {str(row.get('token'))!r} has no {name!r} as nuScenes' schema has it; {MEND}"
             )
     return row
 
 
-def _known(folder: Path, row: Mapping[str, Any], table: str, other: str, tokens: Mapping[str, object]) -> str:
-    """The token by which a row of `table` names one of the table `other`; InputError where there is none."""
-    if (token := row[f"{other}_token"]) not in tokens:
+def _known(folder: Path, row: Mapping[str, Any], table: str, target: str, tokens: Mapping[str, object]) -> str:
+    """Return the token of a row of the table `other`, named by a row of `table`; InputError if there is none."""
+    if (token := row[f"{target}_token"]) not in tokens:
         raise InputError(
-            f"{folder / table}.json: row {row['token']!r} names {token!r}, which {other}.json has not; {MEND}"
+            f"{folder / table}.json: row {row['token']!r} names {token!r}, which {target}.json has not; {MEND}"
         )
     return token
 
 
 def _ascii(folder: Path, files: np.ndarray) -> np.ndarray:
-    """Names of files as bytes; InputError where one leads out of the data set."""
+    """Return names of files as bytes; InputError if one leads out of the data set."""
     for name in files.ravel().tolist():
         if not name.isascii() or name.startswith("/") or ".." in name:
             raise InputError(f"{folder / 'sample_data.json'}: names the file {name!r}, outside of the data set; {MEND}")

@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from lidar2pano.bounded_files import read_bytes
+from lidar2pano.bounded_files import read_input
 from lidar2pano.data.frames import Frame, FrameList
-from lidar2pano.data.semantic_kitti import stems
+from lidar2pano.data.splits import stems
 from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, matrix, moved, read_camera
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.scan_files import MOST_BYTES, read_bin
 from lidar2pano.formats.json_files import read_json
+from lidar2pano.formats.scan_files import MOST_BYTES, read_bin
 from lidar2pano.geometry.stitching import CameraImage
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
@@ -32,10 +32,10 @@ CAMERAS = ("front_camera", "front_left_camera", "left_camera", "back_camera", "r
 # From the front camera's optical centre to the LiDAR's, in PandaSet's axes, metres. Fitted: seen from there the points
 # of a standing car's scans lie on 64 sharp cones (to about 2 cm), from the frame's own origin on none.
 LIDAR_FROM_FRONT = np.array([0.0, -0.047, 0.053])
-# The trunk and the roof in the backward image, (u, v) of 960 x 540: what never changes along the drive.
+# The trunk and the roof in the backward image, (u, v) of 960 x 540: unchanged along the drive.
 VEHICLE_LINES = {"back_camera": ((0, 428), (240, 416), (480, 410), (720, 418), (959, 438))}
-# PandaSet's classes by the name of the nearest of SemanticKITTI; its vegetation holds trunks, its ground what is no
-# road. What has no counterpart, poles included (they are among the static objects), is unlabeled.
+# PandaSet's classes by the name of the nearest of SemanticKITTI; its vegetation holds trunks, its ground everything
+# but roads. Classes without a counterpart, poles included (they are among the static objects), are unlabeled.
 CLASSES = {
     "Smoke": "unlabeled", "Exhaust": "unlabeled", "Spray or rain": "unlabeled", "Reflection": "unlabeled",
     "Vegetation": "vegetation", "Ground": "other-ground", "Road": "road", "Lane Line Marking": "road",
@@ -66,7 +66,7 @@ class PandasetFrame(SurroundFrame):
 
     @cached_property
     def calib(self) -> tuple[Path, Mapping[str, Any]]:
-        """The file of calibrations and pose, and what is in it."""
+        """The file of calibrations and pose, and its content."""
         path = self.folder / "calib" / f"{self.stem}.json"
         content = read_json(path)
         cameras = content.get("cameras") if isinstance(content, dict) else None
@@ -96,10 +96,10 @@ class PandasetFrame(SurroundFrame):
             raise InputError(f"{calib}: camera {name} is no object; take the file from the data set")
         T_camera_sensor = matrix(calib, camera, "cam_from_lidar", (4, 4)) @ np.linalg.inv(self.T_sensor_theirs)
         path = self.folder / name / f"{self.stem}.jpg"
-        found = read_camera(path, _camera_matrix(calib, camera), T_camera_sensor, VEHICLE_LINES.get(name, ()))
-        if list(found.calibration.size) != camera.get("size"):
+        image = read_camera(path, _camera_matrix(calib, camera), T_camera_sensor, VEHICLE_LINES.get(name, ()))
+        if list(image.calibration.size) != camera.get("size"):
             raise InputError(f"{path}: is not of the size that {calib.name} gives; take both from the data set")
-        return found
+        return image
 
     @cached_property
     def whole_scan(self) -> Scan:
@@ -117,10 +117,7 @@ class PandasetFrame(SurroundFrame):
     def point_labels(self) -> np.ndarray:
         """See Frame."""
         path = self.folder / "labels_pandaset" / f"{self.stem}.label"
-        try:
-            data = read_bytes(path, MOST_BYTES)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror}); complete the data set") from error
+        data = read_input(path, "complete the data set", MOST_BYTES)
         ids = np.frombuffer(data[: len(data) // 4 * 4], "<u4")
         if len(ids) != len(self.whole_scan):
             points = len(self.whole_scan)
@@ -132,7 +129,7 @@ class PandasetFrame(SurroundFrame):
 
 
 def frames(root: Path, split: str, view: View) -> FrameList[Frame]:
-    """Frames of a split, in time: "all", or the name of a sequence. InputError where there is none."""
+    """Return frames of a split, in time: "all", or the name of a sequence. InputError if there is none."""
     folder = root / "sequences"
     sequences = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
     if not sequences:
@@ -140,21 +137,21 @@ def frames(root: Path, split: str, view: View) -> FrameList[Frame]:
     if split not in ("all", *sequences):
         raise InputError(f"{root}: has no split {split!r}" + closest(split, ("all", *sequences)))
     open_frame = partial(PandasetFrame, root, view)
-    found = [
+    entries = [
         (f"{sequence}/{stem}", open_frame)
         for sequence in sequences
         if split in ("all", sequence)
         for stem in stems(folder / sequence / "velodyne", ".bin")
     ]
-    if not found:
+    if not entries:
         raise InputError(f"{root}: split {split!r} has no scan (sequences/*/velodyne/*.bin); complete the data")
-    return FrameList("pandaset", found)
+    return FrameList("pandaset", entries)
 
 
 def class_table(path: Path) -> np.ndarray:
-    """Look-up table (K,) int64 from the ids of classes.json to those of SEMANTIC_KITTI; 0 for ids without a name.
+    """Return look-up table (K,) int64 from ids of classes.json to those of SEMANTIC_KITTI; 0 for ids without a name.
 
-    InputError where the file is missing or damaged, or names a class that CLASSES does not.
+    InputError if the file is missing or damaged, or names a class not in CLASSES.
     """
     content = read_json(path)
     try:

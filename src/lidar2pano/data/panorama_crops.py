@@ -1,4 +1,4 @@
-"""PanoramaDataset: the scan on the cylinder around the camera, and what the camera sees of it, cropped."""
+"""PanoramaDataset: the scan on the cylinder around the camera, and the camera's labels of it, cropped."""
 
 from __future__ import annotations
 
@@ -15,7 +15,14 @@ from torch import Tensor
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.augment import COARSE_BAND_DEG, drop_points, drop_rings
 from lidar2pano.data.cache import LruCache, PredictedLabels
-from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame, PanoramaGroundTruth, SampleIndex, evenly_spaced
+from lidar2pano.data.frames import (
+    CITYSCAPES_TO_COMMON15,
+    IGNORE,
+    Frame,
+    PanoramaGroundTruth,
+    SampleIndex,
+    evenly_spaced,
+)
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
@@ -29,13 +36,13 @@ SHIFT_PX = 24  # how far left or right of the camera's middle a crop may begin
 class PanoramaSample(NamedTuple):
     """A sector of the panorama around the camera's; after collation every tensor gains a leading B.
 
-    range_image    (5, H, W) float32: a RangeImage's channels, metres; zero where empty.
-    segments       (H, W) int64 ids of SEMANTIC_KITTI of the points that own the pixels; 0 where empty.
-    camera_labels  (H, W) int64 ids of COMMON15, IGNORE where unknown or outside the camera's image.
+    range_image    (5, H, W) float32: a RangeImage's channels, metres; zero if empty.
+    segments       (H, W) int64 ids of SEMANTIC_KITTI of the pixels' points; 0 if empty.
+    camera_labels  (H, W) int64 ids of COMMON15, IGNORE if unknown or outside the camera's image.
     depth_m        (H, W) float32: distance from the camera of the full scan's points, or of the true panorama where
-                   there is one, metres; zero where none.
+                   there is one, metres; zero if none.
     image          (3, 2H, 2W) float32 in [-1, 1]: the camera's image on the raster twice as fine; empty unless wanted.
-    valid          (2H, 2W) bool: where `image` is known.
+    valid          (2H, 2W) bool: `image` is known.
     name           "seq/frame".
     """
 
@@ -55,7 +62,7 @@ class PanoramaWindow(NamedTuple):
                    optical centre.
     camera_labels  (H, W) uint8, depth_m (H, W) float32, image (3, 2H, 2W) uint8, valid (2H, 2W) bool: see
                    PanoramaSample.
-    openings       (H, W) float32 in [0, 1]: the share of a pixel that is a window or a door; NaN where not known.
+    openings       (H, W) float32 in [0, 1]: the share of windows and doors in a pixel; NaN if not known.
     """
 
     scan: Scan
@@ -70,7 +77,7 @@ class PanoramaWindow(NamedTuple):
 class PanoramaDataset:
     """Scan/camera pairs of some splits on `view`, cropped to `columns` around the camera's sector.
 
-    Of frames with a true panorama, crops come from every direction. Where it has no labels but the camera's image has,
+    Of frames with a true panorama, crops come from every direction. If it has no labels but the camera's image has,
     they do only if the image is wanted, and labels are known in the camera's sector.
 
     view      the raster of the translator (its origin is replaced by the camera's centre, frame by frame).
@@ -98,11 +105,11 @@ class PanoramaDataset:
         self._cache, self._labels = LruCache(), LruCache()
 
     def __len__(self) -> int:
-        """Number of pairs."""
+        """Return the number of pairs."""
         return len(self.frames)
 
     def window(self, index: int) -> PanoramaWindow:
-        """The frame on the raster; InputError where a part that is needed is missing, or parts do not fit together."""
+        """Return the frame on the raster; InputError if a needed part is missing, or parts do not fit together."""
         return self._cache.get(index, lambda: self._read(self.frames[index]))
 
     def predict(self, label_points: Callable[[Scan], Tensor], weights: str | Path) -> None:
@@ -113,7 +120,7 @@ class PanoramaDataset:
         self.predicted = PredictedLabels(label_points, weights)
 
     def class_counts(self) -> np.ndarray:
-        """(256,) int64: pixels of each camera label, in up to 500 frames that are evenly spaced."""
+        """Return (256,) int64: pixels of each camera label, in up to 500 evenly spaced frames."""
         counts = np.zeros(256)
         for frame in (self.frames[index] for index in evenly_spaced(len(self))):
             if frame.panorama_labels is None:
@@ -124,16 +131,16 @@ class PanoramaDataset:
             counts += np.bincount(labels.ravel(), minlength=256)
         return counts
 
-    def __getitem__(self, at: SampleIndex | int) -> PanoramaSample:
-        """Sample: augmented by the seed of a SampleIndex (points, labels, crop, mirror), or plain for an int."""
-        index = at if isinstance(at, int) else at.index
+    def __getitem__(self, key: SampleIndex | int) -> PanoramaSample:
+        """Return the sample: points, labels, crop and mirror augmented by a SampleIndex's seed, or plain for an int."""
+        index = key if isinstance(key, int) else key.index
         window, frame = self.window(index), self.frames[index]
         if window.scan.label is None and self.predicted is None:
             raise InputError(frame.missing("point_labels"))
-        if isinstance(at, int):
+        if isinstance(key, int):
             scan = window.scan if self.predicted is None else self._predicted(window.scan, index)
             return self._sample(window, scan, frame.name, (window.view.columns - self.columns) // 2)
-        generator = np.random.default_rng(at.seed)
+        generator = np.random.default_rng(key.seed)
         scan = window.scan
         if self.predicted is not None and (generator.random() < 0.5 or scan.label is None):
             scan = self._predicted(scan, index)
@@ -146,7 +153,7 @@ class PanoramaDataset:
         return mirrored(sample) if generator.random() < 0.5 else sample
 
     def _start(self, window: PanoramaWindow, generator: np.random.Generator) -> int:
-        """The first column of an augmented crop."""
+        """Return the first column of an augmented crop."""
         spare = window.view.columns - self.columns
         near = self.elsewhere < 1 and generator.random() >= self.elsewhere
         if near and not (window.camera_labels != IGNORE).any(0).all():
@@ -197,29 +204,29 @@ class PanoramaDataset:
         return PanoramaWindow(scan, view, labels, depth_m, image, valid, openings)
 
     def _camera_labels(self, frame: Frame) -> tuple[View, Tensor]:
-        """The part of the raster on which a frame is sampled, and its camera labels, uint8 of COMMON15 or IGNORE."""
-        around = self._all_around(frame)
-        if around and (frame.panorama_labels is not None or frame.camera_labels is None):
+        """Return the sampled part of a frame's raster, and its camera labels, uint8 of COMMON15 or IGNORE."""
+        is_panoramic = self._all_around(frame)
+        if is_panoramic and (frame.panorama_labels is not None or frame.camera_labels is None):
             panorama = panorama_on(frame, self.view)
             labels = torch.from_numpy(panorama.labels)
             return panorama.view, labels.where(labels != 0, IGNORE)
         ids, calibration = frame.require("camera_labels", "calibration")
         view = at_camera(self.view, calibration)
-        if not around:
+        if not is_panoramic:
             view = around_camera(view, calibration, self.columns + 2 * self.shift_px)
         return view, camera_in_panorama(view, calibration).nearest(
             torch.from_numpy(CITYSCAPES_TO_COMMON15[ids]), IGNORE
         )
 
     def _all_around(self, frame: Frame) -> bool:
-        """Whether a frame is sampled on the whole raster; not for depths alone where only the camera has labels."""
+        """Return whether a frame is sampled on the whole raster; not for depths alone if only the camera has labels."""
         if not self.image and frame.panorama_labels is None and frame.camera_labels is not None:
             return False
         return frame.panorama_for(self.view) is not None
 
 
 def without_sector(scan: Scan, generator: np.random.Generator) -> Scan:
-    """The scan, or with probability 0.15 one of which a sector ahead is unlabeled: there, geometry has to do."""
+    """Return the scan, or with probability 0.15 one with an unlabeled sector ahead, for networks to use geometry."""
     if scan.label is None or generator.random() >= 0.15:
         return scan
     azimuth = np.arctan2(scan.xyz[:, 1], scan.xyz[:, 0])
@@ -228,10 +235,10 @@ def without_sector(scan: Scan, generator: np.random.Generator) -> Scan:
 
 
 def panorama_on(frame: Frame, view: View, camera_labels: bool = False) -> PanoramaGroundTruth:
-    """A frame's true panorama, labels and depths included, on the raster `view` around the camera.
+    """Return a frame's true panorama, labels and depths included, on the raster `view` around the camera.
 
-    Colours are means of pixels, labels and depths the nearest pixel's. InputError where the frame has none of them, or
-    where its panorama is of another shape. camera_labels: labels may be None.
+    Colours are means of pixels, labels and depths the nearest pixel's. InputError if the frame has none of them, or
+    its panorama is of another shape. camera_labels: labels may be None.
     """
     panorama = frame.panorama_for(view)
     if panorama is None:
@@ -258,12 +265,12 @@ def panorama_on(frame: Frame, view: View, camera_labels: bool = False) -> Panora
 
 
 def resized(pixels: np.ndarray, view: View, resampling: Image.Resampling) -> np.ndarray:
-    """An image, ids (h, w, ...) uint8 or shares (h, w) float32 at the size of the raster `view`."""
+    """Return an image, ids (h, w, ...) uint8 or shares (h, w) float32 at the size of the raster `view`."""
     return np.array(Image.fromarray(pixels).resize((view.columns, view.rows), resampling))
 
 
 def around_camera(view: View, calibration: Calibration, columns: int) -> View:
-    """The window of the raster, `columns` wide, in whose middle the camera looks."""
+    """Return the window of the raster, `columns` wide, in whose middle the camera looks."""
     ahead = np.linalg.inv(calibration.K @ calibration.T_camera_lidar[:3, :3]) @ np.array(
         [(calibration.size[0] - 1) / 2, (calibration.size[1] - 1) / 2, 1.0]
     )
@@ -274,7 +281,7 @@ def around_camera(view: View, calibration: Calibration, columns: int) -> View:
 
 
 def mirrored(sample: PanoramaSample) -> PanoramaSample:
-    """The sample with left and right swapped, its points' y included."""
+    """Return the sample with left and right swapped, its points' y included."""
     flipped = {field: getattr(sample, field).flip(-1) for field in sample._fields if field != "name"}
     flipped["range_image"] = flipped["range_image"] * torch.tensor([1.0, 1, -1, 1, 1])[:, None, None]
     return sample._replace(**flipped)

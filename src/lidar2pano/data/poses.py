@@ -16,14 +16,14 @@ from lidar2pano.errors import InputError
 from lidar2pano.scan import Scan
 
 FAR_M = 100.0  # points beyond are not used to estimate poses
-FARTHEST_M = 1e8  # a place is at most so far from the origin, whatever that is
+FARTHEST_M = 1e8  # a place is at most so far from any origin
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarPoses:
     """The poses of a sequence's poses.txt. Its lines are poses of camera 0; line n is frame n, from 0.
 
-    path  the file;  rows: (N, 3, 4) float64, metres, NaN where the pose is unknown;  Tr: (4, 4) T_camera0_lidar.
+    path  the file;  rows: (N, 3, 4) float64, metres, NaN if the pose is unknown;  Tr: (4, 4) T_camera0_lidar.
     """
 
     path: Path
@@ -31,9 +31,9 @@ class LidarPoses:
     Tr: np.ndarray
 
     def at(self, stem: str) -> np.ndarray | None:
-        """(4, 4) float64 T_world_sensor of a frame, metres; the world is camera 0's frame at the sequence's start.
+        """Return (4, 4) float64 T_world_sensor of a frame, metres; the world is camera 0's frame at the start.
 
-        None where the frame's line is NaN: its pose is unknown. Raises InputError where the file has no line for the frame.
+        None if the frame's line is NaN: its pose is unknown. Raises InputError if the file has no line for the frame.
         """
         if not stem.isdecimal() or int(stem) >= len(self.rows):
             raise InputError(
@@ -44,15 +44,15 @@ class LidarPoses:
         return None if np.isnan(pose).any() else pose @ self.Tr
 
     def first(self) -> np.ndarray:
-        """The same of the first frame whose pose is known."""
-        known = (str(index) for index in range(len(self.rows)))
-        return next(pose for stem in known if (pose := self.at(stem)) is not None)
+        """Return the same of the first frame whose pose is known."""
+        stems = (str(index) for index in range(len(self.rows)))
+        return next(pose for stem in stems if (pose := self.at(stem)) is not None)
 
 
 def lidar_poses(sequence: Path) -> LidarPoses | None:
-    """The poses of the folder ROOT/sequences/<seq>; None without poses.txt.
+    """Return the poses of the folder ROOT/sequences/<seq>; None without poses.txt.
 
-    Raises InputError where poses.txt or calib.txt is damaged.
+    Raises InputError if poses.txt or calib.txt is damaged.
     """
     files = (sequence / "poses.txt", sequence / "calib.txt")
     if not files[0].is_file():
@@ -69,10 +69,10 @@ def _read_poses(sequence: Path, changed: tuple[int, ...]) -> LidarPoses:  # noqa
 
 
 def read_poses(path: Path, numbers: int, form: str) -> np.ndarray:
-    """The lines (N, numbers) float64 of a text file; the last twelve numbers of each are a pose (3x4), metres, or NaN.
+    """Return the lines (N, numbers) float64 of a text file; the last twelve of each are a pose (3x4), metres, or NaN.
 
     form  of its lines, for the message.
-    Raises InputError where the file is missing or damaged, or a line holds no pose.
+    Raises InputError if the file is missing or damaged, or a line holds no pose.
     """
     try:
         lines = np.loadtxt(io.StringIO(read_text(path)), ndmin=2)
@@ -80,8 +80,8 @@ def read_poses(path: Path, numbers: int, form: str) -> np.ndarray:
         raise InputError(f"{path}: cannot be read as poses ({error}); write {form}") from error
     poses = lines[:, -12:]
     unknown = np.atleast_1d(np.isnan(poses).all(axis=-1))
-    known = np.isfinite(lines[~unknown]).all() and np.isfinite(lines[:, :-12]).all()
-    if lines.shape[1:] != (numbers,) or not known or unknown.all():
+    finite = np.isfinite(lines[~unknown]).all() and np.isfinite(lines[:, :-12]).all()
+    if lines.shape[1:] != (numbers,) or not finite or unknown.all():
         raise InputError(f"{path}: its lines must hold {numbers} finite numbers each; write {form}")
     if (far := (np.abs(poses) > FARTHEST_M).any(1)).any():
         raise InputError(f"{path}: line {far.argmax() + 1} is on no planet; write metres")
@@ -95,8 +95,8 @@ def read_poses(path: Path, numbers: int, form: str) -> np.ndarray:
 class Poses:
     """Poses of the scan files of one folder, requested in their order.
 
-    A folder `velodyne` of a sequence that has a poses.txt has them there. Of any other they are estimated scan after
-    scan by KISS-ICP (Vizzo et al. 2023), which the extra `odometry` installs; InputError where it is not, and where
+    A folder `velodyne` of a sequence with a poses.txt has them there. Of any other they are estimated scan after
+    scan by KISS-ICP (Vizzo et al. 2023; extra `odometry`); InputError if it is not, and if
     poses.txt or calib.txt is damaged.
     """
 
@@ -105,9 +105,9 @@ class Poses:
         self._estimate: Any = None if self._recorded else odometry()
 
     def of(self, file: Path, scan: Scan) -> np.ndarray | None:
-        """(4, 4) float64 T_world_sensor, metres, None where it is unknown.
+        """Return (4, 4) float64 T_world_sensor, metres, None if it is unknown.
 
-        Raises InputError where poses.txt has no line for the scan.
+        Raises InputError if poses.txt has no line for the scan.
         """
         if self._recorded:
             return self._recorded.at(file.stem)
@@ -116,7 +116,7 @@ class Poses:
 
 
 def odometry() -> Any:  # noqa: ANN401 KISS-ICP has no types
-    """KISS-ICP, ready for the first scan; InputError where the extra `odometry` is not installed."""
+    """KISS-ICP, ready for the first scan; InputError if the extra `odometry` is not installed."""
     try:
         from kiss_icp.config import KISSConfig
         from kiss_icp.kiss_icp import KissICP

@@ -1,4 +1,4 @@
-"""RangeImageDataset, for the LiDAR's segmenter: range images and the labels of the points that own their pixels."""
+"""RangeImageDataset, for the LiDAR's segmenter: range images and the labels of their pixels' points."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
 from lidar2pano.views import View
 
-
 PLAIN = Normalisation()
 
 
@@ -36,7 +35,7 @@ class RangeImageSample(NamedTuple):
     """One range image with its labels; after collation every tensor gains a leading B.
 
     lidar   (5 or 6, H, W) float32, normalised range image.
-    labels  (H, W) int64 ids of SEMANTIC_KITTI, 0 where empty or unlabeled.
+    labels  (H, W) int64 ids of SEMANTIC_KITTI, 0 if empty or unlabeled.
     name    "seq/frame".
     """
 
@@ -51,10 +50,10 @@ class ScanAugmentation:
 
     turn_deg  how far a scan is turned at most, either way.
     chance    probability of each of moving, turning and dropping points; half of the scans are mirrored.
-    moves     whether scans are moved: a moved scan's beams no longer lie in rows, so that its roughness is wrong.
+    moves     whether scans are moved: a moved scan's beams no longer lie in rows, so its roughness is wrong.
     remission how much brighter or darker, as a share, all of a scan is made at most.
-    rings     probability that up to three quarters of its beams are left out, as sensors of fewer beams do.
-    no_remission  probability that a scan has no remission, as those of some sensors.
+    rings     probability of leaving out up to three quarters of its beams, as of sensors of fewer beams.
+    no_remission  probability of no remission, as of some sensors.
     """
 
     turn_deg: float = 180.0
@@ -68,9 +67,9 @@ class ScanAugmentation:
 class RangeImageDataset:
     """Labelled scans of some splits, projected; augmented when indexed by a SampleIndex, plain by an int.
 
-    columns       width of the azimuth crop for training (all of the view where 0).
+    columns       width of the azimuth crop for training (0: all of the view).
     augmentation  how samples are augmented.
-    tallest       how far rows are added for scans that go beyond `view` (fitted_view); None: none are.
+    tallest       limit of rows added for scans beyond `view` (fitted_view); None: none are.
     normalise     makes a network's input of a range image.
     """
 
@@ -92,26 +91,26 @@ class RangeImageDataset:
         self._cache = LruCache()
 
     def __len__(self) -> int:
-        """Number of scans."""
+        """Return the number of scans."""
         return len(self.frames)
 
     def scan(self, index: int) -> Scan:
-        """The labelled scan of a frame."""
+        """Return the labelled scan of a frame."""
         return self._cache.get(index, lambda: labelled(self.frames[index]))
 
     def class_counts(self) -> np.ndarray:
-        """(K,) int64: points of each class of SEMANTIC_KITTI, in up to 500 frames that are evenly spaced."""
+        """Return (K,) int64: points of each class of SEMANTIC_KITTI, in up to 500 evenly spaced frames."""
         frames = (self.frames[index] for index in evenly_spaced(len(self)))
         labels = (frame.require("point_labels")[0] for frame in frames)
         return sum((np.bincount(ids, minlength=len(SEMANTIC_KITTI)) for ids in labels), np.zeros(len(SEMANTIC_KITTI)))
 
-    def __getitem__(self, at: SampleIndex | int) -> RangeImageSample:
-        """Sample: augmented by the seed of a SampleIndex, or the plain whole range image for an int."""
-        if isinstance(at, int):
-            return self._sample(self.scan(at), self.frames[at].name)
-        generator = np.random.default_rng(at.seed)
-        scan = augmented(self.scan(at.index), generator, self.augmentation)
-        sample = self._sample(scan, self.frames[at.index].name)
+    def __getitem__(self, key: SampleIndex | int) -> RangeImageSample:
+        """Return the sample: augmented by the seed of a SampleIndex, or the plain whole range image for an int."""
+        if isinstance(key, int):
+            return self._sample(self.scan(key), self.frames[key].name)
+        generator = np.random.default_rng(key.seed)
+        scan = augmented(self.scan(key.index), generator, self.augmentation)
+        sample = self._sample(scan, self.frames[key.index].name)
         start = int(generator.integers(self.view.columns - self.columns + 1))
         window = (..., slice(start, start + self.columns))
         return sample._replace(lidar=sample.lidar[window], labels=sample.labels[window])
@@ -123,23 +122,23 @@ class RangeImageDataset:
 
 
 def labelled(frame: Frame) -> Scan:
-    """A frame's scan with its point labels; InputError where they are missing."""
+    """Return a frame's scan with its point labels; InputError if they are missing."""
     scan, labels = frame.require("scan", "point_labels")
     return replace(scan, label=labels)
 
 
-def augmented(scan: Scan, generator: np.random.Generator, by: ScanAugmentation) -> Scan:
-    """SalsaNext's augmentation: move, mirror, turn, drop up to half of the points; other remission or none, fewer beams."""
-    if by.rings and generator.random() < by.rings:  # before it moves: beams are those of where it was taken
+def augmented(scan: Scan, generator: np.random.Generator, augmentation: ScanAugmentation) -> Scan:
+    """Augment as SalsaNext: move, mirror, turn, drop up to half of the points; vary or drop remission, drop beams."""
+    if augmentation.rings and generator.random() < augmentation.rings:  # before it moves: beams belong to its own place
         scan = drop_rings(scan, generator, HDL64E_BEAM_DEG, generator.uniform(0, 0.75))
-    if by.moves and generator.random() < by.chance:
+    if augmentation.moves and generator.random() < augmentation.chance:
         scan = shift(scan, generator, (5.0, 3.0, 0.5))
     if generator.random() < 0.5:
         scan = mirror(scan)
-    if generator.random() < by.chance:
-        scan = turn(scan, np.radians(generator.uniform(-by.turn_deg, by.turn_deg)))
-    if generator.random() < by.chance:
+    if generator.random() < augmentation.chance:
+        scan = turn(scan, np.radians(generator.uniform(-augmentation.turn_deg, augmentation.turn_deg)))
+    if generator.random() < augmentation.chance:
         scan = drop_points(scan, generator, generator.uniform(0, 0.5))
-    if by.no_remission and generator.random() < by.no_remission:
+    if augmentation.no_remission and generator.random() < augmentation.no_remission:
         return drop_remission(scan)
-    return vary_remission(scan, generator, by.remission) if by.remission else scan
+    return vary_remission(scan, generator, augmentation.remission) if augmentation.remission else scan

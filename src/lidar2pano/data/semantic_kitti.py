@@ -2,13 +2,11 @@
 
 ROOT/sequences/<seq>/{velodyne/NNNNNN.bin, labels/NNNNNN.label, image_2/NNNNNN.png|jpg, camera_labels/NNNNNN.png,
 calib.txt, poses.txt}; of worlds also pano/, pano_labels/, pano_depth/ and pano_openings/ with NNNNNN.png.
-ROOT/splits.json (split -> ["seq/NNNNNN", ...]), without which SemanticKITTI's own splits hold.
+ROOT/splits.json (split -> ["seq/NNNNNN", ...]), else SemanticKITTI's own splits hold.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -19,13 +17,12 @@ from lidar2pano.calibration import Calibration, has_camera, read_calib
 from lidar2pano.data.frames import Frame, FrameList, PanoramaGroundTruth
 from lidar2pano.data.labelled_images import read_train_ids
 from lidar2pano.data.poses import lidar_poses
-from lidar2pano.data.splits import listed_names
+from lidar2pano.data.splits import listed_names, names_with_scans, stems
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.scan_files import read_bin, read_label
 from lidar2pano.formats.image_files import DEPTH_STEPS, image_size, read_image
 from lidar2pano.formats.json_files import read_json
+from lidar2pano.formats.scan_files import read_bin, read_label
 from lidar2pano.geometry.camera import at_camera
-from lidar2pano.labels import CITYSCAPES
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, View
 
@@ -34,7 +31,7 @@ SEQUENCES: dict[str, tuple[int, ...]] = {
     "train": (0, 1, 2, 3, 4, 5, 6, 7, 9, 10),
     "val": (8,),
     "test": tuple(range(11, 22)),
-    # ours: the training sequences apart from one, which checkpoints are selected on
+    # ours: the training sequences apart from one, for the selection of checkpoints
     "fit": (0, 1, 2, 3, 4, 5, 6, 7, 9),
     "selection": (10,),
 }
@@ -50,7 +47,7 @@ class SemanticKittiFrame(Frame):
         self.root: Path = folder.parents[1]
 
     def file(self, part: str, suffix: str = ".png") -> Path:
-        """The frame's file in the folder `part` of its sequence."""
+        """Return the frame's file in the folder `part` of its sequence."""
         return self.folder / part / f"{self.stem}{suffix}"
 
     @property
@@ -60,7 +57,7 @@ class SemanticKittiFrame(Frame):
 
     @cached_property
     def image_file(self) -> Path | None:
-        """The file of the image: PNG or JPEG; None where there is none."""
+        """The file of the image: PNG or JPEG; None if there is none."""
         return next((path for suffix in (".png", ".jpg") if (path := self.file("image_2", suffix)).is_file()), None)
 
     @cached_property
@@ -75,7 +72,7 @@ class SemanticKittiFrame(Frame):
 
     @cached_property
     def predicted_labels(self) -> np.ndarray | None:
-        """See Frame; those that `prepare --labels-folder predicted_labels` wrote."""
+        """See Frame; those by `prepare --labels-folder predicted_labels`."""
         return self._labels("predicted_labels")
 
     def _labels(self, part: str) -> np.ndarray | None:
@@ -83,7 +80,7 @@ class SemanticKittiFrame(Frame):
         if not path.is_file():
             return None
         size = self.scan_file.stat().st_size if self.scan_file.is_file() else 0
-        whole = size > 0 and size % BYTES_PER_POINT == 0  # otherwise reading the scan says what is wrong with it
+        whole = size > 0 and size % BYTES_PER_POINT == 0  # otherwise reading the scan raises the error
         return read_label(path, size // BYTES_PER_POINT if whole else len(self.scan))
 
     @cached_property
@@ -101,7 +98,7 @@ class SemanticKittiFrame(Frame):
 
     @cached_property
     def _size(self) -> tuple[int, int] | None:
-        """(width, height) of image and camera labels, by their headers; InputError where they differ."""
+        """(width, height) of image and camera labels, by their headers; InputError if they differ."""
         labels = self.file("camera_labels")
         sizes = [image_size(path) for path in (self.image_file, labels) if path is not None and path.is_file()]
         if sizes and sizes[0] != sizes[-1]:
@@ -116,7 +113,7 @@ class SemanticKittiFrame(Frame):
 
     @cached_property
     def pose(self) -> np.ndarray | None:
-        """See Frame; the world is the sensor's frame at the sequence's first pose. None where it is unknown."""
+        """See Frame; the world is the sensor's frame at the sequence's first pose. None if it is unknown."""
         poses = lidar_poses(self.folder)
         pose = None if poses is None else poses.at(self.stem)
         return None if poses is None or pose is None else np.linalg.inv(poses.first()) @ pose
@@ -132,7 +129,7 @@ class SemanticKittiFrame(Frame):
             view = replace(VIEWS["panorama"], rows=image.shape[0], columns=image.shape[1])
         size = (view.rows, view.columns)
         _check(self.file("pano"), image, (*size, 3), np.uint8)
-        labels, steps, openings = (self._beside(part, size, of) for part, of in _PANORAMA_PARTS.items())
+        labels, steps, openings = (self._beside(part, size, dtype) for part, dtype in _PANORAMA_PARTS.items())
         calib = self.folder / "calib.txt"
         return PanoramaGroundTruth(
             view=at_camera(view, read_calib(calib)) if has_camera(calib) else view,
@@ -149,12 +146,12 @@ class SemanticKittiFrame(Frame):
         path = self.file("pano_labels")
         return read_image(path) if path.is_file() and self.file("pano").is_file() else None
 
-    def _beside(self, part: str, size: tuple[int, int], of: type[np.generic]) -> np.ndarray | None:
+    def _beside(self, part: str, size: tuple[int, int], dtype: type[np.generic]) -> np.ndarray | None:
         path = self.file(part)
         if not path.parent.is_dir():
             return None
         values = read_image(path)
-        _check(path, values, size, of)
+        _check(path, values, size, dtype)
         return values
 
     def missing(self, part: str) -> str:
@@ -163,14 +160,15 @@ class SemanticKittiFrame(Frame):
             return f"{self.name}: its panorama has no labels or no depths; simulate the world again"
         return {
             "point_labels": f"{self.file('labels', '.label')}: is missing; label the scans: lidar2pano prepare ROOT",
-            "predicted_labels": f"{self.file('predicted_labels', '.label')}: is missing; let a segmenter label the scans"
-            " (lidar2pano prepare ROOT --lidar NAME --labels-folder predicted_labels), name it with"
+            "predicted_labels": f"{self.file('predicted_labels', '.label')}: is missing; let a segmenter label the"
+            " scans (lidar2pano prepare ROOT --lidar NAME --labels-folder predicted_labels), name it with"
             " --set options.segmenter=FILE, or train on the data's labels with --set options.segments=data",
             "image": f"{self.file('image_2')}: no image (.png or .jpg) goes with this scan",
             "camera_labels": f"{self.file('camera_labels')}: is missing; label the camera's images first:"
             " lidar2pano prepare ROOT --teacher ...",
             "calibration": f"{self.file('image_2')}: no image (.png or .jpg) goes with this scan, nor camera labels",
-            "pose": f"{self.folder / 'poses.txt'}: is missing, or without this frame's pose; write a line of 12 numbers per frame, as KITTI does",
+            "pose": f"{self.folder / 'poses.txt'}: is missing, or without this frame's pose; write a line of 12 numbers"
+            " per frame, as KITTI does",
             "panorama": f"{self.file('pano')}: is missing; only simulated data sets (lidar2pano world) have panoramas",
         }.get(part) or super().missing(part)
 
@@ -183,22 +181,13 @@ _PANORAMA_PARTS: dict[str, type[np.generic]] = {
 
 
 def frames(root: Path, split: str) -> FrameList[SemanticKittiFrame]:
-    """Frames of a split, in its order.
+    """Return frames of a split, in its order.
 
-    Raises InputError where the split, or a scan that it lists, is missing; a sequence's folder is listed once.
+    Raises InputError if the split, or a scan listed in it, is missing; a sequence's folder is listed once.
     """
     folder, listing = root / "sequences", root / "splits.json"
     if listing.is_file():
-        names = listed_names(listing, split)
-        there: dict[str, set[str]] = {}
-        for name in names:
-            sequence, _, stem = name.partition("/")
-            if sequence not in there:
-                there[sequence] = set(stems(folder / sequence / "velodyne", ".bin"))
-            if stem not in there[sequence]:
-                raise InputError(
-                    f"{folder / sequence}: scan {stem}.bin of split {split!r} is missing; complete the data"
-                )
+        names = list(names_with_scans(listed_names(listing, split), lambda name: folder / name / "velodyne", split))
     else:
         names = [
             f"{sequence}/{stem}"
@@ -212,36 +201,20 @@ def frames(root: Path, split: str) -> FrameList[SemanticKittiFrame]:
 
 
 def open_frame(folder: Path, name: str) -> SemanticKittiFrame:
-    """The frame "seq/NNNNNN" of the data set whose sequences lie in `folder`; nothing is read."""
+    """Return the frame "seq/NNNNNN" of the data set whose sequences lie in `folder`; nothing is read."""
     sequence, _, stem = name.partition("/")
     return SemanticKittiFrame(folder / sequence, stem)
 
 
 def sequences_of(folder: Path, split: str) -> list[str]:
-    """The sequences of one of SemanticKITTI's own splits; InputError for another."""
+    """Return the sequences of one of SemanticKITTI's own splits; InputError for another."""
     if split not in SEQUENCES:
         raise InputError(f"{folder}: no split {split!r}" + closest(split, SEQUENCES))
     return [f"{number:02d}" for number in SEQUENCES[split]]
 
 
-def stems(folder: Path, *suffixes: str) -> list[str]:
-    """Sorted stems of the files in a folder that end in one of the suffixes; none where there is no such folder.
-
-    Files whose names begin with a dot do not count. Raises InputError where the folder may not be read.
-    """
-    try:
-        with os.scandir(folder) as entries:
-            names: Iterable[str] = [entry.name for entry in entries]
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be looked into ({error.strerror}); ask for permission") from error
-    found = {name[: -len(s)] for name in names for s in suffixes if name.endswith(s) and not name.startswith(".")}
-    return sorted(found)
-
-
 def _world_view(card: Path) -> View | None:
-    """The raster of pano/: the first of the views that a world's card names, such as "panorama" or "panorama/2"."""
+    """Return the raster of pano/: the first view of a world's card, such as "panorama" or "panorama/2"."""
     if not card.is_file():
         return None
     settings = read_json(card)
@@ -252,7 +225,7 @@ def _world_view(card: Path) -> View | None:
     return VIEWS[name].scaled(1 / int(part or 1))
 
 
-def _check(path: Path, values: np.ndarray, shape: tuple[int, ...], of: type[np.generic]) -> None:
-    if values.shape != shape or values.dtype != of:
+def _check(path: Path, values: np.ndarray, shape: tuple[int, ...], dtype: type[np.generic]) -> None:
+    if values.shape != shape or values.dtype != dtype:
         expected = "x".join(str(length) for length in shape)
         raise InputError(f"{path}: is {values.shape} {values.dtype}, not {expected}; simulate the world again")

@@ -27,11 +27,10 @@ FROM_RIGHT_FORWARD = np.array([[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0
 
 
 class SurroundFrame(Frame):
-    """A frame of a data set with cameras all around; `front` is the name of the camera that looks ahead.
+    """A frame of a data set with cameras all around; `front` is the name of the forward camera.
 
     view  the raster of its panorama, whose origin becomes the front camera's centre.
-    The panorama's depths are the scan's alone, where a point owns the pixel, and its labels those of such points that
-    have one.
+    The panorama's depths and labels are those of the scan's points that own the pixels.
     """
 
     front: str
@@ -69,7 +68,7 @@ class SurroundFrame(Frame):
         return self.cameras[self.front].image
 
     @cached_property
-    def panorama(self) -> PanoramaGroundTruth:
+    def panorama(self) -> PanoramaGroundTruth | None:
         """See Frame."""
         return self.panorama_for(self.view)
 
@@ -78,20 +77,27 @@ class SurroundFrame(Frame):
         """See Frame; nothing is stitched for them."""
         return self._labels_on(self._range_image(self.view))
 
-    def panorama_for(self, view: View) -> PanoramaGroundTruth:
-        """See Frame. Labels and depths are those of the points on this raster, so that few are lost on a coarse one."""
+    def panorama_for(self, view: View) -> PanoramaGroundTruth | None:
+        """See Frame. Labels and depths are those of the points on this raster, so few are lost on a coarse one."""
         if view not in self._panoramas:
-            range_image = self._range_image(view)
-            cameras, labels = list(self.cameras.values()), self._labels_on(range_image)
-            self._panoramas[view] = stitched_panorama(cameras, self.scan, range_image, labels)
+            scan, range_image = self.scan.beyond(), self._range_image(view)
+            depth_m = complete_depth(torch.from_numpy(scan.xyz), range_image.view)
+            image, valid = stitch(list(self.cameras.values()), range_image.view, depth_m)
+            self._panoramas[view] = PanoramaGroundTruth(
+                view=range_image.view,
+                image=image,
+                valid=valid,
+                labels=self._labels_on(range_image),
+                depth_m=range_image.channels[0].numpy(),
+            )
         return self._panoramas[view]
 
     def _range_image(self, view: View) -> RangeImage:
-        """The scan on a panorama's raster, around the front camera."""
-        return project(self.scan, at_camera(view, self.calibration))
+        """Project the scan without the points on the vehicle onto a panorama's raster, around the front camera."""
+        return project(self.scan.beyond(), at_camera(view, self.calibration))
 
     def _labels_on(self, range_image: RangeImage) -> np.ndarray | None:
-        """(H, W) uint8 ids of COMMON15 of the points that own the pixels, else IGNORE; None without labels."""
+        """Return (H, W) uint8 ids of COMMON15 of the pixels' points, else IGNORE; None without labels."""
         if self.point_labels is None:
             return None
         common = TABLES["semantic-kitti", "common-15"][self.point_labels]
@@ -99,27 +105,12 @@ class SurroundFrame(Frame):
         return range_image.spread(torch.from_numpy(common), IGNORE).numpy()
 
 
-def stitched_panorama(
-    cameras: Sequence[CameraImage], scan: Scan, range_image: RangeImage, labels: np.ndarray | None = None
-) -> PanoramaGroundTruth:
-    """The true panorama on the raster of `range_image`, stitched from images.
-
-    scan         without the points on the vehicle; it says how far away surfaces are.
-    range_image  the scan, projected; its depths, where a point owns the pixel, become the panorama's.
-    labels       see PanoramaGroundTruth.
-    """
-    depth_m = complete_depth(torch.from_numpy(scan.xyz), range_image.view)
-    image, valid = stitch(cameras, range_image.view, depth_m)
-    depths = range_image.channels[0].numpy()
-    return PanoramaGroundTruth(view=range_image.view, image=image, valid=valid, labels=labels, depth_m=depths)
-
-
 def read_camera(
     path: Path, K: np.ndarray, T_camera_lidar: np.ndarray, vehicle_line: Sequence[tuple[float, float]] = ()
 ) -> CameraImage:
     """Read a camera's image; below the line through the pixels `vehicle_line` (u, v), u rising, it shows the vehicle.
 
-    Raises InputError where the image is missing or damaged.
+    Raises InputError if the image is missing or damaged.
     """
     image = read_image(path, "RGB")
     height, width = image.shape[:2]
@@ -132,7 +123,7 @@ def read_camera(
 
 
 def matrix(path: Path, entry: Any, name: str, shape: tuple[int, int]) -> np.ndarray:  # noqa: ANN401 of a JSON file
-    """The matrix `name` of a JSON file's entry, float64; InputError where it is missing or not of this shape.
+    """Return the matrix `name` of a JSON file's entry, float64; InputError if it is missing or not of this shape.
 
     A (4, 4) must be a motion (a rotation and a translation), a (3, 3) a camera matrix.
     """
@@ -152,5 +143,5 @@ def matrix(path: Path, entry: Any, name: str, shape: tuple[int, int]) -> np.ndar
 
 
 def moved(points: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Points (N, 3) float32 in the frame that T (4, 4) leads to, float32; computed in float64."""
+    """Return points (N, 3) float32 in the target frame of T (4, 4), float32; computed in float64."""
     return (points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]).astype(np.float32)

@@ -11,9 +11,14 @@ import torch
 from torch import Tensor
 from torch.nn.functional import mse_loss
 
-from lidar2pano.data.camera_projection import CameraProjectionDataset, CameraProjectionSample
+from lidar2pano.data.camera_pairs import (
+    CameraProjectionDataset,
+    CameraProjectionSample,
+    FrontViewDataset,
+    FrontViewSample,
+    SampleParts,
+)
 from lidar2pano.data.frames import evenly_spaced
-from lidar2pano.data.front_view import FrontViewDataset, FrontViewSample, SampleParts
 from lidar2pano.errors import InputError
 from lidar2pano.losses import pooled
 from lidar2pano.metrics.frame_metrics import SSIM

@@ -12,8 +12,8 @@ from torch import Tensor
 from torch.nn.functional import nll_loss
 
 from lidar2pano.data.cache import PredictedLabels, Predictions, StoredPredictions
+from lidar2pano.data.camera_pairs import FrontViewDataset, FrontViewSample, SampleParts
 from lidar2pano.data.frames import evenly_spaced
-from lidar2pano.data.front_view import FrontViewDataset, FrontViewSample, SampleParts
 from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.labels import COMMON14, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax

@@ -1,4 +1,8 @@
-"""FrontViewDataset, TITAN-Net's own setting: the front range view in, the camera's perspective image out."""
+"""Scans paired with the camera's perspective image, stretched to a network's size.
+
+FrontViewDataset has the front range view (TITAN-Net), CameraProjectionDataset the scan projected into the camera
+(SC-UNET).
+"""
 
 from __future__ import annotations
 
@@ -12,15 +16,14 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
+from lidar2pano.calibration import Calibration
 from lidar2pano.data.augment import drop_points, mirror
 from lidar2pano.data.cache import LruCache, PredictedLabels, Predictions
-from lidar2pano.data.camera_projection import in_unit, stretched
 from lidar2pano.data.frames import Frame, SampleIndex
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.data.range_images import labelled
 from lidar2pano.geometry.camera import project_to_camera
-from lidar2pano.geometry.projection import Normalisation
-from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.projection import Normalisation, project
 from lidar2pano.labels import TABLES
 from lidar2pano.scan import Scan
 from lidar2pano.views import View
@@ -30,13 +33,13 @@ CITYSCAPES_TO_COMMON14[:19] = TABLES["cityscapes", "common-14"]
 
 
 class FrontViewSample(NamedTuple):
-    """One training pair; after collation every tensor gains a leading B. What is not wanted is empty.
+    """One training pair; after collation every tensor gains a leading B. Parts not requested are empty.
 
     lidar          (5, H, W) float32, normalised range image.
-    segments       (H, W) int64 ids of SEMANTIC_KITTI, 0 where empty.
+    segments       (H, W) int64 ids of SEMANTIC_KITTI, 0 if empty.
     camera_labels  (h, w) int64 ids of COMMON14, stretched to the network's image.
     image          (3, h, w) float32 in [-1, 1]: the camera's image, stretched likewise.
-    depth_m        (h, w) float32: distance of the whole scan's points from the camera, metres; zero where none.
+    depth_m        (h, w) float32: distance of the whole scan's points from the camera, metres; zero if none.
     name           "seq/frame".
     """
 
@@ -50,7 +53,7 @@ class FrontViewSample(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampleParts:
-    """What samples have beside the range view: labels on both sides, the camera's image, depths in the camera."""
+    """Parts of samples beside the range view: labels on both sides, the camera's image, depths in the camera."""
 
     labels: bool = True
     image: bool = False
@@ -58,7 +61,7 @@ class SampleParts:
 
 
 class FrontViewPair(NamedTuple):
-    """A frame, stretched to the network's image; what is not wanted is empty.
+    """A frame, stretched to the network's image; parts not requested are empty.
 
     scan           with its point labels, if labels are wanted.
     camera_labels  (h, w) uint8 ids of COMMON14;  image (3, h, w) uint8;  depth_m (h, w) float32.
@@ -73,8 +76,8 @@ class FrontViewPair(NamedTuple):
 class FrontViewDataset:
     """Scan/camera pairs of some splits in the paper's setting.
 
-    view   the front view;  size (rows, columns) of the image that the network writes.
-    parts  what samples have; files that hold nothing of it are not read and need not be there.
+    view   the front view;  size (rows, columns) of the network's image.
+    parts  of samples; files of other parts are not read and need not be there.
     """
 
     def __init__(
@@ -92,11 +95,11 @@ class FrontViewDataset:
         self._cache = LruCache()
 
     def __len__(self) -> int:
-        """Number of pairs."""
+        """Return the number of pairs."""
         return len(self.frames)
 
     def pair(self, index: int) -> FrontViewPair:
-        """A frame; InputError where a part that is wanted is missing or damaged."""
+        """Return a frame; InputError if a requested part is missing or damaged."""
         return self._cache.get(index, lambda: self._read(self.frames[index]))
 
     def predict(self, label_points: Callable[[Scan], Tensor], weights: str | Path) -> None:
@@ -110,17 +113,17 @@ class FrontViewDataset:
         """Use these predicted labels of the scans instead of the data's."""
         self.predicted, self._cache = predicted, LruCache()
 
-    def __getitem__(self, at: SampleIndex | int) -> FrontViewSample:
-        """Sample: with the paper's flip and point drop (each p = 0.5) by a SampleIndex's seed, or plain for an int."""
-        if isinstance(at, int):
-            return self._sample(self.pair(at), self.frames[at].name)
-        generator = np.random.default_rng(at.seed)
-        pair = self.pair(at.index)
+    def __getitem__(self, index: SampleIndex | int) -> FrontViewSample:
+        """Return a sample: with the paper's flip and point drop (each p = 0.5) by a seed, or plain for an int."""
+        if isinstance(index, int):
+            return self._sample(self.pair(index), self.frames[index].name)
+        generator = np.random.default_rng(index.seed)
+        pair = self.pair(index.index)
         if generator.random() < 0.5:
             pair = mirrored(pair)
         if generator.random() < 0.5:
             pair = pair._replace(scan=drop_points(pair.scan, generator, generator.uniform(0, 0.5)))
-        return self._sample(pair, self.frames[at.index].name)
+        return self._sample(pair, self.frames[index.index].name)
 
     def _sample(self, pair: FrontViewPair, name: str) -> FrontViewSample:
         range_image = project(pair.scan, self.view)
@@ -152,6 +155,70 @@ class FrontViewDataset:
 
 
 def mirrored(pair: FrontViewPair) -> FrontViewPair:
-    """The pair with left and right swapped, on both sides."""
+    """Return the pair with left and right swapped, on both sides."""
     scan, *rest = pair
     return FrontViewPair(mirror(scan), *(part.flip(-1) for part in rest))
+
+
+class CameraProjectionSample(NamedTuple):
+    """A scan in the camera and the camera's image; after collation every tensor gains a leading B.
+
+    lidar   (2, h, w) float32: remission in [0, 1] and range from the optical centre, metres; zero if no point fell.
+    image   (3, h, w) float32 in [-1, 1].
+    name    "seq/frame".
+    """
+
+    lidar: Tensor
+    image: Tensor
+    name: str
+
+
+class CameraProjectionDataset:
+    """Scans of some splits, projected into their camera, with its images, stretched to `size` (rows, columns)."""
+
+    def __init__(self, root: Path, splits: tuple[str, ...], size: tuple[int, int]) -> None:
+        self.frames = frames_of(root, splits)
+        self.size = size
+        self._cache = LruCache()
+
+    def __len__(self) -> int:
+        """Return the number of pairs."""
+        return len(self.frames)
+
+    def pair(self, index: int) -> tuple[Scan, Calibration, Tensor]:
+        """Return a frame's scan, camera, and image (3, h, w) uint8, stretched."""
+        return self._cache.get(index, lambda: self._read(self.frames[index]))
+
+    def _read(self, frame: Frame) -> tuple[Scan, Calibration, Tensor]:
+        scan, calibration, image = frame.require("scan", "calibration", "image")
+        return scan, calibration, stretched(image, self.size)
+
+    def __getitem__(self, key: SampleIndex | int) -> CameraProjectionSample:
+        """Return a sample: with the paper's flip and point drop (each p = 0.5) by a seed, or plain for an int."""
+        index = key if isinstance(key, int) else key.index
+        scan, calibration, pixels = self.pair(index)
+        flip = False
+        if not isinstance(key, int):
+            generator = np.random.default_rng(key.seed)
+            flip = generator.random() < 0.5
+            if generator.random() < 0.5:
+                scan = drop_points(scan, generator, generator.uniform(0, 0.5))
+        lidar, image = project_to_camera(scan, calibration, self.size), in_unit(pixels)
+        if flip:  # the projection and the image: a mirrored scan would need a mirrored camera
+            lidar, image = lidar.flip(-1), image.flip(-1)
+        return CameraProjectionSample(lidar, image, self.frames[index].name)
+
+
+def stretched(image: np.ndarray, size: tuple[int, int]) -> Tensor:
+    """Return an image (h, w, 3) uint8, resized to `size` (rows, columns): (3, rows, columns) uint8."""
+    pixels = torch.from_numpy(image).movedim(2, 0)
+    if pixels.shape[-2:] == size:
+        return pixels.contiguous()
+    # bilinear over the area of a new pixel, as viewers make images smaller
+    resized = interpolate(pixels[None].float(), size=size, mode="bilinear", antialias=True)[0]
+    return resized.round().clamp(0, 255).to(torch.uint8)
+
+
+def in_unit(pixels: Tensor) -> Tensor:
+    """Return pixels uint8 as float32 in [-1, 1]."""
+    return pixels.float() / 127.5 - 1
