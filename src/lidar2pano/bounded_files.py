@@ -1,4 +1,4 @@
-"""Files from outside, opened only where they are regular files and read only up to a size.
+"""Files from outside, opened only if they are regular files, and read only up to a size.
 
 All functions but `read_input` raise OSError, whose `strerror` is the reason; callers add the kind of file.
 """
@@ -30,7 +30,7 @@ def _without_waiting(path: str, flags: int) -> int:
 
 
 def read_bytes(path: str | Path, most: int) -> bytes:
-    """All bytes of a regular file; one of more than `most` bytes, sparse or not, raises OSError before it is read."""
+    """Read all bytes of a regular file; one of more than `most` bytes, sparse or not, raises OSError before reading."""
     with open_regular(path) as file:
         if (size := os.fstat(file.fileno()).st_size) > most:
             raise OSError(errno.EFBIG, f"it has {size} bytes, at most {most} belong there", str(path))
@@ -38,7 +38,7 @@ def read_bytes(path: str | Path, most: int) -> bytes:
 
 
 def read_text(path: str | Path, most: int = MOST_TEXT_BYTES) -> str:
-    """The text of a regular file in UTF-8; raises UnicodeDecodeError (a ValueError), and OSError as `read_bytes`."""
+    """Read the UTF-8 text of a regular file; raises UnicodeDecodeError (a ValueError), and OSError as `read_bytes`."""
     return read_bytes(path, most).decode("utf-8")
 
 

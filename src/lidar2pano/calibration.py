@@ -43,7 +43,7 @@ class Calibration:
         return _optical_centre(self.T_camera_lidar)
 
     def scaled(self, factor: float) -> Calibration:
-        """The same camera with an image `factor` times as wide and high (pixel centres kept at integers)."""
+        """Return the same camera with an image `factor` times as wide and high (pixel centres kept at integers)."""
         K = self.K.copy()
         K[:2, 2] += 0.5
         K[:2] *= factor
@@ -59,9 +59,9 @@ class LensCalibration:
     model        "brown": pinhole with radial and tangential distortion (cv2.calibrateCamera).
                  "fisheye": Kannala and Brandt 2006 (cv2.fisheye.calibrate); may look farther than 90 degrees aside.
                  "mei": unified projection, Mei and Rives 2007 (cv2.omnidir.calibrate, CamOdoCal); likewise. A unit
-                 vector (x, y, z) goes to (x, y) / (z + xi), which is distorted as by "brown" and multiplied by K.
+                 vector (x, y, z) goes to (x, y) / (z + xi), distorted as by "brown" and multiplied by K.
     distortion   "brown": (k1, k2, p1, p2[, k3]);  "fisheye": (k1, k2, k3, k4);  "mei": (xi, k1, k2, p1, p2), xi >= 0.
-    reach_deg    the image circle: the largest angle from the optical axis, degrees, at which the lens shows the scene.
+    reach_deg    the image circle: the largest angle from the optical axis, degrees, within the lens's image.
     """
 
     K: np.ndarray
@@ -72,7 +72,7 @@ class LensCalibration:
     reach_deg: float = 180.0
 
     def __post_init__(self) -> None:
-        """Refuse what Calibration refuses, other models, wrong coefficients and an impossible reach (ValueError)."""
+        """Refuse wrong matrices and sizes, other models, wrong coefficients and an impossible reach (ValueError)."""
         Calibration(K=self.K, T_camera_lidar=self.T_camera_lidar, size=self.size)
         counts = {"brown": (4, 5), "fisheye": (4,), "mei": (5,)}.get(self.model)
         if counts is None or len(self.distortion) not in counts:
@@ -96,7 +96,7 @@ class LensCalibration:
         return float(self.K[0, 0]) / (1 + self.distortion[0] if self.model == "mei" else 1)
 
     def rays(self) -> np.ndarray:
-        """Unit vectors (height, width, 3) float64 of the pixel centres, camera axes; NaN where nothing is projected."""
+        """Unit vectors (height, width, 3) float64 of the pixel centres, camera axes; NaN if nothing is projected."""
         width, height = self.size
         v, u = np.mgrid[0:height, 0:width].astype(np.float64)
         x, y, _ = np.moveaxis(np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(self.K).T, -1, 0)
@@ -106,12 +106,12 @@ class LensCalibration:
         return np.where(self._reached(rays)[..., None], rays, np.nan)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """Pixels (u, v), (..., 2) float64, of points or directions (..., 3), camera axes: the inverse of `rays`.
+        """Return pixels (u, v), (..., 2) float64, of points or directions (..., 3), camera axes: the inverse of `rays`.
 
-        NaN where the lens projects nothing; a pixel may lie outside the image.
+        NaN if the lens projects nothing; a pixel may lie outside the image.
         """
         points = points.astype(np.float64)
-        with np.errstate(all="ignore"):  # what is not projected becomes NaN
+        with np.errstate(all="ignore"):  # NaN if not projected
             unit = points / np.linalg.norm(points, axis=-1, keepdims=True)
             x, y, z = np.moveaxis(unit, -1, 0)
             distort = {"brown": _projected_brown, "fisheye": _projected_fisheye, "mei": _projected_mei}[self.model]
@@ -120,7 +120,7 @@ class LensCalibration:
         return (places @ self.K[:2, :2].T + self.K[:2, 2]) / self.K[2, 2]
 
     def _reached(self, rays: np.ndarray) -> np.ndarray:
-        """Whether unit vectors (..., 3) lie in the image circle, (...) bool."""
+        """Return whether unit vectors (..., 3) lie in the image circle, (...) bool."""
         return rays[..., 2] >= (np.cos(np.radians(self.reach_deg)) if self.reach_deg < 180 else -np.inf)
 
 
@@ -131,21 +131,21 @@ def _optical_centre(T_camera_lidar: np.ndarray) -> tuple[float, float, float]:
 
 
 def _undistorted_brown(x_d: np.ndarray, y_d: np.ndarray, distortion: np.ndarray) -> np.ndarray:
-    """Directions (x, y, 1) whose distorted place is (x_d, y_d), by Newton's method; NaN where there is none."""
+    """Directions (x, y, 1) whose distorted place is (x_d, y_d), by Newton's method; NaN if there is none."""
     x, y = x_d, y_d
-    with np.errstate(all="ignore"):  # what diverges is left out below
+    with np.errstate(all="ignore"):  # diverging ones are left out below
         for _ in range(NEWTON_STEPS):
             to_x, to_y, xx, xy, yy = _distorted_brown(x, y, distortion)
             error_x, error_y, determinant = to_x - x_d, to_y - y_d, xx * yy - xy * xy
             x, y = x - (yy * error_x - xy * error_y) / determinant, y - (xx * error_y - xy * error_x) / determinant
         to_x, to_y, xx, xy, yy = _distorted_brown(x, y, distortion)
-        found = (np.hypot(to_x - x_d, to_y - y_d) < NEWTON_TOLERANCE) & _unfolded(x, y, xx, xy, yy, distortion)
-    return np.where(found[..., None], np.stack([x, y, np.ones_like(x)], axis=-1), np.nan)
+        converged = (np.hypot(to_x - x_d, to_y - y_d) < NEWTON_TOLERANCE) & _unfolded(x, y, xx, xy, yy, distortion)
+    return np.where(converged[..., None], np.stack([x, y, np.ones_like(x)], axis=-1), np.nan)
 
 
 def _projected_brown(x: np.ndarray, y: np.ndarray, z: np.ndarray, distortion: np.ndarray) -> np.ndarray:
-    """Distorted places (..., 2) of directions; NaN behind the camera and where the polynomial is not unique."""
-    x, y = (np.where(z > 0, one / z, np.nan) for one in (x, y))
+    """Distorted places (..., 2) of directions; NaN behind the camera and if the polynomial is not unique."""
+    x, y = (np.where(z > 0, axis / z, np.nan) for axis in (x, y))
     to_x, to_y, xx, xy, yy = _distorted_brown(x, y, distortion)
     return np.where(_unfolded(x, y, xx, xy, yy, distortion)[..., None], np.stack([to_x, to_y], axis=-1), np.nan)
 
@@ -153,7 +153,7 @@ def _projected_brown(x: np.ndarray, y: np.ndarray, z: np.ndarray, distortion: np
 def _unfolded(
     x: np.ndarray, y: np.ndarray, xx: np.ndarray, xy: np.ndarray, yy: np.ndarray, distortion: np.ndarray
 ) -> np.ndarray:
-    """Where (x, y), with the Jacobian xx, xy, yy, lies before the lens's polynomial falls, which no lens does."""
+    """Return whether (x, y), with the Jacobian xx, xy, yy, lies before the first fall of the lens's polynomial."""
     k1, k2, _, _, k3 = (*distortion.tolist(), 0.0)[:5]
     roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # of the slope of r (1 + k1 r^2 + k2 r^4 + k3 r^6) over r^2
     falls = min((root.real for root in roots if abs(root.imag) < 1e-9 and root.real > 0), default=np.inf)
@@ -161,7 +161,7 @@ def _unfolded(
 
 
 def _distorted_brown(x: np.ndarray, y: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Distorted places (x, y) of directions (x, y, 1), and their Jacobian, which is symmetric: xx, xy, yy."""
+    """Distorted places (x, y) of directions (x, y, 1), and their symmetric Jacobian: xx, xy, yy."""
     k1, k2, p1, p2, k3 = (*distortion.tolist(), 0.0)[:5]
     r2 = x * x + y * y
     radial, slope = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2 * k2 + 3 * r2 * k3)
@@ -176,7 +176,7 @@ def _distorted_brown(x: np.ndarray, y: np.ndarray, distortion: np.ndarray) -> tu
 
 # Mei and Rives 2007, "Single View Point Omnidirectional Camera Calibration from Planar Grids", section II.
 def _projected_mei(x: np.ndarray, y: np.ndarray, z: np.ndarray, distortion: np.ndarray) -> np.ndarray:
-    """Distorted places (..., 2) of unit vectors; NaN where (x, y) / (z + xi) no longer grows with the angle."""
+    """Distorted places (..., 2) of unit vectors; NaN if (x, y) / (z + xi) no longer grows with the angle."""
     xi = float(distortion[0])
     unique = (z + xi > 0) & (1 + xi * z > 0)
     ahead = np.where(unique, z + xi, np.nan)
@@ -184,7 +184,7 @@ def _projected_mei(x: np.ndarray, y: np.ndarray, z: np.ndarray, distortion: np.n
 
 
 def _undistorted_mei(x_d: np.ndarray, y_d: np.ndarray, distortion: np.ndarray) -> np.ndarray:
-    """Unit vectors whose distorted place is (x_d, y_d); NaN where there is none."""
+    """Unit vectors whose distorted place is (x_d, y_d); NaN if there is none."""
     xi = float(distortion[0])
     x, y, _ = np.moveaxis(_undistorted_brown(x_d, y_d, distortion[1:]), -1, 0)
     r2 = x * x + y * y
@@ -204,7 +204,7 @@ def _rising_fisheye(distortion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _projected_fisheye(x: np.ndarray, y: np.ndarray, z: np.ndarray, distortion: np.ndarray) -> np.ndarray:
-    """Distorted places (..., 2) of directions; NaN at angles that are not unique."""
+    """Distorted places (..., 2) of directions; NaN at ambiguous angles."""
     aside = np.hypot(x, y)
     theta = np.arctan2(aside, z)
     radius = theta * (1 + (distortion * theta[..., None] ** (2 * np.arange(1, 5))).sum(-1))
@@ -235,7 +235,7 @@ def read_calib(path: str | Path, size: tuple[int, int] = (1242, 375)) -> Calibra
     """Read KITTI odometry's calib.txt: P2 (3x4) and Tr (3x4, LiDAR -> rectified camera 0).
 
     pixel ~ P2 [Tr; 0 0 0 1] [x y z 1]^T. P2 = K [I | b]: the colour camera stands b away from camera 0.
-    Raises InputError where the file, P2 or Tr is missing, not numbers, or no camera matrix and rotation.
+    Raises InputError if the file, P2 or Tr is missing, not numbers, or no camera matrix and rotation.
     """
     path = Path(path)
     rows = _rows(path)
@@ -254,7 +254,7 @@ def read_calib(path: str | Path, size: tuple[int, int] = (1242, 375)) -> Calibra
 def read_camera0(path: str | Path) -> np.ndarray:
     """T_camera0_lidar (4, 4) float64, metres, of KITTI odometry's calib.txt: its row Tr, whatever else there is.
 
-    Raises InputError where the file or Tr is missing, not numbers, or no rotation.
+    Raises InputError if the file or Tr is missing, not numbers, or no rotation.
     """
     path = Path(path)
     T = _camera0(path, _rows(path))
@@ -263,7 +263,7 @@ def read_camera0(path: str | Path) -> np.ndarray:
 
 
 def has_camera(path: str | Path) -> bool:
-    """Whether a calib.txt tells of a camera (P2), or of the axes of poses.txt alone; InputError where it is missing."""
+    """Return whether a calib.txt has a camera (P2), not the axes of poses.txt alone; InputError if it is missing."""
     return "P2" in _rows(Path(path))
 
 
@@ -283,11 +283,11 @@ def _check_near(path: Path, T: np.ndarray) -> None:
 
 
 def is_camera_matrix(K: np.ndarray) -> bool:
-    """Whether K (3, 3) is a positive multiple of [fx s cx; 0 fy cy; 0 0 1], whose focal lengths are positive."""
+    """Return whether K (3, 3) is a positive multiple of [fx s cx; 0 fy cy; 0 0 1], whose focal lengths are positive."""
     if not 1e-9 < K[2, 2] < 1e9 or np.abs(K).max() > LARGEST_PX * K[2, 2]:
         return False
-    below = np.abs([K[1, 0], K[2, 0], K[2, 1]]).max()
-    return bool(below <= 1e-9 * K[2, 2] and min(K[0, 0], K[1, 1]) > 1e-6 * K[2, 2])
+    lower = np.abs([K[1, 0], K[2, 0], K[2, 1]]).max()
+    return bool(lower <= 1e-9 * K[2, 2] and min(K[0, 0], K[1, 1]) > 1e-6 * K[2, 2])
 
 
 def _rows(path: Path) -> dict[str, str]:

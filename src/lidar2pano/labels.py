@@ -1,4 +1,4 @@
-"""Label sets: what the ids mean, their colours, and tables from one set to another, by name."""
+"""Label sets: names and colours of ids, and tables from one set to another, by name."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class LabelSet:
     name      of the set, as cards write it.
     classes   K names in the order of their ids.
     colours   (K, 3) uint8 values, one RGB triple a class, for palette pictures.
-    raw       per class the id that files hold (SemanticKITTI), or empty when files hold the id itself.
+    raw       per class the id in files (SemanticKITTI), or empty when files hold the id itself.
     folds     further raw ids -> class name (SemanticKITTI's moving classes fold into their static ones).
     """
 
@@ -35,7 +35,7 @@ class LabelSet:
             raise ValueError(f"{self.name}: every class needs its raw id")
 
     def __len__(self) -> int:
-        """Number of classes K, the unlabeled one included."""
+        """Return the number of classes K, the unlabeled one included."""
         return len(self.classes)
 
     def id_of(self, name: str) -> int:
@@ -45,7 +45,7 @@ class LabelSet:
         return self.classes.index(name)
 
     def table_to(self, other: LabelSet, rename: Mapping[str, str]) -> np.ndarray:
-        """Look-up table (K,) uint8 of `other`'s ids; a class that `rename` and `other` do not name is an error."""
+        """Return the table (K,) uint8 of `other`'s ids; a class named by neither `rename` nor `other` is an error."""
         if lost := set(self.classes) - set(rename) - set(other.classes):
             raise ValueError(f"{self.name} -> {other.name}: say where {sorted(lost)} go")
         if strange := set(rename) - set(self.classes):
@@ -55,7 +55,7 @@ class LabelSet:
         return np.array([other.classes.index(rename.get(c, c)) for c in self.classes], dtype=np.uint8)
 
     def from_raw(self, values: np.ndarray) -> np.ndarray:
-        """Ids (N,) int64 of a file's values; of 32 bits the low 16 are the class. Unknown values become unlabeled.
+        """Return ids (N,) int64 of a file's values; the low 16 bits are the class. Unknown values become unlabeled.
 
         ValueError for a set without unlabeled: there every value must be a class.
         """
@@ -71,12 +71,12 @@ class LabelSet:
         return ids
 
     def to_raw(self, ids: np.ndarray) -> np.ndarray:
-        """Values (N,) uint32 that a file holds for ids; instances (the high 16 bits) are 0."""
+        """Return the values (N,) uint32 of ids in a file; instances (the high 16 bits) are 0."""
         table = np.array(self.raw or range(len(self)), dtype=np.uint32)
         return table[ids]
 
     def palette(self) -> bytes:
-        """768 bytes for a palette PNG: RGB per id, black where there is no class."""
+        """768 bytes for a palette PNG: RGB per id, black if there is no class."""
         return bytes(value for colour in self.colours for value in colour).ljust(768, b"\0")
 
     def paint(self, ids: np.ndarray) -> np.ndarray:
@@ -125,7 +125,7 @@ CITYSCAPES = LabelSet(
     ),
 )  # fmt: skip
 
-# Cityscapes' label ids (same file), which published vid2vid weights read; the last one is -1 there.
+# Cityscapes' label ids (same file), read by published vid2vid weights; the last one is -1 there.
 CITYSCAPES_IDS = LabelSet(
     name="cityscapes-ids",
     classes=(
@@ -143,7 +143,7 @@ CITYSCAPES_IDS = LabelSet(
     ),
 )  # fmt: skip
 
-# The 14 classes that both data sets have, in the order of TITAN-Net's published weights (its palette).
+# The 14 classes of both data sets, in the order of TITAN-Net's published weights (its palette).
 COMMON14 = LabelSet(
     name="common-14",
     classes=(
@@ -168,12 +168,12 @@ _FROM_KITTI = {
     "bicyclist": "person", "motorcyclist": "person", "parking": "sidewalk", "other-ground": "unlabeled",
     "trunk": "vegetation",
 }  # fmt: skip
-# Where table 4 is silent about Cityscapes (rider .. traffic light) the choice is ours.
+# Table 4 is silent about Cityscapes (rider .. traffic light): there the choice is ours.
 _FROM_CITYSCAPES = {
     "traffic sign": "traffic-sign", "rider": "person", "bus": "other-vehicle", "train": "other-vehicle",
     "wall": "fence", "traffic light": "traffic-sign",
 }  # fmt: skip
-# And back, where a class of ours holds several of theirs.
+# And back, for classes of ours with several of theirs.
 _TO_CITYSCAPES = {"other-vehicle": "bus", "traffic-sign": "traffic sign"}
 
 TABLES: dict[tuple[str, str], np.ndarray] = {

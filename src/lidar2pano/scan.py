@@ -17,7 +17,7 @@ class Scan:
     xyz        (N, 3) float32, metres; sensor frame: x forward, y left, z up.
     remission  (N,)   float32, in [0, 1].
     label      (N,)   int64 ids of SEMANTIC_KITTI, or None when there are no labels.
-    name       where it came from (a file's stem), for messages and output names.
+    name       the source (a file's stem), for messages and output names.
     ring       (N,) int64 numbers of the beams, or None.
     time_s     (N,) float64 seconds of the points from the scan's own stamp, or None.
     gaps_deg   sectors (left, right) of azimuth, degrees, out of the sensor's field of view.
@@ -32,7 +32,7 @@ class Scan:
     gaps_deg: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        """Turn lists into arrays; refuse arrays of another type, or that do not belong together (ValueError)."""
+        """Turn lists into arrays; refuse arrays of another type or length (ValueError)."""
         for name, dtype in (("xyz", np.float32), ("remission", np.float32), ("label", np.int64)):
             if isinstance(values := getattr(self, name), list | tuple):
                 object.__setattr__(self, name, np.asarray(values, dtype=dtype))
@@ -45,14 +45,14 @@ class Scan:
             ("time_s", self.time_s, np.float64),
         ):
             if array is not None and (array.shape != self.xyz.shape[:1] or array.dtype != dtype):
-                wanted = f"({len(self.xyz)},) {np.dtype(dtype)}"
-                raise ValueError(f"Scan.{name} must be {wanted} like Scan.xyz, got {array.shape} {array.dtype}")
+                expected = f"({len(self.xyz)},) {np.dtype(dtype)}"
+                raise ValueError(f"Scan.{name} must be {expected} like Scan.xyz, got {array.shape} {array.dtype}")
 
     def __len__(self) -> int:
-        """Number of points, unusable ones included."""
+        """Return the number of points, unusable ones included."""
         return len(self.xyz)
 
     def beyond(self, nearest_m: float = OWN_VEHICLE_M) -> Self:
-        """The same points, but those nearer to the sensor than so many metres NaN, as if there had been no echo."""
+        """Return the same points, those nearer to the sensor than so many metres NaN, like missing echoes."""
         near = np.einsum("ij,ij->i", self.xyz, self.xyz) < nearest_m**2
         return replace(self, xyz=np.where(near[:, None], np.float32(np.nan), self.xyz)) if near.any() else self

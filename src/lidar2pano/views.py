@@ -1,4 +1,4 @@
-"""View: the raster that a scan is projected onto, and the table of views that sensors and published weights use."""
+"""View: the raster of a projection, and the table of views of sensors and published weights."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class View:
     kind     "sphere": rows are equal steps of elevation; `up` and `down` are degrees.
              "cylinder": rows are equal steps of tan(elevation); `up` and `down` are tangents.
     left     azimuth in degrees of the left edge, counter-clockwise from x; columns run from `left` down to `right`.
-    origin   the point that looks, in the sensor frame, metres (the panorama: the camera's optical centre).
+    origin   the viewpoint, in the sensor frame, metres (the panorama: the camera's optical centre).
     """
 
     rows: int
@@ -32,7 +32,7 @@ class View:
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Refuse a raster that has no inside (ValueError); JSON's lists become tuples."""
+        """Refuse a raster without an inside (ValueError); JSON's lists become tuples."""
         if self.kind not in {"sphere", "cylinder"} or len(self.origin) != 3:
             raise ValueError(f"a View is a sphere or a cylinder around a point (x, y, z): {self}")
         turn = self.left - self.right
@@ -53,11 +53,11 @@ class View:
         return self.columns / math.radians(self.left - self.right)
 
     def scaled(self, factor: float) -> View:
-        """The same directions on a coarser (factor < 1) or finer raster."""
+        """Return the same directions on a coarser (factor < 1) or finer raster."""
         return replace(self, rows=round(self.rows * factor), columns=round(self.columns * factor))
 
     def window(self, start: int, columns: int) -> View:
-        """The part of the raster that begins at column `start` and is `columns` wide: the same pixels."""
+        """Return the part of the raster from column `start`, `columns` wide: the same pixels."""
         step = (self.left - self.right) / self.columns
         left = self.left - start * step
         return replace(self, columns=columns, left=left, right=left - columns * step)
@@ -72,10 +72,10 @@ KITTI_CAMERA = (0.27, 0.06, -0.07)
 
 VIEWS: dict[str, View] = {
     "hdl64e": View(rows=64, columns=2048, up=3.0, down=-25.0),  # SalsaNext, lidar-bonnetal's darknet53.yaml
-    "hdl64e-tall": View(rows=128, columns=2048, up=24.0, down=-32.0),  # rows as high, for sensors that see more
+    "hdl64e-tall": View(rows=128, columns=2048, up=24.0, down=-32.0),  # rows as high, for larger fields of view
     "titan-front": View(rows=64, columns=2048, up=3.0, down=-15.0, left=45.0, right=-45.0),  # TITAN-Net, laserscan.py
     "titan-front-512": View(rows=64, columns=512, up=3.0, down=-15.0, left=45.0, right=-45.0),  # TITAN-Next's width
-    # 4608 / 2 pi = 733 columns per radian, as fine as KITTI's camera; rows cover that camera's picture.
+    # 4608 / 2 pi = 733 columns per radian, as fine as KITTI's camera; rows cover the camera's picture.
     "panorama": View(rows=384, columns=4608, up=0.24, down=-0.2836, kind="cylinder", origin=KITTI_CAMERA),
     "hdl32e": View(rows=32, columns=1024, up=10.67, down=-30.67),  # Velodyne HDL-32E data sheet
     "vlp16": View(rows=16, columns=1024, up=15.0, down=-15.0),  # Velodyne VLP-16 data sheet
@@ -95,14 +95,14 @@ def columns_between(view: View, left: float, right: float) -> list[int]:
 
 
 def view_of(name: str) -> View:
-    """The view of that name in VIEWS; InputError for another name."""
+    """Return the view of this name in VIEWS; InputError for another name."""
     if name not in VIEWS:
         raise InputError(f"no view {name!r}{closest(name, VIEWS)}")
     return VIEWS[name]
 
 
 def sensor_view(name: str) -> View:
-    """The raster of a sensor's rows in VIEWS (spheres only: the panorama is no sensor); InputError for another name."""
+    """Return the raster of a sensor in VIEWS (spheres only: the panorama is no sensor); InputError for another name."""
     sensors = {sensor: view for sensor, view in VIEWS.items() if view.kind == "sphere"}
     if name not in sensors:
         raise InputError(f"no sensor {name!r}{closest(name, sensors)}")

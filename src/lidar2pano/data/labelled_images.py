@@ -4,7 +4,7 @@ Cityscapes   ROOT/leftImg8bit/<split>/<city>/<city>_<drive>_<frame>_leftImg8bit.
              ROOT/gtFine/<split>/<city>/<...>_gtFine_labelIds.png or if there is one, ..._gtFine_labelTrainIds.png.
 Folder       ROOT/images/<split>/<name>.png|jpg and ROOT/labels/<split>/<name>.png with Cityscapes train ids; if
              images lie in images/ itself, all in it are of the split "train".
-Frames have an image and camera labels, so a camera segmenter, vid2vid and a painter's look train on them.
+Frames have an image and camera labels, so a camera segmenter and vid2vid train on them.
 """
 
 from __future__ import annotations

@@ -35,11 +35,11 @@ POINTS = (
     "arr_0",
 )
 MOST_MEMBERS = 1000  # arrays of an archive
-WIDEST, MOST_ROWS = 64, 8  # columns of an array of points, and rows of one that has a point in each column
+WIDEST, MOST_ROWS = 64, 8  # columns of an array of points; rows of one with a point in each column
 
 
 def cloud_of(source: Any, name: str = "array") -> PointCloud:  # noqa: ANN401
-    """The PointCloud of an array (N, 3..), an Open3D or PyVista cloud, or a PointCloud2 message.
+    """Return the PointCloud of an array (N, 3..), an Open3D or PyVista cloud, or a PointCloud2 message.
 
     Columns of a plain array: x y z in metres, then intensity or remission, then the ring, as far as there are.
     Raises InputError for anything else.
@@ -66,10 +66,10 @@ def cloud_of(source: Any, name: str = "array") -> PointCloud:  # noqa: ANN401
 
 
 def cloud_of_arrays(arrays: Mapping[str, np.ndarray], *, format: str, name: str, source: str) -> PointCloud:
-    """The PointCloud of arrays with names.
+    """Return the PointCloud of arrays with names.
 
     Points are the fields of a structured array, arrays x, y and z, or the array of three and more columns whose name is
-    in POINTS, or the longest. Arrays of as many values are further fields. InputError where there are none.
+    in POINTS, or the longest. Arrays of as many values are further fields. InputError if there are none.
     """
     columns = _columns({key: value for key, value in arrays.items() if value.dtype.kind in "fiuVb"})
     if not columns:
@@ -95,15 +95,15 @@ def _columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     chosen = min(tables, key=lambda key: (ranked[key], -len(tables[key])))
     table = tables[chosen]
     columns = dict(zip(column_names(table), table.T, strict=True))
-    known = {*INTENSITY, *RING, *TIME}
+    field_names = {*INTENSITY, *RING, *TIME}
     for key, value in flat.items():
-        if key != chosen and len(value) == len(table) and key.lower().removeprefix("scalar_") in known:
+        if key != chosen and len(value) == len(table) and key.lower().removeprefix("scalar_") in field_names:
             columns = {name: column for name, column in columns.items() if name != key.lower()} | {key: value}
     return columns
 
 
 def _table(array: np.ndarray) -> np.ndarray | None:
-    """An array as (N, columns): (N, C), (C, N) or (rows, columns, C); None where it is no table of points."""
+    """Return an array as (N, columns): (N, C), (C, N) or (rows, columns, C); None if it is no table of points."""
     if array.dtype.names or array.dtype.kind == "b":
         return None
     if array.ndim == 3 and 3 <= array.shape[2] <= WIDEST:
@@ -116,24 +116,26 @@ def _table(array: np.ndarray) -> np.ndarray | None:
 
 
 def decode_npy(data: bytes, path: Path) -> PointCloud:
-    """The points of an array; InputError where it is damaged, pickled or no array of points."""
+    """Return the points of an array; InputError if it is damaged, pickled or no array of points."""
     array = _array(io.BytesIO(data), len(data), f"{path}")
     return cloud_of_arrays({"": array}, format="NPY", name=stem_of(path), source=str(path))
 
 
 def decode_npz(data: bytes, path: Path) -> PointCloud:
-    """The points of an archive; InputError where it is damaged, pickled or has no array of points."""
+    """Return the points of an archive; InputError if it is damaged, pickled or has no array of points."""
     arrays: dict[str, np.ndarray] = {}
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            members = [one for one in archive.infolist() if one.filename.endswith(".npy")]
-            if len(members) > MOST_MEMBERS or sum(one.file_size for one in members) > MOST_BYTES:
+            members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
+            if len(members) > MOST_MEMBERS or sum(member.file_size for member in members) > MOST_BYTES:
                 raise InputError(f"{path}: unpacks to more than {MOST_BYTES} bytes, which is no single scan; cut it")
-            for one in members:
-                name = one.filename.removesuffix(".npy")
-                with archive.open(one) as file:
+            for member in members:
+                name = member.filename.removesuffix(".npy")
+                with archive.open(member) as file:
                     try:
-                        arrays[name] = _array(io.BytesIO(file.read(one.file_size)), one.file_size, f"{path}: {name}")
+                        arrays[name] = _array(
+                            io.BytesIO(file.read(member.file_size)), member.file_size, f"{path}: {name}"
+                        )
                     except InputError as error:
                         if "pickled" not in str(error) or len(members) == 1:
                             raise
@@ -147,12 +149,12 @@ def decode_npz(data: bytes, path: Path) -> PointCloud:
 
 
 def _array(file: BinaryIO, length: int, source: str) -> np.ndarray:
-    """The array of an NPY of `length` bytes; nothing in it is executed, nothing is allocated that it does not hold."""
+    """Return the array of an NPY of `length` bytes, without executing or allocating more than it holds."""
     try:
         version = np.lib.format.read_magic(file)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, fortran, dtype = read(file)
-    except Exception as error:  # a literal that is none raises many
+        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran, dtype = read_header(file)
+    except Exception as error:  # a bad literal raises many
         raise InputError(f"{source}: is no NPY ({str(error).splitlines()[0]}); it is damaged or cut off") from None
     if dtype.hasobject:
         raise InputError(f"{source}: is pickled, which could execute anything and is not read; save plain numbers")

@@ -1,4 +1,4 @@
-"""The beams of a spinning LiDAR, the sensor that has such beams, and the point from which they are sharp cones."""
+"""The beams of a spinning LiDAR, the sensor with such beams, and the point from where they are sharp cones."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 NEAR_M = 2.0  # nearer points blur: a beam begins some centimetres from the sensor's origin
-BIN_DEG = 0.02  # of the histogram in which beams are peaks
-GATHERED = 1.6  # of elevations that gather at beams
+BIN_DEG = 0.02  # of the histogram, whose peaks are beams
+GATHERED = 1.6  # sharpness of elevations at beams
 LEAST_SHARE = 0.1  # of the median peak's points: smaller peaks are chance
 FEWEST, MOST = 4, 300  # beams of a sensor
 FEWEST_POINTS = 20  # of a beam
-ORDERED = 0.97  # share of steps below ORDERED_DEG along a file that holds one beam after the other
+ORDERED = 0.97  # share of steps below ORDERED_DEG along a file of one beam after the other
 ORDERED_DEG = 3.0
 WRAP_DEG = 180.0
 WIDEST_DEG = 0.5  # between the quartiles of a beam's elevations
 NEAR_DEG = 2.0  # elevations of a sensor's outermost beams agree so well
-SKY_DEG = 6.0  # or the highest that returns lies so far below, if a beam above it saw the sky only
-# Of the search for the point from which beams are sharp cones.
+SKY_DEG = 6.0  # or the highest with returns lies so far below, if a beam above it saw the sky only
+# Of the search for the sensor's place.
 CONE_BIN_DEG, SMOOTH = 0.05, 31  # of the histogram of elevations, and of the smoothed one it is compared with
 MOST_DEG = 35.0
 SAMPLE = 15_000
@@ -26,7 +26,7 @@ START_M, LAST_M = 0.5, 0.03  # steps of the search
 REACH_M = 3.0  # it goes no farther from the start
 CLEARLY = 1.1  # times as sharp as the start
 CONE_NEAR_M, CONE_FAR_M = 5.0, 80.0  # of the points used: nearer ones blur with the beam's own offsets
-DIRECTIONS = 12  # along which the points are halved
+DIRECTIONS = 12  # of halving the points
 # name -> beams, elevation of the highest and the lowest in degrees, by the data sheets
 SENSORS: dict[str, tuple[int, float, float]] = {
     "Velodyne HDL-64E": (64, 2.0, -24.8),
@@ -74,7 +74,7 @@ class Beams:
 
 
 def find_beams(xyz: np.ndarray, ring: np.ndarray | None = None) -> Beams | None:
-    """Return the beams of a scan (N, 3) in metres, from the sensor's origin; None where it does not show any.
+    """Return the beams of a scan (N, 3) in metres, from the sensor's origin; None if it does not show any.
 
     ring  (N,) integer number of each point's beam, if known.
     """
@@ -152,7 +152,7 @@ def sharpest_origin(xyz: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 
 def horizontal_centre(xyz: np.ndarray) -> np.ndarray:
-    """Return the point (3,) that halves the points (N, 3) along every direction, at the height of the lower ones.
+    """Return the point (3,) halving the points (N, 3) along every direction, at the height of the lower ones.
 
     A LiDAR takes as many points on one side of any line through it as on the other: it stands near that point.
     """

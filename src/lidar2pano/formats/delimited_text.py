@@ -1,4 +1,4 @@
-"""Points as text: CSV, TXT, XYZ, PTS; any separator, with or without a header or a line that counts them."""
+"""Points as text: CSV, TXT, XYZ, PTS; any separator, with or without a header or a line with their number."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LEAST = 3  # columns
 
 
 def has_points(head: bytes) -> bool:
-    """Return whether a file begins with text in which some line has three numbers or the names of axes."""
+    """Return whether a file begins with text, a line of which has three numbers or the names of axes."""
     text = head.removeprefix(b"\xef\xbb\xbf")
     if not text or b"\0" in text:
         return False
@@ -36,7 +36,7 @@ def has_points(head: bytes) -> bool:
 
 
 def decode(data: bytes, path: Path) -> PointCloud:
-    """The points; InputError where lines have too few numbers, or not as many lines follow as the first one says."""
+    """Return the points; InputError if lines have too few numbers, or their number is not the first line's."""
     data = data.removeprefix(b"\xef\xbb\xbf")
     if b";" in data[:MOST_LINE] and b"," in data[:MOST_LINE] and not data[:MOST_LINE].lstrip().startswith(b"#"):
         data = data.replace(b",", b".")  # 3,14;2,72
@@ -55,7 +55,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
 
 
 def column_names(table: np.ndarray) -> list[str]:
-    """What the columns (N, C) of a table without names are: x y z, intensity or colours, then what is not known."""
+    """Return names for the columns of a table (N, C): x y z, intensity or colours, then "column N"."""
     names = ["x", "y", "z"]
     rest = table[:, 3:]
     with np.errstate(invalid="ignore"):
@@ -71,12 +71,12 @@ def column_names(table: np.ndarray) -> list[str]:
 
 
 def numbers(data: bytes, path: Path, width: int) -> np.ndarray:
-    """The numbers (N, width) float64 of lines of text; empty cells are NaN. InputError where a line has not so many."""
+    """Return the numbers (N, width) float64 of lines of text, NaN for empty cells; InputError for other widths."""
     if len(data) > MOST_BYTES or data.count(b"\n") > MOST_POINTS:
         raise InputError(f"{path}: is too long for a single sweep (at most {MOST_POINTS} points); cut it")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # where there is no number at all
+            warnings.simplefilter("error")  # if there is no number at all
             table = np.loadtxt(io.BytesIO(data.translate(SEPARATORS)), ndmin=2, encoding="latin-1")
     except (UserWarning, ValueError):
         return _line_by_line(data, path, width)
@@ -84,7 +84,7 @@ def numbers(data: bytes, path: Path, width: int) -> np.ndarray:
 
 
 def _line_by_line(data: bytes, path: Path, width: int) -> np.ndarray:
-    """Like `numbers`, for files with comments, empty cells, text cells and to find the line that is wrong."""
+    """Like `numbers`, for files with comments, empty cells, text cells and to find the wrong line."""
     rows = []
     for number, line in enumerate(data.decode("utf-8", "replace").splitlines(), 1):
         cells = _cells(line, width)
@@ -104,7 +104,7 @@ MOST_DIGITS = 19  # of a number of points
 
 
 def _preamble(data: bytes, path: Path) -> tuple[list[str], int | None, bytes]:
-    """The header's names, the number of points that a line claims, and what follows them."""
+    """Return the header's names, the number of points claimed by a line, and the rest of the file."""
     names: list[str] = []
     claimed = None
     while data:
@@ -129,7 +129,7 @@ def _is_header(cells: list[str]) -> bool:
 
 
 def _cells(line: str, width: int = 0) -> list[str]:
-    """A line's cells without quotes; a separator at the end adds none beyond `width`."""
+    """Return a line's cells without quotes; a separator at the end adds none beyond `width`."""
     line = line.strip()
     for separator in (";", ",", "\t", "|"):
         if separator in line:

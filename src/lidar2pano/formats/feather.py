@@ -12,9 +12,9 @@ from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_col
 
 
 def decode(data: bytes, path: Path) -> PointCloud:
-    """The points of its columns; the stamp is the file's name where that is nanoseconds (Argoverse 2).
+    """Return the points of its columns; the stamp is the file's name if in nanoseconds (Argoverse 2).
 
-    Raises InputError where the file is damaged, or pyarrow is not installed.
+    Raises InputError if the file is damaged, or pyarrow is not installed.
     """
     try:
         import pyarrow as pa

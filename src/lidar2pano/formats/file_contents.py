@@ -1,4 +1,4 @@
-"""The bytes of a file, unpacked where it is compressed (gzip, zstd), never more than a scan can have."""
+"""The bytes of a file, unpacked if it is compressed (gzip, zstd), never more than a scan can have."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Protocol
 from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError
 
-HEAD_BYTES = 4096  # of a file, by which readers decide
+HEAD_BYTES = 4096  # of a file, for readers to decide
 MOST_FILE_BYTES = 1 << 30  # a sparse or wrong file must not fill the memory
-MOST_BYTES = 1 << 28  # of what is unpacked: 16 million points of 16 bytes
+MOST_BYTES = 1 << 28  # unpacked: 16 million points of 16 bytes
 CHUNK_BYTES = 1 << 20
 GZIP, ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
 OTHER_PACKERS = {
@@ -30,18 +30,18 @@ class Inflater(Protocol):
     """Gives out unpacked bytes like a file."""
 
     def read(self, size: int, /) -> bytes:
-        """At most `size` further bytes; b"" at the end."""
+        """Return at most `size` further bytes; b"" at the end."""
         ...
 
 
 class GzipStream:
-    """Reads gzip, of one or several members; zlib.error or EOFError where it is damaged."""
+    """Reads gzip, of one or several members; zlib.error or EOFError if it is damaged."""
 
     def __init__(self, file: io.FileIO) -> None:
         self._file, self._left, self._member = file, b"", zlib.decompressobj(31)
 
     def read(self, size: int, /) -> bytes:
-        """At most `size` further bytes; b"" at the end."""
+        """Return at most `size` further bytes; b"" at the end."""
         while True:
             self._left = self._left or self._file.read(CHUNK_BYTES)
             if self._member.eof:
@@ -50,14 +50,14 @@ class GzipStream:
                 self._member = zlib.decompressobj(31)
             elif not self._left:
                 raise EOFError("it ends too early")
-            found = self._member.decompress(self._left, size)
+            data = self._member.decompress(self._left, size)
             self._left = self._member.unused_data if self._member.eof else self._member.unconsumed_tail
-            if found:
-                return found
+            if data:
+                return data
 
 
 def head_of(path: Path) -> bytes:
-    """The first HEAD_BYTES, unpacked; InputError where the file cannot be read or is packed in an unknown way."""
+    """Return the first HEAD_BYTES, unpacked; InputError if the file cannot be read or is packed in an unknown way."""
     try:
         with open_regular(path) as file:
             head = file.read(HEAD_BYTES)
@@ -75,7 +75,7 @@ def head_of(path: Path) -> bytes:
 
 
 def contents(path: Path) -> bytes:
-    """All bytes, unpacked; InputError where the file cannot be read, is damaged or too large for a scan."""
+    """Return all bytes, unpacked; InputError if the file cannot be read, is damaged or too large for a scan."""
     try:
         with open_regular(path) as file:
             if (length := os.fstat(file.fileno()).st_size) > MOST_FILE_BYTES:
@@ -95,17 +95,17 @@ def contents(path: Path) -> bytes:
 
 
 def _unpacked(path: Path, file: io.FileIO, head: bytes, most: int) -> bytes:
-    """At most so many bytes of a packed file."""
+    """Return at most so many bytes of a packed file."""
     stream = GzipStream(file) if head.startswith(GZIP) else _zstd_stream(path, file)
-    found = io.BytesIO()
+    data = io.BytesIO()
     try:
-        while (left := most - found.tell()) > 0 and (chunk := stream.read(min(left, CHUNK_BYTES))):
-            found.write(chunk)
+        while (left := most - data.tell()) > 0 and (chunk := stream.read(min(left, CHUNK_BYTES))):
+            data.write(chunk)
     except Exception as error:  # each library has errors of its own
         if isinstance(error, OSError):
             raise
         raise InputError(f"{path}: cannot be unpacked ({error}); it is damaged or cut off, fetch it again") from error
-    return found.getvalue()
+    return data.getvalue()
 
 
 def _zstd_stream(path: Path, file: io.FileIO) -> Inflater:
@@ -117,7 +117,7 @@ def _zstd_stream(path: Path, file: io.FileIO) -> Inflater:
 
 
 def stem_of(path: Path) -> str:
-    """A scan file's name without its endings: "a.pcd.bin", "a.bin.gz" and "a.pcd" are all "a"."""
+    """Return a scan file's name without its endings: "a.pcd.bin", "a.bin.gz" and "a.pcd" are all "a"."""
     name = path.name
     for ending in (".gz", ".zst", ".zstd", ".bin"):
         if name.lower().endswith(ending) and len(name) > len(ending):

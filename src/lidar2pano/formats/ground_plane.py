@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-NEAR_M, FAR_M = 2.5, 25.0  # where the ground is looked for
+NEAR_M, FAR_M = 2.5, 25.0  # of the points used
 CELL_M = 1.0
-FEWEST_CELLS, FEWEST_POINTS = 30, 3  # that say something; points of a cell
-LOWEST_M, HIGHEST_M, STEP_M = -6.0, 6.0, 0.1  # heights that are tried
+FEWEST_CELLS, FEWEST_POINTS = 30, 3  # to fit a plane; points of a cell
+LOWEST_M, HIGHEST_M, STEP_M = -6.0, 6.0, 0.1  # of candidate heights
 INSIDE_M = 0.3  # cells so near to a plane belong to it
-LEAST_SHARE = 0.12  # of the cells that must belong to it
-SIDE_DEG = 20.0  # half of the sector that is looked at in each direction
+LEAST_SHARE = 0.12  # of the cells must belong to it
+SIDE_DEG = 20.0  # half of the sector in each direction
 OWN_M, BLIND_M = 1.2, 15.0  # nearer echoes are the vehicle's; farther ground is hidden by something else
 
 
@@ -30,9 +30,9 @@ class Ground:
 
 
 def fit_ground(xyz: np.ndarray) -> Ground | None:
-    """The ground plane of points (N, 3), metres, z up; None where there is none.
+    """Return the ground plane of points (N, 3), metres, z up; None if there is none.
 
-    The lowest point of each cell of a grid; the height that most of them share; a plane through those by least squares.
+    The lowest point of each cell of a grid; the height of most of them; a plane through those by least squares.
     """
     distance = np.hypot(xyz[:, 0], xyz[:, 1])
     near = xyz[(distance > NEAR_M) & (distance < FAR_M)]
@@ -66,7 +66,7 @@ def fit_ground(xyz: np.ndarray) -> Ground | None:
 def blind_radii(
     xyz: np.ndarray, ground: Ground
 ) -> tuple[tuple[float | None, float | None], tuple[float | None, float | None]]:
-    """Distances at which the ground begins to be visible: (along x, along -x), (along y, along -y); None: nowhere."""
+    """Return distances of the first visible ground: (along x, along -x), (along y, along -y); None for no ground."""
     x, y, z = xyz.T
     distance = np.hypot(x, y)
     flat = np.abs(z - ground.height_m - ground.slope[0] * x - ground.slope[1] * y) < INSIDE_M

@@ -1,4 +1,4 @@
-"""Image files: RGB, class ids and 16 bit depth as PNG; and files that are written completely or not at all."""
+"""Image files: RGB, class ids and 16 bit depth as PNG; and files written completely or not at all."""
 
 from __future__ import annotations
 
@@ -26,33 +26,33 @@ PARTS = 4  # of a PNG's rows, compressed by a thread each
 FAST_PNG = 1  # zlib's level: a third of the default's time for a tenth more bytes
 PART = ".lidar2pano-part"  # ending of unfinished files
 HOST = platform.node()[:64]
-# name of a format for colour images -> ending of its files, what Pillow writes it with
+# name of a format for colour images -> ending of its files, Pillow's options
 COLOUR_FORMATS = {
     "png": (".png", {}),
     "webp": (".webp", {"quality": 90, "method": 0}),
     "jpeg": (".jpg", {"quality": 95}),
 }
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-SMALL_PNG = 9  # for what is written once and read often
+SMALL_PNG = 9  # for files written once and read often
 
 
 def read_image(path: Path, mode: str | None = None) -> np.ndarray:
     """Read an image file: (h, w, 3) uint8 with mode "RGB"; without a mode the values as stored, e.g. ids or depths.
 
-    Raises InputError where the file is missing or damaged.
+    Raises InputError if the file is missing or damaged.
     """
     with _opened(path) as image:
         return np.array(image.convert(mode) if mode else image)
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """(width, height) of an image file, by its header alone; raises like `read_image`."""
+    """Return (width, height) of an image file, by its header alone; raises like `read_image`."""
     with _opened(path) as image:
         return image.size
 
 
 def image_text(path: Path) -> dict[str, str]:
-    """Texts by keyword that a PNG has beside its pixels, as `write_png` writes them; raises like `read_image`."""
+    """Return texts by keyword of a PNG, as `write_png` writes them; raises like `read_image`."""
     with _opened(path) as image:
         image.load()  # they may stand behind the pixels
         return {str(key): str(value) for key, value in getattr(image, "text", {}).items()}
@@ -74,10 +74,10 @@ def write_png(path: Path, colour: np.ndarray, text: Mapping[str, str] | None = N
 
 
 def fast_png(colour: np.ndarray, text: Mapping[str, str] | None = None) -> bytes:
-    """An RGB image (h, w, 3) uint8 as PNG, in a third of the time that Pillow takes, of about the same size.
+    """Return an RGB image (h, w, 3) uint8 as PNG, in a third of Pillow's time, of about the same size.
 
-    Every row is filtered by "Sub" (PNG specification, 9.2) where Pillow tries all filters, and compressed fast (by zlib
-    with run lengths and Huffman codes alone), in PARTS at the same time.
+    Every row is filtered by "Sub" (PNG specification, 9.2), while Pillow tries all filters, and compressed fast (by
+    zlib with run lengths and Huffman codes alone), in PARTS at the same time.
     """
     rows, columns, _ = colour.shape
     lines = np.empty((rows, 1 + 3 * columns), dtype=np.uint8)
@@ -107,7 +107,7 @@ def _chunk(name: bytes, data: bytes) -> bytes:
 
 @cache
 def _zlib() -> Any:  # noqa: ANN401
-    """Intel's ISA-L where the extra `fast` is installed, a quarter of zlib's time for smaller files; else zlib."""
+    """Return Intel's ISA-L if the extra `fast` is installed, a quarter of zlib's time for smaller files; else zlib."""
     try:
         from isal import isal_zlib
     except ImportError:
@@ -136,34 +136,34 @@ def write_depth(path: Path, depth_m: np.ndarray) -> None:
 def write_whole(path: Path, write: Callable[[Path], object], option: str = "--out") -> Path:
     """Call `write` with a file beside `path`, flush it to the disk, then rename it: no half file is ever seen.
 
-    What a killed process left half written in the same folder is removed. Returns `path`.
+    Half-written files of killed processes in the same folder are removed. Returns `path`.
 
-    Raises InputError where the file cannot be written; `option` is what the user should choose differently.
+    Raises InputError if the file cannot be written; `option` is the user's to choose differently.
     """
-    beside = path.with_name(f".{HOST}-{os.getpid()}-{threading.get_native_id()}{PART}")
+    part = path.with_name(f".{HOST}-{os.getpid()}-{threading.get_native_id()}{PART}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _sweep(path.parent)
         try:
-            write(beside)
-            with beside.open("rb+") as file:
+            write(part)
+            with part.open("rb+") as file:
                 os.fsync(file.fileno())
-            beside.replace(path)
+            part.replace(path)
         finally:
-            beside.unlink(missing_ok=True)
+            part.unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({reason(error)}); choose another {option}") from error
     return path
 
 
 def reason(error: OSError) -> str:
-    """What the system says; numpy's `tofile` says only how many bytes it could write."""
+    """Return the system's message; numpy's `tofile` says only how many bytes it could write."""
     return error.strerror or ("No space left on device" if "requested and" in str(error) else str(error))
 
 
 @cache
 def _sweep(folder: Path) -> None:
-    """Remove the unfinished files of processes of this machine that no longer run; once per folder and process."""
+    """Remove the unfinished files of processes of this machine which no longer run; once per folder and process."""
     for part in folder.glob(f".{HOST}-*{PART}"):
         process = part.name.removeprefix(f".{HOST}-").partition("-")[0]
         if process.isdecimal() and not Path(f"/proc/{process}").exists() and Path("/proc/self").exists():

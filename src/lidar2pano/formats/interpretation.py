@@ -1,4 +1,4 @@
-"""What a cloud's numbers mean: remission, axes, height of the ground, units, points that are none, field of view."""
+"""Interpretation of a cloud: remission, axes, units, height of the ground, no returns, field of view, doubts."""
 
 from __future__ import annotations
 
@@ -15,43 +15,43 @@ from lidar2pano.scan import Scan
 
 NO_RETURN = 0.01  # nearer to the origin, in the cloud's unit, there was no echo
 FEWEST = 1000  # usable points; fewer decide nothing: they are taken as they are
-SENSOR_HEIGHT_M = 1.73  # above the road, of the sensor that the networks were trained with (KITTI's HDL-64E)
-ASSUMED = "assumed"  # the first word of why a viewpoint is where it is, where nothing in the scan says it
-LOWEST_SENSOR_M = 0.4  # above the ground; a point that is lower is none from which beams came
-STAND_IN = 0.25  # remission of all points where there is none: costs least, see runs/remission_stand_in.py
+SENSOR_HEIGHT_M = 1.73  # above the road, of the training data's sensor (KITTI's HDL-64E)
+ASSUMED = "assumed"  # the first word of a reason for a viewpoint without evidence in the scan
+LOWEST_SENSOR_M = 0.4  # above the ground; no sensor is lower
+STAND_IN = 0.25  # remission of all points if there is none: costs least, see runs/remission_stand_in.py
 SCALES = (1.0, 255.0, 65535.0)
 FULL_SHARE = 1 / 16  # the 99th percentile of 16 bit remissions is not below this share of the scale
-FORWARD = {"x": (1, 0), "y": (0, 1), "-x": (-1, 0), "-y": (0, -1)}  # (cos, sin) of the axis that points forward
+FORWARD = {"x": (1, 0), "y": (0, 1), "-x": (-1, 0), "-y": (0, -1)}  # (cos, sin) of the forward axis
 NUSCENES_FORMAT = "float32 rows, nuScenes"
 GAP_DEG = 15.0  # a sector of so many degrees without any point is out of the field of view
 NARROWEST_DEG = 60.0  # in view; less is no sweep
 FAR_M = 1000.0  # beyond this no LiDAR of a vehicle measures: coordinates are millimetres, or have an offset
-# Median over 99th percentile of ranges, from which on points do not thin out with distance as those of sweeps do.
+# Median over 99th percentile of ranges; beyond, points do not thin out with distance as a sweep's do.
 FLAT_SHARE, FLAT_FROM_M = 0.45, 30.0
-DENSE, FEWEST_DENSE = 4, 300  # points of a direction (1 x 1 degree), and such directions, that say something
+DENSE, FEWEST_DENSE = 4, 300  # points of a direction (1 x 1 degree), and such directions, to decide by
 MAP_SPREAD = 0.12  # standard deviation of the logarithm of ranges within a direction: sweeps 0.02 to 0.06 if flat
 VEHICLE_GROUND_M = 0.65  # the ground is so near to z = 0 in a vehicle's frame (Argoverse 2: rear axle, 0.35 m above it)
 VEHICLE_DOWN_DEG = -9.0  # and no point lies far below the origin's horizon, as points do below a sensor
-STANDING_M = 0.3  # above the ground; what is lower is ground
+STANDING_M = 0.3  # above the ground; lower points are ground
 ALIKE_DEG, ALIKE_POINTS = 2.0, 1.5  # between scans of one sensor: lowest beam, factor of counts
 SLIVER_DEG = 2.0  # a few stray points between two gaps
-SAMPLE = 40_000  # points that geometry is found by
-FORWARD_RATIO, FORWARD_RATIO_OF_THREE = 1.2, 1.5  # of the ground that a car hides before and behind to that beside it
+SAMPLE = 40_000  # points for finding the geometry
+FORWARD_RATIO, FORWARD_RATIO_OF_THREE = 1.2, 1.5  # of the ground hidden by a car at its ends to that at its sides
 CAR_BLIND_M, CAR_HEIGHT_M = 3.7, (1.4, 2.6)  # it hides so much of the ground; sensors stand so high on cars
 # Of doubts.
 SWEEP_POINTS = 500  # usable ones; the sparsest LiDAR gives thousands
 ENOUGH_POINTS = 10_000  # without a ground among so many, something is wrong
-MOST_ODD = 0.02  # of the coordinates that are no lengths
-MOST_UNUSABLE = 0.1  # of the points in a file without rows of an image, where nothing marks what did not return
-MOST_FULL = 0.5  # of the remissions that are full
-SMALLEST, LARGEST = 1e-12, 1e7  # of a coordinate that is not zero, in any unit: others are bytes of something else
+MOST_ODD = 0.02  # of the coordinates are no lengths
+MOST_UNUSABLE = 0.1  # of the points in a file without rows of an image, which has no marks of missing returns
+MOST_FULL = 0.5  # of the remissions are full
+SMALLEST, LARGEST = 1e-12, 1e7  # of a nonzero coordinate, in any unit: others are bytes of something else
 # Other axes, and the rotation of such points into ours.
 OTHER_AXES = {
     "z seems to point down": np.diag([1.0, -1.0, -1.0]),
     "the axes seem to be a camera's (z forward, y down)": np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),
     "y seems to point up": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
 }
-# Fields of an Interpretation that all scans of a stream share.
+# Fields of an Interpretation, shared by all scans of a stream.
 GEOMETRY = (
     "unit_m",
     "viewpoint_m",
@@ -66,12 +66,12 @@ GEOMETRY = (
 
 @dataclass(frozen=True, kw_only=True)
 class Overrides:
-    """What the user knows better than can be found out from the scan itself.
+    """The user's knowledge, in place of findings from the scan itself.
 
     sensor_height_m  height of the viewpoint above the ground: the cloud is lowered or lifted so; None: found out.
-    forward          the axis that points forward: "x", "y", "-x", "-y"; "": found out.
-    remission        value that stands for full remission: "1", "255", "65535", or "none"; "": found out.
-    invent           whether the panorama also claims what lies outside the field of view.
+    forward          the forward axis: "x", "y", "-x", "-y"; "": found out.
+    remission        value of full remission: "1", "255", "65535", or "none"; "": found out.
+    invent           whether the panorama also claims the sectors outside the field of view.
     """
 
     sensor_height_m: float | None = None
@@ -80,7 +80,7 @@ class Overrides:
     invent: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse values that are none (InputError)."""
+        """Refuse invalid values (InputError)."""
         if self.forward not in ("", *FORWARD):
             raise InputError(f"--forward {self.forward!r} is no axis; there is {', '.join(FORWARD)}")
         if self.remission not in ("", "1", "255", "65535", "none"):
@@ -95,17 +95,17 @@ class Interpretation:
 
     points, no_returns   how many there are, and how many of them are at the origin, NaN or Inf.
     unit_m               length of one unit of the coordinates.
-    viewpoint_m          the point of the cloud, in metres and its own axes, that became the sensor's origin.
-    viewpoint_by         why that one.
-    forward, forward_by  the axis that points forward, and why that one.
-    ground_m             height of the sensor's origin above the ground, None where none was found; tilt_deg of it.
-    assumed_height_m     the same where the origin was put there by assumption, None where it was found or named.
+    viewpoint_m          the point of the cloud, in metres and its own axes, chosen as the sensor's origin.
+    viewpoint_by         the reason.
+    forward, forward_by  the forward axis, and the reason.
+    ground_m             height of the sensor's origin above the ground, None if none was found; tilt_deg of it.
+    assumed_height_m     the same for an assumed origin, None for a found or named one.
     remission            how it was scaled: "0-1", "0-255", "0-65535", "min-max" or "none"; remission_full: the value
-                         that became 1, None where all points have the stand-in.
+                         of full remission, None if all points have the stand-in.
     gaps_deg             sectors (left, right) of azimuth out of the field of view, counter-clockwise from forward.
-    invented             whether the panorama claims what lies in the gaps.
-    lowest_deg           elevation above which 99 of 100 points lie, from the cloud's origin.
-    doubts               what about the cloud is as no LiDAR gives it, a sentence each.
+    invented             whether the panorama claims the gaps.
+    lowest_deg           elevation below 99 of 100 points, from the cloud's origin.
+    doubts               properties of the cloud that no LiDAR gives, a sentence each.
     """
 
     format: str
@@ -137,17 +137,17 @@ class Interpretation:
 def interpret(
     cloud: PointCloud, overrides: Overrides | None = None, like: Interpretation | None = None
 ) -> tuple[Scan, Interpretation]:
-    """The scan in the sensor's frame (x forward, metres, remission in [0, 1]), and how it was found out.
+    """Return the scan in the sensor's frame (x forward, metres, remission in [0, 1]), and its interpretation.
 
-    like  how the first cloud of the same stream was read: unit, axes, height and remission are taken from it, unless
+    like  interpretation of the same stream's first cloud: unit, axes, height and remission are taken from it, unless
           the two are of different sensors.
-    A cloud that needs no change keeps its numbers exactly. Raises InputError for a cloud that is no sweep.
+    Numbers stay exact if nothing must change. Raises InputError for a cloud that is no sweep.
     """
     overrides = overrides or Overrides()
     xyz = cloud.xyz
     squared = np.einsum("ij,ij->i", xyz, xyz)
     returns = np.isfinite(squared) & (squared > NO_RETURN**2)
-    found = Interpretation(
+    result = Interpretation(
         format=cloud.format,
         fields=cloud.fields,
         frame=cloud.frame,
@@ -158,23 +158,23 @@ def interpret(
     )
     step = max(1, len(xyz) // SAMPLE)
     sample = xyz[::step][returns[::step]].astype(np.float64)
-    found = replace(found, lowest_deg=_lowest(sample))
-    like = like if like and _alike(found, like) else None
-    remission, found = _remission(cloud, overrides, like, found)
+    result = replace(result, lowest_deg=_lowest(sample))
+    like = like if like and _alike(result, like) else None
+    remission, result = _remission(cloud, overrides, like, result)
     doubts = doubts_about(xyz, returns, remission, rows=cloud.format.startswith("float32 rows"))
-    if len(cloud) - found.no_returns >= FEWEST:
+    if len(cloud) - result.no_returns >= FEWEST:
         try:
-            found = _geometry(sample, cloud, overrides, like, found)
-            xyz = _moved(xyz, returns, found)
-            found = replace(found, gaps_deg=_gaps(xyz[returns], overrides))
+            result = _geometry(sample, cloud, overrides, like, result)
+            xyz = _moved(xyz, returns, result)
+            result = replace(result, gaps_deg=_gaps(xyz[returns], overrides))
         except InputError as error:
             raise InputError("; ".join([str(error), *doubts])) from None
-        if not doubts and (found.ground_m is None or found.ground_m < 0):
+        if not doubts and (result.ground_m is None or result.ground_m < 0):
             doubts = doubts_about_ground(xyz[:: max(1, len(xyz) // SAMPLE)])
     elif overrides.forward:
-        found = replace(found, forward=overrides.forward, forward_by="--forward")
-        xyz = _moved(xyz, returns, found)
-    found = replace(found, doubts=tuple(doubts))
+        result = replace(result, forward=overrides.forward, forward_by="--forward")
+        xyz = _moved(xyz, returns, result)
+    result = replace(result, doubts=tuple(doubts))
     scan = Scan(
         xyz=np.array(xyz, np.float32, order="C"),  # a copy: the cloud's may be a view of a file, or of the caller's
         remission=remission,
@@ -182,9 +182,9 @@ def interpret(
         name=cloud.name,
         ring=cloud.ring,
         time_s=cloud.time_s,
-        gaps_deg=() if overrides.invent else found.gaps_deg,
+        gaps_deg=() if overrides.invent else result.gaps_deg,
     )
-    return scan, found
+    return scan, result
 
 
 def _lowest(sample: np.ndarray) -> float | None:
@@ -192,19 +192,19 @@ def _lowest(sample: np.ndarray) -> float | None:
     return round(float(np.degrees(np.percentile(elevation, 1))), 2) if len(sample) else None
 
 
-def _alike(found: Interpretation, like: Interpretation) -> bool:
-    """Whether two clouds are of one sensor: form, fields, lowest beam, and about as many points."""
-    if (found.format, found.fields) != (like.format, like.fields) or None in (found.lowest_deg, like.lowest_deg):
+def _alike(result: Interpretation, like: Interpretation) -> bool:
+    """Return whether two clouds are of one sensor: form, fields, lowest beam, and about as many points."""
+    if (result.format, result.fields) != (like.format, like.fields) or None in (result.lowest_deg, like.lowest_deg):
         return False
-    few, many = sorted((found.points - found.no_returns, like.points - like.no_returns))
-    return abs((found.lowest_deg or 0) - (like.lowest_deg or 0)) < ALIKE_DEG and many < ALIKE_POINTS * few
+    few, many = sorted((result.points - result.no_returns, like.points - like.no_returns))
+    return abs((result.lowest_deg or 0) - (like.lowest_deg or 0)) < ALIKE_DEG and many < ALIKE_POINTS * few
 
 
 def _remission(
-    cloud: PointCloud, overrides: Overrides, like: Interpretation | None, found: Interpretation
+    cloud: PointCloud, overrides: Overrides, like: Interpretation | None, result: Interpretation
 ) -> tuple[np.ndarray, Interpretation]:
     values = cloud.intensity
-    none = replace(found, remission="none", remission_full=None)
+    none = replace(result, remission="none", remission_full=None)
     if values is None or overrides.remission == "none" or (like and like.remission == "none"):
         return np.full(len(cloud), STAND_IN, np.float32), none
     with np.errstate(invalid="ignore"):
@@ -219,16 +219,16 @@ def _remission(
         full, how = _scale(values, low, high)
     if how == "min-max":
         return ((values.astype(np.float64) - low) / full).astype(np.float32), replace(
-            found, remission=how, remission_full=full
+            result, remission=how, remission_full=full
         )
     scaled = values.astype(np.float32)
     if full != 1:
         scaled = np.minimum(scaled / np.float32(full), 1)
-    return scaled, replace(found, remission=how, remission_full=full)
+    return scaled, replace(result, remission=how, remission_full=full)
 
 
 def _scale(values: np.ndarray, low: float, high: float) -> tuple[float, str]:
-    """The value that stands for full remission, and how that scale is called."""
+    """Return the value of full remission, and the name of the scale."""
     if low < 0:
         return high - low, "min-max"
     integers = values.dtype.kind in "iu"
@@ -241,15 +241,15 @@ def _scale(values: np.ndarray, low: float, high: float) -> tuple[float, str]:
 
 
 def _geometry(
-    sample: np.ndarray, cloud: PointCloud, overrides: Overrides, like: Interpretation | None, found: Interpretation
+    sample: np.ndarray, cloud: PointCloud, overrides: Overrides, like: Interpretation | None, result: Interpretation
 ) -> Interpretation:
     """Unit, viewpoint, ground and forward axis of a cloud, by (N, 3) float64 of its points."""
     away = _is_offset(sample)
     if like and not away and overrides.sensor_height_m is None:
-        return replace(found, **{name: getattr(like, name) for name in GEOMETRY})
+        return replace(result, **{name: getattr(like, name) for name in GEOMETRY})
     most = float(np.percentile(np.linalg.norm(sample, axis=1), 99))
     if not away and FAR_M < most < 1000 * FAR_M:
-        found = replace(found, unit_m=1e-3)
+        result = replace(result, unit_m=1e-3)
         sample = sample * 1e-3
     centre = horizontal_centre(sample) if away else np.zeros(3)
     sample = sample - centre
@@ -260,26 +260,26 @@ def _geometry(
         )
     ground = fit_ground(sample)
     viewpoint, why = _viewpoint(sample, ground, overrides, away)
-    found = replace(found, assumed_height_m=SENSOR_HEIGHT_M if why.startswith(ASSUMED) else None)
+    result = replace(result, assumed_height_m=SENSOR_HEIGHT_M if why.startswith(ASSUMED) else None)
     sample = sample - viewpoint
     if ground:
         height_m = float(viewpoint[2]) - ground.height_m
         ground = replace(ground, height_m=-height_m)
-        found = replace(found, ground_m=round(height_m, 2), tilt_deg=round(ground.tilt_deg, 1))
+        result = replace(result, ground_m=round(height_m, 2), tilt_deg=round(ground.tilt_deg, 1))
     forward, forward_by = _forward(sample, cloud, ground, overrides)
     x, y, z = (round(float(value), 3) for value in centre + viewpoint)
-    return replace(found, viewpoint_m=(x, y, z), viewpoint_by=why, forward=forward, forward_by=forward_by)
+    return replace(result, viewpoint_m=(x, y, z), viewpoint_by=why, forward=forward, forward_by=forward_by)
 
 
 def _is_offset(sample: np.ndarray) -> bool:
-    """Whether the points lie together and all far from the origin, as in UTM coordinates."""
+    """Return whether the points lie together and all far from the origin, as in UTM coordinates."""
     centre = np.median(sample, axis=0)
     spread = np.percentile(np.abs(sample - centre), 90)
     return float(np.abs(centre).max()) > 5 * spread
 
 
 def _is_map(sample: np.ndarray, away: bool) -> bool:
-    """Whether points do not thin out with distance, and lie behind each other in one direction, as no sweep's do.
+    """Return whether points do not thin out with distance, and lie behind each other, as no sweep's do.
 
     away  whether they had an offset, as a survey's do: then the former alone is enough.
     """
@@ -300,7 +300,7 @@ def _is_map(sample: np.ndarray, away: bool) -> bool:
 
 
 def _viewpoint(sample: np.ndarray, ground: Ground | None, overrides: Overrides, away: bool) -> tuple[np.ndarray, str]:
-    """The point that becomes the sensor's origin, and why; the origin where it is the sensor's already."""
+    """Return the sensor's origin, and the reason; (0, 0, 0) if it is the cloud's already."""
     floor_m = ground.height_m if ground else 0.0
     if overrides.sensor_height_m is not None:
         return np.array([0, 0, floor_m + overrides.sensor_height_m]), "--sensor-height"
@@ -313,51 +313,51 @@ def _viewpoint(sample: np.ndarray, ground: Ground | None, overrides: Overrides, 
     why = "coordinates have an offset" if away else "the ground is at z = 0: a vehicle's frame"
     start = np.array([0, 0, floor_m + SENSOR_HEIGHT_M])
     standing = sample[np.abs(sample[:, 2] - floor_m) > STANDING_M]  # from the ground itself, the ground is a sharp line
-    found = sharpest_origin(standing, start)
-    if (found == start).all() or found[2] - floor_m < LOWEST_SENSOR_M:
+    origin = sharpest_origin(standing, start)
+    if (origin == start).all() or origin[2] - floor_m < LOWEST_SENSOR_M:
         return start, f"{ASSUMED} {SENSOR_HEIGHT_M} m above the ground, since {why}"
-    return found, f"found by the beams, since {why}"
+    return origin, f"found by the beams, since {why}"
 
 
 def _forward(sample: np.ndarray, cloud: PointCloud, ground: Ground | None, overrides: Overrides) -> tuple[str, str]:
-    """The axis that points forward, and why: a car hides more of the ground before and behind it than beside it."""
+    """Return the forward axis, and the reason: a car hides more ground before and behind it than beside it."""
     if overrides.forward:
         return overrides.forward, "--forward"
     if cloud.format == NUSCENES_FORMAT:
         return "y", "nuScenes' convention"
     if ground and CAR_HEIGHT_M[0] <= -ground.height_m <= CAR_HEIGHT_M[1]:
         along, across = blind_radii(sample, ground)
-        known = [radius for radius in across if radius is not None]
-        if known and None not in along:
-            ratio = FORWARD_RATIO if len(known) == 2 else FORWARD_RATIO_OF_THREE
-            if min(known) > max(CAR_BLIND_M, ratio * max(radius or 0 for radius in along)):
+        radii = [radius for radius in across if radius is not None]
+        if radii and None not in along:
+            ratio = FORWARD_RATIO if len(radii) == 2 else FORWARD_RATIO_OF_THREE
+            if min(radii) > max(CAR_BLIND_M, ratio * max(radius or 0 for radius in along)):
                 return "y", "the vehicle hides more of the ground along y than along x"
     return "x", "convention"
 
 
-def _moved(xyz: np.ndarray, returns: np.ndarray, found: Interpretation) -> np.ndarray:
-    """The points in metres, from the viewpoint, x forward, no returns NaN; `xyz` itself where nothing moves."""
-    if found.unit_m == 1 and not any(found.viewpoint_m) and found.forward == "x":
+def _moved(xyz: np.ndarray, returns: np.ndarray, result: Interpretation) -> np.ndarray:
+    """Return the points in metres, from the viewpoint, x forward, no returns NaN; `xyz` itself if nothing moves."""
+    if result.unit_m == 1 and not any(result.viewpoint_m) and result.forward == "x":
         return xyz
-    moved = xyz.astype(np.float64) * found.unit_m - found.viewpoint_m
+    moved = xyz.astype(np.float64) * result.unit_m - result.viewpoint_m
     moved[~returns] = np.nan
-    cosine, sine = FORWARD[found.forward]
+    cosine, sine = FORWARD[result.forward]
     x, y = moved[:, 0].copy(), moved[:, 1].copy()
     moved[:, 0], moved[:, 1] = cosine * x + sine * y, cosine * y - sine * x
     return moved
 
 
 def _gaps(xyz: np.ndarray, overrides: Overrides) -> tuple[tuple[float, float], ...]:
-    """Sectors (left, right) of azimuth, degrees, in which no point lies: left in (-180, 180], right below it.
+    """Return sectors (left, right) of azimuth, degrees, without any point: left in (-180, 180], right below it.
 
-    Raises InputError where little else is left.
+    Raises InputError if little else is left.
     """
     bins = 1440
     turn = np.floor((np.arctan2(xyz[:, 1], xyz[:, 0]) / np.pi + 1) * (bins / 2)).astype(np.int64) % bins
     empty = np.bincount(turn, minlength=bins) == 0
     if not empty.any():
         return ()
-    begin = int(np.argmin(empty))  # a bin that has points
+    begin = int(np.argmin(empty))  # a bin with points
     runs = np.flatnonzero(np.diff(np.r_[False, np.roll(empty, -begin), False].astype(np.int8)))
     gaps: list[tuple[float, float]] = []
     for first, end in zip(runs[::2], runs[1::2], strict=True):
@@ -375,30 +375,30 @@ def _gaps(xyz: np.ndarray, overrides: Overrides) -> tuple[tuple[float, float], .
 
 
 def doubts_about(xyz: np.ndarray, returns: np.ndarray, remission: np.ndarray, *, rows: bool) -> list[str]:
-    """What is strange about points (N, 3) as the file holds them, of which `returns` (N,) bool are usable.
+    """Return doubts about points (N, 3) as the file holds them, whose usable ones are `returns` (N,) bool.
 
     remission  (N,) in [0, 1] as it was scaled;  rows: whether the file is nothing but rows of numbers.
     """
-    found = []
+    doubts = []
     usable = int(np.count_nonzero(returns))
     if usable < SWEEP_POINTS:
-        found.append(f"only {usable} of its points can be used, which is no sweep of a LiDAR; name a whole scan")
+        doubts.append(f"only {usable} of its points can be used, which is no sweep of a LiDAR; name a whole scan")
     with np.errstate(invalid="ignore", over="ignore"):  # float16 is compared, too
         size = np.abs(xyz)
         odd = float(np.mean((size > LARGEST) | ((size > 0) & (size < SMALLEST)))) if len(xyz) else 0.0
     unusable = 1 - usable / max(len(xyz), 1)
     if odd > MOST_ODD or (rows and unusable >= MOST_UNUSABLE):
         share = max(odd, unusable)
-        found.append(
+        doubts.append(
             f"{share:.0%} of its numbers are no coordinates; is it float64 or big-endian, or has other columns?"
         )
     if usable and float(np.mean(remission[returns] >= 1)) > MOST_FULL:
-        found.append("most of its points have full remission; name the scale with --remission")
-    return found
+        doubts.append("most of its points have full remission; name the scale with --remission")
+    return doubts
 
 
 def doubts_about_ground(sample: np.ndarray) -> list[str]:
-    """What may be wrong with points (N, 3), metres, below whose origin no ground was found."""
+    """Return doubts about points (N, 3), metres, without a ground below the origin."""
     sample = sample[np.isfinite(sample).all(1)].astype(np.float64)
     if len(sample) < ENOUGH_POINTS:
         return []

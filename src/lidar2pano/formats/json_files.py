@@ -26,16 +26,16 @@ T = TypeVar("T")
 
 
 def read_json(path: Path, mend: str = "complete the data set", *, nan: bool = False) -> Any:
-    """Read a JSON file; InputError where it is missing, no regular file, too large, or refused by `parse_json`."""
+    """Read a JSON file; InputError if it is missing, no regular file, too large, or refused by `parse_json`."""
     return parse_json(read_input(path, mend), str(path), mend, nan=nan)
 
 
 def parse_json(data: str | bytes, source: str, mend: str = "replace it", *, nan: bool = False) -> Any:
-    """The value of a JSON text; `source` is what the message of its InputError begins with.
+    """Return the value of a JSON text; `source` begins the message of its InputError.
 
-    Refused are texts over MOST_TEXT_BYTES, values nested deeper than DEEPEST, and numbers that are not finite or, whole
+    Refused are texts over MOST_TEXT_BYTES, values nested deeper than DEEPEST, and numbers not finite or, whole
     ones, beyond LARGEST.
-    nan  whether NaN and Infinity pass all the same: nuScenes' files have them in what we do not use.
+    nan  whether NaN and Infinity pass all the same: nuScenes' files have them in unused fields.
     """
     if len(data) > MOST_TEXT_BYTES:
         raise InputError(f"{source}: has {len(data)} characters of JSON, at most {MOST_TEXT_BYTES} are read; {mend}")
@@ -51,7 +51,7 @@ def parse_json(data: str | bytes, source: str, mend: str = "replace it", *, nan:
 
 
 def json_lines(data: bytes) -> Iterator[dict[str, Any]]:
-    """The objects of a journal, one a line; a line that is torn, or holds anything else, is passed over."""
+    """Yield the objects of a journal, one a line; torn lines and other values are passed over."""
     for line in data.splitlines():
         try:
             entry = parse_json(line, "")
@@ -64,11 +64,11 @@ def json_lines(data: bytes) -> Iterator[dict[str, Any]]:
 def table_rows(
     path: Path, is_needed: Callable[[bytes], object] = lambda _: True, mend: str = "complete the data set"
 ) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a file that is a list of objects without objects (or braces in a text) in them, in its order.
+    """Yield the rows of a file: a list of objects without objects (or braces in a text) in them.
 
     is_needed  (text of a row without its braces) -> whether the row is parsed.
-    Memory holds one piece of the file at a time. Raises InputError where the file is missing, damaged or ends early;
-    only rows that are needed are looked into.
+    Memory holds one piece of the file at a time. Raises InputError if the file is missing, damaged or ends early;
+    only needed rows are looked into.
     """
     expected_separator, rest = b"[", b""
     for block in _blocks(path, mend):
@@ -96,10 +96,10 @@ def _blocks(path: Path, mend: str) -> Iterator[bytes]:
 
 
 def validated(cls: type[T], value: Any, source: str, mend: str = "replace it") -> T:  # noqa: ANN401
-    """An object of the dataclass `cls` from a JSON object, strictly: names and types must be those of its fields.
+    """Return an object of the dataclass `cls` from a JSON object, strictly: with the names and types of its fields.
 
     A whole number may stand for a fraction; nothing else is converted. A field of the type `dict` or `list` takes any.
-    Raises InputError for anything else, and where the class itself refuses a value (ValueError, TypeError).
+    Raises InputError for anything else, and if the class itself refuses a value (ValueError, TypeError).
     """
     try:
         return cast(T, _of_type(cls, value, "it"))
@@ -107,26 +107,26 @@ def validated(cls: type[T], value: Any, source: str, mend: str = "replace it") -
         raise InputError(f"{source}: {_short(error)}; {mend}") from None
 
 
-def _of_type(wanted: Any, value: Any, name: str) -> Any:  # noqa: ANN401
-    origin, inner = get_origin(wanted) or wanted, get_args(wanted)
+def _of_type(annotation: Any, value: Any, name: str) -> Any:  # noqa: ANN401
+    origin, inner = get_origin(annotation) or annotation, get_args(annotation)
     if origin in (Union, types.UnionType):
         return _of_any(inner, value, name)
     if origin in (dict, Mapping):
         return _of_object(inner, value, name)
     if origin in (list, tuple):
         return _of_list(origin, inner, value, name)
-    return _of_dataclass(origin, value, name) if is_dataclass(origin) else _plain(wanted, value, name)
+    return _of_dataclass(origin, value, name) if is_dataclass(origin) else _plain(annotation, value, name)
 
 
-def _plain(wanted: Any, value: Any, name: str) -> Any:  # noqa: ANN401
-    """A value without parts: of a Literal, or of one of NAMES."""
-    if get_origin(wanted) is Literal:
-        if not isinstance(value, str) or value not in get_args(wanted):
-            raise ValueError(f"{name} must be one of {', '.join(map(str, get_args(wanted)))}")
-    elif wanted is float and type(value) is int:
+def _plain(annotation: Any, value: Any, name: str) -> Any:  # noqa: ANN401
+    """Return a value without parts: of a Literal, or of one of NAMES."""
+    if get_origin(annotation) is Literal:
+        if not isinstance(value, str) or value not in get_args(annotation):
+            raise ValueError(f"{name} must be one of {', '.join(map(str, get_args(annotation)))}")
+    elif annotation is float and type(value) is int:
         return float(value)
-    elif wanted is not Any and type(value) is not wanted:
-        raise ValueError(f"{name} must be {NAMES.get(wanted, wanted)}")
+    elif annotation is not Any and type(value) is not annotation:
+        raise ValueError(f"{name} must be {NAMES.get(annotation, annotation)}")
     return value
 
 
@@ -151,20 +151,20 @@ def _of_list(made: type, inner: tuple[Any, ...], value: Any, name: str) -> Any: 
     if made is tuple and inner and inner[-1] is not Ellipsis:
         if len(value) != len(inner):
             raise ValueError(f"{name} must be a list of {len(inner)}")
-        return tuple(_of_type(one, part, name) for one, part in zip(inner, value, strict=True))
+        return tuple(_of_type(element, part, name) for element, part in zip(inner, value, strict=True))
     return made(_of_type(inner[0] if inner else Any, part, name) for part in value)
 
 
-def _of_dataclass(wanted: Any, value: Any, name: str) -> Any:  # noqa: ANN401
+def _of_dataclass(annotation: Any, value: Any, name: str) -> Any:  # noqa: ANN401
     if not isinstance(value, dict):
         raise ValueError(f"{name} must be an object")
-    hints, known = get_type_hints(wanted), {one.name: one for one in fields(wanted) if one.init}
-    if (unknown := next((key for key in value if key not in known), None)) is not None:
-        raise ValueError(f"{name} has an unknown field {unknown!r}{closest(unknown, known)}")
-    for field in known.values():
+    hints, known_fields = get_type_hints(annotation), {field.name: field for field in fields(annotation) if field.init}
+    if (unknown := next((key for key in value if key not in known_fields), None)) is not None:
+        raise ValueError(f"{name} has an unknown field {unknown!r}{closest(unknown, known_fields)}")
+    for field in known_fields.values():
         if field.name not in value and field.default is MISSING and field.default_factory is MISSING:
             raise ValueError(f"{name} has no {field.name!r}")
-    return wanted(**{key: _of_type(hints[key], part, _below(name, key)) for key, part in value.items()})
+    return annotation(**{key: _of_type(hints[key], part, _below(name, key)) for key, part in value.items()})
 
 
 def _below(name: str, key: str) -> str:
@@ -172,16 +172,11 @@ def _below(name: str, key: str) -> str:
 
 
 def _depth(value: Any) -> int:  # noqa: ANN401
-    """How deeply lists and objects are nested, counted level by level: one more than DEEPEST at most."""
-    level, depth = [value], 0
+    """Return the depth of nested lists and objects, counted level by level: one more than DEEPEST at most."""
+    level, depth = [value] if isinstance(value, dict | list) else [], 0
     while level and depth <= DEEPEST:
-        level = [
-            part
-            for one in level
-            if isinstance(one, dict | list)
-            for part in (one.values() if isinstance(one, dict) else one)
-            if isinstance(part, dict | list)
-        ]
+        nested = (parent.values() if isinstance(parent, dict) else parent for parent in level)
+        level = [part for parts in nested for part in parts if isinstance(part, dict | list)]
         depth += 1
     return depth
 

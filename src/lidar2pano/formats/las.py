@@ -15,11 +15,11 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
 
-RECORD_BYTES, EXTENDED_RECORD_BYTES = 54, 60  # of a variable length record, without what it holds
+RECORD_BYTES, EXTENDED_RECORD_BYTES = 54, 60  # of a variable length record, without its content
 
 
 def decode(data: bytes, path: Path) -> PointCloud:
-    """The points; InputError where the file is damaged, or laspy is not installed."""
+    """Return the points; InputError if the file is damaged, or laspy is not installed."""
     try:
         import laspy
         import lazrs  # noqa: F401 laspy takes it for LAZ
@@ -71,7 +71,7 @@ def _silent_panics() -> Iterator[None]:
 
 
 def _check_records(data: bytes) -> None:
-    """Refuse a header that counts more records before or behind the points than the file has room for.
+    """Refuse a header counting more records before or behind the points than the file has room for.
 
     LAS 1.4 R15, table 3: size of the header at byte 94, offset of the points at 96, number of records at 100; since
     version 1.4 also place and number of extended records at 235. laspy would read them without end.
@@ -99,7 +99,7 @@ def _check_chunks(data: bytes, start: int, size: int) -> None:
 
 
 def _check(points: int, size: int, left: int, header: object, path: Path) -> None:
-    """Refuse a header that says more than the file holds, or than fits the memory."""
+    """Refuse a header of more points than the file or the memory holds."""
     packed = getattr(header, "are_points_compressed", False)
     if not 0 < points <= MOST_POINTS or points * size > MOST_BYTES * 2:
         raise InputError(f"{path}: {points} points of {size} bytes are no single sweep (at most {MOST_POINTS}); cut it")

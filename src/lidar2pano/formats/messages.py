@@ -14,14 +14,14 @@ DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "
 
 
 def is_point_cloud2(message: object) -> bool:
-    """Whether an object has what a PointCloud2 has."""
+    """Return whether an object has the attributes of a PointCloud2."""
     return all(hasattr(message, name) for name in ("fields", "point_step", "width", "height", "data"))
 
 
 def cloud_of_message(message: Any, name: str = "message") -> PointCloud:  # noqa: ANN401
-    """The points of a PointCloud2: any fields and offsets, both byte orders, rows that are padded.
+    """Return the points of a PointCloud2: any fields and offsets, both byte orders, padded rows.
 
-    The stamp is that of its header, the frame its frame_id. Raises InputError where its numbers do not fit its data.
+    Stamp and frame are those of its header. Raises InputError if its numbers do not fit its data.
     """
     columns = message_columns(message, name)
     header = getattr(message, "header", None)
@@ -38,7 +38,7 @@ def cloud_of_message(message: Any, name: str = "message") -> PointCloud:  # noqa
 
 
 def message_columns(message: Any, name: str) -> dict[str, np.ndarray]:  # noqa: ANN401
-    """The fields of a PointCloud2: name -> (height * width,) of its type; fields of several values are left out."""
+    """Return the fields of a PointCloud2: name -> (height * width,) of its type; only those of one value."""
     data = np.frombuffer(bytes(message.data) if isinstance(message.data, list) else message.data, dtype=np.uint8)
     rows, width, step = int(message.height), int(message.width), int(message.point_step)
     stride = int(getattr(message, "row_step", 0)) or width * step

@@ -26,11 +26,11 @@ ENTRY = re.compile(rb"(?m)^(?:VERSION|FIELDS|COLUMNS|SIZE|TYPE|WIDTH|POINTS|DATA
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """What stands before the points.
+    """The header.
 
     fields  (name, NumPy type, values a point, offset in a point) of each field;  step: bytes of a point.
-    points  how many there are, 0 where the header does not say.
-    layout  "ascii", "binary" or "binary_compressed";  start: where the points begin.
+    points  their number, 0 if the header does not say.
+    layout  "ascii", "binary" or "binary_compressed";  start: offset of the points.
     """
 
     fields: tuple[tuple[str, np.dtype, int, int], ...]
@@ -41,7 +41,7 @@ class Header:
 
 
 def decode(data: bytes, path: Path) -> PointCloud:
-    """The points; InputError where header and content do not fit each other."""
+    """Return the points; InputError if header and content do not fit each other."""
     header = read_header(data, path)
     if header.layout == "ascii":
         columns = _ascii(data, header, path)
@@ -53,7 +53,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
 
 
 def read_header(data: bytes, path: Path) -> Header:
-    """The header, checked against the length of the file."""
+    """Return the header, checked against the length of the file."""
     entries: dict[str, list[str]] = {}
     start = 0
     while "DATA" not in entries:
@@ -75,13 +75,13 @@ def read_header(data: bytes, path: Path) -> Header:
 def _header(entries: dict[str, list[str]], start: int, path: Path) -> Header:
     names = entries.get("FIELDS") or entries["COLUMNS"]
     sizes = [int(size) for size in entries.get("SIZE", ["4"] * len(names))]
-    types = [of.upper() for of in entries.get("TYPE", ["F"] * len(names))]
+    types = [kind.upper() for kind in entries.get("TYPE", ["F"] * len(names))]
     counts = [int(count) for count in entries.get("COUNT", ["1"] * len(names))]
     fields, step = [], 0
-    for name, size, of, count in zip(names, sizes, types, counts, strict=True):
-        if size not in BYTES[of] or not 0 <= count <= MOST_HEADER:
+    for name, size, kind, count in zip(names, sizes, types, counts, strict=True):
+        if size not in BYTES[kind] or not 0 <= count <= MOST_HEADER:
             raise ValueError(name)
-        fields.append((name, np.dtype(f"<{of.lower()}{size}"), count, step))
+        fields.append((name, np.dtype(f"<{kind.lower()}{size}"), count, step))
         step += size * count
     width, height = (int(entries.get(name, ["0"])[0]) for name in ("WIDTH", "HEIGHT"))
     points = int(entries["POINTS"][0]) if "POINTS" in entries else width * height
@@ -152,56 +152,56 @@ def _compressed(data: bytes, header: Header, path: Path) -> dict[str, np.ndarray
     }
 
 
-def _check_length(found: int, wanted: int, header: Header, path: Path) -> None:
-    if found < wanted:
+def _check_length(size: int, needed: int, header: Header, path: Path) -> None:
+    if size < needed:
         raise InputError(
-            f"{path}: its header says {header.points} points, which need {wanted} bytes, but {found} follow;"
+            f"{path}: its header says {header.points} points, which need {needed} bytes, but {size} follow;"
             " the file is truncated"
         )
 
 
 def decompress(data: bytes, size: int) -> bytes:
-    """The `size` bytes that `data` unpacks to; ValueError where it unpacks to something else."""
+    """Return the `size` bytes of the unpacked `data`; ValueError if it unpacks to something else."""
     try:
         import lzf
     except ModuleNotFoundError:
         return decompress_in_python(data, size)
     try:
-        found = lzf.decompress(data, size)
+        unpacked = lzf.decompress(data, size)
     except Exception as error:  # its own errors are not documented
         raise ValueError(str(error)) from None
-    if found is None or len(found) != size:
+    if unpacked is None or len(unpacked) != size:
         raise ValueError("it does not have the length that it says")
-    return found
+    return unpacked
 
 
 def decompress_in_python(data: bytes, size: int) -> bytes:
     """Like `decompress`, without a library."""
     out = bytearray()
-    at, end = 0, len(data)
+    place, end = 0, len(data)
     try:
-        while at < end and len(out) <= size:
-            control = data[at]
-            at += 1
+        while place < end and len(out) <= size:
+            control = data[place]
+            place += 1
             if control < 32:
-                out += data[at : at + control + 1]
-                at += control + 1
+                out += data[place : place + control + 1]
+                place += control + 1
                 continue
             length = control >> 5
             if length == 7:
-                length += data[at]
-                at += 1
-            start = len(out) - ((control & 31) << 8) - data[at] - 1
-            at += 1
+                length += data[place]
+                place += 1
+            start = len(out) - ((control & 31) << 8) - data[place] - 1
+            place += 1
             length += 2
             if start < 0:
                 raise ValueError("it copies from before its beginning")
             piece = bytes(out[start : start + length])
-            if len(piece) < length:  # what is copied overlaps what it is copied to
+            if len(piece) < length:  # source and target overlap
                 piece *= -(-length // len(piece))
             out += piece[:length]
     except IndexError:
         raise ValueError("it ends too early") from None
-    if len(out) != size or at != end:
+    if len(out) != size or place != end:
         raise ValueError("it does not have the length that it says")
     return bytes(out)

@@ -23,7 +23,7 @@ ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def decode(data: bytes, path: Path) -> PointCloud:
-    """The vertices; InputError where header and content do not fit each other."""
+    """Return the vertices; InputError if header and content do not fit each other."""
     end = data.find(b"end_header", 0, MOST_HEADER)
     start = data.find(b"\n", end) + 1
     if end < 0 or start < 1:
@@ -60,7 +60,7 @@ Element = tuple[str, int, list[tuple[str, str]]]
 
 
 def _header(text: str, path: Path) -> tuple[str, list[Element]]:
-    """The layout, and (name, count, [(property, type)]) of each element."""
+    """Return the layout, and (name, count, [(property, type)]) of each element."""
     layout = ""
     elements: list[Element] = []
     try:
@@ -70,8 +70,8 @@ def _header(text: str, path: Path) -> tuple[str, list[Element]]:
                     pass
                 case ["element", name, count]:
                     elements.append((name, int(count), []))
-                case ["property", of, *_, name]:
-                    elements[-1][2].append((name, of))
+                case ["property", kind, *_, name]:
+                    elements[-1][2].append((name, kind))
     except (ValueError, IndexError):
         raise InputError(f"{path}: its PLY header makes no sense; write the file again") from None
     if layout not in ORDERS:
@@ -80,8 +80,8 @@ def _header(text: str, path: Path) -> tuple[str, list[Element]]:
 
 
 def _dtype(layout: str, name: str, properties: list[tuple[str, str]], path: Path) -> np.dtype:
-    """The record of one item of an element."""
-    fields = {key: ORDERS[layout] + TYPES[of] for key, of in properties if of in TYPES}
+    """Return the record of one item of an element."""
+    fields = {key: ORDERS[layout] + TYPES[kind] for key, kind in properties if kind in TYPES}
     if len(fields) < len(properties):
         raise InputError(f"{path}: properties of {name!r} are lists or named twice; write the vertices alone")
     return np.dtype(list(fields.items()))

@@ -1,4 +1,4 @@
-"""PointCloud: points as a file or a message holds them, and the names that fields go by."""
+"""PointCloud: points as a file or a message holds them, and the names of fields."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from lidar2pano.errors import InputError
 
 MOST_POINTS = 1 << 24  # a sweep of the densest LiDAR has 0.6 million points; more are a map or a damaged header
-# What a field may be called, the best first; compared in lower case, without CloudCompare's "scalar_".
+# Names of fields, the best first; compared in lower case, without CloudCompare's "scalar_".
 INTENSITY = ("reflectivity", "reflectance", "remission", "intensity", "intensities", "signal", "i")
 RING = ("ring", "channel", "laser_number", "laser_id", "beam", "line", "row")
 TIME = ("offset_ns", "offset_time", "time_offset", "time", "time_stamp", "timestamp", "timestamps", "t", "gps_time")
-NANOSECONDS = ("offset_ns", "offset_time", "t", "time_stamp")  # where stored as integers, by convention
+NANOSECONDS = ("offset_ns", "offset_time", "t", "time_stamp")  # if stored as integers, by convention
 EPOCH_S = 1e8  # times beyond this, in seconds, count from an epoch and not from the start of the sweep
 
 
@@ -28,7 +28,7 @@ class PointCloud:
     time_s     (N,) float64 seconds relative to `stamp_s`, or None.
     label      (N,) int64 ids of SEMANTIC_KITTI, or None.
     stamp_s    seconds since the epoch or since the recording's own, or None.
-    frame      name of the coordinate frame, "" where the file has none.
+    frame      name of the coordinate frame, "" if the file has none.
     format     for people, e.g. "PCD, binary_compressed".
     name       stem of the file, for messages and output names.
     fields     names of all fields of the file, in its order.
@@ -59,16 +59,16 @@ def cloud_of_columns(
     frame: str = "",
     stamp_s: float | None = None,
 ) -> PointCloud:
-    """The PointCloud whose fields are `columns`: name -> (N,) of any numeric dtype and byte order.
+    """Return the PointCloud whose fields are `columns`: name -> (N,) of any numeric dtype and byte order.
 
-    Fields are found by the names above; others are only listed. Raises InputError where x, y or z is missing or there
-    is no point; `source` is what its message begins with, else the name.
+    Fields are found by the names above; others are only listed. Raises InputError if x, y or z is missing or there
+    is no point; `source`, else the name, begins its message.
     """
-    known = {_plain(key): key for key in reversed(list(columns))}
-    if missing := [axis for axis in "xyz" if axis not in known]:
+    key_by_name = {_plain(key): key for key in reversed(list(columns))}
+    if missing := [axis for axis in "xyz" if axis not in key_by_name]:
         held = ", ".join(columns) or "none"
         raise InputError(f"{source or name}: has no field {missing[0]!r} (it has {held}); name a scan with x, y and z")
-    axes = [columns[known[axis]] for axis in "xyz"]
+    axes = [columns[key_by_name[axis]] for axis in "xyz"]
     if not 0 < len(axes[0]) <= MOST_POINTS:
         raise InputError(
             f"{source or name}: {len(axes[0])} points are no single sweep (1 to {MOST_POINTS}); name a scan"
@@ -81,7 +81,7 @@ def cloud_of_columns(
         xyz = np.empty((len(axes[0]), 3), dtype)
         for column, axis in enumerate(axes):
             xyz[:, column] = axis
-    intensity, ring, time = (_first(columns, known, names) for names in (INTENSITY, RING, TIME))
+    intensity, ring, time = (_first(columns, key_by_name, names) for names in (INTENSITY, RING, TIME))
     time_s, start_s = seconds(*time, stamp_s) if time else (None, stamp_s)
     return PointCloud(
         xyz=xyz,
@@ -97,10 +97,10 @@ def cloud_of_columns(
 
 
 def seconds(name: str, values: np.ndarray, stamp_s: float | None) -> tuple[np.ndarray | None, float | None]:
-    """Times of points in seconds relative to a stamp, and that stamp; (None, stamp_s) where they are no times.
+    """Return times of points in seconds relative to a stamp, and the stamp; (None, stamp_s) if they are no times.
 
-    The unit is the one in which a sweep lasts nearest to 0.1 s, or nanoseconds for integer fields of NANOSECONDS.
-    Times since an epoch become relative to `stamp_s`, or to the first one where there is none.
+    A sweep in the unit lasts nearest to 0.1 s, or nanoseconds for integer fields of NANOSECONDS.
+    Times since an epoch become relative to `stamp_s`, or to the first one if there is none.
     """
     finite = values[np.isfinite(values)] if values.dtype.kind == "f" else values
     if not len(finite) or finite.min() == finite.max():
@@ -119,11 +119,11 @@ def seconds(name: str, values: np.ndarray, stamp_s: float | None) -> tuple[np.nd
 
 
 def _side_by_side(axes: list[np.ndarray]) -> np.ndarray | None:
-    """Three columns as one array (N, 3), a view, where they lie side by side in each record."""
-    first, *others = axes
+    """Return three columns as one array (N, 3), a view, if they lie side by side in each record."""
+    first, *further = axes
     size = first.dtype.itemsize
     start = first.__array_interface__["data"][0]
-    for place, axis in enumerate(others, 1):
+    for place, axis in enumerate(further, 1):
         if (axis.dtype, axis.strides) != (first.dtype, first.strides):
             return None
         if axis.__array_interface__["data"][0] != start + place * size:
@@ -136,11 +136,11 @@ def _plain(name: str) -> str:
 
 
 def _first(
-    columns: Mapping[str, np.ndarray], known: Mapping[str, str], names: tuple[str, ...]
+    columns: Mapping[str, np.ndarray], key_by_name: Mapping[str, str], names: tuple[str, ...]
 ) -> tuple[str, np.ndarray] | None:
-    return next(((known[name], columns[known[name]]) for name in names if name in known), None)
+    return next(((key_by_name[name], columns[key_by_name[name]]) for name in names if name in key_by_name), None)
 
 
 def _native(values: np.ndarray) -> np.ndarray:
-    """The values in the machine's byte order."""
+    """Return the values in the machine's byte order."""
     return values.astype(values.dtype.newbyteorder("="), copy=False)

@@ -15,7 +15,7 @@ from lidar2pano.formats.interpretation import Interpretation, Overrides, interpr
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.scan import Scan
 
-# Endings of the names of scan files; a file that is named is read whatever its name.
+# Endings of the names of scan files; a file named by the user is read whatever its name.
 ENDINGS = (".bin", ".pcd", ".ply", ".npy", ".npz", ".las", ".laz", ".feather")
 TEXT_ENDINGS = (".csv", ".txt", ".xyz", ".pts", ".asc")  # of a folder's files only if there are no others
 PACKED = (".gz", ".zst", ".zstd")
@@ -55,7 +55,7 @@ class Reader(Protocol):
 
 @dataclass(frozen=True)
 class FileReader:
-    """The reader of a format that keeps one scan in a file.
+    """The reader of a format of one scan a file.
 
     accepts  (first bytes, path) -> whether the file is of this format;  decode: (all bytes, path) -> its cloud.
     """
@@ -70,7 +70,7 @@ class FileReader:
 
 
 def begins(*magics: bytes) -> Callable[[bytes, Path], bool]:
-    """Return a function that tells whether the first bytes of a file are one of `magics`."""
+    """Return a test of whether the first bytes of a file are one of `magics`."""
     return lambda head, _: head.startswith(magics)
 
 
@@ -78,7 +78,7 @@ def _begins_pcd(head: bytes, _: Path) -> bool:
     return pcd.ENTRY.search(head) is not None and (b"FIELDS " in head or b"COLUMNS " in head)
 
 
-READERS: tuple[Reader, ...] = (  # the first that accepts a file reads it: those that are sure by content come first
+READERS: tuple[Reader, ...] = (  # the first to accept a file reads it: those sure by content come first
     FileReader("PCD", _begins_pcd, pcd.decode),
     FileReader("PLY", begins(b"ply\n", b"ply\r", b"ply "), ply.decode),
     FileReader("NPY", begins(b"\x93NUMPY"), arrays.decode_npy),
@@ -91,7 +91,7 @@ READERS: tuple[Reader, ...] = (  # the first that accepts a file reads it: those
 
 
 def open_path(path: str | Path, readers: Sequence[Reader] = READERS) -> Reader:
-    """Return the first reader that accepts the file; InputError when it cannot be read or none accepts it.
+    """Return the first reader to accept the file; InputError when it cannot be read or none accepts it.
 
     readers  the table; a package above this one (recordings) gives a longer one.
     """
@@ -133,7 +133,7 @@ def read(source: Any, overrides: Overrides | None = None) -> Scan:  # noqa: ANN4
     source     path of a file of a known format, whatever its name; or an array (N, 3 or more) of x y z [intensity
                [ring]]; or a cloud of Open3D or PyVista; or a PointCloud2 message of ROS.
     overrides  the user's knowledge; None: everything is found out from the scan.
-    Raises InputError for a file that is missing, of no known format or damaged, and for points that are no sweep.
+    Raises InputError for a file missing, damaged or of no known format, and for points that are no sweep.
     """
     if not isinstance(source, str | Path):
         return interpret(arrays.cloud_of(source), overrides)[0]
@@ -165,7 +165,7 @@ def scan_files(path: str | Path) -> list[Path]:
 
 
 def scans(path: str | Path, overrides: Overrides | None = None) -> Iterator[Scan]:
-    """Yield the scans of the files that `scan_files` finds, one at a time, all interpreted as one sensor's."""
+    """Yield the scans of the files of `scan_files`, one at a time, all interpreted as one sensor's."""
     like = None
     for file in scan_files(path):
         for scan, interpretation in interpreted(file, overrides=overrides, like=like):
@@ -174,7 +174,7 @@ def scans(path: str | Path, overrides: Overrides | None = None) -> Iterator[Scan
 
 
 def _ending(path: Path) -> str:
-    """Return the lower-case ending of a name, without that of its packing."""
+    """Return the lower-case ending of a name, without the packing's."""
     return Path(path.stem if path.suffix.lower() in PACKED else path).suffix.lower()
 
 

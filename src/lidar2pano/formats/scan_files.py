@@ -18,8 +18,8 @@ from lidar2pano.scan import Scan
 
 MOST_BYTES = 1 << 30  # 67 million points: a sparse or wrong file must not fill the memory
 MOST_RINGS = 256
-SAMPLE = 20_000  # rows that tell what a file is; rings and remissions are alike all through it
-FEWEST_BYTES = 160  # that decide, where the name does not
+SAMPLE = 20_000  # rows to tell the form by; rings and remissions are alike all through it
+FEWEST_BYTES = 160  # decide, if the name does not
 FAR_M = 1e6  # no coordinate of a scan is beyond: neither in millimetres
 
 
@@ -34,7 +34,7 @@ def accepts(head: bytes, path: Path) -> bool:
 
 
 def decode(data: bytes, path: Path) -> PointCloud:
-    """Return the points; InputError for a part of a point, or numbers that are none of points."""
+    """Return the points; InputError for a part of a point, or numbers of no points."""
     if _has_rings(data):
         rows = _rows(data, path, 5, "x y z intensity ring as float32, nuScenes' form", "the file is truncated")
         return PointCloud(
@@ -98,7 +98,7 @@ def _kitti_rows(data: bytes, path: Path) -> np.ndarray:
 
 
 def _rows(data: bytes, path: Path, values: int, form: str, mend: str) -> np.ndarray:
-    """Return the rows (N, values); InputError where there is a part of a row."""
+    """Return the rows (N, values); InputError if there is a part of a row."""
     if len(data) % (4 * values):
         size = f"{4 * values} bytes each: {form}"
         raise InputError(f"{path}: {len(data)} bytes are no whole number of points ({size}); {mend}")

@@ -1,4 +1,4 @@
-"""Files that torch saved, read as data: nothing in them is executed, and none takes memory that it does not hold."""
+"""Files of `torch.save`, read as data: nothing in them is executed, and none takes more memory than it holds."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ import torch
 
 from lidar2pano.bounded_files import open_regular
 
-# Of what torch's restricted reader builds, only this takes more memory than the file has: its size is a number.
+# The only thing built by torch's restricted reader that takes more memory than the file has: its size is a number.
 HUNGRY = b"bytearray"
 
 
 def load_torch(path: Path | str) -> Any:  # noqa: ANN401
-    """What `torch.save` wrote, tensors on the CPU; raises whatever torch does, and UnpicklingError for a bomb."""
+    """Return the content of a file of `torch.save`, tensors on the CPU; raises torch's errors, and
+    UnpicklingError for a bomb.
+    """
     with open_regular(path) as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         if content.find(HUNGRY) >= 0:
             raise pickle.UnpicklingError("it builds a bytearray, which no weights do")

@@ -1,17 +1,17 @@
-"""What a recording holds: its topics or streams, and which of them holds the scans."""
+"""The description of a recording: its topics or streams, and the choice of the scans' topic."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from lidar2pano.errors import InputError, closest
 
 POINTS = "sensor_msgs/msg/PointCloud2"
-# message type -> what turns its packets into points
+# message type -> the package to turn its packets into points
 PACKETS = {
     "velodyne_msgs/msg/VelodyneScan": "velodyne_pointcloud",
     "velodyne_msgs/msg/VelodynePacket": "velodyne_pointcloud",
@@ -42,7 +42,7 @@ class Topic:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Description:
-    """What a recording holds.
+    """The topics and times of a recording.
 
     format   for people, e.g. "ROS 1 bag".
     topics   in order of their names.
@@ -53,6 +53,12 @@ class Description:
     topics: tuple[Topic, ...]
     first_ns: int
     last_ns: int
+
+    @classmethod
+    def of_counts(cls, format: str, counts: Mapping[tuple[str, str], int], first_ns: int, last_ns: int) -> Self:
+        """Return the description of topics by counts: (name, type) -> number of messages."""
+        topics = (Topic(name=name, type=type, count=counts[name, type]) for name, type in sorted(counts))
+        return cls(format=format, topics=tuple(topics), first_ns=first_ns, last_ns=last_ns)
 
     @property
     def start_s(self) -> float:
@@ -75,25 +81,25 @@ class Description:
         return sum(topic.count for topic in self.topics)
 
 
-def choose_topic(path: Path, topics: Sequence[Topic], wanted: str, type: str = POINTS) -> Topic:
-    """The topic of messages of that type, which are the scans: `wanted`, or the only one.
+def choose_topic(path: Path, topics: Sequence[Topic], name: str, type: str = POINTS) -> Topic:
+    """Return the topic of the scans, messages of `type`: the one called `name`, or the only one.
 
-    Raises InputError that lists what there is when none or several could be meant, or it holds no message.
+    Raises InputError with the topics if none or several are possible, or it holds no message.
     """
     names = [topic.name for topic in topics]
     clouds = [topic for topic in topics if topic.type == type]
-    if wanted:
-        named = [topic for topic in topics if topic.name in {wanted, f"/{wanted}"}]
+    if name:
+        named = [topic for topic in topics if topic.name in {name, f"/{name}"}]
         if not named:
-            raise InputError(f"{path}: has no topic {wanted!r}{closest(wanted, names[:MOST_NAMED])}")
-        found = [topic for topic in named if topic.type == type] or named[:1]
+            raise InputError(f"{path}: has no topic {name!r}{closest(name, names[:MOST_NAMED])}")
+        candidates = [topic for topic in named if topic.type == type] or named[:1]
     else:
-        found = [topic for topic in clouds if topic.count] or clouds
-    if not found:
+        candidates = [topic for topic in clouds if topic.count] or clouds
+    if not candidates:
         raise InputError(_no_points(path, topics))
-    if len(found) > 1:
-        raise InputError(f"{path}: holds points on {_listed(found)}; choose one with --topic")
-    (topic,) = found
+    if len(candidates) > 1:
+        raise InputError(f"{path}: holds points on {_listed(candidates)}; choose one with --topic")
+    (topic,) = candidates
     if topic.type in PACKETS:
         raise InputError(_packets(path, topic))
     if topic.type != type:
@@ -130,18 +136,18 @@ def _listed(topics: Sequence[Topic]) -> str:
 
 @contextmanager
 def damage(path: Path, repair: str) -> Iterator[None]:
-    """Turn whatever a library raises on a damaged file into an InputError that names the file and the repair."""
+    """Turn any error of a library on a damaged file into an InputError with the file and the repair."""
     try:
         yield
     except InputError:
         raise
     except MemoryError as error:
         raise InputError(f"{path}: claims more bytes than there is memory, it is damaged; {repair}") from error
-    except Exception as error:  # of struct, zlib, lz4, zstd, SQLite and the libraries themselves, by what is broken
-        said = " ".join(str(error).split())[:200] or type(error).__name__
-        raise InputError(f"{path}: is damaged or cut short ({said}); {repair}") from error
+    except Exception as error:  # of struct, zlib, lz4, zstd, SQLite and the libraries themselves
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(f"{path}: is damaged or cut short ({reason}); {repair}") from error
 
 
 def missing_extra(path: Path, extra: str) -> InputError:
-    """The error for a file whose library is not installed."""
+    """Return the error for a file whose library is not installed."""
     return InputError(f"{path}: reading it needs the extra {extra!r}: pip install 'lidar2pano[{extra}]'")

@@ -24,7 +24,7 @@ class McapFile:
     """An MCAP file. One without an index is read from beginning to end, once more to count its messages."""
 
     def __init__(self, path: Path) -> None:
-        """Open the file. Raises InputError where it is damaged or cut short, or the extra is missing."""
+        """Open the file. Raises InputError if it is damaged or cut short, or the extra is missing."""
         self.path = path
         try:
             import mcap  # noqa: F401
@@ -39,39 +39,38 @@ class McapFile:
             with damage(path, REPAIR):
                 self._chunks = self._index()
                 counts, first_ns, last_ns = self._counted()
-                self._names = {one: self._name(channel) for one, channel in self._channels.items()}
+                self._names = {number: self._name(channel) for number, channel in self._channels.items()}
         except BaseException:
             self._file.close()
             raise
         self.indexed = bool(self._chunks)
         totals = Counter[tuple[str, str]]()
-        for one, name in self._names.items():
-            totals[name] += counts.get(one, 0)
-        self.description = Description(
-            format="MCAP" if self._chunks else "MCAP without an index",
-            topics=tuple(Topic(name=name, type=type, count=totals[name, type]) for name, type in sorted(totals)),
-            first_ns=first_ns if totals.total() else 0,
-            last_ns=last_ns if totals.total() else 0,
-        )
+        for number, name in self._names.items():
+            totals[name] += counts.get(number, 0)
+        span_ns = (first_ns, last_ns) if totals.total() else (0, 0)
+        self.description = Description.of_counts("MCAP" if self._chunks else "MCAP without an index", totals, *span_ns)
 
     def messages(
         self, topics: tuple[Topic, ...], start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RawMessage]:
-        """Messages recorded from `start_ns` on and before `end_ns`, in order of time; InputError at damage.
+        """Yield messages recorded from `start_ns` on and before `end_ns`, in order of time; InputError at damage.
 
         Without an index they come in the order of the file.
         """
         topic_of = {
-            one: topic for one, name in self._names.items() for topic in topics if name == (topic.name, topic.type)
+            number: topic
+            for number, name in self._names.items()
+            for topic in topics
+            if name == (topic.name, topic.type)
         }
         with damage(self.path, REPAIR):
             for message in self._stored(topic_of.keys(), start_ns, end_ns):
-                before = start_ns is not None and message.log_time < start_ns
-                if message.channel_id in topic_of and not before and (end_ns is None or message.log_time < end_ns):
+                early = start_ns is not None and message.log_time < start_ns
+                if message.channel_id in topic_of and not early and (end_ns is None or message.log_time < end_ns):
                     yield RawMessage(topic_of[message.channel_id], message.log_time, message.data)
 
     def stamps_ns(self, topic: Topic) -> np.ndarray:
-        """When the messages of a topic were recorded, int64 in their order; by the index alone, where there is one."""
+        """Return the times of recording of a topic's messages, int64 in order; by an index alone if there is one."""
         from mcap.data_stream import ReadDataStream
         from mcap.records import MessageIndex
 
@@ -80,25 +79,25 @@ class McapFile:
         stamps_ns: list[int] = []
         with damage(self.path, REPAIR):
             for chunk in self._chunks:
-                for one, offset in chunk.message_index_offsets.items():
-                    if self._names[one] == (topic.name, topic.type):
+                for number, offset in chunk.message_index_offsets.items():
+                    if self._names[number] == (topic.name, topic.type):
                         self._file.seek(offset + 9)  # opcode and length come before
                         index = MessageIndex.read(ReadDataStream(self._file))
                         stamps_ns += [stamp_ns for stamp_ns, _ in index.records]
         return np.array(sorted(stamps_ns), dtype=np.int64)
 
     def decode(self, message: RawMessage) -> Any:  # noqa: ANN401
-        """The message as an object with ROS's attributes; raises whatever rosbags does."""
+        """Return the message as an object with ROS's attributes; raises rosbags' errors."""
         name = message.topic.name, message.topic.type
-        encoding = next(self._channels[one].message_encoding for one in self._names if self._names[one] == name)
-        return deserializer(encoding)(message.data, message.topic.type)
+        channel = next(self._channels[number] for number in self._names if self._names[number] == name)
+        return deserializer(channel.message_encoding)(message.data, message.topic.type)
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
 
     def _index(self) -> list[Any]:
-        """The chunks by the file's own index, in order of time; [] where it has none."""
+        """Return the chunks by the file's own index, in order of time; [] if it has none."""
         from mcap.reader import SeekingReader
 
         summary = SeekingReader(self._file, record_size_limit=self._size).get_summary()
@@ -111,7 +110,7 @@ class McapFile:
         return sorted(summary.chunk_indexes, key=lambda chunk: (chunk.message_start_time, chunk.chunk_start_offset))
 
     def _counted(self) -> tuple[dict[int, int], int, int]:
-        """Messages by channel, and the first and last time."""
+        """Return messages by channel, and the first and last time."""
         if self._chunks:
             statistics = self._statistics
             return statistics.channel_message_counts, statistics.message_start_time, statistics.message_end_time
@@ -122,7 +121,7 @@ class McapFile:
         return counts, first, last
 
     def _name(self, channel: Any) -> tuple[str, str]:  # noqa: ANN401
-        """(topic, type): a type of ROS in ROS 2's form, another with its encoding."""
+        """Return (topic, type): a type of ROS in ROS 2's form, another with its encoding."""
         name = self._schemas[channel.schema_id].name if channel.schema_id else "no schema"
         if channel.message_encoding not in ENCODINGS:
             return channel.topic, f"{name} ({channel.message_encoding})"
@@ -132,7 +131,7 @@ class McapFile:
     def _stored(self, channels: Any, start_ns: int | None, end_ns: int | None) -> Iterator[Any]:  # noqa: ANN401
         """Message records; by the index, chunks without these channels or times are not read.
 
-        The messages of chunks that overlap in time are merged.
+        The messages of chunks overlapping in time are merged.
         """
         from mcap.data_stream import ReadDataStream
         from mcap.records import Chunk, Message
@@ -143,8 +142,8 @@ class McapFile:
         for index in self._chunks:
             late = start_ns is not None and index.message_end_time < start_ns
             early = end_ns is not None and index.message_start_time >= end_ns
-            other = bool(index.message_index_offsets) and not channels & index.message_index_offsets.keys()
-            if not (late or early or other):
+            foreign = bool(index.message_index_offsets) and not channels & index.message_index_offsets.keys()
+            if not (late or early or foreign):
                 ready = bisect_left(waiting, index.message_start_time, key=_stamp_ns)
                 yield from waiting[:ready]
                 del waiting[:ready]
@@ -155,7 +154,7 @@ class McapFile:
         yield from waiting
 
     def _linear(self) -> Iterator[Any]:
-        """All message records in the order of the file; its channels and schemas are noted on the way."""
+        """Yield all message records in the order of the file; its channels and schemas are noted on the way."""
         from mcap.records import Channel, Message, Schema
 
         self._file.seek(0)
@@ -173,7 +172,7 @@ def _stamp_ns(message: Any) -> int:  # noqa: ANN401
 
 
 def records(file: IO[bytes], most_bytes: int) -> Iterator[Any]:
-    """All records of an MCAP file, those of chunks included; no record may be longer than `most_bytes`."""
+    """Yield all records of an MCAP file, those of chunks included; no record may be longer than `most_bytes`."""
     from mcap.records import Chunk
     from mcap.stream_reader import StreamReader
 
@@ -182,7 +181,7 @@ def records(file: IO[bytes], most_bytes: int) -> Iterator[Any]:
 
 
 def unpacked(chunk: Any) -> list[Any]:  # noqa: ANN401
-    """The records of a chunk; ValueError where it unpacks to another size than it says, or a damaged one."""
+    """Return the records of a chunk; ValueError if it unpacks to another size than it says, or a damaged one."""
     from lz4.frame import LZ4FrameDecompressor
     from mcap.stream_reader import breakup_chunk
     from zstandard import ZstdDecompressor

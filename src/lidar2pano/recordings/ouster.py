@@ -1,6 +1,6 @@
-"""Ouster captures (.pcap with its metadata .json) and .osf files, where ouster-sdk is installed.
+"""Ouster captures (.pcap with its metadata .json) and .osf files, by ouster-sdk if installed.
 
-ouster-sdk pins old versions of libraries that the extra `bags` needs; therefore no extra of this package installs it.
+ouster-sdk pins old versions of libraries of the extra `bags`; therefore no extra of this package installs it.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns
 from lidar2pano.recordings.description import Description, Topic, damage
 
-OSF = b"OSF!"  # at byte 4 of a FlatBuffers file, 8 where its size comes before
+OSF = b"OSF!"  # at byte 4 of a FlatBuffers file, 8 if its size comes before
 REPAIR = "it needs the sensor's metadata .json beside it (ouster-cli source FILE info)"
 
 
 def is_osf(head: bytes) -> bool:
-    """Whether a file is an OSF, by its first bytes."""
+    """Return whether a file is an OSF, by its first bytes."""
     return OSF in (head[4:8], head[8:12])
 
 
 def scans(path: Path) -> Iterator[Any]:
-    """The LidarScans of all sensors of a file, in time; InputError without ouster-sdk, or where it is damaged."""
+    """Yield the LidarScans of all sensors of a file, in time; InputError without ouster-sdk, or if it is damaged."""
     try:
         from ouster.sdk import open_source  # pyright: ignore[reportMissingImports]
     except ImportError as error:
@@ -43,13 +43,13 @@ def scans(path: Path) -> Iterator[Any]:
 
 
 def stamp_s(scan: Any) -> float:  # noqa: ANN401
-    """When the first column was measured, seconds by the sensor's clock; 0 where none was."""
+    """Return the time of the first column, seconds by the sensor's clock; 0 without any."""
     stamps_ns = np.asarray(scan.timestamp)
     return float(stamps_ns[stamps_ns > 0].min(initial=2**63)) * 1e-9 if stamps_ns.any() else 0.0
 
 
 def describe(path: Path) -> Description:
-    """What an OSF holds; InputError as `scans`."""
+    """Return the description of an OSF; InputError as `scans`."""
     stamps_s = [stamp_s(scan) for scan in scans(path)]
     topic = Topic(name="lidar", type="Ouster packets", count=len(stamps_s))
     return Description(
@@ -61,7 +61,7 @@ def describe(path: Path) -> Description:
 
 
 def cloud_of_scan(scan: Any, name: str) -> PointCloud:  # noqa: ANN401
-    """The points of a LidarScan in the sensor's frame: beam after beam; no return is at the origin."""
+    """Return the points of a LidarScan in the sensor's frame: beam after beam; no return is at the origin."""
     from ouster.sdk.core import XYZLut  # pyright: ignore[reportMissingImports]
 
     xyz = XYZLut(scan.sensor_info, use_extrinsics=False)(scan.field("RANGE")).reshape(-1, 3)

@@ -31,7 +31,7 @@ class Packet(NamedTuple):
 
     @property
     def stream(self) -> str:
-        """ADDRESS:PORT that a Velodyne data packet is sent from and to; "" for any other packet."""
+        """ADDRESS:PORT of the source of a Velodyne data packet; "" for any other packet."""
         if len(self.frame) < PAYLOAD + 28:  # headers of IPv4 and UDP come before, whatever the link
             return ""
         source, _, port, length = struct.unpack_from(">4s6sHH", self.frame, len(self.frame) - PAYLOAD - 16)
@@ -42,7 +42,7 @@ class PacketCapture:
     """A capture of the packets of one or several sensors: each Velodyne is a topic ADDRESS:PORT."""
 
     def __init__(self, path: Path) -> None:
-        """Look through the whole capture. Raises InputError where it is damaged, cut short or holds no packet."""
+        """Look through the whole capture. Raises InputError if it is damaged, cut short or holds no packet."""
         self.path = path
         counts, first_s, last_s = Counter[tuple[str, str]](), 0.0, 0.0
         for packet in packets(path):
@@ -51,12 +51,7 @@ class PacketCapture:
             counts[(stream, VELODYNE) if stream else (f"{len(packet.frame)} bytes", OTHER)] += 1
         if not counts:
             raise InputError(f"{path}: holds no packet; record it again")
-        self.description = Description(
-            format="packet capture",
-            topics=tuple(Topic(name=name, type=type, count=count) for (name, type), count in sorted(counts.items())),
-            first_ns=round(first_s * 1e9),
-            last_ns=round(last_s * 1e9),
-        )
+        self.description = Description.of_counts("packet capture", counts, round(first_s * 1e9), round(last_s * 1e9))
 
     def turns(self, topic: Topic) -> Iterator[tuple[float, np.ndarray]]:
         """Turn after turn of a sensor: stamp in seconds since the epoch, structured points (N,); InputError at damage.
@@ -79,7 +74,7 @@ class PacketCapture:
                 yield turn[0].host, turn[1]
 
     def _configuration(self, velodyne_decoder: Any) -> Any:  # noqa: ANN401
-        """The model and calibration that an HDL-64E sends itself; the other models are known by each packet."""
+        """Return the configuration, with the model and calibration if an HDL-64E sends them."""
         configuration = velodyne_decoder.Config()
         if _magic(self.path) != PCAPNG:
             model, calibration = velodyne_decoder.hdl64e.detect_hdl64e(self.path)
@@ -89,7 +84,7 @@ class PacketCapture:
 
 
 def cloud_of_turn(stamp_s: float, points: np.ndarray, name: str) -> PointCloud:
-    """The points of a turn (N,) with fields x y z intensity time ring."""
+    """Return the points of a turn (N,) with fields x y z intensity time ring."""
     if not len(points):
         raise InputError(f"{name}: holds no points; name a scan that has some")
     columns = {field: points[field] for field in points.dtype.names or ()}
@@ -97,7 +92,7 @@ def cloud_of_turn(stamp_s: float, points: np.ndarray, name: str) -> PointCloud:
 
 
 def packets(path: Path) -> Iterator[Packet]:
-    """The packets of a capture, in its order; InputError where it is damaged or cut short."""
+    """Yield the packets of a capture, in its order; InputError if it is damaged or cut short."""
     with damage(path, REPAIR):
         yield from _newer(path) if _magic(path) == PCAPNG else _classic(path)
 

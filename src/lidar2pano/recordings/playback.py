@@ -1,4 +1,4 @@
-"""The scans of a recording by their numbers: what is not wanted is not read, where the format has an index."""
+"""The scans of a recording by their numbers: only requested ones are read, if the format has an index."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lidar2pano.recordings.ros_messages import RawMessage, Recording
 from lidar2pano.recordings.transforms import recorded_motion
 
 NEAR = 3  # so many messages ahead are read rather than looked up
-BLOCK = 64  # scans for which poses are read together
+BLOCK = 64  # scans whose poses are read together
 
 
 class Playback(Protocol):
@@ -30,22 +30,22 @@ class Playback(Protocol):
     path: Path
 
     def numbers(self, options: ReadOptions) -> Sequence[int]:
-        """Numbers of the scans that are wanted; InputError where there is none."""
+        """Return the numbers of the selected scans; InputError if there is none."""
         ...
 
     def frame(self, number: int) -> Frame:
-        """The scan of a number; InputError where it is damaged, or there is none."""
+        """Return the scan of a number; InputError if it is damaged, or there is none."""
         ...
 
     def recorded_s(self, number: int) -> float:
-        """When the scan of a number was recorded, seconds since the epoch; of a damaged one too.
+        """Return the time of recording of a scan, seconds since the epoch; of a damaged one too.
 
-        Raises InputError where it is damaged and there is no list of times.
+        Raises InputError if it is damaged and there is no list of times.
         """
         ...
 
     def motion(self, number: int, frame: str) -> tuple[SensorMotion, str] | None:
-        """The recorded motion of a coordinate frame around the time of a scan, and what it is from; None without one.
+        """Return the recorded motion of a coordinate frame near the time of a scan, and its source; None without one.
 
         It depends on the number alone. Raises InputError at damage.
         """
@@ -57,7 +57,7 @@ class Playback(Protocol):
 
 
 def playback(path: Path, topic: str = "") -> Playback:
-    """A recording opened; InputError where it is damaged, is none, or holds no such topic of points."""
+    """Return a recording opened; InputError if it is damaged, is none, or holds no such topic of points."""
     reader = recording_reader(path)
     if reader is None or reader.open is None:
         return FramePlayback(path, topic)
@@ -68,7 +68,7 @@ class MessagePlayback:
     """The scans of a recording of ROS messages."""
 
     def __init__(self, recording: Recording, topic: str = "") -> None:
-        """Read when the scans were recorded; InputError where the recording is damaged or holds none."""
+        """Read when the scans were recorded; InputError if the recording is damaged or holds none."""
         self.path, self._recording = recording.path, recording
         try:
             self._topic = choose_topic(recording.path, recording.description.topics, topic)
@@ -77,31 +77,31 @@ class MessagePlayback:
             recording.close()
             raise
         self._next: int = 0
-        self._motion: tuple[tuple[int, str], tuple[SensorMotion, str] | None] | None = None  # with what it is of
+        self._motion: tuple[tuple[int, str], tuple[SensorMotion, str] | None] | None = None  # with its key
         self._following: Iterator[RawMessage] | None = None  # from the message `_next` on; None before and after damage
 
     def numbers(self, options: ReadOptions) -> Sequence[int]:
         """See Playback."""
         about = self._recording.description
         start_ns, end_ns = span_ns(about, options)
-        wanted = np.ones(len(self._stamps_ns), dtype=bool)
+        selected = np.ones(len(self._stamps_ns), dtype=bool)
         if start_ns is not None:
-            wanted &= self._stamps_ns >= start_ns
+            selected &= self._stamps_ns >= start_ns
         if end_ns is not None:
-            wanted &= self._stamps_ns < end_ns
-        if not wanted.any():
+            selected &= self._stamps_ns < end_ns
+        if not selected.any():
             raise none_within(self.path, about.duration_s)
-        return np.flatnonzero(wanted)[:: options.every].tolist()
+        return np.flatnonzero(selected)[:: options.every].tolist()
 
     def frame(self, number: int) -> Frame:
-        """See Playback; messages before it are looked up in the index and not read, where there is one."""
+        """See Playback; messages before it are looked up in the index and not read if there is one."""
         near = self._next + NEAR if self._recording.indexed else number
         following, self._following = self._following, None
         if following is None or not self._next <= number <= near:
             following = self._from(number)
-        for at, message in enumerate(following, self._next):
-            if at == number:
-                self._next, self._following = at + 1, following
+        for place, message in enumerate(following, self._next):
+            if place == number:
+                self._next, self._following = place + 1, following
                 return ros_frame(self._recording, number, message)
         raise _missing(self.path, number)
 
@@ -110,14 +110,14 @@ class MessagePlayback:
         return int(self._stamps_ns[number]) * 1e-9
 
     def motion(self, number: int, frame: str) -> tuple[SensorMotion, str] | None:
-        """See Playback: read for BLOCK scans together; for all at once where there is no index."""
+        """See Playback: read for BLOCK scans together; for all at once if there is no index."""
         last = len(self._stamps_ns) - 1
         first = number - number % BLOCK if self._recording.indexed else 0
         last = min(first + BLOCK - 1, last) if self._recording.indexed else last
         if self._motion is None or self._motion[0] != (first, frame):
             if not self._recording.indexed:
-                self._following = None  # which reads from the same place of the file
-            span_ns = (int(self._stamps_ns[one]) for one in (first, last))
+                self._following = None  # it reads from the same place of the file
+            span_ns = (int(self._stamps_ns[edge]) for edge in (first, last))
             self._motion = (first, frame), recorded_motion(self._recording, frame, *span_ns)
         return self._motion[1]
 
@@ -127,7 +127,7 @@ class MessagePlayback:
         self._recording.close()
 
     def _from(self, number: int) -> Iterator[RawMessage]:
-        """The messages from `_next` on, which becomes `number` or less."""
+        """Return the messages from `_next` on, and set it to `number` or less."""
         start_ns = None
         self._next = 0
         if self._recording.indexed and 0 <= number < len(self._stamps_ns):
@@ -137,10 +137,10 @@ class MessagePlayback:
 
 
 class FramePlayback:
-    """The scans of a recording that is read from its beginning only, such as a capture of packets."""
+    """The scans of a recording without an index, such as a capture of packets: it is read from its beginning."""
 
     def __init__(self, path: Path, topic: str = "") -> None:
-        """Open the recording; InputError where it is damaged or holds no such topic."""
+        """Open the recording; InputError if it is damaged or holds no such topic."""
         self.path, self._options = path, ReadOptions(topic=topic)
         self._next: int = 0
         self._following = frames(path, self._options)

@@ -23,10 +23,10 @@ ROSBAG, SQLITE = b"#ROSBAG V", b"SQLite format 3\0"
 
 
 class RosBag:
-    """A recording that rosbags reads.
+    """A recording read by rosbags.
 
     open    gives rosbags' open reader;  encoding: of its messages.
-    repair  what a user can try when the file is damaged.
+    repair  advice for a damaged file.
     """
 
     indexed = True
@@ -44,39 +44,38 @@ class RosBag:
             for connection in self._connections:
                 counts[connection.topic, connection.msgtype] += connection.msgcount
             span = getattr(self._reader, "metadata", self._reader)
-            empty = not counts.total()
-            self.description = Description(
-                format=format,
-                topics=tuple(Topic(name=name, type=type, count=counts[name, type]) for name, type in sorted(counts)),
-                first_ns=0 if empty else span.start_time,
-                last_ns=0 if empty else span.end_time - 1,
-            )
+            span_ns = (span.start_time, span.end_time - 1) if counts.total() else (0, 0)
+            self.description = Description.of_counts(format, counts, *span_ns)
 
     def messages(
         self, topics: tuple[Topic, ...], start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RawMessage]:
-        """Messages recorded from `start_ns` on and before `end_ns`, in order of time; InputError at damage."""
-        topic_of = {one.id: topic for one in self._connections for topic in topics if _is_on(one, topic)}
-        connections = [one for one in self._connections if one.id in topic_of]
-        if not connections:  # which rosbags takes for all
+        """Yield messages recorded from `start_ns` on and before `end_ns`, in order of time; InputError at damage."""
+        topic_of = {connection.id: topic for topic in topics for connection in self._connections_of(topic)}
+        connections = [connection for connection in self._connections if connection.id in topic_of]
+        if not connections:  # rosbags takes none for all
             return
         with damage(self.path, self._repair):
-            for one, stamp_ns, data in self._reader.messages(connections, start_ns, end_ns):
-                yield RawMessage(topic_of[one.id], stamp_ns, data)
+            for connection, stamp_ns, data in self._reader.messages(connections, start_ns, end_ns):
+                yield RawMessage(topic_of[connection.id], stamp_ns, data)
 
     def stamps_ns(self, topic: Topic) -> np.ndarray:
-        """When the messages of a topic were recorded, int64 in their order; InputError at damage."""
+        """Return the times of recording of a topic's messages, int64 in order; InputError at damage."""
         indexes = getattr(self._reader, "indexes", None)
         with damage(self.path, self._repair):
             if indexes is None:
                 storage = getattr(self._reader, "storage", self._reader)
-                parts = [_stored_ns(one, topic) for one in getattr(storage, "storages", [storage])]
+                parts = [_stored_ns(file, topic) for file in getattr(storage, "storages", [storage])]
                 return np.array([stamp_ns for part in parts for stamp_ns in part], dtype=np.int64)
-            connections = [one for one in self._connections if _is_on(one, topic)]
-            return np.array(sorted(entry.time for one in connections for entry in indexes[one.id]), dtype=np.int64)
+            entries = (entry for connection in self._connections_of(topic) for entry in indexes[connection.id])
+            return np.array(sorted(entry.time for entry in entries), dtype=np.int64)
+
+    def _connections_of(self, topic: Topic) -> list[Any]:
+        name = topic.name, topic.type
+        return [connection for connection in self._connections if (connection.topic, connection.msgtype) == name]
 
     def decode(self, message: RawMessage) -> Any:  # noqa: ANN401
-        """The message as an object with ROS's attributes; raises whatever rosbags does."""
+        """Return the message as an object with ROS's attributes; raises rosbags' errors."""
         assert self._decode is not None
         return self._decode(message.data, message.topic.type)
 
@@ -86,7 +85,7 @@ class RosBag:
 
 
 def _stored_ns(storage: Any, topic: Topic) -> Iterable[int]:  # noqa: ANN401
-    """The same of one file of a ROS 2 bag, without its messages."""
+    """Return the times of one file of a ROS 2 bag, without its messages."""
     if hasattr(storage, "dbconn"):
         query = "SELECT timestamp FROM messages WHERE topic_id IN (SELECT id FROM topics WHERE name = ? AND type = ?)"
         return (row[0] for row in storage.dbconn.execute(f"{query} ORDER BY timestamp", (topic.name, topic.type)))
@@ -94,23 +93,19 @@ def _stored_ns(storage: Any, topic: Topic) -> Iterable[int]:  # noqa: ANN401
         return file.stamps_ns(topic).tolist()
 
 
-def _is_on(connection: Any, topic: Topic) -> bool:  # noqa: ANN401
-    return connection.topic == topic.name and connection.msgtype == topic.type
-
-
 def open_ros1(path: Path) -> RosBag:
-    """A ROS 1 bag; InputError where it is damaged, not indexed or not decodable, or the extra is missing."""
+    """Return a ROS 1 bag; InputError if it is damaged, not indexed or not decodable, or the extra is missing."""
     return RosBag(path, "ROS 1 bag", _open_ros1, ROS1, "try `rosbag reindex`, or record it again")
 
 
 def open_sqlite(path: Path) -> RosBag:
-    """A ROS 2 bag's .db3 file, which needs no metadata.yaml; InputError as `open_ros1`."""
+    """Return a ROS 2 bag's .db3 file, without metadata.yaml; InputError as `open_ros1`."""
     _check_sqlite(path)
     return RosBag(path, "ROS 2 bag, SQLite", _open_sqlite, CDR, "try `sqlite3 FILE .recover`, or record it again")
 
 
 def open_folder(path: Path) -> RosBag:
-    """The folder of a ROS 2 bag with its metadata.yaml; InputError as `open_ros1`."""
+    """Return the folder of a ROS 2 bag with its metadata.yaml; InputError as `open_ros1`."""
     return RosBag(path, "ROS 2 bag, folder", _open_folder, CDR, "try `ros2 bag reindex`, or record it again")
 
 
@@ -149,13 +144,13 @@ def _whole(decompressor: Any, data: bytes) -> bytes:  # noqa: ANN401
 def _open_sqlite(path: Path) -> Any:  # noqa: ANN401
     from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-    reader = Sqlite3Reader(Path(quote(str(path.absolute()))))  # which becomes a URI
+    reader = Sqlite3Reader(Path(quote(str(path.absolute()))))  # it becomes a URI
     reader.open()
     return reader
 
 
 def _check_sqlite(path: Path) -> None:
-    """Raise InputError where the file is shorter than its header says, or is still being written."""
+    """Raise InputError if the file is shorter than its header says, or is still being written."""
     if any(path.with_name(path.name + ending).exists() for ending in ("-wal", "-journal")):
         raise InputError(f"{path}: is still being written (its -wal or -journal exists); stop the recorder first")
     with path.open("rb") as file:

@@ -1,4 +1,4 @@
-"""Messages of a recording: what every storage gives, and how the standard types are decoded."""
+"""Messages of a recording: the interface of every storage, and the decoding of the standard types."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROS1, CDR = "ros1", "cdr"  # encodings of messages, by MCAP's names
 
 
 class RawMessage(NamedTuple):
-    """A message as it is recorded: its topic, when it was recorded (nanoseconds since the epoch), and its bytes."""
+    """A message as it is recorded: its topic, the time of recording (nanoseconds since the epoch), and its bytes."""
 
     topic: Topic
     stamp_ns: int
@@ -37,15 +37,15 @@ class Recording(Protocol):
     def messages(
         self, topics: tuple[Topic, ...], start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RawMessage]:
-        """Messages recorded from `start_ns` on and before `end_ns`, in order of time; InputError at damage."""
+        """Return messages recorded from `start_ns` on and before `end_ns`, in order of time; InputError at damage."""
         ...
 
     def stamps_ns(self, topic: Topic) -> np.ndarray:
-        """When the messages of a topic were recorded, int64 in their order; by the index alone, where there is one."""
+        """Return the times of recording of a topic's messages, int64 in order; by an index alone if there is one."""
         ...
 
     def decode(self, message: RawMessage) -> Any:  # noqa: ANN401
-        """The message as an object with ROS's attributes; raises whatever the library does."""
+        """Return the message as an object with ROS's attributes; raises the library's errors."""
         ...
 
     def close(self) -> None:
@@ -55,11 +55,11 @@ class Recording(Protocol):
 
 @cache
 def deserializer(encoding: str) -> Callable[[bytes, str], Any]:
-    """(bytes, type) -> message, for the standard types: neither ROS 1 nor ROS 2 changed those that are read here."""
+    """Return (bytes, type) -> message, for the standard types: neither ROS 1 nor ROS 2 changed them."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     if encoding == ROS1:
         store = get_typestore(Stores.ROS1_NOETIC)
-        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))  # which it lacks
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))  # missing there
         return store.deserialize_ros1
     return get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr

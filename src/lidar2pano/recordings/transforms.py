@@ -1,4 +1,4 @@
-"""Poses that a recording holds: the way of a sensor's frame through the world, from tf or nav_msgs/Odometry."""
+"""Poses of a recording: the path of a sensor's frame through the world, from tf or nav_msgs/Odometry."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from lidar2pano.geometry.motion import SensorMotion, Trajectory
 from lidar2pano.recordings.description import Topic, damage
 from lidar2pano.recordings.ros_messages import TF, RawMessage, Recording
 
-TF_TYPES = (TF, "tf/msg/tfMessage")  # which has the same fields
+TF_TYPES = (TF, "tf/msg/tfMessage")  # with the same fields
 ODOMETRY = "nav_msgs/msg/Odometry"
 STATIC = "tf_static"
-FIXED = "odom"  # the frame in which a robot moves without jumps (REP 105); `map` above it may jump
-STEP_S = 0.004  # poses of a frame that follow sooner are left out
+FIXED = "odom"  # the frame of motion without jumps (REP 105); `map` above it may jump
+STEP_S = 0.004  # sooner poses of a frame are left out
 MARGIN_NS = 1_000_000_000  # poses are read for so much longer than scans
 Row = tuple[float, ...]  # stamp_s, x, y, z, qx, qy, qz, qw
 
@@ -32,10 +32,10 @@ class Link(NamedTuple):
 def recorded_motion(
     recording: Recording, frame: str, start_ns: int | None = None, end_ns: int | None = None
 ) -> tuple[SensorMotion, str] | None:
-    """The motion of a frame by a recording's tf, else by its odometry, and the name of what it is from.
+    """Return the motion of a frame by a recording's tf, else by its odometry, and the name of the source.
 
-    start_ns, end_ns  when scans are wanted, in nanoseconds since the epoch; poses are read a little further.
-    None where nothing in the recording tells how the frame moves. Raises InputError at damage.
+    start_ns, end_ns  span of the scans, in nanoseconds since the epoch; poses are read a little further.
+    None if nothing in the recording tells how the frame moves. Raises InputError at damage.
     """
     topics = recording.description.topics
     fixed = tuple(topic for topic in topics if topic.type in TF_TYPES and topic.name.endswith(STATIC))
@@ -66,7 +66,7 @@ class _Rows:
         self._rows: defaultdict[str, array[float]] = defaultdict(lambda: array("d"))
 
     def add(self, stamped: Any, child: str, pose: Any) -> None:  # noqa: ANN401
-        """A stamped transform or odometry; what is no pose (NaN, quaternion 0) or follows too soon is left out."""
+        """Add a stamped transform or odometry, unless it is no pose (NaN, quaternion 0) or follows too soon."""
         stamp = stamped.header.stamp
         stamp_s = stamp.sec + stamp.nanosec * 1e-9
         moved = hasattr(pose, "translation")  # a Transform; an odometry has a Pose
@@ -79,7 +79,7 @@ class _Rows:
             self._parents[child.strip("/")] = stamped.header.frame_id.strip("/")
 
     def links(self) -> dict[str, Link]:
-        """By frame; what was recorded once only is fixed."""
+        """Return the links by frame; those recorded once only are fixed."""
         fixed = self.fixed_links()
         return {
             child: Link(parent, Trajectory.of(self._table(child))) if len(self._rows[child]) > 8 else fixed[child]
@@ -87,7 +87,7 @@ class _Rows:
         }
 
     def fixed_links(self) -> dict[str, Link]:
-        """By frame, the latest pose."""
+        """Return the latest poses by frame."""
         return {
             child: Link(parent, Trajectory.of(self._table(child)[-1:]).at(np.zeros(1))[0])
             for child, parent in self._parents.items()
@@ -106,12 +106,12 @@ def _decoded(recording: Recording, message: RawMessage) -> Any:  # noqa: ANN401
 
 
 def _chain(tree: Mapping[str, Link], frame: str, root: str) -> list[tuple[str, Link]]:
-    """The links from a frame up to `root`, or to the top of the tree; each with the frame that it holds."""
-    found: list[tuple[str, Link]] = []
-    while frame in tree and frame != root and all(frame != passed for passed, _ in found):
-        found.append((frame, tree[frame]))
+    """Return the links from a frame up to `root`, or to the top of the tree; each with its frame."""
+    chain: list[tuple[str, Link]] = []
+    while frame in tree and frame != root and all(frame != passed for passed, _ in chain):
+        chain.append((frame, tree[frame]))
         frame = tree[frame].parent
-    return found
+    return chain
 
 
 def _by_tf(tree: Mapping[str, Link], frame: str) -> tuple[SensorMotion, str] | None:
@@ -124,7 +124,7 @@ def _by_tf(tree: Mapping[str, Link], frame: str) -> tuple[SensorMotion, str] | N
 def _by_odometry(
     tree: Mapping[str, Link], frame: str, odometry: Mapping[str, _Rows]
 ) -> tuple[SensorMotion, str] | None:
-    """The topic whose moving frame is the sensor's, or carries it rigidly."""
+    """Return the topic whose moving frame is the sensor's, or carries it rigidly."""
     for name, rows in sorted(odometry.items()):
         for child, link in rows.links().items():
             chain = _chain(tree, frame, child)
