@@ -75,13 +75,13 @@ def read_header(data: bytes, path: Path) -> Header:
 def _header(entries: dict[str, list[str]], start: int, path: Path) -> Header:
     names = entries.get("FIELDS") or entries["COLUMNS"]
     sizes = [int(size) for size in entries.get("SIZE", ["4"] * len(names))]
-    types = [kind.upper() for kind in entries.get("TYPE", ["F"] * len(names))]
+    types = [letter.upper() for letter in entries.get("TYPE", ["F"] * len(names))]
     counts = [int(count) for count in entries.get("COUNT", ["1"] * len(names))]
     fields, step = [], 0
-    for name, size, kind, count in zip(names, sizes, types, counts, strict=True):
-        if size not in BYTES[kind] or not 0 <= count <= MOST_HEADER:
+    for name, size, letter, count in zip(names, sizes, types, counts, strict=True):
+        if size not in BYTES[letter] or not 0 <= count <= MOST_HEADER:
             raise ValueError(name)
-        fields.append((name, np.dtype(f"<{kind.lower()}{size}"), count, step))
+        fields.append((name, np.dtype(f"<{letter.lower()}{size}"), count, step))
         step += size * count
     width, height = (int(entries.get(name, ["0"])[0]) for name in ("WIDTH", "HEIGHT"))
     points = int(entries["POINTS"][0]) if "POINTS" in entries else width * height

@@ -70,8 +70,8 @@ def _header(text: str, path: Path) -> tuple[str, list[Element]]:
                     pass
                 case ["element", name, count]:
                     elements.append((name, int(count), []))
-                case ["property", kind, *_, name]:
-                    elements[-1][2].append((name, kind))
+                case ["property", type_name, *_, name]:
+                    elements[-1][2].append((name, type_name))
     except (ValueError, IndexError):
         raise InputError(f"{path}: its PLY header makes no sense; write the file again") from None
     if layout not in ORDERS:
@@ -81,7 +81,7 @@ def _header(text: str, path: Path) -> tuple[str, list[Element]]:
 
 def _dtype(layout: str, name: str, properties: list[tuple[str, str]], path: Path) -> np.dtype:
     """Return the record of one item of an element."""
-    fields = {key: ORDERS[layout] + TYPES[kind] for key, kind in properties if kind in TYPES}
+    fields = {key: ORDERS[layout] + TYPES[type_name] for key, type_name in properties if type_name in TYPES}
     if len(fields) < len(properties):
         raise InputError(f"{path}: properties of {name!r} are lists or named twice; write the vertices alone")
     return np.dtype(list(fields.items()))
