@@ -1,7 +1,7 @@
-"""A hook of mkdocs: writes the parts of the site that the program itself knows, so that no page repeats them by hand.
+"""A hook of mkdocs: parts of the site from the program itself, so that no page repeats them by hand.
 
-A page holds `<!-- generated: NAME -->` where the Markdown of PARTS[NAME] belongs. Pages of the repository's root
-(changelog, contributing, ...) become pages of the site. Pages that load anything from elsewhere are warned about.
+A page holds `<!-- generated: NAME -->` in place of the Markdown of PARTS[NAME]. Pages of the repository's root
+(changelog, contributing, ...) become pages of the site. A page with a resource from elsewhere causes a warning.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ MIB = 2**20
 log = logging.getLogger("mkdocs.hooks.generated")
 
 
-# --- what mkdocs calls ----------------------------------------------------------------------------------------------
+# --- the hooks of mkdocs ---------------------------------------------------------------------------------------------
 
 
 def on_files(files: Any, config: Any) -> Any:  # noqa: ANN401
-    """Add the pages that lie at the repository's root."""
+    """Add the pages of the repository's root."""
     from mkdocs.structure.files import File
 
     for source, page in ROOT_PAGES.items():
@@ -55,22 +55,22 @@ def on_page_markdown(markdown: str, **_: object) -> str:
 
 
 def on_post_page(output: str, page: Any, **_: object) -> str:  # noqa: ANN401
-    """Warn where a page would load something from elsewhere: the site works without a network."""
-    if found := OUTSIDE.search(output):
-        log.warning("%s loads something from elsewhere: %s", page.file.src_path, found[0])
+    """Warn of a page with a resource from elsewhere: the site works without a network."""
+    if match := OUTSIDE.search(output):
+        log.warning("%s loads something from elsewhere: %s", page.file.src_path, match[0])
     return output
 
 
 def fill(markdown: str) -> str:
-    """The text with every marker replaced by its part; a KeyError names a marker without one."""
-    return MARKER.sub(lambda found: PARTS[found[1]](), markdown)
+    """Replace every marker by its part; a KeyError names a marker without one."""
+    return MARKER.sub(lambda match: PARTS[match[1]](), markdown)
 
 
 def site_links(text: str) -> str:
-    """A root page's relative links as the site has them; files that the site lacks are linked in the repository."""
+    """Rewrite a root page's relative links for the site; files outside the site are linked in the repository."""
 
-    def moved(found: re.Match[str]) -> str:
-        target = found[1]
+    def moved(match: re.Match[str]) -> str:
+        target = match[1]
         if target in ROOT_PAGES:
             return ROOT_PAGES[target]
         return target.removeprefix("docs/") if target.startswith("docs/") else f"{REPOSITORY}/{target}"
@@ -82,7 +82,7 @@ def site_links(text: str) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table."""
+    """Return a Markdown table."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(_cell(value) for value in line)} |" for line in lines)
 
@@ -92,12 +92,12 @@ def _cell(value: object) -> str:
 
 
 def _prose(text: str | None) -> str:
-    """A help text as Markdown: "<stem>" is no tag."""
+    """Return a help text as Markdown: "<stem>" is no tag."""
     return inspect.cleandoc(text or "").replace("<", "&lt;")
 
 
 def _first(text: str | None) -> str:
-    """The first paragraph of a docstring."""
+    """Return the first paragraph of a docstring."""
     return " ".join(inspect.cleandoc(text or "").split("\n\n")[0].split())
 
 
@@ -105,7 +105,7 @@ def _first(text: str | None) -> str:
 
 
 def commands() -> Iterator[tuple[str, Any]]:
-    """(name, click command) of every command, groups before their members."""
+    """Yield (name, click command) of every command, groups first."""
     from typer.main import get_command
 
     from lidar2pano.cli import app
@@ -120,21 +120,21 @@ def commands() -> Iterator[tuple[str, Any]]:
 
 
 def command_line() -> str:
-    """Every command with its arguments and options, from the program's own declarations."""
+    """Describe every command with its arguments and options, from the program's own declarations."""
     return "\n\n".join(_command(name, command) for name, command in commands())
 
 
 def _command(name: str, command: Any) -> str:  # noqa: ANN401
-    arguments = [one for one in command.params if one.param_type_name == "argument"]
-    options = [one for one in command.params if one.param_type_name != "argument" and "--help" not in one.opts]
-    usage = " ".join(["lidar2pano", name, *["[OPTIONS]"] * bool(options), *(_metavar(one) for one in arguments)])
+    arguments = [item for item in command.params if item.param_type_name == "argument"]
+    options = [item for item in command.params if item.param_type_name != "argument" and "--help" not in item.opts]
+    usage = " ".join(["lidar2pano", name, *["[OPTIONS]"] * bool(options), *map(_metavar, arguments)])
     parts = [f"## {name}", _prose(command.help)]
     if not hasattr(command, "commands"):
         parts.append(f"```sh\n{usage}\n```")
     if arguments:
-        parts.append(table(["argument", "meaning"], ((f"`{_metavar(one)}`", _prose(one.help)) for one in arguments)))
+        parts.append(table(["argument", "meaning"], ((f"`{_metavar(item)}`", _prose(item.help)) for item in arguments)))
     if options:
-        rows = ((f"`{_flags(one)}`", _prose(one.help), _default(one)) for one in options)
+        rows = ((f"`{_flags(item)}`", _prose(item.help), _default(item)) for item in options)
         parts.append(table(["option", "meaning", "default"], rows))
     return "\n\n".join(parts)
 
@@ -159,7 +159,7 @@ def _default(option: Any) -> str:  # noqa: ANN401
 
 
 def api() -> str:
-    """A section of mkdocstrings for every public name."""
+    """Return a section of mkdocstrings for every public name."""
     import lidar2pano
 
     names = [name for name in lidar2pano.__all__ if not name.startswith("_")]
@@ -173,7 +173,7 @@ def api() -> str:
 
 
 def recipes() -> str:
-    """Every recipe: its name, what it trains, on which raster, and what its docstring says."""
+    """Return every recipe: its name, its docstring, its networks and its length."""
     from lidar2pano.train.recipes import RECIPES
 
     def row(name: str) -> list[str]:
@@ -189,19 +189,19 @@ def recipes() -> str:
             f"{limit}, batch {recipe.training.batch}",
         ]
 
-    return table(["recipe", "what it is", "networks", "length"], map(row, RECIPES))
+    return table(["recipe", "purpose", "networks", "length"], map(row, RECIPES))
 
 
-def _variant(name: str, known: set[str]) -> str:
-    """What a recipe without a docstring is: the small form of another, or another with a part left out."""
-    if name.removesuffix("-mini") in known - {name}:
+def _variant(name: str, recipes: set[str]) -> str:
+    """Describe a recipe without a docstring: the small form of another, or another with a part left out."""
+    if name.removesuffix("-mini") in recipes - {name}:
         return f"`{name.removesuffix('-mini')}` for two CPU cores."
-    base, _, without = name.partition("-no-")
-    return f"`{base}` without {without}, the paper's ablation." if without and base in known else ""
+    base, _, part = name.partition("-no-")
+    return f"`{base}` without {part}, the paper's ablation." if part and base in recipes else ""
 
 
 def paper_rows() -> str:
-    """Every row of the paper's tables: the recipes behind it, and the command that makes it."""
+    """Return every row of the paper's tables: its recipes, and its command."""
     from lidar2pano.reproduce.plan import ROWS
 
     def row(name: str) -> list[str]:
@@ -213,7 +213,7 @@ def paper_rows() -> str:
 
 
 def views() -> str:
-    """The table of rasters."""
+    """Return the table of rasters."""
     from lidar2pano import VIEWS
 
     rows = (
@@ -225,7 +225,7 @@ def views() -> str:
 
 
 def classes() -> str:
-    """Ids, names and colours of the 15 classes of the panorama, and the classes of SemanticKITTI with their raw ids."""
+    """Return ids, names and colours of the classes of the panorama, of SemanticKITTI and of Cityscapes."""
     from lidar2pano import CITYSCAPES, COMMON15, SEMANTIC_KITTI
 
     parts = []
@@ -240,7 +240,7 @@ def classes() -> str:
 
 
 def released() -> str:
-    """The released families, from the cards of their files."""
+    """Return the released families, from the cards of their files."""
     from lidar2pano.models.card import read_card
     from lidar2pano.models.families import families
 
@@ -254,39 +254,39 @@ def released() -> str:
 
 
 def published() -> str:
-    """Networks whose published weights can be imported, where they are and on which terms."""
+    """Return the networks with importable published weights, with addresses and licences."""
     from lidar2pano.models.published import PUBLISHED
 
-    rows = ([f"`{name}`", f"<{one.upstream}>", one.licence] for name, one in PUBLISHED.items())
+    rows = ([f"`{name}`", f"<{item.upstream}>", item.licence] for name, item in PUBLISHED.items())
     return table(["network", "published at", "licence, as stated there"], rows)
 
 
 def extras() -> str:
-    """The optional dependencies, from pyproject.toml."""
+    """Return the optional dependencies, from pyproject.toml."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    rows = ([f"`{name}`", ", ".join(wanted)] for name, wanted in project["optional-dependencies"].items())
+    rows = ([f"`{name}`", ", ".join(packages)] for name, packages in project["optional-dependencies"].items())
     return table(["extra", "packages"], rows)
 
 
 # --- messages -------------------------------------------------------------------------------------------------------
 
-GAP = "…"  # stands in a message for what differs from case to case
+GAP = "…"  # in a message: a value
 
 
 def messages(source: Path = SOURCE) -> dict[str, str]:
-    """Every message that the code raises an InputError with: text, with GAP for values -> the module."""
-    found: dict[str, str] = {}
+    """Return every message of an InputError in the code: text, with GAP for values -> the module."""
+    modules: dict[str, str] = {}
     for path in sorted(source.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "InputError" and node.args:
                 text = re.sub(f"{GAP}+", GAP, _template(node.args[0]))
                 if len(text.replace(GAP, "")) > len(": ;"):
-                    found.setdefault(text, path.relative_to(source).as_posix())
-    return found
+                    modules.setdefault(text, path.relative_to(source).as_posix())
+    return modules
 
 
 def texts(source: Path = SOURCE) -> set[str]:
-    """Every text in the code, with GAP for values: what the program can print."""
+    """Return every text in the code, with GAP for values."""
     return {
         _template(node)
         for path in source.rglob("*.py")
@@ -306,7 +306,7 @@ def _template(node: ast.expr) -> str:
 
 
 def message_index() -> str:
-    """All messages, by the part of the package that raises them."""
+    """Return all messages, by part of the package."""
     groups: dict[str, list[str]] = {}
     for text, module in messages().items():
         groups.setdefault(module.partition("/")[0].removesuffix(".py"), []).append(text)
@@ -316,7 +316,7 @@ def message_index() -> str:
 
 
 def quoted(page: str) -> list[str]:
-    """The messages that the troubleshooting page quotes: its third-level headings in backticks."""
+    """Return the messages on the troubleshooting page: its third-level headings in backticks."""
     return re.findall(r"^### `(.+)`$", page, flags=re.MULTILINE)
 
 

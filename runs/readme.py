@@ -21,23 +21,23 @@ MIB = 2**20
 
 
 def time_of(results: str) -> tuple[str, str]:
-    """(milliseconds of a whole panorama, threads) in the table of times of RESULTS.md."""
-    found = re.search(r"^\| whole panorama \| ([\d.]+) \|", results, flags=re.MULTILINE)
+    """Return (milliseconds of a whole panorama, threads) in the table of times of RESULTS.md."""
+    time = re.search(r"^\| whole panorama \| ([\d.]+) \|", results, flags=re.MULTILINE)
     threads = re.search(r"^device cpu, threads (\d+)", results, flags=re.MULTILINE)
-    if not found or not threads:
+    if not time or not threads:
         raise SystemExit("RESULTS.md has no row 'whole panorama' measured on a CPU; run runs/results.sh")
-    return found[1], threads[1]
+    return time[1], threads[1]
 
 
 def peak_mib() -> float:
-    """Largest resident memory of `lidar2pano demo`."""
+    """Return the largest resident memory of `lidar2pano demo`."""
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run([sys.executable, "-m", "lidar2pano", "demo", "--out", folder], check=True, capture_output=True)
     return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
 
 
 def licences() -> str:
-    """Family: licence, and its size."""
+    """Return each family with its licence and size."""
     parts = []
     for name, folder in families().items():
         files = sorted(folder.glob("*.safetensors"))
@@ -50,7 +50,7 @@ def licences() -> str:
 
 
 def costs(results: str, memory_mib: float) -> str:
-    """The table, with its markers."""
+    """Return the table, with its markers."""
     milliseconds, threads = time_of(results)
     rows = [
         ("time", f"{float(milliseconds) / 1000:.1f} s per panorama on {threads} CPU cores"),
@@ -66,10 +66,10 @@ def main() -> None:
     """Replace the table in README.md."""
     readme = ROOT / "README.md"
     text = readme.read_text(encoding="utf-8")
-    before, _, rest = text.partition(BEGIN)
-    after = rest.partition(END)[2]
+    head, _, rest = text.partition(BEGIN)
+    tail = rest.partition(END)[2]
     results = (ROOT / "RESULTS.md").read_text(encoding="utf-8")
-    readme.write_text(before + costs(results, peak_mib()) + after, encoding="utf-8")
+    readme.write_text(head + costs(results, peak_mib()) + tail, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -68,7 +68,7 @@ def reproduce(  # noqa: PLR0913, PLR0917 one parameter per option
 
 
 def run_plan(plan: Plan) -> None:
-    """Run the plan and write its results; typer.Exit where a part or a row failed."""
+    """Run the plan and write its results; typer.Exit if a part or a row failed."""
     import logging
     import sys
 
