@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from lidar2pano.losses.diff_augment import DiffAugment
+from lidar2pano.losses.adversarial import DiffAugment
 
 ROWS, COLUMNS = 16, 24
 

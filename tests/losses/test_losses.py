@@ -15,8 +15,8 @@ from lidar2pano.losses import (
     gradient_penalty,
     hinge_critic,
     hinge_generator,
-    lovasz,
     lovasz_softmax,
+    supervised,
 )
 from lidar2pano.metrics.confusion import Confusion
 from slow_definitions import lovasz_softmax_slowly
@@ -26,7 +26,7 @@ from slow_definitions import lovasz_softmax_slowly
 def kernel(request, monkeypatch):
     """Both ways to compute it: the one for the CPU, and the one for other devices (run here on the CPU)."""
     if request.param == "device":
-        monkeypatch.setattr(lovasz, "_on_cpu", lovasz._on_device)
+        monkeypatch.setattr(supervised, "_on_cpu", supervised._on_device)
     return request.param
 
 

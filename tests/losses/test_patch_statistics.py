@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.losses.patch_statistics import FIRST, MOST, PatchStatistics, transport
+from lidar2pano.losses.painting import FIRST, MOST_STRETCH, PatchStatistics, transport
 from lidar2pano.metrics.frechet import Normal, normal_distance
 
 SIZE = 4
@@ -23,7 +23,7 @@ def test_the_transport_carries_one_covariance_to_the_other():
     assert torch.allclose(T, T.T)
     assert torch.allclose(T @ one @ T, other, rtol=0.05, atol=0.05)
     assert torch.allclose(transport(one, one), torch.eye(SIZE, dtype=one.dtype), atol=0.05)
-    assert torch.linalg.eigvalsh(transport(one * 1e-6, one)).max() == pytest.approx(MOST)
+    assert torch.linalg.eigvalsh(transport(one * 1e-6, one)).max() == pytest.approx(MOST_STRETCH)
 
 
 def features_of(values: torch.Tensor) -> torch.Tensor:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from lidar2pano.losses import inside, streaks
-from lidar2pano.losses.streaks import EVEN, LENGTH_PX, NEARBY_PX, STEP_PX
+from lidar2pano.losses.painting import EVEN, LENGTH_PX, NEARBY_PX, STEP_PX
 
 
 def with_line(row: int, brightness: float = 0.6) -> torch.Tensor:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.losses.adversarial import FRINGE, FRINGE_PX, HUE_PX, POOL, fringes, hue_gap, pooled
+from lidar2pano.losses.painting import FRINGE, FRINGE_PX, HUE_PX, POOL, fringes, hue_gap, pooled
 from lidar2pano.losses.supervised import class_weights
 
 

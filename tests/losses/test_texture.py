@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from lidar2pano.losses import texture_distance
-from lidar2pano.losses.texture import BANDS, COLOURED, FEWEST, MOST
+from lidar2pano.losses.painting import BANDS, COLOURED, FEWEST, MOST_SORTED
 
 SIZE = 128
 LUMA = torch.tensor([0.299, 0.587, 0.114])[:, None, None]  # ITU-R BT.601
@@ -49,7 +49,7 @@ def test_the_distance_is_as_defined():
     real, painted = speckle(1, 0.8, 2), speckle(2, 0.3)
     labels, others = whole(-1), whole(-1)
     labels[:, 32:96, :96], others[:, :64] = 4, 4
-    assert labels[labels > 0].numel() < others[others > 0].numel() <= MOST
+    assert labels[labels > 0].numel() < others[others > 0].numel() <= MOST_SORTED
     expected = by_hand(real, painted, labels[0] == 4, others[0] == 4)
     assert texture_distance(real, painted, labels, others).item() == pytest.approx(expected, rel=1e-4)
     assert expected > 0.3

@@ -11,8 +11,8 @@ from torch import Tensor, nn
 
 from lidar2pano.errors import InputError
 from lidar2pano.models import MODELS, build
+from lidar2pano.models.blocks import CircularConv
 from lidar2pano.models.card import Card, load, save
-from lidar2pano.models.circular import CircularConv
 from lidar2pano.models.scene_painter import ScenePainter, framed
 
 

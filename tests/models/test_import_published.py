@@ -19,7 +19,7 @@ from golden_fill import fill
 from lidar2pano.cli import main
 from lidar2pano.errors import InputError
 from lidar2pano.models import MODELS, build
-from lidar2pano.models.camera_segmenter import CameraSegmenter
+from lidar2pano.models.camera_teachers import CameraSegmenter
 from lidar2pano.models.card import load, read_card, save
 from lidar2pano.models.families import licence_note, role
 from lidar2pano.models.published import PUBLISHED, import_published, published_card

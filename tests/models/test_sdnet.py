@@ -17,8 +17,7 @@ from golden_fill import assert_weights_as_recorded, fill, key_rows, sym
 from golden_vectors import recorded
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
-from lidar2pano.models.ocr import ObjectContext, gather
-from lidar2pano.models.sdnet import ScalePrediction, SdNet
+from lidar2pano.models.sdnet import ObjectContext, ScalePrediction, SdNet, gather
 
 FILE, GAIN, PARAMETERS = "hrnet_ocr_mscale_two", 0.85, 72_143_430  # MANIFEST.md, section 2
 TOLERANCE = 1e-4

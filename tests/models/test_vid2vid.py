@@ -22,7 +22,7 @@ from golden_vectors import Recorded, recorded
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.warp import warp
 from lidar2pano.models import build
-from lidar2pano.models.circular import fold_norms
+from lidar2pano.models.blocks import fold_norms
 from lidar2pano.models.vid2vid_layers import Doubling, Halving, Padding, Residual, batch_norms, close, halved
 
 CAR, LABELS = 26, 35  # Cityscapes' label ids

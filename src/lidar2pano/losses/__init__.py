@@ -10,18 +10,21 @@ from __future__ import annotations
 from lidar2pano.losses.adversarial import (
     critic_wasserstein,
     feature_matching,
-    fringes,
     generator_wasserstein,
     gradient_penalty,
     hinge_critic,
     hinge_generator,
-    hue_gap,
-    pooled,
 )
-from lidar2pano.losses.lovasz import lovasz_softmax
-from lidar2pano.losses.patch_statistics import PatchStatistics
-from lidar2pano.losses.streaks import inside, streaks
-from lidar2pano.losses.texture import texture_distance
+from lidar2pano.losses.painting import (
+    PatchStatistics,
+    fringes,
+    hue_gap,
+    inside,
+    pooled,
+    streaks,
+    texture_distance,
+)
+from lidar2pano.losses.supervised import lovasz_softmax
 
 __all__ = [
     "PatchStatistics",

@@ -1,16 +1,27 @@
-"""Losses of generated images: adversarial ones, feature matching, and pooled colours."""
+"""Adversarial training: losses, the updates that alternate between networks, changes of images before a discriminator.
+
+Updates: the paper's Wasserstein critic with gradient penalty, and Pix2Pix's discriminator.
+DiffAugment: Zhao et al. 2020 (arXiv:2006.10738, section 3.3): colour, translation and cutout, each differentiable. A
+real and a generated image of one sample share their parameters, since feature matching compares them pixel by pixel.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, MutableMapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Self
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
+from torch.nn.functional import pad
 
-FRINGE_PX, FRINGE = 9, 0.3
-POOL = 4  # pixels
-HUE_PX = 16
+# of scores against "real" (1) or "generated" (0): Goodfellow et al. 2014, with logits; Mao et al. 2017
+GAN_MODES: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
+    "vanilla": F.binary_cross_entropy_with_logits,
+    "lsgan": F.mse_loss,
+}
 
 
 def gradient_penalty(
@@ -68,30 +79,180 @@ def feature_matching(real_features: Sequence[Tensor], fake_features: Sequence[Te
     return torch.stack([F.l1_loss(fake, real.detach()) for real, fake in pairs]).sum()
 
 
-def pooled(image: Tensor) -> Tensor:
-    """Means over squares of POOL x POOL pixels of (B, C, H, W) or (C, H, W): colours without their fine texture."""
-    return F.avg_pool2d(image, POOL)
+def wasserstein_updates(
+    generator_forward: Callable[[], Tensor],
+    critic: nn.Module,
+    real: Tensor,
+    condition: Tensor | None,
+    penalty_weight: float = 10.0,
+    auxiliary: Callable[[Tensor], Tensor] | None = None,
+    epsilon: Tensor | float | None = None,
+    logs: MutableMapping[str, float | Tensor] | None = None,
+) -> Iterator[tuple[str, Tensor]]:
+    """Yield ("critic", loss), then ("generator", loss); step the named optimiser before resuming.
 
+    Paper section 3.2 ("Loss Function") with Gulrajani et al. 2017, Algorithm 1 and one critic step per generator step.
+    The critic's loss leaves no gradient in the generator, nor the generator's in the critic, which is frozen while
+    the generator learns.
 
-def fringes(image: Tensor) -> Tensor:
-    """How much more the hue of single pixels (B, 3, H, W) in [-1, 1] differs from that around them than images' does.
-
-    The mean, over pixels, of how far their chroma (blue and red less luma, ITU-R BT.601) is from its mean over a square
-    of FRINGE_PX x FRINGE_PX pixels, beyond FRINGE: 99 % of the pixels of KITTI's images are nearer.
+    generator_forward  () -> fake, of real's shape. Called before each yield: without a graph for the critic, and once
+                       more for the generator (as published), so that the generator's graph is not kept while the
+                       critic learns; give one that returns the same tensor twice to save time at the cost of memory.
+    critic             (image, condition) -> scores of any shape.
+    real               (B, ...) float; one-hot classes, or an image.
+    penalty_weight     lambda of the gradient penalty (the published code multiplies by 1 but logs 10).
+    auxiliary          fake -> a loss that is added to the generator's (Lovasz-Softmax; squared error for images).
+    epsilon            as in `gradient_penalty`; drawn when None.
+    logs               filled with the parts of the losses, detached: wasserstein (E[D(real)] - E[D(fake)], the distance
+                       that the critic estimates), penalty, adversarial, auxiliary.
     """
-    red, green, blue = image.unbind(1)
-    luma = 0.299 * red + 0.587 * green + 0.114 * blue
-    chroma = torch.stack([blue - luma, red - luma], 1)
-    around = F.avg_pool2d(chroma, FRINGE_PX, 1, FRINGE_PX // 2, count_include_pad=False)
-    return ((chroma - around).square().sum(1).add(1e-9).sqrt() - FRINGE).clamp(min=0).mean()
+    logs = {} if logs is None else logs
+    with torch.no_grad():
+        fake = generator_forward().detach()
+    separation = critic_wasserstein(critic(real, condition), critic(fake, condition))
+    bare = getattr(critic, "module", critic)  # Fabric's wrapper forbids gradients other than by its own backward
+    penalty = gradient_penalty(lambda image: bare(image, condition), real, fake, epsilon=epsilon)
+    logs["wasserstein"], logs["penalty"] = -separation.detach(), penalty.detach()
+    yield "critic", separation + penalty_weight * penalty
+    del separation, penalty
+    with frozen(critic):
+        fake = generator_forward()
+        loss = generator_wasserstein(critic(fake, condition))
+        logs["adversarial"] = loss.detach()
+        if auxiliary is not None:
+            further = auxiliary(fake)
+            logs["auxiliary"] = further.detach()
+            loss = loss + further
+        yield "generator", loss
 
 
-def hue_gap(image: Tensor, expected: Tensor, share: Tensor, size: int = HUE_PX) -> tuple[Tensor, Tensor]:
-    """How far hues are from those expected, over squares of `size` x `size` pixels; the hue is a colour less its mean.
+def pix2pix_updates(
+    generator_forward: Callable[[], Tensor],
+    discriminator: nn.Module,
+    real: Tensor,
+    condition: Tensor,
+    gan_mode: str,
+    auxiliary: Callable[[Tensor], Tensor],
+    logs: MutableMapping[str, float | Tensor] | None = None,
+) -> Iterator[tuple[str, Tensor]]:
+    """Yield ("critic", loss), then ("generator", loss); step the named optimiser before resuming.
 
-    image, expected  (B, 3, H, W) in [-1, 1];  share: (B, 1, H, W), how much each pixel counts.
-    Returns (B, 3, H / size, W / size) and the mean shares (B, 1, H / size, W / size).
+    Isola et al. 2017, section 3.1 and equation 4, in the order of the published code: one image is generated, the
+    discriminator learns from it (its loss halved, section 3.3), and its new weights score the generator.
+
+    generator_forward  () -> fake, of real's shape; called once.
+    discriminator      (condition, image) -> scores of any shape.
+    condition          (B, C, H, W), the generator's input; resized to the image, as Pix2Pix does.
+    gan_mode           name in GAN_MODES;  auxiliary: fake -> a loss that is added to the generator's.
+    logs               filled with the parts of the losses, detached: real, fake (means of the discriminator's scores),
+                       adversarial, auxiliary.
     """
-    total = F.avg_pool2d(share, size)
-    gap = F.avg_pool2d((image - expected) * share, size) / total.clamp(min=1e-3)
-    return gap - gap.mean(1, keepdim=True), total
+    logs = {} if logs is None else logs
+    condition = F.interpolate(condition, size=real.shape[-2:], mode="area")
+    rule = GAN_MODES[gan_mode]
+    fake = generator_forward()
+    on_real, on_fake = (discriminator(condition, image).float() for image in (real, fake.detach()))
+    logs["real"], logs["fake"] = on_real.detach().mean(), on_fake.detach().mean()
+    yield "critic", (rule(on_real, torch.ones_like(on_real)) + rule(on_fake, torch.zeros_like(on_fake))) / 2
+    with frozen(discriminator):
+        scores = discriminator(condition, fake).float()
+        adversarial, further = rule(scores, torch.ones_like(scores)), auxiliary(fake)
+        logs["adversarial"], logs["auxiliary"] = adversarial.detach(), further.detach()
+        yield "generator", adversarial + further
+
+
+def renamed(updates: Iterator[tuple[str, Tensor]], generator: str) -> Iterator[tuple[str, Tensor]]:
+    """The updates with the generator under the recipe's name for it."""
+    for name, loss in updates:
+        yield generator if name == "generator" else name, loss
+
+
+@contextmanager
+def frozen(network: nn.Module) -> Iterator[None]:
+    """Inside, losses leave no gradient in the weights of `network`; afterwards those that were trainable are again."""
+    learning = [weight for weight in network.parameters() if weight.requires_grad]
+    try:
+        for weight in learning:
+            weight.requires_grad_(False)
+        yield
+    finally:
+        for weight in learning:
+            weight.requires_grad_(True)
+
+
+BRIGHTNESS, CONTRAST = 0.5, 0.5  # of colours in [-1, 1]: largest offset, either way; factor 1 +- this
+TRANSLATION = 1 / 8  # largest, as a share of an image's rows and columns
+CUTOUT = 1 / 2  # share of its rows and columns that is set to zero
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DiffAugment:
+    """Parameters of the augmentation of B images, (B,) each.
+
+    brightness            added to colours;  saturation, contrast: factors about the pixel's mean and the image's.
+    down, right           translation as a share of the image, in [-1/8, 1/8]; what comes in is zero.
+    cut_row, cut_column   middle of the cutout as a share of the image; NaN for none.
+    """
+
+    brightness: Tensor
+    saturation: Tensor
+    contrast: Tensor
+    down: Tensor
+    right: Tensor
+    cut_row: Tensor
+    cut_column: Tensor
+
+    @classmethod
+    def drawn(cls, images: int, probability: float) -> Self:
+        """Draw; each of the three kinds (colour, translation, cutout) applies with `probability` per image."""
+
+        def applies() -> Tensor:
+            return torch.rand(images) < probability
+
+        def symmetric(applies: Tensor, largest: float) -> Tensor:
+            return (torch.rand(images) * 2 - 1) * largest * applies
+
+        colour, translation, cutout = applies(), applies(), applies()
+        none = torch.full((images,), torch.nan)
+        return cls(
+            brightness=symmetric(colour, BRIGHTNESS),
+            saturation=1 + symmetric(colour, 1.0),
+            contrast=1 + symmetric(colour, CONTRAST),
+            down=symmetric(translation, TRANSLATION),
+            right=symmetric(translation, TRANSLATION),
+            cut_row=torch.where(cutout, torch.rand(images), none),
+            cut_column=torch.where(cutout, torch.rand(images), none),
+        )
+
+    def apply(self, colour: Tensor, valid: Tensor, condition: Tensor) -> Tensor:
+        """The discriminator's input (B, 3 + C, H, W): augmented colours and their condition.
+
+        colour     (B, 3, H, W) in [-1, 1];  valid: (B, 1, H, W) 0 or 1; invalid colours become zero.
+        condition  (B, C, H, W), what the colours were painted from: translated and cut out alike.
+        """
+        joined = torch.cat([self._recoloured(colour, valid) * valid, condition], 1)
+        return torch.stack([self._translated(one, number) for number, one in enumerate(joined)]) * self._kept(joined)
+
+    def _recoloured(self, colour: Tensor, valid: Tensor) -> Tensor:
+        brightness, saturation, contrast = (
+            factor.to(colour)[:, None, None, None] for factor in (self.brightness, self.saturation, self.contrast)
+        )
+        colour = colour + brightness
+        grey = colour.mean(1, keepdim=True)
+        colour = grey + (colour - grey) * saturation
+        mean = (grey * valid).sum((1, 2, 3), keepdim=True) / valid.sum((1, 2, 3), keepdim=True).clamp(min=1)
+        return mean + (colour - mean) * contrast
+
+    def _translated(self, image: Tensor, number: int) -> Tensor:
+        """One image (C, H, W)."""
+        rows, columns = image.shape[-2:]
+        down, right = round(float(self.down[number]) * rows), round(float(self.right[number]) * columns)
+        return pad(image, (right, -right, down, -down))
+
+    def _kept(self, images: Tensor) -> Tensor:
+        """(B, 1, H, W), 0 in cutouts."""
+        inside = [
+            (torch.linspace(0, 1, pixels)[None] - middle[:, None]).abs() <= CUTOUT / 2  # NaN is never inside
+            for pixels, middle in ((images.shape[2], self.cut_row), (images.shape[3], self.cut_column))
+        ]
+        return (~(inside[0][:, None, :, None] & inside[1][:, None, None, :])).to(images)

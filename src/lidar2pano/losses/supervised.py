@@ -1,10 +1,18 @@
-"""Parts of supervised losses: class weights, cross-entropy over labelled pixels, a teacher's predictions."""
+"""Supervised losses: class weights, cross-entropy over labelled pixels, a teacher's predictions, Lovasz-Softmax.
+
+Lovasz-Softmax is exact, and fast on the CPU.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Literal
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 from torch.nn.functional import cross_entropy, kl_div
 
 
@@ -37,3 +45,158 @@ def distillation(logits: Tensor, taught: Tensor, counted: Tensor | None = None) 
     """
     gap = kl_div(logits.float().log_softmax(1), taught.float().log_softmax(1), reduction="none", log_target=True).sum(1)
     return gap.mean() if counted is None else (gap * counted).sum() / counted.sum().clamp(min=1)
+
+
+POSITIVE_INFINITY = 0x7F800000  # the bits of float32 +inf: above those of every finite positive number
+TINIEST = np.float32(np.finfo(np.float32).smallest_subnormal)
+
+
+def lovasz_softmax(
+    probabilities: Tensor,
+    target: Tensor,
+    *,
+    ignore: int | Sequence[int] | None = None,
+    classes: Literal["present", "all"] = "present",
+    per_image: bool = False,
+) -> Tensor:
+    """A convex surrogate of 1 - IoU, averaged over classes.
+
+    Berman, Triki, Blaschko 2018 (arXiv:1705.08790), equations 8, 9 and 11; computed in float32 under autocast too.
+
+    probabilities  (B, C, H, W) float in [0, 1], after the softmax; float32, bfloat16 or float16.
+    target         (B, H, W) integer; pixels whose id is in `ignore` or outside [0, C) are left out altogether.
+    classes        "present": the mean over classes that own a pixel; "all": over C, where a class without a pixel
+                   costs the largest probability it was given anywhere.
+    per_image      the mean of each image's own loss (over images with a pixel left) instead of one loss of the batch.
+    Returns a scalar; zero, with a graph, where every pixel is left out.
+
+    Raises ValueError for shapes that do not belong together and, on the CPU, for values that are no probabilities.
+    """
+    if probabilities.ndim != 4 or target.shape != probabilities.shape[:1] + probabilities.shape[2:]:
+        raise ValueError(
+            f"probabilities must be (B, C, H, W) and target (B, H, W), "
+            f"got {tuple(probabilities.shape)} and {tuple(target.shape)}"
+        )
+    if classes not in ("present", "all"):
+        raise ValueError(f"classes is 'present' or 'all', got {classes!r}")
+    target = target.long()
+    counted = (target >= 0) & (target < probabilities.shape[1])
+    for left_out in () if ignore is None else (ignore,) if isinstance(ignore, int) else ignore:
+        counted &= target != left_out
+    owner = target.masked_fill(~counted, -1)
+    if not per_image:
+        return _LovaszSoftmax.apply(probabilities.float(), owner, classes == "all")
+    each = [_LovaszSoftmax.apply(p[None].float(), t[None], classes == "all")
+            for p, t in zip(probabilities, owner, strict=True)]  # fmt: skip
+    return torch.stack(each).sum() / counted.flatten(1).any(1).sum().clamp(min=1)
+
+
+class _LovaszSoftmax(torch.autograd.Function):
+    """The loss and, from the same sort, its gradient: the Lovasz extension is linear where the order is fixed."""
+
+    @staticmethod
+    def forward(ctx, probabilities: Tensor, owner: Tensor, every: bool) -> Tensor:
+        kernel = _on_cpu if probabilities.device.type == "cpu" else _on_device
+        loss, slope = kernel(probabilities, owner, every)
+        ctx.save_for_backward(slope)
+        return loss
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, above: Tensor) -> tuple[Tensor, None, None]:
+        (slope,) = ctx.saved_tensors
+        return slope * above, None, None
+
+
+def _on_cpu(probabilities: Tensor, owner: Tensor, every: bool) -> tuple[Tensor, Tensor]:
+    """Loss () and slope (B, C, H, W) by one numpy sort of 64-bit integers per class, classes shared out to threads.
+
+    numpy sorts integers with vector instructions; torch's sort of floats with their indices took ten times as long.
+    """
+    lowest, highest = probabilities.aminmax()
+    if lowest < 0 or highest > 1.001:  # NaN passes, and makes the loss NaN
+        raise ValueError(f"Lovasz-Softmax takes probabilities, got {lowest:.3g} to {highest:.3g}: apply softmax first")
+    values, count = probabilities.detach().numpy(), probabilities.shape[1]
+    owner_P = owner.flatten().numpy()
+    sizes = np.bincount(owner_P + 1, minlength=count + 1)
+    chosen = [c for c in range(count) if sizes[c + 1] or (every and sizes[0] < owner_P.size)]
+    left_out_P = owner_P < 0 if sizes[0] else None
+    slope = np.zeros(values.shape, np.float32)
+
+    def one(c: int) -> float:
+        loss, slope_P = _class_on_cpu(np.array(values[:, c]).ravel(), owner_P == c, left_out_P)
+        np.divide(slope_P.reshape(slope[:, c].shape), len(chosen), out=slope[:, c])
+        return loss
+
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+        losses = list(pool.map(one, chosen))
+    return torch.tensor(sum(losses) / max(len(chosen), 1), dtype=torch.float32), torch.from_numpy(slope)
+
+
+def _class_on_cpu(error_P: np.ndarray, owned_P: np.ndarray, left_out_P: np.ndarray | None) -> tuple[float, np.ndarray]:
+    """Loss of one class and its slope (P,) by probability.
+
+    error_P     (P,) float32: the class's probabilities; overwritten.
+    owned_P      (P,) bool: pixels of the class.
+    left_out_P  (P,) bool or None: pixels that do not count.
+
+    With n pixels of the class, f of them and b others among the largest errors, the Jaccard loss of that set is
+    1 - (n - f) / (n + b), so the next pixel adds 1 / (n + b) when it is one of the class,
+    and (n - f) / ((n + b) (n + b - 1)), b counting it, when it is not: nothing once f = n. Other classes' pixels below
+    the smallest error of this class are therefore not sorted at all, nor are errors of exactly zero.
+    """
+    slope_P = np.zeros_like(error_P)
+    owned = np.flatnonzero(owned_P)
+    error_P[owned] = np.maximum(1 - error_P[owned], 0)
+    if left_out_P is not None:
+        error_P[left_out_P] = 0
+    if not len(owned):  # the first pixel of the order takes the whole loss
+        worst = error_P.argmax()
+        slope_P[worst] = error_P[worst] > 0
+        return float(error_P[worst]), slope_P
+    floor = np.maximum(error_P[owned].min(), TINIEST)
+    kept = np.flatnonzero(~(error_P < floor))  # not >=, so that NaN stays and shows in the loss
+    # positive floats order like their bits: the error, upside down, above the pixel's index, above "of the class"
+    bits = error_P.size.bit_length() + 1
+    key = POSITIVE_INFINITY - error_P.view(np.int32)[kept].astype(np.int64)
+    key <<= bits
+    key |= kept << 1
+    key |= owned_P[kept]
+    key.sort()
+    error = (POSITIVE_INFINITY - (key >> bits)).astype(np.int32).view(np.float32)
+    hit = (key & 1).astype(bool)
+    key >>= 1
+    key &= (1 << bits - 1) - 1
+    found = np.cumsum(hit, dtype=np.int32)
+    union = np.arange(len(owned) + 1, len(owned) + 1 + len(key), dtype=np.int32) - found
+    union = union.astype(np.float32)
+    rise = (len(owned) - found).astype(np.float32) / union
+    rise /= union - ~hit
+    rise[hit] = -1 / union[hit]
+    slope_P[key] = rise
+    error *= rise
+    return float(np.abs(error, out=error).sum(dtype=np.float64)), slope_P
+
+
+def _on_device(probabilities: Tensor, owner: Tensor, every: bool) -> tuple[Tensor, Tensor]:
+    """The same as `_on_cpu` in tensor operations that never wait for the device; class by class to spare its memory."""
+    owner_P, slope, losses, sizes = owner.flatten(), torch.empty_like(probabilities), [], []
+    counted_P = owner_P >= 0
+    for c in range(probabilities.shape[1]):
+        owned_P = owner_P == c
+        value_P = probabilities[:, c].flatten()
+        error_P = torch.where(owned_P, 1 - value_P, value_P).clamp(min=0).masked_fill(~counted_P, 0)
+        error, order = error_P.sort(descending=True)
+        hit, size = owned_P[order], owned_P.sum()
+        found = hit.cumsum(0)
+        others = counted_P[order].cumsum(0) - found
+        union = size + others
+        rise = torch.where(hit, 1 / union, (size - found) / union / (union - 1))
+        rise = torch.where(size > 0, rise, (others == 1).float()).where(error > 0, 0)
+        slope_P = torch.empty_like(rise).scatter_(0, order, torch.where(hit, -rise, rise))
+        slope[:, c] = slope_P.view_as(slope[:, c])
+        losses.append((rise * error).sum())
+        sizes.append(size)
+    share = (torch.stack(sizes) > 0) | every
+    share = share / share.sum().clamp(min=1)
+    return torch.dot(torch.stack(losses), share), slope * share.view(1, -1, 1, 1)

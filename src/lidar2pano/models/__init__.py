@@ -8,17 +8,13 @@ from typing import get_args, get_type_hints
 from torch import nn
 
 from lidar2pano.errors import InputError, closest
-from lidar2pano.models.pix2pix import PatchGan, Pix2Pix
-from lidar2pano.models.projected_critic import ProjectedCritic
-from lidar2pano.models.salsanext import SalsaNext
+from lidar2pano.models.baselines import PatchGan, Pix2Pix, ScUnet
+from lidar2pano.models.frozen_features import ProjectedCritic
+from lidar2pano.models.salsanext import SalsaNext, Titan, TitanCritic, TitanNext
 from lidar2pano.models.scene_painter import ScenePainter
-from lidar2pano.models.scunet import ScUnet
 from lidar2pano.models.sdnet import SdNet
-from lidar2pano.models.titan import Titan, TitanCritic
-from lidar2pano.models.titan_next import TitanNext
 from lidar2pano.models.titan_pano import TitanPano
-from lidar2pano.models.vid2vid import Vid2Vid, Vid2VidSingle
-from lidar2pano.models.vid2vid_critics import ImageCritic, TemporalCritic
+from lidar2pano.models.vid2vid import ImageCritic, TemporalCritic, Vid2Vid, Vid2VidSingle
 
 MODELS: dict[str, type[nn.Module]] = {
     "salsanext": SalsaNext,

@@ -19,8 +19,8 @@ from torch.nn.functional import interpolate
 from lidar2pano.geometry.depth_completion import complete_depth
 from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.labels import COMMON15
-from lidar2pano.models.circular import closed
-from lidar2pano.models.titan import IMAGE_SIZE
+from lidar2pano.models.blocks import closed
+from lidar2pano.models.salsanext import IMAGE_SIZE
 from lidar2pano.models.titan_pano import FAR_M
 from lidar2pano.views import FULL_TURN, VIEWS, View
 

@@ -20,9 +20,9 @@ from lidar2pano.formats.torch_files import load_torch
 from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.labels import CITYSCAPES, CITYSCAPES_IDS, COMMON14, SEMANTIC_KITTI
 from lidar2pano.models import build
-from lidar2pano.models.camera_segmenter import ImageNormalisation
+from lidar2pano.models.camera_teachers import ImageNormalisation
 from lidar2pano.models.card import Card, mismatch
-from lidar2pano.models.titan import IMAGE_SIZE
+from lidar2pano.models.salsanext import IMAGE_SIZE
 from lidar2pano.views import VIEWS
 
 Shapes = Mapping[str, tuple[int, ...]]

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from lidar2pano.geometry.masks import as_float
-from lidar2pano.models.circular import closed
+from lidar2pano.models.blocks import closed
 
 WINDOWS = ((5, 3), (11, 7))  # rows, columns: neighbouring beams are up to 4 rows of the raster apart, and holes more
 BEAM_RAD = math.pi / 12  # to each side of a pixel, in which a row is of one beam

@@ -27,10 +27,9 @@ from lidar2pano.geometry.wall_openings import facades
 from lidar2pano.geometry.whole_cars import Classes, WholeCars, whole_cars
 from lidar2pano.hardware import inference_dtype
 from lidar2pano.labels import COMMON15
-from lidar2pano.models.circular import CircularConv, CircularResidual, closed, conv_norm_act
+from lidar2pano.models.blocks import CircularConv, CircularResidual, SummedSequential, closed, conv_norm_act
 from lidar2pano.models.invented_tones import invented_tones
 from lidar2pano.models.remission import BEAM_RAD, evened_beams, quiet_road, spread_out
-from lidar2pano.models.summed import SummedSequential
 from lidar2pano.models.titan_pano import FAR_M, depth_code
 from lidar2pano.views import View
 

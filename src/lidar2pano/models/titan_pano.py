@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.errors import InputError
-from lidar2pano.models.circular import CircularConv, CircularResidual, conv_norm_act, grow_circular
+from lidar2pano.models.blocks import CircularConv, CircularResidual, conv_norm_act, grow_circular
 
 STRIDE = 16  # input pixels per pixel of the coarsest level
 FAR_M = 120.0  # depths are predicted as log(1 + m) / log(1 + FAR_M)

@@ -13,8 +13,7 @@ from torch.nn.functional import avg_pool2d, batch_norm, conv2d, conv_transpose2d
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from lidar2pano.errors import InputError
-from lidar2pano.models.circular import closed
-from lidar2pano.models.instance_norm import InstanceNorm
+from lidar2pano.models.blocks import InstanceNorm, closed
 
 Norm = Callable[[int], nn.Module]
 

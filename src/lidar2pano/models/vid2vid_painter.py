@@ -19,7 +19,7 @@ from torch.nn.functional import avg_pool2d, pad
 
 from lidar2pano.errors import InputError
 from lidar2pano.labels import CITYSCAPES_IDS, COMMON15, TABLES, LabelSet
-from lidar2pano.models.circular import grow_circular, grown_classes
+from lidar2pano.models.blocks import grow_circular, grown_classes
 from lidar2pano.models.scene_painter import Scene
 from lidar2pano.models.vid2vid import Vid2Vid, Vid2VidSingle
 from lidar2pano.models.vid2vid_layers import close

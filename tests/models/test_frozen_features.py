@@ -10,7 +10,7 @@ from torch import nn
 
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
-from lidar2pano.models.imagenet_features import LITE0, LITE2, ImagenetFeatures, StridedDepthwise
+from lidar2pano.models.frozen_features import LITE0, LITE2, ImagenetFeatures, StridedDepthwise
 
 
 def test_a_missing_package_names_the_extra():

@@ -1,17 +1,21 @@
-"""Convolutions for pictures that close in azimuth: the last column meets the first."""
+"""Layers that torch lacks: pictures that close in azimuth, inputs in parts, an instance norm with right gradients.
+
+A panorama's last column meets its first. Images that follow one another in channels are convolved one by one and
+added, as engines do while they convolve: to copy them into one takes longer.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import product
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import conv2d
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from lidar2pano.geometry.odds import likeliest
-from lidar2pano.models.summed import SummedSequential, summed
 
 
 def closed(x: Tensor, reach: int, before: int = 0) -> Tensor:
@@ -157,3 +161,53 @@ def fold_norms(network: nn.Module) -> nn.Module:
             if isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
                 block[place], block[place + 1] = fuse_conv_bn_eval(conv, norm), nn.Identity()
     return network
+
+
+Pixels = tuple[int, int]
+
+
+def summed(conv: nn.Conv2d, parts: Sequence[Tensor], padding: Pixels) -> Tensor:
+    """What `conv` makes of parts (B, c, H, W) that together are its inputs, with zeros around: rows, columns."""
+    weights = conv.weight.split([part.shape[1] for part in parts], 1)
+    stride, dilation = cast(Pixels, conv.stride), cast(Pixels, conv.dilation)
+    answer = conv2d(parts[0], weights[0], conv.bias, stride, padding, dilation)
+    for part, weight in zip(parts[1:], weights[1:], strict=True):
+        one = conv2d(part, weight, None, stride, padding, dilation)
+        answer = answer + one if torch.is_grad_enabled() else answer.add_(one)
+    return answer
+
+
+class SummedConv2d(nn.Conv2d):
+    """A convolution whose input may come in parts."""
+
+    def forward(self, *parts: Tensor) -> Tensor:
+        """(B, inputs, H, W), or images of fewer channels each, together the inputs -> (B, outputs, H, W)."""
+        return summed(self, parts, cast(Pixels, self.padding))
+
+
+class SummedSequential(nn.Sequential):
+    """Layers of which the first is such a convolution, or begins with one."""
+
+    def forward(self, *parts: Tensor, **how: bool) -> Tensor:
+        """What the last layer makes of it; arguments as the first one takes them."""
+        first, *others = self
+        x = first(*parts, **how)
+        for layer in others:
+            x = layer(x)
+        return x
+
+
+class InstanceNorm(nn.InstanceNorm2d):
+    """torch's instance norm, (B, C, H, W) -> the same shape.
+
+    On CPUs torch (2.13 and before) reads a channels-last gradient of a batch of one as if it were contiguous, so that
+    every gradient before the norm is noise. Here gradients reach torch's norm contiguous. What torch.compile makes of
+    the norm is right by itself.
+    """
+
+    def forward(self, input: Tensor) -> Tensor:  # noqa: A002 torch's name
+        """(B, C, H, W) -> the same shape."""
+        out = super().forward(input)
+        if out.requires_grad and not torch.compiler.is_compiling():
+            out.register_hook(Tensor.contiguous)
+        return out
