@@ -174,22 +174,24 @@ def api() -> str:
 
 def recipes() -> str:
     """Return every recipe: its name, its docstring, its networks and its length."""
-    from lidar2pano.train.recipes import RECIPES
+    from lidar2pano.train.recipes import MODULES, makers
+
+    recipes = {name: makers(module)[name] for module, names in MODULES.items() for name in names}
 
     def row(name: str) -> list[str]:
-        recipe = RECIPES[name]()
+        recipe = recipes[name]()
         networks = ", ".join(f"`{network.model}`" for network in recipe.networks.values())
         training = recipe.training
         limit = f"{training.epochs:g} epochs" if training.epochs else f"{training.steps} steps"
         limit = f"{training.minutes:g} min" if training.minutes else limit
         return [
             f"`{name}`",
-            _first(RECIPES[name].__doc__) or _variant(name, set(RECIPES)),
+            _first(recipes[name].__doc__) or _variant(name, set(recipes)),
             networks,
             f"{limit}, batch {recipe.training.batch}",
         ]
 
-    return table(["recipe", "purpose", "networks", "length"], map(row, RECIPES))
+    return table(["recipe", "purpose", "networks", "length"], map(row, recipes))
 
 
 def _variant(name: str, recipes: set[str]) -> str:

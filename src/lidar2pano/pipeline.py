@@ -29,9 +29,9 @@ from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.hardware import Timer, fast_arithmetic, pick_device
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import Memory, PreviousFrame, Surroundings, fused, smoothed
+from lidar2pano.models.blocks import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.card import Card, read_card
 from lidar2pano.models.card import load as load_weights
-from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import DEFAULT, FRONT_VIEW, role, weight_files
 from lidar2pano.models.front_all_around import FrontAllAround
 from lidar2pano.models.salsanext import STRIDE

@@ -15,7 +15,7 @@ from engine_of_torch import SLIM
 from lidar2pano.geometry.solid_noise import noise_tile, smooth_noise, solid_noise
 from lidar2pano.geometry.surface import cylinder_points, normals
 from lidar2pano.models import build
-from lidar2pano.models.circular import grow_circular, grown_classes
+from lidar2pano.models.blocks import grow_circular, grown_classes
 from lidar2pano.models.remission import spread_out
 from lidar2pano.models.scene_painter import sharpened
 from random_weights import TRANSLATOR_VIEW

@@ -36,7 +36,7 @@ from lidar2pano.evaluate.worst_frames import WorstFrames
 from lidar2pano.geometry.flow import Flow
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import CITYSCAPES, COMMON15
-from lidar2pano.models.camera_segmenter import CameraSegmenter, ImageNormalisation
+from lidar2pano.models.camera_teachers import CameraSegmenter, ImageNormalisation
 from lidar2pano.panorama import Panorama
 from lidar2pano.views import VIEWS, View
 from random_weights import street, write_weights

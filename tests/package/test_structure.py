@@ -15,7 +15,10 @@ import lidar2pano
 from lidar2pano.models import MODELS
 
 NETWORKS = {network.__name__ for network in MODELS.values()}
-CONFIGS = [house_rules.SOURCE / "train" / name for name in ("recipe.py", "options.py")]
+CONFIGS = [house_rules.SOURCE / "train" / name for name in ("recipe.py",)]
+CONFIGS += [
+    path for path in (house_rules.SOURCE / "train").glob("*.py") if "(TaskOptions):" in path.read_text(encoding="utf-8")
+]
 HEAVY = ("torch", "lightning", "torchmetrics", "tensorboard", "transformers", "cv2", "matplotlib", "scipy", "skimage")
 # What is imported where it is needed, and not for the panorama of a scan file.
 IDLE = ("openvino", "onnx", "onnxruntime", "torch._dynamo", "torch._inductor", "sympy", "numpy.ma", "scipy", "rosbags")
@@ -230,9 +233,9 @@ def test_every_config_field_is_read(configs):
         ("recipe.py", "*.py", "data.train", "Data.train"),
         ("recipe.py", "*.py", "recipe.view", "Recipe.view"),
         ("recipe.py", "*.py", "settings.algorithm", "Optimizer.algorithm"),
-        ("options.py", "*.py", "options.dropout", "SegmentationOptions.dropout"),
-        ("options.py", "front.py", "options.depth", "FrontDepthOptions.depth"),
-        ("options.py", "scene_painting.py", "options.pooled", "ScenePaintingOptions.pooled"),
+        ("segmentation.py", "*.py", "options.dropout", "SegmentationOptions.dropout"),
+        ("front.py", "front.py", "options.depth", "FrontDepthOptions.depth"),
+        ("painter_recipes.py", "scene_painting.py", "options.pooled", "ScenePaintingOptions.pooled"),
     ],
 )
 def test_a_field_counts_by_its_class_and_not_by_its_name(tmp_path, configs, readers, read, field):

@@ -26,9 +26,9 @@ from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import LEAST_IMAGES, Surroundings, fused
 from lidar2pano.models import build
+from lidar2pano.models.blocks import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.card import read_card, save
-from lidar2pano.models.circular import fold_norms, grow_circular, grown_classes
 from lidar2pano.models.families import licence_note, weight_files
 from lidar2pano.models.scene_painter import framed
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter

@@ -28,7 +28,7 @@ from lidar2pano.formats.scan_files import write_bin
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import CITYSCAPES, SEMANTIC_KITTI, unpack_label
 from lidar2pano.models import build
-from lidar2pano.models.camera_segmenter import CameraSegmenter, ImageNormalisation
+from lidar2pano.models.camera_teachers import CameraSegmenter, ImageNormalisation
 from lidar2pano.models.card import Card, load, save
 from lidar2pano.pipeline import Segmenter, load_segmenter
 from lidar2pano.prepare import State, camera_teacher, frames_to_label, label, lidar_teacher

@@ -83,7 +83,7 @@ WHOLE_IDENTIFIERS = {
 # word -> files (relative, or folders ending in "/") in which it may stay, each with its reason
 ALLOWED = {
     "sharp": ("src/lidar2pano/models/scene_painter.py",),  # cards of scene painters may name it
-    "picture": ("src/lidar2pano/models/titan.py",),  # a setting of weights that paint colours ("w/o SegMap")
+    "picture": ("src/lidar2pano/models/salsanext.py",),  # a setting of weights that paint colours ("w/o SegMap")
     "truth": (
         "src/lidar2pano/evaluate/systems.py",
         "tests/evaluate/test_systems.py",

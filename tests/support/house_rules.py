@@ -49,8 +49,6 @@ MOST_FUNCTION_LINES, MOST_PARAMETERS = 60, 8
 # Where files may be called like others: by folder, and by file name.
 SAME_NAME = {
     "cli": "a command's file is called like the command",
-    "recipes": "a file of recipes is called like the network or the task that they train",
-    "adversarial.py": "losses/ has the losses, train/ the loop that alternates between networks",
     "camera.py": "geometry/ has the look-ups of a pinhole camera, simulate/ renders one",
     "draws.py": "train/ draws samples, simulate/ draws random numbers",
     "figures.py": "evaluate/ has metric values, simulate/ people",

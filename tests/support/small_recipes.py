@@ -16,7 +16,7 @@ from unittest import mock
 import torch
 from torch import Tensor
 
-from lidar2pano.train.options import CameraColourOptions
+from lidar2pano.train.colour import CameraColourOptions
 from lidar2pano.train.recipe import Recipe, override
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.views import VIEWS
@@ -82,7 +82,7 @@ def without_chance() -> Iterator[None]:
     with (
         mock.patch.object(torch.nn.functional, "dropout", kept),
         mock.patch.object(torch.nn.functional, "dropout2d", kept),
-        mock.patch("lidar2pano.train.adversarial.gradient_penalty", functools.partial(_half_way, gradient_penalty)),
+        mock.patch("lidar2pano.losses.adversarial.gradient_penalty", functools.partial(_half_way, gradient_penalty)),
     ):
         yield
 

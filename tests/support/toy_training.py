@@ -16,8 +16,7 @@ from torch import Tensor, nn
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.models import MODELS
 from lidar2pano.train.checkpoint import load_checkpoint
-from lidar2pano.train.options import TaskOptions
-from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, override
+from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, override
 from lidar2pano.train.task import build_networks
 from lidar2pano.train.tasks import TASKS
 

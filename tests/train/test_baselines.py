@@ -18,14 +18,14 @@ from lidar2pano.data.camera_pairs import CameraProjectionDataset, in_unit, stret
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import project_to_camera
+from lidar2pano.losses.adversarial import pix2pix_updates
 from lidar2pano.models import build
+from lidar2pano.models.blocks import fold_norms
 from lidar2pano.models.card import load
-from lidar2pano.models.circular import fold_norms
 from lidar2pano.scan import Scan
-from lidar2pano.train.adversarial import pix2pix_updates
 from lidar2pano.train.colour import as_image, camera_inputs
 from lidar2pano.train.engine import train
-from lidar2pano.train.options import Pix2PixOptions
+from lidar2pano.train.front import Pix2PixOptions, pix2pix_losses
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.tasks import build_task
 from lidar2pano.views import VIEWS
@@ -290,7 +290,7 @@ def test_losses_are_pix2pixs(mode):
     z, real, condition = torch.randn(2, 1, 8, 8), torch.rand(2, 2, 8, 8), torch.rand(2, 1, 8, 8)
     logs: dict[str, float | Tensor] = {}
     options = Pix2PixOptions(gan_mode=mode, auxiliary="mse", auxiliary_weight=100.0)
-    updates = pix2pix_updates(lambda: generator(z), critic, real, condition, options, logs)
+    updates = pix2pix_updates(lambda: generator(z), critic, real, condition, *pix2pix_losses(options, real), logs)
     fake = generator(z)
     on_real, on_fake = critic(condition, real), critic(condition, fake)
 

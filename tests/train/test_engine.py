@@ -25,8 +25,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.models.card import load
 from lidar2pano.train.checkpoint import load_checkpoint, save_checkpoint
 from lidar2pano.train.engine import train
-from lidar2pano.train.options import TaskOptions
-from lidar2pano.train.recipe import Recipe, override, resolved
+from lidar2pano.train.recipe import Recipe, TaskOptions, override, resolved
 from lidar2pano.train.sampling import BatchSampler, seed_step
 from toy_training import Denoise, Gan, entries, gap, left, toy_recipe
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from lidar2pano.train.options import ScenePaintingOptions
+from lidar2pano.train.painter_recipes import ScenePaintingOptions
 from lidar2pano.train.painting_frames import MARGIN, SCORED_PIXELS, PaintingFrames, made_by
 from lidar2pano.views import VIEWS
 

@@ -14,8 +14,7 @@ from lidar2pano.data.frames import Frame, FrameList
 from lidar2pano.data.layouts import frames
 from lidar2pano.scan import Scan
 from lidar2pano.train import predictions
-from lidar2pano.train.predictions import predict_all
-from lidar2pano.train.task import LabelPoints
+from lidar2pano.train.predictions import LabelPoints, predict_all
 from miniature import write_data_set
 
 

@@ -12,10 +12,9 @@ import pytest
 
 from lidar2pano.errors import InputError
 from lidar2pano.models import MODELS, settings_of
-from lidar2pano.train.device import shared
-from lidar2pano.train.options import TaskOptions
-from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, override, resolved
-from lidar2pano.train.recipes import RECIPES, recipe_named
+from lidar2pano.train.environment import shared
+from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, override, resolved
+from lidar2pano.train.recipes import MODULES, RECIPES, makers, recipe_named
 from lidar2pano.train.sampling import steps_over
 from lidar2pano.train.tasks import TASKS
 from lidar2pano.views import VIEWS
@@ -209,5 +208,10 @@ def test_resolved_tells_recipes_apart():
 
 
 def test_recipes_are_listed_without_torch():
-    program = "import sys, lidar2pano.train.recipes as r; r.recipe_named('titan'); assert 'torch' not in sys.modules"
+    program = "import sys, lidar2pano.train.recipes as r; assert 'titan' in r.RECIPES and 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_recipes_are_named_where_they_are_made(module):
+    assert tuple(makers(module)) == MODULES[module]

@@ -15,7 +15,7 @@ from lidar2pano.models import build
 from lidar2pano.models.card import Card, save
 from lidar2pano.models.scene_painter import BUILDING, CAR, OPENINGS, ROAD, VEGETATION, framed, twice
 from lidar2pano.train import scene_painting
-from lidar2pano.train.options import ScenePaintingOptions
+from lidar2pano.train.painter_recipes import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingSample
 from lidar2pano.train.scene_painting import HUE, MATCHED, SPREAD, ScenePainting, teacher_of
 from lidar2pano.views import VIEWS

@@ -16,8 +16,8 @@ from torch import nn
 
 from golden_fill import fill, one_hot, randint, sym
 from lidar2pano.losses import lovasz_softmax
+from lidar2pano.losses.adversarial import wasserstein_updates
 from lidar2pano.models import build
-from lidar2pano.train.adversarial import wasserstein_updates
 
 EPSILON = 0.37
 # ill-conditioned in the recording itself: an instance norm follows, so that these hardly matter

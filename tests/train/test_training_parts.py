@@ -19,10 +19,9 @@ from lidar2pano.errors import InputError
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, save
 from lidar2pano.train.checkpoint import Progress, commit, load_checkpoint, make_card, save_checkpoint, trained_on
-from lidar2pano.train.clock import Timer
-from lidar2pano.train.device import choose_precision
+from lidar2pano.train.environment import Timer, choose_precision
 from lidar2pano.train.optimisation import EMA, averaged, clip, learning_rate, make_optimizer
-from lidar2pano.train.options import ScenePaintingOptions
+from lidar2pano.train.painter_recipes import ScenePaintingOptions
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training
 from lidar2pano.train.sampling import BatchSampler, batches, sample_at, seed_step
 from lidar2pano.train.task import build_networks
@@ -328,6 +327,6 @@ def test_a_card_says_what_task_and_run_know():
     ],
 )
 def test_bfloat16_only_where_the_device_has_it(monkeypatch, device, has, precision):
-    monkeypatch.setattr("lidar2pano.train.device.has_bfloat16", lambda device: has)
+    monkeypatch.setattr("lidar2pano.train.environment.has_bfloat16", lambda device: has)
     assert choose_precision(Training(precision="bf16-mixed"), torch.device(device)) == precision
     assert choose_precision(Training(precision="32-true"), torch.device(device)) == "32-true"

@@ -31,7 +31,7 @@ from lidar2pano.losses.video import (
 )
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, load, save
-from lidar2pano.models.vgg import Vgg19, read_vgg
+from lidar2pano.models.frozen_features import Vgg19, read_vgg
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.train.checkpoint import load_checkpoint
 from lidar2pano.train.engine import train

@@ -17,7 +17,7 @@ from lidar2pano.engines.signatures import Shape
 def recording() -> Iterator[None]:
     """A context in which networks can be recorded: float32, with gradients, without warnings of exporters.
 
-    With gradients, because the circular convolution writes in place without them (models.circular).
+    With gradients, because the circular convolution writes in place without them (models.blocks).
     """
     plain = (torch.inference_mode(False), torch.enable_grad(), torch.autocast("cpu", enabled=False))
     with plain[0], plain[1], plain[2], warnings.catch_warnings():

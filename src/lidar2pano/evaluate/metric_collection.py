@@ -28,9 +28,9 @@ from lidar2pano.metrics.frame_metrics import SSIM, WINDOW, DepthError, RollError
 from lidar2pano.metrics.frechet import PATCH, FrechetDistance, PatchFrechetDistance
 from lidar2pano.metrics.inception import SHA256, find_inception, load_inception
 from lidar2pano.metrics.sliced_wasserstein import LEVELS, PairwiseSlicedWasserstein, SlicedWasserstein
-from lidar2pano.models.camera_segmenter import CameraSegmenter
+from lidar2pano.models.camera_teachers import CameraSegmenter
 from lidar2pano.models.card import load
-from lidar2pano.models.imagenet_features import LITE2, ImagenetFeatures
+from lidar2pano.models.frozen_features import LITE2, ImagenetFeatures
 from lidar2pano.models.sdnet import SdNet
 
 GROUPS = ("points", "classes", "pictures", "depth", "seams", "time", "roll")

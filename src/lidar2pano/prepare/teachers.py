@@ -20,8 +20,14 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image, write_ids
 from lidar2pano.formats.scan_files import write_label
 from lidar2pano.hardware import pick_device
-from lidar2pano.models.camera_segmenter import CameraSegmenter, CameraTeacher
-from lidar2pano.models.camera_teachers import MODEL_TYPES, load_teacher, local_folder, parts_of
+from lidar2pano.models.camera_teachers import (
+    MODEL_TYPES,
+    CameraSegmenter,
+    CameraTeacher,
+    load_teacher,
+    local_folder,
+    parts_of,
+)
 from lidar2pano.models.card import load, read_card
 from lidar2pano.models.families import weight_files
 from lidar2pano.models.sdnet import falling

@@ -16,9 +16,10 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.reproduce.paper_tables import ROWS, PaperRow
-from lidar2pano.train.options import ScenePaintingOptions, VideoOptions
+from lidar2pano.train.painter_recipes import ScenePaintingOptions
 from lidar2pano.train.recipe import Recipe, override
 from lidar2pano.train.recipes import recipe_named
+from lidar2pano.train.video import VideoOptions
 
 SELECTION = "selection"  # split of training frames for the selection of checkpoints
 UNITS = {"s": 1 / 60, "m": 1.0, "h": 60.0}

@@ -18,7 +18,7 @@ from lidar2pano.formats.image_files import write_whole
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.hardware import Timer, pick_device
 from lidar2pano.models import build
-from lidar2pano.models.camera_segmenter import CameraSegmenter, ImageNormalisation
+from lidar2pano.models.camera_teachers import CameraSegmenter, ImageNormalisation
 from lidar2pano.models.card import read_card
 from lidar2pano.models.families import weight_files
 from lidar2pano.pipeline import load

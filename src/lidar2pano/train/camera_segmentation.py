@@ -1,8 +1,9 @@
-"""Task: the camera's segmenter, on images and the labels that a teacher gave them."""
+"""The camera's segmenter SD-Net, on images and the labels that a teacher gave them: options, task and recipes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,48 @@ from lidar2pano.data.frames import IGNORE, evenly_spaced
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import labelled_cross_entropy
-from lidar2pano.models.camera_segmenter import CameraSegmenter, ImageNormalisation
-from lidar2pano.train.options import CameraSegmentationOptions
-from lidar2pano.train.recipe import Recipe
+from lidar2pano.models.camera_teachers import CameraSegmenter, ImageNormalisation
+from lidar2pano.train.recipe import (
+    Network,
+    Optimizer,
+    Recipe,
+    TaskOptions,
+    Training,
+    check_range,
+    on_two_cores,
+    vary,
+    with_optimizers,
+)
 from lidar2pano.train.task import build_networks, segmentation_scores
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSegmentationOptions(TaskOptions):
+    """A camera segmenter (SD-Net).
+
+    rows, columns         size of the crops, pixels;  scale_min, scale_max: range of the random resizing.
+    colour_jitter         brightness, contrast and saturation change by factors in [1 - jitter, 1 + jitter].
+    lovasz                weight of Lovasz-Softmax of the joint output.
+    auxiliary, per_scale  weights of the cross-entropies of OCR's first output and of every scale by itself.
+    """
+
+    task = "camera-segmentation"
+    SIZES = ("rows", "columns")
+    rows: int = 1024
+    columns: int = 2048
+    scale_min: float = 0.5
+    scale_max: float = 2.0
+    colour_jitter: float = 0.25
+    lovasz: float = 1.0
+    auxiliary: float = 0.4
+    per_scale: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Refuse what TaskOptions refuses, and sizes that are none (InputError)."""
+        super().__post_init__()
+        check_range("options", 0.01, self.scale_max, scale_min=self.scale_min)
+        check_range("options", self.scale_min, 16, scale_max=self.scale_max)
+        check_range("options", 0, 1, colour_jitter=self.colour_jitter)
 
 
 class CameraSegmentation:
@@ -84,3 +123,32 @@ class CameraSegmentation:
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """What a user of the segmenter has to know: label set and normalisation."""
         return {"labels": CITYSCAPES.name, "normalisation": self.normalise.as_dict()}
+
+
+def sdnet() -> Recipe[CameraSegmentationOptions]:
+    """SD-Net with the published settings (Tao et al. 2020, section 4; scripts/train_cityscapes.yml) where we have them.
+
+    Two scales, crops of 1024 x 2048, one a GPU on eight GPUs, 0.4 of the auxiliary loss, 0.05 of each scale's own.
+    Instead of SGD, region mutual information and class-uniform sampling: AdamW, Lovasz-Softmax, every image once
+    an epoch. For KITTI's images set options.rows=352 and options.columns=1216.
+    """
+    width = {"width": 48, "stem": 64, "blocks": 4, "modules": (1, 4, 3), "context": 512}
+    optimizer = Optimizer(rate=5e-4, weight_decay=1e-2, warmup=1000, clip=5.0)
+    settings = {"classes": 19, "scales": (0.5, 1.0), **width}
+    return Recipe(
+        view="panorama",  # not used: the task reads no scan
+        networks={"camera": Network(model="sdnet", settings=settings, optimizer=optimizer)},
+        options=CameraSegmentationOptions(),
+        training=Training(steps=65_000, batch=8),
+    )
+
+
+def sdnet_mini() -> Recipe[CameraSegmentationOptions]:
+    """A narrow SD-Net for some minutes of two CPU cores."""
+    crops = {"rows": 256, "columns": 512, "scale_min": 0.7, "scale_max": 1.4}
+    narrow = {"width": 16, "stem": 24, "blocks": 2, "modules": (1, 1, 1), "context": 96}
+    recipe = vary(with_optimizers(sdnet(), rate=2e-3, warmup=30), options=crops, camera=narrow)
+    return on_two_cores(recipe, minutes=10.0, batch=4)
+
+
+RECIPES: dict[str, Callable[[], Recipe]] = {"sdnet": sdnet, "sdnet-mini": sdnet_mini}

@@ -1,8 +1,13 @@
-"""Tasks: colours straight from the scan, without segments in between; the paper's "w/o SegMap" and SC-UNET."""
+"""Colours straight from the scan, without segments in between: options, tasks and recipes.
+
+Rows of the paper's tables: "TITAN-Net - w/o SegMap" is titan-no-segments, "Pix2Pix - w/o SegMap" is pix2pix-rgb,
+"SC-UNET" is scunet.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +26,53 @@ from lidar2pano.data.camera_pairs import (
 from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.errors import InputError
 from lidar2pano.losses import pooled
+from lidar2pano.losses.adversarial import pix2pix_updates, renamed, wasserstein_updates
 from lidar2pano.metrics.frame_metrics import SSIM
 from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.train.adversarial import pix2pix_updates, renamed, wasserstein_updates
-from lidar2pano.train.options import CameraColourOptions, FrontColourOptions, Pix2PixColoursOptions
-from lidar2pano.train.recipe import Recipe
+from lidar2pano.train.front import (
+    AUXILIARY,
+    HALF,
+    FrontOptions,
+    Pix2PixOptions,
+    papers_protocol,
+    pix2pix_losses,
+    pix2pix_mini,
+    pix2pix_segments,
+    titan,
+    titan_mini,
+)
+from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores, vary
 from lidar2pano.train.task import as_image, build_networks, device_of, image_size, range_view_card
 from lidar2pano.views import VIEWS
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrontColourOptions(TaskOptions):
+    """Colours from the front view: weights of the squared error and of the WGAN's gradient penalty."""
+
+    task = "front-colour"
+    mse: float = 1.0
+    gradient_penalty: float = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraColourOptions(TaskOptions):
+    """Colours from the scan projected into the camera (SC-UNET).
+
+    mse   weight of the squared error;  size: rows and columns of the image.
+    """
+
+    task = "camera-colour"
+    SIZES = ("size",)
+    mse: float = 1.0
+    size: tuple[int, int] = (376, 1241)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pix2PixColoursOptions(Pix2PixOptions):
+    """Pix2Pix from the front view to colours."""
+
+    task = "pix2pix-colours"
 
 
 class ColourTask:
@@ -117,7 +162,7 @@ class Pix2PixColours(FrontColourTask):
             self.networks["critic"],
             batch.image,
             batch.lidar,
-            self.options,
+            *pix2pix_losses(self.options, batch.image),
             logs=self.logs,
         )
         return renamed(updates, "renderer")
@@ -159,3 +204,56 @@ def camera_inputs(lidar: Tensor, channels: int) -> Tensor:
     if channels != 2:
         raise InputError(f"a scan in the camera has remission and range: inputs must be 1 or 2, not {channels}")
     return torch.stack([lidar[:, 0], depth_code(lidar[:, 1])], 1)
+
+
+def without_segments(recipe: Recipe[FrontOptions], mse: float = 1.0) -> Recipe:
+    """TITAN-Net from the range view straight to colours, with the squared error as its auxiliary loss.
+
+    The critic is conditioned on the range view, since there are no segments to condition it on. In few steps the
+    squared error teaches ten times less than Lovasz-Softmax, so the mini form gives it ten times the weight.
+    """
+    recipe = vary(
+        recipe,
+        translator={"classes": 3, "conditions": 0, "picture": True},
+        critic={"image_channels": 3, "conditions": 5},
+    )
+    networks = {"renderer": recipe.networks["translator"], "critic": recipe.networks["critic"]}
+    options = FrontColourOptions(mse=mse, gradient_penalty=recipe.options.gradient_penalty)
+    return replace(recipe, networks=networks, options=options)
+
+
+def pix2pix_rgb() -> Recipe[Pix2PixColoursOptions]:
+    """Pix2Pix from the range view to colours; at full length with TITAN-Net's protocol.
+
+    The paper's words leave open whether its squared error took the place of Pix2Pix's own auxiliary loss here:
+    `--set options.auxiliary=mse` makes it so.
+    """
+    recipe = vary(pix2pix_segments(), translator={"inputs": 5, "outputs": 3}, critic={"channels": 8})
+    networks = {"renderer": recipe.networks["translator"], "critic": recipe.networks["critic"]}
+    return replace(recipe, networks=networks, options=Pix2PixColoursOptions())
+
+
+def scunet() -> Recipe[CameraColourOptions]:
+    """SC-UNET from the remission projected into the camera to colours, by squared error alone (Kim et al. 2020)."""
+    adam = Optimizer(algorithm="adam", rate=1e-3, schedule="cosine")
+    return Recipe(
+        view="titan-front",
+        networks={"renderer": Network(model="scunet", settings={"inputs": 1}, optimizer=adam)},
+        options=CameraColourOptions(),
+        training=Training(steps=50_000, batch=10, accumulate=5, ema=0.0),
+    )
+
+
+def scunet_mini() -> Recipe:
+    """SC-UNET on images half as large."""
+    return on_two_cores(vary(scunet(), options={"size": HALF}), minutes=8.0, batch=2, ema=0.99)
+
+
+RECIPES: dict[str, Callable[[], Recipe]] = {
+    "titan-no-segments": lambda: without_segments(titan()),
+    "titan-no-segments-mini": lambda: without_segments(titan_mini(), mse=10 * AUXILIARY),
+    "pix2pix-rgb": papers_protocol(pix2pix_rgb),
+    "pix2pix-rgb-mini": lambda: pix2pix_mini(pix2pix_rgb()),
+    "scunet": papers_protocol(scunet),
+    "scunet-mini": scunet_mini,
+}

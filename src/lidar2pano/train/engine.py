@@ -35,10 +35,19 @@ from lidar2pano.train.checkpoint import (
     trained_on,
     write_recipe,
 )
-from lidar2pano.train.clock import Timer, clock, interrupts
-from lidar2pano.train.device import check_compiler, choose_precision, device_name, shared
-from lidar2pano.train.distributed import average_gradients, check_launcher, largest
-from lidar2pano.train.monitor import Meter, Monitor, check_finite
+from lidar2pano.train.environment import (
+    Timer,
+    average_gradients,
+    check_compiler,
+    check_launcher,
+    choose_precision,
+    clock,
+    device_name,
+    interrupts,
+    largest,
+    shared,
+)
+from lidar2pano.train.monitor import Monitor, check_finite
 from lidar2pano.train.optimisation import EMA, averaged, clip, learning_rate, load_optimizer, make_optimizer
 from lidar2pano.train.predictions import predict_all
 from lidar2pano.train.recipe import Recipe, Training
@@ -201,6 +210,8 @@ class Run:
                 self._when_due(checkpoint, now, self._checkpoint)
             self._when_due(preview, now, self._preview)
             self._step(loader)
+            if self.monitor and self.monitor.due():
+                self._show()
 
     def _when_due(self, timer: Timer, now: float, *actions: Callable[[], None]) -> bool:
         """Do the actions if they are due, in all processes alike."""
@@ -233,8 +244,6 @@ class Run:
             average.update(step)
         self.progress.step += 1
         self.meter.add({**losses, **self.task.logs})
-        if self.monitor and self.monitor.due():
-            self._show()
 
     def _update(self, micro_batches: list[Iterator[tuple[str, Tensor]]]) -> dict[str, Tensor]:
         """Advance the micro-batches' updates in lock-step: gradients add up over them, then the network moves."""
@@ -353,6 +362,27 @@ class Run:
         self.progress.finished = self.progress.step
         self._checkpoint()
         self.fabric.barrier()
+
+
+class Meter:
+    """Means of losses since they were last read; sums stay on the device so that no step waits for them."""
+
+    def __init__(self) -> None:
+        self.sums: dict[str, Tensor | float] = {}
+        self.counts: dict[str, int] = {}
+
+    def add(self, values: Mapping[str, Tensor | float]) -> None:
+        """Count one step's values."""
+        for name, value in values.items():
+            number = value.detach() if isinstance(value, Tensor) else value
+            self.sums[name] = self.sums.get(name, 0.0) + number
+            self.counts[name] = self.counts.get(name, 0) + 1
+
+    def read(self) -> dict[str, float]:
+        """Means by name; the count starts again. A NaN among the values is a NaN here."""
+        means = {name: float(total) / self.counts[name] for name, total in self.sums.items()}
+        self.sums, self.counts = {}, {}
+        return means
 
 
 def _below(weights: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:

@@ -14,34 +14,12 @@ from PIL import Image
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Column
-from torch import Tensor
 
 from lidar2pano.formats.image_files import write_whole
 
 log = logging.getLogger(__name__)
 SHOW_EVERY_S = 1.0  # the bar
 LOG_EVERY_S = 20.0  # a line in the log, where there is no terminal
-
-
-class Meter:
-    """Means of losses since they were last read; sums stay on the device so that no step waits for them."""
-
-    def __init__(self) -> None:
-        self.sums: dict[str, Tensor | float] = {}
-        self.counts: dict[str, int] = {}
-
-    def add(self, values: Mapping[str, Tensor | float]) -> None:
-        """Count one step's values."""
-        for name, value in values.items():
-            number = value.detach() if isinstance(value, Tensor) else value
-            self.sums[name] = self.sums.get(name, 0.0) + number
-            self.counts[name] = self.counts.get(name, 0) + 1
-
-    def read(self) -> dict[str, float]:
-        """Means by name; the count starts again. A NaN among the values is a NaN here."""
-        means = {name: float(total) / self.counts[name] for name, total in self.sums.items()}
-        self.sums, self.counts = {}, {}
-        return means
 
 
 class Monitor:

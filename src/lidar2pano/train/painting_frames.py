@@ -26,7 +26,7 @@ from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.scene_painter import ScenePainter
 from lidar2pano.pipeline import Pipeline
-from lidar2pano.train.options import ScenePaintingOptions
+from lidar2pano.train.painter_recipes import ScenePaintingOptions
 from lidar2pano.views import View
 
 NOT_FLIPPED = ("look", "tone", "class_tones", "class_means")

@@ -1,8 +1,9 @@
-"""Task: TITAN-pano on scan/camera pairs in panorama coordinates."""
+"""Our translator TITAN-pano on scan/camera pairs in panorama coordinates: options, task and recipes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,36 @@ from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import class_weights, distillation, labelled_cross_entropy
 from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.train.options import PanoramaOptions
-from lidar2pano.train.recipe import Recipe
-from lidar2pano.train.task import Teacher, build_networks, device_of, load_segmenter, segmentation_scores
+from lidar2pano.train.predictions import load_segmenter
+from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores, vary
+from lidar2pano.train.task import Teacher, build_networks, device_of, segmentation_scores
 from lidar2pano.views import VIEWS
+
+
+@dataclass(frozen=True, kw_only=True)
+class PanoramaOptions(TaskOptions):
+    """TITAN-pano.
+
+    columns                width of the crop around the camera's sector.
+    lovasz, depth          weights of Lovasz-Softmax and of the distance of depth codes.
+    class_weight_exponent  class weights in the cross-entropy are (share of the pixels) ** -exponent.
+    segmenter              weight file whose labels take half of the training samples and all of validation;
+                           "": the labels of the data everywhere.
+    teacher, distillation  weight file of a translator whose classes and depths are learned beside the ground truth
+                           (knowledge distillation), "": none;  weight of that loss.
+    elsewhere_probability  with a teacher, of a crop of a real frame that begins anywhere, also where no camera looked.
+    """
+
+    task = "panorama"
+    SIZES = ("columns",)
+    columns: int = 576
+    lovasz: float = 1.0
+    depth: float = 2.0
+    class_weight_exponent: float = 0.5
+    segmenter: str = ""
+    teacher: str = ""
+    distillation: float = 2.0
+    elsewhere_probability: float = 1.0
 
 
 class PanoramaTranslation:
@@ -99,3 +126,37 @@ class PanoramaTranslation:
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """What a user of the translator has to know: label set and raster."""
         return {"labels": COMMON15.name, "views": {"panorama": self.view.as_dict()}}
+
+
+def titan_pano() -> Recipe[PanoramaOptions]:
+    """Our translator, trained in panorama coordinates at half the raster."""
+    optimizer = Optimizer(rate=2e-3, weight_decay=1e-2, warmup=50, clip=5.0)
+    settings = {"classes": 16, "conditions": 20}
+    return Recipe(
+        view="panorama",
+        scale=0.5,
+        networks={"translator": Network(model="titan-pano", settings=settings, optimizer=optimizer)},
+        options=PanoramaOptions(),
+        training=Training(steps=20_000, batch=4),
+    )
+
+
+def release_translator() -> Recipe[PanoramaOptions]:
+    """TITAN-pano with half as much weight again on Lovasz-Softmax, and a GPU's batch."""
+    recipe = vary(titan_pano(), options={"lovasz": 1.5})
+    return replace(recipe, training=replace(recipe.training, batch=16, workers=12))
+
+
+def fast_translator() -> Recipe:
+    """`release_translator` with half of the arithmetic, taught by a wide one."""
+    return vary(release_translator(), translator={"widths": (16, 48, 96, 128, 192), "pyramid": 64})
+
+
+RECIPES: dict[str, Callable[[], Recipe]] = {
+    "titan-pano": titan_pano,
+    "titan-pano-mini": lambda: on_two_cores(titan_pano(), minutes=24, batch=4),
+    "release-translator": release_translator,
+    "release-translator-mini": lambda: on_two_cores(release_translator(), minutes=30, batch=4, ema=0.995),
+    "fast-translator": fast_translator,
+    "fast-translator-mini": lambda: on_two_cores(fast_translator(), minutes=26, batch=4, ema=0.99),
+}

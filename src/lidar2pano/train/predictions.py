@@ -1,22 +1,48 @@
-"""A segmenter's labels of all frames that a run uses, made before its first step and kept on disk."""
+"""A segmenter's labels of all frames of a run, made before its first step and kept on disk."""
 
 from __future__ import annotations
 
 import logging
 import sys
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 
 import torch
 from rich.console import Console
 from rich.progress import Progress
+from torch import Tensor
 
 from lidar2pano.data.cache import PredictedLabels
 from lidar2pano.data.frames import Frame, FrameList
-from lidar2pano.train.task import LabelPoints, Task
+from lidar2pano.models.card import load
+from lidar2pano.pipeline import Segmenter
+from lidar2pano.scan import Scan
+from lidar2pano.train.task import Task
 
 log = logging.getLogger(__name__)
 LOG_EVERY_S = 20.0  # where there is no terminal
+
+
+def load_segmenter(file: str) -> Callable[[Scan], Tensor]:
+    """Read a LiDAR segmenter's weight file: scan -> labels (N,) of SEMANTIC_KITTI."""
+    return LabelPoints(Segmenter.from_card(*load(file, expect="salsanext")))
+
+
+class LabelPoints:
+    """A segmenter as a function of scans, on a device that may change."""
+
+    def __init__(self, segmenter: Segmenter) -> None:
+        self.segmenter, self.device = segmenter, torch.device("cpu")
+
+    def __call__(self, scan: Scan) -> Tensor:
+        """Labels (N,) of SEMANTIC_KITTI."""
+        return self.segmenter.points(scan, self.device)
+
+    def move(self, device: torch.device) -> None:
+        """Compute there from now on."""
+        self.device = device
+        self.segmenter.network.to(device)
 
 
 def predict_all(task: Task, device: torch.device, rank: int = 0, world: int = 1) -> None:

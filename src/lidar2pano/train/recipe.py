@@ -1,20 +1,61 @@
-"""What a recipe is: everything that decides what a training run does, as frozen dataclasses."""
+"""A recipe: everything that decides what a training run does, as frozen dataclasses; one value changed by its name.
+
+No torch is imported here.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Generic, Literal, TypeVar
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from typing import Any, ClassVar, Generic, Literal, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from lidar2pano.errors import InputError, closest
-from lidar2pano.train.options import LARGEST, LARGEST_SIZE, TaskOptions, check_range
-from lidar2pano.train.overrides import changed
 from lidar2pano.views import VIEWS
 
-Options_co = TypeVar("Options_co", bound=TaskOptions, covariant=True)
+LARGEST_SIZE = 65_536  # pixels, channels, samples
+LARGEST = 1e6  # of weights of losses, degrees, exponents, minutes
+NO_LIMIT = 100_000_000  # steps; epochs or minutes end the run
 LARGEST_RATE = 10.0  # of learning; the recipes' are below 0.01
 MOST_STEPS = 1e9
 MOST_WORKERS = 1024
+Value = bool | int | float | str | tuple
+SWITCH = {"true": True, "false": False}
+LARGEST_WHOLE = 2**53  # whole numbers that float64 represents
+
+
+def check_range(owner: str, least: float, most: float, **values: float | tuple[float, ...]) -> None:
+    """Raise InputError for the first value (or part of a tuple) that does not lie between `least` and `most`."""
+    for name, value in values.items():
+        for number in value if isinstance(value, tuple) else (value,):
+            if not least <= number <= most:
+                raise InputError(f"{owner}.{name}={number:g} must be at least {least:g} and at most {most:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskOptions:
+    """Options of one task; numbers lie between 0 and LARGEST, those whose names end in _probability at most at 1.
+
+    task   the task's name in `tasks.TASKS`;  SIZES: names of sizes, 1 to LARGEST_SIZE.
+    """
+
+    task: ClassVar[str]
+    SIZES: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse values out of range and words that are not offered (InputError)."""
+        for name in (option.name for option in fields(self)):
+            value = getattr(self, name)
+            numbers = value if isinstance(value, tuple) else (value,)
+            if not all(isinstance(number, int | float) for number in numbers):
+                continue
+            least, most = (1, LARGEST_SIZE) if name in self.SIZES else (0, LARGEST)
+            if name.endswith("_probability"):
+                most = 1
+            check_range("options", least, most, **{name: numbers})
+
+
+Options_co = TypeVar("Options_co", bound=TaskOptions, covariant=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,7 +225,84 @@ def vary(
     return replace(recipe, networks=networks, options=replace(recipe.options, **(options or {})))
 
 
-def on_two_cores(recipe: Recipe[Options_co], *, minutes: float, batch: int, ema: float = 0.998) -> Recipe[Options_co]:
+def with_optimizers(recipe: Recipe[Options_co], *roles: str, **changes: Any) -> Recipe[Options_co]:  # noqa: ANN401
+    """A copy with other values of the optimisers of some networks, or of all: with_optimizers(titan(), rate=1e-3)."""
+    networks = {
+        role: replace(network, optimizer=replace(network.optimizer, **changes))
+        if not roles or role in roles
+        else network
+        for role, network in recipe.networks.items()
+    }
+    return replace(recipe, networks=networks)
+
+
+def on_two_cores(
+    recipe: Recipe[Options_co],
+    *,
+    minutes: float,
+    batch: int,
+    ema: float = 0.998,
+    **training: Any,  # noqa: ANN401
+) -> Recipe[Options_co]:
     """The recipe as a run of some minutes on two CPU cores, which prepare samples as well."""
-    training = replace(recipe.training, epochs=0.0, minutes=minutes, batch=batch, accumulate=1, workers=0, ema=ema)
-    return replace(recipe, training=training)
+    changes = {"epochs": 0.0, "minutes": minutes, "batch": batch, "accumulate": 1, "workers": 0, "ema": ema, **training}
+    return replace(recipe, training=replace(recipe.training, **changes))
+
+
+def changed(node: Any, steps: list[str], text: str, path: str) -> Any:  # noqa: ANN401
+    """A copy of `node` with the value at `steps` below it parsed from `text`; `path` is its full name in messages."""
+    name, *rest = steps
+    if is_dataclass(node):
+        known: Any = {one.name: getattr(node, one.name) for one in fields(node)}
+        wanted_type = get_type_hints(type(node)).get(name)
+    elif isinstance(node, Mapping):
+        known, wanted_type = node, None
+    else:
+        raise InputError(f"{path}: {type(node).__name__} values have no parts; leave out {'.'.join(steps)!r}")
+    if name not in known:
+        owner = type(node).__name__ if is_dataclass(node) else "this recipe"
+        raise InputError(f"{path}: {owner} has no {name!r}{closest(name, known)}")
+    old = known[name]
+    if rest:
+        new = changed(old, rest, text, path)
+    elif is_dataclass(old) or isinstance(old, Mapping):
+        inner = [one.name for one in fields(old)] if is_dataclass(old) else list(old)
+        raise InputError(f"{path} holds several values; set one of them: {', '.join(inner)}")
+    else:
+        new = _parsed(text, wanted_type or _type_of(old), path)
+    return {**node, name: new} if isinstance(node, Mapping) else replace(cast(Any, node), **{name: new})
+
+
+def _type_of(value: Any) -> Any:  # noqa: ANN401
+    """The type to parse for a dictionary's entry: that of the value that is there."""
+    if isinstance(value, tuple | list):
+        return tuple[type(value[0]) if value else str, ...]
+    return type(value)
+
+
+def _parsed(text: str, wanted_type: Any, path: str) -> Value:  # noqa: ANN401
+    """`text` as a value of `wanted_type`: bool, int, float, str, a Literal of strings, or a tuple of one of them."""
+    if get_origin(wanted_type) is Literal:
+        if text not in get_args(wanted_type):
+            raise InputError(f"{path} cannot be {text!r}{closest(text, get_args(wanted_type))}")
+        return text
+    if get_origin(wanted_type) is tuple:
+        first, *others = get_args(wanted_type)
+        parts = [part.strip() for part in text.strip("()[]").split(",") if part.strip()]
+        if others and others[-1] is not Ellipsis and len(parts) != len(others) + 1:
+            raise InputError(f"{path} wants {len(others) + 1} values with commas between, not {text!r}")
+        return tuple(_parsed(part, first, path) for part in parts)
+    if wanted_type is str:
+        return text
+    if wanted_type is bool:
+        if text.lower() not in SWITCH:
+            raise InputError(f"{path} wants true or false, not {text!r}")
+        return SWITCH[text.lower()]
+    try:
+        number = wanted_type(text)
+    except ValueError:  # more digits than Python reads are one, too
+        number = math.nan
+    if not abs(number) < (LARGEST_WHOLE if wanted_type is int else math.inf):
+        wanted = "a whole number" if wanted_type is int else "a number"
+        raise InputError(f"{path} wants {wanted}, not {text[:40]!r}")
+    return number

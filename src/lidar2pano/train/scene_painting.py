@@ -27,8 +27,8 @@ from lidar2pano.losses import (
     streaks,
     texture_distance,
 )
-from lidar2pano.losses.diff_augment import DiffAugment
-from lidar2pano.models.imagenet_features import LITE0, ImagenetFeatures
+from lidar2pano.losses.adversarial import DiffAugment, frozen
+from lidar2pano.models.frozen_features import LITE0, ImagenetFeatures
 from lidar2pano.models.scene_painter import (
     BUILDING,
     CAR,
@@ -49,8 +49,7 @@ from lidar2pano.models.scene_painter import (
 )
 from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.pipeline import Pipeline, load_part, load_segmenter
-from lidar2pano.train.adversarial import frozen
-from lidar2pano.train.options import ScenePaintingOptions
+from lidar2pano.train.painter_recipes import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingFrames, PaintingSample
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import Teacher, as_image, build_networks, device_of, fix_norms

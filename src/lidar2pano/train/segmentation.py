@@ -1,8 +1,14 @@
-"""Task: SalsaNext on labelled scans. Cross-entropy with class weights, plus Lovasz-Softmax."""
+"""The range-view segmenter SalsaNext on labelled scans: options, task and recipes.
+
+Cross-entropy with class weights, plus Lovasz-Softmax. Released families (runs/release.sh) learn from real and simulated
+frames together: the street world's towns join with `--set data.train=train,WORLD:all`. They show rare classes and all
+directions, real frames how things look. A split named twice counts twice.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +24,18 @@ from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import class_weights, distillation, labelled_cross_entropy
 from lidar2pano.pipeline import Segmenter
-from lidar2pano.train.options import SegmentationOptions
-from lidar2pano.train.recipe import Recipe
+from lidar2pano.train.recipe import (
+    NO_LIMIT,
+    Data,
+    Network,
+    Optimizer,
+    Recipe,
+    TaskOptions,
+    Training,
+    on_two_cores,
+    vary,
+    with_optimizers,
+)
 from lidar2pano.train.task import (
     Teacher,
     build_networks,
@@ -29,6 +45,46 @@ from lidar2pano.train.task import (
     segmentation_scores,
 )
 from lidar2pano.views import VIEWS, view_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentationOptions(TaskOptions):
+    """A range-view segmenter.
+
+    columns                width of the azimuth crop; 0: all of the view.
+    rotation_deg           largest rotation about the vertical axis, either way.
+    augment_probability    of each of shifting, rotating and dropping points.
+    remission_scale        largest relative change of a scan's remission.
+    ring_drop_probability  of leaving out up to three quarters of the beams.
+    remission_drop_probability  of a scan without remission.
+    lovasz                 weight of Lovasz-Softmax beside the cross-entropy.
+    class_weight_exponent,
+    class_weight_least,
+    class_weight_most      class weights in the cross-entropy are (share of the points, at least `least`) ** -exponent,
+                           divided by their mean, at most `most`.
+    dropout                whether the network's dropout is on;  fixed_norms: whether norms keep their statistics.
+    tallest                name of the view as far as which rows are added for scans that go beyond the recipe's view
+                           (geometry.projection.fitted_view); "": none are.
+    teacher, distillation  weight file of a segmenter whose predictions are learned beside the labels (knowledge
+                           distillation), "": none;  weight of that loss.
+    """
+
+    task = "segmentation"
+    columns: int = 1024
+    rotation_deg: float = 180.0
+    augment_probability: float = 0.5
+    remission_scale: float = 0.0
+    ring_drop_probability: float = 0.0
+    remission_drop_probability: float = 0.0
+    lovasz: float = 1.0
+    class_weight_exponent: float = 0.5
+    class_weight_least: float = 1e-5
+    class_weight_most: float = 6.0
+    dropout: bool = True
+    fixed_norms: bool = False
+    tallest: str = ""
+    teacher: str = ""
+    distillation: float = 2.0
 
 
 class Segmentation:
@@ -112,3 +168,73 @@ class Segmentation:
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
         """What a user of the segmenter has to know: label set, view, normalisation."""
         return {"labels": SEMANTIC_KITTI.name, **range_view_card(self.view, self.tallest, self.normalise)}
+
+
+def salsanext(channels: int = 5) -> Recipe[SegmentationOptions]:
+    """SalsaNext on LiDAR labels: cross-entropy with class weights, and Lovasz-Softmax. 6 channels: with roughness."""
+    optimizer = Optimizer(rate=3e-3, weight_decay=1e-2, warmup=50, clip=5.0)
+    settings = {"classes": 20, "channels": channels}
+    return Recipe(
+        view="hdl64e",
+        networks={"segmenter": Network(model="salsanext", settings=settings, optimizer=optimizer)},
+        options=SegmentationOptions(),
+        training=Training(steps=20_000, batch=2),
+    )
+
+
+def salsanext_mini() -> Recipe:
+    """SalsaNext as `kitti-mini` was released: all labelled scans, some minutes of two CPU cores.
+
+    Streets run along x in so small a set, and little time is left for rare classes.
+    """
+    recipe = vary(salsanext(), options={"rotation_deg": 20.0, "class_weight_exponent": 0.3})
+    return replace(on_two_cores(recipe, minutes=22.0, batch=2), data=Data(train=("train", "labelled")))
+
+
+def salsanext_published() -> Recipe[SegmentationOptions]:
+    """SalsaNext with its published schedule: 150 epochs, batch 24, SGD 0.01 with momentum 0.9, times 0.99 an epoch.
+
+    Cortinhal, Tzelepis, Aksoy 2020, and salsanext.yml of its code, whose first epoch warms up (here the 797 steps of
+    SemanticKITTI's 19,130 scans). Whole range images; class weights 1 / share, as there with shares of at least 0.001.
+    """
+    optimizer = Optimizer(
+        algorithm="sgd", rate=0.01, betas=(0.9, 0.0), weight_decay=1e-4, schedule="exponential", final=0.99**150,
+        warmup=797,
+    )  # fmt: skip
+    settings = {"classes": 20, "channels": 5}
+    return Recipe(
+        view="hdl64e",
+        networks={"segmenter": Network(model="salsanext", settings=settings, optimizer=optimizer)},
+        options=SegmentationOptions(
+            columns=0, class_weight_exponent=1.0, class_weight_least=1e-3, class_weight_most=1e3
+        ),
+        training=Training(steps=NO_LIMIT, epochs=150, batch=24, accumulate=2, ema=0.0),
+    )
+
+
+def release_segmenter() -> Recipe[SegmentationOptions]:
+    """SalsaNext that reads roughness, without dropout, which lowers scores in short runs.
+
+    Some scans have fewer beams or no remission.
+    """
+    augmentation = {"rotation_deg": 20.0, "augment_probability": 0.3, "ring_drop_probability": 0.3}
+    remission = {"remission_scale": 0.3, "remission_drop_probability": 0.2}
+    options = {**augmentation, **remission, "class_weight_exponent": 0.3, "dropout": False}
+    recipe = with_optimizers(vary(salsanext(channels=6), options=options), rate=2e-3)
+    return replace(recipe, training=replace(recipe.training, batch=16, workers=12))
+
+
+def fast_segmenter() -> Recipe:
+    """`release_segmenter` with less than half of the arithmetic: narrower, taught by a wide one (options.teacher)."""
+    return vary(release_segmenter(), segmenter={"widths": (32, 48, 64, 128)}, options={"rotation_deg": 180.0})
+
+
+RECIPES: dict[str, Callable[[], Recipe]] = {
+    "salsanext": salsanext,
+    "salsanext-mini": salsanext_mini,
+    "salsanext-published": salsanext_published,
+    "release-segmenter": release_segmenter,
+    "release-segmenter-mini": lambda: on_two_cores(release_segmenter(), minutes=40, batch=2, ema=0.997),
+    "fast-segmenter": fast_segmenter,
+    "fast-segmenter-mini": lambda: on_two_cores(fast_segmenter(), minutes=26, batch=2, ema=0.99),
+}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -17,9 +17,7 @@ from lidar2pano.labels import LabelSet
 from lidar2pano.metrics.confusion import Confusion
 from lidar2pano.models import build
 from lidar2pano.models.card import load
-from lidar2pano.models.titan import IMAGE_SIZE
-from lidar2pano.pipeline import Segmenter
-from lidar2pano.scan import Scan
+from lidar2pano.models.salsanext import IMAGE_SIZE
 from lidar2pano.train.recipe import Network, Recipe
 from lidar2pano.views import View
 
@@ -125,27 +123,6 @@ def image_size(network: nn.Module) -> tuple[int, int]:
     """Rows and columns of the image that a network of the paper's setting predicts: its setting `size`, or KITTI's."""
     rows, columns = getattr(network, "size", None) or IMAGE_SIZE
     return int(rows), int(columns)
-
-
-def load_segmenter(file: str) -> Callable[[Scan], Tensor]:
-    """Read a LiDAR segmenter's weight file: scan -> labels (N,) of SEMANTIC_KITTI."""
-    return LabelPoints(Segmenter.from_card(*load(file, expect="salsanext")))
-
-
-class LabelPoints:
-    """A segmenter as a function of scans, on a device that may change."""
-
-    def __init__(self, segmenter: Segmenter) -> None:
-        self.segmenter, self.device = segmenter, torch.device("cpu")
-
-    def __call__(self, scan: Scan) -> Tensor:
-        """Labels (N,) of SEMANTIC_KITTI."""
-        return self.segmenter.points(scan, self.device)
-
-    def move(self, device: torch.device) -> None:
-        """Compute there from now on."""
-        self.device = device
-        self.segmenter.network.to(device)
 
 
 def segmentation_scores(

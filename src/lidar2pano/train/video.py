@@ -1,14 +1,19 @@
-"""Task: a video painter (vid2vid), from classes and its own previous images, against image and video discriminators."""
+"""vid2vid: options, losses, task and recipes.
+
+The painter learns from classes and its own previous images, against discriminators of images and of clips.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import l1_loss
 from torch.utils.data import default_collate
 
 from lidar2pano.data.clips import ClipDataset, ClipSample, Framing
@@ -20,15 +25,187 @@ from lidar2pano.geometry.warp import warp
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.losses import pooled
+from lidar2pano.losses.video import (
+    coherence_loss,
+    flow_loss,
+    least_squares_critic,
+    least_squares_generator,
+    mask_loss,
+    matched_features,
+    perceptual,
+    warping_loss,
+)
 from lidar2pano.models.card import load
-from lidar2pano.train.options import VideoOptions
-from lidar2pano.train.recipe import Recipe
+from lidar2pano.models.frozen_features import read_vgg
+from lidar2pano.train.recipe import (
+    Data,
+    Network,
+    Optimizer,
+    Recipe,
+    TaskOptions,
+    Training,
+    on_two_cores,
+    vary,
+    with_optimizers,
+)
 from lidar2pano.train.task import as_image, build_networks, device_of
-from lidar2pano.train.video_losses import PaintedFrame, TemporalInput, VideoLosses, temporal_input
 from lidar2pano.views import VIEWS
 
+FLOW_PX = 20.0  # temporal discriminators read flow in units of these, as published
+TEMPORAL = "temporal_"  # role of a temporal discriminator, followed by the number of frames between its images
 PREVIOUS = 2  # images that the painter reads before the one it paints
 MOST_SCORED = 20  # clips of the validation split
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoOptions(TaskOptions):
+    """vid2vid.
+
+    source                   "camera" images, or the "panorama" ground truth that simulated data sets have.
+    clip_length              frames of a clip, of which the first two are given;  rows, columns: of its window.
+    single_frame_splits      splits whose frames do not follow each other; a window pans over each.
+    no_previous_probability  of clips that begin without previous images, as a stream does.
+    first_frame_weights      weight file of the first-frame network that begins the clips of validation; "": they begin
+                             with nothing or, where no_previous_probability is 0, with ground truth.
+    feature_matching, flow, coherence, mask, perceptual, pixels: weights of losses.
+    vgg_weights              file of VGG-19's weights; "": no perceptual loss.
+    """
+
+    task = "video"
+    SIZES = ("clip_length", "rows", "columns")
+    source: Literal["camera", "panorama"] = "camera"
+    clip_length: int = 12
+    rows: int = 160
+    columns: int = 512
+    single_frame_splits: tuple[str, ...] = ()
+    no_previous_probability: float = 0.33
+    first_frame_weights: str = ""
+    feature_matching: float = 10.0
+    flow: float = 10.0
+    coherence: float = 10.0
+    mask: float = 1.0
+    perceptual: float = 10.0
+    pixels: float = 0.0
+    vgg_weights: str = ""
+
+
+class PaintedFrame(NamedTuple):
+    """One frame of a clip; every tensor has a leading B. Images are (3, H, W) in [-1, 1].
+
+    labels              (16, H, W) one-hot;  real, real_before: the camera's image and that before it.
+    flow                the reference to the frame before: shift (2, H, W) pixels, known (H, W).
+    coherent            (H, W): where the flow is known and the painter had a previous image.
+    fake                the painter's image;  raw: the same without the warped previous one, `fake_before`.
+    fake_flow           (2, H, W): the painter's own flow;  weight (1, H, W): the share of `raw` in `fake`.
+    """
+
+    labels: Tensor
+    real: Tensor
+    real_before: Tensor
+    flow: Flow
+    coherent: Tensor
+    fake: Tensor
+    raw: Tensor
+    fake_before: Tensor
+    fake_flow: Tensor
+    weight: Tensor
+
+
+class TemporalInput(NamedTuple):
+    """The input of a temporal discriminator: three images and the flows between them, (B, 13, H, W) each."""
+
+    real: Tensor
+    fake: Tensor
+
+
+class VideoLosses:
+    """The losses of discriminators and painter, as published.
+
+    networks  the task's, by role; the loop may replace them.
+    options   the weights of the losses, and the file of VGG-19 ("": there is no perceptual loss).
+    circular  whether the last column of an image meets its first.
+    """
+
+    def __init__(self, networks: Mapping[str, nn.Module], options: VideoOptions, *, circular: bool) -> None:
+        self.networks, self.options, self.circular = networks, options, circular
+        self.vgg = read_vgg(options.vgg_weights) if options.vgg_weights else None
+        self.logs: dict[str, Tensor] = {}
+
+    def steps(self, painted: int) -> list[int]:
+        """Frames between the images of each temporal discriminator; InputError where `painted` frames are too few."""
+        numbers = [role.removeprefix(TEMPORAL) for role in self.networks if role.startswith(TEMPORAL)]
+        if wrong := [number for number in numbers if not number.isdecimal() or not int(number)]:
+            raise InputError(f"network {TEMPORAL}{wrong[0]}: its name must end in a number of frames, as temporal_3")
+        steps = sorted(int(number) for number in numbers)
+        if steps and painted < 2 * steps[-1] + 1:
+            raise InputError(
+                f"network {TEMPORAL}{steps[-1]}: of {painted} painted frames no three are {steps[-1]} apart; "
+                f"set options.clip_length to {2 * steps[-1] + 3} or more"
+            )
+        return steps
+
+    def updates(self, frame: PaintedFrame, inputs: Mapping[int, TemporalInput]) -> Iterator[tuple[str, Tensor]]:
+        """The image discriminator, the temporal ones, the painter; `inputs` by the frames between their images."""
+        self.logs = {}
+        true, *generated = (torch.cat([frame.labels, image], 1) for image in (frame.real, frame.fake, frame.raw))
+        real = self.discriminated("critic", true)
+        fakes = [self.discriminated("critic", fake.detach()) for fake in generated]
+        yield "critic", _sum([least_squares_critic(real, fake) for fake in fakes])
+        for step, triple in inputs.items():
+            role = f"{TEMPORAL}{step}"
+            real, fake = self.discriminated(role, triple.real), self.discriminated(role, triple.fake.detach())
+            yield role, least_squares_critic(real, fake)
+        pairs = [("critic", true, fake) for fake in generated]
+        pairs += [(f"{TEMPORAL}{step}", triple.real, triple.fake) for step, triple in inputs.items()]
+        losses = self.reconstruction(frame)
+        adversarial = [self.adversarial(*pair) for pair in pairs]
+        losses["adversarial"] = _sum([loss for loss, _ in adversarial])
+        losses["feature_matching"] = self.options.feature_matching * _sum([features for _, features in adversarial])
+        self.logs = {name: loss.detach() for name, loss in losses.items()}
+        yield "painter", _sum(list(losses.values()))
+
+    def reconstruction(self, frame: PaintedFrame) -> dict[str, Tensor]:
+        """The painter's losses without a discriminator, by name, weighted; those of weight 0 are left out."""
+        options, circular = self.options, self.circular
+        shift, known = frame.flow.shift, frame.flow.known
+        losses: dict[str, Tensor] = {}
+        if options.flow:
+            flow = flow_loss(frame.fake_flow, shift, known)
+            flow += warping_loss(frame.fake_flow, frame.real_before, frame.real, known, circular=circular)
+            losses["flow"] = options.flow * flow
+        if options.coherence:
+            coherence = coherence_loss(frame.fake, frame.fake_before, shift, frame.coherent, circular=circular)
+            losses["coherence"] = options.coherence * coherence
+        if options.mask:
+            losses["mask"] = options.mask * mask_loss(frame.weight, frame.coherent)
+        if options.pixels:
+            losses["pixels"] = options.pixels * (l1_loss(frame.fake, frame.real) + l1_loss(frame.raw, frame.real))
+        if options.perceptual and self.vgg is not None:
+            self.vgg.to(frame.real.device)
+            real = self.vgg(frame.real)
+            parts = [perceptual(self.vgg(fake), real) for fake in (frame.fake, frame.raw)]
+            losses["perceptual"] = options.perceptual * _sum(parts)
+        return losses
+
+    def adversarial(self, role: str, real: Tensor, fake: Tensor) -> tuple[Tensor, Tensor]:
+        """The painter's least-squares and feature-matching losses against one discriminator."""
+        with torch.no_grad():
+            on_real = self.discriminated(role, real)
+        on_fake = self.discriminated(role, fake)
+        return least_squares_generator(on_fake), matched_features(on_real, on_fake)
+
+    def discriminated(self, role: str, images: Tensor) -> list[list[Tensor]]:
+        """A discriminator's outputs in float32: per scale, the features of every layer, scores last."""
+        return [[layer.float() for layer in scale] for scale in self.networks[role](images)]
+
+
+def temporal_input(images: list[Tensor], flows: list[Flow]) -> Tensor:
+    """Images (B, 3, H, W) and the flows between them as a temporal discriminator reads them, the earliest first."""
+    return torch.cat([*images, *(flow.shift / FLOW_PX for flow in flows)], 1)
+
+
+def _sum(losses: list[Tensor]) -> Tensor:
+    return torch.stack(losses).sum()
 
 
 class VideoPainting:
@@ -196,3 +373,58 @@ def _first_frames(file: str) -> nn.Module:
 def one_hot_clip(batch: ClipSample) -> Tensor:
     """One-hot classes (B, K, 16, H, W) of a batch of clips."""
     return one_hot_layers(batch.labels.flatten(0, 1), len(COMMON15)).unflatten(0, batch.labels.shape[:2])
+
+
+def vid2vid() -> Recipe[VideoOptions]:
+    """vid2vid's one-scale street network with the published settings, on clips of the camera's images.
+
+    Published (NVIDIA/vid2vid, train.py --loadSize 512 --fg): Adam 2e-4, least squares, feature matching, flow and
+    coherence 10, two scales of two temporal discriminators, one clip a step, first images given; 20 epochs, in the
+    second half of which the rate falls linearly (--niter 10 --niter_decay 10). 60,000 steps are 20 epochs of the 2,975
+    clips of Cityscapes. Ours: classes of common-15 without instances' edges (1 is the car), and a window of the
+    published size in images half the camera's size, as fine as half the panorama's raster. The perceptual loss needs
+    options.vgg_weights. A third of the clips begins without previous images (published: --no_first_img, all or none),
+    so that a stream can.
+    """
+    adam = Optimizer(algorithm="adam", rate=2e-4, betas=(0.5, 0.999), schedule="linear")
+    blocks = {"downsamplings": 3, "blocks": (9, 3), "foreground": (1,), "batch_statistics": True}
+    painter = {"channels": 16, "widths": (128,), **blocks}
+    temporal = Network(model="vid2vid-temporal-critic", settings={"channels": 13, "width": 64}, optimizer=adam)
+    return Recipe(
+        view="panorama",
+        scale=0.5,
+        networks={
+            "painter": Network(model="vid2vid", settings=painter, optimizer=adam),
+            "critic": Network(model="vid2vid-image-critic", settings={"channels": 19, "width": 64}, optimizer=adam),
+            "temporal_1": temporal,
+            "temporal_3": temporal,
+        },
+        options=VideoOptions(),
+        training=Training(steps=60_000, batch=1, ema=0.0, precision="32-true"),
+    )
+
+
+def vid2vid_mini() -> Recipe:
+    """A narrow vid2vid on `kitti-mini` in some minutes of two CPU cores.
+
+    Twelve frames of one drive follow each other; the others become clips under a window that pans. So the network
+    learns to colour classes, to warp images along flows of a few pixels, and to keep still; not what parallax, traffic
+    or other light look like, nor flows that a panning window does not have. In so few steps VGG's features are replaced
+    by the pixels themselves and rates are higher. The flow loss, whose published weight would dominate the features
+    that flow and image share, weighs less; so does the mask loss, which blurs images until flow is learned.
+    """
+    recipe = with_optimizers(vid2vid(), rate=5e-4, schedule="cosine")
+    narrow = {"painter": {"widths": (16,), "blocks": (4, 3), "foreground": ()}}
+    clips = {"clip_length": 5, "rows": 128, "columns": 384, "single_frame_splits": ("train", "val")}
+    losses = {"flow": 1.0, "mask": 0.1, "pixels": 20.0}
+    recipe = vary(
+        recipe,
+        options={**clips, **losses, "no_previous_probability": 0.5},
+        **{role: narrow.get(role, {"width": 16}) for role in recipe.networks},
+    )
+    networks = {role: network for role, network in recipe.networks.items() if role != "temporal_3"}
+    recipe = replace(recipe, networks=networks, data=Data(train=("drive", "train"), val=("val",)))
+    return on_two_cores(recipe, minutes=12.0, batch=1, precision="bf16-mixed")
+
+
+RECIPES: dict[str, Callable[[], Recipe]] = {"vid2vid": vid2vid, "vid2vid-mini": vid2vid_mini}
