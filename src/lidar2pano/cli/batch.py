@@ -143,12 +143,12 @@ def translate_sources(sources: Iterable[ScanSource], total: int, options: Option
     translator, reporter = Translator(options.pipeline), ScanReporter()
     with options.common.opened() as common, bar(total, "translating") as advance:
 
-        def save(translation: Translation) -> list[Path]:
+        def sink(translation: Translation) -> list[Path]:
             reporter.warn(translation)
             reporter.note_licence(translator.pipeline)  # before the first panorama is written
             return write_outputs(translation, options, common)
 
-        for translation in translate(StreamReader(options.reading)(sources), translator, [save]):
+        for translation in translate(StreamReader(options.reading)(sources), translator, [sink]):
             if translation.error:
                 reporter.add(translation)
             else:
