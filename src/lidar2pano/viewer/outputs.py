@@ -85,16 +85,37 @@ class PageOutput:
         return self.writer.write(self.path) if len(self.writer) else None
 
 
-class VideoOutput:
+class _GrowingFile:
+    """A file that a library writes, in a temporary folder until it is complete.  frames: number of panoramas in it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.frames = path, 0
+        self._folder = tempfile.TemporaryDirectory()
+        self.part = Path(self._folder.name, f"part{path.suffix}")
+
+    def end(self) -> None:
+        """Let the library complete its file; nothing happens a second time."""
+        raise NotImplementedError
+
+    def finish(self) -> Path | None:
+        """See Output."""
+        self.end()
+        return write_whole(self.path, lambda whole: shutil.copyfile(self.part, whole)) if self.frames else None
+
+    def close(self) -> None:
+        """See Output."""
+        self.end()
+        self._folder.cleanup()
+
+
+class VideoOutput(_GrowingFile):
     """A video (MP4, H.264) of the panoramas, ten a second."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
         av = _extra("av", "--video", "video")
+        super().__init__(path)
         self._to_frame = av.VideoFrame.from_ndarray
-        self._folder = tempfile.TemporaryDirectory()
-        self._part = Path(self._folder.name) / "video.mp4"
-        self._container = av.open(str(self._part), "w")
+        self._container = av.open(str(self.part), "w", format="mp4")
         self._stream: Any = None
 
     def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
@@ -110,36 +131,25 @@ class VideoOutput:
         size = (self._stream.width, self._stream.height)
         image = image if image.size == size else image.resize(size, Image.Resampling.LANCZOS)
         frame = self._to_frame(np.asarray(image), format="rgb24")
-        for packet in self._stream.encode(frame):
-            self._container.mux(packet)
+        self._container.mux(self._stream.encode(frame))
+        self.frames += 1
 
-    def finish(self) -> Path | None:
-        """See Output."""
+    def end(self) -> None:
+        """Write the frames that the coder still has."""
         if self._stream is not None:
-            for packet in self._stream.encode():
-                self._container.mux(packet)
+            self._container.mux(self._stream.encode())
         self._container.close()
-        return (
-            write_whole(self.path, lambda unfinished: shutil.copyfile(self._part, unfinished)) if self._stream else None
-        )
-
-    def close(self) -> None:
-        """See Output."""
-        self._container.close()
-        self._folder.cleanup()
+        self._stream = None
 
 
-class RerunOutput:
+class RerunOutput(_GrowingFile):
     """A recording for Rerun (rerun.io): points, panorama, classes and depth over time."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
         self._rerun = _extra("rerun", "--rerun", "rerun")
-        self._folder = tempfile.TemporaryDirectory()
-        self._part = Path(self._folder.name) / "recording.rrd"
+        super().__init__(path)
         self._log = self._rerun.RecordingStream("lidar2pano", recording_id=path.stem)
-        self._log.save(str(self._part))
-        self._frames = 0
+        self._log.save(str(self.part))
         names = [
             (index, name, colour)
             for index, (name, colour) in enumerate(zip(COMMON15.classes, COMMON15.colours, strict=True))
@@ -150,8 +160,8 @@ class RerunOutput:
     def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
         """See Output."""
         rr, log = self._rerun, self._log
-        log.set_time("frame", sequence=self._frames)
-        log.set_time("time", duration=self._frames / RATE_HZ)
+        log.set_time("frame", sequence=self.frames)
+        log.set_time("time", duration=self.frames / RATE_HZ)
         usable = np.isfinite(scan.xyz).all(axis=1)
         points = panorama.colour_points(scan)
         steps = np.clip(np.round(panorama.depth_m * DEPTH_STEPS), 0, 0xFFFF).astype(np.uint16)
@@ -160,23 +170,11 @@ class RerunOutput:
         log.log("panorama/classes", rr.SegmentationImage(panorama.segments))
         log.log("panorama/depth", rr.DepthImage(steps, meter=DEPTH_STEPS))
         log.log("name", rr.TextLog(f"{source}: {name}"))
-        self._frames += 1
+        self.frames += 1
 
-    def finish(self) -> Path | None:
-        """See Output."""
+    def end(self) -> None:
+        """Write the rest of the log."""
         self._log.disconnect()
-        return (
-            write_whole(self.path, lambda unfinished: shutil.copyfile(self._part, unfinished)) if self._frames else None
-        )
-
-    def close(self) -> None:
-        """See Output."""
-        self._log.disconnect()
-        self._folder.cleanup()
-
-
-def _copy_whole(part: Path, path: Path) -> Path:
-    return write_whole(path, lambda unfinished: shutil.copyfile(part, unfinished))
 
 
 def _extra(module: str, option: str, extra: str) -> Any:  # noqa: ANN401
