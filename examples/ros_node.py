@@ -91,9 +91,9 @@ class CloudTranslator:
             stream="points",
         )
         translation = self._translator(self._reader.read(source))
-        if translation.error:
-            raise translation.error
         panorama = translation.panorama
+        if panorama is None:
+            raise translation.error or InputError("points: hold no scan")
         image, info = self._new_image(), self._new_info()
         if self._calibration is None:
             fill_camera_info(info, message.header, panorama.view)
