@@ -109,7 +109,7 @@ def _open_streams() -> None:
 
 
 def _flushed() -> bool:
-    """Flush stdout and return whether that worked; if not, discard further output, so that leaving raises nothing."""
+    """Flush stdout and return whether that worked; if not, discard further output, for a silent end."""
     try:
         sys.stdout.flush()
     except OSError:
@@ -129,8 +129,8 @@ def _quiet(debug: bool) -> Iterator[None]:
     with warnings.catch_warnings():
         if not debug and not sys.warnoptions:
             warnings.simplefilter("ignore")
-            logging.lastResort = logging.NullHandler()  # None would say that there is no handler
-            # An exception in a library's thread ends the command that waits for it; one in __del__ ends nothing.
+            logging.lastResort = logging.NullHandler()  # None would report a missing handler
+            # An exception in a library's thread ends the command waiting for it; one in __del__ ends nothing.
             threading.excepthook = sys.unraisablehook = lambda _: None
         yield
 

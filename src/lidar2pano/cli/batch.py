@@ -38,7 +38,7 @@ from lidar2pano.views import sensor_view
 class Options:
     """Checked options of a run, the same for every scan.
 
-    weights  the name that was given;  files: the weight files by role that it stands for.
+    weights  the given name;  files: its weight files by role.
     sensor   name in VIEWS of the scans' rows, "" for the weights' own.
     reading  of scans; with `poses` the panoramas of a stream are temporally smoothed.
     ply      whether the points of each scan are written, too;  common: files about all panoramas.
@@ -73,7 +73,7 @@ class Options:
 def checked_options(
     weights: str, *, look: str = "", device: str = "auto", engine: str = "auto", **further: Any
 ) -> Options:
-    """Return a run's options; InputError for weights, a device, an engine or a sensor that cannot be had.
+    """Return a run's options; InputError for weights, a device, an engine or a sensor out of reach.
 
     further  fields of Options.
     """
@@ -86,7 +86,7 @@ def checked_options(
 
 
 def common_files(scans: Sequence[Path], page: Path | None, video: Path | None, rerun: Path | None) -> OutputFiles:
-    """Return the files about all scans that were asked for; InputError for one that cannot be written."""
+    """Return the requested files about all scans; InputError for an unwritable one."""
     for file, option in ((page, "--out"), (video, "--video"), (rerun, "--rerun")):
         if file:
             check_file(file, option)
@@ -221,7 +221,7 @@ class ScanReporter:
         self._first_error, self._further_errors = "", 0
 
     def add(self, translation: Translation) -> None:
-        """Report a scan that failed."""
+        """Report a failed scan."""
         self.failed = True
         source = translation.reading.source
         if source.number is None:
@@ -253,7 +253,7 @@ class ScanReporter:
         self._licence_noted = True
 
     def flush(self) -> None:
-        """Report the errors of a recording that are held back."""
+        """Report the held-back errors of a recording."""
         if self._recording:
             further = f"; {self._further_errors} more of its scans failed" if self._further_errors else ""
             print_error(self._first_error + further)

@@ -228,8 +228,8 @@ def write_all_times(job: Job, listed: list[Entry], shard: Shard, stopped: Callab
 
     sequences = untimed(job, listed, shard)
     with bar(len(sequences), "reading poses") as advance:
-        for is_recording in sequences:
-            if stopped() or not write_times(job, is_recording, stopped):
+        for sequence in sequences:
+            if stopped() or not write_times(job, sequence, stopped):
                 return False
             advance()
     return True

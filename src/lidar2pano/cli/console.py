@@ -30,7 +30,7 @@ def _shorten(text: str, most: int = MOST_WORD) -> str:
 
 
 def print_licence(cards: Iterable[Card]) -> None:
-    """Print one line on stderr if a licence restricts the use of the weights that have these cards."""
+    """Print one line on stderr if a licence restricts the use of the weights with these cards."""
     from lidar2pano.models.families import licence_note
 
     if note := licence_note(cards):
@@ -55,7 +55,7 @@ def bar(total: int, title: str) -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def until_signal(*numbers: signal.Signals) -> Iterator[threading.Event]:
-    """Give an event that the first of these signals sets, so that the scan at work is finished; a second one kills."""
+    """Give an event set by the first of these signals, to finish the scan at work; a second one kills."""
     stopped = threading.Event()
 
     def stop(*_: int | FrameType | None) -> None:

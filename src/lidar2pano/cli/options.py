@@ -1,4 +1,4 @@
-"""Options and arguments that commands share, the parsers of their texts, and checks of files that they name."""
+"""Common options and arguments of commands, the parsers of their texts, and checks of named files."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def check_file(path: Path, option: str) -> None:
 
 
 def write_json(path: Path, value: Any, option: str) -> None:  # noqa: ANN401
-    """Write `value` as JSON, beside and then renamed; InputError if that cannot be done."""
+    """Write `value` as JSON, beside and then renamed; InputError for an unwritable file."""
     from lidar2pano.formats.image_files import write_whole
 
     text = json.dumps(value, indent=2, allow_nan=False) + "\n"

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 NO_TEACHER = "none"
 OPTIONS = {".label": "--labels-folder", ".png": "--camera-labels-folder"}
-TAKEN = ("velodyne", "image_2", "image_3", "calib", "pano")  # folders of a sequence that hold something else
+TAKEN = ("velodyne", "image_2", "image_3", "calib", "pano")  # folders of a sequence with other contents
 
 
 @app.command()

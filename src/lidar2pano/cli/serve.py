@@ -50,7 +50,7 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
     pipeline = options.pipeline()
     print_licence(pipeline.cards.values())
     translator = UploadTranslator(pipeline=pipeline, weights=weights, most_points=limits.points)
-    hosts = list(LOOPBACK) if host in LOOPBACK else None  # a page elsewhere may have a name that leads here
+    hosts = list(LOOPBACK) if host in LOOPBACK else None  # a page elsewhere may have a name for this machine
     application = create_application(translator, limits, hosts)
     config = uvicorn.Config(application, log_level="warning", server_header=False, limit_concurrency=1000)
     name, bound = listening.getsockname()[:2]

@@ -13,7 +13,7 @@ from lidar2pano.cli.app import app
 
 @app.command()
 def demo(out: opt.OutOption = opt.OUT, weights: opt.WeightsOption = "world", device: opt.DeviceOption = "auto") -> None:
-    """Turn the scan that ships with the package into a panorama; say where the pictures are."""
+    """Turn the scan in the package into a panorama; print the pictures' paths."""
     from lidar2pano.cli.batch import checked_options, translate_files
     from lidar2pano.demo import street
     from lidar2pano.panorama import OUTPUTS

@@ -31,7 +31,7 @@ class DriveMotion:
     """
 
     def __init__(self, recorded: SensorMotion | None, origin: str, estimate: bool) -> None:
-        """Estimate a motion that is not recorded, if `estimate`; InputError if KISS-ICP is missing then."""
+        """Estimate an unrecorded motion, if `estimate`; InputError if KISS-ICP is missing then."""
         self._recorded = recorded
         self._estimated: Any = odometry() if recorded is None and estimate else None
         self._stamp_s: float | None = None
@@ -90,7 +90,7 @@ def motion_of(
 
     stream    a recording, or a folder of scan files.
     estimate  whether poses are wanted: they are estimated unless recorded. Otherwise motion is of use only for points
-              with times, in a recording that holds poses.
+              with times, in a recording with poses.
     Raises InputError for damaged poses, and without recorded ones if KISS-ICP is missing.
     """
     if recording_reader(stream):

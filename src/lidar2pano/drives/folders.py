@@ -16,7 +16,7 @@ from lidar2pano.panorama import STEM_ENDINGS
 from lidar2pano.recordings.recorded_scans import ENDINGS, METADATA, none_within
 
 TIMES = ("times.txt", "timestamps.txt", "timestamps.json")  # KITTI odometry, KITTI raw, PandaSet
-UNIT_S = {19: 1e-9, 18: 1e-9, 16: 1e-6}  # digits of a name that is a time since the epoch -> its unit
+UNIT_S = {19: 1e-9, 18: 1e-9, 16: 1e-6}  # digits of a name, a time since the epoch -> its unit
 
 
 def drive_files(path: Path, options: ReadOptions) -> list[Path]:
@@ -38,7 +38,7 @@ def drive_files(path: Path, options: ReadOptions) -> list[Path]:
 
 
 def select_files(files: Sequence[Path], options: ReadOptions) -> list[Path]:
-    """Return the scan files of one folder that lie between --from and --to, and of these one of --every."""
+    """Return the scan files of one folder between --from and --to, and of these one of --every."""
     files = list(files)
     if files and (options.start_s is not None or options.end_s is not None):
         folder, stamps_s = files[0].parent, times(files)
@@ -57,7 +57,7 @@ def select_files(files: Sequence[Path], options: ReadOptions) -> list[Path]:
 def times(files: Sequence[Path]) -> list[float] | None:
     """Return when the scans of one folder were taken, seconds: by a list of times beside them, or by their names.
 
-    None without either. Raises InputError for a list that is damaged or too short.
+    None without either. Raises InputError for a damaged or too short list.
     """
     folder = files[0].parent
     for path in (place / name for place in (folder, folder.parent) for name in TIMES):
@@ -70,7 +70,7 @@ def times(files: Sequence[Path]) -> list[float] | None:
 
 
 def _listed_times(path: Path, files: Sequence[Path]) -> list[float]:
-    """Return the line of a file of times that each scan's number names, from 0; the n-th for scans without numbers."""
+    """Return each scan's line of a file of times: by its number, from 0; the n-th for scans without numbers."""
     try:
         lines = read_json(path) if path.suffix == ".json" else read_text(path).split("\n")
         stamps_s = [_seconds(line) for line in lines if str(line).strip()]
@@ -118,5 +118,5 @@ def output_stems(files: Sequence[Path]) -> dict[Path, str]:
 
 
 def _without_velodyne(parts: tuple[str, ...]) -> tuple[str, ...]:
-    """Return a path's parts without the folder that every sequence has."""
+    """Return a path's parts without the folder of every sequence."""
     return tuple(part for part in parts[:-1] if part != "velodyne") + parts[-1:]

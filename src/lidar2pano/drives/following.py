@@ -1,4 +1,4 @@
-"""A growing folder: the scans that a recorder writes into it, as soon as each is complete."""
+"""A growing folder: the scans of a recorder, as soon as each is complete."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def check_followed(paths: Sequence[Path], selection: ReadOptions) -> Path:
 def follow_folder(folder: Path, selection: ReadOptions, stopped: threading.Event) -> Iterator[ScanSource]:
     """Yield the scans of a folder as they are completed, in order of their names, until `stopped` is set.
 
-    A file that changes later is taken again; an unreadable one fails after GIVE_UP_S only.
+    A later change of a file takes it again; an unreadable one fails after GIVE_UP_S only.
     """
     taken: dict[Path, Version] = {}
     first_look: dict[Path, tuple[Version, float]] = {}
-    owner: dict[str, Path] = {}  # of a stem: the first file that has it
+    owner: dict[str, Path] = {}  # of a stem: its first file
     arrived = 0
     while not stopped.is_set():
         for file, version, age_s in _settled_files(folder, taken, first_look):
@@ -59,7 +59,7 @@ def follow_folder(folder: Path, selection: ReadOptions, stopped: threading.Event
 def _settled_files(
     folder: Path, taken: dict[Path, Version], first_look: dict[Path, tuple[Version, float]]
 ) -> list[tuple[Path, Version, float]]:
-    """List files that are complete and not taken in this version: path, version, seconds since the last change.
+    """List complete files, not taken in this version: path, version, seconds since the last change.
 
     first_look  when each version of a file was first seen, by our own clock: a file server's may be ahead of it.
     """

@@ -215,10 +215,10 @@ def scans(
 ) -> Iterator[Scan]:
     """Yield the scans of a file, a folder or a recording one at a time, those of one stream read alike.
 
-    topic           of a recording that has several topics of points; "" for the only one.
+    topic           of a recording with several topics of points; "" for the only one.
     every           one of so many scans of a recording or folder.
     start_s, end_s  seconds after the start of the recording or folder; the end is not included.
-    Raises InputError for a path or scan that cannot be read.
+    Raises InputError for an unreadable path or scan.
     """
     selection = ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)
     options = ReadingOptions(selection=selection, overrides=overrides or Overrides(), motion=False)

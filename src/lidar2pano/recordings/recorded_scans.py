@@ -258,8 +258,8 @@ def read(source: Any, overrides: Overrides | None = None) -> Scan:  # noqa: ANN4
 
     source     path of a file of a known format, whatever its name; of a recording the first scan is read; or an array
                (N, 3 or more) of x y z [intensity [ring]]; or a cloud of Open3D or PyVista; or a PointCloud2 of ROS.
-    overrides  facts that are not to be found out; None: everything is found out.
-    Raises InputError for a file that is missing, of no known format or damaged, and for anything but a single sweep.
+    overrides  known facts; None: everything is found out.
+    Raises InputError for a missing or damaged file, an unknown format, and for anything but a single sweep.
     """
     if isinstance(source, str | Path) and (reader := recording_reader(Path(source))):
         cloud = next(reader.clouds(Path(source), ReadOptions()))

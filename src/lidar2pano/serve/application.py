@@ -39,7 +39,7 @@ HEADERS = {
 
 
 def create_application(translator: UploadTranslator, limits: Limits, hosts: list[str] | None = None) -> Starlette:
-    """Return the application, with one worker that ends with it.
+    """Return the application, with one worker of the same life.
 
     hosts  names allowed in the header Host; None: any.
     """
@@ -203,7 +203,7 @@ class Service:
         return JSONResponse(content, headers=HEADERS)
 
     async def result(self, request: Request) -> Response:
-        """GET /results/NAME/PART: an output that a JSON answer links to."""
+        """GET /results/NAME/PART: an output linked by a JSON answer."""
         kept, part = self.kept.get(request.path_params["name"]), request.path_params["part"]
         if kept is None or part not in kept.files:
             raise HTTPException(404, "no such result, or no longer; send the scan again")
@@ -238,7 +238,7 @@ async def _disconnected(request: Request) -> None:
 
 
 def _forgotten(future: asyncio.Future[Any]) -> None:
-    """Take a result without a waiter, so that asyncio does not complain."""
+    """Take a result without a waiter, to keep asyncio silent."""
     if not future.cancelled():
         future.exception()
 

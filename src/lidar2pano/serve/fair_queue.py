@@ -1,4 +1,4 @@
-"""A queue with one worker thread that serves its clients in turn."""
+"""A queue with one worker thread for its clients in turn."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 
 
 class FairQueue:
-    """Calls that wait for one thread. Clients take turns; the calls of one client keep their order.
+    """Calls waiting for one thread. Clients take turns; the calls of one client keep their order.
 
-    A call that is cancelled before it starts is never made.
+    A call cancelled before its start is never made.
     """
 
     def __init__(self) -> None:
@@ -40,7 +40,7 @@ class FairQueue:
         self._thread.join()
 
     def _next(self) -> tuple[Future[Any], Callable[[], Any]] | None:
-        """Return the first call of the next client, and put that client behind all others; None at the end."""
+        """Return the first call of the next client, and put the client behind all others; None at the end."""
         with self._changed:
             while not self._waiting and not self._closed:
                 self._changed.wait()

@@ -37,9 +37,9 @@ class Limits:
     """Bounds of a server.
 
     body_bytes  of one request;  points: of one scan.
-    waiting     requests that are taken and not answered yet; one more is refused with 429.
+    waiting     requests taken and not answered yet; one more is refused with 429.
     seconds     from a request to its answer;  upload_seconds: until its body is there.
-    kept        results that links point to; kept_seconds: for how long.
+    kept        results behind links; kept_seconds: for how long.
     """
 
     body_bytes: int = 64 << 20
@@ -74,7 +74,7 @@ class Result:
 
 
 class KeptResults:
-    """Results under names that cannot be guessed; the oldest goes when there are too many or it is too old."""
+    """Results under unguessable names; the oldest goes when there are too many or it is too old."""
 
     def __init__(self, limits: Limits, clock: Callable[[], float] = time.monotonic) -> None:
         self._limits, self._clock = limits, clock
@@ -111,8 +111,8 @@ class UploadTranslator:
     def __call__(self, body: bytes, ending: str, save: tuple[str, ...]) -> Result:
         """Return the outputs `save` of a scan file's bytes.
 
-        ending  of the file's name, used for content that no reader is sure of, and only if it is known.
-        Raises InputError for a scan that cannot be used.
+        ending  of the file's name, used for ambiguous content, and only if it is known.
+        Raises InputError for an unusable scan.
         """
         with tempfile.TemporaryDirectory(prefix="lidar2pano-") as name:
             path = Path(name, f"scan{known_ending(ending)}")
@@ -171,7 +171,7 @@ def known_ending(name: str) -> str:
 
 
 def parse_parts(text: str) -> tuple[str, ...]:
-    """Return the outputs that a request names, in the order of FILES; InputError for an unknown name."""
+    """Return the outputs named by a request, in the order of FILES; InputError for an unknown name."""
     names = {name.strip() for name in text.split(",") if name.strip()}
     if not names or not names <= {*FILES, "all"}:
         raise InputError(f"save: name some of {', '.join(FILES)}, or all (but the page)")

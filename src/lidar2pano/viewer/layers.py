@@ -1,4 +1,4 @@
-"""The layers of a panorama as images that browsers decode, and its points in a few bytes each."""
+"""The layers of a panorama as images for browsers, and its points in a few bytes each."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from PIL import Image
 
 NEAREST_M, FARTHEST_M = 1.0, 256.0  # depths of the codes 1 and 255; equal steps of the logarithm, 2.2 % each
 STEPS = 254
-CONFIDENCE_STEPS = 20  # of 5 %: finer ones would be noise that no coding makes small
+CONFIDENCE_STEPS = 20  # of 5 %: finer ones would be noise, and large in any coding
 CENTIMETRE = 0.01  # of point coordinates: they reach 327 m
 FEW_FRAMES = 4  # so many are coded exactly
-MOST_FRAMES = 60  # more than that, and every image is coarser
+MOST_FRAMES = 60  # on a page with more, every image is coarser
 MANY_POINTS = 3000  # of a scan, on a page with more than MOST_FRAMES
 MOST_POINTS = 1_200_000  # of a page with fewer: those of ten scans
 
@@ -36,7 +36,7 @@ class Coding:
 
 
 def coding_for(frames: int) -> Coding:
-    """Return the coding of a page with so many frames: exact for few; such that 300 frames are about 30 MB."""
+    """Return the coding of a page with so many frames: exact for few; about 30 MB for 300 frames."""
     if frames > MOST_FRAMES:
         return Coding(quality=65, coarser=2, depth_coarser=4, points=MANY_POINTS)
     points = MOST_POINTS // max(frames, 1)
@@ -73,7 +73,7 @@ def confidence_image(confidence: np.ndarray, coding: Coding) -> tuple[bytes, str
 def depth_codes(depth_m: np.ndarray) -> np.ndarray:
     """Return codes uint8 of depths in metres: 0 = none, 1 = NEAREST_M, 255 = FARTHEST_M, equal steps of the logarithm.
 
-    Depths outside of that range take its ends.
+    Depths out of range take its ends.
     """
     inside = np.clip(depth_m, NEAREST_M, FARTHEST_M, dtype=np.float64)
     steps = np.round(np.log(inside / NEAREST_M) * (STEPS / np.log(FARTHEST_M / NEAREST_M)))

@@ -53,19 +53,19 @@ class OutputFiles:
 
 
 class Output(Protocol):
-    """A file that is made of all panoramas of a run."""
+    """A file about all panoramas of a run."""
 
     def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
         """Take the next panorama, its scan, the scan's file or recording, and its name among all.
 
-        Raises InputError if that cannot be done.
+        Raises InputError for a file that cannot be written.
         """
 
     def finish(self) -> Path | None:
         """Write the file, complete or not at all, and return its path; None if no panorama was added."""
 
     def close(self) -> None:
-        """Remove everything that was kept until the file is written."""
+        """Remove everything kept for the file."""
 
 
 class PageOutput:
@@ -86,7 +86,7 @@ class PageOutput:
 
 
 class _GrowingFile:
-    """A file that a library writes, in a temporary folder until it is complete.  frames: number of panoramas in it."""
+    """A library's file, in a temporary folder until it is complete.  frames: number of panoramas in it."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.frames = path, 0
@@ -135,7 +135,7 @@ class VideoOutput(_GrowingFile):
         self.frames += 1
 
     def end(self) -> None:
-        """Write the frames that the coder still has."""
+        """Write the frames left in the coder."""
         if self._stream is not None:
             self._container.mux(self._stream.encode())
         self._container.close()

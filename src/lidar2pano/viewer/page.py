@@ -1,4 +1,4 @@
-"""PageWriter: panoramas in, one HTML file out that needs nothing else; names in it are escaped."""
+"""PageWriter: panoramas in, one self-contained HTML file out; names in it are escaped."""
 
 from __future__ import annotations
 
@@ -233,12 +233,12 @@ def _ramp(stops: tuple[tuple[int, int, int], ...], steps: int) -> list[list[int]
 
 
 def _hash(text: str) -> str:
-    """Return the source of a content security policy that allows this text and nothing else."""
+    """Return the source of a content security policy for this text alone."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 def _json(value: object) -> str:
-    """Return JSON in ASCII without characters that mean something in HTML."""
+    """Return JSON in ASCII without special characters of HTML."""
     text = json.dumps(value, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 

@@ -35,7 +35,7 @@ def panorama_files(path: Path) -> list[Path]:
 def read_frame(path: Path) -> PageFrame:
     """Read the panorama of an image, with its other outputs: .segments.png, .depth.png, .confidence.png, .ply.
 
-    Raises InputError for a damaged file, and for one that is no panorama.
+    Raises InputError for a damaged file and for any other image.
     """
     view = saved_view(path)
     segments, steps, levels = (_beside(path, f".{part}.png") for part in ("segments", "depth", "confidence"))
@@ -53,7 +53,7 @@ def read_frame(path: Path) -> PageFrame:
 def saved_view(path: Path) -> View:
     """Return the view of a panorama's file: as its text says; else the usual one of the same proportions.
 
-    Raises InputError for an image that is no panorama.
+    Raises InputError for any other image.
     """
     width, height = image_size(path)
     try:
