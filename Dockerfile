@@ -8,7 +8,7 @@ WORKDIR /build
 COPY pyproject.toml constraints.txt README.md LICENSE ./
 COPY src ./src
 RUN pip install --no-cache-dir --constraint constraints.txt --index-url https://download.pytorch.org/whl/cpu torch \
- && pip install --no-cache-dir --constraint constraints.txt '.[serve,fast,las,arrow,zstd,pcd]' \
+ && pip install --no-cache-dir --constraint constraints.txt '.[serve,fast,formats]' \
  && rm -rf /build/*
 
 RUN useradd --system --create-home --uid 10001 lidar2pano

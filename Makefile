@@ -1,4 +1,5 @@
-# Everything happens in a virtual environment of the checkout's own, .venv; the first target that needs it makes it.
+# Everything happens in a virtual environment of the checkout's own, .venv; the first target that needs it makes it, in two
+# stages: `make setup` installs what the demo needs, `make setup-dev` also all extras and what tests and documentation need.
 #   make demo     one scan in, a panorama out          make test    the whole test suite
 #   make lint     format, lint, types, spelling        make docs    the documentation, in site/
 #   make fuzz     mutants through every reader, SECONDS=3600
@@ -12,44 +13,50 @@ TORCH_INDEX ?=
 BIN := .venv/bin
 SOURCES := src tests runs docs examples
 
-.PHONY: setup demo test fuzz kills lint format docs dist clean
+.PHONY: setup setup-dev demo test fuzz kills lint format docs dist clean
 
 setup: .venv/.ready
+setup-dev: .venv/.ready-dev
 
 .venv/.ready: pyproject.toml constraints.txt
 	@command -v $(PYTHON) >/dev/null && $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "lidar2pano needs Python 3.11 or newer and '$(PYTHON)' is not; try: make PYTHON=python3.11" >&2; exit 1; }
 	test -x $(BIN)/pip || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[train,world,teachers,odometry,las,arrow,zstd,pcd,bags,pcap,fsspec,ray,serve,onnx,fast,video,rerun,docs,dev]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[fast]'
+	@touch $@
+
+.venv/.ready-dev: .venv/.ready
+	$(BIN)/python -m pip install --quiet 'pip>=25.1' # the first that knows dependency groups
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[all]' --group dev
 	@touch $@
 
 demo: setup
 	$(BIN)/lidar2pano demo
 
-test: setup
+test: setup-dev
 	$(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadscope
 
-fuzz: setup
+fuzz: setup-dev
 	$(BIN)/python tests/fuzz/campaign.py --replay --seconds $(or $(SECONDS),3600) --seed $(or $(SEED),0)
 
-kills: setup
+kills: setup-dev
 	$(BIN)/python -m pytest --kills $(or $(KILLS),20) tests/robustness/test_kills.py
 
-lint: setup
+lint: setup-dev
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/pyright
 	$(BIN)/codespell
 
-format: setup
+format: setup-dev
 	$(BIN)/ruff format $(SOURCES)
 	$(BIN)/ruff check --fix $(SOURCES)
 
-docs: setup
+docs: setup-dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
-dist: setup
+dist: setup-dev
 	rm -rf dist
 	$(BIN)/hatchling build -t sdist
 	$(BIN)/pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist dist/*.tar.gz

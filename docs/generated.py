@@ -266,7 +266,10 @@ def published() -> str:
 def extras() -> str:
     """Return the optional dependencies, from pyproject.toml."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    rows = ([f"`{name}`", ", ".join(packages)] for name, packages in project["optional-dependencies"].items())
+    rows = (
+        [f"`{name}`", "all of these" if name == "all" else ", ".join(packages)]
+        for name, packages in project["optional-dependencies"].items()
+    )
     return table(["extra", "packages"], rows)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
+pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordings'")
 
 from bulk_runs import assert_each_once, begin, contents, job_of, manifest, run
 from lidar2pano.bulk import Shard, entries
@@ -437,7 +437,7 @@ def test_real_files(tmp_path, capsys, name, count, error):
     if not path.exists():
         pytest.skip("the real files are not here")
     if path.suffix == ".pcap":
-        pytest.importorskip("velodyne_decoder", reason="packet captures are read by the extra 'pcap'")
+        pytest.importorskip("velodyne_decoder", reason="packet captures are read by the extra 'recordings'")
     code = run(job_of(path.parent, tmp_path / "out"), only=name)
     lines = manifest(tmp_path / "out")
     if error:

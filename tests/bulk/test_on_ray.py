@@ -29,7 +29,7 @@ def processes(out: Path) -> set[int]:
 
 
 def test_a_killed_worker_loses_nothing(tmp_path):
-    pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
+    pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordings'")
     from miniature_recordings import START_NS, STEP_NS, points
     from miniature_recordings import write as write_recording
 

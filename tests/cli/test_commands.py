@@ -246,7 +246,7 @@ def test_without_poses_they_are_estimated(here, translate, monkeypatch):
     write_scan(here / "a" / "1.bin")
     monkeypatch.setitem(sys.modules, "kiss_icp.config", None)
     code, _, err = translate("a", "--steady")
-    assert code == 2 and "poses.txt" in err and "lidar2pano[odometry]" in err
+    assert code == 2 and "poses.txt" in err and "lidar2pano[recordings]" in err
 
 
 def test_a_sensor_is_used(here, translate, monkeypatch):

@@ -324,17 +324,16 @@ def test_training_needs_a_folder(data, message):
 
 
 def test_a_missing_extra_is_named(data, message, monkeypatch):
-    monkeypatch.setitem(sys.modules, "lightning.fabric", None)
-    monkeypatch.setitem(sys.modules, "lightning", None)
+    monkeypatch.setitem(sys.modules, "lightning_fabric", None)
     monkeypatch.delitem(sys.modules, "lidar2pano.train.engine", raising=False)
     said = message("salsanext --data data --out run")
-    assert said == "this command needs lightning: pip install 'lidar2pano[train]'\n"
+    assert said == "this command needs lightning_fabric: pip install 'lidar2pano[train]'\n"
 
 
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ("--engine onnx", "engine onnx needs the extra 'onnx': pip install 'lidar2pano[onnx]'"),
+        ("--engine onnx", "engine onnx needs the extra 'export': pip install 'lidar2pano[export]'"),
         ("--engine openvino", "engine openvino needs the extra 'fast': pip install 'lidar2pano[fast]'"),
         ("--engine onyx", "no engine 'onyx'; did you mean 'onnx'?"),
         ("--format tiff", "--format 'tiff': no format for colour images; there is jpeg, png, webp"),

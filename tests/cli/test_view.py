@@ -136,7 +136,9 @@ def test_json_stays_one_line_per_scan(here, run, opened):
     assert json.loads(line)["outputs"] == ["panoramas/a.png", "panoramas/a.ply"]
 
 
-@pytest.mark.parametrize(("option", "extra", "module"), [("--video", "video", "av"), ("--rerun", "rerun", "rerun")])
+@pytest.mark.parametrize(
+    ("option", "extra", "module"), [("--video", "recordings", "av"), ("--rerun", "recordings", "rerun")]
+)
 def test_mistakes_are_found_before_the_work(here, run, monkeypatch, option, extra, module):
     write_scan(here / "a.bin")
     code, _, err = run("translate", "a.bin", option, ".")

@@ -47,7 +47,7 @@ def around(tmp_path_factory):
 
 @pytest.fixture
 def _opencv():
-    pytest.importorskip("cv2", reason="flow between pictures needs opencv: pip install 'lidar2pano[flow]'")
+    pytest.importorskip("cv2", reason="flow between pictures needs opencv: pip install 'lidar2pano[train]'")
 
 
 def gap(clip: ClipSample, shift: torch.Tensor, *, circular: bool = False) -> float:
@@ -283,7 +283,7 @@ def test_a_missing_panorama_is_named(video):
 
 
 def test_real_frames_of_a_drive(kitti_mini):
-    pytest.importorskip("cv2", reason="flow between pictures needs opencv: pip install 'lidar2pano[flow]'")
+    pytest.importorskip("cv2", reason="flow between pictures needs opencv: pip install 'lidar2pano[train]'")
     clips = ClipDataset(kitti_mini, ("drive",), Framing(rows=128, columns=384, scale=0.5), 3)
     assert len(clips) == 10
     clip = clips[4]

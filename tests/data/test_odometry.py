@@ -26,7 +26,7 @@ def room(pose):
 
 
 def test_motion_is_estimated_from_scans(tmp_path):
-    pytest.importorskip("kiss_icp", reason="poses are estimated by KISS-ICP: pip install 'lidar2pano[odometry]'")
+    pytest.importorskip("kiss_icp", reason="poses are estimated by KISS-ICP: pip install 'lidar2pano[recordings]'")
     poses, found = Poses(tmp_path / "scans"), []
     for number in range(8):
         pose, angle = np.eye(4), 0.01 * number
@@ -42,7 +42,7 @@ def test_motion_is_estimated_from_scans(tmp_path):
 
 
 def test_a_real_drive_goes_ahead(kitti_mini):
-    pytest.importorskip("kiss_icp", reason="poses are estimated by KISS-ICP: pip install 'lidar2pano[odometry]'")
+    pytest.importorskip("kiss_icp", reason="poses are estimated by KISS-ICP: pip install 'lidar2pano[recordings]'")
     drive = frames(kitti_mini, "drive")
     poses = Poses(drive[0].folder / "velodyne")
     found = [poses.of(frame.folder / "velodyne" / f"{frame.stem}.bin", frame.scan) for frame in drive]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
+pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordings'")
 
 import lidar2pano
 from lidar2pano.drives.drive_motion import CITY_COLUMNS, CITY_POSES, DriveMotion, T_scan_cloud, city_motion
@@ -93,7 +93,7 @@ def test_an_estimated_motion_deskews_the_next_scan():
 
 
 def write_city(root, rows):
-    feather = pytest.importorskip("pyarrow.feather", reason="Argoverse is read by the extra 'arrow'")
+    feather = pytest.importorskip("pyarrow.feather", reason="Argoverse is read by the extra 'formats'")
     import pyarrow
 
     folder = root / "log" / "sensors" / "lidar"

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
+pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordings'")
 
 import lidar2pano
 from lidar2pano.drives.folders import drive_files, times

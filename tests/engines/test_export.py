@@ -124,7 +124,7 @@ def test_what_cannot_be_exported(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("lidar2pano.engines.selection._is_installed", lambda module: module != "onnxscript")
     assert main(["export", "world", "--onnx", str(tmp_path / "graphs")]) == 2
     said = capsys.readouterr().err
-    assert said == "lidar2pano: the export needs the extra 'onnx': pip install 'lidar2pano[onnx]'\n"
+    assert said == "lidar2pano: the export needs the extra 'export': pip install 'lidar2pano[export]'\n"
     assert not (tmp_path / "graphs").exists()
 
 

@@ -184,9 +184,9 @@ def test_the_command_line_says_one_line(tmp_path, capsys, command, name):
 @pytest.mark.parametrize(
     ("name", "module", "extra"),
     [
-        ("packed.laz", "laspy", "las"),
-        ("argoverse.feather", "pyarrow", "arrow"),
-        ("packed.bin.zst", "zstandard", "zstd"),
+        ("packed.laz", "laspy", "formats"),
+        ("argoverse.feather", "pyarrow", "formats"),
+        ("packed.bin.zst", "zstandard", "formats"),
     ],
 )
 def test_a_missing_extra_is_named(tmp_path, monkeypatch, name, module, extra):

@@ -314,7 +314,7 @@ def test_damaged_poses_are_named(tmp_path, content, message):
 
 
 def test_flow_between_images():
-    pytest.importorskip("cv2", reason="flow between pictures needs opencv: pip install 'lidar2pano[flow]'")
+    pytest.importorskip("cv2", reason="flow between pictures needs opencv: pip install 'lidar2pano[train]'")
     from lidar2pano.data.clips import optical_flow
     from miniature_video import texture
 

@@ -123,7 +123,7 @@ def test_a_generator_gives_a_fake_per_loss_and_may_give_the_same(toys):
 
 @pytest.mark.parametrize("precision", ["32-true", "bf16-mixed"])
 def test_under_the_engine_that_trains(toys, precision):
-    fabric = pytest.importorskip("lightning.fabric").Fabric(accelerator="cpu", devices=1, precision=precision)
+    fabric = pytest.importorskip("lightning_fabric").Fabric(accelerator="cpu", devices=1, precision=precision)
     generator, critic, z, real, condition = toys
     bare = [{name: weight.clone() for name, weight in network.named_parameters()} for network in (generator, critic)]
     optimizers = {}

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("velodyne_decoder", reason="packet captures are read by the extra 'pcap'")
+pytest.importorskip("velodyne_decoder", reason="packet captures are read by the extra 'recordings'")
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions

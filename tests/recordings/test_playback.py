@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
+pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordings'")
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
@@ -66,7 +66,7 @@ def test_messages_of_one_time_keep_their_order(tmp_path, format):
 
 
 def test_a_capture_is_read_from_its_beginning():
-    pytest.importorskip("velodyne_decoder", reason="packet captures are read by the extra 'pcap'")
+    pytest.importorskip("velodyne_decoder", reason="packet captures are read by the extra 'recordings'")
     path = Path(__file__).resolve().parents[3] / "shared/realdata/formats/sample_velodyne_vlp16_gps.pcap"
     if not path.exists():
         pytest.skip("the real capture is not here")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-pytest.importorskip("rosbags", reason="recordings are read by the extra 'bags'")
+pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordings'")
 
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.recordings.recorded_scans import recorded_motion

@@ -49,14 +49,7 @@ MOST_FUNCTION_LINES, MOST_PARAMETERS = 60, 8
 # Where files may be called like others: by folder, and by file name.
 SAME_NAME = {
     "cli": "a command's file is called like the command",
-    "camera.py": "geometry/ has the look-ups of a pinhole camera, simulate/ renders one",
-    "draws.py": "train/ draws samples, simulate/ draws random numbers",
-    "figures.py": "evaluate/ has metric values, simulate/ people",
-    "front.py": "train/ trains what evaluate/ scores",
-    "materials.py": "prepare/ has files of a data set, simulate/ surfaces",
     "panorama.py": "the record, and the task that trains its translator",
-    "pix2pix.py": "train/ trains what models/ defines",
-    "report.py": "evaluate/ and reproduce/ write one each",
     "video.py": "losses/ has the losses of the task in train/",
     "world.py": "bench/ times what simulate/ defines",
 }
@@ -286,6 +279,12 @@ def repeated_names(source: Path) -> list[str]:
         if not path.stem.startswith("__") and not SAME_NAME.keys() & {path.parent.name, path.name}:
             places.setdefault(path.name, []).append(path.as_posix())
     return [f"{' and '.join(paths)} are called alike" for paths in places.values() if len(paths) > 1]
+
+
+def idle_exceptions(source: Path) -> list[str]:
+    """Files in SAME_NAME whose name no two files have any more."""
+    names = [path.name for path, _ in parsed(source)]
+    return [name for name in SAME_NAME if name.endswith(".py") and names.count(name) < 2]
 
 
 def second_builders(source: Path, networks: set[str]) -> list[str]:

@@ -40,7 +40,7 @@ def test_a_page(tmp_path):
 
 
 def test_a_video_has_all_frames_in_order(tmp_path):
-    av = pytest.importorskip("av", reason="the extra video")
+    av = pytest.importorskip("av", reason="an extra")
     with closing(VideoOutput(tmp_path / "a.mp4")) as output:
         for level in (20, 120, 220):
             around = small_panorama()
@@ -56,7 +56,7 @@ def test_a_video_has_all_frames_in_order(tmp_path):
 
 
 def test_a_recording_for_rerun(tmp_path):
-    pytest.importorskip("rerun", reason="the extra rerun")
+    pytest.importorskip("rerun", reason="an extra")
     path = run(RerunOutput(tmp_path / "a.rrd"), 2)
     assert path is not None and path.read_bytes()[:3] == b"RRF"
     assert [file.name for file in tmp_path.iterdir()] == ["a.rrd"]
@@ -64,7 +64,7 @@ def test_a_recording_for_rerun(tmp_path):
 
 @pytest.mark.parametrize(
     ("output", "module", "option", "extra"),
-    [(VideoOutput, "av", "--video", "video"), (RerunOutput, "rerun", "--rerun", "rerun")],
+    [(VideoOutput, "av", "--video", "recordings"), (RerunOutput, "rerun", "--rerun", "recordings")],
 )
 def test_a_missing_extra_is_one_line(tmp_path, monkeypatch, output, module, option, extra):
     monkeypatch.setitem(sys.modules, module, None)

@@ -40,11 +40,14 @@ class Terminated(KeyboardInterrupt):
 
 # module -> extra of the package that installs it
 EXTRAS = {
-    "lightning": "train",
-    "torchmetrics": "train",
+    "lightning_fabric": "train",
     "tensorboard": "train",
     "matplotlib": "train",
-    "fsspec": "fsspec",
+    "fsspec": "bulk",
+    "ray": "bulk",
+    "starlette": "serve",
+    "uvicorn": "serve",
+    "prometheus_client": "serve",
 }
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)

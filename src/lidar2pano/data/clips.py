@@ -245,7 +245,7 @@ def _dis(first: Tensor, second: Tensor) -> Tensor:
     try:
         import cv2
     except ModuleNotFoundError as error:
-        raise InputError("flow without poses.txt needs OpenCV: pip install 'lidar2pano[flow]'") from error
+        raise InputError("flow without poses.txt needs OpenCV: pip install 'lidar2pano[train]'") from error
     grey = [cv2.cvtColor(image.movedim(0, 2).numpy().copy(), cv2.COLOR_RGB2GRAY) for image in (first, second)]
     dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     return torch.from_numpy(dis.calc(grey[0], grey[1], None)).movedim(2, 0).contiguous()  # pyright: ignore[reportCallIssue, reportArgumentType]

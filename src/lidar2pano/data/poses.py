@@ -96,7 +96,7 @@ class Poses:
     """Poses of the scan files of one folder, requested in their order.
 
     A folder `velodyne` of a sequence with a poses.txt has them there. Of any other they are estimated scan after
-    scan by KISS-ICP (Vizzo et al. 2023; extra `odometry`); InputError if it is not, and if
+    scan by KISS-ICP (Vizzo et al. 2023; extra `recordings`); InputError if it is not, and if
     poses.txt or calib.txt is damaged.
     """
 
@@ -116,14 +116,14 @@ class Poses:
 
 
 def odometry() -> Any:  # noqa: ANN401 KISS-ICP has no types
-    """KISS-ICP, ready for the first scan; InputError if the extra `odometry` is not installed."""
+    """KISS-ICP, ready for the first scan; InputError if the extra `recordings` is not installed."""
     try:
         from kiss_icp.config import KISSConfig
         from kiss_icp.kiss_icp import KissICP
     except ImportError as error:
         raise InputError(
             "--steady needs the sensor's poses: write poses.txt beside velodyne/, or let them be estimated: "
-            "pip install 'lidar2pano[odometry]'"
+            "pip install 'lidar2pano[recordings]'"
         ) from error
     config = KISSConfig()
     config.data.max_range, config.data.deskew = FAR_M, False  # scans carry no times

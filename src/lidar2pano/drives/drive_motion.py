@@ -124,7 +124,7 @@ def T_scan_cloud(interpretation: Interpretation) -> np.ndarray:
 def city_motion(folder: Path) -> tuple[SensorMotion, str] | None:
     """Return the motion of the vehicle of an Argoverse 2 log with sweeps in `folder`; None for any other folder.
 
-    Raises InputError if the file of the poses is damaged, or pyarrow (extra `arrow`) is missing.
+    Raises InputError if the file of the poses is damaged, or pyarrow (extra `formats`) is missing.
     """
     path = folder.resolve().parent.parent / CITY_POSES
     if not path.is_file():
@@ -132,7 +132,7 @@ def city_motion(folder: Path) -> tuple[SensorMotion, str] | None:
     try:
         from pyarrow import feather
     except ImportError as error:
-        raise InputError(f"{path}: needs the extra 'arrow': pip install 'lidar2pano[arrow]'") from error
+        raise InputError(f"{path}: needs the extra 'formats': pip install 'lidar2pano[formats]'") from error
     try:
         table = feather.read_table(path, columns=list(CITY_COLUMNS))
         rows = np.stack([table[name].to_numpy() * (1e-9 if name == "timestamp_ns" else 1) for name in CITY_COLUMNS], 1)

@@ -197,7 +197,7 @@ def posed_scans(
 
     topic, every, start_s, end_s  choose scans as in `scans`;  overrides: as in `read`.
     A pose is None at times of unknown motion. Raises InputError as `scans`, for damaged poses, and without recorded
-    ones if KISS-ICP (extra `odometry`) is missing.
+    ones if KISS-ICP (extra `recordings`) is missing.
     """
     selection = ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)
     options = ReadingOptions(selection=selection, overrides=overrides or Overrides(), poses=True)

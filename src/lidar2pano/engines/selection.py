@@ -20,7 +20,7 @@ ENGINES = ("auto", "torch", "compile", "onnx", "openvino")
 VARIABLE = "LIDAR2PANO_ENGINE"  # what "auto" stands for, where it is set
 # engine -> extra that installs it, modules that it needs
 BUILDERS = {"onnx": OnnxRuntime, "openvino": OpenVino}
-EXTRAS = {"onnx": ("onnx", ("onnx", "onnxscript", "onnxruntime")), "openvino": ("fast", ("openvino",))}
+EXTRAS = {"onnx": ("export", ("onnx", "onnxscript", "onnxruntime")), "openvino": ("fast", ("openvino",))}
 
 
 def pick_engine(name: str, device: torch.device) -> str:

@@ -1,4 +1,4 @@
-"""Feather (Arrow IPC), as Argoverse 2 keeps its sweeps; through pyarrow (extra `arrow`)."""
+"""Feather (Arrow IPC), as Argoverse 2 keeps its sweeps; through pyarrow (extra `formats`)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
         import pyarrow as pa
         from pyarrow import ipc
     except ModuleNotFoundError:
-        raise InputError(f"{path}: needs the extra 'arrow': pip install 'lidar2pano[arrow]'") from None
+        raise InputError(f"{path}: needs the extra 'formats': pip install 'lidar2pano[formats]'") from None
     try:
         with ipc.open_file(pa.BufferReader(data)) as reader:
             fields = [

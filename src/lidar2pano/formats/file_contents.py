@@ -112,7 +112,7 @@ def _zstd_stream(path: Path, file: io.FileIO) -> Inflater:
     try:
         from zstandard import ZstdDecompressor
     except ModuleNotFoundError:
-        raise InputError(f"{path}: needs the extra 'zstd': pip install 'lidar2pano[zstd]'") from None
+        raise InputError(f"{path}: needs the extra 'formats': pip install 'lidar2pano[formats]'") from None
     return ZstdDecompressor(max_window_size=1 << 27).stream_reader(file, read_across_frames=True)
 
 

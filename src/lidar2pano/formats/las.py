@@ -1,4 +1,4 @@
-"""LAS and LAZ, through laspy with lazrs (extra `las`)."""
+"""LAS and LAZ, through laspy with lazrs (extra `formats`)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
         import laspy
         import lazrs  # noqa: F401 laspy takes it for LAZ
     except ModuleNotFoundError:
-        raise InputError(f"{path}: needs the extra 'las': pip install 'lidar2pano[las]'") from None
+        raise InputError(f"{path}: needs the extra 'formats': pip install 'lidar2pano[formats]'") from None
     try:
         _check_records(data)
         with laspy.open(io.BytesIO(data), closefd=False, laz_backend=laspy.LazBackend.Lazrs) as reader:

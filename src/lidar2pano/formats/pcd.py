@@ -1,7 +1,7 @@
 """PCD, the format of PCL: ascii, binary, binary_compressed; any field types, padding, organised clouds.
 
-Compressed data are LZF: by python-neo-lzf (extra `pcd`) where it is installed, else in Python. A packet begins with one
-byte: below 32 it is followed by so many plus one literal bytes; otherwise its upper three bits are a length (7: a
+Compressed data are LZF: by python-neo-lzf (extra `formats`) where it is installed, else in Python. A packet begins with
+one byte: below 32 it is followed by so many plus one literal bytes; otherwise its upper three bits are a length (7: a
 further byte is added) and the lower five with the next byte a distance to copy from.
 """
 

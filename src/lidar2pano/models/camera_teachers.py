@@ -239,7 +239,7 @@ def _transformers() -> Any:  # noqa: ANN401
     try:
         import transformers
     except ModuleNotFoundError as error:
-        raise InputError("this teacher needs transformers: pip install 'lidar2pano[teachers]'") from error
+        raise InputError("this teacher needs transformers: pip install 'lidar2pano[train]'") from error
     return transformers
 
 

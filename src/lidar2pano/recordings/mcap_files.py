@@ -1,4 +1,4 @@
-"""MCAP files of both ROS profiles, with or without an index: read with mcap (extra `bags`)."""
+"""MCAP files of both ROS profiles, with or without an index: read with mcap (extra `recordings`)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class McapFile:
 
             deserializer(CDR)
         except ImportError as error:
-            raise missing_extra(path, "bags") from error
+            raise missing_extra(path, "recordings") from error
         self._file = path.open("rb")
         self._size = path.stat().st_size
         self._channels, self._schemas = dict[int, Any](), dict[int, Any]()

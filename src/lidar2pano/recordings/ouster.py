@@ -1,6 +1,6 @@
 """Ouster captures (.pcap with its metadata .json) and .osf files, by ouster-sdk if installed.
 
-ouster-sdk pins old versions of libraries of the extra `bags`; therefore no extra of this package installs it.
+ouster-sdk pins old versions of libraries of the extra `recordings`; therefore no extra of this package installs it.
 """
 
 from __future__ import annotations

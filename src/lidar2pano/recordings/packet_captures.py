@@ -1,4 +1,4 @@
-"""Packet captures (.pcap, .pcapng) of Velodyne sensors, decoded with velodyne-decoder (extra `pcap`)."""
+"""Packet captures (.pcap, .pcapng) of Velodyne sensors, decoded with velodyne-decoder (extra `recordings`)."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class PacketCapture:
         try:
             import velodyne_decoder
         except ImportError as error:
-            raise missing_extra(self.path, "pcap") from error
+            raise missing_extra(self.path, "recordings") from error
         with damage(self.path, "its model may be unknown to velodyne-decoder"):
             decoder = velodyne_decoder.StreamDecoder(self._configuration(velodyne_decoder))
             for packet in packets(self.path):
@@ -124,7 +124,7 @@ def _newer(path: Path) -> Iterator[Packet]:
     try:
         import dpkt.pcapng
     except ImportError as error:
-        raise missing_extra(path, "pcap") from error
+        raise missing_extra(path, "recordings") from error
     with path.open("rb") as file:
         for stamp_s, frame in dpkt.pcapng.Reader(file):
             yield Packet(stamp_s, bytes(frame))

@@ -1,4 +1,4 @@
-"""ROS 1 bags, and ROS 2 bags in SQLite (.db3) or as a folder with metadata.yaml: read with rosbags (extra `bags`)."""
+"""ROS 1 bags, and ROS 2 bags in SQLite (.db3) or as a folder with metadata.yaml: read with rosbags (extra `recordings`)."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class RosBag:
         try:
             self._decode = deserializer(encoding)
         except ImportError as error:
-            raise missing_extra(path, "bags") from error
+            raise missing_extra(path, "recordings") from error
         with damage(path, repair):
             self._reader = open(path)
             self._connections = list(self._reader.connections)

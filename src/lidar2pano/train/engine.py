@@ -56,14 +56,13 @@ from lidar2pano.train.task import Task
 from lidar2pano.train.tasks import build_task
 
 try:
-    from lightning.fabric import Fabric
-    from lightning.fabric.plugins.precision import MixedPrecision, Precision
-    from lightning.fabric.strategies.ddp import DDPStrategy
+    from lightning_fabric import Fabric
+    from lightning_fabric.plugins.precision import MixedPrecision, Precision
+    from lightning_fabric.strategies.ddp import DDPStrategy
 except ModuleNotFoundError as error:
-    raise ModuleNotFoundError("training needs lightning: pip install 'lidar2pano[train]'") from error
+    raise ModuleNotFoundError("training needs lightning_fabric: pip install 'lidar2pano[train]'") from error
 
-for _library in ("lightning.fabric", "lightning.pytorch"):  # their remarks are no messages for users
-    logging.getLogger(_library).setLevel(logging.ERROR)
+logging.getLogger("lightning_fabric").setLevel(logging.ERROR)  # its remarks are no messages for users
 
 LAST = ("", torch.zeros(()))  # what follows a task's last update
 VALIDATION_LIMIT = timedelta(hours=2)  # the other processes wait at most this long for the one that validates

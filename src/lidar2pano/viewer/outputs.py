@@ -112,7 +112,7 @@ class VideoOutput(_GrowingFile):
     """A video (MP4, H.264) of the panoramas, ten a second."""
 
     def __init__(self, path: Path) -> None:
-        av = _extra("av", "--video", "video")
+        av = _extra("av", "--video", "recordings")
         super().__init__(path)
         self._to_frame = av.VideoFrame.from_ndarray
         self._container = av.open(str(self.part), "w", format="mp4")
@@ -146,7 +146,7 @@ class RerunOutput(_GrowingFile):
     """A recording for Rerun (rerun.io): points, panorama, classes and depth over time."""
 
     def __init__(self, path: Path) -> None:
-        self._rerun = _extra("rerun", "--rerun", "rerun")
+        self._rerun = _extra("rerun", "--rerun", "recordings")
         super().__init__(path)
         self._log = self._rerun.RecordingStream("lidar2pano", recording_id=path.stem)
         self._log.save(str(self.part))
