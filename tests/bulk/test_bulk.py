@@ -16,8 +16,8 @@ import torch
 
 from bulk_runs import SCANS, assert_each_once, begin, contents, job_of, manifest, run
 from lidar2pano.bulk import Entry, ScanKey, Shard, entries
+from lidar2pano.bulk.data_set import grow
 from lidar2pano.bulk.entries import SEMANTIC_KITTI
-from lidar2pano.bulk.instances import grow
 from lidar2pano.bulk.stores import SCRATCH, open_store
 from lidar2pano.cli.bulk import BAD_SCANS, TERMINATED
 from lidar2pano.data.layouts import frames

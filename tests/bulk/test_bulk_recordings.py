@@ -17,8 +17,8 @@ pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordi
 
 from bulk_runs import assert_each_once, begin, contents, job_of, manifest, run
 from lidar2pano.bulk import Shard, entries
+from lidar2pano.bulk.data_set import untimed, write_times
 from lidar2pano.bulk.entries import SEMANTIC_KITTI
-from lidar2pano.bulk.recorded_times import untimed, write_times
 from lidar2pano.bulk.scan_reading import ScanReading
 from lidar2pano.bulk.stores import SCRATCH, Folder, open_store
 from lidar2pano.cli import main

@@ -1,14 +1,17 @@
-"""Scans of a bulk run: their keys, the names of their outputs, and their division into shards."""
+"""A bulk run: its settings; the keys of its scans, the names of their outputs, their division into shards."""
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats.image_files import COLOUR_FORMATS
+from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.pipeline import Pipeline
 
 MIRRORED, SEMANTIC_KITTI = "", "semantickitti"  # layouts
 LAYOUTS = (MIRRORED, SEMANTIC_KITTI)
@@ -73,6 +76,35 @@ class Entry:
         frame = number or self.stem.rpartition("/")[2]
         parts = (*save, *(["instances"] if self.label else []), *(["scan"] if number else []))
         return {part: f"sequences/{self.sequence}/{IN_SEQUENCE[part].format(frame)}" for part in parts}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """Settings of a bulk run, the same for every scan. They can be pickled, to be sent to other processes.
+
+    source, out  folder or URL of the scans, and of the panoramas.
+    save         of OUTPUTS, in that order.
+    layout       of LAYOUTS.
+    use_labels   whether a scan's own labels take the place of the segmenter's.
+    weights      name, for the manifest.
+    pipeline     makes the pipeline, once per process.
+    image_format  of colour images, one of COLOUR_FORMATS.
+    selection    which scans of recordings and folders; here the topic counts.
+    """
+
+    source: str
+    out: str
+    save: tuple[str, ...]
+    weights: str
+    pipeline: Callable[[], Pipeline]
+    layout: str = MIRRORED
+    use_labels: bool = False
+    image_format: str = "png"
+    selection: ReadOptions = field(default_factory=ReadOptions)
+
+    def outputs(self, entry: Entry) -> dict[str, str]:
+        """Return the names of a scan's outputs below `out`, by output."""
+        return entry.outputs(self.save, self.layout, COLOUR_FORMATS[self.image_format][0])
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import takewhile
 from pathlib import Path
@@ -16,54 +16,23 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from lidar2pano.bulk.entries import MIRRORED, SEMANTIC_KITTI, Entry
-from lidar2pano.bulk.instances import instance_raster
+from lidar2pano.bulk.data_set import instance_raster
+from lidar2pano.bulk.entries import SEMANTIC_KITTI, Entry, Job
 from lidar2pano.bulk.manifest import line
 from lidar2pano.bulk.scan_reading import Request, ScanReading, source_of
 from lidar2pano.bulk.stores import local_copy, open_store
 from lidar2pano.calibration import Calibration, has_camera, read_calib
 from lidar2pano.drives.reading import Reading
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import COLOUR_FORMATS, write_ids, write_whole
-from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.formats.image_files import write_ids, write_whole
 from lidar2pano.formats.scan_files import read_label, write_bin
 from lidar2pano.labels import unpack_label
 from lidar2pano.panorama import OUTPUTS
-from lidar2pano.pipeline import Pipeline
 from lidar2pano.translation import Translation, Translator
 
 A = TypeVar("A")
 B = TypeVar("B")
 MOST_THREADS = 8  # for writing: coding a panorama's PNG takes a core about a seventh of a second
-
-
-@dataclass(frozen=True, kw_only=True)
-class Job:
-    """Settings of a bulk run, the same for every scan. They can be pickled, to be sent to other processes.
-
-    source, out  folder or URL of the scans, and of the panoramas.
-    save         of OUTPUTS, in that order.
-    layout       of LAYOUTS.
-    use_labels   whether a scan's own labels take the place of the segmenter's.
-    weights      name, for the manifest.
-    pipeline     makes the pipeline, once per process.
-    image_format  of colour images, one of COLOUR_FORMATS.
-    selection    which scans of recordings and folders; here the topic counts.
-    """
-
-    source: str
-    out: str
-    save: tuple[str, ...]
-    weights: str
-    pipeline: Callable[[], Pipeline]
-    layout: str = MIRRORED
-    use_labels: bool = False
-    image_format: str = "png"
-    selection: ReadOptions = field(default_factory=ReadOptions)
-
-    def outputs(self, entry: Entry) -> dict[str, str]:
-        """Return the names of a scan's outputs below `out`, by output."""
-        return entry.outputs(self.save, self.layout, COLOUR_FORMATS[self.image_format][0])
 
 
 @dataclass(kw_only=True)

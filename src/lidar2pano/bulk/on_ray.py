@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from lidar2pano.bulk.entries import Entry, ScanKey
-from lidar2pano.bulk.job import Job, Worker
+from lidar2pano.bulk.entries import Entry, Job, ScanKey
+from lidar2pano.bulk.job import Worker
 from lidar2pano.bulk.manifest import line
 from lidar2pano.bulk.stores import open_store
 from lidar2pano.errors import InputError

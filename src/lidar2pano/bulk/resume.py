@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 from lidar2pano import __version__
-from lidar2pano.bulk.entries import RUN_FILE, SEMANTIC_KITTI, Entry, ScanKey
-from lidar2pano.bulk.job import Job
+from lidar2pano.bulk.data_set import copy_sequences
+from lidar2pano.bulk.entries import RUN_FILE, SEMANTIC_KITTI, Entry, Job, ScanKey
 from lidar2pano.bulk.manifest import Manifest, line
 from lidar2pano.bulk.scan_reading import ScanReading, file_hash
 from lidar2pano.bulk.stores import Folder, Store, open_store
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.labels import COMMON15
-
-SEQUENCE_FILES = ("calib.txt", "poses.txt", "times.txt")
 
 
 def start(job: Job, listed: list[Entry], files: Mapping[str, Path], options: Mapping[str, str]) -> None:
@@ -55,11 +52,7 @@ def start(job: Job, listed: list[Entry], files: Mapping[str, Path], options: Map
             (scratch / RUN_FILE).write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
             out.put(scratch / RUN_FILE, RUN_FILE)
     if job.layout == SEMANTIC_KITTI and not in_place:
-        _copy_beside(source, out, "splits.json", "splits.json")
-        of_files = [entry for entry in listed if entry.key.scan is None and not entry.error]
-        for folder, sequence in sorted({(_sequence_folder(entry), entry.sequence) for entry in of_files}):
-            for name in SEQUENCE_FILES:
-                _copy_beside(source, out, f"{folder}{name}", f"sequences/{sequence}/{name}")
+        copy_sequences(source, out, listed)
 
 
 def _compare(out: Store, settings: dict[str, Any]) -> None:
@@ -79,20 +72,6 @@ def _refuse_others(job: Job, out: Store, listed: list[Entry]) -> None:
         for name in () if entry.error else job.outputs(entry).values():
             if out.exists(name):
                 raise InputError(f"{out.place}/{name}: is there already, but no {RUN_FILE}; choose another --out")
-
-
-def _sequence_folder(entry: Entry) -> str:
-    folder = entry.key.input.rpartition("/")[0]
-    parent = folder.removesuffix("velodyne").rstrip("/")
-    return f"{parent}/" if parent else ""
-
-
-def _copy_beside(source: Store, out: Store, name: str, target: str) -> None:
-    """Copy a small file of a data set, unless it is there or there is none."""
-    if source.exists(name) and not out.exists(target):
-        with source.local(name) as path, out.scratch() as scratch:
-            shutil.copyfile(path, scratch / "copy")
-            out.put(scratch / "copy", target)
 
 
 def remaining(job: Job, listed: list[Entry], manifest: Manifest) -> list[Entry]:

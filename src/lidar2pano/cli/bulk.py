@@ -224,7 +224,7 @@ def work(job: Job, listed: list[Entry], manifest: Manifest, translate: Translate
 
 def write_all_times(job: Job, listed: list[Entry], shard: Shard, stopped: Callable[[], bool]) -> bool:
     """Write times.txt and poses.txt of recordings in a data set's layout; return false if stopped before the last."""
-    from lidar2pano.bulk.recorded_times import untimed, write_times
+    from lidar2pano.bulk.data_set import untimed, write_times
 
     sequences = untimed(job, listed, shard)
     with bar(len(sequences), "reading poses") as advance:

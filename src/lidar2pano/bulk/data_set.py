@@ -1,24 +1,95 @@
-"""KITTI's files of a recording's sequence: times.txt; and poses.txt with calib.txt, if the recording holds poses."""
+"""Data sets in SemanticKITTI's layout: instances on panoramas, copied calibrations, times and poses of recordings."""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from typing import NamedTuple
 
 import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import max_pool2d, pad
 
-from lidar2pano.bulk.entries import SEMANTIC_KITTI, Entry, Shard
-from lidar2pano.bulk.job import Job
+from lidar2pano.bulk.entries import SEMANTIC_KITTI as KITTI_LAYOUT
+from lidar2pano.bulk.entries import Entry, Job, Shard
 from lidar2pano.bulk.scan_reading import OpenRecording
 from lidar2pano.bulk.stores import Folder, Store, local_copy, open_store
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.geometry.projection import project
+from lidar2pano.labels import COMMON15, SEMANTIC_KITTI, TABLES, THINGS
+from lidar2pano.panorama import Panorama
 from lidar2pano.recordings.playback import Playback, playback
+from lidar2pano.scan import Scan
 
+SEQUENCE_FILES = ("calib.txt", "poses.txt", "times.txt")
+REACH = 12  # pixels of the translator's raster: beams are up to about so many rows apart
 TIMES, POSES, CALIB = "times.txt", "poses.txt", "calib.txt"
 # T_camera0_lidar of calib.txt: the axes of KITTI's camera 0 (x right, y down, z forward) at the sensor's own place.
 CAMERA0 = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+
+
+def copy_sequences(source: Store, out: Store, listed: list[Entry]) -> None:
+    """Copy splits, calibrations, times and poses beside the panoramas of scan files."""
+    _copy_beside(source, out, "splits.json", "splits.json")
+    of_files = [entry for entry in listed if entry.key.scan is None and not entry.error]
+    for folder, sequence in sorted({(_sequence_folder(entry), entry.sequence) for entry in of_files}):
+        for name in SEQUENCE_FILES:
+            _copy_beside(source, out, f"{folder}{name}", f"sequences/{sequence}/{name}")
+
+
+def _sequence_folder(entry: Entry) -> str:
+    folder = entry.key.input.rpartition("/")[0]
+    parent = folder.removesuffix("velodyne").rstrip("/")
+    return f"{parent}/" if parent else ""
+
+
+def _copy_beside(source: Store, out: Store, name: str, target: str) -> None:
+    """Copy a small file of a data set, unless it is there or there is none."""
+    if source.exists(name) and not out.exists(target):
+        with source.local(name) as path, out.scratch() as scratch:
+            shutil.copyfile(path, scratch / "copy")
+            out.put(scratch / "copy", target)
+
+
+def instance_raster(scan: Scan, instance: np.ndarray, panorama: Panorama) -> np.ndarray:
+    """Return instance ids (h, w) uint16 on the panorama's raster, 0 for none.
+
+    scan      with labels;  instance: (N,) uint16 ids of its points, unique within a class.
+    A pixel gets the instance of the nearest point of the pixel's own class, at most 2 REACH pixels away through pixels
+    of that class; of several equally near ones, the greatest id.
+    """
+    assert scan.label is not None
+    image = project(scan.beyond(), panorama.view.scaled(1 / 2))
+    ids = image.spread(torch.from_numpy(instance.astype(np.int64)))
+    table = torch.from_numpy(TABLES[SEMANTIC_KITTI.name, COMMON15.name])
+    classes = image.spread(table[torch.from_numpy(scan.label)])
+    segments = torch.from_numpy(panorama.segments)
+    rows = [segments[row::2, column::2] for row in (0, 1) for column in (0, 1)]
+    instances = torch.zeros(segments.shape, dtype=torch.int64)
+    for thing in THINGS:
+        seeds = ids * (classes == thing)
+        if not bool(seeds.any()):
+            continue
+        inside = torch.stack([part == thing for part in rows]).any(0)
+        grown = grow(seeds * inside, inside, REACH)
+        instances = torch.where(segments == thing, grown.repeat_interleave(2, 0).repeat_interleave(2, 1), instances)
+    return instances.numpy().astype(np.uint16)
+
+
+def grow(seeds: Tensor, inside: Tensor, steps: int) -> Tensor:
+    """Spread ids (H, W) int64 from `seeds` (0: none) over the pixels `inside`, one pixel all around per step.
+
+    The columns are circular. Of several ids in the same step a pixel takes the greatest.
+    """
+    grown = seeds
+    for _ in range(steps):
+        padded = pad(pad(grown[None, None].float(), (1, 1, 0, 0), mode="circular"), (0, 0, 1, 1))
+        reached = max_pool2d(padded, 3, stride=1)[0, 0].long()  # ids of 16 bits are exact as float32
+        grown = torch.where((grown == 0) & inside, reached, grown)
+    return grown
 
 
 class RecordedSequence(NamedTuple):
@@ -38,7 +109,7 @@ def untimed(job: Job, listed: list[Entry], shard: Shard) -> list[RecordedSequenc
 
     listed  the shard's scans.
     """
-    if job.layout != SEMANTIC_KITTI:
+    if job.layout != KITTI_LAYOUT:
         return []
     source, out = open_store(job.source), open_store(job.out)
     recorded = {RecordedSequence(entry.key.input, entry.sequence) for entry in listed if entry.key.scan is not None}
