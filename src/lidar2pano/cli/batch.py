@@ -140,7 +140,7 @@ def translate_followed(paths: Sequence[Path], options: Options) -> int:
 
 def translate_sources(sources: Iterable[ScanSource], total: int, options: Options) -> bool:
     """Translate scans one after the other and print a record of each; return whether one failed."""
-    translator, reporter = Translator(options.pipeline), ScanReporter()
+    translator, reporter = Translator(options.pipeline), ErrorReporter()
     with options.common.opened() as common, bar(total, "translating") as advance:
 
         def sink(translation: Translation) -> list[Path]:
@@ -210,7 +210,7 @@ def summary(record: Mapping[str, Any]) -> str:
     )
 
 
-class ScanReporter:
+class ErrorReporter:
     """Reports on stderr: bad files one line each at once, bad scans of a recording one line together at its end."""
 
     def __init__(self) -> None:
