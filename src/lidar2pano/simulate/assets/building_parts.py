@@ -7,19 +7,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.scene.mesh import PLAIN, UNTYPED, Mesh, Tint, box, merged, mesh, projected_uv, tube
+from lidar2pano.simulate.scene.mesh import PLAIN, UNTYPED, Mesh, Tint, box, merged, mesh, polygons, projected_uv, tube
+from lidar2pano.simulate.scene.random_streams import pick
 from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS
 
 Span = tuple[float, float]
+Finish = tuple[str, Tint]
+"""Material and tint."""
+Height = Callable[[np.ndarray], np.ndarray]
+"""Height (N,) of a wall at places (N,) along it."""
 DEEP = -0.6  # where walls begin, metres: the ground may fall away along a house
-PANE_TINTS: tuple[Tint, ...] = (
-    PLAIN,
-    PLAIN,
-    PLAIN,
-    (1.6, 1.6, 1.6),
-    (6.0, 5.5, 4.8),
-    (9.0, 8.0, 7.0),
-)  # the last: curtains
+PANE_TINTS: tuple[Tint, ...] = (  # the last: curtains
+    PLAIN, PLAIN, PLAIN, (1.6, 1.6, 1.6), (6.0, 5.5, 4.8), (9.0, 8.0, 7.0),
+)  # fmt: skip
 
 
 class Wall(NamedTuple):
@@ -49,13 +49,8 @@ def four_walls(width: float, depth: float, middle: tuple[float, float] = (0.0, 0
 
 
 _FACES = {  # corners are numbered along + 2 out + 4 up
-    "f": (2, 3, 7, 6),
-    "k": (1, 0, 4, 5),
-    "l": (0, 2, 6, 4),
-    "r": (3, 1, 5, 7),
-    "t": (6, 7, 5, 4),
-    "u": (0, 1, 3, 2),
-}
+    "f": (2, 3, 7, 6), "k": (1, 0, 4, 5), "l": (0, 2, 6, 4), "r": (3, 1, 5, 7), "t": (6, 7, 5, 4), "u": (0, 1, 3, 2),
+}  # fmt: skip
 _ORDER = np.array(list(_FACES.values()))
 _CORNERS = np.array([(a, o, u) for u in (0, 1) for o in (0, 1) for a in (0, 1)])
 _WAYS = np.array([(0, 1, 0), (0, -1, 0), (-1, 0, 0), (1, 0, 0), (0, 0, 1), (0, 0, -1)], dtype=float)
@@ -140,14 +135,8 @@ class WindowStyle(NamedTuple):
     deep: float = 0.12  # how far frames stand behind the wall
 
 
-def wall_with_openings(  # noqa: PLR0913 outline, openings and finish
-    wall: Wall,
-    low: float,
-    top: Callable[[np.ndarray], np.ndarray],
-    bends: Sequence[float],
-    openings: Sequence[Opening],
-    material: str,
-    tint: Tint,
+def wall_with_openings(
+    wall: Wall, low: float, top: Height, bends: Sequence[float], openings: Sequence[Opening], finish: Finish
 ) -> Mesh:
     """The face of a wall with holes, from `low` to `top`: heights at places `along`, straight between the `bends`."""
     cuts = sorted({0.0, wall.length, *bends, *(edge for hole in openings for edge in hole.along)})
@@ -155,9 +144,8 @@ def wall_with_openings(  # noqa: PLR0913 outline, openings and finish
     quads: list[tuple[Span, Span, Span, Span]] = []
     for left, right, high_left, high_right in zip(cuts[:-1], cuts[1:], crown[:-1], crown[1:], strict=True):
         middle, foot = (left + right) / 2, low
-        for hole in sorted(
-            (hole for hole in openings if abs(hole.middle - middle) < hole.width / 2), key=lambda h: h.low
-        ):
+        column = (hole for hole in openings if abs(hole.middle - middle) < hole.width / 2)
+        for hole in sorted(column, key=lambda hole: hole.low):
             if hole.low > foot:
                 quads.append(((left, foot), (right, foot), (right, hole.low), (left, hole.low)))
             foot = hole.high
@@ -167,7 +155,7 @@ def wall_with_openings(  # noqa: PLR0913 outline, openings and finish
     start = 4 * np.arange(len(quads))[:, None]
     faces = np.concatenate([start + (0, 1, 2), start + (0, 2, 3)], axis=1).reshape(-1, 3)
     normals = np.tile((*wall.out, 0.0), (len(points), 1))
-    return mesh(points, faces, material, tint, normals=normals)
+    return mesh(points, faces, *finish, normals=normals)
 
 
 def fill_opening(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle, rng: np.random.Generator) -> None:
@@ -201,7 +189,7 @@ def _window(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle, rng: 
     sashes = max(round(hole.width / 1.8), 1) if shop else 1 if hole.width < 0.75 else style.sashes
     sashes += int(not shop and hole.width > 1.7)
     bar = 0.05 if shop else 0.07
-    tint = (1.3, 1.3, 1.3) if shop else PANE_TINTS[int(rng.integers(len(PANE_TINTS)))]
+    tint = (1.3, 1.3, 1.3) if shop else pick(rng, PANE_TINTS)
     levels = [hole.low + bar, hole.high - bar]
     if style.cross and not shop and hole.high - hole.low > 1.0:
         split = hole.low + 0.68 * (hole.high - hole.low)
@@ -212,41 +200,31 @@ def _window(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle, rng: 
         for low, high in zip(levels[::2], levels[1::2], strict=True):
             boards.add(wall, side, (back, back + 0.012), (low, high), "pane", tint, "f")
     if not shop and hole.what == "window":
-        boards.add(
-            wall, (left - 0.06, right + 0.06), (back, 0.05), (hole.low - 0.03, hole.low + 0.015), "stone", style.sill
-        )
+        sill = (hole.low - 0.03, hole.low + 0.015)
+        boards.add(wall, (left - 0.06, right + 0.06), (back, 0.05), sill, "stone", style.sill)
     if style.shutters == "roller" and not shop:
-        down = hole.high - (hole.high - hole.low) * rng.choice(
-            (0.0, 0.0, 0.1, 0.25, 0.5, 1.0), p=(0.3, 0.2, 0.2, 0.15, 0.1, 0.05)
-        )
+        closed = rng.choice((0.0, 0.0, 0.1, 0.25, 0.5, 1.0), p=(0.3, 0.2, 0.2, 0.15, 0.1, 0.05))
+        down = hole.high - (hole.high - hole.low) * closed
         boards.add(wall, hole.along, (back, back + 0.035), (down - 0.06, hole.high), "shutter", style.shutter, "fu")
     elif style.shutters == "swing" and hole.what == "window" and hole.width < 1.8:
         wide = hole.width / 2
         for foot in (left - wide - 0.02, right + 0.02):
-            if not 0.0 < foot < wall.length - wide:
-                continue
-            boards.add(wall, (foot, foot + wide), (0.015, 0.05), hole.up, "shutter", style.shutter)
+            if 0.0 < foot < wall.length - wide:
+                boards.add(wall, (foot, foot + wide), (0.015, 0.05), hole.up, "shutter", style.shutter)
 
 
 def _door(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle, rng: np.random.Generator) -> None:
     (left, right), back = hole.along, -style.deep
     boards.add(wall, hole.along, (back, back), hole.up, "frame", style.frame, "f")
     boards.add(wall, (left + 0.06, right - 0.06), (back, back + 0.03), (hole.low, hole.high - 0.06), "door", style.door)
-    glass, middle = rng.integers(3), hole.middle
-    if glass == 0:
-        boards.add(
-            wall,
-            (middle - 0.14, middle + 0.14),
-            (back, back + 0.04),
-            (hole.low + 0.5, hole.high - 0.3),
-            "pane",
-            PLAIN,
-            "f",
-        )
-    elif glass == 1:
-        boards.add(
-            wall, (left + 0.2, right - 0.2), (back, back + 0.04), (hole.low + 1.2, hole.high - 0.25), "pane", PLAIN, "f"
-        )
+    middle = hole.middle
+    panes = (
+        ((middle - 0.14, middle + 0.14), (hole.low + 0.5, hole.high - 0.3)),
+        ((left + 0.2, right - 0.2), (hole.low + 1.2, hole.high - 0.25)),
+        None,
+    )
+    if pane := pick(rng, panes):
+        boards.add(wall, pane[0], (back, back + 0.04), pane[1], "pane", PLAIN, "f")
     boards.add(wall, (right - 0.2, right - 0.16), (back, back + 0.08), (hole.low + 0.95, hole.low + 1.2), "metal")
 
 
@@ -280,18 +258,14 @@ def canopy(boards: Boards, wall: Wall, hole: Opening, tint: Tint) -> None:
     boards.add(wall, (hole.along[0] - 0.35, hole.along[1] + 0.35), (0.0, 1.0), up, "wood", tint)
 
 
-def balcony(boards: Boards, wall: Wall, along: Span, floor: float, out: float, finish: tuple[str, Tint]) -> None:
+def balcony(boards: Boards, wall: Wall, along: Span, floor: float, out: float, finish: Finish) -> None:
     """A slab at height `floor` that stands `out` from the wall, with a parapet of material and tint `finish`."""
-    material, tint = finish
     boards.add(wall, along, (0.0, out), (floor - 0.18, floor), "concrete", (1.2, 1.2, 1.2))
-    up, (left, right) = (floor + 0.02, floor + 0.98), along
-    faces = "fk"
-    boards.add(wall, along, (out - 0.06, out - 0.02), up, material, tint, faces)
-    boards.add(wall, (left + 0.02, left + 0.06), (0.0, out - 0.02), up, material, tint, "lr")
-    boards.add(wall, (right - 0.06, right - 0.02), (0.0, out - 0.02), up, material, tint, "lr")
-    boards.add(
-        wall, (left, right), (out - 0.08, out), (floor + 0.96, floor + 1.02), "dark-metal", (2.0, 2.0, 2.0), "fktu"
-    )
+    up, (left, right), rail = (floor + 0.02, floor + 0.98), along, (floor + 0.96, floor + 1.02)
+    boards.add(wall, along, (out - 0.06, out - 0.02), up, *finish, "fk")
+    for side in ((left + 0.02, left + 0.06), (right - 0.06, right - 0.02)):
+        boards.add(wall, side, (0.0, out - 0.02), up, *finish, "lr")
+    boards.add(wall, along, (out - 0.08, out), rail, "dark-metal", (2.0, 2.0, 2.0), "fktu")
 
 
 def awning(wall: Wall, along: Span, up: float, out: float, tint: Tint) -> Mesh:
@@ -306,7 +280,7 @@ def awning(wall: Wall, along: Span, up: float, out: float, tint: Tint) -> Mesh:
 
 def shop_sign(rng: np.random.Generator, boards: Boards, wall: Wall, along: Span, low: float) -> None:
     """A sign board with strokes of letters."""
-    ground, ink = SIGNS[int(rng.integers(len(SIGNS)))]
+    ground, ink = pick(rng, SIGNS)
     high = low + 0.55
     boards.add(wall, along, (0.0, 0.08), (low, high), "plastic", ground)
     letters = int(min((along[1] - along[0] - 0.6) / 0.35, 9))
@@ -349,7 +323,7 @@ class Roof(NamedTuple):
         share = {"gable": 1.0, "hip": 0.0, "half-hip": 0.6}[self.form]
         return self.eaves + share * (self.ridge - self.eaves)
 
-    def gable(self, wall_length: float) -> tuple[Callable[[np.ndarray], np.ndarray], list[float]]:
+    def gable(self, wall_length: float) -> tuple[Height, list[float]]:
         """Height of the wall under a gable as a function of the position along it, and the positions of its kinks."""
         half = wall_length / 2
         shoulder = (self.cut - self.eaves) / self.slope
@@ -367,25 +341,20 @@ class Roof(NamedTuple):
     def _outline(self) -> tuple[np.ndarray, list[list[int]]]:
         out, verge = self.overhang
         x, low, high = self.span / 2 + out, self.eaves - self.slope * out, self.ridge
-        if self.form == "gable":
-            y = self.long / 2 + verge
-            points = [(x, -y, low), (x, y, low), (0, y, high), (0, -y, high), (-x, y, low), (-x, -y, low)]
-            return np.array(points), [[0, 1, 2, 3], [4, 5, 3, 2]]
-        if self.form == "hip":
-            y = self.long / 2 + out
-            end = max(y - x, 0.05)
-            points = [(x, -y, low), (x, y, low), (0, end, high), (0, -end, high), (-x, y, low), (-x, -y, low)]
-            return np.array(points), [[0, 1, 2, 3], [4, 5, 3, 2], [1, 4, 2], [5, 0, 3]]
-        y = self.long / 2 + verge
-        inner, end = (high - self.cut) / self.slope, y - 0.8 * (high - self.cut) / self.slope
-        points = [
-            (x, -y, low), (x, y, low), (inner, y, self.cut), (0, end, high), (0, -end, high), (inner, -y, self.cut),
-        ]  # fmt: skip
-        points += [(-x, y, low), (-x, -y, low), (-inner, -y, self.cut), (-inner, y, self.cut)]
-        return np.array(points), [[0, 1, 2, 3, 4, 5], [6, 7, 8, 4, 3, 9], [2, 9, 3], [8, 5, 4]]
+        y = self.long / 2 + (out if self.form == "hip" else verge)
+        if self.form == "half-hip":
+            inner, end = (high - self.cut) / self.slope, y - 0.8 * (high - self.cut) / self.slope
+            points = [
+                (x, -y, low), (x, y, low), (inner, y, self.cut), (0, end, high), (0, -end, high), (inner, -y, self.cut),
+                (-x, y, low), (-x, -y, low), (-inner, -y, self.cut), (-inner, y, self.cut),
+            ]  # fmt: skip
+            return np.array(points), [[0, 1, 2, 3, 4, 5], [6, 7, 8, 4, 3, 9], [2, 9, 3], [8, 5, 4]]
+        end = max(y - x, 0.05) if self.form == "hip" else y
+        points = [(x, -y, low), (x, y, low), (0, end, high), (0, -end, high), (-x, y, low), (-x, -y, low)]
+        return np.array(points), [[0, 1, 2, 3], [4, 5, 3, 2], *([[1, 4, 2], [5, 0, 3]] if self.form == "hip" else [])]
 
 
-def slabs(points: np.ndarray, slopes: Sequence[Sequence[int]], finish: tuple[str, Tint]) -> Mesh:
+def slabs(points: np.ndarray, slopes: Sequence[Sequence[int]], finish: Finish) -> Mesh:
     """Slopes (polygons of points (N, 3), counter-clockwise from above) as one slab: covering, underside and edges."""
     parts, edges = [], {}
     for slope in slopes:
@@ -415,21 +384,14 @@ def flat_roof(width: float, depth: float, height: float, tint: Tint) -> Mesh:
     """A flat roof with a parapet around it; width along y."""
     boards = Boards()
     for wall in four_walls(width + 0.1, depth + 0.1).values():
+        along, cap = (-0.03, wall.length + 0.03), (height + 0.42, height + 0.48)
         boards.add(wall, (0.0, wall.length), (-0.3, 0.0), (height, height + 0.45), "plaster", tint, "fkt")
-        boards.add(
-            wall,
-            (-0.03, wall.length + 0.03),
-            (-0.33, 0.04),
-            (height + 0.42, height + 0.48),
-            "metal",
-            (0.7, 0.7, 0.7),
-            "fktu",
-        )
+        boards.add(wall, along, (-0.33, 0.04), cap, "metal", (0.7, 0.7, 0.7), "fktu")
     lid = box((0, 0, height + 0.05), (depth, width, 0.1), "gravel", without=("bottom",))
     return merged([boards.mesh(), lid])
 
 
-def dormer(roof: Roof, place: float, rise: float, size: tuple[float, float], finish: tuple[str, Tint]) -> Mesh:
+def dormer(roof: Roof, place: float, rise: float, size: tuple[float, float], finish: Finish) -> Mesh:
     """A dormer of `size` (width, height) on the slope that falls to +x, at y = `place`, its sill `rise` over the eaves.
 
     `finish`: material and tint of its sides.
@@ -447,22 +409,18 @@ def dormer(roof: Roof, place: float, rise: float, size: tuple[float, float], fin
         side = (0.19 + i * step, 0.12 + (i + 1) * step)
         boards.add(wall, side, (0.0, 0.045), (low + 0.27, low + height - 0.17), "pane", faces="f")
     y, top, out = width / 2 + 0.2, low + height, x + 0.25
-    peak = top + (0.45 * width if width < 2.0 else 0.0)
-    if width < 2.0:
-        points = np.array([
-            (out, -y, top), (out, 0, peak), (out, y, top), (x - back - 1, -y, top), (x - back - 1, 0, peak),
-            (x - back - 1, y, top),
-        ])  # fmt: skip
-        slopes = [[5, 2, 1, 4][::-1], [0, 3, 4, 1][::-1]]
-    else:  # one long slope, flatter than the roof
-        points = np.array(
-            [(out, -y, top - 0.1), (out, y, top - 0.1), (x - back - 0.3, y, top + 0.4), (x - back - 0.3, -y, top + 0.4)]
+    if width >= 2.0:  # one long slope, flatter than the roof
+        foot, head = (
+            [(out, -y, top - 0.1), (out, y, top - 0.1)],
+            [(x - back - 0.3, side, top + 0.4) for side in (y, -y)],
         )
-        slopes = [[0, 1, 2, 3]]
-    cover = slabs(points + (0, place, 0), slopes, (roof.material, roof.tint))
+        cover = slabs(np.array([*foot, *head]) + (0, place, 0), [[0, 1, 2, 3]], (roof.material, roof.tint))
+        return merged([cheeks, boards.mesh(), cover])
+    peak = top + 0.45 * width
+    points = np.array([(end, *ridge) for end in (out, x - back - 1) for ridge in ((-y, top), (0, peak), (y, top))])
+    cover = slabs(points + (0, place, 0), [[4, 1, 2, 5], [1, 4, 3, 0]], (roof.material, roof.tint))
     gable = np.array([(x, -width / 2, top), (x, width / 2, top), (x, 0, peak)]) + (0, place, 0)
-    face = mesh(gable, [(0, 1, 2)], finish[0], finish[1])
-    return merged([cheeks, boards.mesh(), cover, face] if width < 2.0 else [cheeks, boards.mesh(), cover])
+    return merged([cheeks, boards.mesh(), cover, mesh(gable, [(0, 1, 2)], *finish)])
 
 
 def skylight(roof: Roof, place: float, rise: float) -> Mesh:
@@ -471,16 +429,11 @@ def skylight(roof: Roof, place: float, rise: float) -> Mesh:
     inwards, up = np.array([-1.0, 0, roof.slope]) / lean, np.array([roof.slope, 0, 1.0]) / lean
     foot = np.array([roof.span / 2 - rise / roof.slope, place, roof.eaves + rise + THICK])
     parts = []
-    for grow, lift, material, tint in (
-        (0.0, 0.05, "dark-metal", (2.0, 2.0, 2.0)),
-        (-0.07, 0.062, "pane", (1.5, 1.5, 1.5)),
-    ):
+    for grow, lift, material, light in ((0.0, 0.05, "dark-metal", 2.0), (-0.07, 0.062, "pane", 1.5)):
         wide, long = 0.4 + grow, 0.6 + grow
-        corner = [
-            foot + inwards * (0.6 + j * long) + (0, i * wide, 0) + up * lift
-            for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))
-        ]
-        parts.append(mesh(np.array(corner), [(0, 1, 2), (0, 2, 3)], material, tint))
+        sides = [(i * wide, 0.6 + j * long) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        corner = [foot + inwards * run + (0, aside, 0) + up * lift for aside, run in sides]
+        parts.append(polygons(corner, [0, 1, 2, 3], material, (light, light, light)))
     return merged(parts)
 
 
@@ -517,7 +470,7 @@ SHUTTERS: tuple[Tint, ...] = (
 DOORS: tuple[Tint, ...] = (
     PLAIN, (0.7, 0.45, 0.25), (1.9, 2.1, 2.5), (0.4, 0.6, 0.6), (0.9, 0.35, 0.3), (0.5, 0.55, 0.65),
 )  # fmt: skip
-COVERS: tuple[tuple[str, Tint], ...] = (
+COVERS: tuple[Finish, ...] = (
     ("tiles", PLAIN), ("tiles", (1.15, 1.1, 1.0)), ("tiles", (0.8, 0.8, 0.85)), ("tiles", (0.6, 0.75, 0.9)),
     ("slate", PLAIN), ("slate", (1.5, 1.4, 1.3)),
 )  # fmt: skip
@@ -527,7 +480,7 @@ class Shell(NamedTuple):
     """The walls of a building and the style of their openings."""
 
     walls: dict[str, Wall]
-    finish: tuple[str, Tint]
+    finish: Finish
     style: WindowStyle
     base: float  # height of the ground floor
     storeys: int
@@ -544,24 +497,15 @@ class Shell(NamedTuple):
         return self.base + floor * self.storey + 0.9
 
 
-def pick(rng: np.random.Generator, choices: tuple[Tint, ...]) -> Tint:
-    """A random tint."""
-    return choices[int(rng.integers(len(choices)))]
-
-
 def window_style(rng: np.random.Generator, shutters: str, wall: Tint) -> WindowStyle:
     """A style of windows; `shutters` as in Style, `wall` the tint of the plaster in the reveals."""
-    dark = rng.uniform() < 0.2
+    dark, white = rng.uniform() < 0.2, (1.5, 1.5, 1.5)
     return WindowStyle(
         frame=(0.35, 0.22, 0.14) if dark else (0.35, 0.36, 0.38) if rng.uniform() < 0.15 else PLAIN,
         cross=bool(rng.uniform() < 0.25),
         shutters=shutters,
-        shutter=pick(rng, SHUTTERS)
-        if shutters == "swing"
-        else (1.5, 1.5, 1.5)
-        if rng.uniform() < 0.7
-        else (0.9, 0.85, 0.75),
-        surround=("stone", "plaster", "")[int(rng.choice(3, p=(0.15, 0.2, 0.65)))],
+        shutter=pick(rng, SHUTTERS) if shutters == "swing" else white if rng.uniform() < 0.7 else (0.9, 0.85, 0.75),
+        surround=pick(rng, ("stone", "plaster", ""), p=(0.15, 0.2, 0.65)),
         surround_tint=(1.1, 0.85, 0.75) if rng.uniform() < 0.4 else (1.2, 1.2, 1.2),
         reveal=wall,
         sill=(0.9, 0.9, 0.9) if rng.uniform() < 0.6 else (1.5, 1.55, 1.6),
@@ -591,15 +535,16 @@ def closed_walls(
         if roof is not None and has_gable(roof, name):
             top, bends = roof.gable(wall.length)
         else:
-            top, bends = _level(shell.eaves + 0.04), []
-        parts.append(wall_with_openings(wall, DEEP, top, bends, holes[name], *shell.finish))
+            top, bends = flat_top(shell.eaves + 0.04), []
+        parts.append(wall_with_openings(wall, DEEP, top, bends, holes[name], shell.finish))
         style = shell.style if name in shell.dressed else shell.style._replace(surround="")
         for hole in holes[name]:
             fill_opening(boards, wall, hole, style, rng)
     return parts
 
 
-def _level(height: float) -> Callable[[np.ndarray], np.ndarray]:
+def flat_top(height: float) -> Height:
+    """The height of a wall that is as high everywhere."""
     return lambda along: np.full(len(along), height)
 
 

@@ -8,9 +8,9 @@ from lidar2pano.simulate.assets.building_parts import (
     COVERS,
     DEEP,
     DOORS,
-    PLAIN,
     PLASTERS,
     Boards,
+    Finish,
     Opening,
     Roof,
     Shell,
@@ -23,10 +23,10 @@ from lidar2pano.simulate.assets.building_parts import (
     dormer,
     fill_opening,
     flat_roof,
+    flat_top,
     four_walls,
     gutters,
     has_gable,
-    pick,
     plinth,
     rows,
     shop_sign,
@@ -37,7 +37,8 @@ from lidar2pano.simulate.assets.building_parts import (
     window_columns,
     window_style,
 )
-from lidar2pano.simulate.scene.mesh import Mesh, Tint, merged
+from lidar2pano.simulate.scene.mesh import PLAIN, Mesh, Tint, merged
+from lidar2pano.simulate.scene.random_streams import pick
 
 
 def _holes(rng: np.random.Generator, shell: Shell, roof: Roof, name: str, front: bool) -> list[Opening]:
@@ -54,20 +55,13 @@ def _holes(rng: np.random.Generator, shell: Shell, roof: Roof, name: str, front:
     top, bends = roof.gable(wall.length)
     if top(np.array([wall.length / 2]))[0] > shell.eaves + 2.0 and has_gable(roof, name):
         near = [middle for middle in (wall.length / 2 - 1.3, wall.length / 2 + 1.3) if 0 < middle < wall.length]
-        weighted_choice = near if roof.ridge - shell.eaves > 3.2 else [wall.length / 2]
-        sill = shell.eaves + 0.45
-        holes += [
-            hole
-            for hole in rows(wall, weighted_choice, sill, (0.95, 1.2))
-            if (top(np.array(hole.along)) > hole.high + 0.3).all()
-        ]
+        middles = near if roof.ridge - shell.eaves > 3.2 else [wall.length / 2]
+        attic = rows(wall, middles, shell.eaves + 0.45, (0.95, 1.2))
+        holes += [hole for hole in attic if (top(np.array(hole.along)) > hole.high + 0.3).all()]
     if front:
         place = columns[int(rng.integers(len(columns)))]
-        holes = [
-            hole
-            for hole in holes
-            if hole.low > shell.base + shell.storey or abs(hole.middle - place) > hole.width / 2 + 0.7
-        ]
+        upper = shell.base + shell.storey
+        holes = [hole for hole in holes if hole.low > upper or abs(hole.middle - place) > hole.width / 2 + 0.7]
         holes.append(Opening(float(np.clip(place, 0.8, wall.length - 0.8)), 1.05, shell.base, shell.base + 2.1, "door"))
     return holes
 
@@ -111,7 +105,7 @@ def _house(rng: np.random.Generator, width: float, depth: float, front: str) -> 
 def _roof(rng: np.random.Generator, shell: Shell, width: float, depth: float) -> Roof:
     form = str(rng.choice(("gable", "hip", "half-hip"), p=(0.7, 0.16, 0.14))) if width > depth + 1.0 else "gable"
     steep = rng.uniform(0.45, 0.7) if form == "hip" or shell.storeys == 3 else rng.uniform(0.6, 1.1)
-    material, tint = COVERS[int(rng.choice(len(COVERS), p=(0.35, 0.2, 0.15, 0.1, 0.12, 0.08)))]
+    material, tint = pick(rng, COVERS, p=(0.35, 0.2, 0.15, 0.1, 0.12, 0.08))
     overhang = (rng.uniform(0.35, 0.7), rng.uniform(0.12, 0.5))
     return Roof(form, width, depth, shell.eaves, min(steep, 9.0 / depth), overhang, material, tint)
 
@@ -125,6 +119,11 @@ def _entrance(rng: np.random.Generator, boards: Boards, wall: Wall, door: Openin
         boards.add(wall, (side, side + 0.14), (0.0, 0.14), (door.low + 1.7, door.low + 1.95), "lamp")
 
 
+def _clear(place: float, holes: list[Opening]) -> bool:
+    """Whether a place along a wall is beside all openings, by 0.1 metres at least."""
+    return all(abs(place - hole.middle) > hole.width / 2 + 0.1 for hole in holes)
+
+
 def _timber(boards: Boards, shell: Shell, roof: Roof, holes: dict[str, list[Opening]]) -> None:
     """Half timber on the upper storey (or the gables): posts beside the windows, rails above and below them."""
     out, dark = (0.0, 0.025), (0.42, 0.38, 0.35)
@@ -132,23 +131,14 @@ def _timber(boards: Boards, shell: Shell, roof: Roof, holes: dict[str, list[Open
     for name, wall in shell.walls.items():
         level = [hole for hole in holes[name] if hole.low >= low and hole.high < shell.eaves]
         sill, lintel = low + 0.78, low + shell.storey - 0.32
-        for up in (
-            (low - 0.1, low + 0.08),
-            (sill - 0.07, sill + 0.07),
-            (lintel - 0.07, lintel + 0.07),
-            (shell.eaves - 0.18, shell.eaves),
-        ):
-            edges = sorted(
-                [
-                    0.0,
-                    wall.length,
-                    *(edge for hole in level if up[0] < hole.high and up[1] > hole.low for edge in hole.along),
-                ]
-            )
+        rails = [(low - 0.1, low + 0.08), *((middle - 0.07, middle + 0.07) for middle in (sill, lintel))]
+        for up in (*rails, (shell.eaves - 0.18, shell.eaves)):
+            gaps = (edge for hole in level if up[0] < hole.high and up[1] > hole.low for edge in hole.along)
+            edges = sorted([0.0, wall.length, *gaps])
             for span in zip(edges[::2], edges[1::2], strict=True):
                 boards.add(wall, span, out, up, "wood", dark)
         posts = np.linspace(0.09, wall.length - 0.09, max(round(wall.length / 1.3), 2) + 1)
-        clear = [post for post in posts if all(abs(post - hole.middle) > hole.width / 2 + 0.1 for hole in level)]
+        clear = [post for post in posts if _clear(post, level)]
         beside = [edge + side for hole in level for edge, side in zip(hole.along, (-0.09, 0.09), strict=True)]
         for post in [*clear, *beside]:
             boards.add(wall, (post - 0.08, post + 0.08), out, (low, shell.eaves), "wood", dark, "flr")
@@ -156,9 +146,7 @@ def _timber(boards: Boards, shell: Shell, roof: Roof, holes: dict[str, list[Open
             top = roof.gable(wall.length)[0]
             for post in [post for post in clear if top(np.array([post]))[0] > shell.eaves + 0.4]:
                 high = float(top(np.array([post]))[0])
-                if all(
-                    abs(post - hole.middle) > hole.width / 2 + 0.1 for hole in holes[name] if hole.high > shell.eaves
-                ):
+                if _clear(post, [hole for hole in holes[name] if hole.high > shell.eaves]):
                     boards.add(wall, (post - 0.08, post + 0.08), out, (shell.eaves, high - 0.1), "wood", dark, "flr")
 
 
@@ -168,12 +156,12 @@ def _porch(rng: np.random.Generator, boards: Boards, shell: Shell, holes: dict[s
     level = [i for i, hole in enumerate(holes[front]) if floor < hole.low < floor + 1.5]
     if not level:
         return
-    weighted_choice = level[int(rng.integers(len(level)))]
-    hole = holes[front][weighted_choice]
-    holes[front][weighted_choice] = hole._replace(low=floor + 0.03, what="glass-door")
+    number = pick(rng, level)
+    hole = holes[front][number]
+    holes[front][number] = hole._replace(low=floor + 0.03, what="glass-door")
     wide = min(rng.uniform(2.5, 4.5), wall.length - 1.0)
     left = float(np.clip(hole.middle - wide * rng.uniform(0.3, 0.7), 0.2, wall.length - wide - 0.2))
-    finish = [("railing", PLAIN), ("wood", PLAIN), ("plaster", shell.finish[1])][int(rng.integers(3))]
+    finish = pick(rng, (("railing", PLAIN), ("wood", PLAIN), ("plaster", shell.finish[1])))
     balcony(boards, wall, (left, left + wide), floor, 1.3, finish)
 
 
@@ -195,15 +183,11 @@ def _wing(
     gable = Roof("gable", front - back, wide, eaves, slope, (0.3, 0.3), roof.material, roof.tint)
     parts = []
     for name in ("front", "left", "right"):
-        top, bends = gable.gable(wide) if name == "front" else (lambda along: np.full(len(along), eaves + 0.04), [])
+        top, bends = gable.gable(wide) if name == "front" else (flat_top(eaves + 0.04), [])
         sills = [shell.sill(floor) for floor in range(shell.storeys + int(eaves > shell.eaves + 0.8))]
-        own = (
-            [hole for sill in sills for hole in rows(walls[name], [wide / 2], sill, (1.3, 1.3))]
-            if name == "front"
-            else []
-        )
+        own = [hole for sill in sills for hole in rows(walls[name], [wide / 2], sill, (1.3, 1.3)) if name == "front"]
         own = [hole for hole in own if (top(np.array(hole.along)) > hole.high + 0.1).all()]
-        parts.append(wall_with_openings(walls[name], DEEP, top, bends, own, *shell.finish))
+        parts.append(wall_with_openings(walls[name], DEEP, top, bends, own, shell.finish))
         for hole in own:
             fill_opening(boards, walls[name], hole, shell.style, rng)
     x, ridge, low = front + 0.3, eaves + slope * wide / 2, eaves - 0.3 * slope
@@ -214,12 +198,11 @@ def _wing(
     return [*parts, slabs(points + (0, y, 0), [[2, 5, 4, 1], [3, 0, 1, 4]], (roof.material, roof.tint))]
 
 
-def _on_roof(rng: np.random.Generator, roof: Roof, finish: tuple[str, Tint], *, plain: bool) -> list[Mesh]:
+def _on_roof(rng: np.random.Generator, roof: Roof, finish: Finish, *, plain: bool) -> list[Mesh]:
     """A chimney, and dormers or roof windows where the roof is not `plain`."""
     ridge = roof.ridge + 0.2
-    parts = [
-        chimney(rng, (-0.1 * roof.span, rng.uniform(-0.3, 0.3) * roof.long), ridge - 2.0, ridge + rng.uniform(0.4, 0.9))
-    ]
+    place = (-0.1 * roof.span, rng.uniform(-0.3, 0.3) * roof.long)
+    parts = [chimney(rng, place, ridge - 2.0, ridge + rng.uniform(0.4, 0.9))]
     tall = roof.ridge - roof.eaves
     reach = roof.long / 2 - 1.2 if roof.form != "hip" else (roof.long - roof.span) / 2
     if plain or roof.slope < 0.6 or reach < 1.0 or tall < 2.6:
@@ -233,14 +216,10 @@ def _on_roof(rng: np.random.Generator, roof: Roof, finish: tuple[str, Tint], *, 
             places = [0.0] if count == 1 else [-0.55 * reach, 0.55 * reach]
             parts += [dormer(roof, place, rise, (wide, 1.25), cheeks) for place in places]
     elif rng.uniform() < 0.6:
-        parts += [
-            skylight(roof, float(place), 0.8 * roof.slope)
-            for place in rng.permutation(np.linspace(-reach, reach, 4))[:2]
-        ]
-    return [
-        part if side else part.placed((0, 0, 0), np.pi)
-        for part, side in zip(parts, [True] + [rng.uniform() < 0.8] * len(parts), strict=False)
-    ]
+        places = rng.permutation(np.linspace(-reach, reach, 4))[:2]
+        parts += [skylight(roof, float(place), 0.8 * roof.slope) for place in places]
+    ahead = rng.uniform() < 0.8
+    return [parts[0], *(part if ahead else part.placed((0, 0, 0), np.pi) for part in parts[1:])]
 
 
 def garage(rng: np.random.Generator) -> Mesh:
@@ -256,9 +235,7 @@ def garage(rng: np.random.Generator) -> Mesh:
         parts = closed_walls(rng, boards, shell, holes, None)
         parts.append(flat_roof(width, depth, shell.eaves - 0.2, (0.6, 0.6, 0.6)))
     else:
-        roof = Roof(
-            "gable", depth, width, shell.eaves, rng.uniform(0.4, 0.7), (0.25, 0.2), *COVERS[int(rng.integers(4))]
-        )
+        roof = Roof("gable", depth, width, shell.eaves, rng.uniform(0.4, 0.7), (0.25, 0.2), *pick(rng, COVERS[:4]))
         shell = shell._replace(walls=four_walls(depth, width))
         holes = {name: holes["front"] if name == "right" else [] for name in shell.walls}
         parts = [*closed_walls(rng, boards, shell, holes, roof), roof.mesh(), boards.mesh()]
@@ -269,7 +246,7 @@ def garage(rng: np.random.Generator) -> Mesh:
 def shed(rng: np.random.Generator) -> Mesh:
     """A wooden garden shed with a door and a window to +x."""
     width, depth, height = rng.uniform(2.2, 3.8), rng.uniform(2.0, 3.0), rng.uniform(2.0, 2.3)
-    tint = [(1.2, 1.2, 1.2), (0.6, 0.65, 0.7), (0.9, 0.4, 0.35), (0.6, 0.9, 0.7)][int(rng.integers(4))]
+    tint = pick(rng, ((1.2, 1.2, 1.2), (0.6, 0.65, 0.7), (0.9, 0.4, 0.35), (0.6, 0.9, 0.7)))
     style = window_style(rng, "none", tint)._replace(surround="", deep=0.04, door=tint)
     shell = Shell(four_walls(width, depth), ("wood", tint), style, 0.08, 1, height)
     roof = Roof("gable", width, depth, shell.eaves, rng.uniform(0.35, 0.8), (0.25, 0.2), "slate", (1.6, 1.5, 1.4))
@@ -281,6 +258,10 @@ def shed(rng: np.random.Generator) -> Mesh:
 
 
 SANDSTONE: Tint = (1.25, 0.85, 0.72)
+SHEETS: tuple[Tint, ...] = (  # of halls
+    (1.1, 1.1, 1.15), (0.8, 0.85, 0.95), (0.55, 0.57, 0.6), (0.95, 0.9, 0.75), (0.5, 0.65, 0.9), (1.1, 0.8, 0.6),
+)  # fmt: skip
+PARAPETS = (("railing", PLAIN), ("plaster", (1.1, 1.1, 1.1)), ("pane", (3.0, 4.0, 4.0)), ("metal", (0.9, 0.9, 0.9)))
 CLOTHS: tuple[Tint, ...] = (
     (1.0, 0.2, 0.15), (0.15, 0.4, 0.2), (1.5, 1.3, 0.95), (1.6, 1.6, 1.6), (0.2, 0.25, 0.5), (1.5, 0.9, 0.2),
 )  # fmt: skip
@@ -336,11 +317,11 @@ def _ground_floor(
     parts: list[Mesh] = []
     count = max(round(wall.length / 14), 1)
     doors = [Opening(wall.length * (i + 0.5) / count, 1.25, base, base + 2.25, "door") for i in range(count)]
-    front = [hole for hole in holes["front"] if hole.low > first or not shops]
     front = [
         hole
-        for hole in front
-        if hole.low > first or all(abs(hole.middle - door.middle) > hole.width / 2 + 0.8 for door in doors)
+        for hole in holes["front"]
+        if hole.low > first
+        or (not shops and all(abs(hole.middle - door.middle) > hole.width / 2 + 0.8 for door in doors))
     ]
     for door in doors:
         steps(boards, wall, door)
@@ -364,9 +345,7 @@ def _balconies(rng: np.random.Generator, boards: Boards, shell: Shell, holes: di
     name = "front" if rng.uniform() < 0.7 else "back"
     wall = shell.walls[name]
     places = sorted({hole.middle for hole in holes[name] if hole.what == "window"})[1::3]
-    finish = [("railing", PLAIN), ("plaster", (1.1, 1.1, 1.1)), ("pane", (3.0, 4.0, 4.0)), ("metal", (0.9, 0.9, 0.9))][
-        int(rng.integers(4))
-    ]
+    finish = pick(rng, PARAPETS)
     wide, out = rng.uniform(2.6, 3.4), rng.uniform(1.2, 1.8)
     for i, hole in enumerate(holes[name]):
         if hole.middle in places and hole.low > shell.base + shell.storey and hole.what == "window":
@@ -393,13 +372,12 @@ def _cover(rng: np.random.Generator, shell: Shell, era: str, width: float, depth
     if era == "new" or (era == "plain" and rng.uniform() < 0.2):
         house = Boards()  # of the lift
         for wall in four_walls(3.0, 3.5, (0.0, width * rng.uniform(-0.2, 0.2))).values():
-            house.add(
-                wall, (0, wall.length), (-0.1, 0.0), (shell.eaves, shell.eaves + 2.4), "plaster", shell.finish[1], "ft"
-            )
+            up = (shell.eaves, shell.eaves + 2.4)
+            house.add(wall, (0, wall.length), (-0.1, 0.0), up, "plaster", shell.finish[1], "ft")
         return [flat_roof(width, depth, shell.eaves, shell.finish[1]), house.mesh()]
     slope = rng.uniform(0.7, 0.95) if era == "old" else rng.uniform(0.4, 0.65)
     form = "hip" if width > depth + 4 and rng.uniform() < 0.6 else "gable"
-    material, tint = COVERS[int(rng.choice(len(COVERS), p=(0.35, 0.2, 0.15, 0.1, 0.12, 0.08)))]
+    material, tint = pick(rng, COVERS, p=(0.35, 0.2, 0.15, 0.1, 0.12, 0.08))
     roof = Roof(form, width, depth, shell.eaves, slope, (rng.uniform(0.3, 0.5), 0.15), material, tint)
     parts = [roof.mesh(), gutters(roof)]
     if form == "gable":
@@ -417,22 +395,15 @@ def _cover(rng: np.random.Generator, shell: Shell, era: str, width: float, depth
 def _gable(shell: Shell, roof: Roof, name: str) -> Mesh:
     wall = shell.walls[name]
     top, bends = roof.gable(wall.length)
-    return wall_with_openings(wall, shell.eaves, top, bends, [], *shell.finish)
+    return wall_with_openings(wall, shell.eaves, top, bends, [], shell.finish)
 
 
 def hall(rng: np.random.Generator, width: float, depth: float) -> Mesh:
     """A supermarket or an industrial hall, 4.5 to 9 m high."""
     market = bool(rng.uniform() < 0.45)
     height = rng.uniform(4.5, 5.5) if market else rng.uniform(5.0, 9.0)
-    tint = [
-        (1.1, 1.1, 1.15),
-        (0.8, 0.85, 0.95),
-        (0.55, 0.57, 0.6),
-        (0.95, 0.9, 0.75),
-        (0.5, 0.65, 0.9),
-        (1.1, 0.8, 0.6),
-    ][int(rng.integers(6))]
-    finish = (("plaster", "metal", "concrete", "brick")[int(rng.choice(4, p=(0.35, 0.4, 0.15, 0.1)))], tint)
+    tint = pick(rng, SHEETS)
+    finish = (pick(rng, ("plaster", "metal", "concrete", "brick"), p=(0.35, 0.4, 0.15, 0.1)), tint)
     style = window_style(rng, "none", tint)._replace(surround="", deep=0.1, cross=False)
     shell = Shell(four_walls(width, depth), finish, style, 0.05, 1, height)
     holes = {name: _hall_holes(rng, shell, name, market) for name in shell.walls}
@@ -448,10 +419,9 @@ def hall(rng: np.random.Generator, width: float, depth: float) -> Mesh:
     for name in ("front", "left", "right"):  # seams of the sheets
         wall = shell.walls[name]
         for place in np.arange(2.5, wall.length - 1, 5.0) if finish[0] in ("metal", "concrete") else ():
-            if all(abs(place - hole.middle) > hole.width / 2 + 0.1 for hole in holes[name]):
-                boards.add(
-                    wall, (place - 0.04, place + 0.04), (0.0, 0.03), (0.0, height), "dark-metal", (4.0, 4.0, 4.0), "flr"
-                )
+            if _clear(place, holes[name]):
+                seam = (place - 0.04, place + 0.04)
+                boards.add(wall, seam, (0.0, 0.03), (0.0, height), "dark-metal", (4.0, 4.0, 4.0), "flr")
     if market or rng.uniform() < 0.6:
         parts.append(flat_roof(width, depth, height - 0.3, tint))
         return merged([*parts, boards.mesh()], "building")
