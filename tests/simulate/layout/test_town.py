@@ -148,7 +148,7 @@ def worlds():
 def test_nothing_stands_on_a_carriageway_that_should_not(worlds):
     rolling = {"car", "van", "truck", "trailer", "motorcycle"}
     for made in worlds.values():
-        fixed = [thing for thing in made.objects if thing.name not in rolling]
+        fixed = [thing for thing in made.objects if thing.template.name not in rolling]
         at = locate(made.town.roads, np.array([thing.at[:2] for thing in fixed]))
         median = np.abs(at.d) < made.town.roads[0].median
         assert ((at.kerb_distance > 0) | median).all()
@@ -156,7 +156,7 @@ def test_nothing_stands_on_a_carriageway_that_should_not(worlds):
 
 def test_buildings_keep_clear_of_pavements_and_of_each_other(worlds):
     for made in worlds.values():
-        houses = [t for t in made.objects if t.name in ("house", "terrace", "flats", "hall")]
+        houses = [t for t in made.objects if t.template.name in ("house", "terrace", "flats", "hall")]
         if len(houses) < 2:
             continue
         xy = np.array([thing.at[:2] for thing in houses])
@@ -165,7 +165,7 @@ def test_buildings_keep_clear_of_pavements_and_of_each_other(worlds):
 
 
 def test_every_place_has_what_belongs_there(worlds):
-    names = {place: {thing.name for thing in made.objects} for place, made in worlds.items()}
+    names = {place: {thing.template.name for thing in made.objects} for place, made in worlds.items()}
     assert {"house", "car", "lamp", "tree"} <= names["residential"]
     assert {"flats", "sign"} <= names["avenue"]
     assert "guard rail" in names["motorway"]
@@ -177,7 +177,7 @@ def test_a_centre_has_many_of_what_is_rare_elsewhere(worlds):
 
     def count(place, *wanted):
         made = [worlds[place], build_world(8, 1.0, place), build_world(9, 1.0, place)]
-        names = [thing.name for one in made for thing in one.objects]
+        names = [thing.template.name for one in made for thing in one.objects]
         names += [actor.name.split()[0] for one in made for actor in one.traffic.actors]
         return sum(name in wanted for name in names)
 

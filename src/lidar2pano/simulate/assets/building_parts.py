@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.scene.mesh import PLAIN, UNTYPED, Mesh, Tint, box, merged, mesh, polygons, projected_uv, tube
+from lidar2pano.simulate.scene.mesh import PLAIN, Mesh, Tint, box, merged, mesh, polygons, projected_uv, tube
 from lidar2pano.simulate.scene.random_streams import pick
 from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS
 
@@ -88,15 +89,11 @@ class Boards:
         cut = np.isin(finish[board, 0], [MATERIAL_IDS[name] for name in _CUT])
         uv[cut, :, 1] = (points[cut, :, 2] - low[board][cut, None, 2]) / size[board][cut, None, 2]
         start = 4 * np.arange(len(board))[:, None]
-        return Mesh(
-            vertices=points.reshape(-1, 3).astype(np.float32),
-            normals=np.repeat(normals, 4, axis=0).astype(np.float32),
-            uv=uv.reshape(-1, 2).astype(np.float32),
-            faces=np.concatenate([start + (0, 1, 2), start + (0, 2, 3)], axis=1).reshape(-1, 3).astype(np.int32),
-            material=np.repeat(finish[board, 0], 2).astype(np.uint8),
-            object_type=np.full(2 * len(board), UNTYPED, dtype=np.uint8),
-            tint=np.repeat(finish[board, 1:], 2, axis=0).astype(np.float32),
-        )
+        faces = np.concatenate([start + (0, 1, 2), start + (0, 2, 3)], axis=1)
+        flat = np.repeat(normals, 4, axis=0)
+        boards = mesh(points.reshape(-1, 3), faces, "plaster", normals=flat, uv=uv.reshape(-1, 2))
+        material = np.repeat(finish[board, 0], 2).astype(np.uint8)
+        return replace(boards, material=material, tint=np.repeat(finish[board, 1:], 2, axis=0).astype(np.float32))
 
 
 class Opening(NamedTuple):

@@ -8,9 +8,10 @@ import numpy as np
 
 from lidar2pano.simulate.assets.vehicle_body import Body, Patch, VehicleShape, body, both_sides, plate, wheel
 from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, ellipsoid, merged, tube
+from lidar2pano.simulate.scene.random_streams import pick
 
 # Share of cars, linear RGB albedo: Germany's registrations around 2012 (KBA), rounded.
-COLOURS: tuple[tuple[float, tuple[float, float, float]], ...] = (
+COLOURS: tuple[tuple[float, Tint], ...] = (
     (0.26, (0.012, 0.012, 0.013)),  # black
     (0.10, (0.045, 0.048, 0.052)),  # anthracite
     (0.08, (0.13, 0.135, 0.14)),  # grey
@@ -93,16 +94,16 @@ BODIES: tuple[str, ...] = tuple(SHAPES)
 SHARES: tuple[float, ...] = (0.30, 0.14, 0.17, 0.08, 0.10, 0.10, 0.03, 0.01, 0.07)  # of BODIES, by the roadside
 
 
-def colour(rng: np.random.Generator) -> tuple[float, float, float]:
+def colour(rng: np.random.Generator) -> Tint:
     """Tint of a car's paint over the material's grey of 0.5."""
-    pick = rng.choice(len(COLOURS), p=[share for share, _ in COLOURS])
-    r, g, b = np.asarray(COLOURS[pick][1]) * rng.uniform(0.8, 1.25) * rng.uniform(0.94, 1.06, 3) / 0.5
+    albedo = pick(rng, [albedo for _, albedo in COLOURS], p=[share for share, _ in COLOURS])
+    r, g, b = np.asarray(albedo) * rng.uniform(0.8, 1.25) * rng.uniform(0.94, 1.06, 3) / 0.5
     return float(min(r, 1.6)), float(min(g, 1.6)), float(min(b, 1.6))
 
 
 def car(rng: np.random.Generator, body: str | None = None) -> Mesh:
     """A car on its wheels, facing +x; `body` in BODIES, by default random by SHARES."""
-    name = BODIES[rng.choice(len(BODIES), p=SHARES)] if body is None else body
+    name = pick(rng, BODIES, p=SHARES) if body is None else body
     tint = colour(rng)
     shape = varied(rng, _equipped(rng, name, SHAPES[name]))
     return _assembled(rng, shape, tint)
@@ -141,7 +142,7 @@ def varied(rng: np.random.Generator, shape: VehicleShape) -> VehicleShape:
     )
 
 
-def _assembled(rng: np.random.Generator, shape: VehicleShape, tint: tuple[float, float, float]) -> Mesh:
+def _assembled(rng: np.random.Generator, shape: VehicleShape, tint: Tint) -> Mesh:
     skin = body(shape, tint)
     front_z, rear_z = float(np.mean(shape.nose_rows[1:3])), float(np.mean(shape.tail_rows[1:3]))
     parts = [
@@ -168,7 +169,7 @@ def wheels(shape: VehicleShape, spokes: int, width: float) -> list[Mesh]:
     return [side for axle in shape.axles for side in both_sides(one.placed((shape.length / 2 - axle, y, shape.wheel)))]
 
 
-def _mirrors(shape: VehicleShape, tint: tuple[float, float, float]) -> list[Mesh]:
+def _mirrors(shape: VehicleShape, tint: Tint) -> list[Mesh]:
     x = shape.length / 2 - shape.profile[1][0] - 0.36
     y, z = shape.width / 2 + 0.06, shape.belt[0] + 0.07
     shell = ellipsoid((x, y, z), (0.075, 0.105, 0.07), "paint", tint, detail=4)
@@ -177,7 +178,7 @@ def _mirrors(shape: VehicleShape, tint: tuple[float, float, float]) -> list[Mesh
     return list(both_sides(merged([shell, glass, arm])))
 
 
-def _handles(shape: VehicleShape, tint: tuple[float, float, float]) -> list[Mesh]:
+def _handles(shape: VehicleShape, tint: Tint) -> list[Mesh]:
     y = 0.486 * shape.width
     parts = []
     for seam in shape.seams[1:]:
@@ -222,6 +223,9 @@ def _extras(rng: np.random.Generator, skin: Body, shape: VehicleShape) -> list[M
 
 
 WHITE: Tint = (1.42, 1.42, 1.4)
+TARPAULINS: tuple[Tint, ...] = (
+    (0.05, 0.12, 0.4), (0.6, 0.03, 0.03), (1.1, 1.1, 1.08), (0.05, 0.2, 0.1), (0.9, 0.55, 0.03), (0.3, 0.31, 0.33),
+)  # fmt: skip
 
 
 def trailer(rng: np.random.Generator) -> Mesh:
@@ -237,7 +241,9 @@ def semitrailer(rng: np.random.Generator, *, parked: bool) -> Mesh:
     bed = box((0, 0, 1.18), (length, wide, 0.14), "dark-metal")
     frame = box((-1.0, 0, 0.95), (length - 3.2, 1.0, 0.3), "underbody")
     fill = (
-        boxed(length, wide, 1.25, tall, WHITE) if rng.uniform() < 0.4 else covered(length, wide, 1.25, tall, cloth(rng))
+        boxed(length, wide, 1.25, tall, WHITE)
+        if rng.uniform() < 0.4
+        else covered(length, wide, 1.25, tall, pick(rng, TARPAULINS))
     )
     axles = [part for x in (-2.9, -4.2, -5.5) for part in axle(x, 1.0)]
     down = 1.15 if parked else 0.5
@@ -268,18 +274,6 @@ def rear_end(x: float, z: float, half: float) -> list[Mesh]:
     return [*both_sides(lamp), bar, plate(x - 0.02, z - 0.16, forward=False)]
 
 
-def cloth(rng: np.random.Generator) -> Tint:
-    """The tint of a tarpaulin."""
-    return (
-        (0.05, 0.12, 0.4),
-        (0.6, 0.03, 0.03),
-        (1.1, 1.1, 1.08),
-        (0.05, 0.2, 0.1),
-        (0.9, 0.55, 0.03),
-        (0.3, 0.31, 0.33),
-    )[rng.integers(6)]
-
-
 def boxed(length: float, wide: float, low: float, tall: float, tint: Tint) -> list[Mesh]:
     """A plain box with metal edges and doors at its back."""
     parts = [box((0, 0, low + tall / 2), (length, wide, tall), "paint", tint)]
@@ -299,16 +293,9 @@ def covered(length: float, wide: float, low: float, tall: float, tint: Tint) -> 
     boards = box((0, 0, low + 0.25), (length, wide, 0.5), "metal")
     cover = [box((0, 0, low + 0.45 + (tall - 0.55) / 2), (length - 0.02, wide + 0.03, tall - 0.55), "tarpaulin", tint)]
     cover.append(box((0, 0, low + tall - 0.07), (length - 0.06, wide - 0.14, 0.14), "tarpaulin", tint))
-    straps = []
-    for x in np.linspace(-0.47, 0.47, max(4, int(length / 0.7))) * length:
-        straps.append(
-            box(
-                (x, 0, low + 0.42 + tall / 4),
-                (0.05, wide + 0.05, tall / 2 - 0.1),
-                "dark-metal",
-                without=("top", "bottom"),
-            )
-        )
+    strap, z = (0.05, wide + 0.05, tall / 2 - 0.1), low + 0.42 + tall / 4
+    places = np.linspace(-0.47, 0.47, max(4, int(length / 0.7))) * length
+    straps = [box((x, 0, z), strap, "dark-metal", without=("top", "bottom")) for x in places]
     return [boards, *cover, *straps]
 
 
@@ -324,7 +311,7 @@ def _small_trailer(rng: np.random.Generator) -> Mesh:
     """A car's trailer with boards, mostly under a tarpaulin."""
     length, wide = float(rng.uniform(2.0, 2.9)), float(rng.uniform(1.15, 1.45))
     low, lidded = 0.5, rng.uniform() < 0.7
-    parts = covered(length, wide, low, float(rng.uniform(0.95, 1.5)), cloth(rng)) if lidded else []
+    parts = covered(length, wide, low, float(rng.uniform(0.95, 1.5)), pick(rng, TARPAULINS)) if lidded else []
     if not lidded:
         for s in (-1, 1):
             parts.append(box((0, s * wide / 2, low + 0.18), (length, 0.03, 0.36), "metal"))
@@ -414,7 +401,7 @@ def truck(rng: np.random.Generator) -> Mesh:
 
 def bus(rng: np.random.Generator) -> Mesh:
     """A city bus of 12 m with doors on its right."""
-    tint = LIVERIES[rng.integers(len(LIVERIES))]
+    tint = pick(rng, LIVERIES)
     skin = body(BUS, tint)
     half, side = BUS.length / 2, -BUS.width / 2
     parts = [skin.mesh, *wheels(BUS, 0, 0.3)]
@@ -433,7 +420,7 @@ def bus(rng: np.random.Generator) -> Mesh:
 
 def tram(rng: np.random.Generator) -> Mesh:
     """A tram of three or five stiff sections on a straight track, 29 m, doors on its right."""
-    tint = LIVERIES[1 + rng.integers(3)]
+    tint = pick(rng, LIVERIES[1:4])
     sections, half, side = int(rng.choice([3, 5])), TRAM.length / 2, -TRAM.width / 2
     joints = np.linspace(0, TRAM.length, sections + 1)
     panes = []
@@ -495,7 +482,7 @@ def _cargo(rng: np.random.Generator, length: float, floor: float, scale: float) 
     if which < 0.4:
         return merged([bed, *boxed(length, wide, floor + 0.12, tall, WHITE if rng.uniform() < 0.6 else colour(rng))])
     if which < 0.75:
-        return merged([bed, *covered(length, wide, floor + 0.12, tall, cloth(rng))])
+        return merged([bed, *covered(length, wide, floor + 0.12, tall, pick(rng, TARPAULINS))])
     tint, high = colour(rng), 1.0 * scale
     z, thick = floor + 0.12 + high / 2, 0.07
     tub = [box((0, s * (wide - thick) / 2, z), (length, thick, high), "paint", tint) for s in (-1, 1)]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidar2pano.simulate.scene.mesh import Mesh, Tint, ellipsoid, loft, merged, tube
+from lidar2pano.simulate.scene.mesh import PLAIN, Mesh, Point, Tint, ellipsoid, loft, merged, tube
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,40 +126,25 @@ def _head(human: Human, pose: Pose, object_type: str, helmet: Tint | None) -> li
     k = human.size**0.45  # children have large heads
     base = pose.neck + np.array([0.012, 0, 0.0]) * k
     middle = base + np.array([0.02, 0, 0.155]) * k
-    parts = [
-        tube(
-            np.stack([base - (0, 0, 0.05 * k), middle - (0.01, 0, 0.04)]), 0.053 * k, "skin", human.skin, closed=False
-        ),
-        ellipsoid(middle, np.array([0.092, 0.074, 0.115]) * k, "skin", human.skin, detail=6),
-        ellipsoid(
-            middle + np.array([0.09, 0, -0.012]) * k, (0.018 * k, 0.014 * k, 0.022 * k), "skin", human.skin, detail=3
-        ),
-    ]
+
+    def ball(offset: Point, radii: Point, material: str, tint: Tint = PLAIN, detail: int = 6) -> Mesh:
+        return ellipsoid(middle + np.array(offset) * k, np.array(radii) * k, material, tint, detail=detail)
+
+    throat = np.stack([base - (0, 0, 0.05 * k), middle - (0.01, 0, 0.04)])
+    neck = tube(throat, 0.053 * k, "skin", human.skin, closed=False)
     if helmet is not None and object_type == "motorcyclist":  # it covers the face, but for a visor
-        shell, visor = middle + np.array([-0.01, 0, 0.005]) * k, middle + np.array([0.045, 0, 0.02]) * k
-        return [
-            parts[0],
-            ellipsoid(shell, np.array([0.14, 0.12, 0.15]) * k, "plastic", helmet, detail=7),
-            ellipsoid(visor, np.array([0.1, 0.1, 0.06]) * k, "window", detail=6),
-        ]
+        shell = ball((-0.01, 0, 0.005), (0.14, 0.12, 0.15), "plastic", helmet, 7)
+        return [neck, shell, ball((0.045, 0, 0.02), (0.1, 0.1, 0.06), "window")]
+    parts = [neck, ball((0, 0, 0), (0.092, 0.074, 0.115), "skin", human.skin)]
+    parts.append(ball((0.09, 0, -0.012), (0.018, 0.014, 0.022), "skin", human.skin, 3))
     if helmet is not None:
-        shell = middle + np.array([-0.012, 0, 0.035]) * k
-        return [
-            *parts,
-            ellipsoid(shell, np.array([0.135, 0.105, 0.105]) * k, "plastic", helmet, detail=6),
-        ]
-    parts.append(
-        ellipsoid(
-            middle + np.array([-0.022, 0, 0.026]) * k, np.array([0.093, 0.083, 0.103]) * k, "hair", human.hair, detail=6
-        )
-    )
+        return [*parts, ball((-0.012, 0, 0.035), (0.135, 0.105, 0.105), "plastic", helmet)]
+    parts.append(ball((-0.022, 0, 0.026), (0.093, 0.083, 0.103), "hair", human.hair))
     if human.long_hair:
-        low = middle + np.array([-0.05, 0, -0.075]) * k
-        parts.append(ellipsoid(low, np.array([0.058, 0.082, 0.14]) * k, "hair", human.hair, detail=5))
+        parts.append(ball((-0.05, 0, -0.075), (0.058, 0.082, 0.14), "hair", human.hair, 5))
     if human.hat:
-        crown = middle + np.array([-0.01, 0, 0.065]) * k
-        parts.append(ellipsoid(crown, np.array([0.108, 0.093, 0.075]) * k, "cloth", human.bottom, detail=5))
-        brim = crown + np.array([0.085, 0, -0.012]) * k
+        parts.append(ball((-0.01, 0, 0.065), (0.108, 0.093, 0.075), "cloth", human.bottom, 5))
+        brim = middle + np.array([-0.01, 0, 0.065]) * k + np.array([0.085, 0, -0.012]) * k
         parts.append(ellipsoid(brim, np.array([0.075, 0.07, 0.012]) * k, "cloth", human.bottom, detail=4))
     return parts
 
@@ -196,12 +181,8 @@ def _arm(human: Human, arm: Arm) -> list[Mesh]:
     if not human.short_sleeves:
         return [shoulder, hand, tube(_course(joints, at), radius * 1.08, "cloth", human.top)]
     bare = tube(_course(joints, at), radius * 0.85, "skin", human.skin)
-    return [
-        shoulder,
-        hand,
-        bare,
-        tube(_course(joints, [0.04, 0.3, 0.62]), np.array([0.052, 0.059, 0.06]) * b, "cloth", human.top),
-    ]
+    sleeve = tube(_course(joints, [0.04, 0.3, 0.62]), np.array([0.052, 0.059, 0.06]) * b, "cloth", human.top)
+    return [shoulder, hand, bare, sleeve]
 
 
 def _sole(human: Human, leg: Leg, points: np.ndarray) -> np.ndarray:

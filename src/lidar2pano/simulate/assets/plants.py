@@ -260,9 +260,9 @@ def _limbs(
     rng: np.random.Generator, species: Species, trunk: np.ndarray, clumps: np.ndarray, detail: float
 ) -> list[Mesh]:
     """Main branches, from the trunk to some of the clumps; SemanticKITTI counts them as vegetation."""
-    weighted_choice = rng.permutation(len(clumps))[: int(np.clip(16 * detail, 3, 16))]
+    order = rng.permutation(len(clumps))[: int(np.clip(16 * detail, 3, 16))]
     limbs = []
-    for target in clumps[weighted_choice]:
+    for target in clumps[order]:
         rise = rng.uniform(0.45, 0.8) * np.hypot(*target[:2])
         start = np.clip(target[2] - rise, trunk[2, 2], trunk[-1, 2] * 0.95)
         foot = np.array([np.interp(start, trunk[:, 2], trunk[:, axis]) for axis in (0, 1, 2)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,9 +10,8 @@ import numpy as np
 from lidar2pano.simulate.assets.motor_vehicles import colour
 from lidar2pano.simulate.assets.people import Arm, Human, Leg, Pose, figure, middle_joint, random_human, shoulder_of
 from lidar2pano.simulate.assets.vehicle_body import both_sides, lathe
-from lidar2pano.simulate.scene.mesh import Mesh, Tint, box, ellipsoid, merged, polygons, tube
-
-Point = tuple[float, float, float]
+from lidar2pano.simulate.scene.mesh import PLAIN, Mesh, Point, Points, Tint, box, ellipsoid, merged, polygons, tube
+from lidar2pano.simulate.scene.random_streams import pick
 
 
 class Mount(NamedTuple):
@@ -56,10 +54,7 @@ def motorcyclist(rng: np.random.Generator) -> Mesh:
 
 
 def _helmet(rng: np.random.Generator) -> Tint:
-    r, g, b = np.array([(0.05, 0.05, 0.05), (1.8, 1.8, 1.8), (1.2, 0.1, 0.1), (0.1, 0.25, 0.9), (0.7, 0.7, 0.7)])[
-        rng.integers(5)
-    ]
-    return float(r), float(g), float(b)
+    return pick(rng, ((0.05, 0.05, 0.05), (1.8, 1.8, 1.8), (1.2, 0.1, 0.1), (0.1, 0.25, 0.9), (0.7, 0.7, 0.7)))
 
 
 def _rider(mount: Mount, human: Human, object_type: str, helmet: Tint | None, lean: float) -> Mesh:
@@ -81,8 +76,8 @@ def _rider(mount: Mount, human: Human, object_type: str, helmet: Tint | None, le
     return figure(human, Pose(pelvis, neck, (legs[0], legs[1]), (arms[0], arms[1])), object_type, helmet)
 
 
-def _bar(points: Sequence[Point], radius: float, material: str, tint: Tint = (1.0, 1.0, 1.0)) -> Mesh:
-    return tube(np.array(points), radius, material, tint, sides=6, closed=False)
+def _bar(points: Points, radius: float, material: str, tint: Tint = PLAIN) -> Mesh:
+    return tube(points, radius, material, tint, sides=6, closed=False)
 
 
 def _ring(radius: float, thick: float, material: str, sides: int = 24, round_: int = 6) -> Mesh:
@@ -119,22 +114,22 @@ def _guard(centre: Point, radius: float, wide: float, turn: tuple[float, float],
 
 
 def _bicycle(rng: np.random.Generator) -> Mount:
-    tint, pick = colour(rng), rng.uniform(size=7)
-    radius = 0.345 if pick[0] < 0.8 else 0.33
-    low = pick[1] < 0.45  # a step-through frame
+    tint, draw = colour(rng), rng.uniform(size=7)
+    radius = 0.345 if draw[0] < 0.8 else 0.33
+    low = draw[1] < 0.45  # a step-through frame
     back, ahead = np.array([-0.53, 0, radius]), np.array([0.54, 0, radius])
     crank, seat = (-0.1, 0.0, 0.28), (-0.25, 0.0, 0.76)
     top, neck = (0.33, 0.0, 0.92), (0.375, 0.0, 0.72)
-    rise, wide = 0.1 + 0.08 * pick[2], 0.26 + 0.05 * pick[3]
+    rise, wide = 0.1 + 0.08 * draw[2], 0.26 + 0.05 * draw[3]
     bars = (top[0] - 0.02, 0.0, top[2] + rise)
     side: list[Mesh] = []
     side.append(_bar([seat, (back[0], 0.055, radius)], 0.008, "paint", tint))
     side.append(_bar([crank, (back[0], 0.055, radius)], 0.009, "paint", tint))
     side.append(_bar([neck, (0.4, 0.05, 0.66), (0.47, 0.055, 0.48), (ahead[0], 0.055, radius)], 0.012, "paint", tint))
     elbow = (bars[0] + 0.02, 0.7 * wide, bars[2] + 0.02)
-    grip = np.array([bars[0] - 0.16, wide, bars[2] + 0.01])
-    side.append(_bar([bars, elbow, (bars[0] - 0.05, wide, bars[2] + 0.015)], 0.011, "metal"))
-    side.append(_bar([(bars[0] - 0.05, wide, bars[2] + 0.015), (grip[0], grip[1], grip[2])], 0.016, "rubber"))
+    end, grip = (bars[0] - 0.05, wide, bars[2] + 0.015), np.array([bars[0] - 0.16, wide, bars[2] + 0.01])
+    side.append(_bar([bars, elbow, end], 0.011, "metal"))
+    side.append(_bar([end, grip], 0.016, "rubber"))
     parts = [
         _wheel(radius, 0.019, 16, 0.004).placed((back[0], 0, radius)),
         _wheel(radius, 0.019, 16, 0.004).placed((ahead[0], 0, radius)),
@@ -149,13 +144,13 @@ def _bicycle(rng: np.random.Generator) -> Mount:
         ellipsoid((0.43, 0, 0.83), (0.04, 0.035, 0.035), "headlamp", detail=4),
         *(mesh for part in side for mesh in both_sides(part)),
     ]
-    if pick[4] < 0.75:
+    if draw[4] < 0.75:
         dark: Tint = (0.05, 0.05, 0.05)
         parts.append(_guard((back[0], 0, radius), radius + 0.02, 0.05, (0.9, 3.3), dark))
         parts.append(_guard((ahead[0], 0, radius), radius + 0.02, 0.05, (0.7, 2.9), dark))
-    if pick[5] < 0.7:
+    if draw[5] < 0.7:
         parts += _rack(radius)
-    if pick[6] < 0.25:
+    if draw[6] < 0.25:
         parts.append(box((0.5, 0, 0.94), (0.28, 0.36, 0.22), "wood", without=("top",)))
     turn = float(rng.uniform(0, 2 * np.pi))
     pedals = [_pedal(turn + (0 if s > 0 else np.pi), s) for s in (1, -1)]
@@ -167,19 +162,15 @@ def _bicycle(rng: np.random.Generator) -> Mount:
 def _rack(radius: float) -> list[Mesh]:
     """A luggage rack over the rear wheel, with its lamp."""
     z = 2 * radius + 0.07
-    bars = [_bar([(-0.3, 0.05, z), (-0.7, 0.05, z), (-0.53, 0.06, radius)], 0.006, "dark-metal")]
-    bars.append(box((-0.5, 0.0, z), (0.38, 0.11, 0.008), "dark-metal"))
-    return [
-        *(mesh for part in bars[:1] for mesh in both_sides(part)),
-        bars[1],
-        box((-0.72, 0, z - 0.04), (0.03, 0.07, 0.05), "tail-lamp"),
-    ]
+    bar = _bar([(-0.3, 0.05, z), (-0.7, 0.05, z), (-0.53, 0.06, radius)], 0.006, "dark-metal")
+    tray, lamp = (-0.5, 0.0, z), (-0.72, 0, z - 0.04)
+    return [*both_sides(bar), box(tray, (0.38, 0.11, 0.008), "dark-metal"), box(lamp, (0.03, 0.07, 0.05), "tail-lamp")]
 
 
 def _pedal(turn: float, side: int) -> tuple[Mesh, np.ndarray]:
     """A crank with its pedal, and the pedal's position."""
     end = np.array([-0.1 + 0.17 * np.cos(turn), side * 0.09, 0.28 + 0.17 * np.sin(turn)])
-    arm = _bar([(-0.1, side * 0.075, 0.28), (end[0], end[1], end[2])], 0.01, "metal")
+    arm = _bar([(-0.1, side * 0.075, 0.28), end], 0.01, "metal")
     foot = end + np.array([0, side * 0.06, 0])
     return merged([arm, box(foot, (0.09, 0.1, 0.025), "rubber")]), foot
 
@@ -189,11 +180,11 @@ def _motorcycle(rng: np.random.Generator) -> Mount:
 
 
 def _roadster(rng: np.random.Generator) -> Mount:
-    tint, pick = colour(rng), rng.uniform(size=3)
+    tint, draw = colour(rng), rng.uniform(size=3)
     radius, back, ahead = 0.31, (-0.72, 0.0, 0.31), (0.72, 0.0, 0.31)
-    grip = np.array([0.28, 0.34 + 0.04 * pick[0], 1.03])
+    grip = np.array([0.28, 0.34 + 0.04 * draw[0], 1.03])
     side = [
-        _bar([ahead, (0.6, 0.1, 0.55), (0.44, 0.1, 0.95)], 0.026, "metal").placed((0, 0.0, 0)),
+        _bar([ahead, (0.6, 0.1, 0.55), (0.44, 0.1, 0.95)], 0.026, "metal").placed((0, 0, 0)),
         _bar([(0.4, 0, 0.98), (0.39, 0.2, 1.04), (0.28, grip[1], 1.03)], 0.014, "dark-metal"),
         _bar([(0.3, grip[1] - 0.08, 1.03), (0.25, grip[1] + 0.04, 1.03)], 0.02, "rubber"),
         _bar([(0.36, 0.25, 1.05), (0.34, 0.36, 1.2)], 0.008, "dark-metal"),
@@ -218,10 +209,10 @@ def _roadster(rng: np.random.Generator) -> Mount:
         *_lights((0.56, 0.93), (-0.82, 0.8)),
         *(mesh for part in side for mesh in both_sides(part)),
     ]
-    if pick[1] < 0.4:  # a fairing with its screen
+    if draw[1] < 0.4:  # a fairing with its screen
         parts.append(ellipsoid((0.45, 0, 0.92), (0.24, 0.22, 0.2), "paint", tint, detail=6))
         parts.append(ellipsoid((0.42, 0, 1.1), (0.12, 0.17, 0.17), "window", detail=5))
-    if pick[2] < 0.25:
+    if draw[2] < 0.25:
         parts.append(box((-0.76, 0, 0.99), (0.36, 0.4, 0.28), "dark-metal"))
     other, pedal = grip * (1, -1, 1), np.array([-0.1, 0.24, 0.33])
     return Mount(merged(parts), np.array([-0.24, 0, 0.84]), (grip, other), (pedal, pedal * (1, -1, 1)))

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar2pano.simulate.scene.mesh import (
-    UNTYPED,
     Mesh,
     Points,
     Tint,
@@ -21,7 +20,6 @@ from lidar2pano.simulate.scene.mesh import (
     merged,
     mesh,
     polygons,
-    projected_uv,
     quads_of,
     smooth_normals,
 )
@@ -348,12 +346,7 @@ def _end_cells(patches: tuple[Patch, ...]) -> np.ndarray:
     return cells
 
 
-def _skin(
-    grids: list[np.ndarray],
-    cells: list[np.ndarray],
-    outwards: list[tuple[int, int, int]],
-    tint: Tint,
-) -> Mesh:
+def _skin(grids: list[np.ndarray], cells: list[np.ndarray], outwards: list[tuple[int, int, int]], tint: Tint) -> Mesh:
     """Grids (n, m, 3) and the material names of their cells as one mesh; smooth, but not from glass to metal."""
     points, faces, names, start = [], [], [], 0
     for grid, cell, outward in zip(grids, cells, outwards, strict=True):
@@ -380,15 +373,8 @@ def _skin(
     normals[np.abs(vertices[:, 1]) < 1e-6, 1] = 0
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     tints = np.array([tint if n == "paint" else TINTS.get(n, (1.0, 1.0, 1.0)) for n in name], dtype=np.float32)
-    return Mesh(
-        vertices=vertices,
-        normals=normals,
-        uv=projected_uv(vertices, normals),
-        faces=tri,
-        material=np.array([MATERIAL_IDS[n] for n in name], dtype=np.uint8),
-        object_type=np.full(len(tri), UNTYPED, dtype=np.uint8),
-        tint=tints,
-    )
+    material = np.array([MATERIAL_IDS[n] for n in name], dtype=np.uint8)
+    return replace(mesh(vertices, tri, "paint", normals=normals), material=material, tint=tints)
 
 
 def _lining(shape: VehicleShape, side: np.ndarray, x: np.ndarray, bottom: np.ndarray) -> Mesh:

@@ -9,7 +9,6 @@ import numpy as np
 from lidar2pano.simulate.layout.roads import Road, Terrain, locate
 from lidar2pano.simulate.layout.town import GroundCover, Town
 from lidar2pano.simulate.scene.mesh import Mesh, merged, mesh
-from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, OBJECT_TYPE_IDS
 
 CELL, FAR_CELL = 1.0, 10.0  # metres: cells of the grid, and of the rim around it
 FAR = 420.0  # metres: width of the rim
@@ -133,26 +132,12 @@ def _surface(
     a, b = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
     corners = corners[a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] > 1e-9].reshape(-1, corners.shape[-1])
     xy = corners[:, :2]
-    return _mesh(
-        np.column_stack([xy, terrain.height(xy) + rise]),
-        terrain.normal(xy),
-        corners[:, list(texture)],
-        material,
-        object_type,
-    )
+    points = np.column_stack([xy, terrain.height(xy) + rise])
+    return _mesh(points, terrain.normal(xy), corners[:, list(texture)], material, object_type)
 
 
 def _mesh(vertices: np.ndarray, normals: np.ndarray, uv: np.ndarray, material: str, object_type: str) -> Mesh:
-    count = len(vertices) // 3
-    return Mesh(
-        vertices=vertices.astype(np.float32),
-        normals=normals.astype(np.float32),
-        uv=uv.astype(np.float32),
-        faces=np.arange(3 * count, dtype=np.int32).reshape(-1, 3),
-        material=np.full(count, MATERIAL_IDS[material], np.uint8),
-        object_type=np.full(count, OBJECT_TYPE_IDS[object_type], np.uint8),
-        tint=np.ones((count, 3), np.float32),
-    )
+    return merged([mesh(vertices, np.arange(len(vertices)), material, normals=normals, uv=uv)], object_type)
 
 
 def _kerb(cuts: np.ndarray, terrain: Terrain, height: float) -> Mesh:

@@ -20,13 +20,16 @@ PLANTS = ("tree", "far tree", "bush")
 
 Maker = Callable[[np.random.Generator, float], Mesh]
 """(random generator, detail in (0, 1]) -> a mesh in the object frame (Mesh)."""
+Circle = tuple[float, float, float]
+"""x, y and radius, metres."""
 
 
-class ObjectTemplate(NamedTuple):
+class Template(NamedTuple):
     """An object that can be placed: its maker, name (of its random streams) and radius of its footprint in metres.
 
     on_sidewalk    stands at the level of the sidewalk, not of the carriageway.
-    follows_slope  its z axis is the normal of the ground (vehicles);  has_instance: it has an instance number.
+    follows_slope  its z axis is the normal of the ground (vehicles).
+    has_instance   it has an instance number (the "things" of SemanticKITTI).
     """
 
     make: Maker
@@ -41,27 +44,23 @@ class ObjectTemplate(NamedTuple):
 class PlacedObject:
     """An object in the world frame.
 
-    make          its maker;  name, number: of its random stream.
-    at            (x, y, z) metres;  yaw: radians;  normal: of the ground, for objects that follow its slope.
-    radius        of its footprint, metres.
-    has_instance  whether it has an instance number (the "things" of SemanticKITTI).
+    number  of its random stream.
+    at      (x, y, z) metres;  yaw: radians;  normal: of the ground, for objects that follow its slope.
     """
 
-    make: Maker
-    name: str
+    template: Template
     number: int
     at: tuple[float, float, float]
     yaw: float
-    radius: float
     normal: tuple[float, float, float] | None = None
-    has_instance: bool = False
 
     def mesh(self, seed: int, detail: float) -> Mesh:
         """Its mesh in the world frame; distant plants of one maker share a few meshes."""
-        if detail < COARSE and self.name in PLANTS:
-            made = _shape(self.make, self.name, self.number % SHAPES, detail)
+        make, name = self.template[:2]
+        if detail < COARSE and name in PLANTS:
+            made = _shape(make, name, self.number % SHAPES, detail)
         else:
-            made = self.make(stream(seed, self.name, self.number), detail)
+            made = make(stream(seed, name, self.number), detail)
         return made.placed(self.at, self.yaw) if self.normal is None else on_slope(made, self.at, self.yaw, self.normal)
 
 
@@ -81,11 +80,9 @@ def on_slope(mesh: Mesh, at: tuple[float, float, float], yaw: float, normal: tup
 
 @dataclass(slots=True, eq=False)
 class OccupancyGrid:
-    """Occupied footprints: circles (x, y, radius) in the cells of a grid that they reach into."""
+    """Occupied footprints: circles in the cells of a grid that they reach into."""
 
-    cells: dict[tuple[int, int], list[tuple[float, float, float]]] = field(
-        default_factory=dict[tuple[int, int], list[tuple[float, float, float]]]
-    )
+    cells: dict[tuple[int, int], list[Circle]] = field(default_factory=dict[tuple[int, int], list[Circle]])
 
     def is_free(self, x: float, y: float, radius: float) -> bool:
         """Whether a circle overlaps no occupied one."""
@@ -100,9 +97,7 @@ class OccupancyGrid:
         for cell in _cells(x, y, radius):
             self.cells.setdefault(cell, []).append((x, y, radius))
 
-    def covering_circles(
-        self, x: float, y: float, yaw: float, size: tuple[float, float]
-    ) -> list[tuple[float, float, float]]:
+    def covering_circles(self, x: float, y: float, yaw: float, size: tuple[float, float]) -> list[Circle]:
         """Circles that cover a rectangle of `size` (along its x, along its y), except its corners."""
         deep, wide = size
         radius = min(deep, wide) / 2
@@ -130,35 +125,26 @@ class Planner:
         """A random stream of this town."""
         return stream(self.town.seed, *names)
 
-    def stretches(self) -> list[tuple[int, Road, Stretch, LandUse]]:
-        """All stretches: index of the road, road, stretch, land use."""
-        return [
-            (index, self.town.roads[index], stretch, LAND_USES[stretch.land_use])
-            for index, row in enumerate(self.town.stretches)
-            for stretch in row
-        ]
+    def stretches(self, name: str) -> Iterator[tuple[np.random.Generator, Road, Stretch, LandUse]]:
+        """All stretches: the random stream of what is called `name` there, road, stretch, land use."""
+        number = 0
+        for index, (road, row) in enumerate(zip(self.town.roads, self.town.stretches, strict=True)):
+            for stretch in row:
+                yield self.rng(name, index, number), road, stretch, LAND_USES[stretch.land_use]
+                number += 1
 
-    def add(self, piece: ObjectTemplate, xy: np.ndarray, yaw: float) -> None:
+    def add(self, template: Template, xy: np.ndarray, yaw: float) -> None:
         """Place an object at a point (2,)."""
-        z = float(self.town.height(xy, on_sidewalk=piece.on_sidewalk))
-        self.objects.append(
-            PlacedObject(
-                make=piece.make,
-                name=piece.name,
-                number=len(self.objects),
-                at=(float(xy[0]), float(xy[1]), z),
-                yaw=yaw,
-                radius=piece.radius,
-                normal=tuple(self.town.terrain.normal(xy).tolist()) if piece.follows_slope else None,
-                has_instance=piece.has_instance,
-            )
-        )
+        z = float(self.town.height(xy, on_sidewalk=template.on_sidewalk))
+        normal = tuple(self.town.terrain.normal(xy).tolist()) if template.follows_slope else None
+        at = (float(xy[0]), float(xy[1]), z)
+        self.objects.append(PlacedObject(template=template, number=len(self.objects), at=at, yaw=yaw, normal=normal))
 
-    def add_if_free(self, piece: ObjectTemplate, xy: np.ndarray, yaw: float) -> bool:
+    def add_if_free(self, template: Template, xy: np.ndarray, yaw: float) -> bool:
         """Place an object if its footprint is free, and occupy it; whether it was placed."""
-        circle = (float(xy[0]), float(xy[1]), piece.radius)
+        circle = (float(xy[0]), float(xy[1]), template.radius)
         if not self.occupied.is_free(*circle):
             return False
         self.occupied.occupy(*circle)
-        self.add(piece, xy, yaw)
+        self.add(template, xy, yaw)
         return True

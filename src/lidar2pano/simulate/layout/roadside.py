@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from lidar2pano.simulate.assets import barriers, buildings, people, plants, street_furniture, two_wheelers
-from lidar2pano.simulate.layout.placement import Maker, ObjectTemplate, Planner
+from lidar2pano.simulate.layout.placement import Maker, Planner, Template
 from lidar2pano.simulate.layout.roads import Road, locate
 from lidar2pano.simulate.layout.town import LandUse, Stretch, clear_of_roads
 from lidar2pano.simulate.layout.traffic import VEHICLES
@@ -17,26 +16,27 @@ from lidar2pano.simulate.scene.mesh import Mesh
 from lidar2pano.simulate.scene.random_streams import weighted_choice
 
 Rng = np.random.Generator
+SMALL = {"shed": buildings.shed, "garage": buildings.garage}
+LARGE = {"house": buildings.house, "terrace": buildings.house, "flats": buildings.flats, "hall": buildings.hall}
+BARRIERS = {
+    "picket": barriers.picket_fence, "wire": barriers.wire_fence, "railing": barriers.railing,
+    "wall": barriers.wall, "noise": barriers.noise_barrier, "guard": barriers.guard_rail,
+}  # fmt: skip
 
 
 def _building_maker(make: str, wide: float, deep: float) -> Maker:
     """The maker of a building of `wide` x `deep` metres."""
-    small = {"shed": buildings.shed, "garage": buildings.garage}
-    large = {
-        "house": buildings.house, "terrace": buildings.house, "flats": buildings.flats, "hall": buildings.hall,
-    }  # fmt: skip
-    if make in small:
-        return lambda rng, _: small[make](rng)
-    return lambda rng, _: large[make](rng, wide, deep)
+    if make in SMALL:
+        return lambda rng, _: SMALL[make](rng)
+    return lambda rng, _: LARGE[make](rng, wide, deep)
 
 
 def place_buildings(plan: Planner) -> None:
     """A building on every lot with room for it, a second row along the main road, garages beside some houses."""
-    for number, (index, road, stretch, land_use) in enumerate(plan.stretches()):
+    for rng, road, stretch, land_use in plan.stretches("lots"):
         if land_use.building:
-            rng = plan.rng("lots", index, number)
             _row(plan, rng, road, stretch, land_use, behind=0.0)
-            if index == 0:
+            if road is plan.town.roads[0]:
                 _row(plan, rng, road, stretch, land_use, behind=rng.uniform(24, 34))
 
 
@@ -63,15 +63,12 @@ def _lot(
         return
     for circle in circles:
         plan.occupied.occupy(*circle)
-    plan.add(
-        ObjectTemplate(_building_maker(land_use.building, wide, deep), land_use.building, max(wide, deep) / 1.6),
-        xy,
-        yaw,
-    )
+    make = _building_maker(land_use.building, wide, deep)
+    plan.add(Template(make, land_use.building, max(wide, deep) / 1.6), xy, yaw)
     if land_use.building == "house" and rng.uniform() < 0.45:
         beside, where = _facing(road, s + rng.choice([-1, 1]) * (wide / 2 + 2.2), stretch.side, road.sidewalk + off + 4)
         if clear_of_roads(plan.town.roads, _corners(where, beside, 6, 3.2), 0.2).all():
-            plan.add_if_free(ObjectTemplate(_building_maker("garage", 3, 6), "garage", 2.0), where, beside)
+            plan.add_if_free(Template(_building_maker("garage", 3, 6), "garage", 2.0), where, beside)
 
 
 def _facing(road: Road, s: float, side: int, away: float) -> tuple[float, np.ndarray]:
@@ -90,10 +87,9 @@ def _corners(xy: np.ndarray, yaw: float, deep: float, wide: float) -> np.ndarray
 
 def borders(plan: Planner) -> None:
     """Hedges, fences and walls along the sidewalks, with gaps for entrances."""
-    for number, (index, road, stretch, land_use) in enumerate(plan.stretches()):
+    for rng, road, stretch, land_use in plan.stretches("borders"):
         if not land_use.borders:
             continue
-        rng = plan.rng("borders", index, number)
         s = stretch.start
         while s < stretch.end - 3:
             barrier = weighted_choice(rng, land_use.borders)
@@ -105,11 +101,9 @@ def borders(plan: Planner) -> None:
 
 def _place_border(plan: Planner, rng: Rng, road: Road, side: int, barrier: str, span: tuple[float, float]) -> None:
     """Straight pieces along the road, left out where a road or building is in the way."""
-    piece = 14.0
-    off = 4.0 if barrier == "noise" else 0.35
-    edges = np.arange(span[0], span[1], piece)
+    piece, off = 14.0, 4.0 if barrier == "noise" else 0.35
     height = rng.uniform(0.8, 1.9)
-    for first in edges:
+    for first in np.arange(span[0], span[1], piece):
         last = min(first + piece, span[1])
         if last - first < 1.5:
             continue
@@ -123,9 +117,8 @@ def _place_border(plan: Planner, rng: Rng, road: Road, side: int, barrier: str, 
         length, yaw = float(np.hypot(*run)), float(np.arctan2(run[1], run[0]))
         for x, y in xy:
             plan.occupied.occupy(float(x), float(y), 0.3)
-        plan.add(
-            ObjectTemplate(_barrier(plan, barrier, xy[0], yaw, length, height), f"border {barrier}", 0.0), xy[0], yaw
-        )
+        make = _barrier(plan, barrier, xy[0], yaw, length, height)
+        plan.add(Template(make, f"border {barrier}", 0.0), xy[0], yaw)
 
 
 def _barrier(plan: Planner, barrier: str, start: np.ndarray, yaw: float, length: float, height: float) -> Maker:
@@ -144,11 +137,7 @@ def _barrier(plan: Planner, barrier: str, start: np.ndarray, yaw: float, length:
             return replace(level, vertices=level.vertices + rise)
 
         return grown
-    makers = {
-        "picket": barriers.picket_fence, "wire": barriers.wire_fence, "railing": barriers.railing,
-        "wall": barriers.wall, "noise": barriers.noise_barrier, "guard": barriers.guard_rail,
-    }  # fmt: skip
-    return lambda rng, _: makers[barrier](rng, length, land)
+    return lambda rng, _: BARRIERS[barrier](rng, length, land)
 
 
 def guard_rails(plan: Planner) -> None:
@@ -170,13 +159,12 @@ def guard_rails(plan: Planner) -> None:
                 continue
             yaw = float(np.arctan2(run[1], run[0]))
             rail = _barrier(plan, "guard", xy[0], yaw, float(np.hypot(*run)), 0.75)
-            plan.add(ObjectTemplate(rail, "guard rail", 0.0), xy[0], yaw)
+            plan.add(Template(rail, "guard rail", 0.0), xy[0], yaw)
 
 
 def yards(plan: Planner) -> None:
     """Trees and bushes on the lots and behind them."""
-    for number, (index, road, stretch, land_use) in enumerate(plan.stretches()):
-        rng = plan.rng("yards", index, number)
+    for rng, road, stretch, land_use in plan.stretches("yards"):
         run = stretch.end - stretch.start
         count = rng.poisson(land_use.yard_plants * run / 10)
         s, off = rng.uniform(stretch.start, stretch.end, count), 1.2 + rng.gamma(1.6, 6.0, count)
@@ -189,8 +177,7 @@ def yards(plan: Planner) -> None:
 
 def shrubs(plan: Planner) -> None:
     """Rows of bushes, and undergrowth at the edge of woods: most vegetation in LiDAR scans is low."""
-    for number, (index, road, stretch, land_use) in enumerate(plan.stretches()):
-        rng = plan.rng("shrubs", index, number)
+    for rng, road, stretch, land_use in plan.stretches("shrubs"):
         for depth in range(3 if land_use.tree_density > 1 else 1):
             if rng.uniform() >= land_use.shrub_share:
                 continue
@@ -205,13 +192,10 @@ def _plant(plan: Planner, rng: Rng, road: Road, side: int, s: np.ndarray, off: n
         return
     xy, _ = road.beside(s, side, road.sidewalk + off)
     clear = clear_of_roads(plan.town.roads, xy, 0.8)
-    for place, bush, turn in zip(
-        xy[clear], rng.uniform(size=len(xy))[clear], rng.uniform(0, 6.28, len(xy))[clear], strict=True
-    ):
-        if bush < bushes:
-            plan.add_if_free(ObjectTemplate(plants.bush, "bush", 0.7), place, float(turn))
-        else:
-            plan.add_if_free(ObjectTemplate(_tree(rng), "tree", 1.5), place, float(turn))
+    draw, turn = rng.uniform(size=len(xy)), rng.uniform(0, 6.28, len(xy))
+    for place in np.flatnonzero(clear):
+        plant = Template(plants.bush, "bush", 0.7) if draw[place] < bushes else Template(_tree(rng), "tree", 1.5)
+        plan.add_if_free(plant, xy[place], float(turn[place]))
 
 
 SPECIES = {
@@ -220,15 +204,11 @@ SPECIES = {
 }  # fmt: skip
 
 
+TREES: dict[str, Maker] = {name: lambda rng, detail, name=name: plants.tree(rng, name, detail) for name in SPECIES}
+
+
 def _tree(rng: Rng, species: str = "") -> Maker:
     return TREES[species or weighted_choice(rng, SPECIES)]
-
-
-def _grown(rng: Rng, detail: float, species: str) -> Mesh:
-    return plants.tree(rng, species, detail)
-
-
-TREES: dict[str, Maker] = {species: partial(_grown, species=species) for species in SPECIES}
 
 
 def horizon(plan: Planner) -> None:
@@ -243,23 +223,18 @@ def horizon(plan: Planner) -> None:
                 at = rng.uniform(s, s + run, count)
                 xy, _ = road.at(at, side * (away + rng.uniform(0, 14, count)))
                 for place in xy[clear_of_roads(plan.town.roads, xy, 3.0)]:
-                    plan.add_if_free(ObjectTemplate(_tree(rng), "far tree", 1.8), place, float(rng.uniform(0, 6.28)))
+                    plan.add_if_free(Template(_tree(rng), "far tree", 1.8), place, float(rng.uniform(0, 6.28)))
             elif plan.town.place.kerb:
                 xy, heading = road.at(np.array(s + run / 2), side * away)
                 if clear_of_roads(plan.town.roads, xy[None], 12.0)[0]:
-                    size = rng.uniform(9, 13), rng.uniform(9, 12)
-                    plan.add_if_free(
-                        ObjectTemplate(_building_maker("house", *size), "house", 7.0),
-                        xy,
-                        float(heading) - side * np.pi / 2,
-                    )
+                    house = Template(_building_maker("house", rng.uniform(9, 13), rng.uniform(9, 12)), "house", 7.0)
+                    plan.add_if_free(house, xy, float(heading) - side * np.pi / 2)
             s += run + rng.uniform(0, 25)
 
 
 def street_trees(plan: Planner) -> None:
     """Rows of trees of one species along the sidewalk, at even distances."""
-    for number, (index, road, stretch, land_use) in enumerate(plan.stretches()):
-        rng = plan.rng("street trees", index, number)
+    for rng, road, stretch, land_use in plan.stretches("street trees"):
         if not land_use.street_trees or rng.uniform() > min(land_use.street_trees / 4, 0.9):
             continue
         species, every = weighted_choice(rng, SPECIES), rng.uniform(8, 16)
@@ -269,22 +244,22 @@ def street_trees(plan: Planner) -> None:
         at = locate(plan.town.roads, xy)
         for place, other, outside in zip(xy, at.other_road, at.kerb_distance, strict=True):
             if other > 6 and outside > 0.6 and rng.uniform() < 0.93:
-                plan.add_if_free(ObjectTemplate(_tree(rng, species), "tree", 0.5), place, float(rng.uniform(0, 6.28)))
+                plan.add_if_free(Template(_tree(rng, species), "tree", 0.5), place, float(rng.uniform(0, 6.28)))
 
 
 PARKED = {"car": 30.0, "van": 3.0, "truck": 0.5, "trailer": 0.4, "motorcycle": 0.6}
 LENGTH = {"car": 4.4, "van": 5.2, "truck": 8.5, "trailer": 5.0, "motorcycle": 2.2}
 
-LAMP = ObjectTemplate(lambda rng, _: street_furniture.street_lamp(rng), "lamp", 0.3)
-WIRE_POLE = ObjectTemplate(lambda rng, _: street_furniture.pole(rng), "pole", 0.3)
-DELINEATOR = ObjectTemplate(lambda rng, _: barriers.delineator(rng), "delineator", 0.1)
-STREET_NAME = ObjectTemplate(lambda rng, _: street_furniture.sign(rng, "street name"), "sign", 0.2)
+LAMP = Template(lambda rng, _: street_furniture.street_lamp(rng), "lamp", 0.3)
+WIRE_POLE = Template(lambda rng, _: street_furniture.pole(rng), "pole", 0.3)
+DELINEATOR = Template(lambda rng, _: barriers.delineator(rng), "delineator", 0.1)
+STREET_NAME = Template(lambda rng, _: street_furniture.sign(rng, "street name"), "sign", 0.2)
 # Their x axis points at oncoming traffic; that of the others at the road.
-SIGN = ObjectTemplate(lambda rng, _: street_furniture.sign(rng), "sign", 0.2)
-GIVE_WAY = ObjectTemplate(lambda rng, _: street_furniture.sign(rng, "give way"), "sign", 0.2)
-LIGHT = ObjectTemplate(lambda rng, _: street_furniture.traffic_light(rng), "traffic light", 0.3)
+SIGN = Template(lambda rng, _: street_furniture.sign(rng), "sign", 0.2)
+GIVE_WAY = Template(lambda rng, _: street_furniture.sign(rng, "give way"), "sign", 0.2)
+LIGHT = Template(lambda rng, _: street_furniture.traffic_light(rng), "traffic light", 0.3)
 FACING_TRAFFIC = (SIGN, GIVE_WAY, LIGHT, DELINEATOR)
-BIN = ObjectTemplate(lambda rng, _: street_furniture.bin(rng), "bin", 0.5)
+BIN = Template(lambda rng, _: street_furniture.bin(rng), "bin", 0.5)
 
 
 def parked(plan: Planner) -> None:
@@ -313,24 +288,20 @@ def _kerb_row(plan: Planner, rng: np.random.Generator, road: Road, side: int, sh
         if (occupied and (in_bay or free)) or (in_bay and rng.uniform() < 0.6):
             off = edge - (1.05 if in_bay else 1.0) + rng.normal(0, 0.07)
             xy, heading = road.at(np.array(middle), side * off)
-            at = locate(plan.town.roads, xy[None])
-            if at.other_road[0] > 7:
+            if locate(plan.town.roads, xy[None]).other_road[0] > 7:
                 turn = float(heading) + (np.pi if (side > 0) != (rng.uniform() < 0.08) else 0.0)
-                yaw = turn + rng.normal(0, 0.015)
-                plan.add_if_free(
-                    ObjectTemplate(
-                        VEHICLES[name], name, length / 2 - 0.4, on_sidewalk=False, follows_slope=True, has_instance=True
-                    ),
-                    xy,
-                    yaw,
-                )
+                vehicle = _vehicle(name, length / 2 - 0.4)._replace(on_sidewalk=False)
+                plan.add_if_free(vehicle, xy, turn + rng.normal(0, 0.015))
         s += length + max(rng.normal(1.1, 0.4), 0.5)
+
+
+def _vehicle(name: str, radius: float) -> Template:
+    return Template(VEHICLES[name], name, radius, follows_slope=True, has_instance=True)
 
 
 def driveways(plan: Planner) -> None:
     """Cars, bicycles and bins in front of houses."""
-    for number, (index, road, stretch, land_use) in enumerate(plan.stretches()):
-        rng = plan.rng("driveways", index, number)
+    for rng, road, stretch, land_use in plan.stretches("driveways"):
         count = rng.poisson((stretch.end - stretch.start) / 22) if land_use.building else 0
         for s in rng.uniform(stretch.start, stretch.end, count):
             name = weighted_choice(rng, {"car": 5.0, "van": 0.7, "bicycle": 2.0, "bin": 3.0, "trailer": 0.2})
@@ -339,21 +310,14 @@ def driveways(plan: Planner) -> None:
             if locate(plan.town.roads, xy[None]).kerb_distance[0] < road.sidewalk:
                 continue
             yaw = float(heading) - stretch.side * np.pi / 2 + rng.normal(0, 0.08)
-            if name == "bin":
-                plan.add_if_free(BIN, xy, yaw)
-            else:
-                radius = 1.0 if name == "bicycle" else 2.3
-                plan.add_if_free(
-                    ObjectTemplate(VEHICLES[name], name, radius, follows_slope=True, has_instance=True), xy, yaw
-                )
+            plan.add_if_free(BIN if name == "bin" else _vehicle(name, 1.0 if name == "bicycle" else 2.3), xy, yaw)
 
 
 def lamps(plan: Planner) -> None:
     """Street lamps at even distances on one side; utility poles along country roads."""
-    for number, (index, road, stretch, land_use) in enumerate(plan.stretches()):
-        if stretch.side != (1 if index % 2 else -1):
+    for rng, road, stretch, land_use in plan.stretches("lamps"):
+        if stretch.side != (1 if plan.town.roads.index(road) % 2 else -1):
             continue
-        rng = plan.rng("lamps", index, number)
         every = land_use.lamp_spacing or (45.0 if rng.uniform() < 0.25 else 0.0)
         if not every:
             continue
@@ -373,7 +337,7 @@ def delineators(plan: Planner) -> None:
                 _beside(plan, road, float(s), side, 0.6, DELINEATOR)
 
 
-def _beside(plan: Planner, road: Road, s: float, side: int, off: float, post: ObjectTemplate) -> None:
+def _beside(plan: Planner, road: Road, s: float, side: int, off: float, post: Template) -> None:
     """Place a post `off` metres beyond the kerb, unless another road is there."""
     xy, heading = road.beside(s, side, off)
     if locate(plan.town.roads, xy[None]).kerb_distance[0] > 0.2:
@@ -394,19 +358,16 @@ def signs(plan: Planner) -> None:
     for number, (s, side) in enumerate(plan.town.junctions):
         road = plan.town.roads[number + 1]
         if rng.uniform() < plan.town.place.light_share:
-            _lights(plan, main, s, road.half_width)
+            for way in (
+                -1,
+                1,
+            ):  # traffic on the right (-1) stops before the junction; on the left it comes the other way
+                _beside(plan, main, s + way * (road.half_width + 3.0), way, 0.6, LIGHT)
         elif rng.uniform() < 0.7:
             away = main.half_width + main.sidewalk + 1.5
             _beside(plan, road, away, 1, 0.5, GIVE_WAY)
             ahead = s + side * (road.half_width + 3)
             _beside(plan, main, ahead, side, 0.5, STREET_NAME)
-
-
-def _lights(plan: Planner, main: Road, s: float, half: float) -> None:
-    for side in (-1, 1):
-        # Traffic on the right (-1) stops before the junction; on the left it comes the other way.
-        at = s + side * (half + 3.0)
-        _beside(plan, main, at, side, 0.6, LIGHT)
 
 
 def clutter(plan: Planner) -> None:
@@ -422,10 +383,9 @@ def clutter(plan: Planner) -> None:
         "column": (lambda rng, _: street_furniture.advertising_column(rng), 0.9, 0.12),
         "person": (lambda rng, _: people.person(rng), 0.4, 1.2),
     }
-    for number, (index, road, stretch, _) in enumerate(plan.stretches()):
+    for rng, road, stretch, _ in plan.stretches("clutter"):
         if not road.sidewalk:
             continue
-        rng = plan.rng("clutter", index, number)
         for s in rng.uniform(stretch.start, stretch.end, rng.poisson((stretch.end - stretch.start) / 18)):
             name = weighted_choice(rng, plan.town.place.mix({key: row[2] for key, row in makers.items()}))
             make, radius, _ = makers[name]
@@ -436,7 +396,7 @@ def clutter(plan: Planner) -> None:
             if name in ("bicycle", "motorcycle"):
                 yaw += np.pi / 2
             counted = name in ("bicycle", "motorcycle", "person")
-            plan.add_if_free(ObjectTemplate(make, name, radius, has_instance=counted), xy, yaw)
+            plan.add_if_free(Template(make, name, radius, has_instance=counted), xy, yaw)
 
 
 STEPS: tuple[Callable[[Planner], None], ...] = (

@@ -42,12 +42,12 @@ class World:
         whole = self._lane_points(0.0, max(self.length, 1.0))
         instance = 0
         for placed in self.objects:
-            instance += placed.has_instance
+            instance += placed.template.has_instance
             if _distance(points, placed) < VIEW_RANGE:
                 # Detail depends on the whole drive: no object changes its shape between windows.
                 distance = _distance(whole, placed)
                 mesh = placed.mesh(self.seed, 1.0 if distance < NEAR else 0.33 if distance < MIDDLE else 0.16)
-                objects.append(SceneObject(mesh=mesh, instance=instance if placed.has_instance else 0))
+                objects.append(SceneObject(mesh=mesh, instance=instance if placed.template.has_instance else 0))
         return Scene(objects)
 
     @property
@@ -75,7 +75,7 @@ class World:
 
 
 def _distance(points: np.ndarray, placed: PlacedObject) -> float:
-    return float(np.sqrt(((points - placed.at[:2]) ** 2).sum(1).min())) - placed.radius
+    return float(np.sqrt(((points - placed.at[:2]) ** 2).sum(1).min())) - placed.template.radius
 
 
 def build_world(seed: int, seconds: float, place: str = "") -> World:
@@ -96,5 +96,5 @@ def build_world(seed: int, seconds: float, place: str = "") -> World:
         town=town,
         drive=drive,
         objects=tuple(plan.objects),
-        traffic=build_traffic(drive, sum(placed.has_instance for placed in plan.objects) + 1),
+        traffic=build_traffic(drive, sum(placed.template.has_instance for placed in plan.objects) + 1),
     )

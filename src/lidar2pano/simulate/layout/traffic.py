@@ -106,11 +106,7 @@ _MAKERS = {
 }  # fmt: skip
 
 
-def _made(rng: np.random.Generator, _: float, name: str) -> Mesh:
-    return _MAKERS[name](rng)
-
-
-VEHICLES: dict[str, Maker] = {name: partial(_made, name=name) for name in _MAKERS}
+VEHICLES: dict[str, Maker] = {name: lambda rng, _, make=make: make(rng) for name, make in _MAKERS.items()}
 """Makers of vehicles, which have one level of detail."""
 
 VIEW_RANGE = 110.0  # metres: farther actors are left out

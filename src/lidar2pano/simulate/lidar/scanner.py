@@ -312,14 +312,10 @@ def _cast(
         scene_then = scene if isinstance(scene, Scene) else scene(float(rays.time[sector].mean()))
         pulses = slice(edge[number], edge[number + 1])
         parts.append(_first_hits(scene_then, origin[pulses], toward[pulses], rng))
-    hits = parts[0] if len(parts) == 1 else _joined(parts)
+    hits = parts[0] if len(parts) == 1 else Hits.joined(parts)
     ring = np.tile(np.arange(beams, dtype=np.uint8), len(rays.time))[rays.live]
     facing = np.abs(np.einsum("ij,ij->i", hits.face_normal, toward))
     return Echoes(hits=hits, start=start, direction=direction, ring=ring, facing=facing, frame=frame)
-
-
-def _joined(parts: list[Hits]) -> Hits:
-    return Hits(**{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Hits)})
 
 
 def _kitti_order(xyz: np.ndarray, ring: np.ndarray) -> np.ndarray:

@@ -95,6 +95,14 @@ def _scaled(values: Sequence[float], unit: float) -> tuple[float, ...]:
     return tuple(value * unit for value in values)
 
 
+def _ouster(beams: int) -> SensorModel:
+    """Ouster OS1 data sheet (rev. 6): 45 degrees, four staggered columns of beams, 1 mm steps."""
+    return SensorModel(
+        elevation=_spread(22.5, -22.5, beams), azimuth=(4.2, 1.4, -1.4, -4.2) * (beams // 4), firings=1024,
+        range_step=0.001, range_noise=0.01, remission_scale=0.3,
+    )  # fmt: skip
+
+
 # HDL-64E S2 of KITTI's car. Everything below was estimated from 95 raw scans of its recordings (2011-09-26 to 29).
 # In a file, z = origin_up + distance on the plane x tan(elevation) holds per beam to 0.25 mm, the rounding to a
 # millimetre; elevations agree from scan to scan within 0.002 degrees (0.015 at most). Origins are alternately 2.6 cm to
@@ -188,11 +196,7 @@ SENSOR_MODELS: dict[str, SensorModel] = {
     # Velodyne HDL-32E data sheet: 32 beams 4/3 degrees apart, 46.08 us a firing, +-2 cm. nuScenes reports a median
     # remission of 12 / 255 in streets.
     "hdl32e": SensorModel(
-        elevation=_spread(10.67, -30.67, 32),
-        firings=2170,
-        min_range=1.0,
-        remission_scale=0.2,
-        remission_noise=0.01,
+        elevation=_spread(10.67, -30.67, 32), firings=2170, min_range=1.0, remission_scale=0.2, remission_noise=0.01,
         range_noise=0.012,
     ),
     # Velodyne VLP-16 manual: 55.296 us a firing, and the beams' vertical offsets in mm.
@@ -201,36 +205,13 @@ SENSOR_MODELS: dict[str, SensorModel] = {
         origin_up=_scaled(
             (-11.2, -9.7, -8.1, -6.6, -5.1, -3.7, -2.2, -0.7, 0.7, 2.2, 3.7, 5.1, 6.6, 8.1, 9.7, 11.2), 1e-3
         ),
-        firings=1808,
-        remission_scale=0.2,
-        remission_noise=0.01,
-        range_noise=0.012,
+        firings=1808, remission_scale=0.2, remission_noise=0.01, range_noise=0.012,
     ),
-    # Ouster OS1 data sheet (rev. 6): 45 degrees, four staggered columns of beams, 1 mm steps.
-    "os1-64": SensorModel(
-        elevation=_spread(22.5, -22.5, 64),
-        azimuth=(4.2, 1.4, -1.4, -4.2) * 16,
-        firings=1024,
-        range_step=0.001,
-        range_noise=0.01,
-        remission_scale=0.3,
-    ),
-    "os1-128": SensorModel(
-        elevation=_spread(22.5, -22.5, 128),
-        azimuth=(4.2, 1.4, -1.4, -4.2) * 32,
-        firings=1024,
-        range_step=0.001,
-        range_noise=0.01,
-        remission_scale=0.3,
-    ),
+    "os1-64": _ouster(64),
+    "os1-128": _ouster(128),
     # Hesai Pandar64 manual: 1/6 degree from +2 to -6, coarser above and below.
     "pandar64": SensorModel(
-        elevation=(15, 11, 8, 5, 3, *_spread(2, -6, 49), -7, -8, -9, -10, -11, -12, -13, -14, -19, -25),
-        firings=1800,
-        max_range=200.0,
-        range_step=0.004,
-        range_noise=0.012,
-        remission_scale=0.25,
-        remission_noise=0.015,
+        elevation=(15, 11, 8, 5, 3, *_spread(2, -6, 49), -7, -8, -9, -10, -11, -12, -13, -14, -19, -25), firings=1800,
+        max_range=200.0, range_step=0.004, range_noise=0.012, remission_scale=0.25, remission_noise=0.015,
     ),
-}
+}  # fmt: skip

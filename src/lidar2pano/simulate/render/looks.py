@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -49,6 +50,9 @@ class Look:
     saturation: float = 0.8
 
 
+SAMPLED = ("elevation", "azimuth", "cloud_cover", "haze_m", "autumn_foliage", "leaf_litter", "stops")
+
+
 def look(name: str, seed: int = 0) -> Look:
     """The look `name` of LOOKS with the sun, clouds and exposure of the seed; ValueError for another name."""
     if name not in LOOKS:
@@ -61,84 +65,54 @@ def _sun(elevation_deg: float, azimuth_deg: float) -> Colour:
     return float(np.cos(e) * np.cos(a)), float(np.cos(e) * np.sin(a)), float(np.sin(e))
 
 
+def _drawn(rng: np.random.Generator, name: str, seed: int, **values: Any) -> Look:
+    """A look: of SAMPLED values a pair is a range, more are alternatives; elevation and azimuth in degrees."""
+    values["azimuth"] = (-180, 180)
+    for key in SAMPLED:
+        if isinstance(choices := values.get(key), tuple):
+            values[key] = float(rng.uniform(*choices) if len(choices) == 2 else rng.choice(choices))
+    values["exposure"] *= 2 ** values.pop("stops")
+    sun_direction = _sun(values.pop("elevation"), values.pop("azimuth"))
+    return Look(name=name, sun_direction=sun_direction, cloud_seed=seed, **values)
+
+
 def _day(seed: int) -> Look:
     rng = stream(seed, "look", "day")
     white = rng.uniform()  # haze: from a blue to a white sky
-    return Look(
-        name="day",
-        sun_direction=_sun(rng.uniform(35, 60), rng.uniform(-180, 180)),
-        sun_colour=(1.0, 0.94, 0.84),
-        sun_radius_deg=0.25,
+    return _drawn(
+        rng, "day", seed, elevation=(35, 60), sun_colour=(1.0, 0.94, 0.84), sun_radius_deg=0.25,
         zenith=(0.035 + 0.06 * white, 0.10 + 0.06 * white, 0.24 + 0.02 * white),
-        horizon=(0.36 + 0.34 * white, 0.48 + 0.27 * white, 0.56 + 0.22 * white),
-        glow=(0.7, 0.66, 0.57),
-        cloud_cover=float(rng.choice((0.05, 0.2, 0.4, 0.6))),
-        cloud_radiance=(0.56, 0.575, 0.59),
-        cloud_seed=seed,
-        haze_m=float(rng.uniform(2500, 8000)),
-        exposure=float(1.85 * 2 ** rng.uniform(-0.45, 0.35)),
-        white_balance=(1.0, 1.0, 0.96),
-    )
+        horizon=(0.36 + 0.34 * white, 0.48 + 0.27 * white, 0.56 + 0.22 * white), glow=(0.7, 0.66, 0.57),
+        cloud_cover=(0.05, 0.2, 0.4, 0.6), cloud_radiance=(0.56, 0.575, 0.59), haze_m=(2500, 8000), exposure=1.85,
+        stops=(-0.45, 0.35), white_balance=(1.0, 1.0, 0.96),
+    )  # fmt: skip
 
 
 def _overcast(seed: int) -> Look:
-    rng = stream(seed, "look", "overcast")
-    return Look(
-        name="overcast",
-        sun_direction=_sun(55, rng.uniform(-180, 180)),
-        sun_colour=(0.0, 0.0, 0.0),
-        sun_radius_deg=10.0,
-        zenith=(0.50, 0.52, 0.54),
-        horizon=(0.36, 0.38, 0.40),
-        glow=(0.08, 0.08, 0.08),
-        cloud_cover=1.0,
-        cloud_radiance=(0.46, 0.475, 0.49),
-        cloud_seed=seed,
-        haze_m=float(rng.uniform(900, 3000)),
-        exposure=float(2.3 * 2 ** rng.uniform(-0.25, 0.25)),
+    return _drawn(
+        stream(seed, "look", "overcast"), "overcast", seed, elevation=55, sun_colour=(0.0, 0.0, 0.0),
+        sun_radius_deg=10.0, zenith=(0.50, 0.52, 0.54), horizon=(0.36, 0.38, 0.40), glow=(0.08, 0.08, 0.08),
+        cloud_cover=1.0, cloud_radiance=(0.46, 0.475, 0.49), haze_m=(900, 3000), exposure=2.3, stops=(-0.25, 0.25),
         white_balance=(0.99, 1.0, 0.97),
-    )
+    )  # fmt: skip
 
 
 def _evening(seed: int) -> Look:
-    rng = stream(seed, "look", "evening")
-    return Look(
-        name="evening",
-        sun_direction=_sun(rng.uniform(7, 16), rng.uniform(-180, 180)),
-        sun_colour=(0.78, 0.50, 0.26),
-        sun_radius_deg=0.3,
-        zenith=(0.10, 0.14, 0.22),
-        horizon=(0.46, 0.36, 0.28),
-        glow=(0.9, 0.55, 0.25),
-        cloud_cover=float(rng.uniform(0.1, 0.6)),
-        cloud_radiance=(0.46, 0.37, 0.33),
-        cloud_seed=seed,
-        haze_m=float(rng.uniform(1200, 4000)),
-        exposure=float(2.9 * 2 ** rng.uniform(-0.3, 0.3)),
-        white_balance=(1.0, 1.0, 1.02),
-        saturation=0.9,
-    )
+    return _drawn(
+        stream(seed, "look", "evening"), "evening", seed, elevation=(7, 16), sun_colour=(0.78, 0.50, 0.26),
+        sun_radius_deg=0.3, zenith=(0.10, 0.14, 0.22), horizon=(0.46, 0.36, 0.28), glow=(0.9, 0.55, 0.25),
+        cloud_cover=(0.1, 0.6), cloud_radiance=(0.46, 0.37, 0.33), haze_m=(1200, 4000), exposure=2.9, stops=(-0.3, 0.3),
+        white_balance=(1.0, 1.0, 1.02), saturation=0.9,
+    )  # fmt: skip
 
 
 def _autumn(seed: int) -> Look:
-    rng = stream(seed, "look", "autumn")
-    return Look(
-        name="autumn",
-        sun_direction=_sun(rng.uniform(22, 38), rng.uniform(-180, 180)),
-        sun_colour=(0.74, 0.64, 0.50),
-        sun_radius_deg=0.35,
-        zenith=(0.17, 0.21, 0.27),
-        horizon=(0.45, 0.46, 0.46),
-        glow=(0.6, 0.52, 0.4),
-        cloud_cover=float(rng.uniform(0.3, 0.8)),
-        cloud_radiance=(0.58, 0.57, 0.56),
-        cloud_seed=seed,
-        haze_m=float(rng.uniform(500, 1800)),
-        autumn_foliage=float(rng.uniform(0.6, 0.95)),
-        leaf_litter=float(rng.uniform(0.3, 0.8)),
-        exposure=float(2.0 * 2 ** rng.uniform(-0.25, 0.25)),
-        saturation=0.9,
-    )
+    return _drawn(
+        stream(seed, "look", "autumn"), "autumn", seed, elevation=(22, 38), sun_colour=(0.74, 0.64, 0.50),
+        sun_radius_deg=0.35, zenith=(0.17, 0.21, 0.27), horizon=(0.45, 0.46, 0.46), glow=(0.6, 0.52, 0.4),
+        cloud_cover=(0.3, 0.8), cloud_radiance=(0.58, 0.57, 0.56), haze_m=(500, 1800), autumn_foliage=(0.6, 0.95),
+        leaf_litter=(0.3, 0.8), exposure=2.0, stops=(-0.25, 0.25), saturation=0.9,
+    )  # fmt: skip
 
 
 LOOKS: dict[str, Callable[[int], Look]] = {"day": _day, "overcast": _overcast, "evening": _evening, "autumn": _autumn}
@@ -153,22 +127,12 @@ SEASON_M = 0.7  # metres: pixel size of the map of the season's stages
 FALLEN = np.array((0.18, 0.10, 0.04), dtype=np.float32)  # albedo of leaves on the ground
 
 _WILTING = np.zeros(len(MATERIALS), dtype=np.float32)  # share of a plant that takes autumn colours
-_LITTERED = np.zeros(len(MATERIALS), dtype=bool)
+_LITTERED = np.isin(
+    list(MATERIALS),
+    ("grass", "meadow", "asphalt", "asphalt-new", "cobbles", "paving", "kerb", "gravel", "soil", "paint-white"),
+)
 for _name, _share in {"leaves": 1.0, "hedge": 0.3, "grass": 0.12, "meadow": 0.25}.items():
     _WILTING[MATERIAL_IDS[_name]] = _share
-for _name in (
-    "grass",
-    "meadow",
-    "asphalt",
-    "asphalt-new",
-    "cobbles",
-    "paving",
-    "kerb",
-    "gravel",
-    "soil",
-    "paint-white",
-):
-    _LITTERED[MATERIAL_IDS[_name]] = True
 
 
 def litter_share(look: Look, material: np.ndarray) -> np.ndarray:
@@ -224,11 +188,8 @@ class Sky:
     @property
     def airlight(self) -> np.ndarray:
         """Radiance (3, 1) of the air at infinite distance."""
-        look = self._look
-        return 0.9 * (
-            (1 - 0.5 * look.cloud_cover) * _as_column(look.horizon)
-            + 0.5 * look.cloud_cover * _as_column(look.cloud_radiance)
-        )
+        look, clouds = self._look, 0.5 * self._look.cloud_cover
+        return 0.9 * ((1 - clouds) * _as_column(look.horizon) + clouds * _as_column(look.cloud_radiance))
 
     def radiance(self, direction: np.ndarray, *, disc: bool = True) -> np.ndarray:
         """Radiance (3, N) of the sky, and of the land below the horizon."""

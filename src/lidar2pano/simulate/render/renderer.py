@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -17,11 +17,7 @@ from lidar2pano.simulate.scene.surfaces import MATERIALS
 from lidar2pano.views import View
 
 TILE = 65536  # rays that are cast at once
-SUBPIXELS = (
-    (0.0, 0.37),
-    (-0.33, -0.18),
-    (0.33, -0.18),
-)  # further rays of pixels at edges: offsets from the centre, pixels
+SUBPIXELS = ((0.0, 0.37), (-0.33, -0.18), (0.33, -0.18))  # offsets of the further rays of pixels at edges, pixels
 JUMP = 0.1  # relative difference in distance between neighbours that makes an edge
 NOTHING = np.uint8(255)  # the number of no type of object
 BLUR = (0.11, 0.78, 0.11)  # kernel along rows and columns: sigma 0.5 pixels
@@ -94,7 +90,9 @@ def render(
     shape = directions.shape[:2]
     circular, origin = _is_circular(directions, pixel_angle), np.asarray(origin, dtype=np.float32)
     direction = directions.reshape(-1, 3)
-    hits = _hits(scene, origin, direction)
+    hits = Hits.joined(
+        [scene.cast(origin, direction[first : first + TILE]) for first in range(0, len(direction), TILE)]
+    )
     surfaces = gbuffer(hits, origin, directions)
     from_sky = sky_visibility(scene, hits, surfaces, circular).reshape(-1)
     from_sun = _sun(scene, hits, origin, direction, look, shape)
@@ -122,18 +120,6 @@ def render(
 def _is_circular(directions: np.ndarray, pixel_angle: float) -> bool:
     gap = np.linalg.norm(directions[:, 0] - directions[:, -1], axis=1).max()
     return bool(directions.shape[1] > 8 and gap < 1.5 * pixel_angle)
-
-
-def _hits(scene: Scene, origin: np.ndarray, direction: np.ndarray) -> Hits:
-    whole: dict[str, np.ndarray] = {}
-    for first in range(0, len(direction), TILE):
-        part = scene.cast(origin, direction[first : first + TILE])
-        for field in fields(Hits):
-            values = getattr(part, field.name)
-            if field.name not in whole:
-                whole[field.name] = np.empty((len(direction), *values.shape[1:]), dtype=values.dtype)
-            whole[field.name][first : first + TILE] = values
-    return Hits(**whole)
 
 
 def _sun(

@@ -40,8 +40,8 @@ def sky_visibility(scene: Scene, hits: Hits, gbuffer: GBuffer, circular: bool) -
     shape = gbuffer.distance.shape
     half = slice(None, None, 2)
     coarse = gbuffer.part(half, half)
-    weighted_choice = np.arange(len(hits.face)).reshape(shape)[half, half].reshape(-1)
-    rough = _cast(scene, hits, coarse, weighted_choice).reshape(coarse.distance.shape)
+    coarse_hits = np.arange(len(hits.face)).reshape(shape)[half, half].reshape(-1)
+    rough = _cast(scene, hits, coarse, coarse_hits).reshape(coarse.distance.shape)
     return _upsampled(edge_aware_mean(rough, coarse, circular, STRIDES), gbuffer, circular)
 
 
@@ -55,19 +55,15 @@ def gbuffer(hits: Hits, origin: np.ndarray, directions: np.ndarray) -> GBuffer:
     return GBuffer(position, normal, distance)
 
 
-def _cast(scene: Scene, hits: Hits, gbuffer: GBuffer, weighted_choice: np.ndarray) -> np.ndarray:
+def _cast(scene: Scene, hits: Hits, gbuffer: GBuffer, coarse_hits: np.ndarray) -> np.ndarray:
     """One ray from each chosen hit (N,) float32: 1 where it hits nothing, else 0."""
-    free = np.where(_THIN[hits.material[weighted_choice]] & hits.valid[weighted_choice], LEAFY, np.float32(1))
-    met = np.flatnonzero(hits.valid[weighted_choice] & (free == 1))
+    free = np.where(_THIN[hits.material[coarse_hits]] & hits.valid[coarse_hits], LEAFY, np.float32(1))
+    met = np.flatnonzero(hits.valid[coarse_hits] & (free == 1))
     position = gbuffer.position.reshape(3, -1)[:, met]
-    normal, face_normal = (
-        gbuffer.normal.reshape(3, -1)[:, met],
-        np.ascontiguousarray(hits.face_normal[weighted_choice[met]].T, dtype=np.float32),
-    )
-    height, turn = (
-        2 * spatial_hash(position, OCCLUSION_CELL, 11) - 1,
-        np.float32(2 * np.pi) * spatial_hash(position, OCCLUSION_CELL, 12),
-    )
+    normal = gbuffer.normal.reshape(3, -1)[:, met]
+    face_normal = np.ascontiguousarray(hits.face_normal[coarse_hits[met]].T, dtype=np.float32)
+    height = 2 * spatial_hash(position, OCCLUSION_CELL, 11) - 1
+    turn = np.float32(2 * np.pi) * spatial_hash(position, OCCLUSION_CELL, 12)
     flat = np.sqrt(1 - height * height)
     direction = normal + np.stack(
         [flat * np.cos(turn), flat * np.sin(turn), height]
@@ -75,7 +71,7 @@ def _cast(scene: Scene, hits: Hits, gbuffer: GBuffer, weighted_choice: np.ndarra
     under = np.minimum((direction * face_normal).sum(axis=0), 0)
     direction -= 2 * under * face_normal
     direction /= np.sqrt((direction * direction).sum(axis=0)) + 1e-6
-    start = position + face_normal * (1e-3 + 3e-5 * hits.distance[weighted_choice[met]])
+    start = position + face_normal * (1e-3 + 3e-5 * hits.distance[coarse_hits[met]])
     far = NEAR * (FAR / NEAR) ** spatial_hash(position, OCCLUSION_CELL, 13)
     free[met] = scene.unoccluded(start.T, direction.T, far)
     return free

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar2pano.simulate.scene.random_streams import stream
-from lidar2pano.simulate.scene.surfaces import MATERIALS
+from lidar2pano.simulate.scene.surfaces import MATERIALS, grid
 
 SIZE = 512  # pixels of a tile's side
 
@@ -89,6 +89,8 @@ def bilinear(tile: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return lower * (1 - fy) + upper * fy
 
 
+_GRID = tuple(axis.astype(np.float32) for axis in grid(SIZE))
+
 Drawing = tuple[np.ndarray, np.ndarray]
 """Albedo factor (SIZE, SIZE) or (SIZE, SIZE, 3) of any mean; height (SIZE, SIZE) in millimetres."""
 
@@ -99,11 +101,6 @@ class Pattern(NamedTuple):
     size_m: tuple[float, float]
     draw: Callable[[], Drawing]
     wide: str = "blotches"
-
-
-def _grid() -> tuple[np.ndarray, np.ndarray]:
-    v, u = np.meshgrid((np.arange(SIZE) + 0.5) / SIZE, (np.arange(SIZE) + 0.5) / SIZE, indexing="ij")
-    return u.astype(np.float32), v.astype(np.float32)
 
 
 def _coloured(factor: np.ndarray, hue: np.ndarray, towards: tuple[float, float, float]) -> np.ndarray:
@@ -121,7 +118,7 @@ def _bonded(columns: int, rows: int, joint: float, shift: float = 0.5) -> tuple[
 
     joint  width of a joint as a share of a brick's height.
     """
-    u, v = _grid()
+    u, v = _GRID
     row = np.floor(v * rows).astype(int)
     along = u * columns + row % 2 * shift
     column = np.floor(along).astype(int) % columns
@@ -193,7 +190,7 @@ def _blades(name: str, dry: float, height: float) -> Drawing:
 
 
 def _field() -> Drawing:
-    u, _ = _grid()
+    u, _ = _GRID
     furrow = np.cos(2 * np.pi * (u * 24 + 0.02 * spectral("furrow", 2, 1, 8)))
     clods = spectral("field", 1.0, 6)
     factor = 0.95 + 0.12 * furrow + 0.22 * clods
@@ -214,7 +211,7 @@ def _brick() -> Drawing:
 
 
 def _tiles() -> Drawing:
-    u, v = _grid()
+    u, v = _GRID
     columns, rows = 10, 8
     cell_values = stream(0, "tiles").random((rows, columns), dtype=np.float32)
     cell_value = cell_values[np.floor(v * rows).astype(int), np.floor(u * columns).astype(int)]
@@ -236,7 +233,7 @@ def _stone() -> Drawing:
 
 
 def _planks(count: int, gap: float) -> Drawing:
-    u, _ = _grid()
+    u, _ = _GRID
     cell_values = stream(0, "planks", count).random(count, dtype=np.float32)
     cell_value = cell_values[np.floor(u * count).astype(int)]
     across = u * count % 1
@@ -247,7 +244,7 @@ def _planks(count: int, gap: float) -> Drawing:
 
 
 def _shutter() -> Drawing:
-    _, v = _grid()
+    _, v = _GRID
     slat = v * 22 % 1
     return 0.55 + 0.55 * _smooth(slat, 0, 0.16) - 0.15 * slat, 7 * slat
 
@@ -276,7 +273,7 @@ def _cloth() -> Drawing:
 
 def _plate() -> Drawing:
     """Number plate: seven random letters of bars, and the blue band."""
-    u, v = _grid()
+    u, v = _GRID
     letter, across = np.floor(u * 9).astype(int), u * 9 % 1
     cell_values = stream(0, "plate").random((9, 5, 3))
     cell_values[[0, 8]] = 1
@@ -307,7 +304,7 @@ def _leaves() -> Drawing:
     _, other = voronoi("leaves", 16, 0.9, 1.02)
     factor = np.exp(0.9 * (cell_value - 0.5)) * (0.75 + 0.25 * _smooth(seam, 0, 0.12))
     v_lean, u_lean = np.sin(40 * cell_value), np.sin(57 * other + 1)
-    u, v = _grid()
+    u, v = _GRID
     lean = 40 * (u_lean * (u * 16 % 1) + v_lean * (v * 16 % 1))
     return _coloured(factor, np.sin(91 * cell_value), (0.14, 0.03, 0.0)), lean
 

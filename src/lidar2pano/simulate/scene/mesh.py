@@ -142,13 +142,7 @@ SIDES = ("bottom", "top", "right", "left", "front", "back")  # right is -y, fron
 
 
 def box(
-    centre: Point,
-    size: Point,
-    material: str,
-    tint: Tint = PLAIN,
-    *,
-    yaw: float = 0.0,
-    without: Sequence[str] = (),
+    centre: Point, size: Point, material: str, tint: Tint = PLAIN, *, yaw: float = 0.0, without: Sequence[str] = ()
 ) -> Mesh:
     """A box of `size` (along x, y, z) around `centre`, rotated by `yaw` radians, without some of SIDES."""
     corner = np.array(
@@ -168,13 +162,7 @@ def polygons(points: Points, polygon: Points, material: str, tint: Tint = PLAIN)
 
 
 def tube(
-    course: Points,
-    radius: float | Point,
-    material: str,
-    tint: Tint = PLAIN,
-    *,
-    sides: int = 8,
-    closed: bool = True,
+    course: Points, radius: float | Point, material: str, tint: Tint = PLAIN, *, sides: int = 8, closed: bool = True
 ) -> Mesh:
     """A smooth tube along the centreline `course` (n, 3); `radius`: one or n values; `closed`: with end caps."""
     course = np.asarray(course, dtype=np.float64)
@@ -211,14 +199,7 @@ def tube(
     return mesh(points, faces, material, tint, normals=normals, uv=uv)
 
 
-def ellipsoid(
-    centre: Point,
-    radii: Point,
-    material: str,
-    tint: Tint = PLAIN,
-    *,
-    detail: int = 8,
-) -> Mesh:
+def ellipsoid(centre: Point, radii: Point, material: str, tint: Tint = PLAIN, *, detail: int = 8) -> Mesh:
     """A smooth ellipsoid with `detail` rings of twice as many faces."""
     polar, turn = np.meshgrid(
         np.linspace(0, np.pi, detail + 1), np.linspace(0, 2 * np.pi, 2 * detail + 1), indexing="ij"

@@ -60,6 +60,12 @@ class Hits:
         known = np.where(self.valid, self.object_type, 0)
         return np.where(self.valid, np.where(self.moving, RAW_MOVING_IDS[known], RAW_IDS[known]), 0).astype(np.uint16)
 
+    @classmethod
+    def joined(cls, parts: Sequence[Hits]) -> Hits:
+        """The hits of all parts, in their order."""
+        names = [field.name for field in fields(cls)]
+        return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
     def subset(self, which: np.ndarray) -> Hits:
         """The hits of some rays, by mask or indices."""
         return Hits(**{part.name: getattr(self, part.name)[which] for part in fields(self)})

@@ -190,9 +190,9 @@ COMMON15_IDS = _ids(COMMON15, [object_type.common for object_type in OBJECT_TYPE
 SIZE = 256  # pixels of a mask's side
 
 
-def _grid() -> tuple[np.ndarray, np.ndarray]:
-    v, u = np.meshgrid((np.arange(SIZE) + 0.5) / SIZE, (np.arange(SIZE) + 0.5) / SIZE, indexing="ij")
-    return u, v
+def grid(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """u and v (size, size) of the pixels' centres of a tile with period 1."""
+    return tuple(np.meshgrid((np.arange(size) + 0.5) / size, (np.arange(size) + 0.5) / size))
 
 
 def _leaf(solid: np.ndarray, foot: np.ndarray, turn: float, length: float, width: float) -> None:
@@ -245,17 +245,17 @@ def _needles() -> np.ndarray:
 
 
 def _wire() -> np.ndarray:
-    u, v = _grid()
+    u, v = grid(SIZE)
     return (np.abs((u * 12) % 1 - 0.5) > 0.44) | (np.abs((v * 5) % 1 - 0.5) > 0.47)
 
 
 def _pickets() -> np.ndarray:
-    u, _ = _grid()
+    u, _ = grid(SIZE)
     return (u * 8) % 1 < 0.66
 
 
 def _railing() -> np.ndarray:
-    u, v = _grid()
+    u, v = grid(SIZE)
     return ((u * 8) % 1 < 0.16) | (v % 1 < 0.04) | (v % 1 > 0.96)
 
 
