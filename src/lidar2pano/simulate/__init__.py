@@ -1,1 +1,1 @@
-"""The street world: towns from a seed, and their LiDAR scans and camera images as a data set that `data` reads."""
+"""The street world: towns from a seed, and their LiDAR scans and camera images as a data set for `data`."""

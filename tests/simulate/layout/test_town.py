@@ -149,7 +149,7 @@ def test_nothing_stands_on_a_carriageway_that_should_not(worlds):
     rolling = {"car", "van", "truck", "trailer", "motorcycle"}
     for made in worlds.values():
         fixed = [thing for thing in made.objects if thing.template.name not in rolling]
-        at = locate(made.town.roads, np.array([thing.at[:2] for thing in fixed]))
+        at = locate(made.town.roads, np.array([thing.position[:2] for thing in fixed]))
         median = np.abs(at.d) < made.town.roads[0].median
         assert ((at.kerb_distance > 0) | median).all()
 
@@ -159,7 +159,7 @@ def test_buildings_keep_clear_of_pavements_and_of_each_other(worlds):
         houses = [t for t in made.objects if t.template.name in ("house", "terrace", "flats", "hall")]
         if len(houses) < 2:
             continue
-        xy = np.array([thing.at[:2] for thing in houses])
+        xy = np.array([thing.position[:2] for thing in houses])
         assert clear_of_roads(made.town.roads, xy, 1.0).all()
         assert min(np.hypot(*(a - b)) for a, b in itertools.combinations(xy, 2)) > 5
 
@@ -200,8 +200,8 @@ def test_another_seed_is_another_town_and_the_same_is_the_same(worlds):
     from lidar2pano.simulate.layout.street_world import build_world
 
     first, again, other = worlds["avenue"], build_world(7, 1.0, "avenue"), build_world(8, 1.0, "avenue")
-    assert [t.at for t in first.objects] == [t.at for t in again.objects]
-    assert [t.at for t in first.objects] != [t.at for t in other.objects]
+    assert [t.position for t in first.objects] == [t.position for t in again.objects]
+    assert [t.position for t in first.objects] != [t.position for t in other.objects]
 
 
 def test_drives_keep_right_and_are_smooth():

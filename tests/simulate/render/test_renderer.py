@@ -123,14 +123,15 @@ def test_leaves_let_light_through_and_walls_do_not():
     up = np.array([[0, 0, 1.0]], dtype=np.float32)
     light = plain(sun_direction=(0.0, 0.0, 1.0))
     for material, shines in (("leaves", True), ("concrete", False)):
-        scene = Scene([SceneObject(mesh=box((0, 0, 5), (30, 30, 1e-3), material, "vegetation", without=("bottom",)))])
+        sheet = box((0, 0, 5), (30, 30, 1e-3), material, "vegetation", open_sides=("bottom",))
+        scene = Scene([SceneObject(mesh=sheet)])
         origin = np.column_stack([np.random.default_rng(0).uniform(-9, 9, (900, 2)), np.zeros(900)]).astype(np.float32)
         direction = np.repeat(up, 900, axis=0)
         hits = scene.cast(origin, direction)
         assert (shading.sunlit(scene, hits, origin, direction, light)[hits.valid] == shines).mean() > 0.98
     leaf = MATERIALS["leaves"]
     black = replace(light, sun_colour=(0.0, 0.0, 0.0))
-    scene = Scene([SceneObject(mesh=box((0, 0, 5), (30, 30, 1e-3), "leaves", "vegetation", without=("bottom",)))])
+    scene = Scene([SceneObject(mesh=box((0, 0, 5), (30, 30, 1e-3), "leaves", "vegetation", open_sides=("bottom",)))])
     hits = scene.cast(origin, direction)
     with_sun, without = (
         shading.shade(scene, hits, origin, direction, 1e-3, sky_of)[hits.valid].mean() for sky_of in (light, black)

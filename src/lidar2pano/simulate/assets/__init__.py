@@ -1,1 +1,1 @@
-"""What a street is made of: houses, plants, vehicles, people, signs and street furniture, as meshes."""
+"""The objects of a street: houses, plants, vehicles, people, signs and street furniture, as meshes."""

@@ -163,7 +163,7 @@ def noise_barrier(rng: np.random.Generator, length: float, ground: GroundHeight)
 
 
 def delineator(rng: np.random.Generator) -> Mesh:
-    """A white post at the edge of a road, with a black band and a reflector that is seen from +x."""
+    """A white post at the edge of a road, with a black band and a reflector towards +x."""
     height, lean = rng.uniform(0.95, 1.05), rng.normal(0, 0.02, 2)
     shaft = tube([(0, 0, -0.2), (*lean, height)], 0.06, "plastic", (1.7, 1.7, 1.7))
     band = tube([(*(0.7 * lean), height - 0.3), (*lean, height - 0.08)], 0.066, "dark-metal", (0.5, 0.5, 0.5))

@@ -1,4 +1,4 @@
-"""Parts of buildings: walls with windows and doors, what stands out from them, plinths, roofs and chimneys; metres."""
+"""Parts of buildings: walls with windows and doors, balconies and canopies, plinths, roofs and chimneys; metres."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ _CUT = ("railing", "pickets")  # their uv runs 0..1 over the board's height
 
 
 class Boards:
-    """Boards that become one mesh."""
+    """The boards of one mesh."""
 
     def __init__(self) -> None:
         self._rows: list[tuple[float, ...]] = []
@@ -103,7 +103,7 @@ class Opening(NamedTuple):
     width: float
     low: float
     high: float
-    what: str = "window"  # or door, glass-door, shop, gate
+    kind: str = "window"  # or door, glass-door, shop, gate
 
     @property
     def along(self) -> Span:
@@ -158,9 +158,9 @@ def wall_with_openings(
 def fill_opening(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle, rng: np.random.Generator) -> None:
     """Fill an opening with a window, door or gate."""
     _reveal(boards, wall, hole, style)
-    if hole.what == "gate":
+    if hole.kind == "gate":
         boards.add(wall, hole.along, (-style.deep, -style.deep + 0.03), hole.up, "shutter", style.door, "f")
-    elif hole.what == "door":
+    elif hole.kind == "door":
         _door(boards, wall, hole, style, rng)
     else:
         _window(boards, wall, hole, style, rng)
@@ -182,7 +182,7 @@ def _reveal(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle) -> No
 def _window(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle, rng: np.random.Generator) -> None:
     (left, right), back = hole.along, -style.deep
     boards.add(wall, hole.along, (back, back), hole.up, "frame", style.frame, "f")
-    shop = hole.what == "shop"
+    shop = hole.kind == "shop"
     sashes = max(round(hole.width / 1.8), 1) if shop else 1 if hole.width < 0.75 else style.sashes
     sashes += int(not shop and hole.width > 1.7)
     bar = 0.05 if shop else 0.07
@@ -196,14 +196,14 @@ def _window(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle, rng: 
         side = (left + bar + i * step, left + (i + 1) * step)
         for low, high in zip(levels[::2], levels[1::2], strict=True):
             boards.add(wall, side, (back, back + 0.012), (low, high), "pane", tint, "f")
-    if not shop and hole.what == "window":
+    if not shop and hole.kind == "window":
         sill = (hole.low - 0.03, hole.low + 0.015)
         boards.add(wall, (left - 0.06, right + 0.06), (back, 0.05), sill, "stone", style.sill)
     if style.shutters == "roller" and not shop:
         closed = rng.choice((0.0, 0.0, 0.1, 0.25, 0.5, 1.0), p=(0.3, 0.2, 0.2, 0.15, 0.1, 0.05))
         down = hole.high - (hole.high - hole.low) * closed
         boards.add(wall, hole.along, (back, back + 0.035), (down - 0.06, hole.high), "shutter", style.shutter, "fu")
-    elif style.shutters == "swing" and hole.what == "window" and hole.width < 1.8:
+    elif style.shutters == "swing" and hole.kind == "window" and hole.width < 1.8:
         wide = hole.width / 2
         for foot in (left - wide - 0.02, right + 0.02):
             if 0.0 < foot < wall.length - wide:
@@ -226,12 +226,12 @@ def _door(boards: Boards, wall: Wall, hole: Opening, style: WindowStyle, rng: np
 
 
 def rows(
-    wall: Wall, middles: Sequence[float], low: float, size: tuple[float, float], what: str = "window"
+    wall: Wall, middles: Sequence[float], low: float, size: tuple[float, float], kind: str = "window"
 ) -> list[Opening]:
     """Openings of one size (width, height) side by side; without those too close to the ends of the wall."""
     width, height = size
     ends = (width / 2 + 0.3, wall.length - width / 2 - 0.3)
-    return [Opening(middle, width, low, low + height, what) for middle in middles if ends[0] <= middle <= ends[1]]
+    return [Opening(middle, width, low, low + height, kind) for middle in middles if ends[0] <= middle <= ends[1]]
 
 
 SIGNS: tuple[tuple[Tint, Tint], ...] = (  # ground and ink of boards over shops
@@ -256,7 +256,7 @@ def canopy(boards: Boards, wall: Wall, hole: Opening, tint: Tint) -> None:
 
 
 def balcony(boards: Boards, wall: Wall, along: Span, floor: float, out: float, finish: Finish) -> None:
-    """A slab at height `floor` that stands `out` from the wall, with a parapet of material and tint `finish`."""
+    """A slab at height `floor`, `out` metres deep, with a parapet of material and tint `finish`."""
     boards.add(wall, along, (0.0, out), (floor - 0.18, floor), "concrete", (1.2, 1.2, 1.2))
     up, (left, right), rail = (floor + 0.02, floor + 0.98), along, (floor + 0.96, floor + 1.02)
     boards.add(wall, along, (out - 0.06, out - 0.02), up, *finish, "fk")
@@ -266,7 +266,7 @@ def balcony(boards: Boards, wall: Wall, along: Span, floor: float, out: float, f
 
 
 def awning(wall: Wall, along: Span, up: float, out: float, tint: Tint) -> Mesh:
-    """A cloth that slopes down from the wall over a shop's window, with a short fall at its edge."""
+    """A cloth sloping down from the wall over a shop's window, with a short fall at its edge."""
     left, right = along
     places = [(left, 0.05, up), (right, 0.05, up), (right, out, up - 0.55), (left, out, up - 0.55)]
     places += [(left, out + 0.01, up - 0.8), (right, out + 0.01, up - 0.8)]
@@ -296,7 +296,7 @@ class Roof(NamedTuple):
     """A pitched roof over a footprint `long` (y, along its ridge) times `span` (x), centred at the origin.
 
     form      gable, hip or half-hip.
-    eaves     height of the walls that it rests on;  slope: metres up for each metre inwards.
+    eaves     height of the walls below it;  slope: metres up for each metre inwards.
     overhang  how far it stands out at the eaves, and at the verges (gables).
     """
 
@@ -384,12 +384,12 @@ def flat_roof(width: float, depth: float, height: float, tint: Tint) -> Mesh:
         along, cap = (-0.03, wall.length + 0.03), (height + 0.42, height + 0.48)
         boards.add(wall, (0.0, wall.length), (-0.3, 0.0), (height, height + 0.45), "plaster", tint, "fkt")
         boards.add(wall, along, (-0.33, 0.04), cap, "metal", (0.7, 0.7, 0.7), "fktu")
-    lid = box((0, 0, height + 0.05), (depth, width, 0.1), "gravel", without=("bottom",))
+    lid = box((0, 0, height + 0.05), (depth, width, 0.1), "gravel", open_sides=("bottom",))
     return merged([boards.mesh(), lid])
 
 
 def dormer(roof: Roof, place: float, rise: float, size: tuple[float, float], finish: Finish) -> Mesh:
-    """A dormer of `size` (width, height) on the slope that falls to +x, at y = `place`, its sill `rise` over the eaves.
+    """A dormer of `size` (width, height) on the slope towards +x, at y = `place`, its sill `rise` over the eaves.
 
     `finish`: material and tint of its sides.
     """
@@ -421,7 +421,7 @@ def dormer(roof: Roof, place: float, rise: float, size: tuple[float, float], fin
 
 
 def skylight(roof: Roof, place: float, rise: float) -> Mesh:
-    """A roof window on the slope that falls to +x: y of its middle, height of its foot over the eaves."""
+    """A roof window on the slope towards +x: y of its middle, height of its foot over the eaves."""
     lean = np.hypot(1.0, roof.slope)
     inwards, up = np.array([-1.0, 0, roof.slope]) / lean, np.array([roof.slope, 0, 1.0]) / lean
     foot = np.array([roof.span / 2 - rise / roof.slope, place, roof.eaves + rise + THICK])
@@ -430,14 +430,14 @@ def skylight(roof: Roof, place: float, rise: float) -> Mesh:
         wide, long = 0.4 + grow, 0.6 + grow
         sides = [(i * wide, 0.6 + j * long) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
         corner = [foot + inwards * run + (0, aside, 0) + up * lift for aside, run in sides]
-        parts.append(polygons(corner, [0, 1, 2, 3], material, (light, light, light)))
+        parts.append(polygons(corner, [(0, 1, 2, 3)], material, (light, light, light)))
     return merged(parts)
 
 
-def chimney(rng: np.random.Generator, at: tuple[float, float], foot: float, top: float) -> Mesh:
+def chimney(rng: np.random.Generator, place: tuple[float, float], foot: float, top: float) -> Mesh:
     """A chimney from under the roof (`foot`) to its top."""
-    side, x, y = rng.uniform(0.4, 0.7), *at
-    shaft = box((x, y, (foot + top) / 2), (side, side, top - foot), "brick", without=("bottom",))
+    side, x, y = rng.uniform(0.4, 0.7), *place
+    shaft = box((x, y, (foot + top) / 2), (side, side, top - foot), "brick", open_sides=("bottom",))
     cap = box((x, y, top + 0.04), (side + 0.14, side + 0.14, 0.08), "concrete")
     pot = tube([(x, y, top), (x, y, top + 0.3)], 0.1, "tiles", sides=6)
     return merged([shaft, cap, pot])
@@ -519,7 +519,7 @@ def window_columns(rng: np.random.Generator, length: float, every: float) -> lis
 
 
 def has_gable(roof: Roof, name: str) -> bool:
-    """Whether a wall ends in a gable; only for roofs that have gables at left and right (their ridge along y)."""
+    """Return True where a wall ends in a gable; only for roofs with gables at left and right (their ridge along y)."""
     return roof.form != "hip" and name in ("left", "right")
 
 
@@ -541,7 +541,7 @@ def closed_walls(
 
 
 def flat_top(height: float) -> Height:
-    """The height of a wall that is as high everywhere."""
+    """The height of a level wall."""
     return lambda along: np.full(len(along), height)
 
 

@@ -120,7 +120,7 @@ def _entrance(rng: np.random.Generator, boards: Boards, wall: Wall, door: Openin
 
 
 def _clear(place: float, holes: list[Opening]) -> bool:
-    """Whether a place along a wall is beside all openings, by 0.1 metres at least."""
+    """Return True for a place along a wall beside all openings, by 0.1 metres at least."""
     return all(abs(place - hole.middle) > hole.width / 2 + 0.1 for hole in holes)
 
 
@@ -139,8 +139,8 @@ def _timber(boards: Boards, shell: Shell, roof: Roof, holes: dict[str, list[Open
                 boards.add(wall, span, out, up, "wood", dark)
         posts = np.linspace(0.09, wall.length - 0.09, max(round(wall.length / 1.3), 2) + 1)
         clear = [post for post in posts if _clear(post, level)]
-        beside = [edge + side for hole in level for edge, side in zip(hole.along, (-0.09, 0.09), strict=True)]
-        for post in [*clear, *beside]:
+        flanks = [edge + side for hole in level for edge, side in zip(hole.along, (-0.09, 0.09), strict=True)]
+        for post in [*clear, *flanks]:
             boards.add(wall, (post - 0.08, post + 0.08), out, (low, shell.eaves), "wood", dark, "flr")
         if has_gable(roof, name):
             top = roof.gable(wall.length)[0]
@@ -151,14 +151,14 @@ def _timber(boards: Boards, shell: Shell, roof: Roof, holes: dict[str, list[Open
 
 
 def _porch(rng: np.random.Generator, boards: Boards, shell: Shell, holes: dict[str, list[Opening]], front: str) -> None:
-    """A balcony on the first floor, in front of a window that becomes a glass door; changes `holes`."""
+    """A balcony on the first floor, in front of a window, then a glass door; changes `holes`."""
     wall, floor = shell.walls[front], shell.base + shell.storey
     level = [i for i, hole in enumerate(holes[front]) if floor < hole.low < floor + 1.5]
     if not level:
         return
     number = pick(rng, level)
     hole = holes[front][number]
-    holes[front][number] = hole._replace(low=floor + 0.03, what="glass-door")
+    holes[front][number] = hole._replace(low=floor + 0.03, kind="glass-door")
     wide = min(rng.uniform(2.5, 4.5), wall.length - 1.0)
     left = float(np.clip(hole.middle - wide * rng.uniform(0.3, 0.7), 0.2, wall.length - wide - 0.2))
     finish = pick(rng, (("railing", PLAIN), ("wood", PLAIN), ("plaster", shell.finish[1])))
@@ -168,7 +168,7 @@ def _porch(rng: np.random.Generator, boards: Boards, shell: Shell, holes: dict[s
 def _wing(
     rng: np.random.Generator, boards: Boards, shell: Shell, holes: dict[str, list[Opening]], roof: Roof
 ) -> list[Mesh]:
-    """A part of the front that stands out under a gable of its own, away from the door; changes `holes`."""
+    """A protruding part of the front under a gable of its own, away from the door; changes `holes`."""
     wall, door = shell.walls["front"], holes["front"][-1]
     wide, out = rng.uniform(2.6, 3.6), rng.uniform(0.7, 1.4)
     middle = wall.length * (0.25 if door.middle > wall.length / 2 else 0.75)
@@ -344,11 +344,11 @@ def _balconies(rng: np.random.Generator, boards: Boards, shell: Shell, holes: di
     """Columns of balconies with glass doors, on the front or the back; changes `holes`."""
     name = "front" if rng.uniform() < 0.7 else "back"
     wall = shell.walls[name]
-    places = sorted({hole.middle for hole in holes[name] if hole.what == "window"})[1::3]
+    places = sorted({hole.middle for hole in holes[name] if hole.kind == "window"})[1::3]
     finish = pick(rng, PARAPETS)
     wide, out = rng.uniform(2.6, 3.4), rng.uniform(1.2, 1.8)
     for i, hole in enumerate(holes[name]):
-        if hole.middle in places and hole.low > shell.base + shell.storey and hole.what == "window":
+        if hole.middle in places and hole.low > shell.base + shell.storey and hole.kind == "window":
             floor = hole.low - 0.85
             holes[name][i] = Opening(hole.middle, max(hole.width, 1.5), floor + 0.03, hole.high, "glass-door")
             left = float(np.clip(hole.middle - wide / 2, 0.05, wall.length - wide - 0.05))

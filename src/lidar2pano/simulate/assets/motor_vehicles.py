@@ -164,9 +164,9 @@ def _place(line: np.ndarray, z: float) -> float:
 
 def wheels(shape: VehicleShape, spokes: int, width: float) -> list[Mesh]:
     """A pair of wheels under each axle of a body; `width` of a tyre in metres."""
-    one = wheel(shape.wheel, width, spokes)
+    left = wheel(shape.wheel, width, spokes)
     y = shape.width / 2 - width / 2 - 0.03
-    return [side for axle in shape.axles for side in both_sides(one.placed((shape.length / 2 - axle, y, shape.wheel)))]
+    return [side for axle in shape.axles for side in both_sides(left.placed((shape.length / 2 - axle, y, shape.wheel)))]
 
 
 def _mirrors(shape: VehicleShape, tint: Tint) -> list[Mesh]:
@@ -196,7 +196,7 @@ def _bulbs(skin: Body, shape: VehicleShape) -> list[Mesh]:
 
 
 def _extras(rng: np.random.Generator, skin: Body, shape: VehicleShape) -> list[Mesh]:
-    """Badges, the third brake lamp, and what some cars have: roof rails, rub strips, an aerial."""
+    """Badges, the third brake lamp, and extras of some cars: roof rails, rub strips, an aerial."""
     half, parts = shape.length / 2, []
     z = shape.profile[0][1] - 0.09
     parts.append(ellipsoid((_place(skin.nose, z), 0, z), (0.015, 0.05, 0.05), "rim", detail=3))
@@ -253,7 +253,7 @@ def semitrailer(rng: np.random.Generator, *, parked: bool) -> Mesh:
 
 
 def centred(mesh: Mesh) -> Mesh:
-    """Moved along x so that the footprint's middle is the origin."""
+    """Move a mesh along x to the middle of its footprint."""
     x = mesh.vertices[:, 0]
     return mesh.placed((-float(x.min() + x.max()) / 2, 0.0, 0.0))
 
@@ -295,12 +295,12 @@ def covered(length: float, wide: float, low: float, tall: float, tint: Tint) -> 
     cover.append(box((0, 0, low + tall - 0.07), (length - 0.06, wide - 0.14, 0.14), "tarpaulin", tint))
     strap, z = (0.05, wide + 0.05, tall / 2 - 0.1), low + 0.42 + tall / 4
     places = np.linspace(-0.47, 0.47, max(4, int(length / 0.7))) * length
-    straps = [box((x, 0, z), strap, "dark-metal", without=("top", "bottom")) for x in places]
+    straps = [box((x, 0, z), strap, "dark-metal", open_sides=("top", "bottom")) for x in places]
     return [boards, *cover, *straps]
 
 
 def _drawbar(front: float, z: float) -> list[Mesh]:
-    """The bar that couples a small trailer to a car, with its jockey wheel; `front` is the body's end."""
+    """The bar between a small trailer and a car, with its jockey wheel; `front` is the body's end."""
     bar = tube([(front - 0.3, 0.0, z), (front + 1.15, 0.0, z)], 0.04, "metal", sides=6)
     ties = both_sides(tube([(front - 0.1, 0.45, z), (front + 0.7, 0.02, z)], 0.03, "metal", sides=6))
     leg = tube([(front + 0.85, 0.08, z + 0.35), (front + 0.85, 0.08, 0.09)], 0.025, "metal", sides=6)
@@ -317,12 +317,12 @@ def _small_trailer(rng: np.random.Generator) -> Mesh:
             parts.append(box((0, s * wide / 2, low + 0.18), (length, 0.03, 0.36), "metal"))
             parts.append(box((s * length / 2, 0, low + 0.18), (0.03, wide, 0.36), "metal"))
     parts.append(box((0, 0, low), (length, wide, 0.05), "wood"))
-    one = wheel(0.29, 0.16, 0).placed((-0.1, wide / 2 + 0.12, 0.29))
+    tyre = wheel(0.29, 0.16, 0).placed((-0.1, wide / 2 + 0.12, 0.29))
     guard = box((-0.1, wide / 2 + 0.12, 0.63), (0.7, 0.2, 0.03), "dark-metal")
     across = box((-0.1, 0, 0.3), (0.08, wide + 0.1, 0.08), "underbody")
     lamp = box((-length / 2 - 0.03, wide / 2 - 0.14, low - 0.06), (0.06, 0.22, 0.12), "tail-lamp")
     back = plate(-length / 2 - 0.04, low - 0.08, forward=False)
-    return merged([*parts, across, back, *both_sides(merged([one, guard, lamp])), *_drawbar(length / 2, 0.45)])
+    return merged([*parts, across, back, *both_sides(merged([tyre, guard, lamp])), *_drawbar(length / 2, 0.45)])
 
 
 def _caravan(rng: np.random.Generator) -> Mesh:
@@ -337,7 +337,7 @@ def _caravan(rng: np.random.Generator) -> Mesh:
         panes=((0.6, 1.5), (0.55 * long, 0.55 * long + 1.1)), rear=(Patch("tail-lamp", (5, 6), (2, 4), 0.05),),
     )  # fmt: skip
     skin = body(shape, (1.4, 1.38, 1.32))
-    stripe = box((0, 0, 0.98), (0.86 * long, 2.225, 0.09), "paint", colour(rng), without=("top", "bottom"))
+    stripe = box((0, 0, 0.98), (0.86 * long, 2.225, 0.09), "paint", colour(rng), open_sides=("top", "bottom"))
     parts = [skin.mesh, stripe, *wheels(shape, 0, 0.19), *_drawbar(long / 2 - 0.1, 0.47)]
     return merged([*parts, plate(-long / 2 - 0.01, 0.68, forward=False)])
 
@@ -476,19 +476,19 @@ def _frame(length: float) -> Mesh:
 
 
 def _cargo(rng: np.random.Generator, length: float, floor: float, scale: float) -> Mesh:
-    """What a lorry carries, around x = 0: a box, a tarpaulin over boards, or a tipper's tub."""
-    which, wide, tall = rng.uniform(), 2.5 * scale, float(rng.uniform(2.3, 2.7)) * scale
+    """The load of a lorry, around x = 0: a box, a tarpaulin over boards, or a tipper's tub."""
+    draw, wide, tall = rng.uniform(), 2.5 * scale, float(rng.uniform(2.3, 2.7)) * scale
     bed = box((0, 0, floor + 0.06), (length, wide, 0.12), "dark-metal")
-    if which < 0.4:
+    if draw < 0.4:
         return merged([bed, *boxed(length, wide, floor + 0.12, tall, WHITE if rng.uniform() < 0.6 else colour(rng))])
-    if which < 0.75:
+    if draw < 0.75:
         return merged([bed, *covered(length, wide, floor + 0.12, tall, pick(rng, TARPAULINS))])
     tint, high = colour(rng), 1.0 * scale
     z, thick = floor + 0.12 + high / 2, 0.07
     tub = [box((0, s * (wide - thick) / 2, z), (length, thick, high), "paint", tint) for s in (-1, 1)]
     tub += [box((s * (length - thick) / 2, 0, z), (thick, wide, high), "paint", tint) for s in (-1, 1)]
     ribs = [
-        box((x, 0, z), (0.08, wide + 0.08, high), "paint", tint, without=("top", "bottom"))
+        box((x, 0, z), (0.08, wide + 0.08, high), "paint", tint, open_sides=("top", "bottom"))
         for x in np.linspace(-0.45, 0.45, 5) * length
     ]
     load = ellipsoid((0, 0, floor + 0.6 * scale), (0.46 * length, 0.46 * wide, 0.5 * scale), "gravel", detail=8)

@@ -149,9 +149,9 @@ def _head(human: Human, pose: Pose, object_type: str, helmet: Tint | None) -> li
     return parts
 
 
-def _course(points: Sequence[np.ndarray], at: Sequence[float]) -> np.ndarray:
+def _course(points: Sequence[np.ndarray], places: Sequence[float]) -> np.ndarray:
     """Places (n, 3) along a bent limb: 0 its first joint, 1 its second, 2 its third."""
-    return np.stack([np.interp(at, np.arange(len(points)), [p[axis] for p in points]) for axis in range(3)], axis=1)
+    return np.stack([np.interp(places, np.arange(len(points)), [p[axis] for p in points]) for axis in range(3)], axis=1)
 
 
 def _leg(human: Human, leg: Leg, object_type: str) -> list[Mesh]:
@@ -160,11 +160,11 @@ def _leg(human: Human, leg: Leg, object_type: str) -> list[Mesh]:
     whole = human.legs in ("trousers", "coat")
     bare = [0.085, 0.075, 0.055, 0.052, 0.057, 0.034]
     loose = [0.092, 0.085, 0.066, 0.063, 0.062, 0.055]
-    at = [0, 0.45, 0.9, 1.08, 1.35, 1.98]
+    places = [0, 0.45, 0.9, 1.08, 1.35, 1.98]
     radius = np.array(loose if whole else bare) * b
     cloth = human.bottom if whole else human.tights if human.tights is not None and human.legs == "skirt" else None
     material, tint = ("skin", human.skin) if cloth is None else ("cloth", cloth)
-    parts = [tube(_course(joints, at), radius, material, tint)]
+    parts = [tube(_course(joints, places), radius, material, tint)]
     if human.legs == "shorts" or (human.legs == "skirt" and object_type != "person"):
         parts.append(tube(_course(joints, [0, 0.4, 0.85]), np.array([0.1, 0.095, 0.082]) * b, "cloth", human.bottom))
     return parts
@@ -177,10 +177,10 @@ def _arm(human: Human, arm: Arm) -> list[Mesh]:
     hand = ellipsoid(
         arm.hand + (arm.hand - arm.elbow) * 0.14, np.array([0.045, 0.03, 0.055]) * b, "skin", human.skin, detail=4
     )
-    at, radius = [0, 0.5, 0.92, 1.08, 1.4, 2], np.array([0.06, 0.053, 0.045, 0.043, 0.041, 0.032]) * b
+    places, radius = [0, 0.5, 0.92, 1.08, 1.4, 2], np.array([0.06, 0.053, 0.045, 0.043, 0.041, 0.032]) * b
     if not human.short_sleeves:
-        return [shoulder, hand, tube(_course(joints, at), radius * 1.08, "cloth", human.top)]
-    bare = tube(_course(joints, at), radius * 0.85, "skin", human.skin)
+        return [shoulder, hand, tube(_course(joints, places), radius * 1.08, "cloth", human.top)]
+    bare = tube(_course(joints, places), radius * 0.85, "skin", human.skin)
     sleeve = tube(_course(joints, [0.04, 0.3, 0.62]), np.array([0.052, 0.059, 0.06]) * b, "cloth", human.top)
     return [shoulder, hand, bare, sleeve]
 
@@ -221,8 +221,8 @@ def _bag(human: Human, pose: Pose, object_type: str) -> list[Mesh]:
     k, trunk = human.size, pose.neck - pose.pelvis
     if human.bag == "backpack":
         back = np.array([-trunk[2], 0, trunk[0]]) / np.linalg.norm(trunk)
-        at = pose.pelvis + 0.62 * trunk + 0.16 * k * back
-        return [ellipsoid(at, np.array([0.11, 0.15, 0.22]) * k, "cloth", human.leather, detail=5)]
+        middle = pose.pelvis + 0.62 * trunk + 0.16 * k * back
+        return [ellipsoid(middle, np.array([0.11, 0.15, 0.22]) * k, "cloth", human.leather, detail=5)]
     if human.bag == "shoulder" and object_type == "person":
         hip = pose.pelvis + np.array([-0.02, -0.25, 0.02]) * k
         bag = ellipsoid(hip, np.array([0.15, 0.055, 0.12]) * k, "cloth", human.leather, detail=5)
@@ -232,7 +232,7 @@ def _bag(human: Human, pose: Pose, object_type: str) -> list[Mesh]:
 
 
 def tint_for(colour: Sequence[float], base: float, shade: float) -> Tint:
-    """The tint that gives a linear RGB albedo, times `shade`, to a material of the grey `base`."""
+    """The tint of a material of the grey `base` for a linear RGB albedo, times `shade`."""
     r, g, b = (float(c) * float(shade) / base for c in colour)
     return r, g, b
 
@@ -306,8 +306,8 @@ def walking(human: Human, phase: float) -> Pose:
     return _upright(human, legs, arms, 0.06)
 
 
-def _hump(place: float, at: float, wide: float) -> float:
-    away = abs(place - at)
+def _hump(place: float, centre: float, wide: float) -> float:
+    away = abs(place - centre)
     return float(np.exp(-((min(away, 1 - away) / wide) ** 2)))
 
 

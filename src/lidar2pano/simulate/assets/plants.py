@@ -22,7 +22,7 @@ class Species(NamedTuple):
     clumps   of leaves in the crown;  clump: their radius as a share of the crown's.
     cards    number of cards at detail 1 (for whorls: a rough number);  card: their side, metres.
     droop    how far twigs hang: 0 outwards, 1 down.
-    whorls   branches stand in storeys around a trunk that goes to the top.
+    whorls   branches stand in storeys around a trunk up to the top.
     """
 
     height: tuple[float, float]
@@ -73,13 +73,13 @@ SPECIES: dict[str, Species] = {
 STREET = ("linden", "maple", "birch", "globe", "linden", "maple", "oak")  # for trees without a given species
 
 
-# Corners of a card, in halves of its size. Sprays of leaves grow from their foot into a kite, and what a ray need not
-# look through is left out: outside it are holes only.
+# Corners of a card, in halves of its size. Sprays of leaves grow from their foot into a kite, and the empty corners are
+# left out: outside it are holes only.
 KITE = np.array([(0, -1), (1.15, -0.1), (0, 1), (-1.15, -0.1)])
 
 
 class _Cards(NamedTuple):
-    """N cards: centre, direction of the tip, side that they face, normal for shading, all (N, 3).
+    """N cards: centre, direction of the tip, direction of the face, normal for shading, all (N, 3).
 
     size (N, 2) metres across and along;  tint (N, 3).
     """
@@ -102,8 +102,8 @@ def tree(rng: np.random.Generator, name: str | None = None, detail: float = 1.0)
     if species.whorls:
         cards, limbs = _whorls(rng, species, (height, foot, radius), detail)
     else:
-        clumps, around = _clumps(rng, species, (height, foot, radius))
-        cards = _crown(rng, species, clumps, around, (foot, height, radius), detail)
+        clumps, radii = _clumps(rng, species, (height, foot, radius))
+        cards = _crown(rng, species, clumps, radii, (foot, height, radius), detail)
         limbs = _limbs(rng, species, trunk, clumps, detail)
     wood = tube(trunk[:, :3], trunk[:, 3].tolist(), species.bark, sides=10 if detail > 0.5 else 6, closed=False)
     return merged(
@@ -125,9 +125,9 @@ def bush(rng: np.random.Generator, detail: float = 1.0) -> Mesh:
         card=0.27 + 0.05 * height,
         droop=-0.3,
     )
-    clumps, around = _clumps(rng, species, (height, 0.0, radius))
+    clumps, radii = _clumps(rng, species, (height, 0.0, radius))
     species = species._replace(height=(height, height), spread=(radius / height, radius / height))
-    cards = _crown(rng, species, clumps, around, (0.0, height, radius), detail)
+    cards = _crown(rng, species, clumps, radii, (0.0, height, radius), detail)
     stems = [
         tube([(0, 0, -0.1), 0.4 * clump + (0, 0, 0.1), clump], (0.03, 0.02, 0.01), "bark", sides=4, closed=False)
         for clump in clumps[:4]
@@ -223,7 +223,7 @@ def _crown(  # noqa: PLR0913 the parts of a crown
     rng: np.random.Generator,
     species: Species,
     clumps: np.ndarray,
-    around: np.ndarray,
+    radii: np.ndarray,
     size: tuple[float, float, float],
     detail: float,
 ) -> _Cards:
@@ -232,9 +232,9 @@ def _crown(  # noqa: PLR0913 the parts of a crown
     # A crown wider than is common for its species has more and larger cards.
     grown = radius / (np.mean(species.height) * np.mean(species.spread))
     count = max(int(species.cards * detail * grown), 24)
-    which = rng.choice(len(clumps), count, p=around**2 / (around**2).sum())
+    owner = rng.choice(len(clumps), count, p=radii**2 / (radii**2).sum())
     out = _unit(rng.normal(0, 1, (count, 3)) + (0, 0, 0.25))
-    place = clumps[which] + out * (around[which] * rng.uniform(0.55, 1.0, count))[:, None] * (1, 1, 0.8)
+    place = clumps[owner] + out * (radii[owner] * rng.uniform(0.55, 1.0, count))[:, None] * (1, 1, 0.8)
     place[:, 2] = np.maximum(place[:, 2], foot + 0.15 * species.card)
     heart = np.array([0, 0, foot + 0.4 * (height - foot)])
     reach = (place - heart) / (radius, radius, 0.6 * (height - foot))
@@ -244,7 +244,7 @@ def _crown(  # noqa: PLR0913 the parts of a crown
     # Deep in the crown, and under each clump, it is darker.
     deep = np.clip(np.linalg.norm(reach, axis=1), 0, 1.1)
     shade = (0.35 + 0.65 * deep**1.5) * (0.86 + 0.18 * out[:, 2]) * (0.92 + 0.12 * np.clip(reach[:, 2], -1, 1))
-    own = _shades(rng, len(clumps), 0.13)[which] * _shades(rng, count, 0.07)
+    own = _shades(rng, len(clumps), 0.13)[owner] * _shades(rng, count, 0.07)
     side = species.card * np.sqrt(grown) / np.sqrt(min(detail, 1.0)) ** 0.85 * rng.uniform(0.75, 1.2, (count, 1))
     return _Cards(
         middle=place,

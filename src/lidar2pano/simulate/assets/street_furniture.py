@@ -35,18 +35,18 @@ class Layer(NamedTuple):
 Plate = list[Layer]  # the first layer is the plate's own outline
 
 
-def _ngon(corners: int, radius: float, turn: float = 0.0, at: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+def _ngon(corners: int, radius: float, turn: float = 0.0, centre: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
     """A regular polygon, its first corner at `turn` radians from the right."""
     angle = turn + 2 * np.pi * np.arange(corners) / corners
-    return radius * np.column_stack([np.cos(angle), np.sin(angle)]) + at
+    return radius * np.column_stack([np.cos(angle), np.sin(angle)]) + centre
 
 
 def _disc(radius: float) -> np.ndarray:
     return _ngon(20, radius)
 
 
-def _oblong(width: float, height: float, at: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
-    return np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (width / 2, height / 2) + at
+def _oblong(width: float, height: float, centre: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    return np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (width / 2, height / 2) + centre
 
 
 def _bar(start: tuple[float, float], end: tuple[float, float], thick: float) -> np.ndarray:
@@ -96,10 +96,10 @@ def _lines(rng: np.random.Generator, width: float, levels: list[float], high: fl
     return layers
 
 
-def _arrow(size: float, turn: float, tint: Tint, at: tuple[float, float] = (0.0, 0.0)) -> Plate:
+def _arrow(size: float, turn: float, tint: Tint, centre: tuple[float, float] = (0.0, 0.0)) -> Plate:
     """An arrow towards `turn` radians from the right."""
     way = size * np.array([np.cos(turn), np.sin(turn)])
-    start, neck = np.subtract(at, way), np.add(at, 0.2 * way)
+    start, neck = np.subtract(centre, way), np.add(centre, 0.2 * way)
     head = _ngon(3, 0.65 * size, turn, (float(neck[0] + 0.3 * way[0]), float(neck[1] + 0.3 * way[1])))
     return [Layer(_bar((start[0], start[1]), (neck[0], neck[1]), 0.35 * size), tint), Layer(head, tint)]
 
@@ -189,7 +189,7 @@ _HIGH = {"street name": 0.25, "one way": 0.2, "town name": -0.1, "keep right": -
 
 def sign(rng: np.random.Generator, name: str | None = None) -> Mesh:
     """One of SIGNS on its post, some with a small plate below."""
-    name = name or weighted_choice(rng, {each: _FREQUENCY.get(each, 1.0) for each in SIGNS})
+    name = name or weighted_choice(rng, {key: _FREQUENCY.get(key, 1.0) for key in SIGNS})
     layers = SIGNS[name](rng)
     tall = float(np.ptp(layers[0].outline[:, 1]))
     middle = rng.uniform(2.05, 2.35) + _HIGH.get(name, 0.0) + tall / 2
@@ -215,7 +215,7 @@ def _plate(layers: Plate) -> Mesh:
     parts = []
     for outline, x, material, tint in faces:
         points = np.column_stack([np.full(len(outline), x), outline])
-        parts.append(polygons(points, np.arange(len(outline)), material, tint))
+        parts.append(polygons(points, [range(len(outline))], material, tint))
     return merged(parts, "traffic-sign")
 
 
@@ -274,7 +274,7 @@ def pole(rng: np.random.Generator) -> Mesh:
 
 
 def traffic_light(rng: np.random.Generator) -> Mesh:
-    """Lights that are seen from +x, on a post; sometimes a second head on an arm over the road, to -y."""
+    """Lights towards +x, on a post; sometimes a second head on an arm over the road, to -y."""
     lit = int(rng.choice(3, p=(0.5, 0.1, 0.4)))
     arm = bool(rng.uniform() < 0.3)
     height = rng.uniform(5.4, 5.8) if arm else rng.uniform(3.2, 3.6)
@@ -291,7 +291,7 @@ def traffic_light(rng: np.random.Generator) -> Mesh:
 
 
 def _head(
-    at: tuple[float, float, float],
+    middle: tuple[float, float, float],
     lit: int,
     way: tuple[int, int],
     *,
@@ -299,7 +299,7 @@ def _head(
     size: float = 1.0,
     board: bool = False,
 ) -> Mesh:
-    """A housing with lamps, red at the top; `at` is its middle, `lit` the lamp that is on, `way` its direction."""
+    """A housing with lamps, red at the top; around `middle`; `lit`: index of the shining lamp; `way`: its direction."""
     step = 0.3 * size
     colours = list(UNLIT) if lamps == 3 else ["light-red", "light-green"]
     lit = lit if lamps == 3 else min(lit, 1)
@@ -313,7 +313,7 @@ def _head(
         turn = np.linspace(-0.1, np.pi + 0.1, 7)
         rim = np.column_stack([np.zeros(7), 0.12 * size * np.cos(turn), z + 0.12 * size * np.sin(turn)])
         parts.append(loft(np.stack([rim + (0.09, 0, 0), rim + (0.26, 0, 0)]), "dark-metal", (0.6, 0.7, 0.6)))  # a hood
-    x, y, z = at
+    x, y, z = middle
     return merged(parts, "traffic-light").placed((x, y, z), float(np.arctan2(way[1], way[0])))
 
 
@@ -338,7 +338,7 @@ def bin(rng: np.random.Generator) -> Mesh:  # noqa: A001 the builtin is not need
         body, lid = pick(rng, BINS)
         large = rng.uniform() < 0.25
         width, deep, high = (0.58, 0.72, 1.0) if large else (0.48, 0.54, 0.93)
-        one = _tapered((0.78 * deep, 0.8 * width), (deep, width), 0.06, high, body)
+        tub = _tapered((0.78 * deep, 0.8 * width), (deep, width), 0.06, high, body)
         cover = box((0.02, 0, high + 0.035), (deep + 0.06, width + 0.04, 0.07), "plastic", lid)
         grip = box((-deep / 2 - 0.06, 0, high - 0.02), (0.08, 0.7 * width, 0.04), "plastic", body)
         wheels = [
@@ -347,7 +347,7 @@ def bin(rng: np.random.Generator) -> Mesh:  # noqa: A001 the builtin is not need
         ]
         foot = box((0.3 * deep, 0, 0.03), (0.08, 0.6 * width, 0.08), "plastic", body)
         place = (float(rng.normal(0, 0.05)), 0.66 * (i - (count - 1) / 2), 0.0)
-        parts.append(merged([one, cover, grip, foot, *wheels]).placed(place, float(rng.normal(0, 0.08))))
+        parts.append(merged([tub, cover, grip, foot, *wheels]).placed(place, float(rng.normal(0, 0.08))))
     return merged(parts, "other-object")
 
 
@@ -359,7 +359,7 @@ def _tapered(low: tuple[float, float], high: tuple[float, float], foot: float, t
 
 
 def bench(rng: np.random.Generator) -> Mesh:
-    """A bench that faces +x: slats of wood on feet of iron or concrete."""
+    """A bench towards +x: slats of wood on feet of iron or concrete."""
     length = rng.uniform(1.6, 2.0)
     tint = (1.0, 1.0, 1.0) if rng.uniform() < 0.7 else (0.5, 0.9, 0.7)
     slats = [box((x, 0, 0.45), (0.09, length, 0.035), "wood", tint) for x in (-0.15, -0.04, 0.07, 0.18)]
@@ -375,7 +375,7 @@ def bench(rng: np.random.Generator) -> Mesh:
 
 
 def bus_stop(rng: np.random.Generator) -> Mesh:
-    """A glass shelter along y that is open to +x, with a bench, and the stop's sign beside it."""
+    """A glass shelter along y, open to +x, with a bench, and the stop's sign beside it."""
     length, deep, high = rng.uniform(3.0, 4.5), 1.4, 2.4
     grey: Tint = (2.0, 2.0, 2.1) if rng.uniform() < 0.6 else (1.0, 2.5, 1.6)
     parts = [box((0, 0, high + 0.06), (deep + 0.3, length + 0.2, 0.12), "plastic", (1.2, 1.2, 1.2))]

@@ -151,12 +151,12 @@ def _bicycle(rng: np.random.Generator) -> Mount:
     if draw[5] < 0.7:
         parts += _rack(radius)
     if draw[6] < 0.25:
-        parts.append(box((0.5, 0, 0.94), (0.28, 0.36, 0.22), "wood", without=("top",)))
+        parts.append(box((0.5, 0, 0.94), (0.28, 0.36, 0.22), "wood", open_sides=("top",)))
     turn = float(rng.uniform(0, 2 * np.pi))
     pedals = [_pedal(turn + (0 if s > 0 else np.pi), s) for s in (1, -1)]
-    saddle, other = np.array([-0.31, 0, 0.98]), grip * (1, -1, 1)
+    saddle, right = np.array([-0.31, 0, 0.98]), grip * (1, -1, 1)
     feet = (pedals[0][1], pedals[1][1])
-    return Mount(merged([*parts, *(mesh for mesh, _ in pedals)]), saddle, (grip, other), feet)
+    return Mount(merged([*parts, *(mesh for mesh, _ in pedals)]), saddle, (grip, right), feet)
 
 
 def _rack(radius: float) -> list[Mesh]:
@@ -214,8 +214,8 @@ def _roadster(rng: np.random.Generator) -> Mount:
         parts.append(ellipsoid((0.42, 0, 1.1), (0.12, 0.17, 0.17), "window", detail=5))
     if draw[2] < 0.25:
         parts.append(box((-0.76, 0, 0.99), (0.36, 0.4, 0.28), "dark-metal"))
-    other, pedal = grip * (1, -1, 1), np.array([-0.1, 0.24, 0.33])
-    return Mount(merged(parts), np.array([-0.24, 0, 0.84]), (grip, other), (pedal, pedal * (1, -1, 1)))
+    right, pedal = grip * (1, -1, 1), np.array([-0.1, 0.24, 0.33])
+    return Mount(merged(parts), np.array([-0.24, 0, 0.84]), (grip, right), (pedal, pedal * (1, -1, 1)))
 
 
 def _lights(front: tuple[float, float], rear: tuple[float, float]) -> list[Mesh]:
@@ -262,5 +262,5 @@ def _scooter(rng: np.random.Generator) -> Mount:
     ]
     if black:
         parts.append(box((-0.8, 0, 0.93), (0.34, 0.38, 0.28), "dark-metal"))
-    other, pedal = grip * (1, -1, 1), np.array([0.22, 0.12, 0.4])
-    return Mount(merged(parts), np.array([-0.3, 0, 0.83]), (grip, other), (pedal, pedal * (1, -1, 1)))
+    right, pedal = grip * (1, -1, 1), np.array([0.22, 0.12, 0.4])
+    return Mount(merged(parts), np.array([-0.3, 0, 0.83]), (grip, right), (pedal, pedal * (1, -1, 1)))

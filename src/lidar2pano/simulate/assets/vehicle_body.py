@@ -1,4 +1,4 @@
-"""Bodies of road vehicles: one skin of cells, laid over a side view, that knows its windows, lamps and wheel arches.
+"""Bodies of road vehicles: one skin of cells over a side view, with windows, lamps and wheel arches.
 
 The skin of the left half is four grids that share their edges: the side (columns along x, ROWS from the roof's edge
 down to the sill), the top (the same columns, ACROSS from the middle to the edge) and the two ends. The right half is
@@ -29,12 +29,12 @@ SEAM = 0.009  # metres: width of the gap around a door
 
 
 class Patch(NamedTuple):
-    """Cells of an end that are not paint: rows [a, b) and steps across [c, d); `around`: metres onto the side."""
+    """Unpainted cells of an end: rows [a, b) and steps across [c, d); `wrap`: metres onto the side."""
 
     material: str
     rows: tuple[int, int]
     across: tuple[int, int]
-    around: float = 0.0
+    wrap: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,10 +90,10 @@ def rounded_profile(shape: VehicleShape) -> np.ndarray:
     points = np.insert(points, 1, middle, axis=0)
     radii = [0.6, 0.03, shape.round, 0.5, shape.round, 0.04]
     line = [points[0]]
-    for before, corner, after, radius in zip(points[:-2], points[1:-1], points[2:], radii, strict=True):
-        to, on = before - corner, after - corner
-        reach = [min(radius, 0.42 * np.hypot(*way)) / np.hypot(*way) for way in (to, on)]
-        a, b = corner + to * reach[0], corner + on * reach[1]
+    for start, corner, end, radius in zip(points[:-2], points[1:-1], points[2:], radii, strict=True):
+        backward, forward = start - corner, end - corner
+        reach = [min(radius, 0.42 * np.hypot(*way)) / np.hypot(*way) for way in (backward, forward)]
+        a, b = corner + backward * reach[0], corner + forward * reach[1]
         line += [(1 - t) ** 2 * a + 2 * t * (1 - t) * corner + t**2 * b for t in (0, 0.5, 1)]
     return np.array([*line, points[-1]])
 
@@ -112,9 +112,9 @@ def columns(shape: VehicleShape) -> tuple[np.ndarray, np.ndarray]:
     edges = [0.0, length, a - 0.045, a, b, c, d, *(x for pane in shape.panes for x in pane)]
     edges = np.unique(np.round([*edges, *(x for seam in shape.seams for x in (seam, seam + SEAM))], 4))
     edges = edges[np.concatenate([[True], np.diff(edges) > 0.006])]
-    between = np.unique(np.round([*rounded_profile(shape)[1:-1, 0], 0.05, 0.16, length - 0.14, length - 0.05], 4))
-    between = between[np.concatenate([[True], np.diff(between) > 0.03])]
-    x = np.sort(np.concatenate([edges, between[np.abs(between[:, None] - edges).min(1) > 0.04]]))
+    inner = np.unique(np.round([*rounded_profile(shape)[1:-1, 0], 0.05, 0.16, length - 0.14, length - 0.05], 4))
+    inner = inner[np.concatenate([[True], np.diff(inner) > 0.03])]
+    x = np.sort(np.concatenate([edges, inner[np.abs(inner[:, None] - edges).min(1) > 0.04]]))
     bottom = shape.sill + np.interp(x, [0, 0.35, length - 0.45, length], [0.05, 0, 0, 0.09])
     order = np.zeros(len(x))
     for axle in shape.axles:
@@ -176,7 +176,7 @@ def wheel(radius: float, width: float, spokes: int = 5, rim: float = 0.68) -> Me
 
 
 def plate(x: float, z: float, forward: bool) -> Mesh:
-    """A number plate of 0.52 x 0.11 m at (x, 0, z) that looks along +x (forward) or -x; its uv are
+    """A number plate of 0.52 x 0.11 m at (x, 0, z), towards +x (forward) or -x; its uv are
     the pattern's, 0.52 x 0.14 m."""
     frame = box((x, 0, z), (0.02, 0.54, 0.13), "underbody")
     sign = 1.0 if forward else -1.0
@@ -225,19 +225,19 @@ def _top(shape: VehicleShape, x: np.ndarray) -> np.ndarray:
     """Bonnet, screens, roof and boot: (n, A, 3)."""
     (_, foot), (head, rear, end) = shape.profile[:2], [p[0] for p in (shape.profile[i] for i in (2, 4, 5))]
     a, length = foot[0], shape.length
-    above = x.copy()
+    shifted_x = x.copy()
     if shape.panes:
         last = shape.panes[-1][1]
-        above += np.interp(x, [head, last, max(rear, last + 1.6 * shape.lean)], [0, -shape.lean, 0])
+        shifted_x += np.interp(x, [head, last, max(rear, last + 1.6 * shape.lean)], [0, -shape.lean, 0])
     line = rounded_profile(shape)
-    z = np.interp(above, line[:, 0], line[:, 1])
+    z = np.interp(shifted_x, line[:, 0], line[:, 1])
     bend = np.interp(x, [0.4 * a, a, head, head + 0.6, rear - 0.5, end, length], [0, 0.11, 0.08, 0, 0, -0.06, 0])
     crown = np.interp(x, [0, 0.5 * a, a, head, rear, end], np.array(shape.crown)[[0, 0, 0, 1, 1, 1]])
     edge = _half_widths(shape, x, z - crown)[0]
     v = ACROSS[None]
     return np.stack(
         [
-            above[:, None] + bend[:, None] * v**2 * min(1.0, shape.length / 3),
+            shifted_x[:, None] + bend[:, None] * v**2 * min(1.0, shape.length / 3),
             edge[:, None] * v,
             z[:, None] - crown[:, None] * v**2.4,
         ],
@@ -246,7 +246,7 @@ def _top(shape: VehicleShape, x: np.ndarray) -> np.ndarray:
 
 
 def _half_widths(shape: VehicleShape, x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Half widths (n,) at the edge of the top, which is z high, and at the widest."""
+    """Half widths (n,) at the edge of the top, at height z, and at the widest."""
     length, belt = shape.length, np.interp(x, [shape.profile[1][0], shape.length], shape.belt)
     roof = max(height for _, height in shape.profile)
     up = np.clip((z - belt) / (roof - belt), 0, 1)
@@ -314,16 +314,16 @@ def _side_cells(shape: VehicleShape, x: np.ndarray) -> np.ndarray:
     cells[(middle > shape.profile[2][0]) & (middle < shape.profile[5][0]), :2] = shape.top
     for low, high in shape.panes:
         cells[(middle > low) & (middle < high), 1] = "window"
-    between = (
+    pillars = (
         (middle > shape.panes[0][0]) & (middle < shape.panes[-1][1]) if shape.panes else np.zeros(len(middle), bool)
     )
-    cells[between & (cells[:, 1] != "window"), 1] = "rubber"  # the pillars between two panes, black
+    cells[pillars & (cells[:, 1] != "window"), 1] = "rubber"  # the pillars between two panes, black
     for seam in shape.seams:
         cells[np.abs(middle - seam - SEAM / 2) < SEAM / 2, 2 : ROWS - 1] = "underbody"
     cells[:, ROWS - 2] = shape.cladding
     for patches, away in ((shape.front, middle), (shape.rear, shape.length - middle)):
         for patch in patches:
-            cells[away < patch.around, slice(max(1, patch.rows[0]), patch.rows[1])] = patch.material
+            cells[away < patch.wrap, slice(max(1, patch.rows[0]), patch.rows[1])] = patch.material
     return cells
 
 
@@ -378,7 +378,7 @@ def _skin(grids: list[np.ndarray], cells: list[np.ndarray], outwards: list[tuple
 
 
 def _lining(shape: VehicleShape, side: np.ndarray, x: np.ndarray, bottom: np.ndarray) -> Mesh:
-    """What closes the left half below: the wheel arches' insides, and the underside."""
+    """The lower surfaces of the left half: the wheel arches' insides, and the underside."""
     edge = side[:, -1]
     inner = shape.width / 2 - 0.34
     deep = np.stack([edge[:, 0], np.full(len(edge), inner), edge[:, 2]], axis=1)

@@ -59,7 +59,7 @@ class SequenceWriter:
         return [self.folder / name for name in names]
 
     def is_complete(self, frame: int) -> bool:
-        """Whether all files of a frame exist."""
+        """Return True where all files of a frame exist."""
         return all(path.is_file() for path in self.files(frame))
 
     def prepare(self) -> None:
@@ -97,11 +97,16 @@ class SequenceWriter:
         """The LiDAR scan of a frame."""
         time, sensor = frame / self.settings.hz, SENSOR_MODELS[self.settings.sensor]
         pose = self.world.drive.poses(np.array([time]))[0]
-        # Each moving object is where the turn passes it.
-        scene = self.world.scene_at(self.scene(frame), time, lambda at: float(passing_time(sensor, pose, at[None])[0]))
-        return sweep(
-            scene, sensor, lambda ahead: self.world.drive.poses(time + ahead), stream(self.seed, "sweep", frame)
-        )
+
+        def delay(position: np.ndarray) -> float:
+            """Seconds until the turn passes a moving object."""
+            return float(passing_time(sensor, pose, position[None])[0])
+
+        def pose_after(ahead: np.ndarray) -> np.ndarray:
+            return self.world.drive.poses(time + ahead)
+
+        scene = self.world.scene_at(self.scene(frame), time, delay)
+        return sweep(scene, sensor, pose_after, stream(self.seed, "sweep", frame))
 
     def images(self, frame: int) -> Iterator[tuple[str, RenderedImage]]:
         """The images of a frame: "camera" and each of the views, as far as they are saved."""
@@ -213,7 +218,7 @@ def _in_parallel(ranges: list[FrameRange], processes: int) -> Iterator[int]:
 
 
 def _end_with_parent() -> None:
-    """End this worker when its parent process has ended, however that came about."""
+    """End this worker when its parent process has ended, for any reason."""
 
     def watch() -> None:
         if parent := parent_process():
@@ -230,7 +235,7 @@ def _consecutive_runs(ranges: list[FrameRange], processes: int) -> list[list[Fra
 
 
 def write_frames(part: FrameRange) -> int:
-    """Write the frames of a range that are missing; the number of frames."""
+    """Write the missing frames of a range; return the number of its frames."""
     writer = _writer(part.out, part.settings, part.sequence)
     writer.prepare()
     for frame in range(part.first, part.last):
@@ -253,8 +258,8 @@ def _write_splits(out: Path, sequences: int, frames: int) -> None:
         "all": range(sequences),
     }
     splits = {
-        name: [f"{sequence:02d}/{frame:06d}" for sequence in which for frame in range(frames)]
-        for name, which in names.items()
+        name: [f"{sequence:02d}/{frame:06d}" for sequence in numbers for frame in range(frames)]
+        for name, numbers in names.items()
     }
     text = json.dumps(splits, indent=1) + "\n"
     write_whole(out / "splits.json", lambda path: path.write_text(text, encoding="utf-8"))

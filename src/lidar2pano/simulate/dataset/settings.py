@@ -1,4 +1,4 @@
-"""Settings of a simulated data set: everything that its content depends on."""
+"""Settings of a simulated data set: everything its content depends on."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class WorldSettings:
     """Options of `lidar2pano world`.
 
     frames  per sequence, `hz` a second;  sensor in SENSOR_MODELS;  look in LOOKS;  place in PLACES, "" = random.
-    save    which of SAVES besides scans and labels;  views: rasters of the panorama, "panorama" or "panorama/2".
+    save    names in SAVES, besides scans and labels;  views: rasters of the panorama, "panorama" or "panorama/2".
     """
 
     seed: int = 0
@@ -93,16 +93,16 @@ def recording_camera() -> Calibration:
 
 def claim_folder(out: Path, settings: WorldSettings) -> None:
     """Write world.json into the folder; InputError where it holds a world of other settings or other data."""
-    card, wanted = out / "world.json", settings.as_dict()
+    card, expected = out / "world.json", settings.as_dict()
     if card.is_file():
-        found = read_json(card, "remove it, or choose another folder")
-        if not isinstance(found, dict):
+        stored = read_json(card, "remove it, or choose another folder")
+        if not isinstance(stored, dict):
             raise InputError(f"{card}: holds no settings of a world; remove it, or choose another folder")
-        if changed := [key for key in wanted if found.get(key) != wanted[key]]:
-            was = ", ".join(f"{key}={found.get(key)!r}" for key in changed)
+        if changed := [key for key in expected if stored.get(key) != expected[key]]:
+            was = ", ".join(f"{key}={stored.get(key)!r}" for key in changed)
             raise InputError(f"{out}: holds another world ({was}); repeat its settings, or choose another folder")
         return
     if (out / "sequences").exists():
         raise InputError(f"{out}: holds a data set that is no simulated world; choose another folder")
-    text = json.dumps(wanted, indent=2) + "\n"
+    text = json.dumps(expected, indent=2) + "\n"
     write_whole(card, lambda path: path.write_text(text, encoding="utf-8"))

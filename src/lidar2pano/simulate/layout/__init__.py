@@ -1,1 +1,1 @@
-"""Where everything is: roads, ground, buildings, kerbside objects, traffic and the recording car."""
+"""The plan of a town: roads, ground, buildings, kerbside objects, traffic and the recording car."""

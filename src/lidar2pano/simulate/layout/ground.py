@@ -225,9 +225,9 @@ def _strip(
 
 
 def _clear_of_others(town: Town, index: int, xy: np.ndarray) -> np.ndarray:
-    """Whether no other carriageway is within two metres: (N,) bool."""
-    others = [road for number, road in enumerate(town.roads) if number != index]
-    return locate(others, xy, reach=30.0).kerb_distance > 2.0 if others else np.ones(len(xy), dtype=bool)
+    """Return (N,) bool: no other carriageway is within two metres."""
+    neighbours = [road for number, road in enumerate(town.roads) if number != index]
+    return locate(neighbours, xy, reach=30.0).kerb_distance > 2.0 if neighbours else np.ones(len(xy), dtype=bool)
 
 
 def _painted(quads: np.ndarray, terrain: Terrain) -> Mesh:

@@ -25,7 +25,7 @@ Circle = tuple[float, float, float]
 
 
 class Template(NamedTuple):
-    """An object that can be placed: its maker, name (of its random streams) and radius of its footprint in metres.
+    """A sort of object: its maker, name (of its random streams) and radius of its footprint in metres.
 
     on_sidewalk    stands at the level of the sidewalk, not of the carriageway.
     follows_slope  its z axis is the normal of the ground (vehicles).
@@ -45,12 +45,12 @@ class PlacedObject:
     """An object in the world frame.
 
     number  of its random stream.
-    at      (x, y, z) metres;  yaw: radians;  normal: of the ground, for objects that follow its slope.
+    position      (x, y, z) metres;  yaw: radians;  normal: of the ground, for objects that follow its slope.
     """
 
     template: Template
     number: int
-    at: tuple[float, float, float]
+    position: tuple[float, float, float]
     yaw: float
     normal: tuple[float, float, float] | None = None
 
@@ -61,7 +61,9 @@ class PlacedObject:
             made = _shape(make, name, self.number % SHAPES, detail)
         else:
             made = make(stream(seed, name, self.number), detail)
-        return made.placed(self.at, self.yaw) if self.normal is None else on_slope(made, self.at, self.yaw, self.normal)
+        if self.normal is None:
+            return made.placed(self.position, self.yaw)
+        return on_slope(made, self.position, self.yaw, self.normal)
 
 
 @lru_cache(maxsize=256)
@@ -69,23 +71,23 @@ def _shape(make: Maker, name: str, number: int, detail: float) -> Mesh:
     return make(stream(0, "far", name, number), detail)
 
 
-def on_slope(mesh: Mesh, at: tuple[float, float, float], yaw: float, normal: tuple[float, float, float]) -> Mesh:
-    """The mesh moved to `at`, its x axis towards `yaw`, its z axis along the `normal` of the ground."""
+def on_slope(mesh: Mesh, position: tuple[float, float, float], yaw: float, normal: tuple[float, float, float]) -> Mesh:
+    """The mesh moved to `position`, its x axis towards `yaw`, its z axis along the `normal` of the ground."""
     up = np.asarray(normal)
     ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     ahead = ahead - up * (ahead @ up)
     ahead /= np.linalg.norm(ahead)
-    return mesh.transformed(np.stack([ahead, np.cross(up, ahead), up], axis=1), at)
+    return mesh.transformed(np.stack([ahead, np.cross(up, ahead), up], axis=1), position)
 
 
 @dataclass(slots=True, eq=False)
 class OccupancyGrid:
-    """Occupied footprints: circles in the cells of a grid that they reach into."""
+    """Occupied footprints: circles in the cells of a grid."""
 
     cells: dict[tuple[int, int], list[Circle]] = field(default_factory=dict[tuple[int, int], list[Circle]])
 
     def is_free(self, x: float, y: float, radius: float) -> bool:
-        """Whether a circle overlaps no occupied one."""
+        """Return True where a circle overlaps no occupied one."""
         return all(
             (a - x) ** 2 + (b - y) ** 2 > (r + radius) ** 2
             for cell in _cells(x, y, radius)
@@ -98,7 +100,7 @@ class OccupancyGrid:
             self.cells.setdefault(cell, []).append((x, y, radius))
 
     def covering_circles(self, x: float, y: float, yaw: float, size: tuple[float, float]) -> list[Circle]:
-        """Circles that cover a rectangle of `size` (along its x, along its y), except its corners."""
+        """Circles over a rectangle of `size` (along its x, along its y), except its corners."""
         deep, wide = size
         radius = min(deep, wide) / 2
         reach = max(deep, wide) / 2 - radius
@@ -126,7 +128,7 @@ class Planner:
         return stream(self.town.seed, *names)
 
     def stretches(self, name: str) -> Iterator[tuple[np.random.Generator, Road, Stretch, LandUse]]:
-        """All stretches: the random stream of what is called `name` there, road, stretch, land use."""
+        """All stretches: the random stream of `name` there, road, stretch, land use."""
         number = 0
         for index, (road, row) in enumerate(zip(self.town.roads, self.town.stretches, strict=True)):
             for stretch in row:
@@ -137,8 +139,10 @@ class Planner:
         """Place an object at a point (2,)."""
         z = float(self.town.height(xy, on_sidewalk=template.on_sidewalk))
         normal = tuple(self.town.terrain.normal(xy).tolist()) if template.follows_slope else None
-        at = (float(xy[0]), float(xy[1]), z)
-        self.objects.append(PlacedObject(template=template, number=len(self.objects), at=at, yaw=yaw, normal=normal))
+        position = (float(xy[0]), float(xy[1]), z)
+        self.objects.append(
+            PlacedObject(template=template, number=len(self.objects), position=position, yaw=yaw, normal=normal)
+        )
 
     def add_if_free(self, template: Template, xy: np.ndarray, yaw: float) -> bool:
         """Place an object if its footprint is free, and occupy it; whether it was placed."""

@@ -87,8 +87,8 @@ def winding_centreline(
     """
     count = int(length / STEP) + 1
     knots = np.arange(0, count + 240, 60)
-    wanted = rng.uniform(-1, 1, len(knots)) * (rng.uniform(size=len(knots)) < 0.6) / radius
-    bend = np.interp(np.arange(count), knots, wanted)
+    curvature = rng.uniform(-1, 1, len(knots)) * (rng.uniform(size=len(knots)) < 0.6) / radius
+    bend = np.interp(np.arange(count), knots, curvature)
     headings = np.empty(count)
     turned = 0.0
     for i in range(count):
@@ -120,7 +120,7 @@ def locate(roads: Sequence[Road], xy: np.ndarray, reach: float = 80.0) -> Positi
     xy = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
     count = len(xy)
     best, second = np.full(count, reach), np.full(count, np.inf)
-    which, s, d = np.zeros(count, np.int64), np.zeros(count), np.full(count, reach)
+    owner, s, d = np.zeros(count, np.int64), np.zeros(count), np.full(count, reach)
     rounded = np.full(count, reach)
     for index, road in enumerate(roads):
         low, high = road.xy.min(axis=0) - reach, road.xy.max(axis=0) + reach
@@ -134,8 +134,8 @@ def locate(roads: Sequence[Road], xy: np.ndarray, reach: float = 80.0) -> Positi
         closer = gap < best[near]
         second[near] = np.minimum(second[near], np.where(closer, best[near], gap))
         won = near[closer]
-        best[won], which[won], s[won], d[won] = gap[closer], index, along[closer], aside[closer]
-    return Position(kerb_distance=rounded, road=which, s=s, d=d, other_road=second)
+        best[won], owner[won], s[won], d[won] = gap[closer], index, along[closer], aside[closer]
+    return Position(kerb_distance=rounded, road=owner, s=s, d=d, other_road=second)
 
 
 def _fillet(a: np.ndarray, b: np.ndarray) -> np.ndarray:

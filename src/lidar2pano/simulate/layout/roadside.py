@@ -66,9 +66,9 @@ def _lot(
     make = _building_maker(land_use.building, wide, deep)
     plan.add(Template(make, land_use.building, max(wide, deep) / 1.6), xy, yaw)
     if land_use.building == "house" and rng.uniform() < 0.45:
-        beside, where = _facing(road, s + rng.choice([-1, 1]) * (wide / 2 + 2.2), stretch.side, road.sidewalk + off + 4)
-        if clear_of_roads(plan.town.roads, _corners(where, beside, 6, 3.2), 0.2).all():
-            plan.add_if_free(Template(_building_maker("garage", 3, 6), "garage", 2.0), where, beside)
+        turned, place = _facing(road, s + rng.choice([-1, 1]) * (wide / 2 + 2.2), stretch.side, road.sidewalk + off + 4)
+        if clear_of_roads(plan.town.roads, _corners(place, turned, 6, 3.2), 0.2).all():
+            plan.add_if_free(Template(_building_maker("garage", 3, 6), "garage", 2.0), place, turned)
 
 
 def _facing(road: Road, s: float, side: int, away: float) -> tuple[float, np.ndarray]:
@@ -122,7 +122,7 @@ def _place_border(plan: Planner, rng: Rng, road: Road, side: int, barrier: str, 
 
 
 def _barrier(plan: Planner, barrier: str, start: np.ndarray, yaw: float, length: float, height: float) -> Maker:
-    """The maker of a barrier that follows the terrain from `start` along `yaw`."""
+    """The maker of a barrier along the terrain, from `start` along `yaw`."""
     way = np.array([np.cos(yaw), np.sin(yaw)])
 
     def land(x: np.ndarray) -> np.ndarray:
@@ -212,7 +212,7 @@ def _tree(rng: Rng, species: str = "") -> Maker:
 
 
 def horizon(plan: Planner) -> None:
-    """Distant trees and houses that close the view along the main road."""
+    """Distant trees and houses at the end of the view along the main road."""
     road, rng = plan.town.roads[0], plan.rng("horizon")
     for side in (-1, 1):
         s = 0.0
@@ -254,7 +254,7 @@ LAMP = Template(lambda rng, _: street_furniture.street_lamp(rng), "lamp", 0.3)
 WIRE_POLE = Template(lambda rng, _: street_furniture.pole(rng), "pole", 0.3)
 DELINEATOR = Template(lambda rng, _: barriers.delineator(rng), "delineator", 0.1)
 STREET_NAME = Template(lambda rng, _: street_furniture.sign(rng, "street name"), "sign", 0.2)
-# Their x axis points at oncoming traffic; that of the others at the road.
+# Their x axis points at oncoming traffic; the others' at the road.
 SIGN = Template(lambda rng, _: street_furniture.sign(rng), "sign", 0.2)
 GIVE_WAY = Template(lambda rng, _: street_furniture.sign(rng, "give way"), "sign", 0.2)
 LIGHT = Template(lambda rng, _: street_furniture.traffic_light(rng), "traffic light", 0.3)

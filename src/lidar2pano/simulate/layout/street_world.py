@@ -16,7 +16,7 @@ from lidar2pano.simulate.scene.random_streams import stream, weighted_choice
 from lidar2pano.simulate.scene.raycast import Scene, SceneObject
 
 VIEW_RANGE = 125.0  # metres around the drive within which the world is built
-WINDOW = 40.0  # metres of the drive that share one static scene
+WINDOW = 40.0  # metres of the drive with one static scene
 NEAR, MIDDLE = 28.0, 60.0  # metres from the drive: full detail, a third of it, and less beyond
 
 
@@ -75,7 +75,7 @@ class World:
 
 
 def _distance(points: np.ndarray, placed: PlacedObject) -> float:
-    return float(np.sqrt(((points - placed.at[:2]) ** 2).sum(1).min())) - placed.template.radius
+    return float(np.sqrt(((points - placed.position[:2]) ** 2).sum(1).min())) - placed.template.radius
 
 
 def build_world(seed: int, seconds: float, place: str = "") -> World:

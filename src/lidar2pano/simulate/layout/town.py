@@ -1,4 +1,4 @@
-"""Towns: the roads, terrain and land use around a drive, by the sort of street that it leads through. Metres, m/s."""
+"""Towns: the roads, terrain and land use around a drive, by the sort of street. Metres, m/s."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lidar2pano.simulate.scene.random_streams import stream, weighted_choice
 class Place(NamedTuple):
     """A road, its side roads, its traffic, and the land use along it.
 
-    share             of the drives that are in such a place, where none is given.
+    share             of the drives in such a place, where none is given.
     half_width        of the carriageway;  sidewalk: its width;  kerb: its height.
     bend_radius       of the tightest bends;  slope: of the terrain.
     junction_spacing  mean distance between side roads (0 = none);  light_share: junctions with traffic lights.
@@ -24,7 +24,7 @@ class Place(NamedTuple):
     cyclists, walkers  per 100 metres of road.
     land_uses         names in LAND_USES with their weights.
     median            half width of the strip between two carriageways (0 = none).
-    rare              how many times as frequent as elsewhere what RARE names is, but for passing cyclists and walkers.
+    rare              factor on the frequency of RARE objects, but for passing cyclists and walkers.
     """
 
     share: float
@@ -49,7 +49,7 @@ class Place(NamedTuple):
     rare: float = 1.0
 
     def mix(self, weights: Mapping[str, float]) -> dict[str, float]:
-        """Weights by name, those of what is rare elsewhere (RARE) times `rare`."""
+        """Weights by name, those of RARE objects times `rare`."""
         return {name: weight * (self.rare if name in RARE else 1.0) for name, weight in weights.items()}
 
 
@@ -83,7 +83,7 @@ PLACES: dict[str, Place] = {
         surface=("asphalt", "asphalt-new"), paving=("asphalt",),
         land_uses={"field": 2, "wood": 3, "meadow": 2, "noise": 1}, median=1.9,
     ),
-    # Only where it is asked for: a lesson in what other places have little of.
+    # Only where it is asked for: a lesson in RARE objects.
     "centre": Place(
         share=0.0, half_width=4.0, sidewalk=3.4, kerb=0.10, bend_radius=150, slope=0.02, junction_spacing=85,
         light_share=0.4, speed=7, vehicle_gap=22, parked_share=0.55, bay_share=0.6, cyclists=3.0, walkers=22.0,
@@ -102,9 +102,9 @@ class GroundCover:
 
 
 class LandUse(NamedTuple):
-    """What stands along a stretch of road, on one side; (least, most) are ranges.
+    """The objects along a stretch of road, on one side; (least, most) are ranges.
 
-    building      that stands on the lots ("" = none);  width, depth: its size.
+    building      on the lots ("" = none);  width, depth: its size.
     setback       its distance from the sidewalk;  lot_gap: distance between lots.
     borders       of the lots towards the road, and their weights.
     street_trees  per 100 metres;  yard_plants: trees and bushes per 10 metres;  tree_density: per 100 m2.
@@ -194,7 +194,7 @@ class Stretch:
 class Town:
     """Roads, the first is the main road of the drive, terrain, and land use on both sides of each road.
 
-    stretches  of each road;  junctions: (s of the main road, side) at which side roads begin.
+    stretches  of each road;  junctions: (s of the main road, side) of the beginnings of side roads.
     """
 
     seed: int
@@ -214,8 +214,8 @@ class Town:
         out = np.zeros(len(s), dtype=np.int64)
         names = list(LAND_USES)
         for stretch in self.stretches[road]:
-            here = (s >= stretch.start) & (s <= stretch.end) & (np.where(d > 0, 1, -1) == stretch.side)
-            out[here] = names.index(stretch.land_use)
+            inside = (s >= stretch.start) & (s <= stretch.end) & (np.where(d > 0, 1, -1) == stretch.side)
+            out[inside] = names.index(stretch.land_use)
         return out
 
     def height(self, xy: np.ndarray, road: int = 0, *, on_sidewalk: bool = True) -> np.ndarray:
@@ -234,7 +234,12 @@ def build_town(seed: int, length: float, place: str) -> Town:
     )
     terrain = Terrain.random(stream(seed, "terrain"), parameters.slope * stream(seed, "town").uniform(0.2, 1.3))
     return Town(
-        seed=seed, name=place, roads=roads, terrain=terrain, stretches=stretches, junctions=tuple(at for _, at in sides)
+        seed=seed,
+        name=place,
+        roads=roads,
+        terrain=terrain,
+        stretches=stretches,
+        junctions=tuple(mouth for _, mouth in sides),
     )
 
 
@@ -273,9 +278,9 @@ def _side_roads(rng: np.random.Generator, parameters: Place, main: Road) -> list
         return out
     s = rng.uniform(0.3, 1.0) * parameters.junction_spacing
     while s < main.length - 10:
-        both = rng.uniform() < 0.35
+        paired = rng.uniform() < 0.35
         first = int(rng.choice([-1, 1]))
-        for side in (first, -first) if both else (first,):
+        for side in (first, -first) if paired else (first,):
             out.append((_side_road(rng, parameters, main, s, side), (s, side)))
         s += parameters.junction_spacing * rng.uniform(0.6, 1.6)
     return out
@@ -317,7 +322,7 @@ def _stretches(rng: np.random.Generator, parameters: Place, road: Road) -> list[
 
 
 def clear_of_roads(roads: Sequence[Road], xy: np.ndarray, margin: float) -> np.ndarray:
-    """Whether points (N, 2) are at least `margin` metres away from all roads and their sidewalks: (N,) bool."""
+    """Return (N,) bool: points (N, 2) are at least `margin` metres away from all roads and their sidewalks."""
     at = locate(roads, xy)
     walk = np.array([road.sidewalk for road in roads])[at.road]
     return at.kerb_distance >= walk + margin

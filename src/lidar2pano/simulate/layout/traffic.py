@@ -1,4 +1,4 @@
-"""What moves: the recording car, and vehicles, cyclists and pedestrians, as functions of time."""
+"""Moving objects: the recording car, and vehicles, cyclists and pedestrians, as functions of time."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class SpeedProfile:
         return cls(mean=mean, waves=waves)
 
     def travelled(self, time: np.ndarray) -> np.ndarray:
-        """Metres since time 0; (N,) seconds, which may be negative."""
+        """Metres since time 0; (N,) seconds, possibly negative."""
         time = np.asarray(time, dtype=np.float64)
         share, number, phase = self.waves[:, 0], 2 * np.pi / self.waves[:, 1], self.waves[:, 2]
         swing = (share / number * (np.sin(number * time[..., None] + phase) - np.sin(phase))).sum(-1)
@@ -107,7 +107,7 @@ _MAKERS = {
 
 
 VEHICLES: dict[str, Maker] = {name: lambda rng, _, make=make: make(rng) for name, make in _MAKERS.items()}
-"""Makers of vehicles, which have one level of detail."""
+"""Makers of vehicles, with one level of detail."""
 
 VIEW_RANGE = 110.0  # metres: farther actors are left out
 Delay = Callable[[np.ndarray], float]
@@ -147,7 +147,7 @@ class Actor:
     meshes: dict[int, Mesh] = field(default_factory=dict[int, Mesh])
 
     def along(self, time: float, length: float) -> float:
-        """Metres along the road; actors that leave at one end return at the other."""
+        """Metres along the road; actors leave at one end and return at the other."""
         return (self.start + self.direction * float(self.travelled(np.array(time)))) % length
 
     def mesh(self, seed: int, time: float, away: float) -> Mesh:
@@ -183,9 +183,9 @@ class Traffic:
         for number in np.flatnonzero(visible).tolist():
             actor = self.actors[number]
             then = time + (delay(np.array(self._place(actor, time)[0])) if delay else 0.0)
-            at, yaw = self._place(actor, then)
-            normal = tuple(self.town.terrain.normal(np.array(at[:2])).tolist())
-            mesh = on_slope(actor.mesh(self.town.seed, then, float(away[number])), at, yaw, normal)
+            position, yaw = self._place(actor, then)
+            normal = tuple(self.town.terrain.normal(np.array(position[:2])).tolist())
+            mesh = on_slope(actor.mesh(self.town.seed, then, float(away[number])), position, yaw, normal)
             out.append(SceneObject(mesh=mesh, instance=self.first + number, moving=True))
         return out
 

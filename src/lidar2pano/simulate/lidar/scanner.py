@@ -1,4 +1,4 @@
-"""The simulated scanner: the pulses of one turn of a spinning LiDAR, and the points that they return."""
+"""The simulated scanner: the pulses of one turn of a spinning LiDAR, and their returns."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BRIGHTEST = 0.99  # KITTI's remission has steps of 0.01 from 0 to 0.99
 TABLE = 1 << 14
 PATCH, PATCHY = 0.5, 0.3  # materials with more dropout than PATCHY (windows) lose patches of PATCH metres
 ANCHORS = ((0.12, 0.8), (1.3, 0.6))  # spatial variation of reflectance: cell in metres, weight
-GRAZE = 0.02  # share of a matt surface's power that is still detected: rough ground reflects more at grazing angles
+GRAZE = 0.02  # share of a matt surface's power, still detected: rough ground reflects more at grazing angles
 
 # Roughness of surfaces: standard deviation of height in metres. Real lawns: 16 mm of range at 5 m, 35 mm beyond 20 m.
 ROUGH = {
@@ -52,15 +52,15 @@ class Echoes:
     facing: np.ndarray
     frame: np.ndarray
 
-    def within(self, which: np.ndarray) -> Echoes:
-        """The echoes with hits outside of `which` (N,) bool at one metre: their values are not used."""
-        near = np.where(which, self.hits.distance, np.float32(1))
+    def within(self, mask: np.ndarray) -> Echoes:
+        """The echoes with hits outside of `mask` (N,) bool at one metre: their values are not used."""
+        near = np.where(mask, self.hits.distance, np.float32(1))
         return replace(self, hits=replace(self.hits, distance=near))
 
-    def subset(self, which: np.ndarray) -> Echoes:
+    def subset(self, indices: np.ndarray) -> Echoes:
         """Some echoes, by index."""
-        arrays = {name: getattr(self, name)[which] for name in ("start", "direction", "ring", "facing")}
-        return Echoes(hits=self.hits.subset(which), frame=self.frame, **arrays)
+        arrays = {name: getattr(self, name)[indices] for name in ("start", "direction", "ring", "facing")}
+        return Echoes(hits=self.hits.subset(indices), frame=self.frame, **arrays)
 
     def positions(self) -> np.ndarray:
         """Positions of the hits (N, 3): in the world frame, on moving objects on their own surface."""
@@ -125,7 +125,7 @@ def lost(sensor: SensorModel, echoes: Echoes, rng: np.random.Generator) -> np.nd
 
 
 def remission(sensor: SensorModel, echoes: Echoes, rng: np.random.Generator | None) -> np.ndarray:
-    """Remission (N,) of returns; without `rng` that of a perfect sensor."""
+    """Remission (N,) of returns; without `rng`: of a perfect sensor."""
     hits, material = echoes.hits, echoes.hits.material
     bright = _REMISSION[material] * echoes.facing ** _MIRROR[material]
     tinted = np.flatnonzero(_TINTED[material])
@@ -210,20 +210,20 @@ def sweep(
     sectors: int = SECTORS,
     clean: bool = False,
 ) -> Sweep:
-    """One turn of `sensor` around time 0, at which it points straight ahead; points are compensated for its motion.
+    """One turn of `sensor` around time 0, when it points straight ahead; points are compensated for its motion.
 
-    scene    the scene, or a function that gives it at a time in seconds, called for each of `sectors` parts of a turn.
+    scene    the scene, or a function of the time in seconds, called for each of `sectors` parts of a turn.
     clean    without noise, lost returns and occlusion by the recording car.
     """
     frame = pose(np.zeros(1))[0]
     rays = _rays(sensor, pose, rng, clean)
     echoes = _cast(scene, rays, frame, sectors, None if clean else rng)
     distance = echoes.hits.distance if clean else noisy_range(sensor, echoes, rays.live, rng)
-    here = echoes.hits.valid & (distance >= sensor.min_range) & (distance < sensor.max_range)
+    valid = echoes.hits.valid & (distance >= sensor.min_range) & (distance < sensor.max_range)
     if not clean:
-        here &= ~lost(sensor, echoes, rng)
-    bright = remission(sensor, echoes.within(here), None if clean else rng)
-    kept = np.flatnonzero(here)
+        valid &= ~lost(sensor, echoes, rng)
+    bright = remission(sensor, echoes.within(valid), None if clean else rng)
+    kept = np.flatnonzero(valid)
     points = np.empty((len(kept), 4), dtype=np.float32)
     points[:, :3] = echoes.start[kept] + echoes.direction[kept] * distance[kept, None]
     points[:, 3] = bright[kept]
@@ -277,7 +277,7 @@ def _rays(sensor: SensorModel, pose: Pose, rng: np.random.Generator, clean: bool
 def _first_hits(scene: Scene, origin: np.ndarray, direction: np.ndarray, rng: np.random.Generator | None) -> Hits:
     """Hits of N pulses; some pass the first leaf.
 
-    Otherwise crowns and hedges are closed surfaces, which a network trained on real scans labels as walls.
+    Otherwise crowns and hedges are closed surfaces, walls to a network trained on real scans.
     """
     hits = scene.cast(origin, direction, flat=True)
     if rng is None:

@@ -23,12 +23,12 @@ class SensorModel:
     min_range, max_range  of reported returns;  range_step: resolution of the range.
     range_noise      standard deviation from shot to shot at short range;  range_bias: (B) constant error of a beam.
     half_loss_range  at which half of the returns of a matt surface of reflectance 0.1 are lost at normal incidence.
-    dropout          (B) share of the returns that a beam loses at random.
+    dropout          (B) share of returns lost at random.
     remission_scale  reported remission over `Material.remission`;  remission_noise: its standard deviation.
     remission_fade   (range, rate): where remission begins to fall, and its loss for each factor e of received power.
     remission_floor  on the scale of `Material.remission`: less is reported as 0.
     dark_offset, bright_offset  (B) deviation from the mean beam on a dark (0.22) and a bright (0.36) surface.
-    blind_sectors    (beam, ((from, to), ...)): azimuths that the recording car occludes.
+    blind_sectors    (beam, ((from, to), ...)): azimuths behind the recording car.
     point_order      beam by beam, each from straight ahead to the left, or firing by firing.
     """
 
@@ -78,7 +78,7 @@ BLIND_CELL = 0.5  # degrees: cells of the table of occluded directions
 
 @cache
 def blind_table(sensor: SensorModel) -> np.ndarray:
-    """Directions that the recording car occludes: (B, 720) bool; cells of BLIND_CELL degrees to the left."""
+    """Directions occluded by the recording car: (B, 720) bool; cells of BLIND_CELL degrees to the left."""
     azimuth = (np.arange(round(FULL_TURN / BLIND_CELL)) + 0.5) * BLIND_CELL
     table = np.zeros((len(sensor), len(azimuth)), dtype=bool)
     for beam, spans in sensor.blind_sectors:

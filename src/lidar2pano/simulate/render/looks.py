@@ -1,4 +1,4 @@
-"""Looks: time of day, weather, season and exposure, and the sky that each has. They never change the geometry."""
+"""Looks: time of day, weather, season and exposure, and their sky. They never change the geometry."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Look:
     zenith, horizon  radiance of the clear sky;  glow: of the air around the sun.
     cloud_cover      share of the sky under clouds;  cloud_radiance: theirs;  cloud_seed: chooses them.
     haze_m           metres after which an object has lost 63 % of its contrast to the air.
-    autumn_foliage   share of the broad leaves that are yellow, orange or brown;  leaf_litter: share of the ground
+    autumn_foliage   share of yellow, orange or brown leaves;  leaf_litter: share of the ground
                      under fallen leaves.
     exposure         factor from radiance to pixel values, where 1 is white;  white_balance: gains of R, G, B.
     saturation       1 leaves colours unchanged.
@@ -126,7 +126,7 @@ _GREEN = np.array(MATERIALS["leaves"].albedo, dtype=np.float32)[:, None]
 SEASON_M = 0.7  # metres: pixel size of the map of the season's stages
 FALLEN = np.array((0.18, 0.10, 0.04), dtype=np.float32)  # albedo of leaves on the ground
 
-_WILTING = np.zeros(len(MATERIALS), dtype=np.float32)  # share of a plant that takes autumn colours
+_WILTING = np.zeros(len(MATERIALS), dtype=np.float32)  # share of a plant in autumn colours
 _LITTERED = np.isin(
     list(MATERIALS),
     ("grass", "meadow", "asphalt", "asphalt-new", "cobbles", "paving", "kerb", "gravel", "soil", "paint-white"),
@@ -136,7 +136,7 @@ for _name, _share in {"leaves": 1.0, "hedge": 0.3, "grass": 0.12, "meadow": 0.25
 
 
 def litter_share(look: Look, material: np.ndarray) -> np.ndarray:
-    """Share (N,) float32 of a surface that fallen leaves may cover; 0 in other seasons."""
+    """Share (N,) float32 of a surface under fallen leaves; 0 in other seasons."""
     return _LITTERED[material] * np.float32(look.leaf_litter)
 
 
@@ -168,7 +168,7 @@ def _stages() -> np.ndarray:
 
 GROUND = (0.12, 0.118, 0.095)  # mean albedo of the land
 DISC = 40.0  # radiance of the sun's disc over that of a white surface; images saturate either way
-DOME = 2048  # directions that sample the sphere
+DOME = 2048  # samples of the sphere
 
 
 class Sky:
@@ -194,10 +194,10 @@ class Sky:
     def radiance(self, direction: np.ndarray, *, disc: bool = True) -> np.ndarray:
         """Radiance (3, N) of the sky, and of the land below the horizon."""
         out = self._above(direction, disc)
-        below = np.flatnonzero(direction[2] < 0)
-        if len(below):
-            depth = np.clip(-direction[2, below] * 12, 0, 1)  # the horizon is hazy
-            out[:, below] += (self.ground - out[:, below]) * depth
+        land = np.flatnonzero(direction[2] < 0)
+        if len(land):
+            depth = np.clip(-direction[2, land] * 12, 0, 1)  # the horizon is hazy
+            out[:, land] += (self.ground - out[:, land]) * depth
         return out
 
     def ambient(self, normal: np.ndarray) -> np.ndarray:

@@ -16,9 +16,9 @@ from lidar2pano.simulate.scene.raycast import Hits, Scene
 from lidar2pano.simulate.scene.surfaces import MATERIALS
 from lidar2pano.views import View
 
-TILE = 65536  # rays that are cast at once
+TILE = 65536  # rays cast at once
 SUBPIXELS = ((0.0, 0.37), (-0.33, -0.18), (0.33, -0.18))  # offsets of the further rays of pixels at edges, pixels
-JUMP = 0.1  # relative difference in distance between neighbours that makes an edge
+JUMP = 0.1  # relative difference in distance between neighbours at an edge
 NOTHING = np.uint8(255)  # the number of no type of object
 BLUR = (0.11, 0.78, 0.11)  # kernel along rows and columns: sigma 0.5 pixels
 SATURATION = 4.0  # times white: radiance is clipped there before the blur
@@ -157,9 +157,9 @@ def _beside(directions: np.ndarray, pixels: np.ndarray, off: tuple[float, float]
         left, right = left % columns, right % columns
     else:
         left, right = np.maximum(left, 0), np.minimum(right, columns - 1)
-    above, below = np.maximum(row - 1, 0), np.minimum(row + 1, rows - 1)
+    upper, lower = np.maximum(row - 1, 0), np.minimum(row + 1, rows - 1)
     across = (directions[row, right] - directions[row, left]) * np.float32(off[0] / 2)
-    along = (directions[below, column] - directions[above, column]) * np.float32(off[1] / 2)
+    along = (directions[lower, column] - directions[upper, column]) * np.float32(off[1] / 2)
     ray = directions[row, column] + across + along
     return ray / np.linalg.norm(ray, axis=1, keepdims=True)
 
@@ -181,14 +181,14 @@ def _edges(hits: Hits, shape: tuple[int, int], circular: bool) -> tuple[np.ndarr
         step |= (np.roll(normal, -1, axis + 1) * normal).sum(axis=0) < 0.8
         step |= np.roll(material, -1, axis) != material
         step &= ~(sky & np.roll(sky, -1, axis))
-        other, leafy = np.roll(object_type, -1, axis) != object_type, leaves | np.roll(leaves, -1, axis)
+        border, leafy = np.roll(object_type, -1, axis) != object_type, leaves | np.roll(leaves, -1, axis)
         if axis == 0:
-            step[-1] = other[-1] = False
+            step[-1] = border[-1] = False
         elif not circular:
-            step[:, -1] = other[:, -1] = False
-        step, other = (step | other) & ~leafy, other & leafy
+            step[:, -1] = border[:, -1] = False
+        step, border = (step | border) & ~leafy, border & leafy
         edge |= step | np.roll(step, 1, axis)
-        leafy_edge |= other | np.roll(other, 1, axis)
+        leafy_edge |= border | np.roll(border, 1, axis)
     return edge, leafy_edge
 
 
@@ -206,7 +206,7 @@ def _camera_image(radiance: np.ndarray, look: Look, circular: bool, seed: int) -
 
 
 def _blurred(exposed: np.ndarray) -> np.ndarray:
-    """Blur of the lens; the result lacks the border of one pixel that `exposed` has."""
+    """Blur of the lens; the result lacks the border of one pixel of `exposed`."""
     side, middle, _ = (np.float32(weight) for weight in BLUR)
     exposed = middle * exposed[1:-1] + side * (exposed[:-2] + exposed[2:])
     return middle * exposed[:, 1:-1] + side * (exposed[:, :-2] + exposed[:, 2:])

@@ -1,4 +1,4 @@
-"""Shading: the sky's and the sun's light that reaches surfaces, and their radiance towards a camera."""
+"""Shading: the sky's and the sun's light on surfaces, and their radiance towards a camera."""
 
 from __future__ import annotations
 
@@ -83,10 +83,10 @@ def edge_aware_mean(value: np.ndarray, gbuffer: GBuffer, circular: bool, strides
         for axis in (1, 2):
             total, weight = value.copy(), np.ones_like(value)
             for step in (-stride, stride):
-                there = GBuffer(*(_shifted(part, step, axis - 3, circular) for part in gbuffer))
-                alike = _similarity(gbuffer, there)
-                total += alike * _shifted(value, step, axis - 3, circular)
-                weight += alike
+                neighbour = GBuffer(*(_shifted(part, step, axis - 3, circular) for part in gbuffer))
+                likeness = _similarity(gbuffer, neighbour)
+                total += likeness * _shifted(value, step, axis - 3, circular)
+                weight += likeness
             value = total / weight
     return value
 
@@ -101,12 +101,12 @@ def _shifted(field: np.ndarray, step: int, axis: int, circular: bool) -> np.ndar
     return moved
 
 
-def _similarity(here: GBuffer, there: GBuffer) -> np.ndarray:
+def _similarity(first: GBuffer, second: GBuffer) -> np.ndarray:
     """Weights in [0, 1]: close to 1 where two pixels lie on one smooth surface."""
-    off = there.position - here.position
-    off = np.abs((off * here.normal).sum(axis=0))
-    level = np.clip(1 - off / (0.03 + 0.01 * here.distance), 0, 1)
-    bend = (here.normal * there.normal).sum(axis=0)
+    off = second.position - first.position
+    off = np.abs((off * first.normal).sum(axis=0))
+    level = np.clip(1 - off / (0.03 + 0.01 * first.distance), 0, 1)
+    bend = (first.normal * second.normal).sum(axis=0)
     return level * np.clip(2 * bend - 1, 0, 1)
 
 
@@ -123,24 +123,24 @@ def _upsampled(coarse: np.ndarray, gbuffer: GBuffer, circular: bool) -> np.ndarr
     return out
 
 
-def _interpolated(value: np.ndarray, known: GBuffer, here: GBuffer, axis: int, circular: bool) -> np.ndarray:
+def _interpolated(value: np.ndarray, coarse: GBuffer, fine: GBuffer, axis: int, circular: bool) -> np.ndarray:
     """Values of the pixels between two neighbours along an axis."""
-    rows, columns = (slice(0, length) for length in here.distance.shape)
-    after = GBuffer(*(_shifted(part, 1, axis - 2, circular) for part in known)).part(rows, columns)
-    nearer, farther = (_similarity(here, side) + np.float32(1e-3) for side in (known.part(rows, columns), after))
+    rows, columns = (slice(0, length) for length in fine.distance.shape)
+    neighbour = GBuffer(*(_shifted(part, 1, axis - 2, circular) for part in coarse)).part(rows, columns)
+    nearer, farther = (_similarity(fine, side) + np.float32(1e-3) for side in (coarse.part(rows, columns), neighbour))
     next_value = _shifted(value, 1, axis - 2, circular)[rows, columns]
     return (value[rows, columns] * nearer + next_value * farther) / (nearer + farther)
 
 
-TILE = 32768  # rays that are shaded at once: their arrays fit the cache
+TILE = 32768  # rays shaded at once: their arrays fit the cache
 CELL = 0.008  # metres: points within one cell share one sample of the sun's disc
 TAPS = 3  # texture samples across a surface at grazing angles
-BOUNCE = 0.08  # share of the sky's light that an occluder reflects
+BOUNCE = 0.08  # share of the sky's light reflected by an occluder
 LAMP_RADIANCE = 2.5  # radiance of emission 1
 
 _ALBEDO, _EMISSION = material_table("albedo").T.copy(), LAMP_RADIANCE * material_table("emission").T
 _ROUGHNESS, _TRANSMISSION = material_table("roughness"), material_table("transmission")
-# Leaves have their crown's normals, which suit no specular reflection.
+# Leaves have their crown's normals, unfit for specular reflection.
 _SPECULAR = np.where(_TRANSMISSION > 0, 0, material_table("specular"))
 _ASPHALT, _ROAD = TEXTURE_IDS["asphalt"], OBJECT_TYPE_IDS["road"]
 _MIRRORS = (_SPECULAR > 0) & (_ROUGHNESS < 0.15)  # reflections are traced
@@ -152,9 +152,9 @@ class Visibility(NamedTuple):
     sun: np.ndarray
     sky: np.ndarray
 
-    def subset(self, which: np.ndarray) -> Visibility:
+    def subset(self, indices: np.ndarray) -> Visibility:
         """The shares of some points."""
-        return Visibility(self.sun[which], self.sky[which])
+        return Visibility(self.sun[indices], self.sky[indices])
 
 
 @dataclass(slots=True, eq=False)
@@ -169,11 +169,11 @@ class _ShadingPoints:
     footprint_m: np.ndarray  # (n,) width of a pixel there, square to the ray
     facing: np.ndarray  # (n,) cosine between ray and face normal
 
-    def subset(self, which: np.ndarray) -> _ShadingPoints:
+    def subset(self, indices: np.ndarray) -> _ShadingPoints:
         """Some of the points."""
         vectors = self.position, self.direction, self.normal, self.face_normal
-        a, b, c, d = (vector[:, which] for vector in vectors)
-        return _ShadingPoints(self.hits.subset(which), a, b, c, d, self.footprint_m[which], self.facing[which])
+        a, b, c, d = (vector[:, indices] for vector in vectors)
+        return _ShadingPoints(self.hits.subset(indices), a, b, c, d, self.footprint_m[indices], self.facing[indices])
 
 
 def shade(
@@ -220,13 +220,13 @@ def _shading_points(hits: Hits, origin: np.ndarray, direction: np.ndarray, pixel
 
 def _surface(scene: Scene, points: _ShadingPoints, look: Look, visibility: Visibility) -> np.ndarray:
     """Radiance (3, n) of surfaces."""
-    above, material = sky(look), points.hits.material
+    dome, material = sky(look), points.hits.material
     albedo, normal = _material(points, look)
     sun = np.array(look.sun_direction, dtype=np.float32)[:, None]
     cosine = _dot(normal, sun)
     strength = np.maximum(cosine, 0) + _TRANSMISSION[material] * np.maximum(-cosine, 0.25)
     direct = np.array(look.sun_colour, dtype=np.float32)[:, None] * (strength * visibility.sun)
-    ambient = above.ambient(normal)
+    ambient = dome.ambient(normal)
     ambient *= visibility.sky + BOUNCE * (1 - visibility.sky)
     out = albedo * (direct + ambient)
     glossy = np.flatnonzero(_SPECULAR[material])
@@ -235,7 +235,7 @@ def _surface(scene: Scene, points: _ShadingPoints, look: Look, visibility: Visib
         out[:, glossy] = _glossy(scene, some, look, normal[:, glossy], out[:, glossy], visibility.subset(glossy))
     out += _EMISSION[:, material]
     clear = np.exp(points.hits.distance * np.float32(-1 / look.haze_m))
-    return out * clear + above.airlight * (1 - clear)
+    return out * clear + dome.airlight * (1 - clear)
 
 
 def _material(points: _ShadingPoints, look: Look) -> tuple[np.ndarray, np.ndarray]:
@@ -307,9 +307,9 @@ def _litter(albedo: np.ndarray, points: _ShadingPoints, look: Look) -> None:
     share = litter_share(look, points.hits.material)
     ground = np.flatnonzero((share > 0) & (points.face_normal[2] > 0.7))
     if len(ground):
-        which = np.full(len(ground), TEXTURE_IDS["litter"])
+        ids = np.full(len(ground), TEXTURE_IDS["litter"])
         footprint = points.footprint_m[ground] / np.sqrt(points.facing[ground])
-        cover = sample(which, points.hits.uv[ground], footprint)[0][:, 0] * share[ground]
+        cover = sample(ids, points.hits.uv[ground], footprint)[0][:, 0] * share[ground]
         hue = 0.6 + 0.8 * spatial_hash(points.position[:, ground], 0.06, 2)
         albedo[:, ground] += cover * (FALLEN[:, None] * hue - albedo[:, ground])
 
@@ -343,9 +343,9 @@ def sunlit(scene: Scene, hits: Hits, origin: np.ndarray, direction: np.ndarray, 
     return lit
 
 
-def ray_offset(hits: Hits, which: np.ndarray) -> np.ndarray:
+def ray_offset(hits: Hits, indices: np.ndarray) -> np.ndarray:
     """The offset (3, k) off a surface at which a new ray starts, against self-intersection."""
-    return (hits.face_normal[which] * (1e-3 + 3e-5 * hits.distance[which, None])).T
+    return (hits.face_normal[indices] * (1e-3 + 3e-5 * hits.distance[indices, None])).T
 
 
 def _glossy(  # noqa: PLR0913 the arrays of the formula
@@ -357,12 +357,12 @@ def _glossy(  # noqa: PLR0913 the arrays of the formula
     facing = np.clip(-_dot(normal, points.direction), 0, 1)
     share = gloss + np.maximum(1 - rough - gloss, 0) * (1 - facing) ** 5  # Schlick (1994), reduced by roughness
     mirrored = points.direction + 2 * facing * normal
-    above = sky(look)
-    reflected = above.ambient(mirrored) * visibility.sky
+    dome = sky(look)
+    reflected = dome.ambient(mirrored) * visibility.sky
     clear = np.flatnonzero(_MIRRORS[material])
     if len(clear):
         start = points.position[:, clear] + ray_offset(points.hits, clear)
-        reflected[:, clear] = _mirrored(scene, start, mirrored[:, clear], look, above)
+        reflected[:, clear] = _mirrored(scene, start, mirrored[:, clear], look, dome)
     sun = np.array(look.sun_direction, dtype=np.float32)[:, None]
     half = sun - points.direction
     half /= np.sqrt(_dot(half, half)) + 1e-6
@@ -373,14 +373,14 @@ def _glossy(  # noqa: PLR0913 the arrays of the formula
     return matt * (1 - share) + reflected * share + np.array(look.sun_colour, dtype=np.float32)[:, None] * shine
 
 
-def _mirrored(scene: Scene, start: np.ndarray, direction: np.ndarray, look: Look, above: Sky) -> np.ndarray:
-    """Radiance (3, n) that a mirror reflects: the sky, or objects in simplified light."""
-    out = above.radiance(direction, disc=False)
+def _mirrored(scene: Scene, start: np.ndarray, direction: np.ndarray, look: Look, dome: Sky) -> np.ndarray:
+    """Radiance (3, n) in a mirror: the sky, or objects in simplified light."""
+    out = dome.radiance(direction, disc=False)
     hits = scene.cast(start.T, direction.T)
     hit_index = np.flatnonzero(hits.valid)
     hits, normal = hits.subset(hit_index), np.ascontiguousarray(hits.normal[hit_index].T)
     cosine = np.maximum(_dot(normal, np.array(look.sun_direction, dtype=np.float32)[:, None]), 0)
-    light = 0.8 * above.ambient(normal) + np.array(look.sun_colour, dtype=np.float32)[:, None] * (0.6 * cosine)
+    light = 0.8 * dome.ambient(normal) + np.array(look.sun_colour, dtype=np.float32)[:, None] * (0.6 * cosine)
     out[:, hit_index] = _ALBEDO[:, hits.material] * hits.tint.T * light + _EMISSION[:, hits.material]
     return out
 

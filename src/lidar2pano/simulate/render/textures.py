@@ -96,7 +96,7 @@ Drawing = tuple[np.ndarray, np.ndarray]
 
 
 class Pattern(NamedTuple):
-    """The size of a tile along u and v in metres, the function that draws it, and the wide pattern laid over it."""
+    """The size of a tile along u and v in metres, its drawing function, and the wide pattern laid over it."""
 
     size_m: tuple[float, float]
     draw: Callable[[], Drawing]
@@ -301,16 +301,16 @@ def _birch() -> Drawing:
 def _leaves() -> Drawing:
     """Leaves: each Voronoi cell has its own shade, and the slope of its own random plane."""
     seam, cell_value = voronoi("leaves", 16)
-    _, other = voronoi("leaves", 16, 0.9, 1.02)
+    _, second_value = voronoi("leaves", 16, 0.9, 1.02)
     factor = np.exp(0.9 * (cell_value - 0.5)) * (0.75 + 0.25 * _smooth(seam, 0, 0.12))
-    v_lean, u_lean = np.sin(40 * cell_value), np.sin(57 * other + 1)
+    v_lean, u_lean = np.sin(40 * cell_value), np.sin(57 * second_value + 1)
     u, v = _GRID
     lean = 40 * (u_lean * (u * 16 % 1) + v_lean * (v * 16 % 1))
     return _coloured(factor, np.sin(91 * cell_value), (0.14, 0.03, 0.0)), lean
 
 
 def _litter() -> Drawing:
-    """Fallen leaves: the factor is the share of the ground that they cover."""
+    """Fallen leaves: the factor is the covered share of the ground."""
     seam, cell_value = voronoi("litter", 64)
     place = spectral("litter", 1.4, 1, 14)
     return _smooth(seam, 0.02, 0.2) * _smooth(0.55 * place + 2.2 * (cell_value - 0.5), 0.2, 0.5), np.zeros_like(seam)
@@ -393,15 +393,15 @@ def sample(texture: np.ndarray, uv: np.ndarray, footprint_m: np.ndarray) -> tupl
     footprint_m  (N,) width of a pixel on the surface: finer detail is averaged.
     """
     taps, weights = _corners(np.asarray(texture, dtype=np.int32), uv, footprint_m)
-    found = np.zeros((5, len(taps[0])), dtype=np.float32)
+    values = np.zeros((5, len(taps[0])), dtype=np.float32)
     pool = _pool()
     for tap, weight in zip(taps, weights, strict=True):
         texel = pool.take(tap).view(np.uint8).reshape(-1, 8)
         for channel in range(5):
-            found[channel] += texel[:, channel] * weight
-    found *= np.float32(1 / STEP)
-    found[3:] -= np.float32(MIDDLE / STEP)
-    return found[:3].T, found[3:].T
+            values[channel] += texel[:, channel] * weight
+    values *= np.float32(1 / STEP)
+    values[3:] -= np.float32(MIDDLE / STEP)
+    return values[:3].T, values[3:].T
 
 
 def sample_wide(texture: np.ndarray, uv: np.ndarray, footprint_m: np.ndarray) -> np.ndarray:

@@ -1,1 +1,1 @@
-"""The scene that is rendered and scanned: meshes, their materials and classes, and ray casting."""
+"""The scene of the cameras and the LiDAR: meshes, their materials and classes, and ray casting."""

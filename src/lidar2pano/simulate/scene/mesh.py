@@ -1,4 +1,4 @@
-"""Triangle meshes with materials and object types, and the primitives that they are built from; metres, z up."""
+"""Triangle meshes with materials and object types, and the primitives of their construction; metres, z up."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ class Mesh:
         """Number of triangles."""
         return len(self.faces)
 
-    def transformed(self, rotation: np.ndarray, at: tuple[float, float, float]) -> Mesh:
-        """The mesh rotated by R_world_object (3, 3) and translated to `at`, metres."""
+    def transformed(self, rotation: np.ndarray, position: tuple[float, float, float]) -> Mesh:
+        """The mesh rotated by R_world_object (3, 3) and translated to `position`, metres."""
         R = np.asarray(rotation, dtype=np.float32).T
-        vertices = self.vertices @ R + np.asarray(at, dtype=np.float32)
+        vertices = self.vertices @ R + np.asarray(position, dtype=np.float32)
         return replace(self, vertices=vertices, normals=self.normals @ R)
 
-    def placed(self, at: tuple[float, float, float], yaw: float = 0.0, scale: float = 1.0) -> Mesh:
-        """The mesh scaled, rotated by `yaw` radians to the left, and translated to `at`, metres."""
+    def placed(self, position: tuple[float, float, float], yaw: float = 0.0, scale: float = 1.0) -> Mesh:
+        """The mesh scaled, rotated by `yaw` radians to the left, and translated to `position`, metres."""
         c, s = np.cos(yaw), np.sin(yaw)
         scaled = self if scale == 1 else replace(self, vertices=self.vertices * np.float32(scale))
-        return scaled.transformed(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), at)
+        return scaled.transformed(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), position)
 
 
 def mesh(
@@ -64,8 +64,8 @@ def mesh(
 ) -> Mesh:
     """A mesh of one material and tint, UNTYPED.
 
-    Without `normals` faces are flat and share no vertices; without `uv` each face is projected onto the axis plane that
-    is closest to it.
+    Without `normals` faces are flat and share no vertices; without `uv` each face is projected onto the axis plane
+    closest to it.
     """
     vertices = np.asarray(vertices, dtype=np.float32).reshape(-1, 3)
     faces = np.asarray(faces, dtype=np.int32).reshape(-1, 3)
@@ -120,7 +120,7 @@ def projected_uv(vertices: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def merged(meshes: Iterable[Mesh], object_type: str = "") -> Mesh:
-    """All meshes as one; `object_type` is that of the untyped ones."""
+    """All meshes as one; `object_type`: of the untyped ones."""
     parts = [part for part in meshes if len(part)]
     if not parts:
         return mesh(np.zeros((0, 3)), np.zeros((0, 3)), "asphalt")
@@ -142,13 +142,13 @@ SIDES = ("bottom", "top", "right", "left", "front", "back")  # right is -y, fron
 
 
 def box(
-    centre: Point, size: Point, material: str, tint: Tint = PLAIN, *, yaw: float = 0.0, without: Sequence[str] = ()
+    centre: Point, size: Point, material: str, tint: Tint = PLAIN, *, yaw: float = 0.0, open_sides: Sequence[str] = ()
 ) -> Mesh:
     """A box of `size` (along x, y, z) around `centre`, rotated by `yaw` radians, without some of SIDES."""
     corner = np.array(
         [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1), (-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1)]
     )
-    quads = _BOX[[i for i, side in enumerate(SIDES) if side not in without]]
+    quads = _BOX[[i for i, side in enumerate(SIDES) if side not in open_sides]]
     solid = polygons(corner * np.asarray(size) / 2, quads, material, tint)
     x, y, z = centre
     return solid.placed((x, y, z), yaw)
@@ -156,8 +156,8 @@ def box(
 
 def polygons(points: Points, polygon: Points, material: str, tint: Tint = PLAIN) -> Mesh:
     """Flat convex polygons (P, n) of indices into points (N, 3), counter-clockwise from outside."""
-    polygon = np.atleast_2d(polygon)
-    fan = [polygon[:, [0, i, i + 1]] for i in range(1, polygon.shape[1] - 1)]
+    corners = np.asarray(polygon)
+    fan = [corners[:, [0, i, i + 1]] for i in range(1, corners.shape[1] - 1)]
     return mesh(points, np.stack(fan, axis=1).reshape(-1, 3), material, tint)
 
 
@@ -176,15 +176,15 @@ def tube(
         level = aside[i - 1] - tangent[i] * (tangent[i] @ aside[i - 1])
         long = np.sqrt(level @ level)
         aside[i] = level / long if long > 1e-6 else aside[i]
-    other = cross(tangent, aside)
+    binormal = cross(tangent, aside)
     angle = np.arange(sides + 1) * (2 * np.pi / sides)
-    radial = np.cos(angle)[:, None] * aside[:, None] + np.sin(angle)[:, None] * other[:, None]
+    radial = np.cos(angle)[:, None] * aside[:, None] + np.sin(angle)[:, None] * binormal[:, None]
     points = course[:, None] + radii[:, None, None] * radial
     run = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(course, axis=0), axis=1))])
-    around, along = np.meshgrid(angle * radii.mean(), run)
+    turns, along = np.meshgrid(angle * radii.mean(), run)
     grid = np.arange(n * (sides + 1)).reshape(n, sides + 1)
     faces = quads_of(grid)[:, ::-1]
-    uv = np.stack([around, along], axis=-1).reshape(-1, 2)
+    uv = np.stack([turns, along], axis=-1).reshape(-1, 2)
     points, normals = points.reshape(-1, 3), radial.reshape(-1, 3)
     if closed:
         caps = [(grid[0, :-1], course[0], -tangent[0]), (grid[-1, :-1][::-1], course[-1], tangent[-1])]

@@ -11,7 +11,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.simulate.scene.mesh import Mesh, face_normals, merged
 from lidar2pano.simulate.scene.surfaces import RAW_IDS, RAW_MOVING_IDS, SKY, masks, solid_at
 
-LAYERS = 8  # surfaces with cut-outs that a ray passes at most: the last one stops it, hole or not
+LAYERS = 8  # most surfaces with cut-outs in the way of a ray: the last one stops it, hole or not
 SHADOW_LAYERS = 4  # the same for shadow rays
 STEP = 2e-4  # metres behind a hole at which a ray is cast again
 
@@ -57,8 +57,8 @@ class Hits:
     @property
     def raw(self) -> np.ndarray:
         """SemanticKITTI's raw class ids (N,) uint16; 0 where nothing was hit."""
-        known = np.where(self.valid, self.object_type, 0)
-        return np.where(self.valid, np.where(self.moving, RAW_MOVING_IDS[known], RAW_IDS[known]), 0).astype(np.uint16)
+        ids = np.where(self.valid, self.object_type, 0)
+        return np.where(self.valid, np.where(self.moving, RAW_MOVING_IDS[ids], RAW_IDS[ids]), 0).astype(np.uint16)
 
     @classmethod
     def joined(cls, parts: Sequence[Hits]) -> Hits:
@@ -66,9 +66,9 @@ class Hits:
         names = [field.name for field in fields(cls)]
         return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
-    def subset(self, which: np.ndarray) -> Hits:
+    def subset(self, indices: np.ndarray) -> Hits:
         """The hits of some rays, by mask or indices."""
-        return Hits(**{part.name: getattr(self, part.name)[which] for part in fields(self)})
+        return Hits(**{part.name: getattr(self, part.name)[indices] for part in fields(self)})
 
 
 class Scene:
@@ -92,12 +92,12 @@ class Scene:
         origin = np.ascontiguousarray(np.broadcast_to(np.asarray(origin, dtype=np.float32), direction.shape))
         first = [bvh.first(origin, direction) for bvh in self._bvhs]
         standing = first[0].distance <= first[1].distance
-        found = [np.flatnonzero(standing & (first[0].face >= 0)), np.flatnonzero(~standing)]
+        hit_rays = [np.flatnonzero(standing & (first[0].face >= 0)), np.flatnonzero(~standing)]
         hits = _no_hits(len(direction), flat)
-        for bvh, nearest, rays in zip(self._bvhs, first, found, strict=True):
+        for bvh, nearest, rays in zip(self._bvhs, first, hit_rays, strict=True):
             bvh.describe(hits, nearest, rays, direction)
-        if len(found[1]):
-            hits.face[found[1]] += len(self._bvhs[0])
+        if len(hit_rays[1]):
+            hits.face[hit_rays[1]] += len(self._bvhs[0])
         return hits
 
     def unoccluded(self, origin: np.ndarray, direction: np.ndarray, far: float | np.ndarray = 300.0) -> np.ndarray:
@@ -130,7 +130,7 @@ class _Bvh:
         counts = [len(part.mesh) for part in parts]
         part = np.repeat(np.array([(part.instance << 32) | (part.moving << 16) for part in parts], np.uint64), counts)
         self.moves = any(part.moving for part in parts)
-        # All attributes of a triangle in one number: random reads of large tables are what costs.
+        # All attributes of a triangle in one number: random reads of large tables are slow.
         self.attributes = part | whole.object_type.astype(np.uint64) << 8 | whole.material
         self.face_normal = face_normals(whole.vertices, whole.faces)
         # One row a triangle: the texture coordinates of its three corners.
@@ -149,25 +149,25 @@ class _Bvh:
         if not len(self) or not count:
             zero = np.zeros(count, np.float32)
             return _Nearest(np.full(count, np.inf, np.float32), np.full(count, -1), zero, zero)
-        found = self._embree.run(origin, direction, dists=None if far is None else far.copy(), output=1)
-        face, u, v = found["primID"], found["u"], found["v"]
-        distance = np.where(face >= 0, found["tfar"], np.float32(np.inf))
+        result = self._embree.run(origin, direction, dists=None if far is None else far.copy(), output=1)
+        face, u, v = result["primID"], result["u"], result["v"]
+        distance = np.where(face >= 0, result["tfar"], np.float32(np.inf))
         rays = self._holes(face, u, v)
         gone = distance[rays] + np.float32(STEP)
         for _ in range(layers - 1):
             if not len(rays):
                 break
             start, left = origin[rays] + direction[rays] * gone[:, None], None if far is None else far[rays] - gone
-            found = self._embree.run(start, direction[rays], dists=left, output=1)
-            face[rays], u[rays], v[rays] = found["primID"], found["u"], found["v"]
-            away = gone + np.where(found["primID"] >= 0, found["tfar"], np.float32(np.inf))
+            result = self._embree.run(start, direction[rays], dists=left, output=1)
+            face[rays], u[rays], v[rays] = result["primID"], result["u"], result["v"]
+            away = gone + np.where(result["primID"] >= 0, result["tfar"], np.float32(np.inf))
             distance[rays] = away
-            holes = self._holes(found["primID"], found["u"], found["v"])
+            holes = self._holes(result["primID"], result["u"], result["v"])
             rays, gone = rays[holes], away[holes] + np.float32(STEP)
         return _Nearest(distance, face, u, v)
 
     def _holes(self, face: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Indices of the hits that are holes of cut-outs; a face of -1 is none."""
+        """Indices of the hits in holes of cut-outs; a face of -1 is none."""
         maybe = np.flatnonzero(self.mask[face] >= 0)
         face = face[maybe]
         return maybe[~solid_at(_interpolated(self.corner_uv[face], u[maybe], v[maybe]), self.mask[face])]

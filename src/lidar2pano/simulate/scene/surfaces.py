@@ -1,4 +1,4 @@
-"""Surfaces: their materials with the cut-outs of some, and the object types that they belong to."""
+"""Surfaces: their materials with the cut-outs of some, and their object types."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class Material(NamedTuple):
     roughness        of the specular reflection: 0 a mirror, 1 no highlight at all.
     emission         linear RGB radiance (lamps, traffic lights).
     cutout           name in cutouts.CUTOUTS, the mask of the surface's holes (leaves, wire fences); "" = no holes.
-    transmission     share of the sunlight that passes from the other side (leaves).
+    transmission     share of the sunlight from the other side (leaves).
     remission        at 905 nm and normal incidence, in [0, 1].
     variation        relative standard deviation of `remission` from place to place.
     retroreflection  remission of a retro-reflector, independent of the angle; 0 = none.
-    dropout          probability that a pulse is lost at normal incidence and short range (glass, black paint).
+    dropout          probability of a lost pulse at normal incidence and short range (glass, black paint).
     """
 
     texture: str = ""
@@ -168,7 +168,7 @@ OBJECT_TYPES: dict[str, ObjectType] = {
 }
 
 OBJECT_TYPE_IDS: dict[str, int] = {name: index for index, name in enumerate(OBJECT_TYPES)}
-SKY = 255  # object type of rays that hit nothing
+SKY = 255  # object type of rays without a hit
 
 RAW_IDS = np.array([object_type.raw for object_type in OBJECT_TYPES.values()], dtype=np.uint16)
 RAW_MOVING_IDS = np.array([object_type.moving for object_type in OBJECT_TYPES.values()], dtype=np.uint16)
@@ -192,7 +192,8 @@ SIZE = 256  # pixels of a mask's side
 
 def grid(size: int) -> tuple[np.ndarray, np.ndarray]:
     """u and v (size, size) of the pixels' centres of a tile with period 1."""
-    return tuple(np.meshgrid((np.arange(size) + 0.5) / size, (np.arange(size) + 0.5) / size))
+    u, v = np.meshgrid((np.arange(size) + 0.5) / size, (np.arange(size) + 0.5) / size)
+    return u, v
 
 
 def _leaf(solid: np.ndarray, foot: np.ndarray, turn: float, length: float, width: float) -> None:
@@ -209,7 +210,7 @@ def _leaf(solid: np.ndarray, foot: np.ndarray, turn: float, length: float, width
 
 
 def _twigs(sides: int) -> list[tuple[np.ndarray, float, float]]:
-    """Start, direction and length of the twigs of a spray that grows from (0.5, 0) upwards; the first is the stem."""
+    """Start, direction and length of the twigs of a spray, from (0.5, 0) upwards; the first is the stem."""
     twigs = [(np.array([0.5, 0.0]), np.pi / 2, 0.72)]
     for i, height in enumerate(np.linspace(0.06, 0.64, sides)):
         lean = (0.95 - 0.35 * height) * (1 if i % 2 else -1)
@@ -274,6 +275,6 @@ def masks() -> tuple[np.ndarray, np.ndarray]:
 
 
 def solid_at(uv: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Whether cut-outs `mask` (N,) are solid at uv (N, 2): (N,) bool."""
+    """Return (N,) bool: cut-outs `mask` (N,) are solid at uv (N, 2)."""
     cell = ((uv % 1) * SIZE).astype(np.int64).clip(0, SIZE - 1)
     return masks()[0][mask, cell[:, 1], cell[:, 0]]
