@@ -382,22 +382,17 @@ def _lining(shape: VehicleShape, side: np.ndarray, x: np.ndarray, bottom: np.nda
     edge = side[:, -1]
     inner = shape.width / 2 - 0.34
     deep = np.stack([edge[:, 0], np.full(len(edge), inner), edge[:, 2]], axis=1)
-    arches = [np.stack([edge[near], deep[near]], axis=1) for near in _arch_columns(shape, x, bottom)]
     parts = []
-    for arch in arches:
-        flat = arch.reshape(-1, 3)
-        tri = quads_of(np.arange(len(flat)).reshape(arch.shape[:2]))
-        parts.append(mesh(flat, tri[:, ::-1], "underbody"))
+    for axle in shape.axles:
+        near = np.flatnonzero(np.abs(x - axle) < shape.wheel + shape.gap + 1e-4)
+        near = near[bottom[near] > shape.wheel - 0.01]
+        arch = np.stack([edge[near], deep[near]], axis=1)
+        tri = quads_of(np.arange(2 * len(near)).reshape(-1, 2))
+        parts.append(mesh(arch.reshape(-1, 3), tri[:, ::-1], "underbody"))
     wall = np.array([(-1, 0.0), (1, 0.0), (1, 1), (-1, 1)]) * np.array([shape.length / 2 - 0.3, 0.0])
     low, high = shape.sill + 0.06, shape.wheel * 2 + shape.gap + 0.03
     plate = np.stack([wall[:, 0], np.full(4, inner), [low, low, high, high]], axis=1)
     floor = np.stack([wall[:, 0], [inner, inner, 0.0, 0.0], np.full(4, low)], axis=1)
     parts.append(polygons(plate, [[1, 0, 3, 2]], "underbody"))
-    parts.append(polygons(floor, np.array([[0, 1, 2, 3]])[:, ::-1], "underbody"))
+    parts.append(polygons(floor, [[3, 2, 1, 0]], "underbody"))
     return merged(parts)
-
-
-def _arch_columns(shape: VehicleShape, x: np.ndarray, bottom: np.ndarray) -> list[np.ndarray]:
-    radius = shape.wheel + shape.gap
-    inside = [np.flatnonzero(np.abs(x - axle) < radius + 1e-4) for axle in shape.axles]
-    return [near[bottom[near] > shape.wheel - 0.01] for near in inside]

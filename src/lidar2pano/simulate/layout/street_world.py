@@ -11,7 +11,6 @@ from lidar2pano.simulate.layout.placement import PlacedObject, Planner
 from lidar2pano.simulate.layout.roadside import STEPS
 from lidar2pano.simulate.layout.town import LAND_USES, PLACES, ROAD_MARGIN, Town, build_town
 from lidar2pano.simulate.layout.traffic import Delay, Drive, SpeedProfile, Traffic, build_traffic
-from lidar2pano.simulate.scene.mesh import Mesh
 from lidar2pano.simulate.scene.random_streams import stream, weighted_choice
 from lidar2pano.simulate.scene.raycast import Scene, SceneObject
 
@@ -38,7 +37,9 @@ class World:
         """The static scene around the metres [number * WINDOW, (number + 1) * WINDOW) of the drive."""
         points = self._lane_points(number * WINDOW, (number + 1) * WINDOW)
         low, high = (np.rint(edge) for edge in (points.min(axis=0) - VIEW_RANGE, points.max(axis=0) + VIEW_RANGE))
-        objects = [SceneObject(mesh=self._ground(low, high)), SceneObject(mesh=markings(self.town, low, high))]
+        covers = [land_use.ground_cover for land_use in LAND_USES.values()]
+        land = ground(self.town.roads, self.town.terrain, low, high, covers, self.town.land_use_ids)
+        objects = [SceneObject(mesh=land), SceneObject(mesh=markings(self.town, low, high))]
         whole = self._lane_points(0.0, max(self.length, 1.0))
         instance = 0
         for placed in self.objects:
@@ -63,10 +64,6 @@ class World:
         """Points (N, 2) of the drive's lane every two metres, from `first` to `last` metres after its start."""
         s = ROAD_MARGIN + np.linspace(first, last, int((last - first) / 2) + 2)
         return self.town.roads[0].at(s, self.drive.lane)[0]
-
-    def _ground(self, low: np.ndarray, high: np.ndarray) -> Mesh:
-        covers = [land_use.ground_cover for land_use in LAND_USES.values()]
-        return ground(self.town.roads, self.town.terrain, low, high, covers, self.town.land_use_ids)
 
     def scene_at(self, static: Scene, time: float, delay: Delay | None = None) -> Scene:
         """The static scene with the moving objects at a time in seconds, or `delay` later (Traffic.objects)."""

@@ -60,11 +60,6 @@ def look(name: str, seed: int = 0) -> Look:
     return LOOKS[name](seed)
 
 
-def _sun(elevation_deg: float, azimuth_deg: float) -> Colour:
-    e, a = np.radians(elevation_deg), np.radians(azimuth_deg)
-    return float(np.cos(e) * np.cos(a)), float(np.cos(e) * np.sin(a)), float(np.sin(e))
-
-
 def _drawn(rng: np.random.Generator, name: str, seed: int, **values: Any) -> Look:
     """A look: of SAMPLED values a pair is a range, more are alternatives; elevation and azimuth in degrees."""
     values["azimuth"] = (-180, 180)
@@ -72,8 +67,9 @@ def _drawn(rng: np.random.Generator, name: str, seed: int, **values: Any) -> Loo
         if isinstance(choices := values.get(key), tuple):
             values[key] = float(rng.uniform(*choices) if len(choices) == 2 else rng.choice(choices))
     values["exposure"] *= 2 ** values.pop("stops")
-    sun_direction = _sun(values.pop("elevation"), values.pop("azimuth"))
-    return Look(name=name, sun_direction=sun_direction, cloud_seed=seed, **values)
+    e, a = np.radians(values.pop("elevation")), np.radians(values.pop("azimuth"))
+    sun = float(np.cos(e) * np.cos(a)), float(np.cos(e) * np.sin(a)), float(np.sin(e))
+    return Look(name=name, sun_direction=sun, cloud_seed=seed, **values)
 
 
 def _day(seed: int) -> Look:

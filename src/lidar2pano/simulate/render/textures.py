@@ -339,10 +339,6 @@ STEP, MIDDLE = 100, 128  # a stored byte is 100 x factor, or 128 + 100 x slope
 _STARTS = np.cumsum([0, *(4 ** (LEVELS - 1 - level) for level in range(LEVELS))]).astype(np.int32)
 
 
-def _blotches() -> np.ndarray:
-    return 1 + 0.06 * spectral("blotches", 1.4, 1, 60)
-
-
 def _roadway() -> np.ndarray:
     """Repaired patches, seams filled with bitumen, stains."""
     rng, factor = stream(0, "roadway"), 1 + 0.055 * spectral("roadway", 1.2, 1, 100)
@@ -365,13 +361,12 @@ def _lawn() -> np.ndarray:
     return (1 + 0.10 * tone)[..., None] * (1 + dry[..., None] * np.array((0.09, 0.02, 0.03), dtype=np.float32))
 
 
-def _weather() -> np.ndarray:
-    return 1 + 0.045 * spectral("weather", 1.3, 1, 120) + 0.03 * spectral("weather b", 0.9, 8, 160)
-
-
 WIDE: dict[str, Callable[[], np.ndarray]] = {
-    "blotches": _blotches, "roadway": _roadway, "lawn": _lawn, "weather": _weather,
-}  # fmt: skip
+    "blotches": lambda: 1 + 0.06 * spectral("blotches", 1.4, 1, 60),
+    "roadway": _roadway,
+    "lawn": _lawn,
+    "weather": lambda: 1 + 0.045 * spectral("weather", 1.3, 1, 120) + 0.03 * spectral("weather b", 0.9, 8, 160),
+}
 
 TEXTURES = ("", *PATTERNS)
 TEXTURE_IDS: dict[str, int] = {name: index for index, name in enumerate(TEXTURES)}
