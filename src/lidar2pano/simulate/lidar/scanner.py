@@ -156,7 +156,6 @@ def _spatial_hash(position: np.ndarray, cell: float) -> np.ndarray:
     return (mixed ^ (mixed >> 12)) & (TABLE - 1)
 
 
-SECTORS = 8  # parts of a turn, each with moving objects at one time
 # Real leaves are smaller than cards and a beam is wider than a ray: this share of the pulses passes the first leaf and
 # hits another, at least so many metres behind it.
 DEEPER, BEHIND = 0.2, 0.04
@@ -201,23 +200,15 @@ class _Rays:
     live: np.ndarray
 
 
-def sweep(
-    scene: Scene | Callable[[float], Scene],
-    sensor: SensorModel,
-    pose: Pose,
-    rng: np.random.Generator,
-    *,
-    sectors: int = SECTORS,
-    clean: bool = False,
-) -> Sweep:
+def sweep(scene: Scene, sensor: SensorModel, pose: Pose, rng: np.random.Generator, *, clean: bool = False) -> Sweep:
     """One turn of `sensor` around time 0, when it points straight ahead; points are compensated for its motion.
 
-    scene    the scene, or a function of the time in seconds, called for each of `sectors` parts of a turn.
+    scene    its moving objects are where the turn passes them (`passing_time`).
     clean    without noise, lost returns and occlusion by the recording car.
     """
     frame = pose(np.zeros(1))[0]
     rays = _rays(sensor, pose, rng, clean)
-    echoes = _cast(scene, rays, frame, sectors, None if clean else rng)
+    echoes = _cast(scene, rays, frame, None if clean else rng)
     distance = echoes.hits.distance if clean else noisy_range(sensor, echoes, rays.live, rng)
     valid = echoes.hits.valid & (distance >= sensor.min_range) & (distance < sensor.max_range)
     if not clean:
@@ -293,26 +284,13 @@ def _first_hits(scene: Scene, origin: np.ndarray, direction: np.ndarray, rng: np
     return hits
 
 
-def _cast(
-    scene: Scene | Callable[[float], Scene],
-    rays: _Rays,
-    frame: np.ndarray,
-    sectors: int,
-    rng: np.random.Generator | None,
-) -> Echoes:
-    """Hits of the live pulses, each in the scene of its own part of the turn."""
+def _cast(scene: Scene, rays: _Rays, frame: np.ndarray, rng: np.random.Generator | None) -> Echoes:
+    """Hits of the live pulses."""
     turn, place = as_float(frame[:3, :3].T), as_float(frame[:3, 3])
     beams = len(rays.live) // len(rays.time)
     start, direction = rays.start[rays.live], rays.direction[rays.live]
-    origin, toward = start @ turn + place, direction @ turn
-    firings = np.array_split(np.arange(len(rays.time)), 1 if isinstance(scene, Scene) else sectors)
-    edge = np.concatenate([[0], np.cumsum([rays.live[f[0] * beams : (f[-1] + 1) * beams].sum() for f in firings])])
-    parts: list[Hits] = []
-    for number, sector in enumerate(firings):
-        scene_then = scene if isinstance(scene, Scene) else scene(float(rays.time[sector].mean()))
-        pulses = slice(edge[number], edge[number + 1])
-        parts.append(_first_hits(scene_then, origin[pulses], toward[pulses], rng))
-    hits = parts[0] if len(parts) == 1 else Hits.joined(parts)
+    toward = direction @ turn
+    hits = _first_hits(scene, start @ turn + place, toward, rng)
     ring = np.tile(np.arange(beams, dtype=np.uint8), len(rays.time))[rays.live]
     facing = np.abs(np.einsum("ij,ij->i", hits.face_normal, toward))
     return Echoes(hits=hits, start=start, direction=direction, ring=ring, facing=facing, frame=frame)

@@ -46,11 +46,10 @@ class Mesh:
         vertices = self.vertices @ R + np.asarray(position, dtype=np.float32)
         return replace(self, vertices=vertices, normals=self.normals @ R)
 
-    def placed(self, position: tuple[float, float, float], yaw: float = 0.0, scale: float = 1.0) -> Mesh:
-        """The mesh scaled, rotated by `yaw` radians to the left, and translated to `position`, metres."""
+    def placed(self, position: tuple[float, float, float], yaw: float = 0.0) -> Mesh:
+        """The mesh rotated by `yaw` radians to the left, and translated to `position`, metres."""
         c, s = np.cos(yaw), np.sin(yaw)
-        scaled = self if scale == 1 else replace(self, vertices=self.vertices * np.float32(scale))
-        return scaled.transformed(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), position)
+        return self.transformed(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), position)
 
 
 def mesh(
