@@ -21,6 +21,27 @@ DEEP = -0.6  # where walls begin, metres: the ground may fall away along a house
 PANE_TINTS: tuple[Tint, ...] = (  # the last: curtains
     PLAIN, PLAIN, PLAIN, (1.6, 1.6, 1.6), (6.0, 5.5, 4.8), (9.0, 8.0, 7.0),
 )  # fmt: skip
+SIGNS: tuple[tuple[Tint, Tint], ...] = (  # ground and ink of boards over shops
+    ((1.6, 0.15, 0.12), (2.2, 2.2, 2.2)), ((0.15, 0.3, 1.2), (2.2, 2.2, 2.2)), ((2.1, 2.1, 2.0), (0.9, 0.1, 0.1)),
+    ((2.1, 1.6, 0.15), (0.1, 0.1, 0.1)), ((0.15, 0.15, 0.16), (2.0, 1.9, 1.5)), ((0.2, 0.8, 0.3), (2.1, 2.1, 2.0)),
+    ((2.0, 1.9, 1.6), (0.1, 0.25, 0.15)),
+)  # fmt: skip
+THICK = 0.2  # of a roof's slab, metres upwards
+PLASTERS: tuple[Tint, ...] = (
+    (1.14, 1.16, 1.24), (1.14, 1.16, 1.24), (1.1, 1.08, 1.02), (1.14, 1.04, 0.86), (1.12, 0.98, 0.66),
+    (0.98, 0.78, 0.5), (1.08, 0.84, 0.7), (0.82, 0.84, 0.9), (0.86, 0.94, 0.78), (0.6, 0.6, 0.62), (0.9, 0.66, 0.52),
+    (0.95, 0.92, 0.86),
+)  # fmt: skip
+SHUTTERS: tuple[Tint, ...] = (
+    (0.3, 0.5, 0.3), (0.55, 0.3, 0.15), (0.7, 0.25, 0.2), (1.5, 1.5, 1.5), (0.35, 0.45, 0.6), (0.9, 0.85, 0.75),
+)  # fmt: skip
+DOORS: tuple[Tint, ...] = (
+    PLAIN, (0.7, 0.45, 0.25), (1.9, 2.1, 2.5), (0.4, 0.6, 0.6), (0.9, 0.35, 0.3), (0.5, 0.55, 0.65),
+)  # fmt: skip
+COVERS: tuple[Finish, ...] = (
+    ("tiles", PLAIN), ("tiles", (1.15, 1.1, 1.0)), ("tiles", (0.8, 0.8, 0.85)), ("tiles", (0.6, 0.75, 0.9)),
+    ("slate", PLAIN), ("slate", (1.5, 1.4, 1.3)),
+)  # fmt: skip
 
 
 class Wall(NamedTuple):
@@ -234,13 +255,6 @@ def rows(
     return [Opening(middle, width, low, low + height, kind) for middle in middles if ends[0] <= middle <= ends[1]]
 
 
-SIGNS: tuple[tuple[Tint, Tint], ...] = (  # ground and ink of boards over shops
-    ((1.6, 0.15, 0.12), (2.2, 2.2, 2.2)), ((0.15, 0.3, 1.2), (2.2, 2.2, 2.2)), ((2.1, 2.1, 2.0), (0.9, 0.1, 0.1)),
-    ((2.1, 1.6, 0.15), (0.1, 0.1, 0.1)), ((0.15, 0.15, 0.16), (2.0, 1.9, 1.5)), ((0.2, 0.8, 0.3), (2.1, 2.1, 2.0)),
-    ((2.0, 1.9, 1.6), (0.1, 0.25, 0.15)),
-)  # fmt: skip
-
-
 def steps(boards: Boards, wall: Wall, hole: Opening) -> None:
     """Steps from the ground to a door's sill."""
     count = max(round(hole.low / 0.17), 1)
@@ -287,9 +301,6 @@ def shop_sign(rng: np.random.Generator, boards: Boards, wall: Wall, along: Span,
         boards.add(wall, (left, left + 0.08), (0.08, 0.1), (low + 0.12, high - 0.12), "plastic", ink, "f")
         cross = high - rng.choice((0.2, 0.3, 0.42))
         boards.add(wall, (left, left + 0.25), (0.08, 0.1), (cross, cross + 0.07), "plastic", ink, "f")
-
-
-THICK = 0.2  # of a roof's slab, metres upwards
 
 
 class Roof(NamedTuple):
@@ -454,23 +465,6 @@ def gutters(roof: Roof) -> Mesh:
         course = [(side * x, foot, z), (wall, foot, z - 0.35), (wall, foot, -0.1)]
         parts.append(tube(np.array(course), 0.05, "metal", sides=5, closed=False))
     return merged(parts)
-
-
-PLASTERS: tuple[Tint, ...] = (
-    (1.14, 1.16, 1.24), (1.14, 1.16, 1.24), (1.1, 1.08, 1.02), (1.14, 1.04, 0.86), (1.12, 0.98, 0.66),
-    (0.98, 0.78, 0.5), (1.08, 0.84, 0.7), (0.82, 0.84, 0.9), (0.86, 0.94, 0.78), (0.6, 0.6, 0.62), (0.9, 0.66, 0.52),
-    (0.95, 0.92, 0.86),
-)  # fmt: skip
-SHUTTERS: tuple[Tint, ...] = (
-    (0.3, 0.5, 0.3), (0.55, 0.3, 0.15), (0.7, 0.25, 0.2), (1.5, 1.5, 1.5), (0.35, 0.45, 0.6), (0.9, 0.85, 0.75),
-)  # fmt: skip
-DOORS: tuple[Tint, ...] = (
-    PLAIN, (0.7, 0.45, 0.25), (1.9, 2.1, 2.5), (0.4, 0.6, 0.6), (0.9, 0.35, 0.3), (0.5, 0.55, 0.65),
-)  # fmt: skip
-COVERS: tuple[Finish, ...] = (
-    ("tiles", PLAIN), ("tiles", (1.15, 1.1, 1.0)), ("tiles", (0.8, 0.8, 0.85)), ("tiles", (0.6, 0.75, 0.9)),
-    ("slate", PLAIN), ("slate", (1.5, 1.4, 1.3)),
-)  # fmt: skip
 
 
 class Shell(NamedTuple):

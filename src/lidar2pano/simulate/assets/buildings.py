@@ -40,6 +40,15 @@ from lidar2pano.simulate.assets.building_parts import (
 from lidar2pano.simulate.scene.mesh import PLAIN, Mesh, Tint, merged
 from lidar2pano.simulate.scene.random_streams import pick
 
+SANDSTONE: Tint = (1.25, 0.85, 0.72)
+SHEETS: tuple[Tint, ...] = (  # of halls
+    (1.1, 1.1, 1.15), (0.8, 0.85, 0.95), (0.55, 0.57, 0.6), (0.95, 0.9, 0.75), (0.5, 0.65, 0.9), (1.1, 0.8, 0.6),
+)  # fmt: skip
+PARAPETS = (("railing", PLAIN), ("plaster", (1.1, 1.1, 1.1)), ("pane", (3.0, 4.0, 4.0)), ("metal", (0.9, 0.9, 0.9)))
+CLOTHS: tuple[Tint, ...] = (
+    (1.0, 0.2, 0.15), (0.15, 0.4, 0.2), (1.5, 1.3, 0.95), (1.6, 1.6, 1.6), (0.2, 0.25, 0.5), (1.5, 0.9, 0.2),
+)  # fmt: skip
+
 
 def _holes(rng: np.random.Generator, shell: Shell, roof: Roof, name: str, front: bool) -> list[Opening]:
     """Windows of one wall; the front has the door, the others are emptier."""
@@ -255,16 +264,6 @@ def shed(rng: np.random.Generator) -> Mesh:
     boards = Boards()
     parts = [*closed_walls(rng, boards, shell, holes, roof), roof.mesh()]
     return merged([*parts, boards.mesh()], "building")
-
-
-SANDSTONE: Tint = (1.25, 0.85, 0.72)
-SHEETS: tuple[Tint, ...] = (  # of halls
-    (1.1, 1.1, 1.15), (0.8, 0.85, 0.95), (0.55, 0.57, 0.6), (0.95, 0.9, 0.75), (0.5, 0.65, 0.9), (1.1, 0.8, 0.6),
-)  # fmt: skip
-PARAPETS = (("railing", PLAIN), ("plaster", (1.1, 1.1, 1.1)), ("pane", (3.0, 4.0, 4.0)), ("metal", (0.9, 0.9, 0.9)))
-CLOTHS: tuple[Tint, ...] = (
-    (1.0, 0.2, 0.15), (0.15, 0.4, 0.2), (1.5, 1.3, 0.95), (1.6, 1.6, 1.6), (0.2, 0.25, 0.5), (1.5, 0.9, 0.2),
-)  # fmt: skip
 
 
 def flats(rng: np.random.Generator, width: float, depth: float) -> Mesh:

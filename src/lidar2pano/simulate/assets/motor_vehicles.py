@@ -92,6 +92,10 @@ SHAPES: dict[str, VehicleShape] = {
 }  # fmt: skip
 BODIES: tuple[str, ...] = tuple(SHAPES)
 SHARES: tuple[float, ...] = (0.30, 0.14, 0.17, 0.08, 0.10, 0.10, 0.03, 0.01, 0.07)  # of BODIES, by the roadside
+WHITE: Tint = (1.42, 1.42, 1.4)
+TARPAULINS: tuple[Tint, ...] = (
+    (0.05, 0.12, 0.4), (0.6, 0.03, 0.03), (1.1, 1.1, 1.08), (0.05, 0.2, 0.1), (0.9, 0.55, 0.03), (0.3, 0.31, 0.33),
+)  # fmt: skip
 
 
 def colour(rng: np.random.Generator) -> Tint:
@@ -220,12 +224,6 @@ def _extras(rng: np.random.Generator, skin: Body, shape: VehicleShape) -> list[M
         y = np.full(4, 0.5 * shape.rail * shape.width - 0.03)
         parts += both_sides(tube(np.stack([x, y, top + (-0.03, 0.02, 0.02, -0.03)], axis=1), 0.016, "rim", sides=4))
     return parts
-
-
-WHITE: Tint = (1.42, 1.42, 1.4)
-TARPAULINS: tuple[Tint, ...] = (
-    (0.05, 0.12, 0.4), (0.6, 0.03, 0.03), (1.1, 1.1, 1.08), (0.05, 0.2, 0.1), (0.9, 0.55, 0.03), (0.3, 0.31, 0.33),
-)  # fmt: skip
 
 
 def trailer(rng: np.random.Generator) -> Mesh:

@@ -36,6 +36,8 @@ from lidar2pano.simulate.scene.raycast import Scene
 from lidar2pano.simulate.scene.surfaces import CITYSCAPES_IDS, COMMON15_IDS, IN_OPENINGS, OBJECT_TYPE_IDS
 
 Writer = Callable[[Path], object]
+MOST_PROCESSES = 1024
+RANGE_LENGTH = 5  # frames of one task of a process, at most
 
 
 class SequenceWriter:
@@ -155,10 +157,6 @@ def _panorama_folders(view: str, *, first: bool) -> tuple[str, ...]:
     """pano, pano_labels, pano_depth and pano_openings of the first view; with "-2" of a further "panorama/2"."""
     part = "" if first else "-" + view.removeprefix("panorama/")
     return tuple(f"pano{layer}{part}" for layer in ("", "_labels", "_depth", "_openings"))
-
-
-MOST_PROCESSES = 1024
-RANGE_LENGTH = 5  # frames of one task of a process, at most
 
 
 class FrameRange(NamedTuple):

@@ -14,6 +14,9 @@ CELL, FAR_CELL = 1.0, 10.0  # metres: cells of the grid, and of the rim around i
 FAR = 420.0  # metres: width of the rim
 KERBSTONE = 0.14  # metres
 OBJECT_TYPE_OF_COVER = {"cobbles": "sidewalk", "gravel": "other-ground"}  # forecourts and yards; others are terrain
+LIFT = 0.006  # metres above the carriageway
+LINE = 0.12  # metres: width of a line in towns
+PIECE = 1.5  # metres: length of the straight pieces of a strip
 
 
 def split_triangles(corners: np.ndarray, value: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -173,11 +176,6 @@ def _field(terrain: Terrain, low: np.ndarray, high: np.ndarray, cover: GroundCov
     a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
     corners = np.concatenate([np.stack([a, b, c], -2), np.stack([a, c, d], -2)]).reshape(-1, 3, 2)
     return _surface(corners, terrain, 0.0, cover.far, "terrain", (0, 1))
-
-
-LIFT = 0.006  # metres above the carriageway
-LINE = 0.12  # metres: width of a line in towns
-PIECE = 1.5  # metres: length of the straight pieces of a strip
 
 
 def markings(town: Town, low: np.ndarray, high: np.ndarray) -> Mesh:

@@ -22,6 +22,23 @@ BARRIERS = {
     "picket": barriers.picket_fence, "wire": barriers.wire_fence, "railing": barriers.railing,
     "wall": barriers.wall, "noise": barriers.noise_barrier, "guard": barriers.guard_rail,
 }  # fmt: skip
+SPECIES = {
+    "linden": 3.0, "maple": 3.0, "birch": 2.0, "oak": 2.0, "poplar": 0.6, "fruit": 1.6, "globe": 0.5, "spruce": 1.4,
+    "pine": 0.9,
+}  # fmt: skip
+TREES: dict[str, Maker] = {name: lambda rng, detail, name=name: plants.tree(rng, name, detail) for name in SPECIES}
+PARKED = {"car": 30.0, "van": 3.0, "truck": 0.5, "trailer": 0.4, "motorcycle": 0.6}
+LENGTH = {"car": 4.4, "van": 5.2, "truck": 8.5, "trailer": 5.0, "motorcycle": 2.2}
+LAMP = Template(lambda rng, _: street_furniture.street_lamp(rng), "lamp", 0.3)
+WIRE_POLE = Template(lambda rng, _: street_furniture.pole(rng), "pole", 0.3)
+DELINEATOR = Template(lambda rng, _: barriers.delineator(rng), "delineator", 0.1)
+STREET_NAME = Template(lambda rng, _: street_furniture.sign(rng, "street name"), "sign", 0.2)
+# Their x axis points at oncoming traffic; the others' at the road.
+SIGN = Template(lambda rng, _: street_furniture.sign(rng), "sign", 0.2)
+GIVE_WAY = Template(lambda rng, _: street_furniture.sign(rng, "give way"), "sign", 0.2)
+LIGHT = Template(lambda rng, _: street_furniture.traffic_light(rng), "traffic light", 0.3)
+FACING_TRAFFIC = (SIGN, GIVE_WAY, LIGHT, DELINEATOR)
+BIN = Template(lambda rng, _: street_furniture.bin(rng), "bin", 0.5)
 
 
 def _building_maker(make: str, wide: float, deep: float) -> Maker:
@@ -198,15 +215,6 @@ def _plant(plan: Planner, rng: Rng, road: Road, side: int, s: np.ndarray, off: n
         plan.add_if_free(plant, xy[place], float(turn[place]))
 
 
-SPECIES = {
-    "linden": 3.0, "maple": 3.0, "birch": 2.0, "oak": 2.0, "poplar": 0.6, "fruit": 1.6, "globe": 0.5, "spruce": 1.4,
-    "pine": 0.9,
-}  # fmt: skip
-
-
-TREES: dict[str, Maker] = {name: lambda rng, detail, name=name: plants.tree(rng, name, detail) for name in SPECIES}
-
-
 def _tree(rng: Rng, species: str = "") -> Maker:
     return TREES[species or weighted_choice(rng, SPECIES)]
 
@@ -245,21 +253,6 @@ def street_trees(plan: Planner) -> None:
         for place, other, outside in zip(xy, at.other_road, at.kerb_distance, strict=True):
             if other > 6 and outside > 0.6 and rng.uniform() < 0.93:
                 plan.add_if_free(Template(_tree(rng, species), "tree", 0.5), place, float(rng.uniform(0, 6.28)))
-
-
-PARKED = {"car": 30.0, "van": 3.0, "truck": 0.5, "trailer": 0.4, "motorcycle": 0.6}
-LENGTH = {"car": 4.4, "van": 5.2, "truck": 8.5, "trailer": 5.0, "motorcycle": 2.2}
-
-LAMP = Template(lambda rng, _: street_furniture.street_lamp(rng), "lamp", 0.3)
-WIRE_POLE = Template(lambda rng, _: street_furniture.pole(rng), "pole", 0.3)
-DELINEATOR = Template(lambda rng, _: barriers.delineator(rng), "delineator", 0.1)
-STREET_NAME = Template(lambda rng, _: street_furniture.sign(rng, "street name"), "sign", 0.2)
-# Their x axis points at oncoming traffic; the others' at the road.
-SIGN = Template(lambda rng, _: street_furniture.sign(rng), "sign", 0.2)
-GIVE_WAY = Template(lambda rng, _: street_furniture.sign(rng, "give way"), "sign", 0.2)
-LIGHT = Template(lambda rng, _: street_furniture.traffic_light(rng), "traffic light", 0.3)
-FACING_TRAFFIC = (SIGN, GIVE_WAY, LIGHT, DELINEATOR)
-BIN = Template(lambda rng, _: street_furniture.bin(rng), "bin", 0.5)
 
 
 def parked(plan: Planner) -> None:

@@ -11,6 +11,9 @@ import numpy as np
 from lidar2pano.simulate.layout.roads import Bay, Marking, Road, Terrain, locate, winding_centreline
 from lidar2pano.simulate.scene.random_streams import stream, weighted_choice
 
+ROAD_MARGIN = 170.0  # metres of road before the start and after the end of the drive
+SIDE_ROAD = 150.0  # metres
+
 
 class Place(NamedTuple):
     """A road, its side roads, its traffic, and the land use along it.
@@ -174,10 +177,6 @@ LAND_USES: dict[str, LandUse] = {
         ground_cover=GroundCover(near="meadow", far="meadow"),
     ),
 }  # fmt: skip
-
-
-ROAD_MARGIN = 170.0  # metres of road before the start and after the end of the drive
-SIDE_ROAD = 150.0  # metres
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,6 +16,27 @@ from lidar2pano.simulate.scene.random_streams import stream, weighted_choice
 from lidar2pano.simulate.scene.raycast import SceneObject
 
 SENSOR_HEIGHT = 1.73  # metres above the road, as on KITTI's car
+_MAKERS = {
+    "car": motor_vehicles.car, "van": partial(motor_vehicles.car, body="van"), "truck": motor_vehicles.truck,
+    "trailer": motor_vehicles.trailer, "bus": motor_vehicles.bus, "tram": motor_vehicles.tram,
+    "motorcycle": two_wheelers.motorcycle, "bicycle": two_wheelers.bicycle, "motorcyclist": two_wheelers.motorcyclist,
+    "bicyclist": two_wheelers.bicyclist,
+}  # fmt: skip
+VEHICLES: dict[str, Maker] = {name: lambda rng, _, make=make: make(rng) for name, make in _MAKERS.items()}
+"""Makers of vehicles, with one level of detail."""
+VIEW_RANGE = 110.0  # metres: farther actors are left out
+Delay = Callable[[np.ndarray], float]
+STRIDE = 1.45  # metres of a pedestrian's gait cycle, two steps
+PHASES, NEAR = 8, 25.0  # poses of a gait cycle; beyond so many metres half of them serve
+MIN_DISTANCE = 1.7  # metres: closer actors would be inside the recording car and are left out
+LANE_CLEARANCE = 11.0  # metres in front of and behind the recording car in its lane
+TRAFFIC_MIX: dict[str, dict[str, float]] = {
+    "none": {"car": 20, "van": 2, "truck": 0.5, "motorcyclist": 0.5},
+    "town": {"car": 20, "van": 2, "truck": 1.2, "bus": 1.0, "tram": 0.25, "motorcyclist": 0.7},
+    "country": {"car": 20, "van": 2, "truck": 2.0, "bus": 0.4, "motorcyclist": 0.7},
+    "motorway": {"car": 20, "van": 2.5, "truck": 6.0, "bus": 0.3},
+}
+HALF_LENGTH = {"truck": 8.0, "bus": 6.2, "tram": 16.0}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -96,33 +117,6 @@ def lanes(town: Town) -> list[tuple[float, int]]:
         return [(-inner, 1), (-inner - 3.75, 1), (inner, -1), (inner + 3.75, -1)]
     aside = road.half_width / 2 if road.marking != "none" else 0.95
     return [(-aside, 1), (aside, -1)]
-
-
-_MAKERS = {
-    "car": motor_vehicles.car, "van": partial(motor_vehicles.car, body="van"), "truck": motor_vehicles.truck,
-    "trailer": motor_vehicles.trailer, "bus": motor_vehicles.bus, "tram": motor_vehicles.tram,
-    "motorcycle": two_wheelers.motorcycle, "bicycle": two_wheelers.bicycle, "motorcyclist": two_wheelers.motorcyclist,
-    "bicyclist": two_wheelers.bicyclist,
-}  # fmt: skip
-
-
-VEHICLES: dict[str, Maker] = {name: lambda rng, _, make=make: make(rng) for name, make in _MAKERS.items()}
-"""Makers of vehicles, with one level of detail."""
-
-VIEW_RANGE = 110.0  # metres: farther actors are left out
-Delay = Callable[[np.ndarray], float]
-STRIDE = 1.45  # metres of a pedestrian's gait cycle, two steps
-PHASES, NEAR = 8, 25.0  # poses of a gait cycle; beyond so many metres half of them serve
-MIN_DISTANCE = 1.7  # metres: closer actors would be inside the recording car and are left out
-LANE_CLEARANCE = 11.0  # metres in front of and behind the recording car in its lane
-
-TRAFFIC_MIX: dict[str, dict[str, float]] = {
-    "none": {"car": 20, "van": 2, "truck": 0.5, "motorcyclist": 0.5},
-    "town": {"car": 20, "van": 2, "truck": 1.2, "bus": 1.0, "tram": 0.25, "motorcyclist": 0.7},
-    "country": {"car": 20, "van": 2, "truck": 2.0, "bus": 0.4, "motorcyclist": 0.7},
-    "motorway": {"car": 20, "van": 2.5, "truck": 6.0, "bus": 0.3},
-}
-HALF_LENGTH = {"truck": 8.0, "bus": 6.2, "tram": 16.0}
 
 
 @dataclass(slots=True, eq=False)

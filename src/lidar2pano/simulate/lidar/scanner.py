@@ -35,6 +35,12 @@ _ROUGH = np.array([ROUGH.get(name, 0.0) for name in MATERIALS], dtype=np.float32
 _TINTED = np.isin(np.arange(len(MATERIALS)), [MATERIAL_IDS[name] for name in TINTED])
 _NORMAL = np.random.default_rng(905).standard_normal(TABLE).astype(np.float32)  # of hashed places
 _EVEN = np.random.default_rng(906).random(TABLE).astype(np.float32)
+# Real leaves are smaller than cards and a beam is wider than a ray: this share of the pulses passes the first leaf and
+# hits another, at least so many metres behind it.
+DEEPER, BEHIND = 0.2, 0.04
+_LEAFY = material_table("transmission") > 0
+Pose = Callable[[np.ndarray], np.ndarray]
+"""Times (K,) in seconds after the frame's -> T_world_lidar (K, 4, 4) float64."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -154,15 +160,6 @@ def _spatial_hash(position: np.ndarray, cell: float) -> np.ndarray:
     mixed = key[:, 0] * np.int32(73856093) ^ key[:, 1] * np.int32(19349663) ^ key[:, 2] * np.int32(83492791)
     mixed = (mixed ^ (mixed >> 15)) * np.int32(0x2C1B3C6D)
     return (mixed ^ (mixed >> 12)) & (TABLE - 1)
-
-
-# Real leaves are smaller than cards and a beam is wider than a ray: this share of the pulses passes the first leaf and
-# hits another, at least so many metres behind it.
-DEEPER, BEHIND = 0.2, 0.04
-_LEAFY = material_table("transmission") > 0
-
-Pose = Callable[[np.ndarray], np.ndarray]
-"""Times (K,) in seconds after the frame's -> T_world_lidar (K, 4, 4) float64."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

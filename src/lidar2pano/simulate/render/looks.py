@@ -15,6 +15,10 @@ from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, MATERIALS
 
 Colour = tuple[float, float, float]
 """Linear RGB. Radiance 1 is that of a white matt surface square to the noon sun."""
+SEASON_M = 0.7  # metres: pixel size of the map of the season's stages
+GROUND = (0.12, 0.118, 0.095)  # mean albedo of the land
+DISC = 40.0  # radiance of the sun's disc over that of a white surface; images saturate either way
+DOME = 2048  # samples of the sphere
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,7 +123,6 @@ _AUTUMN = np.array(
 )
 _STAGES = (0.15, 0.40, 0.65, 0.82, 0.95)
 _GREEN = np.array(MATERIALS["leaves"].albedo, dtype=np.float32)[:, None]
-SEASON_M = 0.7  # metres: pixel size of the map of the season's stages
 FALLEN = np.array((0.18, 0.10, 0.04), dtype=np.float32)  # albedo of leaves on the ground
 
 _WILTING = np.zeros(len(MATERIALS), dtype=np.float32)  # share of a plant in autumn colours
@@ -160,11 +163,6 @@ def _stages() -> np.ndarray:
     order = np.empty(field.size, dtype=np.float32)
     order[np.argsort(field, axis=None, kind="stable")] = np.linspace(0, 1, field.size, dtype=np.float32)
     return order.reshape(field.shape)
-
-
-GROUND = (0.12, 0.118, 0.095)  # mean albedo of the land
-DISC = 40.0  # radiance of the sun's disc over that of a white surface; images saturate either way
-DOME = 2048  # samples of the sphere
 
 
 class Sky:

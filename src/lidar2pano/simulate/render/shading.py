@@ -17,6 +17,17 @@ NEAR, FAR = 0.25, 15.0  # metres: the rays' lengths, log-uniform
 LEAFY = np.float32(0.6)  # of leaves: their tints contain the shade inside the crown
 _THIN = material_table("transmission") > 0
 STRIDES = (1, 2, 4)  # pixels, of the a-trous filter
+TILE = 32768  # rays shaded at once: their arrays fit the cache
+CELL = 0.008  # metres: points within one cell share one sample of the sun's disc
+TAPS = 3  # texture samples across a surface at grazing angles
+BOUNCE = 0.08  # share of the sky's light reflected by an occluder
+LAMP_RADIANCE = 2.5  # radiance of emission 1
+_ALBEDO, _EMISSION = material_table("albedo").T.copy(), LAMP_RADIANCE * material_table("emission").T
+_ROUGHNESS, _TRANSMISSION = material_table("roughness"), material_table("transmission")
+# Leaves have their crown's normals, unfit for specular reflection.
+_SPECULAR = np.where(_TRANSMISSION > 0, 0, material_table("specular"))
+_ASPHALT, _ROAD = TEXTURE_IDS["asphalt"], OBJECT_TYPE_IDS["road"]
+_MIRRORS = (_SPECULAR > 0) & (_ROUGHNESS < 0.15)  # reflections are traced
 
 
 class GBuffer(NamedTuple):
@@ -130,20 +141,6 @@ def _interpolated(value: np.ndarray, coarse: GBuffer, fine: GBuffer, axis: int, 
     nearer, farther = (_similarity(fine, side) + np.float32(1e-3) for side in (coarse.part(rows, columns), neighbour))
     next_value = _shifted(value, 1, axis - 2, circular)[rows, columns]
     return (value[rows, columns] * nearer + next_value * farther) / (nearer + farther)
-
-
-TILE = 32768  # rays shaded at once: their arrays fit the cache
-CELL = 0.008  # metres: points within one cell share one sample of the sun's disc
-TAPS = 3  # texture samples across a surface at grazing angles
-BOUNCE = 0.08  # share of the sky's light reflected by an occluder
-LAMP_RADIANCE = 2.5  # radiance of emission 1
-
-_ALBEDO, _EMISSION = material_table("albedo").T.copy(), LAMP_RADIANCE * material_table("emission").T
-_ROUGHNESS, _TRANSMISSION = material_table("roughness"), material_table("transmission")
-# Leaves have their crown's normals, unfit for specular reflection.
-_SPECULAR = np.where(_TRANSMISSION > 0, 0, material_table("specular"))
-_ASPHALT, _ROAD = TEXTURE_IDS["asphalt"], OBJECT_TYPE_IDS["road"]
-_MIRRORS = (_SPECULAR > 0) & (_ROUGHNESS < 0.15)  # reflections are traced
 
 
 class Visibility(NamedTuple):

@@ -12,6 +12,10 @@ from lidar2pano.simulate.scene.random_streams import stream
 from lidar2pano.simulate.scene.surfaces import MATERIALS, grid
 
 SIZE = 512  # pixels of a tile's side
+WIDE_M = 67.0  # metres before a wide pattern repeats
+LEVELS = SIZE.bit_length()  # a tile of SIZE pixels, its half, ... and one pixel
+STEP, MIDDLE = 100, 128  # a stored byte is 100 x factor, or 128 + 100 x slope
+_STARTS = np.cumsum([0, *(4 ** (LEVELS - 1 - level) for level in range(LEVELS))]).astype(np.int32)
 
 
 def spectral(name: str, exponent: float, low: float = 1.0, high: float = 256.0, stretch: float = 1.0) -> np.ndarray:
@@ -331,12 +335,6 @@ PATTERNS: dict[str, Pattern] = {
     "plate": Pattern((0.52, 0.14), _plate), "bark": Pattern((0.9, 0.9), _bark), "birch": Pattern((0.8, 0.8), _birch),
     "leaves": Pattern((1.0, 1.0), _leaves), "litter": Pattern((3.4, 3.4), _litter),
 }  # fmt: skip
-
-
-WIDE_M = 67.0  # metres before a wide pattern repeats
-LEVELS = SIZE.bit_length()  # a tile of SIZE pixels, its half, ... and one pixel
-STEP, MIDDLE = 100, 128  # a stored byte is 100 x factor, or 128 + 100 x slope
-_STARTS = np.cumsum([0, *(4 ** (LEVELS - 1 - level) for level in range(LEVELS))]).astype(np.int32)
 
 
 def _roadway() -> np.ndarray:
