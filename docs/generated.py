@@ -204,7 +204,7 @@ def _variant(name: str, recipes: set[str]) -> str:
 
 def paper_rows() -> str:
     """Return every row of the paper's tables: its recipes, and its command."""
-    from lidar2pano.reproduce.plan import ROWS
+    from lidar2pano.reproduce.run import ROWS
 
     def row(name: str) -> list[str]:
         parts = " + ".join(f"`{part}`" for part in ROWS[name].parts)

@@ -9,10 +9,9 @@ import pytest
 import scipy.stats
 import torch
 
-from lidar2pano.metrics.accumulation import SetMetric
+from lidar2pano.metrics.accumulation import SetMetric, image_tensor
 from lidar2pano.metrics.bootstrap import set_intervals
 from lidar2pano.metrics.frechet import FrechetDistance, frechet_distance
-from lidar2pano.metrics.input_checks import image_tensor
 from lidar2pano.metrics.sliced_wasserstein import (
     DIRECTIONS,
     LEVELS,

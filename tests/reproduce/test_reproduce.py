@@ -15,8 +15,8 @@ from lidar2pano.errors import InputError
 from lidar2pano.reproduce import Outcome, Plan
 from lidar2pano.reproduce.images import SAMPLES, WIDTH, sample_indices, scalars, write_curves, write_sheets
 from lidar2pano.reproduce.paper_tables import CLAIMS, ROWS, chosen
-from lidar2pano.reproduce.plan import budget, splits, training_data
 from lidar2pano.reproduce.results_page import results_page
+from lidar2pano.reproduce.run import budget, splits, training_data
 from lidar2pano.train.recipes import RECIPES
 from semantic_kitti import write_semantic_kitti
 

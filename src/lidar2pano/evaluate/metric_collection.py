@@ -249,10 +249,9 @@ class MetricCollection:
         if image is None:
             return
         if "pictures" in groups and frame.image is not None:
-            self._ssim("camera", image, frame.image, frame.name)
+            self._images("camera", image, frame.image, frame.name)
             self._metric("camera", "swd", SlicedWasserstein).update(image, frame.image, frame.name)
             self._metric("camera", "swd pairs", PairwiseSlicedWasserstein).update(image, frame.image, frame.name)
-            self._patches("camera", image, frame.image, frame.name)
             if (segmenter := self.config.image_segmenter) is not None:
                 make = partial(FrechetDistance, segmenter.features, name="FSD")
                 self._metric("camera", "fsd", make).update(image, frame.image, frame.name)
@@ -274,8 +273,7 @@ class MetricCollection:
         if not painted:
             return
         if "pictures" in groups and true.valid.any():
-            self._ssim("panorama", predicted.image, true.image, frame.name, true.valid)
-            self._patches("panorama", predicted.image, true.image, frame.name, true.valid)
+            self._images("panorama", predicted.image, true.image, frame.name, true.valid)
             swd = self._metric("panorama", "swd", SlicedWasserstein)
             for number, pair in enumerate(windows(predicted.image, true.image, true.valid)):
                 swd.update(*pair, f"{frame.name}#{number}")
@@ -348,16 +346,14 @@ class MetricCollection:
             self.metrics[sector, name] = make()
         return self.metrics[sector, name]  # pyright: ignore[reportReturnType] made by the same function before
 
-    def _ssim(
+    def _images(
         self, sector: str, predicted: np.ndarray, target: np.ndarray, name: str, valid: np.ndarray | None = None
     ) -> None:
-        if min(target.shape[:2]) >= WINDOW:
+        """Count SSIM and patches of an image, as far as it is large enough for their windows."""
+        side = min(target.shape[:2])
+        if side >= WINDOW:
             self._metric(sector, "ssim", SSIM).update(predicted, target, name, valid=valid)
-
-    def _patches(
-        self, sector: str, predicted: np.ndarray, target: np.ndarray, name: str, valid: np.ndarray | None = None
-    ) -> None:
-        if self.config.patches is not None and min(target.shape[:2]) >= PATCH:
+        if self.config.patches is not None and side >= PATCH:
             make = partial(PatchFrechetDistance, self.config.patches)
             self._metric(sector, "patches", make).update(predicted, target, name, valid)
 

@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from lidar2pano.labels import LabelSet
-from lidar2pano.metrics.accumulation import FrameMetric
-from lidar2pano.metrics.input_checks import Array, as_tensor
+from lidar2pano.metrics.accumulation import Array, FrameMetric, as_tensor
 
 
 class Confusion:

@@ -8,8 +8,7 @@ from torch import Tensor
 from torch.nn.functional import conv2d, max_pool2d
 
 from lidar2pano.geometry.camera import Lookup
-from lidar2pano.metrics.accumulation import FrameMetric
-from lidar2pano.metrics.input_checks import Array, as_tensor, finite, image_pair, image_tensor, mask_tensor
+from lidar2pano.metrics.accumulation import Array, FrameMetric, as_tensor, finite, image_pair, image_tensor, mask_tensor
 
 WINDOW, SIGMA = 11, 1.5  # pixels; Wang et al. 2004, section III-B
 K1, K2, RANGE = 0.01, 0.03, 255.0  # ditto, section III-C

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from lidar2pano.metrics.accumulation import SIDES, SetMetric
-from lidar2pano.metrics.input_checks import Array, image_tensor
+from lidar2pano.metrics.accumulation import SIDES, Array, SetMetric, image_tensor
 
 PATCH, STRIDE, DOWN = 128, 64, 16  # pixels; DOWN: of the image per pixel of the features
 

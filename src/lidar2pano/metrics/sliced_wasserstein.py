@@ -17,8 +17,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d, interpolate, pad
 
-from lidar2pano.metrics.accumulation import SIDES, FrameMetric, SetMetric
-from lidar2pano.metrics.input_checks import Array, image_pair, image_tensor
+from lidar2pano.metrics.accumulation import SIDES, Array, FrameMetric, SetMetric, image_pair, image_tensor
 
 LEVELS = (1024, 512, 256, 128, 64, 32, 16)  # pixels of a side; the last is the low-pass rest
 PATCH, PATCHES = 7, 128

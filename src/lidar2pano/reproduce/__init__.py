@@ -6,7 +6,6 @@ reproduce(Plan(...)) -> Outcome         resumable at every network and every row
 from __future__ import annotations
 
 from lidar2pano.reproduce.paper_tables import ROWS, PaperRow
-from lidar2pano.reproduce.plan import Plan
-from lidar2pano.reproduce.run import Outcome, reproduce
+from lidar2pano.reproduce.run import Outcome, Plan, reproduce
 
 __all__ = ["ROWS", "Outcome", "PaperRow", "Plan", "reproduce"]

@@ -14,8 +14,7 @@ from lidar2pano.models.card import read_card
 from lidar2pano.models.families import weight_files
 from lidar2pano.reproduce.images import write_curves, write_sheets
 from lidar2pano.reproduce.paper_tables import CLAIMS, LEVELS, PAPER_TIMES, Claim
-from lidar2pano.reproduce.plan import SEGMENTER, Plan
-from lidar2pano.reproduce.run import Outcome
+from lidar2pano.reproduce.run import SEGMENTER, Outcome, Plan
 from lidar2pano.train.checkpoint import commit
 
 CLASSES = COMMON14.classes[1:]

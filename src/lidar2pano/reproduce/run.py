@@ -1,17 +1,20 @@
-"""Training of missing networks, and scoring of rows whose inputs changed."""
+"""One reproduction: its options and recipes, training of missing networks, and scoring of rows whose inputs changed."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import logging
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from lidar2pano.data.clips import runs
 from lidar2pano.data.frames import FrameList
 from lidar2pano.data.layouts import frames
+from lidar2pano.data.semantic_kitti import SEQUENCES
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import MetricConfig, report, score, system
 from lidar2pano.formats.image_files import write_whole
@@ -23,11 +26,176 @@ from lidar2pano.models.card import read_card
 from lidar2pano.models.families import weight_files
 from lidar2pano.pipeline import load
 from lidar2pano.reproduce.images import write_images
-from lidar2pano.reproduce.paper_tables import PaperRow
-from lidar2pano.reproduce.plan import SEGMENTER, Plan, training_data
+from lidar2pano.reproduce.paper_tables import ROWS, PaperRow
+from lidar2pano.train.painter_recipes import ScenePaintingOptions
+from lidar2pano.train.recipe import Recipe, override
 from lidar2pano.train.recipes import recipe_named
+from lidar2pano.train.video import VideoOptions
 
 log = logging.getLogger(__name__)
+
+SELECTION = "selection"  # split of training frames for the selection of checkpoints
+UNITS = {"s": 1 / 60, "m": 1.0, "h": 60.0}
+SEGMENTER = "salsanext"
+MOST_BUDGET = 1e7  # seconds, minutes, hours or steps
+PUBLISHED_SEGMENTER = "salsanext-published"  # its recipe at full length
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """One reproduction.
+
+    data, out  the data set and the output folder;  split: the scored split.
+    budget     training of every network: "90s", "20m", "2h" or "5000steps"; "" as in the recipe.
+    rows       of the tables;  mini: the recipes' small forms;  frames: number of scored frames (0 = all).
+    segmenter  weights of the LiDAR segmenter; "" trains one;  devices: number of training GPUs or processes.
+    changes    "PART.a.b=c" for single recipes, e.g. "titan.training.batch=4".
+    """
+
+    data: Path
+    out: Path
+    split: str = "val"
+    budget: str = ""
+    rows: Mapping[str, PaperRow] = field(default_factory=lambda: ROWS)
+    mini: bool = True
+    frames: int = 0
+    segmenter: str = ""
+    device: str = "auto"
+    devices: int = 1
+    sdnet: Path | None = None
+    inception: Path | None = None
+    changes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Raise InputError for impossible values."""
+        budget(self.budget)
+        if self.frames < 0:
+            raise InputError(f"--frames {self.frames} cannot be negative")
+
+    @property
+    def parts(self) -> list[str]:
+        """The networks of all rows, in an order of training."""
+        used = dict.fromkeys(part for row in self.rows.values() for part in row.parts if part != "oracle")
+        first = [] if self.segmenter else [SEGMENTER]
+        return [*first, *sorted(used, key=lambda part: part == "scene-painter")]  # trained behind a translator
+
+    def run(self, part: str) -> Path:
+        """Return the folder of a network's training."""
+        return self.out / "runs" / part
+
+    def weights(self, part: str) -> str:
+        """Return the place of a part's weights: its run, or the segmenter's weights."""
+        return self.segmenter if part == SEGMENTER and self.segmenter else str(self.run(part))
+
+    def chain(self, row: PaperRow) -> str:
+        """Return the row's system, as an argument of `evaluate`; the segmenter is first, for rows with point labels."""
+        runs = ["oracle" if part == "oracle" else str(self.run(part)) for part in row.parts]
+        uses_labels = row.segments and row.parts[0] != "oracle"
+        return "+".join([self.weights(SEGMENTER), *runs] if uses_labels else runs)
+
+    def recipe(self, part: str, files: Mapping[str, Path]) -> Recipe:
+        """Return the recipe of a part on this data; files: weight files of the trained parts."""
+        full = PUBLISHED_SEGMENTER if part == SEGMENTER else part
+        recipe = recipe_named(f"{part}-mini" if self.mini else full)
+        names = splits(self.data)
+        train = tuple(name for name in recipe.data.train if name in names) or ("train",)
+        recipe = replace(recipe, data=replace(recipe.data, train=train, val=(SELECTION,)))
+        weights = {"segmenter": files.get(SEGMENTER), "translator": files.get("titan-pano")}
+        options: dict[str, Any] = {
+            name: str(file) for name, file in weights.items() if file and hasattr(recipe.options, name)
+        }
+        if isinstance(recipe.options, ScenePaintingOptions):
+            options["cache"] = str(self.out / "painting-frames")
+        if SEGMENTER in files and hasattr(recipe.options, "segments"):
+            options["segments"] = "predicted"  # as in the paper's section 3.1
+        if isinstance(recipe.options, VideoOptions):
+            options["single_frame_splits"] = self._stills(recipe.data.train, recipe.options.clip_length)
+        recipe = replace(recipe, options=replace(recipe.options, **options))
+        for change in budget(self.budget):
+            recipe = override(recipe, change)
+        for change in self.changes:
+            name, _, rest = change.partition(".")
+            if name == part:
+                recipe = override(recipe, rest)
+        return recipe
+
+    def _stills(self, train: Sequence[str], length: int) -> tuple[str, ...]:
+        """Return the splits without `length` successive frames: vid2vid pans over each of their frames."""
+        lists = _training_frames(self) if (self.data / "sequences").is_dir() else {}
+        return tuple(name for name in dict.fromkeys((*train, SELECTION)) if not runs(lists.get(name, ()), length))
+
+
+def training_data(plan: Plan) -> Path:
+    """Write DIR/data, the data set with a split `selection`: the last training sequence, or the only one's last tenth.
+
+    No checkpoint is selected on scored frames: other splits but the scored one lose these frames, and the training
+    splits lose those of the scored one. Everything but splits.json are links.
+    """
+    rest = _training_frames(plan)
+    folder = plan.out / "data"
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in plan.data.resolve().iterdir():
+        if path.name != "splits.json" and not (folder / path.name).is_symlink():
+            (folder / path.name).symlink_to(path)
+    text = json.dumps(rest, indent=1)
+    write_whole(folder / "splits.json", lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return folder
+
+
+def _training_frames(plan: Plan) -> dict[str, list[str]]:
+    """Return the names of the frames of every split of `training_data`."""
+    lists = _frames_by_split(plan)
+    scored = set(lists[plan.split])
+    train = [name for name in lists["train"] if name not in scored]
+    if not train:
+        raise InputError(f"{plan.data}: all frames of `train` are in `{plan.split}`, which is scored; name another")
+    sequences = [name.partition("/")[0] for name in train]
+    first = sequences.index(sequences[-1]) or len(train) - max(1, len(train) // 10)
+    held = set(train[first:])
+    kept = {split: [name for name in names if name not in held | scored] for split, names in lists.items()}
+    return kept | {"train": kept["train"] or train, SELECTION: train[first:], plan.split: lists[plan.split]}
+
+
+def _frames_by_split(plan: Plan) -> dict[str, list[str]]:
+    """Return the names of the frames of every split; unused splits of SemanticKITTI may be empty."""
+    lists: dict[str, list[str]] = {}
+    for name in dict.fromkeys(["train", plan.split, *sorted(splits(plan.data))]):
+        try:
+            lists[name] = list(frames(plan.data, name).names)
+        except InputError:
+            if name in ("train", plan.split) or (plan.data / "splits.json").is_file():
+                raise
+    return lists
+
+
+def budget(text: str) -> list[str]:
+    """Return changes of a recipe for "90s", "20m", "2h" or "5000steps"; InputError for other text."""
+    if not text:
+        return []
+    match = re.fullmatch(r"([0-9.]+)(s|m|h|steps)", text)
+    try:
+        amount = float(match[1]) if match else 0.0
+    except ValueError:
+        amount = 0.0
+    if not match or not 0 < amount <= MOST_BUDGET:
+        raise InputError(f"--budget {text!r} is not of the form 90s, 20m, 2h or 5000steps")
+    if match[2] == "steps":
+        return [f"training.steps={int(amount)}", "training.epochs=0", "training.minutes=0"]
+    return ["training.steps=10000000", "training.epochs=0", f"training.minutes={amount * UNITS[match[2]]:.4f}"]
+
+
+def splits(root: Path) -> set[str]:
+    """Return the names of the data set's splits."""
+    listing = root / "splits.json"
+    if not listing.is_file():
+        return set(SEQUENCES)
+    content = read_json(listing, "write split -> list of seq/NNNNNN")
+    if not isinstance(content, dict):
+        raise InputError(f"{listing}: must be an object of split -> list of seq/NNNNNN; write it so")
+    return set(content)
+
+
+# --- the run ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(slots=True, kw_only=True)
@@ -150,7 +318,7 @@ def score_row(
 
 
 def _key(plan: Plan, row: PaperRow, files: Mapping[str, Path], scored: FrameList, config: MetricConfig) -> str:
-    """Hash everything on which a row's evaluation depends: weights, frames and metrics."""
+    """Hash the inputs of a row's evaluation: weights, frames and metrics."""
     parts = [part for part in (SEGMENTER, *row.parts) if part in files]
     inputs = {
         "weights": [read_card(files[part]).sha256 for part in parts],
