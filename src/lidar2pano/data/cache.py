@@ -8,6 +8,7 @@ import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import fields, is_dataclass
+from functools import lru_cache, wraps
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -40,6 +41,26 @@ class LruCache:
         while self.held_bytes > self.limit and len(self._held) > 1:
             self.held_bytes -= nbytes(self._held.popitem(last=False)[1])
         return value
+
+
+def cached_by_files(files: Callable[[Path], Iterable[Path]]) -> Callable[[Callable[[Path], T]], Callable[[Path], T]]:
+    """Return a decorator: the results of a function of a path, the last four, are reused until its files change.
+
+    files  (path) -> the files read by the function; missing ones count, too.
+    """
+
+    def decorate(read: Callable[[Path], T]) -> Callable[[Path], T]:
+        @lru_cache(maxsize=4)
+        def read_once(path: Path, changes_ns: tuple[int, ...]) -> T:  # noqa: ARG001 a part of the cache's key
+            return read(path)
+
+        @wraps(read)
+        def reread_if_changed(path: Path) -> T:
+            return read_once(path, tuple(file.stat().st_mtime_ns if file.is_file() else 0 for file in files(path)))
+
+        return reread_if_changed
+
+    return decorate
 
 
 def nbytes(value: object) -> int:

@@ -64,6 +64,13 @@ class Frame:
     """
 
     root: Path | None = None
+    point_labels: np.ndarray | None = None
+    predicted_labels: np.ndarray | None = None
+    calibration: Calibration | None = None
+    image: np.ndarray | None = None
+    camera_labels: np.ndarray | None = None
+    pose: np.ndarray | None = None
+    panorama: PanoramaGroundTruth | None = None
 
     def __init__(self, name: str, **parts: Any) -> None:  # noqa: ANN401
         self.name = name
@@ -73,41 +80,6 @@ class Frame:
     def scan(self) -> Scan:
         """See the class."""
         raise InputError(self.missing("scan"))
-
-    @cached_property
-    def point_labels(self) -> np.ndarray | None:
-        """See the class."""
-        return None
-
-    @cached_property
-    def predicted_labels(self) -> np.ndarray | None:
-        """See the class."""
-        return None
-
-    @cached_property
-    def calibration(self) -> Calibration | None:
-        """See the class."""
-        return None
-
-    @cached_property
-    def image(self) -> np.ndarray | None:
-        """See the class."""
-        return None
-
-    @cached_property
-    def camera_labels(self) -> np.ndarray | None:
-        """See the class."""
-        return None
-
-    @cached_property
-    def pose(self) -> np.ndarray | None:
-        """See the class."""
-        return None
-
-    @cached_property
-    def panorama(self) -> PanoramaGroundTruth | None:
-        """See the class."""
-        return None
 
     @cached_property
     def panorama_labels(self) -> np.ndarray | None:

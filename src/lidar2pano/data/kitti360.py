@@ -10,15 +10,16 @@ Formats: the data set's documentation, and kitti360scripts/{helpers/project.py, 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 
 from lidar2pano.bounded_files import read_input
 from lidar2pano.calibration import Calibration, LensCalibration
+from lidar2pano.data.cache import cached_by_files
 from lidar2pano.data.frames import IGNORE, FrameList, PanoramaGroundTruth
 from lidar2pano.data.labelled_images import TRAIN_IDS
 from lidar2pano.data.poses import read_poses
@@ -154,7 +155,7 @@ class Kitti360Frame(SurroundFrame):
     def pose(self) -> np.ndarray | None:
         """See Frame; None if poses.txt has none."""
         path = self.root / "data_poses" / self.sequence / "poses.txt"
-        T_world_ego = _poses(path, path.stat().st_mtime_ns).get(int(self.stem)) if path.is_file() else None
+        T_world_ego = _poses(path).get(int(self.stem)) if path.is_file() else None
         return None if T_world_ego is None else T_world_ego @ calibration(self.root).T_ego_lidar
 
     def missing(self, part: str) -> str:
@@ -204,16 +205,6 @@ def frames(root: Path, split: str, view: View) -> FrameList[Kitti360Frame]:
     return FrameList("kitti-360", zip(names, [partial(Kitti360Frame, root, view)] * len(names), strict=True))
 
 
-def calibration(root: Path) -> Kitti360Calibration:
-    """Return the files of ROOT/calibration; InputError if one is missing or damaged."""
-    return _calibration(root, _changed(root / "calibration" / name for name in FILES))
-
-
-def fisheye_calibrations(root: Path) -> Mapping[str, LensCalibration]:
-    """Return the fisheye cameras by name (calibration/image_*.yaml); InputError if a file is missing or damaged."""
-    return _fisheyes(root, _changed((*(root / "calibration" / name for name in FILES), *_lens_files(root))))
-
-
 def _check_size(path: Path, size: tuple[int, int], source: str) -> None:
     """Raise InputError if an image is not of the calibration's size."""
     width, height = image_size(path)
@@ -223,18 +214,18 @@ def _check_size(path: Path, size: tuple[int, int], source: str) -> None:
         )
 
 
+def _calibration_files(root: Path) -> list[Path]:
+    return [root / "calibration" / name for name in FILES]
+
+
 def _lens_files(root: Path) -> list[Path]:
     return [root / "calibration" / f"{name}.yaml" for name in FISHEYES]
 
 
-def _changed(files: Iterable[Path]) -> tuple[int, ...]:
-    """Return the times of the last change of files, 0 for missing ones."""
-    return tuple(path.stat().st_mtime_ns if path.is_file() else 0 for path in files)
-
-
-@lru_cache(maxsize=4)
-def _calibration(root: Path, changed: tuple[int, ...]) -> Kitti360Calibration:  # noqa: ARG001 a part of the cache's key
-    perspective, cam_to_velo, cam_to_pose = (root / "calibration" / name for name in FILES)
+@cached_by_files(_calibration_files)
+def calibration(root: Path) -> Kitti360Calibration:
+    """Read the files of ROOT/calibration; InputError if one is missing or damaged."""
+    perspective, cam_to_velo, cam_to_pose = _calibration_files(root)
     rows = _rows(perspective)
     P, R, S = (
         _numbers(perspective, rows, name, n) for name, n in (("P_rect_00", 12), ("R_rect_00", 9), ("S_rect_00", 2))
@@ -255,8 +246,9 @@ def _calibration(root: Path, changed: tuple[int, ...]) -> Kitti360Calibration:  
     return Kitti360Calibration(camera=camera, T_ego_lidar=T_ego_camera @ T_camera_lidar)
 
 
-@lru_cache(maxsize=4)
-def _fisheyes(root: Path, changed: tuple[int, ...]) -> dict[str, LensCalibration]:  # noqa: ARG001 a part of the cache's key
+@cached_by_files(lambda root: [*_calibration_files(root), *_lens_files(root)])
+def fisheye_calibrations(root: Path) -> Mapping[str, LensCalibration]:
+    """Read calibration/image_*.yaml: the fisheye cameras by name; InputError if a file is missing or damaged."""
     T_ego_lidar, mounts = calibration(root).T_ego_lidar, root / "calibration" / FILES[2]
     lenses = {}
     for name, path in zip(FISHEYES, _lens_files(root), strict=True):
@@ -325,9 +317,9 @@ def _motion(path: Path, name: str, rows: np.ndarray) -> np.ndarray:
     return matrix(path, {name: np.vstack([rows, [0, 0, 0, 1]])}, name, (4, 4))
 
 
-@lru_cache(maxsize=4)
-def _poses(path: Path, changed: int) -> dict[int, np.ndarray]:  # noqa: ARG001 a part of the cache's key
-    """Frame -> (4, 4) float64 pose of the vehicle's frame in the world, metres."""
+@cached_by_files(lambda path: [path])
+def _poses(path: Path) -> dict[int, np.ndarray]:
+    """Return frame -> (4, 4) float64 pose of the vehicle's frame in the world, metres."""
     lines = read_poses(path, 13, "a frame's number and 12 numbers a line, as KITTI-360 does")
     lines = lines[np.isfinite(lines).all(1)]  # else it is unknown
     poses = np.tile(np.eye(4), (len(lines), 1, 1))

@@ -9,8 +9,9 @@ Frames have an image and camera labels, so a camera segmenter and vid2vid train 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cached_property, partial
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +27,13 @@ TRAIN_IDS = np.full(256, IGNORE, dtype=np.uint8)  # of label ids; untrained ones
 TRAIN_IDS[[CITYSCAPES_IDS.id_of(name) for name in CITYSCAPES.classes]] = np.arange(len(CITYSCAPES))
 
 
+OpenFrame = Callable[[str], "LabelledImage"]  # name -> frame
+
+
 class LabelledImage(Frame):
     """A frame by its files: an image, and labels as train ids or (label_ids) Cityscapes' label ids."""
 
-    def __init__(self, name: str, root: Path, image: Path, labels: Path, label_ids: bool = False) -> None:
+    def __init__(self, root: Path, image: Path, labels: Path, label_ids: bool, name: str) -> None:
         super().__init__(name)
         self.root, self.image_file, self.labels_file, self.label_ids = root, image, labels, label_ids
 
@@ -98,16 +102,10 @@ def frames(root: Path, split: str) -> FrameList[LabelledImage]:
         raise InputError(f"{root}: no split {split!r}{closest(split, splits)}")
     if not entries:
         raise InputError(f"{root}: split {split!r} has no image (.png or .jpg); complete the data")
-    named = ((name, partial(_opened, root, entries)) for name in sorted(entries))
-    return FrameList("cityscapes" if cityscapes else "images", named)
+    return FrameList("cityscapes" if cityscapes else "images", sorted(entries.items(), key=itemgetter(0)))
 
 
-def _opened(root: Path, entries: dict[str, LabelledImage], name: str) -> LabelledImage:
-    entry = entries[name]
-    return LabelledImage(name, root, entry.image_file, entry.labels_file, entry.label_ids)
-
-
-def _cityscapes(root: Path, split: str) -> Iterator[tuple[str, LabelledImage]]:
+def _cityscapes(root: Path, split: str) -> Iterator[tuple[str, OpenFrame]]:
     for path in (root / IMAGES / split).glob(f"*/*_{IMAGES}.png"):
         stem = path.name.removesuffix(f"_{IMAGES}.png")
         city = root / FINE / split / path.parent.name
@@ -116,13 +114,13 @@ def _cityscapes(root: Path, split: str) -> Iterator[tuple[str, LabelledImage]]:
         if by_id:
             labels = city / f"{stem}_{FINE}_labelIds.png"
         name = f"{path.parent.name}/{stem}"
-        yield name, LabelledImage(name, root, path, labels, by_id)
+        yield name, partial(LabelledImage, root, path, labels, by_id)
 
 
-def _folder(root: Path, split: str) -> Iterator[tuple[str, LabelledImage]]:
+def _folder(root: Path, split: str) -> Iterator[tuple[str, OpenFrame]]:
     folder, labels = root / "images" / split, root / "labels" / split
     for path in folder.rglob("*"):
         if path.suffix.lower() in SUFFIXES and not path.name.startswith("."):
             inside = path.relative_to(folder).with_suffix(".png")
             name = f"{'.'.join(inside.parts[:-1]) or split or 'train'}/{inside.stem}"
-            yield name, LabelledImage(name, root, path, labels / inside)
+            yield name, partial(LabelledImage, root, path, labels / inside, False)

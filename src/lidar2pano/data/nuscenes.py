@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ import numpy as np
 
 from lidar2pano.bounded_files import read_input
 from lidar2pano.calibration import Calibration
+from lidar2pano.data.cache import cached_by_files
 from lidar2pano.data.frames import Frame, FrameList
 from lidar2pano.data.nuscenes_tables import CAMERAS, CHANNELS, LIDAR, NuscenesIndex, nuscenes_index, versions
 from lidar2pano.data.splits import listed_names, listed_splits
@@ -256,16 +257,12 @@ def read_sweep(path: Path, name: str) -> Scan:
     return Scan(xyz=moved(points[:, :3], FROM_RIGHT_FORWARD), remission=remission, name=name)
 
 
+@cached_by_files(lambda path: [path])
 def class_table(path: Path) -> np.ndarray:
     """Return look-up table (256,) int64 from lidarseg's ids to those of SEMANTIC_KITTI; -1 for ids without a name.
 
     InputError if category.json is missing, damaged or without ids, or names a class not in CLASSES.
     """
-    return _class_table(path, path.stat().st_mtime_ns if path.is_file() else 0)
-
-
-@lru_cache(maxsize=2)
-def _class_table(path: Path, changed: int) -> np.ndarray:  # noqa: ARG001 a part of the cache's key
     rows = read_json(path)
     table = np.full(256, -1)
     for row in rows if isinstance(rows, list) else [None]:

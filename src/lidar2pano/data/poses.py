@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from lidar2pano.bounded_files import read_text
 from lidar2pano.calibration import ROTATION_TOLERANCE, read_camera0
+from lidar2pano.data.cache import cached_by_files
 from lidar2pano.errors import InputError
 from lidar2pano.scan import Scan
 
@@ -54,15 +54,11 @@ def lidar_poses(sequence: Path) -> LidarPoses | None:
 
     Raises InputError if poses.txt or calib.txt is damaged.
     """
-    files = (sequence / "poses.txt", sequence / "calib.txt")
-    if not files[0].is_file():
-        return None
-    changed = tuple(file.stat().st_mtime_ns if file.is_file() else 0 for file in files)
-    return _read_poses(sequence, changed)
+    return _read_poses(sequence) if (sequence / "poses.txt").is_file() else None
 
 
-@lru_cache(maxsize=4)
-def _read_poses(sequence: Path, changed: tuple[int, ...]) -> LidarPoses:  # noqa: ARG001 a part of the cache's key
+@cached_by_files(lambda sequence: (sequence / "poses.txt", sequence / "calib.txt"))
+def _read_poses(sequence: Path) -> LidarPoses:
     path = sequence / "poses.txt"
     rows = read_poses(path, 12, "12 numbers a line, as KITTI does").reshape(-1, 3, 4)
     return LidarPoses(path, rows, read_camera0(sequence / "calib.txt"))
