@@ -12,8 +12,17 @@ from typing import IO, Any
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.recordings.description import Description, Topic, damage, missing_extra
-from lidar2pano.recordings.ros_messages import CDR, MOST_CHUNK_BYTES, ROS1, RawMessage, deserializer
+from lidar2pano.recordings.description import (
+    CDR,
+    MOST_CHUNK_BYTES,
+    ROS1,
+    Description,
+    RawMessage,
+    Topic,
+    damage,
+    deserializer,
+    missing_extra,
+)
 
 MAGIC = b"\x89MCAP0\r\n"
 REPAIR = "try `mcap recover`, or record it again"

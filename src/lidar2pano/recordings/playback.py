@@ -12,9 +12,8 @@ import numpy as np
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.motion import SensorMotion
-from lidar2pano.recordings.description import choose_topic
+from lidar2pano.recordings.description import RawMessage, Recording, choose_topic
 from lidar2pano.recordings.recorded_scans import Frame, frames, none_within, recording_reader, ros_frame, span_ns
-from lidar2pano.recordings.ros_messages import RawMessage, Recording
 from lidar2pano.recordings.transforms import recorded_motion
 
 NEAR = 3  # so many messages ahead are read rather than looked up

@@ -21,12 +21,22 @@ from lidar2pano.formats.messages import cloud_of_message
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.motion import SensorMotion
-from lidar2pano.recordings import ouster, transforms
-from lidar2pano.recordings.description import MOST_NAMED, Description, choose_topic, damage
+from lidar2pano.recordings import transforms
+from lidar2pano.recordings.description import MOST_NAMED, Description, RawMessage, Recording, choose_topic, damage
 from lidar2pano.recordings.mcap_files import MAGIC, McapFile
-from lidar2pano.recordings.packet_captures import PCAP, PCAPNG, VELODYNE, PacketCapture, cloud_of_turn
+from lidar2pano.recordings.packet_captures import (
+    PCAP,
+    PCAPNG,
+    VELODYNE,
+    PacketCapture,
+    cloud_of_ouster_scan,
+    cloud_of_turn,
+    describe_osf,
+    is_osf,
+    ouster_scans,
+    ouster_stamp_s,
+)
 from lidar2pano.recordings.ros_bags import ROSBAG, SQLITE, open_folder, open_ros1, open_sqlite
-from lidar2pano.recordings.ros_messages import RawMessage, Recording
 from lidar2pano.scan import Scan
 
 ENDINGS = (".bag", ".db3", ".mcap", ".pcap", ".pcapng", ".osf")  # of recordings among a folder's files
@@ -181,8 +191,8 @@ def _other_packets(path: Path, about: Description) -> str:
 
 def _ouster_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
     scans = (
-        (ouster.stamp_s(scan), partial(ouster.cloud_of_scan, scan), np.ascontiguousarray(scan.field("RANGE")))
-        for scan in ouster.scans(path)
+        (ouster_stamp_s(scan), partial(cloud_of_ouster_scan, scan), np.ascontiguousarray(scan.field("RANGE")))
+        for scan in ouster_scans(path)
     )
     yield from _selected(path, scans, options)
 
@@ -219,7 +229,7 @@ RECORDINGS: tuple[RecordingReader, ...] = (
         lambda path: PacketCapture(path).description,
         _captured_frames,
     ),
-    RecordingReader("OSF", lambda head, _: ouster.is_osf(head), ouster.describe, _ouster_frames),
+    RecordingReader("OSF", lambda head, _: is_osf(head), describe_osf, _ouster_frames),
 )
 FOLDER = ros_reader("ROS 2 bag", lambda _, path: (path / METADATA).is_file(), open_folder)
 

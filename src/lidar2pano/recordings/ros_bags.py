@@ -1,4 +1,4 @@
-"""ROS 1 bags, and ROS 2 bags in SQLite (.db3) or as a folder with metadata.yaml: read with rosbags (extra `recordings`)."""
+"""ROS 1 bags, and ROS 2 bags in SQLite (.db3) or as a folder with metadata.yaml: by rosbags (extra `recordings`)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,18 @@ from urllib.parse import quote
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.recordings.description import Description, Topic, damage, missing_extra
+from lidar2pano.recordings.description import (
+    CDR,
+    MOST_CHUNK_BYTES,
+    ROS1,
+    Description,
+    RawMessage,
+    Topic,
+    damage,
+    deserializer,
+    missing_extra,
+)
 from lidar2pano.recordings.mcap_files import McapFile
-from lidar2pano.recordings.ros_messages import CDR, MOST_CHUNK_BYTES, ROS1, RawMessage, deserializer
 
 ROSBAG, SQLITE = b"#ROSBAG V", b"SQLite format 3\0"
 

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lidar2pano.geometry.motion import SensorMotion, Trajectory
-from lidar2pano.recordings.description import Topic, damage
-from lidar2pano.recordings.ros_messages import TF, RawMessage, Recording
+from lidar2pano.recordings.description import TF, RawMessage, Recording, Topic, damage
 
 TF_TYPES = (TF, "tf/msg/tfMessage")  # with the same fields
 ODOMETRY = "nav_msgs/msg/Odometry"
