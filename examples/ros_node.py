@@ -23,7 +23,7 @@ import numpy as np
 
 from lidar2pano import Calibration, InputError, View, load, read_calib
 from lidar2pano.drives.reading import ScanSource, StreamReader
-from lidar2pano.formats.messages import cloud_of_message
+from lidar2pano.formats.arrays import cloud_of_message
 from lidar2pano.translation import Translator
 
 CYLINDRICAL = "cylindrical"

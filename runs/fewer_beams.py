@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from lidar2pano.data.augment import HDL64E_BEAM_DEG, bands
 from lidar2pano.data.frames import Frame
 from lidar2pano.data.layouts import frames
+from lidar2pano.data.range_images import HDL64E_BEAM_DEG, bands
 from lidar2pano.evaluate import MetricConfig, score, system
 
 EVERY = (1, 2, 4)

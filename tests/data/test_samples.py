@@ -7,7 +7,7 @@ import pytest
 import torch
 from PIL import Image
 
-from lidar2pano.data.augment import drop_points, drop_rings, mirror, turn, vary_remission
+from lidar2pano.data.range_images import drop_points, drop_rings, mirror, turn, vary_remission
 from lidar2pano.data.camera_pairs import FrontViewDataset
 from lidar2pano.data.frames import IGNORE, SampleIndex, evenly_spaced
 from lidar2pano.data.layouts import frames, frames_of

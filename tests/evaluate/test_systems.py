@@ -11,9 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.calibration import Calibration, read_calib
-from lidar2pano.data.augment import drop_points
 from lidar2pano.data.frames import Frame
 from lidar2pano.data.layouts import frames
+from lidar2pano.data.range_images import drop_points
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import SystemInput, system
 from lidar2pano.evaluate.camera_systems import (

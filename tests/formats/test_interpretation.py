@@ -13,8 +13,7 @@ from lidar2pano.cli import main
 from lidar2pano.errors import InputError
 from lidar2pano.formats import interpretation
 from lidar2pano.formats.beams import find_beams, horizontal_centre, sharpest_origin
-from lidar2pano.formats.ground_plane import blind_radii, fit_ground
-from lidar2pano.formats.interpretation import SENSOR_HEIGHT_M, STAND_IN, Overrides, interpret
+from lidar2pano.formats.interpretation import SENSOR_HEIGHT_M, STAND_IN, Overrides, blind_radii, fit_ground, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import interpreted, read, scan_files
 from lidar2pano.scan import Scan

@@ -16,9 +16,8 @@ import lidar2pano
 import sample_files as made
 from lidar2pano.errors import InputError
 from lidar2pano.formats import pcd
-from lidar2pano.formats.arrays import cloud_of
+from lidar2pano.formats.arrays import DATATYPES, cloud_of
 from lidar2pano.formats.file_contents import stem_of
-from lidar2pano.formats.messages import DATATYPES
 from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns, seconds
 from lidar2pano.formats.readers import ReadOptions, open_path, read, scan_files, scans
 

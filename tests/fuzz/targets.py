@@ -28,10 +28,10 @@ from lidar2pano.data import kitti360, nuscenes, pandaset, semantic_kitti
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.drives.folders import times
 from lidar2pano.errors import InputError
+from lidar2pano.formats.arrays import cloud_of_message
 from lidar2pano.formats.image_files import read_image
 from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.json_files import parse_json, validated
-from lidar2pano.formats.messages import cloud_of_message
 from lidar2pano.formats.readers import READERS
 from lidar2pano.formats.scan_files import read_label
 from lidar2pano.geometry.projection import Normalisation

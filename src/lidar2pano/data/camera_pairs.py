@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.augment import drop_points, mirror
+from lidar2pano.data.range_images import drop_points, mirror
 from lidar2pano.data.cache import LruCache, PredictedLabels, Predictions
 from lidar2pano.data.frames import Frame, SampleIndex
 from lidar2pano.data.layouts import frames_of

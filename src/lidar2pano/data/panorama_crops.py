@@ -13,7 +13,7 @@ from PIL import Image
 from torch import Tensor
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.augment import COARSE_BAND_DEG, drop_points, drop_rings
+from lidar2pano.data.range_images import COARSE_BAND_DEG, drop_points, drop_rings
 from lidar2pano.data.cache import LruCache, PredictedLabels
 from lidar2pano.data.frames import (
     CITYSCAPES_TO_COMMON15,

@@ -1,4 +1,4 @@
-"""Points in arrays: plain, structured or named ones, those of NPY and NPZ files, and clouds of Open3D and PyVista.
+"""Points in memory: arrays (plain, structured, named, of NPY and NPZ files), Open3D, PyVista, PointCloud2 of ROS.
 
 Pickled objects are refused, archives are unpacked within bounds.
 """
@@ -17,8 +17,7 @@ import numpy as np
 from lidar2pano.errors import InputError
 from lidar2pano.formats.delimited_text import column_names
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
-from lidar2pano.formats.messages import cloud_of_message, is_point_cloud2
-from lidar2pano.formats.point_cloud import INTENSITY, RING, TIME, PointCloud, cloud_of_columns
+from lidar2pano.formats.point_cloud import INTENSITY, MOST_POINTS, RING, TIME, PointCloud, cloud_of_columns
 
 POINTS = (
     "points",
@@ -34,6 +33,8 @@ POINTS = (
     "data",
     "arr_0",
 )
+# sensor_msgs/PointField.datatype
+DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 MOST_MEMBERS = 1000  # arrays of an archive
 WIDEST, MOST_ROWS = 64, 8  # columns of an array of points; rows of one with a point in each column
 
@@ -63,6 +64,57 @@ def cloud_of(source: Any, name: str = "array") -> PointCloud:  # noqa: ANN401
     if array.dtype.kind not in "fiuV":
         raise InputError(f"{name}: a {type(source).__name__} is no cloud; give an array (N, 3) or a path")
     return cloud_of_arrays({"": array}, format="array", name=name, source=name)
+
+
+def is_point_cloud2(message: object) -> bool:
+    """Return whether an object has the attributes of a PointCloud2."""
+    return all(hasattr(message, name) for name in ("fields", "point_step", "width", "height", "data"))
+
+
+def cloud_of_message(message: Any, name: str = "message") -> PointCloud:  # noqa: ANN401
+    """Return the points of a PointCloud2: any fields and offsets, both byte orders, padded rows.
+
+    Stamp and frame are those of its header. Raises InputError if its numbers do not fit its data.
+    """
+    columns = message_columns(message, name)
+    header = getattr(message, "header", None)
+    stamp = getattr(header, "stamp", None)
+    whole = getattr(stamp, "sec", getattr(stamp, "secs", None))
+    parts = getattr(stamp, "nanosec", getattr(stamp, "nsec", getattr(stamp, "nsecs", 0)))
+    return cloud_of_columns(
+        columns,
+        format="PointCloud2",
+        name=name,
+        frame=str(getattr(header, "frame_id", "")),
+        stamp_s=None if whole is None else whole + parts * 1e-9,
+    )
+
+
+def message_columns(message: Any, name: str) -> dict[str, np.ndarray]:  # noqa: ANN401
+    """Return the fields of a PointCloud2: name -> (height * width,) of its type; only those of one value."""
+    data = np.frombuffer(bytes(message.data) if isinstance(message.data, list) else message.data, dtype=np.uint8)
+    rows, width, step = int(message.height), int(message.width), int(message.point_step)
+    stride = int(getattr(message, "row_step", 0)) or width * step
+    if rows * width > MOST_POINTS:
+        raise InputError(f"{name}: {rows * width} points are no single sweep (at most {MOST_POINTS}); cut it")
+    if rows * width == 0:
+        raise InputError(f"{name}: holds no points; name a scan that has some")
+    if step < 1 or stride < width * step or (rows - 1) * stride + width * step > len(data):
+        raise InputError(
+            f"{name}: {len(data)} bytes do not hold {rows} x {width} points of {step} bytes; the message is damaged"
+        )
+    order = ">" if message.is_bigendian else "<"
+    columns = {}
+    for field in message.fields:
+        if int(getattr(field, "count", 1)) > 1 or int(field.datatype) not in DATATYPES:
+            continue
+        dtype = np.dtype(order + DATATYPES[int(field.datatype)])
+        offset = int(field.offset)
+        if not 0 <= offset <= step - dtype.itemsize:
+            raise InputError(f"{name}: field {field.name!r} lies outside its points; the message is damaged")
+        values = np.ndarray((rows, width), dtype, data.data, offset, (stride, step))
+        columns[field.name] = values.reshape(-1)
+    return columns
 
 
 def cloud_of_arrays(arrays: Mapping[str, np.ndarray], *, format: str, name: str, source: str) -> PointCloud:

@@ -15,9 +15,9 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats import readers
+from lidar2pano.formats.arrays import cloud_of_message
 from lidar2pano.formats.file_contents import HEAD_BYTES
 from lidar2pano.formats.interpretation import Overrides, interpret
-from lidar2pano.formats.messages import cloud_of_message
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.motion import SensorMotion
