@@ -44,7 +44,7 @@ class View:
 
     @property
     def circular(self) -> bool:
-        """Whether the last column meets the first."""
+        """True if the last column meets the first."""
         return math.isclose(self.left - self.right, FULL_TURN, rel_tol=1e-12)
 
     @property

@@ -32,7 +32,7 @@ class CameraImageSample(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageAugmentation:
-    """How images are augmented; half of them are mirrored, too.
+    """The augmentation of images; half of them are mirrored, too.
 
     crop           (rows, columns) of the samples.
     scale          smallest and largest factor by which an image is resized before it is cropped, drawn evenly.

@@ -64,7 +64,7 @@ class Framing:
 
     @property
     def circular(self) -> bool:
-        """Whether the last column of a clip meets its first."""
+        """True if the last column of a clip meets its first."""
         return self.view is not None and self.view.circular and self.columns == self.view.columns
 
 

@@ -40,7 +40,7 @@ class RangeImageSample(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanAugmentation:
-    """How scans are augmented.
+    """The augmentation of scans.
 
     turn_deg  how far a scan is turned at most, either way.
     chance    probability of each of moving, turning and dropping points; half of the scans are mirrored.

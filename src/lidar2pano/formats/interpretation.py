@@ -99,7 +99,7 @@ class Overrides:
 
 @dataclass(frozen=True, kw_only=True)
 class Interpretation:
-    """How a cloud was read.
+    """The reading of a cloud.
 
     points, no_returns   how many there are, and how many of them are at the origin, NaN or Inf.
     unit_m               length of one unit of the coordinates.

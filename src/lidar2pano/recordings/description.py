@@ -68,7 +68,7 @@ class Description:
 
     @property
     def start_s(self) -> float:
-        """When its first message was recorded, seconds since the epoch."""
+        """Time of recording of its first message, seconds since the epoch."""
         return self.first_ns * 1e-9
 
     @property
