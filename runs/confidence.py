@@ -29,7 +29,8 @@ def main(data: Path, split: str, weights: str, most: int) -> None:
     for index in evenly_spaced(len(found), most):
         frame = found[index]
         labels = torch.from_numpy(frame.panorama_labels.copy()).long()
-        logits = pipeline.translate(frame.scan, Timer(pipeline.device)).logits[0].float()
+        scene = pipeline.translate(frame.scan, Timer(pipeline.device))
+        logits = scene.probabilities[0].clamp(min=1e-20).log()  # of what `--save confidence` writes
         rows, columns = (torch.arange(size) * labels.shape[i] // size for i, size in enumerate(logits.shape[1:]))
         target = labels[rows][:, columns]
         known = (target != IGNORE) & (target != 0)

@@ -1,68 +1,76 @@
-"""What a stream of panoramas carries from one scan to the next, and temporal smoothing."""
+"""Memory of a stream of panoramas, and temporal smoothing."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from lidar2pano.geometry.car_body import Boxes
 from lidar2pano.geometry.flow import distances_before, ego_flow, ego_flows, moved_distances
-from lidar2pano.geometry.odds import likeliest
+from lidar2pano.geometry.rasters import adjacent_rows, likeliest
 from lidar2pano.geometry.warp import warp
 from lidar2pano.labels import COMMON15, THINGS
+from lidar2pano.scene.record import Scene
 from lidar2pano.views import View
 
 MOST = 6  # scans or images that a mean is taken of; larger flickers less, adapts slower
-LEAST_IMAGES = 3  # images that those before count for at least: the mean of two is paler than either
-DOUBT = 0.5  # scans by which what was there counts for less with each that contradicts it
+LEAST_IMAGES = 3  # images that the previous ones count for at least: the mean of two is paler than either
+DOUBT = 0.5  # scans that are subtracted from a count for each scan that contradicts it
 MOST_RATIO = 2.0  # of depths of one surface in two scans, as they are averaged
 SKY = COMMON15.id_of("sky")
 SAME = 0.3  # share by which two depths of one surface may differ: the translator predicts them for each scan
 THIN = tuple(map(COMMON15.id_of, ("pole", "traffic-sign")))  # whose fading stands out
 ANY = 1.0  # such a share that all depths agree
-FADED = 0.75  # weight of what was there before, where it is not averaged with the newest image
+FADED = 0.75  # weight of the previous image where it is not averaged with the newest
 
 
 class Surroundings(NamedTuple):
-    """Classes and depths as averaged over scans, on the translator's raster H x W.
+    """Classes and depths averaged over scans, on the scene's raster H x W.
 
-    segments        (1, classes, H, W) float32 probabilities;  depth_m: (1, H, W) float32 metres from the view's origin.
+    probabilities   (1, classes, H, W) float32;  depth_m: (1, H, W) float32 metres from the view's origin.
     count           (H, W) float32: how many scans each pixel is the mean of.
-    measured        (H, W) bool: where the latest scan's depths come from its points.
+    supported       (H, W) bool: the latest scan has a point in the pixel or above it, which says its depth.
     T_world_sensor  (4, 4) float64, metres.
     """
 
-    segments: Tensor
+    probabilities: Tensor
     depth_m: Tensor
     count: Tensor
-    measured: Tensor
+    supported: Tensor
     T_world_sensor: Tensor
+
+    @classmethod
+    def of(cls, scene: Scene) -> Surroundings:
+        """Return those of a single scan whose pose is known."""
+        above, _ = adjacent_rows(scene.measured)
+        pose = torch.from_numpy(np.asarray(scene.T_world_sensor, dtype=np.float64)).to(scene.depth_m.device)
+        return cls(scene.probabilities, scene.depth_m, torch.ones_like(scene.depth_m[0]), above[0] >= 0, pose)
 
     @property
     def ids(self) -> Tensor:
         """(H, W) uint8: the likeliest classes."""
-        return likeliest(self.segments)[0]
+        return likeliest(self.probabilities)[0]
 
     @property
     def surface_share(self) -> Tensor:
-        """(H, W) float32: probability that a surface is there and not the sky; 1 where it was measured."""
-        return torch.where(self.measured | (self.ids == SKY), 1.0, 1 - self.segments[0, SKY])
+        """(H, W) float32: probability that a pixel shows a surface and not the sky; 1 where it is supported."""
+        return torch.where(self.supported | (self.ids == SKY), 1.0, 1 - self.probabilities[0, SKY])
 
     @property
     def distance_m(self) -> Tensor:
         """(H, W) float32 metres, by which a pixel moves as the sensor does; infinite for the sky.
 
-        Its inverse is the mean over what may be there, and that of the sky is 0: what may be sky moves less.
+        Its inverse is the mean over the surface and the sky, whose inverse is 0: possible sky moves less.
         """
         return torch.where(self.ids == SKY, torch.inf, self.depth_m[0] / self.surface_share)
 
 
 class PreviousFrame(NamedTuple):
-    """A panorama as temporal smoothing needs it with the next scan, on the translator's raster H x W.
+    """The latest panorama for temporal smoothing, on the scene's raster H x W.
 
     image           (1, 3, 2H, 2W) float32 in [-1, 1].
     ids             (H, W) uint8 ids of COMMON15.
@@ -80,20 +88,50 @@ class PreviousFrame(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Memory:
-    """What a stream carries from one scan to the next. `Memory()` is its beginning.
+    """State that a stream carries from one scan to the next. `Memory()` is its beginning.
 
-    frames    number of scans before; a panorama's `frame` is its place in the stream.
-    painted   what the painter gets back with the next scan (StreamPainter).
-    cars      that were drawn last, where the sensor's pose was given: whole_cars.WholeCars.boxes.
-    around    classes and depths that were painted last, and previous: the latest panorama, where the sensor's pose was
-              given.
+    frames    number of scans so far; a panorama's `frame` is its place in the stream.
+    painted   the painter's own record of the latest scan (StreamPainter).
+    around    classes and depths, and previous: the latest panorama, where the sensor's pose was given.
     """
 
     frames: int = 0
     painted: Any = None
-    cars: Boxes | None = None
     around: Surroundings | None = None
     previous: PreviousFrame | None = None
+
+
+def remember(memory: Memory, scene: Scene) -> tuple[Memory, Scene]:
+    """Fuse a scene with those of the previous scans; returns the memory with it, and the fused scene.
+
+    Without a pose the stream begins again, and the scene stays as it is.
+    """
+    if scene.T_world_sensor is None:
+        return replace(memory, around=None, previous=None), scene
+    around = Surroundings.of(scene)
+    if memory.around is not None:
+        around = fused(around, memory.around, scene.view)
+    parts = {"probabilities": around.probabilities, "depth_m": around.depth_m, "surface_share": around.surface_share}
+    return replace(memory, around=around), replace(scene, **parts)
+
+
+def steady(memory: Memory, image: Tensor, view: View) -> tuple[Memory, Tensor]:
+    """Average a painted image (1, 3, 2H, 2W) with the previous ones; returns the memory with it, and the image.
+
+    view  the raster H x W of `memory.around`, which is the scene that was painted.
+    """
+    around = memory.around
+    assert around is not None, "of a stream with poses"
+    latest = PreviousFrame(
+        image=image.float(),
+        ids=around.ids,
+        distance_m=around.distance_m,
+        count=torch.ones_like(around.count),
+        T_world_sensor=around.T_world_sensor,
+    )
+    if memory.previous is not None:
+        latest = smoothed(latest, memory.previous, view)
+    return replace(memory, previous=latest), latest.image
 
 
 def fused(now: Surroundings, before: Surroundings, view: View) -> Surroundings:
@@ -112,23 +150,23 @@ def fused(now: Surroundings, before: Surroundings, view: View) -> Surroundings:
     flow = ego_flow(distance_m, distance_before_m, T_before_now, view, same=SAME)
     moved_m = moved_distances(distance_before_m, torch.linalg.inv(T_before_now), view)
     stays = ego_flow(moved_m, distance_before_m, T_before_now, view, same=SAME)
-    contradicted = stays.known & ~flow.known & ~now.measured
+    contradicted = stays.known & ~flow.known & ~now.supported
     shift = torch.where(contradicted, stays.shift, flow.shift)
     inverse_before = torch.where(distance_before_m.isinf(), 0.0, 1 / before.depth_m)
-    parts = [before.segments, before.count[None, None], inverse_before[None], before.surface_share[None, None]]
+    parts = [before.probabilities, before.count[None, None], inverse_before[None], before.surface_share[None, None]]
     past = warp(torch.cat(parts, 1), shift[None], circular=True)
-    segments, count, inverse, surface = past.split((now.segments.shape[1], 1, 1, 1), 1)
-    ids = likeliest(segments)[0]
+    probabilities, count, inverse, surface = past.split((now.probabilities.shape[1], 1, 1, 1), 1)
+    ids = likeliest(probabilities)[0]
     count = count[0, 0].clamp(max=MOST - 1)
     contradicted &= ~may_move(ids) & (count > DOUBT)
     count = count * (flow.known | contradicted)
     weight = count / (count + 1)
-    mean = torch.lerp(now.segments, segments, weight)
+    mean = torch.lerp(now.probabilities, probabilities, weight)
     stay = contradicted & (likeliest(mean)[0] == ids)
     ratio = 1 / (inverse[0, 0] * distances_before(now.depth_m[0], T_before_now, view))
     ratio = torch.where(flow.known & distance_m.isfinite(), ratio.clamp(1 / MOST_RATIO, MOST_RATIO), 1.0)
     return now._replace(
-        segments=mean,
+        probabilities=mean,
         depth_m=torch.where(stay & moved_m.isfinite(), moved_m * surface[0, 0], now.depth_m * ratio.pow(weight)),
         count=torch.where(stay, count - DOUBT, torch.where(flow.known, count + 1, 1.0)),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,9 +28,11 @@ from lidar2pano.scan import Scan
 from lidar2pano.views import View
 
 OUTPUTS = ("rgb", "segments", "labels", "depth")
-CONFIDENCE = "confidence"  # an output that "all" does not name
-STEM_ENDINGS = (".segments", ".depth", ".confidence", ".camera", ".camera-segments")  # of further outputs of a scan
+EXTRA_OUTPUTS = ("confidence", "measured")  # that "all" does not name
+# Endings of the stems of further outputs of a scan.
+STEM_ENDINGS = (".segments", ".depth", ".confidence", ".measured", ".camera", ".camera-segments")
 VIEW_KEYWORD = "lidar2pano-view"  # of the text in a panorama's PNG: its View as JSON
+Writer = tuple[str, str, Callable[[Path], None]]  # an output, the name of its file, and its function
 GREY = 128  # of points without a colour
 # A point is occluded when it is farther than the panorama's (predicted) depth at its pixel by so much.
 OCCLUDED_FACTOR, OCCLUDED_M = 1.2, 1.0
@@ -81,7 +83,10 @@ class Panorama:
     depth_m       (h, w) float32 metres from the view's origin along the ray; 0 = none (sky).
     labels        (N,) int64 ids of SEMANTIC_KITTI of the scan's points, file order.
     confidence    (h, w) float32 in [0, 1]: the translator's probability of the class in `segments`; 0 where nothing is
-                  claimed. As the network gives it (ECE 0.05 to 0.11). None where it is not known.
+                  claimed. As the network gives it (ECE 0.05 to 0.11), averaged over time as the classes are. None where
+                  it is not known.
+    measured      (h, w) bool: pixels with a point of the scan, whose depth is the nearest point's distance; all other
+                  depths are predicted. None where it is not known.
     dropped       points that were not used (NaN, Inf, nearer than OWN_VEHICLE_M); they are labelled 0.
     beyond_rows   points above or below the segmenter's rows: labelled like the pixels at the border nearest to them.
     points_between  points that were put between the beams of a sensor that has fewer than the segmenter's raster.
@@ -96,6 +101,7 @@ class Panorama:
     depth_m: np.ndarray
     labels: np.ndarray
     confidence: np.ndarray | None = None
+    measured: np.ndarray | None = None
     dropped: int = 0
     beyond_rows: int = 0
     points_between: int = 0
@@ -166,34 +172,34 @@ class Panorama:
 
         what  of "rgb" (<stem>.png, which holds the view as text, VIEW_KEYWORD), "segments" (<stem>.segments.png,
               palette of COMMON15), "labels" (<stem>.label, raw uint32 per point), "depth" (<stem>.depth.png, 16 bit,
-              metres x 256), "confidence" (<stem>.confidence.png, 8 bit, 255 = certain). With a calibration also
-              <stem>.camera.png beside rgb and <stem>.camera-segments.png beside segments.
+              metres x 256), "confidence" (<stem>.confidence.png, 8 bit, 255 = certain), "measured"
+              (<stem>.measured.png, 8 bit, 255 = a point was there). With a calibration also <stem>.camera.png beside
+              rgb and <stem>.camera-segments.png beside segments.
         image_format  of the colour images: "png", "webp" (.webp) or "jpeg" (.jpg), which lose a little.
         Raises InputError when a name is unknown or the folder cannot be written.
         """
         what = (what,) if isinstance(what, str) else what
-        if unknown := sorted(set(what) - {*OUTPUTS, CONFIDENCE}):
+        if unknown := sorted(set(what) - {*OUTPUTS, *EXTRA_OUTPUTS}):
             raise InputError(f"nothing to save is called {unknown[0]!r}; there is {', '.join(OUTPUTS)}")
         if image_format not in COLOUR_FORMATS:
             raise InputError(f"no image format {image_format!r}; there is {', '.join(COLOUR_FORMATS)}")
-        ending = COLOUR_FORMATS[image_format][0]
         camera = self.to_camera(calibration) if calibration and {"rgb", "segments"} & set(what) else None
         stem = stem or self.name
-        writers: dict[str, Callable[[Path], None]] = {}
-        if "rgb" in what:
-            text = {VIEW_KEYWORD: json.dumps(self.view.as_dict())}
-            writers[stem + ending] = lambda path: write_colour(path, self.colour, image_format, text)
-            if camera:
-                writers[f"{stem}.camera{ending}"] = lambda path: write_colour(path, camera.colour, image_format)
-        if "segments" in what:
-            writers[f"{stem}.segments.png"] = lambda path: write_palette(path, self.segments)
-            if camera:
-                writers[f"{stem}.camera-segments.png"] = lambda path: write_palette(path, camera.segments)
-        if "labels" in what:
-            writers[f"{stem}.label"] = lambda path: SEMANTIC_KITTI.to_raw(self.labels).astype("<u4").tofile(path)
-        if "depth" in what:
-            writers[f"{stem}.depth.png"] = lambda path: write_depth(path, self.depth_m)
-        if CONFIDENCE in what and self.confidence is not None:
-            levels = np.round(self.confidence * 255).astype(np.uint8)
-            writers[f"{stem}.confidence.png"] = lambda path: write_ids(path, levels)
-        return [write_whole(Path(out) / name, write) for name, write in writers.items()]
+        writers = self._writers(stem, camera, image_format)
+        return [write_whole(Path(out) / name, write) for output, name, write in writers if output in what]
+
+    def _writers(self, stem: str, camera: CameraImage | None, image_format: str) -> Iterator[Writer]:
+        """Yield every output that the panorama has, the name of its file, and a function that writes it."""
+        ending, text = COLOUR_FORMATS[image_format][0], {VIEW_KEYWORD: json.dumps(self.view.as_dict())}
+        yield "rgb", stem + ending, lambda path: write_colour(path, self.colour, image_format, text)
+        if camera:
+            yield "rgb", f"{stem}.camera{ending}", lambda path: write_colour(path, camera.colour, image_format)
+        yield "segments", f"{stem}.segments.png", lambda path: write_palette(path, self.segments)
+        if camera:
+            yield "segments", f"{stem}.camera-segments.png", lambda path: write_palette(path, camera.segments)
+        yield "labels", f"{stem}.label", lambda path: SEMANTIC_KITTI.to_raw(self.labels).astype("<u4").tofile(path)
+        yield "depth", f"{stem}.depth.png", lambda path: write_depth(path, self.depth_m)
+        for name, layer in (("confidence", self.confidence), ("measured", self.measured)):
+            if layer is not None:
+                levels = np.round(layer * np.float32(255)).astype(np.uint8)
+                yield name, f"{stem}.{name}.png", lambda path, levels=levels: write_ids(path, levels)

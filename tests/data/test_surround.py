@@ -17,7 +17,7 @@ from lidar2pano.data.pandaset import CLASSES, class_table
 from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera, points_in_camera
-from lidar2pano.geometry.depth_completion import BESIDE, ONE_SURFACE, RIM, WIDE, complete_depth, ground_plane
+from lidar2pano.scene.depth import BESIDE, ONE_SURFACE, RIM, WIDE, complete_depth, ground_plane
 from lidar2pano.geometry.projection import directions
 from lidar2pano.geometry.stitching import BLEND, CameraImage, stitch
 from lidar2pano.labels import SEMANTIC_KITTI

@@ -12,12 +12,11 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from engine_of_torch import SLIM
-from lidar2pano.geometry.solid_noise import noise_tile, smooth_noise, solid_noise
-from lidar2pano.geometry.surface import cylinder_points, normals
+from lidar2pano.appearance.noise import noise_tile, smooth_noise, solid_noise
+from lidar2pano.appearance.painter_inputs import sharpened, spread_out
+from lidar2pano.geometry.rasters import upsample_azimuth, upsample_classes
 from lidar2pano.models import build
-from lidar2pano.models.blocks import grow_circular, grown_classes
-from lidar2pano.models.remission import spread_out
-from lidar2pano.models.scene_painter import sharpened
+from lidar2pano.scene.surfaces import cylinder_points, normals
 from random_weights import TRANSLATOR_VIEW
 
 ELSEWHERE = torch.device("meta")
@@ -81,7 +80,7 @@ def test_the_painters_inputs_stay_on_their_device(monkeypatch):
         *spread_out(*image),
         solid_noise(depth_m[0], depth_m[0] > 9, TRANSLATOR_VIEW, (0.25, 1.0)),
         smooth_noise(radius_m, z_m, TRANSLATOR_VIEW, 16.0),
-        grown_classes(segments, 2),
-        grow_circular(depth_m[None], 2),
+        upsample_classes(segments, 2),
+        upsample_azimuth(depth_m[None], 2),
     ]
     assert {part.device for part in parts} == {ELSEWHERE}

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 
+from lidar2pano.appearance.noise import noise_tile
 from lidar2pano.cli import main
 from lidar2pano.cli.export import networks_of, record_inputs
 from lidar2pano.engines import export as engine_export
 from lidar2pano.engines.export import Exportable, check_exportable, export
 from lidar2pano.engines.signatures import SIGNATURES
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.solid_noise import noise_tile
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.card import save
 from lidar2pano.models.families import weight_files

@@ -24,12 +24,14 @@ from lidar2pano.evaluate.camera_systems import (
     training_scale,
 )
 from lidar2pano.evaluate.panorama_system import PanoramaSystem
-from lidar2pano.geometry.between_beams import denser
-from lidar2pano.geometry.camera import at_camera
+from lidar2pano.geometry.camera import at_camera, panorama_in_camera
 from lidar2pano.geometry.projection import Normalisation, project
+from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15, TABLES
+from lidar2pano.memory import Memory
 from lidar2pano.models.card import Card, read_card, save
 from lidar2pano.pipeline import load
+from lidar2pano.scene.between_beams import denser
 from lidar2pano.train.colour import ColourTask
 from lidar2pano.train.front import FrontDepthTranslation, FrontTask
 from lidar2pano.train.tasks import build_task
@@ -260,7 +262,7 @@ def test_colours_are_those_of_the_pipeline(random_weights, kitti):
     assert np.array_equal(prediction.panorama.colour, wanted.colour)
     assert np.array_equal(prediction.panorama.depth_m, wanted.depth_m)
     assert np.array_equal(prediction.image, wanted.to_camera(kitti).colour)
-    assert list(prediction.milliseconds) == [*FRONT_STAGES[:-1], "cars", "paint", "finish", "camera"]
+    assert list(prediction.milliseconds) == [*FRONT_STAGES[:-1], "paint", "finish", "camera"]
     assert one.predict(inputs, memory)[1].panorama.frame == 1  # the stream goes on
     assert one.predict(inputs)[1].panorama.frame == 0
 
@@ -279,6 +281,27 @@ def test_steady_systems_get_the_poses(random_weights, front_weights, kitti):
     assert not np.array_equal(prediction[plain].panorama.colour, wanted.colour)
     with pytest.raises(InputError, match="leave \\+steady out"):
         system(f"{front_weights}+steady", device="cpu")
+
+
+def test_a_steady_system_is_scored_on_the_fused_scene_in_the_camera_too(random_weights, kitti):
+    plain, steady = (system(f"{random_weights}{suffix}", device="cpu") for suffix in ("", "+steady"))
+    scans = [street(), drop_points(street(), np.random.default_rng(1), 0.3)]
+    for colours in (True, False):
+        prediction = {}
+        for one in (plain, steady):
+            memory = None
+            for scan in scans:
+                inputs = SystemInput(scan=scan, calibration=kitti, pose=np.eye(4), colours=colours)
+                memory, prediction[one] = one.predict(inputs, memory)
+        pipeline, timer, memory = steady.pipeline.at(kitti), Timer(torch.device("cpu")), Memory()
+        for scan in scans:
+            memory, scene = pipeline.remember(memory, pipeline.translate(scan, timer), np.eye(4), timer)
+        lookup = panorama_in_camera(scene.view, kitti)
+        ids = lookup.linear(scene.probabilities[0].clamp(min=1e-20).log()).max(0).indices
+        assert np.array_equal(prediction[steady].camera_labels, ids.numpy())
+        assert np.array_equal(prediction[steady].depth_m, lookup.linear(scene.depth_m[0]).numpy())
+        for name in ("camera_labels", "depth_m"):
+            assert not np.array_equal(getattr(prediction[plain], name), getattr(prediction[steady], name)), name
 
 
 def test_a_panorama_around_another_point_is_a_run_of_its_own(random_weights, kitti):

@@ -8,13 +8,14 @@ import pytest
 import torch
 from torch import nn
 
+from lidar2pano.geometry.rasters import pad_azimuth, upsample_azimuth
 from lidar2pano.models import build
-from lidar2pano.models.blocks import CircularConv, SummedConv2d, closed, conv_norm_act, fold_norms, grow_circular
+from lidar2pano.models.blocks import CircularConv, SummedConv2d, conv_norm_act, fold_norms
 
 
 def test_closing_brings_columns_from_the_other_end():
     x = torch.arange(6.0).view(1, 1, 2, 3)
-    assert closed(x, 1)[0, 0].tolist() == [[2, 0, 1, 2, 0], [5, 3, 4, 5, 3]]
+    assert pad_azimuth(x, 1)[0, 0].tolist() == [[2, 0, 1, 2, 0], [5, 3, 4, 5, 3]]
 
 
 @pytest.mark.parametrize("reach", [1, 3])
@@ -22,19 +23,19 @@ def test_closing_has_the_gradients_of_its_definition(reach):
     x = torch.randn(2, 3, 4, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(0), requires_grad=True)
     weight = torch.arange(8 + 2 * reach, dtype=torch.float64) ** 2
     (wanted,) = torch.autograd.grad((torch.cat([x[..., -reach:], x, x[..., :reach]], 3) * weight).sum(), x)
-    (found,) = torch.autograd.grad((closed(x, reach) * weight).sum(), x)
+    (found,) = torch.autograd.grad((pad_azimuth(x, reach) * weight).sum(), x)
     torch.testing.assert_close(found, wanted)
-    assert torch.autograd.gradgradcheck(lambda part: closed(part, reach).square(), x)
+    assert torch.autograd.gradgradcheck(lambda part: pad_azimuth(part, reach).square(), x)
 
 
 @pytest.mark.parametrize("before", [1, 2])
 def test_closing_again_brings_the_columns_beyond_those(before):
     x = torch.randn(2, 3, 4, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(0), requires_grad=True)
     weight = torch.arange(12 + 2 * before, dtype=torch.float64) ** 2
-    wanted, found = closed(x, before + 2), closed(closed(x, before), 2, before)
+    wanted, found = pad_azimuth(x, before + 2), pad_azimuth(pad_azimuth(x, before), 2, before)
     assert torch.equal(found, wanted)
     with torch.no_grad():
-        assert torch.equal(closed(closed(x, before), 2, before), wanted)
+        assert torch.equal(pad_azimuth(pad_azimuth(x, before), 2, before), wanted)
     torch.testing.assert_close(*(torch.autograd.grad((part * weight).sum(), x)[0] for part in (found, wanted)))
 
 
@@ -42,11 +43,11 @@ def test_closing_again_brings_the_columns_beyond_those(before):
 def test_convolution_of_closed_images_needs_no_copy(stride):
     block = conv_norm_act(5, 3, stride=stride).eval()
     parts = torch.randn(2, 2, 6, 16), torch.randn(2, 3, 6, 16)
-    found = block(*(closed(part, 1) for part in parts), has_ends=True)
+    found = block(*(pad_azimuth(part, 1) for part in parts), has_ends=True)
     torch.testing.assert_close(found, block(*parts))
     if stride == 1:
-        wide = block(*(closed(part, 3) for part in parts), has_ends=True)
-        torch.testing.assert_close(wide, closed(block(*parts), 2))
+        wide = block(*(pad_azimuth(part, 3) for part in parts), has_ends=True)
+        torch.testing.assert_close(wide, pad_azimuth(block(*parts), 2))
 
 
 @pytest.mark.parametrize("columns", [16, 7, 4])
@@ -74,9 +75,9 @@ def test_a_turned_image_gives_a_turned_answer(kernel, dilation):
 
 def test_growing_interpolates_across_the_seam():
     x = torch.tensor([0.0, 0, 0, 4]).view(1, 1, 1, 4)
-    assert grow_circular(x, 2)[0, 0].tolist() == [[1, 0, 0, 0, 0, 1, 3, 3]] * 2
+    assert upsample_azimuth(x, 2)[0, 0].tolist() == [[1, 0, 0, 0, 0, 1, 3, 3]] * 2
     y = torch.randn(1, 2, 3, 8)
-    assert torch.allclose(grow_circular(y, 2).roll(6, -1), grow_circular(y.roll(3, -1), 2), atol=1e-6)
+    assert torch.allclose(upsample_azimuth(y, 2).roll(6, -1), upsample_azimuth(y.roll(3, -1), 2), atol=1e-6)
 
 
 @pytest.mark.parametrize("turn", [16, 48])

@@ -9,11 +9,12 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from lidar2pano.appearance.painter_inputs import framed
 from lidar2pano.errors import InputError
 from lidar2pano.models import MODELS, build
 from lidar2pano.models.blocks import CircularConv
 from lidar2pano.models.card import Card, load, save
-from lidar2pano.models.scene_painter import ScenePainter, framed
+from lidar2pano.models.scene_painter import ScenePainter
 
 
 def _range_image(rows: int, columns: int) -> Tensor:

@@ -9,38 +9,49 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.errors import InputError
-from lidar2pano.geometry.clothing import HEAD_M, LEGS_M, clothing, sign_colours
-from lidar2pano.geometry.solid_noise import smooth_noise
-from lidar2pano.geometry.surface import cylinder_points
-from lidar2pano.labels import COMMON15
-from lidar2pano.models import build, scene_painter
-from lidar2pano.models.invented_tones import LEAVES, LIT, LIT_M, SUNLIT, SUNNY_SIDE, VARIED
-from lidar2pano.models.scene_painter import (
+from lidar2pano.appearance import painter_inputs as layers
+from lidar2pano.appearance.noise import smooth_noise
+from lidar2pano.appearance.painter_inputs import (
     DEPTH,
-    GLASS,
     LOWEST_ROW,
+    NO_HINTS,
     OBJECT_M,
     OPENINGS,
-    PANES_M,
     TONES,
     VEHICLES,
-    Known,
-    Scene,
+    Hints,
     framed,
     outlined,
     painter_inputs,
     sharpened,
     twice,
 )
-from lidar2pano.models.titan_pano import depth_code
+from lidar2pano.appearance.tones import (
+    HEAD_M,
+    LEAVES,
+    LEGS_M,
+    LIT,
+    LIT_M,
+    SUNLIT,
+    SUNNY_SIDE,
+    VARIED,
+    clothing,
+    sign_colours,
+)
+from lidar2pano.errors import InputError
+from lidar2pano.labels import COMMON15
+from lidar2pano.models import build, scene_painter
+from lidar2pano.models.scene_painter import GLASS, PANES_M
+from lidar2pano.scene.depth import depth_code
+from lidar2pano.scene.record import Scene
+from lidar2pano.scene.surfaces import cylinder_points
 from lidar2pano.views import View
 
 VIEW = View(rows=16, columns=64, up=0.24, down=-0.28, kind="cylinder")
 SMALL = {"widths": [8, 16, 24, 8], "code": 4}
 
 
-def scene(look: str = "", columns: int = 0) -> Scene:
+def scene(columns: int = 0) -> Scene:
     """A street seen after a turn to the left by so many columns."""
     generator = torch.Generator().manual_seed(5)
     segments = torch.rand(1, 16, 16, 64, generator=generator).softmax(1)
@@ -50,7 +61,15 @@ def scene(look: str = "", columns: int = 0) -> Scene:
     pose = np.eye(4)
     pose[:2, :2] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
     segments, depth_m, image = (part.roll(columns, -1) for part in (segments, depth_m, image))
-    return Scene(segments=segments, depth_m=depth_m, channels=image, view=VIEW, T_world_sensor=pose, look=look)
+    return Scene.predicted(VIEW, image, segments, depth_m, T_world_sensor=pose)
+
+
+def layers_of(
+    segments, depth_m, channels, view, pose=None, hints=NO_HINTS, **options
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """The painter's inputs of a scene with these parts."""
+    parts = Scene.predicted(view, channels, segments, depth_m, T_world_sensor=pose)
+    return painter_inputs(parts, hints, **options)
 
 
 def painter(looks: tuple[str, ...] = ("day", "evening")) -> torch.nn.Module:
@@ -63,8 +82,8 @@ def painter(looks: tuple[str, ...] = ("day", "evening")) -> torch.nn.Module:
 
 
 @torch.inference_mode()
-def painted(network, one: Scene) -> torch.Tensor:
-    return network.paint(None, one)[1]
+def painted(network, one: Scene, look: str = "") -> torch.Tensor:
+    return network.paint(None, one, look)[1]
 
 
 def test_a_turned_scene_is_painted_turned():
@@ -79,30 +98,30 @@ def test_the_mean_of_two_looks_lies_between_them():
     network = painter()
     shares = [network.look_shares(name) for name in ("", "day", "evening", "day+evening")]
     assert shares == [[1, 0], [1, 0], [0, 1], [0.5, 0.5]]
-    day, evening, both = (painted(network, scene(look)) for look in ("day", "evening", "day + evening"))
+    day, evening, both = (painted(network, scene(), look) for look in ("day", "evening", "day + evening"))
     assert not torch.allclose(day, evening, atol=1e-4)
     codes = network.codes.weight.mean(0, keepdim=True)
     one = painter(("one", "other"))
     with torch.no_grad():
         one.codes.weight.copy_(codes.expand(2, -1))
-    assert torch.allclose(painted(one, scene("one")), both, atol=1e-5)
+    assert torch.allclose(painted(one, scene(), "one"), both, atol=1e-5)
 
 
 def test_a_look_adds_its_colours_to_those_of_a_class_before_the_tanh():
     torch.manual_seed(0)
-    one = scene("evening")
+    one = scene()
     plain = build("scene-painter", looks=["day", "evening"], **SMALL).eval()
     network = build("scene-painter", looks=["day", "evening"], class_colours=True, **SMALL).eval()
     state = plain.state_dict() | {"class_colours.weight": network.class_colours.weight}
     network.load_state_dict(state)
-    assert torch.equal(painted(network, one), painted(plain, one)), "at first nothing is added"
+    assert torch.equal(painted(network, one, "evening"), painted(plain, one, "evening")), "at first nothing is added"
     added = torch.tensor([0.3, -0.2, 0.1])
     with torch.no_grad():
         network.class_colours.weight.view(2, 3, 16)[1, :, COMMON15.id_of("sky")] = added
-    shares = outlined(one.segments, network.sharp, one.depth_m, VIEW, one.T_world_sensor)[:, COMMON15.id_of("sky")]
-    expected = torch.atanh(painted(plain, one)) + twice(shares)[:, None] * added[:, None, None]
-    torch.testing.assert_close(painted(network, one), torch.tanh(expected), atol=1e-4, rtol=0)
-    assert torch.equal(painted(network, scene("day")), painted(plain, scene("day")))
+    shares = outlined(one, network.sharp)[:, COMMON15.id_of("sky")]
+    expected = torch.atanh(painted(plain, one, "evening")) + twice(shares)[:, None] * added[:, None, None]
+    torch.testing.assert_close(painted(network, one, "evening"), torch.tanh(expected), atol=1e-4, rtol=0)
+    assert torch.equal(painted(network, scene(), "day"), painted(plain, scene(), "day"))
 
 
 def test_inside_of_panes_there_is_nothing_but_their_colour():
@@ -149,7 +168,7 @@ def test_an_unknown_look_is_named_with_those_there_are():
 
 def test_without_a_pose_noise_hangs_on_the_sensor():
     network, one = painter(), scene()
-    still = Scene(segments=one.segments, depth_m=one.depth_m, channels=one.channels, view=VIEW)
+    still = replace(one, T_world_sensor=None)
     assert torch.equal(painted(network, one), painted(network, still))
 
 
@@ -166,7 +185,7 @@ def test_sizes_that_do_not_divide_are_refused():
 def tones(given: torch.Tensor | None = None) -> torch.Tensor:
     """The tones among the inputs (3, H, W) of the scene."""
     one = scene()
-    inputs, _ = painter_inputs(one.segments, one.depth_m, one.channels, VIEW, one.T_world_sensor, Known(given))
+    inputs, _ = painter_inputs(one, Hints(given))
     return inputs[0, TONES]
 
 
@@ -182,20 +201,20 @@ def test_where_no_tones_are_given_only_things_that_vary_do():
     assert tones()[0].std() > 0.01
     one = scene()
     for name in ("terrain", "truck", "car", "person"):
-        segments = torch.zeros_like(one.segments)
+        segments = torch.zeros_like(one.probabilities)
         segments[:, COMMON15.id_of(name)] = 1
-        inputs, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, one.T_world_sensor)
+        inputs, _ = layers_of(segments, one.depth_m, one.channels, VIEW, one.T_world_sensor)
         assert inputs[0, TONES].any() == (name in {*VARIED, "person"})
 
 
 def test_trees_on_the_left_are_in_the_sun_and_some_beside():
     one, turned = scene(), np.eye(4)
     turned[:2, :2] = [[0, -1], [1, 0]]  # what is ahead of the sensor is on the world's left
-    segments = torch.zeros_like(one.segments)
+    segments = torch.zeros_like(one.probabilities)
     segments[:, COMMON15.id_of("vegetation")] = 0.75
     for pose in (None, one.T_world_sensor, turned):
-        inputs, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, pose, Known(sun=True))
-        without, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW, pose)
+        inputs, _ = layers_of(segments, one.depth_m, one.channels, VIEW, pose, Hints(sun=True))
+        without, _ = layers_of(segments, one.depth_m, one.channels, VIEW, pose)
         radius_m, z_m = cylinder_points(one.depth_m, VIEW)
         noise = smooth_noise(radius_m, z_m, VIEW, OBJECT_M, pose).clamp(-1, 1)[0]
         rotation = np.eye(4) if pose is None else pose
@@ -219,12 +238,12 @@ def test_trees_on_the_left_are_in_the_sun_and_some_beside():
 
 def test_people_wear_clothes_by_their_height_above_the_road():
     one = scene()
-    segments = torch.zeros_like(one.segments)
+    segments = torch.zeros_like(one.probabilities)
     segments[:, COMMON15.id_of("road")] = 1
     segments[:, :, :, 20:24] = 0
     segments[:, COMMON15.id_of("person"), :, 20:24], segments[:, COMMON15.id_of("road"), :, 20:24] = 0.75, 0.25
     depth_m = torch.full_like(one.depth_m, 6.0)
-    inputs, _ = painter_inputs(segments, depth_m, one.channels, VIEW, one.T_world_sensor)
+    inputs, _ = layers_of(segments, depth_m, one.channels, VIEW, one.T_world_sensor)
     found, height_m = inputs[0, TONES].float(), inputs[0, 20].float() * 4
     assert not found[:, :, :20].any() and not found[:, :, 24:].any()
     radius_m, z_m = cylinder_points(depth_m, VIEW)
@@ -239,12 +258,12 @@ def test_people_wear_clothes_by_their_height_above_the_road():
 def test_a_persons_surface_has_no_slope():
     one = scene()
     person = COMMON15.id_of("person")
-    segments = torch.zeros_like(one.segments)
+    segments = torch.zeros_like(one.probabilities)
     segments[:, COMMON15.id_of("road")] = 1
-    before, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW)
+    before, _ = layers_of(segments, one.depth_m, one.channels, VIEW)
     segments[:, :, :, 20:24] *= 0.25
     segments[:, person, :, 20:24] = 0.75
-    after, _ = painter_inputs(segments, one.depth_m, one.channels, VIEW)
+    after, _ = layers_of(segments, one.depth_m, one.channels, VIEW)
     share = (1 - segments[:, person, None]).expand(1, 3, -1, -1)
     assert before[:, 21:24].abs().amax() > 0.1
     torch.testing.assert_close(after[:, 21:24], share * before[:, 21:24], atol=1e-2, rtol=0)
@@ -252,7 +271,7 @@ def test_a_persons_surface_has_no_slope():
 
 def test_signs_have_colours_of_their_own():
     one = scene()
-    segments = torch.zeros_like(one.segments)
+    segments = torch.zeros_like(one.probabilities)
     segments[:, COMMON15.id_of("road")] = 1
     segments[:, :, 2:6, 20:24] = 0
     segments[:, COMMON15.id_of("traffic-sign"), 2:6, 20:24], segments[:, COMMON15.id_of("road"), 2:6, 20:24] = (
@@ -260,7 +279,7 @@ def test_signs_have_colours_of_their_own():
         0.25,
     )
     depth_m = torch.full_like(one.depth_m, 6.0)
-    inputs, _ = painter_inputs(segments, depth_m, one.channels, VIEW, one.T_world_sensor)
+    inputs, _ = layers_of(segments, depth_m, one.channels, VIEW, one.T_world_sensor)
     noise = smooth_noise(*cylinder_points(depth_m, VIEW), VIEW, OBJECT_M, one.T_world_sensor)[0, 2:6, 20:24].clamp(
         -1, 1
     )
@@ -271,12 +290,12 @@ def test_signs_have_colours_of_their_own():
 
 def test_glass_is_no_brighter_than_the_mean_and_keeps_what_is_darker():
     one, building = scene(), COMMON15.id_of("building")
-    walls = torch.zeros_like(one.segments)
+    walls = torch.zeros_like(one.probabilities)
     walls[:, building] = 0.75
     found = []
     for openings in (0.0, 1.0, 0.25):
-        known = Known(openings=torch.full_like(one.depth_m, openings))
-        inputs, _ = painter_inputs(walls, torch.full_like(one.depth_m, 8.0), one.channels, VIEW, known=known)
+        hints = Hints(openings=torch.full_like(one.depth_m, openings))
+        inputs, _ = layers_of(walls, torch.full_like(one.depth_m, 8.0), one.channels, VIEW, hints=hints)
         found.append(inputs[:, TONES])
     plaster, glass, blind = found
     assert (plaster > 0.05).any() and (plaster < -0.05).any(), "the test has bright and dark houses"
@@ -287,17 +306,17 @@ def test_glass_is_no_brighter_than_the_mean_and_keeps_what_is_darker():
 def test_vehicles_people_and_poles_are_given_no_noise():
     one, coarse = scene(), slice(24, 27)
     for number, name in enumerate(COMMON15.classes[:-1]):
-        segments = torch.zeros_like(one.segments)
+        segments = torch.zeros_like(one.probabilities)
         segments[:, number, :, :32], segments[:, COMMON15.id_of("road"), :, 32:] = 1, 1
-        inputs, fine = painter_inputs(segments, one.depth_m, one.channels, VIEW, one.T_world_sensor)
+        inputs, fine = layers_of(segments, one.depth_m, one.channels, VIEW, one.T_world_sensor)
         still = name not in {*VEHICLES, "person", "pole", "traffic-sign"}
         assert inputs[:, coarse, :, :32].any() == still and fine[..., :64].any() == still, name
         assert inputs[:, coarse, :, 32:].any() and fine[..., 64:].any()
-    halves = torch.zeros_like(one.segments)
+    halves = torch.zeros_like(one.probabilities)
     halves[:, [COMMON15.id_of("car"), COMMON15.id_of("road")]] = 0.5
-    road = torch.zeros_like(one.segments)
+    road = torch.zeros_like(one.probabilities)
     road[:, COMMON15.id_of("road")] = 1
-    noises = [painter_inputs(each, one.depth_m, one.channels, VIEW) for each in (halves, road)]
+    noises = [layers_of(each, one.depth_m, one.channels, VIEW) for each in (halves, road)]
     torch.testing.assert_close(noises[0][0][:, coarse], noises[1][0][:, coarse] / 2)
     torch.testing.assert_close(noises[0][1], noises[1][1] / 2)
 
@@ -305,9 +324,9 @@ def test_vehicles_people_and_poles_are_given_no_noise():
 def test_walls_are_given_half_of_the_fine_noise_and_all_of_the_coarse():
     one, coarse, found = scene(), slice(24, 27), []
     for name in ("building", "road"):
-        segments = torch.zeros_like(one.segments)
+        segments = torch.zeros_like(one.probabilities)
         segments[:, COMMON15.id_of(name)] = 1
-        found.append(painter_inputs(segments, one.depth_m, one.channels, VIEW, one.T_world_sensor))
+        found.append(layers_of(segments, one.depth_m, one.channels, VIEW, one.T_world_sensor))
     (walls, on_walls), (road, on_road) = found
     assert on_road.any()
     torch.testing.assert_close(on_walls, on_road / 2)
@@ -316,7 +335,7 @@ def test_walls_are_given_half_of_the_fine_noise_and_all_of_the_coarse():
 
 def test_the_lowest_rows_have_one_number():
     one = scene()
-    row = painter_inputs(one.segments, one.depth_m, one.channels, VIEW)[0][0, 19, :, 0]
+    row = layers_of(one.probabilities, one.depth_m, one.channels, VIEW)[0][0, 19, :, 0]
     expected = [max(1 - 2 * each / (VIEW.rows - 1), LOWEST_ROW) for each in range(VIEW.rows)]
     assert row.tolist() == pytest.approx(expected) and expected[-3] == LOWEST_ROW
 
@@ -328,11 +347,11 @@ def test_every_class_that_varies_exists():
 @pytest.mark.parametrize("name", ["road", "traffic-sign", "car", "building", "vegetation", "fence"])
 def test_remission_of_some_classes_is_not_read(name):
     one, network = scene(), painter()
-    segments = torch.zeros_like(one.segments)
+    segments = torch.zeros_like(one.probabilities)
     segments[:, COMMON15.id_of(name)] = 1
     brighter = one.channels.clone()
     brighter[:, 4] *= 0.5
-    scenes = [replace(one, segments=segments, channels=channels) for channels in (one.channels, brighter)]
+    scenes = [replace(one, probabilities=segments, channels=channels) for channels in (one.channels, brighter)]
     assert torch.equal(*(painted(network, each) for each in scenes)) == (name in {"building", "vegetation", "fence"})
 
 
@@ -342,7 +361,7 @@ def test_which_classes_these_are_is_a_setting():
 
 def test_what_is_painted_is_raised_to_a_power_and_cut_out_against_the_sky():
     one = scene()
-    found, raised = outlined(one.segments, 2.0, one.depth_m, VIEW), sharpened(one.segments, 2.0)
+    found, raised = outlined(one, 2.0), sharpened(one.probabilities, 2.0)
     sky = COMMON15.id_of("sky")
     assert torch.allclose(found.sum(1), torch.ones(()), atol=1e-5)
     assert not torch.allclose(found[:, sky], raised[:, sky], atol=0.01)
@@ -370,8 +389,8 @@ def test_the_last_rows_are_painted_as_those_above_them(monkeypatch):
     with_foot = border()
     for name in ("FOOT", "LEAST_FOOT"):
         monkeypatch.setattr(scene_painter, name, 0)
-    monkeypatch.setattr(scene_painter, "INPUTS_FRAME", (0, scene_painter.ENDS))
-    monkeypatch.setattr(scene_painter, "NOISE_FRAME", (0, scene_painter.ENDS))
+    monkeypatch.setattr(layers, "INPUTS_FRAME", (0, layers.ENDS))
+    monkeypatch.setattr(layers, "NOISE_FRAME", (0, layers.ENDS))
     assert 5 * with_foot < border()
 
 
@@ -379,15 +398,15 @@ def test_parts_are_joined_with_their_channels_last():
     generator = torch.Generator().manual_seed(6)
     parts = [torch.randn(2, channels, 37, 12, generator=generator) for channels in (3, 1, 5)]  # rows: not whole strips
     for dtype in (torch.float32, torch.bfloat16):
-        joined = scene_painter._joined(parts, dtype)
+        joined = layers._joined(parts, dtype)
         assert joined.dtype == dtype and joined.is_contiguous(memory_format=torch.channels_last)
         assert torch.equal(joined, torch.cat(parts, 1).to(dtype))
 
 
 def test_inputs_are_framed_where_they_are_joined():
     one = scene()
-    arguments = (one.segments, one.depth_m, one.channels, VIEW, one.T_world_sensor)
-    plain, frame = painter_inputs(*arguments), painter_inputs(*arguments, frame=True)
+    arguments = (one.probabilities, one.depth_m, one.channels, VIEW, one.T_world_sensor)
+    plain, frame = layers_of(*arguments), layers_of(*arguments, frame=True)
     for found, expected, rows in zip(frame, plain, (16, 4), strict=True):
         below = torch.cat([expected, expected[:, :, -1:].repeat(1, 1, rows, 1)], 2)
         assert torch.equal(found, torch.cat([below[..., -2:], below, below[..., :2]], 3))

@@ -10,8 +10,8 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.labels import CITYSCAPES_IDS, COMMON15
 from lidar2pano.models import build
-from lidar2pano.models.scene_painter import Scene
 from lidar2pano.models.vid2vid_painter import LabelChannels, Past, Vid2VidPainter, edges
+from lidar2pano.scene.record import Scene
 from lidar2pano.views import VIEWS
 
 CLASSES = len(COMMON15)
@@ -177,7 +177,7 @@ def test_panoramas_come_at_twice_the_segments_raster_whatever_they_are_painted_o
     painter = Vid2VidPainter.all_around(generator, None, columns, 24)
     segments = one_hot_layers(maps(1, 8, 24), CLASSES)
     with torch.inference_mode():
-        scene = Scene(segments=segments, depth_m=torch.zeros(1, 8, 24), channels=torch.zeros(1, 5, 8, 24), view=SMALL)
+        scene = Scene.predicted(SMALL, torch.zeros(1, 5, 8, 24), segments, torch.zeros(1, 8, 24))
         past, image = painter.paint(None, scene)
         _, first = Vid2VidPainter(generator).follow(None, past.ids[-1, : raster[0], -raster[1] :])
     assert image.shape == (1, 3, 16, 48)

@@ -15,10 +15,10 @@ from PIL import Image
 
 import lidar2pano
 from lidar2pano.demo import street
-from lidar2pano.geometry.surface import cylinder_points, normals
 from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
 from lidar2pano.metrics.confusion import Confusion
+from lidar2pano.scene.surfaces import cylinder_points, normals
 
 FOLDER = Path(__file__).resolve().parents[1] / "demo_ground_truth"
 SCORED = ("car", "road", "sidewalk", "building", "vegetation", "terrain", "sky")  # at least 3,000 of 110,592 pixels

@@ -157,7 +157,7 @@ def test_scans_of_a_sensor_that_stands_are_averaged():
     for number, (share, depth_m) in enumerate(((0.6, 11.0), (0.1, 9.0), (0.4, 10.5)), start=1):
         memory = fused(around(share, depth_m), memory, VIEW)
         mean, log_m = (mean * number + share) / (number + 1), (log_m * number + np.log(depth_m)) / (number + 1)
-    assert torch.allclose(memory.segments[0, CAR], torch.tensor(mean), atol=1e-4)
+    assert torch.allclose(memory.probabilities[0, CAR], torch.tensor(mean), atol=1e-4)
     assert torch.allclose(memory.depth_m, torch.tensor(np.exp(log_m)).float(), atol=1e-3)
     assert (memory.count == 4).all()
     assert torch.equal(memory.T_world_sensor, STILL)
@@ -165,7 +165,9 @@ def test_scans_of_a_sensor_that_stands_are_averaged():
 
 def test_the_newest_scan_never_weighs_less_than_one_of_most():
     memory = fused(around(0.6), around(0.0, count=100.0), VIEW)
-    assert (memory.count == MOST).all() and torch.allclose(memory.segments[0, CAR], torch.tensor(0.6 / MOST), atol=1e-5)
+    assert (memory.count == MOST).all() and torch.allclose(
+        memory.probabilities[0, CAR], torch.tensor(0.6 / MOST), atol=1e-5
+    )
 
 
 def test_classes_are_moved_over_a_turn_and_across_the_seam():
@@ -173,9 +175,9 @@ def test_classes_are_moved_over_a_turn_and_across_the_seam():
     share = torch.rand(VIEW.rows, VIEW.columns, generator=torch.Generator().manual_seed(0)) * 0.5
     now = share.roll(7, 1)
     memory = fused(around(now, pose=turned(7)), around(share), VIEW)
-    assert (memory.count == 2).all() and torch.allclose(memory.segments[0, CAR], now, atol=1e-3)
+    assert (memory.count == 2).all() and torch.allclose(memory.probabilities[0, CAR], now, atol=1e-3)
     other = fused(around(now, pose=turned(-7)), around(share), VIEW)
-    assert (other.segments[0, CAR] - now).abs().mean() > 0.05, "a turn the other way does not fit"
+    assert (other.probabilities[0, CAR] - now).abs().mean() > 0.05, "a turn the other way does not fit"
 
 
 def cylinder_m(origin):
@@ -204,7 +206,7 @@ def test_what_is_at_another_distance_begins_again():
     depth_m[5:9, 40:60] = 5
     memory = fused(around(0.6, depth_m), around(0.0), VIEW)
     assert (memory.count[5:9, 40:60] == 1).all() and (memory.count[12:] == 2).all()
-    assert torch.equal(memory.segments[..., 5:9, 40:60], around(0.6).segments[..., 5:9, 40:60])
+    assert torch.equal(memory.probabilities[..., 5:9, 40:60], around(0.6).probabilities[..., 5:9, 40:60])
     assert torch.equal(memory.depth_m[0, 5:9, 40:60], depth_m[5:9, 40:60])
 
 
@@ -214,7 +216,7 @@ def test_the_sky_moves_by_the_turn_alone_and_keeps_its_depth():
     share = 0.6 + 0.3 * torch.rand(VIEW.rows, VIEW.columns, generator=torch.Generator().manual_seed(1))
     now = share.roll(3, 1)
     memory = fused(around(now, 80.0, pose, class_id=SKY), around(share, 70.0, class_id=SKY), VIEW)
-    assert (memory.count == 2).all() and torch.allclose(memory.segments[0, SKY], now, atol=1e-3)
+    assert (memory.count == 2).all() and torch.allclose(memory.probabilities[0, SKY], now, atol=1e-3)
     assert (memory.depth_m == 80).all()
 
 
@@ -252,7 +254,7 @@ def test_a_crown_stays_until_scans_without_it_outweigh_it():
         memory = fused(CLEARED, memory, VIEW)
         weight = count / (count + 1)
         share, count, scans = share * weight, count - DOUBT, scans + 1
-        assert torch.allclose(memory.segments[0, TREE, :, 41:59], torch.tensor(share), atol=1e-3)
+        assert torch.allclose(memory.probabilities[0, TREE, :, 41:59], torch.tensor(share), atol=1e-3)
         if share * 2 > 1:
             assert memory.depth_m[0, :, 41:59].sub(10).abs().max() < 1e-4
     assert scans > 1 and (memory.depth_m[0, :, 41:59] == 80).all() and (memory.count[:, 41:59] == 1).all()
@@ -260,9 +262,9 @@ def test_a_crown_stays_until_scans_without_it_outweigh_it():
 
 @pytest.mark.parametrize("what", ["measured", "car"])
 def test_what_was_measured_or_may_move_does_not_stay(what):
-    now = CLEARED._replace(measured=MEASURED if what == "measured" else UNMEASURED)
+    now = CLEARED._replace(supported=MEASURED if what == "measured" else UNMEASURED)
     memory = fused(now, tree(4.0, CAR if what == "car" else TREE), VIEW)
-    assert torch.equal(memory.segments[..., 41:59], CLEARED.segments[..., 41:59])
+    assert torch.equal(memory.probabilities[..., 41:59], CLEARED.probabilities[..., 41:59])
     assert (memory.depth_m[0, :, 41:59] == 80).all() and (memory.count[:, 41:59] == 1).all()
 
 
@@ -286,10 +288,10 @@ def test_another_depth_of_one_class_prevails_in_the_end():
 def test_what_doubt_has_used_up_is_gone_altogether():
     """Scans that are nearly undecided never outweigh the crown: without a count, its class goes with its depth."""
     nearly = around(1.0, 80.0, class_id=SKY, measured=UNMEASURED)
-    nearly.segments[:, SKY], nearly.segments[:, TREE] = 0.55, 0.45
+    nearly.probabilities[:, SKY], nearly.probabilities[:, TREE] = 0.55, 0.45
     memory = tree(1.0)
     for scan in range(2):
         memory = fused(nearly, memory, VIEW)
         here = memory.ids[5, 50].item(), memory.depth_m[0, 5, 50].item()
         assert here == ((TREE, 10.0) if scan == 0 else (SKY, 80.0))
-    assert torch.equal(memory.segments[..., 50], nearly.segments[..., 50])
+    assert torch.equal(memory.probabilities[..., 50], nearly.probabilities[..., 50])

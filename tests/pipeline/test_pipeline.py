@@ -13,28 +13,26 @@ import torch
 from PIL import Image
 from torch import nn
 
+from lidar2pano.appearance.painter_inputs import framed
 from lidar2pano.calibration import Calibration
 from lidar2pano.cli import main
-from lidar2pano.corrections import corrected
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
-from lidar2pano.geometry.car_body import Boxes
-from lidar2pano.geometry.columns import rows_beside
 from lidar2pano.geometry.projection import Normalisation, directions, one_hot_layers, project
-from lidar2pano.geometry.whole_cars import WholeCars
+from lidar2pano.geometry.rasters import upsample_azimuth, upsample_classes
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
-from lidar2pano.memory import LEAST_IMAGES, Surroundings, fused
+from lidar2pano.memory import LEAST_IMAGES, Memory, Surroundings, fused
 from lidar2pano.models import build
-from lidar2pano.models.blocks import fold_norms, grow_circular, grown_classes
+from lidar2pano.models.blocks import fold_norms
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.card import read_card, save
 from lidar2pano.models.families import licence_note, weight_files
-from lidar2pano.models.scene_painter import framed
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.panorama import Panorama
-from lidar2pano.pipeline import Memory, Segmenter, load
+from lidar2pano.pipeline import PaperPipeline, Segmenter, load
 from lidar2pano.scan import Scan
+from lidar2pano.scene.depth import measured_depth
 from lidar2pano.views import VIEWS, View
 from random_weights import LICENCE, TRANSLATOR_VIEW, spread_norms, street, write_scan, write_weights
 
@@ -87,8 +85,8 @@ def test_a_stream_with_poses_is_smoothed(pipeline):
         def __init__(self):
             self.moods = iter((-0.5, 0.1, 0.1))
 
-        def paint(self, past, scene):
-            rows, columns = scene.segments.shape[2:]
+        def paint(self, past, scene, look):
+            rows, columns = scene.depth_m.shape[1:]
             return past, torch.full((1, 3, 2 * rows, 2 * columns), next(self.moods))
 
     scan, still = street(seed=1), np.eye(4)
@@ -97,7 +95,7 @@ def test_a_stream_with_poses_is_smoothed(pipeline):
     assert (plain[0] == 64).all() and (plain[1] == 140).all()
     mean = (64 * LEAST_IMAGES + 140) / (LEAST_IMAGES + 1)
     assert (steady[0].colour == 64).all() and (np.abs(steady[1].colour - mean) < 1).mean() > 0.9
-    assert list(steady[1].milliseconds)[-5:] == ["fuse", "cars", "paint", "steady", "finish"]
+    assert list(steady[1].milliseconds)[-4:] == ["fuse", "paint", "steady", "finish"]
     assert (steady[1].segments == steady[0].segments).mean() > 0.999  # but for ties
     memory, _ = replace(pipeline, painter=Moody()).step(Memory(), scan, still)
     assert memory.previous is not None and memory.around is not None
@@ -105,48 +103,27 @@ def test_a_stream_with_poses_is_smoothed(pipeline):
     assert (again.previous, again.around) == (None, None), "without a pose it begins again"
 
 
-def test_cars_are_kept_from_scan_to_scan_with_poses_only(pipeline, monkeypatch):
-    given, boxes = [], Boxes(*(torch.zeros(2, 1),) * 2, *(torch.ones(1),) * 4, torch.zeros(1, dtype=torch.int64))
-
-    def with_cars(segments, depth_m, view, pose=None, earlier=None):
-        given.append(earlier)
-        return WholeCars(segments, depth_m, segments.new_full((1, 3, *depth_m.shape[1:]), torch.nan), boxes)
-
-    monkeypatch.setattr("lidar2pano.pipeline.with_cars", with_cars)
-    memory = Memory()
-    for pose in (np.eye(4), np.eye(4), None, np.eye(4)):
-        memory, _ = pipeline.step(memory, street(seed=1), pose)
-        assert memory.cars is (None if pose is None else boxes)
-    assert [one is boxes for one in given] == [False, True, False, False]
-
-
 def test_a_stream_with_poses_paints_the_mean_of_its_scans(pipeline):
     """A sensor that stands and sees two streets: the second picture is painted of what `fused` makes of both."""
     painted = []
 
     class Noting:
-        def paint(self, past, scene):
+        def paint(self, past, scene, look):
             painted.append(scene)
-            return past, torch.zeros(1, 3, *(2 * length for length in scene.segments.shape[2:]))
+            return past, torch.zeros(1, 3, *(2 * length for length in scene.depth_m.shape[1:]))
 
     scans, still = [street(seed=1), street(seed=2)], np.eye(4)
     list(replace(pipeline, painter=Noting()).stream(scans, [still] * 2))
-    both = [pipeline.translate(scan, Timer(pipeline.device)) for scan in scans]
-    one, other = (
-        Surroundings(
-            segments=translated.logits.float().softmax(1),
-            depth_m=translated.depth_m.float(),
-            count=torch.ones(translated.depth_m.shape[1:]),
-            measured=rows_beside(translated.channels[:, 0] > 0)[0][0] >= 0,
-            T_world_sensor=torch.eye(4, dtype=torch.float64),
-        )
-        for translated in both
+    first, second = (
+        Surroundings.of(replace(pipeline.translate(scan, Timer(pipeline.device)), T_world_sensor=still))
+        for scan in scans
     )
-    mean = fused(other, one, pipeline.view)
-    assert (mean.depth_m - other.depth_m).abs().max() > 0.1, "the streets differ"
-    for scene, expected in zip(painted, (one, mean), strict=True):
-        assert torch.allclose(scene.segments.float(), expected.segments, atol=2e-3)  # rounded to bfloat16
-        assert torch.allclose(scene.depth_m, expected.depth_m / expected.surface_share, rtol=1e-4)
+    mean = fused(second, first, pipeline.view)
+    assert (mean.depth_m - second.depth_m).abs().max() > 0.1, "the streets differ"
+    for scene, expected in zip(painted, (first, mean), strict=True):
+        assert torch.allclose(scene.probabilities, expected.probabilities, atol=1e-5)
+        assert torch.allclose(scene.depth_m, expected.depth_m, rtol=1e-4)
+        assert torch.equal(scene.surface_share, expected.surface_share)
 
 
 def test_streams_share_nothing(pipeline):
@@ -165,62 +142,75 @@ def test_shapes_and_types(panorama):
         "segments": ((rows, columns), np.uint8),
         "depth_m": ((rows, columns), np.float32),
         "confidence": ((rows, columns), np.float32),
+        "measured": ((rows, columns), np.bool_),
         "labels": ((len(street()),), np.int64),
     }
     assert {name: (getattr(panorama, name).shape, getattr(panorama, name).dtype) for name in expected} == expected
     assert panorama.segments.max() < len(COMMON15)
     assert panorama.labels.max() < len(SEMANTIC_KITTI)
-    assert list(panorama.milliseconds) == ["project", "segment", "clean_up", "translate", "cars", "paint", "finish"]
+    assert list(panorama.milliseconds) == ["project", "segment", "clean_up", "translate", "paint", "finish"]
     assert panorama.colour.std() > 0
 
 
 def test_confidence_is_the_probability_of_the_class(pipeline, panorama, tmp_path):
-    translated = pipeline.translate(street(), Timer(pipeline.device))
-    most = translated.logits[0].float().softmax(0).amax(0)
+    most = pipeline.translate(street(), Timer(pipeline.device)).probabilities.amax(1, keepdim=True)
     assert most.min() > 1 / len(COMMON15) - 1e-6 and panorama.confidence.max() <= 1
-    inner = panorama.confidence.reshape(most.shape[0], 2, most.shape[1], 2).mean((1, 3))  # bilinear keeps means nearly
-    assert np.abs(inner - most.numpy()).mean() < 0.02
+    assert np.array_equal(panorama.confidence, upsample_azimuth(most, 2)[0, 0].numpy())
     (path,) = panorama.save(tmp_path, "confidence")
     assert path.name == "street.confidence.png"
     assert np.abs(read_image(path) / 255 - panorama.confidence).max() <= 0.5 / 255 + 1e-6
 
 
-def test_what_is_predicted_is_corrected_by_what_was_measured(pipeline):
-    """Of our translator; what a network of the paper predicts is its own, as its scores are."""
+def test_measured_pixels_have_the_distance_of_their_nearest_point(panorama, tmp_path):
+    image = project(street(), panorama.view)
+    assert np.array_equal(panorama.measured, image.valid.numpy()) and panorama.measured.any()
+    assert np.array_equal(panorama.depth_m[panorama.measured], image.channels[0][image.valid].numpy())
+    (path,) = panorama.save(tmp_path, "measured")
+    assert path.name == "street.measured.png"
+    assert np.array_equal(read_image(path), panorama.measured * np.uint8(255))
+
+
+def test_predicted_depths_keep_to_the_measurement(pipeline):
+    """Of our translator; a network of the paper predicts its own depths, as its scores are."""
     raw = []
     network = pipeline.translator
-    watched = replace(pipeline, translator=lambda *given: raw.append(network(*given)) or raw[-1])
-    found = watched.translate(street(), Timer(pipeline.device))
-    logits, depth_m = corrected(*raw[0], found.channels, pipeline.view)
-    assert torch.equal(found.logits, logits) and not torch.equal(found.logits, raw[0][0].float())
-    assert torch.equal(found.depth_m, depth_m) and not torch.equal(found.depth_m, raw[0][1])
-    paper = replace(watched, input_view=pipeline.view)
-    assert torch.equal(paper.translate(street(), Timer(pipeline.device)).logits, raw[1][0])
+    watched = replace(pipeline, translator=lambda *inputs: raw.append(network(*inputs)) or raw[-1])
+    scene = watched.translate(street(), Timer(pipeline.device))
+    logits, depth_m = raw[0]
+    assert torch.equal(scene.probabilities, logits.float().softmax(1)) and not torch.equal(scene.depth_m, depth_m)
+    expected = measured_depth(depth_m, scene.channels, scene.ids, scene.viewpoint_m, pipeline.view)
+    assert torch.equal(scene.depth_m, expected)
+    paper = PaperPipeline.of(watched, pipeline.view).translate(street(), Timer(pipeline.device))
+    assert torch.equal(paper.probabilities, raw[1][0].float().softmax(1)) and torch.equal(paper.depth_m, raw[1][1])
 
 
 def test_networks_see_points_between_the_beams_of_a_sparse_sensor(pipeline):
     """Labels are of the scan's own points; networks of the paper are given the scan as it is."""
     points = 12 * directions(VIEWS["hdl64e"])[1::4].reshape(-1, 3).numpy()
     scan = Scan(xyz=points, remission=np.full(len(points), 0.3, np.float32))
-    inputs, network = [], pipeline.translator
-    watched = replace(pipeline, translator=lambda *given: inputs.append(given) or network(*given))
-    found = watched.translate(scan, Timer(pipeline.device))
+    inputs, network, timer = [], pipeline.translator, Timer(pipeline.device)
+    watched = replace(pipeline, translator=lambda *tensors: inputs.append(tensors) or network(*tensors))
+    scene = watched.translate(scan, timer)
     sparse = project(scan, pipeline.view)
-    assert (found.channels[0, 0] > 0).sum() > 1.3 * sparse.valid.sum()
-    assert found.labels.shape == (len(scan),) and torch.equal(found.labels, pipeline.segmenter.points(scan))
-    assert (found.dropped, found.beyond_rows) == (0, 0)
-    assert pipeline(scan).points_between == found.points_between > 0
-    given = np.full(len(scan), 9)
-    labelled = watched.translate(scan, Timer(pipeline.device), given)
+    assert scene.measured.sum() > 1.3 * sparse.valid.sum()
+    assert scene.points.labels.shape == (len(scan),)
+    assert torch.equal(scene.points.labels, pipeline.segmenter.points(scan))
+    assert (scene.points.dropped, scene.points.beyond_rows) == (0, 0)
+    panorama = pipeline(scan)
+    assert panorama.points_between == scene.points.points_between > 0
+    assert np.array_equal(panorama.measured, project(scan, panorama.view).valid.numpy()), "of the scan's own points"
+    labels = np.full(len(scan), 9)
+    labelled = watched.translate(scan, timer, labels)
     channels, condition = inputs[1]
-    assert labelled.labels.tolist() == given.tolist()
-    assert torch.equal(condition[0, 9] == 1, channels[0, 0] > 0), "of the point beside"
-    paper = replace(watched, input_view=pipeline.view)
-    assert torch.equal(paper.translate(scan, Timer(pipeline.device)).channels[0], sparse.channels)
+    assert labelled.points.labels.tolist() == labels.tolist()
+    assert torch.equal(condition[0, 9] == 1, channels[0, 0] > 0), "of the nearest point of the scan"
+    paper = PaperPipeline.of(watched, pipeline.view)
+    assert torch.equal(paper.translate(scan, timer).channels[0], sparse.channels)
 
 
 def test_nothing_is_claimed_out_of_view(pipeline):
-    assert (pipeline(replace(street(), gaps_deg=((60.0, -60.0),))).confidence == 0).any()
+    panorama = pipeline(replace(street(), gaps_deg=((60.0, -60.0),)))
+    assert (panorama.confidence == 0).any() and not panorama.measured[panorama.confidence == 0].any()
 
 
 def test_every_point_has_a_label_and_dropped_ones_have_none(pipeline):
@@ -292,7 +282,8 @@ class Fixed(nn.Module):
 def test_the_sky_has_no_depth(pipeline):
     found = replace(pipeline, translator=Fixed())(street())
     assert (found.segments[:6] == SKY).all() and (found.segments[6:] == 7).all()
-    assert (found.depth_m[:6] == 0).all() and (found.depth_m[6:] > 0).all()
+    assert (found.depth_m[:6] == 0)[~found.measured[:6]].all() and (found.depth_m[6:] > 0).all()
+    assert (found.depth_m[found.measured] > 0).all(), "but a point that was measured keeps its distance"
 
 
 def test_the_viewpoint_can_be_moved_to_a_camera(pipeline):
@@ -372,12 +363,12 @@ def test_folding_norms_changes_nothing(network, widths):
 def test_grown_classes_are_those_of_the_grown_logits(factor, chunk):
     logits = torch.randn(1, 16, 12, 40, generator=torch.Generator().manual_seed(7))
     logits[:, 3, 4:, 15:35] += 9  # inside, all pixels are of one class
-    expected = grow_circular(logits, factor)[0].argmax(0).to(torch.uint8)
+    expected = upsample_azimuth(logits, factor)[0].argmax(0).to(torch.uint8)
     for layout in (torch.contiguous_format, torch.channels_last):
-        assert torch.equal(grown_classes(logits.to(memory_format=layout), factor, chunk), expected)
+        assert torch.equal(upsample_classes(logits.to(memory_format=layout), factor, chunk), expected)
     probabilities = logits.softmax(1)
-    expected = grow_circular(probabilities.clamp(min=1e-3).log(), factor)[0].argmax(0).to(torch.uint8)
-    assert torch.equal(grown_classes(probabilities, factor, chunk, least=1e-3), expected)
+    expected = upsample_azimuth(probabilities.clamp(min=1e-3).log(), factor)[0].argmax(0).to(torch.uint8)
+    assert torch.equal(upsample_classes(probabilities, factor, chunk, least=1e-3), expected)
 
 
 class Copies(nn.Module):
@@ -613,10 +604,10 @@ def test_a_video_painter_paints_the_stream_frame_after_frame(random_weights, tmp
 
 def test_the_panorama_is_what_the_video_painter_painted(random_weights, tmp_path):
     pipeline = load(video_weights(random_weights, tmp_path / "video"), "cpu")
-    found = pipeline.translate(street(), Timer(pipeline.device))
+    scene = pipeline.translate(street(), Timer(pipeline.device))
     with torch.inference_mode(), fast_arithmetic(pipeline.device):
-        _, colours = pipeline.painter.follow(None, grown_classes(found.logits.softmax(1), 1))
-    expected = ((grow_circular(colours[None], 2)[0] + 1) * 127.5).round().movedim(0, 2)
+        _, colours = pipeline.painter.follow(None, upsample_classes(scene.probabilities, 1))
+    expected = ((upsample_azimuth(colours[None], 2)[0] + 1) * 127.5).round().movedim(0, 2)
     assert np.array_equal(pipeline(street()).colour, expected.numpy())
 
 

@@ -20,7 +20,7 @@ from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.models import build
 from lidar2pano.models.card import load
-from lidar2pano.models.titan_pano import depth_code
+from lidar2pano.scene.depth import depth_code
 from lidar2pano.train.checkpoint import load_checkpoint
 from lidar2pano.train.engine import train
 from lidar2pano.train.recipe import resolved

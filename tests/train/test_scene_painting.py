@@ -8,16 +8,26 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from lidar2pano.appearance.cars import WholeCars
+from lidar2pano.appearance.painter_inputs import OPENINGS, framed, twice
 from lidar2pano.data.frames import IGNORE
-from lidar2pano.geometry.whole_cars import WholeCars
 from lidar2pano.losses import PatchStatistics
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, save
-from lidar2pano.models.scene_painter import BUILDING, CAR, OPENINGS, ROAD, VEGETATION, framed, twice
 from lidar2pano.train import scene_painting
 from lidar2pano.train.painter_recipes import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingSample
-from lidar2pano.train.scene_painting import HUE, MATCHED, SPREAD, ScenePainting, teacher_of
+from lidar2pano.train.scene_painting import (
+    BUILDING,
+    CAR,
+    HUE,
+    MATCHED,
+    ROAD,
+    SPREAD,
+    VEGETATION,
+    ScenePainting,
+    teacher_of,
+)
 from lidar2pano.views import VIEWS
 
 WIDTHS = (4, 6, 8, 10)
@@ -144,11 +154,13 @@ def test_a_teachers_image_is_learned_where_no_camera_looked(task, batch):
 
 
 def test_drawn_crops_have_whole_cars_and_invented_tones(task, batch, monkeypatch):
-    def with_cars(segments, depth_m, window, pose):
-        assert window.columns == segments.shape[3] and pose.shape == (4, 4)
-        return WholeCars(segments * 0 + 0.5, depth_m + 1, segments[:, :3] * 0 + 0.25)
+    def with_cars(scene):
+        segments = scene.probabilities
+        assert scene.view.columns == segments.shape[3] and scene.T_world_sensor.shape == (4, 4)
+        return WholeCars(segments * 0 + 0.5, scene.depth_m + 1, segments[:, :3] * 0 + 0.25)
 
     monkeypatch.setattr(scene_painting, "with_cars", with_cars)
+    task.view = replace(task.view, rows=32)
     flat = batch.flat()
     segments = torch.rand(2, 16, 32, 64)
     drawn = torch.tensor([False, True])[:, None, None]

@@ -20,7 +20,7 @@ from lidar2pano.hardware import has_bfloat16, pick_device
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.models import build
 from lidar2pano.models.families import DEFAULT, families
-from lidar2pano.pipeline import Pipeline, Segmenter, load, made_fast
+from lidar2pano.pipeline import Pipeline, Segmenter, assemble, load, made_fast
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS
 
@@ -150,12 +150,12 @@ def untrained(device: torch.device, engine: str = "torch") -> Pipeline:
         accelerated(made_fast(build(name).eval().to(device)), name, "", engine, device)
         for name in ("salsanext", "titan-pano", "scene-painter")
     )
-    return Pipeline(
-        segmenter=Segmenter(network=segmenter, view=VIEWS["hdl64e"], normalise=Normalisation()),
-        translator=translator,
-        painter=painter,  # pyright: ignore[reportArgumentType] a ScenePainter, as built
-        view=VIEWS["panorama"].scaled(0.5),
-        device=device,
+    return assemble(
+        Segmenter(network=segmenter, view=VIEWS["hdl64e"], normalise=Normalisation()),
+        translator,
+        painter,  # pyright: ignore[reportArgumentType] a ScenePainter, as built
+        VIEWS["panorama"].scaled(0.5),
+        device,
         engine=pick_engine(engine, device),
     )
 

@@ -28,9 +28,9 @@ def export(
     """Write segmenter, translator and painter as ONNX graphs, each compared with torch first."""
     import torch
 
+    from lidar2pano.appearance.noise import BITS, noise_tile
     from lidar2pano.cli.options import check_folder
     from lidar2pano.engines.export import Exportable, check_exportable, export
-    from lidar2pano.geometry.solid_noise import BITS, noise_tile
     from lidar2pano.hardware import keep_buffers
     from lidar2pano.pipeline import load
 

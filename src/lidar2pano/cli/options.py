@@ -76,7 +76,9 @@ EngineOption = Annotated[
         help="Engine of the networks; auto: OpenVINO if --engine openvino compiled them before, else torch.",
     ),
 ]
-SaveOption = Annotated[str, typer.Option(metavar="LIST", help="Outputs: rgb,segments,labels,depth or all; confidence.")]
+SaveOption = Annotated[
+    str, typer.Option(metavar="LIST", help="Outputs: rgb,segments,labels,depth or all; confidence, measured.")
+]
 ViewOption = Annotated[bool, typer.Option("--view", help="Write DIR/view.html to look around in, and open it.")]
 PlyOption = Annotated[bool, typer.Option("--ply", help="Write DIR/<stem>.ply: the points with colours and classes.")]
 StrictOption = Annotated[bool, typer.Option("--strict", help="A scan that is as no LiDAR gives it is an error.")]
@@ -98,11 +100,11 @@ def parse_camera(calib: Path | None, image_size: str) -> Calibration | None:
     return read_calib(calib, size) if calib else None
 
 
-def parse_save(text: str, confidence: bool = False) -> tuple[str, ...]:
-    """Return --save's list, in the order of OUTPUTS; `confidence` may be in it, too, but "all" does not include it."""
-    from lidar2pano.panorama import CONFIDENCE, OUTPUTS
+def parse_save(text: str, extra: bool = False) -> tuple[str, ...]:
+    """Return --save's list, in the order of OUTPUTS; with `extra` it may name EXTRA_OUTPUTS, which "all" does not."""
+    from lidar2pano.panorama import EXTRA_OUTPUTS, OUTPUTS
 
-    outputs = (*OUTPUTS, CONFIDENCE) if confidence else OUTPUTS
+    outputs = (*OUTPUTS, *EXTRA_OUTPUTS) if extra else OUTPUTS
     names = {name.strip() for name in text.split(",") if name.strip()}
     if not names:
         raise InputError(f"--save: empty list; choose from {', '.join(outputs)} and all")

@@ -69,7 +69,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         sensor=sensor,
         out=opt.check_folder(out, "--out"),
         calibration=opt.parse_camera(calib, image_size),
-        save=opt.parse_save(save, confidence=True),
+        save=opt.parse_save(save, extra=True),
         as_json=as_json,
         reading=ReadingOptions(
             selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),

@@ -15,7 +15,7 @@ from lidar2pano.data.frames import IGNORE, Frame, PanoramaGroundTruth
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
 from lidar2pano.geometry.camera import at_camera
-from lidar2pano.geometry.depth_completion import complete_depth
+from lidar2pano.scene.depth import complete_depth
 from lidar2pano.geometry.projection import RangeImage, project
 from lidar2pano.geometry.stitching import CameraImage, stitch
 from lidar2pano.labels import COMMON15, TABLES

@@ -18,10 +18,10 @@ from lidar2pano.geometry.projection import Normalisation, one_hot_layers, projec
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import SEMANTIC_KITTI, TABLES
 from lidar2pano.models.card import Card, load, read_card
-from lidar2pano.models.titan_pano import depth_code
 from lidar2pano.models.vid2vid import Vid2Vid, Vid2VidSingle
 from lidar2pano.models.vid2vid_painter import Past, Vid2VidPainter
 from lidar2pano.pipeline import Segmenter
+from lidar2pano.scene.depth import depth_code
 from lidar2pano.views import VIEWS, View
 
 

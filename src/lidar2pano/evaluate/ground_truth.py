@@ -22,13 +22,13 @@ from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.evaluate.panorama_system import SAME_PLACE_M
 from lidar2pano.formats.json_files import json_lines
 from lidar2pano.geometry.camera import Lookup, panorama_in_camera
-from lidar2pano.geometry.depth_completion import complete_depth
 from lidar2pano.geometry.flow import Flow, ego_flow, scan_distances
 from lidar2pano.geometry.projection import directions, pixels
 from lidar2pano.geometry.warp import warp
 from lidar2pano.labels import COMMON15
 from lidar2pano.memory import may_move
 from lidar2pano.panorama import Panorama
+from lidar2pano.scene.depth import complete_depth
 from lidar2pano.views import View
 
 SAME_MOUNT_M = 0.02  # calibrations of one mount, written frame by frame, differ by less

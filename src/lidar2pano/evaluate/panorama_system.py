@@ -13,27 +13,27 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.evaluate.interface import Prediction, SystemInfo, SystemInput
 from lidar2pano.geometry.camera import panorama_in_camera
 from lidar2pano.hardware import Timer
-from lidar2pano.models.scene_painter import Scene
+from lidar2pano.memory import Memory
 from lidar2pano.panorama import Panorama
-from lidar2pano.pipeline import TINY, Memory, Pipeline, Translated
+from lidar2pano.pipeline import Pipeline
+from lidar2pano.scene.record import Scene
 
 SAME_PLACE_M = 1e-6
+TINY = 1e-20  # least probability whose logarithm is taken
 
 
 class NoPainter:
     """A painter whose panoramas are grey, for systems without colours."""
 
-    def paint(self, past: Any, scene: Scene) -> tuple[Any, Tensor]:  # noqa: ANN401
-        """As StreamPainter."""
-        rows, columns = scene.segments.shape[-2:]
-        return past, scene.segments.new_zeros(1, 3, 2 * rows, 2 * columns)
+    def paint(self, past: Any, scene: Scene, look: str = "") -> tuple[Any, Tensor]:  # noqa: ANN401, ARG002
+        """Paint a scene; arguments and answer as of StreamPainter."""
+        return past, scene.depth_m.new_zeros(1, 3, 2 * scene.view.rows, 2 * scene.view.columns)
 
 
 class _View(NamedTuple):
-    """What the pipeline makes from one viewpoint."""
+    """The scene around one viewpoint, and its panorama where one was requested."""
 
-    pipeline: Pipeline
-    translated: Translated
+    scene: Scene
     panorama: Panorama | None
 
 
@@ -41,8 +41,8 @@ class _View(NamedTuple):
 class PanoramaSystem:
     """`titan-pano` and a painter of panoramas.
 
-    The camera's classes are sampled from the class scores around the camera's optical centre, its colours from the
-    panorama. A panorama around another point is a second run.
+    The camera's classes and depths are sampled from the scene around the camera's optical centre, fused over time in a
+    steady system, its colours from the panorama. A panorama around another point is a second run.
 
     paints  whether it has a painter;  steady: whether it uses the sensor's pose, where it is known, to smooth its
             panoramas over time.
@@ -56,7 +56,7 @@ class PanoramaSystem:
 
     @torch.inference_mode()
     def predict(self, inputs: SystemInput, memory: Any = None) -> tuple[Any, Prediction]:  # noqa: ANN401
-        """As System."""
+        """Predict one frame; arguments and answer as of System."""
         pipeline, calibration = self.pipeline, inputs.calibration
         viewpoints = _viewpoints(inputs)
         if not viewpoints:
@@ -71,14 +71,15 @@ class PanoramaSystem:
             if not inputs.colours:
                 moved = replace(moved, painter=NoPainter())
             own_timer = Timer(pipeline.device) if number else timer
-            translated, panorama = moved.translate(inputs.scan, own_timer), None
+            scene, panorama = moved.translate(inputs.scan, own_timer), None
+            pose = inputs.pose if self.steady else None
+            memories[name], scene = moved.remember(memories.get(name, Memory()), scene, pose, own_timer)
             if inputs.colours or name == "panorama" or (len(viewpoints) == 1 and inputs.origin is not None):
-                pose = inputs.pose if self.steady else None
-                memories[name], panorama = moved.paint(translated, memories.get(name, Memory()), pose, own_timer)
-            views[name] = _View(moved, translated, panorama)
+                memories[name], panorama = moved.paint(memories[name], scene, own_timer)
+            views[name] = _View(scene, panorama)
         around = views.get("panorama", views.get("camera")) if inputs.origin is not None else None
         prediction = Prediction(
-            point_labels=next(iter(views.values())).translated.labels.cpu().numpy(),
+            point_labels=_labels(next(iter(views.values())).scene),
             panorama=around.panorama if around else None,
             painted=self.paints and inputs.colours,
             milliseconds=timer.milliseconds,
@@ -88,20 +89,25 @@ class PanoramaSystem:
         return memories, self._in_camera(prediction, views["camera"], calibration, timer)
 
     def _in_camera(self, prediction: Prediction, view: _View, calibration: Calibration, timer: Timer) -> Prediction:
-        """The prediction with the camera's image."""
+        """Add the camera's classes, depths and image to the prediction."""
         with timer("camera"):
-            lookup = panorama_in_camera(view.pipeline.view, calibration).to(view.pipeline.device)
-            segments, depth_m, *_ = view.pipeline.completed(view.translated)
-            ids = lookup.linear(segments[0].clamp(min=TINY).log()).max(0).indices
-            depth_m = lookup.linear(depth_m[0].float())
+            scene = view.scene
+            lookup = panorama_in_camera(scene.view, calibration).to(scene.depth_m.device)
+            ids = lookup.linear(scene.probabilities[0].clamp(min=TINY).log()).max(0).indices
+            depth_m = lookup.linear(scene.depth_m[0])
         image: np.ndarray | None = None
         if prediction.painted and view.panorama is not None:
             image = view.panorama.to_camera(calibration).colour
         return replace(prediction, camera_labels=ids.cpu().numpy(), depth_m=depth_m.cpu().numpy(), image=image)
 
 
+def _labels(scene: Scene) -> np.ndarray:
+    assert scene.points is not None, "scenes of scans have them"
+    return scene.points.labels.cpu().numpy()
+
+
 def _viewpoints(inputs: SystemInput) -> dict[str, tuple[float, float, float]]:
-    """Origins of "camera" and "panorama"; where they are the same, only "camera"."""
+    """Return the origins of "camera" and "panorama"; where they are the same, only of "camera"."""
     viewpoints: dict[str, tuple[float, float, float]] = {}
     if inputs.calibration is not None:
         viewpoints["camera"] = inputs.calibration.centre

@@ -18,7 +18,7 @@ from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.hardware import pick_device
 from lidar2pano.models import families
 from lidar2pano.models.card import Card, load, read_card
-from lidar2pano.pipeline import Pipeline, Segmenter, card_view, load_painter, load_part, load_segmenter
+from lidar2pano.pipeline import Segmenter, assemble, card_view, load_painter, load_part, load_segmenter
 from lidar2pano.views import sensor_view
 
 STEADY = "steady"  # last part of a chain: panoramas are smoothed over time by the sensor's poses
@@ -109,7 +109,7 @@ def _panorama(
     painter = load_painter(files["painter"], first, view, device, engine)[0] if "painter" in files else NoPainter()
     return PanoramaSystem(
         info=_info(name, files),
-        pipeline=Pipeline(segmenter=segmenter, translator=translator, painter=painter, view=view, device=device),
+        pipeline=assemble(segmenter, translator, painter, view, device),
         paints="painter" in files,
     )
 

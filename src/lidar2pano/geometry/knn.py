@@ -74,19 +74,44 @@ def vote(
     search = len(weights)
     table = _padded(_keys(ranges, ids), search // 2, circular)
     corner = centre[0] * table.shape[1] + centre[1]
-    nearest: list[Tensor] = []
-    for offset, weight in enumerate(weights.flatten().tolist()):
-        step = offset // search * table.shape[1] + offset % search
-        key = table.flatten()[step:].index_select(0, corner)
-        distance = key.view(torch.float32)[HIGH::2]  # the neighbour's range, in place
-        distance.sub_(range_m).abs_().mul_(weight)
-        if offset == weights.numel() // 2:
-            distance.masked_fill_(own, 0)
-        for slot, held in enumerate(nearest):
-            nearest[slot], key = torch.minimum(held, key), torch.maximum(held, key)
-        if len(nearest) < neighbours:
-            nearest.append(key)
-    return _most_named([_class_within(key, cutoff_m) for key in nearest])
+    places = [row * table.shape[1] + column for row in range(search) for column in range(search)]
+    table = table.flatten()
+    keys = torch.stack([table[place:].index_select(0, corner) for place in places])
+    distance = keys.view(torch.float32)[:, HIGH::2]  # the neighbours' ranges, in place
+    distance.sub_(range_m).abs_().mul_(weights.to(distance).view(-1, 1))
+    distance[weights.numel() // 2].masked_fill_(own, 0)
+    return _most_named(_class_within(torch.stack(_least(list(keys.unbind(0)), neighbours)), cutoff_m))
+
+
+def _least(keys: list[Tensor], number: int) -> list[Tensor]:
+    """Return the least `number` of some keys, element by element, in any order.
+
+    Groups are sorted and merged: of two sorted lists the least are the smaller of the first of one and the last of the
+    other, and so on. One tensor at a time stays in a CPU's cache.
+    """
+    groups = [keys[first : first + number] for first in range(0, len(keys), number)]
+    least = groups[0]
+    for group in groups[1:]:
+        least, group = _sorted(least), _sorted(group)  # noqa: PLW2901 sorted
+        kept = number - len(group)
+        least = least[:kept] + [torch.minimum(*pair) for pair in zip(least[kept:], group[::-1], strict=True)]
+    return least
+
+
+def _sorted(keys: list[Tensor]) -> list[Tensor]:
+    """Sort some keys, element by element, by a network of comparators (Knuth 1998, section 5.3.4)."""
+    keys = list(keys)
+    for first, second in _comparators(len(keys)):
+        low, high = keys[first], keys[second]
+        keys[first], keys[second] = torch.minimum(low, high), torch.maximum(low, high)
+    return keys
+
+
+def _comparators(number: int) -> list[tuple[int, int]]:
+    """Return a sorting network: the shortest for five, else odd-even transposition."""
+    if number == 5:
+        return [(0, 3), (1, 4), (0, 2), (1, 3), (0, 1), (2, 4), (1, 2), (3, 4), (2, 3)]
+    return [(first, first + 1) for step in range(number) for first in range(step % 2, number - 1, 2)]
 
 
 def _keys(metres: Tensor, ids: Tensor) -> Tensor:
@@ -96,7 +121,7 @@ def _keys(metres: Tensor, ids: Tensor) -> Tensor:
 
 def _class_within(key: Tensor, cutoff_m: float) -> Tensor:
     """The ids (int32) of keys whose metres are within the cut-off, 0 for the others."""
-    metres, ids = key.view(torch.float32)[HIGH::2], key.view(torch.int32)[1 - HIGH :: 2]
+    metres, ids = key.view(torch.float32)[:, HIGH::2], key.view(torch.int32)[:, 1 - HIGH :: 2]
     return ids * (metres <= cutoff_m)
 
 
@@ -112,13 +137,11 @@ def _padded(keys: Tensor, reach: int, circular: bool) -> Tensor:
     return table
 
 
-def _most_named(labels: list[Tensor]) -> Tensor:
-    """The class that most of the labels (each (N,)) name, 0 not counted; of equals the one of the lowest id."""
-    best = torch.zeros_like(labels[0])
-    for label in labels:
-        count = torch.zeros_like(label)
-        for other in labels:
-            count += other == label
-        rank = (count << LABEL_BITS) | (LAST_LABEL - label)
-        best = torch.maximum(best, rank * (label > 0))
+def _most_named(labels: Tensor) -> Tensor:
+    """Return the class (N,) that most of the labels (K, N) name, 0 not counted; of equals the one of the lowest id."""
+    count = torch.zeros_like(labels)
+    for label in labels.unbind(0):
+        count += labels == label
+    rank = (count << LABEL_BITS) | (LAST_LABEL - labels)
+    best = (rank * (labels > 0)).amax(0)
     return (LAST_LABEL - (best & LAST_LABEL)).long() * (best > 0)

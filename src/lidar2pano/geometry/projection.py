@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import embedding
 
-from lidar2pano.geometry.roughness import deviations
+from lidar2pano.geometry.rasters import as_float
 from lidar2pano.scan import Scan
 from lidar2pano.views import View, view_of
 
@@ -65,6 +66,8 @@ class RangeImage:
         return torch.cat([values, values.new_full((1,), empty)])[self.index]  # where no point is, -1: the last
 
 
+NEIGHBOURS_PX = (1, 2, 3)  # how far to either side of a point lie the two whose mean it is compared with
+LEAST_DEVIATION_M, MOST_DEVIATION_M = 0.001, 1.0  # what is added to a deviation, and the largest that counts
 ROUGHNESS = (math.log(0.03), 1.3)  # mean and deviation of the logarithm of the roughness, metres
 
 
@@ -73,7 +76,7 @@ class Normalisation:
     """Means and deviations of the five channels range, x, y, z (metres) and remission; a sixth: log of the roughness.
 
     The defaults are those of the published weights (SqueezeSeg's numbers, as SalsaNext and TITAN-Net use them).
-    Roughness (geometry.roughness, metres) is millimetres to decimetres: the half precision that networks compute in
+    Roughness (`deviations`, metres) is millimetres to decimetres: the half precision that networks compute in
     cannot tell it from ranges, of which a step is 4 cm at 10 m.
     """
 
@@ -109,6 +112,24 @@ class Normalisation:
         return torch.cat([read, rough])
 
 
+def deviations(channels: Tensor) -> tuple[Tensor, Tensor]:
+    """Sums and numbers, both (B, H, W), of the logarithms of how far a point is from lines between those beside it.
+
+    channels  (B, 5, H, W) of a RangeImage; rows are a beam's, or nearly.
+    """
+    flat = torch.hypot(channels[:, 1].float(), channels[:, 2].float())
+    there = as_float(flat > 0)
+    inverse = there / flat.clamp(min=LEAST_DEVIATION_M)
+    total, count = torch.zeros_like(flat), torch.zeros_like(flat)
+    for away in NEIGHBOURS_PX:
+        left, right = inverse.roll(away, 2), inverse.roll(-away, 2)
+        known = there.roll(away, 2).mul_(there.roll(-away, 2)).mul_(there)
+        off_m = ((left + right).mul_(0.5).sub_(inverse)).abs_().mul_(flat).mul_(flat)  # to first order
+        total += off_m.add_(LEAST_DEVIATION_M).clamp_(max=MOST_DEVIATION_M).log_().mul_(known)
+        count += known
+    return total, count
+
+
 def project(scan: Scan, view: View | str, *, device: str | torch.device = "cpu") -> RangeImage:
     """Project a scan onto a view's raster.
 
@@ -122,8 +143,48 @@ def project(scan: Scan, view: View | str, *, device: str | torch.device = "cpu")
     return project_points(xyz, remission, view)
 
 
+class _Placed(NamedTuple):
+    """Points (N,) seen from a view's origin, and their place on its raster; cell H * W: none."""
+
+    xyz: tuple[Tensor, Tensor, Tensor]
+    range_m: Tensor
+    row: Tensor
+    column: Tensor
+    cell: Tensor
+    usable: Tensor
+
+
 def project_points(xyz: Tensor, remission: Tensor, view: View) -> RangeImage:
-    """Like `project`, for tensors on any device: xyz (N, 3) float32 metres, remission (N,) float32."""
+    """Project like `project`, but tensors on any device: xyz (N, 3) float32 metres, remission (N,) float32."""
+    placed, cells = _placed(xyz, remission, view), view.rows * view.columns
+    index = nearest_points(placed.cell, placed.range_m, cells)
+    owned = (index >= 0).nonzero()[:, 0]
+    owner = index.index_select(0, owned)
+    channels = xyz.new_zeros(5, cells)
+    for channel, value in zip(channels, (placed.range_m, *placed.xyz, remission), strict=True):
+        channel.scatter_(0, owned, value.index_select(0, owner))
+    index = index.view(view.rows, view.columns)
+    return RangeImage(
+        view=view,
+        channels=channels.view(5, view.rows, view.columns),
+        valid=index >= 0,
+        index=index,
+        row=placed.row,
+        column=placed.column,
+        range_m=placed.range_m,
+        usable=placed.usable,
+    )
+
+
+def nearest_ranges(scan: Scan, view: View, *, device: str | torch.device = "cpu") -> Tensor:
+    """Return the distance (H, W) float32 of the nearest point in each pixel from the view's origin; 0 where none is."""
+    xyz, remission = (torch.from_numpy(part).to(device) for part in (scan.xyz, scan.remission))
+    placed, cells = _placed(xyz, remission, view), view.rows * view.columns
+    nearest = placed.range_m.new_full((cells + 1,), torch.inf).scatter_reduce_(0, placed.cell, placed.range_m, "amin")
+    return nearest[:cells].nan_to_num_(posinf=0).view(view.rows, view.columns)
+
+
+def _placed(xyz: Tensor, remission: Tensor, view: View) -> _Placed:
     x, y, z = (axis.contiguous() for axis in xyz.unbind(1))
     squared = x * x + y * y + z * z
     usable = torch.isfinite(squared + remission) & (squared > 0)
@@ -137,25 +198,8 @@ def project_points(xyz: Tensor, remission: Tensor, view: View) -> RangeImage:
     if view.circular:
         column = column.remainder(view.columns)
     inside = usable & (row >= 0) & (row < view.rows) & (column >= 0) & (column < view.columns)
-    cells = view.rows * view.columns
-    cell = torch.where(inside, row * view.columns + column, cells)
-    index = nearest_points(cell, range_m, cells)
-    owned = (index >= 0).nonzero()[:, 0]
-    owner = index.index_select(0, owned)
-    channels = xyz.new_zeros(5, cells)
-    for channel, value in zip(channels, (range_m, x, y, z, remission), strict=True):
-        channel.scatter_(0, owned, value.index_select(0, owner))
-    index = index.view(view.rows, view.columns)
-    return RangeImage(
-        view=view,
-        channels=channels.view(5, view.rows, view.columns),
-        valid=index >= 0,
-        index=index,
-        row=row,
-        column=column,
-        range_m=range_m,
-        usable=usable,
-    )
+    cell = torch.where(inside, row * view.columns + column, view.rows * view.columns)
+    return _Placed((x, y, z), range_m, row, column, cell, usable)
 
 
 def fitted_view(scan: Scan, view: View, tallest: View | None) -> View:

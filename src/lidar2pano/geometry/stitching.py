@@ -1,7 +1,7 @@
 """Stitching: the images of several cameras -> a panorama on the raster of a view.
 
 The cameras stand beside the view's origin, so a pixel's place in their images depends on how far away the surface is:
-the look-up needs a depth per pixel (`geometry.depth_completion` makes one of a scan). A wrong depth moves the look-up
+the look-up needs a depth per pixel (`scene.depth` makes one of a scan). A wrong depth moves the look-up
 by baseline x focal_px x |1/depth - 1/true| pixels.
 """
 

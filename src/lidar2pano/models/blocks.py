@@ -7,52 +7,14 @@ added, as engines do while they convolve: to copy them into one takes longer.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
-from typing import Any, cast
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import conv2d
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from lidar2pano.geometry.odds import likeliest
-
-
-def closed(x: Tensor, reach: int, before: int = 0) -> Tensor:
-    """(B, C, H, W) with `reach` columns of the other end at each side: (B, C, H, W + 2 reach).
-
-    before  how many such columns the image has at each side already.
-    """
-    if not reach:
-        return x
-    if x.requires_grad and torch.is_grad_enabled() and not torch.compiler.is_compiling():
-        return _Closed.apply(x, reach, before)  # pyright: ignore[reportReturnType]
-    left, right = _ends(x, reach, before)
-    return torch.cat([left, x, right], dim=3)
-
-
-def _ends(x: Tensor, reach: int, before: int) -> tuple[Tensor, Tensor]:
-    """The columns that `closed` puts to the left and to the right of an image."""
-    first = x.shape[3] - reach - 2 * before
-    return x[..., first : first + reach], x[..., 2 * before : 2 * before + reach]
-
-
-class _Closed(torch.autograd.Function):
-    """`closed` for training: the gradient of each slice would be a whole image, a fifth of a painter's step."""
-
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, reach: int, before: int) -> Tensor:  # noqa: ANN401
-        ctx.columns = reach, before
-        return closed(x, reach, before)  # no gradients are recorded in here
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:  # noqa: ANN401
-        (grad,), (reach, before) = grads, ctx.columns
-        inner = grad[..., reach:-reach].clone()
-        left, right = _ends(inner, reach, before)
-        left += grad[..., :reach]
-        right += grad[..., -reach:]
-        return inner, None, None
+from lidar2pano.geometry.rasters import pad_azimuth
 
 
 class CircularConv(nn.Conv2d):
@@ -66,15 +28,15 @@ class CircularConv(nn.Conv2d):
         """Convolve with rows padded by zeros and columns by those of the other end.
 
         parts     (B, inputs, H, W), or such images of fewer channels each, which together are the inputs.
-        has_ends  whether they are `closed` already, so that none has to be copied: what comes out of a convolution of
-                  stride 1 has as many columns less its reach at either side.
+        has_ends  whether they are padded by `pad_azimuth` already, so that none has to be copied: the answer of a
+                  convolution of stride 1 has its reach fewer columns at either side.
         """
         reach, stride = self.reach, self.stride[0]
         if has_ends:
             return summed(self, parts, (reach, 0))
         if reach and stride == 1 and not torch.is_grad_enabled() and parts[0].shape[3] >= 2 * reach:
             return self._mended(parts)
-        return summed(self, [closed(part, reach) for part in parts], (reach, 0))
+        return summed(self, [pad_azimuth(part, reach) for part in parts], (reach, 0))
 
     def _mended(self, parts: Sequence[Tensor]) -> Tensor:
         """The same without a copy of the whole picture: only what lies next to the seam is done again, closed."""
@@ -110,45 +72,6 @@ class CircularResidual(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """x + what the two convolutions add, activated."""
         return self.act(x + self.second(self.dropout(self.first(x))))
-
-
-def grow_circular(x: Tensor, factor: int) -> Tensor:
-    """Enlarge (B, C, H, W) bilinearly by a whole factor; columns interpolate across the seam."""
-    grown = nn.functional.interpolate(closed(x, 1), scale_factor=factor, mode="bilinear", align_corners=False)
-    return grown[..., factor:-factor]
-
-
-def grown_classes(logits: Tensor, factor: int, chunk: int = 1 << 14, least: float = 0) -> Tensor:
-    """The classes (H * factor, W * factor) uint8 that logits (1, C, H, W) name once `grow_circular` has enlarged them.
-
-    Only where a neighbour is of another class are logits enlarged: means of logits that name one class name it, too.
-    chunk  pixels for which that is done at a time: a small piece stays in the processor's cache.
-    least  not 0: instead of logits there are probabilities, of whose logarithms none is below that of `least`.
-    """
-    height, width = logits.shape[2:]
-    ids = likeliest(logits)[0]
-    ids = torch.cat([ids[:1], ids, ids[-1:]])
-    beside = ids.roll(-1, 1)
-    border = (ids[:-1] != ids[1:]) | (ids[:-1] != beside[:-1]) | (ids[:-1] != beside[1:])  # between four pixels
-    grown = ids[:, None, :, None].repeat(1, factor, 1, factor)
-    pixels, places = logits[0].flatten(1), _between_two(factor)
-    for row, column in zip(*(part.split(chunk) for part in border.nonzero(as_tuple=True)), strict=True):
-        rows = [(row + step).clamp(0, height - 1) * width for step in (-1, 0)]
-        columns = column, (column + 1) % width
-        around = pixels.index_select(1, torch.cat([one + other for one, other in product(rows, columns)])).float()
-        around = around.clamp_(min=least).log_() if least else around
-        upper, lower = around.unflatten(1, (2, 2, -1)).unbind(1)
-        for down, i, share in places:
-            left, right = torch.lerp(upper, lower, share).unbind(1)
-            for across, j, part in places:
-                grown[row + down, i, columns[across], j] = likeliest(torch.lerp(left, right, part)[None, :, None])[0, 0]
-    return grown[1:-1].reshape(height * factor, width * factor)
-
-
-def _between_two(factor: int) -> list[tuple[int, int, float]]:
-    """What lies from one pixel's middle to the next one's, enlarged: of which (0, 1), its number there, how far on."""
-    shares = [(place + 0.5) / factor - 0.5 for place in range(factor)]  # of the pixel before (below 0) or after
-    return [(int(share < 0), place, share % 1) for place, share in enumerate(shares)]
 
 
 def fold_norms(network: nn.Module) -> nn.Module:

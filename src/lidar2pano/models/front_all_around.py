@@ -16,12 +16,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from lidar2pano.geometry.depth_completion import complete_depth
 from lidar2pano.geometry.projection import Normalisation
+from lidar2pano.geometry.rasters import pad_azimuth
 from lidar2pano.labels import COMMON15
-from lidar2pano.models.blocks import closed
 from lidar2pano.models.salsanext import IMAGE_SIZE
-from lidar2pano.models.titan_pano import FAR_M
+from lidar2pano.scene.depth import FAR_M, complete_depth
 from lidar2pano.views import FULL_TURN, VIEWS, View
 
 PANORAMA = VIEWS["panorama"].scaled(0.5)  # 192 x 2304, the raster of the classes
@@ -58,7 +57,7 @@ class FrontAllAround(nn.Module):
         """
         with torch.autocast(channels.device.type, enabled=False):
             output = self.network(
-                *(closed(part.float(), self.overlap) for part in (self._normalised(channels), condition))
+                *(pad_azimuth(part.float(), self.overlap) for part in (self._normalised(channels), condition))
             )
         logits, depth_m = output if isinstance(output, tuple) else (output, None)
         sky = logits.new_full((1, len(COMMON15) - logits.shape[1], *logits.shape[2:]), NEVER)

@@ -49,7 +49,7 @@ from torch.nn.functional import interpolate
 
 from lidar2pano.errors import InputError
 from lidar2pano.models.blocks import InstanceNorm, SummedConv2d
-from lidar2pano.models.titan_pano import FAR_M
+from lidar2pano.scene.depth import FAR_M
 
 STRIDE = 16  # four poolings by two
 WIDTHS = (32, 64, 128, 256)  # of the published network

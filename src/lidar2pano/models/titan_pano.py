@@ -13,11 +13,11 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.errors import InputError
-from lidar2pano.models.blocks import CircularConv, CircularResidual, conv_norm_act, grow_circular
+from lidar2pano.geometry.rasters import upsample_azimuth
+from lidar2pano.models.blocks import CircularConv, CircularResidual, conv_norm_act
+from lidar2pano.scene.depth import LOG_FAR
 
 STRIDE = 16  # input pixels per pixel of the coarsest level
-FAR_M = 120.0  # depths are predicted as log(1 + m) / log(1 + FAR_M)
-LOG_FAR = float(torch.log1p(torch.tensor(FAR_M, device="cpu")))
 
 
 class TitanPano(nn.Module):
@@ -76,7 +76,7 @@ class TitanPano(nn.Module):
         features[-1] = self.surround(features[-1])
         x = self.smooth[-1](self.laterals[-1](features[-1]))
         for depth in (2, 1, 0):
-            x = self.smooth[depth](self.laterals[depth](features[depth]) + grow_circular(x, 2))
+            x = self.smooth[depth](self.laterals[depth](features[depth]) + upsample_azimuth(x, 2))
         x = self.head(torch.cat([self.shuffle(self.fuse(x)), fine], 1))
         depth_m = torch.expm1(self.depth(x)[:, 0].float().sigmoid() * LOG_FAR)
         return self.classes(x), depth_m
@@ -107,8 +107,3 @@ def evidence(image: Tensor) -> Tensor:
     row = torch.linspace(1, -1, image.shape[2], device=image.device, dtype=image.dtype)
     row = row[None, :, None].expand_as(range_m)
     return torch.stack([torch.log1p(range_m) / LOG_FAR, z / 4, remission, valid, row], 1)
-
-
-def depth_code(depth_m: Tensor) -> Tensor:
-    """Depth in metres as the head predicts it and as losses compare it: log(1 + m) / log(1 + FAR_M)."""
-    return torch.log1p(depth_m) / LOG_FAR

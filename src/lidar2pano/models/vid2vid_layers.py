@@ -13,7 +13,8 @@ from torch.nn.functional import avg_pool2d, batch_norm, conv2d, conv_transpose2d
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from lidar2pano.errors import InputError
-from lidar2pano.models.blocks import InstanceNorm, closed
+from lidar2pano.geometry.rasters import pad_azimuth
+from lidar2pano.models.blocks import InstanceNorm
 
 Norm = Callable[[int], nn.Module]
 
@@ -38,7 +39,7 @@ class Padding(Closable, nn.Module):
         """Pad; when closed, columns come from the other end."""
         reach = self.reach
         if self.closed:
-            return pad(closed(x, reach), (0, 0, reach, reach), mode="reflect")
+            return pad(pad_azimuth(x, reach), (0, 0, reach, reach), mode="reflect")
         return pad(x, (reach, reach, reach, reach), mode="reflect")
 
 
@@ -51,7 +52,7 @@ class Halving(Closable, nn.Conv2d):
     def forward(self, x: Tensor) -> Tensor:
         """Convolve; when closed, columns come from the other end."""
         if self.closed:
-            return conv2d(closed(x, 1), self.weight, self.bias, stride=2, padding=(1, 0))
+            return conv2d(pad_azimuth(x, 1), self.weight, self.bias, stride=2, padding=(1, 0))
         return super().forward(x)
 
 

@@ -18,11 +18,11 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, pad
 
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.rasters import upsample_azimuth, upsample_classes
 from lidar2pano.labels import CITYSCAPES_IDS, COMMON15, TABLES, LabelSet
-from lidar2pano.models.blocks import grow_circular, grown_classes
-from lidar2pano.models.scene_painter import Scene
 from lidar2pano.models.vid2vid import Vid2Vid, Vid2VidSingle
 from lidar2pano.models.vid2vid_layers import close
+from lidar2pano.scene.record import Scene
 
 TWICE = Fraction(2)  # the finished panorama's raster is twice that of the segments
 MARGIN = 64  # columns that a panorama overlaps itself by at each end, where its width does not divide
@@ -126,13 +126,13 @@ class Vid2VidPainter(nn.Module):
             )
         return cls(cast("Vid2Vid", generator), cast("Vid2VidSingle | None", single), finer=finer)
 
-    def paint(self, past: Past | None, scene: Scene) -> tuple[Past, Tensor]:
+    def paint(self, past: Past | None, scene: Scene, look: str = "") -> tuple[Past, Tensor]:  # noqa: ARG002 it has one
         """Paint the panorama that follows, from its classes alone; as of models.scene_painter.StreamPainter."""
         grow, shrink = self.finer.as_integer_ratio()
-        past, image = self.follow(past, grown_classes(_shrunk(scene.segments, shrink), grow))
+        past, image = self.follow(past, upsample_classes(_shrunk(scene.probabilities, shrink), grow))
         grow, shrink = (TWICE / self.finer).as_integer_ratio()
         image = _shrunk(image[None], shrink)
-        return past, image if grow == 1 else grow_circular(image, grow)
+        return past, image if grow == 1 else upsample_azimuth(image, grow)
 
     def follow(self, past: Past | None, ids: Tensor) -> tuple[Past, Tensor]:
         """Paint a label map that follows others.

@@ -28,7 +28,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.losses import pooled
 from lidar2pano.losses.adversarial import pix2pix_updates, renamed, wasserstein_updates
 from lidar2pano.metrics.frame_metrics import SSIM
-from lidar2pano.models.titan_pano import depth_code
+from lidar2pano.scene.depth import depth_code
 from lidar2pano.train.front import (
     AUXILIARY,
     HALF,

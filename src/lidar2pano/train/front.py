@@ -26,7 +26,7 @@ from lidar2pano.geometry.projection import one_hot_layers
 from lidar2pano.labels import COMMON14, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.adversarial import pix2pix_updates, renamed, wasserstein_updates
-from lidar2pano.models.titan_pano import depth_code
+from lidar2pano.scene.depth import depth_code
 from lidar2pano.train.predictions import load_segmenter
 from lidar2pano.train.recipe import (
     NO_LIMIT,

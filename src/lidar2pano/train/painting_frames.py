@@ -32,7 +32,7 @@ from lidar2pano.views import View
 NOT_FLIPPED = ("look", "tone", "class_tones", "class_means")
 SCORED_PIXELS = 30  # known pixels of a class in a frame, of every 64th; fewer say nothing about its tone
 MEAN_OF = 48  # frames at most of a look, evenly spaced, for its mean colours
-FORM = 7  # raised when the files of the same frames hold something else
+FORM = 8  # raised when the files of the same frames hold something else
 MARGIN = 48  # columns of a camera's sector that are kept on each side beyond those of a crop
 
 
@@ -167,15 +167,15 @@ class PaintingFrames:
         """Image, segments, depth, validity and remission of a frame in its window, the scene from the scan alone."""
         window, raster = self.crops.window(index), self.pipeline.view
         whole = replace(self.pipeline, view=replace(raster, origin=window.view.origin))
-        found = whole.translate(self.crops.frames[index].scan, Timer(whole.device))
+        scene = whole.translate(self.crops.frames[index].scan, Timer(whole.device))
         start = round((raster.left - window.view.left) * raster.columns / (raster.left - raster.right))
         columns = slice(start, start + window.view.columns)
         total, count = colours_of_classes(window)
         kept = {
-            "segments": found.logits[0, ..., columns].float().softmax(0).half(),
-            "depth_m": found.depth_m[0, :, columns].half(),
-            "valid": found.channels[0, 0, :, columns] > 0,
-            "remission": found.channels[0, 4, :, columns].half(),
+            "segments": scene.probabilities[0, ..., columns].half(),
+            "depth_m": scene.depth_m[0, :, columns].half(),
+            "valid": scene.channels[0, 0, :, columns] > 0,
+            "remission": scene.channels[0, 4, :, columns].half(),
             "camera": window.camera_labels,
             "colour": window.image,
             "seen": window.valid,

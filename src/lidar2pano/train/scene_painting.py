@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -11,6 +12,17 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, mse_loss
 
+from lidar2pano.appearance.cars import with_cars
+from lidar2pano.appearance.painter_inputs import (
+    OPENINGS,
+    TONES,
+    VEHICLES,
+    Hints,
+    framed,
+    painter_inputs,
+    sharpened,
+    twice,
+)
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.projection import one_hot_layers
@@ -29,32 +41,18 @@ from lidar2pano.losses import (
 )
 from lidar2pano.losses.adversarial import DiffAugment, frozen
 from lidar2pano.models.frozen_features import LITE0, ImagenetFeatures
-from lidar2pano.models.scene_painter import (
-    BUILDING,
-    CAR,
-    OPENINGS,
-    PERSON,
-    ROAD,
-    SIGN,
-    TONES,
-    VEGETATION,
-    VEHICLES,
-    Known,
-    ScenePainter,
-    framed,
-    painter_inputs,
-    sharpened,
-    twice,
-    with_cars,
-)
-from lidar2pano.models.titan_pano import depth_code
-from lidar2pano.pipeline import Pipeline, load_part, load_segmenter
+from lidar2pano.models.scene_painter import ScenePainter
+from lidar2pano.pipeline import assemble, load_part, load_segmenter
+from lidar2pano.scene.depth import depth_code
+from lidar2pano.scene.record import Scene
 from lidar2pano.train.painter_recipes import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingFrames, PaintingSample
 from lidar2pano.train.recipe import Recipe
 from lidar2pano.train.task import Teacher, as_image, build_networks, device_of, fix_norms
 from lidar2pano.views import VIEWS, View
 
+NAMES = ("road", "building", "car", "person", "traffic-sign", "vegetation")
+ROAD, BUILDING, CAR, PERSON, SIGN, VEGETATION = map(COMMON15.id_of, NAMES)
 # Pixels on either side of which the tone of a class in a photograph is the mean: each car has a paint, and each tree
 # stands in the sun or in the shade. A random one of three counts.
 NEARBY = {CAR: (3, 8, 20), SIGN: (2, 4, 8), VEGETATION: (6, 16, 40)}
@@ -93,7 +91,7 @@ class ScenePainting:
         device = torch.device("cpu")
         segmenter, _ = load_segmenter(Path(recipe.options.segmenter), device)
         translator, _ = load_part(Path(recipe.options.translator), device, expect="titan-pano")
-        pipeline = Pipeline(segmenter=segmenter, translator=translator, painter=painter, view=self.view, device=device)
+        pipeline = assemble(segmenter, translator, painter, self.view, device)
         self.looks, self.unread = painter.looks, painter.unread
         self.teacher = teacher_of(painter, recipe.options.teacher) if recipe.options.teacher else None
         self.dataset, self.validation = (
@@ -314,8 +312,9 @@ class ScenePainting:
         self, batch: PaintingSample, segments: Tensor, tones: Tensor, window: View, pose: np.ndarray
     ) -> tuple[Tensor, Tensor]:
         """The painter's inputs for a batch, with these tones, and the scan as another sensor might have it."""
-        known = Known(tones, batch.openings)
-        return painter_inputs(segments, batch.depth_m, self._scanned(batch), window, pose, known, self.unread)
+        channels = self._scanned(batch)
+        scene = Scene.predicted(window, channels, segments, batch.depth_m, T_world_sensor=pose)
+        return painter_inputs(scene, Hints(tones, batch.openings), self.unread)
 
     def _somewhere(self, segments: Tensor) -> tuple[View, np.ndarray]:
         """A random sector of the view as wide as the crops, at a random place in the noise."""
@@ -331,9 +330,10 @@ class ScenePainting:
         tones, depth_m, segments = self._tones(batch, segments), batch.depth_m.clone(), segments.clone()
         some = drawn.flatten()
         if bool(some.any()):
-            there = segments.device  # thousands of small steps, which a CPU makes faster
-            whole = with_cars(segments[some].cpu(), depth_m[some].cpu(), window, pose)
-            segments[some], depth_m[some], invented = (part.to(there) for part in whole[:3])
+            device = segments.device  # thousands of small steps, which a CPU makes faster
+            parts = (part[some].cpu() for part in (batch.channels, segments, depth_m))
+            whole = with_cars(Scene.predicted(window, *parts, T_world_sensor=pose))
+            segments[some], depth_m[some], invented = (part.to(device) for part in whole[:3])
             trees = (segments[some, VEGETATION] > 0.5)[:, None]  # in use they are in the sun elsewhere
             tones[some] = torch.where(invented.isnan() & trees, tones[some], invented)
         return batch._replace(depth_m=depth_m), segments, tones
@@ -341,9 +341,9 @@ class ScenePainting:
     def _scanned(self, batch: PaintingSample) -> Tensor:
         """The scan's channels (B, 5, H, W), the remission of each crop as another sensor might have it, or none."""
         channels, options = batch.channels.clone(), self.options
-        by, lot = torch.rand(2, len(channels), 1, 1, device=channels.device)
-        channels[:, 4] *= 1 + options.remission_scale * (2 * by - 1)
-        channels[:, ::4] *= (lot >= options.remission_drop_probability)[:, None]
+        gain, drop_draw = torch.rand(2, len(channels), 1, 1, device=channels.device)
+        channels[:, 4] *= 1 + options.remission_scale * (2 * gain - 1)
+        channels[:, ::4] *= (drop_draw >= options.remission_drop_probability)[:, None]
         return channels
 
     @staticmethod
@@ -388,13 +388,15 @@ class ScenePainting:
         """A validation frame's crop painted from the scan alone: (3, 2H, 2W) in [-1, 1]; and the sample."""
         device = device_of(self.networks["painter"])
         sample = self.validation[index]
-        one = PaintingSample(*(part[None].to(device) for part in sample)).flat()
-        one = one._replace(tone=torch.zeros_like(one.tone))
-        segments = sharpened(one.segments, 2.0)
+        single = PaintingSample(*(part[None].to(device) for part in sample)).flat()
+        single = single._replace(tone=torch.zeros_like(single.tone))
+        segments = sharpened(single.segments, 2.0)
         window, pose = self._somewhere(segments)
-        segments, depth_m, tones, _ = with_cars(segments, one.depth_m, window, pose)
-        inputs = painter_inputs(segments, depth_m, one.channels, window, pose, Known(tones), self.unread)
-        return self.painted(one, inputs)[0].cpu(), sample
+        scene = Scene.predicted(window, single.channels, segments, single.depth_m, T_world_sensor=pose)
+        whole = with_cars(scene)
+        scene = replace(scene, probabilities=whole.segments, depth_m=whole.depth_m)
+        inputs = painter_inputs(scene, Hints(whole.tones), self.unread)
+        return self.painted(single, inputs)[0].cpu(), sample
 
     def validate(self) -> dict[str, float]:
         """Mean distance of pooled colours in [0, 1]; no score, since that is not what is wanted: the latest counts."""

@@ -1,0 +1,17 @@
+"""Scan in, panorama out: the pipelines, and their assembly from weight files."""
+
+from lidar2pano.pipeline.assembly import assemble, card_view, load, load_painter, load_part, load_segmenter, made_fast
+from lidar2pano.pipeline.stages import PaperPipeline, Pipeline, Segmenter
+
+__all__ = [
+    "PaperPipeline",
+    "Pipeline",
+    "Segmenter",
+    "assemble",
+    "card_view",
+    "load",
+    "load_painter",
+    "load_part",
+    "load_segmenter",
+    "made_fast",
+]

@@ -1,0 +1,149 @@
+"""The only place that builds a pipeline: from weight files, or from networks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import cast
+
+import torch
+from torch import nn
+
+from lidar2pano.engines import accelerated, pick_engine
+from lidar2pano.errors import InputError
+from lidar2pano.formats.json_files import validated
+from lidar2pano.geometry.projection import Normalisation
+from lidar2pano.hardware import pick_device
+from lidar2pano.models.blocks import fold_norms
+from lidar2pano.models.card import Card, read_card
+from lidar2pano.models.card import load as load_weights
+from lidar2pano.models.families import DEFAULT, FRONT_VIEW, role, weight_files
+from lidar2pano.models.front_all_around import FrontAllAround
+from lidar2pano.models.scene_painter import StreamPainter
+from lidar2pano.models.vid2vid import Vid2Vid
+from lidar2pano.models.vid2vid_painter import Vid2VidPainter
+from lidar2pano.pipeline.stages import PaperPipeline, Pipeline, Segmenter
+from lidar2pano.views import View
+
+
+def load(
+    weights: str | Path | Mapping[str, Path] = DEFAULT, device: str | torch.device = "auto", engine: str = "auto"
+) -> Pipeline:
+    """A pipeline from a released family, a folder or run of weight files, or one file (the rest: default family).
+
+    weights  or what `models.families.weight_files` made of such a name.
+    device   "auto" (CUDA if there is one), "cpu" or "cuda".
+    engine   "auto" (OpenVINO for what engine="openvino" compiled before, on a CPU that multiplies bfloat16; else
+             torch), "torch", "compile" (torch.compile), "onnx" or "openvino". The last three compile each network
+             when it is first called.
+    Raises InputError when weights, device or engine cannot be had.
+    """
+    picked = pick_device(device)
+    runs_on = pick_engine(engine, picked)
+    files = weights if isinstance(weights, Mapping) else weight_files(weights)
+    if "renderer" in files:
+        raise InputError(f"{files['renderer']}: paints without classes, which `evaluate` can do only; name a family")
+    if missing := [part for part in ("segmenter", "translator", "painter") if part not in files]:
+        given = weights if isinstance(weights, str | Path) else ", ".join(map(str, files.values()))
+        raise InputError(f"{given}: no weights for the {' and the '.join(missing)}; name a family that has them")
+    segmenter, segmenter_card = load_segmenter(files["segmenter"], picked, engine)
+    translator, card, view = load_translator(files["translator"], picked, engine)
+    painter, painter_card = load_painter(files["painter"], files.get("first-frame painter"), view, picked, engine)
+    cards = {"segmenter": segmenter_card, "translator": card, "painter": painter_card}
+    return assemble(segmenter, translator, painter, view, picked, cards=cards, engine=runs_on)
+
+
+def assemble(  # noqa: PLR0913 parts of a pipeline
+    segmenter: Segmenter,
+    translator: nn.Module,
+    painter: StreamPainter,
+    view: View,
+    device: torch.device,
+    *,
+    cards: Mapping[str, Card] | None = None,
+    engine: str = "torch",
+) -> Pipeline:
+    """Build the pipeline that fits a translator: ours, or the paper's for a FrontAllAround. Arguments as its fields."""
+    pipeline = Pipeline(
+        segmenter=segmenter,
+        translator=translator,
+        painter=painter,
+        view=view,
+        device=device,
+        cards=cards or {},
+        engine=engine,
+    )
+    if not isinstance(translator, FrontAllAround):
+        return pipeline
+    return PaperPipeline.of(pipeline, translator.input_view)
+
+
+def load_translator(file: Path, device: torch.device, engine: str = "torch") -> tuple[nn.Module, Card, View]:
+    """The translator of a weight file, ready for inference, its card, and the raster that it predicts.
+
+    One of the paper's kind (FRONT_VIEW) runs all around, in torch. InputError where the file holds something else.
+    """
+    if read_card(file).network not in FRONT_VIEW:
+        translator, card = load_part(file, device, expect="titan-pano", engine=engine)
+        return translator, card, card_view(file, card, "panorama")
+    network, card = load_weights(file, device)
+    normalise = validated(Normalisation, card.normalisation, f"{file}: the card's normalisation")
+    around = FrontAllAround(network, card_view(file, card, "input"), normalise)
+    return around, card, around.view
+
+
+def load_segmenter(file: Path, device: torch.device, engine: str = "torch") -> tuple[Segmenter, Card]:
+    """The segmenter of a weight file, ready for inference; InputError where the file holds something else."""
+    network, card = load_part(file, device, expect="salsanext", engine=engine)
+    card_view(file, card, "input")
+    try:
+        return Segmenter.from_card(network, card), card
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+
+
+def load_painter(
+    file: Path, first: Path | None, view: View, device: torch.device, engine: str = "torch"
+) -> tuple[StreamPainter, Card]:
+    """The painter of a weight file, ready for inference; InputError where the file holds something else.
+
+    first  weights of vid2vid's network for first frames; view: raster of the segments that are painted.
+    A vid2vid paints on the raster "panorama" of its card, if it has one; otherwise on the finished panorama's.
+    """
+    network, card = load_part(file, device, engine=engine)
+    if role(card) != "painter":
+        raise InputError(f"{file} has weights of another network: {card.network!r} instead of a painter")
+    if not isinstance(network, Vid2Vid):
+        if first is not None:
+            raise InputError(f"{first}: paints the first frames for a 'vid2vid', which {file} is not; name both")
+        return cast("StreamPainter", network), card
+    single = load_part(first, device, expect="vid2vid-single")[0] if first is not None else None
+    raster = card_view(file, card, "panorama") if "panorama" in card.views else view.scaled(2)
+    try:
+        return Vid2VidPainter.all_around(network, single, raster.columns, view.columns), card
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+
+
+def load_part(
+    file: Path, device: torch.device, expect: str | None = None, engine: str = "torch"
+) -> tuple[nn.Module, Card]:
+    """A network of the pipeline in the form that is fastest to run, and its card.
+
+    Raises InputError as `models.card.load` and `engines.accelerated`.
+    """
+    network, card = load_weights(file, device, expect=expect)
+    return accelerated(made_fast(network), card.network, card.sha256, engine, device), card
+
+
+def made_fast(network: nn.Module) -> nn.Module:
+    """The network, changed in place to the form that is fastest to run: norms folded, channels last."""
+    return fold_norms(network).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+
+
+def card_view(file: Path, card: Card, role: str) -> View:
+    """The raster that a card gives for `role`; InputError where it gives none that makes sense."""
+    mend = "fetch it or make it again"
+    if role not in card.views:
+        raise InputError(f"{file}: its card has no view {role!r} that makes sense; {mend}")
+    return validated(View, card.views[role], f"{file}: its card has no view {role!r} that makes sense", mend)

@@ -1,0 +1,96 @@
+"""Scene: belief about what a scan shows, the only source of classes, depth and confidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from torch import Tensor
+
+from lidar2pano.geometry.rasters import likeliest
+from lidar2pano.labels import COMMON15
+from lidar2pano.scene.ground import viewpoint_height
+from lidar2pano.views import View
+
+ROAD = COMMON15.id_of("road")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ScanPoints:
+    """The N points of a scan as they were used.
+
+    name            of the scan.
+    labels          (N,) int64 ids of SEMANTIC_KITTI.
+    returns_m       (2H, 2W) float32 on the panorama's raster: distance from the view's origin of the nearest point in
+                    each pixel, metres; 0 where there is none.
+    gaps_deg        sectors (left, right) of azimuth out of the sensor's field of view.
+    dropped         points that could not be used.
+    beyond_rows     points that could be used, but lie above or below the segmenter's rows.
+    points_between  points that were put between the beams of a sparse sensor.
+    """
+
+    name: str
+    labels: Tensor
+    returns_m: Tensor
+    gaps_deg: tuple[tuple[float, float], ...] = ()
+    dropped: int = 0
+    beyond_rows: int = 0
+    points_between: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scene:
+    """What is believed of a scan on a raster of H x W pixels: from measurement and networks alone.
+
+    view            the raster.
+    channels        (1, 5, H, W) float32 of the scan's RangeImage.
+    probabilities   (1, 16, H, W) float32 of COMMON15.
+    depth_m         (1, H, W) float32 metres from the view's origin along the ray.
+    viewpoint_m     (1,) float32 metres: height of the view's origin above the road.
+    surface_share   (H, W) float32: probability that a pixel shows a surface and not the sky, of a scene that is fused
+                    over time; None for a single scan.
+    T_world_sensor  (4, 4) float64, the sensor's pose in a static frame; None where it is unknown.
+    points          the scan's points; None in training.
+    In training the first dimension is a batch of scenes.
+    """
+
+    view: View
+    channels: Tensor
+    probabilities: Tensor
+    depth_m: Tensor
+    viewpoint_m: Tensor
+    surface_share: Tensor | None = None
+    T_world_sensor: np.ndarray | None = None
+    points: ScanPoints | None = None
+
+    @classmethod
+    def predicted(  # noqa: PLR0913 a scene's parts
+        cls,
+        view: View,
+        channels: Tensor,
+        probabilities: Tensor,
+        depth_m: Tensor,
+        *,
+        T_world_sensor: np.ndarray | None = None,
+        points: ScanPoints | None = None,
+    ) -> Scene:
+        """Return a scene with the ground where its predicted depths have the road."""
+        return cls(
+            view=view,
+            channels=channels,
+            probabilities=probabilities,
+            depth_m=depth_m,
+            viewpoint_m=viewpoint_height(depth_m, likeliest(probabilities) == ROAD, view),
+            T_world_sensor=T_world_sensor,
+            points=points,
+        )
+
+    @property
+    def measured(self) -> Tensor:
+        """(1, H, W) bool: pixels with a point of the scan, or with one between the beams of a sparse sensor."""
+        return self.channels[:, 0] > 0
+
+    @property
+    def ids(self) -> Tensor:
+        """(1, H, W) uint8: the likeliest classes, ids of COMMON15."""
+        return likeliest(self.probabilities)
