@@ -53,14 +53,14 @@ def linked(source: Path, root: Path, frames: int) -> Path:
 
 def _link(source: Path, root: Path, name: str, number: int) -> str:
     sequence, stem = name.split("/")
-    folder, there = source / "sequences" / sequence, root / "sequences" / sequence
+    folder, target = source / "sequences" / sequence, root / "sequences" / sequence
     for part, suffix in PARTS.items():
-        (there / part).mkdir(parents=True, exist_ok=True)
+        (target / part).mkdir(parents=True, exist_ok=True)
         for end in (suffix,) if suffix else (".png", ".jpg"):
             if (folder / part / f"{stem}{end}").is_file():
-                os.link(folder.resolve() / part / f"{stem}{end}", there / part / f"{number:06d}{end}")
-    if not (there / "calib.txt").exists():
-        os.link(folder.resolve() / "calib.txt", there / "calib.txt")
+                os.link(folder.resolve() / part / f"{stem}{end}", target / part / f"{number:06d}{end}")
+    if not (target / "calib.txt").exists():
+        os.link(folder.resolve() / "calib.txt", target / "calib.txt")
     return f"{sequence}/{number:06d}"
 
 
@@ -136,14 +136,14 @@ def rates(root: Path) -> dict[str, float]:
         "CameraImageDataset": camera_images.CameraImageDataset(root, splits, crop),
         "ClipDataset (6 frames)": clips.ClipDataset(root, ("drive",), framing, 6),
     }
-    found = {}
+    measurements = {}
     for name, samples in sets.items():
         samples[SampleIndex(0, 0)]
         begin = time.process_time()
         for number in range(1, 9):
             samples[SampleIndex(number * (len(samples) - 1) // 8, number)]
-        found[name] = 8 / (time.process_time() - begin)
-    return found
+        measurements[name] = 8 / (time.process_time() - begin)
+    return measurements
 
 
 def main() -> None:
@@ -159,18 +159,18 @@ def main() -> None:
         few_steps(arguments.recipe, arguments.data, arguments.out)
         return
     sizes, families = [int(size) for size in arguments.frames.split(",")], arguments.families.split(",")
-    found: dict[tuple[str, int], list[float]] = {}
+    measurements: dict[tuple[str, int], list[float]] = {}
     with tempfile.TemporaryDirectory() as folder:
         roots = {size: linked(arguments.data, Path(folder) / f"data{size}", size) for size in sizes}
         speed = rates(roots[sizes[-1]])
         for family in families:
             for size, root in roots.items():
-                found[family, size] = train(FAMILIES[family], root, Path(folder) / f"{family}{size}")
-                arguments.out.write_text(tables(found, sizes, families, speed))
+                measurements[family, size] = train(FAMILIES[family], root, Path(folder) / f"{family}{size}")
+                arguments.out.write_text(tables(measurements, sizes, families, speed))
 
 
 def tables(
-    found: dict[tuple[str, int], list[float]], sizes: list[int], families: list[str], speed: dict[str, float]
+    measurements: dict[tuple[str, int], list[float]], sizes: list[int], families: list[str], speed: dict[str, float]
 ) -> str:
     """The page: the runs that are `found` by family and number of frames, and samples per second by data set."""
     heads = [f"{unit}, {size:,} frames" for unit in ("first step (s)", "of it CPU (s)", "peak (MiB)") for size in sizes]
@@ -185,8 +185,8 @@ def tables(
         f"| recipe | {' | '.join(heads)} |",
         f"|---|{'---|' * len(heads)}",
     ]
-    for family in [family for family in families if (family, sizes[0]) in found]:
-        runs = [found.get((family, size)) for size in sizes]
+    for family in [family for family in families if (family, sizes[0]) in measurements]:
+        runs = [measurements.get((family, size)) for size in sizes]
         cells = [f"{run[part]:.{1 - part // 2}f}" if run else "" for part in range(3) for run in runs]
         lines.append(f"| {FAMILIES[family][0]} | {' | '.join(cells)} |")
     lines += ["", f"| data set | samples a second and core | with {LOADER_WORKERS} workers, batches of 4 a minute |"]

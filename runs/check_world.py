@@ -51,10 +51,10 @@ def edges(ids: np.ndarray, depth: np.ndarray | None) -> np.ndarray:
     middle = slice(1, -1)
     for row in (-1, 0, 1):
         for column in (-1, 0, 1):
-            there = (slice(1 + row, ids.shape[0] - 1 + row), slice(1 + column, ids.shape[1] - 1 + column))
-            out[middle, middle] |= ids[there] != ids[middle, middle]
+            shifted = (slice(1 + row, ids.shape[0] - 1 + row), slice(1 + column, ids.shape[1] - 1 + column))
+            out[middle, middle] |= ids[shifted] != ids[middle, middle]
             if depth is not None:
-                out[middle, middle] |= np.abs(depth[there] - depth[middle, middle]) > EDGE * depth[middle, middle]
+                out[middle, middle] |= np.abs(depth[shifted] - depth[middle, middle]) > EDGE * depth[middle, middle]
     return out
 
 
@@ -80,20 +80,20 @@ def agreement(frame: SemanticKittiFrame, view: View) -> Agreement:
     x, y, z = away.unbind(-1)
     row, column = (place.numpy() for place in pixels(x, y, z, view))
     inside = (row >= 0) & (row < view.rows) & (labels > 0)
-    here = np.flatnonzero(inside)
-    r, c = row[here].astype(int), column[here].astype(int) % view.columns
+    points = np.flatnonzero(inside)
+    r, c = row[points].astype(int), column[points].astype(int) % view.columns
     clear = ~edges(ids, depth)[r, c] & (depth[r, c] > 0)
-    here, r, c = here[clear], r[clear], c[clear]
-    gap = away[here].norm(dim=1).numpy() - interpolated(depth, row[here], column[here])
+    points, r, c = points[clear], r[clear], c[clear]
+    gap = away[points].norm(dim=1).numpy() - interpolated(depth, row[points], column[points])
     visible = gap < BEHIND * depth[r, c] + 0.1
-    same = ids[r, c][visible] == labels[here][visible]
+    agreed = ids[r, c][visible] == labels[points][visible]
     # The camera stands where the panorama does: what is hidden from one is hidden from the other.
     compared = np.zeros(len(scan), dtype=bool)
-    compared[here[visible]] = True
+    compared[points[visible]] = True
     camera_points, camera_same = in_camera(frame, scan.xyz, np.where(compared, labels, 0))
-    error = float(np.median(np.abs(gap[visible][same])))
+    error = float(np.median(np.abs(gap[visible][agreed])))
     return Agreement(
-        int(visible.sum()), float(1 - visible.mean()), float(same.mean()), camera_points, camera_same, error
+        int(visible.sum()), float(1 - visible.mean()), float(agreed.mean()), camera_points, camera_same, error
     )
 
 
@@ -107,10 +107,10 @@ def in_camera(frame: SemanticKittiFrame, xyz: np.ndarray, labels: np.ndarray) ->
     u, v, depth = (part.numpy() for part in points_in_camera(torch.from_numpy(xyz), frame.require("calibration")[0]))
     with np.errstate(invalid="ignore"):
         inside = (depth > 0) & (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5) & (labels > 0)
-    here = np.flatnonzero(inside)
-    r, c = np.rint(v[here]).astype(int), np.rint(u[here]).astype(int)
+    points = np.flatnonzero(inside)
+    r, c = np.rint(v[points]).astype(int), np.rint(u[points]).astype(int)
     clear = ~edges(ids, None)[r, c] & (ids[r, c] > 0)
-    return int(clear.sum()), float((ids[r, c] == labels[here])[clear].mean())
+    return int(clear.sum()), float((ids[r, c] == labels[points])[clear].mean())
 
 
 def main() -> None:
@@ -127,10 +127,10 @@ def main() -> None:
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
     some = frames(arguments.root, "all")
     for frame in some[:: max(len(some) // arguments.frames, 1)][: arguments.frames]:
-        one = agreement(frame, view)
+        frame_agreement = agreement(frame, view)
         print(
-            f"| {frame.name} | {one.panorama_points} | {one.hidden:.2%} | {one.panorama_same:.2%} |"
-            f" {one.camera_points} | {one.camera_same:.2%} | {100 * one.depth_error_m:.2f} |"
+            f"| {frame.name} | {frame_agreement.panorama_points} | {frame_agreement.hidden:.2%} | {frame_agreement.panorama_same:.2%} |"
+            f" {frame_agreement.camera_points} | {frame_agreement.camera_same:.2%} | {100 * frame_agreement.depth_error_m:.2f} |"
         )
 
 

@@ -74,12 +74,12 @@ def ours(path: Path) -> PointCloud:
     return next(open_path(path).clouds(path, ReadOptions()))
 
 
-def milliseconds(of: Callable[[], object]) -> float:
+def milliseconds(task: Callable[[], object]) -> float:
     """Median processor time of a call: other programs on the machine do not count."""
     times = []
     for _ in range(REPEAT):
         start = time.process_time()
-        of()
+        task()
         times.append(1000 * (time.process_time() - start))
     return float(np.median(times))
 
@@ -90,9 +90,9 @@ def beside(path: Path) -> str:
         library, xyz = theirs(path)
     except ModuleNotFoundError as error:
         return f"{error.name} is not installed"
-    same = np.array_equal(ours(path).xyz, xyz, equal_nan=True)
+    equal = np.array_equal(ours(path).xyz, xyz, equal_nan=True)
     ratio = milliseconds(lambda: theirs(path)) / milliseconds(lambda: ours(path))
-    return f"{library}: {'equal' if same else 'DIFFERENT'}, {ratio:.1f}x"
+    return f"{library}: {'equal' if equal else 'DIFFERENT'}, {ratio:.1f}x"
 
 
 def row(path: Path) -> str:

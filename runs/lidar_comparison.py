@@ -81,13 +81,13 @@ def neighbours(points: Points) -> tuple[np.ndarray, np.ndarray]:
     step = np.diff(points.azimuth)
     near = (np.diff(points.ring) == 0) & (step > 0) & (step < 1.6 * FIRING)
     r = points.distance
-    both = np.zeros(len(r), dtype=bool)
-    both[1:-1] = near[:-1] & near[1:] & (np.maximum(np.abs(r[:-2] - r[1:-1]), np.abs(r[2:] - r[1:-1])) < 0.3)
+    paired = np.zeros(len(r), dtype=bool)
+    paired[1:-1] = near[:-1] & near[1:] & (np.maximum(np.abs(r[:-2] - r[1:-1]), np.abs(r[2:] - r[1:-1])) < 0.3)
     share = np.full(len(r), 0.5)
     share[1:-1] = step[:-1] / np.maximum(step[:-1] + step[1:], 1e-6)
     residual = np.zeros(len(r))
     residual[1:-1] = r[1:-1] - r[:-2] * (1 - share[1:-1]) - r[2:] * share[1:-1]
-    return both, residual / np.sqrt(1 + share**2 + (1 - share) ** 2)
+    return paired, residual / np.sqrt(1 + share**2 + (1 - share) ** 2)
 
 
 def missing(points: Points) -> tuple[np.ndarray, np.ndarray]:
@@ -166,8 +166,8 @@ def middle_range(p: Points, low: int) -> str:
 
 
 def noise(p: Points, name: str, span: tuple[int, int]) -> str:
-    both, residual = neighbours(p)
-    return f"{1e3 * spread(residual[both & p.of(name) & p.within(span)]):.1f} mm"
+    paired, residual = neighbours(p)
+    return f"{1e3 * spread(residual[paired & p.of(name) & p.within(span)]):.1f} mm"
 
 
 def lost(p: Points, span: tuple[int, int]) -> str:
@@ -232,7 +232,7 @@ def chart(title: str, simulated: np.ndarray, real: np.ndarray, ends: tuple[str, 
 
 
 def charts(simulated: Points, real: Points) -> list[Image.Image]:
-    def both(figure: Callable[[Points], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def paired(figure: Callable[[Points], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         return figure(simulated), figure(real)
 
     def histogram(p: Points, name: str) -> np.ndarray:
@@ -255,10 +255,10 @@ def charts(simulated: Points, real: Points) -> list[Image.Image]:
 
     rings = ("top ring", "lowest")
     out = [
-        chart("returns a ring", *both(per_ring), rings),
-        chart("median range a ring, m", *both(ring_range), rings),
-        chart("mean remission a ring, within 25 m", *both(ring_remission), rings),
-        chart("share of points by range", *both(by_range), ("0 m", "80 m")),
+        chart("returns a ring", *paired(per_ring), rings),
+        chart("median range a ring, m", *paired(ring_range), rings),
+        chart("mean remission a ring, within 25 m", *paired(ring_remission), rings),
+        chart("share of points by range", *paired(by_range), ("0 m", "80 m")),
     ]
     for name in ("", *CLASSES):
         curves = (histogram(simulated, name), histogram(real, name))

@@ -61,10 +61,10 @@ def _numbers(rows: np.ndarray, dtype: str) -> np.ndarray:
 
 def pack(root: Path, file: Path, splits: list[str]) -> None:
     """Write the archive."""
-    found = {split: frames(root, split) for split in splits}
-    every = {frame.name: frame for split in splits for frame in found[split]}
+    frames_by_split = {split: frames(root, split) for split in splits}
+    every = {frame.name: frame for split in splits for frame in frames_by_split[split]}
     with ZipFile(file, "w") as archive:
-        listing = {split: found[split].names for split in splits}
+        listing = {split: frames_by_split[split].names for split in splits}
         archive.writestr("splits.json", json.dumps(listing, indent=1))
         for folder in sorted({frame.folder for frame in every.values()}):
             for name in BESIDE:

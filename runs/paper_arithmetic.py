@@ -91,9 +91,9 @@ def main() -> None:
     print(text)
     if "--write" in sys.argv:
         page = PAGE.read_text(encoding="utf-8")
-        before, _, rest = page.partition(MARK)
-        after = rest[rest.index("\n## ") :]
-        PAGE.write_text(f"{before}{MARK}\n\n{text}\n{after}", encoding="utf-8")
+        head, _, rest = page.partition(MARK)
+        tail = rest[rest.index("\n## ") :]
+        PAGE.write_text(f"{head}{MARK}\n\n{text}\n{tail}", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -43,8 +43,8 @@ def main() -> None:
     DOCS.mkdir(exist_ok=True)
 
     quarter = panorama.colour.shape[1] // 4
-    around = np.roll(panorama.colour, -quarter, axis=1)  # begins at the left, the rear half ends it
-    halves = [around[:, : 2 * quarter], around[:, 2 * quarter :]]
+    turned = np.roll(panorama.colour, -quarter, axis=1)  # begins at the left, the rear half ends it
+    halves = [turned[:, : 2 * quarter], turned[:, 2 * quarter :]]
     height = round(WIDTH * halves[0].shape[0] / halves[0].shape[1])
     Image.fromarray(np.concatenate([strip(half, height) for half in halves])).save(DOCS / "panorama.jpg", quality=88)
 

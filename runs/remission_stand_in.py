@@ -52,23 +52,23 @@ def main() -> None:
     arguments = parser.parse_args()
     segmenter, _ = load_segmenter(weight_files(arguments.weights)["segmenter"], torch.device("cpu"))
     street = list(frames(arguments.kitti, "val"))[:: arguments.every]
-    known = np.sort(np.concatenate([frame.require("scan")[0].remission[::20] for frame in street]))
+    reference = np.sort(np.concatenate([frame.require("scan")[0].remission[::20] for frame in street]))
 
     def ranked(values: np.ndarray) -> np.ndarray:
         rank = np.argsort(np.argsort(values, kind="stable"), kind="stable") / max(len(values) - 1, 1)
-        return np.interp(rank, np.linspace(0, 1, len(known)), known)
+        return np.interp(rank, np.linspace(0, 1, len(reference)), reference)
 
     changes: dict[str, Change] = {"as they are": lambda values: values}
-    changes |= {f"{constant:g}": lambda values, one=constant: np.full_like(values, one) for constant in CONSTANTS}
+    changes |= {f"{constant:g}": lambda values, fill=constant: np.full_like(values, fill) for constant in CONSTANTS}
     print("| remission | KITTI val, mIoU | PandaSet, mIoU |\n| --- | ---: | ---: |", flush=True)
-    other = list(pandaset.frames(arguments.pandaset, "all", VIEWS["panorama"]))[:: 3 * arguments.every]
+    pandaset_frames = list(pandaset.frames(arguments.pandaset, "all", VIEWS["panorama"]))[:: 3 * arguments.every]
     more: dict[str, Change] = {
-        "mean": lambda values: np.minimum(values * (known.mean() / values.mean()), 1),
+        "mean": lambda values: np.minimum(values * (reference.mean() / values.mean()), 1),
         "ranks": ranked,
     }
     for name, change in (changes | more).items():
         first = f"{mean_iou(segmenter, street, change):.3f}" if name in changes else "-"
-        print(f"| {name} | {first} | {mean_iou(segmenter, other, change):.3f} |", flush=True)
+        print(f"| {name} | {first} | {mean_iou(segmenter, pandaset_frames, change):.3f} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -22,13 +22,13 @@ def main() -> None:
     folder = DOCS / page
     folder.mkdir(exist_ok=True)
     text = (source / "RESULTS.md").read_text(encoding="utf-8")
-    for found in re.findall(r"\(sheets/([^)]+)\)", text):
-        with Image.open(source / "sheets" / found) as image:
+    for sheet in re.findall(r"\(sheets/([^)]+)\)", text):
+        with Image.open(source / "sheets" / sheet) as image:
             size = (WIDE, round(WIDE * image.height / image.width))
             small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-        name = f"{Path(found).stem}.jpg"
+        name = f"{Path(sheet).stem}.jpg"
         small.save(folder / name, quality=72)
-        text = text.replace(f"(sheets/{found})", f"({page}/{name})")
+        text = text.replace(f"(sheets/{sheet})", f"({page}/{name})")
     (DOCS / f"{page}.md").write_text(text, encoding="utf-8")
 
 

@@ -89,23 +89,23 @@ def main() -> None:
     parser.add_argument("--clients", type=int, default=16)
     parser.add_argument("--seconds", type=float, default=20)
     parser.add_argument("--process", type=int)
-    given = parser.parse_args()
-    body = given.scan.read_bytes()
+    arguments = parser.parse_args()
+    body = arguments.scan.read_bytes()
     for _ in range(3):  # the memory of the first panoramas is kept for the next
-        post(given.url, body)
-    before = resident_mib(given.process) if given.process else None
-    answers = load(given.url, body, given.clients, given.seconds)
+        post(arguments.url, body)
+    initial_mib = resident_mib(arguments.process) if arguments.process else None
+    answers = load(arguments.url, body, arguments.clients, arguments.seconds)
     report: dict[str, Any] = {
-        "clients": given.clients,
-        "seconds": given.seconds,
+        "clients": arguments.clients,
+        "seconds": arguments.seconds,
         "statuses": dict(answers.statuses),
         "wrong": answers.wrong,
         "median_s": round(statistics.median(answers.seconds), 2),
         "most_s": round(max(answers.seconds), 2),
-        "panoramas_per_s": round(len(answers.seconds) / given.seconds, 2),
+        "panoramas_per_s": round(len(answers.seconds) / arguments.seconds, 2),
     }
-    if given.process and before is not None:
-        report |= {"memory_before_mib": round(before), "memory_after_mib": round(resident_mib(given.process))}
+    if arguments.process and initial_mib is not None:
+        report |= {"memory_before_mib": round(initial_mib), "memory_after_mib": round(resident_mib(arguments.process))}
     print(json.dumps(report))
 
 

@@ -11,8 +11,7 @@ from torch import nn
 
 from engine_of_torch import SLIM, TorchEngine
 from lidar2pano.engines import ENGINES, accelerated, disk_cache, pick_engine
-from lidar2pano.engines.agreement import agrees, distance, other_classes
-from lidar2pano.engines.compiled import MOST_SHAPES, CompiledForward
+from lidar2pano.engines.compiled import MOST_SHAPES, CompiledForward, agrees, distance, other_classes
 from lidar2pano.engines.onnx_engine import OnnxRuntime
 from lidar2pano.engines.openvino_engine import OpenVino
 from lidar2pano.engines.signatures import SIGNATURES, as_tuple

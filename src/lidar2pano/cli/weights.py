@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 MIB = 1 << 20
 weights = typer.Typer()
-app.add_typer(weights, name="weights", help="Weights that are installed; the card of a weight file; import of others'.")
+app.add_typer(weights, name="weights", help="Installed weights; the card of a weight file; import of published ones.")
 
 
 @weights.command("list")
@@ -44,7 +44,7 @@ def list_families() -> None:
 def info(
     name: Annotated[str, typer.Argument(metavar="NAME", help="A family, a run's folder or a weight file.")],
 ) -> None:
-    """Show where weights come from: everything that their cards say."""
+    """Show the origin of weights: all of their cards."""
     from lidar2pano.models.card import read_card
     from lidar2pano.models.families import families, weight_files
 
@@ -60,7 +60,7 @@ def import_files(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE", help="Checkpoint that the network's authors published; vid2vid: one per scale, or a folder."
+            metavar="FILE", help="Checkpoint as published by the network's authors; vid2vid: one per scale, or a folder."
         ),
     ],
     network: Annotated[
@@ -103,12 +103,12 @@ def import_files(
 
 
 def score_line(card: Card) -> str:
-    """The card's score on one line."""
+    """Return the card's score on one line."""
     return ", ".join(f"{name} {short(value)}" for name, value in card.score.items())
 
 
 def lines_of(card: Card) -> list[str]:
-    """A card for people: one line per field that says something."""
+    """Return a card for people: one line per field with a value."""
     from dataclasses import asdict
 
     lines = []
@@ -123,13 +123,13 @@ def lines_of(card: Card) -> list[str]:
 
 
 def view_line(view: dict[str, Any]) -> str:
-    """A view of a card on one line."""
+    """Return a view of a card on one line."""
     rest = (f"{name}={short(value)}" for name, value in view.items() if name not in ("rows", "columns"))
     return " ".join([f"{view.get('rows')} x {view.get('columns')}", *rest])
 
 
 def short(value: object) -> str:
-    """Numbers with few digits, lists with few spaces."""
+    """Return numbers with few digits, lists with few spaces."""
     if isinstance(value, float):
         return f"{value:.4g}"
     return f"[{' '.join(short(part) for part in value)}]" if isinstance(value, list | tuple) else str(value)

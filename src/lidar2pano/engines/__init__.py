@@ -1,4 +1,4 @@
-"""What runs the networks: torch, torch.compile, ONNX Runtime or OpenVINO; and their export as ONNX graphs."""
+"""Engines of the networks: torch, torch.compile, ONNX Runtime, OpenVINO; and export as ONNX graphs."""
 
 from lidar2pano.engines.selection import ENGINES, accelerated, pick_engine
 

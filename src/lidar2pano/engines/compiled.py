@@ -1,4 +1,4 @@
-"""A network's `forward`, computed by another engine: compiled per shape of inputs, checked once, kept on disk."""
+"""A network's `forward` by another engine: compiled per shape of inputs, checked once against torch, kept on disk."""
 
 from __future__ import annotations
 
@@ -15,32 +15,36 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.engines import disk_cache
-from lidar2pano.engines.agreement import agrees
-from lidar2pano.engines.signatures import SIGNATURES, Shape
+from lidar2pano.engines.signatures import SIGNATURES, Shape, as_tuple
 from lidar2pano.errors import InputError
+from lidar2pano.hardware import fast_arithmetic
 
-MOST_SHAPES = 4  # that are held in memory for one network
-REFUSED = b""  # stands on disk for a network whose outputs did not agree
+MOST_SHAPES = 4  # held in memory for one network
+REFUSED = b""  # on disk, for a network whose outputs did not agree
 DISAGREES = "its outputs are farther from float32's than torch's are"
+# An engine's distance from float32 may be TIMES that of torch in its fast arithmetic, and more by:
+TIMES = 1.5
+MORE_DISTANCE = 2e-3  # of the output's root mean square
+MORE_PIXELS = 2e-3  # of all pixels, whose class is another
 MODELS = Path(__file__).parent.parent / "models"
 Run = Callable[[tuple[Tensor, ...]], tuple[Tensor, ...]]
 
 
 class Engine(Protocol):
-    """What compiles a network for inputs of one shape, and runs what it compiled."""
+    """A compiler of networks for inputs of one shape, and its run time."""
 
     name: str
 
     def conditions(self) -> str:
-        """What a compiled network depends on besides the network: versions, the processor, the arithmetic."""
+        """Return the conditions of a compiled network besides the network: versions, the processor, the arithmetic."""
         ...
 
     def build(self, network: nn.Module, model: str, shapes: tuple[Shape, ...]) -> bytes:
-        """The network, compiled."""
+        """Compile the network."""
         ...
 
     def open(self, compiled: bytes, device: torch.device) -> Run:
-        """A compiled network, ready to run."""
+        """Load a compiled network."""
         ...
 
 
@@ -49,26 +53,25 @@ class UnfitError(Exception):
 
 
 class CompiledForward:
-    """Computes `forward` of a network by an engine.
+    """Compute `forward` of a network by an engine, with the network's inputs.
 
-    It takes what the network takes, and gives class scores in
-    the engine's arithmetic, all else in float32.
+    Class scores are returned in the engine's arithmetic, all else in float32.
 
     network   as torch runs it;  model: its name in SIGNATURES;  weights: their checksum, "" to keep nothing on disk.
-    optional  whether torch computes what was not compiled before, since compiling takes half a minute that one scan
-              does not earn back, or where the engine did not do as well. Otherwise it is compiled now, and what the
-              engine cannot do is an InputError.
+    optional  whether torch computes shapes that were not compiled before, since compiling takes half a minute, and one
+              scan does not earn it back, and networks that the engine computes less exactly. Otherwise a network is
+              compiled now, and an engine's failure is an InputError.
     """
 
     def __init__(self, network: nn.Module, model: str, weights: str, engine: Engine, *, optional: bool) -> None:
         self.network, self.model, self.weights = network, model, weights
         self.engine, self.optional = engine, optional
         self._runs: OrderedDict[tuple[Shape, ...], Run | None] = OrderedDict()
-        self._lock = threading.Lock()  # what an engine compiled serves one call at a time
+        self._lock = threading.Lock()  # a compiled network serves one call at a time
 
     def __call__(self, *inputs: Tensor) -> Tensor | tuple[Tensor, ...]:
-        """As the network's own `forward`."""
-        shapes = tuple(tuple(each.shape) for each in inputs)
+        """Compute as the network's own `forward` does."""
+        shapes = tuple(tuple(tensor.shape) for tensor in inputs)
         with self._lock:
             if shapes not in self._runs:
                 self._runs[shapes] = self._run_for(inputs, shapes)
@@ -83,11 +86,11 @@ class CompiledForward:
     def _as_forward(self, outputs: tuple[Tensor, ...]) -> Tensor | tuple[Tensor, ...]:
         signature = SIGNATURES[self.model]
         named = zip(signature.outputs, outputs, strict=True)
-        outputs = tuple(each if name in signature.classes else each.float() for name, each in named)
+        outputs = tuple(tensor if name in signature.classes else tensor.float() for name, tensor in named)
         return outputs[0] if len(outputs) == 1 else outputs
 
     def _run_for(self, inputs: tuple[Tensor, ...], shapes: tuple[Shape, ...]) -> Run | None:
-        if self.optional and disk_cache.is_empty():  # which asks no engine: importing one takes a fifth of a second
+        if self.optional and disk_cache.is_empty():  # no engine is asked: importing it takes a fifth of a second
             return None
         parts = [self.engine.name, self.engine.conditions(), self.model, self.weights, shapes, _sources()]
         key = hashlib.sha256(json.dumps(parts).encode()).hexdigest() if self.weights else ""
@@ -108,7 +111,7 @@ class CompiledForward:
             raise UnfitError(DISAGREES)
         try:
             return self.engine.open(stored, device)
-        except Exception:  # noqa: BLE001 whatever it is: it is compiled again
+        except Exception:  # noqa: BLE001 the network is compiled again
             return None
 
     def _compiled(self, key: str, inputs: tuple[Tensor, ...], shapes: tuple[Shape, ...]) -> Run:
@@ -117,7 +120,7 @@ class CompiledForward:
             run = self.engine.open(compiled, inputs[0].device)
             outputs = run(inputs)
         except Exception as error:  # noqa: BLE001 an engine's own
-            self.network(*inputs)  # where the inputs are wrong, this says so
+            self.network(*inputs)  # raises the network's own error if the inputs are wrong
             reason = (str(error).strip() or type(error).__name__).splitlines()[0]
             raise UnfitError(f"cannot be compiled ({reason})") from error
         fits = agrees(self.network, self.model, inputs, outputs)
@@ -130,8 +133,41 @@ class CompiledForward:
 
 @cache
 def _sources() -> str:
-    """Checksum of the networks' code: weights alone do not say what is computed."""
+    """Return a checksum of the networks' code: weights alone do not determine the outputs."""
     digest = hashlib.sha256()
     for file in sorted(MODELS.glob("*.py")):
         digest.update(file.read_bytes())
     return digest.hexdigest()
+
+
+@torch.inference_mode()
+def agrees(network: nn.Module, model: str, inputs: tuple[Tensor, ...], outputs: tuple[Tensor, ...]) -> bool:
+    """Return whether an engine's outputs are about as near to torch's in float32 as torch's in its fast arithmetic.
+
+    Root mean squares of the differences are compared, and of class scores also the best classes.
+    """
+    device = inputs[0].device
+    with torch.autocast(device.type, enabled=False):
+        exact = as_tuple(network(*(tensor.float() for tensor in inputs)))
+    with fast_arithmetic(device):
+        usual = as_tuple(network(*inputs))
+    signature = SIGNATURES[model]
+    for name, ours, theirs, reference in zip(signature.outputs, outputs, usual, exact, strict=True):
+        if not distance(ours, reference) <= TIMES * distance(theirs, reference) + MORE_DISTANCE:  # NaN is not
+            return False
+        if name in signature.classes:
+            allowed = TIMES * other_classes(theirs, reference) + MORE_PIXELS
+            if other_classes(ours, reference) > allowed:
+                return False
+    return True
+
+
+def distance(x: Tensor, reference: Tensor) -> float:
+    """Return the root mean square of the difference as a share of the reference's."""
+    difference = (x.float() - reference).square().mean().sqrt()
+    return float(difference / reference.square().mean().sqrt().clamp(min=1e-12))
+
+
+def other_classes(x: Tensor, reference: Tensor) -> float:
+    """Return the share of pixels whose best class differs; both tensors (B, classes, H, W)."""
+    return float((x.float().max(1).indices != reference.max(1).indices).float().mean())

@@ -1,7 +1,7 @@
 """Compiled networks on disk, in the user's cache folder: a file per key, checksummed, atomic, bounded.
 
-The folder is LIDAR2PANO_CACHE where that is set. What cannot be written is not kept, what is damaged is removed: the
-network is compiled again.
+The environment variable LIDAR2PANO_CACHE names the folder. A file that cannot be written is not kept, a damaged one is
+removed: the network is compiled again.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from pathlib import Path
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
 
-LIMIT_BYTES = 2**30  # of all files together; the one that was used longest ago goes first
+LIMIT_BYTES = 2**30  # of all files together; the one used longest ago goes first
 ENDING = ".compiled"
 DIGEST = hashlib.sha256().digest_size
 
 
 def cache_folder() -> Path:
-    """The folder of compiled networks; it need not exist."""
+    """Return the folder of compiled networks; it need not exist."""
     if named := os.environ.get("LIDAR2PANO_CACHE"):
         return Path(named)
     if sys.platform == "win32":
@@ -32,12 +32,12 @@ def cache_folder() -> Path:
 
 
 def is_empty() -> bool:
-    """Whether nothing was ever stored."""
+    """Return whether nothing was ever stored."""
     return next(cache_folder().glob(f"*{ENDING}"), None) is None
 
 
 def fetch(key: str) -> bytes | None:
-    """What was stored under a key; None where nothing was, or the file is damaged."""
+    """Return the bytes stored under a key; None if there are none, or the file is damaged."""
     path = cache_folder() / f"{key}{ENDING}"
     try:
         whole = path.read_bytes()
@@ -54,17 +54,17 @@ def fetch(key: str) -> bytes | None:
 
 
 def store(key: str, payload: bytes) -> None:
-    """Keep bytes under a key, and remove what was used longest ago where the limit is passed."""
+    """Keep bytes under a key, and remove the files used longest ago if the limit is passed."""
     folder = cache_folder()
     with suppress(InputError):
         whole = hashlib.sha256(payload).digest() + payload
-        write_whole(folder / f"{key}{ENDING}", lambda beside: beside.write_bytes(whole))
+        write_whole(folder / f"{key}{ENDING}", lambda path: path.write_bytes(whole))
     with suppress(OSError):
         _trim(folder)
 
 
 def _trim(folder: Path) -> None:
-    by_use = sorted(((path.stat(), path) for path in folder.glob(f"*{ENDING}")), key=lambda one: -one[0].st_mtime)
+    by_use = sorted(((path.stat(), path) for path in folder.glob(f"*{ENDING}")), key=lambda entry: -entry[0].st_mtime)
     total = 0
     for number, (status, path) in enumerate(by_use):
         total += status.st_size

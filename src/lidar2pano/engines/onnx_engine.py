@@ -1,4 +1,4 @@
-"""ONNX graphs of networks, and ONNX Runtime, which runs them in float32."""
+"""ONNX graphs of networks, and ONNX Runtime to run them in float32."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lidar2pano.engines.compiled import Run
 from lidar2pano.engines.signatures import SIGNATURES, Shape
 from lidar2pano.engines.tracing import example, recordable, recording
 
-OPSET = 20  # of ONNX, 2023: bilinear Resize, AveragePool and all else that the networks need, in every current runtime
+OPSET = 20  # of ONNX, 2023: bilinear Resize, AveragePool and all else the networks need, in every current runtime
 PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 
 
@@ -24,40 +24,40 @@ class OnnxRuntime:
     name = "onnx"
 
     def conditions(self) -> str:
-        """Versions of the exporter and of the opset: a graph runs everywhere."""
+        """Return the versions of the exporter and of the opset: a graph runs everywhere."""
         import onnxscript
 
         return json.dumps([torch.__version__, onnxscript.__version__, OPSET])
 
     def build(self, network: nn.Module, model: str, shapes: tuple[Shape, ...]) -> bytes:
-        """The network as an ONNX graph for inputs of these shapes, any batch."""
+        """Return the network as an ONNX graph for inputs of these shapes, any batch."""
         two = tuple((2, *shape[1:]) for shape in shapes)
         return graph(network, model, example(two)).SerializeToString()
 
     def open(self, compiled: bytes, device: torch.device) -> Run:
-        """An ONNX graph, ready to run; arrays pass through the CPU's memory."""
+        """Load an ONNX graph; arrays pass through the CPU's memory."""
         opened = session(compiled, device.type)
-        names = [each.name for each in opened.get_inputs()]
+        names = [tensor.name for tensor in opened.get_inputs()]
 
         def run(inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
-            arrays = (each.float().contiguous().cpu().numpy() for each in inputs)
+            arrays = (tensor.float().contiguous().cpu().numpy() for tensor in inputs)
             outputs = opened.run(None, dict(zip(names, arrays, strict=True)))
-            return tuple(torch.from_numpy(each).to(device) for each in outputs)
+            return tuple(torch.from_numpy(array).to(device) for array in outputs)
 
         return run
 
 
 def graph(network: nn.Module, model: str, inputs: Sequence[Tensor], metadata: Mapping[str, str] | None = None) -> Any:  # noqa: ANN401
-    """An onnx.ModelProto of a network: names of its signature, a dynamic first dimension "batch", weights inside.
+    """Return an onnx.ModelProto of a network: names of its signature, a dynamic dimension "batch", weights inside.
 
-    inputs    example inputs, whose other dimensions the graph is made for; of a batch of one, torch.export would take
-              the one to be fixed.  metadata: text that the file carries.
+    inputs    example inputs with the graph's other dimensions, a batch of two or more: torch.export would fix a batch
+              of one.  metadata: text in the file.
     """
     signature = SIGNATURES[model]
     batch = torch.export.Dim("batch", min=1)
     logger = logging.getLogger("torch.onnx")
     level = logger.level
-    logger.setLevel(logging.ERROR)  # it warns that torchvision's operators are not there
+    logger.setLevel(logging.ERROR)  # it warns of torchvision's missing operators
     try:
         with recording():
             program = torch.onnx.export(
@@ -81,7 +81,7 @@ def graph(network: nn.Module, model: str, inputs: Sequence[Tensor], metadata: Ma
 
 
 def session(compiled: bytes | str, device_type: str = "cpu") -> Any:  # noqa: ANN401
-    """An onnxruntime.InferenceSession with as many threads as torch."""
+    """Return an onnxruntime.InferenceSession with as many threads as torch."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()

@@ -1,4 +1,4 @@
-"""OpenVINO: networks in bfloat16 on CPUs that multiply it, otherwise in float32."""
+"""OpenVINO: networks in bfloat16 on CPUs with bfloat16 arithmetic, otherwise in float32."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class OpenVino:
     name = "openvino"
 
     def conditions(self) -> str:
-        """Versions, processor, arithmetic; not the number of threads."""
+        """Return versions, processor and arithmetic; not the number of threads."""
         names = ("FULL_DEVICE_NAME", "OPTIMIZATION_CAPABILITIES")
         processor = [_core().get_property("CPU", name) for name in names]
         return json.dumps([openvino().__version__, torch.__version__, processor, _precision(), "channels last"])
 
     def build(self, network: nn.Module, model: str, shapes: tuple[Shape, ...]) -> bytes:  # noqa: ARG002
-        """The network for inputs of these shapes, as OpenVINO writes compiled models."""
+        """Compile the network for inputs of these shapes; return the bytes of OpenVINO's export."""
         with recording():
             inputs = example(shapes)
             program = torch.export.export(recordable(network, inputs), inputs, strict=False)
@@ -45,18 +45,18 @@ class OpenVino:
         return stream.getvalue()
 
     def open(self, compiled: bytes, device: torch.device) -> Run:  # noqa: ARG002 it is the CPU
-        """A compiled model; its outputs are written into tensors of ours."""
+        """Load a compiled model; its outputs are written into tensors of ours."""
         request = _core().import_model(compiled, "CPU", _settings()).create_infer_request()
-        taken = [DTYPES[each.element_type.to_string()] for each in request.model_inputs]
-        wanted = [(tuple(each.shape), DTYPES[each.element_type.to_string()]) for each in request.model_outputs]
+        dtypes = [DTYPES[port.element_type.to_string()] for port in request.model_inputs]
+        results = [(tuple(port.shape), DTYPES[port.element_type.to_string()]) for port in request.model_outputs]
 
         def run(inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
-            outputs = tuple(torch.empty(shape, dtype=dtype) for shape, dtype in wanted)
-            held = [_shared(_as_taken(each, dtype)) for each, dtype in zip(inputs, taken, strict=True)]
-            for number, each in enumerate(held):
-                request.set_input_tensor(number, each)
-            for number, each in enumerate(outputs):
-                request.set_output_tensor(number, _shared(each))
+            outputs = tuple(torch.empty(shape, dtype=dtype) for shape, dtype in results)
+            memory = [_shared(_as_taken(tensor, dtype)) for tensor, dtype in zip(inputs, dtypes, strict=True)]
+            for number, tensor in enumerate(memory):
+                request.set_input_tensor(number, tensor)
+            for number, output in enumerate(outputs):
+                request.set_output_tensor(number, _shared(output))
             request.infer()
             return outputs
 
@@ -65,12 +65,12 @@ class OpenVino:
 
 @cache
 def _core() -> Any:  # noqa: ANN401
-    """What compiles for all networks of the process."""
+    """Return the compiler of all networks of the process."""
     return openvino().Core()
 
 
 def _channels_last(graph: Any, shapes: tuple[Shape, ...]) -> Any:  # noqa: ANN401
-    """The graph, taking images with their channels last and in the arithmetic's own numbers, as it computes."""
+    """Return the graph with inputs as it computes: channels last, in the arithmetic's own numbers."""
     module = openvino()
     wrapped = module.preprocess.PrePostProcessor(graph)
     for number, shape in enumerate(shapes):
@@ -82,12 +82,12 @@ def _channels_last(graph: Any, shapes: tuple[Shape, ...]) -> Any:  # noqa: ANN40
 
 
 def _as_taken(x: Tensor, dtype: torch.dtype) -> Tensor:
-    """What `_channels_last` made the graph take."""
+    """Return an input in the layout and numbers of `_channels_last`."""
     return (x.movedim(1, 3) if x.dim() == IMAGE else x).to(dtype).contiguous()
 
 
 def _shared(x: Tensor) -> Any:  # noqa: ANN401
-    """An openvino.Tensor in a tensor's memory; numpy has no bfloat16, so that it is passed as bits."""
+    """Return an openvino.Tensor in a tensor's memory; numpy has no bfloat16: its bits are passed."""
     if x.dtype == torch.bfloat16:
         return openvino().Tensor(x.view(torch.int16).numpy(), x.shape, openvino().Type.bf16)
     return openvino().Tensor(x.numpy(), shared_memory=True)
@@ -108,7 +108,7 @@ def _settings() -> dict[str, Any]:
 
 @cache
 def openvino() -> Any:  # noqa: ANN401
-    """The module `openvino`, kept from reporting its import over the network."""
+    """Return the module `openvino`, kept from reporting its import over the network."""
     hidden = TELEMETRY not in sys.modules
     if hidden:
         sys.modules[TELEMETRY] = None  # type: ignore[assignment] an import of it fails, and OpenVINO does without

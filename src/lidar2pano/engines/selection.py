@@ -1,4 +1,4 @@
-"""Which engine runs a network, and the network with that engine behind its `forward`."""
+"""Choice of the engine of a network, and the network with that engine behind its `forward`."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.hardware import has_bfloat16
 
 ENGINES = ("auto", "torch", "compile", "onnx", "openvino")
-VARIABLE = "LIDAR2PANO_ENGINE"  # what "auto" stands for, where it is set
-# engine -> extra that installs it, modules that it needs
+VARIABLE = "LIDAR2PANO_ENGINE"  # in the environment: the meaning of "auto"
+# engine -> its extra, its modules
 BUILDERS = {"onnx": OnnxRuntime, "openvino": OpenVino}
 EXTRAS = {"onnx": ("export", ("onnx", "onnxscript", "onnxruntime")), "openvino": ("fast", ("openvino",))}
 
 
 def pick_engine(name: str, device: torch.device) -> str:
-    """The engine that a name of ENGINES stands for on a device.
+    """Return the engine for a name of ENGINES on a device.
 
-    "auto" is OpenVINO on a CPU that multiplies bfloat16, where it is installed, else torch; it compiles nothing.
-    Raises InputError where the name is unknown, its extra is missing, or it cannot compute on the device.
+    "auto" is OpenVINO on a CPU with bfloat16 arithmetic, if it is installed, else torch; it compiles nothing.
+    Raises InputError if the name is unknown, its extra is missing, or it cannot compute on the device.
     """
     requested = os.environ.get(VARIABLE) or name if name == "auto" else name
     if requested not in ENGINES:
@@ -45,16 +45,16 @@ def pick_engine(name: str, device: torch.device) -> str:
 
 
 def missing_extra(engine: str) -> str:
-    """The extra that has to be installed for an engine; "" where none has."""
+    """Return the missing extra of an engine; "" if none is missing."""
     extra, modules = EXTRAS.get(engine, ("", ()))
     return "" if all(map(_is_installed, modules)) else extra
 
 
 def accelerated(network: nn.Module, model: str, weights: str, engine: str, device: torch.device) -> nn.Module:
-    """The network, changed in place so that an engine computes its `forward`.
+    """Let an engine compute a network's `forward`; return the network, changed in place.
 
-    model    its name in models.MODELS;  weights: checksum of its weights, "" where nothing is to be kept on disk.
-    engine   of ENGINES. With "auto", the engine computes what was compiled before by its name, and torch all else.
+    model    its name in models.MODELS;  weights: checksum of its weights, "" to keep nothing on disk.
+    engine   of ENGINES. With "auto", the engine computes networks compiled before by its name, and torch all else.
     Otherwise it is compiled for each shape of inputs when they first come.
     Raises InputError as `pick_engine`, and for a network that runs in torch only.
     """

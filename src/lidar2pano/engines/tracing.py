@@ -15,7 +15,7 @@ from lidar2pano.engines.signatures import Shape
 
 @contextmanager
 def recording() -> Iterator[None]:
-    """A context in which networks can be recorded: float32, with gradients, without warnings of exporters.
+    """Prepare the recording of networks: float32, with gradients, without warnings of exporters.
 
     With gradients, because the circular convolution writes in place without them (models.blocks).
     """
@@ -26,15 +26,15 @@ def recording() -> Iterator[None]:
 
 
 def example(shapes: tuple[Shape, ...]) -> tuple[Tensor, ...]:
-    """Tensors of ones of these shapes, which may take part in recording."""
+    """Return tensors of ones of these shapes, for recording."""
     with recording():
         return tuple(torch.ones(shape) for shape in shapes)
 
 
 def recordable(network: nn.Module, inputs: Sequence[Tensor]) -> nn.Module:
-    """A copy of a network on the CPU that may take part in recording, wherever the original was made.
+    """Return a copy of a network on the CPU for recording, wherever the original was made.
 
-    It is run once, so that what it computes only once is there before recording begins.
+    It is run once: values computed only once must exist before recording begins.
     """
     with recording():
         own = copy.deepcopy(network).cpu()
