@@ -127,10 +127,10 @@ def main() -> None:
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
     some = frames(arguments.root, "all")
     for frame in some[:: max(len(some) // arguments.frames, 1)][: arguments.frames]:
-        frame_agreement = agreement(frame, view)
+        result = agreement(frame, view)
         print(
-            f"| {frame.name} | {frame_agreement.panorama_points} | {frame_agreement.hidden:.2%} | {frame_agreement.panorama_same:.2%} |"
-            f" {frame_agreement.camera_points} | {frame_agreement.camera_same:.2%} | {100 * frame_agreement.depth_error_m:.2f} |"
+            f"| {frame.name} | {result.panorama_points} | {result.hidden:.2%} | {result.panorama_same:.2%} |"
+            f" {result.camera_points} | {result.camera_same:.2%} | {100 * result.depth_error_m:.2f} |"
         )
 
 
