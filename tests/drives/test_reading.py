@@ -56,7 +56,7 @@ def test_a_bad_scan_does_not_stop_the_others():
     assert [reading.scan is None for reading in readings] == [False, True, False]
 
 
-def test_a_doubt_is_an_error_where_it_is_asked_for():
+def test_a_doubt_is_an_error_under_strict():
     few = source(0, count=300)
     assert read_scan(few, ReadingOptions()).interpretation.doubts
     error = read_scan(few, ReadingOptions(strict=True)).error
