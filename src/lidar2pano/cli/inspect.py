@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lidar2pano.cli.app import app
+from lidar2pano.errors import InputError
 
 if TYPE_CHECKING:
     from lidar2pano.formats.interpretation import Interpretation
@@ -26,9 +27,8 @@ def inspect(
     topic: Annotated[str, typer.Option(metavar="NAME", help="The recording's topic whose first scan is shown.")] = "",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON on stdout.")] = False,
 ) -> None:
-    """Show what a file holds and how it will be read; of a folder or recording, its first scan."""
-    from lidar2pano.formats.interpretation import Overrides
-    from lidar2pano.formats.readers import interpreted, scan_files
+    """Show the contents of a file and how it will be read; of a folder or recording, its first scan."""
+    from lidar2pano.formats.readers import scan_files
     from lidar2pano.recordings.recorded_scans import describe
 
     if about := describe(path):
@@ -36,40 +36,39 @@ def inspect(
         print(json.dumps(record) if as_json else "\n".join(lines_of_recording(record)))
         return
     files = scan_files(path)
-    scan, found = next(interpreted(files[0], overrides=Overrides(invent=True)))
-    record = {"input": str(files[0]), "scans": len(files), **described(scan, found)}
+    record = first_scan(files[0], "") | {"scans": len(files)}
+    if "problem" in record:
+        raise InputError(record["problem"])
     print(json.dumps(record) if as_json else "\n".join(lines_of(record)))
 
 
 def first_scan(path: Path, topic: str) -> dict[str, Any]:
-    """The first scan of a recording, or under "problem" why there is none."""
-    from lidar2pano.errors import InputError
-    from lidar2pano.formats.interpretation import Overrides, interpret
+    """Describe the first scan of a file or recording, or its fault under "problem"."""
+    from lidar2pano.drives.reading import ReadingOptions, read_scan, scan_sources
+    from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.formats.readers import ReadOptions
-    from lidar2pano.recordings.recorded_scans import frames
 
-    try:
-        frame = next(frames(path, ReadOptions(topic=topic)))
-        scan, found = interpret(frame.cloud(), Overrides(invent=True))
-    except InputError as error:
-        return {"problem": str(error)}
-    return {"input": frame.title, "scans": 1, **described(scan, found)}
+    source = next(scan_sources([path], ReadOptions(topic=topic)))
+    reading = read_scan(source, ReadingOptions(overrides=Overrides(invent=True)))
+    if reading.scan is None or reading.interpretation is None:
+        return {"problem": str(reading.error)}
+    return {"input": source.title, "scans": 1, **described(reading.scan, reading.interpretation)}
 
 
 def lines_of_recording(record: dict[str, Any]) -> list[str]:
-    """A recording's record for people: its topics, then its first scan."""
+    """Return a recording's record for people: its topics, then its first scan."""
     lines = [record["input"], _line("format", record["format"])]
     count = sum(topic["count"] for topic in record["topics"])
     lines.append(_line("messages", f"{count} in {record['duration_s']:.3f} s"))
     if count:
         lines.append(_line("start", _stamp(record["start_s"])))
-    lines += [_line("topic", f"{one['name']}: {one['count']} {one['type']}") for one in record["topics"]]
+    lines += [_line("topic", f"{topic['name']}: {topic['count']} {topic['type']}") for topic in record["topics"]]
     first = record["first"]
     return [*lines, *([_line("scans", first["problem"])] if "problem" in first else lines_of(first))]
 
 
-def described(scan: Scan, found: Interpretation) -> dict[str, Any]:
-    """How a scan was read, and what it shows: ranges, beams, sensor."""
+def described(scan: Scan, interpretation: Interpretation) -> dict[str, Any]:
+    """Describe how a scan was read, and its contents: ranges, beams, sensor."""
     import numpy as np
 
     from lidar2pano.formats.beams import find_beams
@@ -78,8 +77,8 @@ def described(scan: Scan, found: Interpretation) -> dict[str, Any]:
         range_m = np.linalg.norm(scan.xyz.astype(np.float64), axis=1)
     range_m = range_m[np.isfinite(range_m) & (range_m > 0)]
     beams = find_beams(scan.xyz, scan.ring)
-    reading = found.as_dict()
-    reading["gaps_deg"], _ = [list(gap) for gap in found.gaps_deg], reading.pop("invented")
+    reading = interpretation.as_dict()
+    reading["gaps_deg"], _ = [list(gap) for gap in interpretation.gaps_deg], reading.pop("invented")
     return {
         **reading,
         "ranges_m": [round(float(value), 2) for value in np.percentile(range_m, (0, 50, 100))] if len(range_m) else [],
@@ -94,7 +93,7 @@ def described(scan: Scan, found: Interpretation) -> dict[str, Any]:
 
 
 def lines_of(record: dict[str, Any]) -> list[str]:
-    """A record for people: one line per thing."""
+    """Return a record for people: one line per property."""
     more = f" (the first of {record['scans']} scans)" if record["scans"] > 1 else ""
     lines = [f"{record['input']}{more}", _line("format", record["format"])]
     lines.append(_line("fields", " ".join(record["fields"]) or "none"))
