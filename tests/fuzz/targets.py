@@ -23,7 +23,7 @@ import sample_files
 from lidar2pano.bulk.entries import Shard
 from lidar2pano.bulk.manifest import _made, _parsed
 from lidar2pano.calibration import read_calib
-from lidar2pano.cli import batch
+from lidar2pano.cli import options
 from lidar2pano.data import kitti360, nuscenes, pandaset, semantic_kitti
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.drives.folders import times
@@ -255,8 +255,8 @@ def option_targets() -> dict[str, Target]:
 
     parsers: dict[str, tuple[list[str], Callable[[str], Any]]] = {
         "budget": (["90s", "20m", "2h", "5000steps"], budget),
-        "image size": (["1242x375"], batch.parse_size),
-        "save": (["rgb,segments", "all"], batch.parse_save),
+        "image size": (["1242x375"], options.parse_size),
+        "save": (["rgb,segments", "all"], options.parse_save),
         "shard": (["0/1", "3/17"], Shard.parsed),
         "view": (["panorama", "panorama/2"], panorama_view),
     }
