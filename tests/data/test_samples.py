@@ -7,12 +7,20 @@ import pytest
 import torch
 from PIL import Image
 
-from lidar2pano.data.range_images import drop_points, drop_rings, mirror, turn, vary_remission
 from lidar2pano.data.camera_pairs import FrontViewDataset
 from lidar2pano.data.frames import IGNORE, SampleIndex, evenly_spaced
 from lidar2pano.data.layouts import frames, frames_of
 from lidar2pano.data.panorama_crops import SHIFT_PX, PanoramaDataset, mirrored
-from lidar2pano.data.range_images import RangeImageDataset, ScanAugmentation, augmented
+from lidar2pano.data.range_images import (
+    RangeImageDataset,
+    ScanAugmentation,
+    augmented,
+    drop_points,
+    drop_rings,
+    mirror,
+    turn,
+    vary_remission,
+)
 from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import STAND_IN
 from lidar2pano.geometry.projection import project

@@ -17,11 +17,10 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.range_images import drop_points, mirror
 from lidar2pano.data.cache import LruCache, PredictedLabels, Predictions
 from lidar2pano.data.frames import Frame, SampleIndex
 from lidar2pano.data.layouts import frames_of
-from lidar2pano.data.range_images import labelled
+from lidar2pano.data.range_images import drop_points, labelled, mirror
 from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.geometry.projection import Normalisation, project
 from lidar2pano.labels import TABLES

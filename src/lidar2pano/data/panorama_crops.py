@@ -13,7 +13,6 @@ from PIL import Image
 from torch import Tensor
 
 from lidar2pano.calibration import Calibration
-from lidar2pano.data.range_images import COARSE_BAND_DEG, drop_points, drop_rings
 from lidar2pano.data.cache import LruCache, PredictedLabels
 from lidar2pano.data.frames import (
     CITYSCAPES_TO_COMMON15,
@@ -24,6 +23,7 @@ from lidar2pano.data.frames import (
     evenly_spaced,
 )
 from lidar2pano.data.layouts import frames_of
+from lidar2pano.data.range_images import COARSE_BAND_DEG, drop_points, drop_rings
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
 from lidar2pano.geometry.projection import pixels, project
