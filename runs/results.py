@@ -72,9 +72,9 @@ and TITAN-Next: published values, on SemanticKITTI's validation sequence, with t
   compared with its columns as orders of magnitude, not digit by digit: the images are others, and few. Labels are
   predictions of other networks, as in the paper. Checkpoints of `kitti-mini` were selected on these images, which
   flatters it; `world` has seen no real scan.
-- **towns**: {towns} frames of simulated streets that no network was trained on, the only ground truth all around.
-  Nobody else has published scores of panoramas. The warping error is that of `NAME+steady`, which is given the sensor's
-  poses; the ground truth's own is {still}.
+- **towns**: {towns} frames of simulated streets that no network was trained on, the only ground truth all around. There
+  are no published scores of panoramas to compare with. The warping error is that of `NAME+steady`, which is given the
+  sensor's poses; the ground truth's own is {still}.
 - **PandaSet**: {pandaset} frames of one street, Pandar64 and six cameras; no network has seen the place or the sensor.
 - FID needs Inception's published weights (`evaluate --inception FILE`). SWD of image pairs says little: unrelated
   photographs of KITTI are at 2.6. The patch Frechet distance compares textures with features that nothing was trained
