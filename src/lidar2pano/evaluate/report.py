@@ -304,8 +304,10 @@ def _value_rows(
             continue
         if name == "fsd" and summary["camera_segmenter"]:
             title = f"{title} (features of {summary['camera_segmenter'][:8]})"
-        truth = f"ground truth {entry_cell(reference[key], row._replace(interval=False))}" if key in reference else ""
-        yield [prefix + title, truth, *(entry_cell(entries.get(key), row) for entries in values)]
+        ground_truth = (
+            f"ground truth {entry_cell(reference[key], row._replace(interval=False))}" if key in reference else ""
+        )
+        yield [prefix + title, ground_truth, *(entry_cell(entries.get(key), row) for entries in values)]
         if name == "swd":
             levels = " ".join(level.removeprefix("swd_") for level in SWD_LEVELS)
             cells = (
