@@ -179,5 +179,10 @@ def text() -> str:
     return page(scores, {name: file.read_text(encoding="utf-8") for name, file in files.items() if file.is_file()})
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Write RESULTS.md."""
     (ROOT / "RESULTS.md").write_text(text(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
