@@ -46,9 +46,9 @@ class Surroundings(NamedTuple):
     @classmethod
     def of(cls, scene: Scene) -> Surroundings:
         """Return those of a single scan whose pose is known."""
-        above, _ = adjacent_rows(scene.measured)
+        upper_row, _ = adjacent_rows(scene.measured)
         pose = torch.from_numpy(np.asarray(scene.T_world_sensor, dtype=np.float64)).to(scene.depth_m.device)
-        return cls(scene.probabilities, scene.depth_m, torch.ones_like(scene.depth_m[0]), above[0] >= 0, pose)
+        return cls(scene.probabilities, scene.depth_m, torch.ones_like(scene.depth_m[0]), upper_row[0] >= 0, pose)
 
     @property
     def ids(self) -> Tensor:
@@ -102,12 +102,7 @@ class Memory:
 
 
 def remember(memory: Memory, scene: Scene) -> tuple[Memory, Scene]:
-    """Fuse a scene with those of the previous scans; returns the memory with it, and the fused scene.
-
-    Without a pose the stream begins again, and the scene stays as it is.
-    """
-    if scene.T_world_sensor is None:
-        return replace(memory, around=None, previous=None), scene
+    """Fuse a scene, whose pose is known, with the previous ones; returns the memory with it, and the fused scene."""
     around = Surroundings.of(scene)
     if memory.around is not None:
         around = fused(around, memory.around, scene.view)
@@ -134,7 +129,7 @@ def steady(memory: Memory, image: Tensor, view: View) -> tuple[Memory, Tensor]:
     return replace(memory, previous=latest), latest.image
 
 
-def fused(now: Surroundings, before: Surroundings, view: View) -> Surroundings:
+def fused(now: Surroundings, previous: Surroundings, view: View) -> Surroundings:
     """`now` averaged with the scans before it, moved to where the same surfaces are now.
 
     What is painted of it wavers less: invented windows and paint hang on depths, which the translator predicts for each
@@ -145,15 +140,20 @@ def fused(now: Surroundings, before: Surroundings, view: View) -> Surroundings:
     another class, or `DOUBT` has used up its count. What may move does not stay.
     view  the raster of both.
     """
-    T_before_now = torch.linalg.inv(before.T_world_sensor) @ now.T_world_sensor
-    distance_m, distance_before_m = now.distance_m, before.distance_m
+    T_before_now = torch.linalg.inv(previous.T_world_sensor) @ now.T_world_sensor
+    distance_m, distance_before_m = now.distance_m, previous.distance_m
     flow = ego_flow(distance_m, distance_before_m, T_before_now, view, same=SAME)
     moved_m = moved_distances(distance_before_m, torch.linalg.inv(T_before_now), view)
     stays = ego_flow(moved_m, distance_before_m, T_before_now, view, same=SAME)
     contradicted = stays.known & ~flow.known & ~now.supported
     shift = torch.where(contradicted, stays.shift, flow.shift)
-    inverse_before = torch.where(distance_before_m.isinf(), 0.0, 1 / before.depth_m)
-    parts = [before.probabilities, before.count[None, None], inverse_before[None], before.surface_share[None, None]]
+    inverse_before = torch.where(distance_before_m.isinf(), 0.0, 1 / previous.depth_m)
+    parts = [
+        previous.probabilities,
+        previous.count[None, None],
+        inverse_before[None],
+        previous.surface_share[None, None],
+    ]
     past = warp(torch.cat(parts, 1), shift[None], circular=True)
     probabilities, count, inverse, surface = past.split((now.probabilities.shape[1], 1, 1, 1), 1)
     ids = likeliest(probabilities)[0]
@@ -172,7 +172,7 @@ def fused(now: Surroundings, before: Surroundings, view: View) -> Surroundings:
     )
 
 
-def smoothed(now: PreviousFrame, before: PreviousFrame, view: View) -> PreviousFrame:
+def smoothed(now: PreviousFrame, previous: PreviousFrame, view: View) -> PreviousFrame:
     """`now` with its image averaged with those before, which are warped to where the same surfaces are now.
 
     Poses and distances give the warp (geometry.flow.ego_flow). A pixel is averaged where both panoramas agree on its
@@ -182,8 +182,8 @@ def smoothed(now: PreviousFrame, before: PreviousFrame, view: View) -> PreviousF
     where the distance agrees.
     view  the raster H x W of both.
     """
-    T_before_now = torch.linalg.inv(before.T_world_sensor) @ now.T_world_sensor
-    flow, agreeing = ego_flows(now.distance_m, before.distance_m, T_before_now, view, (ANY, SAME))
+    T_before_now = torch.linalg.inv(previous.T_world_sensor) @ now.T_world_sensor
+    flow, agreeing = ego_flows(now.distance_m, previous.distance_m, T_before_now, view, (ANY, SAME))
     agreed = agreeing.known
     rows, columns = torch.meshgrid(
         torch.arange(view.rows, device=flow.shift.device),
@@ -192,16 +192,16 @@ def smoothed(now: PreviousFrame, before: PreviousFrame, view: View) -> PreviousF
     )
     before_row = (rows + flow.shift[1].round().long()).clamp(0, view.rows - 1)
     before_column = (columns + flow.shift[0].round().long()).remainder(view.columns)
-    ids = before.ids[before_row, before_column]
-    both = torch.stack([ids, now.ids])
-    stands, thin = ~may_move(both).any(0), torch.isin(both, both.new_tensor(THIN)).any(0)
-    same = agreed & ((ids == now.ids) | stands)
-    count = before.count[before_row, before_column].clamp(max=MOST - 1) * same
+    ids = previous.ids[before_row, before_column]
+    class_pairs = torch.stack([ids, now.ids])
+    stands, thin = ~may_move(class_pairs).any(0), torch.isin(class_pairs, class_pairs.new_tensor(THIN)).any(0)
+    unchanged = agreed & ((ids == now.ids) | stands)
+    count = previous.count[before_row, before_column].clamp(max=MOST - 1) * unchanged
     fades = flow.known & (agreed | (stands & ((ids == now.ids) | ~thin)))
     counted = count.clamp(min=LEAST_IMAGES)
-    weights = torch.where(same, counted / (counted + 1), FADED * fades)
+    weights = torch.where(unchanged, counted / (counted + 1), FADED * fades)
     weight, shift = (interpolate(part[None], scale_factor=2.0) for part in (weights[None], 2 * flow.shift))
-    past = warp(before.image, shift, circular=True, cubic=True).clamp_(-1, 1)
+    past = warp(previous.image, shift, circular=True, cubic=True).clamp_(-1, 1)
     return now._replace(image=torch.lerp(now.image, past, weight), count=count + 1)
 
 

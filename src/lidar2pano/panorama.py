@@ -158,7 +158,7 @@ class Panorama:
         columns["remission"] = scan.remission[usable]
         columns["label"] = SEMANTIC_KITTI.to_raw(self.labels[usable]).astype(np.uint16)
         columns["valid"] = points.valid[usable].astype(np.uint8)
-        return write_whole(Path(path), lambda beside: write_ply(beside, columns))
+        return write_whole(Path(path), lambda temporary: write_ply(temporary, columns))
 
     def save(
         self,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.appearance.car_body import (
+from lidar2pano.appearance.cars import (
     BODIES,
     CABIN,
     FLOOR_M,

@@ -10,8 +10,7 @@ import torch
 import car_street
 from car_street import ABOVE_M, CAR, FAR_M, ROAD, WALL
 from lidar2pano.appearance import cars as module
-from lidar2pano.appearance.car_body import TYRE, Boxes
-from lidar2pano.appearance.cars import BLUE, BRIGHTEST, RED, SHADE, Classes, WholeCars, _paint, whole_cars
+from lidar2pano.appearance.cars import BLUE, BRIGHTEST, RED, SHADE, TYRE, Boxes, Classes, WholeCars, _paint, whole_cars
 from lidar2pano.scene.surfaces import slopes
 from lidar2pano.views import VIEWS, View
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from lidar2pano.appearance.tones import (
+from lidar2pano.appearance.invented_textures import (
     HAIR,
     HAIR_M,
     HEAD_M,

@@ -9,10 +9,10 @@ import pytest
 import torch
 from torch.nn.functional import max_pool2d
 
-from lidar2pano.appearance.noise import (
+from lidar2pano.appearance.invented_textures import (
     CROWN,
     LEAVES_M,
-    REACH,
+    SLOPE_REACH,
     _nearest,
     _pixels_inside,
     against_the_sky,
@@ -87,7 +87,7 @@ def test_nearby_leaves_open_no_hole_where_a_sky_is_unlikely():
 def test_how_far_inside_a_pixel_is():
     row, column = torch.arange(20.0)[:, None], torch.arange(30.0)
     plane = (0.03 * (column - 15) + 0.04 * (row - 8))[None]
-    inner = (slice(None), slice(REACH, -REACH), slice(REACH, -REACH))
+    inner = (slice(None), slice(SLOPE_REACH, -SLOPE_REACH), slice(SLOPE_REACH, -SLOPE_REACH))
     assert torch.allclose(_pixels_inside(plane)[inner], plane[inner] / 0.05, atol=1e-4)
     assert _pixels_inside(torch.full((1, 9, 9), 0.4)).min() >= 40, "where nothing changes, no outline is near"
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.appearance.noise import BITS, COARSER, SKY_M, VOXELS, noise_tile, smooth_noise, solid_noise
+from lidar2pano.appearance.invented_textures import BITS, COARSER, SKY_M, VOXELS, noise_tile, smooth_noise, solid_noise
 from lidar2pano.geometry.projection import directions
 from lidar2pano.scene.surfaces import cylinder_points
 from lidar2pano.views import VIEWS, View

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import torch
 
-from lidar2pano.appearance import tones as subject
-from lidar2pano.appearance.tones import (
+from lidar2pano.appearance import invented_textures as subject
+from lidar2pano.appearance.invented_textures import (
     BAR_M,
     COOLEST,
     HOUSE_M,

@@ -416,6 +416,15 @@ def test_bench_shows_engines_side_by_side(here, random_weights, capsys, monkeypa
     assert "| torch | onnx | torch / onnx |" in capsys.readouterr().out
 
 
+def test_bench_counts_tensor_operations(here, random_weights, capsys):
+    options = ["--weights", str(random_weights), "--device", "cpu", "--json", "b.json"]
+    assert main(["bench", "--operations", *options]) == 0
+    rows = {row["stage"]: row["operations"] for row in json.loads((here / "b.json").read_text())["rows"]}
+    assert list(rows)[:3] == ["project", "segment", "clean_up"] and min(rows.values()) > 0
+    total = rows.pop("whole panorama")
+    assert total == sum(rows.values()) and f"| whole panorama | {total} |" in capsys.readouterr().out
+
+
 def test_bench_goes_without_weights(here, monkeypatch):
     monkeypatch.setattr("lidar2pano.models.families.RELEASED", here / "none")
     assert default_weights() == ""

@@ -12,7 +12,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from engine_of_torch import SLIM
-from lidar2pano.appearance.noise import noise_tile, smooth_noise, solid_noise
+from lidar2pano.appearance.invented_textures import noise_tile, smooth_noise, solid_noise
 from lidar2pano.appearance.painter_inputs import sharpened, spread_out
 from lidar2pano.geometry.rasters import upsample_azimuth, upsample_classes
 from lidar2pano.models import build

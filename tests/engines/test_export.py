@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.appearance.noise import noise_tile
+from lidar2pano.appearance.invented_textures import noise_tile
 from lidar2pano.cli import main
 from lidar2pano.cli.export import networks_of, record_inputs
 from lidar2pano.engines import export as engine_export

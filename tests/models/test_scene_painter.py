@@ -10,7 +10,19 @@ import pytest
 import torch
 
 from lidar2pano.appearance import painter_inputs as layers
-from lidar2pano.appearance.noise import smooth_noise
+from lidar2pano.appearance.invented_textures import (
+    HEAD_M,
+    LEAVES,
+    LEGS_M,
+    LIT,
+    LIT_M,
+    SUNLIT,
+    SUNNY_SIDE,
+    VARIED,
+    clothing,
+    sign_colours,
+    smooth_noise,
+)
 from lidar2pano.appearance.painter_inputs import (
     DEPTH,
     LOWEST_ROW,
@@ -25,18 +37,6 @@ from lidar2pano.appearance.painter_inputs import (
     painter_inputs,
     sharpened,
     twice,
-)
-from lidar2pano.appearance.tones import (
-    HEAD_M,
-    LEAVES,
-    LEGS_M,
-    LIT,
-    LIT_M,
-    SUNLIT,
-    SUNNY_SIDE,
-    VARIED,
-    clothing,
-    sign_colours,
 )
 from lidar2pano.errors import InputError
 from lidar2pano.labels import COMMON15

@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 import lidar2pano
+from lidar2pano.bench.operations import BELIEF, TOTAL, measure_operations
 from lidar2pano.demo import street
 from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
@@ -135,10 +136,17 @@ def test_roads_lie_and_walls_stand(family: str) -> None:
     pipeline = lidar2pano.load(family, "cpu")
     found = pipeline.translate(lidar2pano.read(street()), Timer(pipeline.device))
     radius_m, z_m = cylinder_points(found.depth_m, pipeline.view)
-    up, ids = normals(radius_m, z_m, pipeline.view)[0, 2], found.logits[0].argmax(0)
+    up, ids = normals(radius_m, z_m, pipeline.view)[0, 2], found.ids[0]
     near = radius_m[0] < 15
     assert (up[near & (ids == COMMON15.id_of("road"))] > 0.9).float().mean() > 0.95
     assert (up[near & (ids == COMMON15.id_of("building"))].abs() < 0.3).float().mean() > 0.5
+
+
+def test_belief_takes_few_tensor_operations() -> None:
+    """Project, segment, clean up and translate: thousands of small operations are slow on a GPU."""
+    rows = {row.stage: row.operations for row in measure_operations("kitti-mini", "cpu")}
+    assert sum(rows[stage] for stage in BELIEF) <= 1500, rows
+    assert rows[TOTAL] > sum(rows[stage] for stage in BELIEF)
 
 
 ROLLED, TURNED = 1152, (slice(None, None, -1),)  # a quarter turn; upside down

@@ -10,8 +10,7 @@ from lidar2pano.geometry.projection import directions
 from lidar2pano.labels import COMMON15
 from lidar2pano.scene import depth as module
 from lidar2pano.scene.depth import measured_depth
-from lidar2pano.scene.ground import ROAD_Z_M
-from lidar2pano.scene.surfaces import SAME_SURFACE, cylinder_points, slopes
+from lidar2pano.scene.surfaces import ROAD_Z_M, SAME_SURFACE, cylinder_points, slopes
 from lidar2pano.views import View
 
 ROAD, TREE, WALL, SKY = map(COMMON15.id_of, ("road", "vegetation", "building", "sky"))

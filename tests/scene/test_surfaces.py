@@ -8,8 +8,15 @@ import pytest
 import torch
 
 from lidar2pano.geometry.projection import directions
-from lidar2pano.scene.ground import ROAD_Z_M, viewpoint_height
-from lidar2pano.scene.surfaces import SAME_SURFACE, cylinder_points, normals, same_surface, slopes
+from lidar2pano.scene.surfaces import (
+    ROAD_Z_M,
+    SAME_SURFACE,
+    cylinder_points,
+    normals,
+    same_surface,
+    slopes,
+    viewpoint_height,
+)
 from lidar2pano.views import VIEWS, View
 
 SMALL = VIEWS["panorama"].scaled(1 / 32)

@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from lidar2pano.appearance.car_body import Boxes, first_hits
+from lidar2pano.appearance.cars import Boxes, first_hits
 from lidar2pano.scene.surfaces import slopes, world_columns
 from lidar2pano.views import View
 

@@ -51,7 +51,6 @@ MOST_FUNCTION_LINES, MOST_PARAMETERS = 60, 8
 SAME_NAME = {
     "cli": "a command's file is called like the command",
     "panorama.py": "the record, and the task that trains its translator",
-    "ground.py": "scene/ estimates the ground, simulate/ lays it out",
     "surfaces.py": "scene/ has surfaces of a scan, simulate/ makes the world's",
     "video.py": "losses/ has the losses of the task in train/",
     "world.py": "bench/ times what simulate/ defines",

@@ -11,10 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from lidar2pano.appearance.car_body import Boxes
-from lidar2pano.appearance.cars import with_cars
-from lidar2pano.appearance.noise import against_the_sky, smooth_noise, solid_noise
-from lidar2pano.appearance.tones import facades, invented_tones
+from lidar2pano.appearance.cars import Boxes, with_cars
+from lidar2pano.appearance.invented_textures import against_the_sky, facades, invented_tones, smooth_noise, solid_noise
 from lidar2pano.geometry.rasters import as_float, pad_azimuth
 from lidar2pano.hardware import inference_dtype
 from lidar2pano.labels import COMMON15
@@ -184,7 +182,7 @@ def _framed(x: Tensor, rows: int, columns: int) -> Tensor:
     return pad_azimuth(torch.cat([x, x[:, :, -1:].expand(-1, -1, rows, -1)], 2), columns)
 
 
-def _joined(parts: Sequence[Tensor], dtype: torch.dtype, below: int = 0, ends: int = 0) -> Tensor:
+def _joined(parts: Sequence[Tensor], dtype: torch.dtype, foot: int = 0, ends: int = 0) -> Tensor:
     """Parts (B, C, H, W) float32 one after the other, channels last in memory, in a frame as of `_framed`.
 
     On a CPU a few channels are copied one by one and many some rows at a time, in less than half the time of `cat` and
@@ -192,10 +190,10 @@ def _joined(parts: Sequence[Tensor], dtype: torch.dtype, below: int = 0, ends: i
     """
     if parts[0].device.type != "cpu":
         joined = torch.cat([part.to(dtype) for part in parts], 1)
-        return _framed(joined, below, ends).contiguous(memory_format=torch.channels_last)
+        return _framed(joined, foot, ends).contiguous(memory_format=torch.channels_last)
     batch, _, rows, columns = parts[0].shape
     channels = sum(part.shape[1] for part in parts)
-    made = parts[0].new_empty(batch, rows + below, columns + 2 * ends, channels, dtype=dtype)
+    made = parts[0].new_empty(batch, rows + foot, columns + 2 * ends, channels, dtype=dtype)
     inner = made[:, :, ends : ends + columns]
     if channels <= FEW:
         for number, channel in enumerate(channel for part in parts for channel in part.unbind(1)):
@@ -225,13 +223,13 @@ def spread_out(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     Returns the means, 0 where no window holds anything, and (B, H, W) 1 where one does.
     """
     sums = torch.stack([values * valid, valid], 1)
-    mean, found = torch.zeros_like(values), torch.zeros_like(values)
+    mean, covered = torch.zeros_like(values), torch.zeros_like(values)
     for rows, columns in WINDOWS:
         total, count = _window_sums(sums, rows, columns).unbind(1)
-        here = as_float(count > 0) * (1 - found)
-        mean += here * total / count.clamp(min=1)
-        found += here
-    return mean, found
+        new = as_float(count > 0) * (1 - covered)
+        mean += new * total / count.clamp(min=1)
+        covered += new
+    return mean, covered
 
 
 def equalised_beams(remission: Tensor, valid: Tensor, road: Tensor, reach: int) -> tuple[Tensor, Tensor]:
@@ -286,7 +284,9 @@ def _window_sums(x: Tensor, rows: int, columns: int) -> Tensor:
     One way and then the other, by adding shifted images: a tenth of avg_pool2d's time on CPUs.
     """
     height, width = x.shape[2:]
-    around = pad_azimuth(x, columns // 2)
-    across = sum((around[..., shift : shift + width] for shift in range(1, columns)), start=around[..., :width])
+    padded_columns = pad_azimuth(x, columns // 2)
+    across = sum(
+        (padded_columns[..., shift : shift + width] for shift in range(1, columns)), start=padded_columns[..., :width]
+    )
     padded = pad(across, (0, 0, rows // 2, rows // 2))
     return sum((padded[:, :, shift : shift + height] for shift in range(1, rows)), start=padded[:, :, :height])

@@ -1,6 +1,7 @@
-"""How long things take on this machine."""
+"""Times of this machine, and tensor operations."""
 
 from lidar2pano.bench.engine_comparison import compare, comparison_table
+from lidar2pano.bench.operations import measure_operations, operations_table
 from lidar2pano.bench.timings import conditions, default_weights, measure, table, untrained
 from lidar2pano.bench.world import measure_world
 
@@ -10,7 +11,9 @@ __all__ = [
     "conditions",
     "default_weights",
     "measure",
+    "measure_operations",
     "measure_world",
+    "operations_table",
     "table",
     "untrained",
 ]

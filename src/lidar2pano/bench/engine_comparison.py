@@ -35,9 +35,9 @@ def compare(runs: int, device: str, weights: str, engines: Sequence[str]) -> lis
     Arguments as of `timings.measure`, which raises the same errors.
     """
     picked = pick_device(device)
-    pipelines = {one: load(weights, device, one) if weights else untrained(picked, one) for one in engines}
+    pipelines = {engine: load(weights, device, engine) if weights else untrained(picked, engine) for engine in engines}
     scan = made_up_scan(POINTS, seed=0)
-    taken: dict[str, list[dict[str, float]]] = {one: [] for one in engines}
+    taken: dict[str, list[dict[str, float]]] = {engine: [] for engine in engines}
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(runs + 1):
             for name, pipeline in pipelines.items():
@@ -47,7 +47,7 @@ def compare(runs: int, device: str, weights: str, engines: Sequence[str]) -> lis
 
 
 def _row(stage: str, taken: dict[str, list[dict[str, float]]]) -> Comparison:
-    warm = {name: [one[stage] for one in times[1:]] for name, times in taken.items()}
+    warm = {name: [run[stage] for run in times[1:]] for name, times in taken.items()}
     return Comparison(
         what=stage if stage == WHOLE else f"stage {stage}",
         median_ms={name: round(statistics.median(times), 2) for name, times in warm.items()},
@@ -63,15 +63,15 @@ def _stages(pipeline: Pipeline, scan: Scan, folder: str) -> dict[str, float]:
     return {**panorama.milliseconds, "save": (end - painted) * 1e3, WHOLE: (end - begin) * 1e3}
 
 
-def comparison_table(rows: Sequence[Comparison], said: dict[str, Any]) -> str:
+def comparison_table(rows: Sequence[Comparison], conditions: dict[str, Any]) -> str:
     """Markdown: the conditions, then a line per stage; each engine's time, and how often it fits into the first's."""
-    first, *others = rows[0].median_ms
-    words = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in said.items())
-    head = ["milliseconds, median", first, *(name for other in others for name in (other, f"{first} / {other}"))]
+    first, *rest = rows[0].median_ms
+    words = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in conditions.items())
+    head = ["milliseconds, median", first, *(column for name in rest for column in (name, f"{first} / {name}"))]
     lines = [f"| {' | '.join(head)} |", f"|---|{'---:|' * (len(head) - 1)}"]
     for row in rows:
         cells = [row.what, f"{row.median_ms[first]:.0f}"]
-        for other in others:
-            cells += [f"{row.median_ms[other]:.0f}", f"{row.median_ms[first] / max(row.median_ms[other], 0.01):.2f}"]
+        for name in rest:
+            cells += [f"{row.median_ms[name]:.0f}", f"{row.median_ms[first] / max(row.median_ms[name], 0.01):.2f}"]
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join([words, "", *lines])

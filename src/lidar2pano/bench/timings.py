@@ -85,11 +85,11 @@ def stages(pipeline: Pipeline, scan: Scan, runs: int, aims: dict[str, str]) -> l
             panorama.save(folder)
             taken.append({**panorama.milliseconds, "save": (time.perf_counter() - begin) * 1e3})
     warm = taken[1:]
-    rows = {stage: [one[stage] for one in warm] for stage in warm[0]}
-    known = PUBLISHED if pipeline.device.type == "cpu" else {}
+    rows = {stage: [run[stage] for run in warm] for stage in warm[0]}
+    published = PUBLISHED if pipeline.device.type == "cpu" else {}
     return [
-        *(_row(f"stage {stage}", times, known.get(stage, "")) for stage, times in rows.items()),
-        _row("whole panorama", [sum(one.values()) for one in warm], aims["panorama"]),
+        *(_row(f"stage {stage}", times, published.get(stage, "")) for stage, times in rows.items()),
+        _row("whole panorama", [sum(run.values()) for run in warm], aims["panorama"]),
     ]
 
 
@@ -106,9 +106,9 @@ def conditions(device: str, runs: int) -> dict[str, Any]:
     }
 
 
-def table(rows: list[Row], said: dict[str, Any]) -> str:
+def table(rows: list[Row], conditions: dict[str, Any]) -> str:
     """Markdown: the conditions, then a line per row."""
-    words = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in said.items())
+    words = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in conditions.items())
     head = ["| milliseconds | median | least | aim |", "|---|---:|---:|---|"]
     return "\n".join(
         [words, "", *head, *(f"| {row.what} | {row.median_ms:.1f} | {row.least_ms:.1f} | {row.aim} |" for row in rows)]

@@ -35,9 +35,9 @@ def measure_world(runs: int, processes: int) -> list[Row]:
         ]
         begin = time.perf_counter()
         frames = sum(generate(Path(folder) / "many", settings, 1, processes))
-        each = (time.perf_counter() - begin) * 1e3 / frames
+        frame_ms = (time.perf_counter() - begin) * 1e3 / frames
         what = f"world: whole frame, {processes} processes, {frames} frames, start and build included"
-        return [*rows, _row(what, [each], AIMS["frame"])]
+        return [*rows, _row(what, [frame_ms], AIMS["frame"])]
 
 
 def _times(work: Callable[[int], object], frames: int) -> list[float]:

@@ -26,20 +26,15 @@ def bench(
             metavar="NAME[,NAME...]", help="Engine of the networks (translate --help); several: stages side by side."
         ),
     ] = "auto",
+    operations: Annotated[
+        bool, typer.Option("--operations", help="Count the tensor operations of each stage of the demo scan instead.")
+    ] = False,
     world: Annotated[bool, typer.Option("--world", help="Time the street world instead.")] = False,
     processes: Annotated[int, typer.Option(min=1, metavar="N", help="Processes of the street world.")] = 2,
     as_json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the times as JSON too.")] = None,
 ) -> None:
-    """Time projection, clean-up, the Lovasz loss and every stage of the pipeline on this machine."""
-    from lidar2pano.bench import (
-        compare,
-        comparison_table,
-        conditions,
-        default_weights,
-        measure,
-        measure_world,
-        table,
-    )
+    """Time projection, clean-up, the Lovasz loss and every stage of the pipeline, or count tensor operations."""
+    from lidar2pano import bench as measures
     from lidar2pano.engines import pick_engine
     from lidar2pano.hardware import keep_buffers, pick_device
     from lidar2pano.models.card import read_card
@@ -48,20 +43,28 @@ def bench(
     if as_json:
         check_file(as_json, "--json")
     if world:
-        rows, settings = measure_world(runs, processes), {"device": "cpu", "runs": runs, "processes": processes}
-        text = table(rows, settings)
+        rows, settings = (
+            measures.measure_world(runs, processes),
+            {"device": "cpu", "runs": runs, "processes": processes},
+        )
+        text = measures.table(rows, settings)
+    elif operations:
+        name = weights or measures.default_weights()
+        settings = {"device": pick_device(device).type, "weights": name or "untrained"}
+        rows = measures.measure_operations(name, device)
+        text = measures.operations_table(rows, settings)
     else:
         buffers_kept = keep_buffers()
-        name = weights or default_weights()
+        name = weights or measures.default_weights()
         engines = list(dict.fromkeys(part.strip() for part in engine.split(",")))
-        settings = conditions(device, runs) | {"weights": name or "untrained", "buffers_kept": buffers_kept}
+        settings = measures.conditions(device, runs) | {"weights": name or "untrained", "buffers_kept": buffers_kept}
         if len(engines) > 1:
-            rows = compare(runs, device, name, engines)
-            text = comparison_table(rows, settings)
+            rows = measures.compare(runs, device, name, engines)
+            text = measures.comparison_table(rows, settings)
         else:
             settings["engine"] = pick_engine(engine, pick_device(device))
-            rows = measure(runs, device, name, settings["engine"])  # "auto" would compile nothing
-            text = table(rows, settings)
+            rows = measures.measure(runs, device, name, settings["engine"])  # "auto" would compile nothing
+            text = measures.table(rows, settings)
         if name:
             print_licence(read_card(file) for file in weight_files(name).values())
     if as_json:

@@ -28,7 +28,7 @@ def export(
     """Write segmenter, translator and painter as ONNX graphs, each compared with torch first."""
     import torch
 
-    from lidar2pano.appearance.noise import BITS, noise_tile
+    from lidar2pano.appearance.invented_textures import BITS, noise_tile
     from lidar2pano.cli.options import check_folder
     from lidar2pano.engines.export import Exportable, check_exportable, export
     from lidar2pano.hardware import keep_buffers

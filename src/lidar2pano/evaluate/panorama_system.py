@@ -77,10 +77,10 @@ class PanoramaSystem:
             if inputs.colours or name == "panorama" or (len(viewpoints) == 1 and inputs.origin is not None):
                 memories[name], panorama = moved.paint(memories[name], scene, own_timer)
             views[name] = _View(scene, panorama)
-        around = views.get("panorama", views.get("camera")) if inputs.origin is not None else None
+        panorama_view = views.get("panorama", views.get("camera")) if inputs.origin is not None else None
         prediction = Prediction(
             point_labels=_labels(next(iter(views.values())).scene),
-            panorama=around.panorama if around else None,
+            panorama=panorama_view.panorama if panorama_view else None,
             painted=self.paints and inputs.colours,
             milliseconds=timer.milliseconds,
         )

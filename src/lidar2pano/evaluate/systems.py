@@ -128,10 +128,8 @@ def _translator(name: str, files: dict[str, Path], segmenter: Segmenter, device:
 
 
 def _renderer(name: str, files: dict[str, Path], device: torch.device) -> CameraRenderer:
-    if others := sorted(files.keys() - {"renderer"}):
-        raise InputError(
-            f"{name}: a renderer predicts colours by itself, so the {others[0]} has no place; leave it out"
-        )
+    if extra := sorted(files.keys() - {"renderer"}):
+        raise InputError(f"{name}: a renderer predicts colours by itself, so the {extra[0]} has no place; leave it out")
     renderer, card = load(files["renderer"], device)
     camera: dict[str, Any] = card.views.get("camera", {})
     return CameraRenderer(

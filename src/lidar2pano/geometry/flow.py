@@ -122,12 +122,12 @@ def moved_distances(before_m: Tensor, T_now_before: Tensor, view: View) -> Tenso
         reached &= (column >= 0) & (column < view.columns)
     cell = (row * view.columns + column.remainder(view.columns))[reached].long()
     inverse = torch.where(before_m.isfinite(), 1 / ends.norm(dim=-1).float(), 0.0)[reached]
-    found = inverse.new_full((view.rows * view.columns,), NONE).scatter_reduce(0, cell, inverse, "amax")
-    found = found.view(view.rows, view.columns)
-    sides = pad(found[None, None], (1, 1, 0, 0), "circular") if view.circular else found[None, None]
-    beside = max_pool2d(sides, 3, 1, padding=(1, 0 if view.circular else 1))[0, 0]
-    found = torch.where(found == NONE, beside, found)
-    return torch.where(found == NONE, 0.0, 1 / found)
+    distance = inverse.new_full((view.rows * view.columns,), NONE).scatter_reduce(0, cell, inverse, "amax")
+    distance = distance.view(view.rows, view.columns)
+    sides = pad(distance[None, None], (1, 1, 0, 0), "circular") if view.circular else distance[None, None]
+    neighbour = max_pool2d(sides, 3, 1, padding=(1, 0 if view.circular else 1))[0, 0]
+    distance = torch.where(distance == NONE, neighbour, distance)
+    return torch.where(distance == NONE, 0.0, 1 / distance)
 
 
 def _ends(now_m: Tensor, T_before_now: Tensor, raster: View | Calibration) -> tuple[Tensor, Tensor]:
@@ -137,8 +137,8 @@ def _ends(now_m: Tensor, T_before_now: Tensor, raster: View | Calibration) -> tu
     """
     device = now_m.device
     rays = directions(raster, device=device).double() if isinstance(raster, View) else camera_rays(raster).to(device)
-    here = raster.origin if isinstance(raster, View) else raster.centre
-    origin, T = torch.tensor(here, dtype=torch.float64, device=device), T_before_now.to(device).double()
+    place = raster.origin if isinstance(raster, View) else raster.centre
+    origin, T = torch.tensor(place, dtype=torch.float64, device=device), T_before_now.to(device).double()
     turn, step = T[:3, :3], T[:3, :3] @ origin + T[:3, 3] - origin
     far = now_m.isinf()[..., None]
     measured = (now_m.double()[..., None].where(~far, 0.0) * rays) @ turn.T + step

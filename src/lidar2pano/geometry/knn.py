@@ -34,7 +34,7 @@ def clean_up(
     view = image.view
     centre_row, centre_column = image.row.clamp(0, view.rows - 1), image.column.clamp(0, view.columns - 1)
     ranges = torch.where(image.valid, image.channels[0], torch.inf)
-    found = vote(
+    labels = vote(
         ranges,
         ids.to(torch.int32),
         (centre_row, centre_column),
@@ -44,7 +44,7 @@ def clean_up(
         weights=inverse_gaussian(search, sigma),
         limits=(neighbours, cutoff_m),
     )
-    return torch.where(image.usable, found, 0)
+    return torch.where(image.usable, labels, 0)
 
 
 def inverse_gaussian(search: int, sigma: float) -> Tensor:

@@ -48,13 +48,13 @@ class Trajectory:
 
     def at(self, stamp_s: np.ndarray) -> np.ndarray:
         """(M, 4, 4) float64 poses at stamps (M,); beyond the first and last recorded one these themselves."""
-        after = np.clip(np.searchsorted(self.stamp_s, stamp_s), 1, max(len(self.stamp_s) - 1, 1))
-        before, after = after - 1, np.minimum(after, len(self.stamp_s) - 1)
-        span_s = np.where(after > before, self.stamp_s[after] - self.stamp_s[before], 1.0)
-        share = np.clip((stamp_s - self.stamp_s[before]) / span_s, 0, 1)[:, None]
+        later = np.clip(np.searchsorted(self.stamp_s, stamp_s), 1, max(len(self.stamp_s) - 1, 1))
+        earlier, later = later - 1, np.minimum(later, len(self.stamp_s) - 1)
+        span_s = np.where(later > earlier, self.stamp_s[later] - self.stamp_s[earlier], 1.0)
+        share = np.clip((stamp_s - self.stamp_s[earlier]) / span_s, 0, 1)[:, None]
         T = np.zeros((len(share), 4, 4))
-        T[:, :3, 3] = self.translation[before] * (1 - share) + self.translation[after] * share
-        T[:, :3, :3] = rotation_matrices(_slerp(self.rotation[before], self.rotation[after], share))
+        T[:, :3, 3] = self.translation[earlier] * (1 - share) + self.translation[later] * share
+        T[:, :3, :3] = rotation_matrices(_slerp(self.rotation[earlier], self.rotation[later], share))
         T[:, 3, 3] = 1
         return T
 

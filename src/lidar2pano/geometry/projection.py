@@ -104,12 +104,12 @@ class Normalisation:
         """(5 or 6, H, W) float32: normalised, then zero where empty, and where no roughness was measured."""
         mean = image.channels.new_tensor(self.mean)[:, None, None]
         deviation = image.channels.new_tensor(self.deviation)[:, None, None]
-        read = (image.channels - mean[:5]) / deviation[:5] * image.valid
+        normalised = (image.channels - mean[:5]) / deviation[:5] * image.valid
         if len(mean) == 5:
-            return read
+            return normalised
         total, count = deviations(image.channels[None])
         rough = (total / count.clamp(min=1) - mean[5]) / deviation[5] * (count > 0)
-        return torch.cat([read, rough])
+        return torch.cat([normalised, rough])
 
 
 def deviations(channels: Tensor) -> tuple[Tensor, Tensor]:
@@ -118,15 +118,15 @@ def deviations(channels: Tensor) -> tuple[Tensor, Tensor]:
     channels  (B, 5, H, W) of a RangeImage; rows are a beam's, or nearly.
     """
     flat = torch.hypot(channels[:, 1].float(), channels[:, 2].float())
-    there = as_float(flat > 0)
-    inverse = there / flat.clamp(min=LEAST_DEVIATION_M)
+    owned = as_float(flat > 0)
+    inverse = owned / flat.clamp(min=LEAST_DEVIATION_M)
     total, count = torch.zeros_like(flat), torch.zeros_like(flat)
     for away in NEIGHBOURS_PX:
         left, right = inverse.roll(away, 2), inverse.roll(-away, 2)
-        known = there.roll(away, 2).mul_(there.roll(-away, 2)).mul_(there)
+        comparable = owned.roll(away, 2).mul_(owned.roll(-away, 2)).mul_(owned)
         off_m = ((left + right).mul_(0.5).sub_(inverse)).abs_().mul_(flat).mul_(flat)  # to first order
-        total += off_m.add_(LEAST_DEVIATION_M).clamp_(max=MOST_DEVIATION_M).log_().mul_(known)
-        count += known
+        total += off_m.add_(LEAST_DEVIATION_M).clamp_(max=MOST_DEVIATION_M).log_().mul_(comparable)
+        count += comparable
     return total, count
 
 
@@ -213,10 +213,10 @@ def fitted_view(scan: Scan, view: View, tallest: View | None) -> View:
     with np.errstate(invalid="ignore"):
         slope = scan.xyz[:, 2] / np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])
     step_deg = (view.up - view.down) / view.rows * ROWS_ADDED
-    above = _steps_beyond(slope, view.up, tallest.up - view.up, step_deg)
-    below = _steps_beyond(-slope, -view.down, view.down - tallest.down, step_deg)
-    rows = view.rows + (above + below) * ROWS_ADDED
-    return replace(view, rows=rows, up=view.up + above * step_deg, down=view.down - below * step_deg)
+    steps_up = _steps_beyond(slope, view.up, tallest.up - view.up, step_deg)
+    steps_down = _steps_beyond(-slope, -view.down, view.down - tallest.down, step_deg)
+    rows = view.rows + (steps_up + steps_down) * ROWS_ADDED
+    return replace(view, rows=rows, up=view.up + steps_up * step_deg, down=view.down - steps_down * step_deg)
 
 
 def _steps_beyond(slope: np.ndarray, border_deg: float, most_deg: float, step_deg: float) -> int:
@@ -224,7 +224,7 @@ def _steps_beyond(slope: np.ndarray, border_deg: float, most_deg: float, step_de
     beyond = slope[slope > math.tan(math.radians(border_deg + BORDER_DEG))]
     if len(beyond) <= BEYOND * len(slope):
         return 0
-    highest = math.degrees(math.atan(np.partition(beyond, at := int(0.95 * len(beyond)))[at]))
+    highest = math.degrees(math.atan(np.partition(beyond, rank := int(0.95 * len(beyond)))[rank]))
     return min(math.ceil((highest - border_deg) / step_deg), round(most_deg / step_deg))
 
 

@@ -42,14 +42,14 @@ def adjacent_rows(mask: Tensor) -> tuple[Tensor, Tensor]:
     rows = mask.shape[-2]
     number = torch.int16 if rows <= torch.iinfo(torch.int16).max else torch.int32  # as narrow as they fit
     from_top = torch.arange(1, rows + 1, dtype=number, device=mask.device)[:, None]
-    above = mask * from_top  # products: torch.where takes several times as long
-    below = mask * from_top.flip(0)
+    latest = torch.stack([mask, mask.flip(-2)]) * from_top  # products: torch.where takes several times as long
     step = 1
     while step < rows:
-        above[..., step:, :] = torch.maximum(above[..., step:, :], above[..., :-step, :])
-        below[..., :-step, :] = torch.maximum(below[..., :-step, :], below[..., step:, :])
+        lower = latest[..., step:, :]
+        lower.copy_(torch.maximum(lower, latest[..., :-step, :]))
         step *= 2
-    return above.long().sub_(1), below.long().neg_().add_(rows)
+    upper_row, lower_row = latest.unbind(0)
+    return upper_row.long().sub_(1), lower_row.flip(-2).long().neg_().add_(rows)
 
 
 def pad_azimuth(x: Tensor, reach: int, margin: int = 0) -> Tensor:

@@ -65,14 +65,14 @@ def stitch(cameras: Sequence[CameraImage], view: View, depth_m: Tensor) -> tuple
     points, size = _homogeneous(view, depth_m), view.rows * view.columns
     projected = [_project(camera, points, view.focal_px) for camera in cameras]
     nearest = torch.full((size,), torch.inf)
-    for one in projected:
-        nearest[one.pixel] = torch.minimum(nearest[one.pixel], one.angle)
+    for projection in projected:
+        nearest[projection.pixel] = torch.minimum(nearest[projection.pixel], projection.angle)
     colours, weights = torch.zeros(3, size), torch.zeros(size)
-    for camera, one in zip(cameras, projected, strict=True):
-        weight = (1 - (one.angle - nearest[one.pixel]) * (2 * view.focal_px / BLEND)).clamp(min=0)
+    for camera, projection in zip(cameras, projected, strict=True):
+        weight = (1 - (projection.angle - nearest[projection.pixel]) * (2 * view.focal_px / BLEND)).clamp(min=0)
         image = torch.from_numpy(camera.image).movedim(2, 0).float()
-        colours.index_add_(1, one.pixel, one.lookup.linear(image) * weight)
-        weights.index_add_(0, one.pixel, weight)
+        colours.index_add_(1, projection.pixel, projection.lookup.linear(image) * weight)
+        weights.index_add_(0, projection.pixel, weight)
     mixed = (colours / weights.clamp(min=1e-9)).round().clamp(0, 255).to(torch.uint8)
     valid = (weights > 0).view(view.rows, view.columns)
     return mixed.T.reshape(view.rows, view.columns, 3).contiguous().numpy(), valid.numpy()
@@ -140,5 +140,5 @@ def _hidden(row: Tensor, column: Tensor, distance: Tensor) -> Tensor:
     inverse = 1 / distance
     nearest = torch.where(index >= 0, inverse[index], 0.0)
     nearest = -max_pool2d(-nearest.view(1, height, width), 3, 1, 1)
-    before = nearest.view(-1)[cell]
-    return before - inverse > (before * NEARER).clamp(min=HIDES)
+    nearer = nearest.view(-1)[cell]
+    return nearer - inverse > (nearer * NEARER).clamp(min=HIDES)

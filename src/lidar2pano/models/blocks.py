@@ -16,6 +16,8 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from lidar2pano.geometry.rasters import pad_azimuth
 
+LARGE = 1 << 22  # numbers in an image from which on a copy of it takes longer than a second convolution at the seam
+
 
 class CircularConv(nn.Conv2d):
     """A convolution of odd kernel that pads circularly in azimuth: (B, inputs, H, W) -> (B, outputs, H/s, W/s)."""
@@ -34,12 +36,13 @@ class CircularConv(nn.Conv2d):
         reach, stride = self.reach, self.stride[0]
         if has_ends:
             return summed(self, parts, (reach, 0))
-        if reach and stride == 1 and not torch.is_grad_enabled() and parts[0].shape[3] >= 2 * reach:
+        large = sum(part.numel() for part in parts) > LARGE and parts[0].shape[3] >= 2 * reach
+        if reach and stride == 1 and large and not torch.is_grad_enabled():
             return self._mended(parts)
         return summed(self, [pad_azimuth(part, reach) for part in parts], (reach, 0))
 
     def _mended(self, parts: Sequence[Tensor]) -> Tensor:
-        """The same without a copy of the whole picture: only what lies next to the seam is done again, closed."""
+        """Convolve without a copy of the whole picture: only the columns next to the seam are done again, padded."""
         reach = self.reach
         answer = summed(self, parts, (reach, reach))
         ends = [torch.cat([part[..., -2 * reach :], part[..., : 2 * reach]], dim=3) for part in parts]
@@ -75,8 +78,11 @@ class CircularResidual(nn.Module):
 
 
 def fold_norms(network: nn.Module) -> nn.Module:
-    """Fold batch norms that follow a convolution into it, in place; for networks in evaluation mode."""
-    for block in network.modules():
+    """Fold batch norms that follow a convolution into it, and drop dropout, in place; for evaluation mode."""
+    for block in list(network.modules()):
+        for name, part in list(block.named_children()):
+            if isinstance(part, nn.Dropout2d):
+                setattr(block, name, nn.Identity())
         if not isinstance(block, nn.Sequential):
             continue
         for place in range(len(block) - 1):
@@ -90,13 +96,15 @@ Pixels = tuple[int, int]
 
 
 def summed(conv: nn.Conv2d, parts: Sequence[Tensor], padding: Pixels) -> Tensor:
-    """What `conv` makes of parts (B, c, H, W) that together are its inputs, with zeros around: rows, columns."""
-    weights = conv.weight.split([part.shape[1] for part in parts], 1)
+    """Convolve parts (B, c, H, W) that together are the inputs of `conv`, padded by zeros: rows, columns."""
     stride, dilation = cast(Pixels, conv.stride), cast(Pixels, conv.dilation)
+    if len(parts) == 1:
+        return conv2d(parts[0], conv.weight, conv.bias, stride, padding, dilation)
+    weights = conv.weight.split([part.shape[1] for part in parts], 1)
     answer = conv2d(parts[0], weights[0], conv.bias, stride, padding, dilation)
     for part, weight in zip(parts[1:], weights[1:], strict=True):
-        one = conv2d(part, weight, None, stride, padding, dilation)
-        answer = answer + one if torch.is_grad_enabled() else answer.add_(one)
+        term = conv2d(part, weight, None, stride, padding, dilation)
+        answer = answer + term if torch.is_grad_enabled() else answer.add_(term)
     return answer
 
 
@@ -113,9 +121,9 @@ class SummedSequential(nn.Sequential):
 
     def forward(self, *parts: Tensor, **how: bool) -> Tensor:
         """What the last layer makes of it; arguments as the first one takes them."""
-        first, *others = self
+        first, *rest = self
         x = first(*parts, **how)
-        for layer in others:
+        for layer in rest:
             x = layer(x)
         return x
 

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import conv2d, interpolate, pad
 
-from lidar2pano.appearance.car_body import Boxes
+from lidar2pano.appearance.cars import Boxes
 from lidar2pano.appearance.painter_inputs import DEPTH, ENDS, FINE_M, FOOT, LAYERS, LEAST_FOOT, OPENINGS, TONE, appear
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.rasters import pad_azimuth
@@ -128,8 +128,8 @@ class ScenePainter(nn.Module):
         names = [name.strip() for name in (look or self.look).split("+")]
         for name in names:
             if name not in self.looks:
-                known = ", ".join(self.looks)
-                raise InputError(f"the painter knows no look {name!r}; it knows {known}")
+                choices = ", ".join(self.looks)
+                raise InputError(f"the painter knows no look {name!r}; it knows {choices}")
         return [names.count(look) / len(names) for look in self.looks]
 
     def forward(self, inputs: Tensor, fine_noise: Tensor, shares: Tensor, tone: Tensor) -> Tensor:
@@ -141,8 +141,8 @@ class ScenePainter(nn.Module):
         """
         rows, columns = inputs.shape[2] - FOOT, inputs.shape[3] - 2 * ENDS
         if rows % STRIDE or columns % STRIDE:
-            given = f"inputs of {tuple(inputs.shape[2:])} pixels, of which ({rows}, {columns}) are no frame"
-            raise InputError(f"{given}: these rows, columns must divide by {STRIDE}")
+            message = f"inputs of {tuple(inputs.shape[2:])} pixels, of which ({rows}, {columns}) are no frame"
+            raise InputError(f"{message}: these rows, columns must divide by {STRIDE}")
         code = torch.cat([shares @ self.codes.weight, tone], 1)
         fine = self.stem(inputs, has_ends=True)
         inputs, fine_noise = inputs.to(fine.dtype), fine_noise.to(fine.dtype)  # one float32 part would make all float32
@@ -195,11 +195,11 @@ class ScenePainter(nn.Module):
         tables.append(_padded(self.glass.weight, channels - GLASS, channels))
         parts = _mixed(inputs, tables, [channels + OPENINGS, DEPTH], shares)
         size = 2 * EDGE_PX + 1
-        around = conv2d(parts[:, -2:-1], parts.new_full((1, 1, size, size), size**-2.0), padding=(EDGE_PX, 0))
-        known, glass, _, depth = parts[..., ENDS:-ENDS].split((TONE, TONE, 1, 1), 1)
+        pane_share = conv2d(parts[:, -2:-1], parts.new_full((1, 1, size, size), size**-2.0), padding=(EDGE_PX, 0))
+        colours, glass, _, depth = parts[..., ENDS:-ENDS].split((TONE, TONE, 1, 1), 1)
         near = ((FAR_CODE - depth) / (FAR_CODE - NEAR_CODE)).clamp(0, 1)
-        share = ((around - NEARLY) / (1 - NEARLY)).clamp(0, 1) * near
-        return known + share * (glass - known), share
+        share = ((pane_share - NEARLY) / (1 - NEARLY)).clamp(0, 1) * near
+        return colours + share * (glass - colours), share
 
     def _tuned(self, number: int, x: Tensor, code: Tensor) -> Tensor:
         factor, shift = self.tuned[number](code)[..., None, None].to(x.dtype).chunk(2, 1)

@@ -44,8 +44,8 @@ def load(
     if "renderer" in files:
         raise InputError(f"{files['renderer']}: paints without classes, which `evaluate` can do only; name a family")
     if missing := [part for part in ("segmenter", "translator", "painter") if part not in files]:
-        given = weights if isinstance(weights, str | Path) else ", ".join(map(str, files.values()))
-        raise InputError(f"{given}: no weights for the {' and the '.join(missing)}; name a family that has them")
+        source = weights if isinstance(weights, str | Path) else ", ".join(map(str, files.values()))
+        raise InputError(f"{source}: no weights for the {' and the '.join(missing)}; name a family that has them")
     segmenter, segmenter_card = load_segmenter(files["segmenter"], picked, engine)
     translator, card, view = load_translator(files["translator"], picked, engine)
     painter, painter_card = load_painter(files["painter"], files.get("first-frame painter"), view, picked, engine)
@@ -88,8 +88,8 @@ def load_translator(file: Path, device: torch.device, engine: str = "torch") -> 
         return translator, card, card_view(file, card, "panorama")
     network, card = load_weights(file, device)
     normalise = validated(Normalisation, card.normalisation, f"{file}: the card's normalisation")
-    around = FrontAllAround(network, card_view(file, card, "input"), normalise)
-    return around, card, around.view
+    panoramic = FrontAllAround(network, card_view(file, card, "input"), normalise)
+    return panoramic, card, panoramic.view
 
 
 def load_segmenter(file: Path, device: torch.device, engine: str = "torch") -> tuple[Segmenter, Card]:

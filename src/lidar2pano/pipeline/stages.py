@@ -37,8 +37,8 @@ from lidar2pano.recordings.recorded_scans import read
 from lidar2pano.scan import OWN_VEHICLE_M, Scan
 from lidar2pano.scene.between_beams import denser
 from lidar2pano.scene.depth import measured_depth
-from lidar2pano.scene.ground import viewpoint_height
 from lidar2pano.scene.record import ScanPoints, Scene
+from lidar2pano.scene.surfaces import viewpoint_height
 from lidar2pano.views import View, columns_between, sensor_view
 
 TINY = 1e-20  # least probability whose logarithm is taken
@@ -241,7 +241,7 @@ class Pipeline:
               (memory.fused), and so is the image (memory.smoothed). Without it the stream begins again.
         """
         if pose is None:
-            return remember(memory, scene)
+            return replace(memory, around=None, previous=None), scene
         with timer("fuse"):
             return remember(memory, replace(scene, T_world_sensor=pose))
 

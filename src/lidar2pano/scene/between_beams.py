@@ -45,13 +45,13 @@ def denser(scan: Scan, image: RangeImage) -> tuple[Scan, RangeImage, Tensor]:
     Such a scan has no labels, beams and times. Also returns, for each point (N + M,) int64, the scan's point whose
     label it may take.
     """
-    between, own = between_beams(image), torch.arange(len(scan), device=image.index.device)
-    if between is None:
+    added, own = between_beams(image), torch.arange(len(scan), device=image.index.device)
+    if added is None:
         return scan, image, own
-    xyz = np.concatenate([scan.xyz, between.xyz.cpu().numpy()])
-    remission = np.concatenate([scan.remission, between.remission.cpu().numpy()])
+    xyz = np.concatenate([scan.xyz, added.xyz.cpu().numpy()])
+    remission = np.concatenate([scan.remission, added.remission.cpu().numpy()])
     scan = Scan(xyz=xyz, remission=remission, name=scan.name, gaps_deg=scan.gaps_deg)
-    return scan, project(scan, image.view, device=own.device), torch.cat([own, between.source])
+    return scan, project(scan, image.view, device=own.device), torch.cat([own, added.source])
 
 
 def between_beams(image: RangeImage) -> Between | None:
@@ -89,16 +89,16 @@ def _interpolated(raster: _Raster) -> _Raster:
     if (mean := _mean_gap(owned)) < SPARSE:
         return raster
     rows = len(owned)
-    above, below = adjacent_rows(owned)
+    upper_row, lower_row = adjacent_rows(owned)
     row = torch.arange(rows, device=owned.device)[:, None]
-    new = ~owned & (above >= 0) & (below < rows) & (below - above <= round(REACH * mean))
-    above, below = above.clamp(min=0), below.clamp(max=rows - 1)
-    share = (row - above) / (below - above).clamp(min=1)
-    upper, lower = raster.inverse.gather(0, above), raster.inverse.gather(0, below)
+    new = ~owned & (upper_row >= 0) & (lower_row < rows) & (lower_row - upper_row <= round(REACH * mean))
+    upper_row, lower_row = upper_row.clamp(min=0), lower_row.clamp(max=rows - 1)
+    share = (row - upper_row) / (lower_row - upper_row).clamp(min=1)
+    upper, lower = raster.inverse.gather(0, upper_row), raster.inverse.gather(0, lower_row)
     share = torch.where(same_surface(upper, lower), share, (share > 0.5).float())
     inverse = torch.lerp(upper, lower, share)
-    remission = torch.lerp(raster.remission.gather(0, above), raster.remission.gather(0, below), share)
-    index = torch.where(share <= 0.5, raster.index.gather(0, above), raster.index.gather(0, below))
+    remission = torch.lerp(raster.remission.gather(0, upper_row), raster.remission.gather(0, lower_row), share)
+    index = torch.where(share <= 0.5, raster.index.gather(0, upper_row), raster.index.gather(0, lower_row))
     return _Raster(*(torch.where(new, *parts) for parts in zip((inverse, remission, index), raster, strict=True)))
 
 

@@ -18,8 +18,7 @@ from torch.nn.functional import pad
 from lidar2pano.geometry.projection import directions, project_points
 from lidar2pano.geometry.rasters import adjacent_rows, as_float, select
 from lidar2pano.labels import COMMON15
-from lidar2pano.scene.ground import CLEAR_OF_VEHICLE_M, ground_plane
-from lidar2pano.scene.surfaces import cylinder_points, same_surface, slopes
+from lidar2pano.scene.surfaces import CLEAR_OF_VEHICLE_M, cylinder_points, ground_plane, same_surface, slopes
 from lidar2pano.views import View
 
 NEAREST_M, FARTHEST_M = 0.5, 1000.0  # horizontal distances; nearer points lie on the vehicle itself
@@ -79,16 +78,16 @@ def _between(inverse: Tensor, guess: Tensor, road: Tensor) -> Tensor:
     """Return inverse distances (B, H, W) between and below a column's points, zero above them."""
     rows = inverse.shape[1]
     row = torch.arange(rows, device=inverse.device)[:, None]
-    above, below = adjacent_rows(inverse > 0)
-    first, last = above.clamp(min=0), below.clamp(max=rows - 1)
+    upper_row, lower_row = adjacent_rows(inverse > 0)
+    first, last = upper_row.clamp(min=0), lower_row.clamp(max=rows - 1)
     upper, lower = inverse.gather(1, first), inverse.gather(1, last)
-    share = (row - above) / (below - above).clamp(min=1)
+    share = (row - upper_row) / (lower_row - upper_row).clamp(min=1)
     extended = _extended(lower, last, road)
     nearer_upper = (guess.square() > upper * extended) == (upper > extended)  # by the logarithm
     edge = select(nearer_upper, upper, extended)
     inner = select(same_surface(upper, lower), upper + (lower - upper) * share, edge)
     lowest = torch.maximum(_extended(upper, first, road), road[:, :, None])
-    return select(below < rows, inner, lowest).mul_(as_float(above >= 0))
+    return select(lower_row < rows, inner, lowest).mul_(as_float(upper_row >= 0))
 
 
 def _extended(inverse: Tensor, row: Tensor, road: Tensor) -> Tensor:
@@ -132,9 +131,9 @@ def _average_on_planes(inverse: Tensor) -> Tensor:
 
 def _add_mean(total: Tensor, count: Tensor, middle: Tensor, first: Tensor, second: Tensor) -> None:
     """Add the mean of two opposite pixels to `total`, and 1 to `count`, where it is near the value in their middle."""
-    mean = torch.add(first, second).mul_(0.5)
+    mean = torch.lerp(first, second, 0.5)
     even = as_float((mean - middle).abs_() < ON_PLANE * middle)
-    total.add_(mean.mul_(even))
+    total.addcmul_(mean, even)
     count.add_(even)
 
 
@@ -186,28 +185,30 @@ def _completed(inverse: Tensor, ray: Tensor, xyz: Tensor, view: View) -> Tensor:
     rows = view.rows
     row = torch.arange(rows)[:, None].expand_as(inverse)
     owned = inverse > 0
-    above, below = adjacent_rows(owned)
-    upper = inverse.gather(0, above.clamp(min=0)) * (above >= 0)
-    lower = inverse.gather(0, below.clamp(max=rows - 1)) * (below < rows)
-    share = ((row - above) / (below - above).clamp(min=1)).float()
+    upper_row, lower_row = adjacent_rows(owned)
+    upper = inverse.gather(0, upper_row.clamp(min=0)) * (upper_row >= 0)
+    lower = inverse.gather(0, lower_row.clamp(max=rows - 1)) * (lower_row < rows)
+    share = ((row - upper_row) / (lower_row - upper_row).clamp(min=1)).float()
     ground = _ground(ray, xyz, view)
-    lift = lower / ground.gather(0, below.clamp(max=rows - 1))  # 1 where the lower point is on the plane
+    lift = lower / ground.gather(0, lower_row.clamp(max=rows - 1))  # 1 where the lower point is on the plane
     on_ground = (lift > 1 / ON_GROUND) & (lift < ON_GROUND)
     nearer_row = torch.where(share <= 0.5, upper, lower)
     inner = torch.where(on_ground, torch.maximum(upper, ground * lift), nearer_row)
     step = (view.up - view.down) / rows
-    open_sky = ((below - above) * step > OPEN_SKY) & (torch.minimum(row - above, below - row) * step > RIM)
+    open_sky = ((lower_row - upper_row) * step > OPEN_SKY) & (
+        torch.minimum(row - upper_row, lower_row - row) * step > RIM
+    )
     inner = torch.where(open_sky & (ground == 0), 0.0, inner)
     inner = torch.where(same_surface(upper, lower), upper + (lower - upper) * share, inner)
-    highest = torch.where(row >= _rims(inverse, below, ray, xyz, view), lower, ground)
+    highest = torch.where(row >= _rims(inverse, lower_row, ray, xyz, view), lower, ground)
     lowest = torch.maximum(ground, upper)
-    completed = torch.where(above < 0, highest, inner).where(below < rows, lowest)
+    completed = torch.where(upper_row < 0, highest, inner).where(lower_row < rows, lowest)
     return torch.where(owned, inverse, completed)
 
 
-def _rims(inverse: Tensor, below: Tensor, ray: Tensor, xyz: Tensor, view: View) -> Tensor:
+def _rims(inverse: Tensor, lower_row: Tensor, ray: Tensor, xyz: Tensor, view: View) -> Tensor:
     """Return the row (W,) up to which the surface of a column's topmost point goes on: 0 where the scan cut it off."""
-    top, column = below[0].clamp(max=view.rows - 1), torch.arange(view.columns)
+    top, column = lower_row[0].clamp(max=view.rows - 1), torch.arange(view.columns)
     rim = top - RIM * view.rows / (view.up - view.down)
     distance = torch.hypot(xyz[:, 0], xyz[:, 1])
     slope = xyz[:, 2] / distance

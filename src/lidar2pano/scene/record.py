@@ -9,7 +9,7 @@ from torch import Tensor
 
 from lidar2pano.geometry.rasters import likeliest
 from lidar2pano.labels import COMMON15
-from lidar2pano.scene.ground import viewpoint_height
+from lidar2pano.scene.surfaces import viewpoint_height
 from lidar2pano.views import View
 
 ROAD = COMMON15.id_of("road")

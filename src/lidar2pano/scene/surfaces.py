@@ -1,7 +1,7 @@
-"""Surfaces that a panorama shows, from its depths: points in cylinder coordinates, normals, neighbours on one surface.
+"""Surfaces and the ground of a panorama, from its depths: points, normals, neighbours on one surface, profiles.
 
 Everything is expressed in each column's own axes (radial, tangential to the left, up), so that turning the depths by
-whole columns turns the answer.
+whole columns turns the answer. Profiles read columns from above, for things that are laid out on the ground.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import math
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from lidar2pano.views import View
 
@@ -19,6 +20,15 @@ from lidar2pano.views import View
 # of the sparsest sensors, reach it at 84 degrees, and hardly an echo returns beyond. Of 1.1, 1.25, 1.4 and angles of
 # incidence of 80 to 88 degrees it has the least error on held-out points of scans with 32 and 64 beams.
 SAME_SURFACE = 1.4
+ROAD_Z_M = -1.73  # height of the road in the sensor frame where no road is visible: KITTI's LiDAR stands so high
+ROAD_NEAR_M, ROAD_FAR_M = 3.0, 20.0  # horizontal distances between which the road's height is read
+ROAD_LOWEST_M, ROAD_HIGHEST_M = -4.0, -0.5  # bounds of the height of a road below a vehicle's roof
+ROAD_PIXELS = 50  # least number of pixels of road, of every fourth column
+CLEAR_OF_VEHICLE_M = 3.0  # horizontal distance of points that do not lie on the sensor's own vehicle
+FITTED_WITHIN_M = 25.0  # horizontal distance up to which a plane is fitted
+CELL_M = 2.0  # side of the squares whose lowest points may be ground
+OFF_PLANE_M = (0.6, 0.3, 0.15)  # distances off the plane beyond which a cell is left out, fit after fit
+LEAST_CELLS = 6  # that a plane is fitted to
 
 
 def same_surface(distance: Tensor, neighbour: Tensor) -> Tensor:
@@ -85,3 +95,76 @@ def _central(x: Tensor) -> Tensor:
     """Return differences between the rows below and above: (B, H, W) -> the same shape."""
     inner = x[:, 2:] - x[:, :-2]
     return torch.cat([inner[:, :1], inner, inner[:, -1:]], 1)
+
+
+def viewpoint_height(depth_m: Tensor, road: Tensor, view: View) -> Tensor:
+    """Return the height (B,) float32 of a view's origin above the road, metres: from the median of the road's pixels.
+
+    depth_m  (B, H, W): distances from the view's origin along the rays;  road: (B, H, W) bool, pixels of road.
+    Pixels between ROAD_NEAR_M and ROAD_FAR_M count; the road lies at ROAD_Z_M where too few do or the median is out of
+    bounds.
+    """
+    radius_m, above_m = cylinder_points(depth_m, view)
+    z_m = above_m + view.origin[2]
+    heights = z_m.new_full((len(z_m),), ROAD_Z_M)
+    near = road & (radius_m > ROAD_NEAR_M) & (radius_m < ROAD_FAR_M)
+    for number, (z, mask) in enumerate(zip(z_m[..., ::4], near[..., ::4], strict=True)):
+        road_z = z[mask]
+        if len(road_z) >= ROAD_PIXELS:
+            median = road_z.median()
+            heights[number] = torch.where((median > ROAD_LOWEST_M) & (median < ROAD_HIGHEST_M), median, ROAD_Z_M)
+    return view.origin[2] - heights
+
+
+def ground_plane(xyz: Tensor) -> tuple[float, float, float] | None:
+    """Fit the ground's plane z = a x + b y + c around the sensor, metres; None where too little of it is visible.
+
+    xyz  (N, 3) float32 points, sensor frame. Least squares over the lowest points of squares; squares that lie off the
+    plane are left out and the fit is repeated.
+    """
+    distance = torch.hypot(xyz[:, 0], xyz[:, 1])
+    near = xyz[(distance < FITTED_WITHIN_M) & (distance > CLEAR_OF_VEHICLE_M) & xyz[:, 2].isfinite()].double()
+    near = near[near[:, 2].argsort()]
+    square = (near[:, :2] / CELL_M).floor().long()
+    _, lowest = np.unique((square[:, 0] * 1000 + square[:, 1]).numpy(), return_index=True)  # the first, so the lowest
+    if len(lowest) < LEAST_CELLS:
+        return None
+    low = near[torch.from_numpy(lowest)]
+    system, z = torch.cat([low[:, :2], low.new_ones(len(low), 1)], 1), low[:, 2]
+    off, plane = z - z.quantile(0.3), None
+    for most in OFF_PLANE_M:
+        inlier = off.abs() < most
+        if inlier.sum() < LEAST_CELLS:
+            break
+        plane = torch.linalg.lstsq(system[inlier], z[inlier]).solution
+        off = z - system @ plane
+    return None if plane is None else (float(plane[0]), float(plane[1]), float(plane[2]))
+
+
+def surface_profile(  # noqa: PLR0913, PLR0917 two images, and how they are read
+    weight: Tensor, radius_m: Tensor, tolerance: float, least: float, reach: int, nearness: float = 0.0
+) -> tuple[Tensor, Tensor]:
+    """Logarithm of the distance (B, W) of a surface, and how many rows (B, W) of a column it was read from.
+
+    A mean over the rows, twice: the second time of what is near the first. Then the median of the columns around, NaN
+    where none of them has more than `least` rows.
+    weight, radius_m  (B, H, W): of each pixel;  same: of the logarithm, what is near;  reach: as for median_around.
+    nearness          power of the distance that weights of the first mean are divided by: of two surfaces the nearer.
+    """
+    distance = radius_m.clamp(min=0.5).log()
+    first = weight * torch.exp(-nearness * distance) if nearness else weight
+    mean = (first * distance).sum(1) / first.sum(1).clamp(min=1e-9)
+    weight = weight * torch.exp(-((distance - mean[:, None]) / tolerance).square())
+    total = weight.sum(1)
+    profile = (weight * distance).sum(1) / total.clamp(min=1e-6)
+    return median_around(torch.where(total > least, profile, torch.nan), reach), total
+
+
+def median_around(values: Tensor, reach: int) -> Tensor:
+    """The median (B, W) of each column and `reach` columns on either side, NaN left out; circular."""
+    return pad(values, (reach, reach), mode="circular").unfold(1, 2 * reach + 1, 1).nanmedian(2).values
+
+
+def pixel_share(inside_m: Tensor, pixel_m: Tensor) -> Tensor:
+    """The share of pixels of size pixel_m that is inside of an edge, from which their middles are inside_m away."""
+    return (0.5 + inside_m / pixel_m).clamp(0, 1)

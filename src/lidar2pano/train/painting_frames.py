@@ -90,7 +90,9 @@ class PaintingFrames:
             if (look or own) not in looks:
                 raise InputError(f"{frame.name}: its look {look or own!r} is none of {', '.join(looks)}")
         self.look = [looks.index(look or own) for look in simulated]
-        groups = [[n for n, look in enumerate(simulated) if bool(look) == wanted] for wanted in (False, True)]
+        groups = [
+            [n for n, look in enumerate(simulated) if bool(look) == is_simulated] for is_simulated in (False, True)
+        ]
         self.groups = [group for group in groups if group]
         self._means: dict[int, Tensor] = {}
 
@@ -138,11 +140,11 @@ class PaintingFrames:
         flipped = {name: getattr(sample, name).flip(-1) for name in sample._fields if name not in NOT_FLIPPED}
         return sample._replace(**flipped)
 
-    def _start(self, known: Tensor, generator: np.random.Generator | None) -> int:
+    def _start(self, valid: Tensor, generator: np.random.Generator | None) -> int:
         """A crop's first column: where a camera looks, but for a share anywhere; for None in the middle of that."""
         columns = self.options.columns
-        spare = known.shape[1] // 2 - columns
-        first, last = known.any(0).nonzero()[[0, -1], 0].tolist()
+        spare = valid.shape[1] // 2 - columns
+        first, last = valid.any(0).nonzero()[[0, -1], 0].tolist()
         middle = min(max((first + last) // 4 - columns // 2, 0), spare)
         if generator is None:
             return middle
@@ -157,7 +159,7 @@ class PaintingFrames:
         file = self._file(index)
         if not file.is_file():
             made = self._made(index)
-            write_whole(file, lambda beside: save_file(made, beside), "options.cache")
+            write_whole(file, lambda temporary: save_file(made, temporary), "options.cache")
         return load_file(file)
 
     def _file(self, index: int) -> Path:
@@ -189,14 +191,14 @@ class PaintingFrames:
         """How much brighter an image is than its classes are on average in its look, (3,), and each class, (16, 3)."""
         look = self.look[index]
         if look not in self._means:
-            alike = [number for number, one in enumerate(self.look) if one == look]
-            sums = [self._sums(alike[number]) for number in evenly_spaced(len(alike), MEAN_OF)]
+            members = [number for number, member in enumerate(self.look) if member == look]
+            sums = [self._sums(members[number]) for number in evenly_spaced(len(members), MEAN_OF)]
             total, count = (torch.stack(part).sum(0) for part in zip(*sums, strict=True))
             self._means[look] = total / count[:, None]
         total, count = self._sums(index)
         excess = (total - self._means[look] * count[:, None]).nan_to_num(0)
-        known = (count >= SCORED_PIXELS)[:, None]
-        class_tones = (excess / count.clamp(min=1)[:, None]).where(known, 0.0)
+        scored = (count >= SCORED_PIXELS)[:, None]
+        class_tones = (excess / count.clamp(min=1)[:, None]).where(scored, 0.0)
         return excess.sum(0) / count.sum().clamp(min=1), class_tones[: len(COMMON15)]
 
     def _sums(self, index: int) -> tuple[Tensor, Tensor]:
@@ -210,10 +212,10 @@ class PaintingFrames:
 def colours_of_classes(window: PanoramaWindow) -> tuple[Tensor, Tensor]:
     """Sums of colours (256, 3) in [-1, 1] and numbers of pixels (256,) of each class: every 64th pixel counts."""
     ids = window.camera_labels[1::4, 1::4].long()
-    known = window.valid[2::8, 2::8] & (ids != IGNORE) & (ids != COMMON15.id_of("sky"))
-    colour = window.image[:, 2::8, 2::8].movedim(0, 2)[known].float() / 127.5 - 1
-    total = torch.zeros(256, 3).index_add_(0, ids[known], colour)
-    return total, torch.zeros(256).index_add_(0, ids[known], torch.ones(len(colour)))
+    labelled = window.valid[2::8, 2::8] & (ids != IGNORE) & (ids != COMMON15.id_of("sky"))
+    colour = window.image[:, 2::8, 2::8].movedim(0, 2)[labelled].float() / 127.5 - 1
+    total = torch.zeros(256, 3).index_add_(0, ids[labelled], colour)
+    return total, torch.zeros(256).index_add_(0, ids[labelled], torch.ones(len(colour)))
 
 
 def painting_file(frame: Frame, cache: str, made_by: str) -> Path:

@@ -131,10 +131,13 @@ class ScenePainting:
             scores = zip(
                 critic(condition, *on_real), critic(condition, *(part.detach() for part in on_fake)), strict=True
             )
-            yield "critic", _mean([hinge_critic(one.float(), other.float()) for one, other in scores])
+            yield (
+                "critic",
+                _mean([hinge_critic(real_part.float(), fake_part.float()) for real_part, fake_part in scores]),
+            )
         options = self.options
-        pairs = [(one.float(), other.float()) for one, other in zip(on_real, on_fake, strict=True)]
-        weights = [adaptive_avg_pool2d(counted[:, 1:2], one.shape[-2:]) for one, _ in pairs]
+        pairs = [(real_part.float(), fake_part.float()) for real_part, fake_part in zip(on_real, on_fake, strict=True)]
+        weights = [adaptive_avg_pool2d(counted[:, 1:2], real_part.shape[-2:]) for real_part, _ in pairs]
         perceptual = _mean(
             [((a - b).abs() * share).mean() / (a.std() + 1e-3) for (a, b), share in zip(pairs, weights, strict=True)]
         )
@@ -167,8 +170,8 @@ class ScenePainting:
         """The losses, of those that have a weight, that compare what is painted with what is known of its classes."""
         options, terms = self.options, {}
         if options.unseen:
-            known = batch.valid & (invented < 0.5)
-            terms["unseen"] = self._unseen(batch._replace(valid=known), segments, inputs[0][:, TONES], painted)
+            visible = batch.valid & (invented < 0.5)
+            terms["unseen"] = self._unseen(batch._replace(valid=visible), segments, inputs[0][:, TONES], painted)
         if options.walls:
             gap, walls = self._wall_hues(batch, inputs, painted)
             terms["walls"] = ((gap.abs() - HUE).clamp(min=0) * walls).sum() / (3 * walls.sum()).clamp(min=1)
@@ -208,9 +211,9 @@ class ScenePainting:
             return batch, torch.ones_like(batch.valid)
         drawn = torch.rand(len(batch.look), device=batch.look.device) < self.options.teacher_probability
         look = torch.where(drawn, torch.randint_like(batch.look, len(self.looks)), batch.look)
-        other = (look != batch.look)[:, None, None]
+        changed = (look != batch.look)[:, None, None]
         batch = batch._replace(
-            look=look, tone=batch.tone * ~drawn[:, None], class_means=batch.class_means.masked_fill(other, torch.nan)
+            look=look, tone=batch.tone * ~drawn[:, None], class_means=batch.class_means.masked_fill(changed, torch.nan)
         )
         taught = self.teacher(*framed(*inputs), *self._look_and_tone(batch)).float()
         if self.options.walls:
@@ -272,8 +275,8 @@ class ScenePainting:
         sizes = [part.shape[1] for part in layers]
         large = [part if part.shape[2:] == fake.shape[2:] else twice(part) for part in layers]
         joined = augment.apply(fake, everywhere, torch.cat(large, 1))
-        others = joined[:, 3:].detach().split(sizes, 1)
-        return augment.apply(real, everywhere, everywhere[:, :0])[:, :3], joined[:, :3], *others
+        augmented = joined[:, 3:].detach().split(sizes, 1)
+        return augment.apply(real, everywhere, everywhere[:, :0])[:, :3], joined[:, :3], *augmented
 
     def _counted(self, batch: PaintingSample, segments: Tensor, invented: Tensor, photographed: Tensor) -> Tensor:
         """Where the image is known, how much what is painted has to be equal to it there, and what is invented.
@@ -291,14 +294,14 @@ class ScenePainting:
         To this comes by how much single pixels are farther from them than SPREAD. The sky's are not known.
         (Without this loss a strip of bright dashes ran along the foot of the picture.)
         """
-        known = batch.class_means.isfinite().all(2)
-        shares = segments * known[..., None, None]
+        has_mean = batch.class_means.isfinite().all(2)
+        shares = segments * has_mean[..., None, None]
         expected = torch.einsum("bchw,bck->bkhw", shares, batch.class_means.nan_to_num(0))
         expected = expected + tones * shares.sum(1, keepdim=True)
         rows, columns = pooled(painted).shape[-2:]
         far = (painted - twice(expected)).abs() - SPREAD  # single bright pixels, which pooled colours forgive
-        alone = twice(shares.sum(1, keepdim=True)) * ~batch.valid[:, None]
-        outliers = (far.clamp(min=0) * alone).sum() / (3 * alone.sum()).clamp(min=1)
+        unseen = twice(shares.sum(1, keepdim=True)) * ~batch.valid[:, None]
+        outliers = (far.clamp(min=0) * unseen).sum() / (3 * unseen.sum()).clamp(min=1)
         share, expected, valid = (
             adaptive_avg_pool2d(part, (rows, columns))
             for part in (shares.sum(1, keepdim=True), expected, batch.valid[:, None].float())
@@ -356,14 +359,14 @@ class ScenePainting:
         tones = torch.einsum("bchw,bck->bkhw", segments, batch.class_tones.index_fill(1, apart, 0))
         lot = int(np.random.randint(3))  # noqa: NPY002
         colour, covered = avg_pool2d(batch.image, 2), avg_pool2d(batch.valid[:, None].float(), 2)[:, 0] == 1
-        for each, reaches in NEARBY.items():
-            mean, reach = batch.class_means[:, each, :, None, None], reaches[lot]
-            known = (batch.labels == each) & covered & mean.isfinite()[:, 0]
-            parts = [(colour - mean).nan_to_num(0) * known[:, None], known[:, None].float()]
+        for class_id, reaches in NEARBY.items():
+            mean, reach = batch.class_means[:, class_id, :, None, None], reaches[lot]
+            visible = (batch.labels == class_id) & covered & mean.isfinite()[:, 0]
+            parts = [(colour - mean).nan_to_num(0) * visible[:, None], visible[:, None].float()]
             nearby = avg_pool2d(torch.cat(parts, 1), 2 * reach + 1, 1, reach)
-            whole = torch.nan if each in PAINTED else batch.class_tones[:, each, :, None, None]
+            whole = torch.nan if class_id in PAINTED else batch.class_tones[:, class_id, :, None, None]
             tone = torch.where(nearby[:, 3:] > 0, nearby[:, :3] / nearby[:, 3:], whole)
-            share = segments[:, each, None]
+            share = segments[:, class_id, None]
             tones = tones + torch.where(share > 0.01, share * tone, 0)
         return tones
 
@@ -379,9 +382,9 @@ class ScenePainting:
         samples, device = len(batch.look), batch.look.device
         power = 1 + (self.options.sharpest - 1) * torch.rand(samples, 1, 1, 1, device=device)
         chosen = torch.rand(samples, 1, 1, device=device) < self.options.ground_truth_probability
-        known = (batch.labels != IGNORE) & chosen
-        labels = one_hot_layers(batch.labels.where(known, 0), len(COMMON15))
-        return torch.where(known[:, None], labels, sharpened(batch.segments, power))
+        labelled = (batch.labels != IGNORE) & chosen
+        labels = one_hot_layers(batch.labels.where(labelled, 0), len(COMMON15))
+        return torch.where(labelled[:, None], labels, sharpened(batch.segments, power))
 
     @torch.no_grad()
     def paint(self, index: int) -> tuple[Tensor, PaintingSample]:
