@@ -60,7 +60,7 @@ def import_files(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE", help="Checkpoint as published by the network's authors; vid2vid: one per scale, or a folder."
+            metavar="FILE", help="Checkpoint as its authors published it; vid2vid: one per scale, or a folder."
         ),
     ],
     network: Annotated[
