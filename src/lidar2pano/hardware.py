@@ -1,4 +1,4 @@
-"""The machine: which device computes, in which arithmetic, how long it takes, and how glibc allocates its memory."""
+"""The machine: device, arithmetic, times of stages, and glibc's allocation of memory."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lidar2pano.errors import InputError
 
 
 def has_bfloat16(device: torch.device) -> bool:
-    """Whether the device multiplies bfloat16 in hardware (CPU: AMX or AVX-512 BF16; CUDA: Ampere and later)."""
+    """Tell if the device multiplies bfloat16 in hardware (CPU: AMX or AVX-512 BF16; CUDA: Ampere and later)."""
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
     tests = ("_is_amx_tile_supported", "_is_avx512_bf16_supported")
@@ -22,18 +22,18 @@ def has_bfloat16(device: torch.device) -> bool:
 
 
 def fast_arithmetic(device: torch.device) -> AbstractContextManager[object]:
-    """Context of inference: autocast to bfloat16 where the device has it."""
+    """Context of inference: autocast to bfloat16 if the device has it."""
     return torch.autocast(device.type, dtype=torch.bfloat16, enabled=has_bfloat16(device))
 
 
 def inference_dtype(device: torch.device) -> torch.dtype:
-    """What convolutions compute in: inside `fast_arithmetic` and inference mode bfloat16, otherwise float32."""
+    """Type of convolutions: inside `fast_arithmetic` and inference mode bfloat16, otherwise float32."""
     fast = torch.is_inference_mode_enabled() and torch.is_autocast_enabled(device.type)
     return torch.get_autocast_dtype(device.type) if fast else torch.float32
 
 
 def pick_device(name: str | torch.device) -> torch.device:
-    """The device that "auto", "cpu" or "cuda" stands for; InputError where it is unknown or not there."""
+    """Return the device of "auto", "cpu" or "cuda"; InputError for an unknown or absent one."""
     if isinstance(name, torch.device):
         return name
     if name not in ("auto", "cpu", "cuda"):
@@ -60,19 +60,19 @@ class Timer:
         self.milliseconds[stage] = (time.perf_counter() - begin) * 1e3
 
 
-# The names and numbers of glibc's malloc.h, with what they are set to.
+# The names and numbers of glibc's malloc.h, and their values.
 M_TRIM_THRESHOLD, M_MMAP_MAX = -1, -4
 SETTINGS = (
-    (M_MMAP_MAX, 0),  # nothing gets a mapping of its own (the size from which it would is capped in some versions)
+    (M_MMAP_MAX, 0),  # nothing gets a mapping of its own (the threshold is capped in some versions)
     (M_TRIM_THRESHOLD, -1),  # free memory at the end of the heap is never given back
 )
 
 
 def keep_buffers() -> bool:
-    """Let glibc keep large buffers for the next step, in the whole process. True where that worked.
+    """Let glibc keep large buffers for the next step, in the whole process. True on success.
 
     By default every activation of some size is mapped, faulted in page by page and unmapped again; in a network of
-    images that is up to half of the CPU's time.
+    images this is up to half of the CPU's time.
     Elsewhere (musl, macOS, Windows) nothing happens and the answer is False. Calling it again changes nothing.
     """
     try:

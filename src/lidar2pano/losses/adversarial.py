@@ -1,4 +1,4 @@
-"""Adversarial training: losses, the updates that alternate between networks, changes of images before a discriminator.
+"""Adversarial training: losses, alternating updates of networks, changes of images before a discriminator.
 
 Updates: the paper's Wasserstein critic with gradient penalty, and Pix2Pix's discriminator.
 DiffAugment: Zhao et al. 2020 (arXiv:2006.10738, section 3.3): colour, translation and cutout, each differentiable. A
@@ -33,7 +33,7 @@ def gradient_penalty(
     Autocast is off inside: a gradient of a gradient in half precision is mostly rounding.
 
     critic      image -> scores of any shape (summed: every patch counts); the caller binds its condition.
-    real, fake  (B, ...) float; no gradient reaches what made them.
+    real, fake  (B, ...) float; no gradient reaches their makers.
     epsilon     (B,) or a number to use in place of the draw.
     """
     real, fake = real.detach(), fake.detach()
@@ -41,9 +41,9 @@ def gradient_penalty(
         epsilon = torch.rand(len(real), device=real.device, dtype=real.dtype)
     if isinstance(epsilon, Tensor):
         epsilon = epsilon.view(-1, *[1] * (real.ndim - 1))
-    between = (epsilon * real + (1 - epsilon) * fake).requires_grad_()
+    blend = (epsilon * real + (1 - epsilon) * fake).requires_grad_()
     with torch.autocast(real.device.type, enabled=False):
-        (slope,) = torch.autograd.grad(critic(between).sum(), between, create_graph=True)
+        (slope,) = torch.autograd.grad(critic(blend).sum(), blend, create_graph=True)
     while slope.ndim > 1:  # norm of norms: float32 sums of a million squares at once were off by 0.06 % on a CPU
         slope = torch.linalg.vector_norm(slope.float(), dim=-1)
     return (slope - 1).square().mean()
@@ -92,19 +92,19 @@ def wasserstein_updates(
     """Yield ("critic", loss), then ("generator", loss); step the named optimiser before resuming.
 
     Paper section 3.2 ("Loss Function") with Gulrajani et al. 2017, Algorithm 1 and one critic step per generator step.
-    The critic's loss leaves no gradient in the generator, nor the generator's in the critic, which is frozen while
+    The critic's loss leaves no gradient in the generator, nor the generator's in the critic, frozen while
     the generator learns.
 
     generator_forward  () -> fake, of real's shape. Called before each yield: without a graph for the critic, and once
-                       more for the generator (as published), so that the generator's graph is not kept while the
-                       critic learns; give one that returns the same tensor twice to save time at the cost of memory.
+                       more for the generator (as published), to drop the generator's graph while the
+                       critic learns; a function with the same tensor twice saves time at the cost of memory.
     critic             (image, condition) -> scores of any shape.
     real               (B, ...) float; one-hot classes, or an image.
     penalty_weight     lambda of the gradient penalty (the published code multiplies by 1 but logs 10).
-    auxiliary          fake -> a loss that is added to the generator's (Lovasz-Softmax; squared error for images).
+    auxiliary          fake -> a loss added to the generator's (Lovasz-Softmax; squared error for images).
     epsilon            as in `gradient_penalty`; drawn when None.
-    logs               filled with the parts of the losses, detached: wasserstein (E[D(real)] - E[D(fake)], the distance
-                       that the critic estimates), penalty, adversarial, auxiliary.
+    logs               filled with the parts of the losses, detached: wasserstein (E[D(real)] - E[D(fake)], the critic's
+                       estimate of the distance), penalty, adversarial, auxiliary.
     """
     logs = {} if logs is None else logs
     with torch.no_grad():
@@ -143,7 +143,7 @@ def pix2pix_updates(
     generator_forward  () -> fake, of real's shape; called once.
     discriminator      (condition, image) -> scores of any shape.
     condition          (B, C, H, W), the generator's input; resized to the image, as Pix2Pix does.
-    gan_mode           name in GAN_MODES;  auxiliary: fake -> a loss that is added to the generator's.
+    gan_mode           name in GAN_MODES;  auxiliary: fake -> a loss added to the generator's.
     logs               filled with the parts of the losses, detached: real, fake (means of the discriminator's scores),
                        adversarial, auxiliary.
     """
@@ -169,7 +169,7 @@ def renamed(updates: Iterator[tuple[str, Tensor]], generator: str) -> Iterator[t
 
 @contextmanager
 def frozen(network: nn.Module) -> Iterator[None]:
-    """Inside, losses leave no gradient in the weights of `network`; afterwards those that were trainable are again."""
+    """Keep losses from leaving gradients in the weights of `network`; afterwards they are trainable again."""
     learning = [weight for weight in network.parameters() if weight.requires_grad]
     try:
         for weight in learning:
@@ -182,7 +182,7 @@ def frozen(network: nn.Module) -> Iterator[None]:
 
 BRIGHTNESS, CONTRAST = 0.5, 0.5  # of colours in [-1, 1]: largest offset, either way; factor 1 +- this
 TRANSLATION = 1 / 8  # largest, as a share of an image's rows and columns
-CUTOUT = 1 / 2  # share of its rows and columns that is set to zero
+CUTOUT = 1 / 2  # zeroed share of its rows and columns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -190,7 +190,7 @@ class DiffAugment:
     """Parameters of the augmentation of B images, (B,) each.
 
     brightness            added to colours;  saturation, contrast: factors about the pixel's mean and the image's.
-    down, right           translation as a share of the image, in [-1/8, 1/8]; what comes in is zero.
+    down, right           translation as a share of the image, in [-1/8, 1/8]; new pixels are zero.
     cut_row, cut_column   middle of the cutout as a share of the image; NaN for none.
     """
 
@@ -228,10 +228,11 @@ class DiffAugment:
         """The discriminator's input (B, 3 + C, H, W): augmented colours and their condition.
 
         colour     (B, 3, H, W) in [-1, 1];  valid: (B, 1, H, W) 0 or 1; invalid colours become zero.
-        condition  (B, C, H, W), what the colours were painted from: translated and cut out alike.
+        condition  (B, C, H, W), the source of the colours: translated and cut out alike.
         """
         joined = torch.cat([self._recoloured(colour, valid) * valid, condition], 1)
-        return torch.stack([self._translated(one, number) for number, one in enumerate(joined)]) * self._kept(joined)
+        translated = [self._translated(image, number) for number, image in enumerate(joined)]
+        return torch.stack(translated) * self._kept(joined)
 
     def _recoloured(self, colour: Tensor, valid: Tensor) -> Tensor:
         brightness, saturation, contrast = (

@@ -2,13 +2,13 @@
 
 Patches  The Frechet distance as a loss. Between normal distributions the cheapest transport moves x to m2 + T (x - m1),
          where T = C1^-1/2 (C1^1/2 C2 C1^1/2)^1/2 C1^-1/2 (Dowson and Landau 1982; Olkin and Pukelsheim 1982), and its
-         mean cost is the Frechet distance. Each painted patch is drawn to the place where the transport would put it.
-         Mathiasen and Hvilshoj (2020) differentiate the distance itself; with statistics that are remembered over many
-         batches (here by moving averages) small batches will do.
+         mean cost is the Frechet distance. Each painted patch is drawn to the transport's goal.
+         Mathiasen and Hvilshoj (2020) differentiate the distance itself; with statistics over many batches
+         (here moving averages) small batches will do.
 Texture  Distributions of bands of frequency, class by class. In one dimension the cheapest transport pairs sorted
-         values, so that nothing has to be where the image has it. Karras et al. (2018) measure images by such
+         values, whatever their places in the image. Karras et al. (2018) measure images by such
          distances of Laplacian bands; Heitz et al. (2021) learn texture by them.
-Streaks  Lines along the rows of a picture, where a surface is even: streaks on a road, slats in a pane.
+Streaks  Lines along the rows of a picture, on even surfaces: streaks on a road, slats in a pane.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, max_pool2d
 PATCH, STRIDE = 8, 4  # of a patch, in pixels of the features' raster
 KEPT = 0.99  # of the statistics, from one batch to the next
 RIDGE = 1e-2  # of the mean variance, added to every painted one
-MOST_STRETCH = 3.0  # times that a deviation is made larger
+MOST_STRETCH = 3.0  # largest factor of a deviation
 EVERY, FIRST = 10, 40  # steps between two transports; step of the first
 FRINGE_PX, FRINGE = 9, 0.3
 POOL = 4  # pixels
@@ -36,7 +36,7 @@ def pooled(image: Tensor) -> Tensor:
 
 
 def fringes(image: Tensor) -> Tensor:
-    """How much more the hue of single pixels (B, 3, H, W) in [-1, 1] differs from that around them than images' does.
+    """Return the excess of hue differences of single pixels (B, 3, H, W) in [-1, 1] from their surroundings.
 
     The mean, over pixels, of how far their chroma (blue and red less luma, ITU-R BT.601) is from its mean over a square
     of FRINGE_PX x FRINGE_PX pixels, beyond FRINGE: 99 % of the pixels of KITTI's images are nearer.
@@ -54,7 +54,7 @@ def _luma_and_chroma(image: Tensor) -> Tensor:
 
 
 def hue_gap(image: Tensor, expected: Tensor, share: Tensor, size: int = HUE_PX) -> tuple[Tensor, Tensor]:
-    """How far hues are from those expected, over squares of `size` x `size` pixels; the hue is a colour less its mean.
+    """Return gaps of hues to expected ones, over squares of `size` x `size` pixels; a hue is a colour less its mean.
 
     image, expected  (B, 3, H, W) in [-1, 1];  share: (B, 1, H, W), how much each pixel counts.
     Returns (B, 3, H / size, W / size) and the mean shares (B, 1, H / size, W / size).
@@ -74,17 +74,17 @@ class PatchStatistics:
         self.looks = [[DistributionLoss(size) for size in channels] for _ in range(looks)]
 
     def __call__(self, pairs: Sequence[tuple[Tensor, Tensor]], valid: Tensor, looks: Tensor) -> Tensor:
-        """Mean squared distance of the painted patches from where they should be, over the real ones' variance.
+        """Mean squared distance of the painted patches from their goals, over the real ones' variance.
 
-        pairs  real and painted features (B, C, h, w) per depth;  valid: (B, 1, H, W) 1 where the real picture is known.
-        looks  (B,) int64. Patches count that are known as a whole. 0 without any, and until the statistics are known.
+        pairs  real and painted features (B, C, h, w) per depth;  valid: (B, 1, H, W) 1 = known pixel.
+        looks  (B,) int64. Only wholly known patches count. 0 without any, and until the statistics are known.
         """
         total, count = valid.new_zeros(()), 0
         for depth, (real, painted) in enumerate(pairs):
             if min(real.shape[-2:]) < PATCH:
                 continue
-            known = adaptive_avg_pool2d(valid, (real.shape[2], real.shape[3]))
-            whole = avg_pool2d(known, PATCH, STRIDE)[:, 0] > 0.999
+            coverage = adaptive_avg_pool2d(valid, (real.shape[2], real.shape[3]))
+            whole = avg_pool2d(coverage, PATCH, STRIDE)[:, 0] > 0.999
             real_patches, painted_patches = (avg_pool2d(part, PATCH, STRIDE).movedim(1, 3) for part in (real, painted))
             for look in looks.unique().tolist():
                 chosen = whole & (looks == look)[:, None, None]
@@ -95,7 +95,7 @@ class PatchStatistics:
 
 
 class Distribution:
-    """Mean (D,) and covariance (D, D) of what came lately."""
+    """Mean (D,) and covariance (D, D) of recent patches."""
 
     def __init__(self, size: int) -> None:
         self.weight, self.first, self.second = 0.0, torch.zeros(size), torch.zeros(size, size)
@@ -124,11 +124,10 @@ class DistributionLoss:
         self.real, self.painted, self.step = Distribution(size), Distribution(size), 0
         self.transport = torch.eye(size)
 
-    def __call__(self, real: Tensor, painted: Tensor, variance: Tensor | None = None) -> Tensor:
-        """Mean squared distance of painted patches (P, D) from where they should be, over the variance of real ones.
+    def __call__(self, real: Tensor, painted: Tensor) -> Tensor:
+        """Mean squared distance of painted patches (P, D) from their goals, over the variance of real ones.
 
-        real      (R, D), R may be 0 where some came before.
-        variance  in place of the real ones' own, which may hardly vary.
+        real      (R, D), R may be 0 after earlier ones.
         Returns 0 without painted ones, and until the statistics are known.
         """
         if len(real):
@@ -143,45 +142,45 @@ class DistributionLoss:
             self.transport = transport(self.painted.covariance, self.real.covariance).to(painted)
         mean = self.painted.first.to(painted)
         goal = self.real.first.to(painted) + (painted.detach() - mean) @ self.transport
-        variance = self.real.covariance.trace() if variance is None else variance
-        return (painted - goal).square().sum(1).mean() / variance.to(painted).clamp(min=1e-6)
+        variance = self.real.covariance.trace().to(painted)
+        return (painted - goal).square().sum(1).mean() / variance.clamp(min=1e-6)
 
 
-def transport(one: Tensor, other: Tensor) -> Tensor:
-    """The matrix T (D, D) that carries a normal distribution of covariance `one` to one of covariance `other`.
+def transport(source: Tensor, target: Tensor) -> Tensor:
+    """Return the matrix T (D, D) from a normal distribution of covariance `source` to one of covariance `target`.
 
-    Variances of `one` have at least RIDGE of their mean, and deviations grow MOST_STRETCH times at most.
+    Variances of `source` have at least RIDGE of their mean, and deviations grow MOST_STRETCH times at most.
     """
-    values, vectors = torch.linalg.eigh(one)
+    values, vectors = torch.linalg.eigh(source)
     values = values.clamp(min=0) + RIDGE * values.mean().clamp(min=1e-12)
     root, inverse = ((vectors * scale) @ vectors.T for scale in (values.sqrt(), values.rsqrt()))
-    between, axes = torch.linalg.eigh(root @ other @ root)
-    linear = inverse @ ((axes * between.clamp(min=0).sqrt()) @ axes.T) @ inverse
+    middle, axes = torch.linalg.eigh(root @ target @ root)
+    linear = inverse @ ((axes * middle.clamp(min=0).sqrt()) @ axes.T) @ inverse
     scales, directions = torch.linalg.eigh((linear + linear.T) / 2)
     return (directions * scales.clamp(0, MOST_STRETCH)) @ directions.T
 
 
-LENGTH_PX = 17  # of the row that a pixel is the mean of: texture is gone from it, streaks are longer
-STEP_PX = 2  # rows between those that are compared
-NEARBY_PX = 9  # rows and columns in which an image may have a line that is painted
-EVEN = 0.03  # difference of means in [-1, 1] that texture leaves
+LENGTH_PX = 17  # of a mean along a row: free of texture, shorter than streaks
+STEP_PX = 2  # distance of compared rows
+NEARBY_PX = 9  # rows and columns around a painted line for one in the image
+EVEN = 0.03  # remaining difference of means in [-1, 1] of mere texture
 
 
-def streaks(painted: Tensor, image: Tensor, where: Tensor) -> Tensor:
-    """By how much means along rows differ from those STEP_PX above, beyond what they do nearby in an image, and EVEN.
+def streaks(painted: Tensor, image: Tensor, weight: Tensor) -> Tensor:
+    """Return the difference of means along rows to those STEP_PX above, beyond the nearby one of an image, and EVEN.
 
-    painted, image  (B, 3, H, W) in [-1, 1], of which the mean over colours is compared.
-    where           (B, H, W) in [0, 1]: how much each pixel counts. Returns the mean, 0 where nothing counts.
+    painted, image  (B, 3, H, W) in [-1, 1]; the mean over colours is compared.
+    weight          (B, H, W) in [0, 1] of each pixel. Returns the mean, 0 if nothing counts.
     """
     made, expected = (_changes(part) for part in (painted, image))
     nearby = max_pool2d(expected, NEARBY_PX, 1, NEARBY_PX // 2)
     excess = (made - nearby - EVEN).clamp(min=0)[:, 0]
-    weight = where[:, STEP_PX:]
-    return (excess * weight).sum() / weight.sum().clamp(min=1)
+    share = weight[:, STEP_PX:]
+    return (excess * share).sum() / share.sum().clamp(min=1)
 
 
 def inside(share: Tensor, pixels: int) -> Tensor:
-    """(B, H, W) 1 where all pixels up to so many rows and columns beside one have a share of more than a half, else 0.
+    """Return (B, H, W): 1 if all pixels up to so many rows and columns away have a share of more than a half, else 0.
 
     share  (B, H, W) in [0, 1]; beyond the edge of the picture nothing is known, and nothing said against.
     """
@@ -190,14 +189,14 @@ def inside(share: Tensor, pixels: int) -> Tensor:
 
 
 def _changes(image: Tensor) -> Tensor:
-    """(B, 1, H - STEP_PX, W): how far the mean along each row is from that of the row STEP_PX above."""
+    """Return (B, 1, H - STEP_PX, W): distance of the mean along each row from that of the row STEP_PX above."""
     rows = avg_pool2d(image.mean(1, keepdim=True), (1, LENGTH_PX), 1, (0, LENGTH_PX // 2), count_include_pad=False)
     return (rows[:, :, STEP_PX:] - rows[:, :, :-STEP_PX]).abs()
 
 
 BANDS = 3  # octaves, the finest first
-COLOURED = 2  # the first band that has chroma: in finer ones a camera's is noise
-MOST_SORTED = 16384  # pixels that are sorted: of more, evenly spaced ones
+COLOURED = 2  # first band with chroma: in finer ones a camera's is noise
+MOST_SORTED = 16384  # sorted pixels: of more, evenly spaced ones
 FEWEST = 300  # pixels of a class in a band of an image; fewer say nothing about its distribution
 
 
@@ -205,9 +204,9 @@ def texture_distance(real: Tensor, painted: Tensor, real_labels: Tensor, painted
     """Mean distance between the sorted values of bands of real and painted images, over the real ones' mean size.
 
     real, painted  (B, 3, H, W) in [-1, 1], H and W multiples of 2 ** BANDS.
-    real_labels, painted_labels  (B, H, W) int64 class ids, negative where nothing counts; a class counts in an image
-                   where both show enough of it, bands of luma (ITU-R BT.601) and, if coarse, blue and red less luma.
-    Returns 0 where no class counts.
+    real_labels, painted_labels  (B, H, W) int64 class ids, negative for uncounted pixels; a class counts in an image
+                   if both show enough of it, bands of luma (ITU-R BT.601) and, if coarse, blue and red less luma.
+    Returns 0 if no class counts.
     """
     distances = []
     for number, (real_band, painted_band) in enumerate(zip(_bands(real), _bands(painted), strict=True)):
@@ -218,12 +217,13 @@ def texture_distance(real: Tensor, painted: Tensor, real_labels: Tensor, painted
                 chosen = [part == label for part in pair]
                 if label < 0 or min(int(part.sum()) for part in chosen) < FEWEST:
                     continue
-                expected, found = (
+                expected, actual = (
                     _sorted(band[image, :layers, where])
                     for band, where in zip((real_band, painted_band), chosen, strict=True)
                 )
-                at = (torch.arange(found.shape[1], device=found.device) + 0.5) / found.shape[1] * expected.shape[1]
-                gap = (found - expected[:, at.long()]).abs().mean(1)
+                pixels = actual.shape[1]
+                place = (torch.arange(pixels, device=actual.device) + 0.5) / pixels * expected.shape[1]
+                gap = (actual - expected[:, place.long()]).abs().mean(1)
                 distances.append((gap / (expected.abs().mean(1) + 1e-2)).mean())
     return torch.stack(distances).mean() if distances else painted.new_zeros(())
 
@@ -237,7 +237,7 @@ def _bands(image: Tensor) -> list[Tensor]:
 
 
 def _whole(labels: Tensor, number: int) -> Tensor:
-    """Labels of the squares of 2 ** number pixels that are of one class, -1 of the others."""
+    """Return labels of the squares of 2 ** number pixels of one class, -1 of the others."""
     size = 2**number
     squares = labels.unfold(1, size, size).unfold(2, size, size).flatten(3)
     return torch.where((squares == squares[..., :1]).all(3), squares[..., 0], -1)

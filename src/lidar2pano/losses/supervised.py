@@ -28,7 +28,7 @@ def class_weights(counts: np.ndarray, exponent: float, *, least: float, most: fl
 def labelled_cross_entropy(logits: Tensor, labels: Tensor, ignore: int, weight: Tensor | None = None) -> Tensor:
     """Mean cross-entropy of logits (B, K, H, W) over the pixels of labels (B, H, W) unlike `ignore`; 0 without any.
 
-    weight  (K,) of the classes, as torch's own, which gives NaN without such pixels.
+    weight  (K,) of the classes, as torch's own (NaN without such pixels).
     """
     total = cross_entropy(logits.float(), labels, weight, ignore_index=ignore, reduction="sum")
     counted = labels != ignore
@@ -41,7 +41,7 @@ def labelled_cross_entropy(logits: Tensor, labels: Tensor, ignore: int, weight: 
 def distillation(logits: Tensor, taught: Tensor, counted: Tensor | None = None) -> Tensor:
     """Mean Kullback-Leibler divergence from a teacher's classes (Hinton, Vinyals, Dean 2015, temperature 1).
 
-    logits, taught  (B, K, H, W), of the network and of its teacher;  counted: (B, H, W) bool, pixels that count.
+    logits, taught  (B, K, H, W), of the network and of its teacher;  counted: (B, H, W) bool, counted pixels.
     """
     gap = kl_div(logits.float().log_softmax(1), taught.float().log_softmax(1), reduction="none", log_target=True).sum(1)
     return gap.mean() if counted is None else (gap * counted).sum() / counted.sum().clamp(min=1)
@@ -65,12 +65,12 @@ def lovasz_softmax(
 
     probabilities  (B, C, H, W) float in [0, 1], after the softmax; float32, bfloat16 or float16.
     target         (B, H, W) integer; pixels whose id is in `ignore` or outside [0, C) are left out altogether.
-    classes        "present": the mean over classes that own a pixel; "all": over C, where a class without a pixel
-                   costs the largest probability it was given anywhere.
+    classes        "present": the mean over classes with a pixel; "all": over C, each class without a pixel costing
+                   its largest probability anywhere.
     per_image      the mean of each image's own loss (over images with a pixel left) instead of one loss of the batch.
-    Returns a scalar; zero, with a graph, where every pixel is left out.
+    Returns a scalar; zero, with a graph, if every pixel is left out.
 
-    Raises ValueError for shapes that do not belong together and, on the CPU, for values that are no probabilities.
+    Raises ValueError for shapes of different images and, on the CPU, for values beyond probabilities.
     """
     if probabilities.ndim != 4 or target.shape != probabilities.shape[:1] + probabilities.shape[2:]:
         raise ValueError(
@@ -86,13 +86,13 @@ def lovasz_softmax(
     owner = target.masked_fill(~counted, -1)
     if not per_image:
         return _LovaszSoftmax.apply(probabilities.float(), owner, classes == "all")
-    each = [_LovaszSoftmax.apply(p[None].float(), t[None], classes == "all")
+    losses = [_LovaszSoftmax.apply(p[None].float(), t[None], classes == "all")
             for p, t in zip(probabilities, owner, strict=True)]  # fmt: skip
-    return torch.stack(each).sum() / counted.flatten(1).any(1).sum().clamp(min=1)
+    return torch.stack(losses).sum() / counted.flatten(1).any(1).sum().clamp(min=1)
 
 
 class _LovaszSoftmax(torch.autograd.Function):
-    """The loss and, from the same sort, its gradient: the Lovasz extension is linear where the order is fixed."""
+    """The loss and, from the same sort, its gradient: the Lovasz extension is linear in a fixed order."""
 
     @staticmethod
     def forward(ctx, probabilities: Tensor, owner: Tensor, every: bool) -> Tensor:
@@ -103,9 +103,9 @@ class _LovaszSoftmax(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, above: Tensor) -> tuple[Tensor, None, None]:
+    def backward(ctx, gradient: Tensor) -> tuple[Tensor, None, None]:
         (slope,) = ctx.saved_tensors
-        return slope * above, None, None
+        return slope * gradient, None, None
 
 
 def _on_cpu(probabilities: Tensor, owner: Tensor, every: bool) -> tuple[Tensor, Tensor]:
@@ -138,9 +138,9 @@ def _class_on_cpu(error_P: np.ndarray, owned_P: np.ndarray, left_out_P: np.ndarr
 
     error_P     (P,) float32: the class's probabilities; overwritten.
     owned_P      (P,) bool: pixels of the class.
-    left_out_P  (P,) bool or None: pixels that do not count.
+    left_out_P  (P,) bool or None: uncounted pixels.
 
-    With n pixels of the class, f of them and b others among the largest errors, the Jaccard loss of that set is
+    With n pixels of the class, f of them and b others among the largest errors, the Jaccard loss of the set is
     1 - (n - f) / (n + b), so the next pixel adds 1 / (n + b) when it is one of the class,
     and (n - f) / ((n + b) (n + b - 1)), b counting it, when it is not: nothing once f = n. Other classes' pixels below
     the smallest error of this class are therefore not sorted at all, nor are errors of exactly zero.
@@ -167,10 +167,10 @@ def _class_on_cpu(error_P: np.ndarray, owned_P: np.ndarray, left_out_P: np.ndarr
     hit = (key & 1).astype(bool)
     key >>= 1
     key &= (1 << bits - 1) - 1
-    found = np.cumsum(hit, dtype=np.int32)
-    union = np.arange(len(owned) + 1, len(owned) + 1 + len(key), dtype=np.int32) - found
+    hits = np.cumsum(hit, dtype=np.int32)
+    union = np.arange(len(owned) + 1, len(owned) + 1 + len(key), dtype=np.int32) - hits
     union = union.astype(np.float32)
-    rise = (len(owned) - found).astype(np.float32) / union
+    rise = (len(owned) - hits).astype(np.float32) / union
     rise /= union - ~hit
     rise[hit] = -1 / union[hit]
     slope_P[key] = rise
@@ -179,7 +179,7 @@ def _class_on_cpu(error_P: np.ndarray, owned_P: np.ndarray, left_out_P: np.ndarr
 
 
 def _on_device(probabilities: Tensor, owner: Tensor, every: bool) -> tuple[Tensor, Tensor]:
-    """The same as `_on_cpu` in tensor operations that never wait for the device; class by class to spare its memory."""
+    """The same as `_on_cpu` in tensor operations without waits for the device; class by class to spare its memory."""
     owner_P, slope, losses, sizes = owner.flatten(), torch.empty_like(probabilities), [], []
     counted_P = owner_P >= 0
     for c in range(probabilities.shape[1]):
@@ -188,11 +188,11 @@ def _on_device(probabilities: Tensor, owner: Tensor, every: bool) -> tuple[Tenso
         error_P = torch.where(owned_P, 1 - value_P, value_P).clamp(min=0).masked_fill(~counted_P, 0)
         error, order = error_P.sort(descending=True)
         hit, size = owned_P[order], owned_P.sum()
-        found = hit.cumsum(0)
-        others = counted_P[order].cumsum(0) - found
-        union = size + others
-        rise = torch.where(hit, 1 / union, (size - found) / union / (union - 1))
-        rise = torch.where(size > 0, rise, (others == 1).float()).where(error > 0, 0)
+        hits = hit.cumsum(0)
+        misses = counted_P[order].cumsum(0) - hits
+        union = size + misses
+        rise = torch.where(hit, 1 / union, (size - hits) / union / (union - 1))
+        rise = torch.where(size > 0, rise, (misses == 1).float()).where(error > 0, 0)
         slope_P = torch.empty_like(rise).scatter_(0, order, torch.where(hit, -rise, rise))
         slope[:, c] = slope_P.view_as(slope[:, c])
         losses.append((rise * error).sum())

@@ -1,7 +1,7 @@
 """Losses of video painters; each a scalar, a mean over the batch, without any weight.
 
 Wang et al. 2018, Video-to-Video Synthesis (arXiv:1808.06601), section 3, and the code published with it
-(https://github.com/NVIDIA/vid2vid, vid2vid_model_D.py), which decides what the paper leaves open.
+(https://github.com/NVIDIA/vid2vid, vid2vid_model_D.py), which decides points open in the paper.
 """
 
 from __future__ import annotations
@@ -42,38 +42,40 @@ def matched_features(real: Outputs, fake: Outputs) -> Tensor:
     return torch.stack([4 * feature_matching(r[:-1], f[:-1]) / len(f[:-1]) for r, f in pairs]).mean()
 
 
-def masked_l1(one: Tensor, other: Tensor, known: Tensor) -> Tensor:
-    """Mean of known * |one - other| over all pixels, the unknown ones included, as published.
+def masked_l1(a: Tensor, b: Tensor, mask: Tensor) -> Tensor:
+    """Mean of mask * |a - b| over all pixels, those outside the mask included, as published.
 
-    one, other  (B, C, H, W);  known (B, H, W) in [0, 1].
+    a, b  (B, C, H, W);  mask (B, H, W) in [0, 1].
     """
-    return ((one - other).abs() * known[:, None]).mean()
+    return ((a - b).abs() * mask[:, None]).mean()
 
 
-def flow_loss(flow: Tensor, reference: Tensor, known: Tensor) -> Tensor:
+def flow_loss(flow: Tensor, reference: Tensor, mask: Tensor) -> Tensor:
     """Distance of a flow (B, 2, H, W) from the reference, pixels: equation 8 of the paper, first part."""
-    return masked_l1(flow, reference, known)
+    return masked_l1(flow, reference, mask)
 
 
-def warping_loss(flow: Tensor, before: Tensor, now: Tensor, known: Tensor, *, circular: bool = False) -> Tensor:
-    """Distance of the real image (B, 3, H, W) from that before it, warped by a flow: equation 8, second part."""
-    return masked_l1(warp(before, flow, circular=circular), now, known)
+def warping_loss(flow: Tensor, previous: Tensor, present: Tensor, mask: Tensor, *, circular: bool = False) -> Tensor:
+    """Distance of the real image (B, 3, H, W) from the previous one, warped by a flow: equation 8, second part."""
+    return masked_l1(warp(previous, flow, circular=circular), present, mask)
 
 
-def coherence_loss(now: Tensor, before: Tensor, reference: Tensor, known: Tensor, *, circular: bool = False) -> Tensor:
-    """Distance of a painted image (B, 3, H, W) from that painted before it, warped by the reference flow.
+def coherence_loss(
+    present: Tensor, previous: Tensor, reference: Tensor, mask: Tensor, *, circular: bool = False
+) -> Tensor:
+    """Distance of a painted image (B, 3, H, W) from the previous painted one, warped by the reference flow.
 
     In the published code only (G_Warp); no gradient goes into the image before.
     """
-    return masked_l1(now, warp(before, reference, circular=circular).detach(), known)
+    return masked_l1(present, warp(previous, reference, circular=circular).detach(), mask)
 
 
-def mask_loss(weight: Tensor, known: Tensor) -> Tensor:
-    """Mean of the share (B, 1, H, W) of new pixels where the flow is known and the warped image should be kept.
+def mask_loss(weight: Tensor, mask: Tensor) -> Tensor:
+    """Mean of the share (B, 1, H, W) of new pixels inside the mask of known flow, whose warped image should be kept.
 
     In the published code only (loss W, with --no_first_img).
     """
-    return masked_l1(weight, torch.zeros_like(weight), known)
+    return masked_l1(weight, torch.zeros_like(weight), mask)
 
 
 def perceptual(fake: Sequence[Tensor], real: Sequence[Tensor]) -> Tensor:

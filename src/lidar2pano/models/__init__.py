@@ -1,4 +1,4 @@
-"""The networks by name, and the one function that builds them."""
+"""The networks by name, and the one function to build them."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ MODELS: dict[str, type[nn.Module]] = {
 
 
 def settings_of(network: type[nn.Module]) -> set[str]:
-    """What a network can be built with: names of its parameters, and of those of a TypedDict that it unpacks."""
-    known = network.__init__.__annotations__.keys() - {"return"}
+    """Names of a network's settings: its parameters, and those of an unpacked TypedDict."""
+    names = network.__init__.__annotations__.keys() - {"return"}
     if unpacked := inspect.getfullargspec(network.__init__).varkw:
         (switches,) = get_args(get_type_hints(network.__init__)[unpacked])
-        known = known - {unpacked} | switches.__annotations__.keys()
-    return known
+        names = names - {unpacked} | switches.__annotations__.keys()
+    return names
 
 
 def build(name: str, **settings: object) -> nn.Module:
-    """A network of MODELS with fresh weights; InputError for an unknown name, and settings that make no network.
+    """Build a network of MODELS with fresh weights; InputError for an unknown name and for impossible settings.
 
     >>> build("salsanext", classes=20)
     """
     if name not in MODELS:
         raise InputError(f"no network {name!r}{closest(name, MODELS)}")
-    known = settings_of(MODELS[name])
-    if unknown := [setting for setting in settings if setting not in known]:
-        raise InputError(f"network {name!r} has no setting {unknown[0]!r}{closest(unknown[0], known)}")
+    names = settings_of(MODELS[name])
+    if unknown := [setting for setting in settings if setting not in names]:
+        raise InputError(f"network {name!r} has no setting {unknown[0]!r}{closest(unknown[0], names)}")
     try:
         network = MODELS[name](**settings)
     except InputError:

@@ -1,4 +1,4 @@
-"""Networks of the paper's baselines: Pix2Pix, a U-Net with the 70 x 70 PatchGAN that judges the pair, and SC-UNET.
+"""Networks of the paper's baselines: Pix2Pix, a U-Net with the 70 x 70 PatchGAN as a judge of pairs, and SC-UNET.
 
 Pix2Pix
 Paper     Isola, Zhu, Zhou, Efros: Image-to-Image Translation with Conditional Adversarial Networks, 2017
@@ -6,8 +6,8 @@ Paper     Isola, Zhu, Zhou, Efros: Image-to-Image Translation with Conditional A
 Upstream  https://github.com/junyanz/pytorch-CycleGAN-and-pix2pix (BSD-2), `unet_256` and `basic`. Reimplemented here;
           parameter names are the published ones.
 Deviates  from the published code in three points:
-          any number of images is taken, which are joined channel by channel (published: one, joined by the caller);
-          sizes that the U-Net cannot halve are padded or resized (published: refused), see `Pix2Pix`;
+          any number of images is taken, joined channel by channel (published: one, joined by the caller);
+          sizes without enough halvings are padded or resized (published: refused), see `Pix2Pix`;
           evaluation is deterministic: no dropout, and running statistics unless `batch_statistics` says otherwise (the
           published test command leaves both as in training).
 
@@ -44,13 +44,13 @@ class Pix2Pix(nn.Module):
     inputs, outputs   channels. For classes, `outputs` of them; the largest names the class.
     width             channels of the first level; the next ones have 2, 4, 8, 8, ... times as many.
     depth             levels, each half the size of the one above: sizes are halved `depth` times.
-    dropout           share of the values that training zeroes in the deep levels (the paper's only noise).
+    dropout           share of zeroed values in the deep levels, in training (the paper's only noise).
     norm              "batch" or "instance" (whose convolutions have biases, as published).
     batch_statistics  normalise by the batch at hand in evaluation as well, as the published test command does; then
                       images of one batch know each other.
     size              (rows, columns) of the image to write: the input is stretched to the next multiple of 2^depth
-                      (means over areas, so that no point of a sparse image is lost) and the output is resized to
-                      `size` bilinearly. None: the output is as large as the input, which is padded at its lower and
+                      (means over areas, to keep every point of a sparse image) and the output is resized to
+                      `size` bilinearly. None: the output is as large as the input, padded at its lower and
                       right edge by repeating the last pixels, and cut back afterwards.
     """
 
@@ -72,12 +72,12 @@ class Pix2Pix(nn.Module):
         self.size = None if size is None else (int(size[0]), int(size[1]))
         norms, bias = _norm(norm, batch_statistics), norm == "instance"
         widths = [width * min(2**level, MOST_WIDTHS) for level in range(depth)]
-        below: nn.Module | None = None
+        inner_level: nn.Module | None = None
         for outer, inner in reversed(list(zip(widths, widths[1:], strict=False))):
-            share = dropout if below is not None and outer == width * MOST_WIDTHS else 0.0
-            below = _Level(outer, inner, below, norms, bias, share)
-        assert below is not None
-        self.model = _Outermost(inputs, widths[0], below, outputs, bias)
+            share = dropout if inner_level is not None and outer == width * MOST_WIDTHS else 0.0
+            inner_level = _Level(outer, inner, inner_level, norms, bias, share)
+        assert inner_level is not None
+        self.model = _Outermost(inputs, widths[0], inner_level, outputs, bias)
         start_as_published(self)
 
     def forward(self, *images: Tensor) -> Tensor:
@@ -127,12 +127,14 @@ class _Level(nn.Module):
     x  (B, outer, H, W) -> (B, 2 outer, H, W).
     """
 
-    def __init__(self, outer: int, inner: int, below: nn.Module | None, norm: Norm, bias: bool, dropout: float) -> None:
+    def __init__(
+        self, outer: int, inner: int, inner_level: nn.Module | None, norm: Norm, bias: bool, dropout: float
+    ) -> None:
         super().__init__()
         layers: list[nn.Module] = [nn.LeakyReLU(0.2), nn.Conv2d(outer, inner, 4, stride=2, padding=1, bias=bias)]
-        if below is not None:
-            layers += [norm(inner), below]
-        wide = inner if below is None else 2 * inner
+        if inner_level is not None:
+            layers += [norm(inner), inner_level]
+        wide = inner if inner_level is None else 2 * inner
         layers += [nn.ReLU(inplace=True), nn.ConvTranspose2d(wide, outer, 4, stride=2, padding=1, bias=bias)]
         layers += [norm(outer), *([nn.Dropout(dropout)] if dropout else [])]
         self.model = nn.Sequential(*layers)
@@ -144,11 +146,11 @@ class _Level(nn.Module):
 class _Outermost(nn.Module):
     """The first level, without shortcut: (B, inputs, H, W) -> (B, outputs, H, W)."""
 
-    def __init__(self, inputs: int, inner: int, below: nn.Module, outputs: int, bias: bool) -> None:
+    def __init__(self, inputs: int, inner: int, inner_level: nn.Module, outputs: int, bias: bool) -> None:
         super().__init__()
         self.model = nn.Sequential(
             nn.Conv2d(inputs, inner, 4, stride=2, padding=1, bias=bias),
-            below,
+            inner_level,
             nn.ReLU(inplace=True),
             nn.ConvTranspose2d(2 * inner, outputs, 4, stride=2, padding=1),
             nn.Tanh(),
@@ -167,7 +169,7 @@ def _norm(name: str, batch_statistics: bool) -> Norm:
 class ScUnet(nn.Module):
     """RGB in [-1, 1] from a sparse picture at the camera's resolution.
 
-    inputs     channels: reflectance (1), or reflectance and range (2); zero where no point fell.
+    inputs     channels: reflectance (1), or reflectance and range (2); zero for pixels without a point.
     widths     channels per level, from the finest down.
     connected  how many of the lower levels have a shortcut from encoder to decoder.
     """
@@ -183,10 +185,10 @@ class ScUnet(nn.Module):
         if len(widths) < 2 or not 0 <= connected < len(widths):
             raise InputError(f"connected={connected} of {len(widths)} levels: at least two levels, fewer connections")
         self.stride, self.connected = 2 ** (len(widths) - 1), connected
-        self.enc = nn.ModuleList([_blocks(before, width) for before, width in pairwise([inputs, *widths])])
+        self.enc = nn.ModuleList([_blocks(inputs, width) for inputs, width in pairwise([inputs, *widths])])
         self.pool = nn.MaxPool2d(2)
         upwards = list(pairwise(reversed(widths)))
-        self.up = nn.ModuleList([nn.ConvTranspose2d(below, width, 2, stride=2) for below, width in upwards])
+        self.up = nn.ModuleList([nn.ConvTranspose2d(inputs, width, 2, stride=2) for inputs, width in upwards])
         self.dec = nn.ModuleList(
             [_blocks(2 * width if level < connected else width, width) for level, (_, width) in enumerate(upwards)]
         )
@@ -195,7 +197,7 @@ class ScUnet(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """(B, inputs, H, W) -> (B, outputs, H, W) in [-1, 1].
 
-        Sizes that do not divide by `stride` are padded with emptiness at the lower and right edge, and cut back.
+        Sizes not divisible by `stride` are padded with emptiness at the lower and right edge, and cut back.
         """
         rows, columns = x.shape[-2:]
         x = pad(x, (0, -columns % self.stride, 0, -rows % self.stride))

@@ -1,4 +1,4 @@
-"""Networks that label camera images: SD-Net at its scales; Mask2Former and OneFormer of the package `transformers`.
+"""Networks for labels of camera images: SD-Net at its scales; Mask2Former and OneFormer of the package `transformers`.
 
 Papers    Cheng et al.: Masked-attention Mask Transformer for Universal Image Segmentation, 2022 (arXiv:2112.01527);
           Jain et al.: OneFormer: One Transformer to Rule Universal Image Segmentation, 2023 (arXiv:2211.06220).
@@ -35,11 +35,11 @@ MODEL_TYPES: dict[str, str] = {
 STRIDE = 32  # of the coarsest features of the backbones
 WEIGHTS = ("*.safetensors", "*.bin")
 SETTINGS = ("*.json", "*.txt")
-TASK = "the task is semantic"  # what OneFormer is given
+TASK = "the task is semantic"  # input of OneFormer
 
 
 class CameraTeacher(Protocol):
-    """A network that labels camera images."""
+    """A network for labels of camera images."""
 
     def probabilities(self, image: np.ndarray) -> Tensor:
         """Probabilities (19, h, w) float32 of the Cityscapes train ids, summing to 1, of a picture.
@@ -57,7 +57,7 @@ class ImageNormalisation:
     deviation: tuple[float, ...] = (0.229, 0.224, 0.225)
 
     def __post_init__(self) -> None:
-        """Refuse other than three numbers each, and deviations that are not positive (ValueError)."""
+        """Refuse other than three numbers each, and non-positive deviations (ValueError)."""
         if len(self.mean) != 3 or len(self.deviation) != 3 or min(self.deviation) <= 0:
             raise ValueError("normalisation needs a mean and a positive deviation for each of 3 channels")
 
@@ -68,7 +68,7 @@ class ImageNormalisation:
         return (images.float() / 255 - mean) / deviation
 
     def as_dict(self) -> dict[str, list[float]]:
-        """What a card says under `normalisation`."""
+        """Return the card's field `normalisation`."""
         return {"mean": list(self.mean), "deviation": list(self.deviation)}
 
 
@@ -78,8 +78,8 @@ class CameraSegmenter:
 
     network    SdNet: (1, 3, h, w) and the scales -> (1, 19, h, w) logits.
     normalise  of its pictures.
-    scales     sizes of the picture that are looked at, as factors with 1.0 among them (published scripts: 0.5, 1, 2);
-               None: those that the network was made with.
+    scales     sizes of the picture, as factors with 1.0 among them (published scripts: 0.5, 1, 2);
+               None: the network's own.
     """
 
     network: nn.Module
@@ -88,7 +88,7 @@ class CameraSegmenter:
 
     @classmethod
     def from_card(cls, network: nn.Module, card: Card, scales: tuple[float, ...] | None = None) -> CameraSegmenter:
-        """The segmenter that a weight file holds: `network, card = load(path, expect="sdnet")`.
+        """Make the segmenter of a weight file: `network, card = load(path, expect="sdnet")`.
 
         scales  as above.
         A card of another label set raises InputError.
@@ -126,8 +126,8 @@ class MaskSegmenter:
     network    of `transformers`: pixel_values (1, 3, H, W) -> class logits (1, Q, K + 1), mask logits (1, Q, H', W').
     classes    (19,) int64: the network's class for every Cityscapes train id.
     normalise  of its pictures.
-    scales     sizes of the picture that are looked at, as factors; their answers are averaged.
-    task       (1, T) tokens that say what is wanted (OneFormer); None for a network that is not asked.
+    scales     sizes of the picture, as factors; their answers are averaged.
+    task       (1, T) tokens of the task (OneFormer); None for a network without one.
     """
 
     network: nn.Module
@@ -140,7 +140,7 @@ class MaskSegmenter:
     def probabilities(self, image: np.ndarray) -> Tensor:
         """Probabilities (19, h, w) float32 on the network's device, of a picture (h, w, 3) uint8 RGB.
 
-        What the network gives to no query, or to classes that Cityscapes has not, goes to all 19 alike.
+        Probability of no query, or of classes other than Cityscapes', goes to all 19 alike.
         """
         x = self.normalise(torch.from_numpy(image).to(self.classes.device).movedim(2, 0))[None]
         size = image.shape[0], image.shape[1]
@@ -156,11 +156,11 @@ class MaskSegmenter:
         believed = answer.class_queries_logits[0].softmax(1)[:, :-1]  # the last class is "no object"
         scores = torch.einsum("qc,qhw->chw", believed, masks[0, :, :rows, :columns].sigmoid())
         scores = scores / scores.sum(0).clamp(min=1)
-        known = scores[self.classes]
-        known = known + (1 - known.sum(0)) / len(CITYSCAPES)
+        probabilities = scores[self.classes]
+        probabilities = probabilities + (1 - probabilities.sum(0)) / len(CITYSCAPES)
         if (rows, columns) == size:
-            return known
-        return interpolate(known[None], size, mode="bilinear", align_corners=False)[0]
+            return probabilities
+        return interpolate(probabilities[None], size, mode="bilinear", align_corners=False)[0]
 
 
 def load_teacher(
@@ -202,18 +202,18 @@ def load_teacher(
 def cityscapes_classes(names: dict[int, str], source: object = "the model") -> list[int]:
     """The id of each of Cityscapes' 19 classes among a model's `names`; case, "-" and "_" do not matter.
 
-    Raises InputError with the classes that the model, `source`, has not.
+    Raises InputError with the classes missing in the model, `source`.
     """
-    known = {" ".join(name.lower().replace("-", " ").replace("_", " ").split()): int(i) for i, name in names.items()}
-    if missing := [name for name in CITYSCAPES.classes if name not in known]:
+    ids = {" ".join(name.lower().replace("-", " ").replace("_", " ").split()): int(i) for i, name in names.items()}
+    if missing := [name for name in CITYSCAPES.classes if name not in ids]:
         raise InputError(
             f"{source}: has no class {', '.join(map(repr, missing))}; name a model that was trained on Cityscapes"
         )
-    return [known[name] for name in CITYSCAPES.classes]
+    return [ids[name] for name in CITYSCAPES.classes]
 
 
 def local_folder(name: str) -> Path:
-    """The folder of a model: a path, or where the hub's cache has the model of this name. InputError without one."""
+    """The folder of a model: a path, or its place in the hub's cache. InputError without one."""
     if Path(name).is_dir():
         return Path(name)
     _transformers()
@@ -228,11 +228,11 @@ def local_folder(name: str) -> Path:
 
 
 def parts_of(folder: Path) -> list[Path]:
-    """The files that a model consists of: settings and weights, by name. InputError where there are no weights."""
-    found = {path for ending in (*WEIGHTS, *SETTINGS) for path in folder.glob(ending) if path.is_file()}
-    if not any(path.match(ending) for path in found for ending in WEIGHTS):
+    """The files of a model: settings and weights, by name. InputError without weights."""
+    files = {path for ending in (*WEIGHTS, *SETTINGS) for path in folder.glob(ending) if path.is_file()}
+    if not any(path.match(ending) for path in files for ending in WEIGHTS):
         raise InputError(f"{folder}: holds no weights (*.safetensors, *.bin); name the folder of a whole model")
-    return sorted(found)
+    return sorted(files)
 
 
 def _transformers() -> Any:  # noqa: ANN401
@@ -245,17 +245,17 @@ def _transformers() -> Any:  # noqa: ANN401
 
 @contextmanager
 def _quiet(transformers: Any) -> Iterator[None]:  # noqa: ANN401
-    """Without the reports and bars that `transformers` writes to stderr: what is wrong is said by us."""
-    said = transformers.utils.logging
-    level, bars = said.get_verbosity(), said.is_progress_bar_enabled()
-    said.set_verbosity(said.CRITICAL)
-    said.disable_progress_bar()
+    """Silence the reports and bars of `transformers` on stderr: faults are told by us."""
+    messages = transformers.utils.logging
+    level, bars = messages.get_verbosity(), messages.is_progress_bar_enabled()
+    messages.set_verbosity(messages.CRITICAL)
+    messages.disable_progress_bar()
     try:
         yield
     finally:
-        said.set_verbosity(level)
+        messages.set_verbosity(level)
         if bars:
-            said.enable_progress_bar()
+            messages.enable_progress_bar()
 
 
 def _json(path: Path) -> dict[str, Any]:
@@ -283,7 +283,7 @@ def _normalisation(folder: Path) -> ImageNormalisation:
 
 
 def _task(transformers: Any, folder: Path, length: int) -> Tensor:  # noqa: ANN401
-    """(1, length) float32: what OneFormer is given, in its own tokens, zero after the end."""
+    """(1, length) float32: OneFormer's task in its own tokens, zero after the end."""
     tokenizer = transformers.AutoTokenizer.from_pretrained(folder, local_files_only=True)
     tokens = tokenizer([TASK], padding="max_length", max_length=length, truncation=True, return_tensors="pt")
     return (tokens["input_ids"] * tokens["attention_mask"]).float()

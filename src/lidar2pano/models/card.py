@@ -1,4 +1,4 @@
-"""Weight files: a network's tensors and a card that says what they are, in one safetensors file.
+"""Weight files: a network's tensors and their card, in one safetensors file.
 
 The card is JSON in the file's metadata under "card". Loading is strict and executes nothing: the network comes from
 MODELS by name, every key and shape must fit, and a checksum over the tensors must agree with the card.
@@ -25,21 +25,21 @@ from lidar2pano.formats.json_files import parse_json, validated
 from lidar2pano.labels import LABEL_SETS
 from lidar2pano.models import MODELS, build
 
-# Calls of torch's functions in which a network may be built; ours make 4 to 33 calls a tensor.
+# Most calls of torch's functions while a network is built; ours make 4 to 33 calls a tensor.
 MOST_CALLS, CALLS_PER_TENSOR = 2000, 40
 
 
 @dataclass(frozen=True, kw_only=True)
 class Card:
-    """What a weight file holds and where it comes from; `from_json` checks the types of fields.
+    """Contents and origin of a weight file; `from_json` checks the types of fields.
 
     network        name in MODELS
     settings       keyword arguments of build(network, ...)
-    labels         name of the label set that the output channels speak; None for pictures and scores
+    labels         name of the label set of the output channels; None for pictures and scores
     views          View.as_dict() of each image the network takes or gives, by its role
-    normalisation  what the input went through, e.g. {"mean": [...], "std": [...]}
-    recipe         name of the training recipe; commit of this project that ran it
-    data           what it was trained on; steps of how many batches; on which device; for how many hours
+    normalisation  of the input, e.g. {"mean": [...], "std": [...]}
+    recipe         name of the training recipe; commit of this project at the time
+    data           training data; steps: number of batches; device; hours of training
     score          measured quality, by name, with the split it was measured on
     licence        of the weights; upstream: address of its publisher
     sha256         checksum of the tensors; `save` fills it in
@@ -79,9 +79,8 @@ def save(path: Path | str, model: nn.Module, card: Card, dtype: torch.dtype = to
     """Write `model` and `card` to `path` and return the card with its checksum.
 
     dtype  float16 or float32 for convolution and matrix weights. Vectors (biases, norms and their statistics) stay
-           float32, and so does a weight that float16 cannot hold: they are small and some leave its range.
-    The file appears complete or not at all. A card that does not describe the model, or weights that are not finite,
-    raise ValueError.
+           float32, and so does a weight beyond float16: they are small and some leave its range.
+    The file appears complete or not at all. A card of another model, or weights with NaN or infinity, raise ValueError.
     """
     path = Path(path)
     if dtype not in (torch.float16, torch.float32):
@@ -90,14 +89,14 @@ def save(path: Path | str, model: nn.Module, card: Card, dtype: torch.dtype = to
     if wrong := mismatch(tensors, _blank(card, len(tensors)).state_dict()):
         raise ValueError(f"the card's network {card.network!r} does not describe the model: {wrong}")
     text = replace(card, sha256=_checksum(tensors)).to_json()
-    write_whole(path, lambda beside: beside.write_bytes(serialise(tensors, metadata={"format": "pt", "card": text})))
+    write_whole(path, lambda part: part.write_bytes(serialise(tensors, metadata={"format": "pt", "card": text})))
     return Card.from_json(text)
 
 
 def load(path: Path | str, device: torch.device | str = "cpu", expect: str | None = None) -> tuple[nn.Module, Card]:
     """The network in `path`, in evaluation mode with float32 weights, and its card.
 
-    expect  name of the network that must be in the file, if the caller needs a certain one.
+    expect  name of the required network, if any.
     Anything wrong with the file raises InputError.
     """
     card, tensors = _read(path)
@@ -142,10 +141,10 @@ def _read(path: Path | str, with_tensors: bool = True) -> tuple[Card, dict[str, 
 
 
 class _Uninitialised(TorchFunctionMode):
-    """A context in which networks are built without random numbers: those of a file follow.
+    """A context for building networks without random numbers: those of a file follow.
 
-    Drawing takes long; on the device "meta" it can import torch's compiler, which takes longer than all else.
-    tensors  of the network: a multiple of calls of torch's functions raises InputError, so that settings cannot make a
+    Drawing takes long; on the device "meta" it can import torch's compiler, the longest of all.
+    tensors  of the network: a multiple of calls of torch's functions raises InputError, against settings of a
              network without end.
     """
 
@@ -171,12 +170,12 @@ def _blank(card: Card, tensors: int) -> nn.Module:
 
 
 def _own(tensor: Tensor) -> Tensor:
-    """A file's tensor in memory of its own; float32 where it is floating point, which networks are made of."""
+    """A file's tensor in memory of its own; float32 for floating point, as in networks."""
     return tensor.to(torch.float32 if tensor.is_floating_point() else tensor.dtype, copy=True)
 
 
 def mismatch(tensors: Mapping[str, object], blank: Mapping[str, Tensor]) -> str:
-    """The first thing that keeps `tensors` from being the state of a network like `blank`; empty if all fits.
+    """Describe the first misfit of `tensors` as the state of a network like `blank`; empty if all fits.
 
     Keys and shapes must be equal; floating point may be float16 or float32, every other type must be equal.
     """

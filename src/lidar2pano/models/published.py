@@ -1,4 +1,4 @@
-"""Weights that the authors of the networks published: their torch checkpoints as state dicts of our networks.
+"""Weights published by the authors of the networks: their torch checkpoints as state dicts of our networks.
 
 Our networks carry the published names, so nothing is renamed; but every tensor of the file must be used up. Only
 weights are read: nothing in the file is executed.
@@ -26,7 +26,7 @@ from lidar2pano.models.salsanext import IMAGE_SIZE
 from lidar2pano.views import VIEWS
 
 Shapes = Mapping[str, tuple[int, ...]]
-CAR = CITYSCAPES_IDS.id_of("car")  # the one class that published street networks paint apart
+CAR = CITYSCAPES_IDS.id_of("car")  # the one class painted apart by published street networks
 _POINTS = Normalisation()
 _COUNTER = "num_batches_tracked"
 
@@ -39,11 +39,11 @@ _SIGNED = _centred([0.5] * 3, [0.5] * 3)  # RGB in [0, 1] -> [-1, 1]
 
 
 # How published networks were built, from the names and shapes of their weights: keyword arguments for `build`. Whether
-# every key and shape fits is checked afterwards, against the network that they describe. A missing key raises KeyError.
+# every key and shape fits is checked afterwards, against the described network. A missing key raises KeyError.
 
 
 def sdnet(shapes: Shapes) -> dict[str, Any]:
-    """SD-Net: classes and sizes; it looks at the scales that it was made with, 0.5 and 1."""
+    """SD-Net: classes and sizes; at its own scales, 0.5 and 1."""
     modules = [_count(shapes, rf"backbone\.stage{stage}\.\d+\.branches\.0\.0\.conv1\.weight") for stage in (2, 3, 4)]
     return {
         "classes": shapes["ocr.cls_head.weight"][0],
@@ -58,8 +58,8 @@ def sdnet(shapes: Shapes) -> dict[str, Any]:
 def vid2vid(shapes: Shapes) -> dict[str, Any]:
     """vid2vid's generator, keys of scale n behind "n.".
 
-    Norms use the statistics of what they are given, since the published test program never leaves training mode. What
-    is painted apart is the car, the only choice published for streets; other label sets than Cityscapes' ids with such
+    Norms use the statistics of their input, since the published test program never leaves training mode. The car is
+    painted apart, the only choice published for streets; other label sets than Cityscapes' ids with such
     a branch raise InputError.
     """
     inputs, previous = shapes["0.model_down_seg.1.weight"][1], shapes["0.model_down_img.1.weight"][1]
@@ -89,7 +89,7 @@ def vid2vid(shapes: Shapes) -> dict[str, Any]:
 
 
 def vid2vid_single(shapes: Shapes) -> dict[str, Any]:
-    """vid2vid's first-frame network; its norms, too, use the statistics of what they are given."""
+    """vid2vid's first-frame network; its norms, too, use the statistics of their input."""
     enhancers = _count(shapes, r"model\d+_1\.1\.weight")
     finest = shapes[f"model{enhancers}_1.1.weight" if enhancers else "model.1.weight"]
     layers = _convolutions(shapes, r"model\.\d+\.weight")  # one, as many down as up, and without enhancers a head
@@ -142,31 +142,31 @@ def pix2pix_critic(shapes: Shapes) -> dict[str, Any]:
 
 
 def fixed(shapes: Shapes) -> dict[str, Any]:  # noqa: ARG001 whatever they are
-    """A network that is published in one size only."""
+    """A network published in one size only."""
     return {}
 
 
 def _count(shapes: Shapes, pattern: str) -> int:
-    """How many keys are of a pattern."""
+    """Count the keys of a pattern."""
     return sum(re.fullmatch(pattern, key) is not None for key in shapes)
 
 
 def _convolutions(shapes: Shapes, pattern: str) -> int:
-    """How many weights with four dimensions have keys of a pattern."""
+    """Count the weights with four dimensions and keys of a pattern."""
     return _count({key: shape for key, shape in shapes.items() if len(shape) == 4}, pattern)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Published:
-    """Where users find a network's published weights (`upstream`, an address) and on which terms (`licence`).
+    """Address (`upstream`) and terms (`licence`) of a network's published weights.
 
-    data           what they were trained on.
-    view           name in VIEWS of the range image that the network reads; None where it reads pictures.
-    labels         name of the label set that the output channels speak; None for pictures and scores.
+    data           of their training.
+    view           name in VIEWS of the network's range image; None for pictures.
+    labels         name of the label set of the output channels; None for pictures and scores.
     normalisation  of its input, as cards write it.
     settings       finds out how the network was built.
     by_scale       whether it is published as one file per spatial scale.
-    old            whether files of torch before 0.4.1 are about, which wrote other entries for norms (`_modern`).
+    old            whether files of torch before 0.4.1 are about, with other entries for norms (`_modern`).
     """
 
     upstream: str
@@ -180,7 +180,7 @@ class Published:
     old: bool = False
 
 
-RANGE_VIEW_INPUTS = (5, 5 + len(SEMANTIC_KITTI))  # channels of a Pix2Pix that reads the range view
+RANGE_VIEW_INPUTS = (5, 5 + len(SEMANTIC_KITTI))  # channels of a Pix2Pix on the range view
 _TITAN = Published(
     upstream="https://github.com/TiagoCortinhal/TITAN-NET",
     licence="none stated for the weights; trained on SemanticKITTI (CC BY-NC-SA 4.0)",
@@ -250,43 +250,43 @@ def import_published(paths: Path | str | Sequence[Path | str], network: str) -> 
     """The weights in a published checkpoint, and how the network was built.
 
     paths    torch file: a state dict, or a dict with one under "state_dict"; keys may begin with "module.". vid2vid's
-             generator is one file per spatial scale, in any order, or the folder that holds them.
+             generator is one file per spatial scale, in any order, or their folder.
     network  name in PUBLISHED.
-    A file that is absent, damaged, hostile or of another network raises InputError; nothing in it is executed.
+    An absent, damaged or hostile file, or one of another network, raises InputError; nothing in it is executed.
     """
     if network not in PUBLISHED:
         raise InputError(f"no published weights for network {network!r}{closest(network, PUBLISHED)}")
     published = PUBLISHED[network]
     files = _files(paths, published.by_scale, network)
-    said = ", ".join(map(str, files))
+    names = ", ".join(map(str, files))
     tables = [read_table(file) for file in files]
-    ours = _joined(tables, said) if published.by_scale else tables[0]
+    ours = _joined(tables, names) if published.by_scale else tables[0]
     shapes = {key: tuple(value.shape) for key, value in ours.items() if isinstance(value, Tensor)}
     if empty := [key for key, shape in shapes.items() if 0 in shape]:
-        raise InputError(f"{said} does not fit the published network {network!r}: {empty[0]!r} is empty")
+        raise InputError(f"{names} does not fit the published network {network!r}: {empty[0]!r} is empty")
     try:
         settings = published.settings(shapes)
         with torch.device("meta"):
             blank = build(network, **settings)
     except InputError as error:
-        raise InputError(f"{said} does not fit the published network {network!r}: {error}") from None
+        raise InputError(f"{names} does not fit the published network {network!r}: {error}") from None
     except (LookupError, ValueError, RuntimeError, TypeError, ArithmeticError, AttributeError, AssertionError):
         raise InputError(
-            f"{said} is of another network than the published {network!r}; give the authors' file"
+            f"{names} is of another network than the published {network!r}; give the authors' file"
         ) from None
-    wanted = blank.state_dict()
+    expected = blank.state_dict()
     if published.old:
         ours = _modern(ours, blank)
-    if wrong := mismatch(ours, wanted):
-        raise InputError(f"{said} does not fit the published network {network!r}: {wrong}; give the authors' file")
+    if wrong := mismatch(ours, expected):
+        raise InputError(f"{names} does not fit the published network {network!r}: {wrong}; give the authors' file")
     state = cast("Mapping[str, Tensor]", ours)  # or they would not fit
-    return Imported(settings, {key: state[key].detach().to(old.dtype).contiguous() for key, old in wanted.items()})
+    return Imported(settings, {key: state[key].detach().to(old.dtype).contiguous() for key, old in expected.items()})
 
 
 def published_card(network: str, file: str, settings: dict[str, Any]) -> Card:
     """The card of published weights.
 
-    network  in PUBLISHED;  file: name of the checkpoint they come from;  settings: what it was built with.
+    network  in PUBLISHED;  file: name of their checkpoint;  settings: of the network.
     """
     published = PUBLISHED[network]
     if network == "pix2pix" and settings.get("inputs") in RANGE_VIEW_INPUTS:
@@ -316,10 +316,10 @@ def _files(paths: Path | str | Sequence[Path | str], by_scale: bool, network: st
     return files
 
 
-def _joined(tables: Sequence[Mapping[str, object]], said: str) -> dict[str, object]:
-    """One table of a generator's scales, coarse to fine, keys of scale n behind "n."; InputError unless they are that.
+def _joined(tables: Sequence[Mapping[str, object]], names: str) -> dict[str, object]:
+    """One table of a generator's scales, coarse to fine, keys of scale n behind "n."; InputError otherwise.
 
-    The coarsest has blocks that finer ones lack; those follow by their widths.
+    The coarsest has further blocks; finer ones follow by their widths.
     """
 
     def width(table: Mapping[str, object]) -> int:
@@ -329,7 +329,7 @@ def _joined(tables: Sequence[Mapping[str, object]], said: str) -> dict[str, obje
     coarse = [table for table in tables if any(key.startswith("model_res_img.") for key in table)]
     if len(coarse) != 1:
         raise InputError(
-            f"{said}: {len(coarse)} of the files are the coarsest scale's (*_net_G0.pth); name one per scale"
+            f"{names}: {len(coarse)} of the files are the coarsest scale's (*_net_G0.pth); name one per scale"
         )
     finer = sorted((table for table in tables if table is not coarse[0]), key=width, reverse=True)
     return {f"{scale}.{key}": value for scale, table in enumerate(coarse + finer) for key, value in table.items()}
@@ -338,8 +338,8 @@ def _joined(tables: Sequence[Mapping[str, object]], said: str) -> dict[str, obje
 def _modern(ours: Mapping[str, object], blank: nn.Module) -> dict[str, object]:
     """A table as torch writes it today.
 
-    Before 0.4.1 norms had no counter of batches: where a table has none at all, zeros are put in. Before 0.4 instance
-    norms wrote statistics that they never used: those of norms that keep none are left out.
+    Before 0.4.1 norms had no counter of batches: a table without any gets zeros. Before 0.4 instance
+    norms wrote unused statistics: those of norms without any are left out.
     """
     idle = {
         f"{name}.{entry}"
@@ -355,7 +355,7 @@ def _modern(ours: Mapping[str, object], blank: nn.Module) -> dict[str, object]:
 
 
 class _Bystander:
-    """Stands for an object in a checkpoint that is no weight: takes whatever it is given and keeps none of it."""
+    """Stand-in for objects other than weights in a checkpoint: takes anything and keeps nothing."""
 
     def __new__(cls, *_: object) -> _Bystander:
         return object.__new__(cls)
@@ -395,7 +395,7 @@ _BYSTANDERS: list[Callable | tuple[Callable, str]] = [
 def read_table(path: Path) -> dict[str, object]:
     """The table of weights in a torch file: a state dict, or one under "state_dict"; "module." is taken off its keys.
 
-    Raises InputError for a file that is absent, damaged or hostile, or has no such table; nothing in it is executed.
+    Raises InputError for an absent, damaged or hostile file, or one without such a table; nothing in it is executed.
     """
     table = _content(path)
     table = table.get("state_dict", table)
@@ -426,7 +426,7 @@ def _content(path: Path) -> Mapping:
 def scale_files(folder: Path) -> list[Path]:
     """Vid2vid's files of one generator in a folder, "<epoch>_net_G<scale>.pth" per scale; of several, "latest".
 
-    Raises InputError when there is none, or when it is not clear which.
+    Raises InputError without any, or with several candidates.
     """
     epochs: dict[str, list[Path]] = {}
     for path in sorted(folder.glob("*_net_G[0-9].pth")):

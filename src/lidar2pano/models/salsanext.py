@@ -21,15 +21,15 @@ Deviates  from the published code in five points:
           the image size is a setting (the published one is the constant 376 x 1241);
           the norms of the one-channel merges are made for one channel (the published ones say 30, which works only
           because they have no parameters, and warns);
-          the critic's channel counts are settings that count (the published constructor ignores them and says 45);
-          its condition is stretched to the image that it is given with (the published one to the constant 376 x 1241).
+          the critic's channel counts are real settings (the published constructor ignores them and says 45);
+          its condition is stretched to its image (the published one to the constant 376 x 1241).
 Ablations of the paper (section 4.5) are settings: channels=0 does without the range view ("w/o Rangeview");
 conditions=0 without segments, and with picture=True colours are made instead of classes ("w/o SegMap").
 
 TITAN-Next: TITAN-Net with a feature pyramid and a depth head, front view in, camera's classes and depth out.
 Paper     Cortinhal, Aksoy: Depth- and Semantics-aware Multi-modal Domain Translation: Generating 3D Panoramic Color
           Images from LiDAR Point Clouds, 2023 (arXiv:2302.07661).
-Assumed   The code that its authors made public (https://github.com/TiagoCortinhal/TITAN-Next, MIT) does not run and has
+Assumed   Its authors' public code (https://github.com/TiagoCortinhal/TITAN-Next, MIT) does not run and has
           no description of the weights, so this is no port: the merged input goes into every level of the encoder,
           every level of the decoder goes through a block into the pyramid, and heads for classes and depth read that.
           Names are ours, and nothing published loads here.
@@ -84,7 +84,7 @@ class ContextBlock(nn.Module):
 class ResBlock(nn.Module):
     """Three stacked convolutions of growing reach, joined by a 1x1 convolution, plus a 1x1 shortcut; then dropout.
 
-    dropout  share of the channels that training zeroes.
+    dropout  share of zeroed channels in training.
     """
 
     def __init__(self, inputs: int, outputs: int, dropout: float = 0.0, norm: Norm = nn.BatchNorm2d) -> None:
@@ -101,7 +101,7 @@ class ResBlock(nn.Module):
         self.dropout = nn.Dropout2d(dropout)
 
     def residual(self, x: Tensor) -> Tensor:
-        """(B, inputs, H, W) -> (B, outputs, H, W), before dropout: what the decoder's skip takes."""
+        """(B, inputs, H, W) -> (B, outputs, H, W), before dropout, for the decoder's skip."""
         shortcut = self.act1(self.conv1(x))
         first = self.bn1(self.act2(self.conv2(x)))
         second = self.bn2(self.act3(self.conv3(first)))
@@ -114,7 +114,7 @@ class ResBlock(nn.Module):
 
 
 class DownBlock(ResBlock):
-    """A ResBlock that also halves the image: (B, inputs, H, W) -> (B, outputs, H/2, W/2) and its skip."""
+    """A ResBlock with halving of the image: (B, inputs, H, W) -> (B, outputs, H/2, W/2) and its skip."""
 
     def __init__(self, inputs: int, outputs: int, dropout: float = 0.0, norm: Norm = nn.BatchNorm2d) -> None:
         super().__init__(inputs, outputs, dropout, norm)
@@ -156,7 +156,7 @@ class UpBlock(nn.Module):
 
 
 class Trunk(nn.Module):
-    """Encoder and decoder that SalsaNext and TITAN-Net share: (B, channels, H, W) -> (B, widths[0], H, W).
+    """Encoder and decoder of SalsaNext and TITAN-Net: (B, channels, H, W) -> (B, widths[0], H, W).
 
     upper_dropout  dropout of the decoder's first block (0.2 in SalsaNext, 0 in TITAN-Net); the first encoder block
                    and the last decoder block have none, all others 0.2.
@@ -206,7 +206,7 @@ class Trunk(nn.Module):
 
 
 class SalsaNext(Trunk):
-    """Logits for `classes` from range images of `channels` (range, x, y, z, remission; normalised, zero where empty).
+    """Logits for `classes` from range images of `channels` (range, x, y, z, remission; normalised, zero if empty).
 
     x       (B, channels, H, W) float -> (B, classes, H, W) logits; H and W multiples of 16, otherwise InputError.
     widths  of the trunk; the published network's unless said otherwise.
@@ -233,11 +233,11 @@ def pixelwise(inputs: int, outputs: int, norm: type[nn.Module] = InstanceNorm) -
 class Titan(Trunk):
     """Logits of `classes` at the camera's `size` from a range image and its one-hot segmentation.
 
-    z          (B, channels, H, W) float: range, x, y, z, remission; normalised, zero where empty; H, W multiples of 16
+    z          (B, channels, H, W) float: range, x, y, z, remission; normalised, zero if empty; H, W multiples of 16
                and more than one pixel after sixteenfold reduction (the instance norm needs two).
     condition  (B, conditions, H, W) float: one-hot SemanticKITTI classes (empty pixels are class 0).
-    out        (B, classes, *size) logits; with `picture` instead colours in [-1, 1] (tanh), of which classes is 3.
-    With channels=0 or conditions=0 that input is not looked at and may be None.
+    out        (B, classes, *size) logits; with `picture` instead colours in [-1, 1] (tanh), classes being 3.
+    With channels=0 or conditions=0 the input is unused and may be None.
     """
 
     def __init__(
@@ -277,7 +277,7 @@ def _halve(inputs: int, outputs: int) -> nn.Conv2d:
 
 
 class TitanCritic(nn.Module):
-    """Wasserstein critic without norm layers, so that each sample's gradient can be penalised by itself.
+    """Wasserstein critic without norm layers, for penalties of each sample's own gradient.
 
     image      (B, image_channels, h, w) float class probabilities (real ones are one-hot); h, w at least 64.
     condition  (B, conditions, H, W) float one-hot segmentation of the scan.
@@ -334,20 +334,22 @@ class TitanNext(nn.Module):
         self.project_zcond = pixelwise(2, MERGED, nn.BatchNorm2d)
         self.context = nn.Sequential(*(ContextBlock(MERGED, MERGED) for _ in range(3)))
         widths = [2 * width, 4 * width, 8 * width, 8 * width]
-        before = [MERGED, *widths]
+        inputs_by_level = [MERGED, *widths]
         self.down = nn.ModuleList(
             [
                 DownBlock(MERGED + inputs, outputs, DROPOUT if level else 0.0)
-                for level, (inputs, outputs) in enumerate(zip(before, widths, strict=False))
+                for level, (inputs, outputs) in enumerate(zip(inputs_by_level, widths, strict=False))
             ]
         )
         self.bottom = ResBlock(MERGED + widths[-1], widths[-1], DROPOUT)
         decoded = [4 * width, 4 * width, 2 * width, width]
-        below = [MERGED + widths[-1], *decoded]
+        decoder_inputs = [MERGED + widths[-1], *decoded]
         self.up = nn.ModuleList(
             [
                 UpBlock(inputs, skip, outputs, DROPOUT if level else 0.0)
-                for level, (inputs, skip, outputs) in enumerate(zip(below, reversed(widths), decoded, strict=False))
+                for level, (inputs, skip, outputs) in enumerate(
+                    zip(decoder_inputs, reversed(widths), decoded, strict=False)
+                )
             ]
         )
         self.pyramid = nn.ModuleList([ResBlock(outputs, width, DROPOUT) for outputs in decoded])
@@ -361,7 +363,7 @@ class TitanNext(nn.Module):
     def forward(self, z: Tensor, condition: Tensor) -> tuple[Tensor, Tensor]:
         """Translate.
 
-        z          (B, channels, H, W) float: range, x, y, z, remission; normalised, zero where empty.
+        z          (B, channels, H, W) float: range, x, y, z, remission; normalised, zero in empty pixels.
         condition  (B, conditions, H, W) float: one-hot SemanticKITTI classes (empty pixels are class 0).
         Returns logits (B, classes, *size) and depth (B, *size), metres along the ray, float32.
         Raises InputError unless H and W are multiples of 16.

@@ -31,7 +31,7 @@ EXPANSION = 4  # how many times as wide as its middle a bottleneck ends
 
 
 def resized(x: Tensor, size: tuple[int, int] | torch.Size) -> Tensor:
-    """(B, C, h, w) -> (B, C, *size), bilinear, corners not aligned; x itself where nothing changes."""
+    """(B, C, h, w) -> (B, C, *size), bilinear, corners not aligned; x itself if nothing changes."""
     return x if x.shape[-2:] == tuple(size) else interpolate(x, size, mode="bilinear", align_corners=False)
 
 
@@ -90,7 +90,7 @@ class Exchange(nn.Module):
         )
 
     def forward(self, rasters: list[Tensor]) -> list[Tensor]:
-        """Of each raster the sum of what all rasters say about it."""
+        """Sum all rasters' contributions to each raster."""
         rasters = [branch(raster) for branch, raster in zip(self.branches, rasters, strict=True)]
         return [relu_(self._sum(rasters, target)) for target in range(len(rasters))]
 
@@ -162,14 +162,14 @@ class HRNet(nn.Module):
 
 def _one_more(rasters: list[Tensor], transition: nn.ModuleList) -> list[Tensor]:
     """The rasters, and one of half the size from the coarsest of them."""
-    return [into(raster) for into, raster in zip(transition, [*rasters, rasters[-1]], strict=True)]
+    return [branch(raster) for branch, raster in zip(transition, [*rasters, rasters[-1]], strict=True)]
 
 
 class Objects(NamedTuple):
-    """What OCR finds, on the raster of its features.
+    """Output of OCR, on the raster of its features.
 
     logits     (B, classes, H, W): the answer.
-    auxiliary  (B, classes, H, W): the first guess, by which pixels are gathered into classes.
+    auxiliary  (B, classes, H, W): the first guess, for gathering pixels into classes.
     features   (B, context, H, W): each pixel's with its classes' context.
     """
 
@@ -214,8 +214,8 @@ class ObjectContext(nn.Module):
         """Features (B, C, H, W) and classes (B, C, K, 1) -> context (B, C, H, W)."""
         query = self.f_pixel(features)
         key, value = self.f_object(classes)[..., 0], self.f_down(classes)[..., 0]  # (B, keys, K)
-        alike = torch.bmm(query.flatten(2).transpose(1, 2), key) * key.shape[1] ** -0.5  # (B, H W, K)
-        weights = alike.softmax(2).to(value.dtype)
+        similarity = torch.bmm(query.flatten(2).transpose(1, 2), key) * key.shape[1] ** -0.5  # (B, H W, K)
+        weights = similarity.softmax(2).to(value.dtype)
         context = torch.bmm(weights, value.transpose(1, 2)).transpose(1, 2)  # (B, keys, H W)
         return self.f_up(context.reshape(query.shape))
 
@@ -236,8 +236,8 @@ class Distribution(nn.Module):
 class Ocr(nn.Module):
     """The head over a trunk's features: (B, inputs, H, W) -> Objects.
 
-    context  channels of the features that classes are described by; keys are half as wide.
-    dropout  share of the channels that training zeroes before the answer.
+    context  channels of the classes' features; keys are half as wide.
+    dropout  share of zeroed channels before the output, in training.
     """
 
     def __init__(self, inputs: int, classes: int, context: int = 512, dropout: float = 0.05) -> None:
@@ -256,7 +256,7 @@ class Ocr(nn.Module):
 
 
 class ScalePrediction(NamedTuple):
-    """What one scale sees, at the size of its own picture.
+    """Prediction of one scale, at the size of its own picture.
 
     logits     (B, classes, h, w).
     auxiliary  (B, classes, h / 4, w / 4): OCR's first guess, still on its own raster.
@@ -269,7 +269,7 @@ class ScalePrediction(NamedTuple):
 
 
 class Answers(NamedTuple):
-    """What training needs, all of it logits (B, classes, H, W).
+    """Output in training, all of it logits (B, classes, H, W).
 
     joint      of all scales;  auxiliary: of all scales, OCR's first guess.
     each       of every scale by itself, in falling order.
@@ -283,7 +283,7 @@ class Answers(NamedTuple):
 class SdNet(nn.Module):
     """Class logits of pictures of any size. The defaults are the published network.
 
-    scales   sizes of the picture that are looked at, as factors; 1.0 must be among them.
+    scales   sizes of the picture, as factors; 1.0 must be among them.
     width, stem, blocks, modules   as in HRNet;  context: as in Ocr.
     """
 
@@ -319,7 +319,7 @@ class SdNet(nn.Module):
     def forward(self, images: Tensor, scales: Sequence[float] | None = None) -> Tensor | Answers:
         """Logits (B, classes, H, W) of normalised pictures (B, 3, H, W); in training mode `Answers`.
 
-        scales  to look at instead of those that the network was made with; without 1.0 among them: InputError.
+        scales  in place of the network's own; without 1.0 among them: InputError.
         """
         size = images.shape[-2:]
         joint, auxiliary, each = None, None, []
@@ -334,21 +334,21 @@ class SdNet(nn.Module):
         return Answers(joint, auxiliary, tuple(each)) if auxiliary is not None else joint
 
     def look(self, images: Tensor) -> ScalePrediction:
-        """What the pictures (B, 3, h, w) are at this size alone, everything in float32."""
-        found = self.ocr(self.backbone(images))
-        attention = self.scale_attn(found.features)
+        """Predict pictures (B, 3, h, w) at this size alone, everything in float32."""
+        objects = self.ocr(self.backbone(images))
+        attention = self.scale_attn(objects.features)
         size = images.shape[-2:]
         return ScalePrediction(
-            resized(found.logits.float(), size), found.auxiliary.float(), resized(attention.float(), size)
+            resized(objects.logits.float(), size), objects.auxiliary.float(), resized(attention.float(), size)
         )
 
 
 def joined(larger: Tensor | None, logits: Tensor, attention: Tensor, target: torch.Size) -> Tensor:
-    """Equation 1: what one scale says where it is believed, and elsewhere what the `larger` ones said together.
+    """Blend by equation 1: one scale by its attention, and for the rest the `larger` ones together.
 
     larger     (B, K, ...) of the larger scales, None for the largest;  logits (B, K, h, w), attention (B, 1, h, w).
-    target     size (H, W) of the picture: the larger scales come down to this scale, but never below the target, to
-               which smaller ones are stretched (attended logits and attention each, as published).
+    target     size (H, W) of the picture: the larger scales come down to this scale, but never below the target;
+               smaller ones are stretched to it (attended logits and attention each, as published).
     """
     if larger is None:
         return logits

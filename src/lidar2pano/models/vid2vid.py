@@ -3,21 +3,21 @@
 Papers    Wang, Liu, Zhu, Liu, Tao, Kautz, Catanzaro: Video-to-Video Synthesis, 2018 (arXiv:1808.06601), section 3:
           x_t = (1 - m) W(x_{t-1}) + m h, equation 3, with flow, mask and a hallucinated image from one generator;
           section 3.2 (foreground and background painted apart); appendix A (scales). Its layers are in
-          models.vid2vid_layers. Its discriminators: D_I scores an image with its labels, D_V several that
-          follow each other with the flow.
+          models.vid2vid_layers. Its discriminators: D_I scores an image with its labels, D_V several
+          successive ones with the flow.
           Wang, Liu, Zhu, Tao, Kautz, Catanzaro: High-Resolution Image Synthesis and Semantic Manipulation with
-          Conditional GANs, 2018 (arXiv:1711.11585), section 3.1: the global generator and the local enhancers, which
-          vid2vid paints first frames with.
+          Conditional GANs, 2018 (arXiv:1711.11585), section 3.1: the global generator and the local enhancers,
+          for vid2vid's first frames.
 Upstream  https://github.com/NVIDIA/vid2vid, commit 2e6d137 (code and weights CC BY-NC-SA 4.0): models/networks.py.
           Reimplemented here; places in a `Sequential`, and with them the parameters' names, are the published ones,
           those of netG<n> behind "<n>.".
 Deviates  from the published code in four points:
-          all scales are one network (the published one is a list that its training program walks through);
+          all scales are one network (the published one is a list for its training program);
           warping is as the code meant it and as torch ran it in 2018 (align_corners); the setting gives today's;
-          every layer that looks past the image's left or right edge can look at the other end instead (`close`), as
+          every layer with a look past the image's left or right edge can look at the other end instead (`close`), as
           the whole panorama wants it; rows are padded as published;
           norms can use the statistics of their input in evaluation mode, too: the published test program never leaves
-          training mode, so that is what its weights have always run with.
+          training mode, so its weights have always run with those.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ from lidar2pano.models.vid2vid_layers import (
     start_as_published,
 )
 
-FLOW_PX = 20.0  # pixels of the coarsest scale that the flow head's one stands for
-SINGLE_WIDEST = 1024  # channels that no layer of the first-frame network exceeds
+FLOW_PX = 20.0  # pixels of the coarsest scale per unit of the flow head
+SINGLE_WIDEST = 1024  # largest number of channels of the first-frame network
 
 
 class Painted(NamedTuple):
-    """What the generator says of a frame, on the raster of its scale.
+    """Output of the generator for a frame, on the raster of its scale.
 
-    image    (B, 3, H, W) in [-1, 1]: where `weight` is one, the new image; else the previous one, warped.
-    flow     (B, 2, H, W) pixels, backward: where in the previous image a pixel was (u to the right, v down).
+    image    (B, 3, H, W) in [-1, 1]: by `weight` the new image, otherwise the previous one, warped.
+    flow     (B, 2, H, W) pixels, backward: place of a pixel in the previous image (u to the right, v down).
     weight   (B, 1, H, W) in [0, 1].
     raw      (B, 3, H, W) in [-1, 1]: the new image everywhere.
     """
@@ -65,7 +65,7 @@ class Painted(NamedTuple):
 
 
 class Features(NamedTuple):
-    """What a scale hands to the next finer one, each (B, width, H, W); no foreground where there is no such branch."""
+    """Features for the next finer scale, each (B, width, H, W); no foreground without such a branch."""
 
     image: Tensor
     flow: Tensor
@@ -80,10 +80,10 @@ class Vid2Vid(Closable, nn.Module):
                       before: the published ones are (128,), (128, 64) and (128, 64, 32).
     downsamplings     halvings inside the coarsest scale (finer ones halve once).
     blocks            residual blocks of the coarsest scale and of each finer one.
-    foreground        label channels that a branch of its own paints (26 is Cityscapes' car); empty: no such branch.
+    foreground        label channels for a branch of their own (26 is Cityscapes' car); empty: no such branch.
     frames            label maps it sees, the present one last; it sees one image less.
-    batch_statistics  norms use the batch's statistics in evaluation mode, too: what published weights need.
-    align_corners     how the previous image is warped (see geometry.warp): True is what the code was written for.
+    batch_statistics  norms use the batch's statistics in evaluation mode, too, as needed by published weights.
+    align_corners     how the previous image is warped (see geometry.warp): True is the code's original way.
     """
 
     def __init__(
@@ -119,14 +119,14 @@ class Vid2Vid(Closable, nn.Module):
 
         labels    (B, frames, channels, H, W) float: one-hot label maps, the present one last.
         previous  (B, frames - 1, 3, H, W) in [-1, 1]: images before it, the latest last.
-        H and W must be multiples of `stride` and at least twice that, otherwise InputError.
-        The answer is the finest scale's, so the heads of coarser ones get no gradient (as published, where a coarse
+        H and W must be multiples of `stride` and at least twice as large, otherwise InputError.
+        The answer is the finest scale's, so the heads of coarser ones get no gradient (as published: a coarse
         scale is trained as the finest first).
         """
         return self.scales(self.pyramid(labels), self.pyramid(previous))[-1]
 
     def scales(self, labels: Sequence[Tensor], previous: Sequence[Tensor]) -> list[Painted]:
-        """What every scale paints, coarse to fine, from label maps and previous images on the raster of each.
+        """Paint every scale, coarse to fine, from label maps and previous images on the raster of each.
 
         A stream gives each scale its own earlier images, as published; `forward` those of the finest, made smaller.
         """
@@ -138,7 +138,7 @@ class Vid2Vid(Closable, nn.Module):
         return painted
 
     def pyramid(self, images: Tensor) -> list[Tensor]:
-        """Images (B, T, C, H, W) on the rasters of all scales, coarse to fine; InputError where they do not fit."""
+        """Images (B, T, C, H, W) on the rasters of all scales, coarse to fine; InputError unless they fit."""
         check_size(images.shape[-2], images.shape[-1], self.stride)
         levels = [images]
         for _ in self._scales()[1:]:
@@ -163,10 +163,10 @@ class Vid2Vid(Closable, nn.Module):
 
 
 class Heads(nn.Module):
-    """What all scales have: the heads of image, flow and mask, and the foreground's.
+    """Shared heads of all scales: image, flow, mask and foreground.
 
-    width, foreground  channels of the features that the heads read; foreground 0: there is no such branch.
-    flow_px            pixels that the flow head's one stands for.
+    width, foreground  channels of the heads' input; foreground 0: no such branch.
+    flow_px            pixels per unit of the flow head.
     """
 
     def __init__(self, width: int, foreground: int, flow_px: float) -> None:
@@ -190,7 +190,7 @@ class Coarsest(Heads):
     """Scale 0: an encoder-decoder.
 
     inputs      channels of all label maps and of all previous images.
-    width       after the first layer; foreground: likewise in that branch, 0 for none.
+    width       after the first layer; foreground: likewise in its branch, 0 for none.
     """
 
     def __init__(
@@ -201,8 +201,8 @@ class Coarsest(Heads):
         late = blocks // 2  # blocks after the join; the rest is before it, in both branches
 
         def encoder(channels: int) -> nn.Sequential:
-            before = residuals(blocks - late, down[-1], norm)
-            return nn.Sequential(*entry(channels, width, norm), *halvings(down, norm), *before)
+            early = residuals(blocks - late, down[-1], norm)
+            return nn.Sequential(*entry(channels, width, norm), *halvings(down, norm), *early)
 
         self.model_down_seg, self.model_down_img = encoder(inputs[0]), encoder(inputs[1])
         self.model_res_img = nn.Sequential(*residuals(late, down[-1], norm))
@@ -227,7 +227,7 @@ class Coarsest(Heads):
 
 
 class Finer(Heads):
-    """A scale that refines the features of the coarser one at twice its raster; arguments as of the other classes."""
+    """A scale for refining the features of the coarser one at twice its raster; arguments as of the other classes."""
 
     def __init__(
         self, inputs: tuple[int, int], width: int, blocks: int, foreground: int, flow_px: float, norm: Norm
@@ -264,8 +264,8 @@ class Vid2VidSingle(Closable, nn.Module):
     downsamplings     halvings inside the coarsest scale.
     blocks            residual blocks of the coarsest scale; local_blocks: of each enhancer.
     enhancers         finer scales, each on twice the raster.
-    batch_statistics  norms use the statistics of the image itself in evaluation mode, too: what published weights
-                      need. (They are instance norms; the setting has the name that it has in `vid2vid`.)
+    batch_statistics  norms use the statistics of the image itself in evaluation mode, too, as needed by
+                      published weights. (They are instance norms; the setting is named as in `vid2vid`.)
     """
 
     def __init__(
@@ -298,7 +298,7 @@ class Vid2VidSingle(Closable, nn.Module):
     def forward(self, labels: Tensor) -> Tensor:
         """(B, classes, H, W) float, one-hot -> (B, 3, H, W) in [-1, 1].
 
-        H and W must be multiples of `stride` and at least twice that, otherwise InputError.
+        H and W must be multiples of `stride` and at least twice as large, otherwise InputError.
         """
         check_size(labels.shape[-2], labels.shape[-1], self.stride)
         levels = [labels]
@@ -311,14 +311,14 @@ class Vid2VidSingle(Closable, nn.Module):
         return x
 
 
-WIDEST, FIRST = 512, 64  # channels that no layer exceeds, nor the first one of any scale
+WIDEST, FIRST = 512, 64  # largest numbers of channels: of any layer, of the first one of any scale
 
 
 class ImageCritic(nn.Module):
-    """Scores of patches, and the features that feature matching compares.
+    """Scores of patches, and features for feature matching.
 
     channels  of its input: label maps (published: 35 ids and the edges of instances) and an image.
-    width     of the first layer on the whole image; twice that on the halved one and so on, up to 64, as published.
+    width     of the first layer on the whole image; twice as wide on the halved one and so on, up to 64, as published.
     layers    layers of stride 2.
     scales    images of the pyramid, each half the size of the one before.
     """

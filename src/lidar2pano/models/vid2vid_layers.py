@@ -66,8 +66,8 @@ class Doubling(Closable, nn.ConvTranspose2d):
         """Convolve; when closed, the last column's right neighbour is the first."""
         if not self.closed:
             return super().forward(x)
-        around = torch.cat([x, x[..., :1]], 3)  # only odd columns of the answer look past the edge, and only right
-        grown = conv_transpose2d(around, self.weight, self.bias, stride=2, padding=1, output_padding=1)
+        wrapped = torch.cat([x, x[..., :1]], 3)  # only odd columns of the answer look past the edge, and only right
+        grown = conv_transpose2d(wrapped, self.weight, self.bias, stride=2, padding=1, output_padding=1)
         return grown[..., : 2 * x.shape[3]]
 
 
@@ -157,8 +157,8 @@ def halved(image: Tensor, all_around: bool = False) -> Tensor:
     """
     if not all_around:
         return avg_pool2d(image, 3, stride=2, padding=1, count_include_pad=False)
-    around = torch.cat([image[..., -1:], image], 3)  # stride 2 never reads past the right edge
-    return avg_pool2d(around, 3, stride=2, padding=(1, 0), count_include_pad=False)
+    wrapped = torch.cat([image[..., -1:], image], 3)  # stride 2 never reads past the right edge
+    return avg_pool2d(wrapped, 3, stride=2, padding=(1, 0), count_include_pad=False)
 
 
 def close(network: nn.Module, whether: bool) -> None:

@@ -1,7 +1,7 @@
 """Labels without drawing them by hand: teachers label a data set's scans and images.
 
-What is there and was not written by this package is never touched; what was is done again when its scan, its image,
-the weights or the settings have changed. Each sequence has a journal that says which files are ours, and of what.
+Files of other origin are never touched; own ones are made again after changes of scan, image, weights or settings. Each
+sequence has a journal of own files and their sources.
 """
 
 from __future__ import annotations

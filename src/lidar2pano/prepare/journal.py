@@ -1,7 +1,7 @@
-"""The journal of a sequence: which files prepare wrote there, out of what, and how to know them again.
+"""The journal of a sequence: files written by prepare, their sources, and stamps to recognise them.
 
 One line of JSON per file written, appended before the file gets its name, so that a file of ours without its line
-cannot be, whatever ends the process. A line that is torn or strange is passed over: its file then counts as somebody
+cannot be, whatever ends the process. A torn or strange line is passed over: its file then counts as somebody
 else's and is left alone, never the other way round.
 """
 
@@ -23,7 +23,7 @@ MOST_BYTES = 1 << 28  # a quarter of a million files
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stamp:
-    """A file's content: its SHA-256, and size in bytes and time of change (ns), which spare reading it again."""
+    """A file's content: its SHA-256, and size in bytes and time of change (ns), to spare reading it again."""
 
     sha256: str
     size: int
@@ -32,11 +32,11 @@ class Stamp:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
-    """One file that was written.
+    """One written file.
 
     file     its path within the sequence's folder, e.g. "labels/000000.label".
     made_by  the teacher: hash of its weights and settings.
-    source   the scan or image that it was made from;  stamp: the file itself.
+    source   its scan or image;  stamp: the file itself.
     """
 
     file: str
@@ -50,7 +50,7 @@ class Journal:
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / NAME
-        self._of: dict[str, list[Record]] = {}
+        self._records: dict[str, list[Record]] = {}
         try:
             content = read_bytes(self.path, MOST_BYTES) if self.path.is_file() else b""
         except OSError as error:
@@ -59,30 +59,30 @@ class Journal:
         for entry in json_lines(content):
             with suppress(InputError):
                 record = validated(Record, entry, "")
-                self._of.setdefault(record.file, []).append(record)
+                self._records.setdefault(record.file, []).append(record)
 
     def of(self, file: str) -> list[Record]:
-        """What was written to `file`, the latest first."""
-        return self._of.get(file, [])[::-1]
+        """Records of `file`, the latest first."""
+        return self._records.get(file, [])[::-1]
 
     def enter(self, record: Record) -> None:
-        """Append a record; it is in the file when this returns. Raises OSError where it cannot be."""
+        """Append a record, on disk at the return of the call. Raises OSError if it cannot be written."""
         line = json.dumps(asdict(record), separators=(",", ":")).encode() + b"\n"
         with self.path.open("ab", buffering=0) as file:
             file.write(b"\n" + line if self._torn else line)
         self._torn = False
-        self._of.setdefault(record.file, []).append(record)
+        self._records.setdefault(record.file, []).append(record)
 
 
-def stamp_of(path: Path, known: Stamp | None = None) -> Stamp:
-    """The stamp of a file: `known` where its size and time of change still hold, otherwise read again.
+def stamp_of(path: Path, recorded: Stamp | None = None) -> Stamp:
+    """Return the stamp of a file: `recorded` if its size and time of change still hold, otherwise read again.
 
     Raises InputError when the file cannot be read.
     """
     try:
         now = path.stat()
-        if known and (now.st_size, now.st_mtime_ns) == (known.size, known.changed_ns):
-            return known
+        if recorded and (now.st_size, now.st_mtime_ns) == (recorded.size, recorded.changed_ns):
+            return recorded
         with open_regular(path) as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:

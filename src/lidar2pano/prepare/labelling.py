@@ -1,4 +1,4 @@
-"""Labels frames: which files have to be written, which are up to date, and which are somebody else's."""
+"""Labelling of frames: files to write, files up to date, and files of somebody else."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lidar2pano.prepare.teachers import Teacher
 
 
 class State(StrEnum):
-    """What became of one file."""
+    """Outcome for one file."""
 
     WRITTEN = "written"  # now
     CURRENT = "current"  # written before, and nothing has changed since
@@ -29,7 +29,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LabelledFile:
-    """What became of a teacher's file for one frame; `problem` says why it failed."""
+    """Outcome of a teacher's file for one frame; `problem` is the reason of a failure."""
 
     folder: str
     file: Path
@@ -40,8 +40,8 @@ class LabelledFile:
 def frames_to_label(root: Path, splits: Sequence[str] = ()) -> FrameList[SemanticKittiFrame]:
     """Every frame of the data set at `root` with a scan or an image, by sequence; or those of some splits.
 
-    A split that splits.json lists has the listed frames, whose scans must be there; one of SemanticKITTI's own has
-    whatever its sequences have. Raises InputError where there is no data set or split, or nothing to label.
+    A split of splits.json has the listed frames, whose scans must exist; one of SemanticKITTI's own has all frames of
+    its sequences. Raises InputError without a data set or split, or anything to label.
     """
     folder = root / "sequences"
     if not folder.is_dir():
@@ -68,16 +68,16 @@ def frames_to_label(root: Path, splits: Sequence[str] = ()) -> FrameList[Semanti
 def label(
     frames: Iterable[SemanticKittiFrame], teachers: Sequence[Teacher]
 ) -> Iterator[tuple[SemanticKittiFrame, list[LabelledFile]]]:
-    """Let every teacher label every frame that it can; yields each frame, and what became of its files.
+    """Let every teacher label every possible frame; yields each frame and the outcomes of its files.
 
-    A scan or image that cannot be used is reported as FAILED and the rest goes on. Raises InputError when a teacher's
+    An unusable scan or image is reported as FAILED and the rest goes on. Raises InputError when a teacher's
     weights cannot be used.
     """
     journal: Journal | None = None
     for frame in frames:
         if journal is None or journal.path.parent != frame.folder:
             journal = Journal(frame.folder)
-        yield frame, [one for teacher in teachers if (one := _by(teacher, frame, journal))]
+        yield frame, [outcome for teacher in teachers if (outcome := _by(teacher, frame, journal))]
 
 
 def _by(teacher: Teacher, frame: SemanticKittiFrame, journal: Journal) -> LabelledFile | None:
@@ -99,7 +99,7 @@ def _by(teacher: Teacher, frame: SemanticKittiFrame, journal: Journal) -> Labell
 
 
 def _standing(teacher: Teacher, frame: SemanticKittiFrame, source: Path, file: Path, journal: Journal) -> State | None:
-    """The state of a file that stays as it is; None for one that has to be written."""
+    """Return the state of a file to keep; None for one to write."""
     records = journal.of(_name(file))
     if not file.exists() and not file.is_symlink():
         return None
@@ -122,9 +122,9 @@ def _standing(teacher: Teacher, frame: SemanticKittiFrame, source: Path, file: P
 def _write(teacher: Teacher, frame: SemanticKittiFrame, source: Path, file: Path, journal: Journal) -> None:
     source_stamp: Stamp = stamp_of(source)
 
-    def write(beside: Path) -> None:
-        teacher.write(frame, beside)
-        journal.enter(Record(file=_name(file), made_by=teacher.made_by, source=source_stamp, stamp=stamp_of(beside)))
+    def write(part: Path) -> None:
+        teacher.write(frame, part)
+        journal.enter(Record(file=_name(file), made_by=teacher.made_by, source=source_stamp, stamp=stamp_of(part)))
 
     write_whole(file, write, "labels folder")
 

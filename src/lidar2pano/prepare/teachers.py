@@ -39,11 +39,11 @@ PNG_END = b"IEND\xaeB`\x82"
 
 
 class Teacher(Protocol):
-    """What writes one file per frame.
+    """A writer of one file per frame.
 
-    folder   of a sequence, where the files go;  suffix: what they end with.
+    folder   folder of a sequence for the files;  suffix: their ending.
     made_by  hash of weights and settings: files of another one are made again.
-    weights  files that the network comes from.
+    weights  files of the network.
     """
 
     folder: str
@@ -52,7 +52,7 @@ class Teacher(Protocol):
     weights: tuple[Path, ...]
 
     def source(self, frame: SemanticKittiFrame) -> Path | None:
-        """The file that this teacher labels, None where there is none."""
+        """Return the source of the labels, None if absent."""
         ...
 
     def get_ready(self) -> None:
@@ -64,7 +64,7 @@ class Teacher(Protocol):
         ...
 
     def whole(self, frame: SemanticKittiFrame, path: Path) -> bool:
-        """Whether `path` holds complete labels, of any origin."""
+        """Tell if `path` holds complete labels, of any origin."""
         ...
 
 
@@ -99,7 +99,7 @@ class LidarTeacher:
         write_label(path, self.segmenter.points(scan, pick_device(self.device)).cpu().numpy())
 
     def whole(self, frame: SemanticKittiFrame, path: Path) -> bool:
-        """Whether there is one label per point: 4 bytes for a scan's 16."""
+        """Tell if there is one label per point: 4 bytes for a scan's 16."""
         return path.stat().st_size * 4 == frame.scan_file.stat().st_size
 
 
@@ -108,7 +108,7 @@ class ImageTeacher:
     """A camera teacher: images -> Cityscapes train ids per pixel. Fields as in Teacher.
 
     spec             "mask2former" or "oneformer" with a folder in `weights`, or "sdnet" with a file.
-    scales           of the image that the network labels; () for its own.
+    scales           of the labelled image; () for the network's own.
     min_probability  of the best class; a pixel below it becomes IGNORE.
     """
 
@@ -146,7 +146,7 @@ class ImageTeacher:
         write_ids(path, ids.cpu().numpy().astype(np.uint8))
 
     def whole(self, frame: SemanticKittiFrame, path: Path) -> bool:
-        """Whether it is an image, to its end."""
+        """Tell if it is an image, to its end."""
         try:
             with Image.open(path) as image:
                 image.load()
@@ -193,8 +193,8 @@ def camera_teacher(
         model_type, source = "sdnet", _sdnet_file(spec)
         hashed = [source]
         if scales:
-            falling(scales)  # refuses what the network would refuse image by image
-    # these keys are hashed into made_by, which journals keep: they stay
+            falling(scales)  # refuses early, not image by image
+    # these keys are hashed into made_by of journals: they stay
     settings = {"kind": model_type, "scales": list(scales), "unsure": min_probability}
     return ImageTeacher(
         folder=folder,
@@ -220,10 +220,10 @@ def _sdnet_file(name: str) -> Path:
         )
     folder = path / "weights" if (path / "weights").is_dir() else path
     files = [file for file in sorted(folder.glob("*.safetensors")) if not file.stem.endswith(".last")]
-    found = [file for file in files if read_card(file).network == "sdnet"]
-    if len(found) != 1:
-        raise InputError(f"{folder}: holds {len(found) or 'no'} weights of sdnet; name the file")
-    return found[0]
+    networks = [file for file in files if read_card(file).network == "sdnet"]
+    if len(networks) != 1:
+        raise InputError(f"{folder}: holds {len(networks) or 'no'} weights of sdnet; name the file")
+    return networks[0]
 
 
 def _hash(files: Iterable[Path], settings: dict[str, object]) -> str:

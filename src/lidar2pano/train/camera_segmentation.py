@@ -1,4 +1,4 @@
-"""The camera's segmenter SD-Net, on images and the labels that a teacher gave them: options, task and recipes."""
+"""The camera's segmenter SD-Net, on images with a teacher's labels: options, task and recipes."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class CameraSegmentationOptions(TaskOptions):
     per_scale: float = 0.05
 
     def __post_init__(self) -> None:
-        """Refuse what TaskOptions refuses, and sizes that are none (InputError)."""
+        """Refuse impossible sizes, beside the values that TaskOptions refuses (InputError)."""
         super().__post_init__()
         check_range("options", 0.01, self.scale_max, scale_min=self.scale_min)
         check_range("options", self.scale_min, 16, scale_max=self.scale_max)
@@ -63,7 +63,7 @@ class CameraSegmentationOptions(TaskOptions):
 class CameraSegmentation:
     """Trains SD-Net as its authors do, on the joint and auxiliary outputs and, with a small weight, on each scale's.
 
-    Pixels of which the teacher is unsure are ignored.
+    Pixels without a sure label are ignored.
     """
 
     released = ("camera",)
@@ -103,9 +103,9 @@ class CameraSegmentation:
         return segmenter.probabilities(image).argmax(0).cpu()
 
     def validate(self) -> dict[str, float]:
-        """MIoU over the classes that occur in labels or predictions of the split, and the share of pixels that agree.
+        """MIoU over the classes in labels or predictions of the split, and the accuracy of pixels.
 
-        Whole images; pixels of which the teacher is unsure are not scored.
+        Whole images; pixels without a sure label are not scored.
         """
         pairs = (self.validation.pair(index) for index in evenly_spaced(len(self.validation)))
         return segmentation_scores(((self.predict(image), ids) for image, ids in pairs), CITYSCAPES)
@@ -121,12 +121,12 @@ class CameraSegmentation:
         return previews
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
-        """What a user of the segmenter has to know: label set and normalisation."""
+        """Label set and normalisation."""
         return {"labels": CITYSCAPES.name, "normalisation": self.normalise.as_dict()}
 
 
 def sdnet() -> Recipe[CameraSegmentationOptions]:
-    """SD-Net with the published settings (Tao et al. 2020, section 4; scripts/train_cityscapes.yml) where we have them.
+    """SD-Net with the published settings (Tao et al. 2020, section 4; scripts/train_cityscapes.yml as far as known.
 
     Two scales, crops of 1024 x 2048, one a GPU on eight GPUs, 0.4 of the auxiliary loss, 0.05 of each scale's own.
     Instead of SGD, region mutual information and class-uniform sampling: AdamW, Lovasz-Softmax, every image once

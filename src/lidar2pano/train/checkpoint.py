@@ -1,6 +1,6 @@
 """A run's folder: recipe, last checkpoint and weight files, each complete or not there.
 
-RUN/recipe.json                       every value of the recipe; "files": SHA-256 of the weight files that it names
+RUN/recipe.json                       every value of the recipe; "files": SHA-256 of the weight files named in it
 RUN/weights/<network>.safetensors     the best released weights; <network>.last.safetensors: the last
 RUN/checkpoints/<step>/               one folder, the newest
     weights.safetensors               "network/<name>/<key>" and "average/<name>/<key>"
@@ -49,10 +49,10 @@ BROKEN = (SafetensorError, pickle.UnpicklingError, RuntimeError)  # RecursionErr
 
 @dataclass
 class Progress:
-    """How far a run is.
+    """Progress of a run.
 
     step       optimiser steps done; seconds: wall clock used, over all sittings.
-    validated  the step of the last validation, finished: the step after which the run was complete (-1: none yet).
+    validated  the step of the last validation, finished: the step of completion (-1: none yet).
     best       the best score so far, None before the first.
     """
 
@@ -63,16 +63,16 @@ class Progress:
     best: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what no run writes (ValueError)."""
+        """Refuse negative counts (ValueError)."""
         if min(self.step, self.seconds) < 0 or min(self.validated, self.finished) < -1:
             raise ValueError("counts of steps or seconds are negative")
 
 
 def check_recipe(run: Path, recipe: Recipe) -> None:
-    """Make the run's folder, or compare the recipe with the one that its checkpoint was trained with.
+    """Make the run's folder, or compare the recipe with that of its checkpoint.
 
-    More steps or minutes than before, and what does not affect the result (FREE), may change; any other difference
-    raises InputError and says what differs, as does a folder that cannot be written.
+    Steps and minutes may grow, and values without effect on the result (FREE) may change; any other difference raises
+    InputError and is named, as does a folder without permission to write.
     """
     if run.exists() and not run.is_dir():
         raise InputError(f"{run} is a file; name a folder for the run")
@@ -83,15 +83,15 @@ def check_recipe(run: Path, recipe: Recipe) -> None:
     path = run / "recipe.json"
     if not path.exists() or not _checkpoints(run):
         return
-    before = read_json(path, "repair it or train into another folder")
-    if not isinstance(before, dict):
+    recorded = read_json(path, "repair it or train into another folder")
+    if not isinstance(recorded, dict):
         raise InputError(f"{path}: holds no recipe; repair it or train into another folder")
-    hashes, now = before.pop("files", {}), _flat(resolved(recipe))
-    known = _defaults(recipe) | _flat(before)  # recipes had fewer values when the run began
+    hashes, now = recorded.pop("files", {}), _flat(resolved(recipe))
+    previous = _defaults(recipe) | _flat(recorded)  # recipes had fewer values when the run began
     if isinstance(hashes, dict):  # the same weights may lie elsewhere
-        known |= {name: now[name] for name, found in _hashes(now).items() if hashes.get(name) == found}
-    if changed := _differences(known, now):
-        named = "; ".join(f"{one:.120}" for one in changed[:MOST_NAMED])
+        previous |= {name: now[name] for name, digest in _hashes(now).items() if hashes.get(name) == digest}
+    if changed := _differences(previous, now):
+        named = "; ".join(f"{change:.120}" for change in changed[:MOST_NAMED])
         raise InputError(
             f"{run} holds a run of another recipe ({named}); repeat the command as it was or train into another folder"
         )
@@ -99,9 +99,9 @@ def check_recipe(run: Path, recipe: Recipe) -> None:
 
 @contextmanager
 def claimed(run: Path) -> Iterator[None]:
-    """Inside, no other process of this machine trains into the run's folder; InputError where one does.
+    """Lock the run's folder against other processes of this machine; InputError when it is locked already.
 
-    The folder itself is locked, so that nothing is left of it however a process ends. Where a file system has no
+    The folder itself is locked, so that nothing is left of it however a process ends. On a file system without
     locks, a second process is not refused.
     """
     if fcntl is None:  # not on Windows
@@ -123,11 +123,11 @@ def claimed(run: Path) -> Iterator[None]:
 
 
 def write_recipe(run: Path, recipe: Recipe) -> None:
-    """Write every value of the recipe to RUN/recipe.json, and the hashes of the weight files that it names."""
+    """Write every value of the recipe to RUN/recipe.json, and the hashes of the weight files named in it."""
     values = resolved(recipe)
     hashes = _hashes(_flat(values))
     text = json.dumps(values | ({"files": hashes} if hashes else {}), indent=2) + "\n"
-    write_whole(run / "recipe.json", lambda beside: beside.write_text(text, encoding="utf-8"))
+    write_whole(run / "recipe.json", lambda part: part.write_text(text, encoding="utf-8"))
 
 
 def _hashes(values: Mapping[str, Any]) -> dict[str, str]:
@@ -141,26 +141,26 @@ def _hashes(values: Mapping[str, Any]) -> dict[str, str]:
     return hashes
 
 
-def _flat(tree: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     values: dict[str, Any] = {}
     for name, value in tree.items():
-        path = f"{above}{name}"
+        path = f"{prefix}{name}"
         values |= _flat(value, f"{path}.") if isinstance(value, Mapping) else {path: value}
     return values
 
 
 def _defaults(recipe: Recipe) -> dict[str, Any]:
-    """The values that a recipe of this task has by default, by their flat names."""
+    """Default values of a recipe of this task, by their flat names."""
     networks = {name: {"optimizer": asdict(Optimizer())} for name in recipe.networks}
     plain = {"training": asdict(Training()), "options": asdict(type(recipe.options)()), "networks": networks}
     return {name: list(value) if isinstance(value, tuple) else value for name, value in _flat(plain).items()}
 
 
-def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """What keeps a run from going on, as "name: old -> new"."""
+def _differences(previous: Mapping[str, Any], present: Mapping[str, Any]) -> list[str]:
+    """Differences that keep a run from going on, as "name: old -> new"."""
     changed = []
-    for name in sorted(before.keys() | now.keys()):
-        old, new = before.get(name), now.get(name)
+    for name in sorted(previous.keys() | present.keys()):
+        old, new = previous.get(name), present.get(name)
         if name in FREE and old is not None and new is not None:
             continue
         if name in LIMITS and isinstance(old, int | float) and isinstance(new, int | float):
@@ -177,51 +177,51 @@ def save_checkpoint(
 ) -> Path:
     """Write a checkpoint of `progress.step` and remove older ones; interrupted anywhere, the last one stays.
 
-    A weight that is not finite raises FloatingPointError and changes nothing.
+    A weight without finite values raises FloatingPointError and changes nothing.
     """
     check_weights(weights, progress.step)
     folder = run / "checkpoints"
-    final, beside = folder / f"{progress.step:09d}", folder / f"{progress.step:09d}.part"
-    shutil.rmtree(beside, ignore_errors=True)
+    final, part = folder / f"{progress.step:09d}", folder / f"{progress.step:09d}.part"
+    shutil.rmtree(part, ignore_errors=True)
     try:
-        with writing(beside):
-            beside.mkdir(parents=True)
+        with writing(part):
+            part.mkdir(parents=True)
             ours = {name: value.detach().to("cpu", copy=True).contiguous() for name, value in weights.items()}
-            save_file(ours, beside / "weights.safetensors")
-            torch.save(dict(optimizers), beside / "optimizers.pt")
-            (beside / "state.json").write_text(json.dumps(asdict(progress)), encoding="utf-8")
-            for file in beside.iterdir():
+            save_file(ours, part / "weights.safetensors")
+            torch.save(dict(optimizers), part / "optimizers.pt")
+            (part / "state.json").write_text(json.dumps(asdict(progress)), encoding="utf-8")
+            for file in part.iterdir():
                 with file.open("rb+") as written:
                     os.fsync(written.fileno())
-            _exchange(beside, final)
+            _exchange(part, final)
     except InputError:
-        shutil.rmtree(beside, ignore_errors=True)  # a full disk needs the room
+        shutil.rmtree(part, ignore_errors=True)  # a full disk needs the room
         raise
     return final
 
 
-def _exchange(beside: Path, final: Path) -> None:
+def _exchange(part: Path, final: Path) -> None:
     """Make `beside` the folder `final` and remove every other checkpoint."""
     folder = final.parent
     if final.exists():  # the same step again, with another clock or score
         aside = folder / f"{final.name}.old"
         shutil.rmtree(aside, ignore_errors=True)
         final.replace(aside)
-    beside.replace(final)
-    for other in folder.iterdir():
-        if other != final:
-            shutil.rmtree(other, ignore_errors=True)
+    part.replace(final)
+    for folder_left in folder.iterdir():
+        if folder_left != final:
+            shutil.rmtree(folder_left, ignore_errors=True)
 
 
 def check_weights(weights: Mapping[str, Tensor], step: int) -> None:
-    """Raise FloatingPointError for a weight that is not finite."""
+    """Raise FloatingPointError for a weight with NaN or infinity."""
     if broken := [name for name, value in weights.items() if value.is_floating_point() and not value.isfinite().all()]:
         raise FloatingPointError(f"{broken[0]} is not finite after step {step}; the last checkpoint is sound")
 
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Inside, what the system refuses (a full disk, a folder that another process removes) raises InputError."""
+    """Turn refusals of the system (a full disk, a folder removed by another process) into InputError."""
     try:
         yield
     except (OSError, RuntimeError, SafetensorError) as error:
@@ -236,10 +236,10 @@ def _checkpoints(run: Path) -> list[Path]:
 
 def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, dict]] | None:
     """The run's newest checkpoint (tensors on the CPU), or None; a damaged one raises InputError."""
-    found = _checkpoints(run)
-    if not found:
+    folders = _checkpoints(run)
+    if not folders:
         return None
-    newest = max(found, key=lambda path: (int(path.stem), path.suffix == ""))
+    newest = max(folders, key=lambda path: (int(path.stem), path.suffix == ""))
     try:
         progress = validated(Progress, read_json(newest / "state.json"), "its state.json")
         weights = load_file(newest / "weights.safetensors")
@@ -261,22 +261,22 @@ def release(run: Path, name: str, network: nn.Module, card: Card, last: bool = F
     return path
 
 
-def make_card(spec: Network, known: Mapping[str, Any], ours: Mapping[str, Any]) -> Card:
-    """The card of a network built from `spec`: the task's fields and the run's, which take precedence."""
+def make_card(spec: Network, task_fields: Mapping[str, Any], run_fields: Mapping[str, Any]) -> Card:
+    """The card of a network built from `spec`: the task's fields, overridden by the run's."""
     settings = {key: list(value) if isinstance(value, tuple) else value for key, value in spec.settings.items()}
-    return Card(**{"network": spec.model, "settings": settings, "commit": commit(), **known, **ours})
+    return Card(**{"network": spec.model, "settings": settings, "commit": commit(), **task_fields, **run_fields})
 
 
 def trained_on(root: Path, splits: Iterable[str]) -> str:
-    """Names of the data sets that splits come from, joined by "+": `root`'s, and those of FOLDER:split."""
+    """Names of the splits' data sets, joined by "+": `root`'s, and those of FOLDER:split."""
     return "+".join(dict.fromkeys(locate_split(root, name)[0].resolve().name for name in splits))
 
 
 def commit() -> str:
-    """The project's commit that runs, "-dirty" when files differ from it; the package's version outside of git."""
-    here = Path(__file__).parent
+    """The running commit of the project, "-dirty" when files differ from it; the package's version outside of git."""
+    folder = Path(__file__).parent
     try:
-        git = ["git", "-C", str(here)]
+        git = ["git", "-C", str(folder)]
         subprocess.run([*git, "ls-files", "--error-unmatch", Path(__file__).name], check=True, capture_output=True)
         described = subprocess.run(
             [*git, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],

@@ -76,7 +76,7 @@ class Pix2PixColoursOptions(Pix2PixOptions):
 
 
 class ColourTask:
-    """Scores and previews that the tasks of this file share; subclasses have data sets, `inputs` and `updates`."""
+    """Shared scores and previews; subclasses have data sets, `inputs` and `updates`."""
 
     released = ("renderer",)
     options: Any
@@ -122,12 +122,12 @@ class FrontColourTask(ColourTask):
     def __init__(self, recipe: Recipe, root: Path) -> None:
         super().__init__(recipe)
         self.view, size = VIEWS[recipe.view], image_size(self.networks["renderer"])
-        wanted = SampleParts(labels=False, image=True)
-        self.dataset = FrontViewDataset(root, recipe.data.train, self.view, size, wanted)
-        self.validation = FrontViewDataset(root, recipe.data.val, self.view, size, wanted)
+        parts = SampleParts(labels=False, image=True)
+        self.dataset = FrontViewDataset(root, recipe.data.train, self.view, size, parts)
+        self.validation = FrontViewDataset(root, recipe.data.val, self.view, size, parts)
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
-        """What a user of the renderer has to know: the view; it has no label set, its output is colour."""
+        """The view; there is no label set, since the output is colour."""
         return {"labels": None, **range_view_card(self.view)}
 
 
@@ -171,7 +171,7 @@ class Pix2PixColours(FrontColourTask):
 class CameraColour(ColourTask):
     """Trains a renderer of the scan projected into the camera by squared error.
 
-    Its setting `inputs` says what it reads: 1 is remission, 2 is remission and range.
+    Its setting `inputs`: 1 is remission, 2 is remission and range.
     """
 
     options: CameraColourOptions
@@ -192,7 +192,7 @@ class CameraColour(ColourTask):
         yield "renderer", self.options.mse * mse_loss(fake, batch.image)
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
-        """What a user of the renderer has to know: the size that camera images are resized to."""
+        """The size of resized camera images."""
         rows, columns = self.options.size
         return {"labels": None, "views": {"camera": {"rows": rows, "columns": columns}}}
 

@@ -1,7 +1,7 @@
-"""The training loop: any task, on the CPU, one GPU, or many GPUs and nodes; the only file that knows Lightning Fabric.
+"""The training loop: any task, on the CPU, one GPU, or many GPUs and nodes; the only user of Lightning Fabric.
 
 Gradients of several processes are averaged by one `all_reduce` per update, after the backward pass, instead of by
-DDP's hooks during it: gradient penalties, networks that are called several times or not at all before a backward
+DDP's hooks during it: gradient penalties, networks called several times or not at all before a backward
 pass, and networks whose gradients are discarded then need no special care (StyleGAN3 does the same).
 """
 
@@ -64,20 +64,20 @@ except ModuleNotFoundError as error:
 
 logging.getLogger("lightning_fabric").setLevel(logging.ERROR)  # its remarks are no messages for users
 
-LAST = ("", torch.zeros(()))  # what follows a task's last update
-VALIDATION_LIMIT = timedelta(hours=2)  # the other processes wait at most this long for the one that validates
+NO_MORE_UPDATES = ("", torch.zeros(()))  # sentinel of next()
+VALIDATION_LIMIT = timedelta(hours=2)  # longest wait of the other processes for the validating one
 SAVING_SHARE, PREVIEW_SHARE, VALIDATION_SHARE = 0.05, 0.05, 0.15  # of the time, at most, go into each of these
 SCALER = "loss scale"  # among the optimisers' states in a checkpoint
-AGREE_EVERY = 10  # steps after which several processes agree on the time and on interrupts
+AGREE_EVERY = 10  # steps between agreements of several processes on time and interrupts
 
 
 def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: int = 1, num_nodes: int = 1) -> Path:
-    """Train what `recipe` says on the data under `root`; the same command again goes on from the last checkpoint.
+    """Train by a recipe on the data under `root`; the same command again goes on from the last checkpoint.
 
     out      the run's folder: recipe.json, checkpoints/, weights/, preview/, tensorboard/.
-    device   "auto", "cpu" or "cuda"; devices per node and num_nodes as for Fabric, which starts the processes.
+    device   "auto", "cpu" or "cuda"; devices per node and num_nodes as for Fabric, the starter of the processes.
     Returns the folder of the weight files. Ctrl-C and SIGTERM save a checkpoint and raise KeyboardInterrupt; mistakes
-    of the user raise InputError, a loss or weight that is not finite FloatingPointError.
+    of the user raise InputError, a loss or weight without finite values FloatingPointError.
     """
     processes, chosen = devices * num_nodes, pick_device(device)
     training = shared(recipe.training, processes)
@@ -97,12 +97,12 @@ def train(recipe: Recipe, root: Path, out: Path, device: str = "auto", devices: 
 
 
 def _precision(name: Literal["bf16-mixed", "16-mixed", "32-true"], device: torch.device) -> Precision:
-    """Fabric's plugin; that of float16 scales losses, and omits steps whose gradients overflow."""
+    """Fabric's plugin; float16 scales losses and omits steps whose gradients overflow."""
     return Precision() if name == "32-true" else MixedPrecision(name, device.type)
 
 
 def _train(fabric: Fabric, recipe: Recipe, training: Training, root: Path, out: Path) -> Path:
-    """`train` in one of the processes, which divide the batch as `training` says."""
+    """Run `train` in one of the processes; `training` has each one's share of the batch."""
     seed_step(training.seed, 0, -1)  # fresh weights: the same in every process
     try:
         task = build_task(recipe, root)
@@ -145,14 +145,14 @@ class Run:
         self.averages = {name: EMA(self.networks[name], decay) for name in task.released if decay > 0}
 
     def resume(self) -> None:
-        """Load the last checkpoint, if there is one; one that does not fit raises InputError."""
-        found = load_checkpoint(self.out)
-        step = found[0].step if found else 0
+        """Load the last checkpoint, if there is one; InputError unless it fits."""
+        checkpoint = load_checkpoint(self.out)
+        step = checkpoint[0].step if checkpoint else 0
         if largest(self.fabric.device, step, -step) != [step, -step]:
             raise InputError(f"{self.out}: the nodes see different checkpoints; use a folder that all of them share")
-        if found is None:
+        if checkpoint is None:
             return
-        self.progress, weights, optimizers = found
+        self.progress, weights, optimizers = checkpoint
         try:
             for name, network in self.networks.items():
                 network.load_state_dict(_below(weights, f"network/{name}/"))
@@ -223,13 +223,13 @@ class Run:
         return True
 
     def _done(self) -> float:
-        """The share of the run that is done, 0 to 1 and over."""
+        """Completed share of the run, 0 to 1 and over."""
         training, progress = self.recipe.training, self.progress
         used = progress.seconds / (60 * training.minutes) if training.minutes > 0 else 0.0
         return max(progress.step / training.steps, used)
 
     def _step(self, loader: Iterator) -> None:
-        """One optimiser step of every network that the task updates."""
+        """Take one optimiser step of every updated network."""
         training, step, done = self.recipe.training, self.progress.step, self._done()
         seed_step(training.seed, self.fabric.global_rank, step)
         for name, optimizer in self.optimizers.items():
@@ -251,7 +251,7 @@ class Run:
             name = ""
             for number, updates in enumerate(micro_batches):
                 with self._without_sync():
-                    network, loss = next(updates, LAST)
+                    network, loss = next(updates, NO_MORE_UPDATES)
                     if number and network != name:
                         raise RuntimeError(f"updates() yielded {name!r} for one micro-batch and {network!r} next")
                     name = network
@@ -281,7 +281,7 @@ class Run:
             yield
 
     def _show(self) -> None:
-        """Read the losses since the last time and show them; one that is not finite raises FloatingPointError."""
+        """Read and show the losses since the last time; NaN or infinity raises FloatingPointError."""
         losses = self.meter.read()
         check_finite(losses, self.progress.step)
         if self.monitor:
@@ -289,7 +289,7 @@ class Run:
 
     @contextmanager
     def _averaged(self) -> Iterator[None]:
-        """Inside, networks have their averaged weights; those that are not finite raise FloatingPointError."""
+        """Give networks their averaged weights for a while; NaN or infinity in them raises FloatingPointError."""
         seed_step(self.recipe.training.seed, self.fabric.global_rank, self.progress.step)
         compiled = self.recipe.training.compile  # its shapes come once: compiling for them would take longer
         eager = torch.compiler.set_stance("force_eager") if compiled else nullcontext()
@@ -299,7 +299,7 @@ class Run:
             yield
 
     def _checkpoint(self) -> None:
-        """Save everything that the same command needs to go on; what is not finite is not saved."""
+        """Save everything for the same command to go on; NaN or infinity is not saved."""
         if not self.fabric.is_global_zero:
             return
         self._show()
@@ -364,7 +364,7 @@ class Run:
 
 
 class Meter:
-    """Means of losses since they were last read; sums stay on the device so that no step waits for them."""
+    """Means of losses since the last reading; sums stay on the device, and no step waits for them."""
 
     def __init__(self) -> None:
         self.sums: dict[str, Tensor | float] = {}
@@ -389,7 +389,7 @@ def _below(weights: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
 
 
 def _many_processes() -> DDPStrategy:
-    """Processes that keep their own norm statistics (the first one's count), so that one of them may run alone."""
+    """Processes with norm statistics of their own (the first one's count), so that one of them may run alone."""
     parameters = inspect.signature(DistributedDataParallel).parameters
     quiet = "forward_sync_buffers" if "forward_sync_buffers" in parameters else "broadcast_buffers"  # renamed, 2.13
     settings: dict[str, Any] = {quiet: False}

@@ -37,9 +37,9 @@ def choose_precision(training: Training, device: torch.device) -> Literal["bf16-
 
 
 def shared(training: Training, processes: int) -> Training:
-    """The training as each of so many processes does it: the same batch, and micro-batches that are not larger.
+    """Divide a batch among processes, into micro-batches of at most the recipe's size.
 
-    Raises InputError where the batch cannot be divided among the processes and micro-batches.
+    Raises InputError when the batch cannot be divided among the processes and micro-batches.
     """
     batch, accumulate = training.batch, training.accumulate
     if batch % (processes * accumulate) == 0:
@@ -59,7 +59,7 @@ def shared(training: Training, processes: int) -> Training:
 
 
 def check_compiler(training: Training) -> None:
-    """Raise InputError where networks are to be compiled and there is no C++ compiler, which torch.compile calls."""
+    """Raise InputError when networks are to be compiled without a C++ compiler for torch.compile."""
     compiler = os.environ.get("CXX") or ("clang++" if sys.platform == "darwin" else "g++")
     if training.compile and not shutil.which(compiler):
         raise InputError(
@@ -69,14 +69,14 @@ def check_compiler(training: Training) -> None:
 
 
 def device_name(device: torch.device) -> str:
-    """What to call `device` in a card."""
+    """Name a device for a card."""
     if device.type == "cuda":
         return torch.cuda.get_device_name(device)
     return f"{device.type}, {torch.get_num_threads()} threads"
 
 
 def world() -> int:
-    """The number of processes that train together."""
+    """Number of processes in the training."""
     return distributed.get_world_size() if distributed.is_available() and distributed.is_initialized() else 1
 
 
@@ -90,7 +90,7 @@ def check_launcher(processes: int) -> None:
 
 
 def largest(device: torch.device, *values: float) -> list[float]:
-    """The largest of the processes' values, one by one, so that all decide alike; they meet here."""
+    """Largest of the processes' values, one by one, for equal decisions; all processes wait here for each other."""
     if world() == 1:
         return list(values)
     agreed = torch.tensor(values, dtype=torch.float64, device=device)
@@ -103,9 +103,9 @@ def average_gradients(weights: Iterable[nn.Parameter]) -> None:
     weights = list(weights)
     if world() == 1:
         return
-    for one in weights:
-        one.grad = torch.zeros_like(one) if one.grad is None else one.grad
-    gradients = [one.grad for one in weights if one.grad is not None]
+    for weight in weights:
+        weight.grad = torch.zeros_like(weight) if weight.grad is None else weight.grad
+    gradients = [weight.grad for weight in weights if weight.grad is not None]
     distributed.all_reduce(flat := torch.cat([gradient.flatten() for gradient in gradients]))
     parts = (flat / world()).split([gradient.numel() for gradient in gradients])
     for gradient, part in zip(gradients, parts, strict=True):
@@ -119,21 +119,21 @@ def clock(used: float) -> Callable[[], float]:
 
 
 class Timer:
-    """When something that is repeated is due: `minutes` after it last ended (or after `now`); 0 = never.
+    """Schedule of a repeated action: `minutes` after its last end (or after `now`); 0 = never.
 
-    Where it takes longer than `share` of the time, the pauses grow until it does not. All times are the run's clock in
-    seconds, so that processes that agree on the clock agree on what is due.
+    When it takes longer than `share` of the time, the pauses grow until it does not. All times are the run's clock in
+    seconds, so that processes with one clock decide alike.
     """
 
     def __init__(self, minutes: float, now: float, share: float = 1.0) -> None:
         self.least, self.pause, self.last, self.share = 60 * minutes, 60 * minutes, now, share
 
     def due(self, now: float) -> bool:
-        """Whether it is to be done now."""
+        """Tell if the action is due now."""
         return self.least > 0 and now - self.last >= self.pause
 
     def done(self, began: float, ended: float) -> None:
-        """Note that it was done."""
+        """Note a finished action."""
         self.last, self.pause = ended, max(self.least, (ended - began) * (1 / self.share - 1))
 
 
@@ -153,9 +153,9 @@ def interrupts() -> Iterator[Callable[[], bool]]:
             raise KeyboardInterrupt
         received.append(number)
 
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield lambda: bool(received)
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)

@@ -61,7 +61,7 @@ class FrontOptions(TaskOptions):
 
     gradient_penalty  weight (lambda) of the WGAN's gradient penalty;  lovasz: weight of Lovasz-Softmax; 0: none.
     segments          the condition: "predicted" by a segmenter, or the "data"'s own (in validation the segmenter's).
-    segmenter         weight file whose labels these are; "": predicted_labels/ of the data, which `prepare` writes.
+    segmenter         weight file of the segmenter; "": predicted_labels/ of the data, written by `prepare`.
     """
 
     task = "front"
@@ -100,26 +100,26 @@ class Pix2PixSegmentsOptions(Pix2PixOptions):
 
 
 class FrontTask:
-    """Networks, data, scores and previews that the tasks of this file share; subclasses have `updates`.
+    """Shared networks, data, scores and previews; subclasses have `updates`.
 
-    The translator's `size` is that of the image that it predicts.
+    The translator's `size` is that of its predicted image.
     """
 
     released = ("translator",)
     options: Any
-    wanted: ClassVar[SampleParts] = SampleParts(labels=True)
+    parts: ClassVar[SampleParts] = SampleParts(labels=True)
 
     def __init__(self, recipe: Recipe[FrontOptions] | Recipe[Pix2PixSegmentsOptions], root: Path) -> None:
         self.view, self.options = VIEWS[recipe.view], recipe.options
         self.networks = build_networks(recipe)
         size = image_size(self.networks["translator"])
-        self.dataset = FrontViewDataset(root, recipe.data.train, self.view, size, self.wanted)
-        self.validation = FrontViewDataset(root, recipe.data.val, self.view, size, self.wanted)
+        self.dataset = FrontViewDataset(root, recipe.data.train, self.view, size, self.parts)
+        self.validation = FrontViewDataset(root, recipe.data.val, self.view, size, self.parts)
         self.logs: dict[str, float | Tensor] = {}
         use_predictions(recipe.options, self.dataset, self.validation)
 
     def output(self, sample: FrontViewSample) -> Any:  # noqa: ANN401 logits, or logits and depths
-        """What the current translator gives for one sample, as a batch of one.
+        """Apply the current translator to one sample, as a batch of one.
 
         In float32, since instance norms amplify the rounding of bfloat16.
         """
@@ -130,7 +130,7 @@ class FrontTask:
             return network(sample.lidar[None].to(device), condition)
 
     def predict(self, sample: FrontViewSample) -> Tensor:
-        """Class ids (h, w) that the current network predicts for a sample."""
+        """Predict class ids (h, w) of a sample."""
         return self.output(sample)[0].argmax(0).cpu()
 
     def validate(self) -> dict[str, float]:
@@ -148,14 +148,14 @@ class FrontTask:
         return {"segments": np.concatenate(rows)}
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
-        """What a user of the translator has to know: label set, view, normalisation."""
+        """Label set, view, normalisation."""
         return {"labels": COMMON14.name, **range_view_card(self.view)}
 
 
 def use_predictions(
     options: FrontOptions | Pix2PixSegmentsOptions, training: FrontViewDataset, validation: FrontViewDataset
 ) -> None:
-    """Condition data sets on a segmenter's labels, as the options want it; InputError where there are none."""
+    """Condition data sets on a segmenter's labels, by the options; InputError when there are none."""
     chosen = (training, validation) if options.segments == "predicted" else (validation,)
     if options.segmenter:
         predicted: Predictions = PredictedLabels(load_segmenter(options.segmenter), options.segmenter)
@@ -205,10 +205,10 @@ class FrontDepthTranslation(FrontTask):
 
     The depth target is the LiDAR's own, projected into the camera, so it is known at some pixels only: auxiliary loss
     and critic use depths there alone. Auxiliary losses are Lovasz-Softmax and cross-entropy without class 0, and the
-    absolute distance of depth codes where depth was measured.
+    absolute distance of measured depth codes.
     """
 
-    wanted: ClassVar[SampleParts] = SampleParts(labels=True, depth=True)
+    parts: ClassVar[SampleParts] = SampleParts(labels=True, depth=True)
 
     options: FrontDepthOptions
 
@@ -216,7 +216,7 @@ class FrontDepthTranslation(FrontTask):
         """The critic, then the translator."""
         condition, classes = one_hot_layers(batch.segments, len(SEMANTIC_KITTI)), len(COMMON14)
         measured = (batch.depth_m > 0)[:, None].float()
-        depth = depth_code(batch.depth_m)[:, None]  # zero where none was measured
+        depth = depth_code(batch.depth_m)[:, None]  # zero where unmeasured
         options = self.options
 
         def forward() -> Tensor:
@@ -244,16 +244,16 @@ class FrontDepthTranslation(FrontTask):
         return renamed(updates, "translator")
 
     def predict_both(self, sample: FrontViewSample) -> tuple[Tensor, Tensor]:
-        """Class ids (h, w) and depths (h, w), metres, that the current network predicts for a sample."""
+        """Predict class ids (h, w) and depths (h, w), metres, of a sample."""
         logits, depth_m = self.output(sample)
         return logits[0].argmax(0).cpu(), depth_m[0].cpu()
 
     def predict(self, sample: FrontViewSample) -> Tensor:
-        """Class ids (h, w) that the current network predicts for a sample."""
+        """Predict class ids (h, w) of a sample."""
         return self.predict_both(sample)[0]
 
     def validate(self) -> dict[str, float]:
-        """MIoU over the 14 classes on the network's image; mean relative error of depths that the LiDAR measured."""
+        """MIoU over the 14 classes on the network's image; mean relative error of measured depths."""
         errors: list[float] = []
 
         def pairs() -> Iterator[tuple[Tensor, Tensor]]:
@@ -306,7 +306,7 @@ def titan() -> Recipe[FrontOptions]:
 
     Its condition is a segmenter's labels, not the data's (section 3.1). The batch of 10 needs some 70 GB at once, so
     it is taken in 10 micro-batches, and Lovasz-Softmax is then a mean over single images; `training.accumulate=1`
-    makes it one over the whole batch where the GPU holds it. Everything else is the same either way.
+    makes it one over the whole batch, if the GPU holds it. Everything else is the same either way.
     """
     return Recipe(
         view="titan-front",
@@ -361,7 +361,7 @@ def _next(recipe: Recipe, width: int, options: FrontDepthOptions) -> Recipe[Fron
 def titan_next() -> Recipe[FrontDepthOptions]:
     """TITAN-Next (Cortinhal and Aksoy 2023) with TITAN-Net's numbers: feature pyramid, depth head, 512 columns.
 
-    Auxiliary losses weigh 0.1 each, as in the code that its authors made public; the depth target is the LiDAR's own
+    Auxiliary losses weigh 0.1 each, as in its authors' public code; the depth target is the LiDAR's own
     (theirs is not described), and their further losses (similarity and smoothness of depth, entropy of the prediction)
     are left out.
     """

@@ -1,4 +1,4 @@
-"""What is shown of a run: a line of progress, curves and previews. Only the first process has a monitor."""
+"""Display of a run: a line of progress, curves and previews. Only the first process has a monitor."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lidar2pano.formats.image_files import write_whole
 
 log = logging.getLogger(__name__)
 SHOW_EVERY_S = 1.0  # the bar
-LOG_EVERY_S = 20.0  # a line in the log, where there is no terminal
+LOG_EVERY_S = 20.0  # a line in the log, without a terminal
 
 
 class Monitor:
@@ -42,7 +42,7 @@ class Monitor:
             self.bar.start()
 
     def due(self) -> bool:
-        """Whether it is time for a new line."""
+        """Tell if a new line is due."""
         return time.monotonic() - self.last_line >= (SHOW_EVERY_S if self.bar else LOG_EVERY_S)
 
     def step(self, step: int, progress: float, values: Mapping[str, float]) -> None:
@@ -61,11 +61,11 @@ class Monitor:
             self.curves.add_scalar(name, value, step)
 
     def _pace(self, step: int, progress: float, now: float) -> str:
-        since, done, began = self.first or (step, progress, now)
-        if step == since or progress <= done:
+        first_step, done, began = self.first or (step, progress, now)
+        if step == first_step or progress <= done:
             return ""
         left = (1 - min(progress, 1.0)) * (now - began) / (progress - done)
-        return f"{(now - began) / (step - since):.2f} s/step  {_clock(left)} left"
+        return f"{(now - began) / (step - first_step):.2f} s/step  {_clock(left)} left"
 
     def scores(self, step: int, scores: Mapping[str, float]) -> None:
         """Curves under "val/" and a line in the log."""
@@ -79,11 +79,11 @@ class Monitor:
         folder.mkdir(exist_ok=True)
         for name, image in images.items():
             path = folder / f"{step:07d}-{name}.png"
-            write_whole(path, lambda beside, image=image: Image.fromarray(image).save(beside, format="png"))
+            write_whole(path, lambda part, image=image: Image.fromarray(image).save(part, format="png"))
             self.curves.add_image(name, image, step, dataformats="HWC")
 
     def close(self) -> None:
-        """Stop the bar and write what is still open."""
+        """Stop the bar and flush the curves."""
         if self.bar:
             self.bar.stop()
         self.curves.close()

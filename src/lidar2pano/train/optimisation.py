@@ -27,9 +27,9 @@ def make_optimizer(settings: Optimizer, network: nn.Module) -> torch.optim.Optim
 
 
 def load_optimizer(optimizer: torch.optim.Optimizer, saved: Mapping[str, Any]) -> None:
-    """Go on from the saved state of an optimiser of the same weights; ValueError where it is of others, or odd.
+    """Go on from the saved state of an optimiser of the same weights; ValueError when it is of others, or odd.
 
-    Its settings stay the recipe's: those that are saved are not used.
+    Its settings stay the recipe's, not the saved ones.
     """
     weights = [weight for group in optimizer.param_groups for weight in group["params"]]
     for number, values in saved["state"].items():

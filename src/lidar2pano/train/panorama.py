@@ -36,7 +36,7 @@ class PanoramaOptions(TaskOptions):
                            "": the labels of the data everywhere.
     teacher, distillation  weight file of a translator whose classes and depths are learned beside the ground truth
                            (knowledge distillation), "": none;  weight of that loss.
-    elsewhere_probability  with a teacher, of a crop of a real frame that begins anywhere, also where no camera looked.
+    elsewhere_probability  with a teacher, of a crop of a real frame from anywhere, also out of the camera's sector.
     """
 
     task = "panorama"
@@ -52,7 +52,7 @@ class PanoramaOptions(TaskOptions):
 
 
 class PanoramaTranslation:
-    """Trains a translator: cross-entropy and Lovasz-Softmax in the camera's sector, depth where the LiDAR measured."""
+    """Trains a translator: cross-entropy and Lovasz-Softmax in the camera's sector, measured depth elsewhere."""
 
     released = ("translator",)
 
@@ -101,7 +101,7 @@ class PanoramaTranslation:
         yield "translator", loss
 
     def predict(self, sample: PanoramaSample) -> Tensor:
-        """Class ids (H, W) that the current network predicts for the sample's crop."""
+        """Predict class ids (H, W) of a sample's crop."""
         network = self.networks["translator"]
         device = device_of(network)
         condition = one_hot_layers(sample.segments[None].to(device), len(SEMANTIC_KITTI))
@@ -124,7 +124,7 @@ class PanoramaTranslation:
         return {"segments": np.concatenate(rows)}
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
-        """What a user of the translator has to know: label set and raster."""
+        """Label set and raster."""
         return {"labels": COMMON15.name, "views": {"panorama": self.view.as_dict()}}
 
 

@@ -21,7 +21,7 @@ from lidar2pano.scan import Scan
 from lidar2pano.train.task import Task
 
 log = logging.getLogger(__name__)
-LOG_EVERY_S = 20.0  # where there is no terminal
+LOG_EVERY_S = 20.0  # without a terminal
 
 
 def load_segmenter(file: str) -> Callable[[Scan], Tensor]:
@@ -30,7 +30,7 @@ def load_segmenter(file: str) -> Callable[[Scan], Tensor]:
 
 
 class LabelPoints:
-    """A segmenter as a function of scans, on a device that may change."""
+    """A segmenter as a function of scans, on a movable device."""
 
     def __init__(self, segmenter: Segmenter) -> None:
         self.segmenter, self.device = segmenter, torch.device("cpu")
@@ -46,9 +46,9 @@ class LabelPoints:
 
 
 def predict_all(task: Task, device: torch.device, rank: int = 0, world: int = 1) -> None:
-    """Label every frame that the task's data sets want a segmenter's labels of, each process its share.
+    """Label the frames of the task's data sets that need a segmenter's labels, each process its share.
 
-    What is on disk already is not made again; a list of frames that was complete before is not even read again.
+    Labels on disk are not made again; a list noted as complete is not even read again.
     """
     for samples in (task.dataset, getattr(task, "validation", None)):
         predicted = getattr(samples, "predicted", None)
@@ -81,4 +81,4 @@ def _predict(predicted: PredictedLabels, frames: FrameList[Frame], device: torch
                     logged = time.monotonic()
     finally:
         if isinstance(label_points, LabelPoints):
-            label_points.move(torch.device("cpu"))  # processes that prepare samples have no GPU
+            label_points.move(torch.device("cpu"))  # processes for samples have no GPU

@@ -1,4 +1,4 @@
-"""A recipe: everything that decides what a training run does, as frozen dataclasses; one value changed by its name.
+"""Recipes: everything that decides a training run, as frozen dataclasses; changes of one value by its name.
 
 No torch is imported here.
 """
@@ -21,11 +21,11 @@ MOST_STEPS = 1e9
 MOST_WORKERS = 1024
 Value = bool | int | float | str | tuple
 SWITCH = {"true": True, "false": False}
-LARGEST_WHOLE = 2**53  # whole numbers that float64 represents
+LARGEST_WHOLE = 2**53  # whole numbers exact in float64
 
 
 def check_range(owner: str, least: float, most: float, **values: float | tuple[float, ...]) -> None:
-    """Raise InputError for the first value (or part of a tuple) that does not lie between `least` and `most`."""
+    """Raise InputError for the first value (or part of a tuple) outside `least` to `most`."""
     for name, value in values.items():
         for number in value if isinstance(value, tuple) else (value,):
             if not least <= number <= most:
@@ -43,7 +43,7 @@ class TaskOptions:
     SIZES: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
-        """Refuse values out of range and words that are not offered (InputError)."""
+        """Refuse values out of range (InputError)."""
         for name in (option.name for option in fields(self)):
             value = getattr(self, name)
             numbers = value if isinstance(value, tuple) else (value,)
@@ -64,8 +64,8 @@ class Optimizer:
 
     algorithm "sgd" takes the first of `betas` as its momentum.
     schedule  "constant"; "cosine": half a cosine from `rate` to zero over the run; "linear": constant for the first
-              half of the run, then linearly to zero; "exponential": `rate` times `final` ** (the share that is done).
-    warmup    steps over which the rate rises from zero.
+              half of the run, then linearly to zero; "exponential": `rate` times `final` ** (the completed share).
+    warmup    steps of rise from zero.
     clip      largest norm of a step's gradient; 0 = no clipping.
     """
 
@@ -95,7 +95,7 @@ class Network:
     start: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse settings beyond what any network has (InputError); the network itself knows what it can be."""
+        """Refuse settings beyond those of any network (InputError); each network checks its own."""
         for name, value in self.settings.items():
             numbers = tuple(value) if isinstance(value, list | tuple) else (value,)
             if all(isinstance(number, int | float) for number in numbers):
@@ -123,11 +123,11 @@ class Training:
                  sittings together (0 = no limit). Whichever comes first ends the run, and learning rates follow
                  whichever is further.
     batch        samples per step, in `accumulate` micro-batches.
-    workers      processes per device that prepare samples (0 = the training process does).
+    workers      processes per device for samples (0 = the training process does).
     precision    "bf16-mixed" or "32-true"; channels_last: layout of convolution weights.
     compile      whether torch.compile makes the steps of the released networks: some two minutes before the first step,
-                 then up to twice as many steps a minute. Critics are not compiled, nor is what validation computes.
-    ema          decay per step of the averaged weights that are validated and released; 0 = no averaging.
+                 then up to twice as many steps a minute. Critics are not compiled, nor is validation.
+    ema          decay per step of the averaged weights for validation and release; 0 = no averaging.
     *_minutes    from the end of one checkpoint, preview or validation to the next; 0 = at the end only. They are
                  rarer where checkpoints or previews would take more than a twentieth of the time, or validation more
                  than three twentieths.
@@ -166,7 +166,7 @@ class Recipe(Generic[Options_co]):
     name      as in recipes.RECIPES; goes into the card.
     view      as in VIEWS, on a raster `scale` times as fine.
     networks  name within the task -> Network.
-    options   of the task; their class decides which task it is.
+    options   of the task; their class decides the task.
     """
 
     name: str = ""
@@ -244,7 +244,7 @@ def on_two_cores(
     ema: float = 0.998,
     **training: Any,  # noqa: ANN401
 ) -> Recipe[Options_co]:
-    """The recipe as a run of some minutes on two CPU cores, which prepare samples as well."""
+    """The recipe as a run of some minutes on two CPU cores, samples included."""
     changes = {"epochs": 0.0, "minutes": minutes, "batch": batch, "accumulate": 1, "workers": 0, "ema": ema, **training}
     return replace(recipe, training=replace(recipe.training, **changes))
 
@@ -253,20 +253,20 @@ def changed(node: Any, steps: list[str], text: str, path: str) -> Any:  # noqa: 
     """A copy of `node` with the value at `steps` below it parsed from `text`; `path` is its full name in messages."""
     name, *rest = steps
     if is_dataclass(node):
-        known: Any = {one.name: getattr(node, one.name) for one in fields(node)}
+        values: Any = {part.name: getattr(node, part.name) for part in fields(node)}
         wanted_type = get_type_hints(type(node)).get(name)
     elif isinstance(node, Mapping):
-        known, wanted_type = node, None
+        values, wanted_type = node, None
     else:
         raise InputError(f"{path}: {type(node).__name__} values have no parts; leave out {'.'.join(steps)!r}")
-    if name not in known:
+    if name not in values:
         owner = type(node).__name__ if is_dataclass(node) else "this recipe"
-        raise InputError(f"{path}: {owner} has no {name!r}{closest(name, known)}")
-    old = known[name]
+        raise InputError(f"{path}: {owner} has no {name!r}{closest(name, values)}")
+    old = values[name]
     if rest:
         new = changed(old, rest, text, path)
     elif is_dataclass(old) or isinstance(old, Mapping):
-        inner = [one.name for one in fields(old)] if is_dataclass(old) else list(old)
+        inner = [part.name for part in fields(old)] if is_dataclass(old) else list(old)
         raise InputError(f"{path} holds several values; set one of them: {', '.join(inner)}")
     else:
         new = _parsed(text, wanted_type or _type_of(old), path)
@@ -274,7 +274,7 @@ def changed(node: Any, steps: list[str], text: str, path: str) -> Any:  # noqa: 
 
 
 def _type_of(value: Any) -> Any:  # noqa: ANN401
-    """The type to parse for a dictionary's entry: that of the value that is there."""
+    """Type to parse for a dictionary's entry: that of its present value."""
     if isinstance(value, tuple | list):
         return tuple[type(value[0]) if value else str, ...]
     return type(value)
@@ -287,10 +287,10 @@ def _parsed(text: str, wanted_type: Any, path: str) -> Value:  # noqa: ANN401
             raise InputError(f"{path} cannot be {text!r}{closest(text, get_args(wanted_type))}")
         return text
     if get_origin(wanted_type) is tuple:
-        first, *others = get_args(wanted_type)
+        first, *further = get_args(wanted_type)
         parts = [part.strip() for part in text.strip("()[]").split(",") if part.strip()]
-        if others and others[-1] is not Ellipsis and len(parts) != len(others) + 1:
-            raise InputError(f"{path} wants {len(others) + 1} values with commas between, not {text!r}")
+        if further and further[-1] is not Ellipsis and len(parts) != len(further) + 1:
+            raise InputError(f"{path} wants {len(further) + 1} values with commas between, not {text!r}")
         return tuple(_parsed(part, first, path) for part in parts)
     if wanted_type is str:
         return text
@@ -303,6 +303,6 @@ def _parsed(text: str, wanted_type: Any, path: str) -> Value:  # noqa: ANN401
     except ValueError:  # more digits than Python reads are one, too
         number = math.nan
     if not abs(number) < (LARGEST_WHOLE if wanted_type is int else math.inf):
-        wanted = "a whole number" if wanted_type is int else "a number"
-        raise InputError(f"{path} wants {wanted}, not {text[:40]!r}")
+        kind = "a whole number" if wanted_type is int else "a number"
+        raise InputError(f"{path} wants {kind}, not {text[:40]!r}")
     return number

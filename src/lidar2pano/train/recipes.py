@@ -12,7 +12,7 @@ from importlib import import_module
 from lidar2pano.errors import InputError, closest
 from lidar2pano.train.recipe import Recipe
 
-# Names of recipes by the module that makes them; "-mini": minutes on two CPU cores.
+# Names of recipes by their module; "-mini": minutes on two CPU cores.
 MODULES: dict[str, tuple[str, ...]] = {
     "segmentation": (
         "salsanext",
@@ -65,7 +65,7 @@ def _maker(module: str, name: str) -> Callable[[], Recipe]:
 
 
 def makers(module: str) -> dict[str, Callable[[], Recipe]]:
-    """The functions that make the recipes of a module, by the recipes' names."""
+    """Functions of a module that make its recipes, by the recipes' names."""
     return import_module(f"lidar2pano.train.{module}").RECIPES
 
 

@@ -1,4 +1,4 @@
-"""Which sample comes when, and with which random numbers: functions of the seed and the position in the run alone."""
+"""Order of samples and their random numbers: functions of the seed and the position in the run alone."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from lidar2pano.train.task import Dataset
 
 
 def seed_step(seed: int, rank: int, step: int) -> None:
-    """Seed step `step` of process `rank`, so that its random numbers do not depend on interruptions before it."""
+    """Seed step `step` of process `rank`, for random numbers independent of interruptions."""
     number = zlib.crc32(f"{seed}/{rank}/{step}".encode())
     random.seed(number)
     np.random.seed(number)  # noqa: NPY002 libraries of others may draw from the global generator
@@ -31,7 +31,7 @@ def seed_step(seed: int, rank: int, step: int) -> None:
 
 
 def steps_over(samples: int, training: Training) -> int:
-    """Optimiser steps of a run on so many training samples: `steps`, or those of `epochs` where they are fewer."""
+    """Optimiser steps of a run on so many training samples: `steps`, or those of `epochs` if fewer."""
     of_epochs = math.ceil(training.epochs * samples / training.batch)
     return min(training.steps, of_epochs) if of_epochs else training.steps
 
@@ -51,7 +51,7 @@ def _order(seed: int, epoch: int, samples: int) -> np.ndarray:
 class BatchSampler:
     """Endless batch sampler of one process: from `step` on, `training.accumulate` micro-batches per step.
 
-    Process `rank` takes every `world`-th position, so that all processes together take what one would.
+    Process `rank` takes every `world`-th position, so that all together take one process's samples.
     """
 
     def __init__(self, samples: int, step: int, training: Training, rank: int = 0, world: int = 1) -> None:
@@ -71,9 +71,9 @@ class BatchSampler:
 
 
 def batches(dataset: Dataset, sampler: BatchSampler, workers: int, *, pinned: bool) -> Iterator[Any]:
-    """Collated micro-batches in the order of `sampler`; workers leave Ctrl-C to the process that trains.
+    """Collated micro-batches in the order of `sampler`; workers leave Ctrl-C to the training process.
 
-    A user's mistake that a worker meets raises InputError with one line; for the loss of a worker see `lost_workers`.
+    A user's mistake in a worker raises InputError with one line; for the loss of a worker see `lost_workers`.
     """
     loader = DataLoader(
         cast(TorchDataset, dataset),
@@ -83,7 +83,7 @@ def batches(dataset: Dataset, sampler: BatchSampler, workers: int, *, pinned: bo
         worker_init_fn=_ignore_interrupts,
         prefetch_factor=4 if workers else None,
     )
-    return _with_short_errors(iter(loader))  # made now: it draws a random number, which no step may lose
+    return _with_short_errors(iter(loader))  # made now: it draws a random number of no step's
 
 
 def _with_short_errors(loaded: Iterator[Any]) -> Iterator[Any]:
@@ -96,7 +96,7 @@ def _with_short_errors(loaded: Iterator[Any]) -> Iterator[Any]:
 
 @contextmanager
 def lost_workers() -> Iterator[None]:
-    """Inside, the loss of a worker, which torch raises wherever the process is, becomes an InputError with one line."""
+    """Turn the loss of a worker, raised by torch anywhere, into an InputError with one line."""
     try:
         yield
     except RuntimeError as error:

@@ -166,7 +166,7 @@ class Segmentation:
         return {"segments": np.concatenate(pair)}
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
-        """What a user of the segmenter has to know: label set, view, normalisation."""
+        """Label set, view, normalisation."""
         return {"labels": SEMANTIC_KITTI.name, **range_view_card(self.view, self.tallest, self.normalise)}
 
 
@@ -213,7 +213,7 @@ def salsanext_published() -> Recipe[SegmentationOptions]:
 
 
 def release_segmenter() -> Recipe[SegmentationOptions]:
-    """SalsaNext that reads roughness, without dropout, which lowers scores in short runs.
+    """SalsaNext with roughness as an input; without dropout, since it lowers scores in short runs.
 
     Some scans have fewer beams or no remission.
     """

@@ -1,4 +1,4 @@
-"""The contract between the training loop and a task, and the pieces that several tasks share."""
+"""The contract between the training loop and a task, and pieces shared by tasks."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ class Dataset(Protocol):
     """A map-style data set: `dataset[SampleIndex(index, seed)]` is a NamedTuple that default collation can stack."""
 
     def __len__(self) -> int:
-        """How many samples there are."""
+        """Number of samples."""
         ...
 
     def __getitem__(self, index: SampleIndex) -> Any:  # noqa: ANN401 a NamedTuple of the task's own
-        """Sample `index.index`, augmented by the generator that starts from `index.seed`."""
+        """Sample `index.index`, augmented by a generator seeded with `index.seed`."""
         ...
 
 
 class Task(Protocol):
     """One way to train networks; the loop uses nothing else.
 
-    networks  name -> network, each with the optimiser that the recipe gives it under the same name. The loop puts
+    networks  name -> network, each with the recipe's optimiser of the same name. The loop puts
               them on the device and replaces the entries by wrapped ones, so look them up here whenever they are
               called, and call nothing but the networks themselves (their `forward`).
-    released  names of the networks that become weight files; these are averaged over steps when the recipe says so.
+    released  names of the networks for weight files; averaged over steps if the recipe says so.
     dataset   training samples.
     logs      other numbers worth a curve, as of the last step (float or tensor with one element).
     """
@@ -54,9 +54,9 @@ class Task(Protocol):
     logs: dict[str, float | Tensor]
 
     def updates(self, batch: Any) -> Iterator[tuple[str, Tensor]]:  # noqa: ANN401
-        """Yield (network name, loss to descend); between two yields that network's weights are updated.
+        """Yield (network name, loss to descend); between two yields the named network's weights are updated.
 
-        A loss is a mean over samples. Gradients that a loss leaves in other networks are discarded. The same names
+        A loss is a mean over samples. Gradients of a loss in other networks are discarded. The same names
         must come in the same order for every batch.
         """
         ...
@@ -66,18 +66,18 @@ class Task(Protocol):
         ...
 
     def validate(self) -> dict[str, float]:
-        """Scores on the validation split; "score" decides which weights are best (larger is better)."""
+        """Scores on the validation split; "score" decides the best weights (larger is better)."""
         ...
 
     def card(self, network: str) -> dict[str, Any]:
-        """Fields of the weight card that only the task knows: labels, views, normalisation, licence."""
+        """Fields of the weight card known to the task alone: labels, views, normalisation, licence."""
         ...
 
 
 def build_networks(recipe: Recipe) -> dict[str, nn.Module]:
-    """The recipe's networks by name: fresh ones, or those of the weight file that `start` names.
+    """The recipe's networks by name: fresh ones, or those of the weight file `start`.
 
-    Settings that no network can be built with, and a weight file that does not fit, raise InputError.
+    Impossible settings, and a weight file of another network, raise InputError.
     """
     return {name: _built(name, spec) for name, spec in recipe.networks.items()}
 
@@ -99,15 +99,15 @@ def _built(name: str, spec: Network) -> nn.Module:
 class Teacher:
     """A trained network whose predictions another learns: a function of the same inputs, without gradients.
 
-    It is no part of the task's networks, so that the loop neither trains nor saves it.
+    It is no part of the task's networks, hence neither trained nor saved by the loop.
     """
 
     def __init__(self, file: str, model: str) -> None:
         network = load(Path(file), expect=model)[0].requires_grad_(False)
         self.network = network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
 
-    def __call__(self, *inputs: Tensor) -> Any:  # noqa: ANN401 what the network answers
-        """What the network answers, on the device of the inputs."""
+    def __call__(self, *inputs: Tensor) -> Any:  # noqa: ANN401 the network's own output
+        """Apply the network, on the device of the inputs."""
         device = inputs[0].device
         self.network.to(device)
         with torch.no_grad(), fast_arithmetic(device):
@@ -120,7 +120,7 @@ def device_of(network: nn.Module) -> torch.device:
 
 
 def image_size(network: nn.Module) -> tuple[int, int]:
-    """Rows and columns of the image that a network of the paper's setting predicts: its setting `size`, or KITTI's."""
+    """Rows and columns of the predicted image of a network of the paper's setting: its setting `size`, or KITTI's."""
     rows, columns = getattr(network, "size", None) or IMAGE_SIZE
     return int(rows), int(columns)
 
@@ -128,7 +128,7 @@ def image_size(network: nn.Module) -> tuple[int, int]:
 def segmentation_scores(
     pairs: Iterable[tuple[Tensor, Tensor | np.ndarray]], classes: int | LabelSet, unscored: tuple[int, ...] = ()
 ) -> dict[str, float]:
-    """MIoU, which is the score, and accuracy of (predicted ids, target ids) over all frames together."""
+    """MIoU (the score) and accuracy of (predicted ids, target ids) over all frames together."""
     confusion = Confusion(classes, unscored=unscored)
     for predicted, target in pairs:
         confusion.update(predicted, target)
@@ -149,7 +149,7 @@ def fix_norms(network: nn.Module) -> None:
 
 
 def range_view_card(view: View, tallest: View | None = None, normalise: Normalisation | None = None) -> dict[str, Any]:
-    """Fields of the card of a network that reads normalised range images of `view`, as far as `tallest` (Segmenter)."""
+    """Fields of the card of a network on normalised range images of `view`, as far as `tallest` (Segmenter)."""
     normalisation = (normalise or Normalisation()).as_dict()
     views = {"input": view, **({"tallest input": tallest} if tallest else {})}
-    return {"views": {role: each.as_dict() for role, each in views.items()}, "normalisation": normalisation}
+    return {"views": {role: raster.as_dict() for role, raster in views.items()}, "normalisation": normalisation}

@@ -35,7 +35,7 @@ TASKS: dict[str, Callable[[Recipe[Any], Path], Any]] = {
 def build_task(recipe: Recipe, root: Path) -> Task:
     """The recipe's task over the data under `root`.
 
-    Raises InputError for an unknown task, and where its networks are not those of the recipe.
+    Raises InputError for an unknown task, and for networks other than the recipe's.
     """
     if recipe.task not in TASKS:
         raise InputError(f"recipe {recipe.name!r}: no task {recipe.task!r}{closest(recipe.task, TASKS)}")

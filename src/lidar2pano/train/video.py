@@ -53,7 +53,7 @@ from lidar2pano.views import VIEWS
 
 FLOW_PX = 20.0  # temporal discriminators read flow in units of these, as published
 TEMPORAL = "temporal_"  # role of a temporal discriminator, followed by the number of frames between its images
-PREVIOUS = 2  # images that the painter reads before the one it paints
+PREVIOUS = 2  # previous images in the painter's input
 MOST_SCORED = 20  # clips of the validation split
 
 
@@ -61,12 +61,12 @@ MOST_SCORED = 20  # clips of the validation split
 class VideoOptions(TaskOptions):
     """vid2vid.
 
-    source                   "camera" images, or the "panorama" ground truth that simulated data sets have.
-    clip_length              frames of a clip, of which the first two are given;  rows, columns: of its window.
+    source                   "camera" images, or the "panorama" ground truth of simulated data sets.
+    clip_length              frames of a clip, the first two given;  rows, columns: of its window.
     single_frame_splits      splits whose frames do not follow each other; a window pans over each.
-    no_previous_probability  of clips that begin without previous images, as a stream does.
-    first_frame_weights      weight file of the first-frame network that begins the clips of validation; "": they begin
-                             with nothing or, where no_previous_probability is 0, with ground truth.
+    no_previous_probability  of clips without previous images at their beginning, as in a stream.
+    first_frame_weights      weight file of the first-frame network for clips of validation; "": they begin with
+                             nothing or, if no_previous_probability is 0, with ground truth.
     feature_matching, flow, coherence, mask, perceptual, pixels: weights of losses.
     vgg_weights              file of VGG-19's weights; "": no perceptual loss.
     """
@@ -92,9 +92,9 @@ class VideoOptions(TaskOptions):
 class PaintedFrame(NamedTuple):
     """One frame of a clip; every tensor has a leading B. Images are (3, H, W) in [-1, 1].
 
-    labels              (16, H, W) one-hot;  real, real_before: the camera's image and that before it.
+    labels              (16, H, W) one-hot;  real, real_before: the camera's image and the previous one.
     flow                the reference to the frame before: shift (2, H, W) pixels, known (H, W).
-    coherent            (H, W): where the flow is known and the painter had a previous image.
+    coherent            (H, W): pixels of known flow, of samples with a previous image.
     fake                the painter's image;  raw: the same without the warped previous one, `fake_before`.
     fake_flow           (2, H, W): the painter's own flow;  weight (1, H, W): the share of `raw` in `fake`.
     """
@@ -132,7 +132,7 @@ class VideoLosses:
         self.logs: dict[str, Tensor] = {}
 
     def steps(self, painted: int) -> list[int]:
-        """Frames between the images of each temporal discriminator; InputError where `painted` frames are too few."""
+        """Frames between the images of each temporal discriminator; InputError when `painted` frames are too few."""
         numbers = [role.removeprefix(TEMPORAL) for role in self.networks if role.startswith(TEMPORAL)]
         if wrong := [number for number in numbers if not number.isdecimal() or not int(number)]:
             raise InputError(f"network {TEMPORAL}{wrong[0]}: its name must end in a number of frames, as temporal_3")
@@ -167,11 +167,11 @@ class VideoLosses:
     def reconstruction(self, frame: PaintedFrame) -> dict[str, Tensor]:
         """The painter's losses without a discriminator, by name, weighted; those of weight 0 are left out."""
         options, circular = self.options, self.circular
-        shift, known = frame.flow.shift, frame.flow.known
+        shift, flow_known = frame.flow.shift, frame.flow.known
         losses: dict[str, Tensor] = {}
         if options.flow:
-            flow = flow_loss(frame.fake_flow, shift, known)
-            flow += warping_loss(frame.fake_flow, frame.real_before, frame.real, known, circular=circular)
+            flow = flow_loss(frame.fake_flow, shift, flow_known)
+            flow += warping_loss(frame.fake_flow, frame.real_before, frame.real, flow_known, circular=circular)
             losses["flow"] = options.flow * flow
         if options.coherence:
             coherence = coherence_loss(frame.fake, frame.fake_before, shift, frame.coherent, circular=circular)
@@ -263,13 +263,13 @@ class VideoPainting:
         """
         output = self.networks["painter"](labels[:, now - PREVIOUS : now + 1], previous)
         image, flow, weight, raw = (part.float() for part in output)
-        known = batch.known[:, now]
+        flow_known = batch.known[:, now]
         return PaintedFrame(
             labels=labels[:, now],
             real=batch.image[:, now],
             real_before=batch.image[:, now - 1],
-            flow=Flow(shift=batch.shift[:, now], known=known),
-            coherent=known.masked_fill(first[:, None, None], 0),
+            flow=Flow(shift=batch.shift[:, now], known=flow_known),
+            coherent=flow_known.masked_fill(first[:, None, None], 0),
             fake=torch.where(first[:, None, None, None], raw, image),
             raw=raw,
             fake_before=previous[:, -1],
@@ -286,7 +286,7 @@ class VideoPainting:
         return TemporalInput(real=temporal_input(real, flows), fake=temporal_input(fake, flows))
 
     def flow_over(self, batch: ClipSample, now: int, step: int) -> Flow:
-        """The reference flow of a frame to that `step` frames before it."""
+        """Reference flow of a frame to the frame `step` earlier."""
         flow = Flow(shift=batch.shift[:, now], known=batch.known[:, now])
         for back in range(1, step):
             earlier = Flow(shift=batch.shift[:, now - back], known=batch.known[:, now - back])
@@ -323,8 +323,8 @@ class VideoPainting:
         """Pooled colours, temporal coherence of painted and of real images, and the painter's flow.
 
         pooled_colour    mean distance of pooled colours in [0, 1] from the third frame on.
-        flicker          mean distance in [0, 1] of an image from the one before it, warped by the reference flow where
-                         that is known; flicker_of_real likewise, of the camera's: noise, and errors of the flow.
+        flicker          mean distance in [0, 1] of an image from the one before it, warped by the reference flow
+                         as far as known; flicker_of_real likewise, of the camera's: noise, and errors of the flow.
         flow_px          mean length of the difference of the flows, likewise.
         The score is minus the first two.
         """
@@ -343,8 +343,8 @@ class VideoPainting:
     def flicker(self, images: Tensor, clip: ClipSample) -> Tensor:
         """Distance of each image from the third on from the one before it, warped; see `validate`."""
         warped = warp(images[PREVIOUS - 1 : -1], clip.shift[PREVIOUS:], circular=self.framing.circular)
-        known = clip.known[PREVIOUS:]
-        return ((images[PREVIOUS:] - warped).abs().mean(1) * known).sum() / known.sum().clamp(min=1) / 2
+        flow_known = clip.known[PREVIOUS:]
+        return ((images[PREVIOUS:] - warped).abs().mean(1) * flow_known).sum() / flow_known.sum().clamp(min=1) / 2
 
     def preview(self) -> dict[str, np.ndarray]:
         """Real above painted, a clip's frames side by side from the third on: two validation clips, one of training.
@@ -358,7 +358,7 @@ class VideoPainting:
         return {"video": as_image(torch.cat(strips, 1))}
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
-        """Its classes, and the panorama's raster on which things are as large as in its training images."""
+        """Its classes, and a panorama's raster with objects as large as in its training images."""
         return {"labels": COMMON15.name, "views": {"panorama": self.view.as_dict()}}
 
 
@@ -379,9 +379,9 @@ def vid2vid() -> Recipe[VideoOptions]:
     """vid2vid's one-scale street network with the published settings, on clips of the camera's images.
 
     Published (NVIDIA/vid2vid, train.py --loadSize 512 --fg): Adam 2e-4, least squares, feature matching, flow and
-    coherence 10, two scales of two temporal discriminators, one clip a step, first images given; 20 epochs, in the
-    second half of which the rate falls linearly (--niter 10 --niter_decay 10). 60,000 steps are 20 epochs of the 2,975
-    clips of Cityscapes. Ours: classes of common-15 without instances' edges (1 is the car), and a window of the
+    coherence 10, two scales of two temporal discriminators, one clip a step, first images given; 20 epochs, with
+    a linear fall of the rate in their second half (--niter 10 --niter_decay 10). 60,000 steps are 20 epochs of the
+    2,975 clips of Cityscapes. Ours: classes of common-15 without instances' edges (1 is the car), and a window of the
     published size in images half the camera's size, as fine as half the panorama's raster. The perceptual loss needs
     options.vgg_weights. A third of the clips begins without previous images (published: --no_first_img, all or none),
     so that a stream can.
@@ -407,11 +407,11 @@ def vid2vid() -> Recipe[VideoOptions]:
 def vid2vid_mini() -> Recipe:
     """A narrow vid2vid on `kitti-mini` in some minutes of two CPU cores.
 
-    Twelve frames of one drive follow each other; the others become clips under a window that pans. So the network
-    learns to colour classes, to warp images along flows of a few pixels, and to keep still; not what parallax, traffic
-    or other light look like, nor flows that a panning window does not have. In so few steps VGG's features are replaced
+    Twelve frames of one drive follow each other; the others become clips under a panning window. So the network
+    learns to colour classes, to warp images along flows of a few pixels, and to keep still; not parallax, traffic
+    or other light, nor flows other than a panning window's. In so few steps VGG's features are replaced
     by the pixels themselves and rates are higher. The flow loss, whose published weight would dominate the features
-    that flow and image share, weighs less; so does the mask loss, which blurs images until flow is learned.
+    shared by flow and image, weighs less; so does the mask loss, since it blurs images until flow is learned.
     """
     recipe = with_optimizers(vid2vid(), rate=5e-4, schedule="cosine")
     narrow = {"painter": {"widths": (16,), "blocks": (4, 3), "foreground": ()}}
