@@ -19,8 +19,6 @@ from lidar2pano.train.painter_recipes import ScenePaintingOptions
 from lidar2pano.train.painting_frames import PaintingSample
 from lidar2pano.train.scene_painting import (
     BUILDING,
-    CAR,
-    HUE,
     MATCHED,
     ROAD,
     SPREAD,
@@ -183,39 +181,6 @@ def test_invented_houses_and_cars_are_hardly_compared(task, batch):
     assert float(task.logs["perceptual"]) > 0 and float(task.logs["pooled"]) > 0 and float(task.logs["pixels"]) > 0
 
 
-def test_fringes_count_where_they_have_a_weight(task, batch):
-    task.view = replace(task.view, rows=32)
-    list(task.updates(batch))
-    assert "fringes" not in task.logs
-    task.options = replace(task.options, fringes=1e6)
-    *_, (name, loss) = task.updates(batch)
-    assert name == "painter" and loss.item() == pytest.approx(1e6 * task.logs["fringes"].item(), rel=0.01)
-
-
-def walls(batch, tone):
-    """The batch with the mean of houses at 0.1, and painter's inputs that are all walls of this tone."""
-    means = batch.class_means.clone()
-    means[:, BUILDING] = 0.1
-    scene = torch.zeros(len(batch.look), 31, 32, 64)
-    scene[:, BUILDING] = 1
-    scene[:, scene_painting.TONES] = torch.tensor(tone)[:, None, None]
-    return batch._replace(class_means=means), (scene, torch.rand(2, 3, 64, 128))
-
-
-def test_hues_of_walls_are_compared_with_their_houses(task, batch):
-    tone = (0.3, 0.1, -0.1)
-    batch, inputs = walls(batch.flat(), tone)
-    expected = (0.1 + torch.tensor(tone))[None, :, None, None].expand(2, 3, 64, 128)
-    gap, counted = task._wall_hues(batch, inputs, expected + 0.2)
-    assert gap.abs().max() < 1e-6 and (counted == 1).all()
-    gap, _ = task._wall_hues(batch, inputs, expected + torch.tensor([0.3, 0, 0])[:, None, None])
-    assert gap[:, 0].mean().item() == pytest.approx(0.2, abs=1e-5)
-    inputs[0][:, -1, :16] = 1  # windows
-    batch.class_means[1] = torch.nan  # a look of which no image is there
-    _, counted = task._wall_hues(batch, inputs, expected)
-    assert counted[0].mean().item() == pytest.approx(0.5) and not counted[1].any()
-
-
 @pytest.mark.parametrize("bilinear", [False, True])
 def test_a_teacher_enlarges_as_its_student(bilinear, tmp_path):
     settings = {"looks": ["day"], "widths": [8, 12, 16, 8]}
@@ -223,89 +188,6 @@ def test_a_teacher_enlarges_as_its_student(bilinear, tmp_path):
     save(tmp_path / "teacher.safetensors", build(card.network, **card.settings), card)
     student = build("scene-painter", **settings, bilinear=bilinear)
     assert teacher_of(student, str(tmp_path / "teacher.safetensors")).network.bilinear == bilinear
-
-
-def test_a_teachers_walls_have_their_hues_corrected(task, batch):
-    batch, inputs = walls(batch.flat(), (0.2, 0.0, -0.2))
-    batch.valid[:] = False
-    task.teacher = build("scene-painter", looks=task.looks, widths=(8, 12, 16, 8)).eval()
-    gaps = {}
-    for weight in (0.0, 1.0):
-        task.options = replace(task.options, teacher_probability=0.0, walls=weight)
-        taught, _ = task._taught(batch, inputs)
-        gaps[weight] = task._wall_hues(batch, inputs, taught.image)[0].abs().mean().item()
-    assert gaps[1.0] < 0.1 * gaps[0.0]
-
-
-def test_hues_of_walls_count_where_they_have_a_weight(task, batch):
-    task.view = replace(task.view, rows=32)
-    batch.labels[:], batch.class_means[:] = BUILDING, 0.5
-    task.options = replace(task.options, ground_truth_probability=1.0)
-    list(task.updates(batch))
-    assert "walls" not in task.logs
-    task.options = replace(task.options, walls=1e6)
-    *_, (name, loss) = task.updates(batch)
-    assert name == "painter" and loss.item() == pytest.approx(1e6 * task.logs["walls"].item(), rel=0.01)
-
-
-def vehicles(batch):
-    """The batch with the mean of cars at -0.1, and painter's inputs that are cars of a reddish tone on the left."""
-    means = batch.class_means.clone()
-    means[:, CAR] = -0.1
-    scene = torch.zeros(len(batch.look), 31, 32, 64)
-    scene[:, CAR, :, :32] = 1
-    scene[:, scene_painting.TONES] = torch.tensor([0.3, 0.0, 0.0])[:, None, None]
-    return batch._replace(class_means=means), (scene, torch.rand(2, 3, 64, 128))
-
-
-def test_hues_of_vehicles_are_compared_with_their_tones(task, batch):
-    batch, inputs = vehicles(batch.flat())
-    expected = torch.tensor([0.2, -0.1, -0.1])[None, :, None, None].expand(2, 3, 64, 128)
-    assert not task._object_hues(batch, inputs, expected + 0.4).any(), "brighter, but of the same hue"
-    streak = expected.clone()
-    streak[:, 0, :, 10:12] += 0.6
-    streak[:, 0, :, 100:] += 0.6
-    found = task._object_hues(batch, inputs, streak)
-    assert found[:, 0, :, 10:12].mean().item() == pytest.approx(0.4 - HUE, abs=1e-5)
-    assert found[:, 1, :, 10:12].mean().item() == pytest.approx(HUE - 0.2, abs=1e-5)
-    assert not found[..., 12:].any(), "no vehicle is there"
-    batch.class_means[:] = torch.nan  # a look of which no image is there
-    assert task._object_hues(batch, inputs, expected).abs().max() < 1e-6
-
-
-def test_a_teachers_vehicles_have_their_hues_corrected(task, batch):
-    batch, inputs = vehicles(batch.flat())
-    batch.valid[:] = False
-    task.teacher = build("scene-painter", looks=task.looks, widths=(8, 12, 16, 8)).eval()
-    left = {}
-    for weight in (0.0, 1.0):
-        task.options = replace(task.options, teacher_probability=0.0, objects=weight)
-        taught, _ = task._taught(batch, inputs)
-        left[weight] = task._object_hues(batch, inputs, taught.image).abs().mean().item()
-    assert left[0.0] > 0.01 and left[1.0] < 0.1 * left[0.0]
-
-
-@pytest.mark.parametrize("name", ["objects", "texture"])
-def test_hues_of_vehicles_and_textures_count_where_they_have_a_weight(task, batch, name):
-    task.view = replace(task.view, rows=32)
-    batch.labels[:], batch.class_means[:] = CAR, 0.5
-    task.options = replace(task.options, ground_truth_probability=1.0)
-    list(task.updates(batch))
-    assert name not in task.logs
-    task.options = replace(task.options, **{name: 1e6})
-    *_, (network, loss) = task.updates(batch)
-    assert network == "painter" and task.logs[name].item() > 0
-    assert loss.item() == pytest.approx(1e6 * task.logs[name].item(), rel=0.01)
-
-
-def test_textures_of_photographs_alone_count(task, batch):
-    flat = batch.flat()
-    segments = torch.nn.functional.one_hot(flat.labels.where(flat.labels != IGNORE, 0), 16).movedim(-1, 1).float()
-    painted = torch.rand_like(flat.image)
-    assert task._texture(flat, segments, flat.valid, painted) > 0
-    assert task._texture(flat, segments, torch.zeros_like(flat.valid), painted) == 0
-    flat.labels[:] = IGNORE
-    assert task._texture(flat, segments, flat.valid, painted) == 0
 
 
 def test_known_openings_are_painted_and_others_are_invented(task, batch, monkeypatch):

@@ -17,12 +17,9 @@ from lidar2pano.losses.adversarial import (
 )
 from lidar2pano.losses.painting import (
     PatchStatistics,
-    fringes,
-    hue_gap,
     inside,
     pooled,
     streaks,
-    texture_distance,
 )
 from lidar2pano.losses.supervised import lovasz_softmax
 
@@ -30,15 +27,12 @@ __all__ = [
     "PatchStatistics",
     "critic_wasserstein",
     "feature_matching",
-    "fringes",
     "generator_wasserstein",
     "gradient_penalty",
     "hinge_critic",
     "hinge_generator",
-    "hue_gap",
     "inside",
     "lovasz_softmax",
     "pooled",
     "streaks",
-    "texture_distance",
 ]

@@ -1,20 +1,16 @@
-"""Losses of painted pictures beside adversarial ones: pooled colours, hues, streaks, textures, patches' statistics.
+"""Losses of painted pictures beside adversarial ones: pooled colours, streaks, statistics of patches.
 
 Patches  The Frechet distance as a loss. Between normal distributions the cheapest transport moves x to m2 + T (x - m1),
          where T = C1^-1/2 (C1^1/2 C2 C1^1/2)^1/2 C1^-1/2 (Dowson and Landau 1982; Olkin and Pukelsheim 1982), and its
          mean cost is the Frechet distance. Each painted patch is drawn to the transport's goal.
          Mathiasen and Hvilshoj (2020) differentiate the distance itself; with statistics over many batches
          (here moving averages) small batches will do.
-Texture  Distributions of bands of frequency, class by class. In one dimension the cheapest transport pairs sorted
-         values, whatever their places in the image. Karras et al. (2018) measure images by such
-         distances of Laplacian bands; Heitz et al. (2021) learn texture by them.
 Streaks  Lines along the rows of a picture, on even surfaces: streaks on a road, slats in a pane.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -25,43 +21,12 @@ KEPT = 0.99  # of the statistics, from one batch to the next
 RIDGE = 1e-2  # of the mean variance, added to every painted one
 MOST_STRETCH = 3.0  # largest factor of a deviation
 EVERY, FIRST = 10, 40  # steps between two transports; step of the first
-FRINGE_PX, FRINGE = 9, 0.3
 POOL = 4  # pixels
-HUE_PX = 16
 
 
 def pooled(image: Tensor) -> Tensor:
     """Means over squares of POOL x POOL pixels of (B, C, H, W) or (C, H, W): colours without their fine texture."""
     return avg_pool2d(image, POOL)
-
-
-def fringes(image: Tensor) -> Tensor:
-    """Return the excess of hue differences of single pixels (B, 3, H, W) in [-1, 1] from their surroundings.
-
-    The mean, over pixels, of how far their chroma (blue and red less luma, ITU-R BT.601) is from its mean over a square
-    of FRINGE_PX x FRINGE_PX pixels, beyond FRINGE: 99 % of the pixels of KITTI's images are nearer.
-    """
-    chroma = _luma_and_chroma(image)[:, 1:]
-    mean = avg_pool2d(chroma, FRINGE_PX, 1, FRINGE_PX // 2, count_include_pad=False)
-    return ((chroma - mean).square().sum(1).add(1e-9).sqrt() - FRINGE).clamp(min=0).mean()
-
-
-def _luma_and_chroma(image: Tensor) -> Tensor:
-    """Luma (ITU-R BT.601), and blue and red less luma, of images (B, 3, H, W): (B, 3, H, W)."""
-    red, green, blue = image.unbind(1)
-    luma = 0.299 * red + 0.587 * green + 0.114 * blue
-    return torch.stack([luma, blue - luma, red - luma], 1)
-
-
-def hue_gap(image: Tensor, expected: Tensor, share: Tensor, size: int = HUE_PX) -> tuple[Tensor, Tensor]:
-    """Return gaps of hues to expected ones, over squares of `size` x `size` pixels; a hue is a colour less its mean.
-
-    image, expected  (B, 3, H, W) in [-1, 1];  share: (B, 1, H, W), how much each pixel counts.
-    Returns (B, 3, H / size, W / size) and the mean shares (B, 1, H / size, W / size).
-    """
-    total = avg_pool2d(share, size)
-    gap = avg_pool2d((image - expected) * share, size) / total.clamp(min=1e-3)
-    return gap - gap.mean(1, keepdim=True), total
 
 
 class PatchStatistics:
@@ -192,57 +157,3 @@ def _changes(image: Tensor) -> Tensor:
     """Return (B, 1, H - STEP_PX, W): distance of the mean along each row from that of the row STEP_PX above."""
     rows = avg_pool2d(image.mean(1, keepdim=True), (1, LENGTH_PX), 1, (0, LENGTH_PX // 2), count_include_pad=False)
     return (rows[:, :, STEP_PX:] - rows[:, :, :-STEP_PX]).abs()
-
-
-BANDS = 3  # octaves, the finest first
-COLOURED = 2  # first band with chroma: in finer ones a camera's is noise
-MOST_SORTED = 16384  # sorted pixels: of more, evenly spaced ones
-FEWEST = 300  # pixels of a class in a band of an image; fewer say nothing about its distribution
-
-
-def texture_distance(real: Tensor, painted: Tensor, real_labels: Tensor, painted_labels: Tensor) -> Tensor:
-    """Mean distance between the sorted values of bands of real and painted images, over the real ones' mean size.
-
-    real, painted  (B, 3, H, W) in [-1, 1], H and W multiples of 2 ** BANDS.
-    real_labels, painted_labels  (B, H, W) int64 class ids, negative for uncounted pixels; a class counts in an image
-                   if both show enough of it, bands of luma (ITU-R BT.601) and, if coarse, blue and red less luma.
-    Returns 0 if no class counts.
-    """
-    distances = []
-    for number, (real_band, painted_band) in enumerate(zip(_bands(real), _bands(painted), strict=True)):
-        layers = 3 if number >= COLOURED else 1
-        ids = [_whole(labels, number) for labels in (real_labels, painted_labels)]
-        for image, pair in enumerate(zip(*ids, strict=True)):
-            for label in pair[1].unique().tolist():
-                chosen = [part == label for part in pair]
-                if label < 0 or min(int(part.sum()) for part in chosen) < FEWEST:
-                    continue
-                expected, actual = (
-                    _sorted(band[image, :layers, where])
-                    for band, where in zip((real_band, painted_band), chosen, strict=True)
-                )
-                pixels = actual.shape[1]
-                place = (torch.arange(pixels, device=actual.device) + 0.5) / pixels * expected.shape[1]
-                gap = (actual - expected[:, place.long()]).abs().mean(1)
-                distances.append((gap / (expected.abs().mean(1) + 1e-2)).mean())
-    return torch.stack(distances).mean() if distances else painted.new_zeros(())
-
-
-def _bands(image: Tensor) -> list[Tensor]:
-    """BANDS of an image's luma, and blue and red less luma: (B, 3, H / 2 ** n, W / 2 ** n)."""
-    levels = [_luma_and_chroma(image)]
-    for _ in range(BANDS):
-        levels.append(avg_pool2d(levels[-1], 2))
-    return [fine - coarse.repeat_interleave(2, 2).repeat_interleave(2, 3) for fine, coarse in pairwise(levels)]
-
-
-def _whole(labels: Tensor, number: int) -> Tensor:
-    """Return labels of the squares of 2 ** number pixels of one class, -1 of the others."""
-    size = 2**number
-    squares = labels.unfold(1, size, size).unfold(2, size, size).flatten(3)
-    return torch.where((squares == squares[..., :1]).all(3), squares[..., 0], -1)
-
-
-def _sorted(values: Tensor) -> Tensor:
-    """Values (N, P) in order; MOST_SORTED of them at most."""
-    return values[:, :: -(-values.shape[1] // MOST_SORTED)].sort(1).values

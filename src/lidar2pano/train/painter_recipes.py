@@ -15,13 +15,7 @@ class ScenePaintingOptions(TaskOptions):
     columns                    width of a crop on the translator's raster.
     perceptual, pooled,
     pixels, adversarial        weights of the losses; no discriminator where the last is 0.
-    fringes                    weight of what single pixels differ in hue from those around them, beyond what images do.
     unseen                     weight of the distance of colours where no camera looked from the means of their classes.
-    walls                      weight of how far the hues of walls are from the mean of houses in the look and the
-                               house's tone; a teacher's pictures are corrected in it.
-    objects                    weight of how far the hues of vehicles, people and signs are from those of their tones; a
-                               teacher's pictures are corrected in it.
-    texture                    weight of the distance between distributions of bands of frequency, class by class.
     streaks                    weight of lines along rows that are painted on roads and in panes and that no image has.
     statistics                 weight of the distance of the painted patches' features from the real ones' distribution.
     on_invented                share of the perceptual and the pixels' loss that counts on what is invented.
@@ -53,11 +47,7 @@ class ScenePaintingOptions(TaskOptions):
     pooled: float = 6.0
     pixels: float = 0.2
     adversarial: float = 0.35
-    fringes: float = 0.0
     unseen: float = 1.0
-    walls: float = 0.0
-    objects: float = 0.0
-    texture: float = 0.0
     streaks: float = 0.0
     statistics: float = 1.0
     on_invented: float = 0.2

@@ -10,13 +10,12 @@ from typing import Any, cast
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, mse_loss
+from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, mse_loss
 
 from lidar2pano.appearance.cars import with_cars
 from lidar2pano.appearance.painter_inputs import (
     OPENINGS,
     TONES,
-    VEHICLES,
     Hints,
     framed,
     painter_inputs,
@@ -30,14 +29,11 @@ from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.losses import (
     PatchStatistics,
-    fringes,
     hinge_critic,
     hinge_generator,
-    hue_gap,
     inside,
     pooled,
     streaks,
-    texture_distance,
 )
 from lidar2pano.losses.adversarial import DiffAugment, frozen
 from lidar2pano.models.frozen_features import LITE0, ImagenetFeatures
@@ -58,9 +54,6 @@ ROAD, BUILDING, CAR, PERSON, SIGN, VEGETATION = map(COMMON15.id_of, NAMES)
 NEARBY = {CAR: (3, 8, 20), SIGN: (2, 4, 8), VEGETATION: (6, 16, 40)}
 PAINTED = (CAR, SIGN)  # one has nothing to do with the next
 SPREAD = 0.4  # how far colours of a class in [-1, 1] are from their mean without being outliers
-WALL = 0.3  # share of walls in a square whose hue is corrected
-HUE = 0.06  # how far a wall's or an object's hue is from what is expected without counting
-OBJECTS = [COMMON15.id_of(name) for name in (*VEHICLES, "person", "traffic-sign")]
 IN_USE = [BUILDING, CAR, PERSON, SIGN]  # classes whose tones are invented in use
 INSIDE_PX = 2  # a road's or a pane's edge is no streak
 MATCHED = 3  # depths of features whose statistics are matched
@@ -147,9 +140,7 @@ class ScenePainting:
             "pooled": mse_loss(pooled(fake), pooled(expected)),  # its best is the mean: for dark cars not the median
             "pixels": ((fake - real).abs() * counted[:, 1:2]).mean(),
         }
-        if options.fringes:
-            terms["fringes"] = fringes(fake)
-        terms |= self._of_classes(batch, segments, inputs, painted, photographed, invented)
+        terms |= self._of_classes(batch, segments, inputs, painted, invented)
         if options.statistics:
             terms["statistics"] = self.statistics(pairs[:MATCHED], counted[:, :1], batch.look)
         if options.adversarial:
@@ -158,30 +149,16 @@ class ScenePainting:
         self.logs = {name: term.detach() for name, term in terms.items()}
         yield "painter", torch.stack([self._weights[name] * term for name, term in terms.items()]).sum()
 
-    def _of_classes(  # noqa: PLR0913, PLR0917 what `updates` made
-        self,
-        batch: PaintingSample,
-        segments: Tensor,
-        inputs: tuple[Tensor, Tensor],
-        painted: Tensor,
-        photographed: Tensor,
-        invented: Tensor,
+    def _of_classes(
+        self, batch: PaintingSample, segments: Tensor, inputs: tuple[Tensor, Tensor], painted: Tensor, invented: Tensor
     ) -> dict[str, Tensor]:
-        """The losses, of those that have a weight, that compare what is painted with what is known of its classes."""
+        """Return the weighted ones of the losses that compare painted pixels with their classes."""
         options, terms = self.options, {}
         if options.unseen:
             visible = batch.valid & (invented < 0.5)
             terms["unseen"] = self._unseen(batch._replace(valid=visible), segments, inputs[0][:, TONES], painted)
-        if options.walls:
-            gap, walls = self._wall_hues(batch, inputs, painted)
-            terms["walls"] = ((gap.abs() - HUE).clamp(min=0) * walls).sum() / (3 * walls.sum()).clamp(min=1)
-        if options.objects:
-            share = inputs[0][:, OBJECTS].sum().float() * 12  # three colours of four pixels each
-            terms["objects"] = self._object_hues(batch, inputs, painted).abs().sum() / share.clamp(min=1)
         if options.streaks:
             terms["streaks"] = self._streaks(batch, inputs, painted)
-        if options.texture:
-            terms["texture"] = self._texture(batch, segments, photographed, painted)
         return terms
 
     @property
@@ -191,11 +168,7 @@ class ScenePainting:
             "perceptual": options.perceptual,
             "pooled": options.pooled,
             "pixels": options.pixels,
-            "fringes": options.fringes,
             "unseen": options.unseen,
-            "walls": options.walls,
-            "objects": options.objects,
-            "texture": options.texture,
             "streaks": options.streaks,
             "statistics": options.statistics,
             "adversarial": options.adversarial,
@@ -216,37 +189,9 @@ class ScenePainting:
             look=look, tone=batch.tone * ~drawn[:, None], class_means=batch.class_means.masked_fill(changed, torch.nan)
         )
         taught = self.teacher(*framed(*inputs), *self._look_and_tone(batch)).float()
-        if self.options.walls:
-            gap, walls = self._wall_hues(batch, inputs, taught)
-            enlarged = interpolate(gap * (walls > WALL), taught.shape[2:], mode="bilinear")
-            taught = taught - enlarged * twice(inputs[0][:, BUILDING, None])
-        if self.options.objects:
-            taught = taught - self._object_hues(batch, inputs, taught)
         photographed = batch.valid & ~drawn[:, None, None]
         image = torch.where(photographed[:, None], batch.image, taught)
         return batch._replace(image=image, valid=torch.ones_like(batch.valid)), photographed
-
-    @staticmethod
-    def _wall_hues(batch: PaintingSample, inputs: tuple[Tensor, Tensor], image: Tensor) -> tuple[Tensor, Tensor]:
-        """`hue_gap` of the walls in images (B, 3, 2H, 2W) from the mean of houses and their tones.
-
-        (Without it dark houses were painted blue and light ones pink: in images, shade and sunlight are.)
-        """
-        scene, mean = inputs[0], batch.class_means[:, BUILDING, :, None, None]
-        walls = scene[:, BUILDING, None] * (1 - scene[:, -1:]) * mean.isfinite().all(1, keepdim=True)
-        return hue_gap(image, twice(mean.nan_to_num(0) + scene[:, TONES]), twice(walls))
-
-    @staticmethod
-    def _object_hues(batch: PaintingSample, inputs: tuple[Tensor, Tensor], image: Tensor) -> Tensor:
-        """How much farther than HUE hues of vehicles and people are from their classes' and tones': (B, 3, 2H, 2W).
-
-        (Without it edges of cars were painted red, as lamps are, and people as a whole.)
-        """
-        scene, means = inputs[0], batch.class_means[:, OBJECTS].nan_to_num(0)
-        shares = scene[:, OBJECTS].float()
-        expected = torch.einsum("bchw,bck->bkhw", shares, means) + scene[:, TONES]
-        gap, _ = hue_gap(image, twice(expected), twice(shares.sum(1, keepdim=True)), 2)
-        return twice((gap.abs() - HUE).clamp(min=0) * gap.sign())
 
     @staticmethod
     def _streaks(batch: PaintingSample, inputs: tuple[Tensor, Tensor], painted: Tensor) -> Tensor:
@@ -254,13 +199,6 @@ class ScenePainting:
         road, panes = (twice(inside(inputs[0][:, layer].float(), INSIDE_PX)) for layer in (ROAD, OPENINGS))
         image = batch.image * road[:, None]  # the openings of a photograph are elsewhere
         return streaks(painted, image, torch.maximum(road * batch.valid, panes))
-
-    @staticmethod
-    def _texture(batch: PaintingSample, segments: Tensor, photographed: Tensor, painted: Tensor) -> Tensor:
-        """`texture_distance` between what was photographed and painted, of the crops that are not the teacher's."""
-        labels = [batch.labels.where(batch.labels != IGNORE, -1), segments.argmax(1)]
-        real, fake = (twice(part).where(photographed, -1) for part in labels)
-        return texture_distance(batch.image, painted, real, fake)
 
     def _look_and_tone(self, batch: PaintingSample) -> tuple[Tensor, Tensor]:
         return torch.eye(len(self.looks), device=batch.look.device)[batch.look], batch.tone
