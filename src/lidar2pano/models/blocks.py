@@ -1,6 +1,6 @@
-"""Layers that torch lacks: pictures that close in azimuth, inputs in parts, an instance norm with right gradients.
+"""Layers beyond torch's: pictures closed in azimuth, inputs in parts, an instance norm with right gradients.
 
-A panorama's last column meets its first. Images that follow one another in channels are convolved one by one and
+A panorama's last column meets its first. Images one after another in channels are convolved one by one and
 added, as engines do while they convolve: to copy them into one takes longer.
 """
 
@@ -20,7 +20,7 @@ LARGE = 1 << 22  # numbers in an image from which on a copy of it takes longer t
 
 
 class CircularConv(nn.Conv2d):
-    """A convolution of odd kernel that pads circularly in azimuth: (B, inputs, H, W) -> (B, outputs, H/s, W/s)."""
+    """A convolution of odd kernel, padded circularly in azimuth: (B, inputs, H, W) -> (B, outputs, H/s, W/s)."""
 
     def __init__(self, inputs: int, outputs: int, kernel: int = 3, *, stride: int = 1, dilation: int = 1) -> None:
         super().__init__(inputs, outputs, kernel, stride=stride, dilation=dilation)
@@ -29,8 +29,8 @@ class CircularConv(nn.Conv2d):
     def forward(self, *parts: Tensor, has_ends: bool = False) -> Tensor:
         """Convolve with rows padded by zeros and columns by those of the other end.
 
-        parts     (B, inputs, H, W), or such images of fewer channels each, which together are the inputs.
-        has_ends  whether they are padded by `pad_azimuth` already, so that none has to be copied: the answer of a
+        parts     (B, inputs, H, W), or such images of fewer channels each, together the inputs.
+        has_ends  whether they are padded by `pad_azimuth` already, to spare a copy: the output of a
                   convolution of stride 1 has its reach fewer columns at either side.
         """
         reach, stride = self.reach, self.stride[0]
@@ -73,7 +73,7 @@ class CircularResidual(nn.Module):
         self.act = nn.LeakyReLU(0.1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """x + what the two convolutions add, activated."""
+        """Add the two convolutions to x, and activate."""
         return self.act(x + self.second(self.dropout(self.first(x))))
 
 
@@ -117,7 +117,7 @@ class SummedConv2d(nn.Conv2d):
 
 
 class SummedSequential(nn.Sequential):
-    """Layers of which the first is such a convolution, or begins with one."""
+    """Layers with such a convolution in the first place, or at the beginning of the first layer."""
 
     def forward(self, *parts: Tensor, **how: bool) -> Tensor:
         """What the last layer makes of it; arguments as the first one takes them."""
@@ -131,9 +131,9 @@ class SummedSequential(nn.Sequential):
 class InstanceNorm(nn.InstanceNorm2d):
     """torch's instance norm, (B, C, H, W) -> the same shape.
 
-    On CPUs torch (2.13 and before) reads a channels-last gradient of a batch of one as if it were contiguous, so that
-    every gradient before the norm is noise. Here gradients reach torch's norm contiguous. What torch.compile makes of
-    the norm is right by itself.
+    On CPUs torch (2.13 and before) reads a channels-last gradient of a batch of one as if it were contiguous: every
+    gradient before the norm is noise. Here gradients reach torch's norm contiguous. The norm compiled by torch.compile
+    is right by itself.
     """
 
     def forward(self, input: Tensor) -> Tensor:  # noqa: A002 torch's name

@@ -1,6 +1,6 @@
-"""TITAN-pano: from a scan on the panorama raster to what a camera would see all around, classes and depth.
+"""TITAN-pano: from a scan on the panorama raster to a camera's classes and depth all around.
 
-What TITAN-Net (Cortinhal et al. 2021) does for the front view, done on a cylinder around the camera. Deviations from
+TITAN-Net (Cortinhal et al. 2021) on a cylinder around the camera, in place of the front view. Deviations from
 `titan`, each with its reason: nothing is squeezed to one channel before fusion (the published generator loses 24 of 25
 channels there); every convolution pads circularly in azimuth (no seam behind the vehicle, every direction alike);
 a feature pyramid joins the scales and a head predicts depth, as its follow-up TITAN-Next has (Cortinhal et al. 2023);
@@ -59,7 +59,7 @@ class TitanPano(nn.Module):
         self.depth = CircularConv(2 * stem, 1, 1)
 
     def forward(self, image: Tensor, condition: Tensor) -> tuple[Tensor, Tensor]:
-        """Predict classes and depth everywhere, also where no point fell.
+        """Predict classes and depth everywhere, also without a point.
 
         image      (B, 5, H, W): a RangeImage's channels (range, x, y, z in metres, remission; zero where empty).
         condition  (B, conditions, H, W): one-hot LiDAR segments; all zero or unlabeled where empty.
@@ -83,7 +83,7 @@ class TitanPano(nn.Module):
 
 
 class GlobalContext(nn.Module):
-    """Adds what the whole picture says: means over the azimuth per row, and over everything."""
+    """Adds context of the whole picture: means over the azimuth per row, and over everything."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -93,12 +93,12 @@ class GlobalContext(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, C, H, W) -> the same shape."""
-        around = self.row(x.mean(3))[..., None] + self.all(x.mean((2, 3)))[..., None, None]
-        return x + self.join(x + around)
+        context = self.row(x.mean(3))[..., None] + self.all(x.mean((2, 3)))[..., None, None]
+        return x + self.join(x + context)
 
 
 def evidence(image: Tensor) -> Tensor:
-    """What the network sees of a range image (B, 5, H, W): five channels of order one, the same in every direction.
+    """Make the network's channels of a range image (B, 5, H, W): five of order one, the same in every direction.
 
     log range, height z / 4 m, remission, whether a point is there, and the row (as a number in [-1, 1]).
     """

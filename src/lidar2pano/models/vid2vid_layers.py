@@ -1,4 +1,4 @@
-"""Layers of vid2vid's networks, which can look past an image's left and right edge at the other end.
+"""Layers of vid2vid's networks, with a choice of looking past an image's left and right edge at the other end.
 
 Source and deviations: models.vid2vid.
 """
@@ -20,7 +20,7 @@ Norm = Callable[[int], nn.Module]
 
 
 class Closable:
-    """A layer or network that looks past its image's edges.
+    """A layer or network with a look past its image's edges.
 
     closed  past the left and right one, it sees the other end.
     """
@@ -80,12 +80,12 @@ class Residual(nn.Module):
         self.conv_block = nn.Sequential(*first, Padding(1), nn.Conv2d(width, width, 3), norm(width))
 
     def forward(self, x: Tensor) -> Tensor:
-        """x + what the two convolutions add."""
+        """Add the two convolutions to x."""
         return x + self.conv_block(x)
 
 
 class BatchStatistics(_BatchNorm):
-    """A batch norm that uses the batch's statistics in evaluation mode, too; it keeps running ones, as published."""
+    """A batch norm by the batch's statistics in evaluation mode, too; it keeps running ones, as published."""
 
     def forward(self, input: Tensor) -> Tensor:  # noqa: A002 torch's name
         """(B, width, H, W) -> the same shape; evaluation changes no statistics."""
@@ -99,7 +99,7 @@ class BatchStatistics(_BatchNorm):
 
 
 class InstanceStatistics(InstanceNorm):
-    """An instance norm that uses the instance's statistics in evaluation mode, too."""
+    """An instance norm by the instance's statistics in evaluation mode, too."""
 
     def forward(self, input: Tensor) -> Tensor:  # noqa: A002 torch's name
         """(B, width, H, W) -> the same shape; evaluation changes no statistics."""
@@ -120,12 +120,12 @@ def instance_norms(own_statistics: bool) -> Norm:
 
 
 def entry(inputs: int, width: int, norm: Norm) -> list[nn.Module]:
-    """Layers that begin every branch: (B, inputs, H, W) -> (B, width, H, W)."""
+    """First layers of every branch: (B, inputs, H, W) -> (B, width, H, W)."""
     return [Padding(3), nn.Conv2d(inputs, width, 7), norm(width), nn.ReLU(inplace=True)]
 
 
 def halvings(widths: Sequence[int], norm: Norm) -> list[nn.Module]:
-    """Layers that halve the image from each of `widths` to the next."""
+    """Layers to halve the image from each of `widths` to the next."""
     layers: list[nn.Module] = []
     for inputs, outputs in zip(widths, widths[1:], strict=False):
         layers += [Halving(inputs, outputs), norm(outputs), nn.ReLU(inplace=True)]
@@ -133,7 +133,7 @@ def halvings(widths: Sequence[int], norm: Norm) -> list[nn.Module]:
 
 
 def doublings(widths: Sequence[int], norm: Norm) -> list[nn.Module]:
-    """Layers that double the image from each of `widths` to the next."""
+    """Layers to double the image from each of `widths` to the next."""
     layers: list[nn.Module] = []
     for inputs, outputs in zip(widths, widths[1:], strict=False):
         layers += [Doubling(inputs, outputs), norm(outputs), nn.ReLU(inplace=True)]
@@ -146,7 +146,7 @@ def residuals(number: int, width: int, norm: Norm) -> list[nn.Module]:
 
 
 def head(width: int, outputs: int, *activation: nn.Module) -> nn.Sequential:
-    """What ends a branch: (B, width, H, W) -> (B, outputs, H, W)."""
+    """Last layers of a branch: (B, width, H, W) -> (B, outputs, H, W)."""
     return nn.Sequential(Padding(3), nn.Conv2d(width, outputs, 7), *activation)
 
 

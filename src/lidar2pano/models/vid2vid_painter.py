@@ -1,7 +1,7 @@
 """Paints a stream of label maps with vid2vid: on any raster, in the camera or all around, each frame after the last.
 
 How a stream begins. Published code (vid2vid_model_G.py, generate_first_frame) paints the first two frames with the
-network for single images, and the generator goes on from there; where there is no such network
+network for single images, and the generator goes on from there; without such a network
 (no_first_img), the generator begins from black images and its first frame is its unwarped image (`raw`).
 So do we, with and without a `vid2vid-single`. Published code never shows the first two frames, and asks for the label
 maps before the first one; a stream has none, so its first label map stands for them.
@@ -25,12 +25,12 @@ from lidar2pano.models.vid2vid_layers import close
 from lidar2pano.scene.record import Scene
 
 TWICE = Fraction(2)  # the finished panorama's raster is twice that of the segments
-MARGIN = 64  # columns that a panorama overlaps itself by at each end, where its width does not divide
+MARGIN = 64  # columns of a panorama's overlap with itself at each end, if its width does not divide
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Past:
-    """What a painter needs of the frames before, on its padded raster.
+    """Memory of a painter about previous frames, on its padded raster.
 
     ids     (T, H, W) uint8: the latest label maps, ids of COMMON15; T is one less than the generator's frames.
     levels  coarse to fine, each scale's latest images (1, T, 3, h, w) in [-1, 1]; as long as there are fewer than T
@@ -43,11 +43,11 @@ class Past:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LabelChannels:
-    """From ids of COMMON15 to the channels that a network reads: one-hot in its own label set, then edges, if any.
+    """From ids of COMMON15 to a network's channels: one-hot in its own label set, then edges, if any.
 
     labels  the network's set: COMMON15, or CITYSCAPES_IDS as published weights have it.
-    edges   whether it reads where instances meet. A LiDAR's segments have no instances, so we say where classes meet
-            (in published data an instance's map says the class where there is no instance).
+    edges   whether it reads edges of instances. A LiDAR's segments have no instances, so we give edges of classes (in
+            published data a map of instances has the class for pixels without an instance).
     """
 
     labels: LabelSet
@@ -55,7 +55,7 @@ class LabelChannels:
 
     @classmethod
     def of(cls, channels: int) -> Self:
-        """Those of a network with so many channels; InputError where no label set of ours fits."""
+        """Those of a network with so many channels; InputError if no label set of ours fits."""
         for labels in (COMMON15, CITYSCAPES_IDS):
             if channels - len(labels) in (0, 1):
                 return cls(labels=labels, edges=channels > len(labels))
@@ -76,25 +76,25 @@ class LabelChannels:
 
 
 def edges(ids: Tensor, closed: bool) -> Tensor:
-    """Where a pixel's id is not that of one of its four neighbours: (T, H, W) -> bool (T, H, W)."""
-    found = torch.zeros_like(ids, dtype=torch.bool)
+    """Find pixels with a neighbour, of four, of another id: (T, H, W) -> bool (T, H, W)."""
+    border = torch.zeros_like(ids, dtype=torch.bool)
     down, right = ids[:, 1:] != ids[:, :-1], ids[:, :, 1:] != ids[:, :, :-1]
-    found[:, 1:] |= down
-    found[:, :-1] |= down
-    found[:, :, 1:] |= right
-    found[:, :, :-1] |= right
+    border[:, 1:] |= down
+    border[:, :-1] |= down
+    border[:, :, 1:] |= right
+    border[:, :, :-1] |= right
     if closed:
-        around = ids[:, :, 0] != ids[:, :, -1]
-        found[:, :, 0] |= around
-        found[:, :, -1] |= around
-    return found
+        seam = ids[:, :, 0] != ids[:, :, -1]
+        border[:, :, 0] |= seam
+        border[:, :, -1] |= seam
+    return border
 
 
 class Vid2VidPainter(nn.Module):
-    """vid2vid's generator, and the network for first frames if there is one; InputError where the two do not match.
+    """vid2vid's generator, and the network for first frames if there is one; InputError unless the two match.
 
     closed  images close in azimuth (panoramas), otherwise they end (cameras).
-    finer   pixels of the raster that `paint` works on per pixel of the segments' raster.
+    finer   pixels of `paint`'s raster per pixel of the segments' raster.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class Vid2VidPainter(nn.Module):
         return cls(cast("Vid2Vid", generator), cast("Vid2VidSingle | None", single), finer=finer)
 
     def paint(self, past: Past | None, scene: Scene, look: str = "") -> tuple[Past, Tensor]:  # noqa: ARG002 it has one
-        """Paint the panorama that follows, from its classes alone; as of models.scene_painter.StreamPainter."""
+        """Paint the next panorama, from its classes alone; as of models.scene_painter.StreamPainter."""
         grow, shrink = self.finer.as_integer_ratio()
         past, image = self.follow(past, upsample_classes(_shrunk(scene.probabilities, shrink), grow))
         grow, shrink = (TWICE / self.finer).as_integer_ratio()
@@ -135,11 +135,11 @@ class Vid2VidPainter(nn.Module):
         return past, image if grow == 1 else upsample_azimuth(image, grow)
 
     def follow(self, past: Past | None, ids: Tensor) -> tuple[Past, Tensor]:
-        """Paint a label map that follows others.
+        """Paint the next label map of a stream.
 
-        past  what the frame before returned; None at the beginning of a stream.
+        past  of the previous frame; None at the beginning of a stream.
         ids   (H, W) integer ids of COMMON15, any size; every frame of a stream of the same.
-        Returns what the next frame wants, and the image (3, H, W) float32 in [-1, 1].
+        Returns the next frame's past, and the image (3, H, W) float32 in [-1, 1].
         """
         framed = _framed(ids.to(torch.uint8), self.stride, self.closed)
         keep = self.generator.frames - 1
@@ -168,7 +168,7 @@ class Vid2VidPainter(nn.Module):
         if first:
             levels = self.generator.pyramid(labels.new_zeros(1, len(ids) - 1, 3, *ids.shape[1:]))
         painted = self.generator.scales(self.generator.pyramid(labels), levels)
-        latest = [one.raw if first else one.image for one in painted]
+        latest = [scale.raw if first else scale.image for scale in painted]
         return [torch.cat([level[:, 1:], new[:, None]], 1) for level, new in zip(levels, latest, strict=True)]
 
 
@@ -178,7 +178,7 @@ def _shrunk(x: Tensor, factor: int) -> Tensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Framed:
-    """A label map (1, H', W') on a raster that the networks take, and where in it the map that was asked for lies."""
+    """A label map (1, H', W') on a raster for the networks, and the place of the requested map in it."""
 
     ids: Tensor
     rows: slice
@@ -186,19 +186,19 @@ class _Framed:
 
 
 def _framed(ids: Tensor, stride: int, closed: bool) -> _Framed:
-    """A label map (H, W) continued to a raster that divides: its last row and column go on; a panorama overlaps itself.
+    """Continue a label map (H, W) to a divisible raster: its last row and column go on; a panorama overlaps itself.
 
-    Where a panorama's columns divide by the stride, nothing is added, and a turn by the stride turns the answer.
+    If a panorama's columns divide by the stride, nothing is added, and a turn by the stride turns the answer.
     """
     rows, columns = ids.shape
-    below = max(-rows % stride, 2 * stride - rows)
-    beyond = max(-columns % stride, 2 * stride - columns)
+    rows_below = max(-rows % stride, 2 * stride - rows)
+    columns_beyond = max(-columns % stride, 2 * stride - columns)
     left = 0
-    if closed and beyond:
-        beyond = 2 * MARGIN + -(columns + 2 * MARGIN) % stride
-        left = beyond // 2
-        ids = ids[:, (torch.arange(columns + beyond, device=ids.device) - left) % columns]
-        beyond = 0
-    if below or beyond:
-        ids = pad(ids[None].float(), (0, beyond, 0, below), mode="replicate")[0].to(torch.uint8)
+    if closed and columns_beyond:
+        columns_beyond = 2 * MARGIN + -(columns + 2 * MARGIN) % stride
+        left = columns_beyond // 2
+        ids = ids[:, (torch.arange(columns + columns_beyond, device=ids.device) - left) % columns]
+        columns_beyond = 0
+    if rows_below or columns_beyond:
+        ids = pad(ids[None].float(), (0, columns_beyond, 0, rows_below), mode="replicate")[0].to(torch.uint8)
     return _Framed(ids=ids[None], rows=slice(rows), columns=slice(left, left + columns))
