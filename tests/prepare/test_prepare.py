@@ -177,7 +177,7 @@ def test_people_are_informed_in_words(root, weights, capsys):
     out, err = capsys.readouterr()
     assert out == "labels: 2 written, 1 kept\n"
     assert err.splitlines() == [
-        "lidar2pano: images are left alone: name who labels them with --teacher",
+        "lidar2pano: images are left alone: name their teacher with --teacher",
         "lidar2pano: labels: these weights are licensed CC-BY-NC-SA-4.0: not for commercial use",
         "lidar2pano: 1 files in labels/ are not prepare's own and stay as they are; to have labels beside them choose"
         " another --labels-folder",

@@ -12,7 +12,8 @@ import numpy as np
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError
-from lidar2pano.labels import TABLES
+from lidar2pano.formats.image_files import read_image
+from lidar2pano.labels import CITYSCAPES, TABLES
 from lidar2pano.scan import Scan
 from lidar2pano.views import View
 
@@ -147,3 +148,17 @@ class FrameList(Sequence[F_co]):
 def evenly_spaced(frames: int, most: int = 500) -> list[int]:
     """Return up to `most` indices of so many frames, evenly spaced: enough for statistics of any data set."""
     return np.linspace(0, frames - 1, min(frames, most)).round().astype(int).tolist()
+
+
+def read_train_ids(path: Path) -> np.ndarray:
+    """Read an image of Cityscapes train ids (h, w) uint8, IGNORE if unknown; InputError for other values."""
+    ids = read_image(path)
+    if ids.ndim != 2 or ids.dtype != np.uint8:
+        raise InputError(f"{path}: is no image of class ids (one channel of 8 bits); write Cityscapes train ids")
+    strange = (ids >= len(CITYSCAPES)) & (ids != IGNORE)
+    if strange.any():
+        raise InputError(
+            f"{path}: holds class {ids[strange][0]}; write Cityscapes train ids, 0 to {len(CITYSCAPES) - 1}, and"
+            f" {IGNORE} where unknown"
+        )
+    return ids

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidar2pano.data.frames import IGNORE, Frame, FrameList
+from lidar2pano.data.frames import IGNORE, Frame, FrameList, read_train_ids
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import image_size, read_image
 from lidar2pano.labels import CITYSCAPES, CITYSCAPES_IDS
@@ -68,20 +68,6 @@ class LabelledImage(Frame):
         if part == "camera_labels":
             return f"{self.labels_file}: is missing; complete the labels, or leave {self.image_file.name} out"
         return f"{self.root}: has images and labels only, no {part.replace('_', ' ')}; sdnet and vid2vid train on it"
-
-
-def read_train_ids(path: Path) -> np.ndarray:
-    """Read an image of Cityscapes train ids (h, w) uint8, IGNORE if unknown; InputError for other values."""
-    ids = read_image(path)
-    if ids.ndim != 2 or ids.dtype != np.uint8:
-        raise InputError(f"{path}: is no image of class ids (one channel of 8 bits); write Cityscapes train ids")
-    strange = (ids >= len(CITYSCAPES)) & (ids != IGNORE)
-    if strange.any():
-        raise InputError(
-            f"{path}: holds class {ids[strange][0]}; write Cityscapes train ids, 0 to {len(CITYSCAPES) - 1}, and"
-            f" {IGNORE} where unknown"
-        )
-    return ids
 
 
 def matches(root: Path) -> bool:

@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from lidar2pano.calibration import Calibration, has_camera, read_calib
-from lidar2pano.data.frames import Frame, FrameList, PanoramaGroundTruth
-from lidar2pano.data.labelled_images import read_train_ids
+from lidar2pano.data.frames import Frame, FrameList, PanoramaGroundTruth, read_train_ids
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.data.splits import listed_names, names_with_scans, stems
 from lidar2pano.errors import InputError, closest
