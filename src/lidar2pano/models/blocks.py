@@ -36,7 +36,7 @@ class CircularConv(nn.Conv2d):
         reach, stride = self.reach, self.stride[0]
         if has_ends:
             return summed(self, parts, (reach, 0))
-        large = sum(part.numel() for part in parts) > LARGE and parts[0].shape[3] >= 2 * reach
+        large = sum(part.shape[1:].numel() for part in parts) > LARGE and parts[0].shape[3] >= 2 * reach
         if reach and stride == 1 and large and not torch.is_grad_enabled():
             return self._mended(parts)
         return summed(self, [pad_azimuth(part, reach) for part in parts], (reach, 0))
