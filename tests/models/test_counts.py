@@ -33,6 +33,7 @@ PARAMETERS: dict[str, tuple[str, Settings, int]] = {
     "vid2vid_D_temporal": ("vid2vid-temporal-critic", {}, 5_553_538),
 }
 OURS = {
+    "autoencoder",
     "scene-painter",
     "projected-critic",
     "titan-pano",
@@ -99,3 +100,8 @@ def test_multiplications_are_those_of_the_definition() -> None:
     network = nn.Sequential(nn.Conv2d(3, 8, 3, padding=1, stride=2), nn.ConvTranspose2d(8, 2, 2, stride=2)).to("meta")
     expected = 3 * 8 * 9 * (8 * 16) + 8 * 2 * 4 * (8 * 16)  # per pixel of the smaller picture
     assert multiplications(network, [(3, 16, 32)]) == expected
+
+
+def test_the_decoder_of_a_panorama_costs_less_than_a_hundred_gmac():
+    decoder = blank("autoencoder", {}).decoder
+    assert multiplications(decoder, [(32, 48, 576)]) < 100e9

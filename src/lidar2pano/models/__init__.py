@@ -8,6 +8,7 @@ from typing import get_args, get_type_hints
 from torch import nn
 
 from lidar2pano.errors import InputError, closest
+from lidar2pano.models.autoencoder import Autoencoder
 from lidar2pano.models.baselines import PatchGan, Pix2Pix, ScUnet
 from lidar2pano.models.frozen_features import ProjectedCritic
 from lidar2pano.models.salsanext import SalsaNext, Titan, TitanCritic, TitanNext
@@ -23,6 +24,7 @@ MODELS: dict[str, type[nn.Module]] = {
     "titan-next": TitanNext,
     "titan-pano": TitanPano,
     "scene-painter": ScenePainter,
+    "autoencoder": Autoencoder,
     "projected-critic": ProjectedCritic,
     "vid2vid": Vid2Vid,
     "vid2vid-single": Vid2VidSingle,

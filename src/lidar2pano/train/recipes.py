@@ -31,6 +31,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "fast-translator",
         "fast-translator-mini",
     ),
+    "autoencoding": ("autoencoder", "autoencoder-mini"),
     "painter_recipes": ("scene-painter", "scene-painter-mini", "fast-painter", "fast-painter-mini"),
     "front": (
         "titan",

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lidar2pano.errors import InputError, closest
+from lidar2pano.train.autoencoding import Autoencoding
 from lidar2pano.train.camera_segmentation import CameraSegmentation
 from lidar2pano.train.colour import CameraColour, FrontColour, Pix2PixColours
 from lidar2pano.train.front import FrontDepthTranslation, FrontTranslation, Pix2PixSegments
@@ -27,6 +28,7 @@ TASKS: dict[str, Callable[[Recipe[Any], Path], Any]] = {
     "camera-colour": CameraColour,
     "pix2pix-colours": Pix2PixColours,
     "panorama": PanoramaTranslation,
+    "autoencoding": Autoencoding,
     "scene-painting": ScenePainting,
     "video": VideoPainting,
 }

@@ -1,0 +1,99 @@
+"""Autoencoder of street pictures: RGB at eight times the raster of its latents, and back.
+
+Plain residual convolutions, circular in azimuth; nothing is normalised over the raster, so that a sector has the
+latents that it has within a panorama. Features are enlarged by repetition: pixel shuffles leave a weave of lines two
+and four pixels apart (Odena et al. 2016).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import silu
+
+from lidar2pano.errors import InputError
+from lidar2pano.models.blocks import CircularConv
+
+FACTOR = 8  # pixels of the picture per pixel of its latents, in rows and in columns
+RANGE = 3.0  # latents are about of unit scale; the decoder reads them within +-RANGE, softly
+
+
+class PlainResidual(nn.Module):
+    """Two convolutions behind SiLU beside an identity: (B, C, H, W) -> the same shape."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.first, self.second = CircularConv(width, width), CircularConv(width, width)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Add the residual."""
+        return x + self.second(silu(self.first(silu(x))))
+
+
+class Autoencoder(nn.Module):
+    """Encoder and decoder.
+
+    latents          channels of the latents.
+    encoder, decoder  channels at 1/2, 1/4 and 1/8 of the picture's raster.
+    last             channels on the picture's own raster, in the decoder.
+    """
+
+    def __init__(
+        self,
+        latents: int = 32,
+        encoder: Sequence[int] = (40, 96, 192),
+        decoder: Sequence[int] = (32, 80, 160),
+        last: int = 16,
+    ) -> None:
+        super().__init__()
+        fine, middle, coarse = encoder
+        self.encoder = nn.Sequential(
+            CircularConv(3, fine, stride=2),
+            PlainResidual(fine),
+            CircularConv(fine, middle, stride=2),
+            PlainResidual(middle),
+            PlainResidual(middle),
+            CircularConv(middle, coarse, stride=2),
+            PlainResidual(coarse),
+            PlainResidual(coarse),
+            nn.SiLU(),
+            CircularConv(coarse, latents),
+        )
+        fine, middle, coarse = decoder
+        self.decoder = nn.Sequential(
+            CircularConv(latents, coarse),
+            PlainResidual(coarse),
+            PlainResidual(coarse),
+            CircularConv(coarse, middle, 1),
+            nn.Upsample(scale_factor=2),
+            PlainResidual(middle),
+            PlainResidual(middle),
+            CircularConv(middle, fine, 1),
+            nn.Upsample(scale_factor=2),
+            PlainResidual(fine),
+            nn.SiLU(),
+            CircularConv(fine, last),
+            nn.Upsample(scale_factor=2),
+            nn.SiLU(),
+            CircularConv(last, 3),
+        )
+
+    def encode(self, picture: Tensor) -> Tensor:
+        """Return the latents (B, latents, H/8, W/8) of a picture (B, 3, H, W) in [-1, 1].
+
+        Raises InputError unless H and W are multiples of FACTOR.
+        """
+        if picture.shape[-2] % FACTOR or picture.shape[-1] % FACTOR:
+            raise InputError(f"a picture of {tuple(picture.shape[-2:])} pixels: rows, columns must divide by {FACTOR}")
+        return self.encoder(picture)
+
+    def decode(self, latents: Tensor) -> Tensor:
+        """Return the picture (B, 3, 8h, 8w), about in [-1, 1], of latents (B, latents, h, w)."""
+        return self.decoder(torch.tanh(latents / RANGE) * RANGE)
+
+    def forward(self, picture: Tensor) -> tuple[Tensor, Tensor]:
+        """Encode and decode: return the picture again (B, 3, H, W) and its latents."""
+        latents = self.encode(picture)
+        return self.decode(latents), latents

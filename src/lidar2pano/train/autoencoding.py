@@ -1,0 +1,142 @@
+"""The autoencoder of street pictures, on photographs: options, task and recipes.
+
+It learns pixels, their differences, the distribution of texture and, where a teacher's are at hand, latents.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import l1_loss, mse_loss
+
+from lidar2pano.data.frames import evenly_spaced
+from lidar2pano.data.photographs import FACTOR, PhotographCrop, PhotographDataset, as_signed
+from lidar2pano.errors import InputError
+from lidar2pano.losses.painting import texture_distance
+from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores
+from lidar2pano.train.task import as_image, build_networks, device_of
+
+SCORED = 24  # photographs of the validation splits that are scored, evenly spaced
+SEAM = 2 * FACTOR  # columns at either side of a crop that are not scored: the network meets the other end there
+
+
+@dataclass(frozen=True, kw_only=True)
+class AutoencodingOptions(TaskOptions):
+    """The autoencoder of street pictures.
+
+    size        of a crop, pixels, a multiple of 8.
+    pixels, differences, texture  weights of the losses: mean absolute error, that of neighbours' differences, distance
+                between distributions of bands of frequency.
+    latents     folder of a teacher's latents of the photographs (runs/teacher_latents.py); "": none.
+    teacher     weight of the mean squared distance from them.
+    """
+
+    task = "autoencoding"
+    SIZES = ("size",)
+    size: int = 128
+    pixels: float = 1.0
+    differences: float = 1.0
+    texture: float = 0.02
+    latents: str = ""
+    teacher: float = 0.3
+
+
+class Autoencoding:
+    """Trains an autoencoder; its score is the PSNR in dB of whole photographs."""
+
+    released = ("autoencoder",)
+
+    def __init__(self, recipe: Recipe[AutoencodingOptions], root: Path) -> None:
+        self.options, self.networks = recipe.options, build_networks(recipe)
+        latents = Path(recipe.options.latents) if recipe.options.latents else None
+        size = recipe.options.size
+        if size <= 2 * SEAM:
+            raise InputError(
+                f"options.size={size}: a crop's outer {SEAM} columns do not count; take more than {2 * SEAM}"
+            )
+        self.dataset = PhotographDataset(root, recipe.data.train, size, latents)
+        self.validation = PhotographDataset(root, recipe.data.val, size)
+        self.logs: dict[str, float | Tensor] = {}
+
+    def updates(self, batch: PhotographCrop) -> Iterator[tuple[str, Tensor]]:
+        """One update: mean absolute error of pixels and of their differences, bands of texture, latents."""
+        options, inner = self.options, (..., slice(SEAM, -SEAM))
+        pictures, latents = self.networks["autoencoder"](batch.image)
+        real, made = batch.image[inner], pictures.float()[inner]
+        gaps = {"pixels": l1_loss(made, real), "differences": difference_loss(made, real)}
+        loss = options.pixels * gaps["pixels"] + options.differences * gaps["differences"]
+        if options.texture:
+            labels = torch.zeros(real.shape[0], *real.shape[2:], dtype=torch.int64, device=real.device)
+            gaps["texture"] = texture_distance(real, made, labels, labels)
+            loss = loss + options.texture * gaps["texture"]
+        if batch.latents.shape[1]:
+            cells = (..., slice(SEAM // FACTOR, -SEAM // FACTOR))
+            gaps["latents"] = mse_loss(latents.float()[cells], batch.latents[cells])
+            loss = loss + options.teacher * gaps["latents"]
+        self.logs = {name: gap.detach() for name, gap in gaps.items()}
+        yield "autoencoder", loss
+
+    def reconstructions(self) -> Iterator[tuple[Tensor, Tensor]]:
+        """Yield photographs of the validation splits and what becomes of them, (3, h, w) in [-1, 1] each."""
+        network = self.networks["autoencoder"]
+        for index in evenly_spaced(len(self.validation), SCORED):
+            real = as_signed(self.validation.photograph(index))
+            with torch.inference_mode():
+                made = network(real[None].to(device_of(network)))[0][0].float().cpu()
+            yield real, made.clamp(-1, 1)
+
+    def validate(self) -> dict[str, float]:
+        """Return the mean PSNR in dB, and the energy of pixel differences over the photographs'."""
+        signal, energy = [], []
+        for real, made in self.reconstructions():
+            signal.append(-10 * float(mse_loss(made, real).div(4).log10()))
+            energy.append(float(difference_energy(made) / difference_energy(real)))
+        return {"score": float(np.mean(signal)), "psnr_db": float(np.mean(signal)), "energy": float(np.mean(energy))}
+
+    def preview(self) -> dict[str, np.ndarray]:
+        """Return a photograph above what becomes of it, (H, W, 3) uint8."""
+        return {"image": as_image(torch.cat(next(self.reconstructions()), 1))}
+
+    def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
+        """Return nothing: pictures in, pictures out."""
+        return {}
+
+
+def differences(picture: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the differences of neighbouring pixels of (..., H, W): in a row, and in a column."""
+    return picture[..., 1:] - picture[..., :-1], picture[..., 1:, :] - picture[..., :-1, :]
+
+
+def difference_loss(made: Tensor, real: Tensor) -> Tensor:
+    """Return the mean absolute errors of both differences, summed."""
+    across, down = (l1_loss(one, other) for one, other in zip(differences(made), differences(real), strict=True))
+    return across + down
+
+
+def difference_energy(picture: Tensor) -> Tensor:
+    """Return the mean absolute differences, summed: how much fine texture a picture has."""
+    across, down = differences(picture)
+    return across.abs().mean() + down.abs().mean()
+
+
+def autoencoder() -> Recipe[AutoencodingOptions]:
+    """The autoencoder; the teacher's latents join with `--set options.latents=FOLDER`."""
+    optimizer = Optimizer(rate=1e-3, betas=(0.9, 0.99), warmup=100, clip=5.0)
+    return Recipe(
+        view="panorama",
+        networks={"autoencoder": Network(model="autoencoder", optimizer=optimizer)},
+        options=AutoencodingOptions(),
+        training=Training(steps=60_000, batch=16),
+    )
+
+
+RECIPES: dict[str, Callable[[], Recipe]] = {
+    "autoencoder": autoencoder,
+    "autoencoder-mini": lambda: on_two_cores(autoencoder(), minutes=60, batch=8),
+}
