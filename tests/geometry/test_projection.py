@@ -112,31 +112,32 @@ def test_the_written_out_published_projection_is_the_recorded_one(golden: Path, 
     assert found.proj_range.sum(dtype=np.float64) == pytest.approx(noted["range_sum"], abs=200)
 
 
-def assert_agrees_with_the_published_projection(scan: Scan, view: str, points: int, cells: int) -> None:
-    """At most `points` in view fall into another pixel (single and double precision), `cells` off the border differ."""
+def assert_agrees_with_the_published_projection(scan: Scan, view: str, points: int) -> None:
+    """At most `points` in view fall into another pixel (single and double precision), how many hangs on the processor.
+
+    Each changes two pixels at most: that which it leaves, and that which it enters.
+    """
     published, image = published_projection(scan, *EDGES[view]), project(scan, VIEWS[view])
     row, column, inside = image.row.numpy(), image.column.numpy(), image.inside.numpy()
     differs = (row != published.proj_y) | (column != published.proj_x)
     assert inside.sum() > 17_000 and (differs & inside).sum() <= points
     steps = np.abs(row - published.proj_y) + np.abs(column - published.proj_x)
-    assert steps[differs & inside].max() == 1, "rounding moves a point to the pixel beside"
+    assert (steps[differs & inside] == 1).all(), "rounding moves a point to the pixel beside"
     inner = np.s_[1:-1, 1:-1]  # the published code clamps what is out of view into the border
     differs = (image.index.numpy() != published.proj_idx)[inner]
-    assert differs.sum() <= cells
+    assert differs.sum() <= 2 * points
 
 
 @pytest.mark.parity
-@pytest.mark.parametrize(("view", "points", "cells"), [("titan-front", 1, 2), ("hdl64e", 5, 7)])
-def test_projection_is_the_published_one_in_view(view: str, points: int, cells: int) -> None:
-    assert_agrees_with_the_published_projection(synthetic_scan(), view, points, cells)
+@pytest.mark.parametrize(("view", "points"), [("titan-front", 1), ("hdl64e", 5)])
+def test_projection_is_the_published_one_in_view(view: str, points: int) -> None:
+    assert_agrees_with_the_published_projection(synthetic_scan(), view, points)
 
 
-@pytest.mark.parametrize(("view", "points", "cells"), [("titan-front", 2, 4), ("hdl64e", 7, 10)])
-def test_projection_of_a_real_scan_is_the_published_one_in_view(
-    kitti_mini: Path, view: str, points: int, cells: int
-) -> None:
+@pytest.mark.parametrize(("view", "points"), [("titan-front", 2), ("hdl64e", 7)])
+def test_projection_of_a_real_scan_is_the_published_one_in_view(kitti_mini: Path, view: str, points: int) -> None:
     scan = read(kitti_mini / "sequences" / "drive" / "velodyne" / "000000.bin")
-    assert_agrees_with_the_published_projection(scan, view, points, cells)
+    assert_agrees_with_the_published_projection(scan, view, points)
 
 
 @pytest.mark.parity
