@@ -17,7 +17,8 @@ from lidar2pano.data.pandaset import CLASSES, class_table
 from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera, points_in_camera
-from lidar2pano.scene.depth import BESIDE, ONE_SURFACE, RIM, WIDE, complete_depth, ground_plane
+from lidar2pano.scene.depth import complete_depth
+from lidar2pano.scene.surfaces import ground_plane
 from lidar2pano.geometry.projection import directions
 from lidar2pano.geometry.stitching import BLEND, CameraImage, stitch
 from lidar2pano.labels import SEMANTIC_KITTI
@@ -36,6 +37,9 @@ from miniature_surround import (
     write_pandaset,
 )
 from slow_definitions import project_slowly
+
+# Of `complete_depth`: half a ring's gap, radians; ratio of distances on one surface; tangents of open sky and of a rim.
+RING_GAP_RAD, ONE_SURFACE, OPEN_SKY, RIM = 1 / 183, 1.25, 0.08, 0.012
 
 QUARTER = replace(VIEWS["panorama"].scaled(0.25), origin=(0.2, -0.1, 0.05))
 
@@ -276,7 +280,7 @@ def depth_completed_slowly(xyz: np.ndarray, view: View) -> np.ndarray:
         measured[row, column], flat_m[row, column] = np.linalg.norm(away), np.hypot(away[0], away[1])
     closed = flat_m.copy()
     for row, column in np.argwhere(flat_m == 0):
-        for away in range(1, max(1, round(BESIDE * view.focal_px)) + 1):
+        for away in range(1, max(1, round(RING_GAP_RAD * view.focal_px)) + 1):
             near = [flat_m[row, (column + step) % view.columns] for step in (-away, away)]
             if any(near):
                 closed[row, column] = min(one for one in near if one)
@@ -300,7 +304,7 @@ def _flat_slowly(row: int, column: int, flat_m: np.ndarray, top: float, view: Vi
         if max(far) < ONE_SURFACE * min(far):
             return 1 / (1 / far[0] + (1 / far[1] - 1 / far[0]) * share)
         step = (view.up - view.down) / view.rows
-        if (b - a) * step > WIDE and min(row - a, b - row) * step > RIM:
+        if (b - a) * step > OPEN_SKY and min(row - a, b - row) * step > RIM:
             return math.inf
         return far[0] if share <= 0.5 else far[1]
     if len(above):

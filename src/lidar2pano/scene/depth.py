@@ -31,9 +31,7 @@ CROWN_GUESSED = 0.1  # power of the translator's distances in those of crowns, w
 BEYOND = 0.12  # tangent above and below the view up to which points count: rings may lie 4 degrees apart there
 RING_GAP_RAD = 1 / 183  # to either side of a point: LiDARs take 1000 to 2000 points a turn
 RIM = 0.012  # tangent up to which a surface goes on above its last point where the sky follows: two rings
-OPEN_SKY = (
-    0.08  # tangent over which, between two surfaces, some ring would have met something: rings are 4 degrees apart
-)
+OPEN_SKY = 0.08  # tangent over which a ring would have met something between two surfaces: rings are 4 degrees apart
 EGO_VEHICLE = (3.0, 1.1)  # metres ahead of and behind the sensor, and to its sides: points there lie on its own vehicle
 GROUND_REACH_M = 80.0  # horizontal distance up to which the ground's plane is believed
 ROAD, VEGETATION = map(COMMON15.id_of, ("road", "vegetation"))

@@ -1,6 +1,6 @@
 """The autoencoder of street pictures, on photographs: options, task and recipes.
 
-It learns pixels, their differences, the distribution of texture and, where a teacher's are at hand, latents.
+It learns pixels, their differences and, where a teacher's are at hand, latents.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from torch.nn.functional import l1_loss, mse_loss
 from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.data.photographs import FACTOR, PhotographCrop, PhotographDataset, as_signed
 from lidar2pano.errors import InputError
-from lidar2pano.losses.painting import texture_distance
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores
 from lidar2pano.train.task import as_image, build_networks, device_of
 
@@ -31,8 +30,7 @@ class AutoencodingOptions(TaskOptions):
     """The autoencoder of street pictures.
 
     size        of a crop, pixels, a multiple of 8.
-    pixels, differences, texture  weights of the losses: mean absolute error, that of neighbours' differences, distance
-                between distributions of bands of frequency.
+    pixels, differences  weights of the mean absolute error and of that of neighbours' differences.
     latents     folder of a teacher's latents of the photographs (runs/teacher_latents.py); "": none.
     teacher     weight of the mean squared distance from them.
     """
@@ -42,7 +40,6 @@ class AutoencodingOptions(TaskOptions):
     size: int = 128
     pixels: float = 1.0
     differences: float = 1.0
-    texture: float = 0.02
     latents: str = ""
     teacher: float = 0.3
 
@@ -65,16 +62,12 @@ class Autoencoding:
         self.logs: dict[str, float | Tensor] = {}
 
     def updates(self, batch: PhotographCrop) -> Iterator[tuple[str, Tensor]]:
-        """One update: mean absolute error of pixels and of their differences, bands of texture, latents."""
+        """One update: mean absolute errors of pixels and of their differences, latents."""
         options, inner = self.options, (..., slice(SEAM, -SEAM))
         pictures, latents = self.networks["autoencoder"](batch.image)
         real, made = batch.image[inner], pictures.float()[inner]
         gaps = {"pixels": l1_loss(made, real), "differences": difference_loss(made, real)}
         loss = options.pixels * gaps["pixels"] + options.differences * gaps["differences"]
-        if options.texture:
-            labels = torch.zeros(real.shape[0], *real.shape[2:], dtype=torch.int64, device=real.device)
-            gaps["texture"] = texture_distance(real, made, labels, labels)
-            loss = loss + options.texture * gaps["texture"]
         if batch.latents.shape[1]:
             cells = (..., slice(SEAM // FACTOR, -SEAM // FACTOR))
             gaps["latents"] = mse_loss(latents.float()[cells], batch.latents[cells])
