@@ -151,7 +151,8 @@ def sector_table(scores: dict[str, Scores], sector: str) -> str:
 def page(scores: dict[str, Scores], texts: dict[str, str]) -> str:
     """Return RESULTS.md."""
     frames = {
-        name: max((entry["frames"] or 0 for entry in values.values()), default=0) for name, values in scores.items()
+        name: max((entry["frames"] or 0 for key, entry in values.items() if key[2] == "miou"), default=0)
+        for name, values in scores.items()
     }
     still = scores["towns"].get(("ground truth", "panorama", "warping_error"), {"value": None})["value"]
     notes = COMPARABLE.format(
@@ -160,7 +161,7 @@ def page(scores: dict[str, Scores], texts: dict[str, str]) -> str:
     )
     parts = ["# Results", "Written by `runs/results.sh`; not edited by hand.", first_table(scores), notes.strip()]
     links = ", ".join(f"[{SETS[name]}](docs/results/{name}.csv)" for name in scores)
-    parts += [f"Every value with its interval, classes and milliseconds as CSV: {links}."]
+    parts += [f"Every value with its interval and class as CSV: {links}."]
     sections = {
         "Classes in KITTI's camera: IoU in percent": class_table(scores["val"]),
         "In the camera": sector_table(scores, "camera"),
