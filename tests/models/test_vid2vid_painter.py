@@ -81,10 +81,12 @@ def test_the_network_for_first_frames_paints_two_and_the_generator_goes_on():
     images = painted(Vid2VidPainter(generator, single), ids)
     one_hot = one_hot_layers(ids, CLASSES)
     with torch.inference_mode():
-        assert all(torch.equal(images[frame], single(one_hot[[frame]])[0]) for frame in (0, 1))
+        for frame in (0, 1):  # on some processors a convolution rounds otherwise when its input lies elsewhere
+            torch.testing.assert_close(images[frame], single(one_hot[[frame]])[0])
         for frame in (2, 3):
             before = torch.stack(images[frame - 2 : frame])[None]
-            assert torch.equal(images[frame], generator(one_hot[frame - 2 : frame + 1][None], before).image[0])
+            expected = generator(one_hot[frame - 2 : frame + 1][None], before).image[0]
+            torch.testing.assert_close(images[frame], expected)
 
 
 def test_every_scale_goes_on_from_its_own_images():
