@@ -11,6 +11,7 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor
 
+from lidar2pano.data.camera_pairs import in_unit
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.data.surround import SurroundFrame
@@ -94,7 +95,7 @@ def photograph_key(image: np.ndarray) -> str:
 
 def as_signed(image: np.ndarray) -> Tensor:
     """Return an image (h, w, 3) uint8 as (3, h, w) float32 in [-1, 1]."""
-    return torch.from_numpy(image).movedim(2, 0).float() / 127.5 - 1
+    return in_unit(torch.from_numpy(image).movedim(2, 0))
 
 
 def _cameras(frame: object) -> tuple[str, ...]:

@@ -16,10 +16,10 @@ from lidar2pano.hardware import Timer
 from lidar2pano.memory import Memory
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline import Pipeline
+from lidar2pano.pipeline.stages import TINY
 from lidar2pano.scene.record import Scene
 
 SAME_PLACE_M = 1e-6
-TINY = 1e-20  # least probability whose logarithm is taken
 
 
 class NoPainter:
