@@ -7,9 +7,10 @@ Run this file to write `api_inventory.txt` again after a wanted change of the pu
 from __future__ import annotations
 
 import ast
+import functools
 import inspect
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import is_dataclass
 from pathlib import Path
 
@@ -61,7 +62,26 @@ EMPTY_NAMES = {"util", "utils", "common", "core", "base", "helper", "helpers", "
 def parsed(source: Path) -> Iterator[tuple[Path, ast.Module]]:
     """Every Python file below `source`, its path relative to `source`, and its tree."""
     for path in sorted(source.rglob("*.py")):
-        yield path.relative_to(source), ast.parse(path.read_text(encoding="utf-8"))
+        yield path.relative_to(source), tree_of(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
+def tree_of(text: str) -> ast.Module:
+    """Parse a text once, however many rules read it; nobody may change the tree."""
+    return ast.parse(text)
+
+
+@functools.cache
+def nodes_of(tree: ast.AST) -> tuple[ast.AST, ...]:
+    """Walk a tree once."""
+    return tuple(ast.walk(tree))
+
+
+def dotted(node: ast.expr) -> str:
+    """Return the written form of a name with attributes, `a.b().c` as ".c"; "" of everything else."""
+    if isinstance(node, ast.Name):
+        return node.id
+    return f"{dotted(node.value)}.{node.attr}" if isinstance(node, ast.Attribute) else ""
 
 
 def module_of(path: Path) -> str:
@@ -84,8 +104,12 @@ def floor_of(module: str) -> int | None:
 
 def imports(tree: ast.Module, path: Path) -> Iterator[str]:
     """Dotted names of everything that a file imports, at any depth; `from a import b` gives "a.b"."""
+    yield from _imports(nodes_of(tree), path)
+
+
+def _imports(nodes: Iterable[ast.AST], path: Path) -> Iterator[str]:
     folder = [PACKAGE, *path.parts[:-1]]
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -153,10 +177,10 @@ def circles(source: Path) -> list[str]:
 
 def _imported_files(path: Path, tree: ast.Module, file_of: dict[str, Path]) -> set[Path]:
     """Return the files of the package that a file imports when it runs."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            node.body = []
-    names = {file_of.get(name) or file_of.get(name.rpartition(".")[0]) for name in imports(tree, path)}
+    for_types = [node for node in nodes_of(tree) if isinstance(node, ast.If) and dotted(node.test) == "TYPE_CHECKING"]
+    skipped = {id(node) for block in for_types for statement in block.body for node in ast.walk(statement)}
+    running = _imports((node for node in nodes_of(tree) if id(node) not in skipped), path)
+    names = {file_of.get(name) or file_of.get(name.rpartition(".")[0]) for name in running}
     return {file for file in names if file and file != path}
 
 
@@ -176,7 +200,7 @@ def too_big(source: Path) -> list[str]:
     """Functions and parameter lists over the limits."""
     found: list[str] = []
     for path, tree in parsed(source):
-        for node in ast.walk(tree):
+        for node in nodes_of(tree):
             if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 continue
             if (lines := (node.end_lineno or node.lineno) - node.lineno + 1) > MOST_FUNCTION_LINES:
@@ -201,7 +225,7 @@ def unread(configs: Path, source: Path) -> list[str]:
     """
     classes = {
         node.name: [item for item in node.body if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)]
-        for node in ast.parse(configs.read_text(encoding="utf-8")).body
+        for node in tree_of(configs.read_text(encoding="utf-8")).body
         if isinstance(node, ast.ClassDef) and any("dataclass" in ast.unparse(d) for d in node.decorator_list)
     }
     parts = {
@@ -230,25 +254,36 @@ def _mentions(annotation: ast.expr, name: str) -> bool:
 
 def _names_of(scope: ast.stmt, parts: dict[str, set[str]]) -> dict[str, set[str]]:
     """Class -> what its values are called in a function or class: `parts`, and what is annotated there."""
-    found = {name: set(called) for name, called in parts.items()}
-    for node in ast.walk(scope):
-        if not isinstance(node, ast.arg | ast.AnnAssign) or node.annotation is None:
-            continue
-        target = node.arg if isinstance(node, ast.arg) else ast.unparse(node.target).rpartition(".")[2]
-        of_recipe = "Recipe[" in ast.unparse(node.annotation)
-        for name, called in found.items():
-            if _mentions(node.annotation, name):
-                called.add("options" if of_recipe and name != "Recipe" else target)
-    return found
+    called_by_class = {name: set(called) for name, called in parts.items()}
+    for target, mentioned in _annotations(scope):
+        for name in mentioned & called_by_class.keys():
+            called_by_class[name].add("options" if "Recipe" in mentioned and name != "Recipe" else target)
+    return called_by_class
 
 
-def _reads(scope: ast.stmt) -> Iterator[tuple[str, str]]:
+@functools.cache
+def _annotations(scope: ast.stmt) -> tuple[tuple[str, frozenset[str]], ...]:
+    """(what is annotated, names in its annotation) of every annotation in a function or class."""
+    return tuple(
+        (
+            node.arg if isinstance(node, ast.arg) else dotted(node.target).rpartition(".")[2],
+            frozenset(name.id for name in ast.walk(node.annotation) if isinstance(name, ast.Name)),
+        )
+        for node in nodes_of(scope)
+        if isinstance(node, ast.arg | ast.AnnAssign) and node.annotation is not None
+    )
+
+
+@functools.cache
+def _reads(scope: ast.stmt) -> frozenset[tuple[str, str]]:
     """(what a value is called, attribute) of every attribute that is read; `a.b[c].d` reads (b, d)."""
-    for node in ast.walk(scope):
+    pairs = set()
+    for node in nodes_of(scope):
         if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
             base = node.value.value if isinstance(node.value, ast.Subscript) else node.value
             if isinstance(base, ast.Name | ast.Attribute):
-                yield (base.id if isinstance(base, ast.Name) else base.attr), node.attr
+                pairs.add(((base.id if isinstance(base, ast.Name) else base.attr), node.attr))
+    return frozenset(pairs)
 
 
 def noisy(source: Path) -> list[str]:
@@ -258,8 +293,8 @@ def noisy(source: Path) -> list[str]:
     for path, tree in parsed(source):
         if at_door(module_of(path)):
             continue
-        for node in ast.walk(tree):
-            called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
+        for node in nodes_of(tree):
+            called = dotted(node.func) if isinstance(node, ast.Call) else ""
             if called in loud or called.endswith((".print", ".basicConfig", ".addHandler")):
                 found.append(f"{path}:{node.lineno} calls {called}: only the command line speaks")
     return found
@@ -295,8 +330,8 @@ def second_builders(source: Path, networks: set[str]) -> list[str]:
         f"{path}:{node.lineno} constructs {called}: call models.build"
         for path, tree in parsed(source)
         if module_of(path) != "models"
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Call) and (called := ast.unparse(node.func).rpartition(".")[2]) in networks
+        for node in nodes_of(tree)
+        if isinstance(node, ast.Call) and (called := dotted(node.func).rpartition(".")[2]) in networks
     ]
 
 
