@@ -19,6 +19,7 @@ from lidar2pano.train.recipe import override
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.tasks import build_task
 
+PLAIN = ("options.perceptual=0", "options.adversarial=0")  # no frozen features
 SETTINGS = {"latents": 4, "encoder": (8, 8, 8), "decoder": (8, 8, 8), "last": 8}
 
 
@@ -37,8 +38,9 @@ def root(tmp_path):
 def small(*further):
     recipe = recipe_named("autoencoder-mini")
     network = replace(recipe.networks["autoencoder"], settings=SETTINGS)
-    recipe = replace(recipe, networks={"autoencoder": network})
-    plain = ("options.size=48", "data.val=train", "training.workers=0", "training.precision=32-true", *further)
+    critic = replace(recipe.networks["critic"], settings={"conditions": SETTINGS["latents"], "mixed": 8, "width": 8})
+    recipe = replace(recipe, networks={"autoencoder": network, "critic": critic})
+    plain = ("options.size=48", "data.val=train", "training.workers=0", "training.precision=32-true", *PLAIN, *further)
     for assignment in plain:
         recipe = override(recipe, assignment)
     return recipe
@@ -67,6 +69,28 @@ def test_pixels_and_latents_come_nearer(root, tmp_path):
     first, *_, last = losses_of(build_task(small(f"options.latents={tmp_path}"), root))
     assert last["pixels"] < 0.8 * first["pixels"]
     assert last["latents"] < 0.8 * first["latents"]
+
+
+def test_the_critic_and_the_features_teach_the_autoencoder_alone(root):
+    for file in (root / "images").iterdir():
+        Image.open(file).resize((144, 112)).save(file)
+    task = build_task(small("options.perceptual=0.1", "options.adversarial=0.02", "options.size=96"), root)
+    batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(2)])
+    roles = []
+    for role, loss in task.updates(batch):
+        roles.append(role)
+        for network in task.networks.values():
+            network.zero_grad()
+        loss.backward()
+        taught = {name for name, network in task.networks.items() if any(has_gradient(w) for w in network.parameters())}
+        assert taught == {role}
+    assert roles == ["critic", "autoencoder"]
+    plain = task.logs["pixels"] + task.logs["differences"]
+    assert loss.item() == pytest.approx(float(plain + 0.1 * task.logs["perceptual"] + 0.02 * task.logs["adversarial"]))
+
+
+def has_gradient(weight):
+    return weight.grad is not None and bool(weight.grad.any())
 
 
 def test_a_run_releases_the_network_with_its_score(root, tmp_path):

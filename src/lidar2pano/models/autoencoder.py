@@ -43,8 +43,8 @@ class Autoencoder(nn.Module):
     def __init__(
         self,
         latents: int = 32,
-        encoder: Sequence[int] = (40, 96, 192),
-        decoder: Sequence[int] = (32, 80, 160),
+        encoder: Sequence[int] = (32, 64, 128),
+        decoder: Sequence[int] = (32, 64, 128),
         last: int = 16,
     ) -> None:
         super().__init__()

@@ -1,6 +1,7 @@
 """The autoencoder of street pictures, on photographs: options, task and recipes.
 
-It learns pixels, their differences and, where a teacher's are at hand, latents.
+It learns pixels, their differences, frozen features and, where a teacher's are at hand, latents; a critic on the same
+features, which sees the latents as well, teaches the texture that means of pixels lack (Esser et al. 2021, VQGAN).
 """
 
 from __future__ import annotations
@@ -12,12 +13,16 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import l1_loss, mse_loss
 
 from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.data.photographs import FACTOR, PhotographCrop, PhotographDataset, as_signed
 from lidar2pano.errors import InputError
+from lidar2pano.hardware import fast_arithmetic
+from lidar2pano.losses import hinge_critic, hinge_generator
+from lidar2pano.losses.adversarial import frozen
+from lidar2pano.models.frozen_features import LITE0, ImagenetFeatures
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores
 from lidar2pano.train.task import as_image, build_networks, device_of
 
@@ -31,6 +36,8 @@ class AutoencodingOptions(TaskOptions):
 
     size        of a crop, pixels, a multiple of 8.
     pixels, differences  weights of the mean absolute error and of that of neighbours' differences.
+    perceptual  weight of the mean absolute error of frozen features, each in units of its deviation.
+    adversarial  weight of the hinge loss of the critic; 0: there is none.
     latents     folder of a teacher's latents of the photographs (runs/teacher_latents.py); "": none.
     teacher     weight of the mean squared distance from them.
     """
@@ -40,6 +47,8 @@ class AutoencodingOptions(TaskOptions):
     size: int = 128
     pixels: float = 1.0
     differences: float = 1.0
+    perceptual: float = 0.1
+    adversarial: float = 0.02
     latents: str = ""
     teacher: float = 0.3
 
@@ -51,6 +60,8 @@ class Autoencoding:
 
     def __init__(self, recipe: Recipe[AutoencodingOptions], root: Path) -> None:
         self.options, self.networks = recipe.options, build_networks(recipe)
+        is_textured = recipe.options.perceptual > 0 or recipe.options.adversarial > 0
+        self.features = ImagenetFeatures.load(LITE0) if is_textured else None
         latents = Path(recipe.options.latents) if recipe.options.latents else None
         size = recipe.options.size
         if size <= 2 * SEAM:
@@ -62,7 +73,7 @@ class Autoencoding:
         self.logs: dict[str, float | Tensor] = {}
 
     def updates(self, batch: PhotographCrop) -> Iterator[tuple[str, Tensor]]:
-        """One update: mean absolute errors of pixels and of their differences, latents."""
+        """The critic, if there is one, then the autoencoder."""
         options, inner = self.options, (..., slice(SEAM, -SEAM))
         pictures, latents = self.networks["autoencoder"](batch.image)
         real, made = batch.image[inner], pictures.float()[inner]
@@ -72,6 +83,15 @@ class Autoencoding:
             cells = (..., slice(SEAM // FACTOR, -SEAM // FACTOR))
             gaps["latents"] = mse_loss(latents.float()[cells], batch.latents[cells])
             loss = loss + options.teacher * gaps["latents"]
+        if self.features is not None:
+            texture = Texture(self.features, made, real, latents[..., SEAM // FACTOR : -SEAM // FACTOR].detach())
+            critic = self.networks["critic"]
+            if options.adversarial:
+                yield "critic", texture.critic_loss(critic)
+                gaps["adversarial"] = texture.adversarial_loss(critic)
+                loss = loss + options.adversarial * gaps["adversarial"]
+            gaps["perceptual"] = texture.perceptual_loss()
+            loss = loss + options.perceptual * gaps["perceptual"]
         self.logs = {name: gap.detach() for name, gap in gaps.items()}
         yield "autoencoder", loss
 
@@ -101,6 +121,39 @@ class Autoencoding:
         return {}
 
 
+class Texture:
+    """Frozen features of pictures and of the photographs that they stand for, (B, 3, H, W) in [-1, 1], and latents."""
+
+    def __init__(self, features: ImagenetFeatures, made: Tensor, real: Tensor, latents: Tensor) -> None:
+        device = made.device
+        features.to(device)
+        with fast_arithmetic(device):
+            with torch.no_grad():
+                self.of_real = features(real.contiguous(memory_format=torch.channels_last))
+            self.of_made = features(made.contiguous(memory_format=torch.channels_last))
+        self.latents = latents.float()
+
+    def perceptual_loss(self) -> Tensor:
+        """Return the mean absolute error of features, each depth in units of the real ones' deviation."""
+        pairs = zip(self.of_made, self.of_real, strict=True)
+        return _mean([l1_loss(made.float(), real.float()) / (real.float().std() + 1e-3) for made, real in pairs])
+
+    def critic_loss(self, critic: nn.Module) -> Tensor:
+        """Return the critic's hinge loss."""
+        of_real = critic(self.latents, *self.of_real)
+        of_made = critic(self.latents, *(part.detach() for part in self.of_made))
+        return _mean([hinge_critic(real.float(), made.float()) for real, made in zip(of_real, of_made, strict=True)])
+
+    def adversarial_loss(self, critic: nn.Module) -> Tensor:
+        """Return the loss that makes pictures look real to the critic, whose gradients would be discarded."""
+        with frozen(critic):
+            return _mean([hinge_generator(score.float()) for score in critic(self.latents, *self.of_made)])
+
+
+def _mean(losses: list[Tensor]) -> Tensor:
+    return torch.stack(losses).mean()
+
+
 def differences(picture: Tensor) -> tuple[Tensor, Tensor]:
     """Return the differences of neighbouring pixels of (..., H, W): in a row, and in a column."""
     return picture[..., 1:] - picture[..., :-1], picture[..., 1:, :] - picture[..., :-1, :]
@@ -121,9 +174,13 @@ def difference_energy(picture: Tensor) -> Tensor:
 def autoencoder() -> Recipe[AutoencodingOptions]:
     """The autoencoder; the teacher's latents join with `--set options.latents=FOLDER`."""
     optimizer = Optimizer(rate=1e-3, betas=(0.9, 0.99), warmup=100, clip=5.0)
+    critic = Optimizer(algorithm="adam", rate=5e-4, betas=(0.0, 0.99), schedule="constant")
     return Recipe(
         view="panorama",
-        networks={"autoencoder": Network(model="autoencoder", optimizer=optimizer)},
+        networks={
+            "autoencoder": Network(model="autoencoder", optimizer=optimizer),
+            "critic": Network(model="projected-critic", settings={"conditions": 32}, optimizer=critic),
+        },
         options=AutoencodingOptions(),
         training=Training(steps=60_000, batch=16),
     )
