@@ -32,6 +32,7 @@ from lidar2pano.geometry.stitching import CameraImage
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.scan import Scan
 from lidar2pano.views import View
+from lidar2pano.name_order import sort_names
 
 SCANS = "data_3d_raw"
 CAMERA = "image_00"
@@ -183,7 +184,7 @@ def frames(root: Path, split: str, view: View) -> FrameList[Kitti360Frame]:
            scan; "all", or the name of a sequence: all scans.
     view   the raster of stitched panoramas.
     """
-    sequences = sorted(path.name for path in (root / SCANS).iterdir() if path.is_dir())
+    sequences = sort_names(path.name for path in (root / SCANS).iterdir() if path.is_dir())
     scans = partial(_scans, root)
     if split in listed_splits(root / "splits.json"):
         names = listed_names(root / "splits.json", split, "SEQUENCE/NNNNNNNNNN", _is_frame_name)

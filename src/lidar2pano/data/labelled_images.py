@@ -20,6 +20,7 @@ from lidar2pano.data.frames import IGNORE, Frame, FrameList, read_train_ids
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import image_size, read_image
 from lidar2pano.labels import CITYSCAPES, CITYSCAPES_IDS
+from lidar2pano.name_order import sort_names
 
 IMAGES, FINE = "leftImg8bit", "gtFine"
 SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -84,11 +85,11 @@ def frames(root: Path, split: str) -> FrameList[LabelledImage]:
     elif split == "train" and not cityscapes and any(path.suffix.lower() in SUFFIXES for path in folder.iterdir()):
         entries = dict(_folder(root, ""))
     else:
-        splits = sorted(path.name for path in folder.iterdir() if path.is_dir())
+        splits = sort_names(path.name for path in folder.iterdir() if path.is_dir())
         raise InputError(f"{root}: no split {split!r}{closest(split, splits)}")
     if not entries:
         raise InputError(f"{root}: split {split!r} has no image (.png or .jpg); complete the data")
-    return FrameList("cityscapes" if cityscapes else "images", sorted(entries.items(), key=itemgetter(0)))
+    return FrameList("cityscapes" if cityscapes else "images", ((name, entries[name]) for name in sort_names(entries)))
 
 
 def _cityscapes(root: Path, split: str) -> Iterator[tuple[str, OpenFrame]]:

@@ -26,6 +26,7 @@ from lidar2pano.geometry.stitching import CameraImage
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
 from lidar2pano.views import View
+from lidar2pano.name_order import sort_names
 
 LAST_CLASS = 0xFFFF
 CAMERAS = ("front_camera", "front_left_camera", "left_camera", "back_camera", "right_camera", "front_right_camera")
@@ -131,7 +132,7 @@ class PandasetFrame(SurroundFrame):
 def frames(root: Path, split: str, view: View) -> FrameList[Frame]:
     """Return frames of a split, in time: "all", or the name of a sequence. InputError if there is none."""
     folder = root / "sequences"
-    sequences = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
+    sequences = sort_names(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
     if not sequences:
         raise InputError(f"{root}: has no sequences/; name the root of a PandaSet in this layout")
     if split not in ("all", *sequences):

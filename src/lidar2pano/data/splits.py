@@ -8,6 +8,7 @@ from pathlib import Path
 
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.json_files import read_json
+from lidar2pano.name_order import sort_names
 
 
 def is_frame_name(name: str) -> bool:
@@ -56,7 +57,7 @@ def stems(folder: Path, *suffixes: str) -> list[str]:
     except OSError as error:
         raise InputError(f"{folder}: cannot be looked into ({error.strerror}); ask for permission") from error
     files = [name for name in names if not name.startswith(".")]
-    return sorted({name[: -len(suffix)] for name in files for suffix in suffixes if name.endswith(suffix)})
+    return sort_names({name[: -len(suffix)] for name in files for suffix in suffixes if name.endswith(suffix)})
 
 
 def names_with_scans(names: list[str], scans: Callable[[str], Path], split: str = "") -> Iterator[str]:

@@ -14,6 +14,7 @@ from lidar2pano.data.semantic_kitti import SEQUENCES, SemanticKittiFrame, frames
 from lidar2pano.data.splits import stems
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
+from lidar2pano.name_order import sort_names
 from lidar2pano.prepare.journal import Journal, Record, Stamp, stamp_of
 from lidar2pano.prepare.teachers import Teacher
 
@@ -54,11 +55,11 @@ def frames_to_label(root: Path, splits: Sequence[str] = ()) -> FrameList[Semanti
         else:
             sequences += sequences_of(folder, split)
     if not splits:
-        sequences = sorted(path.name for path in folder.iterdir() if path.is_dir())
+        sequences = sort_names(path.name for path in folder.iterdir() if path.is_dir())
     for sequence in sequences:
         scans = stems(folder / sequence / "velodyne", ".bin")
         images = stems(folder / sequence / "image_2", ".png", ".jpg")
-        names |= dict.fromkeys(f"{sequence}/{stem}" for stem in sorted({*scans, *images}))
+        names |= dict.fromkeys(f"{sequence}/{stem}" for stem in sort_names({*scans, *images}))
     if not names:
         raise InputError(f"{root}: has neither scans (velodyne/*.bin) nor images (image_2/*.png or *.jpg)")
     by_sequence = sorted(names, key=lambda name: name.partition("/")[0])  # stable; one journal at a time is open

@@ -11,6 +11,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import COLOUR_FORMATS, DEPTH_STEPS, image_size, image_text, read_image
 from lidar2pano.formats.json_files import parse_json, validated
 from lidar2pano.formats.readers import ReadOptions, open_path
+from lidar2pano.name_order import sort_names
 from lidar2pano.panorama import STEM_ENDINGS, VIEW_KEYWORD
 from lidar2pano.viewer.page import PageFrame
 from lidar2pano.views import VIEWS, View
@@ -26,7 +27,7 @@ def panorama_files(path: Path) -> list[Path]:
     if not path.is_dir():
         return []
     try:
-        files = sorted(file for file in path.iterdir() if file.suffix in ENDINGS and file.is_file())
+        files = sort_names(file for file in path.iterdir() if file.suffix in ENDINGS and file.is_file())
     except OSError as error:
         raise InputError(f"{path}: cannot be looked into ({error.strerror}); ask for permission") from error
     return [file for file in files if not file.stem.endswith(STEM_ENDINGS) and not file.name.startswith(".")]
