@@ -14,7 +14,7 @@ from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats import image_files
 from lidar2pano.formats.image_files import HOST, PART, fast_png, read_image, write_colour, write_whole
-from lidar2pano.formats.readers import ENDINGS, read, scan_files, scans
+from lidar2pano.formats.readers import read
 from lidar2pano.formats.scan_files import read_bin, read_label, write_bin, write_label
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, View
@@ -137,7 +137,7 @@ def test_what_is_no_label(tmp_path: Path):
 
 
 def test_what_is_of_no_format(tmp_path: Path):
-    (tmp_path / "a").write_bytes(b"GIF89a" + bytes(500))
+    (tmp_path / "a").write_bytes(b"QIF89a" + bytes(500))
     assert "is of no format that is read (PCD, PLY, NPY" in complaint(lambda: read(tmp_path / "a"))
 
 
@@ -203,43 +203,6 @@ def test_a_calibration_of_another_shape_is_refused():
         Calibration(K=np.eye(4), T_camera_lidar=np.eye(4), size=(10, 10))
     with pytest.raises(ValueError, match="size must be positive"):
         Calibration(K=np.eye(3), T_camera_lidar=np.eye(4), size=(10, 0))
-
-
-def test_sources_of_a_file_a_folder_and_a_sequence(tmp_path: Path):
-    folder = tmp_path / "sequences" / "08" / "velodyne"
-    folder.mkdir(parents=True)
-    for number in (5, 2, 7, 0, 3, 6, 1, 4):
-        write_bin(folder / f"00000{number}.bin", some_scan())
-    write_text(folder / "readme.txt", "no scan")
-    (folder / "000008.bin").mkdir()
-    names = [f"00000{i}.bin" for i in range(8)]
-    assert [path.name for path in scan_files(folder)] == names
-    assert scan_files(str(folder.parent)) == scan_files(folder)
-    assert scan_files(folder / "000001.bin") == [folder / "000001.bin"]
-    assert [scan.name for scan in scans(folder.parent)] == [Path(name).stem for name in names]
-
-
-def test_a_source_is_read_one_scan_at_a_time(tmp_path: Path):
-    write_bin(tmp_path / "a.bin", some_scan())
-    (tmp_path / "b.bin").write_bytes(b"short")
-    found = scans(tmp_path)
-    assert next(found).name == "a"
-    assert "5 bytes are no whole number" in complaint(lambda: next(found))
-
-
-def test_sources_that_are_none(tmp_path: Path):
-    assert complaint(lambda: scan_files(tmp_path / "nowhere")).startswith(f"{tmp_path / 'nowhere'}: does not exist")
-    assert complaint(lambda: scan_files(tmp_path)).startswith(f"{tmp_path}: holds no scan (known endings: {ENDINGS[0]}")
-    (tmp_path / "velodyne").mkdir()
-    assert complaint(lambda: scan_files(tmp_path)).startswith(f"{tmp_path / 'velodyne'}: holds no scan")
-
-
-def test_a_folder_without_permission(tmp_path: Path, monkeypatch):
-    def refuse(*_):
-        raise PermissionError(13, os.strerror(13))
-
-    monkeypatch.setattr(Path, "iterdir", refuse)
-    assert "cannot be looked into (Permission denied)" in complaint(lambda: scan_files(tmp_path))
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from lidar2pano.formats import pcd
 from lidar2pano.formats.arrays import DATATYPES, cloud_of
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns, seconds
-from lidar2pano.formats.readers import ReadOptions, open_path, read, scan_files, scans
+from lidar2pano.formats.readers import ReadOptions, open_path, read
 
 XYZ, RING = made.street(beams=16, columns=180)
 INTENSITY = np.floor(made.remission(len(XYZ), 255))
@@ -351,23 +351,7 @@ def test_a_constant_time_is_none():
     assert cloud_of_columns({"x": XYZ[:, 0], "Y": XYZ[:, 1], "z": XYZ[:, 2]}, format="", name="a").time_s is None
 
 
-# --- folders and names -----------------------------------------------------------------------------------------------
-
-
-def test_folders_of_any_format(tmp_path):
-    for name in ("b.pcd", "a.bin.gz", "c.LAZ"):
-        made.write(tmp_path, name, b"")
-    made.write(tmp_path, "calib.txt", b"1 2 3\n")
-    made.write(tmp_path, "image.png", b"")
-    assert [path.name for path in scan_files(tmp_path)] == ["a.bin.gz", "b.pcd", "c.LAZ"]
-
-
-def test_a_folder_of_text_only(tmp_path):
-    made.write(tmp_path, "readme.txt", b"read me")
-    made.write(tmp_path, "b.xyz", b"1 2 3\n")
-    made.write(tmp_path, "a.csv", b"x,y,z\n1,2,3\n")
-    assert [path.name for path in scan_files(tmp_path)] == ["a.csv", "b.xyz"]
-    assert [scan.xyz.tolist() for scan in scans(tmp_path)] == [[[1, 2, 3]]] * 2
+# --- names -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -7,41 +7,80 @@ import io
 import re
 import warnings
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
+from lidar2pano.formats.file_contents import HEAD_BYTES, MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
 
 SEPARATORS = bytes.maketrans(b",;\t|", b"    ")
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)", re.IGNORECASE)
-AXES = {"points_m_xyz:0": "x", "points_m_xyz:1": "y", "points_m_xyz:2": "z"}  # VeloView
+# Names of axes: "X", "x_coord", "position.x", "Point:0" (Ouster Studio), "Points_m_XYZ:0" (VeloView), "xyz[0]"
+PLACE = r"(?:points?|pos(?:ition)?|co?ord(?:inate)?s?|location|cartesian|scalar|xyz|m)"
+AXIS = re.compile(rf"(?:{PLACE}[ _.:/-]*)*(?:([xyz])|(?<=\w)[ _.:/\[-]*([012])\]?)(?:[ _.-]*(?:{PLACE}|axis))*")
+UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\d\])]*)\s*[\])]|(\w+)[ _](mm|cm|m)")  # "x [mm]", "Range (m)", "y_mm"
+METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "dm": 0.1, "km": 1e3, "ft": 0.3048}
+SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "\u00b5s": 1e-6, "ns": 1e-9}
+COMMA_NUMBER = re.compile(r"[-+]?(\d{1,3}(\.\d{3})+|\d*)(,\d+)?([eE][-+]?\d+)?")  # 3,14 and 1.234,5
+CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")  # in no text
+MINUS, HARD_SPACE, NARROW_SPACE = "\u2212".encode(), "\u00a0".encode(), "\u202f".encode()
+SAMPLE_LINES = 64
+MOST_UNNAMED = 9  # columns of a table without header, for it to be a scan among a folder's files
+MOST_NAMED = 12  # columns in a message
 MOST_LINE = 1 << 14
 LEAST = 3  # columns
 
 
+class Column(NamedTuple):
+    """The name of a column, x, y or z for an axis, and the factor that brings it to metres or seconds."""
+
+    name: str
+    factor: float
+
+
+def column(cell: str) -> Column:
+    """Return the meaning of a header's cell."""
+    plain, unit = cell.strip(), ""
+    if named := UNIT.fullmatch(plain):
+        plain, unit = (named[1], named[2].lower()) if named[1] else (named[3], named[4])
+    if axis := AXIS.fullmatch(plain.lower()):
+        return Column(axis[1] or "xyz"[int(axis[2])], METRES.get(unit, 1.0))
+    return Column(plain, SECONDS[unit]) if unit in SECONDS and "time" in plain.lower() else Column(plain, 1.0)
+
+
 def has_points(head: bytes) -> bool:
     """Return whether a file begins with text, a line of which has three numbers or the names of axes."""
-    text = head.removeprefix(b"\xef\xbb\xbf")
-    if not text or b"\0" in text:
-        return False
-    try:
-        lines = text.decode("utf-8", "strict" if len(head) < 4096 else "ignore").splitlines()
-    except UnicodeDecodeError:
-        return False
-    return any(len(_cells(line)) >= LEAST and _all_numbers(_cells(line)) for line in lines[:64]) or any(
-        {"x", "y", "z"} <= {AXES.get(cell.lower(), cell.lower()) for cell in _cells(line)} for line in lines[:8]
-    )
+    lines = _sample(head)
+    return any(len(cells) >= LEAST and _all_numbers(cells) for cells in lines) or any(map(_is_header, lines[:8]))
+
+
+def is_table(head: bytes) -> bool:
+    """Return whether a file of a folder is a table of points: its header names axes, or it has few columns and none."""
+    lines = [cells for cells in _sample(head) if cells]
+    if any(map(_is_header, lines[:8])):
+        return True
+    numeric = [cells for cells in lines if len(cells) > 1]
+    return bool(numeric) and all(LEAST <= len(cells) <= MOST_UNNAMED and _all_numbers(cells) for cells in numeric)
+
+
+def _sample(head: bytes) -> list[list[str]]:
+    """Return the cells of the first whole lines; [] if they are no text."""
+    if not head or b"\0" in head:
+        return []
+    lines = _plain_numbers(head).decode("utf-8", "replace").splitlines()
+    lines = lines[:-1] if len(head) == HEAD_BYTES and len(lines) > 1 else lines
+    return [_cells(line) for line in lines[:SAMPLE_LINES]]
 
 
 def decode(data: bytes, path: Path) -> PointCloud:
     """Return the points; InputError if lines have too few numbers, or their number is not the first line's."""
-    data = data.removeprefix(b"\xef\xbb\xbf")
-    if b";" in data[:MOST_LINE] and b"," in data[:MOST_LINE] and not data[:MOST_LINE].lstrip().startswith(b"#"):
-        data = data.replace(b",", b".")  # 3,14;2,72
-    names, claimed, data = _preamble(data, path)
+    names, claimed, data = _preamble(_plain_numbers(data), path)
     first = _cells(data[:MOST_LINE].lstrip().split(b"\n", 1)[0].decode("utf-8", "ignore"), len(names))
+    if not names and not any(NUMBER.fullmatch(cell) for cell in first) and len(first) >= LEAST:
+        held = ", ".join(first[:MOST_NAMED]) + (" ..." if len(first) > MOST_NAMED else "")
+        raise InputError(f"{path}: its header names no axes (it has {held}); call three of its columns x, y and z")
     if len(first) < LEAST:
         raise InputError(f"{path}: its lines are no points (x y z ... each); name a scan")
     table = numbers(data, path, len(first))
@@ -49,9 +88,29 @@ def decode(data: bytes, path: Path) -> PointCloud:
         raise InputError(f"{path}: its first line says {claimed} points, but it holds {len(table)}; fetch it again")
     if names and len(names) != table.shape[1]:
         raise InputError(f"{path}: its header names {len(names)} columns, but lines have {table.shape[1]}; repair it")
-    columns = dict(zip(names or column_names(table), table.T, strict=True))
+    columns: dict[str, np.ndarray] = {}
+    for cell, values in zip(names or column_names(table), table.T, strict=True):
+        name, factor = column(cell) if names else Column(cell, 1.0)
+        columns.setdefault(name, values if factor == 1 else values * factor)
     header = "with a header" if names else "count and numbers" if claimed is not None else "numbers only"
     return cloud_of_columns(columns, format=f"text, {header}", name=stem_of(path), source=str(path))
+
+
+def _plain_numbers(data: bytes) -> bytes:
+    """Return text with decimal points and ASCII signs: "3,14;2,72" is "3.14;2.72", and "1.234,5" is "1234.5".
+
+    Commas are decimal where other separators make three numbers or more of a line.
+    """
+    for sign, plain in ((MINUS, b"-"), (NARROW_SPACE, b""), (HARD_SPACE, b"")):
+        data = data.replace(sign, plain) if sign in data[:HEAD_BYTES] else data
+    lines = data[:HEAD_BYTES].decode("utf-8", "replace").splitlines()[:SAMPLE_LINES]
+    rows = [cells for line in lines if len(cells := re.split(r"[;|\t ]+", line.strip(" ;|\t"))) >= LEAST]
+    rows = [cells for cells in rows if all(COMMA_NUMBER.fullmatch(cell.strip('"')) for cell in cells)]
+    if not any("," in cell for cells in rows for cell in cells):
+        return data
+    if any("." in cell for cells in rows for cell in cells):
+        data = data.replace(b".", b"")
+    return data.replace(b",", b".")
 
 
 def column_names(table: np.ndarray) -> list[str]:
@@ -113,19 +172,19 @@ def _preamble(data: bytes, path: Path) -> tuple[list[str], int | None, bytes]:
             raise InputError(f"{path}: its first line has {len(line)} characters; name a scan")
         text = line.decode("utf-8", "replace").strip()
         cells = _cells(text.lstrip("#/ "))
-        if not cells or (text.startswith(("#", "//")) and not _is_header(cells)):
+        if not cells or text.startswith("sep=") or (text.startswith(("#", "//")) and not _is_header(cells)):
             data = rest
         elif claimed is None and len(cells) == 1 and cells[0].isdecimal() and len(cells[0]) < MOST_DIGITS:
             claimed, data = int(cells[0]), rest
         elif not names and _is_header(cells):
-            names, data = [AXES.get(cell.lower(), cell) for cell in cells], rest
+            names, data = cells, rest
         else:
             break
     return names, claimed, data
 
 
 def _is_header(cells: list[str]) -> bool:
-    return {"x", "y", "z"} <= {AXES.get(cell.lower(), cell.lower().removeprefix("scalar_")) for cell in cells}
+    return {"x", "y", "z"} <= {column(cell).name for cell in cells}
 
 
 def _cells(line: str, width: int = 0) -> list[str]:
@@ -140,7 +199,7 @@ def _cells(line: str, width: int = 0) -> list[str]:
             if len(cells) > width and not cells[-1].strip():
                 cells.pop()
             return [cell.strip().strip('"') for cell in cells]
-    return [cell.strip('"') for cell in line.split()]
+    return [cell.strip('"') for cell in re.split(r"\s+(?![\[(])", line)] if line else []
 
 
 def _all_numbers(cells: list[str]) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import io
 import os
 import zlib
@@ -16,14 +17,7 @@ MOST_FILE_BYTES = 1 << 30  # a sparse or wrong file must not fill the memory
 MOST_BYTES = 1 << 28  # unpacked: 16 million points of 16 bytes
 CHUNK_BYTES = 1 << 20
 GZIP, ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
-OTHER_PACKERS = {
-    b"BZh": "bzip2",
-    b"\xfd7zXZ\0": "xz",
-    b"\x04\x22\x4d\x18": "lz4",
-    b"7z\xbc\xaf\x27\x1c": "7z",
-    b"Rar!": "rar",
-    b"\x1f\x9d": "compress",
-}
+ASCII = frozenset(b"\t\n\r" + bytes(range(32, 127)))
 
 
 class Inflater(Protocol):
@@ -57,19 +51,14 @@ class GzipStream:
 
 
 def head_of(path: Path) -> bytes:
-    """Return the first HEAD_BYTES, unpacked; InputError if the file cannot be read or is packed in an unknown way."""
+    """Return the first HEAD_BYTES, unpacked and as `plain_text`; InputError if the file cannot be read."""
     try:
         with open_regular(path) as file:
             head = file.read(HEAD_BYTES)
-            for magic, packer in OTHER_PACKERS.items():
-                if head.startswith(magic):
-                    raise InputError(
-                        f"{path}: is packed with {packer}, which is not read; unpack it (gzip and zstd are)"
-                    )
-            if not head.startswith((GZIP, ZSTD)):
-                return head
-            file.seek(0)
-            return _unpacked(path, file, head, HEAD_BYTES)
+            if head.startswith((GZIP, ZSTD)):
+                file.seek(0)
+                head = _unpacked(path, file, head, HEAD_BYTES)
+            return plain_text(head)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); name a scan file that exists") from error
 
@@ -85,12 +74,24 @@ def contents(path: Path) -> bytes:
             head = file.read(len(ZSTD))
             file.seek(0)
             if not head.startswith((GZIP, ZSTD)):
-                return file.readall()
+                return plain_text(file.readall())
             data = _unpacked(path, file, head, MOST_BYTES + 1)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); name a scan file that exists") from error
     if len(data) > MOST_BYTES:
         raise InputError(f"{path}: unpacks to more than {MOST_BYTES} bytes, which is no single scan; name a scan file")
+    return plain_text(data)
+
+
+def plain_text(data: bytes) -> bytes:
+    """Return text in UTF-16 as UTF-8, and text in UTF-8 without a mark before it; other bytes as they are."""
+    begin = data[:64]
+    if begin.startswith(codecs.BOM_UTF8) and ASCII.issuperset(begin[3:]):
+        return data[3:]
+    begin = begin[2:] if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else begin
+    for encoding, high in (("utf-16-le", 1), ("utf-16-be", 0)):
+        if len(begin) > 8 and not any(begin[high::2]) and ASCII.issuperset(begin[1 - high :: 2]):
+            return data.decode(encoding, "ignore").removeprefix("\ufeff").encode()
     return data
 
 
@@ -116,9 +117,9 @@ def _zstd_stream(path: Path, file: io.FileIO) -> Inflater:
     return ZstdDecompressor(max_window_size=1 << 27).stream_reader(file, read_across_frames=True)
 
 
-def stem_of(path: Path) -> str:
+def stem_of(path: str | Path) -> str:
     """Return a scan file's name without its endings: "a.pcd.bin", "a.bin.gz" and "a.pcd" are all "a"."""
-    name = path.name
+    name = Path(path).name
     for ending in (".gz", ".zst", ".zstd", ".bin"):
         if name.lower().endswith(ending) and len(name) > len(ending):
             name = name[: -len(ending)]

@@ -1,4 +1,4 @@
-"""The table of readers, chosen by content; the clouds and scans of a path; a folder's scan files."""
+"""The table of readers, chosen by content; the clouds and scans of a file."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats import arrays, delimited_text, feather, las, pcd, ply
 from lidar2pano.formats import scan_files as float_rows
 from lidar2pano.formats.file_contents import contents, head_of
+from lidar2pano.formats.foreign_files import foreign_kind
 from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.scan import Scan
@@ -97,6 +98,8 @@ def open_path(path: str | Path, readers: Sequence[Reader] = READERS) -> Reader:
     """
     path = Path(path)
     head = head_of(path)
+    if kind := foreign_kind(head, path):
+        raise InputError(f"{path}: is {kind.name}; {kind.advice}")
     for reader in readers:
         if reader.accepts(head, path):
             return reader
@@ -140,43 +143,3 @@ def read(source: Any, overrides: Overrides | None = None) -> Scan:  # noqa: ANN4
     for scan, _ in interpreted(source, overrides=overrides):
         return scan
     raise InputError(f"{source}: holds no scan; name another file")
-
-
-def scan_files(path: str | Path) -> list[Path]:
-    """Return scan files in order of their names: the file itself, a folder's, or a sequence folder's `velodyne/`.
-
-    Raises InputError when the path does not exist or may not be read, or the folder holds no scan.
-    """
-    path = Path(path)
-    try:
-        if path.is_file():
-            return [path]
-        if not path.is_dir():
-            raise InputError(f"{path}: does not exist; name a scan file, a folder of scans or a sequence folder")
-        folder = path / "velodyne" if (path / "velodyne").is_dir() else path
-        names = sorted(name for name in folder.iterdir() if not name.name.startswith("."))
-        files = [file for file in names if _ending(file) in ENDINGS and file.is_file()]
-        files = files or [file for file in names if _ending(file) in TEXT_ENDINGS and _is_table(file)]
-    except OSError as error:
-        raise InputError(f"{path}: cannot be looked into ({error.strerror}); ask for permission") from error
-    if not files:
-        raise InputError(f"{folder}: holds no scan (known endings: {', '.join((*ENDINGS, *TEXT_ENDINGS))})")
-    return files
-
-
-def scans(path: str | Path, overrides: Overrides | None = None) -> Iterator[Scan]:
-    """Yield the scans of the files of `scan_files`, one at a time, all interpreted as one sensor's."""
-    like = None
-    for file in scan_files(path):
-        for scan, interpretation in interpreted(file, overrides=overrides, like=like):
-            like = like or interpretation
-            yield scan
-
-
-def _ending(path: Path) -> str:
-    """Return the lower-case ending of a name, without the packing's."""
-    return Path(path.stem if path.suffix.lower() in PACKED else path).suffix.lower()
-
-
-def _is_table(path: Path) -> bool:
-    return path.is_file() and delimited_text.has_points(head_of(path))

@@ -1,0 +1,89 @@
+"""Files of other kinds, known by their first bytes: what they are, and what to do with them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+from lidar2pano.formats.delimited_text import CONTROL
+
+
+class Foreign(NamedTuple):
+    """A kind of file that is not read.
+
+    name  as in "it is NAME";  advice: what to do instead.
+    """
+
+    name: str
+    advice: str
+
+
+UNPACK, GZIP_OR_ZSTD = "unpack it and name a scan of it", "unpack it (gzip and zstd are read)"
+POINTS = "export its points as PCD, PLY or LAS"
+RECORDED = "convert its points to a ROS bag, an MCAP or PCDs"
+NEWER = "write it in an older version, or install a newer lidar2pano"
+DOWNLOAD, OTHER = "fetch the file itself", "name a scan"
+
+# The first bytes of each kind as a pattern, so long that no row of float32 begins alike.
+BYTES = {
+    rb"BZh[1-9]": Foreign("packed with bzip2, which is not read", GZIP_OR_ZSTD),
+    rb"\xfd7zXZ\0": Foreign("packed with xz, which is not read", GZIP_OR_ZSTD),
+    rb"\x04\x22\x4d\x18": Foreign("packed with lz4, which is not read", GZIP_OR_ZSTD),
+    rb"\x1f\x9d\x90": Foreign("packed with compress, which is not read", GZIP_OR_ZSTD),
+    rb"LZIP\x01": Foreign("packed with lzip, which is not read", GZIP_OR_ZSTD),
+    rb"\x5d\0\0..\xff{8}": Foreign("packed with lzma, which is not read", GZIP_OR_ZSTD),
+    rb"\xff\x06\0\0sNaPpY": Foreign("packed with snappy, which is not read", GZIP_OR_ZSTD),
+    rb"7z\xbc\xaf\x27\x1c": Foreign("a 7z archive", UNPACK),
+    rb"Rar!\x1a": Foreign("a RAR archive", UNPACK),
+    rb".{257}ustar": Foreign("a tar archive", UNPACK),
+    rb"!<arch>\n|xar!|MSCF\0": Foreign("an archive", UNPACK),
+    rb"ASTM-E57": Foreign("an E57", f"{POINTS}, e.g. with CloudCompare or pye57"),
+    rb"CCB2": Foreign("a BIN of CloudCompare", f"{POINTS} from CloudCompare"),
+    rb"livox_tech": Foreign("an LVX of Livox Viewer", "export it as CSV or LAS from Livox Viewer"),
+    rb"DRACO": Foreign("a point cloud packed by Draco", POINTS),
+    rb"glTF": Foreign("a glTF scene", POINTS),
+    rb"\x89HDF\r\n": Foreign("an HDF5 container", "save its points as NPY or NPZ"),
+    rb"MATLAB 5\.0 MAT-file": Foreign("a MAT-file of MATLAB", "write it there with pcwrite, or as CSV"),
+    rb"\xd0\xcf\x11\xe0\xa1\xb1": Foreign("a project of another program", POINTS),
+    rb"LASF.{20}(?:\x01[\x05-\xff]|[\x02-\xff])": Foreign("a LAS of a newer version than 1.4", NEWER),
+    rb"\x89MCAP[^0]": Foreign("an MCAP of a newer version", NEWER),
+    rb"#ROSBAG V(?!2\.0)": Foreign("a ROS bag of another version than 2.0", "convert it to version 2.0"),
+    rb"\xed\xa1\xda\x01": Foreign("a log of LCM", RECORDED),
+    rb"CARLA_RECORDER": Foreign("a log of CARLA", RECORDED),
+    rb"IFHD|MDF     |TDSm": Foreign("a recording of another measuring system", RECORDED),
+    rb"\x80[\x04\x05]\x95.{6}\0\0|\x80[\x02\x03][}\](cq]": Foreign(
+        "a Python pickle, which can run programs", "save its points as NPY or PCD"
+    ),
+    rb"Obj\x01": Foreign("a table in Avro", "write it as Parquet or CSV"),
+    rb"\x89PNG\r\n|\xff\xd8\xff[\xdb\xe0-\xef]|GIF8|BM.{4}\0{4}|II\*\0|MM\0\*|RIFF.{4}WEBP": Foreign(
+        "a picture", OTHER
+    ),
+    rb".{4}ftyp|RIFF.{4}AVI |\x1aE\xdf\xa3": Foreign("a video", OTHER),
+    rb"%PDF-": Foreign("a document", OTHER),
+    rb"\x7fELF|MZ\x90\0": Foreign("a program", OTHER),
+    rb"(?i:--[^\r\n]{1,200}\r?\ncontent-[a-z]+:)": Foreign("an upload's form around a file", "send the file alone"),
+    rb"(?i:content-[a-z]+: |HTTP/[\d.]+ \d+)": Foreign("an answer of a server, with its header", DOWNLOAD),
+}
+# Likewise of texts.
+TEXTS = {
+    rb"version https://git-lfs": Foreign("a pointer of Git LFS, not the file", "run `git lfs pull`"),
+    rb"[./]*(?:\.git)?/annex/objects/": Foreign("a pointer of git-annex, not the file", "run `git annex get`"),
+    rb"(?i:\s*(?:<!--.*?-->\s*)?<(?:!doctype )?html)": Foreign("a web page, not the file", f"{DOWNLOAD}, logged in"),
+    rb"\s*(?:<\?xml[^>]*>\s*)?<VTKFile|# vtk DataFile": Foreign("a VTK file", f"{POINTS}, e.g. from ParaView"),
+    rb"\s*<\?xml|\s*<[a-zA-Z]": Foreign("XML", DOWNLOAD),
+    rb"data:[\w/.+-]*;base64,": Foreign("a data URL", "decode its base64 first"),
+    rb"(?:ST|C|N)*OFF\s|solid |(?:#[^\n]*\n|mtllib[^\n]*\n|\s)*v -?\d": Foreign("a mesh (OFF, STL or OBJ)", POINTS),
+    rb"\s*[{\[]": Foreign("JSON", "write its points as CSV, PCD or NPY"),
+    rb"%!PS|\{\\rtf|#!/": Foreign("a document or program", OTHER),
+}
+NAMED = {".tfrecord": Foreign("a TFRecord, as of Waymo", f"{RECORDED}, e.g. with waymo-open-dataset")}
+PATTERNS = {re.compile(pattern, re.DOTALL): kind for pattern, kind in BYTES.items()}
+TEXT_PATTERNS = {re.compile(pattern, re.DOTALL): kind for pattern, kind in TEXTS.items()}
+
+
+def foreign_kind(head: bytes, path: Path) -> Foreign | None:
+    """Return the kind of a file that is not read, by its first bytes, or else its name; None for any other."""
+    patterns = PATTERNS if CONTROL.search(head) else PATTERNS | TEXT_PATTERNS
+    kinds = (kind for pattern, kind in patterns.items() if pattern.match(head))
+    return next(kinds, NAMED.get(path.suffix.lower()))

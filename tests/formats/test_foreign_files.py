@@ -1,0 +1,83 @@
+"""Files of other kinds are named by their first bytes, and no scan is taken for one."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import pickle
+import tarfile
+
+import numpy as np
+import pytest
+
+import sample_files as made
+from lidar2pano.errors import InputError
+from lidar2pano.formats.file_contents import plain_text
+from lidar2pano.formats.foreign_files import foreign_kind
+from lidar2pano.formats.readers import read
+
+
+def tar() -> bytes:
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w") as archive:
+        archive.addfile(tarfile.TarInfo("a.bin"))
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"ASTM-E57" + bytes(90), "is an E57"),
+        (b"CCB2" + bytes(90), "is a BIN of CloudCompare"),
+        (b"livox_tech" + bytes(90), "is an LVX of Livox Viewer"),
+        (b"\x89HDF\r\n\x1a\n" + bytes(90), "is an HDF5 container"),
+        (tar(), "is a tar archive"),
+        (gzip.compress(tar()), "is a tar archive"),
+        (pickle.dumps({"points": np.zeros(9)}, protocol=4), "is a Python pickle"),
+        (gzip.compress(pickle.dumps([np.zeros(9)], protocol=5)), "is a Python pickle"),
+        (b"LASF" + bytes(20) + b"\x01\x05" + bytes(300), "is a LAS of a newer version"),
+        (b"\x89MCAP1\r\n" + bytes(90), "is an MCAP of a newer version"),
+        (b"#ROSBAG V1.2\n" + bytes(90), "is a ROS bag of another version"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n", "run `git lfs pull`"),
+        (b"<!DOCTYPE html>\n<html><body>1 2 3</body></html>\n", "is a web page"),
+        (b'{"points": [\n1 2 3\n]}', "is JSON"),
+        (b"# Blender\nv 1.0 2.0 3.0\nv 1 2 3\nf 1 2 3\n", "is a mesh"),
+        (
+            b'--abc\r\nContent-Disposition: form-data; name="f"; filename="a.bin"\r\n\r\n' + bytes(90),
+            "an upload's form",
+        ),
+        (b"\x89PNG\r\n\x1a\n" + bytes(90), "is a picture"),
+    ],
+)
+@pytest.mark.parametrize("name", ["a.bin", "a.csv", "a"])
+def test_it_is_named(tmp_path, content, says, name):
+    path = made.write(tmp_path, name, content)
+    with pytest.raises(InputError, match=says) as caught:
+        read(path)
+    assert str(path) in str(caught.value) and "damaged" not in str(caught.value)
+
+
+def test_no_row_of_floats_begins_so():
+    random = np.random.default_rng(0)
+    data = random.normal(0, 30, 1 << 20).astype("<f4").tobytes()
+    starts = range(0, len(data) - 400, 16)
+    assert [start for start in starts if foreign_kind(data[start : start + 400], made.Path("a.bin"))] == []
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("name", ["a.csv", "a.pcd", "a.ply"])
+def test_marks_before_the_first_byte(tmp_path, encoding, name):
+    text = {
+        "a.csv": "x;y;z\n1,5;2;3\n4;5;6\n",
+        "a.pcd": "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA ascii\n"
+        "1.5 2 3\n4 5 6\n",
+        "a.ply": "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+        "end_header\n1.5 2 3\n4 5 6\n",
+    }[name]
+    path = made.write(tmp_path, name, text.encode(encoding))
+    assert read(path).xyz.tolist() == [[1.5, 2, 3], [4, 5, 6]]
+
+
+def test_other_bytes_stay_as_they_are():
+    for data in (b"", b"\xff\xfe", bytes(100), np.arange(50, dtype="<f4").tobytes(), b"\xef\xbb\xbf\x41" * 30):
+        assert plain_text(data) == data
