@@ -4,36 +4,22 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import closing
-from itertools import groupby
 from pathlib import PurePosixPath
-from typing import NamedTuple
 
 from lidar2pano.bulk.entries import MIRRORED, RUN_FILE, SEMANTIC_KITTI, SUFFIXES, Entry, ScanKey, Shard
 from lidar2pano.bulk.stores import Folder, Store, local_copy
 from lidar2pano.drives.folders import select_files
+from lidar2pano.drives.scan_search import STORAGE, Source, find_sources, no_scan
 from lidar2pano.errors import InputError
-from lidar2pano.formats.readers import ENDINGS, PACKED, ReadOptions
+from lidar2pano.formats.file_contents import stem_of
+from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.recordings.playback import playback
-from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
 from lidar2pano.recordings.recorded_scans import METADATA
 
 ALL = ReadOptions()
-STORAGE = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")  # endings of the files of a ROS 2 bag's folder
 NUMBER = re.compile(r"-\d{6,}(?=(\.segments|\.depth)?\.(png|label)$)")  # in the name of an output of a recording
-
-
-class Source(NamedTuple):
-    """A scan file or a recording, by its name below ROOT."""
-
-    name: str
-    recording: bool
-
-    @property
-    def folder(self) -> str:
-        """Name of its folder."""
-        return self.name.rpartition("/")[0]
 
 
 def entries(
@@ -55,8 +41,12 @@ def entries(
     """
     listed: list[Entry] = []
     total, place_of = 0, dict[str, str]()
-    sources = [Source(only, True)] if only else sorted(_sources(store), key=lambda item: (item.folder, item.name))
-    grouped = {folder: _stems(list(group)) for folder, group in groupby(sources, key=lambda item: item.folder)}
+    head = store.head if isinstance(store, Folder) else None
+    sources = [Source(only, True)] if only else find_sources(store.names(), head)
+    by_folder: dict[str, list[Source]] = {}
+    for source in sources:
+        by_folder.setdefault(source.folder, []).append(source)
+    grouped = {folder: _stems(group) for folder, group in by_folder.items()}
     if layout == SEMANTIC_KITTI and store.exists(RUN_FILE):
         grouped = _without_outputs(grouped)
     for folder, stems in grouped.items():
@@ -74,36 +64,13 @@ def entries(
                 entry = Entry(key=ScanKey(source.name), stem=stem)
                 listed.append(_completed(entry, store, layout) if labels or layout == SEMANTIC_KITTI else entry)
     if not total:
-        endings = ", ".join((*ENDINGS, *RECORDINGS))
-        raise InputError(f"{store.place}: holds no scan (known endings: {endings}); name another folder")
+        raise no_scan(store.place)
     return listed
 
 
 def is_bag_folder(store: Store) -> bool:
     """Return whether the root of a store is a ROS 2 bag's folder itself."""
     return store.exists(METADATA) and any("/" not in name and name.endswith(STORAGE) for name in store.names())
-
-
-def _sources(store: Store) -> Iterator[Source]:
-    """Yield the scan files and recordings of a store; files of a ROS 2 bag's folder are no recordings of their own."""
-    bag_folders, stored = set[str](), dict[str, list[str]]()
-    for name in store.names():
-        folder, _, file = name.rpartition("/")
-        if file.startswith("."):
-            continue
-        if file == METADATA:
-            bag_folders.add(folder)
-        elif file.lower().endswith(STORAGE):
-            stored.setdefault(folder, []).append(name)
-        elif file.lower().endswith(RECORDINGS):
-            yield Source(name, recording=True)
-        elif _unpacked(file).suffix.lower() in ENDINGS:
-            yield Source(name, recording=False)
-    for folder, names in stored.items():
-        if folder and folder in bag_folders:
-            yield Source(folder, recording=True)
-        else:
-            yield from (Source(name, recording=True) for name in names if name.lower().endswith(RECORDINGS))
 
 
 def _select_files(
@@ -164,10 +131,10 @@ def _check_sequence(store: Store, source: Source, stem: str, place_of: dict[str,
 
 
 def _completed(entry: Entry, store: Store, layout: str) -> Entry:
-    path = _unpacked(entry.key.input)
-    in_sequence = path.parent.name == "velodyne"
-    label = path.parent.parent / "labels" / f"{path.stem}.label" if in_sequence else path.with_suffix(".label")
-    calib = path.parent.parent / "calib.txt" if in_sequence else path.parent / "calib.txt"
+    folder = PurePosixPath(entry.key.input).parent
+    in_sequence = folder.name == "velodyne"
+    label = (folder.parent / "labels" if in_sequence else folder) / f"{stem_of(entry.key.input)}.label"
+    calib = (folder.parent if in_sequence else folder) / "calib.txt"
     return Entry(
         key=entry.key,
         stem=entry.stem,
@@ -176,15 +143,9 @@ def _completed(entry: Entry, store: Store, layout: str) -> Entry:
     )
 
 
-def _unpacked(name: str) -> PurePosixPath:
-    """Return the name without the ending of its packing."""
-    path = PurePosixPath(name)
-    return path.with_suffix("") if path.suffix.lower() in PACKED else path
-
-
 def _stems(sources: Sequence[Source]) -> dict[Source, str]:
     """Return the stem of each file and recording of a folder; those whose outputs would clash keep their endings."""
-    stems = {item: str(_unpacked(item.name).with_suffix("")) for item in sources}
+    stems = {item: str(PurePosixPath(item.name).with_name(stem_of(item.name))) for item in sources}
     stems |= {item: item.name for item in _clashing(stems)}
     if clashing := _clashing(stems):
         raise InputError(f"{sources[0].folder}: two scans would have the outputs of {clashing[0].name!r}; rename one")

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from lidar2pano.drives.scan_search import head_below, names_below
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import reason
 
@@ -50,22 +51,13 @@ class Folder:
         self.root, self.place = root, str(root)
 
     def names(self, prefix: str = "") -> Iterator[str]:
-        """Yield the names of all files, or of those in the folder `prefix`, whose folders are not hidden.
+        """Yield the names of all files, or of those in the folder `prefix`, as `names_below`."""
+        if (self.root / prefix).is_dir():
+            yield from (f"{prefix}/{name}" if prefix else name for name in names_below(self.root / prefix))
 
-        Links to folders are followed, each folder is listed once.
-        """
-        if not (self.root / prefix).is_dir():
-            return
-        listed: set[tuple[int, int]] = set()
-        for folder, folders, files in os.walk(self.root / prefix, followlinks=True, onerror=_refuse):
-            state = Path(folder).stat()
-            if (state.st_dev, state.st_ino) in listed:
-                folders.clear()
-                continue
-            listed.add((state.st_dev, state.st_ino))
-            folders[:] = sorted(name for name in folders if not name.startswith("."))
-            inner = Path(folder).relative_to(self.root)
-            yield from ((inner / name).as_posix() for name in sorted(files))
+    def head(self, name: str) -> bytes:
+        """Return a file's first bytes, unpacked; b"" if it cannot be read."""
+        return head_below(self.root, name)
 
     def exists(self, name: str) -> bool:
         """Return whether there is such a file."""
@@ -187,7 +179,3 @@ Store = Folder | Remote
 
 def _unwritable(place: str, error: OSError) -> InputError:
     return InputError(f"{place}: cannot be written ({reason(error)}); choose another --out")
-
-
-def _refuse(error: OSError) -> None:
-    raise InputError(f"{error.filename}: cannot be looked into ({error.strerror}); ask for permission")

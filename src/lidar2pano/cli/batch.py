@@ -18,6 +18,7 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.cli.app import MISTAKE
 from lidar2pano.cli.console import bar, print_error, print_licence, until_signal
 from lidar2pano.cli.options import check_file
+from lidar2pano.cli.standard_input import spooled
 from lidar2pano.drives.folders import drive_files, output_stems
 from lidar2pano.drives.following import check_followed, follow_folder
 from lidar2pano.drives.reading import ReadingOptions, ScanSource, StreamReader, scan_sources
@@ -26,6 +27,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.hardware import keep_buffers, pick_device
 from lidar2pano.models.families import paints_look, weight_files
+from lidar2pano.name_order import sort_listed
 from lidar2pano.pipeline import Pipeline, load
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
 from lidar2pano.translation import Translation, Translator, translate
@@ -105,7 +107,7 @@ def gather_files(paths: Iterable[Path], options: Options) -> tuple[list[Path], b
     """Return the scan files and recordings of paths, each once; and whether a path was reported as unusable."""
     files: dict[Path, Path] = {}
     failed = False
-    for path in paths:
+    for path in sort_listed(list(paths)):
         try:
             for file in drive_files(path, options.reading.selection):
                 files.setdefault(file.resolve(), file)
@@ -120,13 +122,14 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
 
     Scans of one folder are one stream. Weights are loaded when the first scan has been read.
     """
-    files, failed = gather_files(paths, options)
-    stems = output_stems(files)
-    if renamed := sum(stems[file] != stem_of(file) for file in files):
-        print_error(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
-    countable = not any(file.suffix.lower() in RECORDINGS or file.is_dir() for file in files)
-    sources = scan_sources(files, options.reading.selection, stems)
-    failed |= translate_sources(sources, len(files) if countable else 0, options)
+    with spooled(paths) as sources:
+        files, failed = gather_files(sources, options)
+        stems = output_stems(files)
+        if renamed := sum(stems[file] != stem_of(file) for file in files):
+            print_error(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
+        countable = not any(file.suffix.lower() in RECORDINGS or file.is_dir() for file in files)
+        scans = scan_sources(files, options.reading.selection, stems)
+        failed |= translate_sources(scans, len(files) if countable else 0, options)
     return MISTAKE if failed else 0
 
 

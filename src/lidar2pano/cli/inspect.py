@@ -22,24 +22,29 @@ EPOCH_S = 1e8  # stamps beyond this count from 1970
 @app.command()
 def inspect(
     path: Annotated[
-        Path, typer.Argument(metavar="PATH", help="A scan file of any format, a folder of them, or a recording.")
+        Path, typer.Argument(metavar="PATH", help="A scan file of any format, a folder of them, a recording, or -.")
     ],
     topic: Annotated[str, typer.Option(metavar="NAME", help="The recording's topic whose first scan is shown.")] = "",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON on stdout.")] = False,
 ) -> None:
     """Show the contents of a file and how it will be read; of a folder or recording, its first scan."""
-    from lidar2pano.formats.readers import scan_files
+    from lidar2pano.cli.standard_input import spooled
+    from lidar2pano.drives.folders import drive_files
+    from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.recordings.recorded_scans import describe
 
-    if about := describe(path):
-        record = {"input": str(path), **about.as_dict(), "first": first_scan(path, topic)}
-        print(json.dumps(record) if as_json else "\n".join(lines_of_recording(record)))
-        return
-    files = scan_files(path)
-    record = first_scan(files[0], "") | {"scans": len(files)}
-    if "problem" in record:
-        raise InputError(record["problem"])
-    print(json.dumps(record) if as_json else "\n".join(lines_of(record)))
+    with spooled([path]) as (source,):
+        first, *further = drive_files(source, ReadOptions())
+        if about := describe(first):
+            record = {"input": str(first), **about.as_dict(), "recordings": 1 + len(further)}
+            record["first"] = first_scan(first, topic)
+            lines = lines_of_recording(record)
+        else:
+            record = first_scan(first, "") | {"scans": 1 + len(further)}
+            if "problem" in record:
+                raise InputError(record["problem"])
+            lines = lines_of(record)
+    print(json.dumps(record) if as_json else "\n".join(lines))
 
 
 def first_scan(path: Path, topic: str) -> dict[str, Any]:
@@ -57,7 +62,8 @@ def first_scan(path: Path, topic: str) -> dict[str, Any]:
 
 def lines_of_recording(record: dict[str, Any]) -> list[str]:
     """Return a recording's record for people: its topics, then its first scan."""
-    lines = [record["input"], _line("format", record["format"])]
+    more = f" (the first of {record['recordings']} files)" if record["recordings"] > 1 else ""
+    lines = [f"{record['input']}{more}", _line("format", record["format"])]
     count = sum(topic["count"] for topic in record["topics"])
     lines.append(_line("messages", f"{count} in {record['duration_s']:.3f} s"))
     if count:

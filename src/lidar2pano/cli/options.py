@@ -30,7 +30,10 @@ DeviceOption = Annotated[
 ]
 ScansArgument = Annotated[
     list[Path],
-    typer.Argument(metavar="SCAN...", help="Scans of any format, folders of them, sequence folders, recordings."),
+    typer.Argument(
+        metavar="SCAN...",
+        help="Scans of any format, folders, data sets, recordings; - for standard input.",
+    ),
 ]
 FormatOption = Annotated[str, typer.Option("--format", metavar="png|webp|jpeg", help="Format of the colour images.")]
 SensorOption = Annotated[

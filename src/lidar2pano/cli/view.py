@@ -39,11 +39,12 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.cli.batch import checked_options, common_files, open_page, translate_files
     from lidar2pano.drives.reading import ReadingOptions
     from lidar2pano.formats.readers import ReadOptions
+    from lidar2pano.name_order import sort_listed
     from lidar2pano.viewer.page import title_of
     from lidar2pano.viewer.saved_frames import panorama_files
 
     common = common_files(paths, out, None, None)
-    panoramas = {path: panorama_files(path) for path in paths}
+    panoramas = {path: panorama_files(path) for path in sort_listed(paths)}
     if scans := [path for path, files in panoramas.items() if not files]:
         if len(scans) < len(panoramas):
             raise InputError(f"{scans[0]}: is no panorama, others are; view panoramas or scans, not both in one page")

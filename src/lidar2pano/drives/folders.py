@@ -5,36 +5,34 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from itertools import groupby
 from pathlib import Path
 
 from lidar2pano.bounded_files import read_text
+from lidar2pano.drives.scan_search import check_file, find_scans
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.json_files import read_json
-from lidar2pano.formats.readers import ReadOptions, scan_files
+from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.panorama import STEM_ENDINGS
-from lidar2pano.recordings.recorded_scans import ENDINGS, METADATA, none_within
+from lidar2pano.recordings.recorded_scans import none_within
 
 TIMES = ("times.txt", "timestamps.txt", "timestamps.json")  # KITTI odometry, KITTI raw, PandaSet
 UNIT_S = {19: 1e-9, 18: 1e-9, 16: 1e-6}  # digits of a name, a time since the epoch -> its unit
 
 
 def drive_files(path: Path, options: ReadOptions) -> list[Path]:
-    """Return the scan files and recordings of a path: itself, or the selected ones of a folder, by name.
+    """Return the scan files and recordings of a path: itself, or the selected ones of each folder, by name.
 
-    A ROS 2 bag's folder stands for itself. Raises InputError as `scan_files`, and for --from or --to with scans of
-    unknown times.
+    Raises InputError as `check_file` and `find_scans`, and for --from or --to with scans of unknown times.
     """
-    if (path / METADATA).is_file():
-        return [path]
-    recordings = _recordings(path)
-    try:
-        files = scan_files(path)
-    except InputError:
-        if not recordings:
-            raise
-        files = []
-    return (select_files(files, options) if path.is_dir() else files) + recordings
+    if not path.is_dir():
+        return [check_file(path)]
+    files: list[Path] = []
+    for (_, recording), group in groupby(find_scans(path), lambda source: (source.folder, source.recording)):
+        paths = [path / source.name for source in group]
+        files += paths if recording else select_files(paths, options)
+    return files
 
 
 def select_files(files: Sequence[Path], options: ReadOptions) -> list[Path]:
@@ -90,16 +88,6 @@ def _seconds(line: str | float) -> float:
         return float(line)
     except ValueError:  # KITTI raw: 2011-09-26 13:02:25.964389445
         return datetime.fromisoformat(str(line).strip()[:26]).replace(tzinfo=UTC).timestamp()
-
-
-def _recordings(path: Path) -> list[Path]:
-    if not path.is_dir():
-        return []
-    try:
-        files = sorted(file for file in path.iterdir() if file.suffix.lower() in ENDINGS and file.is_file())
-        return [file for file in files if not file.name.startswith(".")]
-    except OSError as error:
-        raise InputError(f"{path}: cannot be looked into ({error.strerror}); ask for permission") from error
 
 
 def output_stems(files: Sequence[Path]) -> dict[Path, str]:
