@@ -1,4 +1,4 @@
-"""The order of names: numbers in them compare as numbers, so that "scan2" comes before "scan10"."""
+"""The order of names: numbers in them compare as numbers: "scan2" comes before "scan10"."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Part = tuple[int, str, str] | str
 def sort_names(names: Iterable[NameT]) -> list[NameT]:
     """Return names or paths in order: folder by folder, numbers by their values; equal numbers compare as text.
 
-    A name that begins with a decimal number is a time, so that "3.5" comes after "3.25"; unless "3.10" is among names
+    A name with a decimal number at its beginning is a time, "3.5" after "3.25"; unless "3.10" is among names
     with fewer digits: a time is not written so, but the tenth frame is.
     """
     names = list(names)

@@ -12,7 +12,7 @@ from lidar2pano.errors import InputError
 
 NAMES = {"-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0"}
 STEM = "stdin"  # of the outputs' names
-MOST_BYTES = 1 << 34  # of a recording that is piped in
+MOST_BYTES = 1 << 34  # of a piped recording
 CHUNK_BYTES = 1 << 20
 
 

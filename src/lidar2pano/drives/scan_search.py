@@ -19,7 +19,7 @@ from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
 from lidar2pano.recordings.recorded_scans import METADATA
 
 STORAGE = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")  # endings of the files of a ROS 2 bag's folder
-# Folders of data sets with files that end like scans: SemanticKITTI's occupancy, nuScenes' labels, labels of images
+# Folders of data sets with files of scans' endings: SemanticKITTI's occupancy, nuScenes' labels, labels of images
 NO_SCANS = ("voxels", "lidarseg", "panoptic", "labels")
 # The last folders of scans in data sets whose roots are read as a whole: KITTI's and SemanticKITTI's sequences, KITTI's
 # raw drives and KITTI-360, KITTI's tracking, nuScenes, Argoverse 2
@@ -47,7 +47,7 @@ def find_sources(names: Iterable[str], head: Head | None = None) -> list[Source]
     """Return the scan files and recordings among the names of files, folder by folder, each in the order of names.
 
     head  name -> first bytes, by which tables of text and radars' detections are told; None: there are no tables, and
-          radars have folders that say so.
+          radars are told by their folders' names.
     A ROS 2 bag's folder is one recording. Tables of text count where their folder holds nothing else.
     """
     files_by_folder: dict[str, list[str]] = {}
@@ -122,7 +122,7 @@ def head_below(root: Path, name: str) -> bytes:
 def find_scans(root: Path) -> list[Source]:
     """Return the scan files and recordings of a folder, or of the folders of a data set below its root.
 
-    Raises InputError for a folder without scans of its own, naming the folders below that hold some.
+    Raises InputError for a folder without scans of its own, naming folders below with scans.
     """
     head = partial(head_below, root)
     if own := find_sources(names_below(root, deep=False), head):
@@ -138,7 +138,7 @@ def find_scans(root: Path) -> list[Source]:
 
 
 def no_scan(place: object) -> InputError:
-    """Return the error for a folder or URL that holds no scan."""
+    """Return the error for a folder or URL without scans."""
     endings = ", ".join((*ENDINGS, *TEXT_ENDINGS, *RECORDINGS))
     return InputError(f"{place}: holds no scan (known endings: {endings}); name another folder")
 

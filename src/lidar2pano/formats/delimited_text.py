@@ -34,7 +34,7 @@ LEAST = 3  # columns
 
 
 class Column(NamedTuple):
-    """The name of a column, x, y or z for an axis, and the factor that brings it to metres or seconds."""
+    """The name of a column, x, y or z for an axis, and its unit in metres or seconds."""
 
     name: str
     factor: float

@@ -10,7 +10,7 @@ from lidar2pano.formats.delimited_text import CONTROL
 
 
 class Foreign(NamedTuple):
-    """A kind of file that is not read.
+    """A kind of file without a reader.
 
     name  as in "it is NAME";  advice: what to do instead.
     """
@@ -25,7 +25,7 @@ RECORDED = "convert its points to a ROS bag, an MCAP or PCDs"
 NEWER = "write it in an older version, or install a newer lidar2pano"
 DOWNLOAD, OTHER = "fetch the file itself", "name a scan"
 
-# The first bytes of each kind as a pattern, so long that no row of float32 begins alike.
+# The first bytes of each kind as a pattern, long enough for no row of float32 to begin alike.
 BYTES = {
     rb"BZh[1-9]": Foreign("packed with bzip2, which is not read", GZIP_OR_ZSTD),
     rb"\xfd7zXZ\0": Foreign("packed with xz, which is not read", GZIP_OR_ZSTD),
@@ -83,7 +83,7 @@ TEXT_PATTERNS = {re.compile(pattern, re.DOTALL): kind for pattern, kind in TEXTS
 
 
 def foreign_kind(head: bytes, path: Path) -> Foreign | None:
-    """Return the kind of a file that is not read, by its first bytes, or else its name; None for any other."""
+    """Return the kind of a file without a reader, by its first bytes, or else its name; None for any other."""
     patterns = PATTERNS if CONTROL.search(head) else PATTERNS | TEXT_PATTERNS
     kinds = (kind for pattern, kind in patterns.items() if pattern.match(head))
     return next(kinds, NAMED.get(path.suffix.lower()))
