@@ -1,6 +1,7 @@
 # Everything happens in a virtual environment of the checkout's own, .venv; the first target that needs it makes it, in two
 # stages: `make setup` installs what the demo needs, `make setup-dev` also all extras and what tests and documentation need.
 #   make demo     one scan in, a panorama out          make test    the whole test suite
+#   make test-released   every documented command on the released weights, some minutes
 #   make lint     format, lint, types, spelling        make docs    the documentation, in site/
 #   make fuzz     mutants through every reader, SECONDS=3600
 #   make kills    every command that writes for long, killed at random instants and repeated, KILLS=20 times each
@@ -13,7 +14,7 @@ TORCH_INDEX ?=
 BIN := .venv/bin
 SOURCES := src tests runs docs examples
 
-.PHONY: setup setup-dev demo test fuzz kills lint format docs dist clean
+.PHONY: setup setup-dev demo test test-released fuzz kills lint format docs dist clean
 
 setup: .venv/.ready
 setup-dev: .venv/.ready-dev
@@ -36,6 +37,9 @@ demo: setup
 
 test: setup-dev
 	$(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadscope
+
+test-released: setup-dev
+	$(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadgroup --released -m released tests/released
 
 fuzz: setup-dev
 	$(BIN)/python tests/fuzz/campaign.py --replay --seconds $(or $(SECONDS),3600) --seed $(or $(SEED),0)

@@ -88,6 +88,7 @@ _left_out = pytest.StashKey[Counter[str]]()
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--fuzz-seconds", type=float, default=10, help="how long mutants are tried")
     parser.addoption("--kills", type=int, default=1, help="how often each command is killed")
+    parser.addoption("--released", action="store_true", help="also run what takes the released weights and minutes")
     parser.addoption("--no-parity-skips", action="store_true", help="a skipped test marked `parity` fails (also: CI=1)")
 
 
@@ -98,6 +99,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def _missing(item: pytest.Item) -> str | None:
     """What has to be there before a test can run and is not, as an advice to the reader."""
+    if item.get_closest_marker("released") and not item.config.getoption("released"):
+        return "documented commands on the released weights: make test-released"
     for marker in item.iter_markers("needs"):
         if not marker.args[0]:
             return marker.args[1]

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import functools
-import re
-import shlex
 import shutil
 from itertools import pairwise
 from typing import Any
@@ -12,30 +10,12 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
-import house_rules
+from documented import PAGES, blocks, typed
 from lidar2pano import demo
 from lidar2pano.cli import app
 from lidar2pano.train.recipe import override
 from lidar2pano.train.recipes import recipe_named
-
-PAGES = {
-    path.relative_to(house_rules.ROOT).as_posix(): path.read_text(encoding="utf-8")
-    for path in [house_rules.ROOT / "README.md", *sorted((house_rules.ROOT / "docs").rglob("*.md"))]
-}
-CALIB = """P2: 718.856 0 607.1928 45.38225 0 718.856 185.2157 -0.1130887 0 0 1 0.003779761
-Tr: 0 -1 0 0 0 0 -1 -0.08 1 0 0 -0.27
-"""
-
-
-def blocks(text: str, language: str) -> list[str]:
-    """The insides of the fenced blocks of one language."""
-    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
-
-
-def typed(text: str) -> list[list[str]]:
-    """The words of every command `lidar2pano ...` in the text's shell blocks."""
-    lines = "\n".join(blocks(text, "sh")).replace("\\\n", " ").splitlines()
-    return [shlex.split(line, comments=True) for line in lines if line.startswith("lidar2pano ")]
+from workshop import CALIB
 
 
 @functools.cache

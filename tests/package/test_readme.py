@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 
 import pytest
 
 import house_rules
+from documented import blocks
 
 README = house_rules.ROOT / "README.md"
 DEMO = house_rules.SOURCE / "demo"
-
-
-def python_blocks(text: str) -> list[str]:
-    """The insides of the fenced blocks that are marked as Python."""
-    return re.findall(r"^```python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
 
 
 @pytest.fixture
@@ -34,8 +29,8 @@ def beside_scans(tmp_path, monkeypatch):
 
 def test_readme_runs(beside_scans):
     text = README.read_text(encoding="utf-8")
-    blocks = python_blocks(text)
-    assert blocks and len(blocks) == text.count("```python"), "README.md shows no Python, or not all of it is run"
+    parts = blocks(text, "python")
+    assert parts and len(parts) == text.count("```python"), "README.md shows no Python, or not all of it is run"
     names: dict[str, object] = {"__name__": "__main__"}
-    for block in blocks:
+    for block in parts:
         exec(compile(block, "README.md", "exec"), names)
