@@ -3,6 +3,7 @@
 #   make demo     one scan in, a panorama out          make test    the whole test suite
 #   make test-released   every documented command on the released weights, some minutes
 #   make lint     format, lint, types, spelling        make docs    the documentation, in site/
+#   make generated   parts of pages that come from the program
 #   make fuzz     mutants through every reader, SECONDS=3600
 #   make kills    every command that writes for long, killed at random instants and repeated, KILLS=20 times each
 #   make dist     wheel and sdist, in dist/            make clean   remove what was made, .venv too
@@ -14,7 +15,7 @@ TORCH_INDEX ?=
 BIN := .venv/bin
 SOURCES := src tests runs docs examples
 
-.PHONY: setup setup-dev demo test test-released fuzz kills lint format docs dist clean
+.PHONY: setup setup-dev demo test test-released fuzz kills lint format generated docs dist clean
 
 setup: .venv/.ready
 setup-dev: .venv/.ready-dev
@@ -56,6 +57,9 @@ lint: setup-dev
 format: setup-dev
 	$(BIN)/ruff format $(SOURCES)
 	$(BIN)/ruff check --fix $(SOURCES)
+
+generated: setup-dev
+	$(BIN)/python docs/generated.py
 
 docs: setup-dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict

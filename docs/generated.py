@@ -1,7 +1,9 @@
-"""A hook of mkdocs: parts of the site from the program itself, so that no page repeats them by hand.
+"""Parts of pages that come from the program itself, and a hook of mkdocs.
 
-A page holds `<!-- generated: NAME -->` in place of the Markdown of PARTS[NAME]. Pages of the repository's root
-(changelog, contributing, ...) become pages of the site. A page with a resource from elsewhere causes a warning.
+Run this file (`make generated`) to write PARTS[NAME] between `<!-- generated: NAME -->` and `<!-- end of generated -->`
+of every page, so that pages can be read on a repository host as well; a test compares them. For the site, links to
+files outside docs/ become links to the site's pages or to the repository, and the API page is made by mkdocstrings.
+A page with a resource from elsewhere causes a warning.
 """
 
 from __future__ import annotations
@@ -9,15 +11,19 @@ from __future__ import annotations
 import ast
 import inspect
 import logging
+import os
 import re
+import sys
 import tomllib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
 SOURCE = ROOT / "src" / "lidar2pano"
-REPOSITORY = "https://github.com/lidar2pano/lidar2pano/blob/main"
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+REPOSITORY = f"{PROJECT['urls']['Homepage']}/blob/main"
 ROOT_PAGES = {
     "CHANGELOG.md": "changelog.md",
     "CONTRIBUTING.md": "contributing.md",
@@ -26,7 +32,7 @@ ROOT_PAGES = {
     "SECURITY.md": "security.md",
     "CODE_OF_CONDUCT.md": "code_of_conduct.md",
 }
-MARKER = re.compile(r"<!-- generated: (\S+) -->")
+PART = re.compile(r"(<!-- generated: (\S+) -->\n).*?(<!-- end of generated -->)", re.DOTALL)
 LINK = re.compile(r"(?<=\]\()(?!https?:|#|mailto:)([^)#\s]+)")
 OUTSIDE = re.compile(
     r'<(?:script|img|iframe)\b[^>]*\bsrc="https?:|<link\b(?=[^>]*\brel="stylesheet")[^>]*\bhref="https?:'
@@ -44,14 +50,17 @@ def on_files(files: Any, config: Any) -> Any:  # noqa: ANN401
     from mkdocs.structure.files import File
 
     for source, page in ROOT_PAGES.items():
-        text = site_links((ROOT / source).read_text(encoding="utf-8"))
+        text = site_links((ROOT / source).read_text(encoding="utf-8"), ROOT)
         files.append(File.generated(config, page, content=text))
     return files
 
 
-def on_page_markdown(markdown: str, **_: object) -> str:
-    """Fill in the generated parts of a page."""
-    return fill(markdown)
+def on_page_markdown(markdown: str, page: Any, **_: object) -> str:  # noqa: ANN401
+    """Link to pages of the site, and have mkdocstrings make the API page."""
+    place = page.file.src_uri
+    if place in ROOT_PAGES.values():
+        return markdown
+    return site_links(fill(markdown, {"api": api_directives}), (DOCS / place).parent)
 
 
 def on_post_page(output: str, page: Any, **_: object) -> str:  # noqa: ANN401
@@ -61,21 +70,39 @@ def on_post_page(output: str, page: Any, **_: object) -> str:  # noqa: ANN401
     return output
 
 
-def fill(markdown: str) -> str:
-    """Replace every marker by its part; a KeyError names a marker without one."""
-    return MARKER.sub(lambda match: PARTS[match[1]](), markdown)
+def fill(markdown: str, parts: Mapping[str, Callable[[], str]]) -> str:
+    """Return a page with new content in those of its generated parts that have a function here."""
+    return PART.sub(
+        lambda match: f"{match[1]}\n{parts[match[2]]()}\n\n{match[3]}" if match[2] in parts else match[0], markdown
+    )
 
 
-def site_links(text: str) -> str:
-    """Rewrite a root page's relative links for the site; files outside the site are linked in the repository."""
+def site_links(text: str, folder: Path) -> str:
+    """Rewrite a page's links to files outside docs/: to pages of the site, or else into the repository.
+
+    folder  of the page, which its links start from; pages of the repository's root lie in docs/ on the site.
+    """
+    on_site = DOCS if folder == ROOT else folder
 
     def moved(match: re.Match[str]) -> str:
-        target = match[1]
-        if target in ROOT_PAGES:
-            return ROOT_PAGES[target]
-        return target.removeprefix("docs/") if target.startswith("docs/") else f"{REPOSITORY}/{target}"
+        target = Path(os.path.normpath(folder / match[1]))
+        inside = DOCS / ROOT_PAGES[target.name] if target.parent == ROOT and target.name in ROOT_PAGES else target
+        if inside.is_relative_to(DOCS):
+            return os.path.relpath(inside, on_site)
+        return f"{REPOSITORY}/{target.relative_to(ROOT).as_posix()}"
 
     return LINK.sub(moved, text)
+
+
+def write_parts() -> list[Path]:
+    """Write the generated parts into all pages; returns the pages that have changed."""
+    changed = []
+    for page in sorted(DOCS.rglob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        if (filled := fill(text, PARTS)) != text:
+            page.write_text(filled, encoding="utf-8")
+            changed.append(page)
+    return changed
 
 
 # --- tables ---------------------------------------------------------------------------------------------------------
@@ -158,18 +185,55 @@ def _default(option: Any) -> str:  # noqa: ANN401
 # --- the rest of the program ----------------------------------------------------------------------------------------
 
 
-def api() -> str:
-    """Return a section of mkdocstrings for every public name."""
+def public_groups() -> dict[str, list[str]]:
+    """Return the public names by kind."""
     import lidar2pano
 
     names = [name for name in lidar2pano.__all__ if not name.startswith("_")]
     functions = [name for name in names if inspect.isroutine(getattr(lidar2pano, name))]
     classes = [name for name in names if inspect.isclass(getattr(lidar2pano, name))]
     tables = [name for name in names if name not in {*functions, *classes}]
-    groups = {"Functions": functions, "Classes": classes, "Tables": tables}
+    return {"Functions": functions, "Classes": classes, "Tables": tables}
+
+
+def api_directives() -> str:
+    """Return a section of mkdocstrings for every public name."""
     return "\n\n".join(
-        f"## {title}\n\n" + "\n\n".join(f"::: lidar2pano.{name}" for name in group) for title, group in groups.items()
+        f"## {title}\n\n" + "\n\n".join(f"::: lidar2pano.{name}" for name in group)
+        for title, group in public_groups().items()
     )
+
+
+def api() -> str:
+    """Return signature and docstring of every public name, and of the methods of classes."""
+    import lidar2pano
+
+    sections = []
+    for title, group in public_groups().items():
+        parts = "\n\n".join(_described(name, getattr(lidar2pano, name)) for name in group)
+        sections.append(f"## {title}\n\n{parts}")
+    return "\n\n".join(sections)
+
+
+def _described(name: str, value: object) -> str:
+    if not inspect.isroutine(value) and not inspect.isclass(value):
+        return f"- `{name}`: a {type(value).__name__}"
+    members = [
+        f"- `{member}{_signature(function)}`: {_first(function.__doc__)}"
+        for member, function in vars(value).items()
+        if inspect.isclass(value) and inspect.isfunction(function) and (member == "__call__" or member[0] != "_")
+    ]
+    text = f"### {name}\n\n```python\n{name}{_signature(value)}\n```\n\n```text\n{inspect.getdoc(value)}\n```"
+    return "\n\n".join([text, *(["\n".join(members)] if members else [])])
+
+
+def _signature(value: object) -> str:
+    try:
+        signature = inspect.signature(value)  # type: ignore[arg-type]
+    except ValueError:
+        return "(...)"
+    parameters = [part.replace(annotation=inspect.Parameter.empty) for part in signature.parameters.values()]
+    return str(signature.replace(parameters=parameters, return_annotation=inspect.Signature.empty))
 
 
 def recipes() -> str:
@@ -234,7 +298,7 @@ def classes() -> str:
     for labels in (COMMON15, SEMANTIC_KITTI, CITYSCAPES):
         raw = labels.raw or range(len(labels))
         rows = (
-            [index, name, value, f'<span style="background: rgb{colour}">&emsp;&emsp;</span>']
+            [index, name, value, f'<span style="background: rgb{colour}">&emsp;</span> `#{bytes(colour).hex()}`']
             for index, (name, value, colour) in enumerate(zip(labels.classes, raw, labels.colours, strict=True))
         )
         parts.append(f"### {labels.name}\n\n{table(['id', 'class', 'id in files', 'colour'], rows)}")
@@ -265,10 +329,9 @@ def published() -> str:
 
 def extras() -> str:
     """Return the optional dependencies, from pyproject.toml."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     rows = (
         [f"`{name}`", "all of these" if name == "all" else ", ".join(packages)]
-        for name, packages in project["optional-dependencies"].items()
+        for name, packages in PROJECT["optional-dependencies"].items()
     )
     return table(["extra", "packages"], rows)
 
@@ -337,3 +400,8 @@ PARTS = {
     "extras": extras,
     "messages": message_index,
 }
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(SOURCE.parent))
+    for changed_page in write_parts():
+        print(changed_page.relative_to(ROOT))

@@ -64,18 +64,35 @@ def test_the_command_line_page_has_every_command_and_option():
 
 
 def test_the_api_page_has_every_public_name():
-    found = re.findall(r"^::: lidar2pano\.(\w+)$", generated.api(), flags=re.MULTILINE)
-    assert sorted(found) == sorted(set(lidar2pano.__all__) - {"__version__"})
+    names = sorted(set(lidar2pano.__all__) - {"__version__"})
+    directives = re.findall(r"^::: lidar2pano\.(\w+)$", generated.api_directives(), flags=re.MULTILINE)
+    assert sorted(directives) == names
+    assert sorted(re.findall(r"^(?:### |- `)(\w+)(?=$|`: a)", generated.api(), flags=re.MULTILINE)) == names
 
 
-def test_every_marker_has_a_part_and_every_part_is_used():
-    used = {name for page in PAGES for name in generated.MARKER.findall(page.read_text(encoding="utf-8"))}
+def test_every_part_is_used():
+    used = {part[1] for page in PAGES for part in generated.PART.findall(page.read_text(encoding="utf-8"))}
     assert used == set(generated.PARTS)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(DOCS).as_posix())
+def test_pages_hold_what_the_program_says(page):
+    text = page.read_text(encoding="utf-8")
+    assert text.count("<!-- generated: ") == len(generated.PART.findall(text))
+    assert generated.fill(text, generated.PARTS) == text, "run: make generated"
+
+
+def test_a_stale_part_is_filled_and_the_rest_is_kept():
+    end = "<!-- end of generated -->\n"
+    page = f"a\n<!-- generated: x -->\nold\n{end}b\n<!-- generated: y -->\n\n{end}"
+    filled = generated.fill(page, {"x": lambda: r"new \1"})
+    assert filled == page.replace("old\n", "\nnew \\1\n\n")
+    assert generated.fill(filled, {"x": lambda: r"new \1"}) == filled
 
 
 @pytest.mark.parametrize("name", sorted(set(generated.PARTS) - {"messages", "api", "commands"}))
 def test_parts_are_tables(name):
-    part = generated.fill(f"<!-- generated: {name} -->")
+    part = generated.PARTS[name]()
     assert part.startswith(("| ", "### "))
     assert part.count("\n| ") >= 3, part
 
@@ -87,11 +104,15 @@ def test_every_recipe_is_described():
     assert generated._variant("a-mini", {"a", "a-mini"}) == "`a` for two CPU cores."
 
 
-def test_links_of_root_pages_lead_to_the_site_or_the_repository():
+def test_links_lead_to_the_site_or_the_repository():
     text = "[a](docs/world.md) [b](CHANGELOG.md) [c](runs/release.sh) [d](https://x.org) ![e](docs/p.jpg) [f](#g)"
     repository = f"{generated.REPOSITORY}/runs/release.sh"
-    assert generated.site_links(text) == (
+    assert generated.site_links(text, generated.ROOT) == (
         f"[a](world.md) [b](changelog.md) [c]({repository}) [d](https://x.org) ![e](p.jpg) [f](#g)"
+    )
+    guide = "[a](../world.md) [b](../../RESULTS.md#times) [c](../../runs/release.sh) [d](view.md)"
+    assert generated.site_links(guide, DOCS / "guides") == (
+        f"[a](../world.md) [b](../results.md#times) [c]({repository}) [d](view.md)"
     )
 
 

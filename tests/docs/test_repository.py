@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import runpy
 import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -73,12 +74,44 @@ def test_the_time_is_that_of_the_whole_panorama():
         time_of("device cuda, threads 4\n| whole panorama | 1.0 | 1 | |\n")
 
 
-def test_links_of_root_pages_lead_somewhere():
-    missing = []
-    for page in [*ROOT.glob("*.md"), *(ROOT / "examples").glob("*.md")]:
-        links = runpy.run_path(str(ROOT / "docs" / "generated.py"))["LINK"].findall(page.read_text(encoding="utf-8"))
-        missing += [(page.name, link) for link in links if not (page.parent / link).exists()]
-    assert missing == []
+PAGES = [*ROOT.glob("*.md"), *(ROOT / "examples").glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+
+
+def heading_names(text: str) -> set[str]:
+    """The names of a page's headings, as repository hosts make them."""
+    prose = re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
+    titles = re.findall(r"^#+ (.+)$", prose, flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.strip().lower()).replace(" ", "-") for title in titles}
+
+
+def broken_links(page: Path) -> list[str]:
+    """Relative links of a page that lead to no file of the repository, or to no heading of it."""
+    links = re.findall(r"\]\((?!https?:|mailto:)([^)\s]+)\)", page.read_text(encoding="utf-8"))
+    broken = []
+    for link in links:
+        name, _, heading = link.partition("#")
+        target = page.parent / name if name else page
+        if not target.exists() or (heading and heading not in heading_names(target.read_text(encoding="utf-8"))):
+            broken.append(link)
+    return broken
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(page):
+    assert broken_links(page) == []
+
+
+def test_broken_links_are_found(tmp_path):
+    (tmp_path / "b.md").write_text("# On a GPU, now\n")
+    page = tmp_path / "a.md"
+    page.write_text("# A\n[1](b.md) [2](b.md#on-a-gpu-now) [3](#a) [4](c.md) [5](b.md#on) [6](#b) ![7](x.png)\n")
+    assert broken_links(page) == ["c.md", "b.md#on", "#b", "x.png"]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_pages_are_plain_markdown(page):
+    """Admonitions and other extensions of mkdocs are raw text on a repository host."""
+    assert re.findall(r"^(?:!!!|\?\?\?|=== |::: ).*", page.read_text(encoding="utf-8"), flags=re.MULTILINE) == []
 
 
 def test_contributing_lists_the_floors():
