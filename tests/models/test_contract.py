@@ -52,6 +52,25 @@ SMALL: dict[str, tuple[dict[str, object], Callable[[], tuple[Tensor, ...]]]] = {
         {"latents": 6, "encoder": (4, 6, 8), "decoder": (4, 6, 8), "last": 4},
         lambda: (2 * torch.rand(2, 3, 24, 32) - 1,),
     ),
+    "latent-painter": (
+        {
+            "looks": ["day", "evening"],
+            "latents": 6,
+            "decoder": (4, 6, 8),
+            "last": 4,
+            "mean_widths": (6, 8, 10),
+            "flow_widths": (8, 10, 12),
+            "code": 8,
+        },
+        lambda: (
+            torch.randn(2, 26, 32, 64),
+            torch.eye(2),
+            torch.randn(2, 6, 8, 16),
+            torch.tensor([0.2, 0.7]),
+            torch.tensor([0.0, 0.25]),
+            torch.ones(2),
+        ),
+    ),
     "projected-critic": (
         {"features": (4, 6, 8, 10), "conditions": 3, "mixed": 8, "width": 8},
         lambda: (torch.randn(2, 3, 64, 128), *(torch.randn(2, 2 * n + 4, 32 >> n, 64 >> n) for n in range(4))),
@@ -88,6 +107,7 @@ ANSWERS: dict[str, tuple[int, tuple[int, ...]]] = {
     "titan-pano": (2, (2, 32, 64)),
     "scene-painter": (1, (2, 3, 32, 64)),
     "autoencoder": (2, (2, 6, 3, 4)),
+    "latent-painter": (2, (2, 6, 8, 16)),
     "projected-critic": (4, (2, 1, 8, 16)),
     "pix2pix": (1, (2, 4, 64, 96)),
     "pix2pix-critic": (1, (2, 1, 6, 10)),
@@ -100,7 +120,7 @@ ANSWERS: dict[str, tuple[int, tuple[int, ...]]] = {
 }
 
 # Networks that close in azimuth -> columns of the input by whose multiples a turn changes nothing.
-CIRCULAR = {"titan-pano": 16, "scene-painter": 4, "autoencoder": 8}
+CIRCULAR = {"titan-pano": 16, "scene-painter": 4, "autoencoder": 8, "latent-painter": 16}
 
 # Titan normalises each sample after every activation, which amplifies small errors (sixtyfold with fresh weights, here
 # as in the published network); its answers are held to looser limits by this factor.

@@ -34,6 +34,7 @@ PARAMETERS: dict[str, tuple[str, Settings, int]] = {
 }
 OURS = {
     "autoencoder",
+    "latent-painter",
     "scene-painter",
     "projected-critic",
     "titan-pano",

@@ -11,6 +11,7 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.models.autoencoder import Autoencoder
 from lidar2pano.models.baselines import PatchGan, Pix2Pix, ScUnet
 from lidar2pano.models.frozen_features import ProjectedCritic
+from lidar2pano.models.latent_painter import LatentPainter
 from lidar2pano.models.salsanext import SalsaNext, Titan, TitanCritic, TitanNext
 from lidar2pano.models.scene_painter import ScenePainter
 from lidar2pano.models.sdnet import SdNet
@@ -25,6 +26,7 @@ MODELS: dict[str, type[nn.Module]] = {
     "titan-pano": TitanPano,
     "scene-painter": ScenePainter,
     "autoencoder": Autoencoder,
+    "latent-painter": LatentPainter,
     "projected-critic": ProjectedCritic,
     "vid2vid": Vid2Vid,
     "vid2vid-single": Vid2VidSingle,

@@ -91,7 +91,12 @@ class Autoencoder(nn.Module):
 
     def decode(self, latents: Tensor) -> Tensor:
         """Return the picture (B, 3, 8h, 8w), about in [-1, 1], of latents (B, latents, h, w)."""
-        return self.decoder(torch.tanh(latents / RANGE) * RANGE)
+        return self.decoded(self.decoder, latents)
+
+    @staticmethod
+    def decoded(decoder: nn.Module, latents: Tensor) -> Tensor:
+        """Return `decode` of latents by a decoder that stands alone."""
+        return decoder(torch.tanh(latents / RANGE) * RANGE)
 
     def forward(self, picture: Tensor) -> tuple[Tensor, Tensor]:
         """Encode and decode: return the picture again (B, 3, H, W) and its latents."""

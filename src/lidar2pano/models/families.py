@@ -20,6 +20,7 @@ ROLES: dict[str, str] = {
     "pix2pix": "translator",
     "scunet": "renderer",
     "scene-painter": "painter",
+    "latent-painter": "painter",
     "autoencoder": "autoencoder",
     "vid2vid": "painter",
     "vid2vid-single": "first-frame painter",

@@ -8,7 +8,7 @@ work. Several looks in one network: a learned code per look scales and shifts fe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol, TypedDict, Unpack, cast
+from typing import TypedDict, Unpack, cast
 
 import torch
 from torch import Tensor, nn
@@ -20,6 +20,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.geometry.rasters import pad_azimuth
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.blocks import CircularConv, CircularResidual, SummedSequential, conv_norm_act
+from lidar2pano.models.painter import LookPainter
 from lidar2pano.scene.depth import depth_code
 from lidar2pano.scene.record import Scene
 
@@ -34,19 +35,6 @@ MOMENTUM = 0.02  # of norm statistics: batches are two small crops
 EDGE_PX, NEARLY, PANES_M = 2, 0.75, (5.0, 10.0)
 NEAR_CODE, FAR_CODE = depth_code(torch.tensor(PANES_M)).tolist()
 GLASS = TONE + 1  # of the last inputs: the colour of panes is a linear function of tones, and of openings, which are 1
-
-
-class StreamPainter(Protocol):
-    """A painter of a stream of scenes."""
-
-    def paint(self, past: Any, scene: Scene, look: str = "") -> tuple[Any, Tensor]:  # noqa: ANN401
-        """Paint the panorama of a scan that follows others.
-
-        past  the painter's own record of the previous scan; None at the beginning of a stream.
-        look  "A", or "A+B" for the mean of two; "": the painter's own.
-        Returns its record for the next scan, None if it needs none, and (1, 3, 2H, 2W) in [-1, 1].
-        """
-        ...
 
 
 class Switches(TypedDict, total=False):
@@ -64,7 +52,7 @@ class Switches(TypedDict, total=False):
     sun: bool
 
 
-class ScenePainter(nn.Module):
+class ScenePainter(LookPainter):
     """RGB from segments and geometry.
 
     looks    names of the looks it knows;  look: the one that is painted where none is given (default: the first).
@@ -87,14 +75,13 @@ class ScenePainter(nn.Module):
         colour_kernel: int = 3,
         **switches: Unpack[Switches],
     ) -> None:
-        super().__init__()
+        super().__init__(looks, look)
         fine, middle, coarse, last = widths
-        self.looks, self.look, self.sharp = tuple(looks), look or looks[0], sharp
+        self.sharp = sharp
         if unknown := sorted(switches.keys() - Switches.__annotations__.keys()):
             raise TypeError(f"got an unexpected keyword argument {unknown[0]!r}")
         self.bilinear, self.sun = switches.get("bilinear", False), switches.get("sun", False)
         self.unread = tuple(map(COMMON15.id_of, unread))
-        self.look_shares(self.look)
         inputs = LAYERS
         self.codes = nn.Embedding(len(self.looks), code)
         self.stem = conv_norm_act(inputs, fine)
@@ -122,15 +109,6 @@ class ScenePainter(nn.Module):
         for table in (self.class_colours, self.glass):
             if table is not None:
                 nn.init.zeros_(table.weight)
-
-    def look_shares(self, look: str) -> list[float]:
-        """Shares of each look in what a name stands for, "A" or "A+B" (their mean); InputError for an unknown name."""
-        names = [name.strip() for name in (look or self.look).split("+")]
-        for name in names:
-            if name not in self.looks:
-                choices = ", ".join(self.looks)
-                raise InputError(f"the painter knows no look {name!r}; it knows {choices}")
-        return [names.count(look) / len(names) for look in self.looks]
 
     def forward(self, inputs: Tensor, fine_noise: Tensor, shares: Tensor, tone: Tensor) -> Tensor:
         """Paint.

@@ -19,7 +19,7 @@ from lidar2pano.models.card import Card, read_card
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.families import DEFAULT, FRONT_VIEW, role, weight_files
 from lidar2pano.models.front_all_around import FrontAllAround
-from lidar2pano.models.scene_painter import StreamPainter
+from lidar2pano.models.painter import StreamPainter
 from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.pipeline.stages import PaperPipeline, Pipeline, Segmenter

@@ -30,8 +30,8 @@ from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import Memory, remember, steady
 from lidar2pano.models.card import Card
+from lidar2pano.models.painter import LookPainter, StreamPainter
 from lidar2pano.models.salsanext import STRIDE
-from lidar2pano.models.scene_painter import ScenePainter, StreamPainter
 from lidar2pano.panorama import Panorama
 from lidar2pano.recordings.recorded_scans import read
 from lidar2pano.scan import OWN_VEHICLE_M, Scan
@@ -145,7 +145,7 @@ class Pipeline:
 
     def in_look(self, look: str) -> Pipeline:
         """Return the pipeline that paints a look, "A" or "A+B"; InputError where the painter lacks it."""
-        if not isinstance(self.painter, ScenePainter):
+        if not isinstance(self.painter, LookPainter):
             raise InputError(
                 f"no look {look!r}: these weights paint one look only; choose a scene painter's, or name a painter's"
                 f" file {look}.safetensors"

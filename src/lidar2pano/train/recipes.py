@@ -32,6 +32,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "fast-translator-mini",
     ),
     "autoencoding": ("autoencoder", "autoencoder-mini"),
+    "latent_painting": ("latent-painter", "latent-painter-mini"),
     "painter_recipes": ("scene-painter", "scene-painter-mini", "fast-painter", "fast-painter-mini"),
     "front": (
         "titan",

@@ -1,0 +1,230 @@
+"""Latent painter: the picture of a scene by conditional flow matching on the latents of an autoencoder.
+
+A mean network regresses the latents from what is believed of the scene; a flow network leads noise to latents along
+straight lines (Lipman et al. 2023; Liu et al. 2023), given the same conditions and the mean. Conditions are dropped in
+some training samples, so that guidance can be used (Ho and Salimans 2022), and the flow also learns long steps, each
+from two of half its length (shortcut models, Frans et al. 2024), so that one or two of them suffice. Every convolution
+is circular in azimuth, and features are normalised over each pixel's channels alone: a sector is painted as it is
+within a panorama.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import interpolate, layer_norm, pixel_unshuffle, silu
+
+from lidar2pano.errors import InputError
+from lidar2pano.models.autoencoder import Autoencoder
+from lidar2pano.models.blocks import CircularConv
+from lidar2pano.models.latent_inputs import CONDITIONS, FOLD, conditions_of, world_noise
+from lidar2pano.models.painter import LookPainter
+from lidar2pano.scene.record import Scene
+
+STRIDE = 4 * FOLD  # pixels of the scene's raster per pixel of the coarsest level
+WAVES = 32  # of the embedding of times, as many sines as cosines
+FASTEST = 1e3  # angular frequency of the last of them, for times in [0, 1]; the first one's is 1
+FAINT = 1e-3  # deviation of the first weights of what is to begin with next to nothing
+LEARNED_STEPS = (1, 2, 4)  # numbers of steps whose lengths the flow learns; more are steps of its instant velocity
+
+
+class ModulatedResidual(nn.Module):
+    """Two convolutions behind pixel-wise layer norms and SiLU; the second norm is scaled and shifted by a code.
+
+    At first it is nearly an identity: (B, C, H, W), code (B, K) -> (B, C, H, W).
+    """
+
+    def __init__(self, width: int, code: int) -> None:
+        super().__init__()
+        self.norm = nn.Parameter(torch.ones(width))
+        self.first, self.second = CircularConv(width, width), CircularConv(width, width)
+        self.modulation = nn.Linear(code, 2 * width)
+        nn.init.normal_(self.second.weight, std=FAINT)
+
+    def forward(self, x: Tensor, code: Tensor) -> Tensor:
+        """Add the residual."""
+        scale, shift = self.modulation(code)[..., None, None].chunk(2, 1)
+        hidden = self.first(silu(pixel_norm(x, self.norm)))
+        hidden = torch.addcmul(shift.to(hidden.dtype), pixel_norm(hidden), 1 + scale.to(hidden.dtype))
+        return x + self.second(silu(hidden))
+
+
+def pixel_norm(x: Tensor, weight: Tensor | None = None) -> Tensor:
+    """Normalise each pixel of (B, C, H, W) over its channels; channels last in memory stays so."""
+    weight = None if weight is None else weight.to(x.dtype)
+    return layer_norm(x.movedim(1, 3), (x.shape[1],), weight).movedim(3, 1)
+
+
+class Blocks(nn.ModuleList):
+    """Residual blocks, one after another."""
+
+    def __init__(self, width: int, count: int, code: int) -> None:
+        super().__init__([ModulatedResidual(width, code) for _ in range(count)])
+
+    def forward(self, x: Tensor, code: Tensor) -> Tensor:
+        """(B, width, H, W), code (B, K) -> the same shape."""
+        for block in self:
+            x = block(x, code)
+        return x
+
+
+class ConditionedUNet(nn.Module):
+    """A U-Net of three levels on the raster of latents: (B, inputs, h, w), folded conditions -> (B, outputs, h, w).
+
+    conditions  channels of the scene, on a raster FOLD times finer;  inputs: channels beside them, possibly 0.
+    widths      channels at 1/1, 1/2 and 1/4 of the raster;  blocks: residual blocks there, on the way down and up.
+    """
+
+    def __init__(
+        self, conditions: int, inputs: int, outputs: int, widths: Sequence[int], blocks: Sequence[int], code: int
+    ) -> None:
+        super().__init__()
+        fine, middle, coarse = widths
+        self.fold = nn.Sequential(CircularConv(conditions * FOLD**2, fine, 1), nn.SiLU(), CircularConv(fine, fine))
+        self.input = CircularConv(inputs, fine) if inputs else None
+        self.down = nn.ModuleList([CircularConv(fine, middle, stride=2), CircularConv(middle, coarse, stride=2)])
+        self.up = nn.ModuleList([CircularConv(middle, fine), CircularConv(coarse, middle)])
+        self.before = nn.ModuleList([Blocks(width, count, code) for width, count in zip(widths, blocks, strict=True)])
+        self.after = nn.ModuleList(
+            [Blocks(width, count, code) for width, count in zip(widths[:2], blocks[:2], strict=True)]
+        )
+        self.last = CircularConv(fine, outputs)
+        nn.init.normal_(self.last.weight, std=FAINT)
+
+    def forward(self, conditions: Tensor, code: Tensor, inputs: Tensor | None = None) -> Tensor:
+        """Return (B, outputs, h, w).
+
+        conditions  (B, conditions, FOLD h, FOLD w);  code: (B, K);  inputs: (B, inputs, h, w), None if there are none.
+        """
+        x = self.fold(pixel_unshuffle(conditions, FOLD))
+        if self.input is not None:
+            x = x + self.input(inputs)
+        levels = []
+        for level, blocks in enumerate(self.before):
+            x = blocks(self.down[level - 1](x) if level else x, code)
+            levels.append(x)
+        for level in (1, 0):
+            x = self.up[level](interpolate(x, scale_factor=2.0)) + levels[level]
+            x = self.after[level](x, code)
+        return self.last(silu(pixel_norm(x)))
+
+
+class LatentPainter(LookPainter):
+    """Mean network, flow network, and the decoder of an Autoencoder, which learns nothing here.
+
+    looks, look      as of LookPainter.
+    steps, guidance  of a picture; guidance is used where `steps` is none of LEARNED_STEPS, whose steps have learned it.
+    latents, decoder, last   as of Autoencoder.
+    mean_widths, mean_blocks, flow_widths, flow_blocks  of the two ConditionedUNets.
+    code             numbers of the code that modulates them: look, time and length of the step.
+    """
+
+    def __init__(  # noqa: PLR0913, PLR0917 settings of a network
+        self,
+        looks: Sequence[str] = ("photograph",),
+        look: str = "",
+        steps: int = 2,
+        guidance: float = 1.4,
+        latents: int = 32,
+        decoder: Sequence[int] = (32, 64, 128),
+        last: int = 16,
+        mean_widths: Sequence[int] = (48, 96, 144),
+        mean_blocks: Sequence[int] = (1, 1, 2),
+        flow_widths: Sequence[int] = (64, 112, 160),
+        flow_blocks: Sequence[int] = (1, 2, 4),
+        code: int = 128,
+    ) -> None:
+        super().__init__(looks, look)
+        if steps < 1:
+            raise InputError(f"a picture takes at least one step, not {steps}")
+        self.steps, self.guidance = steps, guidance
+        self.register_buffer("scale", torch.stack([torch.zeros(latents), torch.ones(latents)]))
+        self.look_codes = nn.Parameter(torch.randn(len(self.looks), code) * 0.1)
+        self.time = nn.Sequential(nn.Linear(4 * WAVES, code), nn.SiLU(), nn.Linear(code, code))
+        self.mean = ConditionedUNet(CONDITIONS, 0, latents, mean_widths, mean_blocks, code)
+        self.flow = ConditionedUNet(CONDITIONS, 2 * latents, latents, flow_widths, flow_blocks, code)
+        self.decoder = Autoencoder(latents, (8, 8, 8), decoder, last).decoder.requires_grad_(False)
+
+    def forward(  # noqa: PLR0913, PLR0917 what a step of training needs
+        self, conditions: Tensor, shares: Tensor, noisy: Tensor, time: Tensor, step: Tensor, kept: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return the mean and the velocity, (B, latents, h, w) each, of normalised latents.
+
+        conditions  (B, CONDITIONS, FOLD h, FOLD w);  shares: (B, looks) of the looks.
+        noisy, time, step  as of `velocity`.
+        kept        (B,) 1, or 0: the flow is given neither conditions nor mean. No gradient passes from it to the mean.
+        """
+        mean = self.expected(conditions, shares)
+        kept = kept[:, None, None, None]
+        return mean, self.velocity(noisy, time, step, conditions * kept, mean.detach() * kept, shares)
+
+    def expected(self, conditions: Tensor, shares: Tensor) -> Tensor:
+        """Return the mean (B, latents, h, w) of normalised latents given conditions and shares of looks (B, looks).
+
+        Raises InputError unless the conditions' rows and columns are multiples of STRIDE.
+        """
+        if conditions.shape[-2] % STRIDE or conditions.shape[-1] % STRIDE:
+            size = tuple(conditions.shape[-2:])
+            raise InputError(f"conditions of {size} pixels: rows, columns must divide by {STRIDE}")
+        return self.mean(conditions, shares @ self.look_codes)
+
+    def velocity(  # noqa: PLR0913, PLR0917 what a step of a picture needs
+        self, noisy: Tensor, time: Tensor, step: Tensor, conditions: Tensor, mean: Tensor, shares: Tensor
+    ) -> Tensor:
+        """Return the velocity (B, latents, h, w) at which noise moves to latents.
+
+        noisy  (B, latents, h, w) = (1 - time) noise + time latents;  time, step: (B,) in [0, 1]. A step of 0 asks for
+               the instant velocity, another one for the mean velocity over it.
+        """
+        code = shares @ self.look_codes + self.time(torch.cat([waves(time), waves(step)], 1))
+        return self.flow(conditions, code, torch.cat([noisy, mean.to(noisy.dtype)], 1))
+
+    def guided(  # noqa: PLR0913, PLR0917 as velocity
+        self, noisy: Tensor, time: Tensor, conditions: Tensor, mean: Tensor, shares: Tensor
+    ) -> Tensor:
+        """Return the instant velocity (B, latents, h, w), led away from that without conditions by `guidance`."""
+        noisy, time, shares = (torch.cat([part, part]) for part in (noisy, time, shares))
+        conditions, mean = (torch.cat([part, part * 0]) for part in (conditions, mean))
+        given, free = self.velocity(noisy, time, torch.zeros_like(time), conditions, mean, shares).chunk(2)
+        return torch.lerp(free, given, self.guidance)
+
+    def latents_of(self, conditions: Tensor, shares: Tensor, noise: Tensor) -> Tensor:
+        """Return latents (B, latents, h, w) float32 as the decoder reads them, from noise of the same shape."""
+        mean, x = self.expected(conditions, shares).float(), noise
+        step = x.new_full((len(x),), 1 / self.steps)
+        for number in range(self.steps):
+            time = step * number
+            if self.steps in LEARNED_STEPS:
+                velocity = self.velocity(x, time, step, conditions, mean, shares)
+            else:
+                velocity = self.guided(x, time, conditions, mean, shares)
+            x = x + velocity.float() / self.steps
+        return self.denormalised(x)
+
+    def normalised(self, latents: Tensor) -> Tensor:
+        """Return an encoder's latents (B, latents, h, w) with the mean and the deviation of `scale` taken out."""
+        mean, deviation = cast(Tensor, self.scale)[..., None, None]
+        return (latents - mean) / deviation
+
+    def denormalised(self, latents: Tensor) -> Tensor:
+        """Return normalised latents (B, latents, h, w) as an encoder would give them."""
+        mean, deviation = cast(Tensor, self.scale)[..., None, None]
+        return latents * deviation + mean
+
+    def paint(self, past: None, scene: Scene, look: str = "") -> tuple[None, Tensor]:  # noqa: ARG002 it needs no past
+        """Paint a scan; arguments and answer as of StreamPainter. The noise hangs on the world."""
+        conditions = conditions_of(scene).contiguous(memory_format=torch.channels_last)
+        shares = torch.tensor([self.look_shares(look)], device=conditions.device)
+        latents = self.latents_of(conditions, shares, world_noise(scene, cast(Tensor, self.scale).shape[1]))
+        return None, Autoencoder.decoded(self.decoder, latents).clamp(-1, 1)
+
+
+def waves(time: Tensor) -> Tensor:
+    """Embed times (B,) as sines and cosines (B, 2 WAVES)."""
+    frequency = torch.linspace(0, math.log(FASTEST), WAVES, device=time.device).exp()
+    angle = time.float()[:, None] * frequency
+    return torch.cat([angle.sin(), angle.cos()], 1)

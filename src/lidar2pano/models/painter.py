@@ -1,0 +1,45 @@
+"""Painters of streams of scenes: their contract, and looks that several of them know."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from torch import Tensor, nn
+
+from lidar2pano.errors import InputError
+from lidar2pano.scene.record import Scene
+
+
+class StreamPainter(Protocol):
+    """A painter of a stream of scenes."""
+
+    def paint(self, past: Any, scene: Scene, look: str = "") -> tuple[Any, Tensor]:  # noqa: ANN401
+        """Paint the panorama of a scan that follows others.
+
+        past  the painter's own record of the previous scan; None at the beginning of a stream.
+        look  "A", or "A+B" for the mean of two; "": the painter's own.
+        Returns its record for the next scan, None if it needs none, and (1, 3, 2H, 2W) in [-1, 1].
+        """
+        ...
+
+
+class LookPainter(nn.Module):
+    """A painter that knows several looks.
+
+    looks  their names;  look: the one that is painted where none is given (default: the first).
+    """
+
+    def __init__(self, looks: Sequence[str], look: str = "") -> None:
+        super().__init__()
+        self.looks, self.look = tuple(looks), look or looks[0]
+        self.look_shares(self.look)
+
+    def look_shares(self, look: str) -> list[float]:
+        """Return the share of each look in a name, "A" or "A+B" (their mean); InputError for an unknown name."""
+        names = [name.strip() for name in (look or self.look).split("+")]
+        for name in names:
+            if name not in self.looks:
+                choices = ", ".join(self.looks)
+                raise InputError(f"the painter knows no look {name!r}; it knows {choices}")
+        return [names.count(look) / len(names) for look in self.looks]

@@ -1,0 +1,290 @@
+"""Sectors to learn the latent painter from: what is believed of a scan, and the photograph of a camera beside it.
+
+A sector is made once, by released networks, and kept in a file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from PIL import Image
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+from torch.nn.functional import max_pool2d
+
+from lidar2pano.calibration import Calibration
+from lidar2pano.data.frames import Frame, SampleIndex
+from lidar2pano.data.layouts import frames_of
+from lidar2pano.data.panorama_crops import panorama_on
+from lidar2pano.data.surround import SurroundFrame
+from lidar2pano.errors import InputError
+from lidar2pano.formats.image_files import write_whole
+from lidar2pano.geometry.camera import at_camera, camera_in_panorama
+from lidar2pano.geometry.rasters import adjacent_rows
+from lidar2pano.hardware import Timer, fast_arithmetic
+from lidar2pano.models.autoencoder import FACTOR, Autoencoder
+from lidar2pano.models.latent_inputs import FOLD, conditions_of, mirrored
+from lidar2pano.models.latent_painter import STRIDE
+from lidar2pano.pipeline import Pipeline
+from lidar2pano.scene.record import Scene
+from lidar2pano.train.painting_frames import look_of, made_by
+from lidar2pano.views import FULL_TURN, View
+
+FORM = 1  # raised when the files of the same frames hold something else
+SECTOR_DEG = 100  # width of a camera's sector, about: a multiple of STRIDE columns
+QUALITY = 95  # of photographs in the files, as JPEG without subsampled colours
+BYTE = 255  # probabilities, remissions and shares are kept in a byte
+
+
+class LatentSample(NamedTuple):
+    """A crop of a sector, H x W pixels of the scene; after collation every tensor gains a leading B.
+
+    conditions  (CONDITIONS, H, W) float32.
+    latents     (L, H/4, W/4) float32 of the photograph, of the autoencoder.
+    known       (H/4, W/4) bool: the camera shows every pixel that they stand for.
+    look        () int64: number of the look.
+    """
+
+    conditions: Tensor
+    latents: Tensor
+    known: Tensor
+    look: Tensor
+
+
+class Encoded(NamedTuple):
+    """Latents (L, h, w) float16 of a sector's photograph and of its mirror image, and where they are known, (h, w)."""
+
+    latents: Tensor
+    mirrored: Tensor
+    known: Tensor
+
+
+class LatentFrames:
+    """Crops of the sectors of some splits: at random for a SampleIndex, in the middle for an int.
+
+    pipeline     makes the scenes;  autoencoder: makes the latents.
+    networks     files that the pipeline's networks come from: sectors that others made are made again.
+    looks        names of the looks; the first one is that of photographs, others are named by a world.json.
+    columns      of a crop on the scene's raster;  cache: folder of the sectors' files; "": .lidar2pano of a data set.
+    """
+
+    def __init__(  # noqa: PLR0913, PLR0917 data, networks and how they are read
+        self,
+        root: Path,
+        splits: tuple[str, ...],
+        pipeline: Pipeline,
+        autoencoder: Autoencoder,
+        networks: tuple[str, str],
+        looks: tuple[str, ...],
+        columns: int,
+        cache: str = "",
+    ) -> None:
+        self.frames, self.pipeline, self.autoencoder = frames_of(root, splits), pipeline, autoencoder.eval()
+        most = sector_columns(pipeline.view)
+        if columns % STRIDE or columns > most:
+            raise InputError(f"options.columns={columns}: must be a multiple of {STRIDE}, at most {most}")
+        self.columns, self.cache = columns, cache
+        self._made_by = f"{FORM} {made_by(pipeline.view, *networks)}"
+        self.places = [
+            (number, camera, self._look(frame, looks))
+            for number, frame in enumerate(self.frames)
+            for camera in cameras(frame)
+        ]
+        self._encoded: dict[int, Encoded] = {}
+
+    @staticmethod
+    def _look(frame: Frame, looks: tuple[str, ...]) -> int:
+        look = look_of(frame) or looks[0]
+        if look not in looks:
+            raise InputError(f"{frame.name}: its look {look!r} is none of {', '.join(looks)}")
+        return looks.index(look)
+
+    def __len__(self) -> int:
+        """Return the number of sectors."""
+        return len(self.places)
+
+    def __getitem__(self, at: SampleIndex | int) -> LatentSample:
+        """Return a crop, mirrored by chance, that a camera sees some of."""
+        index = at if isinstance(at, int) else at.index
+        encoded, cells = self.encoded(index), self.columns // FOLD
+        generator = None if isinstance(at, int) else np.random.default_rng(at.seed)
+        start = self._start(encoded.known, cells, generator)
+        conditions = conditions_of(self.scene(index, start * FOLD, self.columns))[0]
+        window = (..., slice(start, start + cells))
+        latents, known = encoded.latents[window], encoded.known[window]
+        if generator is not None and generator.random() < 0.5:
+            spare = encoded.known.shape[1] - start - cells
+            conditions, known = mirrored(conditions), known.flip(-1)
+            latents = encoded.mirrored[..., spare : spare + cells]
+        return LatentSample(conditions, latents.float(), known, torch.tensor(self.places[index][2]))
+
+    @staticmethod
+    def _start(known: Tensor, cells: int, generator: np.random.Generator | None) -> int:
+        """Return the first column of a crop: a quarter of it, at least, lies between the outermost known columns."""
+        columns = known.any(0).nonzero()
+        spare = known.shape[1] - cells
+        if not len(columns):
+            return spare // 2
+        first, last = int(columns[0]), int(columns[-1]) + 1
+        if generator is None:
+            return min(max((first + last - cells) // 2, 0), spare)
+        least = min(max(first - 3 * cells // 4, 0), spare)
+        return int(generator.integers(least, max(min(last - cells // 4, spare), least) + 1))
+
+    def scene(self, index: int, start: int, columns: int) -> Scene:
+        """Return what is believed of a sector's columns from `start` on."""
+        kept = self.kept(index)
+        view = self.pipeline.view.window(0, kept["depth_m"].shape[1]).window(start, columns)
+        part = (..., slice(start, start + columns))
+        probabilities = kept["probabilities"][part].float()
+        probabilities = probabilities / probabilities.sum(0, keepdim=True).clamp(min=1)
+        measured = kept["measured"][part]
+        channels = torch.zeros(5, *measured.shape)
+        channels[0], channels[4] = (measured > 0).float(), (measured.float() - 1).clamp(min=0) / (BYTE - 1)
+        return Scene(
+            view=view,
+            channels=channels[None],
+            probabilities=probabilities[None],
+            depth_m=kept["depth_m"][part][None],
+            viewpoint_m=kept["viewpoint_m"],
+        )
+
+    def photograph(self, index: int) -> tuple[Tensor, Tensor]:
+        """Return the photograph of a sector, (3, 2H, 2w) float32 in [-1, 1], and where it is known, (2H, 2w) bool."""
+        kept = self.kept(index)
+        with Image.open(io.BytesIO(kept["photograph"].numpy().tobytes()), formats=("JPEG",)) as image:
+            pixels = torch.from_numpy(np.array(image)).movedim(2, 0)
+        return pixels.float() / 127.5 - 1, unpacked(kept["known"], pixels.shape[2])
+
+    def encoded(self, index: int) -> Encoded:
+        """Return the latents of a sector; they are kept in memory from the first use on."""
+        if index not in self._encoded:
+            picture, known = self.photograph(index)
+            pictures = torch.stack([picture, picture.flip(-1)]).contiguous(memory_format=torch.channels_last)
+            with torch.no_grad(), fast_arithmetic(torch.device("cpu")):
+                latents = torch.cat([self.autoencoder.encode(part) for part in pictures.split(1)]).half()
+            unknown = max_pool2d((~known)[None, None].float(), FACTOR)[0, 0]
+            self._encoded[index] = Encoded(latents[0], latents[1], unknown == 0)
+        return self._encoded[index]
+
+    def kept(self, index: int) -> dict[str, Tensor]:
+        """Return what is kept of a sector; the first use makes it."""
+        number, camera, _ = self.places[index]
+        frame = self.frames[number]
+        file = self._file(frame, camera)
+        if not file.is_file():
+            made = self._made(frame, camera)
+            write_whole(file, lambda temporary: save_file(made, temporary), "options.cache")
+        return load_file(file)
+
+    def _file(self, frame: Frame, camera: str) -> Path:
+        assert frame.root is not None, "frames of data sets have one"
+        root = frame.root.resolve()
+        key = hashlib.sha256(f"{self._made_by} {root.name}".encode()).hexdigest()[:16]
+        folder = Path(self.cache) if self.cache else root / ".lidar2pano"
+        stem = "-".join(part for part in (root.name, *frame.name.split("/"), camera) if part)
+        return folder / "sectors" / key / f"{stem}.safetensors"
+
+    @torch.inference_mode()
+    def _made(self, frame: Frame, camera: str) -> dict[str, Tensor]:
+        view, picture, known = self._pictured(frame, camera)
+        whole = replace(self.pipeline, view=replace(self.pipeline.view, origin=view.origin))
+        scene = whole.translate(frame.scan, Timer(whole.device))
+        start = round((whole.view.left - view.left) * whole.view.columns / (whole.view.left - whole.view.right))
+        columns = (torch.arange(view.columns) + start) % whole.view.columns
+        channels = scene.channels[0, ..., columns]
+        remission = (channels[4].clamp(0, 1) * (BYTE - 1)).round() + 1
+        stream = io.BytesIO()
+        filled = Image.fromarray(without_gaps(picture, known).movedim(0, 2).contiguous().numpy())
+        filled.save(stream, "JPEG", quality=QUALITY, subsampling=0)
+        made = {
+            "probabilities": (scene.probabilities[0, ..., columns] * BYTE).round().byte(),
+            "depth_m": scene.depth_m[0, :, columns],  # halves of it would make normals of steps
+            "measured": (remission * (channels[0] > 0)).byte(),
+            "viewpoint_m": scene.viewpoint_m.float(),
+            "photograph": torch.frombuffer(bytearray(stream.getvalue()), dtype=torch.uint8),
+            "known": packed(known),
+        }
+        return {name: value.contiguous() for name, value in made.items()}
+
+    def _pictured(self, frame: Frame, camera: str) -> tuple[View, Tensor, Tensor]:
+        """Return a sector's raster, its picture (3, 2H, 2w) uint8 on one twice as fine, and where that is known."""
+        view = self.pipeline.view
+        if not camera and frame.panorama_for(view) is not None:
+            truth = panorama_on(frame, view.scaled(2), camera_labels=True)
+            picture = torch.from_numpy(truth.image).movedim(2, 0)
+            return replace(view, origin=truth.view.origin), picture, torch.from_numpy(truth.valid)
+        image, calibration, ego_mask = photographed(frame, camera)
+        sector = sector_around(at_camera(view, calibration), calibration)
+        look_up = camera_in_panorama(sector.scaled(2), calibration)
+        picture = look_up.linear(torch.from_numpy(image).movedim(2, 0).float()).round().byte()
+        if ego_mask is None:
+            return sector, picture, look_up.valid
+        return sector, picture, look_up.valid & (look_up.nearest(torch.from_numpy(ego_mask).byte(), 1) == 0)
+
+
+def cameras(frame: Frame) -> tuple[str, ...]:
+    """Return the names of a surround frame's rectified cameras; ("",) for a frame with one image or a panorama."""
+    if not isinstance(frame, SurroundFrame):
+        return ("",)
+    return tuple(name for name, image in frame.cameras.items() if isinstance(image.calibration, Calibration))
+
+
+def photographed(frame: Frame, camera: str) -> tuple[np.ndarray, Calibration, np.ndarray | None]:
+    """Return a camera's image (h, w, 3) uint8, its calibration, and its vehicle's pixels, (h, w) bool, or None."""
+    if not isinstance(frame, SurroundFrame):
+        image, calibration = frame.require("image", "calibration")
+        return image, calibration, None
+    taken = frame.cameras[camera]
+    assert isinstance(taken.calibration, Calibration), "lenses are left out by `cameras`"
+    return taken.image, taken.calibration, taken.ego_mask
+
+
+def sector_around(view: View, calibration: Calibration) -> View:
+    """Return the window of a circular raster, SECTOR_DEG wide, in whose middle the camera looks."""
+    width, height = calibration.size
+    middle = np.array([(width - 1) / 2, (height - 1) / 2, 1.0])
+    x, y, _ = np.linalg.solve(calibration.K @ calibration.T_camera_lidar[:3, :3], middle)
+    column = (math.radians(view.left) - math.atan2(y, x)) * view.focal_px
+    columns = sector_columns(view)
+    return view.window(round(column) - columns // 2, columns)
+
+
+def sector_columns(view: View) -> int:
+    """Return the number of columns of a camera's sector on a circular raster."""
+    return round(view.columns * SECTOR_DEG / FULL_TURN / STRIDE) * STRIDE
+
+
+def without_gaps(picture: Tensor, known: Tensor) -> Tensor:
+    """Return a picture (3, H, W) whose unknown pixels have the nearest known one's colour in their column.
+
+    Columns without any have the nearest column's that has some; a picture of which nothing is known stays as it is.
+    """
+    columns = known.any(0).nonzero()[:, 0]
+    if not len(columns):
+        return picture
+    rows = torch.arange(known.shape[0])
+    shown = known[:, columns]
+    upper, lower = adjacent_rows(shown)
+    below = (lower < len(rows)) & ((upper < 0) | (lower - rows[:, None] < rows[:, None] - upper))
+    source = torch.where(below, lower, upper).clamp(0, len(rows) - 1)
+    filled = picture[:, :, columns].gather(1, source.expand(len(picture), -1, -1))
+    nearest = (torch.arange(known.shape[1])[:, None] - columns).abs().argmin(1)
+    return filled[:, :, nearest]
+
+
+def packed(mask: Tensor) -> Tensor:
+    """Pack a mask (H, W) into bits, (H, W / 8) uint8, the last byte of a row filled up with zeros."""
+    return torch.from_numpy(np.packbits(mask.numpy(), axis=1))
+
+
+def unpacked(bits: Tensor, columns: int) -> Tensor:
+    """Return the mask (H, columns) bool that `packed` packed."""
+    return torch.from_numpy(np.unpackbits(bits.numpy(), axis=1, count=columns)).bool()

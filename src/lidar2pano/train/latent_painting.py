@@ -1,0 +1,241 @@
+"""The latent painter: options, task and recipes.
+
+The mean of the latents is learned by squared errors, the flow by conditional flow matching (Lipman et al. 2023), where
+a camera shows what the latents stand for. Long steps are learned from two of half their length (Frans et al. 2024).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lidar2pano.data.frames import evenly_spaced
+from lidar2pano.errors import InputError
+from lidar2pano.models.autoencoder import Autoencoder
+from lidar2pano.models.card import load
+from lidar2pano.models.latent_inputs import CLASSES, GEOMETRY, MEASUREMENT
+from lidar2pano.models.latent_painter import LatentPainter
+from lidar2pano.pipeline import assemble, load_part, load_segmenter
+from lidar2pano.train.latent_frames import LatentFrames, LatentSample
+from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores
+from lidar2pano.train.task import as_image, build_networks, device_of
+from lidar2pano.views import VIEWS
+
+GROUPS = (CLASSES, GEOMETRY, MEASUREMENT)
+LENGTHS = (1, 2, 4)  # long steps are 1/1, 1/2 and 1/4; the shortest is learned from two instant ones of 1/8
+SCORED = 12  # sectors of the validation splits that are scored, evenly spaced
+TIMES = (0.1, 0.3, 0.5, 0.7, 0.9)  # at which the flow is scored
+MEASURED_ON = 48  # sectors, evenly spaced, whose latents' mean and deviation are taken out
+SHOWN = 3  # sectors in a preview
+
+
+@dataclass(frozen=True, kw_only=True)
+class LatentPaintingOptions(TaskOptions):
+    """The latent painter.
+
+    columns      width of a crop on the scene's raster, a multiple of 16.
+    autoencoder, segmenter, translator   weight files: of the latents, and of the networks that make the scenes.
+    cache        folder that keeps the sectors, some 3 MB each; "": the folder .lidar2pano of their data set.
+    free_probability    of a sample whose flow is given nothing of the scene, for guidance.
+    absent_probability  of each group of conditions to be absent from a sample.
+    shortcut     share of the samples of a batch that teach long steps.
+    """
+
+    task = "latent-painting"
+    SIZES = ("columns",)
+    columns: int = 320
+    autoencoder: str = ""
+    segmenter: str = ""
+    translator: str = ""
+    cache: str = ""
+    free_probability: float = 0.12
+    absent_probability: float = 0.1
+    shortcut: float = 0.25
+
+
+class Noisy(NamedTuple):
+    """Latents on their way from noise, (B, L, h, w), their time and the length of the step (B,), and the velocity."""
+
+    latents: Tensor
+    time: Tensor
+    step: Tensor
+    velocity: Tensor
+
+
+class LatentPainting:
+    """Trains a latent painter; its score is the negative loss on the validation splits."""
+
+    released = ("painter",)
+
+    def __init__(self, recipe: Recipe[LatentPaintingOptions], root: Path) -> None:
+        self.view, self.options = VIEWS[recipe.view].scaled(recipe.scale), recipe.options
+        for name in ("autoencoder", "segmenter", "translator"):
+            if not getattr(recipe.options, name):
+                raise InputError(f"recipe {recipe.name!r} needs --set options.{name}=FILE")
+        autoencoder = cast("Autoencoder", load(Path(recipe.options.autoencoder), expect="autoencoder")[0])
+        self.networks = build_networks(recipe)
+        self.painter = cast("LatentPainter", self.networks["painter"])
+        device = torch.device("cpu")
+        segmenter, _ = load_segmenter(Path(recipe.options.segmenter), device)
+        translator, _ = load_part(Path(recipe.options.translator), device, expect="titan-pano")
+        pipeline = assemble(segmenter, translator, self.painter, self.view, device)
+        networks = (recipe.options.segmenter, recipe.options.translator)
+        self.dataset, self.validation = (
+            LatentFrames(
+                root,
+                splits,
+                pipeline,
+                autoencoder,
+                networks,
+                self.painter.looks,
+                recipe.options.columns,
+                recipe.options.cache,
+            )
+            for splits in (recipe.data.train, recipe.data.val)
+        )
+        self.logs: dict[str, float | Tensor] = {}
+        self._decode_as(autoencoder)
+
+    def _decode_as(self, autoencoder: Autoencoder) -> None:
+        """Give the painter the autoencoder's decoder, and the scale of its latents in the training sectors."""
+        try:
+            self.painter.decoder.load_state_dict(autoencoder.decoder.state_dict())
+        except RuntimeError:
+            raise InputError(
+                f"options.autoencoder: {self.options.autoencoder} was trained with other settings than the painter's"
+                " latents, decoder and last; change one of them"
+            ) from None
+        sectors = [self.dataset.encoded(index) for index in evenly_spaced(len(self.dataset), MEASURED_ON)]
+        latents = torch.cat([sector.latents[:, sector.known].float() for sector in sectors], 1)
+        if not latents.shape[1]:
+            raise InputError("data.train: no camera sees anything of its scans; name splits with calibrated images")
+        cast("Tensor", self.painter.scale).copy_(torch.stack([latents.mean(1), latents.std(1).clamp(min=1e-6)]))
+
+    def updates(self, batch: LatentSample) -> Iterator[tuple[str, Tensor]]:
+        """One update of mean and flow."""
+        conditions, samples = self._with_absent(batch.conditions), len(batch.look)
+        conditions = conditions.contiguous(memory_format=torch.channels_last)
+        shares = torch.eye(len(self.painter.looks), device=conditions.device)[batch.look]
+        latents = self.painter.normalised(batch.latents)
+        noisy = self._noisy(latents)
+        kept = (torch.rand(samples, device=conditions.device) >= self.options.free_probability).float()
+        if taught := round(self.options.shortcut * samples):
+            part = slice(taught)
+            long = self._long(conditions[part], shares[part], latents[part])
+            noisy = Noisy(*(torch.cat([one, other[taught:]]) for one, other in zip(long, noisy, strict=True)))
+            kept = torch.cat([torch.ones_like(kept[part]), kept[taught:]])
+        mean, velocity = self.networks["painter"](conditions, shares, noisy.latents, noisy.time, noisy.step, kept)
+        losses = {
+            "mean": masked_error(mean, latents, batch.known),
+            "flow": masked_error(velocity, noisy.velocity, batch.known),
+        }
+        self.logs = {name: loss.detach() for name, loss in losses.items()}
+        yield "painter", losses["mean"] + losses["flow"]
+
+    def _with_absent(self, conditions: Tensor) -> Tensor:
+        """Return conditions of which some groups are absent."""
+        conditions = conditions.clone()
+        for group in GROUPS:
+            absent = torch.rand(len(conditions), device=conditions.device) < self.options.absent_probability
+            conditions[:, group] *= ~absent[:, None, None, None]
+        return conditions
+
+    @staticmethod
+    def _noisy(latents: Tensor) -> Noisy:
+        """Return latents at random times, most of them in the middle, and the instant velocity."""
+        noise, time = torch.randn_like(latents), torch.sigmoid(torch.randn(len(latents), device=latents.device))
+        return Noisy(
+            torch.lerp(noise, latents, time[:, None, None, None]), time, torch.zeros_like(time), latents - noise
+        )
+
+    @torch.no_grad()
+    def _long(self, conditions: Tensor, shares: Tensor, latents: Tensor) -> Noisy:
+        """Return latents at the beginning of long steps, and the mean velocity of two steps of half the length."""
+        samples, device = len(latents), latents.device
+        number = torch.tensor(LENGTHS, device=device)[torch.randint(len(LENGTHS), (samples,), device=device)]
+        step = 1 / number
+        time = (torch.rand(samples, device=device) * number).floor() * step
+        start = torch.lerp(torch.randn_like(latents), latents, time[:, None, None, None])
+        half = step / 2
+        first = self._half_step(conditions, shares, start, time, half)
+        middle = start + half[:, None, None, None] * first
+        second = self._half_step(conditions, shares, middle, time + half, half)
+        return Noisy(start, time, step, (first + second) / 2)
+
+    def _half_step(self, conditions: Tensor, shares: Tensor, noisy: Tensor, time: Tensor, half: Tensor) -> Tensor:
+        """Return the velocity of a learned step; the guided instant one where the step is shorter than all of them."""
+        network, samples = self.networks["painter"], len(noisy)
+        instant = half < 1 / max(LENGTHS)
+        step, kept = torch.where(instant, 0.0, half), torch.ones_like(time)
+        twice = [torch.cat([part, part]) for part in (conditions, shares, noisy, time, step)]
+        _, velocity = network(*twice, torch.cat([kept, 0 * kept]))
+        given, free = velocity.float().split(samples)
+        weight = torch.where(instant, self.painter.guidance, 1.0)
+        return torch.lerp(free, given, weight[:, None, None, None])
+
+    @torch.no_grad()
+    def validate(self) -> dict[str, float]:
+        """Return the masked errors of mean and flow, with the same noise each time; the score is their negative sum."""
+        network, device = self.networks["painter"], device_of(self.painter)
+        losses = []
+        for index in evenly_spaced(len(self.validation), SCORED):
+            sample = LatentSample(*(part[None].to(device) for part in self.validation[index]))
+            latents = self.painter.normalised(sample.latents)
+            noise = torch.randn(latents.shape, generator=torch.Generator().manual_seed(index)).to(device)
+            shares = torch.eye(len(self.painter.looks), device=device)[sample.look]
+            one = torch.ones(1, device=device)
+            for time in TIMES:
+                noisy = torch.lerp(noise, latents, time)
+                mean, velocity = network(sample.conditions, shares, noisy, time * one, 0 * one, one)
+                parts = ((mean, latents), (velocity, latents - noise))
+                losses.append([float(masked_error(made, real, sample.known)) for made, real in parts])
+        mean_loss, flow_loss = np.mean(losses, 0).tolist()
+        return {"score": -(mean_loss + flow_loss), "mean": mean_loss, "flow": flow_loss}
+
+    @torch.no_grad()
+    def preview(self) -> dict[str, np.ndarray]:
+        """Return photographs, below each the decoded mean and a picture, (H, W, 3) uint8."""
+        device, rows = device_of(self.painter), []
+        for index in evenly_spaced(len(self.validation), SHOWN):
+            sample = self.validation[index]
+            conditions = sample.conditions[None].to(device)
+            shares = torch.eye(len(self.painter.looks), device=device)[sample.look][None]
+            noise = torch.randn(1, *sample.latents.shape, generator=torch.Generator().manual_seed(index)).to(device)
+            mean = self.painter.denormalised(self.painter.expected(conditions, shares).float())
+            parts = (sample.latents[None].to(device), mean, self.painter.latents_of(conditions, shares, noise))
+            rows += [Autoencoder.decoded(self.painter.decoder, part)[0].float().clamp(-1, 1).cpu() for part in parts]
+        return {"picture": as_image(torch.cat(rows, 1))}
+
+    def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
+        """Return what a user of the painter has to know: the raster of its scenes."""
+        return {"labels": None, "views": {"panorama": self.view.as_dict()}}
+
+
+def masked_error(made: Tensor, real: Tensor, known: Tensor) -> Tensor:
+    """Return the mean squared error of (B, L, h, w) where `known`, (B, h, w) bool; 0 where nothing is."""
+    error = (made.float() - real.float()).square().mean(1) * known
+    return error.sum() / known.sum().clamp(min=1)
+
+
+def latent_painter() -> Recipe[LatentPaintingOptions]:
+    """The latent painter on the autoencoder's latents."""
+    optimizer = Optimizer(rate=1e-3, betas=(0.9, 0.99), weight_decay=0.01, warmup=100, clip=1.0)
+    return Recipe(
+        view="panorama",
+        scale=0.5,
+        networks={"painter": Network(model="latent-painter", optimizer=optimizer)},
+        options=LatentPaintingOptions(),
+        training=Training(steps=40_000, batch=64),
+    )
+
+
+RECIPES: dict[str, Callable[[], Recipe]] = {
+    "latent-painter": latent_painter,
+    "latent-painter-mini": lambda: on_two_cores(latent_painter(), minutes=120, batch=4),
+}

@@ -1,0 +1,172 @@
+"""The latent painter: its conditions and noise by slow definitions, its steps, and a picture on its own."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from lidar2pano.errors import InputError
+from lidar2pano.models import build
+from lidar2pano.models.latent_inputs import conditions_of, mirrored, world_noise
+from lidar2pano.scene.record import Scene
+from lidar2pano.views import VIEWS, View
+
+VIEW = replace(VIEWS["panorama"], rows=32, columns=384)
+SMALL = {"latents": 4, "decoder": (4, 6, 8), "last": 4, "mean_widths": (4, 6, 8), "flow_widths": (4, 6, 8), "code": 8}
+
+
+def scene_of(depth_m: torch.Tensor, view: View = VIEW, pose: np.ndarray | None = None) -> Scene:
+    """Sky above the horizon, road below it, half of the pixels measured."""
+    torch.manual_seed(3)
+    rows, columns = depth_m.shape[1:]
+    probabilities = torch.full((1, 16, rows, columns), 0.02)
+    probabilities[:, 15, : rows // 3] = 0.7
+    probabilities[:, 7, rows // 3 :] = 0.7
+    channels = torch.rand(1, 5, rows, columns)
+    channels[:, :, :, ::2] = 0
+    return Scene(
+        view=view,
+        channels=channels,
+        probabilities=probabilities,
+        depth_m=depth_m,
+        viewpoint_m=torch.tensor([1.6]),
+        T_world_sensor=pose,
+    )
+
+
+def street(columns: int = VIEW.columns) -> torch.Tensor:
+    """Distances (1, 32, columns) of a road below and of walls above it."""
+    azimuth = torch.linspace(0, 2 * math.pi, columns + 1)[:-1]
+    tangent = 0.24 - (torch.arange(32) + 0.5) / 32 * (0.24 + 0.2836)
+    road = 1.6 / (-tangent).clamp(min=0.05)
+    wall = 8 + 3 * torch.sin(2 * azimuth)
+    return torch.minimum(road[:, None], wall)[None] * torch.sqrt(1 + tangent**2)[None, :, None]
+
+
+def test_conditions_are_what_they_are_said_to_be():
+    scene = scene_of(street())
+    made = conditions_of(scene)[0]
+    assert made.shape == (26, 32, 384)
+    for row, column in ((4, 5), (20, 6), (31, 101), (30, 8)):
+        tangent = 0.24 - (row + 0.5) / 32 * (0.24 + 0.2836)
+        distance = float(scene.depth_m[0, row, column])
+        is_sky, is_measured = row < 32 // 3, column % 2 == 1
+        height = (distance / math.sqrt(1 + tangent**2) * tangent + 1.6) / 4
+        code = math.log1p(distance) / math.log(121)
+        assert made[:16, row, column].tolist() == pytest.approx(scene.probabilities[0, :, row, column].tolist())
+        assert made[16:18, row, column].tolist() == pytest.approx([0, 0] if is_sky else [code, height], abs=1e-5)
+        assert made[21, row, column] == made[24, row, column] == 1
+        assert made[22, row, column] == is_measured
+        assert float(made[23, row, column]) == pytest.approx(float(scene.channels[0, 4, row, column]))
+        assert float(made[25, row, column]) == pytest.approx(tangent / 0.3, abs=1e-6)
+    assert made[18:21, 31, 100].tolist() == pytest.approx([0, 0, 1], abs=0.01)  # a level road looks up
+    assert not made[18:21, :10].any()
+
+
+def test_a_mirrored_scene_has_mirrored_conditions():
+    scene = scene_of(street())
+    flipped = {name: getattr(scene, name).flip(-1) for name in ("channels", "probabilities", "depth_m")}
+    torch.testing.assert_close(
+        conditions_of(replace(scene, **flipped)), mirrored(conditions_of(scene)), atol=1e-5, rtol=0
+    )
+
+
+def test_noise_is_normal_and_another_seed_is_another_one():
+    scene = scene_of(street())
+    noise, other = world_noise(scene, 32), world_noise(scene, 32, seed=1)
+    assert noise.shape == (1, 32, 8, 96)
+    assert abs(float(noise.mean())) < 0.02
+    assert float(noise.std()) == pytest.approx(1, abs=0.02)
+    assert float(noise.pow(4).mean()) == pytest.approx(3, abs=0.2)
+    assert abs(float((noise * other).mean())) < 0.02
+    across, down = (noise * noise.roll(1, 3)).mean(), (noise[:, :, 1:] * noise[:, :, :-1]).mean()
+    between_channels = (noise * noise.roll(1, 1)).mean()
+    assert abs(float(between_channels)) < 0.02
+    assert max(abs(float(across)), abs(float(down))) < 0.25  # neighbours share a cell now and then
+
+
+def test_noise_stays_where_it_is_while_the_sensor_turns():
+    """A quarter turn to the left shows the same world a quarter of the raster farther to the right."""
+    quarter = VIEW.columns // 4
+    view = replace(VIEW, origin=(0.0, 0.0, 0.0))
+    turned = np.eye(4)
+    turned[:2, :2] = [[0, -1], [1, 0]]
+    depth_m = street()
+    still = world_noise(scene_of(depth_m, view), 8)
+    moved = world_noise(scene_of(depth_m.roll(quarter, 2), view, turned), 8)
+    same = (still == moved.roll(-quarter // 4, 3)).all(1)
+    assert float(same.float().mean()) > 0.98  # rounding may put a point into the next cell
+
+
+def test_noise_comes_along_when_the_sensor_moves_ahead():
+    """Half of the cells of a wall that is seen 0.1 m nearer are still there; other places share none."""
+    view = replace(VIEW, origin=(0.0, 0.0, 0.0))
+    depth_m = torch.full((1, 32, 384), 10.0)
+    scene = scene_of(depth_m, view)
+    scene = replace(scene, probabilities=scene.probabilities.flip(2))  # no sky below
+    ahead, away = np.eye(4), np.eye(4)
+    ahead[0, 3], away[0, 3] = 0.1, 500.0
+    before = set(world_noise(scene, 1).flatten().tolist())
+    shared = [
+        np.mean([value in before for value in world_noise(replace(scene, T_world_sensor=pose), 1).flatten().tolist()])
+        for pose in (ahead, away)
+    ]
+    assert shared[0] > shared[1] + 0.3
+
+
+def painter(**settings):
+    torch.manual_seed(0)
+    network = build("latent-painter", **SMALL | settings).eval()
+    for weight in network.parameters():
+        torch.nn.init.normal_(weight, std=0.2)
+    return network
+
+
+def test_a_scan_is_painted_and_another_step_count_paints_another_picture():
+    scene = scene_of(street())
+    with torch.inference_mode():
+        pictures = [painter(steps=steps).paint(None, scene)[1] for steps in (1, 2, 5)]
+        again = painter(steps=2).paint(None, scene)[1]
+    assert {tuple(picture.shape) for picture in pictures} == {(1, 3, 64, 768)}
+    assert all(float(picture.abs().max()) <= 1 for picture in pictures)
+    assert torch.equal(pictures[1], again)
+    assert not torch.equal(pictures[0], pictures[1])
+
+
+@pytest.mark.parametrize("steps", [1, 4, 6])
+def test_steps_are_those_of_the_definition(steps):
+    """Learned steps ask for their own length; more steps for the instant velocity, led away from the free one."""
+    network = painter(steps=steps, guidance=1.7)
+    conditions, shares, noise = torch.randn(1, 26, 16, 32), torch.ones(1, 1), torch.randn(1, 4, 4, 8)
+    with torch.inference_mode():
+        mean, x = network.mean(conditions, shares @ network.look_codes), noise
+        for number in range(steps):
+            time = torch.tensor([number / steps])
+            if steps <= 4:
+                velocity = network.velocity(x, time, torch.tensor([1 / steps]), conditions, mean, shares)
+            else:
+                given = network.velocity(x, time, torch.zeros(1), conditions, mean, shares)
+                free = network.velocity(x, time, torch.zeros(1), 0 * conditions, 0 * mean, shares)
+                velocity = free + 1.7 * (given - free)
+            x = x + velocity / steps
+        scale, shift = network.scale[1, :, None, None], network.scale[0, :, None, None]
+        torch.testing.assert_close(
+            network.latents_of(conditions, shares, noise), x * scale + shift, atol=1e-4, rtol=1e-4
+        )
+
+
+def test_normalised_latents_have_no_mean_and_unit_deviation():
+    network = painter()
+    network.scale.copy_(torch.tensor([[1.0, 2, 3, 4], [2.0, 2, 4, 4]]))
+    latents = torch.tensor([3.0, 2, -1, 8])[None, :, None, None].expand(1, 4, 2, 2)
+    assert network.normalised(latents)[0, :, 0, 0].tolist() == [1, 0, -1, 1]
+    torch.testing.assert_close(network.denormalised(network.normalised(latents)), latents)
+
+
+def test_settings_that_make_no_sense_are_refused():
+    with pytest.raises(InputError, match="at least one step"):
+        build("latent-painter", **SMALL, steps=0)
+    with pytest.raises(InputError, match="knows no look 'dusk'"):
+        painter().look_shares("dusk")

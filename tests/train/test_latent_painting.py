@@ -1,0 +1,231 @@
+"""Sectors of the latent painter and its task, on a painted place whose every look is known, with small networks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import default_collate
+
+import lidar2pano
+from lidar2pano.data.frames import SampleIndex
+from lidar2pano.errors import InputError
+from lidar2pano.hardware import Timer
+from lidar2pano.models import build
+from lidar2pano.models.card import Card, load, save
+from lidar2pano.models.latent_inputs import conditions_of
+from lidar2pano.train.engine import train
+from lidar2pano.train.latent_frames import LatentFrames, packed, unpacked, without_gaps
+from lidar2pano.train.latent_painting import masked_error
+from lidar2pano.train.recipe import override
+from lidar2pano.train.recipes import recipe_named
+from lidar2pano.train.tasks import build_task
+from tests.support.miniature_surround import distances, painting, six, write_pandaset
+from tests.support.random_weights import TRANSLATOR_VIEW, write_family
+
+LATENTS = {"latents": 4, "decoder": (4, 6, 8), "last": 4}
+SMALL = LATENTS | {"mean_widths": (6, 8, 10), "flow_widths": (6, 8, 10), "code": 8}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A data set of one frame with six cameras, a family of untrained networks, and an autoencoder."""
+    folder = tmp_path_factory.mktemp("place")
+    write_family(folder / "family")
+    torch.manual_seed(0)
+    settings = LATENTS | {"encoder": (4, 6, 8)}
+    save(
+        folder / "autoencoder.safetensors",
+        build("autoencoder", **settings),
+        Card(network="autoencoder", settings=settings),
+    )
+    write_pandaset(folder / "set")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def sectors(place):
+    family = place / "family"
+    return LatentFrames(
+        place / "set",
+        ("all",),
+        lidar2pano.load(family, "cpu", "torch"),
+        load(place / "autoencoder.safetensors")[0],
+        (str(family / "segmenter.safetensors"), str(family / "translator.safetensors")),
+        ("photograph",),
+        96,
+        str(place / "cache"),
+    )
+
+
+def test_a_sector_shows_what_its_camera_sees_in_its_directions(sectors):
+    """Colours by the place's own definition; the raster's middle is where each camera looks."""
+    assert len(sectors) == 6
+    for index, calibration in enumerate(six().values()):
+        picture, known = sectors.photograph(index)
+        rows, columns = known.shape
+        assert (rows, columns) == (96, 320)
+        focal = 2 * TRANSLATOR_VIEW.columns / (2 * np.pi)
+        ahead = calibration.T_camera_lidar[2, :3]
+        start = (np.pi - np.arctan2(ahead[1], ahead[0])) * focal / 2 - 80
+        azimuth = np.pi - (np.arange(columns) + 0.5 + 2 * round(start)) / focal
+        tangent = 0.24 - (np.arange(rows) + 0.5) / rows * (0.24 + 0.2836)
+        rays = np.stack(np.broadcast_arrays(np.cos(azimuth), np.sin(azimuth), tangent[:, None]), -1)
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        centre = np.array(calibration.centre)
+        expected = painting(centre + distances(centre, rays)[..., None] * rays)
+        gap = np.abs((picture.movedim(0, 2).numpy() + 1) * 127.5 - expected)[known.numpy()]
+        assert known.float().mean() > 0.5
+        assert np.median(gap) < 4
+
+
+def test_a_sectors_scene_is_the_pipelines_at_that_camera(sectors):
+    """The sector of the camera that looks back lies across the raster's seam."""
+    frame = sectors.frames[0]
+    for index in (0, 3):
+        pipeline = sectors.pipeline.at(list(six().values())[index])
+        whole = conditions_of(pipeline.translate(frame.scan, Timer(pipeline.device)))[0]
+        start = round(sectors_start(index))
+        columns = (torch.arange(160) + start) % TRANSLATOR_VIEW.columns
+        made = conditions_of(sectors.scene(index, 0, 160))[0]
+        inner = slice(1, -1)  # normals at a sector's ends lack a neighbour
+        torch.testing.assert_close(made[..., inner], whole[..., columns][..., inner], atol=0.01, rtol=0)
+
+
+def sectors_start(index):
+    ahead = list(six().values())[index].T_camera_lidar[2, :3]
+    return (np.pi - np.arctan2(ahead[1], ahead[0])) * TRANSLATOR_VIEW.focal_px - 80
+
+
+def test_a_crop_and_its_mirror_belong_to_their_latents(sectors):
+    """The latents of a mirrored crop are those of the mirrored photograph."""
+    mirrors = set()
+    picture, known = sectors.photograph(1)
+    scene = conditions_of(sectors.scene(1, 0, 160))[0]
+    for seed in range(12):
+        sample = sectors[SampleIndex(1, seed)]
+        assert sample.conditions.shape == (26, 48, 96)
+        assert sample.latents.shape == (4, 12, 24)
+        gaps = {}
+        for mirror in (False, True):
+            whole = sectors.autoencoder.encode((picture.flip(-1) if mirror else picture)[None])[0].detach()
+            for start in range(40 - 24 + 1):
+                gaps[mirror, start] = float((whole[..., start : start + 24] - sample.latents).square().mean())
+        mirror, start = min(gaps, key=gaps.__getitem__)
+        mirrors.add(mirror)
+        cells = (known.flip(-1) if mirror else known).view(12, 8, 40, 8).all(3).all(1)
+        assert torch.equal(cells[:, start : start + 24], sample.known)
+        classes = (scene.flip(-1) if mirror else scene)[:16, :, 4 * start : 4 * start + 96]
+        torch.testing.assert_close(classes, sample.conditions[:16])
+    assert mirrors == {False, True}
+
+
+def test_gaps_have_the_nearest_known_colour():
+    picture, known = torch.zeros(1, 5, 4), torch.zeros(5, 4, dtype=torch.bool)
+    picture[0, :, 1], picture[0, :, 2] = torch.arange(5.0), 10 + torch.arange(5.0)
+    known[1, 1] = known[4, 1] = known[3, 2] = True
+    filled = without_gaps(picture, known)[0]
+    assert filled[:, 1].tolist() == [1, 1, 1, 4, 4]
+    assert filled[:, 2].tolist() == [13] * 5
+    assert torch.equal(filled[:, 0], filled[:, 1]) and torch.equal(filled[:, 3], filled[:, 2])
+    assert torch.equal(without_gaps(picture, torch.zeros_like(known)), picture)
+
+
+def test_packed_masks_come_back():
+    mask = torch.rand(3, 13) > 0.5
+    assert torch.equal(unpacked(packed(mask), 13), mask)
+
+
+def small(place, *further):
+    recipe = recipe_named("latent-painter-mini")
+    recipe = replace(recipe, networks={"painter": replace(recipe.networks["painter"], settings=SMALL)})
+    plain = (
+        "scale=0.125",
+        "options.columns=96",
+        f"options.autoencoder={place / 'autoencoder.safetensors'}",
+        f"options.segmenter={place / 'family/segmenter.safetensors'}",
+        f"options.translator={place / 'family/translator.safetensors'}",
+        f"options.cache={place / 'cache'}",
+        "data.train=all",
+        "data.val=all",
+        "training.workers=0",
+        "training.batch=4",
+        "training.precision=32-true",
+    )
+    for assignment in (*plain, *further):
+        recipe = override(recipe, assignment)
+    return recipe
+
+
+def test_mean_and_flow_are_learned_and_long_steps_with_them(place):
+    task = build_task(small(place, "options.shortcut=0.5"), place / "set")
+    batch = default_collate([task.dataset[SampleIndex(index, index)] for index in range(4)])
+    network = task.networks["painter"]
+    optimizer = torch.optim.AdamW([part for part in network.parameters() if part.requires_grad], lr=5e-3)
+    torch.manual_seed(0)
+    losses = []
+    for _ in range(60):
+        ((role, loss),) = task.updates(batch)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append([float(task.logs["mean"]), float(task.logs["flow"])])
+    assert role == "painter"
+    first, last = np.mean(losses[:5], 0), np.mean(losses[-5:], 0)
+    assert last[0] < 0.6 * first[0]
+    assert last[1] < 0.9 * first[1]
+
+
+def test_a_long_step_is_the_mean_of_two_halves(place):
+    """For a network whose velocity is the step's length: two halves of 1/2 give 1/2, and so on."""
+    task = build_task(small(place), place / "set")
+
+    class Lengths(torch.nn.Module):
+        def forward(self, conditions, shares, noisy, time, step, kept):
+            velocity = torch.zeros_like(noisy) + torch.where(step > 0, step, 7 * kept)[:, None, None, None]
+            return torch.zeros_like(noisy), velocity
+
+    task.networks["painter"], task.painter.guidance = Lengths(), 1.5
+    latents = torch.randn(64, 4, 12, 24)
+    torch.manual_seed(0)
+    long = task._long(torch.zeros(64, 26, 48, 96), torch.ones(64, 1), latents)
+    expected = {1.0: 0.5, 0.5: 0.25, 0.25: 1.5 * 7}
+    assert set(long.step.tolist()) == set(expected)
+    for step, time, velocity in zip(long.step.tolist(), long.time.tolist(), long.velocity, strict=True):
+        assert velocity.flatten().tolist() == pytest.approx([expected[step]] * velocity.numel())
+        assert (time / step) % 1 == 0 and 0 <= time <= 1 - step
+
+
+def test_what_no_camera_sees_has_no_loss():
+    made, real, known = torch.zeros(2, 3, 4, 4), torch.zeros(2, 3, 4, 4), torch.zeros(2, 4, 4, dtype=torch.bool)
+    known[0, 0, 0] = known[1, 2, 3] = True
+    made[:, :, 1] = 99.0
+    assert masked_error(made, real, known) == 0
+    made[0, :, 0, 0] = 2.0
+    assert masked_error(made, real, known) == 2
+    assert masked_error(made, real, torch.zeros_like(known)) == 0
+
+
+def test_a_run_releases_a_painter_that_paints_with_the_family(place, tmp_path):
+    train(small(place, "training.steps=2"), place / "set", tmp_path, device="cpu")
+    network, card = load(tmp_path / "weights/painter.safetensors", expect="latent-painter")
+    assert set(card.score) >= {"mean", "flow"}
+    decoder = load(place / "autoencoder.safetensors")[0].decoder.state_dict()
+    for name, value in network.decoder.state_dict().items():
+        torch.testing.assert_close(value, decoder[name], atol=1e-3, rtol=1e-2)
+    pipeline = lidar2pano.load(f"{place / 'family'}+{tmp_path}", "cpu", "torch")
+    assert type(pipeline.painter).__name__ == "LatentPainter"
+    panorama = pipeline(place / "set/sequences/002/velodyne/000000.bin")
+    assert panorama.colour.shape == (96, 1152, 3)
+    assert panorama.colour.std() > 0
+
+
+def test_missing_files_and_foreign_settings_are_named(place):
+    with pytest.raises(InputError, match="options.autoencoder=FILE"):
+        build_task(small(place, "options.autoencoder="), place / "set")
+    with pytest.raises(InputError, match="multiple of 16, at most 160"):
+        build_task(small(place, "options.columns=100"), place / "set")
+    recipe = small(place)
+    wide = replace(recipe.networks["painter"], settings=SMALL | {"last": 6})
+    with pytest.raises(InputError, match="trained with other settings"):
+        build_task(replace(recipe, networks={"painter": wide}), place / "set")
