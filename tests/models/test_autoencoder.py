@@ -6,7 +6,7 @@ import torch
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
 
-SMALL = {"latents": 6, "encoder": (4, 6, 8), "decoder": (4, 6, 8), "last": 4}
+SMALL = {"latents": 6, "encoder": (4, 6, 8), "decoder": (4, 4, 6, 8)}
 
 
 @pytest.fixture

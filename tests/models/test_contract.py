@@ -49,17 +49,16 @@ SMALL: dict[str, tuple[dict[str, object], Callable[[], tuple[Tensor, ...]]]] = {
         lambda: (*framed(torch.randn(2, 31, 16, 32), torch.randn(2, 3, 32, 64)), torch.eye(2), torch.zeros(2, 3)),
     ),
     "autoencoder": (
-        {"latents": 6, "encoder": (4, 6, 8), "decoder": (4, 6, 8), "last": 4},
+        {"latents": 6, "encoder": (4, 6, 8), "decoder": (4, 4, 6, 8)},
         lambda: (2 * torch.rand(2, 3, 24, 32) - 1,),
     ),
     "latent-painter": (
         {
             "looks": ["day", "evening"],
             "latents": 6,
-            "decoder": (4, 6, 8),
-            "last": 4,
-            "mean_widths": (6, 8, 10),
-            "flow_widths": (8, 10, 12),
+            "decoder": (4, 4, 6, 8),
+            "mean": ((6, 8, 10), (1, 1, 1)),
+            "flow": ((8, 10, 12), (1, 1, 1)),
             "code": 8,
         },
         lambda: (

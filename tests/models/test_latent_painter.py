@@ -14,7 +14,8 @@ from lidar2pano.scene.record import Scene
 from lidar2pano.views import VIEWS, View
 
 VIEW = replace(VIEWS["panorama"], rows=32, columns=384)
-SMALL = {"latents": 4, "decoder": (4, 6, 8), "last": 4, "mean_widths": (4, 6, 8), "flow_widths": (4, 6, 8), "code": 8}
+NARROW = ((4, 6, 8), (1, 1, 1))
+SMALL = {"latents": 4, "decoder": (4, 4, 6, 8), "mean": NARROW, "flow": NARROW, "code": 8}
 
 
 def scene_of(depth_m: torch.Tensor, view: View = VIEW, pose: np.ndarray | None = None) -> Scene:

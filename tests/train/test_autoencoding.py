@@ -20,7 +20,7 @@ from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.tasks import build_task
 
 PLAIN = ("options.perceptual=0", "options.adversarial=0")  # no frozen features
-SETTINGS = {"latents": 4, "encoder": (8, 8, 8), "decoder": (8, 8, 8), "last": 8}
+SETTINGS = {"latents": 4, "encoder": (8, 8, 8), "decoder": (8, 8, 8, 8)}
 
 
 @pytest.fixture

@@ -20,11 +20,12 @@ from lidar2pano.train.latent_painting import masked_error
 from lidar2pano.train.recipe import override
 from lidar2pano.train.recipes import recipe_named
 from lidar2pano.train.tasks import build_task
-from tests.support.miniature_surround import distances, painting, six, write_pandaset
-from tests.support.random_weights import TRANSLATOR_VIEW, write_family
+from miniature_surround import distances, painting, six, write_pandaset
+from random_weights import TRANSLATOR_VIEW, write_family
 
-LATENTS = {"latents": 4, "decoder": (4, 6, 8), "last": 4}
-SMALL = LATENTS | {"mean_widths": (6, 8, 10), "flow_widths": (6, 8, 10), "code": 8}
+LATENTS = {"latents": 4, "decoder": (4, 4, 6, 8)}
+NARROW = ((6, 8, 10), (1, 1, 1))
+SMALL = LATENTS | {"mean": NARROW, "flow": NARROW, "code": 8}
 
 
 @pytest.fixture(scope="module")
@@ -62,8 +63,8 @@ def test_a_sector_shows_what_its_camera_sees_in_its_directions(sectors):
     """Colours by the place's own definition; the raster's middle is where each camera looks."""
     assert len(sectors) == 6
     for index, calibration in enumerate(six().values()):
-        picture, known = sectors.photograph(index)
-        rows, columns = known.shape
+        picture, coverage = sectors.photograph(index)
+        rows, columns = coverage.shape
         assert (rows, columns) == (96, 320)
         focal = 2 * TRANSLATOR_VIEW.columns / (2 * np.pi)
         ahead = calibration.T_camera_lidar[2, :3]
@@ -74,8 +75,8 @@ def test_a_sector_shows_what_its_camera_sees_in_its_directions(sectors):
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
         centre = np.array(calibration.centre)
         expected = painting(centre + distances(centre, rays)[..., None] * rays)
-        gap = np.abs((picture.movedim(0, 2).numpy() + 1) * 127.5 - expected)[known.numpy()]
-        assert known.float().mean() > 0.5
+        gap = np.abs((picture.movedim(0, 2).numpy() + 1) * 127.5 - expected)[coverage.numpy()]
+        assert coverage.float().mean() > 0.5
         assert np.median(gap) < 4
 
 
@@ -100,7 +101,7 @@ def sectors_start(index):
 def test_a_crop_and_its_mirror_belong_to_their_latents(sectors):
     """The latents of a mirrored crop are those of the mirrored photograph."""
     mirrors = set()
-    picture, known = sectors.photograph(1)
+    picture, coverage = sectors.photograph(1)
     scene = conditions_of(sectors.scene(1, 0, 160))[0]
     for seed in range(12):
         sample = sectors[SampleIndex(1, seed)]
@@ -113,22 +114,22 @@ def test_a_crop_and_its_mirror_belong_to_their_latents(sectors):
                 gaps[mirror, start] = float((whole[..., start : start + 24] - sample.latents).square().mean())
         mirror, start = min(gaps, key=gaps.__getitem__)
         mirrors.add(mirror)
-        cells = (known.flip(-1) if mirror else known).view(12, 8, 40, 8).all(3).all(1)
-        assert torch.equal(cells[:, start : start + 24], sample.known)
+        cells = (coverage.flip(-1) if mirror else coverage).view(12, 8, 40, 8).all(3).all(1)
+        assert torch.equal(cells[:, start : start + 24], sample.coverage)
         classes = (scene.flip(-1) if mirror else scene)[:16, :, 4 * start : 4 * start + 96]
         torch.testing.assert_close(classes, sample.conditions[:16])
     assert mirrors == {False, True}
 
 
 def test_gaps_have_the_nearest_known_colour():
-    picture, known = torch.zeros(1, 5, 4), torch.zeros(5, 4, dtype=torch.bool)
+    picture, coverage = torch.zeros(1, 5, 4), torch.zeros(5, 4, dtype=torch.bool)
     picture[0, :, 1], picture[0, :, 2] = torch.arange(5.0), 10 + torch.arange(5.0)
-    known[1, 1] = known[4, 1] = known[3, 2] = True
-    filled = without_gaps(picture, known)[0]
+    coverage[1, 1] = coverage[4, 1] = coverage[3, 2] = True
+    filled = without_gaps(picture, coverage)[0]
     assert filled[:, 1].tolist() == [1, 1, 1, 4, 4]
     assert filled[:, 2].tolist() == [13] * 5
     assert torch.equal(filled[:, 0], filled[:, 1]) and torch.equal(filled[:, 3], filled[:, 2])
-    assert torch.equal(without_gaps(picture, torch.zeros_like(known)), picture)
+    assert torch.equal(without_gaps(picture, torch.zeros_like(coverage)), picture)
 
 
 def test_packed_masks_come_back():
@@ -197,13 +198,13 @@ def test_a_long_step_is_the_mean_of_two_halves(place):
 
 
 def test_what_no_camera_sees_has_no_loss():
-    made, real, known = torch.zeros(2, 3, 4, 4), torch.zeros(2, 3, 4, 4), torch.zeros(2, 4, 4, dtype=torch.bool)
-    known[0, 0, 0] = known[1, 2, 3] = True
+    made, real, coverage = torch.zeros(2, 3, 4, 4), torch.zeros(2, 3, 4, 4), torch.zeros(2, 4, 4, dtype=torch.bool)
+    coverage[0, 0, 0] = coverage[1, 2, 3] = True
     made[:, :, 1] = 99.0
-    assert masked_error(made, real, known) == 0
+    assert masked_error(made, real, coverage) == 0
     made[0, :, 0, 0] = 2.0
-    assert masked_error(made, real, known) == 2
-    assert masked_error(made, real, torch.zeros_like(known)) == 0
+    assert masked_error(made, real, coverage) == 2
+    assert masked_error(made, real, torch.zeros_like(coverage)) == 0
 
 
 def test_a_run_releases_a_painter_that_paints_with_the_family(place, tmp_path):
@@ -226,6 +227,6 @@ def test_missing_files_and_foreign_settings_are_named(place):
     with pytest.raises(InputError, match="multiple of 16, at most 160"):
         build_task(small(place, "options.columns=100"), place / "set")
     recipe = small(place)
-    wide = replace(recipe.networks["painter"], settings=SMALL | {"last": 6})
+    wide = replace(recipe.networks["painter"], settings=SMALL | {"decoder": (6, 4, 6, 8)})
     with pytest.raises(InputError, match="trained with other settings"):
         build_task(replace(recipe, networks={"painter": wide}), place / "set")

@@ -35,17 +35,15 @@ class PlainResidual(nn.Module):
 class Autoencoder(nn.Module):
     """Encoder and decoder.
 
-    latents          channels of the latents.
-    encoder, decoder  channels at 1/2, 1/4 and 1/8 of the picture's raster.
-    last             channels on the picture's own raster, in the decoder.
+    latents  channels of the latents.
+    encoder  channels at 1/2, 1/4 and 1/8 of the picture's raster;  decoder: those at 1/1, 1/2, 1/4 and 1/8.
     """
 
     def __init__(
         self,
         latents: int = 32,
         encoder: Sequence[int] = (32, 64, 128),
-        decoder: Sequence[int] = (32, 64, 128),
-        last: int = 16,
+        decoder: Sequence[int] = (16, 32, 64, 128),
     ) -> None:
         super().__init__()
         fine, middle, coarse = encoder
@@ -61,7 +59,7 @@ class Autoencoder(nn.Module):
             nn.SiLU(),
             CircularConv(coarse, latents),
         )
-        fine, middle, coarse = decoder
+        last, fine, middle, coarse = decoder
         self.decoder = nn.Sequential(
             CircularConv(latents, coarse),
             PlainResidual(coarse),
@@ -95,7 +93,7 @@ class Autoencoder(nn.Module):
 
     @staticmethod
     def decoded(decoder: nn.Module, latents: Tensor) -> Tensor:
-        """Return `decode` of latents by a decoder that stands alone."""
+        """Return `decode` of latents by a decoder alone."""
         return decoder(torch.tanh(latents / RANGE) * RANGE)
 
     def forward(self, picture: Tensor) -> tuple[Tensor, Tensor]:

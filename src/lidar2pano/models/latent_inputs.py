@@ -1,4 +1,4 @@
-"""Inputs of the latent painter: what is believed of a scene, and noise that hangs on the world."""
+"""Inputs of the latent painter: a scene as conditions, and noise fixed to the world."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from lidar2pano.scene.surfaces import cylinder_points, normals, slopes, world_co
 
 FOLD = 4  # pixels of the scene's raster per pixel of the latents, in rows and in columns
 HEIGHT_M = 4.0  # of a surface above the road, per unit of its condition
-HEIGHTS = (-1.0, 4.0)  # bounds of that condition
+HEIGHTS = (-1.0, 4.0)  # bounds of this condition
 SLOPE = 0.3  # tangent of elevation per unit of the last condition
 CLASSES, GEOMETRY, MEASUREMENT = slice(0, 16), slice(16, 22), slice(22, 25)  # groups of conditions, each may be absent
-SIDEWAYS = 19  # the condition that changes its sign in a mirror
+SIDEWAYS = 19  # a mirror changes the sign of this condition
 CONDITIONS = 26
 SKY = COMMON15.id_of("sky")
 SKY_OCTAVE = 1 << 10  # the sky's noise hangs on directions: it has an octave of its own
@@ -33,23 +33,23 @@ def conditions_of(scene: Scene) -> Tensor:
     CLASSES      probabilities of COMMON15.
     GEOMETRY     of surfaces, 0 in the sky: depth code, height above the road, normals in the column's own axes; 1.
     MEASUREMENT  whether a point lies in the pixel, its remission; 1.
-    The last one is the elevation. A group that is absent is 0 in all its channels.
+    The last one is the elevation. An absent group is 0 in all its channels.
     """
     depth_m, view, device = scene.depth_m.float(), scene.view, scene.depth_m.device
     surface = (likeliest(scene.probabilities) != SKY).float()[:, None]
     radius_m, z_m = cylinder_points(depth_m, view)
     height = ((z_m + scene.viewpoint_m[:, None, None]) / HEIGHT_M).clamp(*HEIGHTS)
-    measured, one = scene.measured.float()[:, None], torch.ones_like(surface)
+    measured, present = scene.measured.float()[:, None], torch.ones_like(surface)
     elevation = slopes(view, device=device)[:, None].expand_as(depth_m) / SLOPE
     parts = (
         scene.probabilities.float(),
         depth_code(depth_m.clamp(max=FAR_M))[:, None] * surface,
         height[:, None] * surface,
         normals(radius_m, z_m, view) * surface,
-        one,
+        present,
         measured,
         scene.channels[:, 4:5].float() * measured,
-        one,
+        present,
         elevation[:, None],
     )
     return torch.cat(parts, 1)
@@ -63,9 +63,9 @@ def mirrored(conditions: Tensor) -> Tensor:
 
 
 def world_noise(scene: Scene, channels: int, seed: int = 0) -> Tensor:
-    """Return normal noise (1, channels, H / FOLD, W / FOLD) float32 that stays with what a pixel shows.
+    """Return normal noise (1, channels, H / FOLD, W / FOLD) float32, fixed to the surfaces of the world.
 
-    It is a function of the cell of the world that the middle of a pixel of the latents lies in: a cube whose edge is
+    It is a function of the world's cell around the middle of a pixel of the latents: a cube whose edge is
     a power of two metres, half to once a pixel's width at that distance; in the sky of the direction. A drive thus
     keeps its textures.
     scene  a single one;  seed: another one gives another picture.

@@ -1,9 +1,9 @@
 """Latent painter: the picture of a scene by conditional flow matching on the latents of an autoencoder.
 
-A mean network regresses the latents from what is believed of the scene; a flow network leads noise to latents along
+A mean network regresses the latents from the scene; a flow network leads noise to latents along
 straight lines (Lipman et al. 2023; Liu et al. 2023), given the same conditions and the mean. Conditions are dropped in
 some training samples, so that guidance can be used (Ho and Salimans 2022), and the flow also learns long steps, each
-from two of half its length (shortcut models, Frans et al. 2024), so that one or two of them suffice. Every convolution
+from two of half its length, until one or two of them suffice (shortcut models, Frans et al. 2024). Every convolution
 is circular in azimuth, and features are normalised over each pixel's channels alone: a sector is painted as it is
 within a panorama.
 """
@@ -28,7 +28,7 @@ from lidar2pano.scene.record import Scene
 STRIDE = 4 * FOLD  # pixels of the scene's raster per pixel of the coarsest level
 WAVES = 32  # of the embedding of times, as many sines as cosines
 FASTEST = 1e3  # angular frequency of the last of them, for times in [0, 1]; the first one's is 1
-FAINT = 1e-3  # deviation of the first weights of what is to begin with next to nothing
+FAINT = 1e-3  # deviation of the first weights of a layer whose output is next to nothing at first
 LEARNED_STEPS = (1, 2, 4)  # numbers of steps whose lengths the flow learns; more are steps of its instant velocity
 
 
@@ -116,40 +116,36 @@ class ConditionedUNet(nn.Module):
 class LatentPainter(LookPainter):
     """Mean network, flow network, and the decoder of an Autoencoder, which learns nothing here.
 
-    looks, look      as of LookPainter.
-    steps, guidance  of a picture; guidance is used where `steps` is none of LEARNED_STEPS, whose steps have learned it.
-    latents, decoder, last   as of Autoencoder.
-    mean_widths, mean_blocks, flow_widths, flow_blocks  of the two ConditionedUNets.
-    code             numbers of the code that modulates them: look, time and length of the step.
+    looks             their names, the default first.
+    steps, guidance   of a picture; steps of the lengths of LEARNED_STEPS have learned the guidance.
+    latents, decoder  as of Autoencoder.
+    mean, flow        widths and blocks of the two ConditionedUNets.
+    code              length of the code of look, time and length of the step, which modulates them.
     """
 
     def __init__(  # noqa: PLR0913, PLR0917 settings of a network
         self,
         looks: Sequence[str] = ("photograph",),
-        look: str = "",
         steps: int = 2,
         guidance: float = 1.4,
         latents: int = 32,
-        decoder: Sequence[int] = (32, 64, 128),
-        last: int = 16,
-        mean_widths: Sequence[int] = (48, 96, 144),
-        mean_blocks: Sequence[int] = (1, 1, 2),
-        flow_widths: Sequence[int] = (64, 112, 160),
-        flow_blocks: Sequence[int] = (1, 2, 4),
+        decoder: Sequence[int] = (16, 32, 64, 128),
+        mean: Sequence[Sequence[int]] = ((48, 96, 144), (1, 1, 2)),
+        flow: Sequence[Sequence[int]] = ((64, 112, 160), (1, 2, 4)),
         code: int = 128,
     ) -> None:
-        super().__init__(looks, look)
+        super().__init__(looks)
         if steps < 1:
             raise InputError(f"a picture takes at least one step, not {steps}")
         self.steps, self.guidance = steps, guidance
         self.register_buffer("scale", torch.stack([torch.zeros(latents), torch.ones(latents)]))
         self.look_codes = nn.Parameter(torch.randn(len(self.looks), code) * 0.1)
         self.time = nn.Sequential(nn.Linear(4 * WAVES, code), nn.SiLU(), nn.Linear(code, code))
-        self.mean = ConditionedUNet(CONDITIONS, 0, latents, mean_widths, mean_blocks, code)
-        self.flow = ConditionedUNet(CONDITIONS, 2 * latents, latents, flow_widths, flow_blocks, code)
-        self.decoder = Autoencoder(latents, (8, 8, 8), decoder, last).decoder.requires_grad_(False)
+        self.mean = ConditionedUNet(CONDITIONS, 0, latents, *mean, code)
+        self.flow = ConditionedUNet(CONDITIONS, 2 * latents, latents, *flow, code)
+        self.decoder = Autoencoder(latents, (8, 8, 8), decoder).decoder.requires_grad_(False)
 
-    def forward(  # noqa: PLR0913, PLR0917 what a step of training needs
+    def forward(  # noqa: PLR0913, PLR0917 the parts of a training step
         self, conditions: Tensor, shares: Tensor, noisy: Tensor, time: Tensor, step: Tensor, kept: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Return the mean and the velocity, (B, latents, h, w) each, of normalised latents.
@@ -172,7 +168,7 @@ class LatentPainter(LookPainter):
             raise InputError(f"conditions of {size} pixels: rows, columns must divide by {STRIDE}")
         return self.mean(conditions, shares @ self.look_codes)
 
-    def velocity(  # noqa: PLR0913, PLR0917 what a step of a picture needs
+    def velocity(  # noqa: PLR0913, PLR0917 the parts of a step
         self, noisy: Tensor, time: Tensor, step: Tensor, conditions: Tensor, mean: Tensor, shares: Tensor
     ) -> Tensor:
         """Return the velocity (B, latents, h, w) at which noise moves to latents.
@@ -186,11 +182,11 @@ class LatentPainter(LookPainter):
     def guided(  # noqa: PLR0913, PLR0917 as velocity
         self, noisy: Tensor, time: Tensor, conditions: Tensor, mean: Tensor, shares: Tensor
     ) -> Tensor:
-        """Return the instant velocity (B, latents, h, w), led away from that without conditions by `guidance`."""
+        """Return the instant velocity (B, latents, h, w), led away from the unconditional one by `guidance`."""
         noisy, time, shares = (torch.cat([part, part]) for part in (noisy, time, shares))
         conditions, mean = (torch.cat([part, part * 0]) for part in (conditions, mean))
-        given, free = self.velocity(noisy, time, torch.zeros_like(time), conditions, mean, shares).chunk(2)
-        return torch.lerp(free, given, self.guidance)
+        conditioned, free = self.velocity(noisy, time, torch.zeros_like(time), conditions, mean, shares).chunk(2)
+        return torch.lerp(free, conditioned, self.guidance)
 
     def latents_of(self, conditions: Tensor, shares: Tensor, noise: Tensor) -> Tensor:
         """Return latents (B, latents, h, w) float32 as the decoder reads them, from noise of the same shape."""

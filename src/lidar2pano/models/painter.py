@@ -1,4 +1,4 @@
-"""Painters of streams of scenes: their contract, and looks that several of them know."""
+"""Painters of streams of scenes: their contract, and looks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class StreamPainter(Protocol):
     """A painter of a stream of scenes."""
 
     def paint(self, past: Any, scene: Scene, look: str = "") -> tuple[Any, Tensor]:  # noqa: ANN401
-        """Paint the panorama of a scan that follows others.
+        """Paint the panorama of a scan in a stream.
 
         past  the painter's own record of the previous scan; None at the beginning of a stream.
         look  "A", or "A+B" for the mean of two; "": the painter's own.
@@ -25,9 +25,9 @@ class StreamPainter(Protocol):
 
 
 class LookPainter(nn.Module):
-    """A painter that knows several looks.
+    """A painter of several looks.
 
-    looks  their names;  look: the one that is painted where none is given (default: the first).
+    looks  their names;  look: the one painted by default (the first).
     """
 
     def __init__(self, looks: Sequence[str], look: str = "") -> None:

@@ -1,7 +1,7 @@
 """The autoencoder of street pictures, on photographs: options, task and recipes.
 
-It learns pixels, their differences, frozen features and, where a teacher's are at hand, latents; a critic on the same
-features, which sees the latents as well, teaches the texture that means of pixels lack (Esser et al. 2021, VQGAN).
+It learns pixels, their differences, frozen features and the latents of a teacher, if there is one; a critic on the
+same features and on the latents teaches texture (Esser et al. 2021, VQGAN).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class AutoencodingOptions(TaskOptions):
     """The autoencoder of street pictures.
 
     size        of a crop, pixels, a multiple of 8.
-    pixels, differences  weights of the mean absolute error and of that of neighbours' differences.
+    pixels, differences  weights of the mean absolute errors of pixels and of neighbours' differences.
     perceptual  weight of the mean absolute error of frozen features, each in units of its deviation.
     adversarial  weight of the hinge loss of the critic; 0: there is none.
     latents     folder of a teacher's latents of the photographs (runs/teacher_latents.py); "": none.
@@ -122,7 +122,7 @@ class Autoencoding:
 
 
 class Texture:
-    """Frozen features of pictures and of the photographs that they stand for, (B, 3, H, W) in [-1, 1], and latents."""
+    """Frozen features of pictures and of their photographs, (B, 3, H, W) in [-1, 1], and latents."""
 
     def __init__(self, features: ImagenetFeatures, made: Tensor, real: Tensor, latents: Tensor) -> None:
         device = made.device
@@ -145,7 +145,7 @@ class Texture:
         return _mean([hinge_critic(real.float(), made.float()) for real, made in zip(of_real, of_made, strict=True)])
 
     def adversarial_loss(self, critic: nn.Module) -> Tensor:
-        """Return the loss that makes pictures look real to the critic, whose gradients would be discarded."""
+        """Return the loss of pictures that do not look real to the critic, whose gradients would be discarded."""
         with frozen(critic):
             return _mean([hinge_generator(score.float()) for score in critic(self.latents, *self.of_made)])
 

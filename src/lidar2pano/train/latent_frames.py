@@ -1,4 +1,4 @@
-"""Sectors to learn the latent painter from: what is believed of a scan, and the photograph of a camera beside it.
+"""Sectors to learn the latent painter from: the scene of a scan, and the photograph of a camera beside it.
 
 A sector is made once, by released networks, and kept in a file.
 """
@@ -48,30 +48,30 @@ class LatentSample(NamedTuple):
 
     conditions  (CONDITIONS, H, W) float32.
     latents     (L, H/4, W/4) float32 of the photograph, of the autoencoder.
-    known       (H/4, W/4) bool: the camera shows every pixel that they stand for.
+    coverage    (H/4, W/4) bool: the camera shows all of their pixels.
     look        () int64: number of the look.
     """
 
     conditions: Tensor
     latents: Tensor
-    known: Tensor
+    coverage: Tensor
     look: Tensor
 
 
 class Encoded(NamedTuple):
-    """Latents (L, h, w) float16 of a sector's photograph and of its mirror image, and where they are known, (h, w)."""
+    """Latents (L, h, w) float16 of a sector's photograph and of its mirror image, and their coverage (h, w) bool."""
 
     latents: Tensor
     mirrored: Tensor
-    known: Tensor
+    coverage: Tensor
 
 
 class LatentFrames:
     """Crops of the sectors of some splits: at random for a SampleIndex, in the middle for an int.
 
     pipeline     makes the scenes;  autoencoder: makes the latents.
-    networks     files that the pipeline's networks come from: sectors that others made are made again.
-    looks        names of the looks; the first one is that of photographs, others are named by a world.json.
+    networks     files of the pipeline's networks: sectors made by others are made again.
+    looks        names of the looks; the first one is of photographs, the others are named by a world.json.
     columns      of a crop on the scene's raster;  cache: folder of the sectors' files; "": .lidar2pano of a data set.
     """
 
@@ -110,26 +110,26 @@ class LatentFrames:
         """Return the number of sectors."""
         return len(self.places)
 
-    def __getitem__(self, at: SampleIndex | int) -> LatentSample:
-        """Return a crop, mirrored by chance, that a camera sees some of."""
-        index = at if isinstance(at, int) else at.index
+    def __getitem__(self, key: SampleIndex | int) -> LatentSample:
+        """Return a crop of which a camera sees some, mirrored by chance."""
+        index = key if isinstance(key, int) else key.index
         encoded, cells = self.encoded(index), self.columns // FOLD
-        generator = None if isinstance(at, int) else np.random.default_rng(at.seed)
-        start = self._start(encoded.known, cells, generator)
+        generator = None if isinstance(key, int) else np.random.default_rng(key.seed)
+        start = self._start(encoded.coverage, cells, generator)
         conditions = conditions_of(self.scene(index, start * FOLD, self.columns))[0]
         window = (..., slice(start, start + cells))
-        latents, known = encoded.latents[window], encoded.known[window]
+        latents, coverage = encoded.latents[window], encoded.coverage[window]
         if generator is not None and generator.random() < 0.5:
-            spare = encoded.known.shape[1] - start - cells
-            conditions, known = mirrored(conditions), known.flip(-1)
+            spare = encoded.coverage.shape[1] - start - cells
+            conditions, coverage = mirrored(conditions), coverage.flip(-1)
             latents = encoded.mirrored[..., spare : spare + cells]
-        return LatentSample(conditions, latents.float(), known, torch.tensor(self.places[index][2]))
+        return LatentSample(conditions, latents.float(), coverage, torch.tensor(self.places[index][2]))
 
     @staticmethod
-    def _start(known: Tensor, cells: int, generator: np.random.Generator | None) -> int:
-        """Return the first column of a crop: a quarter of it, at least, lies between the outermost known columns."""
-        columns = known.any(0).nonzero()
-        spare = known.shape[1] - cells
+    def _start(coverage: Tensor, cells: int, generator: np.random.Generator | None) -> int:
+        """Return the first column of a crop: a quarter of it, at least, lies between the outermost covered columns."""
+        columns = coverage.any(0).nonzero()
+        spare = coverage.shape[1] - cells
         if not len(columns):
             return spare // 2
         first, last = int(columns[0]), int(columns[-1]) + 1
@@ -139,7 +139,7 @@ class LatentFrames:
         return int(generator.integers(least, max(min(last - cells // 4, spare), least) + 1))
 
     def scene(self, index: int, start: int, columns: int) -> Scene:
-        """Return what is believed of a sector's columns from `start` on."""
+        """Return the scene of a sector's columns from `start` on."""
         kept = self.kept(index)
         view = self.pipeline.view.window(0, kept["depth_m"].shape[1]).window(start, columns)
         part = (..., slice(start, start + columns))
@@ -157,25 +157,25 @@ class LatentFrames:
         )
 
     def photograph(self, index: int) -> tuple[Tensor, Tensor]:
-        """Return the photograph of a sector, (3, 2H, 2w) float32 in [-1, 1], and where it is known, (2H, 2w) bool."""
+        """Return the photograph of a sector, (3, 2H, 2w) float32 in [-1, 1], and its coverage (2H, 2w) bool."""
         kept = self.kept(index)
         with Image.open(io.BytesIO(kept["photograph"].numpy().tobytes()), formats=("JPEG",)) as image:
             pixels = torch.from_numpy(np.array(image)).movedim(2, 0)
-        return pixels.float() / 127.5 - 1, unpacked(kept["known"], pixels.shape[2])
+        return pixels.float() / 127.5 - 1, unpacked(kept["coverage"], pixels.shape[2])
 
     def encoded(self, index: int) -> Encoded:
         """Return the latents of a sector; they are kept in memory from the first use on."""
         if index not in self._encoded:
-            picture, known = self.photograph(index)
+            picture, coverage = self.photograph(index)
             pictures = torch.stack([picture, picture.flip(-1)]).contiguous(memory_format=torch.channels_last)
             with torch.no_grad(), fast_arithmetic(torch.device("cpu")):
                 latents = torch.cat([self.autoencoder.encode(part) for part in pictures.split(1)]).half()
-            unknown = max_pool2d((~known)[None, None].float(), FACTOR)[0, 0]
+            unknown = max_pool2d((~coverage)[None, None].float(), FACTOR)[0, 0]
             self._encoded[index] = Encoded(latents[0], latents[1], unknown == 0)
         return self._encoded[index]
 
     def kept(self, index: int) -> dict[str, Tensor]:
-        """Return what is kept of a sector; the first use makes it."""
+        """Return the content of a sector's file; the first use makes it."""
         number, camera, _ = self.places[index]
         frame = self.frames[number]
         file = self._file(frame, camera)
@@ -194,7 +194,7 @@ class LatentFrames:
 
     @torch.inference_mode()
     def _made(self, frame: Frame, camera: str) -> dict[str, Tensor]:
-        view, picture, known = self._pictured(frame, camera)
+        view, picture, coverage = self._pictured(frame, camera)
         whole = replace(self.pipeline, view=replace(self.pipeline.view, origin=view.origin))
         scene = whole.translate(frame.scan, Timer(whole.device))
         start = round((whole.view.left - view.left) * whole.view.columns / (whole.view.left - whole.view.right))
@@ -202,7 +202,7 @@ class LatentFrames:
         channels = scene.channels[0, ..., columns]
         remission = (channels[4].clamp(0, 1) * (BYTE - 1)).round() + 1
         stream = io.BytesIO()
-        filled = Image.fromarray(without_gaps(picture, known).movedim(0, 2).contiguous().numpy())
+        filled = Image.fromarray(without_gaps(picture, coverage).movedim(0, 2).contiguous().numpy())
         filled.save(stream, "JPEG", quality=QUALITY, subsampling=0)
         made = {
             "probabilities": (scene.probabilities[0, ..., columns] * BYTE).round().byte(),
@@ -210,12 +210,12 @@ class LatentFrames:
             "measured": (remission * (channels[0] > 0)).byte(),
             "viewpoint_m": scene.viewpoint_m.float(),
             "photograph": torch.frombuffer(bytearray(stream.getvalue()), dtype=torch.uint8),
-            "known": packed(known),
+            "coverage": packed(coverage),
         }
         return {name: value.contiguous() for name, value in made.items()}
 
     def _pictured(self, frame: Frame, camera: str) -> tuple[View, Tensor, Tensor]:
-        """Return a sector's raster, its picture (3, 2H, 2w) uint8 on one twice as fine, and where that is known."""
+        """Return a sector's raster, its picture (3, 2H, 2w) uint8 on one twice as fine, and its coverage."""
         view = self.pipeline.view
         if not camera and frame.panorama_for(view) is not None:
             truth = panorama_on(frame, view.scaled(2), camera_labels=True)
@@ -262,21 +262,21 @@ def sector_columns(view: View) -> int:
     return round(view.columns * SECTOR_DEG / FULL_TURN / STRIDE) * STRIDE
 
 
-def without_gaps(picture: Tensor, known: Tensor) -> Tensor:
-    """Return a picture (3, H, W) whose unknown pixels have the nearest known one's colour in their column.
+def without_gaps(picture: Tensor, coverage: Tensor) -> Tensor:
+    """Return a picture (3, H, W) whose uncovered pixels have the colour of the nearest covered one in their column.
 
-    Columns without any have the nearest column's that has some; a picture of which nothing is known stays as it is.
+    Columns without any are copies of the nearest one with some; a picture without coverage stays as it is.
     """
-    columns = known.any(0).nonzero()[:, 0]
+    columns = coverage.any(0).nonzero()[:, 0]
     if not len(columns):
         return picture
-    rows = torch.arange(known.shape[0])
-    shown = known[:, columns]
+    rows = torch.arange(coverage.shape[0])
+    shown = coverage[:, columns]
     upper, lower = adjacent_rows(shown)
-    below = (lower < len(rows)) & ((upper < 0) | (lower - rows[:, None] < rows[:, None] - upper))
-    source = torch.where(below, lower, upper).clamp(0, len(rows) - 1)
+    is_lower = (lower < len(rows)) & ((upper < 0) | (lower - rows[:, None] < rows[:, None] - upper))
+    source = torch.where(is_lower, lower, upper).clamp(0, len(rows) - 1)
     filled = picture[:, :, columns].gather(1, source.expand(len(picture), -1, -1))
-    nearest = (torch.arange(known.shape[1])[:, None] - columns).abs().argmin(1)
+    nearest = (torch.arange(coverage.shape[1])[:, None] - columns).abs().argmin(1)
     return filled[:, :, nearest]
 
 
@@ -286,5 +286,5 @@ def packed(mask: Tensor) -> Tensor:
 
 
 def unpacked(bits: Tensor, columns: int) -> Tensor:
-    """Return the mask (H, columns) bool that `packed` packed."""
+    """Return a mask (H, columns) bool from its bits."""
     return torch.from_numpy(np.unpackbits(bits.numpy(), axis=1, count=columns)).bool()

@@ -1,7 +1,7 @@
 """The latent painter: options, task and recipes.
 
-The mean of the latents is learned by squared errors, the flow by conditional flow matching (Lipman et al. 2023), where
-a camera shows what the latents stand for. Long steps are learned from two of half their length (Frans et al. 2024).
+The mean of the latents is learned by squared errors, the flow by conditional flow matching (Lipman et al. 2023), both
+on pixels in view of a camera. Long steps are learned from two of half their length (Frans et al. 2024).
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class LatentPaintingOptions(TaskOptions):
     """The latent painter.
 
     columns      width of a crop on the scene's raster, a multiple of 16.
-    autoencoder, segmenter, translator   weight files: of the latents, and of the networks that make the scenes.
-    cache        folder that keeps the sectors, some 3 MB each; "": the folder .lidar2pano of their data set.
+    autoencoder, segmenter, translator   weight files: of the latents, and of the scenes.
+    cache        folder of the sectors, some 3 MB each; "": the folder .lidar2pano of their data set.
     free_probability    of a sample whose flow is given nothing of the scene, for guidance.
     absent_probability  of each group of conditions to be absent from a sample.
-    shortcut     share of the samples of a batch that teach long steps.
+    shortcut     share of the samples of a batch for long steps.
     """
 
     task = "latent-painting"
@@ -109,10 +109,10 @@ class LatentPainting:
         except RuntimeError:
             raise InputError(
                 f"options.autoencoder: {self.options.autoencoder} was trained with other settings than the painter's"
-                " latents, decoder and last; change one of them"
+                " latents and decoder; change one of them"
             ) from None
         sectors = [self.dataset.encoded(index) for index in evenly_spaced(len(self.dataset), MEASURED_ON)]
-        latents = torch.cat([sector.latents[:, sector.known].float() for sector in sectors], 1)
+        latents = torch.cat([sector.latents[:, sector.coverage].float() for sector in sectors], 1)
         if not latents.shape[1]:
             raise InputError("data.train: no camera sees anything of its scans; name splits with calibrated images")
         cast("Tensor", self.painter.scale).copy_(torch.stack([latents.mean(1), latents.std(1).clamp(min=1e-6)]))
@@ -128,12 +128,12 @@ class LatentPainting:
         if taught := round(self.options.shortcut * samples):
             part = slice(taught)
             long = self._long(conditions[part], shares[part], latents[part])
-            noisy = Noisy(*(torch.cat([one, other[taught:]]) for one, other in zip(long, noisy, strict=True)))
+            noisy = Noisy(*(torch.cat([head, whole[taught:]]) for head, whole in zip(long, noisy, strict=True)))
             kept = torch.cat([torch.ones_like(kept[part]), kept[taught:]])
         mean, velocity = self.networks["painter"](conditions, shares, noisy.latents, noisy.time, noisy.step, kept)
         losses = {
-            "mean": masked_error(mean, latents, batch.known),
-            "flow": masked_error(velocity, noisy.velocity, batch.known),
+            "mean": masked_error(mean, latents, batch.coverage),
+            "flow": masked_error(velocity, noisy.velocity, batch.coverage),
         }
         self.logs = {name: loss.detach() for name, loss in losses.items()}
         yield "painter", losses["mean"] + losses["flow"]
@@ -169,15 +169,15 @@ class LatentPainting:
         return Noisy(start, time, step, (first + second) / 2)
 
     def _half_step(self, conditions: Tensor, shares: Tensor, noisy: Tensor, time: Tensor, half: Tensor) -> Tensor:
-        """Return the velocity of a learned step; the guided instant one where the step is shorter than all of them."""
+        """Return the velocity of a learned step; the guided instant one if the step is shorter than all of them."""
         network, samples = self.networks["painter"], len(noisy)
         instant = half < 1 / max(LENGTHS)
         step, kept = torch.where(instant, 0.0, half), torch.ones_like(time)
         twice = [torch.cat([part, part]) for part in (conditions, shares, noisy, time, step)]
         _, velocity = network(*twice, torch.cat([kept, 0 * kept]))
-        given, free = velocity.float().split(samples)
+        conditioned, free = velocity.float().split(samples)
         weight = torch.where(instant, self.painter.guidance, 1.0)
-        return torch.lerp(free, given, weight[:, None, None, None])
+        return torch.lerp(free, conditioned, weight[:, None, None, None])
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
@@ -189,12 +189,12 @@ class LatentPainting:
             latents = self.painter.normalised(sample.latents)
             noise = torch.randn(latents.shape, generator=torch.Generator().manual_seed(index)).to(device)
             shares = torch.eye(len(self.painter.looks), device=device)[sample.look]
-            one = torch.ones(1, device=device)
+            unit = torch.ones(1, device=device)
             for time in TIMES:
                 noisy = torch.lerp(noise, latents, time)
-                mean, velocity = network(sample.conditions, shares, noisy, time * one, 0 * one, one)
+                mean, velocity = network(sample.conditions, shares, noisy, time * unit, 0 * unit, unit)
                 parts = ((mean, latents), (velocity, latents - noise))
-                losses.append([float(masked_error(made, real, sample.known)) for made, real in parts])
+                losses.append([float(masked_error(made, real, sample.coverage)) for made, real in parts])
         mean_loss, flow_loss = np.mean(losses, 0).tolist()
         return {"score": -(mean_loss + flow_loss), "mean": mean_loss, "flow": flow_loss}
 
@@ -213,14 +213,14 @@ class LatentPainting:
         return {"picture": as_image(torch.cat(rows, 1))}
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
-        """Return what a user of the painter has to know: the raster of its scenes."""
+        """Return the raster of the painter's scenes."""
         return {"labels": None, "views": {"panorama": self.view.as_dict()}}
 
 
-def masked_error(made: Tensor, real: Tensor, known: Tensor) -> Tensor:
-    """Return the mean squared error of (B, L, h, w) where `known`, (B, h, w) bool; 0 where nothing is."""
-    error = (made.float() - real.float()).square().mean(1) * known
-    return error.sum() / known.sum().clamp(min=1)
+def masked_error(made: Tensor, real: Tensor, coverage: Tensor) -> Tensor:
+    """Return the mean squared error of (B, L, h, w) over the coverage (B, h, w) bool; 0 without any."""
+    error = (made.float() - real.float()).square().mean(1) * coverage
+    return error.sum() / coverage.sum().clamp(min=1)
 
 
 def latent_painter() -> Recipe[LatentPaintingOptions]:
