@@ -13,6 +13,7 @@
 PYTHON ?= python3
 TORCH_INDEX ?=
 BIN := .venv/bin
+STREETS := $(wildcard packages/lidar2pano-streets) # weights under another licence, which an sdist leaves out
 SOURCES := src tests runs docs examples
 
 .PHONY: setup setup-dev demo test test-released fuzz kills lint format generated docs dist clean
@@ -20,12 +21,12 @@ SOURCES := src tests runs docs examples
 setup: .venv/.ready
 setup-dev: .venv/.ready-dev
 
-.venv/.ready: pyproject.toml constraints.txt
+.venv/.ready: pyproject.toml constraints.txt $(wildcard packages/*/pyproject.toml)
 	@command -v $(PYTHON) >/dev/null && $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "lidar2pano needs Python 3.11 or newer and '$(PYTHON)' is not; try: make PYTHON=python3.11" >&2; exit 1; }
 	test -x $(BIN)/pip || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[fast]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[fast]' $(addprefix --editable ./,$(STREETS))
 	@touch $@
 
 .venv/.ready-dev: .venv/.ready
@@ -67,7 +68,8 @@ docs: setup-dev
 dist: setup-dev
 	rm -rf dist
 	$(BIN)/hatchling build -t sdist
-	$(BIN)/pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist dist/*.tar.gz
+	$(BIN)/pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist dist/lidar2pano-*.tar.gz
+	$(foreach folder,$(STREETS),cd $(folder) && $(CURDIR)/$(BIN)/hatchling build -d $(CURDIR)/dist)
 
 clean:
 	rm -rf .venv build dist site .pytest_cache .ruff_cache

@@ -21,7 +21,9 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-WEIGHTS = Path(__file__).resolve().parents[1] / "src/lidar2pano/weights/kitti-mini"
+from lidar2pano.models.families import families
+
+WEIGHTS = families()["kitti-mini"]
 SEGMENTER = f"options.segmenter={WEIGHTS / 'segmenter.safetensors'}"
 FAMILIES: dict[str, tuple[str, ...]] = {  # recipe and what is set besides
     "segmenter": ("salsanext-mini", "data.train=train"),

@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 from lidar2pano.models.card import read_card
-from lidar2pano.models.families import DEFAULT, families
+from lidar2pano.models.families import DISTRIBUTIONS, families
 
 ROOT = Path(__file__).resolve().parent.parent
 BEGIN, END = "<!-- costs: written by runs/readme.py -->", "<!-- end of costs -->"
@@ -43,9 +43,9 @@ def licences() -> str:
         files = sorted(folder.glob("*.safetensors"))
         licence = " and ".join(sorted({str(read_card(file).licence) for file in files}))
         note = ", not for commercial use" if "NC" in licence else ""
-        default = " (default)" if name == DEFAULT else ""
+        origin = f", by `pip install {DISTRIBUTIONS[name]}`" if name in DISTRIBUTIONS else ""
         size = sum(file.stat().st_size for file in files) / MIB
-        parts.append(f"`{name}`{default}: {licence}{note}, {size:.0f} MiB")
+        parts.append(f"`{name}`: {licence}{note}, {size:.0f} MiB{origin}")
     return "; ".join(parts)
 
 

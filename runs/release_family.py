@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from lidar2pano.models.card import load, save
-from lidar2pano.models.families import RELEASED, weight_files
+from lidar2pano.models.families import RELEASED, families, weight_files
 
 
 def main() -> None:
@@ -29,7 +29,7 @@ def main() -> None:
         network, card = load(file)
         score = {name: value for name, value in card.score.items() if name != "score"} | measured.get(role, {})
         save(
-            RELEASED / arguments.name / f"{role}.safetensors",
+            families().get(arguments.name, RELEASED / arguments.name) / f"{role}.safetensors",
             network,
             replace(card, licence=arguments.licence, score=score),
         )

@@ -21,6 +21,7 @@ from typer.models import OptionInfo
 
 import lidar2pano
 from engine_of_torch import TorchEngine
+from installed_families import install_only
 from lidar2pano.bench import default_weights, untrained
 from lidar2pano.cli import app, main
 from lidar2pano.cli.console import bar, print_error
@@ -315,8 +316,7 @@ def test_evaluate_side_by_side(here, random_weights, front_weights, capsys):
 
 
 def test_weights_list(random_weights, monkeypatch, capsys):
-    monkeypatch.setattr("lidar2pano.models.families.RELEASED", random_weights.parent)
-    monkeypatch.setattr("lidar2pano.models.families.DEFAULT", random_weights.name)
+    install_only(monkeypatch, random_weights.parent)
     assert main(["weights", "list"]) == 0
     first, *rows = capsys.readouterr().out.splitlines()
     size = sum(file.stat().st_size for file in random_weights.iterdir()) / 2**20
@@ -326,8 +326,7 @@ def test_weights_list(random_weights, monkeypatch, capsys):
 
 
 def test_weights_info_of_a_run_shows_no_others(random_weights, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("lidar2pano.models.families.RELEASED", random_weights.parent)
-    monkeypatch.setattr("lidar2pano.models.families.DEFAULT", random_weights.name)
+    install_only(monkeypatch, random_weights.parent)
     write_weights(tmp_path / "weights", "painter", "scene-painter", {"widths": [8, 8, 8, 16]})
     assert main(["weights", "info", str(tmp_path)]) == 0
     assert capsys.readouterr().out.count(".safetensors") == 1
@@ -425,7 +424,7 @@ def test_bench_counts_tensor_operations(here, random_weights, capsys):
 
 
 def test_bench_goes_without_weights(here, monkeypatch):
-    monkeypatch.setattr("lidar2pano.models.families.RELEASED", here / "none")
+    install_only(monkeypatch, here / "none")
     assert default_weights() == ""
     shapes = untrained(torch.device("cpu"))
     assert (shapes.view.rows, shapes.view.columns, shapes.segmenter.view.columns) == (192, 2304, 2048)

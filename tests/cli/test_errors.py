@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 
+from installed_families import install_only
 from lidar2pano.cli import main
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.card import save
@@ -215,9 +216,10 @@ def test_bad_imports(here, refused, command, said):
 
 
 def test_no_weights_at_all(refused, here, monkeypatch):
-    monkeypatch.setattr("lidar2pano.models.families.RELEASED", here / "none")
+    install_only(monkeypatch, here / "none")
     assert refused("weights list").startswith("no weights are installed")
-    assert refused("translate good.bin").startswith("no weights 'kitti-mini'")
+    assert refused("translate good.bin").startswith("no weights are installed")
+    assert refused("translate good.bin --weights kitti-mini").endswith("; pip install lidar2pano-streets")
 
 
 # --- evaluate, train ------------------------------------------------------------------------------------------------
@@ -251,7 +253,7 @@ def test_bad_evaluations(data, refused, options, said):
 
 
 def test_evaluated_weights_must_be_complete(data, here, refused, monkeypatch):
-    monkeypatch.setattr("lidar2pano.models.families.RELEASED", here / "none")
+    install_only(monkeypatch, here / "none")
     said = refused("evaluate small/translator.safetensors --data data")
     assert said.startswith("small/translator.safetensors: no weights for the segmenter")
 

@@ -11,7 +11,6 @@ import pytest
 
 import house_rules
 import lidar2pano
-from lidar2pano.models.families import families
 
 ROOT = house_rules.ROOT
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -25,16 +24,6 @@ def project():
 def test_the_citation_names_this_version():
     lines = (ROOT / "CITATION.cff").read_text(encoding="utf-8").splitlines()
     assert f"version: {lidar2pano.__version__}" in lines
-
-
-def test_the_licence_names_that_of_every_family_and_of_the_code(project):
-    expression = project["license"].split(" AND ")
-    assert expression[0] == "Apache-2.0"
-    for name, folder in families().items():
-        text = (folder / "LICENSE").read_text(encoding="utf-8")
-        assert any(f"SPDX: {licence}" in text for licence in expression), name
-    assert "SPDX: CC-BY-NC-SA-4.0" in (families()["kitti-mini"] / "LICENSE").read_text(encoding="utf-8")
-    assert "CC-BY-NC-SA-4.0" in expression
 
 
 def test_the_readme_states_the_measured_costs():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from installed_families import INSTALLED
 from lidar2pano.appearance.invented_textures import noise_tile
 from lidar2pano.cli import main
 from lidar2pano.cli.export import networks_of, record_inputs
@@ -18,7 +19,7 @@ from lidar2pano.engines.signatures import SIGNATURES
 from lidar2pano.errors import InputError
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.card import save
-from lidar2pano.models.families import weight_files
+from lidar2pano.models.families import best_family, weight_files
 from lidar2pano.pipeline import load
 from random_weights import SEGMENTER_VIEW, TRANSLATOR_VIEW
 
@@ -46,13 +47,13 @@ def small_raster(tmp_path_factory) -> Callable[[str], Path]:
 
 @pytest.fixture(scope="module")
 def weights(small_raster) -> Path:
-    """The default family."""
-    return small_raster("kitti-mini")
+    """The best installed family."""
+    return small_raster(best_family())
 
 
 @pytest.fixture(scope="module")
 def graphs(weights) -> Path:
-    """The default family's graphs."""
+    """Its graphs."""
     assert main(["export", str(weights), "--onnx", str(weights.parent / "graphs")]) == 0
     return weights.parent / "graphs"
 
@@ -81,8 +82,9 @@ def test_the_readme_lists_every_tensor_of_every_graph(graphs):
                 assert f"| `{file.name}` | `{tensor.name}` | {kind} | (batch, {shape}) | " in readme
 
 
-def test_the_graphs_of_the_other_family_compute_what_torch_does(small_raster):
-    weights = small_raster("world")
+@pytest.mark.parametrize("family", [name for name in INSTALLED if name != best_family()])
+def test_the_graphs_of_other_families_compute_what_torch_does(small_raster, family):
+    weights = small_raster(family)
     assert main(["export", str(weights), "--onnx", str(weights.parent / "graphs")]) == 0
 
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from installed_families import install_only
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.data.frames import Frame
 from lidar2pano.data.layouts import frames
@@ -62,7 +63,7 @@ pytestmark = pytest.mark.usefixtures("small_view")
 
 @pytest.fixture(autouse=True)
 def _no_family(monkeypatch, tmp_path):
-    monkeypatch.setattr("lidar2pano.models.families.RELEASED", tmp_path / "none")
+    install_only(monkeypatch, tmp_path / "none")
 
 
 @pytest.fixture(scope="module")
@@ -401,8 +402,7 @@ def test_a_painter_takes_the_familys_place(random_weights, video, kitti, tmp_pat
 
 
 def test_the_default_family_fills_what_a_run_lacks(random_weights, video, tmp_path, monkeypatch):
-    monkeypatch.setattr("lidar2pano.models.families.RELEASED", random_weights.parent)
-    monkeypatch.setattr("lidar2pano.models.families.DEFAULT", random_weights.name)
+    install_only(monkeypatch, random_weights.parent)
     run = tmp_path / "run"
     write_front(run / "weights")
     (run / "weights" / "segmenter.safetensors").unlink()

@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 import lidar2pano
+from installed_families import INSTALLED, needs_streets
 from lidar2pano.bench.operations import BELIEF, TOTAL, measure_operations
 from lidar2pano.demo import street
 from lidar2pano.hardware import Timer
@@ -114,7 +115,7 @@ def wrong_colours(found: Figures) -> list[str]:
     return [what for what, holds in expected.items() if not holds]
 
 
-@pytest.fixture(scope="module", params=FLOORS)
+@pytest.fixture(scope="module", params=INSTALLED)
 def made(request: pytest.FixtureRequest) -> tuple[str, lidar2pano.Panorama]:
     return request.param, lidar2pano.load(request.param)(lidar2pano.read(street()))
 
@@ -130,7 +131,7 @@ def test_classes_have_the_colours_of_a_street(made: tuple[str, lidar2pano.Panora
     assert wrong_colours(found) == [], found
 
 
-@pytest.mark.parametrize("family", FLOORS)
+@pytest.mark.parametrize("family", INSTALLED)
 def test_roads_lie_and_walls_stand(family: str) -> None:
     """The painter sees normals: a depth that is right on average, but wavers from row to row, has none."""
     pipeline = lidar2pano.load(family, "cpu")
@@ -142,6 +143,7 @@ def test_roads_lie_and_walls_stand(family: str) -> None:
     assert (up[near & (ids == COMMON15.id_of("building"))].abs() < 0.3).float().mean() > 0.5
 
 
+@needs_streets
 def test_belief_takes_few_tensor_operations() -> None:
     """Project, segment, clean up and translate: thousands of small operations are slow on a GPU."""
     rows = {row.stage: row.operations for row in measure_operations("kitti-mini", "cpu")}

@@ -13,6 +13,7 @@ import torch
 from PIL import Image
 from torch import nn
 
+from installed_families import install_only
 from lidar2pano.appearance.painter_inputs import framed
 from lidar2pano.calibration import Calibration
 from lidar2pano.cli import main
@@ -488,14 +489,13 @@ def test_a_scan_file_may_be_given_by_its_path(pipeline, tmp_path):
 
 
 def test_weights_without_a_painter_say_so(random_weights, tmp_path, monkeypatch):
-    monkeypatch.setattr("lidar2pano.models.families.RELEASED", tmp_path)
+    install_only(monkeypatch, tmp_path)
     with pytest.raises(InputError, match="no weights for the segmenter and the painter"):
         load(random_weights / "translator.safetensors", "cpu")
 
 
 def test_a_default_family_fills_what_is_missing(random_weights, tmp_path, monkeypatch):
-    monkeypatch.setattr("lidar2pano.models.families.RELEASED", random_weights.parent)
-    monkeypatch.setattr("lidar2pano.models.families.DEFAULT", random_weights.name)
+    install_only(monkeypatch, random_weights.parent)
     own = write_weights(tmp_path, "other", "scene-painter", {"widths": [8, 8, 8, 16]})
     files = weight_files(own)
     assert files == {role: random_weights / f"{role}.safetensors" for role in ("segmenter", "translator")} | {

@@ -27,7 +27,9 @@ from PIL import Image
 import lidar2pano
 from documented import PAGES, TASKS, Line, blocks, shell_lines
 from house_rules import ROOT
+from installed_families import INSTALLED
 from lidar2pano.cli import main
+from lidar2pano.models.families import best_family
 
 released = pytest.mark.released
 LINES = [line for page in TASKS for line in shell_lines(page, PAGES[page])]
@@ -72,6 +74,11 @@ SERVES = "lidar2pano serve"
 TAKE_A_FAMILY = ("translate", "view", "bulk", "serve", "export")
 
 
+def others() -> list[str]:
+    """Return the installed families that are not the default."""
+    return [name for name in INSTALLED if name != best_family()]
+
+
 def reason(line: Line) -> str | None:
     """Return why a line is not run, or None."""
     return next((why for start, why in NOT_RUN.items() if line.text.startswith(start)), None)
@@ -87,16 +94,17 @@ def families_of(line: Line) -> list[str]:
     """Return the families that a line runs with: the default one and `world`, unless it names weights."""
     words = line.words
     takes = words[0] == "lidar2pano" and len(words) > 1 and words[1] in TAKE_A_FAMILY and "--weights" not in words
-    return ["", "world"] if takes else [""]
+    return ["", *others()] if takes else [""]
 
 
-RUN = [(line, family) for line in LINES if not reason(line) for family in families_of(line)]
+# A line that several pages have runs once.
+RUN = {(line.text, family): (line, family) for line in LINES if not reason(line) for family in families_of(line)}
 
 
 def parameters() -> list:
     """One parameter per line and family; lines that share the simulated world or a port stay in one worker."""
     marked = []
-    for line, family in RUN:
+    for line, family in RUN.values():
         group = "data" if any(text in line.text for text in OF_DATA) else f"{line.page}{line.text}{family}"
         label = f"{line.page.removeprefix('docs/')}: {line.text}" + (f" ({family})" if family else "")
         marked.append(pytest.param(line, family, id=label, marks=pytest.mark.xdist_group(group)))
@@ -113,8 +121,8 @@ def test_every_exception_is_a_line_of_the_documentation():
 
 
 def test_most_lines_are_run():
-    assert len(RUN) > 60
-    assert {"README.md", "docs/start.md", "docs/guides/translate.md"} <= {line.page for line, _ in RUN}
+    assert len(RUN) > 50
+    assert {"README.md", "docs/start.md", "docs/guides/translate.md"} <= {line.page for line, _ in RUN.values()}
 
 
 # --- make test-released ---------------------------------------------------------------------------------------------
@@ -203,7 +211,7 @@ def server(family: str) -> Iterator[str]:
 
 
 @released
-@pytest.mark.parametrize("family", ["", "world"])
+@pytest.mark.parametrize("family", ["", *others()])
 def test_the_server_answers_the_documented_request(bench, family):
     (line,) = [line for line in LINES if line.text.startswith("curl ")]
     address = "http://127.0.0.1:8360"
@@ -219,7 +227,7 @@ def test_the_server_answers_the_documented_request(bench, family):
 
 
 @released
-@pytest.mark.parametrize("family", ["kitti-mini", "world"])
+@pytest.mark.parametrize("family", INSTALLED)
 @pytest.mark.parametrize("engine", ["torch", "compile", "onnx", "openvino"])
 def test_every_output_by_every_engine(bench, family, engine):
     if engine == "compile" and not shutil.which(os.environ.get("CXX", "g++")):
@@ -232,7 +240,7 @@ def test_every_output_by_every_engine(bench, family, engine):
 
 
 @released
-@pytest.mark.parametrize("family", ["kitti-mini", "world"])
+@pytest.mark.parametrize("family", INSTALLED)
 def test_two_workers_of_bulk(bench, family):
     pytest.importorskip("ray", reason="workers are Ray's: the extra 'bulk'")
     words = ["bulk", "SCANS", "--out", "DIR", "--weights", family, "--ray", "--workers", "2", "--cores", "1"]
@@ -245,7 +253,7 @@ def test_two_workers_of_bulk(bench, family):
 
 
 @released
-@pytest.mark.parametrize("family", ["kitti-mini", "world"])
+@pytest.mark.parametrize("family", INSTALLED)
 def test_the_exported_graphs_have_any_batch(bench, family):
     import onnxruntime
 
@@ -259,7 +267,7 @@ PYTHON_PAGES = [page for page in TASKS if "```python" in PAGES[page]]
 
 
 @released
-@pytest.mark.parametrize("family", ["kitti-mini", "world"])
+@pytest.mark.parametrize("family", INSTALLED)
 @pytest.mark.parametrize("page", PYTHON_PAGES)
 def test_documented_python(page, family, bench):
     import miniature_recordings as recordings
@@ -268,6 +276,7 @@ def test_documented_python(page, family, bench):
     message = recordings.message(recordings.points(scan, recordings.START_NS), recordings.ROS2)
     names: dict[str, object] = {"points": np.fromfile("scan.bin", np.float32).reshape(-1, 4), "message": message}
     names |= {"o3d_cloud": SimpleNamespace(points=scan.xyz), "pipeline": lidar2pano.load(family)}
-    for block in blocks(PAGES[page].replace('"kitti-mini"', repr(family)), "python"):
-        exec(compile(block, page, "exec"), names)
+    for block in blocks(PAGES[page], "python"):
+        code = block.replace('load("kitti-mini")', f'load("{family}")').replace("load()", f'load("{family}")')
+        exec(compile(code, page, "exec"), names)
     assert any(name in names for name in ("panorama", "scan")), sorted(names)

@@ -237,7 +237,7 @@ def semantic_kitti(tmp_path_factory):
 
 def test_semantic_kitti_as_users_have_it_and_a_second_run_that_only_reads(semantic_kitti, tmp_path, capsys):
     words = ["reproduce", "--data", str(semantic_kitti), "--out", str(tmp_path), "--rows", "scunet", "--device", "cpu"]
-    words += ["--budget", "1steps", "--segmenter", "kitti-mini", "--set", "scunet.options.size=47,155"]
+    words += ["--budget", "1steps", "--segmenter", "world", "--set", "scunet.options.size=47,155"]
     assert main(words) == 0
     text = (tmp_path / "RESULTS.md").read_text()
     row = next(line for line in text.splitlines() if line.startswith("| SC-UNET |"))
@@ -257,6 +257,6 @@ def test_semantic_kitti_as_users_have_it_and_a_second_run_that_only_reads(semant
 def test_without_camera_labels_the_page_names_the_command_that_makes_them(tmp_path, capsys):
     data = write_semantic_kitti(tmp_path / "data", camera_labels=False)
     words = ["reproduce", "--data", str(data), "--out", str(tmp_path / "out"), "--rows", "titan", "--device", "cpu"]
-    assert main([*words, "--budget", "1steps", "--segmenter", "kitti-mini"]) == BROKEN
+    assert main([*words, "--budget", "1steps", "--segmenter", "world"]) == BROKEN
     assert "lidar2pano prepare" in (tmp_path / "out" / "RESULTS.md").read_text()
     assert "titan" in capsys.readouterr().err

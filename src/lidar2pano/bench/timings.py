@@ -19,7 +19,7 @@ from lidar2pano.geometry.projection import Normalisation, project
 from lidar2pano.hardware import has_bfloat16, pick_device
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.models import build
-from lidar2pano.models.families import DEFAULT, families
+from lidar2pano.models.families import best_family, families
 from lidar2pano.pipeline import Pipeline, Segmenter, assemble, load, made_fast
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS
@@ -72,7 +72,7 @@ def measure(runs: int, device: str = "auto", weights: str = "", engine: str = "a
 
 def default_weights() -> str:
     """The default family where it is installed, else "": untrained networks."""
-    return DEFAULT if DEFAULT in families() else ""
+    return best_family() if families() else ""
 
 
 def stages(pipeline: Pipeline, scan: Scan, runs: int, aims: dict[str, str]) -> list[Row]:

@@ -26,7 +26,7 @@ from lidar2pano.engines import pick_engine
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.hardware import keep_buffers, pick_device
-from lidar2pano.models.families import paints_look, weight_files
+from lidar2pano.models.families import named_weights, paints_look, weight_files
 from lidar2pano.name_order import sort_listed
 from lidar2pano.pipeline import Pipeline, load
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
@@ -79,9 +79,12 @@ def checked_options(
 
     further  fields of Options.
     """
-    files, picked = weight_files(weights, look=look), pick_device(device)
+    name = named_weights(weights)
+    if name != weights:
+        print_error(f"weights {name}: the best that is installed")
+    files, picked = weight_files(name, look=look), pick_device(device)
     pick_engine(engine, picked)
-    options = Options(weights=weights, files=files, device=picked, look=look, engine=engine, **further)
+    options = Options(weights=name, files=files, device=picked, look=look, engine=engine, **further)
     if options.sensor:
         sensor_view(options.sensor)
     return options

@@ -18,11 +18,14 @@ if TYPE_CHECKING:
 KITTI_SIZE = "1242x375"
 MOST_PIXELS = 1 << 26  # of a camera's image
 OUT = Path("panoramas")
+BEST = "best"  # models.families.BEST, whose import takes torch
 OutOption = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the pictures.")]
 WeightsOption = Annotated[
     str,
     typer.Option(
-        metavar="NAME|FILE", help="A family of weights, a run's folder, a weight file; or several: A+B takes B's first."
+        metavar="NAME|FILE",
+        help="A family of weights (best: the best that is installed), a run's folder, a weight file; or several: A+B"
+        " takes B's first.",
     ),
 ]
 DeviceOption = Annotated[

@@ -11,7 +11,7 @@ import typer
 
 from lidar2pano.cli.app import MISTAKE, app
 from lidar2pano.cli.console import bar, print_error
-from lidar2pano.cli.options import DeviceOption
+from lidar2pano.cli.options import BEST, DeviceOption
 from lidar2pano.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
     root: Annotated[Path, typer.Argument(metavar="ROOT", help="A data set in SemanticKITTI's layout.")],
     lidar: Annotated[
         str, typer.Option(metavar="NAME|FILE|none", help="Teacher of scans: a family, a run or a weight file.")
-    ] = "kitti-mini",
+    ] = BEST,
     teacher: Annotated[
         str,
         typer.Option(

@@ -23,7 +23,7 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
         str, typer.Option(metavar="ADDRESS", help="Address to listen on; the default takes calls of this machine only.")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, metavar="N", help="Port; 0: any that is free.")] = 8360,
-    weights: opt.WeightsOption = "kitti-mini",
+    weights: opt.WeightsOption = opt.BEST,
     look: opt.LookOption = "",
     device: opt.DeviceOption = "auto",
     engine: opt.EngineOption = "auto",
@@ -49,7 +49,7 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
     limits = replace(Limits(), body_bytes=int(most_megabytes * 1e6), points=most_points, waiting=queue, seconds=seconds)
     pipeline = options.pipeline()
     print_licence(pipeline.cards.values())
-    translator = UploadTranslator(pipeline=pipeline, weights=weights, most_points=limits.points)
+    translator = UploadTranslator(pipeline=pipeline, weights=options.weights, most_points=limits.points)
     hosts = list(LOOPBACK) if host in LOOPBACK else None  # a page elsewhere may have a name for this machine
     application = create_application(translator, limits, hosts)
     config = uvicorn.Config(application, log_level="warning", server_header=False, limit_concurrency=1000)

@@ -29,7 +29,7 @@ def demo(out: opt.OutOption = opt.OUT, weights: opt.WeightsOption = "world", dev
 def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     scans: opt.ScansArgument,
     out: opt.OutOption = opt.OUT,
-    weights: opt.WeightsOption = "kitti-mini",
+    weights: opt.WeightsOption = opt.BEST,
     device: opt.DeviceOption = "auto",
     sensor: opt.SensorOption = "",
     calib: opt.CalibOption = None,

@@ -20,7 +20,7 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
         typer.Argument(metavar="PATH...", help="Panoramas (PNG, or folders written by translate), or scans."),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The page.")] = Path("view.html"),
-    weights: opt.WeightsOption = "kitti-mini",
+    weights: opt.WeightsOption = opt.BEST,
     device: opt.DeviceOption = "auto",
     calib: Annotated[
         Path | None,

@@ -22,17 +22,15 @@ app.add_typer(weights, name="weights", help="Installed weights; the card of a we
 def list_families() -> None:
     """List the installed families: networks, size, licence, score."""
     from lidar2pano.models.card import read_card
-    from lidar2pano.models.families import DEFAULT, families, role
+    from lidar2pano.models.families import best_family, families, role
 
-    installed = families()
-    if not installed:
-        raise InputError("no weights are installed with this package; train some or name files of your own")
+    installed, default = families(), best_family()
     for name, folder in installed.items():
         files = sorted(folder.glob("*.safetensors"))
         cards = [read_card(file) for file in files]
         size = sum(file.stat().st_size for file in files) / MIB
         licences = ", ".join(sorted({card.licence or "not stated" for card in cards}))
-        print(f"{name}{' (default)' if name == DEFAULT else ''}  {size:.1f} MiB  licence {licences}")
+        print(f"{name}{' (default)' if name == default else ''}  {size:.1f} MiB  licence {licences}")
         for file, card in zip(files, cards, strict=True):
             line = (
                 f"  {role(card) or 'no role'}: {card.network}, {file.stat().st_size / MIB:.1f} MiB  {score_line(card)}"

@@ -56,7 +56,7 @@ def system(
     named = _merged(parts)
     if "renderer" in named:
         return _renderer(name, named, picked)
-    default = families.weight_files(families.DEFAULT) if families.DEFAULT in families.families() else {}
+    default = families.weight_files(families.BEST) if families.families() else {}
     files = default | named
     if missing := [role for role in ("segmenter", "translator") if role not in files]:
         raise InputError(f"{name}: no weights for the {' and the '.join(missing)}; name a family that has them")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
+import logging
 from collections.abc import Iterable, Mapping
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from lidar2pano.errors import InputError, closest
@@ -10,7 +13,10 @@ from lidar2pano.labels import COMMON14
 from lidar2pano.models.card import Card, read_card
 
 RELEASED = Path(__file__).parent.parent / "weights"
-DEFAULT = "kitti-mini"  # the better one on real scans
+GROUP = "lidar2pano.weights"  # entry points of other distributions: family = the package with its files
+DISTRIBUTIONS = {"kitti-mini": "lidar2pano-streets"}  # family -> where else it comes from
+PREFERENCE = ("kitti-mini", "world")  # the better one on real scans first
+BEST = "best"  # in place of a family: the first of PREFERENCE that is installed
 FRONT_VIEW = ("titan", "titan-next", "pix2pix")  # translators of the paper's kind: front view in, camera's image out
 ROLES: dict[str, str] = {
     "salsanext": "segmenter",
@@ -28,22 +34,52 @@ ROLES: dict[str, str] = {
 """The part that a network plays; a translator of the paper's kind that gives colours is a renderer (see `role`)."""
 
 
+log = logging.getLogger("lidar2pano")
+
+
 def families() -> dict[str, Path]:
-    """Installed released families: name -> folder with one .safetensors per role, and LICENSE."""
-    folders = sorted(folder for folder in RELEASED.glob("*/") if any(folder.glob("*.safetensors")))
-    return {folder.name: folder for folder in folders}
+    """Installed families: name -> folder with one .safetensors per role, and LICENSE.
+
+    They lie in this package, or in packages of other distributions that name them as entry points of GROUP.
+    """
+    folders = {folder.name: folder for folder in RELEASED.glob("*/")}
+    folders |= {entry.name: folder for entry in entry_points(group=GROUP) if (folder := _package_folder(entry))}
+    return {name: folders[name] for name in sorted(folders) if any(folders[name].glob("*.safetensors"))}
+
+
+def _package_folder(entry: EntryPoint) -> Path | None:
+    """Return the folder of the package behind an entry point, which is not imported; None if it is gone."""
+    spec = importlib.util.find_spec(entry.value)
+    return Path(next(iter(spec.submodule_search_locations))) if spec and spec.submodule_search_locations else None
+
+
+def best_family() -> str:
+    """Return the name of the best installed family; InputError without any."""
+    installed = families()
+    if not installed:
+        raise InputError("no weights are installed with this package; train some or name files of your own")
+    return next((name for name in PREFERENCE if name in installed), next(iter(installed)))
+
+
+def named_weights(name: str) -> str:
+    """Return the name of weights, the best installed family for BEST, and log it."""
+    if name != BEST:
+        return name
+    name = best_family()
+    log.info("weights %s: the best that is installed", name)
+    return name
 
 
 def weight_files(name: str | Path, *, fill: bool = True, look: str = "") -> dict[str, Path]:
     """Files by role (see `role`) of a name or path.
 
-    name  a released family; a folder of weight files or a training run (its `weights/`); or one weight file. Several
+    name  a family; BEST; a folder of weight files or a training run (its `weights/`); or one weight file. Several
           joined by "+" are taken together, later ones in the places of earlier ones. Other roles are filled
-          by the default family, if it is installed and `fill` is true.
+          by the best installed family, if there is one and `fill` is true.
     look  of several painters, one for each look, the file of this name (without .safetensors) is taken.
     Raises InputError when there is no such family, file or folder, or `by_role` refuses its files.
     """
-    installed = families()
+    installed, name = families(), named_weights(str(name)) if str(name) == BEST else name
     if len(parts := chained(name)) > 1:
         files = weight_files(parts[0], fill=fill, look=look)
         for part in parts[1:]:
@@ -64,11 +100,17 @@ def weight_files(name: str | Path, *, fill: bool = True, look: str = "") -> dict
         files = [path]
     else:
         raise InputError(
-            f"no weights {str(name)!r}: neither a released family nor a file" + closest(str(name), installed)
+            f"no weights {str(name)!r}: neither an installed family nor a file" + _remedy(str(name), installed)
         )
     own = by_role(files, look)
-    rest = by_role(sorted(installed[DEFAULT].glob("*.safetensors"))) if fill and DEFAULT in installed else {}
+    rest = by_role(sorted(installed[best_family()].glob("*.safetensors"))) if fill and installed else {}
     return rest | own
+
+
+def _remedy(name: str, installed: Iterable[str]) -> str:
+    if name in DISTRIBUTIONS:
+        return f"; pip install {DISTRIBUTIONS[name]}"
+    return closest(name, installed)
 
 
 def chained(name: str | Path) -> list[str]:

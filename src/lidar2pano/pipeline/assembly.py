@@ -17,7 +17,7 @@ from lidar2pano.hardware import pick_device
 from lidar2pano.models.blocks import fold_norms
 from lidar2pano.models.card import Card, read_card
 from lidar2pano.models.card import load as load_weights
-from lidar2pano.models.families import DEFAULT, FRONT_VIEW, role, weight_files
+from lidar2pano.models.families import BEST, FRONT_VIEW, role, weight_files
 from lidar2pano.models.front_all_around import FrontAllAround
 from lidar2pano.models.painter import StreamPainter
 from lidar2pano.models.vid2vid import Vid2Vid
@@ -27,11 +27,12 @@ from lidar2pano.views import View
 
 
 def load(
-    weights: str | Path | Mapping[str, Path] = DEFAULT, device: str | torch.device = "auto", engine: str = "auto"
+    weights: str | Path | Mapping[str, Path] = BEST, device: str | torch.device = "auto", engine: str = "auto"
 ) -> Pipeline:
-    """A pipeline from a released family, a folder or run of weight files, or one file (the rest: default family).
+    """A pipeline from a family, a folder or run of weight files, or one file (the rest: best family).
 
-    weights  or what `models.families.weight_files` made of such a name.
+    weights  a name; "best": the best installed family, which the logger "lidar2pano" names; or what
+             `models.families.weight_files` made of a name.
     device   "auto" (CUDA if there is one), "cpu" or "cuda".
     engine   "auto" (OpenVINO for what engine="openvino" compiled before, on a CPU that multiplies bfloat16; else
              torch), "torch", "compile" (torch.compile), "onnx" or "openvino". The last three compile each network
