@@ -100,7 +100,7 @@ def weight_files(name: str | Path, *, fill: bool = True, look: str = "") -> dict
         files = [path]
     else:
         raise InputError(
-            f"no weights {str(name)!r}: neither an installed family nor a file" + _remedy(str(name), installed)
+            f"no weights {str(name)!r}: neither a released family nor a file" + _remedy(str(name), installed)
         )
     own = by_role(files, look)
     rest = by_role(sorted(installed[best_family()].glob("*.safetensors"))) if fill and installed else {}
