@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from lidar2pano.cli import main
-from lidar2pano.cli.app import BROKEN
+from lidar2pano.cli.app import BROKEN, MISTAKE
 from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
-from lidar2pano.reproduce import Outcome, Plan
+from lidar2pano.reproduce import Outcome, Plan, forecast
 from lidar2pano.reproduce.images import SAMPLES, WIDTH, sample_indices, scalars, write_curves, write_sheets
 from lidar2pano.reproduce.paper_tables import CLAIMS, ROWS, chosen
 from lidar2pano.reproduce.results_page import results_page
@@ -260,3 +260,40 @@ def test_without_camera_labels_the_page_names_the_command_that_makes_them(tmp_pa
     assert main([*words, "--budget", "1steps", "--segmenter", "world"]) == BROKEN
     assert "lidar2pano prepare" in (tmp_path / "out" / "RESULTS.md").read_text()
     assert "titan" in capsys.readouterr().err
+
+
+def test_a_dry_run_names_trainings_disk_and_gaps_and_writes_nothing(tmp_path, capsys):
+    data = write_semantic_kitti(tmp_path / "data", camera_labels=False)
+    words = ["reproduce", "--data", str(data), "--out", str(tmp_path / "out"), "--rows", "titan", "--form", "mini"]
+    words += ["--budget", "20m", "--dry-run", "--device", "cpu"]
+    assert main(words) == MISTAKE
+    out, err = capsys.readouterr()
+    lines = [line.split() for line in out.splitlines()]
+    assert [line[:3] for line in lines[:3]] == [
+        ["salsanext", "salsanext-mini", "20"],
+        ["titan", "titan-mini", "20"],
+        ["vid2vid", "vid2vid-mini", "20"],
+    ]
+    assert out.splitlines()[3].startswith("3 trainings: 60 min, and up to ") and "GiB" in out
+    assert "1 rows scored on 1 frames of val" in out
+    assert "missing: split val: " in err and "has no camera labels: lidar2pano prepare" in err
+    assert not (tmp_path / "out").exists()
+    assert main([*words, "--set", "titan.training.stepps=1"]) == MISTAKE
+    assert "stepps" in capsys.readouterr().err
+
+
+def test_finished_trainings_cost_nothing_more(semantic_kitti, tmp_path, capsys):
+    (tmp_path / "runs" / "scunet" / "weights").mkdir(parents=True)
+    words = ["reproduce", "--data", str(semantic_kitti), "--out", str(tmp_path), "--rows", "scunet", "--device", "cpu"]
+    assert main([*words, "--segmenter", "world", "--budget", "5steps", "--dry-run"]) == 0
+    out = capsys.readouterr().out
+    assert "finished" in out and "0 trainings" in out and "1 rows scored" in out
+
+
+def test_a_missing_package_is_named_before_the_first_training(semantic_kitti, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(forecast, "find_spec", lambda name: None if name == "cv2" else object())
+    words = ["reproduce", "--data", str(semantic_kitti), "--out", str(tmp_path / "out"), "--device", "cpu"]
+    assert main([*words, "--rows", "titan"]) == MISTAKE
+    assert "reproduce needs cv2: pip install 'lidar2pano[train]'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    assert main([*words, "--rows", "scunet", "--segmenter", "world", "--dry-run"]) == 0, "it needs no flow"

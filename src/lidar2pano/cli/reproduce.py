@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lidar2pano.cli.app import BROKEN, app
+from lidar2pano.cli.app import BROKEN, MISTAKE, app
 from lidar2pano.cli.console import print_error
 
 if TYPE_CHECKING:
@@ -36,12 +36,17 @@ def reproduce(  # noqa: PLR0913, PLR0917 one parameter per option
     inception: Annotated[Path | None, typer.Option(metavar="FILE", help="For FID, as for evaluate.")] = None,
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
     devices: Annotated[int, typer.Option(min=1, metavar="N", help="GPUs or processes that train.")] = 1,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Print the trainings, their length and disk, and what is missing; then leave."),
+    ] = False,
 ) -> None:
     """Make the paper's tables: train what is missing, score every row, write DIR/RESULTS.md. Repeat to resume."""
     from lidar2pano.cli.options import check_folder
     from lidar2pano.errors import InputError
     from lidar2pano.hardware import keep_buffers, pick_device
     from lidar2pano.reproduce import Plan
+    from lidar2pano.reproduce.forecast import check_packages
     from lidar2pano.reproduce.paper_tables import chosen
 
     if form not in ("auto", "mini", "full"):
@@ -64,7 +69,23 @@ def reproduce(  # noqa: PLR0913, PLR0917 one parameter per option
         inception=inception,
         changes=tuple(changes or ()),
     )
-    run_plan(plan)
+    if dry_run:
+        print_plan(plan)
+    else:
+        check_packages(plan)
+        run_plan(plan)
+
+
+def print_plan(plan: Plan) -> None:
+    """Print a plan; typer.Exit if it lacks something."""
+    from lidar2pano.reproduce.forecast import describe
+
+    lines, missing = describe(plan)
+    print("\n".join(lines))
+    for lack in missing:
+        print_error(f"missing: {lack}")
+    if missing:
+        raise typer.Exit(MISTAKE)
 
 
 def run_plan(plan: Plan) -> None:

@@ -121,7 +121,7 @@ class Plan:
 
     def _stills(self, train: Sequence[str], length: int) -> tuple[str, ...]:
         """Return the splits without `length` successive frames: vid2vid pans over each of their frames."""
-        lists = _training_frames(self) if (self.data / "sequences").is_dir() else {}
+        lists = training_frames(self) if (self.data / "sequences").is_dir() else {}
         return tuple(name for name in dict.fromkeys((*train, SELECTION)) if not runs(lists.get(name, ()), length))
 
 
@@ -131,7 +131,7 @@ def training_data(plan: Plan) -> Path:
     No checkpoint is selected on scored frames: other splits but the scored one lose these frames, and the training
     splits lose those of the scored one. Everything but splits.json are links.
     """
-    rest = _training_frames(plan)
+    rest = training_frames(plan)
     folder = plan.out / "data"
     folder.mkdir(parents=True, exist_ok=True)
     for path in plan.data.resolve().iterdir():
@@ -142,7 +142,7 @@ def training_data(plan: Plan) -> Path:
     return folder
 
 
-def _training_frames(plan: Plan) -> dict[str, list[str]]:
+def training_frames(plan: Plan) -> dict[str, list[str]]:
     """Return the names of the frames of every split of `training_data`."""
     lists = _frames_by_split(plan)
     scored = set(lists[plan.split])
