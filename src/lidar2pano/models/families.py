@@ -14,9 +14,9 @@ from lidar2pano.models.card import Card, read_card
 
 RELEASED = Path(__file__).parent.parent / "weights"
 GROUP = "lidar2pano.weights"  # entry points of other distributions: family = the package with its files
-DISTRIBUTIONS = {"kitti-mini": "lidar2pano-streets"}  # family -> where else it comes from
+DISTRIBUTIONS = {"kitti-mini": "lidar2pano-streets"}  # family -> its distribution
 PREFERENCE = ("kitti-mini", "world")  # the better one on real scans first
-BEST = "best"  # in place of a family: the first of PREFERENCE that is installed
+BEST = "best"  # in place of a family: the first installed one of PREFERENCE
 FRONT_VIEW = ("titan", "titan-next", "pix2pix")  # translators of the paper's kind: front view in, camera's image out
 ROLES: dict[str, str] = {
     "salsanext": "segmenter",
@@ -40,7 +40,7 @@ log = logging.getLogger("lidar2pano")
 def families() -> dict[str, Path]:
     """Installed families: name -> folder with one .safetensors per role, and LICENSE.
 
-    They lie in this package, or in packages of other distributions that name them as entry points of GROUP.
+    They lie in this package, or in packages of other distributions, named by entry points of GROUP.
     """
     folders = {folder.name: folder for folder in RELEASED.glob("*/")}
     folders |= {entry.name: folder for entry in entry_points(group=GROUP) if (folder := _package_folder(entry))}
@@ -48,7 +48,7 @@ def families() -> dict[str, Path]:
 
 
 def _package_folder(entry: EntryPoint) -> Path | None:
-    """Return the folder of the package behind an entry point, which is not imported; None if it is gone."""
+    """Return the folder of the package behind an entry point, without importing it; None if it is gone."""
     spec = importlib.util.find_spec(entry.value)
     return Path(next(iter(spec.submodule_search_locations))) if spec and spec.submodule_search_locations else None
 

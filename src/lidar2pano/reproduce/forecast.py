@@ -1,4 +1,4 @@
-"""What a reproduction will do and what it lacks, found out before anything is trained."""
+"""Forecast of a reproduction: its trainings, their disk, and what it lacks before anything is trained."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lidar2pano.models import build
 from lidar2pano.reproduce.run import SEGMENTER, Plan, splits, training_frames
 from lidar2pano.train.recipe import Recipe
 
-# Packages of the extra `train`, by the parts that import them; "" stands for every part.
+# Packages of the extra `train` by importing part; "" stands for every part.
 PACKAGES = {"": ("lightning_fabric", "tensorboard", "matplotlib"), "vid2vid": ("cv2",)}
 PACKAGES["scene-painter"] = ("efficientnet_lite_pytorch",)
 IMAGES_ALONE = {"scunet", "pix2pix-rgb", "titan-no-segments"}  # trained on the camera's colours, not on its classes
@@ -35,7 +35,7 @@ class Training:
 
 
 def missing_packages(plan: Plan) -> list[str]:
-    """Return the packages of the extra `train` that the plan's parts import and that are not installed."""
+    """Return the absent packages of the extra `train` among the imports of the plan's parts."""
     needed = [name for part, names in PACKAGES.items() if not part or part in plan.parts for name in names]
     return [name for name in needed if find_spec(name) is None]
 
@@ -47,7 +47,7 @@ def check_packages(plan: Plan) -> None:
 
 
 def trainings(plan: Plan) -> list[Training]:
-    """Return the trainings of a plan in their order; InputError for a change that fits no recipe."""
+    """Return the trainings of a plan in their order; InputError for a change of no recipe."""
     return [_training(plan, part) for part in plan.parts]
 
 
@@ -72,7 +72,7 @@ def _network_bytes(recipe: Recipe) -> int:
 
 
 def missing_data(plan: Plan) -> list[str]:
-    """Return a sentence for every kind of file that the plan reads and the first frames lack."""
+    """Return a sentence for every kind of file missing from the first frames of training and scoring."""
     scored = frames(plan.data, plan.split)[0]
     train = training_frames(plan)["train"] if splits(plan.data) else []
     first = next(iter(frames(plan.data, "train"))) if train else scored
@@ -93,7 +93,7 @@ def _lacking(frame: Frame, plan: Plan, *, scoring: bool) -> list[str]:
 
 
 def describe(plan: Plan) -> tuple[list[str], list[str]]:
-    """Return the lines of a plan, and of what it lacks."""
+    """Return the lines of a plan, and of its gaps."""
     planned = trainings(plan)
     lines = [
         f"{item.part:20} {item.recipe:24} {item.length:>14}{'  finished' if item.finished else ''}" for item in planned
