@@ -35,8 +35,17 @@ class Translation:
 
     @property
     def doubts(self) -> list[str]:
-        """Sentences about implausible properties of the scan."""
-        return list(self.reading.interpretation.doubts) if self.reading.interpretation else []
+        """Sentences about implausible properties of the scan, and about an assumed height of the sensor."""
+        interpretation = self.reading.interpretation
+        if interpretation is None:
+            return []
+        sentences = list(interpretation.doubts)
+        if (height_m := interpretation.assumed_height_m) is not None:
+            sentences.append(
+                f"the sensor is assumed {height_m:g} m above the ground, since its place cannot be found; name its"
+                " height with --sensor-height"
+            )
+        return sentences
 
     def counts(self) -> dict[str, Any]:
         """Return points, dropped points and milliseconds per stage for a record; None for a stage never reached."""

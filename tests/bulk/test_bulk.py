@@ -8,6 +8,7 @@ import random
 import signal
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from lidar2pano.cli.bulk import BAD_SCANS, TERMINATED
 from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
+from lidar2pano.formats.interpretation import Overrides
 from lidar2pano.labels import COMMON15
 from random_weights import CALIB, street, write_scan
 from slow_definitions import grow_slowly
@@ -100,7 +102,10 @@ def test_a_second_run_does_nothing(root, tmp_path, capsys):
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")}
     assert run(job_of(root, tmp_path / "out")) == 0
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")} == before
-    assert capsys.readouterr().out.splitlines() == ["24 scans: 24 written", "24 scans: 24 there before"]
+    assert capsys.readouterr().out.splitlines() == [
+        "24 scans: 24 written; 24 of them doubted (see `doubts` in the manifest)",
+        "24 scans: 24 there before",
+    ]
 
 
 def test_what_lacks_one_output_is_made_again(root, tmp_path):
@@ -136,8 +141,10 @@ def test_a_bad_scan_costs_a_line_and_is_tried_again(root, tmp_path, capsys):
         write_scan(root / f"{name}.bin", far)
     assert run(job_of(root, tmp_path / "out")) == BAD_SCANS
     captured = capsys.readouterr()
-    assert captured.out == "26 scans: 23 written, 3 bad\n"
-    assert [line.split(": ")[1] for line in captured.err.splitlines()] == [
+    assert captured.out == "26 scans: 23 written, 3 bad; 23 of them doubted (see `doubts` in the manifest)\n"
+    doubts = [line for line in captured.err.splitlines() if "only 50 of its points" in line]
+    assert len(doubts) == len({path.parent for path in root.rglob("*.bin")})  # once a folder
+    assert [line.split(": ")[1] for line in captured.err.splitlines() if line not in doubts] == [
         "bug.bin",
         f"{root}/refused.bin",
         f"{root}/a/000000.bin",
@@ -150,6 +157,18 @@ def test_a_bad_scan_costs_a_line_and_is_tried_again(root, tmp_path, capsys):
         write_scan(root / f"{name}.bin", street(50))
     assert run(job_of(root, tmp_path / "out")) == 0
     assert_each_once(tmp_path / "out", root)
+
+
+def test_overrides_and_strictness(root, tmp_path):
+    assert run(job_of(root, tmp_path / "out", strict=True)) == BAD_SCANS
+    assert all("an error because of --strict" in line["error"] for line in manifest(tmp_path / "out"))
+    turned = job_of(root, tmp_path / "turned", overrides=Overrides(forward="y"))
+    assert run(turned) == 0
+    assert json.loads((tmp_path / "turned" / "bulk.json").read_text())["forward"] == "y"
+    with pytest.raises(InputError, match="made with another 'forward'"):
+        run(replace(turned, overrides=Overrides()))
+    assert run(job_of(root, tmp_path / "plain")) == 0
+    assert contents(tmp_path / "plain")["a/000000.depth.png"] != contents(tmp_path / "turned")["a/000000.depth.png"]
 
 
 def test_other_settings_are_refused(root, tmp_path):
@@ -212,7 +231,7 @@ def stems(root: Path) -> dict[str, str]:
 
 
 def test_names_of_outputs(tmp_path):
-    for name in ("x/a.bin", "x/a.pcd", "x/b.bin.gz", "y/a.bin", "y/c.bin", "y/c.depth.bin", "y/notes.md", ".z/d.bin"):
+    for name in ("x/a.bin", "x/a.pcd", "x/b.bin.gz", "y/a.bin", "y/c.bin", "y/c.depth.bin", "y/e.pcd.bin", ".z/d.bin"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     assert stems(tmp_path) == {
@@ -222,6 +241,7 @@ def test_names_of_outputs(tmp_path):
         "y/a.bin": "y/a",
         "y/c.bin": "y/c.bin",  # its depth would be y/c.depth.png, and so would the other's colours
         "y/c.depth.bin": "y/c.depth.bin",
+        "y/e.pcd.bin": "y/e",  # as `translate` calls it
     }
     (tmp_path / "x" / "a.bin.pcd").touch()
     with pytest.raises(InputError, match="two scans would have the outputs"):

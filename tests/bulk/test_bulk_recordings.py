@@ -36,6 +36,7 @@ from stand_in_pipeline import StandIn
 
 COUNT = 12
 DRIVE = [points(street(number, 300), START_NS + number * STEP_NS) for number in range(COUNT)]
+DOUBTED = " of them doubted (see `doubts` in the manifest)"
 
 
 def recorded(folder: Path, format: str = "mcap-raw", stem: str = "drive", sent=DRIVE) -> Path:
@@ -176,8 +177,9 @@ def test_a_damaged_recording_costs_a_line(tmp_path, capsys):
     (root / "drive.mcap").write_bytes(whole[: len(whole) // 2])
     assert run(job_of(root, out)) == BAD_SCANS
     captured = capsys.readouterr()
-    assert captured.out == "2 scans: 1 written, 1 bad\n"
-    assert captured.err.count("\n") == 1 and f"{root}/drive.mcap: is damaged or cut short" in captured.err
+    assert captured.out == f"2 scans: 1 written, 1 bad; 1{DOUBTED}\n"
+    assert captured.err.count("\n") == 2 and f"{root}/drive.mcap: is damaged or cut short" in captured.err
+    assert "lidar2pano: drive.bin: only 300 of its points can be used" in captured.err
     assert [line["scan"] for line in manifest(out)] == [None, None]
     assert sum(len(entries(open_store(root), Shard(index, 3))) for index in range(3)) == 2  # one shard reports it
     assert run(job_of(root, out)) == BAD_SCANS  # the outputs of drive.bin are not its own
@@ -197,8 +199,10 @@ def test_damage_in_the_middle_costs_the_scans_that_it_hits(tmp_path, capsys):
     hit = [line["scan"] for line in lines if line["error"]]
     assert 5 in hit and len(hit) <= 6 and len(lines) == COUNT  # those of its chunk
     captured = capsys.readouterr()
-    assert captured.err.count("\n") == 1 and f"{path}: is damaged" in captured.err
-    assert captured.out == f"{COUNT} scans: {COUNT - len(hit)} written, {len(hit)} bad\n"
+    assert f"{path}: is damaged" in captured.err and captured.err.count("\n") == 2
+    assert captured.err.count("only 300 of its points can be used") == 1  # once for the recording
+    counts = f"{COUNT - len(hit)} written, {len(hit)} bad; {COUNT - len(hit)}{DOUBTED}"
+    assert captured.out == f"{COUNT} scans: {counts}\n"
 
 
 # --- which scans, and what they are called ----------------------------------------------------------------------------
@@ -248,8 +252,8 @@ def test_names_of_outputs(tmp_path):
         "x/drive-000001.png",
         "y/drive.bag-000000.png",
         "y/drive.mcap-000000.png",
+        "z/drive-7.png",  # recordings come behind the files of their folder
         "z/drive-000000.png",
-        "z/drive-7.png",
     ]
     assert images(tmp_path / "z", "drive") == ["drive-000000.png"]
     write_bin(tmp_path / "x" / "drive-000001.bin", street(0, 50))

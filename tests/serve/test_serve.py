@@ -147,6 +147,47 @@ def test_any_known_format_by_its_content(server, tmp_path, scan):
         assert server.ask("POST", "/panorama", body)[0] == 200
 
 
+def test_doubts_are_in_every_answer(server, scan):
+    for query in ("", "?as=zip", "?as=json"):
+        status, headers, data = server.ask("POST", f"/panorama{query}", scan[0])
+        (doubt,) = json.loads(headers["lidar2pano-doubts"])
+        assert status == 200 and doubt.startswith("only 60 of its points can be used")
+    assert json.loads(data)["doubts"] == [doubt]
+    status, _, data = server.ask("POST", "/panorama?strict=true", scan[0])
+    assert status == 422 and "an error because of --strict" in json.loads(data)["error"]
+
+
+def test_overrides_are_those_of_translate(scan):
+    readings = []
+
+    class Listener(StandIn):
+        def step(self, memory, scan, pose, timer, labels=None):
+            readings.append(scan.xyz.copy())
+            return super().step(memory, scan, pose, timer, labels)
+
+    with serving(Listener()) as server:
+        for query in ("", "?forward=y", "?forward=&remission=none&strict=0"):
+            assert server.ask("POST", f"/panorama{query}", scan[0])[0] == 200
+    assert np.allclose(readings[1], readings[0][:, [1, 0, 2]] * (1, -1, 1)) and np.array_equal(readings[2], readings[0])
+
+
+def form(*fields: tuple[str, bytes]) -> tuple[bytes, str]:
+    parts = [
+        b"--xx-\r\nContent-Disposition: form-data; %s\r\n\r\n%s\r\n" % (head.encode(), body) for head, body in fields
+    ]
+    return b"".join(parts) + b"--xx---\r\n", "multipart/form-data; boundary=xx-"
+
+
+def test_a_form_of_one_file_is_its_file(server, scan):
+    body, content_type = form(('name="file"; filename="a.bin"', scan[0]))
+    status, headers, data = server.ask("POST", "/panorama", body, **{"Content-Type": content_type})
+    assert status == 200 and np.array_equal(pixels(data), scan[1])
+    for fields in ((), (('name="a"', b"1"), ('name="b"', b"2"))):
+        body, content_type = form(*fields)
+        status, _, data = server.ask("POST", "/panorama", body, **{"Content-Type": content_type})
+        assert status == 422 and f"form: holds {len(fields)} fields" in json.loads(data)["error"]
+
+
 # --- refusals ---------------------------------------------------------------------------------------------------------
 
 
@@ -159,6 +200,13 @@ def test_any_known_format_by_its_content(server, tmp_path, scan):
         ("?as=gif", b"1", 422, "as: there is png, zip, json"),
         ("?save=rbg", b"1", 422, "save: name some of rgb"),
         ("?save=all", b"1", 422, "a PNG holds rgb alone"),
+        ("?fordward=x", b"1", 400, "did you mean 'forward'?; known are as, save, name, forward, remission"),
+        ("?sensor_height=1", b"1", 400, "sensor_height: unknown parameter"),
+        ("?forward=up", b"1", 422, "forward 'up' is no axis; there is x, y, -x, -y"),
+        ("?remission=7", b"1", 422, "remission '7' is no scale"),
+        ("?sensor-height=high", b"1", 422, "sensor-height: 'high' is no height"),
+        ("?sensor-height=-1", b"1", 422, "sensor-height -1.0 is no height"),
+        ("?strict=perhaps", b"1", 422, "strict: is true or false"),
     ],
 )
 def test_what_cannot_be_used(server, query, body, status, message):

@@ -17,6 +17,7 @@ from lidar2pano.bulk.entries import Entry, Job, Shard
 from lidar2pano.bulk.scan_reading import OpenRecording
 from lidar2pano.bulk.stores import Folder, Store, local_copy, open_store
 from lidar2pano.errors import InputError
+from lidar2pano.formats.interpretation import Overrides
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI, TABLES, THINGS
@@ -130,7 +131,7 @@ def write_times(job: Job, sequence: RecordedSequence, stopped: Callable[[], bool
         closing(playback(path, job.selection.topic)) as opened,
     ):
         stamps_s, poses = [], []
-        for stamp_s, pose in _track(opened):
+        for stamp_s, pose in _track(opened, job.overrides):
             if stopped():
                 return False
             stamps_s.append(stamp_s)
@@ -139,12 +140,12 @@ def write_times(job: Job, sequence: RecordedSequence, stopped: Callable[[], bool
     return True
 
 
-def _track(opened: Playback) -> Iterator[tuple[float, np.ndarray | None]]:
+def _track(opened: Playback, overrides: Overrides) -> Iterator[tuple[float, np.ndarray | None]]:
     """Yield each scan's time, seconds since the epoch, and T_world_sensor (4, 4) float64, None if unknown.
 
     A damaged scan is as late behind its recording as the one before it.
     """
-    recording, late_s = OpenRecording(opened), 0.0
+    recording, late_s = OpenRecording(opened, overrides), 0.0
     for number in opened.numbers(ReadOptions()):
         try:
             stamp_s, pose = recording.pose(number)

@@ -8,8 +8,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from lidar2pano.drives.reading import ReadingOptions
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import COLOUR_FORMATS
+from lidar2pano.formats.interpretation import Overrides
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.pipeline import Pipeline
 
@@ -90,6 +92,7 @@ class Job:
     pipeline     makes the pipeline, once per process.
     image_format  of colour images, one of COLOUR_FORMATS.
     selection    which scans of recordings and folders; here the topic counts.
+    overrides    facts about the scans;  strict: whether an implausible scan is an error.
     """
 
     source: str
@@ -101,6 +104,13 @@ class Job:
     use_labels: bool = False
     image_format: str = "png"
     selection: ReadOptions = field(default_factory=ReadOptions)
+    overrides: Overrides = field(default_factory=Overrides)
+    strict: bool = False
+
+    @property
+    def reading(self) -> ReadingOptions:
+        """Options of reading scans."""
+        return ReadingOptions(selection=self.selection, overrides=self.overrides, strict=self.strict)
 
     def outputs(self, entry: Entry) -> dict[str, str]:
         """Return the names of a scan's outputs below `out`, by output."""

@@ -74,7 +74,7 @@ class Worker:
     def __init__(self, job: Job, folder: Path) -> None:
         self.job, self._folder = job, folder
         self.source, self.out = open_store(job.source), open_store(job.out)
-        self._reading = ScanReading(self.source, job.selection)
+        self._reading = ScanReading(self.source, job.reading)
         self.translator = Translator(job.pipeline, every_fault=True)  # a bug or a lack of memory costs one scan alone
         self._calibration = lru_cache(maxsize=8)(self._read_calibration)
 

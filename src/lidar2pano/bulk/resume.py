@@ -39,6 +39,9 @@ def start(job: Job, listed: list[Entry], files: Mapping[str, Path], options: Map
         "as": job.layout,
         "labels": job.use_labels,
         "topic": job.selection.topic or None,
+        "forward": job.overrides.forward or None,
+        "remission": job.overrides.remission or None,
+        "sensor_height_m": job.overrides.sensor_height_m,
         "classes": {
             str(index): {"name": name, "colour": list(colour)}
             for index, (name, colour) in enumerate(zip(COMMON15.classes, COMMON15.colours, strict=True))
@@ -84,7 +87,7 @@ def remaining(job: Job, listed: list[Entry], manifest: Manifest) -> list[Entry]:
             done[entry.key] = entry
         else:
             todo.append(entry)
-    with closing(ScanReading(open_store(job.source), job.selection)) as reading:
+    with closing(ScanReading(open_store(job.source), job.reading)) as reading:
 
         def describe(key: ScanKey) -> dict[str, Any]:
             try:

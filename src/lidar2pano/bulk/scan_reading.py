@@ -18,13 +18,12 @@ from lidar2pano.bulk.stores import Store, local_copy
 from lidar2pano.drives.drive_motion import DriveMotion
 from lidar2pano.drives.reading import Reading, ReadingOptions, ScanSource, move_scan, read_scan
 from lidar2pano.errors import InputError
-from lidar2pano.formats.interpretation import Interpretation, interpret
+from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions, open_path
 from lidar2pano.recordings.playback import Playback, playback
 from lidar2pano.recordings.recorded_scans import Frame
 
-ALONE = ReadingOptions()
 ATTEMPTS = 8  # first scans of a recording; one of them tells how to read all others
 
 
@@ -50,6 +49,7 @@ class Request:
 
     entry: Entry
     store: Store
+    options: ReadingOptions
     recorded: Future[RecordedScan] | None = None
 
     def read(self, note: Callable[[str], None]) -> Reading:
@@ -59,13 +59,13 @@ class Request:
         """
         source = source_of(self.entry, self.store)
         if self.recorded is None:
-            return read_scan(replace(source, cloud=partial(self._file_cloud, note)), ALONE)
+            return read_scan(replace(source, cloud=partial(self._file_cloud, note)), self.options)
         try:
             frame, first, motion = self.recorded.result()
         except InputError as error:
             return Reading(source=source, error=error)
         note(frame.sha256())
-        reading = read_scan(replace(source, cloud=partial(self._frame_cloud, frame)), ALONE, first)
+        reading = read_scan(replace(source, cloud=partial(self._frame_cloud, frame)), self.options, first)
         return move_scan(reading, motion, poses=False) if motion else reading
 
     def sha256(self) -> str:
@@ -101,13 +101,10 @@ def source_of(entry: Entry, store: Store) -> ScanSource:
 
 
 class ScanReading:
-    """Reads scans of a store. One recording at a time is open, in a thread of its own.
+    """Reads scans of a store. One recording at a time is open, in a thread of its own."""
 
-    selection  names the topic of recordings.
-    """
-
-    def __init__(self, source: Store, selection: ReadOptions) -> None:
-        self._source, self._topic = source, selection.topic
+    def __init__(self, source: Store, options: ReadingOptions) -> None:
+        self._source, self._options = source, options
         self._thread = ThreadPoolExecutor(1)
         self._open = ExitStack()
         self._name, self._path = "", Path()
@@ -116,8 +113,10 @@ class ScanReading:
     def request(self, entry: Entry) -> Request:
         """Return the request for an entry's scan. Those of recordings are read at once, one after the other."""
         if entry.key.scan is None:
-            return Request(entry, self._source)
-        return Request(entry, self._source, self._thread.submit(self._recorded, entry.key.input, entry.key.scan))
+            return Request(entry, self._source, self._options)
+        return Request(
+            entry, self._source, self._options, self._thread.submit(self._recorded, entry.key.input, entry.key.scan)
+        )
 
     def close(self) -> None:
         """Close the open recording."""
@@ -131,8 +130,8 @@ class ScanReading:
                 self._open.close()
                 self._name, self._scans = name, None
                 self._path = self._open.enter_context(self._source.local(name))
-                opened = self._open.enter_context(closing(playback(self._path, self._topic)))
-                self._scans = OpenRecording(opened)
+                opened = self._open.enter_context(closing(playback(self._path, self._options.selection.topic)))
+                self._scans = OpenRecording(opened, self._options.overrides)
             return self._scans.scan(number)
         except InputError as error:
             raise InputError(str(error).replace(str(self._path), f"{self._source.place}/{name}")) from None
@@ -141,14 +140,14 @@ class ScanReading:
 class OpenRecording:
     """The scans of an open recording, and how the first of them is read."""
 
-    def __init__(self, opened: Playback) -> None:
-        self._opened = opened
+    def __init__(self, opened: Playback, overrides: Overrides) -> None:
+        self._opened, self._overrides = opened, overrides
         self._first: int | None = None
         self._interpretation: Interpretation | None = None
         self._has_times = False
         for number in range(ATTEMPTS):
             try:
-                scan, self._interpretation = interpret(opened.frame(number).cloud())
+                scan, self._interpretation = interpret(opened.frame(number).cloud(), overrides)
             except InputError:
                 continue  # a bad one, or the end
             self._first, self._has_times = number, scan.time_s is not None
@@ -170,7 +169,9 @@ class OpenRecording:
         try:
             if (motion := self._motion(number)) is None:
                 return stamp_s, None
-            _, interpretation = interpret(cloud, None, None if number == self._first else self._interpretation)
+            _, interpretation = interpret(
+                cloud, self._overrides, None if number == self._first else self._interpretation
+            )
             return stamp_s, motion.pose(interpretation, stamp_s)
         except InputError:  # not a sweep, or damaged poses
             return stamp_s, None

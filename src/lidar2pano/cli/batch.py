@@ -239,18 +239,13 @@ class ErrorReporter:
             self._recording, self._first_error = source.path, str(translation.error)
 
     def warn(self, translation: Translation) -> None:
-        """Print once for each stream the doubts about its scans, and an assumed height of the sensor."""
-        warnings = {text: f"{text} (a warning; --strict makes it an error)" for text in translation.doubts}
-        interpretation, source = translation.reading.interpretation, translation.reading.source
-        if interpretation and (height_m := interpretation.assumed_height_m) is not None:
-            warnings["height"] = (
-                f"the sensor is assumed {height_m:g} m above the ground, since its place cannot be found; name its"
-                " height with --sensor-height"
-            )
-        for key, text in warnings.items():
-            if (source.stream, key) not in self._warnings:
-                self._warnings.add((source.stream, key))
-                print_error(f"{source.title}: {text}")
+        """Print the doubts about the scans, once for each stream."""
+        source, interpretation = translation.reading.source, translation.reading.interpretation
+        for text in translation.doubts:
+            if (source.stream, text) not in self._warnings:
+                self._warnings.add((source.stream, text))
+                strict = interpretation is not None and text in interpretation.doubts
+                print_error(f"{source.title}: {text}{' (a warning; --strict makes it an error)' * strict}")
 
     def note_licence(self, pipeline: Pipeline) -> None:
         """Print the weights' restrictive licence once."""

@@ -87,11 +87,16 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     image_format: opt.FormatOption = "png",
     address: AddressOption = "",
     workers: WorkersOption = 0,
+    sensor_height: opt.HeightOption = None,
+    forward: opt.ForwardOption = "",
+    remission: opt.RemissionOption = "",
+    strict: opt.StrictOption = False,
     cores: Annotated[int, typer.Option(min=1, metavar="N", help="With --ray: processor cores of each worker.")] = 2,
 ) -> None:
     """Translate any number of scans. Repeat the command to go on."""
     from lidar2pano.bulk import Job, Shard
     from lidar2pano.cli.batch import checked_options
+    from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.formats.readers import ReadOptions
 
     _check_layout(layout, image_format)
@@ -116,6 +121,8 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
         pipeline=options.pipeline,
         image_format=options.image_format,
         selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
+        overrides=Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission),
+        strict=strict,
     )
     raise typer.Exit(run(job, part, options, Cluster(address, device, workers, cores), only))
 
@@ -207,7 +214,7 @@ def work(job: Job, listed: list[Entry], manifest: Manifest, translate: Translate
     todo = remaining(job, listed, manifest)
     with until_signal(signal.SIGTERM) as terminated:
         stopped = terminated.is_set
-        written, bad = consume(translate(job, todo, stopped), len(todo), manifest)
+        written, bad, doubted = consume(translate(job, todo, stopped), len(todo), manifest)
         timed = write_all_times(job, listed, manifest.shard, stopped)
     done = len(listed) - len(todo)
     left = len(todo) - written - bad
@@ -215,6 +222,7 @@ def work(job: Job, listed: list[Entry], manifest: Manifest, translate: Translate
     print(
         f"{len(listed)} scan{'s' * (len(listed) != 1)}: "
         + ", ".join(f"{count} {name}" for count, name in counts if count)
+        + (f"; {doubted} of them doubted (see `doubts` in the manifest)" if doubted else "")
     )
     if terminated.is_set() and (left or not timed):
         print_error(f"stopped {f'with {left} scans left' if left else 'before times.txt'}; repeat the command to go on")
@@ -235,14 +243,25 @@ def write_all_times(job: Job, listed: list[Entry], shard: Shard, stopped: Callab
     return True
 
 
-def consume(records: Iterable[dict[str, Any]], total: int, manifest: Manifest) -> tuple[int, int]:
-    """Enter records into the manifest as they come; return the counts of written and of bad scans."""
-    written, bad = 0, 0
+def consume(records: Iterable[dict[str, Any]], total: int, manifest: Manifest) -> tuple[int, int, int]:
+    """Enter records into the manifest as they come; return the counts of written, bad and doubted scans.
+
+    Doubts are printed once for each folder or recording.
+    """
+    from lidar2pano.bulk import ScanKey
+
+    written, bad, doubted = 0, 0, 0
     reported = set[str]()  # recordings with bad scans: a line each
+    warnings = set[tuple[str, str]]()  # folder or recording, text
     try:
         with bar(total, "translating") as advance:
             for record in records:
                 manifest.add(record)
+                stream = record["input"].rpartition("/")[0] if record["scan"] is None else record["input"]
+                for text in record["doubts"] or ():
+                    if (stream, text) not in warnings:
+                        warnings.add((stream, text))
+                        print_error(f"{ScanKey(record['input'], record['scan'])}: {text}")
                 if record["error"]:
                     if record["scan"] is None or record["input"] not in reported:
                         print_error(record["error"])
@@ -251,7 +270,8 @@ def consume(records: Iterable[dict[str, Any]], total: int, manifest: Manifest) -
                     bad += 1
                 else:
                     written += 1
+                    doubted += bool(record["doubts"])
                 advance()
     finally:
         manifest.flush()
-    return written, bad
+    return written, bad, doubted

@@ -33,11 +33,16 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
     start_s: opt.FromOption = None,
     end_s: opt.ToOption = None,
     engine: opt.EngineOption = "auto",
+    sensor_height: opt.HeightOption = None,
+    forward: opt.ForwardOption = "",
+    remission: opt.RemissionOption = "",
+    strict: opt.StrictOption = False,
     no_open: Annotated[bool, typer.Option("--no-open", help="Only write the page.")] = False,
 ) -> None:
     """Write one HTML page to look around in, without need of a network, and open it. Scans are translated first."""
     from lidar2pano.cli.batch import checked_options, common_files, open_page, translate_files
     from lidar2pano.drives.reading import ReadingOptions
+    from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.name_order import sort_listed
     from lidar2pano.viewer.page import title_of
@@ -48,6 +53,7 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
     if scans := [path for path, files in panoramas.items() if not files]:
         if len(scans) < len(panoramas):
             raise InputError(f"{scans[0]}: is no panorama, others are; view panoramas or scans, not both in one page")
+        overrides = Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission)
         selection = ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)
         options = checked_options(
             weights,
@@ -57,7 +63,7 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
             out=out.parent,
             save=(),
             calibration=opt.parse_camera(calib, ""),
-            reading=ReadingOptions(selection=selection, poses=steady),
+            reading=ReadingOptions(selection=selection, overrides=overrides, poses=steady, strict=strict),
             common=common,
         )
         code = translate_files(scans, options)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import math
 import time
 from collections.abc import AsyncIterator
@@ -22,12 +23,13 @@ from starlette.routing import Route
 
 from lidar2pano.errors import InputError
 from lidar2pano.serve.fair_queue import FairQueue
-from lidar2pano.serve.uploads import FILES, PAGE, KeptResults, Limits, Result, UploadTranslator, parse_parts
+from lidar2pano.serve.queries import Query, UnknownParameter, file_of_form, parse_query
+from lidar2pano.serve.uploads import FILES, PAGE, KeptResults, Limits, Result, UploadTranslator
 
 TYPES = {"rgb": "image/png", "segments": "image/png", "labels": "application/octet-stream", "depth": "image/png"} | {
     PAGE: "text/html"
 }
-ANSWERS = ("png", "zip", "json")
+DOUBTS = "Lidar2pano-Doubts"  # header
 CLOSED = 499  # for the metrics: the client went away
 HEADERS = {
     "Cache-Control": "no-store",
@@ -122,7 +124,7 @@ class Service:
             self.measurements.seconds.observe(time.monotonic() - begin)
 
     async def _admitted(self, request: Request) -> Response:
-        answer, save = _wanted(request)
+        query = _query(request)
         if self._taken >= self.limits.waiting:
             wait_s = math.ceil(self._taken * self._usual_seconds)
             raise HTTPException(429, "the queue is full; try again later", {"Retry-After": str(max(1, wait_s))})
@@ -130,7 +132,7 @@ class Service:
         self.measurements.waiting.set(self._taken)
         try:
             async with asyncio.timeout(self.limits.seconds):
-                result = await self._translated(request, save)
+                result = await self._translated(request, query)
         except TimeoutError:
             raise HTTPException(504, f"no answer within {self.limits.seconds:g} s; send less, or try again") from None
         except ClientDisconnect:
@@ -138,17 +140,18 @@ class Service:
         finally:
             self._taken -= 1
             self.measurements.waiting.set(self._taken)
-        return self._answer(result, answer)
+        return self._answer(result, query.answer)
 
-    async def _translated(self, request: Request, save: tuple[str, ...]) -> Result:
+    async def _translated(self, request: Request, query: Query) -> Result:
         try:
             async with asyncio.timeout(self.limits.upload_seconds):
                 body = await self._body(request)
         except TimeoutError:
             raise HTTPException(408, f"no whole body within {self.limits.upload_seconds:g} s; try again") from None
         client = request.client.host if request.client else ""
-        ending = request.query_params.get("name", "")
-        future = self.queue.submit(client, partial(self.translator, body, ending, save))
+        body, name = file_of_form(body, request.headers.get("content-type", ""))
+        call = partial(self.translator, body, query.name or name, query.save, query.reading)
+        future = self.queue.submit(client, call)
         waiting = asyncio.wrap_future(future)
         gone = asyncio.ensure_future(_disconnected(request))
         try:
@@ -187,9 +190,9 @@ class Service:
 
     def _answer(self, result: Result, answer: str) -> Response:
         if answer == "zip":
-            return Response(result.zipped(), media_type="application/zip", headers=HEADERS)
+            return Response(result.zipped(), media_type="application/zip", headers=HEADERS | _doubts(result))
         if answer == "png":
-            return Response(result.files["rgb"], media_type="image/png", headers=HEADERS)
+            return Response(result.files["rgb"], media_type="image/png", headers=HEADERS | _doubts(result))
         name = self.kept.keep(result)
         content = {
             "points": result.points,
@@ -200,7 +203,7 @@ class Service:
             "outputs": {part: f"/results/{name}/{part}" for part in result.files},
             "seconds": self.limits.kept_seconds,
         }
-        return JSONResponse(content, headers=HEADERS)
+        return JSONResponse(content, headers=HEADERS | _doubts(result))
 
     async def result(self, request: Request) -> Response:
         """GET /results/NAME/PART: an output linked by a JSON answer."""
@@ -220,15 +223,17 @@ class Service:
         return Response(self.measurements.text(), media_type="text/plain; version=0.0.4; charset=utf-8")
 
 
-def _wanted(request: Request) -> tuple[str, tuple[str, ...]]:
-    """Return the form of the answer and the outputs of a request; HTTPException for unknown ones."""
-    answer = request.query_params.get("as", "png")
-    if answer not in ANSWERS:
-        raise HTTPException(422, f"as: there is {', '.join(ANSWERS)}")
-    save = parse_parts(request.query_params.get("save", "rgb"))
-    if answer == "png" and save != ("rgb",):
-        raise HTTPException(422, "save: a PNG holds rgb alone; ask for as=zip or as=json")
-    return answer, save
+def _query(request: Request) -> Query:
+    """Return a request's parameters; HTTPException for unknown ones."""
+    try:
+        return parse_query(request.query_params)
+    except UnknownParameter as error:
+        raise HTTPException(400, str(error)) from None
+
+
+def _doubts(result: Result) -> dict[str, str]:
+    """Return the header with the doubts about a scan, a JSON array in ASCII; none without doubts."""
+    return {DOUBTS: json.dumps(result.doubts)} if result.doubts else {}
 
 
 async def _disconnected(request: Request) -> None:

@@ -22,6 +22,7 @@ from lidar2pano.pipeline import Pipeline
 from lidar2pano.translation import Translation, Translator
 from lidar2pano.viewer.page import PageWriter, page_frame
 
+READING = ReadingOptions()
 PAGE = "page"  # an output like OUTPUTS: the page to look around in
 FILES = {
     "rgb": "panorama.png",
@@ -108,17 +109,18 @@ class UploadTranslator:
     weights: str
     most_points: int
 
-    def __call__(self, body: bytes, ending: str, save: tuple[str, ...]) -> Result:
+    def __call__(self, body: bytes, ending: str, save: tuple[str, ...], options: ReadingOptions = READING) -> Result:
         """Return the outputs `save` of a scan file's bytes.
 
-        ending  of the file's name, used for ambiguous content, and only if it is known.
+        ending   of the file's name, used for ambiguous content, and only if it is known.
+        options  overrides, and whether an implausible scan is an error.
         Raises InputError for an unusable scan.
         """
         with tempfile.TemporaryDirectory(prefix="lidar2pano-") as name:
             path = Path(name, f"scan{known_ending(ending)}")
             try:
                 source = ScanSource(path=path, title="scan", stem="panorama", cloud=lambda: self._cloud(path, body))
-                translation = Translator(lambda: self.pipeline)(read_scan(source, ReadingOptions()))
+                translation = Translator(lambda: self.pipeline)(read_scan(source, options))
                 if translation.error:
                     raise translation.error
                 return _result(translation, save, Path(name))
