@@ -1,7 +1,8 @@
-"""Calibration: a camera, with or without a distorting lens, and its pose in the LiDAR frame; KITTI's calib.txt."""
+"""Calibration: a camera, with or without a distorting lens, and its pose in the LiDAR frame; KITTI's files."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -14,6 +15,14 @@ from lidar2pano.errors import InputError
 ROTATION_TOLERANCE = 1e-3  # of R R^T from 1; KITTI writes 7 to 13 digits
 FARTHEST_CAMERA_M = 1000.0  # from the LiDAR
 LARGEST_PX = 1e7  # of a focal length or a principal point
+# KITTI's forms: rows of the camera's projection; of the rotation that rectifies camera 0; of LiDAR -> camera 0.
+# In turn: odometry's calib.txt, the object and tracking benchmarks', a raw drive's, KITTI-360's.
+PROJECTIONS = ("P2", "P_rect_02", "P_rect_00")
+RECTIFICATIONS = ("R0_rect", "R_rect", "R_rect_00")
+RIGIDS = ("Tr_velo_to_cam", "Tr_velo_cam")
+# Calibrations in two files: the camera's, and the LiDAR's.
+PAIRS = (("calib_cam_to_cam.txt", "calib_velo_to_cam.txt"), ("perspective.txt", "calib_cam_to_velo.txt"))
+ROW = re.compile(r"(?:([A-Za-z]\w*)\s*:?\s)?\s*(.*)")  # the tracking benchmark leaves out colons
 NEWTON_STEPS, NEWTON_TOLERANCE = 12, 1e-9  # of a lens's inverse; the tolerance is in focal lengths
 
 
@@ -232,14 +241,17 @@ def _undistorted_fisheye(x_d: np.ndarray, y_d: np.ndarray, distortion: np.ndarra
 
 
 def read_calib(path: str | Path, size: tuple[int, int] = (1242, 375)) -> Calibration:
-    """Read KITTI odometry's calib.txt: P2 (3x4) and Tr (3x4, LiDAR -> rectified camera 0).
+    """Read KITTI's calibration of camera 2: P2 (3x4) and Tr (3x4, LiDAR -> rectified camera 0).
 
     pixel ~ P2 [Tr; 0 0 0 1] [x y z 1]^T. P2 = K [I | b]: the colour camera stands b away from camera 0.
+    path  of odometry's calib.txt, a calib file of the object or tracking benchmark (Tr = R0_rect Tr_velo_to_cam), one
+          of a raw drive's calib_cam_to_cam.txt and calib_velo_to_cam.txt or of KITTI-360's perspective.txt (its camera
+          0) and calib_cam_to_velo.txt, beside each other; or of the folder of one of these.
     Raises InputError if the file, P2 or Tr is missing, not numbers, or no camera matrix and rotation.
     """
     path = Path(path)
     rows = _rows(path)
-    P2 = _matrix(path, rows, "P2")
+    P2 = _matrix(path, rows, next((name for name in PROJECTIONS if name in rows), "P2"))
     T = _camera0(path, rows)
     K = P2[:, :3]
     if not is_camera_matrix(K):
@@ -264,17 +276,31 @@ def read_camera0(path: str | Path) -> np.ndarray:
 
 def has_camera(path: str | Path) -> bool:
     """Return whether a calib.txt has a camera (P2), not the axes of poses.txt alone; InputError if it is missing."""
-    return "P2" in _rows(Path(path))
+    return not _rows(Path(path)).keys().isdisjoint(PROJECTIONS)
 
 
 def _camera0(path: Path, rows: dict[str, str]) -> np.ndarray:
-    Tr = _matrix(path, rows, "Tr")
-    R = Tr[:, :3]
+    """Return T_camera0_lidar (4, 4) of the rectified camera 0, of any of KITTI's forms."""
+    rectification = next((name for name in RECTIFICATIONS if name in rows), "")
+    if "Tr" in rows or not rectification:
+        return _rigid(path, "Tr", _matrix(path, rows, "Tr"))
+    if "R" in rows and "T" in rows:  # of a raw drive
+        T = _rigid(path, "R", np.hstack([_matrix(path, rows, "R", 3), _matrix(path, rows, "T", 1)]))
+    elif "" in rows:  # of KITTI-360: camera 0 -> LiDAR
+        T = np.linalg.inv(_rigid(path, "1", _matrix(path, rows, "")))
+    else:
+        rigid = next((name for name in RIGIDS if name in rows), RIGIDS[0])
+        T = _rigid(path, rigid, _matrix(path, rows, rigid))
+    R = _matrix(path, rows, rectification, 3)
+    return _rigid(path, rectification, np.hstack([R, np.zeros((3, 1))])) @ T
+
+
+def _rigid(path: Path, name: str, matrix: np.ndarray) -> np.ndarray:
+    """Return a (3, 4) pose as (4, 4)."""
+    R = matrix[:, :3]
     if np.linalg.det(R) < 0 or not np.allclose(R @ R.T, np.eye(3), atol=ROTATION_TOLERANCE):
-        raise InputError(f"{path}: row Tr: holds no rotation (LiDAR -> camera 0); take the row from KITTI's file")
-    T = np.eye(4)
-    T[:3] = Tr
-    return T
+        raise InputError(f"{path}: row {name}: holds no rotation (LiDAR -> camera 0); take the row from KITTI's file")
+    return np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
 
 
 def _check_near(path: Path, T: np.ndarray) -> None:
@@ -291,25 +317,43 @@ def is_camera_matrix(K: np.ndarray) -> bool:
 
 
 def _rows(path: Path) -> dict[str, str]:
-    try:
-        text = read_text(path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as calib.txt ({_reason(error)}); name KITTI's file") from error
-    parts = (line.partition(":") for line in text.splitlines())
-    return {name.strip(): numbers for name, _, numbers in parts}
+    """Return the numbers of each row by its name, "" for a row without one; of a pair of files, of both."""
+    files = [path]
+    if path.is_dir():
+        names = ("calib.txt", PAIRS[0][0], PAIRS[1][0])
+        files = [folder / name for folder in (path, path.parent) for name in names if (folder / name).is_file()][:1]
+    if not files:
+        raise InputError(f"{path}: holds no {' or '.join(names)}; name KITTI's calibration")
+    for pair in PAIRS:
+        if files[0].name in pair:
+            files = [files[0].with_name(name) for name in pair]
+    rows: dict[str, str] = {}
+    for file in files:
+        try:
+            text = read_text(file)
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"{file}: cannot be read as calib.txt ({_reason(error)}); name KITTI's file") from error
+        rows |= {row[1] or "": row[2] for line in text.splitlines() if (row := ROW.fullmatch(line.strip()))}
+    return rows
 
 
 def _reason(error: Exception) -> str:
     return error.strerror or "no reason given" if isinstance(error, OSError) else "not text"
 
 
-def _matrix(path: Path, rows: dict[str, str], name: str) -> np.ndarray:
+def _matrix(path: Path, rows: dict[str, str], name: str, columns: int = 4) -> np.ndarray:
+    """Return a row as a matrix (3, columns)."""
     if name not in rows:
-        raise InputError(f"{path}: has no row {name}:; KITTI's odometry calib.txt has P2: and Tr:")
+        raise InputError(
+            f"{path}: has no row {name}:; KITTI's odometry calib.txt has P2: and Tr:, its object benchmark's P2:,"
+            " R0_rect: and Tr_velo_to_cam:"
+        )
     try:
         numbers = np.array([float(word) for word in rows[name].split()])
     except ValueError as error:
         raise InputError(f"{path}: row {name}: holds something that is no number ({error})") from error
-    if numbers.size != 12 or not np.isfinite(numbers).all():
-        raise InputError(f"{path}: row {name}: must hold 12 finite numbers (3x4), it has {numbers.size}")
-    return numbers.reshape(3, 4)
+    if numbers.size != 3 * columns or not np.isfinite(numbers).all():
+        raise InputError(
+            f"{path}: row {name}: must hold {3 * columns} finite numbers (3x{columns}), it has {numbers.size}"
+        )
+    return numbers.reshape(3, columns)

@@ -44,7 +44,7 @@ SensorOption = Annotated[
 ]
 CalibOption = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="KITTI's calib.txt (P2, Tr): look from that camera, and save its view too."),
+    typer.Option(metavar="FILE", help="KITTI's calibration of any form: look from that camera, and save its view too."),
 ]
 LookOption = Annotated[
     str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")

@@ -24,7 +24,7 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
     device: opt.DeviceOption = "auto",
     calib: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="KITTI's calib.txt (P2, Tr): translate scans as that camera sees them."),
+        typer.Option(metavar="FILE", help="KITTI's calibration of any form: translate scans as that camera sees them."),
     ] = None,
     look: opt.LookOption = "",
     steady: opt.SteadyOption = False,
