@@ -22,6 +22,7 @@ RECTIFICATIONS = ("R0_rect", "R_rect", "R_rect_00")
 RIGIDS = ("Tr_velo_to_cam", "Tr_velo_cam")
 # Calibrations in two files: the camera's, and the LiDAR's.
 PAIRS = (("calib_cam_to_cam.txt", "calib_velo_to_cam.txt"), ("perspective.txt", "calib_cam_to_velo.txt"))
+WHOLE = ("calib.txt", PAIRS[0][0], PAIRS[1][0])  # looked for in a folder, and in the one above
 ROW = re.compile(r"(?:([A-Za-z]\w*)\s*:?\s)?\s*(.*)")  # the tracking benchmark leaves out colons
 NEWTON_STEPS, NEWTON_TOLERANCE = 12, 1e-9  # of a lens's inverse; the tolerance is in focal lengths
 
@@ -284,15 +285,18 @@ def _camera0(path: Path, rows: dict[str, str]) -> np.ndarray:
     rectification = next((name for name in RECTIFICATIONS if name in rows), "")
     if "Tr" in rows or not rectification:
         return _rigid(path, "Tr", _matrix(path, rows, "Tr"))
+    rectifying = np.hstack([_matrix(path, rows, rectification, 3), np.zeros((3, 1))])
+    return _rigid(path, rectification, rectifying) @ _unrectified(path, rows)
+
+
+def _unrectified(path: Path, rows: dict[str, str]) -> np.ndarray:
+    """Return LiDAR -> camera 0 before it is rectified, (4, 4)."""
     if "R" in rows and "T" in rows:  # of a raw drive
-        T = _rigid(path, "R", np.hstack([_matrix(path, rows, "R", 3), _matrix(path, rows, "T", 1)]))
-    elif "" in rows:  # of KITTI-360: camera 0 -> LiDAR
-        T = np.linalg.inv(_rigid(path, "1", _matrix(path, rows, "")))
-    else:
-        rigid = next((name for name in RIGIDS if name in rows), RIGIDS[0])
-        T = _rigid(path, rigid, _matrix(path, rows, rigid))
-    R = _matrix(path, rows, rectification, 3)
-    return _rigid(path, rectification, np.hstack([R, np.zeros((3, 1))])) @ T
+        return _rigid(path, "R", np.hstack([_matrix(path, rows, "R", 3), _matrix(path, rows, "T", 1)]))
+    if "" in rows:  # of KITTI-360: camera 0 -> LiDAR
+        return np.linalg.inv(_rigid(path, "1", _matrix(path, rows, "")))
+    rigid = next((name for name in RIGIDS if name in rows), RIGIDS[0])
+    return _rigid(path, rigid, _matrix(path, rows, rigid))
 
 
 def _rigid(path: Path, name: str, matrix: np.ndarray) -> np.ndarray:
@@ -320,10 +324,9 @@ def _rows(path: Path) -> dict[str, str]:
     """Return the numbers of each row by its name, "" for a row without one; of a pair of files, of both."""
     files = [path]
     if path.is_dir():
-        names = ("calib.txt", PAIRS[0][0], PAIRS[1][0])
-        files = [folder / name for folder in (path, path.parent) for name in names if (folder / name).is_file()][:1]
+        files = [folder / name for folder in (path, path.parent) for name in WHOLE if (folder / name).is_file()][:1]
     if not files:
-        raise InputError(f"{path}: holds no {' or '.join(names)}; name KITTI's calibration")
+        raise InputError(f"{path}: holds no {' or '.join(WHOLE)}; name KITTI's calibration")
     for pair in PAIRS:
         if files[0].name in pair:
             files = [files[0].with_name(name) for name in pair]

@@ -14,7 +14,7 @@ pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordi
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.recordings.description import POINTS
+from lidar2pano.recordings.point_messages import POINTS
 from lidar2pano.recordings.recorded_scans import describe, recording_reader
 from miniature import street
 from miniature_recordings import FORMATS, ROS2, START_NS, STEP_NS, Sent, cloud_message, message, odometry, points, write
@@ -113,7 +113,7 @@ def test_times_without_scans_are_an_error(tmp_path):
 @pytest.mark.parametrize("format", ["bag", "db3", "mcap"])
 def test_what_holds_no_points(tmp_path, format):
     path = write(tmp_path, format, [odometry(START_NS, (0, 0, 0, 0, 0, 0, 1))])
-    assert "holds no sensor_msgs/PointCloud2 topic (it has /odom)" in complaint(path)
+    assert "holds no sensor_msgs/PointCloud2 topic (it has /odom of nav_msgs/msg/Odometry)" in complaint(path)
     assert "topic /odom holds nav_msgs/msg/Odometry, not points" in complaint(path, topic="/odom")
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, Self
@@ -12,8 +12,8 @@ from typing import Any, NamedTuple, Protocol, Self
 import numpy as np
 
 from lidar2pano.errors import InputError, closest
+from lidar2pano.recordings.point_messages import CLOUDS, DEFINITIONS
 
-POINTS = "sensor_msgs/msg/PointCloud2"
 # message type -> the package to turn its packets into points
 PACKETS = {
     "velodyne_msgs/msg/VelodyneScan": "velodyne_pointcloud",
@@ -27,6 +27,15 @@ PACKETS = {
     "rslidar_msgs/msg/rslidarScan": "rslidar_sdk",
     "rslidar_msg/msg/RslidarPacket": "rslidar_sdk",
 }
+# message type -> what makes a PointCloud2 of it
+COMPRESSED = {
+    "point_cloud_interfaces/msg/CompressedPointCloud2": "`ros2 run point_cloud_transport republish`",
+    "foxglove.PointCloud (flatbuffer)": "the MCAP library of its recorder",
+    "foxglove.CompressedPointCloud (protobuf)": "Draco",
+    "sensor_msgs/msg/LaserScan": "laser_geometry (it is one plane, which makes no panorama)",
+    "sensor_msgs/msg/MultiEchoLaserScan": "laser_geometry (it is one plane, which makes no panorama)",
+}
+ZSTD = b"\x28\xb5\x2f\xfd"  # of a message compressed by itself
 MOST_CHUNK_BYTES = 1 << 28  # unpacked; recorders write chunks of about a megabyte, or of one message
 TF = "tf2_msgs/msg/TFMessage"
 ROS1, CDR = "ros1", "cdr"  # encodings of messages, by MCAP's names
@@ -124,18 +133,18 @@ class Recording(Protocol):
         ...
 
 
-def choose_topic(path: Path, topics: Sequence[Topic], name: str, type: str = POINTS) -> Topic:
-    """Return the topic of the scans, messages of `type`: the one called `name`, or the only one.
+def choose_topic(path: Path, topics: Sequence[Topic], name: str, types: Container[str] = CLOUDS) -> Topic:
+    """Return the topic of the scans, messages of one of `types`: the one called `name`, or the only one.
 
     Raises InputError with the topics if none or several are possible, or it holds no message.
     """
     names = [topic.name for topic in topics]
-    clouds = [topic for topic in topics if topic.type == type]
+    clouds = [topic for topic in topics if topic.type in types]
     if name:
         named = [topic for topic in topics if topic.name in {name, f"/{name}"}]
         if not named:
             raise InputError(f"{path}: has no topic {name!r}{closest(name, names[:MOST_NAMED])}")
-        candidates = [topic for topic in named if topic.type == type] or named[:1]
+        candidates = [topic for topic in named if topic.type in types] or named[:1]
     else:
         candidates = [topic for topic in clouds if topic.count] or clouds
     if not candidates:
@@ -145,7 +154,9 @@ def choose_topic(path: Path, topics: Sequence[Topic], name: str, type: str = POI
     (topic,) = candidates
     if topic.type in PACKETS:
         raise InputError(_packets(path, topic))
-    if topic.type != type:
+    if topic.type in COMPRESSED:
+        raise InputError(_compressed(path, topic))
+    if topic.type not in types:
         raise InputError(f"{path}: topic {topic.name} holds {topic.type}, not points; {_those(clouds)}")
     if not topic.count:
         raise InputError(f"{path}: topic {topic.name} holds no message; record it again")
@@ -156,15 +167,25 @@ def _no_points(path: Path, topics: Sequence[Topic]) -> str:
     packets = [topic for topic in topics if topic.type in PACKETS and topic.count]
     if packets:
         return _packets(path, max(packets, key=lambda topic: topic.count))
+    if compressed := [topic for topic in topics if topic.type in COMPRESSED and topic.count]:
+        return _compressed(path, compressed[0])
     if not topics:
         return f"{path}: holds no topic at all; record it again"
-    return f"{path}: holds no sensor_msgs/PointCloud2 topic (it has {_listed(topics)}); name a recording of points"
+    held = _listed([replace(topic, name=f"{topic.name} of {topic.type}") for topic in topics])
+    return f"{path}: holds no sensor_msgs/PointCloud2 topic (it has {held}); name a recording of points"
 
 
 def _packets(path: Path, topic: Topic) -> str:
     return (
         f"{path}: {topic.name} holds packets, not points ({topic.type});"
         f" decode with {PACKETS[topic.type]} and record the PointCloud2 topic"
+    )
+
+
+def _compressed(path: Path, topic: Topic) -> str:
+    return (
+        f"{path}: {topic.name} holds {topic.type}, which is not read; make a PointCloud2 of it with"
+        f" {COMPRESSED[topic.type]}, and record that"
     )
 
 
@@ -198,11 +219,29 @@ def missing_extra(path: Path, extra: str) -> InputError:
 
 @cache
 def deserializer(encoding: str) -> Callable[[bytes, str], Any]:
-    """Return (bytes, type) -> message, for the standard types: neither ROS 1 nor ROS 2 changed them."""
+    """Return (bytes, type) -> message, for the standard types, unchanged in ROS 1 and ROS 2, and for DEFINITIONS."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     if encoding == ROS1:
         store = get_typestore(Stores.ROS1_NOETIC)
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))  # missing there
+    else:
+        store = get_typestore(Stores.ROS2_HUMBLE)
+    for type, text in DEFINITIONS.items():
+        store.register(get_types_from_msg(text, type))
+    if encoding == ROS1:
         return store.deserialize_ros1
-    return get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr
+    return lambda data, type: store.deserialize_cdr(_plain_message(data), type)
+
+
+def _plain_message(data: bytes) -> bytes:
+    """Return a message, unpacked if it was compressed by itself (rosbag2's compression mode "message")."""
+    if data[:4] != ZSTD:
+        return data
+    from zstandard import ZstdDecompressor
+
+    with ZstdDecompressor().stream_reader(data) as stream:
+        plain = stream.read(MOST_CHUNK_BYTES + 1)
+    if len(plain) > MOST_CHUNK_BYTES:
+        raise ValueError(f"a message of more than {MOST_CHUNK_BYTES} bytes, unpacked")
+    return plain

@@ -23,6 +23,7 @@ from lidar2pano.recordings.description import (
     deserializer,
     missing_extra,
 )
+from lidar2pano.recordings.point_messages import decode_json, decode_protobuf
 
 MAGIC = b"\x89MCAP0\r\n"
 REPAIR = "try `mcap recover`, or record it again"
@@ -99,6 +100,11 @@ class McapFile:
         """Return the message as an object with ROS's attributes; raises rosbags' errors."""
         name = message.topic.name, message.topic.type
         channel = next(self._channels[number] for number in self._names if self._names[number] == name)
+        if channel.message_encoding == "json":
+            return decode_json(message.data)
+        if channel.message_encoding == "protobuf":
+            schema = self._schemas[channel.schema_id]
+            return decode_protobuf(message.data, schema.name, schema.data)
         return deserializer(channel.message_encoding)(message.data, message.topic.type)
 
     def close(self) -> None:

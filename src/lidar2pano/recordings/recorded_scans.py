@@ -15,7 +15,6 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats import readers
-from lidar2pano.formats.arrays import cloud_of_message
 from lidar2pano.formats.file_contents import HEAD_BYTES
 from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
@@ -36,6 +35,7 @@ from lidar2pano.recordings.packet_captures import (
     ouster_scans,
     ouster_stamp_s,
 )
+from lidar2pano.recordings.point_messages import CLOUDS
 from lidar2pano.recordings.ros_bags import ROSBAG, SQLITE, open_folder, open_ros1, open_sqlite
 from lidar2pano.scan import Scan
 
@@ -147,7 +147,7 @@ def ros_frame(recording: Recording, number: int, message: RawMessage) -> Frame:
 def _ros_cloud(recording: Recording, message: RawMessage, title: str) -> PointCloud:
     with damage(Path(title), "record it again"):
         decoded = recording.decode(message)
-    return cloud_of_message(decoded, title)
+        return CLOUDS[message.topic.type](decoded, title)
 
 
 def span_ns(about: Description, options: ReadOptions) -> tuple[int | None, int | None]:
@@ -168,7 +168,7 @@ def _captured_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
             raise InputError(_other_packets(path, about))
         yield from _ouster_frames(path, options)
         return
-    topic = choose_topic(path, about.topics, options.topic, VELODYNE)
+    topic = choose_topic(path, about.topics, options.topic, (VELODYNE,))
     turns = (
         (stamp_s, partial(cloud_of_turn, stamp_s, points), _without_padding(points))
         for stamp_s, points in capture.turns(topic)
