@@ -327,6 +327,41 @@ def published() -> str:
     return table(["network", "published at", "licence, as stated there"], rows)
 
 
+def measured_ms(row: str) -> float:
+    """Return the median of a row of docs/results/times.txt, milliseconds."""
+    text = (DOCS / "results" / "times.txt").read_text(encoding="utf-8")
+    match = re.search(rf"^\| {row} \| ([\d.]+) \|", text, flags=re.MULTILINE)
+    if not match:
+        raise KeyError(row)
+    return float(match[1])
+
+
+FLEET_GPU = {
+    "one H200, one process": 1000 / 131,
+    "one GPU, the aim": 20.0,
+}  # panoramas a second: engines.md, the design
+CORE_PRICE, GPU_PRICE = 0.04, 3.0  # an hour
+
+
+def fleet() -> str:
+    """Return panoramas a second and times for a million, of one core by the measured time and of GPUs."""
+    whole_ms, png_ms = measured_ms("whole panorama"), measured_ms("stage save")
+    rates = {"one core (of two)": 1000 / whole_ms / 2} | FLEET_GPU
+    hours = {name: 1e6 / rate / 3600 for name, rate in rates.items()}
+    rows = ([name, f"{rate:.2f}", f"{86400 * rate:,.0f}", f"{hours[name]:,.0f} hours"] for name, rate in rates.items())
+    core, gpu, aim = hours.values()
+    return f"""{table(["", "panoramas a second", "a day", "time for a million"], rows)}
+
+The first row is half of what two idle cores do ([Results](../../RESULTS.md): {whole_ms:.0f} ms for the whole panorama, by
+OpenVINO in bfloat16), the second is one [NVIDIA H200](engines.md#on-a-gpu) (131 ms, one scan after another, its PNG
+included; `bulk` itself was not run there), the third the aim of the design.
+
+Cost of a million panoramas, at prices that you should replace by yours: {core * CORE_PRICE:.0f} at {CORE_PRICE} per core and
+hour; {gpu * GPU_PRICE:.0f} at {GPU_PRICE:g} per GPU and hour, {aim * GPU_PRICE:.0f} at the aim. A card that is fed by too
+few cores waits for them: coding a panorama as PNG takes {png_ms:.0f} ms of a core, so 20 a second need {0.02 * png_ms:.1f}
+cores for that alone; give each card 4. (`--format webp` and `jpeg` cost other times.)"""
+
+
 def extras() -> str:
     """Return the optional dependencies, from pyproject.toml."""
     rows = (
@@ -398,6 +433,7 @@ PARTS = {
     "released": released,
     "published": published,
     "extras": extras,
+    "fleet": fleet,
     "messages": message_index,
 }
 

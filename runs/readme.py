@@ -54,7 +54,7 @@ def costs(results: str, memory_mib: float) -> str:
     milliseconds, threads = time_of(results)
     rows = [
         ("time", f"{float(milliseconds) / 1000:.1f} s per panorama on {threads} CPU cores"),
-        ("memory", f"{memory_mib / 1024:.1f} GiB at most"),
+        ("memory", f"{memory_mib / 1024:.1f} GiB at most, for `demo`"),
         ("download", "none: the weights are part of the package"),
         ("licence", f"code Apache-2.0; weights {licences()}"),
     ]

@@ -93,7 +93,8 @@ def _heading(plan: Plan, outcome: Outcome) -> str:
     fullest = max(outcome.results.values(), key=lambda result: len(result["classes"]), default=None)
     scored = fullest["heading"] if fullest else "Nothing could be scored."
     form = "-mini recipes" if plan.mini else "the paper's recipes"
-    allowed = f"{plan.budget} of training per network" if plan.budget else "the recipes' own budgets"
+    allowed = f"--budget {plan.budget} for each network" if plan.budget else "the recipes' own budgets"
+    allowed += "".join(f", {change}" for change in plan.changes)
     return (
         f"# Results\n\nWritten by `lidar2pano reproduce`; not edited by hand. Commit {commit()}, {form}, {allowed}, "
         f"device {plan.device}.\n\n{scored}"
