@@ -350,16 +350,18 @@ def fleet() -> str:
     hours = {name: 1e6 / rate / 3600 for name, rate in rates.items()}
     rows = ([name, f"{rate:.2f}", f"{86400 * rate:,.0f}", f"{hours[name]:,.0f} hours"] for name, rate in rates.items())
     core, gpu, aim = hours.values()
-    return f"""{table(["", "panoramas a second", "a day", "time for a million"], rows)}
+    costs = f"{core * CORE_PRICE:.0f} at {CORE_PRICE} per core and hour; {gpu * GPU_PRICE:.0f} at {GPU_PRICE:g}"
+    head = ["", "panoramas a second", "a day", "time for a million"]
+    return f"""{table(head, rows)}
 
 The first row is half of what two idle cores do ([Results](../../RESULTS.md): {whole_ms:.0f} ms for the whole panorama, by
 OpenVINO in bfloat16), the second is one [NVIDIA H200](engines.md#on-a-gpu) (131 ms, one scan after another, its PNG
 included; `bulk` itself was not run there), the third the aim of the design.
 
-Cost of a million panoramas, at prices that you should replace by yours: {core * CORE_PRICE:.0f} at {CORE_PRICE} per core and
-hour; {gpu * GPU_PRICE:.0f} at {GPU_PRICE:g} per GPU and hour, {aim * GPU_PRICE:.0f} at the aim. A card that is fed by too
-few cores waits for them: coding a panorama as PNG takes {png_ms:.0f} ms of a core, so 20 a second need {0.02 * png_ms:.1f}
-cores for that alone; give each card 4. (`--format webp` and `jpeg` cost other times.)"""
+Cost of a million panoramas, at prices that you should replace by yours: {costs} per GPU and hour,
+{aim * GPU_PRICE:.0f} at the aim. A card that is fed by too few cores waits for them: coding a panorama as PNG
+takes {png_ms:.0f} ms of a core, so 20 a second need {0.02 * png_ms:.1f} cores for that alone; give each card 4.
+(`--format webp` and `jpeg` cost other times.)"""
 
 
 def extras() -> str:

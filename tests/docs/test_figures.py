@@ -23,7 +23,7 @@ NUMBER = r"(\d+(?:\.\d+)?)"
 FIGURES = {  # a phrase with a number -> the measured value
     rf"{NUMBER} s per panorama on": TIMES["whole panorama"] / 1000,
     rf"{NUMBER} ms for the whole panorama": TIMES["whole panorama"],
-    rf"(?:PNG takes|as PNG takes) {NUMBER} m(?:illi)?s": TIMES["stage save"],
+    rf"PNG\s+takes {NUMBER} m(?:illi)?s": TIMES["stage save"],
 }
 
 
