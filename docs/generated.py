@@ -354,8 +354,8 @@ def fleet() -> str:
     head = ["", "panoramas a second", "a day", "time for a million"]
     return f"""{table(head, rows)}
 
-The first row is half of what two idle cores do ([Results](../../RESULTS.md): {whole_ms:.0f} ms for the whole panorama, by
-OpenVINO in bfloat16), the second is one [NVIDIA H200](engines.md#on-a-gpu) (131 ms, one scan after another, its PNG
+The first row is half of two idle cores' rate ([Results](../../RESULTS.md): {whole_ms:.0f} ms for the whole panorama,
+by OpenVINO in bfloat16), the second is one [NVIDIA H200](engines.md#on-a-gpu) (131 ms, one scan after another, its PNG
 included; `bulk` itself was not run there), the third the aim of the design.
 
 Cost of a million panoramas, at prices that you should replace by yours: {costs} per GPU and hour,
