@@ -223,7 +223,7 @@ def _described(name: str, value: object) -> str:
         for member, function in vars(value).items()
         if inspect.isclass(value) and inspect.isfunction(function) and (member == "__call__" or member[0] != "_")
     ]
-    text = f"### {name}\n\n```python\n{name}{_signature(value)}\n```\n\n```text\n{inspect.getdoc(value)}\n```"
+    text = f"### {name}\n\n```text\n{name}{_signature(value)}\n```\n\n```text\n{inspect.getdoc(value)}\n```"
     return "\n\n".join([text, *(["\n".join(members)] if members else [])])
 
 
