@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import sqlite3
 import struct
 import tracemalloc
@@ -14,10 +15,12 @@ pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordi
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.recordings.playback import playback
 from lidar2pano.recordings.point_messages import POINTS
 from lidar2pano.recordings.recorded_scans import describe, recording_reader
 from miniature import street
 from miniature_recordings import FORMATS, ROS2, START_NS, STEP_NS, Sent, cloud_message, message, odometry, points, write
+from sample_files import zstd
 
 DRIVE = [points(street(number, 300), START_NS + number * STEP_NS) for number in range(12)]
 TRUNCATED = ("bag", "bag-bz2", "bag-lz4", "db3", "mcap", "mcap-lz4", "mcap-plain", "mcap-ros1")
@@ -38,6 +41,27 @@ def complaint(path: Path, **options) -> str:
     text = str(caught.value)
     assert text.startswith(str(path)) and "\n" not in text and len(text) < 600
     return text
+
+
+@pytest.mark.parametrize("format", ["bag", "db3", "mcap"])
+@pytest.mark.parametrize(("ending", "pack"), [(".gz", gzip.compress), (".zst", zstd)])
+def test_packed_recordings_give_the_scans(tmp_path, monkeypatch, format, ending, pack):
+    (tmp_path / "copies").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "copies"))
+    path = write(tmp_path, format, DRIVE[:4])
+    packed = path.with_name(path.name + ending)
+    packed.write_bytes(pack(path.read_bytes()))
+    found = clouds(packed)
+    assert [np.array_equal(cloud.xyz, street(number, 300).xyz) for number, cloud in enumerate(found)] == [True] * 4
+    assert describe(packed) == describe(path)
+    opened = playback(packed)
+    assert opened.frame(2).title == f"{packed}, scan 2" and opened.path == packed
+    opened.close()
+    packed.write_bytes(pack(path.read_bytes()[: path.stat().st_size // 2]))
+    complaint(packed)
+    packed.write_bytes(pack(path.read_bytes())[:-200])
+    assert "damaged or cut off" in complaint(packed)
+    assert not list((tmp_path / "copies").iterdir())
 
 
 @pytest.mark.parametrize("format", FORMATS)

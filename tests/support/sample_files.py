@@ -126,6 +126,18 @@ def feather(xyz: np.ndarray, intensity: np.ndarray) -> bytes:
     return file.getvalue()
 
 
+def parquet(xyz: np.ndarray, intensity: np.ndarray) -> bytes:
+    """A Parquet of two row groups, whose axes are fields of a structure."""
+    import pyarrow as pa
+    from pyarrow.parquet import write_table
+
+    place = pa.StructArray.from_arrays([pa.array(xyz[:, axis], pa.float32()) for axis in range(3)], names=list("xyz"))
+    file = io.BytesIO()
+    columns = {"frame": ["a"] * len(xyz), "position": place, "intensity": intensity.astype(np.uint8)}
+    write_table(pa.table(columns), file, row_group_size=len(xyz) // 2 + 1)
+    return file.getvalue()
+
+
 def rows(*columns: np.ndarray) -> bytes:
     """Rows of float32 without a header."""
     return np.column_stack(columns).astype("<f4").tobytes()
@@ -162,6 +174,7 @@ def every_format(xyz: np.ndarray, ring: np.ndarray) -> dict[str, bytes]:
         "packed.laz": lambda: las(xyz, intensity),
         "plain.las": lambda: las(xyz, intensity, packed=False),
         "argoverse.feather": lambda: feather(xyz, intensity),
+        "points.parquet": lambda: parquet(xyz, intensity),
     }
     return {name: make() for name, make in makers.items()}
 

@@ -1,14 +1,19 @@
-"""Feather (Arrow IPC), as Argoverse 2 keeps its sweeps; through pyarrow (extra `formats`)."""
+"""Tables of Arrow: Feather, as Argoverse 2 keeps its sweeps, and Parquet; through pyarrow (extra `formats`)."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats.delimited_text import column
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+
+PARQUET = b"PAR1"
 
 
 def decode(data: bytes, path: Path) -> PointCloud:
@@ -18,30 +23,55 @@ def decode(data: bytes, path: Path) -> PointCloud:
     """
     try:
         import pyarrow as pa
-        from pyarrow import ipc
     except ModuleNotFoundError:
         raise InputError(f"{path}: needs the extra 'formats': pip install 'lidar2pano[formats]'") from None
+    name = "Parquet" if data.startswith(PARQUET) else "Feather"
+    columns: dict[str, list[np.ndarray]] = {}
+    points = 0
     try:
-        with ipc.open_file(pa.BufferReader(data)) as reader:
-            fields = [
-                field for field in reader.schema if pa.types.is_integer(field.type) or pa.types.is_floating(field.type)
-            ]
-            columns: dict[str, list[np.ndarray]] = {field.name: [] for field in fields}
-            points = 0
-            for number in range(reader.num_record_batches):
-                batch = reader.get_batch(number)
-                batch.validate()
-                points += batch.num_rows
-                if points > MOST_POINTS or batch.nbytes > MOST_BYTES:
-                    raise InputError(f"{path}: {points} points are no single sweep (at most {MOST_POINTS}); cut it")
-                for name, parts in columns.items():
-                    parts.append(batch.column(name).to_numpy(zero_copy_only=False))
+        for batch in _parquet_batches(data, path) if name == "Parquet" else _feather_batches(data):
+            batch.validate()
+            points += batch.num_rows
+            if points > MOST_POINTS or batch.nbytes > MOST_BYTES:
+                raise _too_many(path, points)
+            for field in batch.schema:
+                if pa.types.is_integer(field.type) or pa.types.is_floating(field.type):
+                    values = batch.column(field.name).to_numpy(zero_copy_only=False)
+                    columns.setdefault(field.name, []).append(values)
     except (pa.ArrowException, MemoryError, OSError, ValueError, KeyError, IndexError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
         reason = " ".join(str(error).split())[:200]
-        raise InputError(f"{path}: is no Feather that can be read ({reason}); it is damaged or cut off") from None
+        raise InputError(f"{path}: is no {name} that can be read ({reason}); it is damaged or cut off") from None
     stem = stem_of(path)
     stamp_s = int(stem) * 1e-9 if stem.isdigit() and len(stem) == 18 else None
-    whole = {name: np.concatenate(parts) if parts else np.empty(0) for name, parts in columns.items()}
-    return cloud_of_columns(whole, format="Feather (Arrow)", name=stem, source=str(path), stamp_s=stamp_s)
+    whole: dict[str, np.ndarray] = {}
+    for field, parts in columns.items():
+        meaning, values = column(field), np.concatenate(parts)
+        whole.setdefault(meaning.name, values if meaning.factor == 1 else values * meaning.factor)
+    return cloud_of_columns(whole, format=f"{name} (Arrow)", name=stem, source=str(path), stamp_s=stamp_s)
+
+
+def _feather_batches(data: bytes) -> Iterator[Any]:
+    import pyarrow as pa
+    from pyarrow import ipc
+
+    with ipc.open_file(pa.BufferReader(data)) as reader:
+        yield from (reader.get_batch(number) for number in range(reader.num_record_batches))
+
+
+def _parquet_batches(data: bytes, path: Path) -> Iterator[Any]:
+    """Yield the batches of a Parquet, structures of columns as columns; sizes are checked before they are unpacked."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    with parquet.ParquetFile(pa.BufferReader(data)) as file:
+        groups = [file.metadata.row_group(number) for number in range(file.metadata.num_row_groups)]
+        if file.metadata.num_rows > MOST_POINTS or sum(group.total_byte_size for group in groups) > MOST_BYTES:
+            raise _too_many(path, file.metadata.num_rows)
+        for batch in file.iter_batches():
+            yield from pa.Table.from_batches([batch]).flatten().to_batches()
+
+
+def _too_many(path: Path, points: int) -> InputError:
+    return InputError(f"{path}: {points} points are no single sweep (at most {MOST_POINTS}); cut it")

@@ -5,15 +5,19 @@ from __future__ import annotations
 import codecs
 import io
 import os
+import tempfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
+from typing import BinaryIO, Protocol
 
 from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError
 
 HEAD_BYTES = 4096  # of a file, for readers to decide
 MOST_FILE_BYTES = 1 << 30  # a sparse or wrong file must not fill the memory
+MOST_COPIED_BYTES = 1 << 35  # of an unpacked recording
 MOST_BYTES = 1 << 28  # unpacked: 16 million points of 16 bytes
 CHUNK_BYTES = 1 << 20
 GZIP, ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
@@ -55,9 +59,10 @@ def head_of(path: Path) -> bytes:
     try:
         with open_regular(path) as file:
             head = file.read(HEAD_BYTES)
-            if head.startswith((GZIP, ZSTD)):
+            if is_packed(head):
                 file.seek(0)
-                head = _unpacked(path, file, head, HEAD_BYTES)
+                if not (head := _unpacked(path, file, head, HEAD_BYTES)):
+                    raise InputError(f"{path}: unpacks to nothing; it is damaged or cut off, fetch it again")
             return plain_text(head)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); name a scan file that exists") from error
@@ -73,7 +78,7 @@ def contents(path: Path) -> bytes:
                 )
             head = file.read(len(ZSTD))
             file.seek(0)
-            if not head.startswith((GZIP, ZSTD)):
+            if not is_packed(head):
                 return plain_text(file.readall())
             data = _unpacked(path, file, head, MOST_BYTES + 1)
     except OSError as error:
@@ -95,18 +100,50 @@ def plain_text(data: bytes) -> bytes:
     return data
 
 
+def is_packed(head: bytes) -> bool:
+    """Return whether a file is packed by gzip or zstd."""
+    return head.startswith((GZIP, ZSTD))
+
+
+@contextmanager
+def unpacked_copy(path: Path, most: int = MOST_COPIED_BYTES) -> Iterator[Path]:
+    """Give an unpacked copy of a packed file for the time of the context; an InputError names the file itself.
+
+    Raises InputError if the file is damaged, or unpacks to more than `most` bytes.
+    """
+    with tempfile.TemporaryDirectory(prefix="lidar2pano-") as folder:
+        copy = Path(folder, path.stem)
+        try:
+            with open_regular(path) as file, copy.open("wb") as target:
+                head = file.read(len(ZSTD))
+                file.seek(0)
+                _unpack(path, file, head, target, most + 1)
+            if copy.stat().st_size > most:
+                raise InputError(f"{path}: unpacks to more than {most} bytes; unpack it")
+            yield copy
+        except InputError as error:
+            raise InputError(str(error).replace(str(copy), str(path))) from None
+        except OSError as error:
+            raise InputError(f"{path}: cannot be unpacked ({error.strerror}); make room in TMPDIR") from error
+
+
 def _unpacked(path: Path, file: io.FileIO, head: bytes, most: int) -> bytes:
     """Return at most so many bytes of a packed file."""
-    stream = GzipStream(file) if head.startswith(GZIP) else _zstd_stream(path, file)
     data = io.BytesIO()
+    _unpack(path, file, head, data, most)
+    return data.getvalue()
+
+
+def _unpack(path: Path, file: io.FileIO, head: bytes, target: BinaryIO, most: int) -> None:
+    """Write at most so many bytes of a packed file."""
+    stream = GzipStream(file) if head.startswith(GZIP) else _zstd_stream(path, file)
     try:
-        while (left := most - data.tell()) > 0 and (chunk := stream.read(min(left, CHUNK_BYTES))):
-            data.write(chunk)
+        while (left := most - target.tell()) > 0 and (chunk := stream.read(min(left, CHUNK_BYTES))):
+            target.write(chunk)
     except Exception as error:  # each library has errors of its own
         if isinstance(error, OSError):
             raise
         raise InputError(f"{path}: cannot be unpacked ({error}); it is damaged or cut off, fetch it again") from error
-    return data.getvalue()
 
 
 def _zstd_stream(path: Path, file: io.FileIO) -> Inflater:

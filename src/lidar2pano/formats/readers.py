@@ -17,7 +17,7 @@ from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.scan import Scan
 
 # Endings of the names of scan files; a file named by the user is read whatever its name.
-ENDINGS = (".bin", ".pcd", ".ply", ".npy", ".npz", ".las", ".laz", ".feather")
+ENDINGS = (".bin", ".pcd", ".ply", ".npy", ".npz", ".las", ".laz", ".feather", ".parquet")
 TEXT_ENDINGS = (".csv", ".txt", ".xyz", ".pts", ".asc")  # of a folder's files only if there are no others
 PACKED = (".gz", ".zst", ".zstd")
 
@@ -86,6 +86,7 @@ READERS: tuple[Reader, ...] = (  # the first to accept a file reads it: those su
     FileReader("NPZ", begins(b"PK\x03\x04", b"PK\x05\x06"), arrays.decode_npz),
     FileReader("LAS", begins(b"LASF"), las.decode),
     FileReader("Feather", begins(b"ARROW1", b"FEA1"), feather.decode),
+    FileReader("Parquet", begins(feather.PARQUET), feather.decode),
     FileReader("text", lambda head, _: b"\0" not in head and delimited_text.has_points(head), delimited_text.decode),
     FileReader("float32 rows", float_rows.accepts, float_rows.decode),
 )

@@ -5,17 +5,17 @@ from __future__ import annotations
 import glob
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats import readers
-from lidar2pano.formats.file_contents import HEAD_BYTES
+from lidar2pano.formats.file_contents import HEAD_BYTES, head_of, is_packed, unpacked_copy
 from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions
@@ -214,6 +214,44 @@ def _selected(path: Path, scans: Iterable[tuple[float, Decode, np.ndarray]], opt
         raise none_within(path, after_s)
 
 
+class UnpackedRecording:
+    """An open recording in a temporary copy, which goes when it is closed."""
+
+    def __init__(self, recording: Recording, path: Path, copy: ExitStack) -> None:
+        self._recording, self._copy = recording, copy
+        recording.path = path  # for messages and names
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        """Return what the recording has."""
+        return getattr(self._recording, name)
+
+    def close(self) -> None:
+        """Close the files and remove the copy."""
+        self._recording.close()
+        self._copy.close()
+
+
+def unpacking_reader(reader: RecordingReader) -> RecordingReader:
+    """Return the reader of a whole recording packed by gzip or zstd: of its unpacked copy."""
+
+    def describe(path: Path) -> Description:
+        with unpacked_copy(path) as copy:
+            return reader.describe(copy)
+
+    def frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
+        with unpacked_copy(path) as copy:
+            for frame in reader.frames(copy, options):
+                yield replace(frame, path=path)
+
+    def open(path: Path) -> Recording:
+        with ExitStack() as stack:
+            recording = reader.open(stack.enter_context(unpacked_copy(path)))  # pyright: ignore[reportOptionalCall]
+            return cast(Recording, UnpackedRecording(recording, path, stack.pop_all()))
+        raise AssertionError
+
+    return RecordingReader(f"{reader.name}, packed", reader.accept, describe, frames, open if reader.open else None)
+
+
 def none_within(path: Path, duration_s: float) -> InputError:
     """Return the error for --from and --to without any scan between them."""
     return InputError(f"{path}: has no scan between --from and --to; it lasts {duration_s:.1f} s")
@@ -246,7 +284,10 @@ def recording_reader(path: Path) -> RecordingReader | None:
             head = file.read(HEAD_BYTES)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); name a file that exists") from error
-    return next((reader for reader in RECORDINGS if reader.accepts(head, path)), None)
+    packed = is_packed(head)
+    head = head_of(path) if packed else head
+    reader = next((reader for reader in RECORDINGS if reader.accepts(head, path)), None)
+    return unpacking_reader(reader) if packed and reader else reader
 
 
 def describe(path: str | Path) -> Description | None:
