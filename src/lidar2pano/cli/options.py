@@ -53,7 +53,9 @@ SteadyOption = Annotated[
     bool,
     typer.Option("--steady", help="A folder's or recording's scans are a video: smooth it over time, without flicker."),
 ]
-TopicOption = Annotated[str, typer.Option(metavar="NAME", help="The recording's topic or sensor, if it has several.")]
+TopicOption = Annotated[
+    str, typer.Option(metavar="NAME", help="The recording's topic or sensor, if it has several; or all.")
+]
 EveryOption = Annotated[int, typer.Option(min=1, metavar="N", help="One of N scans of a recording or folder.")]
 FromOption = Annotated[
     float | None, typer.Option("--from", min=0, metavar="SECONDS", help="Scans from so long after the start on.")

@@ -97,11 +97,15 @@ class Description:
 
 
 class RawMessage(NamedTuple):
-    """A message as it is recorded: its topic, the time of recording (nanoseconds since the epoch), and its bytes."""
+    """A message as it is recorded: its topic, the time of recording (nanoseconds since the epoch), and its bytes.
+
+    parts  the messages of several topics that it joins.
+    """
 
     topic: Topic
     stamp_ns: int
     data: bytes
+    parts: tuple[RawMessage, ...] = ()
 
 
 class Recording(Protocol):
@@ -150,7 +154,7 @@ def choose_topic(path: Path, topics: Sequence[Topic], name: str, types: Containe
     if not candidates:
         raise InputError(_no_points(path, topics))
     if len(candidates) > 1:
-        raise InputError(f"{path}: holds points on {_listed(candidates)}; choose one with --topic")
+        raise InputError(f"{path}: holds points on {_listed(candidates)}; choose one with --topic, or name all")
     (topic,) = candidates
     if topic.type in PACKETS:
         raise InputError(_packets(path, topic))

@@ -13,6 +13,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.motion import SensorMotion
 from lidar2pano.recordings.description import RawMessage, Recording, choose_topic
+from lidar2pano.recordings.joined_topics import join_topics
 from lidar2pano.recordings.recorded_scans import Frame, frames, none_within, recording_reader, ros_frame, span_ns
 from lidar2pano.recordings.transforms import recorded_motion
 
@@ -60,7 +61,7 @@ def playback(path: Path, topic: str = "") -> Playback:
     reader = recording_reader(path)
     if reader is None or reader.open is None:
         return FramePlayback(path, topic)
-    return MessagePlayback(reader.open(path), topic)
+    return MessagePlayback(join_topics(reader.open(path), topic), topic)
 
 
 class MessagePlayback:

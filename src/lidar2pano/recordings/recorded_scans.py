@@ -22,6 +22,7 @@ from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.motion import SensorMotion
 from lidar2pano.recordings import transforms
 from lidar2pano.recordings.description import MOST_NAMED, Description, RawMessage, Recording, choose_topic, damage
+from lidar2pano.recordings.joined_topics import join_topics
 from lidar2pano.recordings.mcap_files import MAGIC, McapFile
 from lidar2pano.recordings.packet_captures import (
     PCAP,
@@ -114,7 +115,7 @@ def ros_reader(name: str, accept: Callable[[bytes, Path], bool], open: Callable[
             return recording.description
 
     def frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
-        with closing(open(path)) as recording:
+        with closing(join_topics(open(path), options.topic)) as recording:
             yield from _ros_frames(recording, options)
 
     return RecordingReader(name, accept, describe, frames, open)

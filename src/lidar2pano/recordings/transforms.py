@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from array import array
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,6 +56,21 @@ def recorded_motion(
                 links.add(transform, transform.child_frame_id, transform.transform)
     tree = links.links() | static.fixed_links()
     return _by_tf(tree, frame.strip("/")) or _by_odometry(tree, frame.strip("/"), odometry)
+
+
+def fixed_poses(recording: Recording, frames: Iterable[str]) -> dict[str, np.ndarray] | None:
+    """Return T_root_frame (4, 4) float64 of each frame by the recording's tf_static; None if it does not link them."""
+    topics = recording.description.topics
+    static = _Rows()
+    for message in recording.messages(tuple(each for each in topics if each.type in TF_TYPES and STATIC in each.name)):
+        for transform in _decoded(recording, message).transforms:
+            static.add(transform, transform.child_frame_id, transform.transform)
+    tree, poses, roots = static.fixed_links(), dict[str, np.ndarray](), set[str]()
+    for frame in frames:
+        chain = _chain(tree, frame.strip("/"), "")
+        poses[frame] = reduce(lambda T, link: np.asarray(link[1].pose) @ T, chain, np.eye(4))
+        roots.add(chain[-1][1].parent if chain else frame.strip("/"))
+    return poses if len(roots) == 1 else None
 
 
 class _Rows:
