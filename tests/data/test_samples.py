@@ -22,7 +22,7 @@ from lidar2pano.data.range_images import (
     vary_remission,
 )
 from lidar2pano.errors import InputError
-from lidar2pano.formats.interpretation import STAND_IN
+from lidar2pano.formats.remission import STAND_IN
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON14, COMMON15
 from lidar2pano.scan import Scan

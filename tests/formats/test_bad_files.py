@@ -82,7 +82,7 @@ def bombs() -> dict[str, tuple[bytes, str]]:
         "pcd count.pcd": (pcd.replace(count, bomb), "are no single sweep"),
         "pcd one more.pcd": (pcd.replace(count, more), "the file is truncated"),
         "pcd one less.pcd": (pcd.replace(count, f"{len(XYZ) - 9}".encode()), "but more follow"),
-        "pcd product.pcd": (pcd.replace(b"HEIGHT 1", b"HEIGHT 7"), "its header says"),
+        "pcd product.pcd": (pcd.replace(count, more).replace(b"HEIGHT 1", b"HEIGHT 7"), "its header says"),
         "pcd negative.pcd": (pcd.replace(count, b"-5"), "are no single sweep"),
         "pcd count of a field.pcd": (pcd.replace(b"COUNT 1 1 1 1 2", b"COUNT 1 1 1 1 99999999"), "makes no sense"),
         "pcd form.pcd": (pcd.replace(b"DATA binary", b"DATA zipped"), "of form 'zipped'"),

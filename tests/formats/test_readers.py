@@ -18,7 +18,8 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats import pcd
 from lidar2pano.formats.arrays import DATATYPES, cloud_of
 from lidar2pano.formats.file_contents import stem_of
-from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns, seconds
+from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns
+from lidar2pano.formats.point_times import seconds
 from lidar2pano.formats.readers import ReadOptions, open_path, read
 
 XYZ, RING = made.street(beams=16, columns=180)
@@ -77,8 +78,9 @@ def test_twins_give_identical_scans(tmp_path):
 
 
 def test_in_nuscenes_y_is_forward(tmp_path):
-    there = read(made.write(tmp_path, "a.pcd.bin", FILES["nuscenes.pcd.bin"]))
-    np.testing.assert_array_equal(there.xyz, np.column_stack([XYZ[:, 1], -XYZ[:, 0], XYZ[:, 2]]))
+    there = np.column_stack([-XYZ[:, 1], XYZ[:, 0], XYZ[:, 2]])
+    read_here = read(made.write(tmp_path, "a.pcd.bin", made.rows(there, INTENSITY, RING)))
+    np.testing.assert_array_equal(read_here.xyz, XYZ)
 
 
 # --- against other libraries -----------------------------------------------------------------------------------------
@@ -280,16 +282,40 @@ def test_messages_of_ros(order):
 @pytest.mark.parametrize(
     ("changed", "says"),
     [
-        ({"width": 10**6}, "bytes do not hold"),
+        ({"width": 10**6}, "2 x 1000000 points of 26 bytes need 52000000 bytes, but "),
         ({"width": 10**12}, "are no single sweep"),
         ({"width": 0}, "holds no points"),
-        ({"point_step": 0}, "bytes do not hold"),
+        ({"point_step": 0, "data": bytes(1001)}, "points of 0 bytes need"),
         ({"fields": []}, "has no field 'x'"),
-        ({"fields": [SimpleNamespace(name="x", offset=900, datatype=7, count=1)]}, "lies outside its points"),
+        ({"fields": [SimpleNamespace(name="x", offset=900, datatype=7, count=1)]}, "begins at byte 900 of points of"),
     ],
 )
 def test_messages_that_make_no_sense(changed, says):
     assert says in complaint(lambda: read(message(**changed)))
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"row_step": 17}, "row_step is 17"),
+        ({"row_step": 10**7}, "row_step is 10000000"),
+        ({"point_step": 0}, "point_step is 0"),
+        ({"row_step": 0, "point_step": 0}, "point_step is 0"),
+    ],
+)
+@pytest.mark.parametrize("rows", [1, 2])
+def test_a_step_that_is_not_needed_condemns_no_message(changed, says, rows):
+    found = cloud_of(message(rows=rows, padding=0, **changed), "scan")
+    np.testing.assert_array_equal(found.xyz.astype(np.float32), XYZ[: len(found)])
+    assert len(found) == len(XYZ) // rows * rows and says in found.doubts[0]
+
+
+def test_a_field_beyond_the_point_is_left_out():
+    whole = message()
+    next(part for part in whole.fields if part.name == "intensity").offset = whole.point_step
+    found = cloud_of(whole, "scan")
+    assert found.intensity is None and found.ring is not None and "field 'intensity' begins at byte" in found.doubts[0]
+    np.testing.assert_array_equal(found.xyz.astype(np.float32), XYZ[: len(found)])
 
 
 @dataclass
@@ -341,13 +367,13 @@ def test_what_is_no_cloud(source):
     ],
 )
 def test_units_of_times(name, values, stamp_s, first_s, start_s):
-    found, start = seconds(name, values, stamp_s)
+    found, start, odd = seconds(name, values, stamp_s)
     assert found is not None and found[0] == pytest.approx(first_s, abs=1e-6)
-    assert np.ptp(found) == pytest.approx(0.1, rel=0.3) and start == start_s
+    assert np.ptp(found) == pytest.approx(0.1, rel=0.3) and start == start_s and not odd
 
 
 def test_a_constant_time_is_none():
-    assert seconds("time", np.zeros(5, np.float32), None) == (None, None)
+    assert seconds("time", np.zeros(5, np.float32), None) == (None, None, 0)
     assert cloud_of_columns({"x": XYZ[:, 0], "Y": XYZ[:, 1], "z": XYZ[:, 2]}, format="", name="a").time_s is None
 
 

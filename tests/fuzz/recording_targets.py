@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 import miniature_recordings as recordings
-from lidar2pano.formats.interpretation import Overrides, interpret
+from lidar2pano.formats.interpretation import interpret
+from lidar2pano.formats.overrides import Overrides
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.recordings.recorded_scans import recorded_motion, recording_reader
 from lidar2pano.scan import Scan

@@ -215,12 +215,11 @@ def test_points_equal_those_of_another_library(tmp_path, format):
 @pytest.mark.parametrize(
     ("changed", "says"),
     [
-        ({"width": 400}, "do not hold 1 x 400 points"),
+        ({"width": 400}, "1 x 400 points of"),
         ({"width": 4_000_000_000}, "are no single sweep"),
-        ({"point_step": 0}, "damaged"),
         ({"width": 0}, "holds no points"),
         ({"fields": []}, "has no field 'x'"),
-        ({"fields": [("x", 0, 7, 1), ("y", 4, 7, 1), ("z", 14, 7, 1)]}, "field 'z' lies outside its points"),
+        ({"fields": [("x", 0, 7, 1), ("y", 4, 7, 1), ("z", 14, 7, 1)]}, "field 'z' begins at byte 14 of points of"),
     ],
 )
 def test_wrong_counts_name_the_scan(tmp_path, format, changed, says):

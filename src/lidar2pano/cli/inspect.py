@@ -50,7 +50,7 @@ def inspect(
 def first_scan(path: Path, topic: str) -> dict[str, Any]:
     """Describe the first scan of a file or recording, or its fault under "problem"."""
     from lidar2pano.drives.reading import ReadingOptions, read_scan, scan_sources
-    from lidar2pano.formats.interpretation import Overrides
+    from lidar2pano.formats.overrides import Overrides
     from lidar2pano.formats.readers import ReadOptions
 
     source = next(scan_sources([path], ReadOptions(topic=topic)))
@@ -108,9 +108,11 @@ def lines_of(record: dict[str, Any]) -> list[str]:
     if record["ranges_m"]:
         least, middle, most = record["ranges_m"]
         lines.append(_line("ranges", f"{least:g} to {most:g} m, half of them within {middle:g} m"))
-    lines.append(_line("unit", {1.0: "metres", 1e-3: "millimetres"}[record["unit_m"]]))
+    lines.append(_line("unit", {1.0: "metres", 1e-2: "centimetres", 1e-3: "millimetres"}[record["unit_m"]]))
     frame = f"{record['frame']}: " if record["frame"] else ""
     lines.append(_line("frame", f"{frame}{record['forward']} is forward ({record['forward_by']})"))
+    if record["turn_by"]:
+        lines.append(_line("turned", record["turn_by"]))
     x, y, z = record["viewpoint_m"]
     lines.append(_line("viewpoint", f"({x:g}, {y:g}, {z:g}) m: {record['viewpoint_by']}"))
     if record["ground_m"] is not None:
@@ -141,7 +143,8 @@ def _line(name: str, text: str) -> str:
 def _remission(record: dict[str, Any]) -> str:
     if record["remission_full"] is None:
         return "none or constant; a constant stands in"
-    return f"{record['remission']} ({record['remission_full']:g} becomes 1)"
+    odd = f", {record['remission_odd']} beyond or missing" if record["remission_odd"] else ""
+    return f"{record['remission']} ({record['remission_zero'] + record['remission_full']:g} becomes 1{odd})"
 
 
 def _beams(record: dict[str, Any]) -> str:

@@ -13,7 +13,7 @@ from torch import Tensor
 from lidar2pano.data.cache import LruCache
 from lidar2pano.data.frames import Frame, SampleIndex, evenly_spaced
 from lidar2pano.data.layouts import frames_of
-from lidar2pano.formats.interpretation import STAND_IN
+from lidar2pano.formats.remission import STAND_IN
 from lidar2pano.geometry.projection import Normalisation, fitted_view, project
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan

@@ -11,7 +11,7 @@ import numpy as np
 
 from lidar2pano.data.poses import Poses, odometry
 from lidar2pano.errors import InputError
-from lidar2pano.formats.interpretation import FORWARD, Interpretation
+from lidar2pano.formats.interpretation import Interpretation
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.motion import SensorMotion, Trajectory, deskewed
 from lidar2pano.recordings.recorded_scans import recorded_motion, recording_reader
@@ -114,9 +114,8 @@ def _of_scan(recorded: SensorMotion, interpretation: Interpretation) -> SensorMo
 
 def T_scan_cloud(interpretation: Interpretation) -> np.ndarray:
     """Return the (4, 4) float64 pose of a cloud's own frame in its scan's frame, metres."""
-    cosine, sine = FORWARD[interpretation.forward]
     T = np.eye(4)
-    T[:2, :2] = [[cosine, sine], [-sine, cosine]]
+    T[:3, :3] = interpretation.rotation
     T[:3, 3] = -T[:3, :3] @ np.asarray(interpretation.viewpoint_m)
     return T
 

@@ -15,9 +15,9 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.delimited_text import column_names
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import INTENSITY, MOST_POINTS, RING, TIME, PointCloud, cloud_of_columns
+from lidar2pano.formats.unnamed_columns import column_names
 
 POINTS = (
     "points",
@@ -35,6 +35,7 @@ POINTS = (
 )
 # sensor_msgs/PointField.datatype
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+AXES = ("x", "y", "z")
 MOST_MEMBERS = 1000  # arrays of an archive
 WIDEST, MOST_ROWS = 64, 8  # columns of an array of points; rows of one with a point in each column
 
@@ -76,7 +77,7 @@ def cloud_of_message(message: Any, name: str = "message") -> PointCloud:  # noqa
 
     Stamp and frame are those of its header. Raises InputError if its numbers do not fit its data.
     """
-    columns = message_columns(message, name)
+    columns, doubts = message_columns(message, name)
     header = getattr(message, "header", None)
     stamp = getattr(header, "stamp", None)
     whole = getattr(stamp, "sec", getattr(stamp, "secs", None))
@@ -87,22 +88,22 @@ def cloud_of_message(message: Any, name: str = "message") -> PointCloud:  # noqa
         name=name,
         frame=str(getattr(header, "frame_id", "")),
         stamp_s=None if whole is None else whole + parts * 1e-9,
+        doubts=doubts,
     )
 
 
-def message_columns(message: Any, name: str) -> dict[str, np.ndarray]:  # noqa: ANN401
-    """Return the fields of a PointCloud2: name -> (height * width,) of its type; only those of one value."""
+def message_columns(message: Any, name: str) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:  # noqa: ANN401
+    """Return the fields of a PointCloud2, and doubts: name -> (height * width,) of its type; only those of one value.
+
+    A field of no use that does not fit is left out with a doubt.
+    """
     data = np.frombuffer(bytes(message.data) if isinstance(message.data, list) else message.data, dtype=np.uint8)
-    rows, width, step = int(message.height), int(message.width), int(message.point_step)
-    stride = int(getattr(message, "row_step", 0)) or width * step
+    rows, width = int(message.height), int(message.width)
     if rows * width > MOST_POINTS:
         raise InputError(f"{name}: {rows * width} points are no single sweep (at most {MOST_POINTS}); cut it")
     if rows * width == 0:
         raise InputError(f"{name}: holds no points; name a scan that has some")
-    if step < 1 or stride < width * step or (rows - 1) * stride + width * step > len(data):
-        raise InputError(
-            f"{name}: {len(data)} bytes do not hold {rows} x {width} points of {step} bytes; the message is damaged"
-        )
+    step, stride, doubts = _strides(message, len(data), name)
     order = ">" if message.is_bigendian else "<"
     columns = {}
     for field in message.fields:
@@ -110,11 +111,39 @@ def message_columns(message: Any, name: str) -> dict[str, np.ndarray]:  # noqa: 
             continue
         dtype = np.dtype(order + DATATYPES[int(field.datatype)])
         offset = int(field.offset)
-        if not 0 <= offset <= step - dtype.itemsize:
-            raise InputError(f"{name}: field {field.name!r} lies outside its points; the message is damaged")
-        values = np.ndarray((rows, width), dtype, data.data, offset, (stride, step))
-        columns[field.name] = values.reshape(-1)
-    return columns
+        if 0 <= offset <= step - dtype.itemsize:
+            values = np.ndarray((rows, width), dtype, data.data, offset, (stride, step))
+            columns[field.name] = values.reshape(-1)
+        else:
+            fault = f"field {field.name!r} begins at byte {offset} of points of {step} bytes"
+            if field.name in AXES:
+                raise InputError(f"{name}: {fault}; record it again with a driver that fills its fields rightly")
+            doubts.append(f"{fault}, and is not read")
+    return columns, tuple(doubts)
+
+
+def _strides(message: Any, length: int, name: str) -> tuple[int, int, list[str]]:  # noqa: ANN401
+    """Return the bytes from point to point and from row to row, and doubts: a number that is not needed may be wrong.
+
+    length  of the message's data, in bytes.
+    """
+    rows, width, step = int(message.height), int(message.width), int(message.point_step)
+    doubts = []
+    if step < 1 and length % (rows * width) == 0 and length:
+        step = length // (rows * width)
+        doubts.append(f"point_step is {message.point_step}, but {length} bytes of {rows * width} points make {step}")
+    packed = width * step
+    stride = int(getattr(message, "row_step", 0)) or packed
+    if stride != packed and (rows == 1 or length == rows * packed or stride < packed):
+        doubts.append(f"row_step is {stride}, but rows of {width} points have {packed} bytes; it is not used")
+        stride = packed
+    if step < 1 or (rows - 1) * stride + packed > length:
+        needed = max((rows - 1) * stride + packed, 0)
+        raise InputError(
+            f"{name}: {rows} x {width} points of {step} bytes need {needed} bytes, but {length} follow;"
+            " the message is damaged or cut, record it again"
+        )
+    return step, stride, doubts
 
 
 def cloud_of_arrays(arrays: Mapping[str, np.ndarray], *, format: str, name: str, source: str) -> PointCloud:

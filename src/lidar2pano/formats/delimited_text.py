@@ -14,6 +14,7 @@ import numpy as np
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import HEAD_BYTES, MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+from lidar2pano.formats.unnamed_columns import column_names
 
 SEPARATORS = bytes.maketrans(b",;\t|", b"    ")
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)", re.IGNORECASE)
@@ -111,22 +112,6 @@ def _plain_numbers(data: bytes) -> bytes:
     if any("." in cell for cells in rows for cell in cells):
         data = data.replace(b".", b"")
     return data.replace(b",", b".")
-
-
-def column_names(table: np.ndarray) -> list[str]:
-    """Return names for the columns of a table (N, C): x y z, intensity or colours, then "column N"."""
-    names = ["x", "y", "z"]
-    rest = table[:, 3:]
-    with np.errstate(invalid="ignore"):
-        colours = rest.shape[1] == 3 and bool(((rest >= 0) & (rest <= 255) & (rest == np.floor(rest))).all())
-        rings = rest.shape[1] > 1 and bool(((rest[:, 1] >= 0) & (rest[:, 1] < 256) & (rest[:, 1] % 1 == 0)).all())
-    if colours:
-        return [*names, "red", "green", "blue"]
-    if rest.shape[1]:
-        names.append("intensity")
-    if rings and np.ptp(rest[:, 1]) > 0:
-        names.append("ring")
-    return names + [f"column {number}" for number in range(len(names) + 1, table.shape[1] + 1)]
 
 
 def numbers(data: bytes, path: Path, width: int) -> np.ndarray:

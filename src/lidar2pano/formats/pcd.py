@@ -29,8 +29,9 @@ class Header:
     """The header.
 
     fields  (name, NumPy type, values a point, offset in a point) of each field;  step: bytes of a point.
-    points  their number, 0 if the header does not say.
+    points  their number, 0 if the header does not say;  claims: two numbers, if it contradicts itself.
     layout  "ascii", "binary" or "binary_compressed";  start: offset of the points.
+    viewpoint  (4, 4) float64 T of the sensor, None if there is none, or the identity.
     """
 
     fields: tuple[tuple[str, np.dtype, int, int], ...]
@@ -38,6 +39,8 @@ class Header:
     points: int
     layout: str
     start: int
+    viewpoint: np.ndarray | None = None
+    claims: tuple[int, ...] = ()
 
 
 def decode(data: bytes, path: Path) -> PointCloud:
@@ -49,7 +52,22 @@ def decode(data: bytes, path: Path) -> PointCloud:
         columns = _binary(memoryview(data)[header.start :], header, path)
     else:
         columns = _compressed(data, header, path)
-    return cloud_of_columns(columns, format=f"PCD, {header.layout}", name=stem_of(path), source=str(path))
+    doubts = []
+    if header.claims:
+        count = len(next(iter(columns.values()), ()))
+        if count not in header.claims:
+            claims = " and ".join(map(str, header.claims))
+            raise InputError(f"{path}: its header says {claims} points, but it holds {count}; write the file again")
+        points, product = header.claims
+        doubts = [f"its header says {points} points, but WIDTH x HEIGHT is {product}; {count} are read"]
+    return cloud_of_columns(
+        columns,
+        format=f"PCD, {header.layout}",
+        name=stem_of(path),
+        source=str(path),
+        viewpoint=header.viewpoint,
+        doubts=doubts,
+    )
 
 
 def read_header(data: bytes, path: Path) -> Header:
@@ -85,15 +103,40 @@ def _header(entries: dict[str, list[str]], start: int, path: Path) -> Header:
         step += size * count
     width, height = (int(entries.get(name, ["0"])[0]) for name in ("WIDTH", "HEIGHT"))
     points = int(entries["POINTS"][0]) if "POINTS" in entries else width * height
-    if width * height and points and width * height != points:
-        raise InputError(f"{path}: its header says {width} x {height} and {points} points; write the file again")
-    points = points or width * height
+    claims = (points, width * height) if width * height and points and width * height != points else ()
+    points = 0 if claims else points or width * height
     layout = entries["DATA"][0].lower()
     if layout not in {"ascii", "binary", "binary_compressed"}:
         raise InputError(f"{path}: PCD data of form {layout!r} are not read; write it as binary")
-    if points > MOST_POINTS or points < 0 or step < 1:
-        raise InputError(f"{path}: {points} points are no single sweep (at most {MOST_POINTS}); cut it")
-    return Header(fields=tuple(fields), step=step, points=points, layout=layout, start=start)
+    if max((points, *claims)) > MOST_POINTS or min((points, *claims)) < 0 or step < 1:
+        raise InputError(f"{path}: {max((points, *claims))} points are no single sweep (at most {MOST_POINTS}); cut it")
+    return Header(
+        fields=tuple(fields),
+        step=step,
+        points=points,
+        layout=layout,
+        start=start,
+        viewpoint=_viewpoint(entries.get("VIEWPOINT", [])),
+        claims=claims,
+    )
+
+
+def _viewpoint(words: list[str]) -> np.ndarray | None:
+    """Return the sensor's pose of x y z and a quaternion w x y z; None without any."""
+    try:
+        x, y, z, w, i, j, k = (float(word) for word in words)
+    except ValueError:
+        return None
+    if length := float(np.linalg.norm((w, i, j, k))):
+        w, i, j, k = (value / length for value in (w, i, j, k))
+    T = np.eye(4)
+    T[:3, :3] += 2 * np.array(
+        [[-j * j - k * k, i * j - k * w, i * k + j * w],
+         [i * j + k * w, -i * i - k * k, j * k - i * w],
+         [i * k - j * w, j * k + i * w, -i * i - j * j]]
+    )  # fmt: skip
+    T[:3, 3] = x, y, z
+    return T if np.isfinite(T).all() and not np.allclose(T, np.eye(4)) else None
 
 
 def _ascii(data: bytes, header: Header, path: Path) -> dict[str, np.ndarray]:
@@ -104,17 +147,18 @@ def _ascii(data: bytes, header: Header, path: Path) -> dict[str, np.ndarray]:
     columns, place = {}, 0
     for name, dtype, count, _ in header.fields:
         if count == 1 and name != "_":
-            columns[name] = _of_type(table[:, place], dtype, name, path)
+            columns[name] = _of_type(table[:, place], dtype)
         place += count
     return columns
 
 
-def _of_type(values: np.ndarray, dtype: np.dtype, name: str, path: Path) -> np.ndarray:
+def _of_type(values: np.ndarray, dtype: np.dtype) -> np.ndarray:
+    """Return the values as the header's type, or as they are if it has no such values."""
     if dtype.kind != "f":
         limits = np.iinfo(dtype)
         with np.errstate(invalid="ignore"):
             if not bool(((values >= limits.min) & (values <= limits.max)).all()):
-                raise InputError(f"{path}: field {name!r} has values that {dtype.name} has not; write the file again")
+                return values
     return values.astype(dtype)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
 
 MOST_HEADER = 1 << 16
+MOST_LISTED = 1 << 21  # items with lists, which are walked one by one
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
@@ -22,45 +24,62 @@ WRITTEN = {"float32": "float", "uint8": "uchar", "uint16": "ushort"}  # numpy's 
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
+class Property(NamedTuple):
+    """A property of an element's items: NumPy type of its values, and of their number if it is a list."""
+
+    name: str
+    values: np.dtype
+    count: np.dtype | None
+
+
+class Element(NamedTuple):
+    """An element of the header: so many items, one after the other."""
+
+    name: str
+    count: int
+    properties: list[Property]
+
+    def runs(self) -> list[list[Property]]:
+        """Return the properties in runs: each but the last one ends with a list."""
+        runs: list[list[Property]] = [[]]
+        for entry in self.properties:
+            runs[-1].append(entry)
+            if entry.count is not None:
+                runs.append([])
+        return runs
+
+
 def decode(data: bytes, path: Path) -> PointCloud:
-    """Return the vertices; InputError if header and content do not fit each other."""
+    """Return the vertices without their lists; InputError if header and content do not fit each other."""
     end = data.find(b"end_header", 0, MOST_HEADER)
     start = data.find(b"\n", end) + 1
     if end < 0 or start < 1:
         raise InputError(f"{path}: its PLY header has no end; the file is truncated")
     layout, elements = _header(data[:end].decode("latin-1"), path)
-    skip = 0
-    for name, count, properties in elements:
-        if name == "vertex":
-            break
-        if layout == "ascii":
-            raise InputError(f"{path}: has {name!r} before its vertices, which is not read; write the vertices alone")
-        skip += count * _dtype(layout, name, properties, path).itemsize
-    else:
+    place = next((place for place, element in enumerate(elements) if element.name == "vertex"), None)
+    if place is None:
         raise InputError(f"{path}: has no vertices; name a PLY of points")
-    if not 0 <= count <= MOST_POINTS:
-        raise InputError(f"{path}: {count} points are no single sweep (at most {MOST_POINTS}); cut it")
-    dtype = _dtype(layout, name, properties, path)
-    last = elements[-1][0] == "vertex"
+    vertices, last = elements[place], place == len(elements) - 1
+    if not 0 <= vertices.count <= MOST_POINTS:
+        raise InputError(f"{path}: {vertices.count} points are no single sweep (at most {MOST_POINTS}); cut it")
     if layout == "ascii":
-        columns = _ascii(data[start:], count, dtype, path, last)
+        body = data[start:]
+        if skipped := sum(element.count for element in elements[:place]):
+            body = body.split(b"\n", skipped)[-1]
+        columns = _ascii(body, vertices, path, last)
     else:
-        left = len(data) - start - skip
-        if left < count * dtype.itemsize or (last and left - count * dtype.itemsize >= dtype.itemsize):
+        for element in elements[:place]:
+            start = _binary(data, start, element, path)[1]
+        columns, end = _binary(data, start, vertices, path)
+        if last and len(data) - end >= max((end - start) // max(vertices.count, 1), 1):
             raise InputError(
-                f"{path}: its header says {count} points of {dtype.itemsize} bytes, but {max(left, 0)} bytes follow;"
-                " the file is damaged or truncated"
+                f"{path}: its header says {vertices.count} points, but more follow; the file is damaged or truncated"
             )
-        rows = np.frombuffer(data, dtype, count, start + skip)
-        columns = {key: rows[key] for key in dtype.names or ()}
     return cloud_of_columns(columns, format=f"PLY, {layout}", name=stem_of(path), source=str(path))
 
 
-Element = tuple[str, int, list[tuple[str, str]]]
-
-
 def _header(text: str, path: Path) -> tuple[str, list[Element]]:
-    """Return the layout, and (name, count, [(property, type)]) of each element."""
+    """Return the layout, and the elements; of properties with one name the first."""
     layout = ""
     elements: list[Element] = []
     try:
@@ -69,32 +88,101 @@ def _header(text: str, path: Path) -> tuple[str, list[Element]]:
                 case ["format", layout, *_]:
                     pass
                 case ["element", name, count]:
-                    elements.append((name, int(count), []))
-                case ["property", type_name, *_, name]:
-                    elements[-1][2].append((name, type_name))
-    except (ValueError, IndexError):
+                    elements.append(Element(name, int(count), []))
+                case ["property", "list", count_type, type_name, name]:
+                    elements[-1].properties.append(Property(name, _type(layout, type_name), _type(layout, count_type)))
+                case ["property", type_name, name]:
+                    elements[-1].properties.append(Property(name, _type(layout, type_name), None))
+    except (ValueError, IndexError, KeyError):
         raise InputError(f"{path}: its PLY header makes no sense; write the file again") from None
     if layout not in ORDERS:
         raise InputError(f"{path}: PLY data of form {layout!r} are not read; write it as binary_little_endian")
     return layout, elements
 
 
-def _dtype(layout: str, name: str, properties: list[tuple[str, str]], path: Path) -> np.dtype:
-    """Return the record of one item of an element."""
-    fields = {key: ORDERS[layout] + TYPES[type_name] for key, type_name in properties if type_name in TYPES}
-    if len(fields) < len(properties):
-        raise InputError(f"{path}: properties of {name!r} are lists or named twice; write the vertices alone")
-    return np.dtype(list(fields.items()))
+def _type(layout: str, name: str) -> np.dtype:
+    return np.dtype(ORDERS.get(layout, "<") + TYPES[name])
 
 
-def _ascii(data: bytes, count: int, dtype: np.dtype, path: Path, last: bool) -> dict[str, np.ndarray]:
-    names = dtype.names or ()
-    if not last:  # faces follow
-        data = b"\n".join(data.split(b"\n", count)[:count])
-    table = numbers(data, path, len(names))
-    if len(table) != count:
-        raise InputError(f"{path}: its header says {count} points, but it holds {len(table)}; fetch it again")
-    return {name: table[:, place].astype(dtype[name]) for place, name in enumerate(names)}
+def _binary(data: bytes, start: int, element: Element, path: Path) -> tuple[dict[str, np.ndarray], int]:
+    """Return the scalar properties of an element whose items begin at `start`, and the end of its items."""
+    runs = element.runs()
+    places, end = _places(data, start, element, runs, path)
+    if not start <= end <= len(data):
+        raise InputError(
+            f"{path}: its header says {element.count} items of {element.name!r}, which need {end - start} bytes,"
+            f" but {len(data) - start} follow; the file is damaged or truncated"
+        )
+    content = np.frombuffer(data, np.uint8)
+    columns: dict[str, np.ndarray] = {}
+    for place, run in zip(places, runs, strict=True):
+        offset = 0
+        for entry in run:
+            if entry.count is None:
+                size = entry.values.itemsize
+                if isinstance(place, range):
+                    values = np.ndarray((element.count,), entry.values, data, place.start + offset, (place.step,))
+                else:
+                    values = content[place[:, None] + (offset + np.arange(size))].view(entry.values)[:, 0]
+                columns.setdefault(entry.name, values)
+                offset += size
+    return columns, end
+
+
+def _places(
+    data: bytes, start: int, element: Element, runs: list[list[Property]], path: Path
+) -> tuple[list[range | np.ndarray], int]:
+    """Return where each run of properties begins in each item, and the end of the items."""
+    sizes = [sum(entry.values.itemsize for entry in run if entry.count is None) for run in runs]
+    if len(runs) == 1:
+        end = start + element.count * sizes[0]
+        return [range(start, max(end, start + 1), max(sizes[0], 1))], end
+    if not 0 <= element.count <= MOST_LISTED:
+        raise InputError(f"{path}: {element.count} items with lists are no single sweep; write the vertices alone")
+    places = np.empty((len(runs), element.count), np.int64)
+    lists = [run[-1] for run in runs[:-1]]
+    place = start
+    for item in range(element.count):
+        for number, listed in enumerate(lists):
+            places[number, item] = place
+            place += sizes[number]
+            if listed.count is None or place + listed.count.itemsize > len(data):
+                raise InputError(f"{path}: ends within {element.name!r} {item}; the file is damaged or truncated")
+            count = int(np.frombuffer(data, listed.count, 1, place)[0])
+            place += listed.count.itemsize + max(count, 0) * listed.values.itemsize
+        places[-1, item] = place
+        place += sizes[-1]
+    return list(places), place
+
+
+def _ascii(data: bytes, vertices: Element, path: Path, last: bool) -> dict[str, np.ndarray]:
+    if len(vertices.runs()) > 1:
+        data = b"\n".join(_without_lists(line, vertices, path) for line in data.splitlines()[: vertices.count])
+    elif not last:  # faces follow
+        data = b"\n".join(data.split(b"\n", vertices.count)[: vertices.count])
+    scalars = [entry for entry in vertices.properties if entry.count is None]
+    table = numbers(data, path, len(scalars))
+    if len(table) != vertices.count:
+        raise InputError(f"{path}: its header says {vertices.count} points, but it holds {len(table)}; fetch it again")
+    columns: dict[str, np.ndarray] = {}
+    for place, entry in enumerate(scalars):
+        columns.setdefault(entry.name, table[:, place].astype(entry.values))
+    return columns
+
+
+def _without_lists(line: bytes, vertices: Element, path: Path) -> bytes:
+    """Return a vertex's line without the values of its lists."""
+    words, scalars, place = line.split(), [], 0
+    try:
+        for entry in vertices.properties:
+            if entry.count is None:
+                scalars.append(words[place])
+            else:
+                place += max(int(float(words[place])), 0)
+            place += 1
+    except (IndexError, ValueError, OverflowError):
+        raise InputError(f"{path}: a vertex has fewer values than its header says; it is damaged or cut") from None
+    return b" ".join(scalars)
 
 
 def write_ply(path: Path, columns: Mapping[str, np.ndarray]) -> None:

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats.point_times import plain_name, point_times
 
 MOST_POINTS = 1 << 24  # a sweep of the densest LiDAR has 0.6 million points; more are a map or a damaged header
 # Names of fields, the best first; compared in lower case, without CloudCompare's "scalar_".
 INTENSITY = ("reflectivity", "reflectance", "remission", "intensity", "intensities", "signal", "i")
 RING = ("ring", "channel", "laser_number", "laser_id", "beam", "line", "row")
 TIME = ("offset_ns", "offset_time", "time_offset", "time", "time_stamp", "timestamp", "timestamps", "t", "gps_time")
-NANOSECONDS = ("offset_ns", "offset_time", "t", "time_stamp")  # if stored as integers, by convention
-EPOCH_S = 1e8  # times beyond this, in seconds, count from an epoch and not from the start of the sweep
+MOST_BEAMS = 1 << 16  # numbers beyond are no beams
+SAMPLE = 2000  # values to tell by whether a field says anything
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,6 +33,8 @@ class PointCloud:
     format     for people, e.g. "PCD, binary_compressed".
     name       stem of the file, for messages and output names.
     fields     names of all fields of the file, in its order.
+    viewpoint  (4, 4) float64 T of the sensor in the cloud's frame as the file claims it, or None.
+    doubts     contradictions of the file, a sentence each.
     """
 
     xyz: np.ndarray
@@ -44,6 +47,8 @@ class PointCloud:
     format: str = ""
     name: str = "scan"
     fields: tuple[str, ...] = ()
+    viewpoint: np.ndarray | None = None
+    doubts: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Number of points, unusable ones included."""
@@ -58,13 +63,15 @@ def cloud_of_columns(
     source: str = "",
     frame: str = "",
     stamp_s: float | None = None,
+    viewpoint: np.ndarray | None = None,
+    doubts: Sequence[str] = (),
 ) -> PointCloud:
     """Return the PointCloud whose fields are `columns`: name -> (N,) of any numeric dtype and byte order.
 
     Fields are found by the names above; others are only listed. Raises InputError if x, y or z is missing or there
     is no point; `source`, else the name, begins its message.
     """
-    key_by_name = {_plain(key): key for key in reversed(list(columns))}
+    key_by_name = {plain_name(key): key for key in reversed(list(columns))}
     if missing := [axis for axis in "xyz" if axis not in key_by_name]:
         held = ", ".join(columns) or "none"
         raise InputError(f"{source or name}: has no field {missing[0]!r} (it has {held}); name a scan with x, y and z")
@@ -81,41 +88,26 @@ def cloud_of_columns(
         xyz = np.empty((len(axes[0]), 3), dtype)
         for column, axis in enumerate(axes):
             xyz[:, column] = axis
-    intensity, ring, time = (_first(columns, key_by_name, names) for names in (INTENSITY, RING, TIME))
-    time_s, start_s = seconds(*time, stamp_s) if time else (None, stamp_s)
+    squared = np.einsum("ij,ij->i", xyz, xyz)
+    valid = np.isfinite(squared) & (squared > 0)
+    intensity, ring, time = (
+        [(key_by_name[name], columns[key_by_name[name]]) for name in names if name in key_by_name]
+        for names in (INTENSITY, RING, TIME)
+    )
+    time_s, start_s, unsure = point_times(time, stamp_s, valid)
     return PointCloud(
         xyz=xyz,
-        intensity=_native(intensity[1]) if intensity else None,
-        ring=ring[1].astype(np.int64) if ring else None,
+        intensity=_native(_telling(intensity, valid)) if intensity else None,
+        ring=_integers(_telling(ring, valid)) if ring else None,
         time_s=time_s,
         stamp_s=start_s,
         frame=frame,
         format=format,
         name=name,
         fields=tuple(columns),
+        viewpoint=viewpoint,
+        doubts=(*doubts, *unsure),
     )
-
-
-def seconds(name: str, values: np.ndarray, stamp_s: float | None) -> tuple[np.ndarray | None, float | None]:
-    """Return times of points in seconds relative to a stamp, and the stamp; (None, stamp_s) if they are no times.
-
-    A sweep in the unit lasts nearest to 0.1 s, or nanoseconds for integer fields of NANOSECONDS.
-    Times since an epoch become relative to `stamp_s`, or to the first one if there is none.
-    """
-    finite = values[np.isfinite(values)] if values.dtype.kind == "f" else values
-    if not len(finite) or finite.min() == finite.max():
-        return None, stamp_s
-    low, high = finite.min().item(), finite.max().item()
-    unit = next((unit for unit in (1.0, 1e-3, 1e-6) if (high - low) * unit < 3.2), 1e-9)
-    if values.dtype.kind in "iu" and _plain(name) in NANOSECONDS:
-        unit = 1e-9
-    if low * unit < EPOCH_S:
-        return values.astype(np.float64) * unit, stamp_s
-    first_s = low * unit
-    time_s = (values - values.dtype.type(low)).astype(np.float64) * unit
-    if stamp_s is None or abs(first_s - stamp_s) > 60:
-        return time_s, first_s
-    return time_s + (first_s - stamp_s), stamp_s
 
 
 def _side_by_side(axes: list[np.ndarray]) -> np.ndarray | None:
@@ -131,14 +123,22 @@ def _side_by_side(axes: list[np.ndarray]) -> np.ndarray | None:
     return np.lib.stride_tricks.as_strided(first, (len(first), 3), (first.strides[0], size), writeable=False)
 
 
-def _plain(name: str) -> str:
-    return name.strip().lower().removeprefix("scalar_").strip()
+def _telling(fields: Sequence[tuple[str, np.ndarray]], valid: np.ndarray) -> np.ndarray:
+    """Return the first of the fields (name, values) that differs from point to point, or just the first."""
+    for _, values in fields if len(fields) > 1 else ():
+        sample = values[valid][:: max(1, len(values) // SAMPLE)].astype(np.float64)
+        sample = sample[np.isfinite(sample)]
+        if len(sample) and np.ptp(np.percentile(sample, (1, 99))) > 0:
+            return values
+    return fields[0][1]
 
 
-def _first(
-    columns: Mapping[str, np.ndarray], key_by_name: Mapping[str, str], names: tuple[str, ...]
-) -> tuple[str, np.ndarray] | None:
-    return next(((key_by_name[name], columns[key_by_name[name]]) for name in names if name in key_by_name), None)
+def _integers(values: np.ndarray) -> np.ndarray:
+    """Return numbers of beams as int64, -1 for a value that is no such number."""
+    if values.dtype.kind != "f":
+        return values.astype(np.int64)
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(values) < MOST_BEAMS, values, -1).astype(np.int64)
 
 
 def _native(values: np.ndarray) -> np.ndarray:

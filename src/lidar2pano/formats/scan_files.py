@@ -1,6 +1,6 @@
-"""Rows of float32 without a header: KITTI's .bin (x y z remission) and nuScenes' .pcd.bin (x y z intensity ring).
+"""Rows of floats without a header: KITTI's .bin (x y z remission), nuScenes' .pcd.bin (x y z intensity ring), others.
 
-And SemanticKITTI's .label: one uint32 a point. All are little-endian.
+And SemanticKITTI's .label: one uint32 a point.
 """
 
 from __future__ import annotations
@@ -12,15 +12,19 @@ import numpy as np
 from lidar2pano.bounded_files import read_input
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
-from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud
+from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+from lidar2pano.formats.unnamed_columns import MOST_RINGS, column_names, row_width
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
 
 MOST_BYTES = 1 << 30  # 67 million points: a sparse or wrong file must not fill the memory
-MOST_RINGS = 256
-SAMPLE = 20_000  # rows to tell the form by; rings and remissions are alike all through it
+SAMPLE = 20_000  # numbers to tell their type by; coordinates are alike all through a file
 FEWEST_BYTES = 160  # decide, if the name does not
 FAR_M = 1e6  # no coordinate of a scan is beyond: neither in millimetres
+SMALLEST = 1e-12  # of a nonzero coordinate
+MOST_ODD, MOST_FAR = 0.25, 0.02  # of the numbers, one of which may be a time; of the coordinates
+KITTI, NUSCENES = ("x", "y", "z", "remission"), ("x", "y", "z", "intensity", "ring")
+TYPES = {"<f4": "float32", "<f8": "float64", ">f4": "big-endian float32", ">f8": "big-endian float64"}
 
 
 def accepts(head: bytes, path: Path) -> bool:
@@ -29,35 +33,33 @@ def accepts(head: bytes, path: Path) -> bool:
         return True
     if len(head) <= FEWEST_BYTES:
         return False
-    values = np.frombuffer(head, "<f4", len(head) // 16 * 4).reshape(-1, 4)
-    return _has_rings(head) or (bool(np.isfinite(values).all()) and _plausible(values) and values.std() > 0.01)
+    values = np.frombuffer(head, "<f4", len(head) // 4)
+    return bool(np.isfinite(values).all()) and not _odd_share(values) and values.std() > 0.01
 
 
 def decode(data: bytes, path: Path) -> PointCloud:
     """Return the points; InputError for a part of a point, or numbers of no points."""
-    if _has_rings(data):
-        rows = _rows(data, path, 5, "x y z intensity ring as float32, nuScenes' form", "the file is truncated")
-        return PointCloud(
-            xyz=rows[:, :3],
-            intensity=rows[:, 3],
-            ring=rows[:, 4].astype(np.int64),
-            format="float32 rows, nuScenes",
-            name=stem_of(path),
-            fields=("x", "y", "z", "intensity", "ring"),
-        )
-    rows = _kitti_rows(data, path)
-    if len(rows) > MOST_POINTS:
-        raise InputError(f"{path}: {len(rows)} points are no single sweep (at most {MOST_POINTS}); cut it")
-    if not _plausible(rows[:SAMPLE]):
+    if not data:
+        raise InputError(f"{path}: is empty; name a scan file that holds points")
+    shares = {kind: _odd_share(_numbers(data, kind, SAMPLE)) for kind in TYPES}
+    kind = min(shares, key=lambda kind: shares[kind])
+    width = _width(data, kind)
+    table = _rows(data, kind, width, path)
+    if len(table) > MOST_POINTS:
+        raise InputError(f"{path}: {len(table)} points are no single sweep (at most {MOST_POINTS}); cut it")
+    names = column_names(table)
+    if width == len(KITTI):
+        names = ["remission" if name == "intensity" else name for name in names]
+    if shares[kind] > MOST_ODD or _odd_share(table[:SAMPLE, [names.index(axis) for axis in "xyz"]]) > MOST_FAR:
         raise InputError(
             f"{path}: its bytes are no points (x y z remission as float32); the file is damaged or of another format"
         )
-    return PointCloud(
-        xyz=rows[:, :3],
-        intensity=rows[:, 3],
-        format="float32 rows, KITTI",
+    form = {KITTI: "KITTI", NUSCENES: "nuScenes"}.get(tuple(names), f"{width} numbers a point")
+    return cloud_of_columns(
+        dict(zip(names, table.T, strict=True)),
+        format=f"{TYPES[kind]} rows, {form}",
         name=stem_of(path),
-        fields=("x", "y", "z", "remission"),
+        source=str(path),
     )
 
 
@@ -66,7 +68,10 @@ def read_bin(path: Path) -> Scan:
 
     Raises InputError when the file cannot be read, is empty, or its length is not a whole number of points.
     """
-    points = _kitti_rows(read_input(path, "name a scan file that exists", MOST_BYTES), path)
+    data = read_input(path, "name a scan file that exists", MOST_BYTES)
+    if not data:
+        raise InputError(f"{path}: is empty; a KITTI scan holds 16 bytes a point")
+    points = _rows(data, "<f4", len(KITTI), path)
     return Scan(xyz=points[:, :3].copy(), remission=points[:, 3].copy(), name=path.stem)
 
 
@@ -91,31 +96,33 @@ def write_label(path: Path, ids: np.ndarray) -> None:
     SEMANTIC_KITTI.to_raw(ids).astype("<u4").tofile(path)
 
 
-def _kitti_rows(data: bytes, path: Path) -> np.ndarray:
-    if not data:
-        raise InputError(f"{path}: is empty; a KITTI scan holds 16 bytes a point")
-    return _rows(data, path, 4, "x y z remission as float32", "the file is truncated or of another format")
+def _rows(data: bytes, kind: str, width: int, path: Path) -> np.ndarray:
+    """Return the rows (N, width); InputError if there is a part of a row."""
+    size = width * np.dtype(kind).itemsize
+    if len(data) % size:
+        raise InputError(
+            f"{path}: {len(data)} bytes are no whole number of points ({size} bytes each: {width} {TYPES[kind]});"
+            " the file is truncated or of another format"
+        )
+    return np.frombuffer(data, kind).reshape(-1, width)
 
 
-def _rows(data: bytes, path: Path, values: int, form: str, mend: str) -> np.ndarray:
-    """Return the rows (N, values); InputError if there is a part of a row."""
-    if len(data) % (4 * values):
-        size = f"{4 * values} bytes each: {form}"
-        raise InputError(f"{path}: {len(data)} bytes are no whole number of points ({size}); {mend}")
-    return np.frombuffer(data, "<f4").reshape(-1, values)
+def _numbers(data: bytes, kind: str, most: int) -> np.ndarray:
+    return np.frombuffer(data, kind, min(len(data) // np.dtype(kind).itemsize, most))
 
 
-def _has_rings(data: bytes) -> bool:
-    """Return whether every fifth number is the number of a beam; if all are equal, four a point must make no sense."""
-    ring = np.frombuffer(data, "<f4", min(len(data) // 20, SAMPLE) * 5).reshape(-1, 5)[:, 4]
-    if len(ring) < 2 or not bool(((ring >= 0) & (ring < MOST_RINGS)).all()):
-        return False
-    rows = np.frombuffer(data, "<f4", min(len(data) // 16, SAMPLE) * 4).reshape(-1, 4)
-    return bool((ring == np.floor(ring)).all()) and (bool((ring != ring[0]).any()) or not _plausible(rows))
-
-
-def _plausible(rows: np.ndarray) -> bool:
-    """Return whether (N, 4) may be x y z remission: no accidental coordinates, and no negative remission."""
+def _odd_share(values: np.ndarray) -> float:
+    """Return the share of sizes without a use (coordinates, remissions, beams) among the finite numbers."""
     with np.errstate(invalid="ignore"):
-        far = (np.abs(rows[:, :3]) > FAR_M) & np.isfinite(rows[:, :3])
-        return not bool((rows[:, 3] < 0).any() or far.any())
+        size = np.abs(values[np.isfinite(values)])
+    return float(np.mean((size > FAR_M) | ((size > 0) & (size < SMALLEST)))) if len(size) else 1.0
+
+
+def _width(data: bytes, kind: str) -> int:
+    """Return the numbers of a point: by their likeness; of too few, nuScenes' if each fifth is the number of a beam."""
+    values = _numbers(data, kind, len(data))
+    if (width := row_width(values)) >= len("xyz"):
+        return width
+    fifth = values[len(NUSCENES) - 1 :: len(NUSCENES)]
+    beams = len(fifth) > 1 and bool(((fifth >= 0) & (fifth < MOST_RINGS) & (fifth == np.floor(fifth))).all())
+    return len(NUSCENES) if beams and np.ptp(fifth) > 0 else len(KITTI)

@@ -1,0 +1,303 @@
+"""Placement of a cloud: its unit, the sensor's place in it, its upward direction and its forward axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from lidar2pano.errors import InputError
+from lidar2pano.formats.beams import CLEARLY, horizontal_centre, sharpest_origin, sharpness
+from lidar2pano.formats.forward import SHOWS, SHOWS_AGAINST, evidence_of_x
+from lidar2pano.formats.ground_plane import BELOW_M, LEVEL_DEG, SURE_SHARE, Ground, fit_ground, fit_tilted_ground
+from lidar2pano.formats.overrides import FORWARD, Overrides
+from lidar2pano.formats.sweep import is_map, is_offset
+
+SENSOR_HEIGHT_M = 1.73  # above the road, of the training data's sensor (KITTI's HDL-64E)
+ASSUMED = "assumed"  # the first word of a reason for a viewpoint without evidence in the scan
+CLOUD_ORIGIN, BY_VIEWPOINT = "the cloud's origin", "the file's VIEWPOINT"
+LOWEST_SENSOR_M = 0.4  # above the ground; no sensor is lower
+HEIGHTS_M = (1.0, 4.0)  # above the ground, of sensors whose axes are not the convention's
+FAR_M = 1000.0  # beyond this no LiDAR of a vehicle measures: coordinates are millimetres, or have an offset
+VEHICLE_GROUND_M = 0.65  # the ground is so near to z = 0 in a vehicle's frame (Argoverse 2: rear axle, 0.35 m above it)
+VEHICLE_DOWN_DEG = -9.0  # and no point lies far below the origin's horizon, as points do below a sensor
+STANDING_M = 0.3  # above the ground; lower points are ground
+NEARER = 3  # times as near to the point amid all points as the origin is: a sensor stands there
+NEAREST_M = 0.05  # a shorter way to the sensor's claimed place is none
+# Other axes, and the rotation of such points into ours.
+OTHER_AXES = {
+    "z seems to point down": np.diag([1.0, -1.0, -1.0]),
+    "the axes seem to be a camera's (z forward, y down)": np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),
+    "y seems to point up": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
+    "x seems to point up": np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]),
+    "x seems to point down": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
+}
+Turn = tuple[tuple[float, float, float], ...]
+UPRIGHT: Turn = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placement:
+    """The placement of a cloud, shared by all scans of a stream.
+
+    unit_m               length of one unit of the coordinates.
+    viewpoint_m          the point of the cloud, in metres and its own axes, chosen as the sensor's origin.
+    viewpoint_by         the reason.
+    turn, turn_by        rotation from the cloud's axes to those with z up, and the reason, "" without any.
+    forward, forward_by  the forward axis among the latter, and the reason.
+    ground_m             height of the sensor's origin above the ground, None if none was found; tilt_deg of it.
+    assumed_height_m     the same for an assumed origin, None for a found or named one.
+    """
+
+    unit_m: float = 1.0
+    viewpoint_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    viewpoint_by: str = CLOUD_ORIGIN
+    turn: Turn = UPRIGHT
+    turn_by: str = ""
+    forward: str = "x"
+    forward_by: str = "convention"
+    ground_m: float | None = None
+    tilt_deg: float | None = None
+    assumed_height_m: float | None = None
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """The rotation (3, 3) float64 from the cloud's axes to the scan's: x forward, z up."""
+        cosine, sine = FORWARD[self.forward]
+        return np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ np.array(self.turn)
+
+    def moved(self, xyz: np.ndarray, returns: np.ndarray) -> np.ndarray:
+        """Return points (N, 3) in metres, from the viewpoint, x forward, z up, no returns NaN; or just `xyz`."""
+        if self.unit_m == 1 and not any(self.viewpoint_m) and self.forward == "x" and self.turn == UPRIGHT:
+            return xyz
+        moved = xyz.astype(np.float64) * self.unit_m - self.viewpoint_m
+        moved[~returns] = np.nan
+        if self.turn != UPRIGHT:
+            return moved @ self.rotation.T
+        cosine, sine = FORWARD[self.forward]
+        x, y = moved[:, 0].copy(), moved[:, 1].copy()
+        moved[:, 0], moved[:, 1] = cosine * x + sine * y, cosine * y - sine * x
+        return moved
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claims:
+    """The file's claims about its geometry, which hold where the scan does not contradict them.
+
+    viewpoint    (4, 4) float64 T of the sensor in the cloud's frame, or None.
+    forward      the forward axis of files of its form, "" if the form does not say;  forward_by: the form's name.
+    sure         the form needs no evidence of the axis.
+    """
+
+    viewpoint: np.ndarray | None = None
+    forward: str = ""
+    forward_by: str = ""
+    sure: bool = False
+
+
+class Stance(NamedTuple):
+    """A sensor's origin (3,) in the cloud, the rotation (3, 3) from its axes to those with z up, and the reasons."""
+
+    origin: np.ndarray
+    turn: np.ndarray
+    origin_by: str = ""
+    turn_by: str = ""
+
+    def moved(self, xyz: np.ndarray) -> np.ndarray:
+        """Return points (N, 3) from the origin, z up; `xyz` if nothing moves."""
+        xyz = xyz - self.origin if self.origin.any() else xyz
+        return xyz if (self.turn == np.eye(3)).all() else xyz @ self.turn.T
+
+
+def place(sample: np.ndarray, overrides: Overrides, claims: Claims) -> tuple[Placement, list[str]]:
+    """Return the placement of a cloud by a sample (N, 3) float64 of its points, and doubts about it.
+
+    Raises InputError for anything but a sweep.
+    """
+    away = is_offset(sample)
+    unit_m = 1.0 if away else find_unit(sample)
+    sample = sample * unit_m if unit_m != 1 else sample
+    stance, unused = Stance(np.zeros(3), np.eye(3)), ""
+    if claims.viewpoint is not None:
+        stance, unused = by_viewpoint(sample, claims.viewpoint, unit_m)
+    if away and not stance.origin.any():
+        stance = stance._replace(origin=horizontal_centre(sample))
+    away = away and not stance.origin_by
+    if is_map(stance.moved(sample), away):
+        raise InputError(
+            "is no sweep of a LiDAR (its points do not thin out with distance: a map, an airborne scan"
+            " or an object); name a single scan from the sensor's place"
+        )
+    stance, ground, doubts = _upright(sample, stance)
+    sample = stance.moved(sample)
+    viewpoint, why = _viewpoint(sample, ground, overrides, away)
+    sample = sample - viewpoint
+    placement = Placement(unit_m=unit_m, assumed_height_m=SENSOR_HEIGHT_M if why.startswith(ASSUMED) else None)
+    if ground:
+        height_m = float(viewpoint[2]) - ground.height_m
+        ground = replace(ground, height_m=-height_m)
+        placement = replace(placement, ground_m=round(height_m, 2), tilt_deg=round(ground.tilt_deg, 1))
+    forward, forward_by, unsure = _forward(sample, ground, overrides, claims, bool(doubts))
+    x, y, z = (round(float(value), 3) for value in stance.origin + stance.turn.T @ viewpoint)
+    if why == CLOUD_ORIGIN:
+        why = stance.origin_by or why + unused
+    turn = UPRIGHT if (stance.turn == np.eye(3)).all() else tuple(map(tuple, stance.turn.tolist()))
+    return replace(
+        placement,
+        viewpoint_m=(x, y, z),
+        viewpoint_by=why,
+        turn=turn,
+        turn_by=stance.turn_by,
+        forward=forward,
+        forward_by=forward_by,
+    ), doubts + unsure
+
+
+def find_unit(sample: np.ndarray) -> float:
+    """Return the length of one unit of coordinates around the origin, in metres.
+
+    Beyond FAR_M they are millimetres, or centimetres if only these give a sensor's height above the ground.
+    """
+    most = float(np.percentile(np.linalg.norm(sample, axis=1), 99))
+    if not FAR_M < most < 1000 * FAR_M:
+        return 1.0
+    return 1e-2 if not stands(best_ground(sample * 1e-3)) and stands(best_ground(sample * 1e-2)) else 1e-3
+
+
+def best_ground(sample: np.ndarray) -> Ground | None:
+    """Return the level ground, or the tilted plane of more cells."""
+    ground = fit_ground(sample)
+    if ground and ground.level:
+        return ground
+    tilted = fit_tilted_ground(sample)
+    return tilted if tilted and (ground is None or tilted.share > ground.share) else ground
+
+
+def stands(ground: Ground | None) -> bool:
+    """Return whether a sensor stands on the ground as on a vehicle: most cells belong to it, at a vehicle's height."""
+    return ground is not None and ground.share >= SURE_SHARE and HEIGHTS_M[0] <= -ground.height_m <= HEIGHTS_M[1]
+
+
+def stands_level(ground: Ground | None) -> bool:
+    """Return whether it does so, and the ground is no steeper than a road."""
+    return ground is not None and ground.level and stands(ground)
+
+
+def by_viewpoint(sample: np.ndarray, viewpoint: np.ndarray, unit_m: float) -> tuple[Stance, str]:
+    """Return the stance by the pose (4, 4) in a file if the scan is plausible with it, else the plain one and why.
+
+    Programs differ in whether the points are the sensor's or were moved by the pose, and in the direction of the turn.
+    A place is believed if the beams are sharper from there, a little so if it is amid the points; a turn, if only with
+    it the ground lies below.
+    """
+    plain = Stance(np.zeros(3), np.eye(3))
+    origin, turn = viewpoint[:3, 3] * unit_m, viewpoint[:3, :3]
+    turns = [turn.T, turn] if not np.allclose(turn, np.eye(3)) else []
+    upright = stands_level(best_ground(sample))
+    candidates = [Stance(plain.origin, rotation, turn_by=BY_VIEWPOINT) for rotation in turns]
+    if np.linalg.norm(origin) > NEAREST_M:
+        moved = [Stance(origin, turn.T, BY_VIEWPOINT, BY_VIEWPOINT), Stance(origin, np.eye(3), BY_VIEWPOINT)]
+        standing, centre = _standing(sample, moved[0]), horizontal_centre(sample)[:2]
+        nearer = NEARER * np.linalg.norm(centre - origin[:2]) < np.linalg.norm(centre)
+        if _sharpest(standing, moved) > (1 if nearer else CLEARLY) * _sharpest(standing, [plain, *candidates]):
+            candidates, upright = moved, False
+        elif not upright and not np.any(np.abs(origin[:2]) > NEAREST_M):
+            candidates += moved
+    if upright:
+        evidence = _evidence(sample)
+        shown = [_evidence(stance.moved(sample)) for stance in candidates]
+        if not shown or max(shown) < max(evidence, 0.0) + SHOWS_AGAINST:
+            return plain, "; the file's VIEWPOINT is not used: the scan is plausible without it"
+        return next(stance for stance, value in zip(candidates, shown, strict=True) if value > max(shown) - SHOWS), ""
+    for candidate in candidates:
+        if stands_level(best_ground(candidate.moved(sample))):
+            return candidate, ""
+    return plain, "; the file's VIEWPOINT is not used: it does not make the scan plausible"
+
+
+def _evidence(xyz: np.ndarray) -> float:
+    return evidence_of_x(xyz, best_ground(xyz)) or 0.0
+
+
+def _sharpest(sample: np.ndarray, stances: list[Stance]) -> float:
+    """Return how sharp the beams are from the best of the stances."""
+    return max(sharpness(stance.moved(sample), np.zeros(3)) for stance in stances)
+
+
+def _standing(sample: np.ndarray, stance: Stance) -> np.ndarray:
+    """Return the points above the ground: the ground itself is a sharp line from there."""
+    moved = stance.moved(sample)
+    ground = best_ground(moved)
+    return sample[np.abs(ground.height_of(moved)) > STANDING_M] if ground else sample
+
+
+def _upright(sample: np.ndarray, stance: Stance) -> tuple[Stance, Ground | None, list[str]]:
+    """Return the stance with z up by the ground, the ground in it, and doubts about what the file had."""
+    moved = stance.moved(sample)
+    ground = best_ground(moved)
+    if ground and (ground.height_m < BELOW_M or abs(ground.height_m) < VEHICLE_GROUND_M):
+        return _levelled(sample, stance, ground)
+    for cause, turn in OTHER_AXES.items():
+        if stands(turned := best_ground(moved @ turn.T)) and turned:
+            stance, turned, doubts = _levelled(sample, _turned(stance, turn, cause), turned)
+            return stance, turned, [f"{cause}; its points were turned so that z does", *doubts]
+    return stance, ground, []
+
+
+def _levelled(sample: np.ndarray, stance: Stance, ground: Ground) -> tuple[Stance, Ground, list[str]]:
+    """Return the stance levelled by a tilted ground below."""
+    if ground.tilt_deg < LEVEL_DEG or ground.share < SURE_SHARE or ground.height_m > BELOW_M:
+        return stance, ground, []
+    tilt = f"the sensor is tilted by {ground.tilt_deg:.0f} degrees"
+    stance = _turned(stance, ground.level_turn, "levelled by the ground")
+    return stance, fit_ground(stance.moved(sample)) or ground, [f"{tilt}; its points were levelled by the ground"]
+
+
+def _turned(stance: Stance, turn: np.ndarray, why: str) -> Stance:
+    return stance._replace(turn=turn @ stance.turn, turn_by=f"{stance.turn_by}, {why}".removeprefix(", "))
+
+
+def _viewpoint(sample: np.ndarray, ground: Ground | None, overrides: Overrides, away: bool) -> tuple[np.ndarray, str]:
+    """Return the sensor's origin, and the reason; (0, 0, 0) if it is the cloud's already."""
+    floor_m = ground.height_m if ground else 0.0
+    if overrides.sensor_height_m is not None:
+        return np.array([0, 0, floor_m + overrides.sensor_height_m]), "--sensor-height"
+    if not away:
+        if ground is None or abs(floor_m) > VEHICLE_GROUND_M:
+            return np.zeros(3), CLOUD_ORIGIN
+        down = np.degrees(np.arctan2(sample[:, 2], np.hypot(sample[:, 0], sample[:, 1])))
+        if np.percentile(down, 1) < VEHICLE_DOWN_DEG:
+            return np.zeros(3), CLOUD_ORIGIN
+    why = "coordinates have an offset" if away else "the ground is at z = 0: a vehicle's frame"
+    start = np.array([0, 0, floor_m + SENSOR_HEIGHT_M])
+    standing = sample[np.abs(sample[:, 2] - floor_m) > STANDING_M]
+    origin = sharpest_origin(standing, start)
+    if (origin == start).all() or origin[2] - floor_m < LOWEST_SENSOR_M:
+        return start, f"{ASSUMED} {SENSOR_HEIGHT_M} m above the ground, since {why}"
+    return origin, f"found by the beams, since {why}"
+
+
+def _forward(
+    sample: np.ndarray, ground: Ground | None, overrides: Overrides, claims: Claims, turned: bool
+) -> tuple[str, str, list[str]]:
+    """Return the forward axis, the reason, and doubts; the evidence of the scan comes before a claim.
+
+    turned  z is the scan's own finding, so there is no convention to follow.
+    """
+    if overrides.forward:
+        return overrides.forward, "--forward", []
+    evidence = evidence_of_x(sample, ground) or 0.0
+    why = "the ground that the vehicle hides and the road's direction show it"
+    if not claims.forward:
+        shown = evidence < -(SHOWS if turned else SHOWS_AGAINST)
+        return ("y", why, []) if shown else ("x", "convention", [])
+    if evidence > SHOWS:
+        return "x", why, []
+    if evidence < -SHOWS or claims.sure:
+        return claims.forward, claims.forward_by, []
+    return (
+        claims.forward,
+        claims.forward_by,
+        [f"nothing in it shows the forward axis; {claims.forward} is by {claims.forward_by}, name it with --forward"],
+    )

@@ -1,0 +1,160 @@
+"""Columns without names: how many there are in rows of numbers, and which hold x y z, remission, ring or time."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+MOST_WIDE = 12  # columns of rows without a header
+SAMPLE = 4000  # rows to tell columns by
+FEWEST = 200  # rows; fewer decide nothing
+FEWEST_NUMBERS = 1000  # to tell the width of rows by
+# Nats; and of the most information by any width. Multiples of the true width give as much, or more if a column
+# alternates (KITTI's raw remissions: it has 0.85 of theirs); half the true width gives 0.66 at most.
+LEAST, NEARLY = 0.05, 0.75
+BLOCK, BLOCKS = 27_720, 2  # numbers, whole rows of every width; parts of a file to tell its width by
+MOST_CODES = 128
+RANGE_SHARE, RANGE_ERROR = 0.95, 0.002  # of the rows have the range of x y z, so nearly
+BEAMS_SHARE = 0.8  # of the elevations' variance is between rings: beams are cones
+TURN_SHARE, SECTORS = 0.9, 72  # of the times' variance is between sectors of a turn
+SORTED_SHARE, FEWEST_TIMES = 0.99, 100  # of the steps in a file are no step back; different times
+SPREAD_M = 2.0  # between the 5th and 95th percentile of coordinates along the ground
+MOST_RINGS = 256
+NEAR_M = 2.0  # nearer points blur: a beam begins some centimetres from the sensor's origin
+
+
+def row_width(values: np.ndarray) -> int:
+    """Return how many numbers a row of points has, from the numbers (V,) of rows one after the other; 0 if unsure.
+
+    Numbers of one column are alike. The smallest width whose columns say most about the sizes of their numbers
+    (mutual information of the column and a number's sign, exponent and roundness) is that of the rows.
+    """
+    blocks = [values[start : start + BLOCK] for start in _starts(len(values))]
+    sample = np.concatenate(blocks).astype(np.float32) if blocks else np.empty(0, np.float32)
+    if len(sample) < FEWEST_NUMBERS:
+        return 0
+    bits = sample.view(np.uint32)
+    exponent = np.clip((bits >> 23 & 0xFF).astype(np.int64) - 112, 0, 31)
+    code = (exponent * 2 + (bits >> 31)) * 2 + (bits & 0xFFF == 0)
+    information = {width: _information(code, width) for width in range(1, MOST_WIDE + 1)}
+    most = max(information.values())
+    return next(width for width, told in information.items() if told >= NEARLY * most) if most > LEAST else 0
+
+
+def _starts(count: int) -> list[int]:
+    """Return where blocks of whole rows of every width begin; the first block may be all there is."""
+    last = max((count - BLOCK) // BLOCK, 0)
+    return sorted({BLOCK * (last * part // max(BLOCKS - 1, 1)) for part in range(BLOCKS)})
+
+
+def _information(code: np.ndarray, width: int) -> float:
+    """Return the mutual information of the codes of numbers and their columns, in nats, without chance's part.
+
+    Chance gives (codes - 1) (columns - 1) / 2N (Miller 1955).
+    """
+    code = code[: len(code) // width * width]
+    counts = np.bincount(code + MOST_CODES * (np.arange(len(code)) % width), minlength=MOST_CODES * width)
+    joint = counts.reshape(width, MOST_CODES) / len(code)
+    independent = np.broadcast_to(joint.sum(0) / width, joint.shape)
+    held = joint > 0
+    chance = (np.count_nonzero(joint.any(0)) - 1) * (width - 1) / (2 * len(code))
+    return float((joint[held] * np.log(joint[held] / independent[held])).sum()) - chance
+
+
+def column_names(table: np.ndarray) -> list[str]:
+    """Return names for the columns of a table (N, C), C >= 3: x y z, then "column N" for those of unknown use.
+
+    An intensity, colours, a ring, a time and the range of x y z are told; x y z are the first three columns unless the
+    numbers contradict.
+    """
+    sample = table[:: max(1, len(table) // SAMPLE)].astype(np.float64)
+    names = [f"column {number}" for number in range(1, table.shape[1] + 1)]
+    axes, range_column = _axes(sample)
+    for axis, name in zip(axes, "xyz", strict=True):
+        names[axis] = name
+    if range_column is not None:
+        names[range_column] = "range"
+    left = [column for column, name in enumerate(names) if name.startswith("column")]
+    if len(left) == 3 and all(_is_integer(sample[:, column], MOST_RINGS) for column in left):
+        for column, name in zip(left, ("red", "green", "blue"), strict=True):
+            names[column] = name
+        return names
+    xyz = sample[:, axes]
+    for name, tells in (("ring", _is_ring), ("time", _is_time)):
+        told = next((column for column in left if len(sample) >= FEWEST and tells(sample[:, column], xyz)), None)
+        if told is not None:
+            names[told] = name
+            left.remove(told)
+    left = [column for column in left if np.ptp(np.diff(sample[:, column])) > 0] or left[:1]  # no constant, no index
+    if left:
+        names[left[0]] = "intensity"
+    return names
+
+
+def _axes(sample: np.ndarray) -> tuple[list[int], int | None]:
+    """Return the columns of x, y and z, and the one of their range, None if there is none."""
+    width = sample.shape[1]
+    rows = sample[np.isfinite(sample).all(1)]
+    rows = rows[np.abs(rows).max(1, initial=0) > 0]
+    if width > 3 and len(rows) >= FEWEST:
+        squares = rows**2
+        for axes in sorted(combinations(range(width), 3), key=lambda axes: axes[2] - axes[0]):
+            range_m = np.sqrt(squares[:, axes].sum(1))
+            for column in set(range(width)) - set(axes):
+                near = np.abs(rows[:, column] - range_m) <= RANGE_ERROR * range_m
+                if near.mean() >= RANGE_SHARE and all(np.ptp(rows[:, axis]) > 0 for axis in axes):
+                    return list(axes), column
+    if len(rows) >= FEWEST and not _is_coordinate(rows[:, 0]):
+        for start in range(1, width - 2):
+            if _is_coordinate(rows[:, start]) and _is_coordinate(rows[:, start + 1]):
+                return [start, start + 1, start + 2], None
+    return [0, 1, 2], None
+
+
+def _is_coordinate(values: np.ndarray) -> bool:
+    """Return whether values can be x or y: widely spread, neither whole numbers nor positive and sorted ones."""
+    low, high = np.percentile(values, (5, 95))
+    counted = _is_integer(values, np.inf) or (values[0] >= 0 and _is_sorted(values))
+    return bool(high - low > SPREAD_M and not counted)
+
+
+def _is_integer(values: np.ndarray, end: float) -> bool:
+    values = _finite(values)
+    return bool(((values >= 0) & (values < end) & (values == np.floor(values))).all())
+
+
+def _is_sorted(values: np.ndarray) -> bool:
+    return bool(np.mean(np.diff(values) >= 0) >= SORTED_SHARE)
+
+
+def _is_ring(values: np.ndarray, xyz: np.ndarray) -> bool:
+    """Return whether whole numbers are those of beams: points of one have elevations near to each other."""
+    with np.errstate(invalid="ignore"):
+        usable = np.isfinite(values) & (np.linalg.norm(xyz, axis=1) > NEAR_M)
+    values, (x, y, z) = values[usable], xyz[usable].T
+    if not len(values) or not _is_integer(values, MOST_RINGS) or np.ptp(values) < 3:
+        return False
+    return share_between(values, np.arctan2(z, np.hypot(x, y))) > BEAMS_SHARE
+
+
+def _is_time(values: np.ndarray, xyz: np.ndarray) -> bool:
+    """Return whether values are times: many different ones, in order in the file or around the sensor."""
+    usable = np.isfinite(values) & np.isfinite(xyz).all(1)
+    values, (x, y, _) = values[usable], xyz[usable].T
+    if len(np.unique(values)) < FEWEST_TIMES or not np.ptp(np.diff(values)):  # an index has equal steps
+        return False
+    sector = np.floor((np.arctan2(y, x) / np.pi + 1) * (SECTORS / 2))
+    return _is_sorted(values) or share_between(sector, values) > TURN_SHARE
+
+
+def share_between(group: np.ndarray, values: np.ndarray) -> float:
+    """Return the share of the variance of values (N,) between groups (N,) of numbers."""
+    _, number, counts = np.unique(group, return_inverse=True, return_counts=True)
+    means = np.bincount(number, values) / counts
+    return float(np.var(means[number]) / max(np.var(values), 1e-30))
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    values = values[np.isfinite(values)]
+    return values if len(values) else np.zeros(1)

@@ -1,0 +1,96 @@
+"""Rows of numbers without names: how wide they are, and what their columns hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sample_files as made
+from lidar2pano.errors import InputError
+from lidar2pano.formats.arrays import cloud_of
+from lidar2pano.formats.readers import ReadOptions, open_path
+from lidar2pano.formats.unnamed_columns import column_names, row_width
+
+XYZ, RING = made.street(beams=32, columns=360)
+COUNT = len(XYZ)
+GENERATOR = np.random.default_rng(2)
+FORMS = made.remission(COUNT)
+TIME = (np.pi - np.arctan2(XYZ[:, 1], XYZ[:, 0])) / (2 * np.pi) * 0.1
+RANGE = np.linalg.norm(XYZ, axis=1)
+LABEL, SCORE = GENERATOR.integers(0, 20, COUNT), GENERATOR.random(COUNT)
+TABLES = {
+    "x y z": (XYZ,),
+    "x y z intensity": (XYZ, FORMS),
+    "x y z ring": (XYZ, RING),
+    "x y z intensity ring": (XYZ, FORMS, RING),
+    "x y z intensity time": (XYZ, FORMS, TIME),
+    "x y z intensity -": (XYZ, FORMS, LABEL),
+    "x y z intensity ring time": (XYZ, FORMS, RING, TIME),
+    "x y z intensity time ring": (XYZ, FORMS, TIME, RING),
+    "x y z intensity - -": (XYZ, FORMS, SCORE, SCORE**2),
+    "x y z intensity ring time -": (XYZ, FORMS, RING, TIME, LABEL),
+    "x y z intensity ring time - -": (XYZ, FORMS, RING, TIME, LABEL, SCORE),
+    "range x y z intensity": (RANGE, XYZ, FORMS),
+    "x y z range intensity": (XYZ, RANGE, FORMS),
+    "x y z intensity range -": (XYZ, FORMS, RANGE, LABEL),
+    "- x y z intensity": (np.zeros(COUNT), XYZ, FORMS),
+    "intensity x y z": (FORMS, XYZ),
+    "x y z red green blue": (XYZ, np.floor(GENERATOR.random((COUNT, 3)) * 255)),
+}
+
+
+@pytest.mark.parametrize("order", ["by beam", "shuffled", "by column"])
+@pytest.mark.parametrize("names", TABLES)
+def test_columns_are_told_by_their_numbers(names, order):
+    table = np.column_stack(TABLES[names]).astype(np.float32)
+    if order != "by beam":
+        keys = GENERATOR.random(COUNT) if order == "shuffled" else np.arctan2(XYZ[:, 1], XYZ[:, 0])
+        table = table[np.argsort(keys, kind="stable")]
+    assert row_width(table.reshape(-1)) == table.shape[1]
+    told = [name if not name.startswith("column") else "-" for name in column_names(table)]
+    assert " ".join(told) == names
+
+
+def test_a_column_that_alternates_makes_no_wider_rows():
+    """KITTI's raw scans have a remission in every second point."""
+    assert row_width(np.column_stack([XYZ, FORMS * (np.arange(COUNT) % 2)]).reshape(-1)) == 4
+
+
+@pytest.mark.parametrize("kind", ["<f4", "<f8", ">f4", ">f8"])
+@pytest.mark.parametrize("names", TABLES)
+def test_rows_of_any_width_and_type_are_no_more_points_than_there_are(tmp_path, names, kind):
+    table = np.column_stack(TABLES[names]).astype(np.float32)
+    path = made.write(tmp_path, "a.bin", table.astype(kind).tobytes())
+    (cloud,) = open_path(path).clouds(path, ReadOptions())
+    np.testing.assert_array_equal(cloud.xyz, XYZ)
+    assert (cloud.intensity is not None) == ("intensity" in names) and (cloud.ring is not None) == ("ring" in names)
+
+
+def test_an_array_with_ranges_is_told_from_one_without():
+    cloud = cloud_of(np.column_stack([RANGE, XYZ, FORMS]))
+    np.testing.assert_array_equal(cloud.xyz, XYZ)
+    np.testing.assert_array_equal(cloud.intensity, FORMS)
+
+
+def test_bytes_that_are_no_points_are_refused(tmp_path):
+    path = made.write(tmp_path, "a.bin", GENERATOR.bytes(48_000))
+    with pytest.raises(InputError, match="its bytes are no points"):
+        list(open_path(path).clouds(path, ReadOptions()))
+    path = made.write(tmp_path, "b.bin", np.column_stack(TABLES["x y z intensity ring"]).astype("<f4").tobytes()[:-4])
+    with pytest.raises(InputError, match="20 bytes each: 5 float32"):
+        list(open_path(path).clouds(path, ReadOptions()))
+
+
+def test_one_odd_number_condemns_no_rows(tmp_path):
+    table = np.column_stack([XYZ, FORMS])
+    table[7, 0], table[9, 3], table[11, 3] = 1e20, -1.0, np.nan
+    path = made.write(tmp_path, "a.bin", table.astype("<f4").tobytes())
+    (cloud,) = open_path(path).clouds(path, ReadOptions())
+    assert len(cloud) == COUNT
+
+
+def test_every_scan_of_kitti_has_four_columns(kitti_mini: Path):
+    for file in sorted(kitti_mini.glob("sequences/*/velodyne/*.bin")):
+        assert row_width(np.fromfile(file, "<f4")) == 4, file
