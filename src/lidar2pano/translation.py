@@ -35,7 +35,7 @@ class Translation:
 
     @property
     def doubts(self) -> list[str]:
-        """Sentences about implausible properties of the scan, and about an assumed height of the sensor."""
+        """Sentences about implausible properties of the scan, an assumed height and a used VIEWPOINT."""
         interpretation = self.reading.interpretation
         if interpretation is None:
             return []
@@ -45,6 +45,8 @@ class Translation:
                 f"the sensor is assumed {height_m:g} m above the ground, since its place cannot be found; name its"
                 " height with --sensor-height"
             )
+        if interpretation.uses_viewpoint:
+            sentences.append("its VIEWPOINT is used, since it makes the scan plausible")
         return sentences
 
     def counts(self) -> dict[str, Any]:

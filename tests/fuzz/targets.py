@@ -109,9 +109,24 @@ def json_as(cls: type) -> Callable[[bytes], object]:
     return lambda data: validated(cls, parse_json(data, "file"), "file")
 
 
+def odd_files(xyz: np.ndarray, ring: np.ndarray) -> dict[str, bytes]:
+    """Files with values, columns and claims of geometry like those in people's reports."""
+    spikes = np.where(np.arange(len(xyz)) % 50 == 7, 3e4, sample_files.remission(len(xyz)))
+    header = b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty list uchar short a\n"
+    header += b"".join(b"property float %c\n" % axis for axis in b"xyz") + b"property list uchar short b\nend_header\n"
+    vertices = [b"\2aabb" + row.tobytes() + b"\1cc" for row in xyz[:3].astype("<f4")]
+    posed = sample_files.pcd(xyz[:, [0, 2, 1]] * [1, 1, -1], spikes)
+    return {
+        "lists.ply": header + b"".join(vertices),
+        "wide.bin": sample_files.rows(xyz, spikes, ring, np.arange(len(xyz)) * 1e-6, ring % 3),
+        "posed.pcd": posed.replace(b"VIEWPOINT 0 0 0 1 0", b"VIEWPOINT 1 2 3 .7 -.7"),
+        "ranges.npy": sample_files.npy(np.column_stack([np.linalg.norm(xyz, axis=1), xyz, spikes])),
+    }
+
+
 def scan_targets() -> dict[str, Target]:
     xyz, ring = sample_files.street(beams=4, columns=POINTS // 4)
-    files = sample_files.every_format(xyz, ring)
+    files = sample_files.every_format(xyz, ring) | odd_files(xyz, ring)
     packers = {"packed.bin.gz", "packed.bin.zst"}
     found = {}
     for file, content in files.items():

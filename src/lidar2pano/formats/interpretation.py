@@ -71,7 +71,7 @@ def interpret(
     """Return the scan in the sensor's frame (x forward, metres, remission in [0, 1]), and its interpretation.
 
     like  interpretation of the same stream's first cloud: unit, axes, height and remission are taken from it, unless
-          the two are of different sensors, or the cloud contradicts them, which is doubted.
+          the two are of different sensors, or the cloud contradicts them, with a doubt.
     Numbers stay exact if nothing must change. Raises InputError for anything but a sweep.
     """
     overrides = overrides or Overrides()
@@ -93,18 +93,12 @@ def interpret(
     remission = scale_remission(cloud.intensity, returns, overrides.remission, like.scale if like else None)
     if first and remission.scale.name != first.remission:
         opposed.append(f"its remissions are read as {remission.scale.name}, the first scan's as {first.remission}")
-    result = replace(
-        result,
-        remission=remission.scale.name,
-        remission_full=remission.scale.full,
-        remission_zero=remission.scale.zero,
-        remission_odd=remission.odd,
-    )
-    doubts = doubts_about(xyz, returns, rows=" rows, " in cloud.format)
-    doubts += [*cloud.doubts, *remission.doubts, *opposed]
+    name, full, zero = remission.scale
+    result = replace(result, remission=name, remission_full=full, remission_zero=zero, remission_odd=remission.odd)
+    doubts = [*doubts_about(xyz, returns, rows=" rows, " in cloud.format), *cloud.doubts, *remission.doubts, *opposed]
     if usable >= FEWEST:
         try:
-            placement, unsure = _placement(sample, cloud, overrides, like)
+            placement, unsure = _placement(sample, cloud, returns, overrides, like)
             result = replace(result, **{field.name: getattr(placement, field.name) for field in fields(Placement)})
             xyz = result.moved(xyz, returns)
             result = replace(result, gaps_deg=find_gaps(xyz[returns], overrides.invent))
@@ -117,9 +111,10 @@ def interpret(
         result = replace(result, forward=overrides.forward, forward_by="--forward")
         xyz = result.moved(xyz, returns)
     ring, unsure = _rings(cloud, returns, result)
-    result = replace(result, doubts=(*doubts, *unsure))
+    with np.errstate(over="ignore"):  # no returns may be beyond float32
+        xyz = np.array(xyz, np.float32, order="C")  # a copy: the cloud's may be a view of a file, or of the caller's
     scan = Scan(
-        xyz=np.array(xyz, np.float32, order="C"),  # a copy: the cloud's may be a view of a file, or of the caller's
+        xyz=xyz,
         remission=remission.values,
         label=cloud.label,
         name=cloud.name,
@@ -127,11 +122,11 @@ def interpret(
         time_s=cloud.time_s,
         gaps_deg=() if overrides.invent else result.gaps_deg,
     )
-    return scan, result
+    return scan, replace(result, doubts=(*doubts, *unsure))
 
 
 def _returns(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the points (N, 3), NaN at marks of missing returns; which are returns (N,) bool; a sample of these."""
+    """Return the points (N, 3), NaN at marks of missing returns; the mask (N,) of returns; a sample of these."""
     squared = np.einsum("ij,ij->i", xyz, xyz)
     returns = np.isfinite(squared) & (squared > NO_RETURN**2)
     step = max(1, len(xyz) // SAMPLE)
@@ -157,14 +152,14 @@ def _alike(result: Interpretation, like: Interpretation) -> bool:
 
 
 def _placement(
-    sample: np.ndarray, cloud: PointCloud, overrides: Overrides, like: Interpretation | None
+    sample: np.ndarray, cloud: PointCloud, returns: np.ndarray, overrides: Overrides, like: Interpretation | None
 ) -> tuple[Placement, list[str]]:
     """Return the first scan's placement, or the cloud's own, and doubts; `sample`: (N, 3) float64 of its points."""
     if like and overrides.sensor_height_m is None and not is_offset(sample):
         return like, []
     claims = Claims(viewpoint=cloud.viewpoint)
-    if cloud.format == NUSCENES_FORMAT:
-        beams = find_beams(cloud.xyz, cloud.ring)
+    if cloud.format == NUSCENES_FORMAT and cloud.ring is not None:
+        beams = find_beams(cloud.xyz[returns], cloud.ring[returns])
         sure = beams is not None and NUSCENES_SENSOR in beams.sensor()
         claims = replace(claims, forward="y", forward_by="nuScenes' convention", sure=sure)
     return place(sample, overrides, claims)

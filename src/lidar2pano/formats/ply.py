@@ -14,7 +14,7 @@ from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
 
 MOST_HEADER = 1 << 16
-MOST_LISTED = 1 << 21  # items with lists, which are walked one by one
+MOST_LISTED = 1 << 21  # items with lists, walked one by one
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",

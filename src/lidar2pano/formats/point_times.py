@@ -75,21 +75,23 @@ def seconds(
     return time_s, stamp_s, odd
 
 
-def _differences(values: np.ndarray, origin: np.generic) -> np.ndarray:
-    """Return values minus one of them, float64: exact for large integers, without overflow."""
+def _differences(values: np.ndarray, origins: np.ndarray | np.generic) -> np.ndarray:
+    """Return values minus origins, float64: exact for large integers, without overflow."""
     if values.dtype.kind == "f":
-        with np.errstate(invalid="ignore"):
-            return (values - origin).astype(np.float64)
-    return np.where(values >= origin, (values - origin).astype(np.float64), -(origin - values).astype(np.float64))
+        with np.errstate(invalid="ignore", over="ignore"):
+            return (values - origins).astype(np.float64)
+    return np.where(values >= origins, (values - origins).astype(np.uint64), 0).astype(np.float64) - np.where(
+        values < origins, (origins - values).astype(np.uint64), 0
+    ).astype(np.float64)
 
 
 def _shortest_half(values: np.ndarray) -> tuple[np.generic, float]:
-    """Return the middle and the width of the shortest interval with half of the sorted values; 0 wide if all agree.
+    """Return the middle and the width of the shortest interval with most of the sorted values; 0 wide if all agree.
 
     Fewer than half of the values can be anything. A value of more than half of the points is no time, and left out.
     """
-    half = (len(values) + 1) // 2
-    widths = _differences(values[half - 1 :], values[0]) - _differences(values[: len(values) - half + 1], values[0])
+    half = len(values) // 2 + 1
+    widths = _differences(values[half - 1 :], values[: len(values) - half + 1])
     start = int(np.argmin(widths))
     middle = values[start + half // 2]
     if not widths[start] and (remainder := values[values != middle]).size > 1:

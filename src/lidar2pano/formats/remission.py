@@ -76,7 +76,7 @@ def scale_remission(intensity: np.ndarray | None, returns: np.ndarray, named: st
 
 
 def _missing(intensity: np.ndarray, returns: np.ndarray) -> np.ndarray:
-    """Return which values (N,) are no remission: NaN, infinite, or a negative mark of missing ones."""
+    """Return the mask (N,) of values without a remission: NaN, infinite, or a negative mark of missing ones."""
     if intensity.dtype.kind == "u":
         return np.zeros(len(intensity), bool)
     missing = ~np.isfinite(intensity) if intensity.dtype.kind == "f" else np.zeros(len(intensity), bool)
@@ -109,7 +109,7 @@ def _scale(sample: np.ndarray, dtype: np.dtype) -> Scale:
 
 
 def _doubts(sample: np.ndarray, values: np.ndarray, scale: Scale, missing: np.ndarray, source: str) -> list[str]:
-    """Return doubts about values (V,) in [0, 1], a sample of them as the file holds them, and which had none.
+    """Return doubts about values (V,) in [0, 1], a sample of them as the file holds them, and the mask of missing ones.
 
     source  of a scale that the values themselves did not give.
     """

@@ -13,7 +13,7 @@ from lidar2pano.bounded_files import read_input
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
-from lidar2pano.formats.unnamed_columns import MOST_RINGS, column_names, row_width
+from lidar2pano.formats.unnamed_columns import MOST_RINGS, are_integers, column_names, row_width
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
 
@@ -124,5 +124,6 @@ def _width(data: bytes, kind: str) -> int:
     if (width := row_width(values)) >= len("xyz"):
         return width
     fifth = values[len(NUSCENES) - 1 :: len(NUSCENES)]
-    beams = len(fifth) > 1 and bool(((fifth >= 0) & (fifth < MOST_RINGS) & (fifth == np.floor(fifth))).all())
-    return len(NUSCENES) if beams and np.ptp(fifth) > 0 else len(KITTI)
+    beams = len(fifth) > 1 and are_integers(fifth, MOST_RINGS)
+    several = beams and bool((fifth != fifth[0]).any() or (values[len(KITTI) - 1 :: len(KITTI)] < 0).any())
+    return len(NUSCENES) if several else len(KITTI)

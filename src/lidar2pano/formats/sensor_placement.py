@@ -67,6 +67,11 @@ class Placement:
         cosine, sine = FORWARD[self.forward]
         return np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ np.array(self.turn)
 
+    @property
+    def uses_viewpoint(self) -> bool:
+        """True if the file's own pose of the sensor holds."""
+        return self.viewpoint_by == BY_VIEWPOINT or BY_VIEWPOINT in self.turn_by
+
     def moved(self, xyz: np.ndarray, returns: np.ndarray) -> np.ndarray:
         """Return points (N, 3) in metres, from the viewpoint, x forward, z up, no returns NaN; or just `xyz`."""
         if self.unit_m == 1 and not any(self.viewpoint_m) and self.forward == "x" and self.turn == UPRIGHT:
@@ -83,7 +88,7 @@ class Placement:
 
 @dataclass(frozen=True, kw_only=True)
 class Claims:
-    """The file's claims about its geometry, which hold where the scan does not contradict them.
+    """The file's claims about its geometry; they hold unless the scan contradicts them.
 
     viewpoint    (4, 4) float64 T of the sensor in the cloud's frame, or None.
     forward      the forward axis of files of its form, "" if the form does not say;  forward_by: the form's name.

@@ -1,4 +1,4 @@
-"""Columns without names: how many there are in rows of numbers, and which hold x y z, remission, ring or time."""
+"""Columns without names: how many there are in rows of numbers, and their use: x y z, remission, ring or time."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ TURN_SHARE, SECTORS = 0.9, 72  # of the times' variance is between sectors of a 
 SORTED_SHARE, FEWEST_TIMES = 0.99, 100  # of the steps in a file are no step back; different times
 SPREAD_M = 2.0  # between the 5th and 95th percentile of coordinates along the ground
 MOST_RINGS = 256
+LARGEST = 1e30  # numbers beyond are bytes of something else
 NEAR_M = 2.0  # nearer points blur: a beam begins some centimetres from the sensor's origin
 
 
@@ -31,7 +32,8 @@ def row_width(values: np.ndarray) -> int:
     (mutual information of the column and a number's sign, exponent and roundness) is that of the rows.
     """
     blocks = [values[start : start + BLOCK] for start in _starts(len(values))]
-    sample = np.concatenate(blocks).astype(np.float32) if blocks else np.empty(0, np.float32)
+    with np.errstate(invalid="ignore", over="ignore"):
+        sample = np.concatenate(blocks).astype(np.float32)
     if len(sample) < FEWEST_NUMBERS:
         return 0
     bits = sample.view(np.uint32)
@@ -68,7 +70,9 @@ def column_names(table: np.ndarray) -> list[str]:
     An intensity, colours, a ring, a time and the range of x y z are told; x y z are the first three columns unless the
     numbers contradict.
     """
-    sample = table[:: max(1, len(table) // SAMPLE)].astype(np.float64)
+    with np.errstate(invalid="ignore", over="ignore"):
+        sample = table[:: max(1, len(table) // SAMPLE)].astype(np.float64)
+    sample[np.abs(sample) > LARGEST] = np.nan
     names = [f"column {number}" for number in range(1, table.shape[1] + 1)]
     axes, range_column = _axes(sample)
     for axis, name in zip(axes, "xyz", strict=True):
@@ -76,7 +80,7 @@ def column_names(table: np.ndarray) -> list[str]:
     if range_column is not None:
         names[range_column] = "range"
     left = [column for column, name in enumerate(names) if name.startswith("column")]
-    if len(left) == 3 and all(_is_integer(sample[:, column], MOST_RINGS) for column in left):
+    if len(left) == 3 and all(are_integers(sample[:, column], MOST_RINGS) for column in left):
         for column, name in zip(left, ("red", "green", "blue"), strict=True):
             names[column] = name
         return names
@@ -86,7 +90,9 @@ def column_names(table: np.ndarray) -> list[str]:
         if told is not None:
             names[told] = name
             left.remove(told)
-    left = [column for column in left if np.ptp(np.diff(sample[:, column])) > 0] or left[:1]  # no constant, no index
+    left = [column for column in left if np.ptp(_finite(np.diff(sample[:, column]))) > 0] or left[
+        :1
+    ]  # no constant, no index
     if left:
         names[left[0]] = "intensity"
     return names
@@ -96,7 +102,7 @@ def _axes(sample: np.ndarray) -> tuple[list[int], int | None]:
     """Return the columns of x, y and z, and the one of their range, None if there is none."""
     width = sample.shape[1]
     rows = sample[np.isfinite(sample).all(1)]
-    rows = rows[np.abs(rows).max(1, initial=0) > 0]
+    rows = rows[rows.any(1)]
     if width > 3 and len(rows) >= FEWEST:
         squares = rows**2
         for axes in sorted(combinations(range(width), 3), key=lambda axes: axes[2] - axes[0]):
@@ -115,11 +121,12 @@ def _axes(sample: np.ndarray) -> tuple[list[int], int | None]:
 def _is_coordinate(values: np.ndarray) -> bool:
     """Return whether values can be x or y: widely spread, neither whole numbers nor positive and sorted ones."""
     low, high = np.percentile(values, (5, 95))
-    counted = _is_integer(values, np.inf) or (values[0] >= 0 and _is_sorted(values))
+    counted = are_integers(values, np.inf) or (values[0] >= 0 and _is_sorted(values))
     return bool(high - low > SPREAD_M and not counted)
 
 
-def _is_integer(values: np.ndarray, end: float) -> bool:
+def are_integers(values: np.ndarray, end: float) -> bool:
+    """Return whether the finite ones of values, at least one, are whole numbers from 0 on and below `end`."""
     values = _finite(values)
     return bool(((values >= 0) & (values < end) & (values == np.floor(values))).all())
 
@@ -133,7 +140,7 @@ def _is_ring(values: np.ndarray, xyz: np.ndarray) -> bool:
     with np.errstate(invalid="ignore"):
         usable = np.isfinite(values) & (np.linalg.norm(xyz, axis=1) > NEAR_M)
     values, (x, y, z) = values[usable], xyz[usable].T
-    if not len(values) or not _is_integer(values, MOST_RINGS) or np.ptp(values) < 3:
+    if not len(values) or not are_integers(values, MOST_RINGS) or np.ptp(values) < 3:
         return False
     return share_between(values, np.arctan2(z, np.hypot(x, y))) > BEAMS_SHARE
 
