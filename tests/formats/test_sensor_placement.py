@@ -117,6 +117,18 @@ def test_a_viewpoint_is_the_origin_if_the_beams_are_sharper_there():
     assert found.viewpoint_m == (30, -12, 1) and found.viewpoint_by == "the file's VIEWPOINT"
 
 
+def test_scans_of_a_stream_have_viewpoints_of_their_own():
+    first = None
+    for step in range(3):
+        half = np.radians(10 + 45 * step)
+        moved = XYZ @ rotation("z", 20 + 90 * step).T + (30 + 5 * step, -12, 1)
+        cloud = pcd_of(moved, f"{30 + 5 * step} -12 1 {np.cos(half)} 0 0 {np.sin(half)}")
+        scan, found = interpret(cloud, None, first)
+        np.testing.assert_allclose(scan.xyz, XYZ, atol=1e-3)
+        first = first or found
+        assert not [text for text in found.doubts if "rings" not in text]
+
+
 @pytest.mark.parametrize("viewpoint", ["7 2 0.3 1 0 0 0", f"0 0 0 {HALF} {HALF} 0 0", "0 0 0 0.966 0 0.259 0"])
 def test_a_viewpoint_that_does_not_fit_is_not_used_and_said_so(viewpoint):
     scan, found = interpret(pcd_of(XYZ, viewpoint))

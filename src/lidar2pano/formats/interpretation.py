@@ -88,7 +88,8 @@ def interpret(
         lowest_deg=_lowest(sample),
     )
     first = like if like and (like.format, like.fields) == (cloud.format, cloud.fields) else None
-    opposed = contradictions(sample, first) if first and usable >= FEWEST else []
+    posed = first is not None and first.uses_viewpoint and cloud.viewpoint is not None  # each scan has its own place
+    opposed = contradictions(sample, first) if first and usable >= FEWEST and not posed else []
     like = first if first and not opposed and _alike(result, first) else None
     remission = scale_remission(cloud.intensity, returns, overrides.remission, like.scale if like else None)
     if first and remission.scale.name != first.remission:
@@ -98,7 +99,7 @@ def interpret(
     doubts = [*doubts_about(xyz, returns, rows=" rows, " in cloud.format), *cloud.doubts, *remission.doubts, *opposed]
     if usable >= FEWEST:
         try:
-            placement, unsure = _placement(sample, cloud, returns, overrides, like)
+            placement, unsure = _placement(sample, cloud, returns, overrides, None if posed else like)
             result = replace(result, **{field.name: getattr(placement, field.name) for field in fields(Placement)})
             xyz = result.moved(xyz, returns)
             result = replace(result, gaps_deg=find_gaps(xyz[returns], overrides.invent))
