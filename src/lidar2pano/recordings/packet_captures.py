@@ -1,7 +1,7 @@
-"""Packet captures (.pcap, .pcapng) of Velodyne sensors, by velodyne-decoder (extra `recordings`); Ouster's, and OSF.
+"""Packet captures (.pcap, .pcapng) of Velodyne sensors, by velodyne-decoder (extra `recordings`); and OSF.
 
-Ouster's (.pcap with its metadata .json) and .osf files are decoded by ouster-sdk if installed. It pins old versions of
-libraries of the extra `recordings`; therefore no extra of this package installs it.
+OSF is read by ouster-sdk if installed. It pins old versions of libraries of the extra `recordings`; therefore no extra
+of this package installs it.
 """
 
 from __future__ import annotations

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
@@ -25,6 +24,7 @@ from lidar2pano.recordings import transforms
 from lidar2pano.recordings.description import MOST_NAMED, Description, RawMessage, Recording, choose_topic, damage
 from lidar2pano.recordings.joined_topics import join_topics
 from lidar2pano.recordings.mcap_files import MAGIC, McapFile
+from lidar2pano.recordings.ouster_packets import metadata_files, ouster_turns
 from lidar2pano.recordings.packet_captures import (
     PCAP,
     PCAPNG,
@@ -36,6 +36,7 @@ from lidar2pano.recordings.packet_captures import (
     is_osf,
     ouster_scans,
     ouster_stamp_s,
+    packets,
 )
 from lidar2pano.recordings.point_messages import CLOUDS
 from lidar2pano.recordings.ros_bags import ROSBAG, SQLITE, open_folder, open_ros1, open_sqlite
@@ -166,9 +167,9 @@ def _captured_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
     capture = PacketCapture(path)
     about = capture.description
     if not any(topic.type == VELODYNE for topic in about.topics):
-        if not any(path.parent.glob(f"{glob.escape(path.stem)}*.json")):  # needed by Ouster's captures
+        if not metadata_files(path):
             raise InputError(_other_packets(path, about))
-        yield from _ouster_frames(path, options)
+        yield from _ouster_captured_frames(path, options)
         return
     topic = choose_topic(path, about.topics, options.topic, (VELODYNE,))
     turns = (
@@ -189,6 +190,15 @@ def _other_packets(path: Path, about: Description) -> str:
         f"{path}: holds packets of another sensor ({sizes}); Velodyne's are decoded, and Ouster's with their .json"
         " beside them; record points instead (a bag, PCD)"
     )
+
+
+def _ouster_captured_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
+    sensor, turns = ouster_turns(path, (packet.frame for packet in packets(path)), options.topic)
+    scans = (
+        (int(rows["stamp_ns"].min()) * 1e-9, partial(sensor.cloud, rows), np.ascontiguousarray(rows["pixels"]["range"]))
+        for rows in turns
+    )
+    yield from _selected(path, scans, options)
 
 
 def _ouster_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:

@@ -1,0 +1,262 @@
+"""Packets of Ouster sensors, decoded by their published format with the sensor's metadata.
+
+Ouster, "Firmware user manual", chapters "LiDAR data packet format" and "Coordinate frames and XYZ calculation"; offsets
+and masks of fields as in the table of profiles of Ouster's SDK.
+"""
+
+from __future__ import annotations
+
+import glob
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lidar2pano.errors import InputError
+from lidar2pano.formats.json_files import read_json
+from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns
+from lidar2pano.name_order import sort_names
+
+LEAST_SHARE = 0.5  # of a turn's columns: a capture begins and ends within turns
+MOST_PENDING = 256  # datagrams whose fragments are incomplete
+
+
+class Profile(NamedTuple):
+    """Layout of a packet.
+
+    header, column, footer  bytes before the columns, before the pixels of one, and behind them;  pixel: bytes of one.
+    range_bits, range_m     of the first field of a pixel, and its unit;  fields: name -> (dtype, offset) of others.
+    """
+
+    header: int
+    column: int
+    footer: int
+    pixel: int
+    range_dtype: str
+    range_bits: int
+    range_m: float
+    fields: dict[str, tuple[str, int]]
+
+
+SINGLE = Profile(
+    32, 12, 0, 12, "<u4", 19, 1e-3, {"reflectivity": ("u1", 4), "signal": ("<u2", 6), "near_ir": ("<u2", 8)}
+)
+LOW = Profile(32, 12, 0, 4, "<u2", 15, 8e-3, {"reflectivity": ("u1", 2), "near_ir": ("u1", 3)})
+PROFILES = {
+    "LEGACY": Profile(
+        0, 16, 4, 12, "<u4", 20, 1e-3, {"reflectivity": ("<u2", 4), "signal": ("<u2", 6), "near_ir": ("<u2", 8)}
+    ),
+    "RNG19_RFL8_SIG16_NIR16": SINGLE,
+    "RNG19_RFL8_SIG16_NIR16_DUAL": Profile(
+        32, 12, 0, 16, "<u4", 19, 1e-3, {"reflectivity": ("u1", 3), "signal": ("<u2", 8), "near_ir": ("<u2", 12)}
+    ),
+    "RNG15_RFL8_NIR8": LOW,
+    "RNG15_RFL8_NIR8_DUAL": LOW._replace(pixel=8),
+    "FUSA_RNG15_RFL8_NIR8_DUAL": LOW._replace(pixel=8),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """A sensor by its metadata.
+
+    beams  (H, 2) float64 altitude and azimuth of each, radians;  columns: of a turn;  packet_columns: of a packet.
+    origin_m  distance of a beam's origin from the axis;  T: (4, 4) sensor from LiDAR, metres.
+    """
+
+    profile: Profile
+    beams: np.ndarray
+    columns: int
+    packet_columns: int
+    origin_m: float
+    T: np.ndarray
+
+    @property
+    def packet_bytes(self) -> int:
+        """Length of its packets of points."""
+        layout = self.profile
+        block = layout.column + len(self.beams) * layout.pixel + layout.footer
+        return layout.header + self.packet_columns * block + (32 if layout.header else 0)
+
+    @cached_property
+    def block(self) -> np.dtype:
+        """A column of a packet."""
+        layout, pixel = self.profile, {"range": (self.profile.range_dtype, 0), **self.profile.fields}
+        names, parts = list(pixel), list(pixel.values())
+        record = {"names": names, "formats": [part[0] for part in parts], "offsets": [part[1] for part in parts]}
+        pixels = np.dtype(record | {"itemsize": layout.pixel})  # pyright: ignore[reportArgumentType, reportCallIssue]
+        count = len(self.beams)
+        status = layout.column + count * layout.pixel if layout.footer else 10
+        return np.dtype(  # pyright: ignore[reportCallIssue]
+            {
+                "names": ["stamp_ns", "column", "status", "pixels"],
+                "formats": ["<u8", "<u2", "<u2", (pixels, count)],
+                "offsets": [0, 8, status, layout.column],
+                "itemsize": layout.column + count * layout.pixel + layout.footer,
+            }  # pyright: ignore[reportArgumentType]
+        )
+
+    def columns_of(self, payload: bytes) -> np.ndarray:
+        """Return the valid columns of a packet."""
+        rows = np.frombuffer(payload, self.block, self.packet_columns, self.profile.header)
+        return rows[(rows["status"] & 1 == 1) & (rows["column"] < self.columns)]
+
+    def cloud(self, rows: np.ndarray, name: str) -> PointCloud:
+        """Return the points of the columns (n,) of a turn, beam after beam; no return is at the origin."""
+        pixels = rows["pixels"].T  # (beams, n)
+        range_m = (pixels["range"] & (1 << self.profile.range_bits) - 1) * self.profile.range_m
+        encoder = 2 * np.pi * (1 - rows["column"] / self.columns)
+        altitude, azimuth = (self.beams[:, axis, None] for axis in (0, 1))
+        along = range_m - self.origin_m
+        x = along * np.cos(encoder - azimuth) * np.cos(altitude) + self.origin_m * np.cos(encoder)
+        y = along * np.sin(encoder - azimuth) * np.cos(altitude) + self.origin_m * np.sin(encoder)
+        xyz = np.stack([x, y, along * np.sin(altitude)], axis=-1) @ self.T[:3, :3].T + self.T[:3, 3]
+        xyz = np.where(range_m[..., None] > 0, xyz, 0).reshape(-1, 3).astype(np.float32)
+        start_ns = rows["stamp_ns"].min()
+        columns: dict[str, np.ndarray] = dict(zip("xyz", xyz.T, strict=True))
+        columns |= {field: pixels[field].reshape(-1) for field in self.profile.fields}
+        columns["ring"] = np.repeat(np.arange(len(self.beams)), len(rows))
+        columns["offset_ns"] = np.tile((rows["stamp_ns"] - start_ns).astype(np.int64), len(self.beams))
+        return cloud_of_columns(
+            columns, format="Ouster packets", name=name, frame="os_sensor", stamp_s=float(start_ns) * 1e-9
+        )
+
+
+def read_sensor(path: Path) -> Sensor:
+    """Return the sensor of a metadata .json, of any firmware; InputError for another file or an unknown profile."""
+    try:
+        content = read_json(path)
+        settings: dict[str, Any] = {}
+        for part in (content, *(part for part in content.values() if isinstance(part, dict))):
+            settings |= {key: value for key, value in part.items() if value not in (None, [])}
+        layout = content.get("lidar_data_format") or content.get("data_format") or {}
+        name = layout.get("udp_profile_lidar") or settings.get("udp_profile_lidar") or "LEGACY"
+        if name not in PROFILES:
+            raise InputError(f"{path}: packets of profile {name} are not decoded; there is {', '.join(PROFILES)}")
+        beams = np.radians([settings["beam_altitude_angles"], settings["beam_azimuth_angles"]]).T
+        T = np.array(settings["lidar_to_sensor_transform"], np.float64).reshape(4, 4)
+        T[:3, 3] *= 1e-3
+        mode = str(settings.get("lidar_mode", "1024x10")).removeprefix("MODE_")
+        return Sensor(
+            profile=PROFILES[name],
+            beams=beams.reshape(-1, 2),
+            columns=int(layout.get("columns_per_frame") or mode.split("x")[0]),
+            packet_columns=int(layout.get("columns_per_packet", 16)),
+            origin_m=float(settings.get("lidar_origin_to_beam_origin_mm", 0)) * 1e-3,
+            T=T,
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"{path}: is no metadata of an Ouster sensor ({error}); take the sensor's own .json"
+        ) from error
+
+
+def datagrams(frames: Iterator[bytes]) -> Iterator[tuple[str, bytes]]:
+    """Yield (ADDRESS:PORT of the source, payload) of UDP datagrams over IPv4, put together from their fragments."""
+    pending: dict[bytes, dict[int, tuple[bytes, bool]]] = {}
+    for frame in frames:
+        start = _ip_header(frame)
+        if start is None:
+            continue
+        size, (total, number, flags) = (frame[start] & 15) * 4, struct.unpack_from(">HHH", frame, start + 2)
+        body, source = frame[start + size : start + total], frame[start + 12 : start + 16]
+        offset, more = (flags & 0x1FFF) * 8, bool(flags & 0x2000)
+        if offset or more:
+            key = frame[start + 12 : start + 20] + number.to_bytes(2, "big")
+            pending.setdefault(key, {})[offset] = body, more
+            if (whole := _whole(pending[key])) is None:
+                while len(pending) > MOST_PENDING:
+                    del pending[next(iter(pending))]
+                continue
+            del pending[key]
+            body = whole
+        if len(body) >= 8:
+            port, _, length = struct.unpack_from(">HHH", body)
+            yield f"{'.'.join(map(str, source))}:{port}", body[8:length]
+
+
+def _ip_header(frame: bytes) -> int | None:
+    """Return the start of the IPv4 header of a UDP packet, whatever the link: Ethernet, a VLAN, Linux cooked, raw."""
+    for start in (14, 18, 16, 20, 4, 0):
+        head = frame[start : start + 20]
+        if len(head) == 20 and head[0] >> 4 == 4 and head[0] & 15 >= 5 and head[9] == 17:  # IPv4 with UDP
+            return start
+    return None
+
+
+def _whole(parts: dict[int, tuple[bytes, bool]]) -> bytes | None:
+    """Return the fragments of a datagram in order, None if one is missing."""
+    data, more = b"", True
+    while more:
+        if len(data) not in parts:
+            return None
+        part, more = parts[len(data)]
+        data += part
+        if not part:
+            return None
+    return data
+
+
+def turns(sensor: Sensor, payloads: Iterator[bytes]) -> Iterator[np.ndarray]:
+    """Yield the columns of each turn, with at least LEAST_SHARE of them; the fullest if none has so many."""
+    rows: list[np.ndarray] = []
+    fullest, complete = np.empty(0, sensor.block), False
+    last = -1
+    for payload in payloads:
+        block = sensor.columns_of(payload)
+        columns = block["column"].astype(int)
+        wraps = np.flatnonzero(np.diff(columns, prepend=last) < -sensor.columns // 2)
+        if len(wraps):
+            rows.append(block[: wraps[0]])
+            turn = np.concatenate(rows)
+            fullest = max(fullest, turn, key=len)
+            if len(turn) >= LEAST_SHARE * sensor.columns:
+                complete = True
+                yield turn
+            rows, block = [], block[wraps[0] :]
+        rows.append(block)
+        last = int(columns[-1]) if len(columns) else last
+    turn = np.concatenate([*rows, np.empty(0, sensor.block)])
+    if len(turn) < LEAST_SHARE * sensor.columns:
+        turn = turn[:0] if complete else max(turn, fullest, key=len)
+    if len(turn):
+        yield turn
+
+
+def ouster_turns(path: Path, frames: Iterator[bytes], topic: str) -> tuple[Sensor, Iterator[np.ndarray]]:
+    """Return the sensor of a capture, by the metadata .json beside it, and the columns of each of its turns.
+
+    topic  ADDRESS:PORT of the sensor, if there are several.
+    Raises InputError if the metadata are none, or the capture holds no packets of their length.
+    """
+    metadata = metadata_files(path)[0]
+    sensor = read_sensor(metadata)
+
+    def payloads() -> Iterator[bytes]:
+        chosen = topic
+        for source, payload in datagrams(frames):
+            if len(payload) != sensor.packet_bytes or source != (chosen or source):
+                if len(payload) == sensor.packet_bytes and not topic:
+                    raise InputError(f"{path}: holds packets of {chosen}, {source}; choose one with --topic")
+                continue
+            chosen = source
+            yield payload
+        if not chosen:
+            raise InputError(
+                f"{path}: holds no packets of {sensor.packet_bytes} bytes, which {metadata.name} tells of; put the"
+                " sensor's own .json beside it"
+            )
+
+    return sensor, turns(sensor, payloads())
+
+
+def metadata_files(path: Path) -> list[Path]:
+    """Return the .json files beside a capture with the beginning of its name, that of the same name first."""
+    files = sort_names(path.parent.glob(f"{glob.escape(path.stem)}*.json"))
+    return sorted(files, key=lambda file: file.stem != path.stem)
