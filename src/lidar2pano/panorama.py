@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
+from PIL import Image
 
 from lidar2pano.calibration import Calibration, LensCalibration
 from lidar2pano.errors import InputError
@@ -73,7 +76,7 @@ class PointColours:
         return self.in_view & ~self.occluded
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Panorama:
     """The panorama of one scan, on the raster `view` (h rows, w columns; left edge and right edge are straight behind).
 
@@ -106,6 +109,43 @@ class Panorama:
     beyond_rows: int = 0
     points_between: int = 0
     milliseconds: Mapping[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Return name, raster, number of classes and time, without the arrays."""
+        rows, columns = self.colour.shape[:2]
+        seconds = f", {sum(self.milliseconds.values()) / 1000:.1f} s" if self.milliseconds else ""
+        classes = len(np.unique(self.segments[self.segments > 0]))
+        return f"Panorama({self.name!r}, {rows} x {columns}, {classes} classes, {len(self.labels)} points{seconds})"
+
+    def _repr_png_(self) -> bytes:
+        """Return the colours as PNG, which notebooks show."""
+        stream = io.BytesIO()
+        self.to_pil().save(stream, "PNG")
+        return stream.getvalue()
+
+    def to_pil(self) -> Image.Image:
+        """Return the colours as an image of Pillow."""
+        return Image.fromarray(self.colour)
+
+    def show(self) -> None:
+        """Open the colours in the system's viewer of pictures."""
+        self.to_pil().show(title=self.name)
+
+    def to_open3d(self, scan: Scan) -> Any:  # noqa: ANN401 Open3D may be absent
+        """Return the panorama's own scan as a coloured `open3d.geometry.PointCloud`, as `save_points` writes it.
+
+        Raises InputError without Open3D; ValueError for the scan of another panorama.
+        """
+        try:
+            import open3d
+        except ModuleNotFoundError as error:
+            raise InputError("to_open3d needs Open3D: pip install open3d") from error
+        columns = self._point_columns(scan)
+        cloud = open3d.geometry.PointCloud()
+        vector = open3d.utility.Vector3dVector
+        cloud.points = vector(np.column_stack([columns[name] for name in "xyz"]).astype(np.float64))
+        cloud.colors = vector(np.column_stack([columns[name] for name in ("red", "green", "blue")]) / 255)
+        return cloud
 
     def to_camera(self, calibration: Calibration | LensCalibration) -> CameraImage:
         """Look into the panorama through a camera (pinhole, or with a distorting or fisheye lens) at its origin.
@@ -149,6 +189,11 @@ class Panorama:
         valid (1, or 0 where the point is out of view or occluded).
         Raises InputError when the file cannot be written; ValueError for the scan of another panorama.
         """
+        columns = self._point_columns(scan)
+        return write_whole(Path(path), lambda temporary: write_ply(temporary, columns))
+
+    def _point_columns(self, scan: Scan) -> dict[str, np.ndarray]:
+        """Return the columns of `save_points`."""
         if len(scan) != len(self.labels):
             raise ValueError(f"this panorama is of a scan with {len(self.labels)} points, not {len(scan)}")
         points = self.colour_points(scan)
@@ -158,7 +203,7 @@ class Panorama:
         columns["remission"] = scan.remission[usable]
         columns["label"] = SEMANTIC_KITTI.to_raw(self.labels[usable]).astype(np.uint16)
         columns["valid"] = points.valid[usable].astype(np.uint8)
-        return write_whole(Path(path), lambda temporary: write_ply(temporary, columns))
+        return columns
 
     def save(
         self,

@@ -113,7 +113,7 @@ class Measurement(NamedTuple):
     condition: Tensor
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Pipeline:
     """Three networks and the raster that they share.
 
@@ -134,6 +134,12 @@ class Pipeline:
     cards: Mapping[str, Card] = field(default_factory=dict)
     look: str = ""
     engine: str = "torch"
+
+    def __repr__(self) -> str:
+        """Return networks, raster, device and engine, without the layers."""
+        networks = [f"{card.network} ({card.recipe})" for card in self.cards.values()] or ["networks without cards"]
+        raster = f"{self.view.rows} x {self.view.columns}"
+        return f"{type(self).__name__}({' -> '.join(networks)}, {raster}, {self.device.type}, {self.engine})"
 
     def at(self, calibration: Calibration) -> Pipeline:
         """Return the pipeline with its viewpoint moved to a camera's optical centre."""
