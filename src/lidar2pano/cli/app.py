@@ -20,7 +20,8 @@ import typer
 from typer.main import get_command
 
 from lidar2pano import __version__
-from lidar2pano.cli.console import print_error
+from lidar2pano.cli.console import print_error, speaking
+from lidar2pano.cli.help_layout import arrange
 from lidar2pano.errors import InputError
 
 # Exit codes: a user's mistake; the run is lost (a full disk, no memory, a loss that is no number); a fault of the
@@ -31,6 +32,7 @@ NAMES_ERRORS = {
     *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM, errno.EROFS, errno.EEXIST),
     *(errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL, errno.ENOTEMPTY, errno.EFBIG),
 }
+EVERYWHERE = ("--debug", "--verbose", "--quiet")  # options that may stand behind any command, too
 NO_MEMORY = ("allocate memory", "out of memory", "Cannot allocate")  # in messages of libraries
 
 
@@ -50,7 +52,9 @@ EXTRAS = {
     "prometheus_client": "serve",
 }
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+COMPLETION = "_LIDAR2PANO_COMPLETE"  # set by the shell for a word to be completed
+
+app = typer.Typer(pretty_exceptions_enable=False)
 
 
 @app.callback(invoke_without_command=True)
@@ -60,6 +64,10 @@ def program(
     debug: Annotated[  # noqa: ARG001 `main` takes it, wherever it stands
         bool, typer.Option("--debug", help="Show the traceback of an error, and warnings of libraries.")
     ] = False,
+    verbose: Annotated[  # noqa: ARG001 likewise
+        bool, typer.Option("--verbose", help="Say on stderr what is chosen: weights, device, engine.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No notes and bars on stderr, errors alone.")] = False,  # noqa: ARG001
 ) -> None:
     """One bare LiDAR scan in, a 360-degree colour picture of the place out."""
     if version:
@@ -75,12 +83,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Any exception becomes one line on stderr and an exit code, with --debug after its traceback.
     """
-    command = get_command(app)
+    command = arrange(get_command(app))
+    if arguments is None and COMPLETION in os.environ:
+        command.main(prog_name="lidar2pano")  # prints completions and leaves
     words = list(sys.argv[1:] if arguments is None else arguments)
-    debug = "--debug" in words
-    words = [word for word in words if word != "--debug"]
+    debug, verbose, quiet = (flag in words for flag in EVERYWHERE)
+    words = [word for word in words if word not in EVERYWHERE]
     _open_streams()
     with ExitStack() as stack:
+        stack.enter_context(speaking(verbose=verbose, quiet=quiet))
         if arguments is None:
             stack.enter_context(_quiet(debug))
         try:

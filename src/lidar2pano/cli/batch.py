@@ -16,7 +16,7 @@ import torch
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.cli.app import MISTAKE
-from lidar2pano.cli.console import bar, print_error, print_licence, until_signal
+from lidar2pano.cli.console import bar, print_error, print_licence, print_note, until_signal
 from lidar2pano.cli.options import check_file
 from lidar2pano.cli.standard_input import spooled
 from lidar2pano.drives.folders import drive_files, output_stems
@@ -81,7 +81,7 @@ def checked_options(
     """
     name = named_weights(weights)
     if name != weights:
-        print_error(f"weights {name}: the best that is installed")
+        print_note(f"weights {name}: the best that is installed")
     files, picked = weight_files(name, look=look), pick_device(device)
     pick_engine(engine, picked)
     options = Options(weights=name, files=files, device=picked, look=look, engine=engine, **further)

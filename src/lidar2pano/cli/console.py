@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import sys
 import threading
@@ -25,6 +26,36 @@ def print_error(problem: object) -> None:
         print(f"lidar2pano: {_shorten(line, MOST_CHARACTERS)}", file=sys.stderr, flush=True)
 
 
+class _Notes:
+    """Whether notes and bars are printed; `speaking` changes it for the time of a command."""
+
+    wanted = True
+
+
+@contextmanager
+def speaking(*, verbose: bool, quiet: bool) -> Iterator[None]:
+    """Print what the library logs (verbose), or neither notes nor bars (quiet), as long as the context lasts."""
+    log, handler = logging.getLogger("lidar2pano"), logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("lidar2pano: %(message)s"))
+    level, wanted = log.level, _Notes.wanted
+    _Notes.wanted = not quiet
+    if verbose:
+        log.addHandler(handler)
+        log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        _Notes.wanted = wanted
+        log.removeHandler(handler)
+        log.setLevel(level)
+
+
+def print_note(note: object) -> None:
+    """Print one line on stderr unless --quiet is given."""
+    if _Notes.wanted:
+        print_error(note)
+
+
 def _shorten(text: str, most: int = MOST_WORD) -> str:
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
 
@@ -34,13 +65,13 @@ def print_licence(cards: Iterable[Card]) -> None:
     from lidar2pano.models.families import licence_note
 
     if note := licence_note(cards):
-        print_error(note)
+        print_note(note)
 
 
 @contextmanager
 def bar(total: int, title: str) -> Iterator[Callable[[], None]]:
     """Give a function to call after each of `total` things; silent for one, and unless stderr is a terminal."""
-    if total < 2 or not sys.stderr.isatty():
+    if total < 2 or not _Notes.wanted or not sys.stderr.isatty():
         yield lambda: None
         return
     from rich.console import Console

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import cast
@@ -25,6 +26,8 @@ from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.pipeline.stages import PaperPipeline, Pipeline, Segmenter
 from lidar2pano.views import View
 
+log = logging.getLogger("lidar2pano")
+
 
 def load(
     weights: str | Path | Mapping[str, Path] = BEST, device: str | torch.device = "auto", engine: str = "auto"
@@ -41,6 +44,7 @@ def load(
     """
     picked = pick_device(device)
     runs_on = pick_engine(engine, picked)
+    log.info("networks run on %s by %s", picked.type, runs_on)
     files = weights if isinstance(weights, Mapping) else weight_files(weights)
     if "renderer" in files:
         raise InputError(f"{files['renderer']}: paints without classes, which `evaluate` can do only; name a family")

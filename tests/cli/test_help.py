@@ -1,0 +1,86 @@
+"""The help's layout, completion, and how much a command says on stderr."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shlex
+import subprocess
+import sys
+
+import pytest
+from typer.main import get_command
+
+from lidar2pano.cli import app, main
+from lidar2pano.cli.app import COMPLETION
+from lidar2pano.cli.help_layout import EXAMPLES, LONG, PANEL_BY_OPTION, PANELS, arrange, commands_of
+from random_weights import write_scan
+
+
+def options_of(name: str) -> set[str]:
+    """The options of a command."""
+    return {flag for item in get_command(app).commands[name].params for flag in item.opts if flag.startswith("--")}
+
+
+@pytest.fixture
+def translate_help(capsys, monkeypatch) -> str:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["translate", "--help"]) == 0
+    return capsys.readouterr().out
+
+
+def test_options_stand_in_groups(translate_help):
+    groups = [line.split()[1] for line in translate_help.splitlines() if line.startswith("\u256d\u2500 ")]
+    assert {panel.split()[0] for panel in PANELS} <= set(groups)
+
+
+def test_flags_have_no_type(translate_help):
+    typed = [line for line in translate_help.splitlines() if "<bool>" in line and "--help" not in line]
+    assert typed == [] and "--steady" in translate_help
+
+
+def test_examples_stand_at_the_end_and_exist(translate_help):
+    tail = " ".join(translate_help.partition("Examples:")[2].split())
+    assert all(example in tail for example in EXAMPLES["translate"])
+    for command, examples in EXAMPLES.items():
+        for example in examples:
+            words = shlex.split(example)
+            flags = {word for word in words if word.startswith("--")}
+            assert words[0] != "lidar2pano" or flags <= options_of(command), example
+
+
+def test_every_grouped_option_exists():
+    known = {flag for command in commands_of(get_command(app)) for item in command.params for flag in item.opts}
+    assert set(PANEL_BY_OPTION) <= known
+
+
+def test_short_lists_stay_whole():
+    for command in commands_of(arrange(get_command(app))):
+        options = [item for item in command.params if item.param_type_name == "option"]
+        if len(options) < LONG:
+            assert not any(item.rich_help_panel in PANELS for item in options), command.name
+
+
+def test_a_shell_gets_completions():
+    environment = os.environ | {COMPLETION: "complete_bash", "COMP_WORDS": "lidar2pano tran", "COMP_CWORD": "1"}
+    code = "from lidar2pano.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert done.stdout.split() == ["translate"], done.stderr
+
+
+@pytest.mark.parametrize(("flags", "said"), [([], "licensed"), (["--quiet"], ""), (["--verbose"], "by torch")])
+def test_how_much_is_said(tmp_path, monkeypatch, random_weights, capsys, flags, said):
+    monkeypatch.chdir(tmp_path)
+    write_scan(tmp_path / "a.bin")
+    words = ["translate", "a.bin", "--weights", str(random_weights), "--device", "cpu", "--engine", "torch"]
+    assert main([*words, *flags]) == 0
+    err = capsys.readouterr().err
+    assert said in err and bool(err) == bool(said)
+    assert ("networks run on cpu by torch" in err) == (flags == ["--verbose"])
+    assert not logging.getLogger("lidar2pano").handlers
+
+
+def test_quiet_hides_no_error(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["--quiet", "translate", "missing.bin"]) == 2
+    assert "missing.bin" in capsys.readouterr().err
