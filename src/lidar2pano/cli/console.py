@@ -27,9 +27,9 @@ def print_error(problem: object) -> None:
 
 
 class _Notes:
-    """Whether notes and bars are printed; `speaking` changes it for the time of a command."""
+    """Switch of notes and bars, set by `speaking` for the time of a command."""
 
-    wanted = True
+    enabled = True
 
 
 @contextmanager
@@ -37,22 +37,22 @@ def speaking(*, verbose: bool, quiet: bool) -> Iterator[None]:
     """Print what the library logs (verbose), or neither notes nor bars (quiet), as long as the context lasts."""
     log, handler = logging.getLogger("lidar2pano"), logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("lidar2pano: %(message)s"))
-    level, wanted = log.level, _Notes.wanted
-    _Notes.wanted = not quiet
+    level, enabled = log.level, _Notes.enabled
+    _Notes.enabled = not quiet
     if verbose:
         log.addHandler(handler)
         log.setLevel(logging.INFO)
     try:
         yield
     finally:
-        _Notes.wanted = wanted
+        _Notes.enabled = enabled
         log.removeHandler(handler)
         log.setLevel(level)
 
 
 def print_note(note: object) -> None:
     """Print one line on stderr unless --quiet is given."""
-    if _Notes.wanted:
+    if _Notes.enabled:
         print_error(note)
 
 
@@ -71,7 +71,7 @@ def print_licence(cards: Iterable[Card]) -> None:
 @contextmanager
 def bar(total: int, title: str) -> Iterator[Callable[[], None]]:
     """Give a function to call after each of `total` things; silent for one, and unless stderr is a terminal."""
-    if total < 2 or not _Notes.wanted or not sys.stderr.isatty():
+    if total < 2 or not _Notes.enabled or not sys.stderr.isatty():
         yield lambda: None
         return
     from rich.console import Console
