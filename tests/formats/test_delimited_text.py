@@ -48,6 +48,11 @@ def test_units_of_headers():
     assert cloud.intensity is not None and cloud.intensity.tolist() == [2, 3]
 
 
+def test_remarks_in_brackets_are_no_part_of_a_name():
+    cloud = decode(b"Point ID,X (m),Y (m),Z (m),Intensity (0-255)\n1,2,3,4,5\n", PATH)
+    assert cloud.xyz.tolist() == [[2, 3, 4]] and cloud.intensity is not None and cloud.intensity.tolist() == [5]
+
+
 def test_other_names_are_no_axes():
     for name in ("xyz", "0", "m", "points", "column 1", "ring_0", "Range (m)", "vx", "scan_2"):
         assert column(name).name not in {"x", "y", "z"}

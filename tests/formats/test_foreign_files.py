@@ -6,6 +6,7 @@ import gzip
 import io
 import pickle
 import tarfile
+import zipfile
 
 import numpy as np
 import pytest
@@ -21,6 +22,13 @@ def tar() -> bytes:
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w") as archive:
         archive.addfile(tarfile.TarInfo("a.bin"))
+    return buffer.getvalue()
+
+
+def zipped(name: str) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr(name, b"1234")
     return buffer.getvalue()
 
 
@@ -46,6 +54,9 @@ def tar() -> bytes:
             b'--abc\r\nContent-Disposition: form-data; name="f"; filename="a.bin"\r\n\r\n' + bytes(90),
             "an upload's form",
         ),
+        (b"QUJD" * 18 + b"\n" + b"QUJD" * 18 + b"\n" + b"QUJD" * 18 + b"\n", "is base64"),
+        (b"2\n1\n" + b"0 0 0\n" * 4 + b"0 0 0 1\n" * 4 + b"1 2 3 0.5\n" * 2, "is a PTX"),
+        (zipped("a.bin"), r"is a ZIP archive without arrays \(it has a.bin\); unpack it"),
         (b"\x89PNG\r\n\x1a\n" + bytes(90), "is a picture"),
     ],
 )

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import base64
 import itertools
+import json
 import struct
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from mcap.writer import CompressionType, Writer
+from rosbags.rosbag1 import Writer as Bag1
 
 import miniature_recordings as recordings
 from lidar2pano.formats.interpretation import interpret
 from lidar2pano.formats.overrides import Overrides
 from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.recordings.point_messages import DEFINITIONS
 from lidar2pano.recordings.recorded_scans import recorded_motion, recording_reader
 from lidar2pano.scan import Scan
 
@@ -37,7 +42,35 @@ def seeds(folder: Path) -> dict[str, bytes]:
         path = recordings.write(folder, format, sent, stem=f"seed-{format}")
         found[f"{format}{path.suffix}"] = path.read_bytes()
     found["capture.pcap"] = _capture()
+    found["foxglove.mcap"] = _foxglove(folder / "seed-foxglove.mcap", xyz)
+    found["livox.bag"] = _livox(folder / "seed-livox.bag", xyz)
     return found
+
+
+def _foxglove(path: Path, xyz: np.ndarray) -> bytes:
+    """A foxglove.PointCloud in JSON."""
+    fields = [{"name": name, "offset": 4 * place, "type": 7} for place, name in enumerate("xyz")]
+    content = {"timestamp": {"sec": 17, "nsec": 5}, "frame_id": "top", "point_stride": 12, "fields": fields}
+    content["data"] = base64.b64encode(xyz.tobytes()).decode()
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.NONE)
+        writer.start()
+        schema = writer.register_schema("foxglove.PointCloud", "jsonschema", b"{}")
+        channel = writer.register_channel("/lidar", "json", schema)
+        writer.add_message(channel, recordings.START_NS, json.dumps(content).encode(), recordings.START_NS)
+        writer.finish()
+    return path.read_bytes()
+
+
+def _livox(path: Path, xyz: np.ndarray) -> bytes:
+    """A livox_ros_driver/CustomMsg in a ROS 1 bag."""
+    type = "livox_ros_driver/msg/CustomMsg"
+    message = struct.pack("<IIII5sQIB3x", 0, 17, 5, 5, b"livox", 17, len(xyz), 0) + struct.pack("<I", len(xyz))
+    message += b"".join(struct.pack("<IfffBBB", 1000 * n, *point, 9, 0, n % 6) for n, point in enumerate(xyz))
+    with Bag1(path) as bag:
+        connection = bag.add_connection("/livox/lidar", type, msgdef=DEFINITIONS[type], md5sum="0" * 32)
+        bag.write(connection, recordings.START_NS, message)
+    return path.read_bytes()
 
 
 def _capture() -> bytes:

@@ -27,6 +27,8 @@ HEADS = [
     "POST /panorama?name=a.csv.gz&as=zip&save=all HTTP/1.1\nhost: localhost\ncontent-type: text/csv",
     "POST /panorama HTTP/1.1\nhost: 127.0.0.1\naccept: image/png\nexpect: 100-continue",
     "GET /results/0123456789abcdef/rgb HTTP/1.1\nhost: localhost\nrange: bytes=0-9",
+    "POST /panorama?forward=y&remission=255&sensor-height=1.9&strict=true HTTP/1.1\nhost: localhost",
+    "POST /panorama HTTP/1.1\nhost: localhost\ncontent-type: multipart/form-data; boundary=x",
     "GET /health HTTP/1.1\nhost: localhost",
     "GET /metrics HTTP/1.1\nhost: localhost:8000\nx-forwarded-for: 1.2.3.4",
     "HEAD /docs HTTP/1.1\nhost: localhost\nif-none-match: x",

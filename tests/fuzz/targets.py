@@ -116,7 +116,10 @@ def odd_files(xyz: np.ndarray, ring: np.ndarray) -> dict[str, bytes]:
     header += b"".join(b"property float %c\n" % axis for axis in b"xyz") + b"property list uchar short b\nend_header\n"
     vertices = [b"\2aabb" + row.tobytes() + b"\1cc" for row in xyz[:3].astype("<f4")]
     posed = sample_files.pcd(xyz[:, [0, 2, 1]] * [1, 1, -1], spikes)
+    table = "".join(f"{x:.3f};{y:.3f};{z:.3f};9\n" for x, y, z in xyz[:9]).replace(".", ",")
     return {
+        "decimals.csv": f"X [mm];Y [mm];Z [mm];Intensity (0-255)\n{table}".encode(),
+        "studio.csv": f'"Point:0";"Point:1";"Point:2";"Signal Photons"\n{table}'.encode(),
         "lists.ply": header + b"".join(vertices),
         "wide.bin": sample_files.rows(xyz, spikes, ring, np.arange(len(xyz)) * 1e-6, ring % 3),
         "posed.pcd": posed.replace(b"VIEWPOINT 0 0 0 1 0", b"VIEWPOINT 1 2 3 .7 -.7"),

@@ -27,6 +27,7 @@ DATA_SETS = ("velodyne", "velodyne_points/data", "velodyne/[0-9]*", "LIDAR_*", "
 # Fields of radars' PCDs, nuScenes' among them
 RADAR = re.compile(rb"(?im)^(?:FIELDS|COLUMNS) .*\b(?:rcs|dyn_prop|vx_comp|range_rate)\b")
 MOST_NAMES = 1 << 20  # looked through below a folder without scans of its own
+ARCHIVES = (".zip", ".tar", ".tgz", ".tar.gz", ".tar.zst", ".tar.xz", ".tar.bz2", ".7z", ".rar")
 MOST_NAMED = 3  # folders in a message
 Head = Callable[[str], bytes]
 
@@ -130,6 +131,8 @@ def find_scans(root: Path) -> list[Source]:
     below = find_sources(islice(names_below(root), MOST_NAMES), head)
     if not below and any(_is_radar(name, head) for name in names_below(root)):
         raise InputError(f"{root}: its PCDs are a radar's detections (rcs), no scans; name a folder of a LiDAR's")
+    if not below and (packed := [name for name in names_below(root) if name.lower().endswith(ARCHIVES)]):
+        raise InputError(f"{root}: holds no scan, but archives ({', '.join(packed[:MOST_NAMED])}); unpack them")
     if not below:
         raise no_scan(root)
     if all(_in_data_set(source.folder) for source in below):

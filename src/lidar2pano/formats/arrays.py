@@ -208,6 +208,9 @@ def decode_npz(data: bytes, path: Path) -> PointCloud:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
+            if not members:
+                held = ", ".join(archive.namelist()[:3]) or "nothing"
+                raise InputError(f"{path}: is a ZIP archive without arrays (it has {held}); unpack it and name a scan")
             if len(members) > MOST_MEMBERS or sum(member.file_size for member in members) > MOST_BYTES:
                 raise InputError(f"{path}: unpacks to more than {MOST_BYTES} bytes, which is no single scan; cut it")
             for member in members:
@@ -233,8 +236,12 @@ def _array(file: BinaryIO, length: int, source: str) -> np.ndarray:
     """Return the array of an NPY of `length` bytes, without executing or allocating more than it holds."""
     try:
         version = np.lib.format.read_magic(file)
+        if version > (3, 0):
+            raise InputError(f"{source}: is an NPY of version {version[0]}, newer than 3; write it in an older one")
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, fortran, dtype = read_header(file)
+    except InputError:
+        raise
     except Exception as error:  # a bad literal raises many
         raise InputError(f"{source}: is no NPY ({str(error).splitlines()[0]}); it is damaged or cut off") from None
     if dtype.hasobject:

@@ -21,7 +21,7 @@ NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)", re.
 # Names of axes: "X", "x_coord", "position.x", "Point:0" (Ouster Studio), "Points_m_XYZ:0" (VeloView), "xyz[0]"
 PLACE = r"(?:points?|pos(?:ition)?|co?ord(?:inate)?s?|location|cartesian|scalar|xyz|m)"
 AXIS = re.compile(rf"(?:{PLACE}[ _.:/-]*)*(?:([xyz])|(?<=\w)[ _.:/\[-]*([012])\]?)(?:[ _.-]*(?:{PLACE}|axis))*")
-UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\d\])]*)\s*[\])]|(\w+)[ _](mm|cm|m)")  # "x [mm]", "Range (m)", "y_mm"
+UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\])]*?)\s*[\])]|(\w+)[ _](mm|cm|m)")  # "x [mm]", "Range (m)", "y_mm"
 METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "dm": 0.1, "km": 1e3, "ft": 0.3048}
 SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "\u00b5s": 1e-6, "ns": 1e-9}
 COMMA_NUMBER = re.compile(r"[-+]?(\d{1,3}(\.\d{3})+|\d*)(,\d+)?([eE][-+]?\d+)?")  # 3,14 and 1.234,5
@@ -44,7 +44,7 @@ class Column(NamedTuple):
 def column(cell: str) -> Column:
     """Return the meaning of a header's cell."""
     plain, unit = cell.strip(), ""
-    if named := UNIT.fullmatch(plain):
+    if not AXIS.fullmatch(plain.lower()) and (named := UNIT.fullmatch(plain)):
         plain, unit = (named[1], named[2].lower()) if named[1] else (named[3], named[4])
     if axis := AXIS.fullmatch(plain.lower()):
         return Column(axis[1] or "xyz"[int(axis[2])], METRES.get(unit, 1.0))

@@ -28,7 +28,7 @@ from lidar2pano.recordings.description import (
 )
 from lidar2pano.recordings.mcap_files import McapFile
 
-ROSBAG, SQLITE = b"#ROSBAG V", b"SQLite format 3\0"
+ROSBAG, SQLITE = b"#ROSBAG V2.0", b"SQLite format 3\0"
 
 
 class RosBag:
