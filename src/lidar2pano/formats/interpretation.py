@@ -92,7 +92,7 @@ def interpret(
     opposed = contradictions(sample, first) if first and usable >= FEWEST and not posed else []
     like = first if first and not opposed and _alike(result, first) else None
     remission = scale_remission(cloud.intensity, returns, overrides.remission, like.scale if like else None)
-    if first and remission.scale.name != first.remission:
+    if first and not remission.doubts and remission.scale.name != first.remission:
         opposed.append(f"its remissions are read as {remission.scale.name}, the first scan's as {first.remission}")
     name, full, zero = remission.scale
     result = replace(result, remission=name, remission_full=full, remission_zero=zero, remission_odd=remission.odd)
