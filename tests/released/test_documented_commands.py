@@ -1,6 +1,6 @@
 """Every shell line of README, the quick start and the guides, typed as it stands, on the released families.
 
-`make test-released` runs it. Each line runs in a folder with everything that pages mention (`workshop`); README's, which
+`make test-released` runs it. Each line runs in a folder with all that pages mention (`workshop`); README's, which
 have every command, once more with the other installed families. A line that trains or times for long is shortened by
 ABRIDGED; a line that no test can run is in NOT_RUN with its reason.
 """
