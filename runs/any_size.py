@@ -21,9 +21,9 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from lidar2pano.models.families import families
+from lidar2pano.models.families import best_family, families
 
-WEIGHTS = families()["kitti-mini"]
+WEIGHTS = families()[best_family()]
 SEGMENTER = f"options.segmenter={WEIGHTS / 'segmenter.safetensors'}"
 FAMILIES: dict[str, tuple[str, ...]] = {  # recipe and what is set besides
     "segmenter": ("salsanext-mini", "data.train=train"),

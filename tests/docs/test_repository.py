@@ -11,6 +11,7 @@ import pytest
 
 import house_rules
 import lidar2pano
+from installed_families import needs_streets, page_parameters
 
 ROOT = house_rules.ROOT
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -26,6 +27,7 @@ def test_the_citation_names_this_version():
     assert f"version: {lidar2pano.__version__}" in lines
 
 
+@needs_streets
 def test_the_readme_states_the_measured_costs():
     readme = runpy.run_path(str(ROOT / "runs" / "readme.py"))
     results = (ROOT / "RESULTS.md").read_text(encoding="utf-8")
@@ -85,7 +87,7 @@ def broken_links(page: Path) -> list[str]:
     return broken
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize("page", page_parameters(PAGES, "README.md"))
 def test_links_lead_somewhere(page):
     assert broken_links(page) == []
 
@@ -97,7 +99,7 @@ def test_broken_links_are_found(tmp_path):
     assert broken_links(page) == ["c.md", "b.md#on", "#b", "x.png"]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize("page", page_parameters(PAGES))
 def test_pages_are_plain_markdown(page):
     """Admonitions and other extensions of mkdocs are raw text on a repository host."""
     assert re.findall(r"^(?:!!!|\?\?\?|=== |::: ).*", page.read_text(encoding="utf-8"), flags=re.MULTILINE) == []

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from installed_families import INSTALLED
+from installed_families import INSTALLED, needs_streets
 from lidar2pano.appearance.invented_textures import noise_tile
 from lidar2pano.cli import main
 from lidar2pano.cli.export import networks_of, record_inputs
@@ -70,6 +70,7 @@ def test_a_family_becomes_graphs_with_cards(weights, graphs):
         assert {each.type.tensor_type.shape.dim[0].dim_param for each in tensors} == {"batch"}
 
 
+@needs_streets
 def test_the_readme_lists_every_tensor_of_every_graph(graphs):
     readme = (graphs / "README.md").read_text()
     assert "{" not in readme
