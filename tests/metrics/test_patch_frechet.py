@@ -86,3 +86,28 @@ def test_patches_with_an_unknown_pixel_are_left_out():
     ]
     slow = [maps[:, i // 16 : i // 16 + 8, j // 16 : j // 16 + 8].mean((1, 2)).numpy() for i, j in kept]
     assert np.allclose(patch_features(maps, valid), slow, atol=1e-6)
+
+
+def test_halved_images_and_finer_features_are_measured_by_their_own_patches():
+    """The picture of means of 2 x 2 pixels, with a mask of pixels all of whose four are valid."""
+
+    def extract(images: torch.Tensor) -> torch.Tensor:
+        return torch.nn.functional.avg_pool2d(images.float(), 4)
+
+    generator = np.random.default_rng(3)
+    halved, plain = PatchFrechetDistance(extract, 4, 2), PatchFrechetDistance(extract, 4)
+    for number in range(3):
+        small = generator.integers(0, 255, (2, 200, 264, 3)).astype(np.uint8)
+        valid = np.ones((200, 264), dtype=bool)
+        valid[generator.integers(200), generator.integers(264)] = False
+        whole = np.repeat(np.repeat(valid, 2, 0), 2, 1)
+        rows, columns = np.argwhere(~whole)[0]
+        whole[rows + 1, :] |= True  # one of the four is enough
+        whole[rows, columns + 1] = True
+        plain.update(small[0], small[1], f"0/{number}", valid)
+        one, other = (np.repeat(np.repeat(part, 2, 0), 2, 1) for part in small)
+        halved.update(one, other, f"0/{number}", whole)
+    assert halved.values() == pytest.approx(plain.values(), rel=1e-5)
+    maps = torch.randn(3, 96, 160)
+    slow = [maps[:, i : i + 32, j : j + 32].mean((1, 2)).numpy() for i in range(0, 65, 16) for j in range(0, 129, 16)]
+    assert np.allclose(patch_features(maps, down=4), slow, atol=1e-6)

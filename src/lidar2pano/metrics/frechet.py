@@ -12,7 +12,7 @@ from torch.nn.functional import avg_pool2d
 
 from lidar2pano.metrics.accumulation import SIDES, Array, SetMetric, image_tensor
 
-PATCH, STRIDE, DOWN = 128, 64, 16  # pixels; DOWN: of the image per pixel of the features
+PATCH, STRIDE, DOWN = 128, 64, 16  # pixels; DOWN: of the image per pixel of EfficientNet-Lite2's features
 
 
 class FrechetDistance(SetMetric):
@@ -83,7 +83,7 @@ class PatchFrechetDistance(SetMetric):
     """Patch Frechet distance: how far images are from real ones, patch by patch.
 
     Frechet distance (Heusel et al. 2017) between normal distributions of the features of patches, PATCH pixels wide at
-    every STRIDE-th pixel: features at 1/DOWN of the raster, averaged over each patch. A few images hold many patches;
+    every STRIDE-th pixel: features at 1/down of the raster, averaged over each patch. A few images hold many patches;
     texture and parts of things are compared, not the layout. Divided by the same distance between two halves of the
     real images it says how many times farther they are than those from each other. Of each image the count, sum and sum
     of products of its patches' features are kept.
@@ -91,18 +91,26 @@ class PatchFrechetDistance(SetMetric):
 
     MOST = 10_000  # images of a side
 
-    def __init__(self, extract: Callable[[Tensor], Tensor]) -> None:
-        """extract: (B, 3, H, W) uint8 -> (B, D, H / DOWN, W / DOWN) float features."""
-        self.extract = extract
+    def __init__(self, extract: Callable[[Tensor], Tensor], down: int = DOWN, shrink: int = 1) -> None:
+        """extract: (B, 3, H, W) uint8 -> (B, D, H / down, W / down) float features.
+
+        shrink: by how much images are reduced before, by means of pixels.
+        """
+        self.extract, self.down, self.shrink = extract, down, shrink
         super().__init__()
 
     def update(self, predicted: Array, target: Array, name: str, valid: np.ndarray | None = None) -> None:
         """Count two images (H, W, 3) uint8 of the frame `name`, but for patches with a pixel not `valid` (H, W)."""
+        if valid is not None and self.shrink > 1:
+            valid = avg_pool2d(torch.from_numpy(valid).float()[None], self.shrink)[0].numpy() == 1
         for side, image in zip(SIDES, (predicted, target), strict=True):
             if self._makes_room(name, side):
+                pixels = image_tensor(image)[None]
+                if self.shrink > 1:
+                    pixels = avg_pool2d(pixels.float(), self.shrink).round().to(pixels.dtype)
                 with torch.inference_mode():
-                    features = self.extract(image_tensor(image)[None])[0]
-                patches = patch_features(features, valid)
+                    features = self.extract(pixels)[0]
+                patches = patch_features(features, valid, self.down)
                 count = np.full(patches.shape[1], len(patches))
                 self.kept[side][name] = np.vstack([patches.sum(0), patches.T @ patches, count]).astype(np.float64)
 
@@ -123,15 +131,15 @@ class Normal(NamedTuple):
     samples: int
 
 
-def patch_features(features: Tensor, valid: np.ndarray | None = None) -> np.ndarray:
+def patch_features(features: Tensor, valid: np.ndarray | None = None, down: int = DOWN) -> np.ndarray:
     """Return features (P, D) float64 of the patches of an image.
 
-    features  (D, H / DOWN, W / DOWN) of the whole image.
+    features  (D, H / down, W / down) of the whole image.
     valid     (H, W) bool: patches with any other pixel are left out.
     """
-    patches = avg_pool2d(features.float(), PATCH // DOWN, STRIDE // DOWN).flatten(1).T
+    patches = avg_pool2d(features.float(), PATCH // down, STRIDE // down).flatten(1).T
     if valid is not None:
-        rows, columns = (DOWN * size for size in features.shape[1:])
+        rows, columns = (down * size for size in features.shape[1:])
         holes = torch.ones(rows, columns)
         holes[: valid.shape[0], : valid.shape[1]] = torch.from_numpy(~valid[:rows, :columns]).float()
         patches = patches[avg_pool2d(holes[None], PATCH, STRIDE).flatten() == 0]

