@@ -12,9 +12,11 @@ from lidar2pano.cli.console import print_error
 from lidar2pano.cli.options import EngineOption
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
+    from lidar2pano.data.frames import Frame
     from lidar2pano.evaluate import Evaluation, System
+    from lidar2pano.evaluate.evaluation import EvaluatedSystem
 
 
 @app.command()
@@ -51,6 +53,10 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     as_csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Also write every value as CSV.")] = None,
     worst: Annotated[int, typer.Option(min=0, metavar="N", help="Also list the N worst frames, with images.")] = 0,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the worst frames.")] = Path("worst"),
+    pairs: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Also write a page on which a person chooses between two systems' pictures."),
+    ] = None,
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
     engine: EngineOption = "torch",  # scores do not depend on what is installed
 ) -> None:
@@ -58,33 +64,44 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.cli.console import bar
     from lidar2pano.data.layouts import frames
     from lidar2pano.evaluate import MetricConfig, report, score, system
+    from lidar2pano.evaluate.preferences import Preferences
     from lidar2pano.hardware import keep_buffers
 
-    check_outputs(as_json, as_csv, out if worst else None)
+    check_outputs(as_json, as_csv, out if worst else None, pairs)
     keep_buffers()
     scored = frames(data, split)
     config = MetricConfig.parse(metrics, inception=inception, sdnet=sdnet, device=device)
     systems = [system(name, device=device, sensor=sensor, engine=engine) for name in dict.fromkeys(weights)]
     name = data.resolve().name
+    preferences = Preferences(pairs, [one.info.name for one in systems]) if pairs else None
     with bar(len(scored), f"evaluating {split}") as advance:
-        evaluation = score(systems, scored, data=name, split=split, config=config, worst=worst, after_each=advance)
+
+        def note(frame: Frame, evaluated: Sequence[EvaluatedSystem]) -> None:
+            if preferences:
+                preferences.take(frame.name, frame.image, [system.image for system in evaluated])
+            advance()
+
+        evaluation = score(systems, scored, data=name, split=split, config=config, worst=worst, after_each=note)
     summary = report.as_dict(evaluation)
     write_files(summary, as_json, as_csv)
     if worst:
         write_worst(evaluation, out)
+    if preferences:
+        print_error(f"choose between the pictures: {preferences.write()}")
     note_systems(systems)
     print(report.table(summary))
 
 
-def check_outputs(as_json: Path | None, as_csv: Path | None, folder: Path | None) -> None:
+def check_outputs(as_json: Path | None, as_csv: Path | None, *folders: Path | None) -> None:
     """Check the places of the requested files; InputError for one without write access."""
     from lidar2pano.cli.options import check_file, check_folder
 
     for path, option in ((as_json, "--json"), (as_csv, "--csv")):
         if path:
             check_file(path, option)
-    if folder:
-        check_folder(folder, "--out")
+    for folder, option in zip(folders, ("--out", "--pairs"), strict=False):
+        if folder:
+            check_folder(folder, option)
 
 
 def write_files(summary: dict[str, Any], as_json: Path | None, as_csv: Path | None) -> None:

@@ -145,11 +145,12 @@ def score(
     split: str,
     config: MetricConfig | None = None,
     worst: int = 0,
-    after_each: Callable[[], None] = lambda: None,
+    after_each: Callable[[Frame, Sequence[EvaluatedSystem]], None] = lambda frame, systems: None,  # noqa: ARG005
 ) -> Evaluation:
     """Let every system predict every frame, and count metrics.
 
     config  everything within data and weights, when None;  worst: number of a system's worst frames to keep.
+    after_each  is told each frame and the systems, whose `image` is the one of this frame.
     Metrics without ground truth on a frame are left out there. Frames with successive numbers in one sequence are a
     video. Only the current and the previous frame are held.
     Raises InputError for a frame without any ground truth, and for missing, damaged or unfit files.
@@ -168,7 +169,7 @@ def score(
             system.evaluate(frame, inputs, flows)
         _count_reference(reference, previous, frame, flows)
         previous = frame
-        after_each()
+        after_each(frame, evaluated)
     return result
 
 
