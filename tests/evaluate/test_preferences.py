@@ -1,4 +1,4 @@
-"""The page of pairs: every picture is its system's, sides are drawn by name, and the page does not say which is which."""
+"""The page of pairs: every picture is its system's, sides are drawn by name, and no picture says whose it is."""
 
 import json
 import re

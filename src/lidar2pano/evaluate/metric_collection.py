@@ -345,8 +345,8 @@ class MetricCollection:
             if isinstance(metric, SetMetric):
                 place = (sector, key, len(metric))
                 intervals = self._distances[place] = self._distances.get(place) or set_intervals(metric)
-                for name, ends in intervals.items():
-                    yield MetricValue(sector=sector, name=NAMES[key][name], **ends._asdict())
+                for name, title in NAMES[key].items():
+                    yield MetricValue(sector=sector, name=title, **intervals[name]._asdict())
                 continue
             if isinstance(metric, MeanIoU):
                 metric = metric.averaged_over(over.get(sector, ()))  # noqa: PLW2901
