@@ -12,11 +12,25 @@ from lidar2pano.cli.console import print_error
 from lidar2pano.cli.options import EngineOption
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from lidar2pano.data.frames import Frame
     from lidar2pano.evaluate import Evaluation, System
     from lidar2pano.evaluate.evaluation import EvaluatedSystem
+    from lidar2pano.evaluate.preferences import Preferences
+
+
+MetricsOption = Annotated[
+    str,
+    typer.Option(
+        metavar="LIST",
+        help="Of points,classes,pictures,depth,seams,time,roll and camera,panorama; all but roll when not given.",
+    ),
+]
+PairsOption = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Also write a page on which a person chooses between two systems' pictures."),
+]
 
 
 @app.command()
@@ -33,13 +47,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
         Path, typer.Option(metavar="ROOT", help="A data set: SemanticKITTI's layout, or surround cameras.")
     ],
     split: Annotated[str, typer.Option(metavar="NAME", help="One of its splits.")] = "val",
-    metrics: Annotated[
-        str,
-        typer.Option(
-            metavar="LIST",
-            help="Of points,classes,pictures,depth,seams,time,roll and camera,panorama; all but roll when not given.",
-        ),
-    ] = "",
+    metrics: MetricsOption = "",
     sensor: Annotated[str, typer.Option(metavar="NAME", help="Sensor of the scans, e.g. pandar64.")] = "",
     sdnet: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A camera segmenter: FSD, and re-segmentation mIoU.")
@@ -53,10 +61,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     as_csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Also write every value as CSV.")] = None,
     worst: Annotated[int, typer.Option(min=0, metavar="N", help="Also list the N worst frames, with images.")] = 0,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the worst frames.")] = Path("worst"),
-    pairs: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Also write a page on which a person chooses between two systems' pictures."),
-    ] = None,
+    pairs: PairsOption = None,
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
     engine: EngineOption = "torch",  # scores do not depend on what is installed
 ) -> None:
@@ -75,13 +80,8 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     name = data.resolve().name
     preferences = Preferences(pairs, [one.info.name for one in systems]) if pairs else None
     with bar(len(scored), f"evaluating {split}") as advance:
-
-        def note(frame: Frame, evaluated: Sequence[EvaluatedSystem]) -> None:
-            if preferences:
-                preferences.take(frame.name, frame.image, [system.image for system in evaluated])
-            advance()
-
-        evaluation = score(systems, scored, data=name, split=split, config=config, worst=worst, after_each=note)
+        after_each = noted(preferences, advance)
+        evaluation = score(systems, scored, data=name, split=split, config=config, worst=worst, after_each=after_each)
     summary = report.as_dict(evaluation)
     write_files(summary, as_json, as_csv)
     if worst:
@@ -90,6 +90,19 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
         print_error(f"choose between the pictures: {preferences.write()}")
     note_systems(systems)
     print(report.table(summary))
+
+
+def noted(
+    preferences: Preferences | None, advance: Callable[[], None]
+) -> Callable[[Frame, Sequence[EvaluatedSystem]], None]:
+    """Return what is done after each frame: its pictures are kept, if there is a page, and the bar advances."""
+
+    def note(frame: Frame, systems: Sequence[EvaluatedSystem]) -> None:
+        if preferences:
+            preferences.take(frame.name, frame.image, [system.image for system in systems])
+        advance()
+
+    return note
 
 
 def check_outputs(as_json: Path | None, as_csv: Path | None, *folders: Path | None) -> None:
