@@ -336,7 +336,8 @@ def _rows(path: Path) -> dict[str, str]:
             text = read_text(file)
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"{file}: cannot be read as calib.txt ({_reason(error)}); name KITTI's file") from error
-        rows |= {row[1] or "": row[2] for line in text.splitlines() if (row := ROW.fullmatch(line.strip()))}
+        lines = [ROW.fullmatch(line.strip()) for line in text.splitlines() if line.strip()]
+        rows |= {line[1] or "": line[2] for line in lines if line}
     return rows
 
 

@@ -37,7 +37,7 @@ FORMS = {
     "odometry": {"calib.txt": row("P0", P2) + row("P2", P2) + row("Tr", TR[:3])},
     "object": {
         "000008.txt": row("P0", P2 * 2) + row("P2", P2) + row("R0_rect", R0) + row("Tr_velo_to_cam", VELO[:3])
-        + row("Tr_imu_to_velo", VELO[:3])
+        + row("Tr_imu_to_velo", VELO[:3]) + "\n"
     },
     "tracking": {
         "0001.txt": row("P2", P2) + row("R_rect", R0, "") + row("Tr_velo_cam", VELO[:3], "")
