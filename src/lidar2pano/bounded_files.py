@@ -1,4 +1,4 @@
-"""Files from outside, opened only if they are regular files, and read only up to a size.
+"""The gate for files: from outside only regular ones are opened, and read up to a size; into others nothing is written.
 
 All functions but `read_input` raise OSError, whose `strerror` is the reason; callers add the kind of file.
 """
@@ -6,6 +6,7 @@ All functions but `read_input` raise OSError, whose `strerror` is the reason; ca
 from __future__ import annotations
 
 import errno
+import hashlib
 import io
 import os
 import stat
@@ -27,6 +28,38 @@ def open_regular(path: str | Path) -> io.FileIO:
 
 def _without_waiting(path: str, flags: int) -> int:
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # a FIFO without a writer would wait for one
+
+
+def check_regular(path: str | Path) -> None:
+    """Raise OSError unless `path` can be opened as a regular file: for libraries that open files by name."""
+    open_regular(path).close()
+
+
+def sha256_of(path: str | Path) -> str:
+    """Return the SHA-256 of a regular file, in hexadecimal."""
+    with open_regular(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def check_target(path: str | Path) -> None:
+    """Raise OSError if renaming a file to `path` would destroy something else: a link, device, FIFO or socket."""
+    try:
+        mode = os.lstat(path).st_mode
+    except FileNotFoundError:
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise OSError(errno.EINVAL, "it is a link, device, FIFO or socket, which is not replaced", str(path))
+
+
+def append_bytes(path: str | Path, data: bytes) -> None:
+    """Append to a regular file by one call of the system, so that processes' lines do not mix; no link is followed."""
+    check_target(path)
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    descriptor = os.open(path, flags, 0o666)
+    try:
+        os.write(descriptor, data)
+    finally:
+        os.close(descriptor)
 
 
 def read_bytes(path: str | Path, most: int) -> bytes:

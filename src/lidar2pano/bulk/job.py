@@ -25,7 +25,7 @@ from lidar2pano.calibration import Calibration, has_camera, read_calib
 from lidar2pano.drives.reading import Reading
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_ids, write_whole
-from lidar2pano.formats.scan_files import read_label, write_bin
+from lidar2pano.formats.scan_files import raw_labels, read_label, write_bin
 from lidar2pano.labels import unpack_label
 from lidar2pano.panorama import OUTPUTS
 from lidar2pano.translation import Translation, Translator
@@ -107,7 +107,7 @@ class Worker:
             with local_copy(self.source, entry.label) as path:
                 scan = replace(scan, label=read_label(path, len(scan)))
                 if self.job.layout == SEMANTIC_KITTI:
-                    instance = unpack_label(np.fromfile(path, dtype="<u4"))[1].astype(np.uint16)
+                    instance = unpack_label(raw_labels(path, len(scan)))[1].astype(np.uint16)
         elif self.job.use_labels:
             raise InputError(
                 f"{reading.source.title}: has no labels (.label beside it, or in labels/); leave --labels out"

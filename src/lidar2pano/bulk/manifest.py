@@ -7,12 +7,14 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
+from lidar2pano.bounded_files import read_bytes
 from lidar2pano.bulk.entries import ScanKey, Shard
 from lidar2pano.bulk.stores import Store
 from lidar2pano.formats.json_files import json_lines
 
 FLUSH_S = 30.0  # between uploads of a manifest to a store whose files cannot grow
 FOLDER = "manifest"
+MOST_BYTES = 1 << 30  # of a manifest: a million scans have some 500 MB
 
 
 class Manifest:
@@ -75,7 +77,7 @@ class Manifest:
         if not self._store.exists(name):
             return b""
         with self._store.local(name) as path:
-            return path.read_bytes()
+            return read_bytes(path, MOST_BYTES)
 
     def _write(self, data: bytes) -> None:
         with self._store.scratch() as scratch:

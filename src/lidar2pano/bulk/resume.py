@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from lidar2pano import __version__
+from lidar2pano.bounded_files import sha256_of
 from lidar2pano.bulk.data_set import copy_sequences
 from lidar2pano.bulk.entries import RUN_FILE, SEMANTIC_KITTI, Entry, Job, ScanKey
 from lidar2pano.bulk.manifest import Manifest, line
-from lidar2pano.bulk.scan_reading import ScanReading, file_hash
+from lidar2pano.bulk.scan_reading import ScanReading
 from lidar2pano.bulk.stores import Folder, Store, open_store
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import read_json
@@ -33,7 +34,7 @@ def start(job: Job, listed: list[Entry], files: Mapping[str, Path], options: Map
     settings = {
         "lidar2pano": __version__,
         "weights": job.weights,
-        "sha256": {role: file_hash(file) for role, file in sorted(files.items())},
+        "sha256": {role: sha256_of(file) for role, file in sorted(files.items())},
         **options,
         "save": list(job.save),
         "as": job.layout,

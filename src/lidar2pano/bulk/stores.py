@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lidar2pano.drives.scan_search import head_below, names_below
+from lidar2pano.bounded_files import append_bytes, check_target
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import reason
 
@@ -89,6 +90,7 @@ class Folder:
         """Make a file of the scratch folder the file `name`, complete or not at all; raises InputError."""
         try:
             (self.root / name).parent.mkdir(parents=True, exist_ok=True)
+            check_target(self.root / name)
             file.replace(self.root / name)
         except OSError as error:
             raise _unwritable(str(self.root / name), error) from error
@@ -96,8 +98,7 @@ class Folder:
     def append(self, name: str, data: bytes) -> None:
         """Append to a file by one call of the system, so that processes' lines do not mix; raises InputError."""
         try:
-            with (self.root / name).open("ab", buffering=0) as file:
-                file.write(data)
+            append_bytes(self.root / name, data)
         except OSError as error:
             raise _unwritable(str(self.root / name), error) from error
 

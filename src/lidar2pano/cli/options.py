@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lidar2pano.bounded_files import check_target
 from lidar2pano.errors import InputError, closest
 
 if TYPE_CHECKING:
@@ -160,6 +161,10 @@ def check_file(path: Path, option: str) -> None:
     """Raise InputError unless a file can be written to `path`."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file for {option}")
+    try:
+        check_target(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another {option}") from error
     check_folder(path.parent, option)
 
 

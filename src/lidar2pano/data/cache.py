@@ -15,12 +15,14 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from torch import Tensor
 
+from lidar2pano.bounded_files import read_bytes, sha256_of
 from lidar2pano.data.frames import Frame
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.scan import Scan
 
 T = TypeVar("T")
+MOST_BYTES = 1 << 26  # of packed labels: a byte for each point of the largest scan, four times
 LIMIT_BYTES = 256 * 2**20  # of one cache; every worker of a loader has its own
 
 
@@ -101,8 +103,7 @@ class PredictedLabels:
 
     def __init__(self, label_points: Callable[[Scan], Tensor], weights: str | Path) -> None:
         self.label_points = label_points
-        with Path(weights).open("rb") as file:
-            self.key = hashlib.file_digest(file, "sha256").hexdigest()[:16]
+        self.key = sha256_of(weights)[:16]
 
     def complete(self, frames: Sequence[Frame]) -> bool:
         """Return whether these frames, with files as they are now, are known to be labelled; no scan is read."""
@@ -161,7 +162,7 @@ def write_first(paths: Iterable[Path], write: Callable[[Path], object]) -> None:
 
 def _read(path: Path, points: int) -> np.ndarray | None:
     try:
-        labels = np.frombuffer(zlib.decompress(path.read_bytes()), np.uint8)
+        labels = np.frombuffer(zlib.decompressobj().decompress(read_bytes(path, MOST_BYTES), points + 1), np.uint8)
     except (OSError, zlib.error):
         return None
     return labels.astype(np.int64) if len(labels) == points else None

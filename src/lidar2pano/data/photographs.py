@@ -11,6 +11,7 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor
 
+from lidar2pano.bounded_files import check_regular
 from lidar2pano.data.camera_pairs import in_unit
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.data.layouts import frames_of
@@ -85,6 +86,7 @@ class PhotographDataset:
         path = self.latents / f"{photograph_key(image)}.safetensors"
         if not path.is_file():
             raise InputError(f"{path}: no latents of this photograph; make them by runs/teacher_latents.py")
+        check_regular(path)
         return load_file(path)["latents"]
 
 

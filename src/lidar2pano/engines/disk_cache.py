@@ -12,6 +12,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+from lidar2pano.bounded_files import read_bytes
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
 
@@ -40,7 +41,7 @@ def fetch(key: str) -> bytes | None:
     """Return the bytes stored under a key; None if there are none, or the file is damaged."""
     path = cache_folder() / f"{key}{ENDING}"
     try:
-        whole = path.read_bytes()
+        whole = read_bytes(path, LIMIT_BYTES)
     except OSError:
         return None
     digest, payload = whole[:DIGEST], whole[DIGEST:]

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lidar2pano.bounded_files import MOST_TEXT_BYTES, read_bytes
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame, PanoramaGroundTruth
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
@@ -214,7 +215,7 @@ def pseudo_labels(frame: Frame) -> dict[str, str]:
 def _journal(path: Path) -> Mapping[str, tuple[list[Any], str]]:
     """Return file -> its latest [size, modification time in ns], and the teacher; damaged lines are skipped."""
     entries: dict[str, tuple[list[Any], str]] = {}
-    for entry in json_lines(path.read_bytes()) if path.is_file() else ():
+    for entry in json_lines(read_bytes(path, MOST_TEXT_BYTES)) if path.is_file() else ():
         try:
             stamp = [entry["stamp"][name] for name in ("size", "changed_ns")]
             entries[entry["file"]] = (stamp, str(entry["made_by"]))

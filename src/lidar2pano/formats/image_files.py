@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import platform
+import secrets
 import struct
-import threading
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from lidar2pano.bounded_files import open_regular
+from lidar2pano.bounded_files import check_target, open_regular
 from lidar2pano.errors import InputError
 from lidar2pano.labels import COMMON15, LabelSet
 
@@ -34,6 +34,8 @@ COLOUR_FORMATS = {
 }
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 SMALL_PNG = 9  # for files written once and read often
+READ_FORMATS = ("PNG", "JPEG", "WEBP")  # Pillow would choose among fifty by content, and starts Ghostscript for EPS
+MOST_PIXELS = 1 << 25  # of an image to be read: 100 MB of RGB
 
 
 def read_image(path: Path, mode: str | None = None) -> np.ndarray:
@@ -140,11 +142,13 @@ def write_whole(path: Path, write: Callable[[Path], object], option: str = "--ou
 
     Raises InputError if the file cannot be written; `option` is the user's to choose differently.
     """
-    part = path.with_name(f".{HOST}-{os.getpid()}-{threading.get_native_id()}{PART}")
+    part = path.with_name(f".{HOST}-{os.getpid()}-{secrets.token_hex(8)}{PART}")  # nobody can plant a link there
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        check_target(path)
         _sweep(path.parent)
         try:
+            part.open("xb").close()
             write(part)
             with part.open("rb+") as file:
                 os.fsync(file.fileno())
@@ -173,11 +177,19 @@ def _sweep(folder: Path) -> None:
 @contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
     try:
-        with open_regular(path) as file, Image.open(file) as image:
-            yield image
+        file = open_regular(path)
     except FileNotFoundError as error:
         raise InputError(f"{path}: is missing; complete the data set") from error
-    except PermissionError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); ask for permission") from error
-    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:  # Pillow raises all
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); ask for permission, or name a file") from error
+    try:
+        with file, Image.open(file, formats=READ_FORMATS) as image:
+            if image.width * image.height > MOST_PIXELS:
+                raise Image.DecompressionBombError
+            yield image
+    except InputError:
+        raise
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise InputError(f"{path}: has more pixels than an image may ({MOST_PIXELS}); shrink it") from error
+    except (OSError, SyntaxError, ValueError, EOFError) as error:  # Pillow raises all
         raise InputError(f"{path}: is no readable image; replace it") from error

@@ -17,7 +17,7 @@ from lidar2pano.formats.unnamed_columns import MOST_RINGS, are_integers, column_
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
 
-MOST_BYTES = 1 << 30  # 67 million points: a sparse or wrong file must not fill the memory
+MOST_BYTES = 16 * MOST_POINTS  # a sparse or wrong file must not fill the memory
 SAMPLE = 20_000  # numbers to tell their type by; coordinates are alike all through a file
 FEWEST_BYTES = 160  # decide, if the name does not
 FAR_M = 1e6  # no coordinate of a scan is beyond: neither in millimetres
@@ -85,10 +85,15 @@ def read_label(path: Path, points: int) -> np.ndarray:
 
     Raises InputError when the file cannot be read or was made for another number of points.
     """
+    return SEMANTIC_KITTI.from_raw(raw_labels(path, points))
+
+
+def raw_labels(path: Path, points: int) -> np.ndarray:
+    """Read a SemanticKITTI .label as it is, (N,) uint32 with classes and instances; raises like `read_label`."""
     data = read_input(path, "name a label file that exists", MOST_BYTES)
     if len(data) != 4 * points:
         raise InputError(f"{path}: {len(data)} bytes, but its scan has {points} points (4 bytes each); pair them again")
-    return SEMANTIC_KITTI.from_raw(np.frombuffer(data, "<u4"))
+    return np.frombuffer(data, "<u4")
 
 
 def write_label(path: Path, ids: np.ndarray) -> None:

@@ -12,7 +12,6 @@ Szegedy et al. 2016 (arXiv:1512.00567), in the variant of TensorFlow's graph `in
 
 from __future__ import annotations
 
-import hashlib
 import pickle
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,6 +20,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, max_pool2d
 
+from lidar2pano.bounded_files import sha256_of
 from lidar2pano.errors import InputError
 from lidar2pano.formats.torch_files import load_torch
 
@@ -47,8 +47,7 @@ def find_inception(path: Path | str | None = None) -> Path | None:
 def load_inception(path: Path | str, device: torch.device | str = "cpu", sha256: str = SHA256) -> Inception:
     """Return the network with the weights in `path`, in evaluation mode; InputError for any other file."""
     try:
-        with Path(path).open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        digest = sha256_of(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); {ABSENT}") from None
     if digest != sha256:

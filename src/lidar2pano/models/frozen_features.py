@@ -8,7 +8,6 @@ those of VGG-19 in a file; nothing is downloaded here and nothing of them is shi
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -23,6 +22,7 @@ from torch.nn.functional import adaptive_avg_pool2d, conv2d, conv_transpose2d, i
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 from torch.nn.utils.parametrizations import spectral_norm
 
+from lidar2pano.bounded_files import sha256_of
 from lidar2pano.errors import InputError
 from lidar2pano.formats.torch_files import load_torch
 
@@ -67,8 +67,7 @@ def published_file(variant: Variant) -> Path:
         raise InputError(f"{variant.package} is not installed: pip install {variant.package.replace('_', '-')}")
     path = Path(str(package.origin)).parent / variant.file
     try:
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        digest = sha256_of(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); install {variant.package} again") from None
     if digest != variant.sha256:

@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from lidar2pano.bounded_files import open_regular, read_bytes
+from lidar2pano.bounded_files import append_bytes, open_regular, read_bytes
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import json_lines, validated
 
@@ -68,8 +68,7 @@ class Journal:
     def enter(self, record: Record) -> None:
         """Append a record, on disk at the return of the call. Raises OSError if it cannot be written."""
         line = json.dumps(asdict(record), separators=(",", ":")).encode() + b"\n"
-        with self.path.open("ab", buffering=0) as file:
-            file.write(b"\n" + line if self._torn else line)
+        append_bytes(self.path, b"\n" + line if self._torn else line)
         self._torn = False
         self._records.setdefault(record.file, []).append(record)
 

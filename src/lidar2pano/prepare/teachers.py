@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from PIL import Image
 
+from lidar2pano.bounded_files import read_input
 from lidar2pano.data.frames import IGNORE
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
@@ -148,11 +148,10 @@ class ImageTeacher:
     def whole(self, frame: SemanticKittiFrame, path: Path) -> bool:
         """Tell if it is an image, to its end."""
         try:
-            with Image.open(path) as image:
-                image.load()
-        except (OSError, SyntaxError, ValueError):
+            read_image(path)
+        except InputError:
             return False
-        return image.format != "PNG" or PNG_END in path.read_bytes()
+        return path.suffix != ".png" or PNG_END in read_input(path, "label the image again")
 
 
 def lidar_teacher(weights: str, *, folder: str = "labels", device: str = "auto") -> LidarTeacher:

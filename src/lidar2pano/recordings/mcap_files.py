@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator
@@ -11,6 +13,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError
 from lidar2pano.recordings.description import (
     CDR,
@@ -42,8 +45,11 @@ class McapFile:
             deserializer(CDR)
         except ImportError as error:
             raise missing_extra(path, "recordings") from error
-        self._file = path.open("rb")
-        self._size = path.stat().st_size
+        try:
+            self._file = io.BufferedReader(open_regular(path))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror}); name a file that exists") from error
+        self._size = os.fstat(self._file.fileno()).st_size
         self._channels, self._schemas = dict[int, Any](), dict[int, Any]()
         try:
             with damage(path, REPAIR):

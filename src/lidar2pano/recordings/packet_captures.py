@@ -6,6 +6,7 @@ of this package installs it.
 
 from __future__ import annotations
 
+import io
 import struct
 from collections import Counter
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError
 from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns
 from lidar2pano.recordings.description import Description, Topic, damage, missing_extra
@@ -104,12 +106,12 @@ def packets(path: Path) -> Iterator[Packet]:
 
 
 def _magic(path: Path) -> bytes:
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         return file.read(4)
 
 
 def _classic(path: Path) -> Iterator[Packet]:
-    with path.open("rb") as file:
+    with io.BufferedReader(open_regular(path)) as file:
         head = file.read(24)
         order, unit_s = PCAP[head[:4]]
         if len(head) < 24:
@@ -131,7 +133,7 @@ def _newer(path: Path) -> Iterator[Packet]:
         import dpkt.pcapng
     except ImportError as error:
         raise missing_extra(path, "recordings") from error
-    with path.open("rb") as file:
+    with io.BufferedReader(open_regular(path)) as file:
         for stamp_s, frame in dpkt.pcapng.Reader(file):
             yield Packet(stamp_s, bytes(frame))
 

@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame, FrameList
 from lidar2pano.evaluate import MetricConfig, Prediction, System
 from lidar2pano.evaluate.evaluation import system_input
-from lidar2pano.formats.image_files import write_png, write_whole
+from lidar2pano.formats.image_files import read_image, write_png, write_whole
 from lidar2pano.labels import COMMON15
 from lidar2pano.pipeline import Pipeline
 
@@ -117,9 +117,8 @@ def _line(images: Path, rows: Sequence[str], number: int, content: str) -> np.nd
 def _read(path: Path) -> np.ndarray | None:
     if not path.is_file():
         return None
-    with Image.open(path) as file:
-        image = file.convert("RGB")
-        return np.array(image.resize((WIDTH, round(WIDTH * image.height / image.width)), Image.Resampling.LANCZOS))
+    image = Image.fromarray(read_image(path, "RGB"))
+    return np.array(image.resize((WIDTH, round(WIDTH * image.height / image.width)), Image.Resampling.LANCZOS))
 
 
 def _headings(names: Iterable[str]) -> np.ndarray:

@@ -10,10 +10,10 @@ RUN/checkpoints/<step>/               one folder, the newest
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import pickle
+import re
 import shutil
 import subprocess
 from collections.abc import Iterable, Iterator, Mapping
@@ -33,6 +33,7 @@ except ModuleNotFoundError:
     fcntl = None
 
 from lidar2pano import __version__
+from lidar2pano.bounded_files import check_regular, sha256_of
 from lidar2pano.data.layouts import locate_split
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
@@ -44,6 +45,7 @@ from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, resolv
 FREE = {f"training.{name}" for name in ("workers", "checkpoint_minutes", "preview_minutes", "validate_minutes")}
 LIMITS = ("training.steps", "training.epochs", "training.minutes")  # may grow
 MOST_NAMED = 12  # differences between recipes
+CHECKPOINT = re.compile(r"[0-9]{9,18}(\.old)?")  # names of folders
 BROKEN = (SafetensorError, pickle.UnpicklingError, RuntimeError)  # RecursionError is one, too
 
 
@@ -133,12 +135,7 @@ def write_recipe(run: Path, recipe: Recipe) -> None:
 def _hashes(values: Mapping[str, Any]) -> dict[str, str]:
     """SHA-256 of the weight files among a recipe's values, by the values' flat names."""
     files = {name: Path(value) for name, value in values.items() if str(value).endswith(".safetensors")}
-    hashes = {}
-    for name, file in files.items():
-        if file.is_file():
-            with file.open("rb") as opened:
-                hashes[name] = hashlib.file_digest(opened, "sha256").hexdigest()
-    return hashes
+    return {name: sha256_of(file) for name, file in files.items() if file.is_file()}
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -231,7 +228,7 @@ def writing(path: Path) -> Iterator[None]:
 
 def _checkpoints(run: Path) -> list[Path]:
     folder = run / "checkpoints"
-    return [path for path in folder.glob("[0-9]*") if path.suffix in ("", ".old")] if folder.is_dir() else []
+    return [path for path in folder.glob("[0-9]*") if CHECKPOINT.fullmatch(path.name)] if folder.is_dir() else []
 
 
 def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, dict]] | None:
@@ -242,6 +239,7 @@ def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, d
     newest = max(folders, key=lambda path: (int(path.stem), path.suffix == ""))
     try:
         progress = validated(Progress, read_json(newest / "state.json"), "its state.json")
+        check_regular(newest / "weights.safetensors")
         weights = load_file(newest / "weights.safetensors")
         check_weights(weights, progress.step)
         optimizers = load_torch(newest / "optimizers.pt")

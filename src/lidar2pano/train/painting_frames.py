@@ -17,6 +17,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from lidar2pano.bounded_files import check_regular, sha256_of
 from lidar2pano.data.frames import IGNORE, Frame, SampleIndex, evenly_spaced
 from lidar2pano.data.panorama_crops import PanoramaDataset, PanoramaWindow
 from lidar2pano.errors import InputError
@@ -160,6 +161,7 @@ class PaintingFrames:
         if not file.is_file():
             made = self._made(index)
             write_whole(file, lambda temporary: save_file(made, temporary), "options.cache")
+        check_regular(file)
         return load_file(file)
 
     def _file(self, index: int) -> Path:
@@ -205,6 +207,7 @@ class PaintingFrames:
         """As `colours_of_classes`: from the frame's file, if it is made; the same numbers from its image, if not."""
         if not (file := self._file(index)).is_file():
             return colours_of_classes(self.crops.window(index))
+        check_regular(file)
         with safe_open(file, "pt") as kept:
             return kept.get_tensor("class_colours"), kept.get_tensor("class_pixels")
 
@@ -234,8 +237,7 @@ def made_by(view: View, *weights: str) -> str:
     """What the files of frames depend on, beside the frames: raster and networks, as one hexadecimal number."""
     digest = hashlib.sha256(f"{FORM} {view}".encode())
     for file in weights:
-        with Path(file).open("rb") as opened:
-            digest.update(hashlib.file_digest(opened, "sha256").digest())
+        digest.update(bytes.fromhex(sha256_of(file)))
     return digest.hexdigest()
 
 

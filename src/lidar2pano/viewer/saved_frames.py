@@ -14,7 +14,7 @@ from lidar2pano.formats.readers import ReadOptions, open_path
 from lidar2pano.name_order import sort_names
 from lidar2pano.panorama import STEM_ENDINGS, VIEW_KEYWORD
 from lidar2pano.viewer.page import PageFrame
-from lidar2pano.views import VIEWS, View
+from lidar2pano.views import MOST_PIXELS, VIEWS, View
 
 ENDINGS = tuple(ending for ending, _ in COLOUR_FORMATS.values())
 PROPORTION_TOLERANCE = 0.02
@@ -27,7 +27,7 @@ def panorama_files(path: Path) -> list[Path]:
     if not path.is_dir():
         return []
     try:
-        files = sort_names(file for file in path.iterdir() if file.suffix in ENDINGS and file.is_file())
+        files = sort_names(file for file in path.iterdir() if file.suffix in ENDINGS and not file.is_dir())
     except OSError as error:
         raise InputError(f"{path}: cannot be looked into ({error.strerror}); ask for permission") from error
     return [file for file in files if not file.stem.endswith(STEM_ENDINGS) and not file.name.startswith(".")]
@@ -68,7 +68,10 @@ def saved_view(path: Path) -> View:
             f"{path}: {width}x{height} pixels are no panorama ({usual.columns // usual.rows} times as wide as high);"
             " name what `translate` wrote"
         )
-    return replace(usual, rows=height, columns=width)
+    try:
+        return replace(usual, rows=height, columns=width)
+    except ValueError:
+        raise InputError(f"{path}: {width}x{height} pixels are too many ({MOST_PIXELS} at most); shrink it") from None
 
 
 def _beside(path: Path, ending: str) -> np.ndarray | None:
