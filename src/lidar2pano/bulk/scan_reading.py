@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing
@@ -13,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lidar2pano.bounded_files import sha256_of
 from lidar2pano.bulk.entries import Entry
 from lidar2pano.bulk.stores import Store, local_copy
 from lidar2pano.drives.drive_motion import DriveMotion
@@ -21,8 +21,9 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import Interpretation, interpret
 from lidar2pano.formats.overrides import Overrides
 from lidar2pano.formats.point_cloud import PointCloud
-from lidar2pano.formats.readers import ReadOptions, open_path
-from lidar2pano.recordings.playback import Playback, playback
+from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.recordings.playback import Playback
+from lidar2pano.recordings.reading_process import ConfinedPlayback, read_cloud
 from lidar2pano.recordings.recorded_scans import Frame
 
 ATTEMPTS = 8  # first scans of a recording; one of them tells how to read all others
@@ -74,14 +75,14 @@ class Request:
         if self.recorded is not None:
             return self.recorded.result().frame.sha256()
         with self.store.local(self.entry.key.input) as path:
-            return file_hash(path)
+            return sha256_of(path)
 
     def _file_cloud(self, note: Callable[[str], None]) -> PointCloud:
         if self.entry.error:
             raise InputError(self.entry.error)
         with local_copy(self.store, self.entry.key.input) as path:
-            note(file_hash(path))
-            return next(open_path(path).clouds(path, ReadOptions()))
+            note(sha256_of(path))
+            return read_cloud(path)
 
     def _frame_cloud(self, frame: Frame) -> PointCloud:
         try:
@@ -131,7 +132,7 @@ class ScanReading:
                 self._open.close()
                 self._name, self._scans = name, None
                 self._path = self._open.enter_context(self._source.local(name))
-                opened = self._open.enter_context(closing(playback(self._path, self._options.selection.topic)))
+                opened = self._open.enter_context(closing(ConfinedPlayback(self._path, self._options.selection.topic)))
                 self._scans = OpenRecording(opened, self._options.overrides)
             return self._scans.scan(number)
         except InputError as error:
@@ -181,9 +182,3 @@ class OpenRecording:
         """Return the motion of the sensor around the time of a scan, None if the recording has none."""
         recorded = self._opened.motion(number, self._interpretation.frame) if self._interpretation else None
         return DriveMotion(*recorded, estimate=False) if recorded else None
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

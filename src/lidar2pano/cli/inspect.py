@@ -31,7 +31,7 @@ def inspect(
     from lidar2pano.cli.standard_input import spooled
     from lidar2pano.drives.folders import drive_files
     from lidar2pano.formats.readers import ReadOptions
-    from lidar2pano.recordings.recorded_scans import describe
+    from lidar2pano.recordings.reading_process import describe
 
     with spooled([path]) as (source,):
         first, *further = drive_files(source, ReadOptions())
@@ -49,15 +49,25 @@ def inspect(
 
 def first_scan(path: Path, topic: str) -> dict[str, Any]:
     """Describe the first scan of a file or recording, or its fault under "problem"."""
-    from lidar2pano.drives.reading import ReadingOptions, read_scan, scan_sources
+    from lidar2pano.formats.interpretation import interpret
     from lidar2pano.formats.overrides import Overrides
     from lidar2pano.formats.readers import ReadOptions
+    from lidar2pano.recordings import reading_process
+    from lidar2pano.recordings.recorded_scans import recording_reader
 
-    source = next(scan_sources([path], ReadOptions(topic=topic)))
-    reading = read_scan(source, ReadingOptions(overrides=Overrides(invent=True)))
-    if reading.scan is None or reading.interpretation is None:
-        return {"problem": str(reading.error)}
-    return {"input": source.title, "scans": 1, **described(reading.scan, reading.interpretation)}
+    title = str(path)
+    try:
+        if recording_reader(path) is None:
+            cloud = reading_process.read_cloud(path)
+        else:
+            frame = next(reading_process.frames(path, ReadOptions(topic=topic)))
+            title, cloud = frame.title, frame.cloud()
+    except InputError as error:
+        return {"problem": str(error)}
+    try:
+        return {"input": title, "scans": 1, **described(*interpret(cloud, Overrides(invent=True)))}
+    except InputError as error:
+        return {"problem": f"{title}: {error}"}
 
 
 def lines_of_recording(record: dict[str, Any]) -> list[str]:

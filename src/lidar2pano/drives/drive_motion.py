@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from lidar2pano.bounded_files import open_regular
 from lidar2pano.data.poses import Poses, odometry
 from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import Interpretation
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.motion import SensorMotion, Trajectory, deskewed
-from lidar2pano.recordings.recorded_scans import recorded_motion, recording_reader
+from lidar2pano.recordings.reading_process import recorded_motion
+from lidar2pano.recordings.recorded_scans import recording_reader
 from lidar2pano.scan import Scan
 
 # (scan file or recording, scan, how it was read) -> scan without skew, T_world_sensor or None
@@ -133,7 +135,8 @@ def city_motion(folder: Path) -> tuple[SensorMotion, str] | None:
     except ImportError as error:
         raise InputError(f"{path}: needs the extra 'formats': pip install 'lidar2pano[formats]'") from error
     try:
-        table = feather.read_table(path, columns=list(CITY_COLUMNS))
+        with open_regular(path) as file:
+            table = feather.read_table(file, columns=list(CITY_COLUMNS))
         rows = np.stack([table[name].to_numpy() * (1e-9 if name == "timestamp_ns" else 1) for name in CITY_COLUMNS], 1)
         return SensorMotion((Trajectory.of(rows),)), str(path)
     except Exception as error:  # of Arrow, depending on the damage

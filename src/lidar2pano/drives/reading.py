@@ -22,8 +22,9 @@ from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.interpretation import Interpretation, interpret
 from lidar2pano.formats.overrides import Overrides
 from lidar2pano.formats.point_cloud import PointCloud
-from lidar2pano.formats.readers import ReadOptions, open_path
+from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.hardware import Timer
+from lidar2pano.recordings import reading_process
 from lidar2pano.recordings.recorded_scans import recording_reader
 from lidar2pano.scan import Scan
 
@@ -156,9 +157,9 @@ def scan_sources(
         try:
             reader = recording_reader(file)
             if reader is None:
-                yield _file_source(file, stems[file], partial(_only_cloud, file, selection))
+                yield _file_source(file, stems[file], partial(reading_process.read_cloud, file, selection))
                 continue
-            for frame in reader.frames(file, selection):
+            for frame in reading_process.frames(file, selection):
                 yield ScanSource(
                     path=file,
                     title=frame.title,
@@ -173,12 +174,6 @@ def scan_sources(
 
 def _file_source(file: Path, stem: str, cloud: Callable[[], PointCloud]) -> ScanSource:
     return ScanSource(path=file, title=str(file), stem=stem, cloud=cloud, stream=file.parent)
-
-
-def _only_cloud(file: Path, selection: ReadOptions) -> PointCloud:
-    for cloud in open_path(file).clouds(file, selection):
-        return cloud
-    raise InputError(f"{file}: holds no scan; name another file")
 
 
 def _fail(error: InputError) -> NoReturn:

@@ -12,6 +12,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError
 from lidar2pano.formats import readers
 from lidar2pano.formats.file_contents import HEAD_BYTES, head_of, is_packed, unpacked_copy
@@ -39,11 +40,10 @@ from lidar2pano.recordings.packet_captures import (
     packets,
 )
 from lidar2pano.recordings.point_messages import CLOUDS
-from lidar2pano.recordings.ros_bags import ROSBAG, SQLITE, open_folder, open_ros1, open_sqlite
+from lidar2pano.recordings.ros_bags import METADATA, ROSBAG, SQLITE, open_folder, open_ros1, open_sqlite
 from lidar2pano.scan import Scan
 
 ENDINGS = (".bag", ".db3", ".mcap", ".pcap", ".pcapng", ".osf")  # of recordings among a folder's files
-METADATA = "metadata.yaml"  # of a ROS 2 bag's folder
 Decode = Callable[[str], PointCloud]  # title for messages -> points
 
 
@@ -55,13 +55,15 @@ class Frame:
     stamp_s  when it was recorded, seconds since the epoch.
     decode   (title for messages) -> its points; raises InputError for damaged or missing points.
     content  the source of its points: the bytes of its message, or an array of its packets' measurements.
+    digest   SHA-256 of the content, if it is known already.
     """
 
     path: Path
     number: int
     stamp_s: float
     decode: Decode
-    content: bytes | np.ndarray
+    content: bytes | np.ndarray = b""
+    digest: str = ""
 
     @property
     def name(self) -> str:
@@ -76,7 +78,7 @@ class Frame:
     def sha256(self) -> str:
         """Return the SHA-256 of its content, in hexadecimal."""
         content = self.content if isinstance(self.content, bytes) else self.content.tobytes()
-        return hashlib.sha256(content).hexdigest()
+        return self.digest or hashlib.sha256(content).hexdigest()
 
     def cloud(self) -> PointCloud:
         """Return the points, with the time of recording for a scan without a stamp of its own."""
@@ -292,7 +294,7 @@ def recording_reader(path: Path) -> RecordingReader | None:
     if path.is_dir():
         return FOLDER if FOLDER.accepts(b"", path) else None
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             head = file.read(HEAD_BYTES)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); name a file that exists") from error

@@ -14,6 +14,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from lidar2pano.bounded_files import check_regular, open_regular
 from lidar2pano.errors import InputError
 from lidar2pano.recordings.description import (
     CDR,
@@ -28,6 +29,9 @@ from lidar2pano.recordings.description import (
 )
 from lidar2pano.recordings.mcap_files import McapFile
 
+METADATA = "metadata.yaml"
+MOST_METADATA_BYTES = 1 << 20  # 2,000 topics or files
+STEPS, STEPS_AT_ONCE = 10_000_000, 100_000  # of SQLite's virtual machine: of a statement, and between two looks at them
 ROSBAG, SQLITE = b"#ROSBAG V2.0", b"SQLite format 3\0"
 
 
@@ -154,15 +158,53 @@ def _open_sqlite(path: Path) -> Any:  # noqa: ANN401
     from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
     reader = Sqlite3Reader(Path(quote(str(path.absolute()))))  # it becomes a URI
-    reader.open()
+    with _bounded_sqlite(path.stat().st_size):
+        reader.open()
     return reader
+
+
+@contextlib.contextmanager
+def _bounded_sqlite(size: int) -> Iterator[None]:
+    """Inside, databases that are opened have tables but no views, and statements end after steps in proportion to them.
+
+    size  bytes of the database. A statement takes some 10 steps for a row, and a row some 30 bytes.
+    """
+    import apsw
+
+    most = (STEPS + 8 * size) // STEPS_AT_ONCE  # a folder's databases may be packed
+    actions = {apsw.SQLITE_SELECT, apsw.SQLITE_READ, apsw.SQLITE_FUNCTION, apsw.SQLITE_PRAGMA}
+
+    def bound(connection: Any) -> None:  # noqa: ANN401
+        steps = Counter[str]()
+
+        def begin(*_: object) -> bool:
+            steps.clear()
+            return True
+
+        def stop() -> bool:
+            steps["all"] += 1
+            return steps["all"] > most
+
+        for option in (apsw.SQLITE_DBCONFIG_ENABLE_VIEW, apsw.SQLITE_DBCONFIG_ENABLE_TRIGGER):
+            connection.config(option, 0)
+        connection.config(apsw.SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0)
+        connection.limit(apsw.SQLITE_LIMIT_LENGTH, MOST_CHUNK_BYTES)
+        connection.exec_trace = begin
+        connection.set_progress_handler(stop, STEPS_AT_ONCE)
+        connection.set_authorizer(lambda action, *_: apsw.SQLITE_OK if action in actions else apsw.SQLITE_DENY)
+
+    apsw.connection_hooks.append(bound)
+    try:
+        yield
+    finally:
+        apsw.connection_hooks.remove(bound)
 
 
 def _check_sqlite(path: Path) -> None:
     """Raise InputError if the file is shorter than its header says, or is still being written."""
     if any(path.with_name(path.name + ending).exists() for ending in ("-wal", "-journal")):
         raise InputError(f"{path}: is still being written (its -wal or -journal exists); stop the recorder first")
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         head = file.read(100)
     if len(head) < 100:
         raise InputError(f"{path}: is damaged or cut short ({len(head)} bytes); record it again")
@@ -176,8 +218,14 @@ def _check_sqlite(path: Path) -> None:
 def _open_folder(path: Path) -> Any:  # noqa: ANN401
     from rosbags.rosbag2 import Reader
 
+    for file in sorted(path.iterdir()):
+        if not file.is_dir():
+            check_regular(file)
+    if (path / METADATA).stat().st_size > MOST_METADATA_BYTES:
+        raise InputError(f"{path / METADATA}: has more than {MOST_METADATA_BYTES} bytes; try `ros2 bag reindex`")
     reader = Reader(path)
-    with contextlib.ExitStack() as stack:
+    size = sum(file.stat().st_size for file in path.iterdir())
+    with _bounded_sqlite(size), contextlib.ExitStack() as stack:
         stack.enter_context(reader)
         stack.pop_all()
     return reader

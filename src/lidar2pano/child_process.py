@@ -1,0 +1,251 @@
+"""A child process that works on strangers' files: its memory, processor time and written bytes have limits.
+
+Libraries let no bound be set on their work; the operating system does. What a child takes, it gives back at its end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import pickle
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lidar2pano.errors import InputError
+
+try:
+    import resource
+except ImportError:  # not on Windows: there functions are called in this process, without limits
+    resource = None
+
+BASE_BYTES, BASE_S = 1 << 28, 6.0  # for a file of any size
+# Of memory, a byte of a file: six times what it unpacks to, eight times packed; and of speed, the slowest library's.
+BYTES_PER_BYTE, BYTES_PER_S = 6 * 8, 2e7
+MOST_BYTES = 1 << 32
+WALL = 10  # so many times as long may the work take in a busy machine
+START_S = 60.0  # to start, with libraries from a cold disk
+LENGTHS = struct.Struct("<QQ")  # of a message, and of its array number n
+TRUSTED = ("lidar2pano.", "numpy.")  # modules whose classes may stand in an answer
+PLAIN = {"builtins": {"slice", "complex", "bytearray", "set", "frozenset"}, "numpy": {"dtype", "ndarray"}}
+PLAIN |= {"pathlib": {"PosixPath", "PurePosixPath", "Path"}}
+PROGRAM = "import sys; from lidar2pano.child_process import work; work(int(sys.argv[1]))"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bound:
+    """What a call may take: bytes of memory, seconds of processor time."""
+
+    bytes: int
+    seconds: float
+
+    @classmethod
+    def of(cls, path: Path) -> Bound:
+        """Return what reading a file, or all files of a folder, may take: little for a little one."""
+        try:
+            files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
+            size = sum(_stored_bytes(file.stat()) for file in files)
+        except OSError:
+            size = 0
+        return cls(bytes=min(BASE_BYTES + BYTES_PER_BYTE * size, MOST_BYTES), seconds=BASE_S + size / BYTES_PER_S)
+
+
+def _stored_bytes(status: os.stat_result) -> int:
+    """Return the bytes that a file takes on the disk: a sparse one may claim any length."""
+    return min(status.st_size, 512 * getattr(status, "st_blocks", sys.maxsize))
+
+
+class ChildProcess:
+    """A process that calls functions, one at a time; it starts with the first call, and after one that ended it.
+
+    It ends with this process, at the latest when its work is done.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._socket: socket.socket | None = None
+
+    def call(self, bound: Bound, title: str, function: Callable[..., Any], *arguments: Any) -> Any:  # noqa: ANN401
+        """Return function(*arguments), called in the child; both are named in modules and can be pickled.
+
+        title  of the file that is worked on. Raises InputError with it if a limit is reached or the child is lost, and
+        InputError as the function does; RuntimeError in place of any other exception.
+        """
+        if resource is None:
+            return function(*arguments)
+        with self._lock:
+            try:
+                kind, value = self._answer(bound, title, (bound, _folder(), function, arguments))
+            except BaseException:
+                self._end()
+                raise
+        if kind == "value":
+            return value
+        if kind == "memory":
+            raise InputError(_excess(title, f"more than {bound.bytes >> 20} MiB of memory"))
+        raise InputError(value) if kind == "input" else RuntimeError(value)
+
+    def start(self) -> None:
+        """Start the process unless it runs; the first call does, too."""
+        if resource is not None:
+            with self._lock:
+                self._start()
+
+    def close(self) -> None:
+        """End the process."""
+        with self._lock:
+            self._end()
+
+    def _answer(self, bound: Bound, title: str, request: object) -> tuple[str, Any]:
+        self._start()
+        assert self._socket is not None
+        self._socket.settimeout(bound.seconds * WALL)
+        try:
+            send(self._socket, request)
+            return receive(self._socket, bound.bytes, AnswerUnpickler)
+        except TimeoutError:
+            raise InputError(_excess(title, f"more than {bound.seconds * WALL:.0f} s")) from None
+        except (EOFError, OSError):  # it has ended
+            status = self._process.wait(START_S) if self._process else 0
+        if status in (-signal.SIGXCPU, -signal.SIGKILL):
+            raise InputError(_excess(title, f"more than {bound.seconds:.0f} s of processor time"))
+        raise InputError(f"{title}: ends the library that reads it (status {status}); it is damaged, fetch it again")
+
+    def _start(self) -> None:
+        if self._process is not None and self._process.poll() is None:
+            return
+        self._end()
+        ours, theirs = socket.socketpair()
+        paths = os.pathsep.join(dict.fromkeys(path for path in sys.path if path))
+        threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-c", PROGRAM, str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env=os.environ | threads | {"PYTHONPATH": paths},
+            )
+        self._socket = ours
+        ours.settimeout(START_S)
+        receive(ours, BASE_BYTES, AnswerUnpickler)  # it is ready
+
+    def _end(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+        self._process = self._socket = None
+
+    def __del__(self) -> None:
+        """End the process with its object."""
+        with contextlib.suppress(Exception):
+            self._end()
+
+
+def _folder() -> str:
+    """Return the folder that relative paths begin in, now; a removed one has no files."""
+    try:
+        return str(Path.cwd())
+    except FileNotFoundError:
+        return "/"
+
+
+def _excess(title: str, what: str) -> str:
+    return f"{title}: takes {what} to be read, as no scan of its size does; it is damaged or no scan, name another"
+
+
+class AnswerUnpickler(pickle.Unpickler):
+    """Builds nothing but arrays, plain values and classes of our own: a library may have been taken over by a file."""
+
+    def find_class(self, module: str, name: str) -> Any:  # noqa: ANN401
+        """Return a class by its name; UnpicklingError for any other object."""
+        if name in PLAIN.get(module, ()) or f"{module}.".startswith(TRUSTED):
+            found = super().find_class(module, name)
+            if isinstance(found, type) or module.startswith("numpy"):
+                return found
+        raise pickle.UnpicklingError(f"{module}.{name} has no place in an answer")
+
+
+def send(channel: socket.socket, message: object) -> None:
+    """Send a message; arrays go beside it, uncopied."""
+    buffers: list[pickle.PickleBuffer] = []
+    text = pickle.dumps(message, protocol=5, buffer_callback=buffers.append)
+    parts = [buffer.raw() for buffer in buffers]
+    channel.sendall(LENGTHS.pack(len(text), len(parts)) + b"".join(LENGTHS.pack(part.nbytes, 0) for part in parts))
+    for part in (memoryview(text), *parts):
+        channel.sendall(part)
+
+
+def receive(channel: socket.socket, most: int, unpickler: type[pickle.Unpickler] = pickle.Unpickler) -> Any:  # noqa: ANN401
+    """Return the next message, of at most so many bytes; EOFError if the other side has ended."""
+    length, count = LENGTHS.unpack(_received(channel, LENGTHS.size))
+    if LENGTHS.size * count > most:
+        raise EOFError
+    sizes = [LENGTHS.unpack(_received(channel, LENGTHS.size))[0] for _ in range(count)]
+    if length + sum(sizes) > most:
+        raise EOFError
+    text, *buffers = [_received(channel, size) for size in (length, *sizes)]
+    return unpickler(io.BytesIO(text), buffers=buffers).load()
+
+
+def _received(channel: socket.socket, size: int) -> bytearray:
+    data = bytearray(size)
+    view = memoryview(data)
+    while view:
+        if not (count := channel.recv_into(view)):
+            raise EOFError
+        view = view[count:]
+    return data
+
+
+def work(descriptor: int) -> None:
+    """Call what the parent asks for, until it ends: the program of the child."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is meant for the parent, which then ends this process
+    with socket.socket(fileno=descriptor) as channel, contextlib.suppress(EOFError, OSError):
+        send(channel, "ready")
+        while True:
+            bound, folder, function, arguments = receive(channel, sys.maxsize)
+            try:
+                os.chdir(folder)
+                send(channel, _called(bound, function, arguments))
+            except MemoryError:  # for the answer; nothing of it is sent yet
+                send(channel, ("memory", ""))
+
+
+def _called(bound: Bound, function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[str, Any]:
+    _limit(bound)
+    try:
+        return "value", function(*arguments)
+    except InputError as error:
+        return ("memory" if isinstance(error.__cause__, MemoryError) else "input"), str(error)
+    except MemoryError:
+        return "memory", ""
+    except BaseException as error:
+        return "fault", f"{type(error).__name__}: {error}"
+
+
+def _limit(bound: Bound) -> None:
+    """Limit what this process may take from now on; beyond, memory is refused, and time ends the process."""
+    assert resource is not None
+    spent = time.process_time()
+    limits = [(resource.RLIMIT_CPU, int(spent + bound.seconds) + 1), (resource.RLIMIT_FSIZE, bound.bytes)]
+    with contextlib.suppress(OSError, ValueError, IndexError):  # Linux alone tells
+        taken = int(Path("/proc/self/status").read_text(encoding="ascii").partition("VmData:")[2].split()[0]) << 10
+        limits.append((resource.RLIMIT_DATA, taken + bound.bytes))
+    for limit, value in limits:
+        hard = resource.getrlimit(limit)[1]
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(limit, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))

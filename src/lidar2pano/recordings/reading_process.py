@@ -1,0 +1,175 @@
+"""Scans and recordings read in a child process with limits: for files of strangers, as commands and services get them.
+
+The functions are those of `recorded_scans`, `playback` and `readers`, with the same errors.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from lidar2pano.child_process import Bound, ChildProcess
+from lidar2pano.errors import InputError
+from lidar2pano.formats.point_cloud import PointCloud
+from lidar2pano.formats.readers import ReadOptions, open_path
+from lidar2pano.geometry.motion import SensorMotion
+from lidar2pano.recordings import playback as unlimited
+from lidar2pano.recordings import recorded_scans
+from lidar2pano.recordings.description import Description
+from lidar2pano.recordings.recorded_scans import Frame
+
+_own = threading.local()  # a child for each thread
+_held: dict[int, Any] = {}  # in the child: open recordings by number
+_numbers = itertools.count()
+
+
+def _child() -> ChildProcess:
+    if not hasattr(_own, "child"):
+        _own.child = ChildProcess()
+    return _own.child
+
+
+def get_ready() -> None:
+    """Start the process for this thread's scans, so that the first one need not wait for it."""
+    _child().start()
+
+
+def read_cloud(
+    path: Path, options: ReadOptions | None = None, *, most_points: float = math.inf, most_seconds: float = math.inf
+) -> PointCloud:
+    """Return the points of a scan file; InputError as `open_path`, and for more points or seconds of reading."""
+    bound = Bound.of(path)
+    bound = replace(bound, seconds=min(bound.seconds, most_seconds))
+    return _child().call(bound, str(path), _cloud, path, options or ReadOptions(), most_points)
+
+
+def _cloud(path: Path, options: ReadOptions, most_points: float) -> PointCloud:
+    for cloud in open_path(path).clouds(path, options):
+        if len(cloud) > most_points:
+            raise InputError(f"{path}: {len(cloud)} points are too many (at most {most_points}); thin it out")
+        return cloud
+    raise InputError(f"{path}: holds no scan; name another file")
+
+
+def describe(path: Path) -> Description | None:
+    """Return the contents of a recording; None for anything else."""
+    if recorded_scans.recording_reader(path) is None:
+        return None
+    return _child().call(Bound.of(path), str(path), recorded_scans.describe, path)
+
+
+def recorded_motion(path: Path, options: ReadOptions, frame: str) -> tuple[SensorMotion, str] | None:
+    """Return the motion of a coordinate frame in a recording, and the name of its origin; None without one."""
+    reader = recorded_scans.recording_reader(path)
+    if reader is None or reader.open is None:
+        return None
+    return _child().call(Bound.of(path), str(path), recorded_scans.recorded_motion, path, options, frame)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DecodedFrame:
+    """A scan of a recording, decoded by the child; `error` in place of the points of a damaged one."""
+
+    number: int
+    stamp_s: float
+    digest: str
+    cloud: PointCloud | None
+    error: str = ""
+
+    @classmethod
+    def of(cls, frame: Frame) -> DecodedFrame:
+        """Decode a scan."""
+        cloud, error = None, ""
+        try:
+            cloud = frame.cloud()
+        except InputError as problem:
+            error = str(problem)
+        return cls(number=frame.number, stamp_s=frame.stamp_s, digest=frame.sha256(), cloud=cloud, error=error)
+
+    def frame(self, path: Path) -> Frame:
+        """Return it as a scan of the recording at `path`."""
+        return Frame(path=path, number=self.number, stamp_s=self.stamp_s, decode=self._decoded, digest=self.digest)
+
+    def _decoded(self, _: str) -> PointCloud:
+        if self.cloud is None:
+            raise InputError(self.error)
+        return self.cloud
+
+
+class _Open:
+    """An object kept in a child of its own: `call` calls its methods there."""
+
+    def __init__(self, path: Path, make: Any, *arguments: Any) -> None:  # noqa: ANN401
+        self.path, self._child, self._bound = path, ChildProcess(), Bound.of(path)
+        self._number: int = self._child.call(self._bound, str(path), _kept, make, path, *arguments)
+
+    def call(self, method: str, *arguments: Any) -> Any:  # noqa: ANN401
+        return self._child.call(self._bound, str(self.path), _call_kept, self._number, method, *arguments)
+
+    def close(self) -> None:
+        self._child.close()
+
+
+def _kept(make: Any, *arguments: Any) -> int:  # noqa: ANN401
+    number = next(_numbers)
+    _held[number] = make(*arguments)
+    return number
+
+
+def _call_kept(number: int, method: str, *arguments: Any) -> Any:  # noqa: ANN401
+    if number not in _held:
+        raise InputError("the process that read the recording has ended; nothing behind this scan can be read")
+    value = getattr(_held[number], method)(*arguments)
+    return DecodedFrame.of(value) if isinstance(value, Frame) else value
+
+
+class FrameIterator:
+    """The scans of a recording one after the other, in the child."""
+
+    def __init__(self, path: Path, options: ReadOptions) -> None:
+        self._frames = recorded_scans.frames(path, options)
+
+    def following(self) -> Frame | None:
+        """Return the next scan; None at the end."""
+        return next(self._frames, None)
+
+
+def frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
+    """Yield the scans of a recording in time, decoded already."""
+    with closing(_Open(path, FrameIterator, options)) as opened:
+        while (decoded := opened.call("following")) is not None:
+            yield decoded.frame(path)
+
+
+class ConfinedPlayback:
+    """A Playback in the child."""
+
+    def __init__(self, path: Path, topic: str = "") -> None:
+        self.path = path
+        self._open = _Open(path, unlimited.playback, topic)
+
+    def numbers(self, options: ReadOptions) -> Sequence[int]:
+        """See Playback."""
+        return self._open.call("numbers", options)
+
+    def frame(self, number: int) -> Frame:
+        """See Playback."""
+        return self._open.call("frame", number).frame(self.path)
+
+    def recorded_s(self, number: int) -> float:
+        """See Playback."""
+        return self._open.call("recorded_s", number)
+
+    def motion(self, number: int, frame: str) -> tuple[SensorMotion, str] | None:
+        """See Playback."""
+        return self._open.call("motion", number, frame)
+
+    def close(self) -> None:
+        """See Playback."""
+        self._open.close()
