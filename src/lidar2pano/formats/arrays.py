@@ -37,6 +37,9 @@ POINTS = (
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 AXES = ("x", "y", "z")
 MOST_MEMBERS = 1000  # arrays of an archive
+UNPACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # bzip2 and lzma give out gigabytes at a time
+MOST_HEADER = 1 << 16  # of an NPY: NumPy itself refuses more than 10,000 bytes
+BLOCK_BYTES = 1 << 20
 WIDEST, MOST_ROWS = 64, 8  # columns of an array of points; rows of one with a point in each column
 
 
@@ -213,13 +216,13 @@ def decode_npz(data: bytes, path: Path) -> PointCloud:
                 raise InputError(f"{path}: is a ZIP archive without arrays (it has {held}); unpack it and name a scan")
             if len(members) > MOST_MEMBERS or sum(member.file_size for member in members) > MOST_BYTES:
                 raise InputError(f"{path}: unpacks to more than {MOST_BYTES} bytes, which is no single scan; cut it")
+            if any(member.compress_type not in UNPACKED for member in members):
+                raise InputError(f"{path}: is packed in another way than NumPy's; write it by savez_compressed")
             for member in members:
                 name = member.filename.removesuffix(".npy")
                 with archive.open(member) as file:
                     try:
-                        arrays[name] = _array(
-                            io.BytesIO(file.read(member.file_size)), member.file_size, f"{path}: {name}"
-                        )
+                        arrays[name] = _array(file, member.file_size, f"{path}: {name}")
                     except InputError as error:
                         if "pickled" not in str(error) or len(members) == 1:
                             raise
@@ -234,22 +237,30 @@ def decode_npz(data: bytes, path: Path) -> PointCloud:
 
 def _array(file: BinaryIO, length: int, source: str) -> np.ndarray:
     """Return the array of an NPY of `length` bytes, without executing or allocating more than it holds."""
+    head = io.BytesIO(file.read(min(length, MOST_HEADER)))
     try:
-        version = np.lib.format.read_magic(file)
+        version = np.lib.format.read_magic(head)
         if version > (3, 0):
             raise InputError(f"{source}: is an NPY of version {version[0]}, newer than 3; write it in an older one")
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, fortran, dtype = read_header(file)
+        shape, fortran, dtype = read_header(head)
     except InputError:
         raise
     except Exception as error:  # a bad literal raises many
         raise InputError(f"{source}: is no NPY ({str(error).splitlines()[0]}); it is damaged or cut off") from None
     if dtype.hasobject:
         raise InputError(f"{source}: is pickled, which could execute anything and is not read; save plain numbers")
-    count, left = math.prod(shape), length - file.tell()
+    count, left = math.prod(shape), length - head.tell()
     if min(shape, default=0) < 0 or count * dtype.itemsize != left:
         raise InputError(
             f"{source}: says {' x '.join(map(str, shape))} values of {dtype.itemsize} bytes, but {left} bytes follow;"
             " the file is damaged or truncated"
         )
-    return np.frombuffer(file.read(), dtype, count).reshape(shape, order="F" if fortran else "C")
+    data = bytearray(left)
+    place = head.readinto(data)
+    while place < left and (block := file.read(min(left - place, BLOCK_BYTES))):
+        data[place : place + len(block)] = block
+        place += len(block)
+    if place < left:
+        raise InputError(f"{source}: ends after {place} of {left} bytes; the file is damaged or truncated")
+    return np.frombuffer(data, dtype, count).reshape(shape, order="F" if fortran else "C")

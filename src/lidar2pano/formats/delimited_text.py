@@ -6,6 +6,7 @@ import csv
 import io
 import re
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,6 +32,7 @@ SAMPLE_LINES = 64
 MOST_UNNAMED = 9  # columns of a table without header, for it to be a scan among a folder's files
 MOST_NAMED = 12  # columns in a message
 MOST_LINE = 1 << 14
+BLOCK_BYTES = 1 << 20  # of text, parsed at a time
 LEAST = 3  # columns
 
 
@@ -116,32 +118,58 @@ def _plain_numbers(data: bytes) -> bytes:
 
 def numbers(data: bytes, path: Path, width: int) -> np.ndarray:
     """Return the numbers (N, width) float64 of lines of text, NaN for empty cells; InputError for other widths."""
-    if len(data) > MOST_BYTES or data.count(b"\n") > MOST_POINTS:
+    if b"\n" not in data:
+        data = data.replace(b"\r", b"\n")
+    most = data.count(b"\n") + 1
+    if len(data) > MOST_BYTES or most > MOST_POINTS + 1:
         raise InputError(f"{path}: is too long for a single sweep (at most {MOST_POINTS} points); cut it")
+    table, count, lines = np.empty((most, width)), 0, 0
+    for block in _blocks(data, path):
+        rows = _rows(block, path, width, lines)
+        if not count and len(rows) and not np.isfinite(rows[0, :LEAST]).any():
+            raise InputError(f"{path}: its lines are no numbers; name a scan")
+        if count + len(rows) > most:
+            raise InputError(f"{path}: its lines end in different ways; write them with one kind of line end")
+        table[count : count + len(rows)] = rows
+        count, lines = count + len(rows), lines + block.count(b"\n")
+    if not count:
+        raise InputError(f"{path}: holds no points; name a scan that has some")
+    return table[:count]
+
+
+def _blocks(data: bytes, path: Path) -> Iterator[bytes]:
+    """Yield whole lines, BLOCK_BYTES or less together: what is made of them takes many times as much."""
+    start = 0
+    while start < len(data):
+        end = len(data) if len(data) - start <= BLOCK_BYTES else data.rfind(b"\n", start, start + BLOCK_BYTES) + 1
+        if not end:
+            raise InputError(f"{path}: has a line of more than {BLOCK_BYTES} characters; name a scan")
+        yield data[start:end]
+        start = end
+
+
+def _rows(block: bytes, path: Path, width: int, lines: int) -> np.ndarray:
+    """Return the numbers of whole lines, `lines` of which came before in the file."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # if there is no number at all
-            table = np.loadtxt(io.BytesIO(data.translate(SEPARATORS)), ndmin=2, encoding="latin-1")
+            table = np.loadtxt(io.BytesIO(block.translate(SEPARATORS)), ndmin=2, encoding="latin-1")
     except (UserWarning, ValueError):
-        return _line_by_line(data, path, width)
-    return table if table.shape[1] == width else _line_by_line(data, path, width)
+        return _line_by_line(block, path, width, lines)
+    return table if table.shape[1] == width else _line_by_line(block, path, width, lines)
 
 
-def _line_by_line(data: bytes, path: Path, width: int) -> np.ndarray:
-    """Like `numbers`, for files with comments, empty cells, text cells and to find the wrong line."""
+def _line_by_line(block: bytes, path: Path, width: int, lines: int) -> np.ndarray:
+    """Like `_rows`, for lines with comments, empty cells, text cells and to find the wrong line."""
     rows = []
-    for number, line in enumerate(data.decode("utf-8", "replace").splitlines(), 1):
+    for number, line in enumerate(block.decode("utf-8", "replace").splitlines(), lines + 1):
         cells = _cells(line, width)
         if not line.strip() or line.lstrip().startswith(("#", "//")):
             continue
         if len(cells) != width:
             raise InputError(f"{path}: point {number} has {len(cells)} values instead of {width}; it is damaged or cut")
         rows.append([float(cell) if NUMBER.fullmatch(cell) else np.nan for cell in cells])
-        if len(rows) == 1 and not np.isfinite(rows[0][:LEAST]).any():
-            raise InputError(f"{path}: its lines are no numbers; name a scan")
-    if not rows:
-        raise InputError(f"{path}: holds no points; name a scan that has some")
-    return np.array(rows)
+    return np.array(rows).reshape(-1, width)
 
 
 MOST_DIGITS = 19  # of a number of points
@@ -150,22 +178,24 @@ MOST_DIGITS = 19  # of a number of points
 def _preamble(data: bytes, path: Path) -> tuple[list[str], int | None, bytes]:
     """Return the header's names, the number of points claimed by a line, and the rest of the file."""
     names: list[str] = []
-    claimed = None
-    while data:
-        line, _, rest = data.partition(b"\n")
-        if len(line) > MOST_LINE:
-            raise InputError(f"{path}: its first line has {len(line)} characters; name a scan")
+    claimed, start = None, 0
+    while start < len(data):
+        end = data.find(b"\n", start, start + MOST_LINE + 1)
+        if end < 0 and len(data) - start > MOST_LINE:
+            raise InputError(f"{path}: its first line has more than {MOST_LINE} characters; name a scan")
+        end = len(data) if end < 0 else end
+        line = data[start:end]
         text = line.decode("utf-8", "replace").strip()
         cells = _cells(text.lstrip("#/ "))
         if not cells or text.startswith("sep=") or (text.startswith(("#", "//")) and not _is_header(cells)):
-            data = rest
+            start = end + 1
         elif claimed is None and len(cells) == 1 and cells[0].isdecimal() and len(cells[0]) < MOST_DIGITS:
-            claimed, data = int(cells[0]), rest
+            claimed, start = int(cells[0]), end + 1
         elif not names and _is_header(cells):
-            names, data = cells, rest
+            names, start = cells, end + 1
         else:
             break
-    return names, claimed, data
+    return names, claimed, data[start:]
 
 
 def _is_header(cells: list[str]) -> bool:

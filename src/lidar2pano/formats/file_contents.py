@@ -16,7 +16,7 @@ from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError
 
 HEAD_BYTES = 4096  # of a file, for readers to decide
-MOST_FILE_BYTES = 1 << 30  # a sparse or wrong file must not fill the memory
+MOST_FILE_BYTES = 1 << 29  # a sparse or wrong file must not fill the memory
 MOST_COPIED_BYTES = 1 << 35  # of an unpacked recording
 MOST_BYTES = 1 << 28  # unpacked: 16 million points of 16 bytes
 CHUNK_BYTES = 1 << 20

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.delimited_text import numbers
+from lidar2pano.formats.delimited_text import BLOCK_BYTES, numbers
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
 
@@ -159,7 +159,7 @@ def _ascii(data: bytes, vertices: Element, path: Path, last: bool) -> dict[str, 
     if len(vertices.runs()) > 1:
         data = b"\n".join(_without_lists(line, vertices, path) for line in data.splitlines()[: vertices.count])
     elif not last:  # faces follow
-        data = b"\n".join(data.split(b"\n", vertices.count)[: vertices.count])
+        data = data[: _end_of_line(data, vertices.count)]
     scalars = [entry for entry in vertices.properties if entry.count is None]
     table = numbers(data, path, len(scalars))
     if len(table) != vertices.count:
@@ -183,6 +183,16 @@ def _without_lists(line: bytes, vertices: Element, path: Path) -> bytes:
     except (IndexError, ValueError, OverflowError):
         raise InputError(f"{path}: a vertex has fewer values than its header says; it is damaged or cut") from None
     return b" ".join(scalars)
+
+
+def _end_of_line(data: bytes, number: int) -> int:
+    """Return the place of the end of line `number`, from 1; the end of the data if they have fewer lines."""
+    for start in range(0, len(data), BLOCK_BYTES):
+        ends = np.flatnonzero(np.frombuffer(data, np.uint8, min(BLOCK_BYTES, len(data) - start), start) == ord("\n"))
+        if number <= len(ends):
+            return start + int(ends[number - 1]) if number else 0
+        number -= len(ends)
+    return len(data)
 
 
 def write_ply(path: Path, columns: Mapping[str, np.ndarray]) -> None:

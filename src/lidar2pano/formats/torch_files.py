@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import mmap
 import pickle
 import zipfile
@@ -23,8 +24,19 @@ def load_torch(path: Path | str) -> Any:  # noqa: ANN401
     with open_regular(path) as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         if content.find(HUNGRY) >= 0:
             raise pickle.UnpicklingError("it builds a bytearray, which no weights do")
-    if zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as archive:
-            if any(part.compress_type != zipfile.ZIP_STORED for part in archive.infolist()):
-                raise pickle.UnpicklingError("it is packed, which torch's files are not")
+        if content[:2] == b"PK" or zipfile.is_zipfile(file):
+            _check_archive(file, len(content))
     return torch.load(path, map_location="cpu", weights_only=True)
+
+
+def _check_archive(file: io.FileIO, size: int) -> None:
+    """Raise UnpicklingError for an archive that unpacks to more than it holds; torch looks farther for one than we."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            parts = archive.infolist()
+    except (zipfile.BadZipFile, ValueError, NotImplementedError, OSError) as error:
+        raise pickle.UnpicklingError(f"its archive is damaged ({error})") from None
+    if any(part.compress_type != zipfile.ZIP_STORED or part.compress_size != part.file_size for part in parts):
+        raise pickle.UnpicklingError("it is packed, which torch's files are not")
+    if sum(part.file_size for part in parts) > size:
+        raise pickle.UnpicklingError("several of its parts lie in the same place")
