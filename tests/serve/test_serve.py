@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import http.client
 import importlib
 import io
@@ -13,9 +14,11 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.error
+import urllib.request
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
@@ -28,7 +31,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import read
 from lidar2pano.hardware import Timer
 from lidar2pano.memory import Memory
-from lidar2pano.serve import Limits, UploadTranslator, create_application
+from lidar2pano.serve import BoundedConnection, Limits, UploadTranslator, create_application, is_loopback
 from lidar2pano.serve.fair_queue import FairQueue
 from lidar2pano.serve.uploads import KeptResults, Result, known_ending, parse_parts
 from random_weights import street, write_scan
@@ -61,12 +64,17 @@ class Server:
 
 
 @contextmanager
-def serving(pipeline: StandIn = StandIn(), points: int = 1000, **limits) -> Iterator[Server]:  # noqa: B008
+def serving(
+    pipeline: StandIn = StandIn(),  # noqa: B008
+    points: int = 1000,
+    connection: type[BoundedConnection] = BoundedConnection,
+    **limits,
+) -> Iterator[Server]:
     translator = UploadTranslator(pipeline=pipeline, weights="stand-in", most_points=points)
-    application = create_application(translator, Limits(**limits), ["127.0.0.1", "localhost"])
+    application = create_application(translator, Limits(**limits), ["localhost"])
     listening = socket.socket()
     listening.bind(("127.0.0.1", 0))
-    server = uvicorn.Server(uvicorn.Config(application, log_level="critical", server_header=False))
+    server = uvicorn.Server(uvicorn.Config(application, log_level="critical", server_header=False, http=connection))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
     thread.start()
     while not server.started:
@@ -261,6 +269,130 @@ def test_a_bug_costs_one_request(server, tmp_path, scan):
     assert server.ask("POST", "/panorama", scan[0])[0] == 200
 
 
+# --- strangers --------------------------------------------------------------------------------------------------------
+
+
+class Impatient(BoundedConnection):
+    silent_s, most_connections = 0.4, 8
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        b"",
+        b"GET / HTTP/1.1\r\nHost: localhost\r\n",
+        b"GET /health HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\n1",  # answered, its body never ends
+        b"GET /health HTTP/1.1\r\nHost: localhost\r\n\r\nGET",  # the second request never ends
+    ],
+)
+def test_a_silent_connection_is_closed(words):
+    with serving(connection=Impatient) as server:
+        silent = socket.create_connection(("127.0.0.1", server.port), timeout=20)
+        silent.sendall(words)
+        begin = time.monotonic()
+        with suppress(ConnectionResetError):
+            while silent.recv(4096):
+                pass
+        assert 0.2 < time.monotonic() - begin < 5
+        silent.close()
+
+
+def test_a_head_that_drips_is_not_waited_for():
+    with serving(connection=Impatient) as server:
+        slow = socket.create_connection(("127.0.0.1", server.port), timeout=20)
+        with pytest.raises(OSError):  # noqa: PT011 a broken pipe or a reset
+            for byte in b"GET / HTTP/1.1\r\nHost: localhost\r\nX: " + b"x" * 100:
+                slow.sendall(bytes([byte]))
+                time.sleep(0.05)
+        slow.close()
+
+
+def test_many_silent_connections_keep_nobody_out(scan):
+    class Patient(BoundedConnection):
+        silent_s, most_connections = 60.0, 8
+
+    with serving(connection=Patient) as server:
+        silent = [socket.create_connection(("127.0.0.1", server.port), timeout=20) for _ in range(30)]
+        assert server.ask("POST", "/panorama", scan[0])[0] == 200
+        for one in silent:
+            one.close()
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Origin": "https://evil.example"}, 403),
+        ({"Origin": "null"}, 403),
+        ({"Sec-Fetch-Site": "cross-site"}, 403),
+        ({"Sec-Fetch-Site": "same-site"}, 403),  # another port of this machine
+        ({"Sec-Fetch-Site": "same-origin"}, 200),
+        ({"Sec-Fetch-Site": "none"}, 200),
+        ({"Origin": "http://localhost:1", "Host": "localhost:1"}, 200),
+        ({"Origin": "http://localhost:2", "Host": "localhost:1"}, 403),
+    ],
+)
+def test_pages_of_other_sites_cannot_ask(server, scan, headers, status):
+    assert server.ask("POST", "/panorama", scan[0], **headers)[0] == status
+    assert server.ask("GET", "/health", **headers)[0] == status
+
+
+def test_a_link_from_elsewhere_may_be_followed(server):
+    assert server.ask("GET", "/", **{"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"})[0] == 200
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [
+        ("127.0.0.1", 200),
+        ("127.8.9.1:8360", 200),
+        ("[::1]:8360", 200),
+        ("LOCALHOST", 200),
+        ("evil.example", 400),
+        ("localhost.evil.example", 400),
+        ("127.0.0.1.evil.example", 400),
+        ("2130706433", 400),
+        ("10.0.0.1", 400),
+        ("[::1", 400),
+        ("", 400),
+    ],
+)
+def test_loopback_is_a_property_of_the_address(server, host, status):
+    assert server.ask("GET", "/health", Host=host)[0] == status
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("127.0.0.1", True), ("127.0.0.2", True), ("::1", True), ("::ffff:127.0.0.1", True), ("0.0.0.0", False)]
+    + [("::", False), ("localhost", False), ("evil.example", False)],
+)
+def test_addresses_of_this_machine_alone(name, expected):
+    assert is_loopback(name) is expected
+
+
+@pytest.mark.parametrize(("host", "status"), [("127.0.0.1", b"200"), ("evil.example", b"400")])
+def test_a_target_may_be_absolute(server, host, status):
+    with socket.create_connection(("127.0.0.1", server.port), timeout=20) as connection:
+        connection.sendall(f"GET http://{host}/health HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+        assert connection.recv(100).split()[1] == status
+
+
+@pytest.mark.parametrize("megabytes", [2, 20])
+def test_a_body_too_long_is_answered_to_clients_that_send_all_first(megabytes):
+    with serving(body_bytes=1 << 20) as server:
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            urllib.request.urlopen(f"http://127.0.0.1:{server.port}/panorama", bytes(megabytes << 20), timeout=20)
+        assert refused.value.code == 413 and b"the body is longer" in refused.value.read()
+
+
+def test_an_upload_that_takes_its_reader_down_costs_one_request(server, scan):
+    lines = gzip.compress(b"1 2 3\n" * 9_000_000 + b"1 2\n", 1)
+    begin = time.monotonic()
+    status, _, data = server.ask("POST", "/panorama?name=a.txt.gz", lines)
+    assert status == 422 and "of memory to be read" in json.loads(data)["error"], data
+    assert time.monotonic() - begin < 20
+    assert server.ask("POST", "/panorama", scan[0])[0] == 200
+
+
 # --- the queue --------------------------------------------------------------------------------------------------------
 
 
@@ -400,7 +532,7 @@ def test_twice_the_capacity(scan, monkeypatch):
 
 
 def test_the_command(random_weights, scan):
-    """A process of its own: it says where it listens, and SIGTERM lets it finish what it took."""
+    """A process of its own: it says where it listens, and SIGTERM lets it finish what it works at."""
     words = ["serve", "--port", "0", "--weights", str(random_weights), "--device", "cpu"]
     process = subprocess.Popen(
         [sys.executable, "-m", "lidar2pano", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -411,13 +543,13 @@ def test_the_command(random_weights, scan):
         server = Server(None, None, port)
         while server.ask("GET", "/health")[0] != 200:
             time.sleep(0.05)
-        taken = [server.sent(scan[0]) for _ in range(3)]
+        assert server.ask("POST", "/panorama", scan[0])[0] == 200
+        taken = server.sent(scan[0])
         while server.waiting() < 1:
             time.sleep(0.005)
         process.send_signal(signal.SIGTERM)
-        assert all(connection.recv(100).startswith(b"HTTP/1.1 200") for connection in taken)
-        for connection in taken:
-            connection.close()
+        assert taken.recv(100).startswith(b"HTTP/1.1 200")
+        taken.close()
         _, errors = process.communicate(timeout=60)
         assert process.returncode == 0
         assert errors.count("\n") == 1 and "not for commercial use" in errors

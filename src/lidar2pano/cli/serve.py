@@ -14,7 +14,8 @@ from lidar2pano.cli.app import app
 from lidar2pano.cli.console import print_licence
 from lidar2pano.errors import InputError
 
-LOOPBACK: tuple[str, ...] = ("127.0.0.1", "localhost")
+MOST_CONCURRENT = 1000  # more than a server's connections
+GRACEFUL_S = 4  # for requests at work, after SIGTERM
 
 
 @app.command()
@@ -42,18 +43,28 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
     import uvicorn
 
     from lidar2pano.cli.batch import checked_options
-    from lidar2pano.serve import Limits, UploadTranslator, create_application
+    from lidar2pano.serve import BoundedConnection, Limits, UploadTranslator, create_application, is_loopback
 
     listening = _socket(host, port)
     options = checked_options(weights, look=look, device=device, engine=engine, out=Path(), save=("rgb",))
     limits = replace(Limits(), body_bytes=int(most_megabytes * 1e6), points=most_points, waiting=queue, seconds=seconds)
     pipeline = options.pipeline()
     print_licence(pipeline.cards.values())
-    translator = UploadTranslator(pipeline=pipeline, weights=options.weights, most_points=limits.points)
-    hosts = list(LOOPBACK) if host in LOOPBACK else None  # a page elsewhere may have a name for this machine
-    application = create_application(translator, limits, hosts)
-    config = uvicorn.Config(application, log_level="warning", server_header=False, limit_concurrency=1000)
+    translator = UploadTranslator(
+        pipeline=pipeline, weights=options.weights, most_points=limits.points, most_seconds=limits.seconds
+    )
     name, bound = listening.getsockname()[:2]
+    hosts = ["localhost"] if is_loopback(name) else None  # a page elsewhere may have a name for this machine
+    application = create_application(translator, limits, hosts)
+    config = uvicorn.Config(
+        application,
+        http=BoundedConnection,
+        log_level="warning",
+        server_header=False,
+        proxy_headers=False,  # whoever calls from this machine could name himself anew for each request
+        limit_concurrency=MOST_CONCURRENT,
+        timeout_graceful_shutdown=GRACEFUL_S,
+    )
     print(f"http://{f'[{name}]' if ':' in name else name}:{bound}", flush=True)
     signal.signal(signal.SIGTERM, lambda *_: None)  # uvicorn raises it again when all requests are answered
     uvicorn.Server(config).run(sockets=[listening])

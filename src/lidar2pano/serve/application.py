@@ -16,20 +16,23 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, gene
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
-from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from lidar2pano.errors import InputError
+from lidar2pano.recordings.reading_process import get_ready
 from lidar2pano.serve.fair_queue import FairQueue
 from lidar2pano.serve.queries import Query, UnknownParameter, file_of_form, parse_query
 from lidar2pano.serve.uploads import FILES, PAGE, KeptResults, Limits, Result, UploadTranslator
+from lidar2pano.serve.guards import Guard
 
 TYPES = {"rgb": "image/png", "segments": "image/png", "labels": "application/octet-stream", "depth": "image/png"} | {
     PAGE: "text/html"
 }
 DOUBTS = "Lidar2pano-Doubts"  # header
+# Of a body that is too long: bytes taken and forgotten, seconds between its parts, digits of its length.
+MOST_DRAINED, DRAIN_S, MOST_DIGITS = 1 << 30, 1.0, 19
 CLOSED = 499  # for the metrics: the client went away
 HEADERS = {
     "Cache-Control": "no-store",
@@ -43,16 +46,16 @@ HEADERS = {
 def create_application(translator: UploadTranslator, limits: Limits, hosts: list[str] | None = None) -> Starlette:
     """Return the application, with one worker of the same life.
 
-    hosts  names allowed in the header Host; None: any.
+    hosts  names allowed in the header Host, beside loopback addresses; None: any.
     """
     service = Service(translator, limits)
 
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        service.queue.submit("", get_ready)  # in the thread that reads
         yield
         await asyncio.to_thread(service.queue.close)
 
-    guards = [Middleware(TrustedHostMiddleware, allowed_hosts=hosts, www_redirect=False)] if hosts else []
     return Starlette(
         routes=[
             Route("/panorama", service.panorama, methods=["POST"]),
@@ -64,7 +67,7 @@ def create_application(translator: UploadTranslator, limits: Limits, hosts: list
             Route("/", partial(page, "index.html", "text/html")),
         ],
         exception_handlers={HTTPException: refused, InputError: unusable, Exception: broken},  # pyright: ignore
-        middleware=guards,
+        middleware=[Middleware(Guard, hosts=hosts)],
         lifespan=lifespan,
     )
 
@@ -171,13 +174,18 @@ class Service:
         most = self.limits.body_bytes
         too_long = HTTPException(413, f"the body is longer than {most} bytes; send a single scan")
         length = request.headers.get("content-length", "0")
-        if length.isdecimal() and int(length) > most:
+        claimed = int(length) if length.isdecimal() and len(length) < MOST_DIGITS else 0
+        if claimed > MOST_DRAINED or (claimed > most and "expect" in request.headers):
             raise too_long
-        body = bytearray()
-        async for chunk in request.stream():
-            body += chunk
-            if len(body) > most:
-                raise too_long
+        body, received, chunks = bytearray(), 0, aiter(request.stream())
+        while (chunk := await _next_chunk(chunks, max(received, claimed) > most)) is not None:
+            received += len(chunk)
+            if max(received, claimed) <= most:
+                body += chunk
+            elif received > MOST_DRAINED:
+                break
+        if max(received, claimed) > most:
+            raise too_long
         if not body:
             raise HTTPException(422, "the body is empty; send the bytes of a scan file")
         return bytes(body)
@@ -234,6 +242,18 @@ def _query(request: Request) -> Query:
 def _doubts(result: Result) -> dict[str, str]:
     """Return the header with the doubts about a scan, a JSON array in ASCII; none without doubts."""
     return {DOUBTS: json.dumps(result.doubts)} if result.doubts else {}
+
+
+async def _next_chunk(chunks: AsyncIterator[bytes], drained: bool) -> bytes | None:
+    """Return the next part of a body; None at its end, or if it is only drained and the client waits.
+
+    Most clients read no answer before they have sent everything.
+    """
+    try:
+        async with asyncio.timeout(DRAIN_S if drained else None):
+            return await anext(chunks, None)
+    except TimeoutError:
+        return None
 
 
 async def _disconnected(request: Request) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import secrets
 import tempfile
 import time
@@ -16,9 +17,10 @@ from pathlib import Path
 from lidar2pano.drives.reading import ReadingOptions, ScanSource, read_scan
 from lidar2pano.errors import InputError
 from lidar2pano.formats.point_cloud import PointCloud
-from lidar2pano.formats.readers import ENDINGS, PACKED, TEXT_ENDINGS, ReadOptions, open_path
+from lidar2pano.formats.readers import ENDINGS, PACKED, TEXT_ENDINGS
 from lidar2pano.panorama import OUTPUTS
 from lidar2pano.pipeline import Pipeline
+from lidar2pano.recordings.reading_process import read_cloud
 from lidar2pano.translation import Translation, Translator
 from lidar2pano.viewer.page import PageWriter, page_frame
 
@@ -102,12 +104,14 @@ class KeptResults:
 class UploadTranslator:
     """Makes panoramas of uploaded scans, one at a time.
 
-    pipeline  the model in memory;  weights: its name;  most_points: of a scan.
+    pipeline  the model in memory;  weights: its name.
+    most_points, most_seconds  of a scan, and of processor time for reading it.
     """
 
     pipeline: Pipeline
     weights: str
     most_points: int
+    most_seconds: float = math.inf
 
     def __call__(self, body: bytes, ending: str, save: tuple[str, ...], options: ReadingOptions = READING) -> Result:
         """Return the outputs `save` of a scan file's bytes.
@@ -129,10 +133,7 @@ class UploadTranslator:
 
     def _cloud(self, path: Path, body: bytes) -> PointCloud:
         path.write_bytes(body)
-        cloud = next(open_path(path).clouds(path, ReadOptions()))
-        if len(cloud) > self.most_points:
-            raise InputError(f"scan: {len(cloud)} points are too many (at most {self.most_points}); thin it out")
-        return cloud
+        return read_cloud(path, most_points=self.most_points, most_seconds=self.most_seconds)
 
 
 def _result(translation: Translation, save: tuple[str, ...], folder: Path) -> Result:
