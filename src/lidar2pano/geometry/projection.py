@@ -7,6 +7,7 @@ and CUDA, whose float32 arc tangents differ in the last bit, put every point int
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -68,6 +69,7 @@ class RangeImage:
 
 NEIGHBOURS_PX = (1, 2, 3)  # how far to either side of a point lie the two whose mean it is compared with
 LEAST_DEVIATION_M, MOST_DEVIATION_M = 0.001, 1.0  # what is added to a deviation, and the largest that counts
+LEAST_DEVIATION, MOST_DEVIATIONS = 0.02, 1000  # a kilometre becomes 50,000 and 1,000 less: half precision has 65,504
 ROUGHNESS = (math.log(0.03), 1.3)  # mean and deviation of the logarithm of the roughness, metres
 
 
@@ -85,8 +87,9 @@ class Normalisation:
 
     def __post_init__(self) -> None:
         """Refuse other than five or six numbers each, and deviations that are not positive (ValueError)."""
-        if len(self.mean) not in (5, 6) or len(self.deviation) != len(self.mean) or min(self.deviation) <= 0:
+        if len(self.mean) not in (5, 6) or len(self.deviation) != len(self.mean):
             raise ValueError("normalisation needs a mean and a positive deviation for each of 5 channels, or of 6")
+        check_normalisation(self.mean, self.deviation)
 
     def as_dict(self) -> dict[str, list[float]]:
         """What a weight file's card holds of it."""
@@ -110,6 +113,16 @@ class Normalisation:
         total, count = deviations(image.channels[None])
         rough = (total / count.clamp(min=1) - mean[5]) / deviation[5] * (count > 0)
         return torch.cat([normalised, rough])
+
+
+def check_normalisation(mean: Sequence[float], deviation: Sequence[float]) -> None:
+    """Raise ValueError for numbers that would turn values of up to a kilometre into NaN or Inf in half precision."""
+    if not all(LEAST_DEVIATION <= value < math.inf for value in deviation) or not all(map(math.isfinite, mean)):
+        raise ValueError(
+            f"normalisation needs finite means, and a positive deviation, {LEAST_DEVIATION:g} or more, each"
+        )
+    if any(abs(value) > MOST_DEVIATIONS * scale for value, scale in zip(mean, deviation, strict=True)):
+        raise ValueError(f"normalisation needs means of {MOST_DEVIATIONS} deviations at most")
 
 
 def deviations(channels: Tensor) -> tuple[Tensor, Tensor]:

@@ -23,6 +23,7 @@ from torch.nn.functional import interpolate, pad
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import read_json, validated
+from lidar2pano.geometry.projection import check_normalisation
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.models.card import Card
@@ -58,8 +59,9 @@ class ImageNormalisation:
 
     def __post_init__(self) -> None:
         """Refuse other than three numbers each, and non-positive deviations (ValueError)."""
-        if len(self.mean) != 3 or len(self.deviation) != 3 or min(self.deviation) <= 0:
+        if len(self.mean) != 3 or len(self.deviation) != 3:
             raise ValueError("normalisation needs a mean and a positive deviation for each of 3 channels")
+        check_normalisation(self.mean, self.deviation)
 
     def __call__(self, images: Tensor) -> Tensor:
         """(..., 3, h, w) uint8 RGB -> float32, normalised."""

@@ -19,14 +19,17 @@ from safetensors.torch import save as serialise
 from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 
+from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.formats.json_files import parse_json, validated
 from lidar2pano.labels import LABEL_SETS
 from lidar2pano.models import MODELS, build
+from lidar2pano.views import MOST_PIXELS
 
 # Most calls of torch's functions while a network is built; ours make 4 to 33 calls a tensor.
 MOST_CALLS, CALLS_PER_TENSOR = 2000, 40
+MOST_HEADER = 1 << 24  # bytes of a weight file's names, shapes and card: ours have some 50,000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +51,7 @@ class Card:
     network: str
     settings: dict = field(default_factory=dict)
     labels: str | None = None
-    views: dict = field(default_factory=dict)
+    views: dict[str, dict] = field(default_factory=dict)
     normalisation: dict = field(default_factory=dict)
     recipe: str = ""
     commit: str = ""
@@ -72,6 +75,10 @@ class Card:
         card = validated(cls, parse_json(text, "its card", mend), "its card", mend)
         if card.labels is not None and card.labels not in LABEL_SETS:
             raise InputError(f"its card: no label set {card.labels!r}{closest(card.labels, LABEL_SETS)}; {mend}")
+        for role, view in card.views.items():
+            sizes = [view.get("rows"), view.get("columns")]
+            if not all(type(size) is int and 0 < size <= MOST_PIXELS for size in sizes):
+                raise InputError(f"its card: its view {role!r} needs rows and columns, a whole number each; {mend}")
         return card
 
 
@@ -125,6 +132,10 @@ def _read(path: Path | str, with_tensors: bool = True) -> tuple[Card, dict[str, 
     if not Path(path).is_file():
         raise InputError(f"no weight file {path}; check the path")
     try:
+        with open_regular(path) as opened:
+            head = int.from_bytes(opened.read(8), "little")
+        if head > MOST_HEADER:
+            raise InputError(f"{path}: its header has {head} bytes, at most {MOST_HEADER} are read; fetch it again")
         with safe_open(path, "pt") as file:
             text = (file.metadata() or {}).get("card")
             keys = file.keys() if with_tensors else ()

@@ -63,6 +63,12 @@ class Segmenter:
         """The segmenter that a weight file holds: `network, card = load(path)`."""
         normalise = validated(Normalisation, card.normalisation, "the card's normalisation")
         views = {role: validated(View, view, "the card's view") for role, view in card.views.items()}
+        for view in views.values():
+            if view.rows % STRIDE or view.columns < STRIDE:
+                raise InputError(
+                    f"the card's view of {view.rows} x {view.columns} pixels is no segmenter's: its rows must divide by"
+                    f" {STRIDE}, and it has as many columns at least; fetch or make the file again"
+                )
         return cls(network=network, view=views["input"], normalise=normalise, tallest=views.get("tallest input"))
 
     def at(self, view: View) -> Segmenter:

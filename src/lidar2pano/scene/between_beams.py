@@ -64,7 +64,7 @@ def between_beams(image: RangeImage) -> Between | None:
     range_m, x, y, _, remission = image.channels
     flat = torch.hypot(x, y)
     measured = image.valid & (flat > 0) & (range_m > 0)
-    spare = FAR_PX if image.view.circular else 0
+    spare = min(FAR_PX, image.view.columns) if image.view.circular else 0
     if max(_mean_gap(measured), _mean_gap(_turned(measured, spare))) < SPARSE:
         return None
     raster = _Raster(torch.where(measured, 1 / flat, 0.0), remission, torch.where(measured, image.index, -1))
