@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import threading
+import time
 import traceback
 import warnings
 from collections.abc import Iterator, Sequence
@@ -27,6 +28,7 @@ from lidar2pano.errors import InputError
 # Exit codes: a user's mistake; the run is lost (a full disk, no memory, a loss that is no number); a fault of the
 # program's own; Ctrl-C; SIGTERM.
 MISTAKE, BROKEN, FAULT, INTERRUPTED, TERMINATED = 2, 1, 70, 130, 143
+GRACE_S = 4.5  # from SIGTERM to the end of the process
 # Errors of the system about an unusable name; all its other errors are not the user's mistake.
 NAMES_ERRORS = {
     *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM, errno.EROFS, errno.EEXIST),
@@ -140,6 +142,7 @@ def _quiet(debug: bool) -> Iterator[None]:
         raise Terminated("terminated")
 
     signal.signal(signal.SIGTERM, terminate)
+    _end_in_time()
     with warnings.catch_warnings():
         if not debug and not sys.warnoptions:
             warnings.simplefilter("ignore")
@@ -147,6 +150,25 @@ def _quiet(debug: bool) -> Iterator[None]:
             # An exception in a library's thread ends the command waiting for it; one in __del__ ends nothing.
             threading.excepthook = sys.unraisablehook = lambda _: None
         yield
+
+
+def _end_in_time() -> None:
+    """End the process GRACE_S after SIGTERM, whatever its threads wait for: a disk, a lock, a library."""
+    if os.name != "posix":
+        return
+    receiver, sender = os.pipe()
+    os.set_blocking(sender, False)
+    signal.set_wakeup_fd(sender, warn_on_full_buffer=False)  # written to at once, whatever the main thread does
+    os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))  # a worker's end is not ours
+
+    def watch() -> None:
+        while number := os.read(receiver, 1):
+            if number[0] == signal.SIGTERM:
+                time.sleep(GRACE_S)
+                print_error("terminated, before all work was put away; repeat the command to go on")
+                os._exit(TERMINATED)
+
+    threading.Thread(target=watch, name="end in time", daemon=True).start()
 
 
 def exit_status(error: BaseException) -> tuple[int, str]:
