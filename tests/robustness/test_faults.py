@@ -134,6 +134,14 @@ def scan(xyz: np.ndarray) -> Callable[[], object]:
     return lambda: write_scan(Path("good.bin"), Scan(xyz=points, remission=np.zeros(len(points), np.float32)))
 
 
+def image(width: int, height: int) -> Callable[[], object]:
+    return lambda: Image.new("1", (width, height)).save("a.png")
+
+
+def long_header() -> None:
+    Path("x.safetensors").write_bytes(b"\0\0\0\x80" + bytes(60))
+
+
 class Bomb:
     """Three GiB, as a pickle of few bytes."""
 
@@ -155,10 +163,12 @@ def packed() -> None:
 BOMB = pickle.dumps({"a": Bomb()}, 2)
 IMPORT = "weights import x.pth --as salsanext --out y.safetensors"
 OWN = "translate good.bin --weights own --device cpu"
+OTHER = "weights info x.safetensors"
+VIEW = "view a.png --no-open"
 FAULTS = [
     # files that are not what they claim
     Fault("a scan of 100 GiB without content", sparse("good.bin"), TRANSLATE, "are no single scan"),
-    Fault("labels of 100 GiB", sparse(f"{SEQUENCE}/labels/000000.label"), EVALUATE, "at most 1073741824 belong there"),
+    Fault("labels of 100 GiB", sparse(f"{SEQUENCE}/labels/000000.label"), EVALUATE, "at most 268435456 belong there"),
     Fault("a FIFO as a scan", fifo("good.bin"), TRANSLATE, "good.bin: "),
     Fault("a device as a scan", link("good.bin", "/dev/zero"), TRANSLATE, "good.bin: "),
     Fault("a folder as a scan", lambda: Path("f.bin").mkdir(), TRANSLATE.replace("good", "f"), "holds no scan"),
@@ -247,6 +257,26 @@ FAULTS = [
     Fault("a scan of NaN", scan(np.full((50, 3), np.nan)), TRANSLATE, "can be used"),
     # weights
     Fault("weights that are not finite", own(nan), OWN, "not finite"),
+    Fault("a view that is a number", own(field(views={"input": 1})), OWN, "'views'.input must be an object"),
+    Fault("a view that is nothing", own(field(views={"input": None})), OWN, "'views'.input must be an object"),
+    Fault("a view without a size", own(field(views={"input": {}})), OWN, "a whole number each"),
+    Fault("a view of one pixel", own(view(rows=1, columns=1)), OWN, "its rows must divide by 16"),
+    Fault("a view of 16 x 1 pixels", own(view(rows=16, columns=1)), OWN, "as many columns at least"),
+    Fault(
+        "a header of 2 GiB", lambda: Path("x.safetensors").write_bytes(b"\0\0\0\x80" + bytes(60)), OTHER, "its header"
+    ),
+    Fault(
+        "normalisation that gives infinity",
+        own(field(normalisation={"mean": [0] * 5, "deviation": [1, 1, 1, 1, 1e-300]})),
+        OWN,
+        "positive deviation",
+    ),
+    Fault(
+        "normalisation that gives nothing but its mean",
+        own(field(normalisation={"mean": [1e30] * 5, "deviation": [1] * 5})),
+        OWN,
+        "means of 1000 deviations at most",
+    ),
     Fault("a kernel of 40000 pixels", own(setting(colour_kernel=40_000), "painter"), OWN, "has shape"),
     Fault("a view of 30 million pixels", own(view(rows=1600, columns=19200)), OWN, "own/segmenter.safetensors: "),
     Fault("a view with half a row", own(view(rows=32.5)), OWN, "a whole number"),
@@ -292,6 +322,16 @@ FAULTS = [
     Fault("a million processes", nothing, "world new --processes 1000000", "--processes"),
     Fault("a budget of 400 digits", nothing, f"reproduce --data data --out rep --budget {'9' * 400}s", "--budget"),
     Fault("a sensor at infinity", nothing, f"{TRANSLATE} --sensor-height inf", "--sensor-height"),
+    # pictures
+    Fault(
+        "a picture in PostScript",
+        text("a.png", "%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 12 1\n"),
+        VIEW,
+        "no readable",
+    ),
+    Fault("a picture of 177 million pixels", image(46080, 3840), VIEW, "more pixels"),
+    Fault("a picture of 18 million pixels", image(14688, 1224), VIEW, "are too many"),
+    Fault("a FIFO as picture", fifo("a.png"), VIEW, "device, FIFO or socket"),
     # outputs
     Fault("a run in a file", text("run", ""), TRAIN, "run"),
     Fault("outputs below a file", text("panoramas", ""), TRANSLATE, "is not a folder"),

@@ -1,0 +1,458 @@
+"""What strangers send costs little: the inputs of a review, tried in processes of their own, with memory and seconds.
+
+A process without torch takes some 70 MiB; what is refused may take LIMIT_MIB beside that, however it is packed.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import os
+import pickle
+import resource
+import signal
+import sqlite3
+import stat
+import struct
+import subprocess
+import sys
+import time
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import torch
+
+import sample_files
+from lidar2pano.child_process import AnswerUnpickler, Bound, ChildProcess
+from lidar2pano.cli import main
+from lidar2pano.errors import InputError
+from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.readers import read
+from lidar2pano.recordings import reading_process
+from random_weights import street, write_scan
+
+LIMIT_MIB, BASE_MIB, LIMIT_S = 256, 80, 10
+ZEROS = bytes(1 << 24)
+SCHEMA = """
+CREATE TABLE schema(schema_version INTEGER, ros_distro TEXT); INSERT INTO schema VALUES(4, 'humble');
+CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT,
+  offered_qos_profiles TEXT, type_description_hash TEXT);
+INSERT INTO topics VALUES(1, '/p', 'sensor_msgs/msg/PointCloud2', 'cdr', '', '');
+CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB);
+INSERT INTO messages VALUES(1, 1, 5, x'00');
+"""
+ENDLESS = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT"
+
+
+class Cost(NamedTuple):
+    """The end of a process: its exit code, what it said, and the processor time and memory of it and its children."""
+
+    code: int
+    error: str
+    seconds: float
+    mib: float
+
+
+def cost(*words: str, python: str = "from lidar2pano.cli import main; import sys; sys.exit(main())") -> Cost:
+    """Run a command, in a process that reports on its children alone."""
+    watch = (
+        "import json, resource, subprocess, sys;"
+        "done = subprocess.run(sys.argv[1:], capture_output=True, text=True);"
+        "used = resource.getrusage(resource.RUSAGE_CHILDREN);"
+        "print(json.dumps([done.returncode, done.stderr, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024]))"
+    )
+    command = [sys.executable, "-c", watch, sys.executable, "-c", python, *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
+    return Cost(*json.loads(done.stdout))
+
+
+def npy(array: np.ndarray) -> bytes:
+    data = io.BytesIO()
+    np.save(data, array)
+    return data.getvalue()
+
+
+def archive(method: int, pack: Callable[[Iterator[bytes]], bytes]) -> bytes:
+    """An archive whose only member says that it has ten points, and unpacks to 2.5 GiB."""
+    points = npy(np.ones((10, 4), np.float32))
+
+    def parts() -> Iterator[bytes]:
+        yield points
+        yield from [ZEROS] * 160
+
+    name, data, check = b"points.npy", pack(parts()), zlib.crc32(points)
+    sizes = struct.pack("<III", check, len(data), len(points))
+    local = struct.pack("<4s5H", b"PK\3\4", 63, 0, method, 0, 33) + sizes + struct.pack("<HH", len(name), 0) + name
+    entry = struct.pack("<4s6H", b"PK\1\2", 63, 63, 0, method, 0, 33) + sizes
+    entry += struct.pack("<5HII", len(name), 0, 0, 0, 0, 0, 0) + name
+    end = struct.pack("<4s4HIIH", b"PK\5\6", 0, 0, 1, 1, len(entry), len(local) + len(data), 0)
+    return local + data + entry + end
+
+
+def packed(compressor: object) -> Callable[[Iterator[bytes]], bytes]:
+    return lambda parts: b"".join([*map(compressor.compress, parts), compressor.flush()])  # pyright: ignore
+
+
+def bzip2_archive() -> bytes:
+    import bz2
+
+    return archive(zipfile.ZIP_BZIP2, packed(bz2.BZ2Compressor()))
+
+
+def deflated_archive() -> bytes:
+    return archive(zipfile.ZIP_DEFLATED, packed(zlib.compressobj(9, zlib.DEFLATED, -15)))
+
+
+def wide_archive() -> bytes:
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("points.npy", npy(np.zeros((15_000_000, 4), np.float32)))
+    return data.getvalue()
+
+
+def database(statement: str) -> bytes:
+    connection = sqlite3.connect(":memory:")
+    connection.executescript(SCHEMA + statement)
+    data = connection.serialize()
+    connection.close()
+    return data
+
+
+def endless_definitions() -> bytes:
+    columns = "x AS id, 'a' AS topic_type, 'b' AS encoding, 'c' AS encoded_message_definition"
+    return database(f"CREATE VIEW message_definitions AS {ENDLESS} {columns}, 'd' AS type_description_hash FROM c")
+
+
+def endless_messages() -> bytes:
+    return database(
+        "DROP TABLE messages; CREATE TABLE message_definitions(id INTEGER, topic_type TEXT, encoding TEXT,"
+        f" encoded_message_definition TEXT, type_description_hash TEXT); CREATE VIEW messages AS {ENDLESS}"
+        " x AS id, 1 AS topic_id, x AS timestamp, x'00' AS data FROM c"
+    )
+
+
+def lines(text: bytes) -> Callable[[], bytes]:
+    return lambda: gzip.compress(text, 1)
+
+
+def laz() -> bytes:
+    import laspy
+
+    header = laspy.LasHeader(point_format=3, version="1.2")
+    cloud = laspy.LasData(header)
+    cloud.x = cloud.y = cloud.z = np.zeros(12_000_000)
+    data = io.BytesIO()
+    cloud.write(data, do_compress=True, laz_backend=laspy.LazBackend.Lazrs)
+    return data.getvalue()
+
+
+def feather() -> bytes:
+    import pyarrow as pa
+    from pyarrow import feather as writer
+
+    data = io.BytesIO()
+    table = pa.table({name: np.zeros(12_000_000) for name in ("x", "y", "z", "a", "b", "c")})
+    writer.write_feather(table, data, compression="zstd")
+    return data.getvalue()
+
+
+def mcap_of_small_records() -> bytes:
+    """A chunk of 200 MiB that holds 20 million empty records."""
+    import zstandard
+
+    body = b"\x0f" + struct.pack("<Q", 4) + bytes(4)
+    packed_body = zstandard.compress(body * 16_000_000)
+    chunk = struct.pack("<QQQI", 0, 0, len(body) * 16_000_000, 0) + struct.pack("<I", 4) + b"zstd"
+    chunk += struct.pack("<Q", len(packed_body)) + packed_body
+    start = b"\x89MCAP0\r\n\x01" + struct.pack("<Q", 8) + bytes(8)
+    return start + b"\x06" + struct.pack("<Q", len(chunk)) + chunk + b"\x89MCAP0\r\n"
+
+
+HOSTILE: dict[str, Callable[[], bytes]] = {
+    "bzip2.npz": bzip2_archive,
+    "wide.npz": wide_archive,
+    "rows.txt.gz": lines(b"1 2 3\n" * 9_000_000 + b"1 2\n"),
+    "comments.txt.gz": lines(b"x y z\n" + b"#\n" * 20_000_000),
+    "cells.csv.gz": lines(b"x,y,z\n" + b"1,2,\n" * 9_000_000),
+    "one-line.txt.gz": lines(b"1 2 3\n" + b"1 " * 50_000_000),
+    "faces.ply.gz": lines(
+        b"ply\nformat ascii 1.0\nelement vertex 9000000\nproperty float x\nproperty float y\nproperty float z\n"
+        b"element face 1\nproperty list uchar int vertex_indices\nend_header\n" + b"1 2 3\n" * 9_000_000
+    ),
+    "zeros.bin.gz": lambda: gzip.compress(bytes(1 << 30), 1),
+    "definitions.db3": endless_definitions,
+    "messages.db3": endless_messages,
+    "packed.laz": laz,
+    "packed.feather": feather,
+    "records.mcap": mcap_of_small_records,
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_what_is_refused_costs_little(tmp_path, name):
+    (tmp_path / name).write_bytes(HOSTILE[name]())
+    code, error, seconds, mib = cost("inspect", str(tmp_path / name))
+    assert code == 2 and error.count("\n") == 1 and error.startswith("lidar2pano: ") and name in error, error
+    assert mib < LIMIT_MIB + BASE_MIB and seconds < LIMIT_S, (seconds, mib)
+
+
+@pytest.mark.parametrize("size", [(1 << 28) - 16, (1 << 30) - 16])
+def test_a_sparse_file_is_as_small_as_it_is(tmp_path, size):
+    path = tmp_path / "a.bin"
+    path.touch()
+    os.truncate(path, size)
+    code, error, seconds, mib = cost("inspect", str(path))
+    assert code == 2 and mib < LIMIT_MIB + BASE_MIB and seconds < LIMIT_S, (error, seconds, mib)
+
+
+def test_a_member_that_unpacks_to_more_than_it_says_is_read_no_farther(tmp_path):
+    (tmp_path / "a.npz").write_bytes(deflated_archive())
+    code, _, seconds, mib = cost("inspect", str(tmp_path / "a.npz"))
+    assert code == 0 and mib < LIMIT_MIB + BASE_MIB and seconds < LIMIT_S
+
+
+@pytest.mark.parametrize("name", ["street.bin", "street.npy", "street.txt", "street.txt.gz"])
+def test_a_valid_scan_takes_six_times_its_size_at_most(tmp_path, name):
+    xyz, _ = sample_files.street(beams=64, columns=24_000)
+    rows = np.column_stack([xyz, np.linspace(0, 1, len(xyz))]).astype(np.float32)
+    path = tmp_path / name
+    if name.endswith(".bin"):
+        rows.tofile(path)
+    elif name.endswith(".npy"):
+        np.save(path, rows)
+    else:
+        text = "\n".join("{:.3f} {:.3f} {:.3f} {:.3f}".format(*row) for row in rows.tolist()).encode()
+        path.write_bytes(gzip.compress(text, 1) if name.endswith(".gz") else text)
+    size = len(text) if ".txt" in name else path.stat().st_size
+    code, error, _, mib = cost("inspect", str(path))
+    assert code == 0, error
+    assert mib < BASE_MIB + 6 * size / (1 << 20), (mib, size >> 20)
+
+
+# --- the gate ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_picture_is_read_by_its_own_decoder_alone(tmp_path):
+    """Pillow would start Ghostscript for a text that begins so."""
+    (tmp_path / "a.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 4608 384\nshowpage\n%%EOF\n")
+    started = (
+        "import subprocess, sys; from lidar2pano.cli import main;"
+        "subprocess.Popen = subprocess.run = None; sys.exit(main())"
+    )
+    done = cost("view", str(tmp_path / "a.png"), "--no-open", "--out", str(tmp_path / "a.html"), python=started)
+    assert done.code == 2 and "is no readable image" in done.error
+
+
+@pytest.fixture
+def socket_path(tmp_path):
+    import socket
+
+    place = socket.socket(socket.AF_UNIX)
+    place.bind(str(tmp_path / "s.bin"))
+    yield tmp_path / "s.bin"
+    place.close()
+
+
+@pytest.mark.parametrize("command", ["inspect {}", "translate {} --device cpu", "view {} --no-open --device cpu"])
+def test_a_fifo_or_a_socket_is_refused_at_once(tmp_path, socket_path, command, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo(tmp_path / "x.bin")
+    for path in (tmp_path / "x.bin", socket_path):
+        assert main(command.format(path).split()) == 2
+        error = capsys.readouterr().err
+        assert "device, FIFO or socket" in error or "No such device" in error, error
+
+
+@pytest.mark.parametrize("command", ["translate {} --weights {} --device cpu", "bulk {} --weights {} --device cpu"])
+def test_a_fifo_in_a_folder_costs_one_line(tmp_path, random_weights, command, capsys):
+    scans = tmp_path / "scans"
+    scans.mkdir()
+    write_scan(scans / "a.bin")
+    write_scan(scans / "z.bin")
+    os.mkfifo(scans / "m.bin")
+    words = [*command.format(scans, random_weights).split(), "--out", str(tmp_path / "out")]
+    assert main(words) == (3 if "bulk" in command else 2)
+    assert capsys.readouterr().err.count("device, FIFO or socket") == 1
+    assert {path.name for path in (tmp_path / "out").glob("*.png")} == {"a.png", "z.png"}
+
+
+# --- targets ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_link_or_a_device_is_never_replaced(tmp_path, capsys):
+    (tmp_path / "precious").write_text("mine")
+    (tmp_path / "link.html").symlink_to(tmp_path / "precious")
+    os.mkfifo(tmp_path / "fifo.html")
+    (tmp_path / "dangling.html").symlink_to(tmp_path / "nowhere")
+    before = {path.name: path.lstat().st_ino for path in tmp_path.iterdir()}
+    for name in ("link.html", "fifo.html", "dangling.html"):
+        with pytest.raises(InputError, match="it is a link, device, FIFO or socket"):
+            write_whole(tmp_path / name, lambda part: part.write_text("x"))
+        assert main(["view", str(write_scan(tmp_path / "a.bin")), "--out", str(tmp_path / name), "--no-open"]) == 2
+        assert "link, device, FIFO or socket" in capsys.readouterr().err
+        (tmp_path / "a.bin").unlink()
+    assert {path.name: path.lstat().st_ino for path in tmp_path.iterdir()} == before
+    assert (tmp_path / "precious").read_text() == "mine"
+
+
+def test_bulk_replaces_no_link(tmp_path, random_weights, capsys):
+    (tmp_path / "scans").mkdir()
+    (tmp_path / "out").mkdir()
+    write_scan(tmp_path / "scans" / "a.bin")
+    (tmp_path / "precious").write_text("mine")
+    (tmp_path / "out" / "a.png").symlink_to(tmp_path / "nowhere")
+    words = ["bulk", str(tmp_path / "scans"), "--out", str(tmp_path / "out"), "--weights", str(random_weights)]
+    assert main([*words, "--device", "cpu"]) == 2
+    assert "link, device" in capsys.readouterr().err and (tmp_path / "out" / "a.png").is_symlink()
+
+
+def test_the_name_of_an_unfinished_file_cannot_be_foretold(tmp_path):
+    names = []
+    for _ in range(3):
+        write_whole(tmp_path / "a", lambda part: names.append(part.name) or part.write_text("x"))
+    assert len(set(names)) == 3
+    assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == 0o666 & ~_umask()
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+# --- the child --------------------------------------------------------------------------------------------------------
+
+
+def test_a_child_has_limits_of_its_own():
+    child, bound = ChildProcess(), Bound(bytes=64 << 20, seconds=1.0)
+    try:
+        assert child.call(bound, "a", len, b"abc") == 3
+        with pytest.raises(InputError, match="a: takes more than 64 MiB of memory to be read"):
+            child.call(bound, "a", bytes, 256 << 20)
+        with pytest.raises(InputError, match="b: takes more than 1 s of processor time"):
+            child.call(bound, "b", exec, "while True: pass")
+        with pytest.raises(InputError, match="c: ends the library that reads it"):
+            child.call(bound, "c", os._exit, 7)
+        with pytest.raises(RuntimeError, match="ZeroDivisionError"):
+            child.call(bound, "d", divmod, 1, 0)
+        with pytest.raises(InputError, match="takes more than 10 s"):
+            child.call(bound, "e", time.sleep, 60)
+        assert child.call(bound, "f", len, b"abcd") == 4
+    finally:
+        child.close()
+
+
+def test_an_answer_builds_nothing_but_data():
+    class Bad:
+        def __reduce__(self) -> tuple:
+            return os.system, ("true",)
+
+    with pytest.raises(pickle.UnpicklingError, match="has no place in an answer"):
+        AnswerUnpickler(io.BytesIO(pickle.dumps(Bad()))).load()
+
+
+def test_a_child_is_where_its_parent_is(tmp_path, monkeypatch):
+    for name, points in (("a", 50), ("b", 60)):
+        (tmp_path / name).mkdir()
+        write_scan(tmp_path / name / "x.bin", street(points))
+        monkeypatch.chdir(tmp_path / name)
+        assert len(reading_process.read_cloud(Path("x.bin"))) == points
+
+
+def test_a_child_reads_as_this_process_does(tmp_path):
+    xyz, ring = sample_files.street(beams=4, columns=64)
+    for name, content in sample_files.every_format(xyz, ring).items():
+        (tmp_path / name).write_bytes(content)
+        apart, here = reading_process.read_cloud(tmp_path / name), read(tmp_path / name)
+        assert len(apart) == len(here) and apart.name
+
+
+def test_a_child_ends_with_its_parent(tmp_path):
+    program = (
+        "import os, sys, time; from lidar2pano.recordings import reading_process as r; r.get_ready();"
+        "print(r._child()._process.pid, flush=True); time.sleep(60)"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    parent.kill()
+    parent.communicate()
+    end = time.monotonic() + 20
+    while Path(f"/proc/{child}").exists() and Path(f"/proc/{child}/stat").read_text().split()[2] != "Z":
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+# --- signals ----------------------------------------------------------------------------------------------------------
+
+STUCK = """
+import sys, threading, time
+from concurrent.futures import ThreadPoolExecutor
+from lidar2pano.cli import main
+from lidar2pano.recordings import reading_process
+
+def stuck(*_, **__):
+    print("stuck", flush=True)
+    threading.Event().wait()
+
+reading_process.describe = reading_process.read_cloud = stuck
+with ThreadPoolExecutor(1) as pool:
+    if "thread" in sys.argv:
+        sys.argv.remove("thread")
+        pool.submit(stuck)
+    sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("words", [["inspect"], ["inspect", "thread"]])
+def test_sigterm_ends_a_command_whatever_a_thread_waits_for(tmp_path, words):
+    command = [sys.executable, "-c", STUCK, *words, str(write_scan(tmp_path / "a.bin"))]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "stuck\n"
+    time.sleep(1)
+    begin = time.monotonic()
+    process.send_signal(signal.SIGTERM)
+    _, error = process.communicate(timeout=30)
+    assert process.returncode == 143 and "terminated" in error and time.monotonic() - begin < 6
+
+
+# --- weights ----------------------------------------------------------------------------------------------------------
+
+
+def checkpoint(path: Path) -> zipfile.ZipFile:
+    torch.save({"a": torch.ones(4)}, path)
+    return zipfile.ZipFile(path, "a")
+
+
+def test_parts_of_a_checkpoint_that_share_bytes_are_refused(tmp_path, capsys):
+    path = tmp_path / "a.pth"
+    with checkpoint(path) as file:
+        for number in range(200):  # names for the same bytes
+            part = zipfile.ZipInfo(f"archive/data/{number + 9}")
+            first = file.filelist[1]
+            part.file_size = part.compress_size = 1 << 16
+            part.header_offset, part.CRC = first.header_offset, first.CRC
+            file.filelist.append(part)
+        file._didModify = True
+    assert main(["weights", "import", str(path), "--as", "salsanext", "--out", str(tmp_path / "o")]) == 2
+    assert "cannot be read as weights" in capsys.readouterr().err
+
+
+def test_an_archive_that_only_torch_would_find_is_refused(tmp_path, capsys):
+    path = tmp_path / "a.pth"
+    checkpoint(path).close()
+    path.write_bytes(path.read_bytes() + bytes(67_000))
+    assert main(["weights", "import", str(path), "--as", "salsanext", "--out", str(tmp_path / "o")]) == 2
+    assert "cannot be read as weights" in capsys.readouterr().err
+
+
+def test_memory_of_a_process_is_measured():
+    """The measure itself: what takes 300 MiB is seen to."""
+    assert cost(python="x = bytearray(b'1') * (300 << 20)").mib > 300
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss > 0
