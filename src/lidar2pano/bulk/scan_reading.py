@@ -21,7 +21,6 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.interpretation import Interpretation, interpret
 from lidar2pano.formats.overrides import Overrides
 from lidar2pano.formats.point_cloud import PointCloud
-from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.recordings.playback import Playback
 from lidar2pano.recordings.reading_process import ConfinedPlayback, read_cloud
 from lidar2pano.recordings.recorded_scans import Frame
