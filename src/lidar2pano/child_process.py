@@ -43,14 +43,14 @@ PROGRAM = "import sys; from lidar2pano.child_process import work; work(int(sys.a
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bound:
-    """What a call may take: bytes of memory, seconds of processor time."""
+    """Limits of a call: bytes of memory, seconds of processor time."""
 
     bytes: int
     seconds: float
 
     @classmethod
     def of(cls, path: Path) -> Bound:
-        """Return what reading a file, or all files of a folder, may take: little for a little one."""
+        """Return the limits for reading a file, or all files of a folder: low for a small one."""
         try:
             files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
             size = sum(_stored_bytes(file.stat()) for file in files)
@@ -163,8 +163,8 @@ def _folder() -> str:
         return "/"
 
 
-def _excess(title: str, what: str) -> str:
-    return f"{title}: takes {what} to be read, as no scan of its size does; it is damaged or no scan, name another"
+def _excess(title: str, amount: str) -> str:
+    return f"{title}: takes {amount} to be read, as no scan of its size does; it is damaged or no scan, name another"
 
 
 class AnswerUnpickler(pickle.Unpickler):
@@ -173,9 +173,9 @@ class AnswerUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:  # noqa: ANN401
         """Return a class by its name; UnpicklingError for any other object."""
         if name in PLAIN.get(module, ()) or f"{module}.".startswith(TRUSTED):
-            found = super().find_class(module, name)
-            if isinstance(found, type) or module.startswith("numpy"):
-                return found
+            value = super().find_class(module, name)
+            if isinstance(value, type) or module.startswith("numpy"):
+                return value
         raise pickle.UnpicklingError(f"{module}.{name} has no place in an answer")
 
 
@@ -212,7 +212,7 @@ def _received(channel: socket.socket, size: int) -> bytearray:
 
 
 def work(descriptor: int) -> None:
-    """Call what the parent asks for, until it ends: the program of the child."""
+    """Make the calls that the parent asks for, until it ends: the program of the child."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is meant for the parent, which then ends this process
     with socket.socket(fileno=descriptor) as channel, contextlib.suppress(EOFError, OSError):
         send(channel, "ready")
@@ -238,7 +238,7 @@ def _called(bound: Bound, function: Callable[..., Any], arguments: Sequence[Any]
 
 
 def _limit(bound: Bound) -> None:
-    """Limit what this process may take from now on; beyond, memory is refused, and time ends the process."""
+    """Set limits for this process from now on; beyond, memory is refused, and time ends the process."""
     assert resource is not None
     spent = time.process_time()
     limits = [(resource.RLIMIT_CPU, int(spent + bound.seconds) + 1), (resource.RLIMIT_FSIZE, bound.bytes)]

@@ -14,6 +14,8 @@ SOURCE = Path(lidar2pano.__file__).parent
 OPENS: dict[str, tuple[set[str], str]] = {
     "cli/app.py": ({"open"}, "/dev/null, to write to"),
     "cli/batch.py": ({"open"}, "webbrowser.open"),
+    "cli/standard_input.py": ({"open"}, "a temporary file of our own, to write"),
+    "train/latent_frames.py": ({"load_file", "open"}, "after check_regular; bytes of our own, as JPEG alone"),
     "engines/compiled.py": ({"open", "read_bytes"}, "an engine's own `open`; our sources"),
     "engines/export.py": ({"read_text"}, "a resource of the package"),
     "formats/arrays.py": ({"open"}, "a member of an archive that came through the gate"),
@@ -38,7 +40,7 @@ OPENS: dict[str, tuple[set[str], str]] = {
 READS = {"open", "read_bytes", "read_text", "fromfile", "load_file", "safe_open", "fdopen", "memmap"}
 # Libraries that choose a decoder by content, unpack, or could execute: the only file that may call them, and why.
 DECODERS = {
-    ("Image", "open"): {"formats/image_files.py"},  # with READ_FORMATS
+    ("Image", "open"): {"formats/image_files.py", "train/latent_frames.py"},  # with their formats
     ("torch", "load"): {"formats/torch_files.py"},  # weights_only, after its own look
     ("np", "load"): {"data/nuscenes_tables.py", "metrics/accumulation.py"},  # allow_pickle=False; our own arrays
     ("pickle", "load"): {"viewer/page.py"},  # our own temporary file
@@ -60,7 +62,7 @@ DECODERS = {
     ("shutil", "unpack_archive"): set(),
     ("tarfile", "open"): set(),
     ("os", "system"): set(),
-    ("json", "loads"): {"formats/json_files.py"},
+    ("json", "loads"): {"formats/json_files.py", "recordings/point_messages.py"},  # the latter of a bounded message
     ("json", "load"): set(),
 }
 PARSERS = {

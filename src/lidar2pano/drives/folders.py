@@ -14,7 +14,6 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.panorama import STEM_ENDINGS
 from lidar2pano.recordings.recorded_scans import none_within
 
 TIMES = ("times.txt", "timestamps.txt", "timestamps.json")  # KITTI odometry, KITTI raw, PandaSet
@@ -92,6 +91,8 @@ def _seconds(line: str | float) -> float:
 
 def output_stems(files: Sequence[Path]) -> dict[Path, str]:
     """Return the name of each file's outputs: its stem; for equal ones, with folders' names in front."""
+    from lidar2pano.panorama import STEM_ENDINGS  # and torch, which `inspect` does not need
+
     paths = {file: (*file.resolve().parts[1:-1], stem_of(file)) for file in files}
     stems = {file: stem_of(file) for file in files}
     for depth in range(2, 2 + max((len(parts) for parts in paths.values()), default=0)):

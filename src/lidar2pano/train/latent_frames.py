@@ -19,6 +19,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 from torch.nn.functional import max_pool2d
 
+from lidar2pano.bounded_files import check_regular
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.frames import Frame, SampleIndex
 from lidar2pano.data.layouts import frames_of
@@ -182,6 +183,7 @@ class LatentFrames:
         if not file.is_file():
             made = self._made(frame, camera)
             write_whole(file, lambda temporary: save_file(made, temporary), "options.cache")
+        check_regular(file)
         return load_file(file)
 
     def _file(self, frame: Frame, camera: str) -> Path:
