@@ -4,7 +4,7 @@
 #   make test-released   every documented command on the released weights, some minutes
 #   make lint     format, lint, types, spelling        make docs    the documentation, in site/
 #   make generated   parts of pages that come from the program
-#   make fuzz     mutants through every reader, SECONDS=3600
+#   make fuzz     seeded mutants through every reader, then atheris, guided by coverage; SECONDS=3600 each
 #   make kills    every command that writes for long, killed at random instants and repeated, KILLS=20 times each
 #   make dist     wheel and sdist, in dist/            make clean   remove what was made, .venv too
 # PYTHON=python3.12 chooses the interpreter; TORCH_INDEX=URL another package index for torch, such as one of CPU builds
@@ -45,6 +45,9 @@ test-released: setup-dev
 
 fuzz: setup-dev
 	$(BIN)/python tests/fuzz/campaign.py --replay --seconds $(or $(SECONDS),3600) --seed $(or $(SEED),0)
+	$(BIN)/python tests/fuzz/fuzz_readers.py --corpus build/fuzz
+	$(BIN)/python tests/fuzz/fuzz_readers.py build/fuzz -max_total_time=$(or $(SECONDS),3600) -rss_limit_mb=700 -timeout=10 \
+	  -artifact_prefix=build/ -print_final_stats=1
 
 kills: setup-dev
 	$(BIN)/python -m pytest --kills $(or $(KILLS),20) tests/robustness/test_kills.py

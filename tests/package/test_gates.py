@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
 
 import lidar2pano
+from house_rules import ROOT
 
 SOURCE = Path(lidar2pano.__file__).parent
 # Calls that open a file by its name to read it. file -> the calls that it may make, and the reason.
@@ -158,3 +160,13 @@ def test_decoders_are_told_what_to_read(name, method, needed):
 )
 def test_the_test_sees_another_door(line, find):
     assert find([("drives/new.py", ast.parse(line))])
+
+
+def test_the_security_page_names_tests_that_exist():
+    """docs/threat_model.md: each point of OWASP ASVS has its test."""
+    page = (ROOT / "docs" / "threat_model.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`(test_\w+)`", page))
+    files = (ROOT / "tests").rglob("test_*.py")
+    defined = {name for file in files for name in re.findall(r"def (test_\w+)", file.read_text(encoding="utf-8"))}
+    assert len(named) > 15 and not named - defined
+    assert all((ROOT / path).exists() for path in re.findall(r"`(tests/[\w/.]+)`", page))

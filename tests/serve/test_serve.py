@@ -393,6 +393,33 @@ def test_an_upload_that_takes_its_reader_down_costs_one_request(server, scan):
     assert server.ask("POST", "/panorama", scan[0])[0] == 200
 
 
+@pytest.mark.parametrize(
+    ("method", "path", "headers"),
+    [("GET", "/", {}), ("GET", "/health", {}), ("GET", "/none", {}), ("PUT", "/", {}), ("POST", "/panorama", {})]
+    + [("GET", "/", {"Host": "evil.example"}), ("GET", "/health", {"Origin": "https://evil.example"})],
+)
+def test_headers_of_every_answer(server, method, path, headers):
+    _, answer, _ = server.ask(method, path, **headers)
+    assert answer["cache-control"] == "no-store" and answer["x-content-type-options"] == "nosniff"
+    assert answer["referrer-policy"] == "no-referrer" and "frame-ancestors 'self'" in answer["content-security-policy"]
+    assert not [name for name in answer if name in {"server", "x-powered-by"} or name.startswith("access-control")]
+
+
+def test_an_upload_lies_in_a_folder_of_its_own_while_it_is_read(tmp_path, monkeypatch, scan):
+    modes = []
+
+    def looked_at(path, **_):
+        modes.append((path.parent.parent, path.parent.stat().st_mode & 0o777, path.name))
+        raise InputError("enough")
+
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr("lidar2pano.serve.uploads.read_cloud", looked_at)
+    translator = UploadTranslator(pipeline=StandIn(), weights="", most_points=100)
+    with pytest.raises(InputError, match="enough"):
+        translator(scan[0], "../../x.pcd", ("rgb",))
+    assert modes == [(tmp_path, 0o700, "scan.pcd")] and not list(tmp_path.iterdir())
+
+
 # --- the queue --------------------------------------------------------------------------------------------------------
 
 

@@ -23,7 +23,7 @@ from starlette.routing import Route
 from lidar2pano.errors import InputError
 from lidar2pano.recordings.reading_process import get_ready
 from lidar2pano.serve.fair_queue import FairQueue
-from lidar2pano.serve.guards import Guard
+from lidar2pano.serve.guards import HEADERS, Guard
 from lidar2pano.serve.queries import Query, UnknownParameter, file_of_form, parse_query
 from lidar2pano.serve.uploads import FILES, PAGE, KeptResults, Limits, Result, UploadTranslator
 
@@ -34,13 +34,6 @@ DOUBTS = "Lidar2pano-Doubts"  # header
 # Of a body that is too long: bytes taken and forgotten, seconds between its parts, digits of its length.
 MOST_DRAINED, DRAIN_S, MOST_DIGITS = 1 << 30, 1.0, 19
 CLOSED = 499  # for the metrics: the client went away
-HEADERS = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline';"
-    " img-src 'self' blob: data:; connect-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none';"
-    " frame-ancestors 'self'",
-    "X-Content-Type-Options": "nosniff",
-}
 
 
 def create_application(translator: UploadTranslator, limits: Limits, hosts: list[str] | None = None) -> Starlette:

@@ -10,6 +10,14 @@ from starlette.datastructures import MutableHeaders
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline';"
+    " img-src 'self' blob: data:; connect-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none';"
+    " frame-ancestors 'self'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
 OWN_SITE = ("", "same-origin", "none")  # of Sec-Fetch-Site; none: typed or a bookmark; "": no browser of today
 
 
@@ -35,12 +43,14 @@ class Guard:
     def _refusal(self, method: str, headers: MutableHeaders) -> JSONResponse | None:
         hosts = headers.getlist("host")
         if len(hosts) != 1 or (self._hosts is not None and not self._allows(hosts[0])):
-            return JSONResponse({"error": "the request is for another host; use this server's address"}, 400)
+            return JSONResponse({"error": "the request is for another host"}, 400, HEADERS)
         origin, site = headers.get("origin"), headers.get("sec-fetch-site", "").lower()
         link = method == "GET" and headers.get("sec-fetch-mode", "").lower() == "navigate" and origin is None
         foreign = site not in OWN_SITE and not link  # whoever follows a link sees the answer, not the other page
         if foreign or (origin is not None and urlsplit(origin.lower()).netloc != hosts[0].lower()):
-            return JSONResponse({"error": "the request comes from another site's page; use this server's own"}, 403)
+            return JSONResponse(
+                {"error": "the request comes from another site's page; use this server's own"}, 403, HEADERS
+            )
         return None
 
     def _allows(self, host: str) -> bool:
