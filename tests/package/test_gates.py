@@ -16,6 +16,7 @@ SOURCE = Path(lidar2pano.__file__).parent
 OPENS: dict[str, tuple[set[str], str]] = {
     "cli/app.py": ({"open"}, "/dev/null, to write to"),
     "cli/batch.py": ({"open"}, "webbrowser.open"),
+    "formats/file_contents.py": ({"open"}, "a temporary copy of our own, to write"),
     "cli/standard_input.py": ({"open"}, "a temporary file of our own, to write"),
     "train/latent_frames.py": ({"load_file", "open"}, "after check_regular; bytes of our own, as JPEG alone"),
     "engines/compiled.py": ({"open", "read_bytes"}, "an engine's own `open`; our sources"),
