@@ -14,6 +14,7 @@ import socket
 import struct
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -74,6 +75,9 @@ class ChildProcess:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
+        self._folder: tempfile.TemporaryDirectory[str] | None = (
+            None  # for temporary files, which outlive a killed child
+        )
 
     def call(self, bound: Bound, title: str, function: Callable[..., Any], *arguments: Any) -> Any:  # noqa: ANN401
         """Return function(*arguments), called in the child; both are named in modules and can be pickled.
@@ -128,6 +132,10 @@ class ChildProcess:
         ours, theirs = socket.socketpair()
         paths = os.pathsep.join(dict.fromkeys(path for path in sys.path if path))
         threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
+        folders: dict[str, str] = {}
+        with contextlib.suppress(OSError):
+            self._folder = tempfile.TemporaryDirectory(prefix="lidar2pano-", ignore_cleanup_errors=True)
+            folders = {"TMPDIR": self._folder.name}
         with theirs:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-c", PROGRAM, str(theirs.fileno())],
@@ -135,7 +143,7 @@ class ChildProcess:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                env=os.environ | threads | {"PYTHONPATH": paths},
+                env=os.environ | threads | folders | {"PYTHONPATH": paths},
             )
         self._socket = ours
         ours.settimeout(START_S)
@@ -147,7 +155,9 @@ class ChildProcess:
         if self._process is not None:
             self._process.kill()
             self._process.wait()
-        self._process = self._socket = None
+        if self._folder is not None:
+            self._folder.cleanup()
+        self._process = self._socket = self._folder = None
 
     def __del__(self) -> None:
         """End the process with its object."""

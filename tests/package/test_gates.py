@@ -169,5 +169,5 @@ def test_the_security_page_names_tests_that_exist():
     named = set(re.findall(r"`(test_\w+)`", page))
     files = (ROOT / "tests").rglob("test_*.py")
     defined = {name for file in files for name in re.findall(r"def (test_\w+)", file.read_text(encoding="utf-8"))}
-    assert len(named) > 15 and not named - defined
+    assert len(named) >= 15 and not named - defined
     assert all((ROOT / path).exists() for path in re.findall(r"`(tests/[\w/.]+)`", page))
