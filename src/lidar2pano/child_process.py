@@ -9,6 +9,7 @@ import contextlib
 import io
 import os
 import pickle
+import shutil
 import signal
 import socket
 import struct
@@ -17,6 +18,7 @@ import sys
 import tempfile
 import threading
 import time
+import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,9 +77,7 @@ class ChildProcess:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
-        self._folder: tempfile.TemporaryDirectory[str] | None = (
-            None  # for temporary files, which outlive a killed child
-        )
+        self._sweep: weakref.finalize | None = None  # of its temporary files, which outlive a child that is ended
 
     def call(self, bound: Bound, title: str, function: Callable[..., Any], *arguments: Any) -> Any:  # noqa: ANN401
         """Return function(*arguments), called in the child; both are named in modules and can be pickled.
@@ -134,8 +134,8 @@ class ChildProcess:
         threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
         folders: dict[str, str] = {}
         with contextlib.suppress(OSError):
-            self._folder = tempfile.TemporaryDirectory(prefix="lidar2pano-", ignore_cleanup_errors=True)
-            folders = {"TMPDIR": self._folder.name}
+            folders = {"TMPDIR": tempfile.mkdtemp(prefix="lidar2pano-")}
+            self._sweep = weakref.finalize(self, shutil.rmtree, folders["TMPDIR"], ignore_errors=True)
         with theirs:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-c", PROGRAM, str(theirs.fileno())],
@@ -155,9 +155,9 @@ class ChildProcess:
         if self._process is not None:
             self._process.kill()
             self._process.wait()
-        if self._folder is not None:
-            self._folder.cleanup()
-        self._process = self._socket = self._folder = None
+        if self._sweep is not None:
+            self._sweep()
+        self._process = self._socket = self._sweep = None
 
     def __del__(self) -> None:
         """End the process with its object."""

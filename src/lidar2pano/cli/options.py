@@ -161,11 +161,11 @@ def check_file(path: Path, option: str) -> None:
     """Raise InputError unless a file can be written to `path`."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file for {option}")
+    check_folder(path.parent, option)
     try:
         check_target(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); choose another {option}") from error
-    check_folder(path.parent, option)
 
 
 def write_json(path: Path, value: Any, option: str) -> None:  # noqa: ANN401
