@@ -217,11 +217,15 @@ class Service:
     async def health(self, request: Request) -> Response:
         """GET /health."""
         device, weights = str(self.translator.pipeline.device), self.translator.weights
-        return JSONResponse({"status": "ok", "weights": weights, "device": device, "waiting": self._taken})
+        return JSONResponse(
+            {"status": "ok", "weights": weights, "device": device, "waiting": self._taken}, headers=HEADERS
+        )
 
     async def metrics(self, request: Request) -> Response:
         """GET /metrics."""
-        return Response(self.measurements.text(), media_type="text/plain; version=0.0.4; charset=utf-8")
+        return Response(
+            self.measurements.text(), media_type="text/plain; version=0.0.4; charset=utf-8", headers=HEADERS
+        )
 
 
 def _query(request: Request) -> Query:
