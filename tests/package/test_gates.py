@@ -20,6 +20,7 @@ OPENS: dict[str, tuple[set[str], str]] = {
     "cli/standard_input.py": ({"open"}, "a temporary file of our own, to write"),
     "train/latent_frames.py": ({"load_file", "open"}, "after check_regular; bytes of our own, as JPEG alone"),
     "engines/compiled.py": ({"open", "read_bytes"}, "an engine's own `open`; our sources"),
+    "evaluate/preferences.py": ({"read_text"}, "a page of the package"),
     "engines/export.py": ({"read_text"}, "a resource of the package"),
     "formats/arrays.py": ({"open"}, "a member of an archive that came through the gate"),
     "formats/image_files.py": ({"open"}, "Image.open of an open file; unfinished files of our own"),
