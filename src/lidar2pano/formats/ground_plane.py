@@ -102,7 +102,8 @@ def _lowest_points(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     side = int(2 * FAR_M / CELL_M) + 2
     column = np.floor((near[:, :2] + FAR_M) / CELL_M).astype(np.int64)
     cell = column[:, 0] * side + column[:, 1]
-    order = np.lexsort((near[:, 2], cell))
+    order = np.argsort(near[:, 2])
+    order = order[np.argsort(cell[order].astype(np.int16), kind="stable")]  # small integers are sorted in linear time
     start = np.flatnonzero(np.diff(cell[order], prepend=-1))
     start = start[np.diff(np.append(start, len(cell))) >= CELL_POINTS]
     place = cell[order][start]

@@ -10,6 +10,7 @@ from lidar2pano.errors import InputError
 FLAT_SHARE, FLAT_FROM_M = 0.45, 30.0
 DENSE, FEWEST_DENSE = 4, 300  # points of a direction (1 x 1 degree), and such directions, to decide by
 MAP_SPREAD = 0.12  # standard deviation of the logarithm of ranges within a direction: sweeps 0.02 to 0.06 if flat
+SAMPLE = 10_000  # points to find a repeated one among
 REPEATED, FEWEST_REPEATS = 0.01, 100  # of the points at exactly one place are no echoes
 PROJECTION = np.array([1.0, np.sqrt(2), np.sqrt(3)])  # brings equal points together when sorted
 GAP_DEG = 15.0  # a sector of so many degrees without any point is out of the field of view
@@ -47,6 +48,7 @@ def is_map(sample: np.ndarray, away: bool) -> bool:
 
 def repeated_point(sample: np.ndarray) -> np.ndarray | None:
     """Return the place (3,) of so many of the points (N, 3) as only a mark of missing returns has; None without one."""
+    sample = sample[:: max(1, len(sample) // SAMPLE)]
     if len(sample) < FEWEST_REPEATS:
         return None
     order = np.argsort(sample @ PROJECTION, kind="stable")

@@ -13,7 +13,7 @@ FEWEST_NUMBERS = 1000  # to tell the width of rows by
 # Nats; and of the most information by any width. Multiples of the true width give as much, or more if a column
 # alternates (KITTI's raw remissions: it has 0.85 of theirs); half the true width gives 0.66 at most.
 LEAST, NEARLY = 0.05, 0.75
-BLOCK, BLOCKS = 27_720, 2  # numbers, whole rows of every width; parts of a file to tell its width by
+BLOCK = 27_720  # numbers amid a file to tell its width by, whole rows of every width
 MOST_CODES = 128
 RANGE_SHARE, RANGE_ERROR = 0.95, 0.002  # of the rows have the range of x y z, so nearly
 BEAMS_SHARE = 0.8  # of the elevations' variance is between rings: beams are cones
@@ -31,9 +31,9 @@ def row_width(values: np.ndarray) -> int:
     Numbers of one column are alike. The smallest width whose columns say most about the sizes of their numbers
     (mutual information of the column and a number's sign, exponent and roundness) is that of the rows.
     """
-    blocks = [values[start : start + BLOCK] for start in _starts(len(values))]
+    start = BLOCK * (len(values) // BLOCK // 2)
     with np.errstate(invalid="ignore", over="ignore"):
-        sample = np.concatenate(blocks).astype(np.float32)
+        sample = values[start : start + BLOCK].astype(np.float32)
     if len(sample) < FEWEST_NUMBERS:
         return 0
     bits = sample.view(np.uint32)
@@ -42,12 +42,6 @@ def row_width(values: np.ndarray) -> int:
     information = {width: _information(code, width) for width in range(1, MOST_WIDE + 1)}
     most = max(information.values())
     return next(width for width, told in information.items() if told >= NEARLY * most) if most > LEAST else 0
-
-
-def _starts(count: int) -> list[int]:
-    """Return where blocks of whole rows of every width begin; the first block may be all there is."""
-    last = max((count - BLOCK) // BLOCK, 0)
-    return sorted({BLOCK * (last * part // max(BLOCKS - 1, 1)) for part in range(BLOCKS)})
 
 
 def _information(code: np.ndarray, width: int) -> float:
