@@ -137,7 +137,7 @@ class Panorama:
         Raises InputError without Open3D; ValueError for the scan of another panorama.
         """
         try:
-            import open3d
+            import open3d  # pyright: ignore[reportMissingImports] no extra brings it
         except ModuleNotFoundError as error:
             raise InputError("to_open3d needs Open3D: pip install open3d") from error
         columns = self._point_columns(scan)
