@@ -246,7 +246,7 @@ def _upright(sample: np.ndarray, stance: Stance) -> tuple[Stance, Ground | None,
     for cause, turn in OTHER_AXES.items():
         if stands(turned := best_ground(moved @ turn.T)) and turned:
             stance, turned, doubts = _levelled(sample, _turned(stance, turn, cause), turned)
-            return stance, turned, [f"{cause}; its points were turned so that z does", *doubts]
+            return stance, turned, [f"{cause}; its points were turned to have z up", *doubts]
     return stance, ground, []
 
 
