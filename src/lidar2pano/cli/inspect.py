@@ -90,7 +90,7 @@ def described(scan: Scan, interpretation: Interpretation) -> dict[str, Any]:
     from lidar2pano.formats.beams import find_beams
 
     with np.errstate(invalid="ignore"):
-        range_m = np.linalg.norm(scan.xyz.astype(np.float64), axis=1)
+        range_m = np.sqrt(np.einsum("ij,ij->i", scan.xyz, scan.xyz, dtype=np.float64))  # no copy of all points
     range_m = range_m[np.isfinite(range_m) & (range_m > 0)]
     beams = find_beams(scan.xyz, scan.ring)
     reading = interpretation.as_dict()

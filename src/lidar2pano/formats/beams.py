@@ -80,13 +80,14 @@ def find_beams(xyz: np.ndarray, ring: np.ndarray | None = None) -> Beams | None:
     """
     with np.errstate(invalid="ignore"):
         near = np.linalg.norm(xyz, axis=1) > NEAR_M
-    x, y, z = xyz[near].T.astype(np.float64)
+    points = xyz[near]
+    x, y, z = points.T
     if len(x) < FEWEST_POINTS * FEWEST:
         return None
-    elevation = np.degrees(np.arctan2(z, np.hypot(x, y)))
+    elevation = np.degrees(np.arctan2(z, np.hypot(x, y, dtype=np.float64)))  # in float64 without a copy of all points
     if ring is not None:
         return _of_rings(elevation, ring[near], "ring")
-    azimuth = np.degrees(np.arctan2(y, x))
+    azimuth = np.degrees(np.arctan2(y, x, dtype=np.float64))
     turn = np.diff((azimuth - azimuth[0]) % 360)
     wraps = np.abs(turn) > WRAP_DEG
     wraps &= np.diff(np.flatnonzero(wraps), prepend=-len(wraps)).min(initial=len(wraps)) >= FEWEST_POINTS
@@ -95,7 +96,7 @@ def find_beams(xyz: np.ndarray, ring: np.ndarray | None = None) -> Beams | None:
         width = [np.ptp(np.percentile(elevation[number == turn_number], (25, 75))) for turn_number in np.unique(number)]
         if np.median(width) < WIDEST_DEG:
             return _of_rings(elevation, number, "file order")
-    if sharpness(xyz[near], np.zeros(3)) < GATHERED:
+    if sharpness(points, np.zeros(3)) < GATHERED:
         return None
     return _of_peaks(elevation)
 
