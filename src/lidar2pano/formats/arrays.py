@@ -10,7 +10,7 @@ import math
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any
 
 import numpy as np
 
@@ -235,7 +235,7 @@ def decode_npz(data: bytes, path: Path) -> PointCloud:
     return cloud_of_arrays(arrays, format="NPZ", name=stem_of(path), source=str(path))
 
 
-def _array(file: BinaryIO, length: int, source: str) -> np.ndarray:
+def _array(file: IO[bytes], length: int, source: str) -> np.ndarray:
     """Return the array of an NPY of `length` bytes, without executing or allocating more than it holds."""
     head = io.BytesIO(file.read(min(length, MOST_HEADER)))
     try:

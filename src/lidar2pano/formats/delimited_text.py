@@ -20,7 +20,7 @@ from lidar2pano.formats.unnamed_columns import column_names
 SEPARATORS = bytes.maketrans(b",;\t|", b"    ")
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)", re.IGNORECASE)
 # Names of axes: "X", "x_coord", "position.x", "Point:0" (Ouster Studio), "Points_m_XYZ:0" (VeloView), "xyz[0]"
-PLACE = r"(?:points?|pos(?:ition)?|co?ord(?:inate)?s?|location|cartesian|scalar|xyz|m)"
+PLACE = r"(?:points?|pos(?:ition)?|coordinates?|coords?|location|cartesian|scalar|xyz|m)"
 AXIS = re.compile(rf"(?:{PLACE}[ _.:/-]*)*(?:([xyz])|(?<=\w)[ _.:/\[-]*([012])\]?)(?:[ _.-]*(?:{PLACE}|axis))*")
 UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\])]*?)\s*[\])]|(\w+)[ _](mm|cm|m)")  # "x [mm]", "Range (m)", "y_mm"
 METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "dm": 0.1, "km": 1e3, "ft": 0.3048}

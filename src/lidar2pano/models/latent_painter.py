@@ -141,8 +141,8 @@ class LatentPainter(LookPainter):
         self.register_buffer("scale", torch.stack([torch.zeros(latents), torch.ones(latents)]))
         self.look_codes = nn.Parameter(torch.randn(len(self.looks), code) * 0.1)
         self.time = nn.Sequential(nn.Linear(4 * WAVES, code), nn.SiLU(), nn.Linear(code, code))
-        self.mean = ConditionedUNet(CONDITIONS, 0, latents, *mean, code)
-        self.flow = ConditionedUNet(CONDITIONS, 2 * latents, latents, *flow, code)
+        self.mean = ConditionedUNet(CONDITIONS, 0, latents, mean[0], mean[1], code)
+        self.flow = ConditionedUNet(CONDITIONS, 2 * latents, latents, flow[0], flow[1], code)
         self.decoder = Autoencoder(latents, (8, 8, 8), decoder).decoder.requires_grad_(False)
 
     def forward(  # noqa: PLR0913, PLR0917 the parts of a training step
