@@ -1,7 +1,7 @@
 # Everything happens in a virtual environment of the checkout's own, .venv; the first target that needs it makes it, in two
 # stages: `make setup` installs what the demo needs, `make setup-dev` also all extras and what tests and documentation need.
 #   make demo     one scan in, a panorama out          make test    the whole test suite
-#   make test-released   every documented command on the released weights, some minutes
+#   make test-released   every documented command on the released weights, a quarter of an hour; ONLY=README: README's
 #   make lint     format, lint, types, spelling        make docs    the documentation, in site/
 #   make generated   parts of pages that come from the program
 #   make fuzz     seeded mutants through every reader, then atheris, guided by coverage; SECONDS=3600 each
@@ -41,7 +41,7 @@ test: setup-dev
 	$(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadscope
 
 test-released: setup-dev
-	$(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadgroup --released -m released tests/released
+	$(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadgroup --released -m released $(if $(ONLY),-k '$(ONLY)') tests/released
 
 fuzz: setup-dev
 	$(BIN)/python tests/fuzz/campaign.py --replay --seconds $(or $(SECONDS),3600) --seed $(or $(SEED),0)

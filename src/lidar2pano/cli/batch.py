@@ -16,7 +16,7 @@ import torch
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.cli.app import MISTAKE
-from lidar2pano.cli.console import bar, print_error, print_licence, print_note, until_signal
+from lidar2pano.cli.console import bar, print_error, print_weights, until_signal
 from lidar2pano.cli.options import check_file
 from lidar2pano.cli.standard_input import spooled
 from lidar2pano.drives.folders import drive_files, output_stems
@@ -40,7 +40,7 @@ from lidar2pano.views import sensor_view
 class Options:
     """Checked options of a run, the same for every scan.
 
-    weights  the given name;  files: its weight files by role.
+    weights  a name;  files: its weight files by role;  note: which family was chosen, "" if it was named.
     sensor   name in VIEWS of the scans' rows, "" for the weights' own.
     reading  of scans; with `poses` the panoramas of a stream are temporally smoothed.
     ply      whether the points of each scan are written, too;  common: files about all panoramas.
@@ -50,6 +50,7 @@ class Options:
     save: tuple[str, ...]
     weights: str
     files: Mapping[str, Path]
+    note: str = ""
     device: torch.device
     sensor: str = ""
     calibration: Calibration | None = None
@@ -80,11 +81,10 @@ def checked_options(
     further  fields of Options.
     """
     name = named_weights(weights)
-    if name != weights:
-        print_note(f"weights {name}: the best that is installed")
+    note = "" if name == weights else f"weights {name}: the best that is installed"
     files, picked = weight_files(name, look=look), pick_device(device)
     pick_engine(engine, picked)
-    options = Options(weights=name, files=files, device=picked, look=look, engine=engine, **further)
+    options = Options(weights=name, files=files, note=note, device=picked, look=look, engine=engine, **further)
     if options.sensor:
         sensor_view(options.sensor)
     return options
@@ -146,7 +146,7 @@ def translate_followed(paths: Sequence[Path], options: Options) -> int:
 
 def translate_sources(sources: Iterable[ScanSource], total: int, options: Options) -> bool:
     """Translate scans one after the other and print a record of each; return whether one failed."""
-    translator, reporter = Translator(options.pipeline), ErrorReporter()
+    translator, reporter = Translator(options.pipeline), ErrorReporter(options.note)
     with options.common.opened() as common, bar(total, "translating") as advance:
 
         def sink(translation: Translation) -> list[Path]:
@@ -217,10 +217,13 @@ def summary(record: Mapping[str, Any]) -> str:
 
 
 class ErrorReporter:
-    """Reports on stderr: bad files one line each at once, bad scans of a recording one line together at its end."""
+    """Reports on stderr: bad files one line each at once, bad scans of a recording one line together at its end.
 
-    def __init__(self) -> None:
-        self.failed = False
+    note  is printed with the first success, "" for none: a mistake is one line alone.
+    """
+
+    def __init__(self, note: str) -> None:
+        self.failed, self._note = False, note
         self._licence_noted = False
         self._warnings: set[tuple[Any, str]] = set()  # stream, text
         self._recording: Path | None = None
@@ -248,9 +251,9 @@ class ErrorReporter:
                 print_error(f"{source.title}: {text}{' (a warning; --strict makes it an error)' * strict}")
 
     def note_licence(self, pipeline: Pipeline) -> None:
-        """Print the weights' restrictive licence once."""
+        """Print the note and the weights' restrictive licence once."""
         if not self._licence_noted:
-            print_licence(pipeline.cards.values())
+            print_weights(self._note, pipeline.cards.values())
         self._licence_noted = True
 
     def flush(self) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from lidar2pano.cli.app import app
-from lidar2pano.cli.console import print_licence
+from lidar2pano.cli.console import print_weights
 from lidar2pano.cli.options import DeviceOption, check_file, write_json
 
 
@@ -66,7 +66,7 @@ def bench(
             rows = measures.measure(runs, device, name, settings["engine"])  # "auto" would compile nothing
             text = measures.table(rows, settings)
         if name:
-            print_licence(read_card(file) for file in weight_files(name).values())
+            print_weights("", map(read_card, weight_files(name).values()))
     if as_json:
         write_json(as_json, settings | {"rows": [row.as_dict() for row in rows]}, "--json")
     print(text)

@@ -14,7 +14,7 @@ from typer.core import TyperCommand
 
 from lidar2pano.cli import options as opt
 from lidar2pano.cli.app import TERMINATED, app
-from lidar2pano.cli.console import bar, print_error, print_licence, until_signal
+from lidar2pano.cli.console import bar, print_error, print_weights, until_signal
 from lidar2pano.errors import InputError, closest
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ def run(job: Job, part: Shard, options: Options, cluster: Cluster, only: str) ->
     listed = entries(store, part, job.layout, labels=job.use_labels, selection=job.selection, only=only)
     settings = {"look": options.look, "engine": options.engine, "format": options.image_format}
     start(job, listed, options.files, settings)
-    print_licence(read_card(file) for file in options.files.values())
+    print_weights(options.note, map(read_card, options.files.values()))
     manifest = Manifest(open_store(job.out), part)
     if cluster.address:
         return work_on_ray(job, listed, manifest, options, cluster)

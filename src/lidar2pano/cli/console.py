@@ -60,11 +60,11 @@ def _shorten(text: str, most: int = MOST_WORD) -> str:
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
 
 
-def print_licence(cards: Iterable[Card]) -> None:
-    """Print one line on stderr if a licence restricts the use of the weights with these cards."""
+def print_weights(chosen: str, cards: Iterable[Card]) -> None:
+    """Print on stderr which family was chosen, "" if it was named, and a licence that restricts the use of weights."""
     from lidar2pano.models.families import licence_note
 
-    if note := licence_note(cards):
+    for note in filter(None, (chosen, licence_note(cards))):
         print_note(note)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from lidar2pano.cli.app import app
-from lidar2pano.cli.console import print_licence
+from lidar2pano.cli.console import print_weights
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -45,7 +45,7 @@ def export(
     }
     noise = noise_tile(torch.device("cpu"), torch.float32).reshape(3 * (2**BITS,))
     written = export(parts, folder, noise.numpy())
-    print_licence(pipeline.cards.values())
+    print_weights("", pipeline.cards.values())
     print("\n".join(map(str, written)))
 
 

@@ -11,7 +11,7 @@ import typer
 
 from lidar2pano.cli import options as opt
 from lidar2pano.cli.app import app
-from lidar2pano.cli.console import print_licence
+from lidar2pano.cli.console import print_weights
 from lidar2pano.errors import InputError
 
 MOST_CONCURRENT = 1000  # more than a server's connections
@@ -49,7 +49,7 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
     options = checked_options(weights, look=look, device=device, engine=engine, out=Path(), save=("rgb",))
     limits = replace(Limits(), body_bytes=int(most_megabytes * 1e6), points=most_points, waiting=queue, seconds=seconds)
     pipeline = options.pipeline()
-    print_licence(pipeline.cards.values())
+    print_weights(options.note, pipeline.cards.values())
     translator = UploadTranslator(
         pipeline=pipeline, weights=options.weights, most_points=limits.points, most_seconds=limits.seconds
     )
