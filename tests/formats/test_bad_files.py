@@ -100,7 +100,7 @@ def bombs() -> dict[str, tuple[bytes, str]]:
         "npy shape.npy": (made.npy(np.zeros((5, 2))), "has no array of points"),
         "npz pickled.npz": (made.npz(a=np.array([print], dtype=object)), "is pickled"),
         "npz zeros.npz": (zeros.getvalue(), "unpacks to more than"),
-        "npz empty.npz": (made.npz(), "has no array of points"),
+        "npz empty.npz": (made.npz(), "is a ZIP archive without arrays"),
         "laz count.laz": (bytes(laz), "are no single sweep"),
         "las count.las": (bytes(las), "are no single sweep"),
         "laz many.laz": (bytes(few), "is no LAS that can be read"),
