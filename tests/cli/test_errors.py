@@ -66,7 +66,7 @@ BAD_SCANS: dict[str, tuple[Callable[[Path], object], str]] = {
     "origin": (lambda path: write_scan(path, points((0, 0, 0), (0, 0, 0))), "bad.bin: none of its 2 points"),
     "view": (lambda path: write_scan(path, points((0.1, 0, 50), (0, 0.1, 50))), "bad.bin: no point is in view"),
     "missing": (lambda path: None, "bad.bin: does not exist"),
-    "format": (lambda path: path.with_name("bad.gif").write_bytes(b"GIF89a" * 99), "bad.gif: is of no format that is"),
+    "format": (lambda path: path.with_name("bad.gif").write_bytes(b"GIF89a" * 99), "bad.gif: is a picture"),
     "folder": (lambda path: Path("bad.bin").mkdir(), "bad.bin: holds no scan (known endings: .bin"),
 }
 

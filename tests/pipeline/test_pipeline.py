@@ -548,13 +548,20 @@ def test_a_run_gives_its_best_weights(tmp_path):
     assert weight_files(tmp_path, fill=False) == {"painter": best}
 
 
-@pytest.mark.parametrize("views", [{}, {"panorama": {"rows": 4}}, {"panorama": 3}])
-def test_a_card_without_its_view_is_refused(random_weights, tmp_path, views):
+@pytest.mark.parametrize(
+    ("views", "said"),
+    [
+        ({}, r"translator.safetensors: its card has no view 'panorama'"),
+        ({"panorama": {"rows": 4}}, "its view 'panorama' needs rows and columns"),
+        ({"panorama": 3}, "its 'views'.panorama must be an object"),
+    ],
+)
+def test_a_card_without_its_view_is_refused(random_weights, tmp_path, views, said):
     network, card = load_weights(random_weights / "translator.safetensors")
     for role in ("segmenter", "painter"):
         (tmp_path / f"{role}.safetensors").symlink_to(random_weights / f"{role}.safetensors")
-    save(tmp_path / "translator.safetensors", network, replace(card, views=views))
-    with pytest.raises(InputError, match=r"translator.safetensors: its card has no view 'panorama'"):
+    with pytest.raises(InputError, match=said):
+        save(tmp_path / "translator.safetensors", network, replace(card, views=views))
         load(tmp_path, "cpu")
 
 

@@ -135,7 +135,8 @@ def _read(path: Path | str, with_tensors: bool = True) -> tuple[Card, dict[str, 
         with open_regular(path) as opened:
             head = int.from_bytes(opened.read(8), "little")
         if head > MOST_HEADER:
-            raise InputError(f"{path}: its header has {head} bytes, at most {MOST_HEADER} are read; fetch it again")
+            reason = f"its header would have {head} bytes, at most {MOST_HEADER} are read"
+            raise InputError(f"{path} is cut off or not a weight file ({reason}); fetch or make it again")
         with safe_open(path, "pt") as file:
             text = (file.metadata() or {}).get("card")
             keys = file.keys() if with_tensors else ()

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, Self
 import numpy as np
 
 from lidar2pano.errors import InputError, closest
-from lidar2pano.recordings.point_messages import CLOUDS, DEFINITIONS
+from lidar2pano.recordings.point_messages import CLOUDS, DEFINITIONS, POINTS
 
 # message type -> the package to turn its packets into points
 PACKETS = {
@@ -151,6 +151,8 @@ def choose_topic(path: Path, topics: Sequence[Topic], name: str, types: Containe
         candidates = [topic for topic in named if topic.type in types] or named[:1]
     else:
         candidates = [topic for topic in clouds if topic.count] or clouds
+        usual = [topic for topic in candidates if topic.type == POINTS]
+        candidates = usual or candidates  # a driver that sends several forms sends the same points in each
     if not candidates:
         raise InputError(_no_points(path, topics))
     if len(candidates) > 1:
