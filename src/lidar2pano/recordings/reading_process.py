@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -114,6 +114,9 @@ class _Open:
 
     def close(self) -> None:
         self._child.close()
+        held = _held.pop(self._number, None)  # where there are no children, the object is kept in this process
+        if held is not None:
+            held.close()
 
 
 def _kept(make: Any, *arguments: Any) -> int:  # noqa: ANN401
@@ -138,6 +141,11 @@ class FrameIterator:
     def following(self) -> Frame | None:
         """Return the next scan; None at the end."""
         return next(self._frames, None)
+
+    def close(self) -> None:
+        """Close the recording."""
+        if isinstance(self._frames, Generator):
+            self._frames.close()
 
 
 def frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
