@@ -62,7 +62,7 @@ def head_of(path: Path) -> bytes:
             if is_packed(head):
                 file.seek(0)
                 if not (head := _unpacked(path, file, head, HEAD_BYTES)):
-                    raise InputError(f"{path}: is empty within its packing; name a scan file that holds points")
+                    raise InputError(f"{path}: unpacks to nothing: it is empty, or damaged or cut off; name a scan")
             return plain_text(head)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); name a scan file that exists") from error
