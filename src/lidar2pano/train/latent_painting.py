@@ -121,7 +121,7 @@ class LatentPainting:
         """One update of mean and flow."""
         conditions, samples = self._with_absent(batch.conditions), len(batch.look)
         conditions = conditions.contiguous(memory_format=torch.channels_last)
-        shares = torch.eye(len(self.painter.looks), device=conditions.device)[batch.look]
+        shares = self._shares(batch.look)
         latents = self.painter.normalised(batch.latents)
         noisy = self._noisy(latents)
         kept = (torch.rand(samples, device=conditions.device) >= self.options.free_probability).float()
@@ -137,6 +137,10 @@ class LatentPainting:
         }
         self.logs = {name: loss.detach() for name, loss in losses.items()}
         yield "painter", losses["mean"] + losses["flow"]
+
+    def _shares(self, look: Tensor) -> Tensor:
+        """Return the shares (B, looks) of looks (B,), one each."""
+        return torch.eye(len(self.painter.looks), device=look.device)[look]
 
     def _with_absent(self, conditions: Tensor) -> Tensor:
         """Return conditions of which some groups are absent."""
@@ -188,7 +192,7 @@ class LatentPainting:
             sample = LatentSample(*(part[None].to(device) for part in self.validation[index]))
             latents = self.painter.normalised(sample.latents)
             noise = torch.randn(latents.shape, generator=torch.Generator().manual_seed(index)).to(device)
-            shares = torch.eye(len(self.painter.looks), device=device)[sample.look]
+            shares = self._shares(sample.look)
             unit = torch.ones(1, device=device)
             for time in TIMES:
                 noisy = torch.lerp(noise, latents, time)
@@ -205,7 +209,7 @@ class LatentPainting:
         for index in evenly_spaced(len(self.validation), SHOWN):
             sample = self.validation[index]
             conditions = sample.conditions[None].to(device)
-            shares = torch.eye(len(self.painter.looks), device=device)[sample.look][None]
+            shares = self._shares(sample.look[None].to(device))
             noise = torch.randn(1, *sample.latents.shape, generator=torch.Generator().manual_seed(index)).to(device)
             mean = self.painter.denormalised(self.painter.expected(conditions, shares).float())
             parts = (sample.latents[None].to(device), mean, self.painter.latents_of(conditions, shares, noise))
