@@ -21,8 +21,7 @@ from PIL import Image, ImageDraw
 from lidar2pano.cli.inspect import described
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
-from lidar2pano.formats.interpretation import interpret
-from lidar2pano.formats.overrides import Overrides
+from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions, open_path
 

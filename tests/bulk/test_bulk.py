@@ -24,7 +24,7 @@ from lidar2pano.cli.bulk import BAD_SCANS, TERMINATED
 from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
-from lidar2pano.formats.overrides import Overrides
+from lidar2pano.formats.interpretation import Overrides
 from lidar2pano.labels import COMMON15
 from random_weights import CALIB, street, write_scan
 from slow_definitions import grow_slowly

@@ -13,8 +13,7 @@ import lidar2pano
 from lidar2pano.drives.drive_motion import CITY_COLUMNS, CITY_POSES, DriveMotion, T_scan_cloud, city_motion
 from lidar2pano.drives.reading import posed_scans
 from lidar2pano.errors import InputError
-from lidar2pano.formats.interpretation import interpret
-from lidar2pano.formats.overrides import Overrides
+from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.scan_files import write_bin
 from lidar2pano.geometry.motion import SensorMotion, Trajectory

@@ -14,8 +14,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats import sensor_placement
 from lidar2pano.formats.beams import find_beams, horizontal_centre, sharpest_origin
 from lidar2pano.formats.ground_plane import blind_radii, fit_ground
-from lidar2pano.formats.interpretation import interpret
-from lidar2pano.formats.overrides import Overrides
+from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import interpreted, read
 from lidar2pano.formats.remission import STAND_IN

@@ -11,8 +11,7 @@ import pytest
 import sample_files as made
 from lidar2pano import demo
 from lidar2pano.cli import main
-from lidar2pano.formats.interpretation import interpret
-from lidar2pano.formats.overrides import Overrides
+from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import interpreted
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lidar2pano.formats.point_times import point_times, seconds
+from lidar2pano.formats.point_cloud import point_times, seconds
 
 COUNT = 2000
 TURN_S = np.linspace(0, 0.1, COUNT)

@@ -18,8 +18,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats import pcd
 from lidar2pano.formats.arrays import DATATYPES, cloud_of
 from lidar2pano.formats.file_contents import stem_of
-from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns
-from lidar2pano.formats.point_times import seconds
+from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns, seconds
 from lidar2pano.formats.readers import ReadOptions, open_path, read
 
 XYZ, RING = made.street(beams=16, columns=180)

@@ -11,8 +11,7 @@ import sample_files as made
 from lidar2pano.drives.drive_motion import T_scan_cloud
 from lidar2pano.formats import pcd
 from lidar2pano.formats.ground_plane import fit_ground, fit_tilted_ground
-from lidar2pano.formats.interpretation import Interpretation, interpret
-from lidar2pano.formats.overrides import Overrides
+from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import interpreted
 from lidar2pano.scan import Scan

@@ -15,8 +15,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as Bag1
 
 import miniature_recordings as recordings
-from lidar2pano.formats.interpretation import interpret
-from lidar2pano.formats.overrides import Overrides
+from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.recordings.point_messages import DEFINITIONS
 from lidar2pano.recordings.recorded_scans import recorded_motion, recording_reader

@@ -30,9 +30,8 @@ from lidar2pano.drives.folders import times
 from lidar2pano.errors import InputError
 from lidar2pano.formats.arrays import cloud_of_message
 from lidar2pano.formats.image_files import read_image
-from lidar2pano.formats.interpretation import interpret
+from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.json_files import parse_json, validated
-from lidar2pano.formats.overrides import Overrides
 from lidar2pano.formats.readers import READERS
 from lidar2pano.formats.scan_files import read_label
 from lidar2pano.geometry.projection import Normalisation

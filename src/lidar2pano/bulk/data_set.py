@@ -17,7 +17,7 @@ from lidar2pano.bulk.entries import Entry, Job, Shard
 from lidar2pano.bulk.scan_reading import OpenRecording
 from lidar2pano.bulk.stores import Folder, Store, local_copy, open_store
 from lidar2pano.errors import InputError
-from lidar2pano.formats.overrides import Overrides
+from lidar2pano.formats.interpretation import Overrides
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI, TABLES, THINGS

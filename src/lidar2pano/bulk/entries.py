@@ -11,7 +11,7 @@ from typing import NamedTuple
 from lidar2pano.drives.reading import ReadingOptions
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import COLOUR_FORMATS
-from lidar2pano.formats.overrides import Overrides
+from lidar2pano.formats.interpretation import Overrides
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.pipeline import Pipeline
 

@@ -18,8 +18,7 @@ from lidar2pano.bulk.stores import Store, local_copy
 from lidar2pano.drives.drive_motion import DriveMotion
 from lidar2pano.drives.reading import Reading, ReadingOptions, ScanSource, move_scan, read_scan
 from lidar2pano.errors import InputError
-from lidar2pano.formats.interpretation import Interpretation, interpret
-from lidar2pano.formats.overrides import Overrides
+from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.recordings.playback import Playback
 from lidar2pano.recordings.reading_process import ConfinedPlayback, read_cloud

@@ -96,7 +96,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     """Translate any number of scans. Repeat the command to go on."""
     from lidar2pano.bulk import Job, Shard
     from lidar2pano.cli.batch import checked_options
-    from lidar2pano.formats.overrides import Overrides
+    from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.formats.readers import ReadOptions
 
     _check_layout(layout, image_format)

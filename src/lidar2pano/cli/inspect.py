@@ -49,8 +49,7 @@ def inspect(
 
 def first_scan(path: Path, topic: str) -> dict[str, Any]:
     """Describe the first scan of a file or recording, or its fault under "problem"."""
-    from lidar2pano.formats.interpretation import interpret
-    from lidar2pano.formats.overrides import Overrides
+    from lidar2pano.formats.interpretation import Overrides, interpret
     from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.recordings import reading_process
     from lidar2pano.recordings.recorded_scans import recording_reader

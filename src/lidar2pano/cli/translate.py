@@ -58,7 +58,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     """Turn scans into panoramas: DIR/<stem>.png, .segments.png, .label, .depth.png, .camera.png."""
     from lidar2pano.cli import batch
     from lidar2pano.drives.reading import ReadingOptions
-    from lidar2pano.formats.overrides import Overrides
+    from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.formats.readers import ReadOptions
 
     options = batch.checked_options(

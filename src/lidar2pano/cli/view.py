@@ -42,7 +42,7 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
     """Write one HTML page to look around in, without need of a network, and open it. Scans are translated first."""
     from lidar2pano.cli.batch import checked_options, common_files, open_page, translate_files
     from lidar2pano.drives.reading import ReadingOptions
-    from lidar2pano.formats.overrides import Overrides
+    from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.name_order import sort_listed
     from lidar2pano.viewer.page import title_of

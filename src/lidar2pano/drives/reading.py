@@ -19,8 +19,7 @@ from lidar2pano.drives.drive_motion import Motion, motion_of
 from lidar2pano.drives.folders import drive_files, output_stems
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
-from lidar2pano.formats.interpretation import Interpretation, interpret
-from lidar2pano.formats.overrides import Overrides
+from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.hardware import Timer

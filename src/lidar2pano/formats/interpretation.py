@@ -9,13 +9,18 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.beams import find_beams
-from lidar2pano.formats.consistency import FEWEST_RINGS, contradictions, follows_elevation
-from lidar2pano.formats.doubts import doubts_about, doubts_about_ground
-from lidar2pano.formats.overrides import Overrides
+from lidar2pano.formats.plausibility import (
+    FEWEST_RINGS,
+    contradictions,
+    doubts_about,
+    doubts_about_ground,
+    find_gaps,
+    follows_elevation,
+    repeated_point,
+)
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.remission import Scale, scale_remission
-from lidar2pano.formats.sensor_placement import Claims, Placement, place
-from lidar2pano.formats.sweep import find_gaps, is_offset, repeated_point
+from lidar2pano.formats.sensor_placement import FORWARD, Claims, Placement, is_offset, place
 from lidar2pano.scan import Scan
 
 NO_RETURN = 0.01  # nearer to the origin, in the cloud's unit, there was no echo
@@ -24,6 +29,31 @@ NUSCENES_FORMAT = "float32 rows, nuScenes"
 NUSCENES_SENSOR = "Velodyne HDL-32E"
 ALIKE_DEG, ALIKE_POINTS = 2.0, 1.5  # between scans of one sensor: lowest beam, factor of counts
 SAMPLE = 40_000  # points for finding the geometry
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overrides:
+    """The user's knowledge, in place of findings from the scan itself.
+
+    sensor_height_m  height of the viewpoint above the ground: the cloud is lowered or lifted so; None: found out.
+    forward          the forward axis: "x", "y", "-x", "-y"; "": found out.
+    remission        value of full remission: "1", "255", "65535", or "none"; "": found out.
+    invent           whether the panorama also claims the sectors outside the field of view.
+    """
+
+    sensor_height_m: float | None = None
+    forward: str = ""
+    remission: str = ""
+    invent: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse invalid values (InputError)."""
+        if self.forward not in ("", *FORWARD):
+            raise InputError(f"--forward {self.forward!r} is no axis; there is {', '.join(FORWARD)}")
+        if self.remission not in ("", "1", "255", "65535", "none"):
+            raise InputError(f"--remission {self.remission!r} is no scale; there is 1, 255, 65535 and none")
+        if self.sensor_height_m is not None and not 0 <= self.sensor_height_m <= 100:
+            raise InputError(f"--sensor-height {self.sensor_height_m} is no height above the ground in metres")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,12 +188,14 @@ def _placement(
     """Return the first scan's placement, or the cloud's own, and doubts; `sample`: (N, 3) float64 of its points."""
     if like and overrides.sensor_height_m is None and not is_offset(sample):
         return like, []
-    claims = Claims(viewpoint=cloud.viewpoint)
+    claims = Claims(
+        viewpoint=cloud.viewpoint, named_forward=overrides.forward, named_height_m=overrides.sensor_height_m
+    )
     if cloud.format == NUSCENES_FORMAT and cloud.ring is not None:
         beams = find_beams(cloud.xyz[returns], cloud.ring[returns])
         sure = beams is not None and NUSCENES_SENSOR in beams.sensor()
         claims = replace(claims, forward="y", forward_by="nuScenes' convention", sure=sure)
-    return place(sample, overrides, claims)
+    return place(sample, claims)
 
 
 def _rings(cloud: PointCloud, returns: np.ndarray, placement: Placement) -> tuple[np.ndarray | None, list[str]]:

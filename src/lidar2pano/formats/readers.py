@@ -12,8 +12,7 @@ from lidar2pano.formats import arrays, delimited_text, feather, las, pcd, ply
 from lidar2pano.formats import scan_files as float_rows
 from lidar2pano.formats.file_contents import contents, head_of
 from lidar2pano.formats.foreign_files import foreign_kind
-from lidar2pano.formats.interpretation import Interpretation, interpret
-from lidar2pano.formats.overrides import Overrides
+from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.scan import Scan
 

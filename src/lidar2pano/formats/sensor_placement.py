@@ -9,12 +9,18 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.beams import CLEARLY, horizontal_centre, sharpest_origin, sharpness
-from lidar2pano.formats.forward import SHOWS, SHOWS_AGAINST, evidence_of_x
-from lidar2pano.formats.ground_plane import BELOW_M, LEVEL_DEG, SURE_SHARE, Ground, fit_ground, fit_tilted_ground
-from lidar2pano.formats.overrides import FORWARD, Overrides
-from lidar2pano.formats.sweep import is_map, is_offset
+from lidar2pano.formats.ground_plane import (
+    BELOW_M,
+    LEVEL_DEG,
+    SURE_SHARE,
+    Ground,
+    blind_radii,
+    fit_ground,
+    fit_tilted_ground,
+)
 
 SENSOR_HEIGHT_M = 1.73  # above the road, of the training data's sensor (KITTI's HDL-64E)
+FORWARD = {"x": (1, 0), "y": (0, 1), "-x": (-1, 0), "-y": (0, -1)}  # (cos, sin) of the forward axis
 ASSUMED = "assumed"  # the first word of a reason for a viewpoint without evidence in the scan
 CLOUD_ORIGIN, BY_VIEWPOINT = "the cloud's origin", "the file's VIEWPOINT"
 LOWEST_SENSOR_M = 0.4  # above the ground; no sensor is lower
@@ -35,6 +41,20 @@ OTHER_AXES = {
 }
 Turn = tuple[tuple[float, float, float], ...]
 UPRIGHT: Turn = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+# Median over 99th percentile of ranges; beyond, points do not thin out with distance as a sweep's do.
+FLAT_SHARE, FLAT_FROM_M = 0.45, 30.0
+DENSE, FEWEST_DENSE = 4, 300  # points of a direction (1 x 1 degree), and such directions, to decide by
+MAP_SPREAD = 0.12  # standard deviation of the logarithm of ranges within a direction: sweeps 0.02 to 0.06 if flat
+
+# Evidence in natural logarithms. 174 real scans with x forward have -0.1 to 3, 18 with y forward -3 to -0.7.
+SHOWS, SHOWS_AGAINST = 0.2, 0.4  # where a form has no convention, and against one
+CAR_HEIGHT_M = (1.4, 2.6)  # sensors stand so high on cars
+ROADSIDE_M = (0.5, 5.0)  # above the ground
+REACH_M = 50.0  # of what stands along the road
+NEAR_M = 3.0
+WALL_M, SMOOTH = 0.25, 17  # bins of a histogram, and of the smoothed one it is compared with
+FEWEST_ROADSIDE = 500  # standing points
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,17 +108,20 @@ class Placement:
 
 @dataclass(frozen=True, kw_only=True)
 class Claims:
-    """The file's claims about its geometry; they hold unless the scan contradicts them.
+    """The file's claims about its geometry, which hold unless the scan contradicts them, and the user's, which hold.
 
     viewpoint    (4, 4) float64 T of the sensor in the cloud's frame, or None.
     forward      the forward axis of files of its form, "" if the form does not say;  forward_by: the form's name.
     sure         the form needs no evidence of the axis.
+    named_forward   the user's forward axis, "" without one;  named_height_m: likewise the height above the ground, or None.
     """
 
     viewpoint: np.ndarray | None = None
     forward: str = ""
     forward_by: str = ""
     sure: bool = False
+    named_forward: str = ""
+    named_height_m: float | None = None
 
 
 class Stance(NamedTuple):
@@ -115,7 +138,7 @@ class Stance(NamedTuple):
         return xyz if (self.turn == np.eye(3)).all() else xyz @ self.turn.T
 
 
-def place(sample: np.ndarray, overrides: Overrides, claims: Claims) -> tuple[Placement, list[str]]:
+def place(sample: np.ndarray, claims: Claims) -> tuple[Placement, list[str]]:
     """Return the placement of a cloud by a sample (N, 3) float64 of its points, and doubts about it.
 
     Raises InputError for anything but a sweep.
@@ -136,14 +159,14 @@ def place(sample: np.ndarray, overrides: Overrides, claims: Claims) -> tuple[Pla
         )
     stance, ground, doubts = _upright(sample, stance)
     sample = stance.moved(sample)
-    viewpoint, why = _viewpoint(sample, ground, overrides, away)
+    viewpoint, why = _viewpoint(sample, ground, claims.named_height_m, away)
     sample = sample - viewpoint
     placement = Placement(unit_m=unit_m, assumed_height_m=SENSOR_HEIGHT_M if why.startswith(ASSUMED) else None)
     if ground:
         height_m = float(viewpoint[2]) - ground.height_m
         ground = replace(ground, height_m=-height_m)
         placement = replace(placement, ground_m=round(height_m, 2), tilt_deg=round(ground.tilt_deg, 1))
-    forward, forward_by, unsure = _forward(sample, ground, overrides, claims, bool(doubts))
+    forward, forward_by, unsure = _forward(sample, ground, claims, bool(doubts))
     x, y, z = (round(float(value), 3) for value in stance.origin + stance.turn.T @ viewpoint)
     if why == CLOUD_ORIGIN:
         why = stance.origin_by or why + unused
@@ -263,11 +286,11 @@ def _turned(stance: Stance, turn: np.ndarray, why: str) -> Stance:
     return stance._replace(turn=turn @ stance.turn, turn_by=f"{stance.turn_by}, {why}".removeprefix(", "))
 
 
-def _viewpoint(sample: np.ndarray, ground: Ground | None, overrides: Overrides, away: bool) -> tuple[np.ndarray, str]:
+def _viewpoint(sample: np.ndarray, ground: Ground | None, height_m: float | None, away: bool) -> tuple[np.ndarray, str]:
     """Return the sensor's origin, and the reason; (0, 0, 0) if it is the cloud's already."""
     floor_m = ground.height_m if ground else 0.0
-    if overrides.sensor_height_m is not None:
-        return np.array([0, 0, floor_m + overrides.sensor_height_m]), "--sensor-height"
+    if height_m is not None:
+        return np.array([0, 0, floor_m + height_m]), "--sensor-height"
     if not away:
         if ground is None or abs(floor_m) > VEHICLE_GROUND_M:
             return np.zeros(3), CLOUD_ORIGIN
@@ -283,15 +306,13 @@ def _viewpoint(sample: np.ndarray, ground: Ground | None, overrides: Overrides, 
     return origin, f"found by the beams, since {why}"
 
 
-def _forward(
-    sample: np.ndarray, ground: Ground | None, overrides: Overrides, claims: Claims, turned: bool
-) -> tuple[str, str, list[str]]:
+def _forward(sample: np.ndarray, ground: Ground | None, claims: Claims, turned: bool) -> tuple[str, str, list[str]]:
     """Return the forward axis, the reason, and doubts; the evidence of the scan comes before a claim.
 
     turned  z is the scan's own finding, so there is no convention to follow.
     """
-    if overrides.forward:
-        return overrides.forward, "--forward", []
+    if claims.named_forward:
+        return claims.named_forward, "--forward", []
     evidence = evidence_of_x(sample, ground) or 0.0
     why = "the ground that the vehicle hides and the road's direction show it"
     if not claims.forward:
@@ -306,3 +327,57 @@ def _forward(
         claims.forward_by,
         [f"nothing in it shows the forward axis; {claims.forward} is by {claims.forward_by}, name it with --forward"],
     )
+
+
+def is_offset(sample: np.ndarray) -> bool:
+    """Return whether the points lie together and all far from the origin, as in UTM coordinates."""
+    centre = np.median(sample, axis=0)
+    spread = np.percentile(np.abs(sample - centre), 90)
+    return float(np.abs(centre).max()) > 5 * spread
+
+
+def is_map(sample: np.ndarray, away: bool) -> bool:
+    """Return whether points do not thin out with distance, and lie behind each other, as no sweep's do.
+
+    away  whether they had an offset, as a survey's do: then the former alone is enough.
+    """
+    range_m = np.sqrt(np.einsum("ij,ij->i", sample, sample))
+    middle, most = np.percentile(range_m, (50, 99))
+    if most < FLAT_FROM_M or middle < FLAT_SHARE * most or away:
+        return bool(most >= FLAT_FROM_M and middle >= FLAT_SHARE * most)
+    azimuth = np.arctan2(sample[:, 1], sample[:, 0])
+    elevation = np.arcsin(np.clip(sample[:, 2] / np.maximum(range_m, 1e-9), -1, 1))
+    cell = np.floor(np.degrees(azimuth) + 180) * 181 + np.floor(np.degrees(elevation) + 90)
+    _, cell, counts = np.unique(cell, return_inverse=True, return_counts=True)
+    mean = np.bincount(cell, np.log(range_m)) / counts
+    spread = np.bincount(cell, (np.log(range_m) - mean[cell]) ** 2)
+    dense = counts >= DENSE
+    if np.count_nonzero(dense) < FEWEST_DENSE:
+        return False
+    return bool(np.sqrt(spread[dense].sum() / counts[dense].sum()) > MAP_SPREAD)
+
+
+def evidence_of_x(xyz: np.ndarray, ground: Ground | None) -> float | None:
+    """Return the evidence for x and against y as the axis along the road; None for a sensor not on a car.
+
+    xyz  (N, 3) float64 metres, z up.
+    The sum of two logarithms of ratios: a car hides the ground farther before and behind it than beside it; what
+    stands along a road (walls, kerbs, hedges, rows of cars) is gathered at few places across it.
+    """
+    if ground is None or not CAR_HEIGHT_M[0] <= -ground.height_m <= CAR_HEIGHT_M[1]:
+        return None
+    along, across = ([radius for radius in radii if radius] for radii in blind_radii(xyz, ground))
+    hidden = float(np.log(np.mean(along) / np.mean(across))) if along and across else 0.0
+    distance = np.hypot(xyz[:, 0], xyz[:, 1])
+    height = ground.height_of(xyz)
+    standing = (height > ROADSIDE_M[0]) & (height < ROADSIDE_M[1]) & (distance > NEAR_M) & (distance < REACH_M)
+    if np.count_nonzero(standing) < FEWEST_ROADSIDE:
+        return hidden
+    x, y, _ = xyz[standing].T
+    return hidden + float(np.log(_gathered(y) / _gathered(x)))
+
+
+def _gathered(values: np.ndarray) -> float:
+    """Return how much values gather at few places; 1 for not at all."""
+    counts = np.histogram(values, np.arange(-REACH_M, REACH_M, WALL_M))[0].astype(np.float64)
+    return float((counts @ counts) / max(counts @ np.convolve(counts, np.ones(SMOOTH) / SMOOTH, "same"), 1.0))

@@ -16,8 +16,7 @@ from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError
 from lidar2pano.formats import readers
 from lidar2pano.formats.file_contents import HEAD_BYTES, head_of, is_packed, unpacked_copy
-from lidar2pano.formats.interpretation import interpret
-from lidar2pano.formats.overrides import Overrides
+from lidar2pano.formats.interpretation import Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions
 from lidar2pano.geometry.motion import SensorMotion

@@ -9,7 +9,7 @@ from email.parser import BytesHeaderParser
 
 from lidar2pano.drives.reading import ReadingOptions
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.overrides import Overrides
+from lidar2pano.formats.interpretation import Overrides
 from lidar2pano.serve.uploads import parse_parts
 
 ANSWERS = ("png", "zip", "json")
