@@ -19,9 +19,9 @@ from PIL import Image
 
 from lidar2pano.formats.image_files import write_depth, write_ids
 from lidar2pano.labels import SEMANTIC_KITTI
-from lidar2pano.simulate.dataset.generation import SequenceWriter
-from lidar2pano.simulate.dataset.settings import WorldSettings
+from lidar2pano.simulate.generation import SequenceWriter
 from lidar2pano.simulate.scene.surfaces import COMMON15_IDS
+from lidar2pano.simulate.settings import WorldSettings
 
 SHIPPED = Path(__file__).resolve().parent.parent / "src" / "lidar2pano" / "demo" / "street.bin"
 SEED = 12

@@ -38,7 +38,7 @@ from lidar2pano.geometry.projection import Normalisation
 from lidar2pano.models.card import Card, read_card
 from lidar2pano.prepare.journal import Journal, Record, Stamp
 from lidar2pano.reproduce.run import budget
-from lidar2pano.simulate.dataset.settings import WorldSettings, claim_folder, panorama_view
+from lidar2pano.simulate.settings import WorldSettings, claim_folder, panorama_view
 from lidar2pano.train.checkpoint import Progress, check_recipe
 from lidar2pano.train.recipe import Network, Optimizer, override, resolved
 from lidar2pano.train.recipes import RECIPES, recipe_named

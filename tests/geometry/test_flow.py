@@ -24,7 +24,7 @@ from lidar2pano.geometry.flow import (
     scan_distances,
 )
 from lidar2pano.geometry.projection import directions
-from lidar2pano.geometry.warp import warp
+from lidar2pano.geometry.rasters import warp
 from lidar2pano.views import VIEWS, View
 
 CAMERA = Calibration(
@@ -341,8 +341,8 @@ def test_without_opencv_its_installation_is_suggested(monkeypatch):
 
 def test_a_rendered_image_is_the_one_before_it_warped(tmp_path):
     pytest.importorskip("embreex", reason="the street world needs embreex: pip install 'lidar2pano[world]'")
-    from lidar2pano.simulate.dataset.generation import SequenceWriter
-    from lidar2pano.simulate.dataset.settings import WorldSettings
+    from lidar2pano.simulate.generation import SequenceWriter
+    from lidar2pano.simulate.settings import WorldSettings
 
     settings = WorldSettings(seed=5, frames=2, place="motorway", save=("panorama",), views=("panorama/4",))
     writer = SequenceWriter(tmp_path, settings, 0)

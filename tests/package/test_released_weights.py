@@ -15,7 +15,7 @@ from PIL import Image
 
 import lidar2pano
 from installed_families import INSTALLED, needs_streets
-from lidar2pano.bench.operations import BELIEF, TOTAL, measure_operations
+from lidar2pano.bench.operations import BELIEF, WHOLE, measure_operations
 from lidar2pano.demo import street
 from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
@@ -148,7 +148,7 @@ def test_belief_takes_few_tensor_operations() -> None:
     """Project, segment, clean up and translate: thousands of small operations are slow on a GPU."""
     rows = {row.stage: row.operations for row in measure_operations("kitti-mini", "cpu")}
     assert sum(rows[stage] for stage in BELIEF) <= 1500, rows
-    assert rows[TOTAL] > sum(rows[stage] for stage in BELIEF)
+    assert rows[WHOLE] > sum(rows[stage] for stage in BELIEF)
 
 
 ROLLED, TURNED = 1152, (slice(None, None, -1),)  # a quarter turn; upside down

@@ -23,7 +23,7 @@ from lidar2pano.cli.app import exit_status
 from lidar2pano.cli.console import print_error
 from lidar2pano.models import card  # noqa: F401
 from lidar2pano.reproduce import run
-from lidar2pano.simulate.dataset import generation  # noqa: F401
+from lidar2pano.simulate import generation  # noqa: F401
 from lidar2pano.train.recipe import changed  # noqa: F401
 from lidar2pano.train.recipes import RECIPES
 from lidar2pano.views import VIEWS

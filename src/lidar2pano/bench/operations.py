@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from lidar2pano.bench.timings import untrained
+from lidar2pano.bench.timings import WHOLE, markdown_table, untrained
 from lidar2pano.demo import street
 from lidar2pano.hardware import Timer, pick_device
 from lidar2pano.memory import Memory
@@ -20,7 +20,6 @@ from lidar2pano.scan import Scan
 
 BELIEF = ("project", "segment", "clean_up", "translate")  # stages that make a scene
 OUTSIDE = "outside of stages"
-TOTAL = "whole panorama"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,10 +28,6 @@ class Operations:
 
     stage: str
     operations: int
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the row for JSON."""
-        return asdict(self)
 
 
 class _Counter(TorchDispatchMode):
@@ -82,12 +77,10 @@ def count_operations(pipeline: Pipeline, scan: Scan) -> list[Operations]:
     with counter:
         pipeline.step(Memory(), scan, None, _CountingTimer(pipeline.device, counter))
     total = sum(counter.counts.values())
-    counts = {**counter.counts, TOTAL: total}
+    counts = {**counter.counts, WHOLE: total}
     return [Operations(stage=stage, operations=count) for stage, count in counts.items()]
 
 
-def operations_table(rows: list[Operations], conditions: dict[str, Any]) -> str:
-    """Format the counts as Markdown: the conditions, then a line per stage."""
-    words = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in conditions.items())
-    lines = [f"| {row.stage} | {row.operations} |" for row in rows]
-    return "\n".join([words, "", "| stage | tensor operations |", "|---|---:|", *lines])
+def operations_table(rows: list[Operations]) -> str:
+    """Format the counts as Markdown, a line per stage."""
+    return markdown_table(["stage", "tensor operations"], ([row.stage, str(row.operations)] for row in rows))

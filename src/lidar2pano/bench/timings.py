@@ -1,4 +1,7 @@
-"""How long things take on this machine: projection, clean-up, the Lovasz loss, and each stage of the pipeline, warm."""
+"""Times on this machine, warm: parts, each stage of the pipeline, several engines side by side, the street world.
+
+Engines take turns in one process: on a shared machine only ratios count.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,9 @@ import math
 import statistics
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +26,8 @@ from lidar2pano.models import build
 from lidar2pano.models.families import best_family, families
 from lidar2pano.pipeline import Pipeline, Segmenter, assemble, load, made_fast
 from lidar2pano.scan import Scan
+from lidar2pano.simulate.generation import SequenceWriter, generate
+from lidar2pano.simulate.settings import WorldSettings
 from lidar2pano.views import VIEWS
 
 POINTS = 120_000
@@ -32,6 +38,9 @@ AIMS = {
     "cpu": {"projection": "< 5", "clean-up": "< 25", "Lovasz": "published 630", "panorama": "< 1500, aim 1000"},
     "cuda": {"panorama": "< 50"},
 }
+WORLD_SEED, WORLD_PLACE = 5, "residential"
+WORLD_AIMS = {"scan": "< 150", "frame": "< 4000 on two cores"}
+WHOLE = "whole panorama"
 PUBLISHED = {"segment": "published 640", "clean_up": "published 70 to 90", "translate": "published 1140 (64 x 2048)"}
 
 
@@ -44,9 +53,13 @@ class Row:
     least_ms: float
     aim: str = ""
 
-    def as_dict(self) -> dict[str, Any]:
-        """The row for JSON."""
-        return asdict(self)
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Median milliseconds of one stage by engine, in the order that they were named."""
+
+    what: str
+    median_ms: dict[str, float]
 
 
 def measure(runs: int, device: str = "auto", weights: str = "", engine: str = "auto") -> list[Row]:
@@ -76,21 +89,71 @@ def default_weights() -> str:
 
 
 def stages(pipeline: Pipeline, scan: Scan, runs: int, aims: dict[str, str]) -> list[Row]:
-    """The pipeline's stages, saving the picture included, and their sum."""
-    taken: list[dict[str, float]] = []
+    """The pipeline's stages, saving the picture included, and the whole."""
+    with tempfile.TemporaryDirectory() as folder:
+        warm = [_stage_times(pipeline, scan, folder) for _ in range(runs + 1)][1:]
+    published = PUBLISHED if pipeline.device.type == "cpu" else {}
+    aim_by_stage = published | {WHOLE: aims["panorama"]}
+    return [_row(_title(stage), [run[stage] for run in warm], aim_by_stage.get(stage, "")) for stage in warm[0]]
+
+
+def _stage_times(pipeline: Pipeline, scan: Scan, folder: str) -> dict[str, float]:
+    begin = time.perf_counter()
+    panorama = pipeline(scan)
+    painted = time.perf_counter()
+    panorama.save(folder)
+    end = time.perf_counter()
+    return {**panorama.milliseconds, "save": (end - painted) * 1e3, WHOLE: (end - begin) * 1e3}
+
+
+def _title(stage: str) -> str:
+    return stage if stage == WHOLE else f"stage {stage}"
+
+
+def compare(runs: int, device: str, weights: str, engines: Sequence[str]) -> list[Comparison]:
+    """Time the stages of the pipeline `runs` times by each engine, after a warm-up that compiles.
+
+    Arguments as of `measure`, which raises the same errors.
+    """
+    picked = pick_device(device)
+    pipelines = {engine: load(weights, device, engine) if weights else untrained(picked, engine) for engine in engines}
+    scan = made_up_scan(POINTS, seed=0)
+    runs_by_engine: dict[str, list[dict[str, float]]] = {engine: [] for engine in engines}
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(runs + 1):
-            panorama = pipeline(scan)
-            begin = time.perf_counter()
-            panorama.save(folder)
-            taken.append({**panorama.milliseconds, "save": (time.perf_counter() - begin) * 1e3})
-    warm = taken[1:]
-    rows = {stage: [run[stage] for run in warm] for stage in warm[0]}
-    published = PUBLISHED if pipeline.device.type == "cpu" else {}
+            for engine, pipeline in pipelines.items():
+                runs_by_engine[engine].append(_stage_times(pipeline, scan, folder))
     return [
-        *(_row(f"stage {stage}", times, published.get(stage, "")) for stage, times in rows.items()),
-        _row("whole panorama", [sum(run.values()) for run in warm], aims["panorama"]),
+        Comparison(
+            what=_title(stage),
+            median_ms={
+                engine: round(statistics.median(run[stage] for run in times[1:]), 2)
+                for engine, times in runs_by_engine.items()
+            },
+        )
+        for stage in next(iter(runs_by_engine.values()))[0]
     ]
+
+
+def measure_world(runs: int, processes: int) -> list[Row]:
+    """Time one street: its scene, `runs` scans and whole frames in this process, and frames by `processes`.
+
+    A frame is an HDL-64E scan with labels, the 1242 x 375 camera image and the 384 x 4608 panorama with labels and
+    depth, written to files. Raises InputError without embreex.
+    """
+    settings = WorldSettings(seed=WORLD_SEED, frames=max(runs + 1, 10 * processes), place=WORLD_PLACE)
+    with tempfile.TemporaryDirectory() as folder:
+        writer = SequenceWriter(Path(folder) / "one", settings, 0)
+        rows = [
+            _row("world: build a piece of a town", _times(writer.scene, 1)),
+            _row("world: scan with labels", _times(writer.scan, runs + 1)[1:], WORLD_AIMS["scan"]),
+            _row("world: whole frame, one process", _times(writer.write, runs + 1)[1:]),  # the first makes the textures
+        ]
+        begin = time.perf_counter()
+        frames = sum(generate(Path(folder) / "many", settings, 1, processes))
+        frame_ms = (time.perf_counter() - begin) * 1e3 / frames
+        what = f"world: whole frame, {processes} processes, {frames} frames, start and build included"
+        return [*rows, _row(what, [frame_ms], WORLD_AIMS["frame"])]
 
 
 def conditions(device: str, runs: int) -> dict[str, Any]:
@@ -106,13 +169,29 @@ def conditions(device: str, runs: int) -> dict[str, Any]:
     }
 
 
-def table(rows: list[Row], conditions: dict[str, Any]) -> str:
-    """Markdown: the conditions, then a line per row."""
-    words = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in conditions.items())
-    head = ["| milliseconds | median | least | aim |", "|---|---:|---:|---|"]
-    return "\n".join(
-        [words, "", *head, *(f"| {row.what} | {row.median_ms:.1f} | {row.least_ms:.1f} | {row.aim} |" for row in rows)]
-    )
+def table(rows: Sequence[Row]) -> str:
+    """Markdown: a line per row."""
+    cells = ([row.what, f"{row.median_ms:.1f}", f"{row.least_ms:.1f}", row.aim] for row in rows)
+    return markdown_table(["milliseconds", "median", "least", "aim"], cells)
+
+
+def comparison_table(rows: Sequence[Comparison]) -> str:
+    """Markdown: a line per stage; each engine's time, and how often it fits into the first's."""
+    first, *further = rows[0].median_ms
+    head = ["milliseconds, median", first, *(column for name in further for column in (name, f"{first} / {name}"))]
+    lines = []
+    for row in rows:
+        cells = [row.what, f"{row.median_ms[first]:.0f}"]
+        for name in further:
+            cells += [f"{row.median_ms[name]:.0f}", f"{row.median_ms[first] / max(row.median_ms[name], 0.01):.2f}"]
+        lines.append(cells)
+    return markdown_table(head, lines)
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table whose columns are aligned to the right, but for the first."""
+    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def made_up_scan(points: int, seed: int) -> Scan:
@@ -162,17 +241,25 @@ def untrained(device: torch.device, engine: str = "torch") -> Pipeline:
 
 def _timer(runs: int, device: torch.device) -> Callable[[str, dict[str, str], Callable[[], object]], Row]:
     def timed(what: str, aims: dict[str, str], work: Callable[[], object]) -> Row:
-        times = []
-        for _ in range(runs + 1):
-            begin = time.perf_counter()
+        def finished(_: int) -> None:
             work()
             if device.type == "cuda":
                 torch.cuda.synchronize(device)
-            times.append((time.perf_counter() - begin) * 1e3)
-        return _row(what, times[1:], aims.get(what, ""))
+
+        return _row(what, _times(finished, runs + 1)[1:], aims.get(what, ""))
 
     return timed
 
 
-def _row(what: str, times: list[float], aim: str) -> Row:
+def _times(work: Callable[[int], object], runs: int) -> list[float]:
+    """Return the milliseconds of each of some calls with their numbers."""
+    times = []
+    for number in range(runs):
+        begin = time.perf_counter()
+        work(number)
+        times.append((time.perf_counter() - begin) * 1e3)
+    return times
+
+
+def _row(what: str, times: list[float], aim: str = "") -> Row:
     return Row(what=what, median_ms=round(statistics.median(times), 2), least_ms=round(min(times), 2), aim=aim)

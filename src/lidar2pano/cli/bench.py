@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -43,16 +44,14 @@ def bench(
     if as_json:
         check_file(as_json, "--json")
     if world:
-        rows, settings = (
-            measures.measure_world(runs, processes),
-            {"device": "cpu", "runs": runs, "processes": processes},
-        )
-        text = measures.table(rows, settings)
+        settings = {"device": "cpu", "runs": runs, "processes": processes}
+        rows = measures.measure_world(runs, processes)
+        text = measures.table(rows)
     elif operations:
         name = weights or measures.default_weights()
         settings = {"device": pick_device(device).type, "weights": name or "untrained"}
         rows = measures.measure_operations(name, device)
-        text = measures.operations_table(rows, settings)
+        text = measures.operations_table(rows)
     else:
         buffers_kept = keep_buffers()
         name = weights or measures.default_weights()
@@ -60,13 +59,14 @@ def bench(
         settings = measures.conditions(device, runs) | {"weights": name or "untrained", "buffers_kept": buffers_kept}
         if len(engines) > 1:
             rows = measures.compare(runs, device, name, engines)
-            text = measures.comparison_table(rows, settings)
+            text = measures.comparison_table(rows)
         else:
             settings["engine"] = pick_engine(engine, pick_device(device))
             rows = measures.measure(runs, device, name, settings["engine"])  # "auto" would compile nothing
-            text = measures.table(rows, settings)
+            text = measures.table(rows)
         if name:
             print_weights("", map(read_card, weight_files(name).values()))
     if as_json:
-        write_json(as_json, settings | {"rows": [row.as_dict() for row in rows]}, "--json")
-    print(text)
+        write_json(as_json, settings | {"rows": [asdict(row) for row in rows]}, "--json")
+    words = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in settings.items())
+    print(f"{words}\n\n{text}")

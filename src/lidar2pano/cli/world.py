@@ -38,8 +38,8 @@ def world(  # noqa: PLR0913, PLR0917 each is an option
     processes: Annotated[int, typer.Option(min=0, metavar="N", help="Processes (0 = one a core).")] = 0,
 ) -> None:
     """Make a simulated data set in SemanticKITTI's layout, with ground truth all around."""
-    from lidar2pano.simulate.dataset.generation import generate
-    from lidar2pano.simulate.dataset.settings import SAVES, WorldSettings
+    from lidar2pano.simulate.generation import generate
+    from lidar2pano.simulate.settings import SAVES, WorldSettings
 
     check_folder(out, "OUT")
     words = tuple(word.strip() for word in save.split(",") if word.strip())

@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lidar2pano.simulate.lidar.scanner import Sweep, passing_time, sweep
-from lidar2pano.simulate.lidar.sensor_models import SENSOR_MODELS, SensorModel, blind_table
+from lidar2pano.simulate.scanner import Sweep, passing_time, sweep
 from lidar2pano.simulate.scene import mesh
 from lidar2pano.simulate.scene.mesh import Mesh
 from lidar2pano.simulate.scene.random_streams import stream
 from lidar2pano.simulate.scene.surfaces import MATERIALS
+from lidar2pano.simulate.sensor_models import SENSOR_MODELS, SensorModel, blind_table
 
 pytest.importorskip("embreex")
 

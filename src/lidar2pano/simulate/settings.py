@@ -14,8 +14,8 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.simulate.layout.town import PLACES
-from lidar2pano.simulate.lidar.sensor_models import SENSOR_MODELS
 from lidar2pano.simulate.render.looks import LOOKS
+from lidar2pano.simulate.sensor_models import SENSOR_MODELS
 from lidar2pano.views import KITTI_CAMERA, VIEWS, View
 
 SAVES = ("camera", "panorama")

@@ -22,9 +22,9 @@ from lidar2pano.views import KITTI_CAMERA, VIEWS
 
 pytest.importorskip("embreex", reason="the street world needs embreex: pip install 'lidar2pano[world]'")
 
-from lidar2pano.simulate.dataset import generation  # noqa: E402 needs embreex
+from lidar2pano.simulate import generation  # noqa: E402 needs embreex
 
-RUNS = Path(__file__).resolve().parents[3] / "runs"
+RUNS = Path(__file__).resolve().parents[2] / "runs"
 RASTER = "panorama/4"
 
 
@@ -228,7 +228,7 @@ def test_workers_end_with_their_parent():
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 import os, time
-from lidar2pano.simulate.dataset.generation import _end_with_parent
+from lidar2pano.simulate.generation import _end_with_parent
 if __name__ == "__main__":
     pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_end_with_parent)
     print(pool.submit(os.getpid).result(), flush=True)

@@ -19,21 +19,21 @@ import numpy as np
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_depth, write_ids, write_palette, write_png, write_whole
 from lidar2pano.labels import CITYSCAPES
-from lidar2pano.simulate.dataset.settings import (
+from lidar2pano.simulate.layout.street_world import World, build_world
+from lidar2pano.simulate.render.looks import look
+from lidar2pano.simulate.render.renderer import RenderedImage, cylinder, pinhole, render
+from lidar2pano.simulate.scanner import Sweep, passing_time, sweep
+from lidar2pano.simulate.scene.random_streams import stream
+from lidar2pano.simulate.scene.raycast import Scene
+from lidar2pano.simulate.scene.surfaces import CITYSCAPES_IDS, COMMON15_IDS, IN_OPENINGS, OBJECT_TYPE_IDS
+from lidar2pano.simulate.sensor_models import SENSOR_MODELS
+from lidar2pano.simulate.settings import (
     MOST_FRAMES,
     WorldSettings,
     claim_folder,
     panorama_view,
     recording_camera,
 )
-from lidar2pano.simulate.layout.street_world import World, build_world
-from lidar2pano.simulate.lidar.scanner import Sweep, passing_time, sweep
-from lidar2pano.simulate.lidar.sensor_models import SENSOR_MODELS
-from lidar2pano.simulate.render.looks import look
-from lidar2pano.simulate.render.renderer import RenderedImage, cylinder, pinhole, render
-from lidar2pano.simulate.scene.random_streams import stream
-from lidar2pano.simulate.scene.raycast import Scene
-from lidar2pano.simulate.scene.surfaces import CITYSCAPES_IDS, COMMON15_IDS, IN_OPENINGS, OBJECT_TYPE_IDS
 
 Writer = Callable[[Path], object]
 MOST_PROCESSES = 1024

@@ -7,9 +7,9 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from lidar2pano.simulate.lidar.sensor_models import BLIND_CELL, FULL_TURN, SensorModel, blind_table
 from lidar2pano.simulate.scene.raycast import Hits, Scene
 from lidar2pano.simulate.scene.surfaces import MATERIAL_IDS, MATERIALS, material_table
+from lidar2pano.simulate.sensor_models import BLIND_CELL, FULL_TURN, SensorModel, blind_table
 
 NO_EDGE = 0.15  # metres: smaller steps between firings are no edges
 BRIGHTEST = 0.99  # KITTI's remission has steps of 0.01 from 0 to 0.99
