@@ -11,8 +11,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from lidar2pano.geometry.flow import distances_before, ego_flow, ego_flows, moved_distances
-from lidar2pano.geometry.rasters import adjacent_rows, likeliest
-from lidar2pano.geometry.warp import warp
+from lidar2pano.geometry.rasters import adjacent_rows, likeliest, warp
 from lidar2pano.labels import COMMON15, THINGS
 from lidar2pano.scene.record import Scene
 from lidar2pano.views import View

@@ -13,7 +13,7 @@ from typer.main import get_command
 
 from lidar2pano.cli import app, main
 from lidar2pano.cli.app import COMPLETION
-from lidar2pano.cli.help_layout import EXAMPLES, LONG, PANEL_BY_OPTION, PANELS, arrange, commands_of
+from lidar2pano.cli.options import EXAMPLES, LONG, PANEL_BY_OPTION, PANELS, arrange, commands_of
 from random_weights import write_scan
 
 

@@ -116,7 +116,7 @@ def test_without_poses_they_are_estimated(tmp_path, translate):
 
 def test_points_with_times_are_deskewed(tmp_path, translate, monkeypatch):
     """A recording whose points carry times gives what a recording of the deskewed points gives."""
-    monkeypatch.setattr("lidar2pano.scene.between_beams.SPARSE", np.inf)  # jumps that rounding tips over
+    monkeypatch.setattr("lidar2pano.scene.depth.SPARSE", np.inf)  # jumps that rounding tips over
     from dataclasses import replace
 
     from lidar2pano.geometry.motion import SensorMotion, Trajectory, deskewed

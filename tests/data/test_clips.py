@@ -27,7 +27,7 @@ from lidar2pano.data.frames import SampleIndex
 from lidar2pano.data.layouts import frames
 from lidar2pano.data.semantic_kitti import SemanticKittiFrame
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.warp import warp
+from lidar2pano.geometry.rasters import warp
 from lidar2pano.views import VIEWS
 from miniature_video import FRAMES, PANORAMA, STEP, TURN, write_video
 

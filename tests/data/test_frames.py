@@ -12,7 +12,8 @@ import pytest
 import torch
 from PIL import Image
 
-from lidar2pano.data import semantic_kitti, splits
+from lidar2pano.data import frames as frames_module
+from lidar2pano.data import semantic_kitti
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, IGNORE, Frame
 from lidar2pano.data.layouts import frames, frames_of
 from lidar2pano.errors import InputError
@@ -188,8 +189,8 @@ def test_listing_looks_once_into_each_sequence(tmp_path, monkeypatch):
         (tmp_path / "sequences" / name.replace("/", "/velodyne/")).with_suffix(".bin").touch()
     (tmp_path / "splits.json").write_text(json.dumps({"train": names}))
     looked: list[Path] = []
-    real, stat = splits.os.scandir, Path.stat
-    monkeypatch.setattr(splits.os, "scandir", lambda path: looked.append(path) or real(path))
+    real, stat = frames_module.os.scandir, Path.stat
+    monkeypatch.setattr(frames_module.os, "scandir", lambda path: looked.append(path) or real(path))
     monkeypatch.setattr(Path, "stat", lambda path, **how: looked.append(path) or stat(path, **how))
     assert frames(tmp_path, "train").names == tuple(names)
     assert len(looked) < 10, "neither the files nor the frames are looked at one by one"

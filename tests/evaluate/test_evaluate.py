@@ -32,7 +32,7 @@ from lidar2pano.evaluate.metric_collection import (
     MetricCollection,
     PreviousImage,
 )
-from lidar2pano.evaluate.worst_frames import WorstFrames
+from lidar2pano.evaluate.pictures import WorstFrames
 from lidar2pano.geometry.flow import Flow
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import CITYSCAPES, COMMON15

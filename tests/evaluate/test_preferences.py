@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from lidar2pano.errors import InputError
-from lidar2pano.evaluate.preferences import Preferences
+from lidar2pano.evaluate.pictures import Preferences
 
 
 def grey(value: int) -> np.ndarray:

@@ -32,7 +32,7 @@ from lidar2pano.labels import COMMON15, TABLES
 from lidar2pano.memory import Memory
 from lidar2pano.models.card import Card, read_card, save
 from lidar2pano.pipeline import load
-from lidar2pano.scene.between_beams import denser
+from lidar2pano.scene.depth import denser
 from lidar2pano.train.colour import ColourTask
 from lidar2pano.train.front import FrontDepthTranslation, FrontTask
 from lidar2pano.train.tasks import build_task

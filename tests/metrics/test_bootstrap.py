@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from lidar2pano.metrics import bootstrap
-from lidar2pano.metrics.bootstrap import interval, multiplicities
+from lidar2pano.metrics import accumulation
+from lidar2pano.metrics.accumulation import interval, multiplicities
 from lidar2pano.metrics.confusion import MeanIoU
 from lidar2pano.metrics.frame_metrics import RollError
 
@@ -87,7 +87,7 @@ def test_frames_with_more_to_count_weigh_more():
 
 def test_blocks_of_resamples_give_the_same_interval(monkeypatch):
     metric, whole = frames(12), interval(frames(12))
-    monkeypatch.setattr(bootstrap, "BLOCK", 12 * 7)  # seven resamples at a time
+    monkeypatch.setattr(accumulation, "BLOCK", 12 * 7)  # seven resamples at a time
     assert interval(metric) == whole
 
 

@@ -9,8 +9,7 @@ import pytest
 import scipy.stats
 import torch
 
-from lidar2pano.metrics.accumulation import SetMetric, image_tensor
-from lidar2pano.metrics.bootstrap import set_intervals
+from lidar2pano.metrics.accumulation import SetMetric, image_tensor, set_intervals
 from lidar2pano.metrics.frechet import FrechetDistance, frechet_distance
 from lidar2pano.metrics.sliced_wasserstein import (
     DIRECTIONS,

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from golden_fill import fill, key_rows, one_hot, randint, sym
 from golden_vectors import Recorded, recorded
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.warp import warp
+from lidar2pano.geometry.rasters import warp
 from lidar2pano.models import build
 from lidar2pano.models.blocks import fold_norms
 from lidar2pano.models.vid2vid_layers import Doubling, Halving, Padding, Residual, batch_norms, close, halved

@@ -10,8 +10,8 @@ import torch
 
 from lidar2pano.geometry.projection import RangeImage, directions, project
 from lidar2pano.scan import Scan
-from lidar2pano.scene import between_beams as module
-from lidar2pano.scene.between_beams import between_beams
+from lidar2pano.scene import depth as module
+from lidar2pano.scene.depth import between_beams
 from lidar2pano.scene.surfaces import SAME_SURFACE
 from lidar2pano.views import VIEWS, View
 

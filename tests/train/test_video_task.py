@@ -16,7 +16,7 @@ from torch.utils.data import default_collate
 from lidar2pano.data.clips import ClipSample
 from lidar2pano.data.frames import SampleIndex
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.warp import warp
+from lidar2pano.geometry.rasters import warp
 from lidar2pano.losses.video import (
     LAYERS,
     coherence_loss,

@@ -22,7 +22,7 @@ from typer.main import get_command
 
 from lidar2pano import __version__
 from lidar2pano.cli.console import print_error, speaking
-from lidar2pano.cli.help_layout import arrange
+from lidar2pano.cli.options import arrange
 from lidar2pano.errors import InputError
 
 # Exit codes: a user's mistake; the run is lost (a full disk, no memory, a loss that is no number); a fault of the

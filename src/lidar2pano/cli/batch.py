@@ -16,9 +16,8 @@ import torch
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.cli.app import MISTAKE
-from lidar2pano.cli.console import bar, print_error, print_weights, until_signal
+from lidar2pano.cli.console import bar, print_error, print_weights, spooled, until_signal
 from lidar2pano.cli.options import check_file
-from lidar2pano.cli.standard_input import spooled
 from lidar2pano.drives.folders import drive_files, output_stems
 from lidar2pano.drives.following import check_followed, follow_folder
 from lidar2pano.drives.reading import ReadingOptions, ScanSource, StreamReader, scan_sources

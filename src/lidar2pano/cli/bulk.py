@@ -209,7 +209,7 @@ def _absolute(place: str) -> str:
 
 def work(job: Job, listed: list[Entry], manifest: Manifest, translate: Translate) -> int:
     """Translate scans without outputs, and return the exit code."""
-    from lidar2pano.bulk.resume import remaining
+    from lidar2pano.bulk.manifest import remaining
 
     todo = remaining(job, listed, manifest)
     with until_signal(signal.SIGTERM) as terminated:

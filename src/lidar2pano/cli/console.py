@@ -1,4 +1,4 @@
-"""The terminal: errors, licences and a progress bar on stderr; signals from the keyboard or the system."""
+"""The terminal: standard input as a scan; errors, licences and a progress bar on stderr; signals."""
 
 from __future__ import annotations
 
@@ -14,8 +14,18 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from lidar2pano.models.card import Card
 
+import tempfile
+from pathlib import Path
+
+from lidar2pano.errors import InputError
+
 MOST_CHARACTERS = 2000  # of a message
 MOST_WORD = 400  # characters of one word of it, such as a path
+
+STANDARD_INPUT = {"-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0"}
+STEM = "stdin"  # of the outputs' names
+MOST_PIPED_BYTES = 1 << 34  # of a piped recording
+CHUNK_BYTES = 1 << 20
 
 
 def print_error(problem: object) -> None:
@@ -103,3 +113,30 @@ def until_signal(*numbers: signal.Signals) -> Iterator[threading.Event]:
         yield stopped
     finally:
         restore()
+
+
+@contextmanager
+def spooled(paths: Iterable[Path]) -> Iterator[list[Path]]:
+    """Give the paths with standard input as a temporary file, since formats are read from any place of a file.
+
+    An InputError names it `-`. Raises InputError if it is a terminal, is named twice, or does not end.
+    """
+    paths = list(paths)
+    places = [place for place, path in enumerate(paths) if str(path) in STANDARD_INPUT]
+    if not places:
+        yield paths
+        return
+    if len(places) > 1 or sys.stdin is None or sys.stdin.isatty():
+        raise InputError("-: standard input is a terminal or named twice; pipe one scan into it")
+    with tempfile.TemporaryDirectory(prefix="lidar2pano-") as folder:
+        file = Path(folder, STEM)
+        with file.open("wb") as target:
+            while (chunk := sys.stdin.buffer.read(CHUNK_BYTES)) and target.tell() <= MOST_PIPED_BYTES:
+                target.write(chunk)
+        if file.stat().st_size > MOST_PIPED_BYTES:
+            raise InputError(f"-: more than {MOST_PIPED_BYTES} bytes came; write them to a file")
+        paths[places[0]] = file
+        try:
+            yield paths
+        except InputError as error:
+            raise InputError(str(error).replace(str(file), "-")) from None

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from lidar2pano.data.frames import Frame
     from lidar2pano.evaluate import Evaluation, System
     from lidar2pano.evaluate.evaluation import EvaluatedSystem
-    from lidar2pano.evaluate.preferences import Preferences
+    from lidar2pano.evaluate.pictures import Preferences
 
 
 MetricsOption = Annotated[
@@ -69,7 +69,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.cli.console import bar
     from lidar2pano.data.layouts import frames
     from lidar2pano.evaluate import MetricConfig, report, score, system
-    from lidar2pano.evaluate.preferences import Preferences
+    from lidar2pano.evaluate.pictures import Preferences
     from lidar2pano.hardware import keep_buffers
 
     check_outputs(as_json, as_csv, out if worst else None, pairs)

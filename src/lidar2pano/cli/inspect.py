@@ -28,7 +28,7 @@ def inspect(
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON on stdout.")] = False,
 ) -> None:
     """Show the contents of a file and how it will be read; of a folder or recording, its first scan."""
-    from lidar2pano.cli.standard_input import spooled
+    from lidar2pano.cli.console import spooled
     from lidar2pano.drives.folders import drive_files
     from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.recordings.reading_process import describe

@@ -21,7 +21,7 @@ from lidar2pano.data.panorama_crops import panorama_on
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import Lookup, at_camera, panorama_in_camera
 from lidar2pano.geometry.flow import Flow, ego_flow, reaches, relative_pose, scan_distances
-from lidar2pano.geometry.warp import warp
+from lidar2pano.geometry.rasters import warp
 from lidar2pano.labels import COMMON15
 from lidar2pano.views import View
 

@@ -20,19 +20,26 @@ import numpy as np
 from lidar2pano.bounded_files import read_input
 from lidar2pano.calibration import Calibration, LensCalibration
 from lidar2pano.data.cache import cached_by_files
-from lidar2pano.data.frames import IGNORE, FrameList, PanoramaGroundTruth
+from lidar2pano.data.frames import (
+    IGNORE,
+    FrameList,
+    PanoramaGroundTruth,
+    listed_names,
+    listed_splits,
+    names_with_scans,
+    stems,
+)
 from lidar2pano.data.labelled_images import TRAIN_IDS
 from lidar2pano.data.poses import read_poses
-from lidar2pano.data.splits import listed_names, listed_splits, names_with_scans, stems
 from lidar2pano.data.surround import SurroundFrame, matrix
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import image_size, read_image
 from lidar2pano.formats.scan_files import read_bin
 from lidar2pano.geometry.stitching import CameraImage
 from lidar2pano.labels import CITYSCAPES
+from lidar2pano.name_order import sort_names
 from lidar2pano.scan import Scan
 from lidar2pano.views import View
-from lidar2pano.name_order import sort_names
 
 SCANS = "data_3d_raw"
 CAMERA = "image_00"

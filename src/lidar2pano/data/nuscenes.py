@@ -20,9 +20,8 @@ import numpy as np
 from lidar2pano.bounded_files import read_input
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.cache import cached_by_files
-from lidar2pano.data.frames import Frame, FrameList
+from lidar2pano.data.frames import Frame, FrameList, listed_names, listed_splits
 from lidar2pano.data.nuscenes_tables import CAMERAS, CHANNELS, LIDAR, NuscenesIndex, nuscenes_index, versions
-from lidar2pano.data.splits import listed_names, listed_splits
 from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, matrix, moved, read_camera
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import image_size

@@ -16,17 +16,16 @@ from typing import Any
 import numpy as np
 
 from lidar2pano.bounded_files import read_input
-from lidar2pano.data.frames import Frame, FrameList
-from lidar2pano.data.splits import stems
+from lidar2pano.data.frames import Frame, FrameList, stems
 from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, matrix, moved, read_camera
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.formats.scan_files import MOST_BYTES, read_bin
 from lidar2pano.geometry.stitching import CameraImage
 from lidar2pano.labels import SEMANTIC_KITTI
+from lidar2pano.name_order import sort_names
 from lidar2pano.scan import Scan
 from lidar2pano.views import View
-from lidar2pano.name_order import sort_names
 
 LAST_CLASS = 0xFFFF
 CAMERAS = ("front_camera", "front_left_camera", "left_camera", "back_camera", "right_camera", "front_right_camera")

@@ -14,9 +14,16 @@ from pathlib import Path
 import numpy as np
 
 from lidar2pano.calibration import Calibration, has_camera, read_calib
-from lidar2pano.data.frames import Frame, FrameList, PanoramaGroundTruth, read_train_ids
+from lidar2pano.data.frames import (
+    Frame,
+    FrameList,
+    PanoramaGroundTruth,
+    listed_names,
+    names_with_scans,
+    read_train_ids,
+    stems,
+)
 from lidar2pano.data.poses import lidar_poses
-from lidar2pano.data.splits import listed_names, names_with_scans, stems
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import DEPTH_STEPS, image_size, read_image
 from lidar2pano.formats.json_files import read_json

@@ -28,7 +28,7 @@ from lidar2pano.evaluate.metric_collection import (
     MetricValue,
     PreviousImage,
 )
-from lidar2pano.evaluate.worst_frames import WorstFrame, WorstFrames, sheet
+from lidar2pano.evaluate.pictures import WorstFrame, WorstFrames, sheet
 from lidar2pano.geometry.flow import Flow
 from lidar2pano.scan import Scan
 

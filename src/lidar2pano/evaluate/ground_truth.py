@@ -25,7 +25,7 @@ from lidar2pano.formats.json_files import json_lines
 from lidar2pano.geometry.camera import Lookup, panorama_in_camera
 from lidar2pano.geometry.flow import Flow, ego_flow, scan_distances
 from lidar2pano.geometry.projection import directions, pixels
-from lidar2pano.geometry.warp import warp
+from lidar2pano.geometry.rasters import warp
 from lidar2pano.labels import COMMON15
 from lidar2pano.memory import may_move
 from lidar2pano.panorama import Panorama

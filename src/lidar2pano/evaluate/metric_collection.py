@@ -22,8 +22,7 @@ from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.geometry.flow import Flow
 from lidar2pano.hardware import pick_device
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI, TABLES
-from lidar2pano.metrics.accumulation import FrameMetric, SetMetric
-from lidar2pano.metrics.bootstrap import Interval, interval, set_intervals
+from lidar2pano.metrics.accumulation import FrameMetric, Interval, SetMetric, interval, set_intervals
 from lidar2pano.metrics.confusion import MeanIoU
 from lidar2pano.metrics.frame_metrics import SSIM, WINDOW, DepthError, RollError, SeamRatio, WarpingError
 from lidar2pano.metrics.frechet import DOWN, PATCH, FrechetDistance, PatchFrechetDistance

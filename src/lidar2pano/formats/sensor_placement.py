@@ -113,7 +113,7 @@ class Claims:
     viewpoint    (4, 4) float64 T of the sensor in the cloud's frame, or None.
     forward      the forward axis of files of its form, "" if the form does not say;  forward_by: the form's name.
     sure         the form needs no evidence of the axis.
-    named_forward   the user's forward axis, "" without one;  named_height_m: likewise the height above the ground, or None.
+    named_forward   the user's forward axis, "" without one;  named_height_m: likewise the height above the ground.
     """
 
     viewpoint: np.ndarray | None = None

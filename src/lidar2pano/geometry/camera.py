@@ -15,7 +15,7 @@ from torch import Tensor
 
 from lidar2pano.calibration import Calibration, LensCalibration
 from lidar2pano.geometry.projection import directions, nearest_points, pixels
-from lidar2pano.geometry.warp import sample
+from lidar2pano.geometry.rasters import sample
 from lidar2pano.scan import Scan
 from lidar2pano.views import View
 

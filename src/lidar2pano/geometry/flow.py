@@ -18,7 +18,7 @@ from torch.nn.functional import avg_pool2d, interpolate, max_pool2d, pad
 from lidar2pano.calibration import Calibration
 from lidar2pano.geometry.camera import points_in_camera
 from lidar2pano.geometry.projection import directions, nearest_points, pixels
-from lidar2pano.geometry.warp import warp
+from lidar2pano.geometry.rasters import warp
 from lidar2pano.views import View
 
 SAME = 0.03  # share by which two distances of one surface may differ

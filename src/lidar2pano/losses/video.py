@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from lidar2pano.geometry.warp import warp
+from lidar2pano.geometry.rasters import warp
 from lidar2pano.losses.adversarial import feature_matching
 
 # Published weights of the five layers of VGG-19 (Wang et al. 2018, arXiv:1711.11585: pix2pixHD's code).

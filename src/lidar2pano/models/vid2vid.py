@@ -29,7 +29,7 @@ import torch
 from torch import Tensor, nn
 
 from lidar2pano.errors import InputError
-from lidar2pano.geometry.warp import warp
+from lidar2pano.geometry.rasters import warp
 from lidar2pano.models.vid2vid_layers import (
     Closable,
     Norm,

@@ -35,8 +35,7 @@ from lidar2pano.models.salsanext import STRIDE
 from lidar2pano.panorama import Panorama
 from lidar2pano.recordings.recorded_scans import read
 from lidar2pano.scan import OWN_VEHICLE_M, Scan
-from lidar2pano.scene.between_beams import denser
-from lidar2pano.scene.depth import measured_depth
+from lidar2pano.scene.depth import denser, measured_depth
 from lidar2pano.scene.record import ScanPoints, Scene
 from lidar2pano.scene.surfaces import viewpoint_height
 from lidar2pano.views import View, columns_between, sensor_view

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from lidar2pano.serve.application import create_application
-from lidar2pano.serve.connections import BoundedConnection
-from lidar2pano.serve.guards import is_loopback
+from lidar2pano.serve.guards import BoundedConnection, is_loopback
 from lidar2pano.serve.uploads import Limits, UploadTranslator
 
 __all__ = ["BoundedConnection", "Limits", "UploadTranslator", "create_application", "is_loopback"]

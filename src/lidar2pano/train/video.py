@@ -21,7 +21,7 @@ from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.flow import Flow, chained
 from lidar2pano.geometry.projection import one_hot_layers
-from lidar2pano.geometry.warp import warp
+from lidar2pano.geometry.rasters import warp
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.labels import COMMON15
 from lidar2pano.losses import pooled
