@@ -54,7 +54,6 @@ SAME_NAME = {
     "panorama.py": "the record, and the task that trains its translator",
     "surfaces.py": "scene/ has surfaces of a scan, simulate/ makes the world's",
     "video.py": "losses/ has the losses of the task in train/",
-    "world.py": "bench/ times what simulate/ defines",
 }
 EMPTY_NAMES = {"util", "utils", "common", "core", "base", "helper", "helpers", "misc"}
 
