@@ -18,7 +18,7 @@ import pytest
 pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordings'")
 
 from lidar2pano.cli import main
-from lidar2pano.drives.following import follow_folder
+from lidar2pano.drives.reading import follow_folder
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
 from lidar2pano.formats.readers import ReadOptions
@@ -268,7 +268,7 @@ def aged(path: Path, content: bytes, age_s: float) -> None:
 
 
 def test_follow_waits_for_what_may_still_grow(tmp_path, monkeypatch):
-    monkeypatch.setattr("lidar2pano.drives.following.GIVE_UP_S", 1000.0)
+    monkeypatch.setattr("lidar2pano.drives.reading.GIVE_UP_S", 1000.0)
     whole = write_bin_bytes(tmp_path / "whole.bin", scan(0))
     folder, stopped, found = tmp_path / "in", threading.Event(), []
     folder.mkdir()

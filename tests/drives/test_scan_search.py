@@ -9,9 +9,8 @@ import pytest
 
 from lidar2pano.bulk import Shard, entries
 from lidar2pano.bulk.stores import open_store
-from lidar2pano.drives.folders import drive_files
+from lidar2pano.drives.folders import drive_files, find_sources
 from lidar2pano.drives.reading import scans
-from lidar2pano.drives.scan_search import find_sources
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ENDINGS, ReadOptions
 from lidar2pano.formats.scan_files import write_bin

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lidar2pano.viewer.layers import (
+from lidar2pano.viewer.page import (
     CONFIDENCE_STEPS,
     FARTHEST_M,
     NEAREST_M,

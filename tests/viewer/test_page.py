@@ -18,8 +18,7 @@ from PIL import Image
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_png
 from lidar2pano.labels import COMMON15
-from lidar2pano.viewer.layers import CONFIDENCE_STEPS
-from lidar2pano.viewer.page import PageWriter, title_of
+from lidar2pano.viewer.page import CONFIDENCE_STEPS, PageWriter, title_of
 from lidar2pano.viewer.saved_frames import panorama_files, read_frame, saved_view
 from lidar2pano.views import VIEWS
 from random_weights import street
@@ -131,7 +130,7 @@ def test_only_cylinders_and_at_least_one_frame(tmp_path):
 @pytest.mark.parametrize(("frames", "mime", "columns"), [(4, "png", 1152), (5, "webp", 1152), (8, "webp", 576)])
 def test_the_number_of_frames_decides_how_they_are_coded(tmp_path, monkeypatch, frames, mime, columns):
     monkeypatch.setattr("lidar2pano.viewer.page.MOST_FRAMES", 6)
-    monkeypatch.setattr("lidar2pano.viewer.layers.MOST_FRAMES", 6)
+    monkeypatch.setattr("lidar2pano.viewer.page.MOST_FRAMES", 6)
     page = written(tmp_path, *(replace(page_frame(seed), depth_m=None, xyz=None) for seed in range(frames)))
     index, blocks = index_of(page), {a["id"]: text for a, text in Elements(page).of("script") if "id" in a}
     assert [frame["layers"]["colour"][1] for frame in index["frames"]] == [f"image/{mime}"] * frames

@@ -10,8 +10,7 @@ from pathlib import PurePosixPath
 
 from lidar2pano.bulk.entries import MIRRORED, RUN_FILE, SEMANTIC_KITTI, SUFFIXES, Entry, ScanKey, Shard
 from lidar2pano.bulk.stores import Folder, Store, local_copy
-from lidar2pano.drives.folders import select_files
-from lidar2pano.drives.scan_search import STORAGE, Source, find_sources, no_scan
+from lidar2pano.drives.folders import STORAGE, Source, find_sources, no_scan, select_files
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.readers import ReadOptions

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lidar2pano.bounded_files import append_bytes, check_target
-from lidar2pano.drives.scan_search import head_below, names_below
+from lidar2pano.drives.folders import head_below, names_below
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import reason
 

@@ -19,8 +19,14 @@ from lidar2pano.cli.app import MISTAKE
 from lidar2pano.cli.console import bar, print_error, print_weights, spooled, until_signal
 from lidar2pano.cli.options import check_file
 from lidar2pano.drives.folders import drive_files, output_stems
-from lidar2pano.drives.following import check_followed, follow_folder
-from lidar2pano.drives.reading import ReadingOptions, ScanSource, StreamReader, scan_sources
+from lidar2pano.drives.reading import (
+    ReadingOptions,
+    ScanSource,
+    StreamReader,
+    check_followed,
+    follow_folder,
+    scan_sources,
+)
 from lidar2pano.engines import pick_engine
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of

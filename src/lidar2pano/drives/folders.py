@@ -1,23 +1,42 @@
-"""Scan files and recordings of a folder: selection, times, names of their outputs."""
+"""Scan files and recordings below a folder or URL, found alike by all commands: selection, times, names of outputs."""
 
 from __future__ import annotations
 
+import os
+import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import UTC, datetime
-from itertools import groupby
-from pathlib import Path
+from functools import partial
+from itertools import groupby, islice
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
 from lidar2pano.bounded_files import read_text
-from lidar2pano.drives.scan_search import check_file, find_scans
 from lidar2pano.errors import InputError
-from lidar2pano.formats.file_contents import stem_of
+from lidar2pano.formats.delimited_text import is_table
+from lidar2pano.formats.file_contents import head_of, stem_of
 from lidar2pano.formats.json_files import read_json
-from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.recordings.recorded_scans import none_within
+from lidar2pano.formats.readers import ENDINGS, PACKED, TEXT_ENDINGS, ReadOptions
+from lidar2pano.name_order import sort_names
+from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
+from lidar2pano.recordings.recorded_scans import METADATA, none_within
 
 TIMES = ("times.txt", "timestamps.txt", "timestamps.json")  # KITTI odometry, KITTI raw, PandaSet
 UNIT_S = {19: 1e-9, 18: 1e-9, 16: 1e-6}  # digits of a name, a time since the epoch -> its unit
+
+STORAGE = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")  # endings of the files of a ROS 2 bag's folder
+# Folders of data sets with files of scans' endings: SemanticKITTI's occupancy, nuScenes' labels, labels of images
+NO_SCANS = ("voxels", "lidarseg", "panoptic", "labels")
+# The last folders of scans in data sets whose roots are read as a whole: KITTI's and SemanticKITTI's sequences, KITTI's
+# raw drives and KITTI-360, KITTI's tracking, nuScenes, Argoverse 2
+DATA_SETS = ("velodyne", "velodyne_points/data", "velodyne/[0-9]*", "LIDAR_*", "sensors/lidar")
+# Fields of radars' PCDs, nuScenes' among them
+RADAR = re.compile(rb"(?im)^(?:FIELDS|COLUMNS) .*\b(?:rcs|dyn_prop|vx_comp|range_rate)\b")
+MOST_NAMES = 1 << 20  # looked through below a folder without scans of its own
+ARCHIVES = (".zip", ".tar", ".tgz", ".tar.gz", ".tar.zst", ".tar.xz", ".tar.bz2", ".7z", ".rar")
+MOST_NAMED = 3  # folders in a message
+Head = Callable[[str], bytes]
 
 
 def drive_files(path: Path, options: ReadOptions) -> list[Path]:
@@ -109,3 +128,141 @@ def output_stems(files: Sequence[Path]) -> dict[Path, str]:
 def _without_velodyne(parts: tuple[str, ...]) -> tuple[str, ...]:
     """Return a path's parts without the folder of every sequence."""
     return tuple(part for part in parts[:-1] if part != "velodyne") + parts[-1:]
+
+
+class Source(NamedTuple):
+    """A scan file or a recording, by its name below the root."""
+
+    name: str
+    recording: bool
+
+    @property
+    def folder(self) -> str:
+        """Name of its folder."""
+        return self.name.rpartition("/")[0]
+
+
+def find_sources(names: Iterable[str], head: Head | None = None) -> list[Source]:
+    """Return the scan files and recordings among the names of files, folder by folder, each in the order of names.
+
+    head  name -> first bytes, by which tables of text and radars' detections are told; None: there are no tables, and
+          radars are told by their folders' names.
+    A ROS 2 bag's folder is one recording. Tables of text count where their folder holds nothing else.
+    """
+    files_by_folder: dict[str, list[str]] = {}
+    for name in names:
+        folder, _, file = name.rpartition("/")
+        if not file.startswith(".") and not set(NO_SCANS).intersection(folder.split("/")):
+            files_by_folder.setdefault(folder, []).append(name)
+    return [
+        source
+        for folder in sort_names(files_by_folder)
+        for source in _sources_of_folder(folder, files_by_folder[folder], head)
+    ]
+
+
+def _sources_of_folder(folder: str, names: list[str], head: Head | None) -> list[Source]:
+    recordings = [name for name in names if _unpacked(name).lower().endswith(RECORDINGS)]
+    stored = [name for name in recordings if name.lower().endswith(STORAGE)]
+    if stored and any(PurePosixPath(name).name == METADATA for name in names):
+        recordings = [name for name in recordings if name not in stored] + [folder]
+    scans = [name for name in names if _ending(name) in ENDINGS and not _is_radar(name, head)]
+    if head and not (scans or recordings):
+        scans = [name for name in names if _ending(name) in TEXT_ENDINGS and is_table(head(name))]
+    sources = [Source(name, name in recordings) for name in sort_names([*scans, *recordings])]
+    return sorted(sources, key=lambda source: source.recording)  # stable
+
+
+def _is_radar(name: str, head: Head | None) -> bool:
+    if head is None:
+        return "radar" in name.rpartition("/")[0].lower()
+    return _ending(name) == ".pcd" and RADAR.search(head(name)) is not None
+
+
+def _unpacked(name: str) -> str:
+    """Return the name without the ending of its packing."""
+    path = PurePosixPath(name)
+    return name[: -len(path.suffix)] if path.suffix.lower() in PACKED else name
+
+
+def _ending(name: str) -> str:
+    return PurePosixPath(_unpacked(name)).suffix.lower()
+
+
+def names_below(root: Path, deep: bool = True) -> Iterator[str]:
+    """Yield the names of all files below a folder whose folders are not hidden; not `deep`: of its own files.
+
+    Links to folders are followed, each folder is listed once. InputError for a folder without permission.
+    """
+    listed: set[tuple[int, int]] = set()
+    for folder, folders, files in os.walk(root, followlinks=True, onerror=_refuse):
+        state = Path(folder).stat()
+        if (state.st_dev, state.st_ino) in listed:
+            folders.clear()
+            continue
+        listed.add((state.st_dev, state.st_ino))
+        folders[:] = sort_names(name for name in folders if deep and not name.startswith("."))
+        inner = Path(folder).relative_to(root)
+        yield from ((inner / name).as_posix() for name in files)
+
+
+def _refuse(error: OSError) -> None:
+    raise InputError(f"{error.filename}: cannot be looked into ({error.strerror}); ask for permission")
+
+
+def head_below(root: Path, name: str) -> bytes:
+    """Return the first bytes of a file below a folder, b"" if it cannot be read: reading it will say why."""
+    try:
+        return head_of(root / name)
+    except InputError:
+        return b""
+
+
+def find_scans(root: Path) -> list[Source]:
+    """Return the scan files and recordings of a folder, or of the folders of a data set below its root.
+
+    Raises InputError for a folder without scans of its own, naming folders below with scans.
+    """
+    head = partial(head_below, root)
+    if own := find_sources(names_below(root, deep=False), head):
+        return own
+    below = find_sources(islice(names_below(root), MOST_NAMES), head)
+    if not below and any(_is_radar(name, head) for name in names_below(root)):
+        raise InputError(f"{root}: its PCDs are a radar's detections (rcs), no scans; name a folder of a LiDAR's")
+    if not below and (packed := [name for name in names_below(root) if name.lower().endswith(ARCHIVES)]):
+        raise InputError(f"{root}: holds no scan, but archives ({', '.join(packed[:MOST_NAMED])}); unpack them")
+    if not below:
+        raise no_scan(root)
+    if all(_in_data_set(source.folder) for source in below):
+        return below
+    raise InputError(f"{root}: holds no scan itself; {_counts(below)}; name a folder, or take all with `bulk`")
+
+
+def no_scan(place: object) -> InputError:
+    """Return the error for a folder or URL without scans."""
+    endings = ", ".join((*ENDINGS, *TEXT_ENDINGS, *RECORDINGS))
+    return InputError(f"{place}: holds no scan (known endings: {endings}); name another folder")
+
+
+def check_file(path: Path) -> Path:
+    """Return the path of a regular file; InputError if it does not exist, or is a device, FIFO or socket."""
+    if path.is_file():
+        return path
+    if path.exists():
+        raise InputError(f"{path}: is a device, FIFO or socket, no file; write it to a file, or pipe it into `-`")
+    raise InputError(f"{path}: does not exist; name a scan file, a folder of scans or a sequence folder")
+
+
+def _in_data_set(folder: str) -> bool:
+    return any(PurePosixPath(folder).match(pattern) for pattern in DATA_SETS)
+
+
+def _counts(sources: list[Source]) -> str:
+    """Return how many scans the first folders hold, as a clause."""
+    counts: dict[str, int] = {}
+    for source in sources:
+        place = source.folder or source.name
+        counts[place] = counts.get(place, 0) + 1
+    clauses = [f"{folder} below it holds {count}" for folder, count in list(counts.items())[:MOST_NAMED]]
+    further = [f"{len(counts) - MOST_NAMED} more folders hold others"] if len(counts) > MOST_NAMED else []
+    return ", ".join([*clauses, *further])

@@ -24,8 +24,18 @@ from lidar2pano.errors import InputError
 from lidar2pano.recordings.reading_process import get_ready
 from lidar2pano.serve.fair_queue import FairQueue
 from lidar2pano.serve.guards import HEADERS, Guard
-from lidar2pano.serve.queries import Query, UnknownParameter, file_of_form, parse_query
-from lidar2pano.serve.uploads import FILES, PAGE, KeptResults, Limits, Result, UploadTranslator
+from lidar2pano.serve.uploads import (
+    FILES,
+    PAGE,
+    KeptResults,
+    Limits,
+    Query,
+    Result,
+    UnknownParameter,
+    UploadTranslator,
+    file_of_form,
+    parse_query,
+)
 
 TYPES = {"rgb": "image/png", "segments": "image/png", "labels": "application/octet-stream", "depth": "image/png"} | {
     PAGE: "text/html"
