@@ -31,7 +31,7 @@ from lidar2pano.engines import pick_engine
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.hardware import keep_buffers, pick_device
-from lidar2pano.models.families import named_weights, paints_look, weight_files
+from lidar2pano.models.families import BEST, best_family, paints_look, weight_files
 from lidar2pano.name_order import sort_listed
 from lidar2pano.pipeline import Pipeline, load
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
@@ -85,7 +85,7 @@ def checked_options(
 
     further  fields of Options.
     """
-    name = named_weights(weights)
+    name = best_family() if weights == BEST else weights
     note = "" if name == weights else f"weights {name}: the best that is installed"
     files, picked = weight_files(name, look=look), pick_device(device)
     pick_engine(engine, picked)

@@ -61,15 +61,6 @@ def best_family() -> str:
     return next((name for name in PREFERENCE if name in installed), next(iter(installed)))
 
 
-def named_weights(name: str) -> str:
-    """Return the name of weights, the best installed family for BEST, and log it."""
-    if name != BEST:
-        return name
-    name = best_family()
-    log.info("weights %s: the best that is installed", name)
-    return name
-
-
 def weight_files(name: str | Path, *, fill: bool = True, look: str = "") -> dict[str, Path]:
     """Files by role (see `role`) of a name or path.
 
@@ -79,7 +70,10 @@ def weight_files(name: str | Path, *, fill: bool = True, look: str = "") -> dict
     look  of several painters, one for each look, the file of this name (without .safetensors) is taken.
     Raises InputError when there is no such family, file or folder, or `by_role` refuses its files.
     """
-    installed, name = families(), named_weights(str(name)) if str(name) == BEST else name
+    installed = families()
+    if str(name) == BEST:
+        name = best_family()
+        log.info("weights %s: the best that is installed", name)
     if len(parts := chained(name)) > 1:
         files = weight_files(parts[0], fill=fill, look=look)
         for part in parts[1:]:
