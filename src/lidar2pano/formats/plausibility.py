@@ -5,13 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.ground_plane import BELOW_M, LEVEL_DEG, SURE_SHARE, Ground, fit_ground
 from lidar2pano.formats.sensor_placement import (
+    BELOW_M,
+    LEVEL_DEG,
     OTHER_AXES,
+    SURE_SHARE,
+    Ground,
     Placement,
     best_ground,
     evidence_of_x,
     find_unit,
+    fit_ground,
     is_offset,
     stands,
 )
