@@ -43,6 +43,7 @@ from lidar2pano.train.environment import (
     choose_precision,
     clock,
     device_name,
+    hidden,
     interrupts,
     largest,
     shared,
@@ -56,9 +57,10 @@ from lidar2pano.train.task import Task
 from lidar2pano.train.tasks import build_task
 
 try:
-    from lightning_fabric import Fabric
-    from lightning_fabric.plugins.precision import MixedPrecision, Precision
-    from lightning_fabric.strategies.ddp import DDPStrategy
+    with hidden("torchmetrics"):  # only its version is wanted, and it brings transformers and SciPy: 6 s a process
+        from lightning_fabric import Fabric
+        from lightning_fabric.plugins.precision import MixedPrecision, Precision
+        from lightning_fabric.strategies.ddp import DDPStrategy
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("training needs lightning_fabric: pip install 'lidar2pano[train]'") from error
 
