@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import gc
 import ipaddress
 import os
 import random
@@ -94,6 +95,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "needs(there, what): left out of the run unless `there`; `what` says what to do")
+    config.addinivalue_line("markers", "child: a child process reads files, as for users, whatever the module has")
     config.stash[_left_out] = Counter()
 
 
@@ -165,6 +167,13 @@ def pytest_make_collect_report(
     return report
 
 
+def pytest_collection_finish() -> None:
+    """Spare the collector the thousands of tests, and what is imported for them, from here on."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(5000)
+
+
 @pytest.fixture(scope="session")
 def golden() -> Path:
     """Recorded outputs of the published networks and operators: or the whole ones that LIDAR2PANO_GOLDEN names."""
@@ -214,6 +223,13 @@ def one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture
+def in_this_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read files without a child process, whose start takes longer than small ones; tests marked `child` have it."""
+    if not request.node.get_closest_marker("child"):
+        monkeypatch.setattr("lidar2pano.child_process.resource", None)
 
 
 @pytest.fixture

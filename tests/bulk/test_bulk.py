@@ -30,6 +30,8 @@ from random_weights import CALIB, street, write_scan
 from slow_definitions import grow_slowly
 from stand_in_pipeline import StandIn
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 
 @pytest.fixture
 def root(tmp_path):
@@ -73,7 +75,7 @@ def test_twenty_kills_leave_the_bytes_of_an_undisturbed_run(root, tmp_path):
         assert not list(out.rglob(f"{SCRATCH}*"))
 
 
-@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.child
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_two_at_once_in_one_folder_give_the_bytes_of_one(root, tmp_path):
     assert run(job_of(root, tmp_path / "whole")) == 0
@@ -132,6 +134,7 @@ def test_the_manifest_is_put_right(root, tmp_path):
     assert lost | {"points": 50, "dropped": 0} | forgotten == json.loads(lines[1]) | forgotten
 
 
+@pytest.mark.child
 def test_a_bad_scan_costs_a_line_and_is_tried_again(root, tmp_path, capsys):
     (root / "a" / "000000.bin").write_bytes(b"12345")
     far = street(50)

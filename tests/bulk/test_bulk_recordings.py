@@ -16,7 +16,6 @@ import pytest
 pytest.importorskip("rosbags", reason="recordings are read by the extra 'recordings'")
 
 from bulk_runs import assert_each_once, begin, contents, job_of, manifest, run
-from lidar2pano import child_process
 from lidar2pano.bulk import Shard, entries
 from lidar2pano.bulk.data_set import untimed, write_times
 from lidar2pano.bulk.entries import SEMANTIC_KITTI
@@ -35,6 +34,7 @@ from miniature import street
 from miniature_recordings import START_NS, STEP_NS, TF, points, transform, write
 from stand_in_pipeline import StandIn
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
 COUNT = 12
 DRIVE = [points(street(number, 300), START_NS + number * STEP_NS) for number in range(COUNT)]
 DOUBTED = " of them doubted (see `doubts` in the manifest)"
@@ -58,7 +58,9 @@ def images(root: Path, only: str = "") -> list[str]:
 # --- the same panoramas -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("format", ["bag-lz4", "db3", "folder", "folder-mcap", "mcap", "mcap-plain"])
+@pytest.mark.parametrize(
+    "format", ["bag-lz4", "db3", "folder", "folder-mcap", pytest.param("mcap", marks=pytest.mark.child), "mcap-plain"]
+)
 def test_scans_of_a_recording_are_those_of_files(tmp_path, format):
     for number in range(COUNT):
         (tmp_path / "files").mkdir(exist_ok=True)
@@ -91,6 +93,7 @@ def moving(turned: float = 0.0):
         yield points(street(number, 4000), stamp_ns, time=np.linspace(0, 0.1, 4000, dtype=np.float32))
 
 
+@pytest.mark.child
 def test_the_bytes_are_those_of_translate(tmp_path, monkeypatch, random_weights, capsys):
     monkeypatch.chdir(tmp_path)
     recorded(tmp_path / "in", "bag", sent=moving())
@@ -124,7 +127,6 @@ def test_shards_take_consecutive_scans_and_read_little_else(tmp_path, monkeypatc
         for name in ("a.mcap", "b.mcap", "c.mcap"):
             numbers = [number for one, number in part if one == name]
             assert len(numbers) in (2, 3) and numbers == list(range(numbers[0], numbers[-1] + 1))
-    monkeypatch.setattr(child_process, "resource", None)  # recordings are then read in this process
     unpacked, count = mcap_files.unpacked, []
     monkeypatch.setattr(mcap_files, "unpacked", lambda chunk: count.append(0) or unpacked(chunk))
     run(job_of(tmp_path, tmp_path / "out"))
@@ -134,6 +136,7 @@ def test_shards_take_consecutive_scans_and_read_little_else(tmp_path, monkeypatc
     assert 3 * 2 <= len(count) < 0.6 * whole
 
 
+@pytest.mark.child
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_kills_leave_the_bytes_of_an_undisturbed_run(tmp_path):
     root, out = tmp_path / "in", tmp_path / "out"
@@ -171,6 +174,7 @@ def test_a_line_that_was_lost_is_written_again(tmp_path, format):
     assert [line["sha256"] for line in manifest(out)] == [line["sha256"] for line in lines]
 
 
+@pytest.mark.child
 def test_a_damaged_recording_costs_a_line(tmp_path, capsys):
     root, out = tmp_path / "in", tmp_path / "out"
     root.mkdir()
@@ -190,6 +194,7 @@ def test_a_damaged_recording_costs_a_line(tmp_path, capsys):
     assert_each_once(out, root, {"drive.mcap": COUNT})
 
 
+@pytest.mark.child
 def test_damage_in_the_middle_costs_the_scans_that_it_hits(tmp_path, capsys):
     path = recorded(tmp_path / "in", "mcap-raw")
     data = bytearray(path.read_bytes())

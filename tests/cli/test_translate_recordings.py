@@ -28,6 +28,7 @@ from miniature import CALIB, street
 from miniature_recordings import START_NS, STEP_NS, points, transform, write
 
 COUNT = 12
+pytestmark = pytest.mark.usefixtures("in_this_process")
 
 
 def pose(number: int) -> tuple[float, ...]:
@@ -87,7 +88,7 @@ def wanted(tmp_path_factory, random_weights) -> Path:
     return root
 
 
-@pytest.mark.parametrize("format", ["bag", "mcap-ros1"])
+@pytest.mark.parametrize("format", [pytest.param("bag", marks=pytest.mark.child), "mcap-ros1"])
 def test_a_recording_gives_the_panoramas_of_the_folder(tmp_path, translate, wanted, format):
     path = write(tmp_path, format, sent())
     assert translate(path, "--every", 4, "--out", tmp_path / "found", "--save", "all")[0] == 0
@@ -95,7 +96,9 @@ def test_a_recording_gives_the_panoramas_of_the_folder(tmp_path, translate, want
     assert (tmp_path / "found" / "drive-000008.depth.png").exists()
 
 
-@pytest.mark.parametrize(("format", "count"), [("bag", 12), ("db3", 3), ("mcap", 3), ("folder", 2)])
+@pytest.mark.parametrize(
+    ("format", "count"), [("bag", 12), pytest.param("db3", 3, marks=pytest.mark.child), ("mcap", 3), ("folder", 2)]
+)
 def test_a_steady_recording_gives_the_panoramas_of_the_folder(tmp_path, translate, wanted, format, count):
     path = write(tmp_path, format, sent())
     code, _, _ = translate(path, "--steady", "--to", 0.1 * count - 0.05, "--out", tmp_path / "found")
@@ -174,7 +177,7 @@ def refused(translate, tmp_path: Path, *arguments: object) -> str:
     return err
 
 
-@pytest.mark.parametrize("format", ["bag", "db3", "mcap"])
+@pytest.mark.parametrize("format", ["bag", "db3", pytest.param("mcap", marks=pytest.mark.child)])
 def test_bad_recordings_are_one_line(tmp_path, translate, format):
     path = write(tmp_path, format, sent())
     whole = path.read_bytes()
