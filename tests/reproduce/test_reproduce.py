@@ -232,12 +232,15 @@ def test_curves_are_drawn_of_losses_alone(tmp_path):
 
 @pytest.fixture(scope="module")
 def semantic_kitti(tmp_path_factory):
-    return write_semantic_kitti(tmp_path_factory.mktemp("sk"))
+    return write_semantic_kitti(tmp_path_factory.mktemp("sk"), scale=0.25)
 
 
-def test_semantic_kitti_as_users_have_it_and_a_second_run_that_only_reads(semantic_kitti, tmp_path, capsys):
+def test_semantic_kitti_as_users_have_it_and_a_second_run_that_only_reads(
+    semantic_kitti, random_weights, tmp_path, capsys
+):
     words = ["reproduce", "--data", str(semantic_kitti), "--out", str(tmp_path), "--rows", "scunet", "--device", "cpu"]
-    words += ["--budget", "1steps", "--segmenter", "world", "--set", "scunet.options.size=47,155"]
+    words += ["--budget", "1steps", "--segmenter", str(random_weights / "segmenter.safetensors")]
+    words += ["--set", "scunet.options.size=47,155"]
     assert main(words) == 0
     text = (tmp_path / "RESULTS.md").read_text()
     row = next(line for line in text.splitlines() if line.startswith("| SC-UNET |"))
@@ -254,10 +257,11 @@ def test_semantic_kitti_as_users_have_it_and_a_second_run_that_only_reads(semant
     capsys.readouterr()
 
 
-def test_without_camera_labels_the_page_names_the_command_that_makes_them(tmp_path, capsys):
-    data = write_semantic_kitti(tmp_path / "data", camera_labels=False)
+def test_without_camera_labels_the_page_names_the_command_that_makes_them(random_weights, tmp_path, capsys):
+    data = write_semantic_kitti(tmp_path / "data", camera_labels=False, scale=0.25)
     words = ["reproduce", "--data", str(data), "--out", str(tmp_path / "out"), "--rows", "titan", "--device", "cpu"]
-    assert main([*words, "--budget", "1steps", "--segmenter", "world"]) == BROKEN
+    segmenter = str(random_weights / "segmenter.safetensors")
+    assert main([*words, "--budget", "1steps", "--segmenter", segmenter]) == BROKEN
     assert "lidar2pano prepare" in (tmp_path / "out" / "RESULTS.md").read_text()
     assert "titan" in capsys.readouterr().err
 
