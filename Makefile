@@ -15,6 +15,8 @@ TORCH_INDEX ?=
 BIN := .venv/bin
 STREETS := $(wildcard packages/lidar2pano-streets) # weights under another licence, which an sdist leaves out
 SOURCES := src tests runs docs examples
+# Python compiles what it imports; to compile all 20,000 installed files takes another minute and a half.
+INSTALL := $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt
 
 .PHONY: setup setup-dev demo test test-released fuzz kills lint format generated docs dist clean
 
@@ -25,13 +27,13 @@ setup-dev: .venv/.ready-dev
 	@command -v $(PYTHON) >/dev/null && $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "lidar2pano needs Python 3.11 or newer and '$(PYTHON)' is not; try: make PYTHON=python3.11" >&2; exit 1; }
 	test -x $(BIN)/pip || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[fast]' $(addprefix --editable ./,$(STREETS))
+	$(INSTALL) $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
+	$(INSTALL) --editable '.[fast]' $(addprefix --editable ./,$(STREETS))
 	@touch $@
 
 .venv/.ready-dev: .venv/.ready
 	$(BIN)/python -m pip install --quiet 'pip>=25.1' # the first that knows dependency groups
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[all]' --group dev
+	$(INSTALL) --editable '.[all]' --group dev
 	@touch $@
 
 demo: setup
