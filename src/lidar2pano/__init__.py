@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from lidar2pano.drives.reading import posed_scans, scans
     from lidar2pano.errors import InputError
     from lidar2pano.geometry.projection import RangeImage, project
+    from lidar2pano.geometry.stitching import Camera
     from lidar2pano.labels import CITYSCAPES, COMMON14, COMMON15, SEMANTIC_KITTI, LabelSet
     from lidar2pano.memory import Memory
     from lidar2pano.panorama import Panorama
@@ -31,6 +32,7 @@ _HOME = {
     "SEMANTIC_KITTI": "labels",
     "VIEWS": "views",
     "Calibration": "calibration",
+    "Camera": "geometry.stitching",
     "InputError": "errors",
     "LabelSet": "labels",
     "LensCalibration": "calibration",
@@ -55,6 +57,7 @@ __all__ = [
     "SEMANTIC_KITTI",
     "VIEWS",
     "Calibration",
+    "Camera",
     "InputError",
     "LabelSet",
     "LensCalibration",

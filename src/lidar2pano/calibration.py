@@ -17,7 +17,7 @@ FARTHEST_CAMERA_M = 1000.0  # from the LiDAR
 LARGEST_PX = 1e7  # of a focal length or a principal point
 # KITTI's forms: rows of the camera's projection; of the rotation that rectifies camera 0; of LiDAR -> camera 0.
 # In turn: odometry's calib.txt, the object and tracking benchmarks', a raw drive's, KITTI-360's.
-PROJECTIONS = ("P2", "P_rect_02", "P_rect_00")
+PROJECTIONS = ("P{0}", "P_rect_0{0}", "P_rect_00")
 RECTIFICATIONS = ("R0_rect", "R_rect", "R_rect_00")
 RIGIDS = ("Tr_velo_to_cam", "Tr_velo_cam")
 # Calibrations in two files: the camera's, and the LiDAR's.
@@ -70,7 +70,8 @@ class LensCalibration:
                  "fisheye": Kannala and Brandt 2006 (cv2.fisheye.calibrate); may look farther than 90 degrees aside.
                  "mei": unified projection, Mei and Rives 2007 (cv2.omnidir.calibrate, CamOdoCal); likewise. A unit
                  vector (x, y, z) goes to (x, y) / (z + xi), distorted as by "brown" and multiplied by K.
-    distortion   "brown": (k1, k2, p1, p2[, k3]);  "fisheye": (k1, k2, k3, k4);  "mei": (xi, k1, k2, p1, p2), xi >= 0.
+    distortion   "brown": (k1, k2, p1, p2[, k3[, k4, k5, k6]]), the last three of a denominator;  "fisheye":
+                 (k1, k2, k3, k4);  "mei": (xi, k1, k2, p1, p2), xi >= 0.
     reach_deg    the image circle: the largest angle from the optical axis, degrees, within the lens's image.
     """
 
@@ -84,10 +85,10 @@ class LensCalibration:
     def __post_init__(self) -> None:
         """Refuse wrong matrices and sizes, other models, wrong coefficients and an impossible reach (ValueError)."""
         Calibration(K=self.K, T_camera_lidar=self.T_camera_lidar, size=self.size)
-        counts = {"brown": (4, 5), "fisheye": (4,), "mei": (5,)}.get(self.model)
+        counts = {"brown": (4, 5, 8), "fisheye": (4,), "mei": (5,)}.get(self.model)
         if counts is None or len(self.distortion) not in counts:
             raise ValueError(
-                "LensCalibration: model 'brown' has 4 or 5 coefficients, 'fisheye' 4, 'mei' 5;"
+                "LensCalibration: model 'brown' has 4, 5 or 8 coefficients, 'fisheye' 4, 'mei' 5;"
                 f" got {self.model!r} with {len(self.distortion)}"
             )
         if self.model == "mei" and self.distortion[0] < 0:
@@ -163,18 +164,30 @@ def _projected_brown(x: np.ndarray, y: np.ndarray, z: np.ndarray, distortion: np
 def _unfolded(
     x: np.ndarray, y: np.ndarray, xx: np.ndarray, xy: np.ndarray, yy: np.ndarray, distortion: np.ndarray
 ) -> np.ndarray:
-    """Return whether (x, y), with the Jacobian xx, xy, yy, lies before the first fall of the lens's polynomial."""
-    k1, k2, _, _, k3 = (*distortion.tolist(), 0.0)[:5]
-    roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # of the slope of r (1 + k1 r^2 + k2 r^4 + k3 r^6) over r^2
+    """Return whether (x, y), with the Jacobian xx, xy, yy, is before the first fall, or pole, of the lens's radius."""
+    numerator, denominator = (np.poly1d(part[::-1]) for part in _radial(distortion))
+    r2 = np.poly1d([1.0, 0.0])
+    # the slope of r N(r^2) / D(r^2) over r has the sign of N D + 2 r^2 (N' D - N D')
+    slope = numerator * denominator + 2 * r2 * (numerator.deriv() * denominator - numerator * denominator.deriv())
+    roots = [*slope.roots, *denominator.roots]
     falls = min((root.real for root in roots if abs(root.imag) < 1e-9 and root.real > 0), default=np.inf)
     return (x * x + y * y < falls) & (xx * yy > xy * xy) & (xx + yy > 0)
 
 
+def _radial(distortion: np.ndarray) -> tuple[list[float], list[float]]:
+    """Return the coefficients of 1, r^2, r^4 and r^6 in the numerator and the denominator of "brown"."""
+    k1, k2, _, _, k3, k4, k5, k6 = (*distortion.tolist(), 0.0, 0.0, 0.0, 0.0)[:8]
+    return [1.0, k1, k2, k3], [1.0, k4, k5, k6]
+
+
 def _distorted_brown(x: np.ndarray, y: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, ...]:
     """Distorted places (x, y) of directions (x, y, 1), and their symmetric Jacobian: xx, xy, yy."""
-    k1, k2, p1, p2, k3 = (*distortion.tolist(), 0.0)[:5]
+    p1, p2 = distortion[2:4].tolist()
+    (_, k1, k2, k3), (_, k4, k5, k6) = _radial(distortion)
     r2 = x * x + y * y
-    radial, slope = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2 * k2 + 3 * r2 * k3)
+    below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / below
+    slope = (k1 + r2 * (2 * k2 + 3 * r2 * k3) - radial * (k4 + r2 * (2 * k5 + 3 * r2 * k6))) / below
     return (
         x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
         y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
@@ -241,8 +254,8 @@ def _undistorted_fisheye(x_d: np.ndarray, y_d: np.ndarray, distortion: np.ndarra
     return np.where((radius <= radii[-1])[..., None], rays, np.nan)
 
 
-def read_calib(path: str | Path, size: tuple[int, int] = (1242, 375)) -> Calibration:
-    """Read KITTI's calibration of camera 2: P2 (3x4) and Tr (3x4, LiDAR -> rectified camera 0).
+def read_calib(path: str | Path, size: tuple[int, int] = (1242, 375), camera: int = 2) -> Calibration:
+    """Read KITTI's calibration of a camera, 0 to 3: P2 (3x4) and Tr (3x4, LiDAR -> rectified camera 0) of the second.
 
     pixel ~ P2 [Tr; 0 0 0 1] [x y z 1]^T. P2 = K [I | b]: the colour camera stands b away from camera 0.
     path  of odometry's calib.txt, a calib file of the object or tracking benchmark (Tr = R0_rect Tr_velo_to_cam), one
@@ -252,12 +265,13 @@ def read_calib(path: str | Path, size: tuple[int, int] = (1242, 375)) -> Calibra
     """
     path = Path(path)
     rows = _rows(path)
-    P2 = _matrix(path, rows, next((name for name in PROJECTIONS if name in rows), "P2"))
+    names = [name.format(camera) for name in PROJECTIONS]
+    P2 = _matrix(path, rows, next((name for name in names if name in rows), names[0]))
     T = _camera0(path, rows)
     K = P2[:, :3]
     if not is_camera_matrix(K):
         raise InputError(
-            f"{path}: row P2: is no camera matrix (fx s cx, 0 fy cy, 0 0 1); take the row from KITTI's file"
+            f"{path}: row {names[0]}: is no camera matrix (fx s cx, 0 fy cy, 0 0 1); take the row from KITTI's file"
         )
     T[:3, 3] += np.linalg.solve(K, P2[:, 3])
     _check_near(path, T)
@@ -277,7 +291,7 @@ def read_camera0(path: str | Path) -> np.ndarray:
 
 def has_camera(path: str | Path) -> bool:
     """Return whether a calib.txt has a camera (P2), not the axes of poses.txt alone; InputError if it is missing."""
-    return not _rows(Path(path)).keys().isdisjoint(PROJECTIONS)
+    return not _rows(Path(path)).keys().isdisjoint(name.format(2) for name in PROJECTIONS)
 
 
 def _camera0(path: Path, rows: dict[str, str]) -> np.ndarray:

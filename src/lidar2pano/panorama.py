@@ -25,15 +25,17 @@ from lidar2pano.formats.image_files import (
 )
 from lidar2pano.formats.ply import write_ply
 from lidar2pano.geometry.camera import panorama_in_camera
-from lidar2pano.geometry.projection import project
+from lidar2pano.geometry.projection import directions, project
+from lidar2pano.geometry.stitching import Camera, homogeneous, look
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
+from lidar2pano.scene.surfaces import hides
 from lidar2pano.views import View
 
 OUTPUTS = ("rgb", "segments", "labels", "depth")
-EXTRA_OUTPUTS = ("confidence", "measured")  # that "all" does not name
+EXTRA_OUTPUTS = ("confidence", "measured", "source")  # that "all" does not name
 # Endings of the stems of further outputs of a scan.
-STEM_ENDINGS = (".segments", ".depth", ".confidence", ".measured", ".camera", ".camera-segments")
+STEM_ENDINGS = (".segments", ".depth", ".confidence", ".measured", ".source", ".camera", ".camera-segments")
 VIEW_KEYWORD = "lidar2pano-view"  # of the text in a panorama's PNG: its View as JSON
 Writer = tuple[str, str, Callable[[Path], None]]  # an output, the name of its file, and its function
 GREY = 128  # of points without a colour
@@ -63,17 +65,19 @@ class PointColours:
     segments  (N,) uint8 ids of COMMON15; 0 where not valid.
     in_view   (N,) bool: the point is usable and lies in the panorama: not above, below or beside it.
     occluded  (N,) bool: in view, but behind what the panorama has at its pixel, which stands nearer.
+    source    (N,) uint8: number of the colour's camera, from 1; 0: the panorama's.
     """
 
     colour: np.ndarray
     segments: np.ndarray
     in_view: np.ndarray
     occluded: np.ndarray
+    source: np.ndarray
 
     @property
     def valid(self) -> np.ndarray:
-        """(N,) bool: in view and not occluded."""
-        return self.in_view & ~self.occluded
+        """(N,) bool: seen by a camera, or in view and not occluded."""
+        return (self.in_view & ~self.occluded) | (self.source > 0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -90,6 +94,8 @@ class Panorama:
                   it is not known.
     measured      (h, w) bool: pixels with a point of the scan, whose depth is the nearest point's distance; all other
                   depths are predicted. None where it is not known.
+    source        (h, w) uint8: number of a pixel's camera, from 1; 0: its colour is invented. None without cameras.
+    cameras       in use, in the scan's frame, with their gains;  doubts: sentences about cameras.
     dropped       points that were not used (NaN, Inf, nearer than OWN_VEHICLE_M); they are labelled 0.
     beyond_rows   points above or below the segmenter's rows: labelled like the pixels at the border nearest to them.
     points_between  points that were put between the beams of a sensor that has fewer than the segmenter's raster.
@@ -105,6 +111,9 @@ class Panorama:
     labels: np.ndarray
     confidence: np.ndarray | None = None
     measured: np.ndarray | None = None
+    source: np.ndarray | None = None
+    cameras: tuple[Camera, ...] = ()
+    doubts: tuple[str, ...] = ()
     dropped: int = 0
     beyond_rows: int = 0
     points_between: int = 0
@@ -166,7 +175,8 @@ class Panorama:
 
         A point takes the pixel that it lies in. Points out of view have no colour. A point that is farther than the
         panorama's depth there by 20 % and a metre is occluded (the panorama stands beside the sensor and cannot see
-        it) and has none either; where the panorama has no depth (sky), every point is valid.
+        it) and has none either; where the panorama has no depth (sky), every point is valid. A point in sight
+        of one of the panorama's cameras has its colour there.
         """
         image = project(scan, self.view)
         in_view = image.inside.numpy()
@@ -179,14 +189,33 @@ class Panorama:
         segments = np.zeros(len(scan), dtype=np.uint8)
         colour[in_view], segments[in_view] = self.colour[row, column], self.segments[row, column]
         colour[occluded], segments[occluded] = GREY, 0
-        return PointColours(colour=colour, segments=segments, in_view=in_view, occluded=occluded)
+        source = self._colour_by_cameras(scan, colour)
+        return PointColours(colour=colour, segments=segments, in_view=in_view, occluded=occluded, source=source)
+
+    def _colour_by_cameras(self, scan: Scan, colour: np.ndarray) -> np.ndarray:
+        """Put the colours of points in sight of cameras into `colour`; return the number of each point's camera."""
+        source = np.zeros(len(scan), dtype=np.uint8)
+        usable = np.isfinite(scan.xyz).all(axis=1) & scan.xyz.any(axis=1)
+        points = torch.from_numpy(np.vstack([scan.xyz[usable].T, np.ones(usable.sum(), dtype=np.float32)]))
+        depth_m = torch.from_numpy(self.depth_m)
+        surfaces = homogeneous(directions(self.view), depth_m, self.view.origin)[:, depth_m > 0]
+        nearest = torch.full((points.shape[1],), torch.inf)
+        for number, camera in enumerate(self.cameras, 1):
+            sight = look(camera, points, self.view.focal_px, hides, surfaces)
+            nearer = sight.angle < nearest[sight.surface]
+            nearest[sight.surface[nearer]] = sight.angle[nearer]
+            place = np.flatnonzero(usable)[sight.surface[nearer].numpy()]
+            shown = camera.colours(sight)[:, nearer].round().clamp(0, 255)
+            colour[place], source[place] = shown.to(torch.uint8).T.numpy(), number
+        return source
 
     def save_points(self, path: str | Path, scan: Scan) -> Path:
         """Write the panorama's own scan with colours and classes as binary PLY, complete or not at all; return `path`.
 
         Vertices in file order, without points that are not finite or at the sensor's origin: x y z (float, metres),
-        red green blue (`colour_points`), remission (float), label (SemanticKITTI's raw id, of `labels`), and
-        valid (1, or 0 where the point is out of view or occluded).
+        red green blue (`colour_points`), remission (float), label (SemanticKITTI's raw id, of `labels`),
+        valid (1, or 0 where the point is out of view or occluded), and, of a panorama with cameras, source (the number
+        of the colour's camera, 0 = invented).
         Raises InputError when the file cannot be written; ValueError for the scan of another panorama.
         """
         columns = self._point_columns(scan)
@@ -203,6 +232,8 @@ class Panorama:
         columns["remission"] = scan.remission[usable]
         columns["label"] = SEMANTIC_KITTI.to_raw(self.labels[usable]).astype(np.uint16)
         columns["valid"] = points.valid[usable].astype(np.uint8)
+        if self.cameras:
+            columns["source"] = points.source[usable]
         return columns
 
     def save(
@@ -218,7 +249,8 @@ class Panorama:
         what  of "rgb" (<stem>.png, which holds the view as text, VIEW_KEYWORD), "segments" (<stem>.segments.png,
               palette of COMMON15), "labels" (<stem>.label, raw uint32 per point), "depth" (<stem>.depth.png, 16 bit,
               metres x 256), "confidence" (<stem>.confidence.png, 8 bit, 255 = certain), "measured"
-              (<stem>.measured.png, 8 bit, 255 = a point was there). With a calibration also <stem>.camera.png beside
+              (<stem>.measured.png, 8 bit, 255 = a point was there), "source" (<stem>.source.png, 8 bit, the number of
+              the pixel's camera, 0 = invented). With a calibration also <stem>.camera.png beside
               rgb and <stem>.camera-segments.png beside segments.
         image_format  of the colour images: "png", "webp" (.webp) or "jpeg" (.jpg), which lose a little.
         Raises InputError when a name is unknown or the folder cannot be written.
@@ -248,3 +280,5 @@ class Panorama:
             if layer is not None:
                 levels = np.round(layer * np.float32(255)).astype(np.uint8)
                 yield name, f"{stem}.{name}.png", lambda path, levels=levels: write_ids(path, levels)
+        source = np.zeros(self.segments.shape, dtype=np.uint8) if self.source is None else self.source
+        yield "source", f"{stem}.source.png", lambda path: write_ids(path, source)

@@ -47,7 +47,8 @@ class Translation:
             )
         if interpretation.uses_viewpoint:
             sentences.append("its VIEWPOINT is used, since it makes the scan plausible")
-        return sentences
+        sentences += self.reading.camera_doubts
+        return sentences + list(self.panorama.doubts if self.panorama else ())
 
     def counts(self) -> dict[str, Any]:
         """Return points, dropped points and milliseconds per stage for a record; None for a stage never reached."""
@@ -90,7 +91,9 @@ class Translator:
         try:
             if reading.calibration is not None:
                 pipeline = pipeline.at(reading.calibration)
-            memory, translation.panorama = pipeline.step(memory, reading.scan, reading.pose, timer, reading.labels)
+            memory, translation.panorama = pipeline.step(
+                memory, reading.scan, reading.pose, timer, reading.labels, reading.cameras
+            )
         except self._faults as error:
             translation.error = error
         self._memory = memory

@@ -17,11 +17,11 @@ from lidar2pano.data.pandaset import CLASSES, class_table
 from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera, points_in_camera
+from lidar2pano.geometry.projection import directions
+from lidar2pano.geometry.stitching import BLEND, Camera, stitch
+from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scene.depth import complete_depth
 from lidar2pano.scene.surfaces import ground_plane
-from lidar2pano.geometry.projection import directions
-from lidar2pano.geometry.stitching import BLEND, CameraImage, stitch
-from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.views import VIEWS, View
 from miniature_layouts import CIRCLE_DEG, fisheye_view, kitti360_fisheyes
 from miniature_surround import (
@@ -45,8 +45,8 @@ QUARTER = replace(VIEWS["panorama"].scaled(0.25), origin=(0.2, -0.1, 0.05))
 
 
 @pytest.fixture(scope="module")
-def photos() -> dict[str, CameraImage]:
-    return {name: CameraImage(image=camera_view(one), calibration=one) for name, one in six().items()}
+def photos() -> dict[str, Camera]:
+    return {name: Camera(image=camera_view(one), calibration=one) for name, one in six().items()}
 
 
 def ground_truth(view: View) -> tuple[np.ndarray, torch.Tensor]:
@@ -56,9 +56,9 @@ def ground_truth(view: View) -> tuple[np.ndarray, torch.Tensor]:
     return painting(origin + depth[..., None] * rays), torch.from_numpy(depth).float()
 
 
-def flat(calibration, colour: tuple[int, int, int]) -> CameraImage:
+def flat(calibration, colour: tuple[int, int, int]) -> Camera:
     """A camera that sees one colour."""
-    return CameraImage(image=np.full((SIZE[1], SIZE[0], 3), colour, dtype=np.uint8), calibration=calibration)
+    return Camera(image=np.full((SIZE[1], SIZE[0], 3), colour, dtype=np.uint8), calibration=calibration)
 
 
 # --- composing ------------------------------------------------------------------------------------------------------
@@ -87,7 +87,7 @@ def test_a_place_falls_where_it_is_put_by_hand():
     u, v = round(240 + 300 * 1 / 5), round(144 - 300 * 0.5 / 5)
     painted[v - 2 : v + 3, u - 2 : u + 3] = (255, 9, 7)
     view = replace(QUARTER, origin=(0.0, 0.0, 0.0))
-    colour, valid = stitch([CameraImage(image=painted, calibration=left)], view, torch.full((96, 1152), 30.0))
+    colour, valid = stitch([Camera(image=painted, calibration=left)], view, torch.full((96, 1152), 30.0))
     bright = np.argwhere(colour[..., 0] > 200).mean(0) + 0.5
     column = (180 - math.degrees(math.atan2(5, 1))) / 360 * 1152
     row = (0.24 - 0.5 / math.hypot(1, 5)) / (0.24 + 0.2836) * 96
@@ -136,7 +136,7 @@ def test_a_cameras_own_car_is_not_in_the_panorama():
     lowest = np.flatnonzero(valid[:, 576]).max() + 0.5
     assert 0.24 - lowest / 96 * 0.5236 == pytest.approx(-(200 - 144 - 0.5) / 300, abs=0.006)
     with pytest.raises(ValueError, match="must be"):
-        CameraImage(image=ahead.image, calibration=ahead.calibration, ego_mask=ego_mask[1:])
+        Camera(image=ahead.image, calibration=ahead.calibration, ego_mask=ego_mask[1:])
 
 
 def test_what_stands_before_a_place_hides_it_from_a_camera_beside():
@@ -180,17 +180,17 @@ def test_a_fisheye_is_composed_up_to_its_image_circle(photos):
     lens = replace(kitti360_fisheyes()["image_02"], reach_deg=CIRCLE_DEG)
     view = replace(QUARTER, origin=lens.centre)
     expected, depth = ground_truth(view)
-    colour, valid = stitch([CameraImage(image=fisheye_view(lens), calibration=lens)], view, depth)
+    colour, valid = stitch([Camera(image=fisheye_view(lens), calibration=lens)], view, depth)
     axis = lens.T_camera_lidar[2, :3]
     angle = np.degrees(np.arccos(directions(view).double().numpy() @ axis))
     assert (valid == (angle <= CIRCLE_DEG))[np.abs(angle - CIRCLE_DEG) > 0.01].all() and 0.4 < valid.mean() < 0.6
     off = np.abs(colour - expected)[angle < CIRCLE_DEG - 1]
     assert off.mean() < 0.6 and off.max() < 6, "at the crease between ground and wall; beyond the circle it is 100"
     whole = replace(lens, reach_deg=180.0)
-    _, farther = stitch([CameraImage(image=fisheye_view(lens), calibration=whole)], view, depth)
+    _, farther = stitch([Camera(image=fisheye_view(lens), calibration=whole)], view, depth)
     assert (valid <= farther).all() and farther.sum() > valid.sum() + 1000
     beside, _ = stitch(
-        [*photos.values(), CameraImage(image=fisheye_view(lens), calibration=lens)], QUARTER, ground_truth(QUARTER)[1]
+        [*photos.values(), Camera(image=fisheye_view(lens), calibration=lens)], QUARTER, ground_truth(QUARTER)[1]
     )
     assert np.abs(beside - ground_truth(QUARTER)[0]).mean() < 1
 

@@ -25,6 +25,7 @@ from lidar2pano.bulk.manifest import _made, _parsed
 from lidar2pano.calibration import read_calib
 from lidar2pano.cli import options
 from lidar2pano.data import kitti360, nuscenes, pandaset, semantic_kitti
+from lidar2pano.data.camera_files import read_camera_calibration
 from lidar2pano.data.poses import lidar_poses
 from lidar2pano.drives.folders import times
 from lidar2pano.errors import InputError
@@ -45,6 +46,7 @@ from lidar2pano.train.recipes import RECIPES, recipe_named
 from lidar2pano.views import VIEWS, View
 from miniature_layouts import write_kitti360_layout
 from random_weights import CALIB
+from workshop import CAMERA_YAML
 
 POINTS = 64  # of the scans that are damaged
 IDENTITY = np.eye(4).tolist()
@@ -182,7 +184,7 @@ def json_targets(folder: Path) -> dict[str, Target]:
 def read_pandaset(root: Path, _: Path) -> None:
     frame = pandaset.PandasetFrame(root, VIEWS["panorama"], "1/0")
     path, content = frame.calib
-    assert frame.pose.shape == frame.T_sensor_theirs.shape == (4, 4)
+    assert frame.pose.shape == frame.T_sensor_file.shape == (4, 4)
     for camera in content["cameras"].values():
         if isinstance(camera, dict):
             pandaset._camera_matrix(path, camera)
@@ -195,6 +197,11 @@ def read_nuscenes(path: Path) -> None:
             frame.calibration  # noqa: B018
         with suppress(InputError):
             frame.scan  # noqa: B018
+
+
+def read_camera(path: Path) -> None:
+    camera = read_camera_calibration(path, Path("a.png"), (480, 300))
+    assert np.isfinite(camera.T_camera_lidar).all() and np.isfinite(camera.centre).all()
 
 
 def read_fisheyes(path: Path) -> None:
@@ -224,6 +231,7 @@ def text_targets(folder: Path) -> dict[str, Target]:
 
     found: dict[str, tuple[list[bytes], Mutate, Callable[[bytes], object]]] = {
         "calib.txt": ([CALIB.encode()], odd_text, from_file(folder, "calib.txt", read_calib)),
+        "camera.yaml": ([CAMERA_YAML.encode()], odd_text, from_file(folder, "camera.yaml", read_camera)),
         "poses.txt": ([pose * 3], odd_text, from_file(sequence, "poses.txt", poses)),
         "times.txt": (
             [b"0.0\n0.1\n0.2\n", b"2011-09-26 13:02:25.964389445\n"],

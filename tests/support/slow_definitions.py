@@ -190,10 +190,10 @@ def camera_pixel_slowly(ray: Sequence[float] | np.ndarray, camera: LensCalibrati
         if camera.model == "mei":
             xi, *coefficients = camera.distortion
             ahead = z + xi * math.sqrt(x * x + y * y + z * z)
-        k1, k2, p1, p2, k3 = (*coefficients, 0.0)[:5]
+        k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, 0.0, 0.0, 0.0, 0.0)[:8]
         a, b = x / ahead, y / ahead
         r2 = a * a + b * b
-        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+        radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
         xd = a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a)
         yd = b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
     u, v, _ = camera.K @ np.array([xd, yd, 1.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,6 +12,7 @@ import torch
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError
+from lidar2pano.geometry.stitching import Camera
 from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
 from lidar2pano.memory import Memory
@@ -43,7 +45,13 @@ class StandIn:
         return replace(self, offset=float(calibration.T_camera_lidar[0, 3]))
 
     def step(
-        self, memory: Memory, scan: Scan, pose: None, timer: Timer, labels: np.ndarray | None = None
+        self,
+        memory: Memory,
+        scan: Scan,
+        pose: None,
+        timer: Timer,
+        labels: np.ndarray | None = None,
+        cameras: Sequence[Camera] = (),
     ) -> tuple[Memory, Panorama]:
         """See Pipeline."""
         if scan.xyz[0, 0] > 1000:

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from lidar2pano import demo
 from lidar2pano.models import build
@@ -15,6 +16,13 @@ from sample_files import pcd, ply
 
 CALIB = """P2: 718.856 0 607.1928 45.38225 0 718.856 185.2157 -0.1130887 0 0 1 0.003779761
 Tr: 0 -1 0 0 0 0 -1 -0.08 1 0 0 -0.27
+"""
+CAMERA_YAML = """image_width: 480
+image_height: 300
+camera_matrix: {rows: 3, cols: 3, data: [300, 0, 240, 0, 300, 144, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [-0.1, 0.01, 0.001, -0.002, 0]}
+T_camera_lidar: [0, -1, 0, 0, 0, 0, -1, -0.08, 1, 0, 0, -0.27, 0, 0, 0, 1]
 """
 POSES = "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 1\n"
 CLOUDS = ("scan.bin", "a.bin", "b.bin", "drive/000000.bin", "drive/000001.bin", "incoming/000000.bin")
@@ -30,6 +38,9 @@ def write_workshop(folder: Path) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(demo.street(), path)
     (folder / "calib.txt").write_text(CALIB)
+    (folder / "calib.yaml").write_text(CAMERA_YAML)
+    Image.fromarray(np.tile(np.uint8(120), (300, 480, 3))).save(folder / "photo.jpg")
+    Image.fromarray(np.zeros((300, 480), dtype=np.uint8)).save(folder / "mask.png")
     table = np.fromfile(demo.street(), "<f4").reshape(-1, 4)
     xyz, remission = table[:, :3], table[:, 3]
     for sequence in ("drive/sequences/00", "semantickitti/sequences/00"):

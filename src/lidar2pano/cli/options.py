@@ -15,6 +15,7 @@ from lidar2pano.errors import InputError, closest
 
 if TYPE_CHECKING:
     from lidar2pano.calibration import Calibration
+    from lidar2pano.drives.cameras import CameraOptions
 
 from collections.abc import Iterator
 
@@ -48,6 +49,23 @@ SensorOption = Annotated[
 CalibOption = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="KITTI's calibration of any form: look from that camera, and save its view too."),
+]
+ImageSizeOption = Annotated[str, typer.Option(metavar="WxH", help="Size of that camera's image (1242x375).")]
+JsonOption = Annotated[bool, typer.Option("--json", help="One line of JSON per scan on stdout.")]
+CameraOption = Annotated[
+    list[str],
+    typer.Option(
+        metavar="IMAGE:CALIB",
+        help="A camera's image (or folder of them), whose pixels stay real, and its calibration; several times for"
+        " several.",
+    ),
+]
+CamerasOption = Annotated[
+    str, typer.Option(metavar="auto|none", help="Cameras in the data set; auto: those beside a scan, if known.")
+]
+MaskOption = Annotated[
+    list[Path],
+    typer.Option(metavar="FILE", help="Image, not black on the own vehicle: one for all cameras, or one each."),
 ]
 LookOption = Annotated[
     str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
@@ -88,7 +106,7 @@ EngineOption = Annotated[
     ),
 ]
 SaveOption = Annotated[
-    str, typer.Option(metavar="LIST", help="Outputs: rgb,segments,labels,depth or all; confidence, measured.")
+    str, typer.Option(metavar="LIST", help="Outputs: rgb,segments,labels,depth or all; confidence, measured, source.")
 ]
 ViewOption = Annotated[bool, typer.Option("--view", help="Write DIR/view.html to look around in, and open it.")]
 PlyOption = Annotated[bool, typer.Option("--ply", help="Write DIR/<stem>.ply: the points with colours and classes.")]
@@ -168,6 +186,24 @@ def parse_camera(calib: Path | None, image_size: str) -> Calibration | None:
         raise InputError(f"--image-size {image_size} is the size of a camera's image; name its --calib too")
     size = parse_size(image_size or KITTI_SIZE)
     return read_calib(calib, size) if calib else None
+
+
+def parse_cameras(named: list[str], word: str, masks: list[Path], viewpoint: bool) -> CameraOptions | None:
+    """Return the cameras of --camera, --cameras and --mask; None for none.
+
+    viewpoint  whether an only camera decides where the panorama stands.
+    """
+    from lidar2pano.drives.cameras import CameraOptions, parse_camera
+
+    if word not in ("auto", "none"):
+        raise InputError(f"--cameras {word!r}: is neither auto nor none; name a camera with --camera IMAGE:CALIB")
+    if masks and word == "none" and not named:
+        raise InputError("--mask: there is no camera with --cameras none; leave one of them out")
+    if missing := next((mask for mask in masks if not mask.is_file()), None):
+        raise InputError(f"--mask {missing}: is missing; name an image")
+    cameras = tuple(parse_camera(text) for text in named)
+    options = CameraOptions(named=cameras, masks=tuple(masks), viewpoint=viewpoint)
+    return options if cameras or word == "auto" else None
 
 
 def parse_save(text: str, extra: bool = False) -> tuple[str, ...]:

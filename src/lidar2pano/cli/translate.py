@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from typing import Annotated
 
 import typer
 
@@ -33,9 +32,12 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     device: opt.DeviceOption = "auto",
     sensor: opt.SensorOption = "",
     calib: opt.CalibOption = None,
-    image_size: Annotated[str, typer.Option(metavar="WxH", help="Size of that camera's image (1242x375).")] = "",
+    image_size: opt.ImageSizeOption = "",
+    camera: opt.CameraOption = [],  # noqa: B006 typer copies it
+    cameras: opt.CamerasOption = "auto",
+    mask: opt.MaskOption = [],  # noqa: B006
     save: opt.SaveOption = "rgb",
-    as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per scan on stdout.")] = False,
+    as_json: opt.JsonOption = False,
     steady: opt.SteadyOption = False,
     sensor_height: opt.HeightOption = None,
     forward: opt.ForwardOption = "",
@@ -57,9 +59,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
 ) -> None:
     """Turn scans into panoramas: DIR/<stem>.png, .segments.png, .label, .depth.png, .camera.png."""
     from lidar2pano.cli import batch
-    from lidar2pano.drives.reading import ReadingOptions
-    from lidar2pano.formats.interpretation import Overrides
-    from lidar2pano.formats.readers import ReadOptions
+    from lidar2pano.drives.reading import Overrides, ReadingOptions, ReadOptions
 
     options = batch.checked_options(
         weights,
@@ -76,6 +76,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
             overrides=Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission, invent=invent),
             poses=steady,
             strict=strict,
+            cameras=opt.parse_cameras(camera, cameras, mask, viewpoint=calib is None),
         ),
         image_format=opt.parse_format(image_format),
         ply=ply,

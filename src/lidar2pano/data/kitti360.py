@@ -35,7 +35,7 @@ from lidar2pano.data.surround import SurroundFrame, matrix
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import image_size, read_image
 from lidar2pano.formats.scan_files import read_bin
-from lidar2pano.geometry.stitching import CameraImage
+from lidar2pano.geometry.stitching import Camera
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.name_order import sort_names
 from lidar2pano.scan import Scan
@@ -135,14 +135,14 @@ class Kitti360Frame(SurroundFrame):
         return camera
 
     @cached_property
-    def cameras(self) -> Mapping[str, CameraImage]:
+    def cameras(self) -> Mapping[str, Camera]:
         """The images of the three cameras by name; InputError if one is missing or damaged, or not of its size."""
         image, camera = self.require("image", "calibration")
-        cameras = {CAMERA: CameraImage(image=image, calibration=camera)}
+        cameras = {CAMERA: Camera(image=image, calibration=camera)}
         lenses = fisheye_calibrations(self.root)
         for name, path in self.fisheye_files.items():
             _check_size(path, lenses[name].size, f"{name}.yaml")
-            cameras[name] = CameraImage(image=read_image(path, "RGB"), calibration=lenses[name])
+            cameras[name] = Camera(image=read_image(path, "RGB"), calibration=lenses[name])
         return cameras
 
     @cached_property

@@ -27,7 +27,7 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import image_size
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.formats.scan_files import MOST_BYTES
-from lidar2pano.geometry.stitching import CameraImage
+from lidar2pano.geometry.stitching import Camera
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
 from lidar2pano.views import View
@@ -115,9 +115,17 @@ class NuscenesSample(SurroundFrame):
         return Calibration(K=K, T_camera_lidar=T_camera_lidar, size=image_size(self.file(self.front)))
 
     @cached_property
-    def cameras(self) -> Mapping[str, CameraImage]:
+    def camera_names(self) -> tuple[str, ...]:
         """See SurroundFrame."""
-        return {name: read_camera(self.file(name), *self._mount(name), VEHICLE_LINES.get(name, ())) for name in CAMERAS}
+        return CAMERAS
+
+    def camera_file(self, name: str) -> Path:
+        """See SurroundFrame."""
+        return self.file(name)
+
+    def camera(self, name: str) -> Camera:
+        """See SurroundFrame."""
+        return read_camera(self.file(name), *self._mount(name), VEHICLE_LINES.get(name, ()))
 
     def _mount(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """K and T_camera_lidar of a camera: from the scan to the world, and to the camera when it took its image."""
@@ -164,27 +172,38 @@ class InfoFrame(SurroundFrame):
         self.info, self.entry, self.root = info, entries[name], info.parent
 
     @cached_property
-    def cameras(self) -> Mapping[str, CameraImage]:
+    def camera_names(self) -> tuple[str, ...]:
         """See SurroundFrame."""
         cameras = self._part("images")
         if self.front not in cameras:
             raise InputError(
                 f"{self.info}: sample {self.name} has no camera {self.front}; take the file from the data set"
             )
-        return {
-            name: read_camera(
-                self._file(camera, "img_path"),
-                matrix(self.info, camera, "cam2img", (3, 3)),
-                matrix(self.info, camera, "lidar2cam", (4, 4)) @ FROM_OURS,
-                VEHICLE_LINES.get(name, ()),
-            )
-            for name, camera in cameras.items()
-        }
+        return tuple(cameras)
+
+    def camera_file(self, name: str) -> Path:
+        """See SurroundFrame."""
+        return self._file(self._part("images")[name], "img_path")
+
+    def camera(self, name: str) -> Camera:
+        """See SurroundFrame."""
+        camera = self._part("images")[name]
+        return read_camera(
+            self.camera_file(name),
+            matrix(self.info, camera, "cam2img", (3, 3)),
+            matrix(self.info, camera, "lidar2cam", (4, 4)) @ FROM_OURS,
+            VEHICLE_LINES.get(name, ()),
+        )
+
+    @property
+    def scan_file(self) -> Path:
+        """The file of the scan."""
+        return self._file(self._part("lidar_points"), "lidar_path")
 
     @cached_property
     def whole_scan(self) -> Scan:
         """See SurroundFrame."""
-        return read_sweep(self._file(self._part("lidar_points"), "lidar_path"), self.name)
+        return read_sweep(self.scan_file, self.name)
 
     @cached_property
     def pose(self) -> np.ndarray:
@@ -222,7 +241,7 @@ def frames(root: Path, split: str, view: View) -> FrameList[Frame]:
     )
 
 
-def info_frames(root: Path, split: str, view: View) -> FrameList[Frame]:
+def info_frames(root: Path, split: str, view: View) -> FrameList[InfoFrame]:
     """Return the samples of info.json, in its order; InputError for a split other than "all"."""
     info = root / "info.json"
     content = read_json(info, nan=True)
@@ -241,6 +260,23 @@ def info_frames(root: Path, split: str, view: View) -> FrameList[Frame]:
         ) from error
     open_frame = partial(InfoFrame, info, view, named)
     return FrameList("nuscenes", ((name, open_frame) for name in named))
+
+
+def frame_of(scan_file: Path, view: View) -> NuscenesSample | InfoFrame | None:
+    """Return the sample of a sweep, by its file's place in the data set; None if it belongs to none."""
+    if (scan_file.parent / "info.json").is_file():
+        entries = info_frames(scan_file.parent, "all", view)
+        return next((frame for frame in entries if frame.scan_file.name == scan_file.name), None)
+    root = scan_file.parents[min(2, len(scan_file.parents) - 1)]
+    if scan_file.parent.name != LIDAR:
+        return None
+    name = scan_file.relative_to(root).as_posix().encode()
+    for version in versions(root):
+        index = nuscenes_index(root, version)
+        for row in (index.files[:, CHANNELS.index(LIDAR)] == name).nonzero()[0].tolist():
+            scene = int(np.searchsorted(index.first, row, "right")) - 1
+            return NuscenesSample(index, view, f"{index.scenes[scene]}/{row - int(index.first[scene]):06d}")
+    return None
 
 
 def read_sweep(path: Path, name: str) -> Scan:

@@ -21,7 +21,7 @@ from lidar2pano.data.surround import FROM_RIGHT_FORWARD, SurroundFrame, matrix, 
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.formats.scan_files import MOST_BYTES, read_bin
-from lidar2pano.geometry.stitching import CameraImage
+from lidar2pano.geometry.stitching import Camera
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.name_order import sort_names
 from lidar2pano.scan import Scan
@@ -75,7 +75,7 @@ class PandasetFrame(SurroundFrame):
         return path, content
 
     @cached_property
-    def T_sensor_theirs(self) -> np.ndarray:
+    def T_sensor_file(self) -> np.ndarray:
         """(4, 4): PandaSet's frame -> ours, whose origin is the LiDAR."""
         path, content = self.calib
         mount = matrix(path, content["cameras"][self.front], "cam_from_lidar", (4, 4))
@@ -84,18 +84,22 @@ class PandasetFrame(SurroundFrame):
         return FROM_RIGHT_FORWARD @ to_lidar
 
     @cached_property
-    def cameras(self) -> Mapping[str, CameraImage]:
+    def camera_names(self) -> tuple[str, ...]:
         """See SurroundFrame."""
-        path, content = self.calib
-        return {
-            name: self._camera(path, name, content["cameras"][name]) for name in CAMERAS if name in content["cameras"]
-        }
+        _, content = self.calib
+        return tuple(name for name in CAMERAS if name in content["cameras"])
 
-    def _camera(self, calib: Path, name: str, camera: Any) -> CameraImage:  # noqa: ANN401 of a JSON file
+    def camera_file(self, name: str) -> Path:
+        """See SurroundFrame."""
+        return self.folder / name / f"{self.stem}.jpg"
+
+    def camera(self, name: str) -> Camera:
+        """See SurroundFrame."""
+        calib, content = self.calib
+        camera, path = content["cameras"][name], self.camera_file(name)
         if not isinstance(camera, dict):
             raise InputError(f"{calib}: camera {name} is no object; take the file from the data set")
-        T_camera_sensor = matrix(calib, camera, "cam_from_lidar", (4, 4)) @ np.linalg.inv(self.T_sensor_theirs)
-        path = self.folder / name / f"{self.stem}.jpg"
+        T_camera_sensor = matrix(calib, camera, "cam_from_lidar", (4, 4)) @ np.linalg.inv(self.T_sensor_file)
         image = read_camera(path, _camera_matrix(calib, camera), T_camera_sensor, VEHICLE_LINES.get(name, ()))
         if list(image.calibration.size) != camera.get("size"):
             raise InputError(f"{path}: is not of the size that {calib.name} gives; take both from the data set")
@@ -105,13 +109,13 @@ class PandasetFrame(SurroundFrame):
     def whole_scan(self) -> Scan:
         """See SurroundFrame."""
         scan = read_bin(self.folder / "velodyne" / f"{self.stem}.bin")
-        return replace(scan, xyz=moved(scan.xyz, self.T_sensor_theirs), name=self.name)
+        return replace(scan, xyz=moved(scan.xyz, self.T_sensor_file), name=self.name)
 
     @cached_property
     def pose(self) -> np.ndarray:
         """See Frame."""
         path, content = self.calib
-        return matrix(path, content, "world_from_lidar", (4, 4)) @ np.linalg.inv(self.T_sensor_theirs)
+        return matrix(path, content, "world_from_lidar", (4, 4)) @ np.linalg.inv(self.T_sensor_file)
 
     @cached_property
     def point_labels(self) -> np.ndarray:

@@ -17,7 +17,7 @@ from lidar2pano.formats.image_files import read_image
 from lidar2pano.geometry.camera import at_camera
 from lidar2pano.scene.depth import complete_depth
 from lidar2pano.geometry.projection import RangeImage, project
-from lidar2pano.geometry.stitching import CameraImage, stitch
+from lidar2pano.geometry.stitching import Camera, stitch
 from lidar2pano.labels import COMMON15, TABLES
 from lidar2pano.scan import Scan
 from lidar2pano.views import View
@@ -41,9 +41,27 @@ class SurroundFrame(Frame):
         self._panoramas: dict[View, PanoramaGroundTruth] = {}
 
     @cached_property
-    def cameras(self) -> Mapping[str, CameraImage]:
-        """The images by camera, in the data set's order."""
+    def camera_names(self) -> tuple[str, ...]:
+        """The cameras, in the data set's order."""
         raise NotImplementedError
+
+    def camera(self, name: str) -> Camera:
+        """Read a camera; InputError if its image is missing or damaged."""
+        raise NotImplementedError
+
+    def camera_file(self, name: str) -> Path:
+        """Return the file of a camera's image."""
+        raise NotImplementedError
+
+    @cached_property
+    def T_sensor_file(self) -> np.ndarray:
+        """(4, 4) float64: the coordinates in the scan's file -> the scan's."""
+        return FROM_RIGHT_FORWARD
+
+    @cached_property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The images by camera, in the data set's order."""
+        return {name: self.camera(name) for name in self.camera_names}
 
     @cached_property
     def whole_scan(self) -> Scan:
@@ -107,7 +125,7 @@ class SurroundFrame(Frame):
 
 def read_camera(
     path: Path, K: np.ndarray, T_camera_lidar: np.ndarray, vehicle_line: Sequence[tuple[float, float]] = ()
-) -> CameraImage:
+) -> Camera:
     """Read a camera's image; below the line through the pixels `vehicle_line` (u, v), u rising, it shows the vehicle.
 
     Raises InputError if the image is missing or damaged.
@@ -119,7 +137,7 @@ def read_camera(
         u, v = np.array(vehicle_line).T
         ego_mask = np.arange(height)[:, None] >= np.interp(np.arange(width), u, v)
     calibration = Calibration(K=K, T_camera_lidar=T_camera_lidar, size=(width, height))
-    return CameraImage(image=image, calibration=calibration, ego_mask=ego_mask)
+    return Camera(image=image, calibration=calibration, ego_mask=ego_mask)
 
 
 def matrix(path: Path, entry: Any, name: str, shape: tuple[int, int]) -> np.ndarray:  # noqa: ANN401 of a JSON file

@@ -17,14 +17,16 @@ from typing import NoReturn
 import numpy as np
 import torch
 
-from lidar2pano.calibration import Calibration
-from lidar2pano.drives.drive_motion import Motion, motion_of
+from lidar2pano.calibration import Calibration, LensCalibration
+from lidar2pano.drives.cameras import CameraOptions, cameras_of
+from lidar2pano.drives.drive_motion import Motion, T_scan_cloud, motion_of
 from lidar2pano.drives.folders import drive_files, output_stems
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.geometry.stitching import Camera
 from lidar2pano.hardware import Timer
 from lidar2pano.recordings import reading_process
 from lidar2pano.recordings.recorded_scans import recording_reader
@@ -65,6 +67,7 @@ class Reading:
     pose            (4, 4) float64 T_world_sensor, metres; None if it is unknown or not wanted.
     labels          (N,) int64 ids of SEMANTIC_KITTI in place of the segmenter's; None: the segmenter's.
     calibration     of the camera at whose optical centre the panorama stands; None: the pipeline's own place.
+    cameras         of the same moment, in the scan's frame;  camera_doubts: a sentence on each unreadable one.
     timer           milliseconds of the stages "read" and "pose"; translation goes on with it.
     """
 
@@ -73,7 +76,9 @@ class Reading:
     interpretation: Interpretation | None = None
     pose: np.ndarray | None = None
     labels: np.ndarray | None = None
-    calibration: Calibration | None = None
+    calibration: Calibration | LensCalibration | None = None
+    cameras: tuple[Camera, ...] = ()
+    camera_doubts: tuple[str, ...] = ()
     timer: Timer = field(default_factory=partial(Timer, CPU))
     error: Exception | None = None
 
@@ -86,6 +91,7 @@ class ReadingOptions:
     motion     whether recorded motion of the sensor takes the skew out of scans whose points have times.
     poses      whether a pose is wanted for each scan: estimated by KISS-ICP unless recorded.
     strict     whether an implausible scan is an error.
+    cameras    that are read with each scan; None: none.
     """
 
     selection: ReadOptions = field(default_factory=ReadOptions)
@@ -93,6 +99,7 @@ class ReadingOptions:
     motion: bool = True
     poses: bool = False
     strict: bool = False
+    cameras: CameraOptions | None = None
 
 
 class StreamReader:
@@ -115,7 +122,8 @@ class StreamReader:
             if isinstance(source.stream, Path) and self._options.motion:
                 selection, poses = self._options.selection, self._options.poses
                 self._motion = motion_of(source.stream, reading.scan, reading.interpretation, selection, poses)
-        return move_scan(reading, self._motion, self._options.poses) if self._motion else reading
+        reading = move_scan(reading, self._motion, self._options.poses) if self._motion else reading
+        return read_cameras(reading, self._options.cameras) if self._options.cameras else reading
 
     def __call__(self, sources: Iterable[ScanSource]) -> Iterator[Reading]:
         """Read scans one at a time."""
@@ -149,6 +157,18 @@ def move_scan(reading: Reading, motion: Motion, poses: bool) -> Reading:
     except InputError as error:
         return replace(reading, error=error)
     return replace(reading, scan=scan, pose=pose if poses else None)
+
+
+def read_cameras(reading: Reading, options: CameraOptions) -> Reading:
+    """Read the cameras of a reading's scan. InputError for a wrong number of masks."""
+    source, interpretation = reading.source, reading.interpretation
+    if reading.error or interpretation is None:
+        return reading
+    with reading.timer("images"):
+        stem = stem_of(source.path) if source.number is None else source.stem
+        cameras = cameras_of(source.path, stem, options, T_scan_cloud(interpretation))
+    alone = cameras.alone if options.viewpoint else None
+    return replace(reading, cameras=cameras.read, camera_doubts=cameras.doubts, calibration=alone)
 
 
 def scan_sources(

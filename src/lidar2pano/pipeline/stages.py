@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from lidar2pano.calibration import Calibration
+from lidar2pano.calibration import Calibration, LensCalibration
 from lidar2pano.errors import InputError
 from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.camera import at_camera
@@ -26,6 +26,7 @@ from lidar2pano.geometry.projection import (
     project,
 )
 from lidar2pano.geometry.rasters import likeliest, upsample_azimuth, upsample_classes
+from lidar2pano.geometry.stitching import Camera
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import Memory, remember, steady
@@ -33,6 +34,8 @@ from lidar2pano.models.card import Card
 from lidar2pano.models.painter import LookPainter, StreamPainter
 from lidar2pano.models.salsanext import STRIDE
 from lidar2pano.panorama import Panorama
+from lidar2pano.pipeline.camera_doubts import sound_cameras
+from lidar2pano.pipeline.composition import compose
 from lidar2pano.recordings.recorded_scans import read
 from lidar2pano.scan import OWN_VEHICLE_M, Scan
 from lidar2pano.scene.depth import denser, measured_depth
@@ -146,7 +149,7 @@ class Pipeline:
         raster = f"{self.view.rows} x {self.view.columns}"
         return f"{type(self).__name__}({' -> '.join(networks)}, {raster}, {self.device.type}, {self.engine})"
 
-    def at(self, calibration: Calibration) -> Pipeline:
+    def at(self, calibration: Calibration | LensCalibration) -> Pipeline:
         """Return the pipeline with its viewpoint moved to a camera's optical centre."""
         return replace(self, view=at_camera(self.view, calibration))
 
@@ -164,15 +167,29 @@ class Pipeline:
         self.painter.look_shares(look)
         return replace(self, look=look)
 
-    def __call__(self, scan: Scan | str | Path) -> Panorama:
-        """Return the panorama of a single scan, or of a scan file."""
-        return next(self.stream([read(scan) if isinstance(scan, str | Path) else scan]))
+    def __call__(self, scan: Scan | str | Path, cameras: Sequence[Camera] = ()) -> Panorama:
+        """Return the panorama of a single scan, or of a scan file.
 
-    def stream(self, scans: Iterable[Scan], poses: Iterable[np.ndarray] | None = None) -> Iterator[Panorama]:
-        """Yield panoramas of consecutive scans; with a pose for each (see `remember`), temporally smoothed."""
+        cameras  whose pixels it takes where they see; calibrated in the scan's frame.
+        """
+        scan = read(scan) if isinstance(scan, str | Path) else scan
+        return self.step(Memory(), scan, cameras=cameras)[1]
+
+    def stream(
+        self,
+        scans: Iterable[Scan],
+        poses: Iterable[np.ndarray] | None = None,
+        cameras: Iterable[Sequence[Camera]] | None = None,
+    ) -> Iterator[Panorama]:
+        """Yield panoramas of consecutive scans; with a pose for each (see `remember`), temporally smoothed.
+
+        cameras  of each scan, as for a single one.
+        """
         memory = Memory()
-        for scan, pose in zip(scans, itertools.repeat(None) if poses is None else poses, strict=False):
-            memory, panorama = self.step(memory, scan, pose)
+        every_pose = itertools.repeat(None) if poses is None else poses
+        every_camera = itertools.repeat(()) if cameras is None else cameras
+        for scan, pose, own_cameras in zip(scans, every_pose, every_camera, strict=False):
+            memory, panorama = self.step(memory, scan, pose, cameras=own_cameras)
             yield panorama
 
     def step(
@@ -182,16 +199,24 @@ class Pipeline:
         pose: np.ndarray | None = None,
         timer: Timer | None = None,
         labels: np.ndarray | None = None,
+        cameras: Sequence[Camera] = (),
     ) -> tuple[Memory, Panorama]:
         """Paint one scan of a stream; returns the memory for the next scan, and the panorama.
 
-        pose  as of `remember`;  labels: as of `measure`.
+        pose  as of `remember`;  labels: as of `measure`;  cameras: as of a call.
         """
         timer = timer or Timer(self.device)
         measurement = self.measure(scan, timer, labels)
         scene = self.predict(measurement, timer)
         memory, scene = self.remember(memory, scene, pose, timer)
-        return self.paint(memory, scene, timer)
+        first = memory.frames == 0
+        memory, panorama = self.paint(memory, scene, timer)
+        if cameras:
+            with timer("cameras"):
+                kept, doubts = sound_cameras(cameras, scan, edges=first)
+                panorama = compose(panorama, kept) if kept else panorama
+                panorama = replace(panorama, doubts=doubts)
+        return memory, panorama
 
     def translate(self, scan: Scan, timer: Timer, labels: np.ndarray | None = None) -> Scene:
         """Return the belief about a single scan: `measure`, then `predict`."""

@@ -36,6 +36,11 @@ def same_surface(distance: Tensor, neighbour: Tensor) -> Tensor:
     return torch.maximum(distance, neighbour) < SAME_SURFACE * torch.minimum(distance, neighbour)
 
 
+def hides(nearest: Tensor, inverse: Tensor) -> Tensor:
+    """Return whether a surface hides another by their inverse distances: it is nearer, and not the same surface."""
+    return (nearest > inverse) & ~same_surface(nearest, inverse)
+
+
 def slopes(view: View, *, device: str | torch.device = "cpu") -> Tensor:
     """Return the tangents (H,) float32 of the elevation of a view's rows."""
     row = torch.arange(view.rows, dtype=torch.float64, device=device) + 0.5

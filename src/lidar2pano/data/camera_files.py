@@ -1,0 +1,245 @@
+"""Calibrations of cameras as other programs write them, by content.
+
+KITTI's (`calibration.read_calib`); YAML or JSON of ROS (camera_calibration's CameraInfo), OpenCV, Kalibr, Autoware's
+toolkit, nuScenes' info files and PandaSet's calib/. A pose beside the camera is a matrix under one of the names of
+POSES, in the file or in a second one: most of these tools calibrate a camera by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lidar2pano.bounded_files import read_text
+from lidar2pano.calibration import ROTATION_TOLERANCE, Calibration, LensCalibration, is_camera_matrix, read_calib
+from lidar2pano.errors import InputError
+from lidar2pano.formats.json_files import read_json
+
+# LiDAR -> camera, and camera -> LiDAR
+POSES = ("T_camera_lidar", "T_cam_lidar", "lidar2cam", "cam_from_lidar")
+INVERSE_POSES = ("T_lidar_camera", "T_lidar_cam", "cam2lidar", "CameraExtrinsicMat")
+MATRICES = ("camera_matrix", "CameraMat", "cam2img", "K", "intrinsics")
+COEFFICIENTS = ("distortion_coefficients", "distortion_coeffs", "DistCoeff", "D")
+SIZES = (("image_width", "image_height"), ("width", "height"))
+SIZE_PAIRS = ("resolution", "ImageSize", "size")
+# names of distortion models in ROS, Kalibr and OpenCV -> of LensCalibration, and its most coefficients
+MODELS = {
+    "plumb_bob": ("brown", 5),
+    "radtan": ("brown", 5),
+    "rational_polynomial": ("brown", 8),
+    "equidistant": ("fisheye", 4),
+    "equi": ("fisheye", 4),
+    "fisheye": ("fisheye", 4),
+}
+Entry = Mapping[str, Any]
+
+
+def read_camera_calibration(
+    path: Path, image: Path, size: tuple[int, int], pose: Path | None = None
+) -> Calibration | LensCalibration:
+    """Read the calibration of a camera whose image `image` is of `size` (width, height), in the frame of its LiDAR.
+
+    pose  a second file with the pose, if the first has none.
+    Of a file of several cameras it is the one with the name of the image's folder, or of the image.
+    Raises InputError for an unreadable file, one without a camera, of another size, and for one without a pose.
+    """
+    if path.is_dir() or path.suffix.lower() == ".txt":
+        return _kitti(path, image, size)
+    entry = _entry(path, read_document(path), image)
+    their_size = _size(path, entry)
+    if their_size and their_size != size:
+        raise _other_size(path, image, size, their_size)
+    T_camera_lidar = _pose(pose, read_document(pose)) if pose else _pose(path, entry)
+    if T_camera_lidar is None:
+        raise InputError(
+            f"{pose or path}: has no pose of the camera beside the LiDAR; add {POSES[0]}: [16 numbers], row by row, or"
+            " name a file with it: IMAGE:CALIB:POSE"
+        )
+    K, first = _camera_matrix(path, entry)
+    if not -1 < K[0, 2] < size[0] or not -1 < K[1, 2] < size[1]:
+        raise _other_size(path, image, size, None)
+    return _camera(path, entry, K, first, T_camera_lidar, size)
+
+
+def _kitti(path: Path, image: Path, size: tuple[int, int]) -> Calibration:
+    """Return KITTI's camera of the number in the image's folder: image_3, image_02/data; else 2."""
+    number = next((name[-1] for part in reversed(image.resolve().parts) if (name := part).startswith("image_")), "2")
+    calibration = read_calib(path, size, int(number) if number in "0123" else 2)
+    (width, height), K = size, calibration.K
+    if not 0 < K[0, 2] < width or not 0 < K[1, 2] < height:
+        raise _other_size(path, image, size, None)
+    return calibration
+
+
+def _other_size(path: Path, image: Path, size: tuple[int, int], expected: tuple[int, int] | None) -> InputError:
+    stated = f"is for {expected[0]}x{expected[1]}" if expected else "has its principal point outside"
+    return InputError(f"{image}: is {size[0]}x{size[1]}, but {path} {stated}; name its own image")
+
+
+def read_document(path: Path) -> Entry:
+    """Read a JSON or YAML file, OpenCV's YAML among them; InputError unless it holds names and values."""
+    if path.suffix.lower() == ".json":
+        document = read_json(path, "name a calibration", nan=True)
+    else:
+        try:
+            text = read_text(path)
+        except (OSError, UnicodeDecodeError) as error:
+            reason = (error.strerror or "no reason given") if isinstance(error, OSError) else "not text"
+            raise InputError(f"{path}: cannot be read as a calibration ({reason}); name another file") from error
+        document = _yaml(path, text)
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: holds no calibration of a camera; name a YAML or JSON file with one")
+    return document
+
+
+def _yaml(path: Path, text: str) -> Any:  # noqa: ANN401
+    try:
+        import yaml
+    except ImportError as error:
+        raise InputError(f"{path}: needs the extra 'formats': pip install 'lidar2pano[formats]'") from error
+
+    class Loader(yaml.SafeLoader):
+        """Plain values alone; OpenCV's matrices are mappings."""
+
+        def compose_node(self, parent: Any, index: Any) -> Any:  # noqa: ANN401
+            if self.check_event(yaml.AliasEvent):  # a few lines of them stand for billions of values
+                raise yaml.YAMLError("aliases are not read")
+            return super().compose_node(parent, index)
+
+        def opencv_matrix(self, node: Any) -> Any:  # noqa: ANN401
+            return self.construct_mapping(node, deep=True)
+
+    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", Loader.opencv_matrix)
+    lines = text.splitlines()
+    lines = lines[1:] if lines and lines[0].startswith("%YAML") else lines  # OpenCV's is no YAML
+    try:
+        return yaml.load("\n".join(lines), Loader)  # noqa: S506 a SafeLoader
+    except (yaml.YAMLError, ValueError, RecursionError, OverflowError, TypeError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: is no YAML ({reason}); write it again") from None
+
+
+def _entry(path: Path, document: Entry, image: Path) -> Entry:
+    """Return the part of a document about the camera of an image."""
+    folder = image.resolve().parent.name
+    cameras = document.get("cameras")
+    if isinstance(cameras, dict):  # PandaSet
+        return _named(path, cameras, folder)
+    if isinstance(document.get("data_list"), list):  # nuScenes
+        for sample in document["data_list"]:
+            images = sample.get("images") if isinstance(sample, dict) else None
+            for camera in images.values() if isinstance(images, dict) else ():
+                if isinstance(camera, dict) and Path(str(camera.get("img_path"))).name == image.name:
+                    return camera
+        raise InputError(f"{path}: names no image {image.name!r}; take both from the data set")
+    if any(name in document for name in MATRICES):
+        return document
+    named = {name: part for name, part in document.items() if isinstance(part, dict)}
+    named = {name: part for name, part in named.items() if any(key in part for key in MATRICES)}
+    return _named(path, named, folder)
+
+
+def _named(path: Path, cameras: Entry, folder: str) -> Entry:
+    entry = next(iter(cameras.values())) if len(cameras) == 1 else cameras.get(folder)
+    if isinstance(entry, dict):
+        return entry
+    held = ", ".join(map(str, list(cameras)[:8]))
+    holds = f"holds the cameras {held}, none is called like the image's folder {folder!r}" if held else "has no camera"
+    raise InputError(f"{path}: {holds}; name a calibration of this camera")
+
+
+def _numbers(path: Path, name: str, value: Any) -> np.ndarray:  # noqa: ANN401
+    """Return numbers in a row: of a list, of lists in a list, or of the `data` of a matrix."""
+    value = value.get("data") if isinstance(value, dict) else value
+    try:
+        numbers = np.array(value, dtype=np.float64).ravel()
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{path}: {name}: holds no numbers; name another calibration") from error
+    if not np.isfinite(numbers).all() or numbers.size > 64:
+        raise InputError(f"{path}: {name}: holds no finite numbers; name another calibration")
+    return numbers
+
+
+def _first(entry: Entry, names: Sequence[str]) -> str:
+    return next((name for name in names if entry.get(name) is not None), "")
+
+
+def _size(path: Path, entry: Entry) -> tuple[int, int] | None:
+    """Return (width, height) of a calibration, if it states them."""
+    values = [entry.get(name) for pair in SIZES if pair[0] in entry for name in pair]
+    if not values and (name := _first(entry, SIZE_PAIRS)):
+        values = _numbers(path, name, entry[name]).tolist()
+    if len(values) != 2:
+        return None
+    width, height = _numbers(path, "size", values).tolist()
+    return round(width), round(height)
+
+
+def _camera_matrix(path: Path, entry: Entry) -> tuple[np.ndarray, list[float]]:
+    """Return K (3, 3), and Kalibr's xi where it comes before it."""
+    name = _first(entry, MATRICES)
+    value = entry.get(name)
+    if isinstance(value, dict) and "fx" in value:  # PandaSet
+        value = [value.get(key) for key in ("fx", "fy", "cx", "cy")]
+    numbers = _numbers(path, name or MATRICES[0], value).tolist()
+    first = [numbers.pop(0)] if len(numbers) == 5 else []
+    if len(numbers) == 4:
+        fx, fy, cx, cy = numbers
+        numbers = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+    K = np.array(numbers).reshape(3, 3) if len(numbers) == 9 else np.zeros((3, 3))
+    if not is_camera_matrix(K):
+        raise InputError(
+            f"{path}: {name or 'a camera'}: is no camera matrix (fx s cx, 0 fy cy, 0 0 1); name another calibration"
+        )
+    return K / K[2, 2], first
+
+
+def _pose(path: Path, entry: Entry) -> np.ndarray | None:
+    """Return T_camera_lidar (4, 4), None if there is none."""
+    name = _first(entry, (*POSES, *INVERSE_POSES))
+    if not name:
+        return None
+    numbers = _numbers(path, name, entry[name])
+    if numbers.size not in (12, 16):
+        raise InputError(f"{path}: {name}: must hold 16 numbers (4x4), it has {numbers.size}")
+    T = np.vstack([numbers[:12].reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
+    R = T[:3, :3]
+    if np.linalg.det(R) < 0 or not np.allclose(R @ R.T, np.eye(3), atol=ROTATION_TOLERANCE):
+        raise InputError(f"{path}: {name}: holds no rotation; name another calibration")
+    return np.linalg.inv(T) if name in INVERSE_POSES else T
+
+
+def _camera(
+    path: Path, entry: Entry, K: np.ndarray, first: list[float], T_camera_lidar: np.ndarray, size: tuple[int, int]
+) -> Calibration | LensCalibration:
+    """Return the camera with its lens; without distortion it is a pinhole."""
+    name = _first(entry, COEFFICIENTS)
+    coefficients = _numbers(path, name, entry[name]).tolist() if name else []
+    while coefficients and not coefficients[-1]:
+        coefficients.pop()
+    if not coefficients and not first:
+        return Calibration(K=K, T_camera_lidar=T_camera_lidar, size=size)
+    called = str(entry.get("distortion_model") or ("fisheye" if entry.get("fisheye_model") else "rational_polynomial"))
+    model, most = MODELS.get(called, ("", 0))
+    if len(coefficients) > most or (first and model != "brown"):
+        raise InputError(
+            f"{path}: distortion model {called!r} with {len(coefficients)} coefficients is not known; undistort the"
+            f" images, or give one of {', '.join(MODELS)}"
+        )
+    least = {"fisheye": 4, "brown": 4 if len(coefficients) <= 4 else 5 if len(coefficients) == 5 else 8}[model]
+    coefficients += [0.0] * (least - len(coefficients))
+    if first:
+        model, coefficients = "mei", [*first, *coefficients[:4]]
+    try:
+        return LensCalibration(
+            K=K,
+            T_camera_lidar=T_camera_lidar,
+            size=size,
+            model=model,  # pyright: ignore[reportArgumentType] of MODELS
+            distortion=tuple(coefficients),
+        )
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; name another calibration") from None

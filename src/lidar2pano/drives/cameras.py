@@ -1,0 +1,218 @@
+"""The cameras of a scan: named by the user, or found beside the scan's file in the layouts of known data sets."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from lidar2pano.calibration import Calibration, LensCalibration, read_calib
+from lidar2pano.data import nuscenes, pandaset
+from lidar2pano.data.camera_files import read_camera_calibration
+from lidar2pano.data.surround import SurroundFrame
+from lidar2pano.drives.folders import UNIT_S, times
+from lidar2pano.errors import InputError
+from lidar2pano.formats.file_contents import stem_of
+from lidar2pano.formats.image_files import image_size, read_image
+from lidar2pano.geometry.stitching import Camera
+from lidar2pano.views import VIEWS
+
+IMAGES = (".png", ".jpg", ".jpeg", ".webp")
+STAMP = re.compile(r"(?:^|\D)(\d{16}|\d{18,19})$")  # at the end of a file's stem
+SISTERS = ("image_2", "image_3")  # KITTI odometry's colour cameras
+RAW = ("image_02", "image_03")  # and those of a raw drive
+
+
+class NamedCamera(NamedTuple):
+    """A camera of --camera: an image, or a folder with an image of each scan, by its name; calibration and pose."""
+
+    image: Path
+    calibration: Path
+    pose: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraOptions:
+    """Choice of a scan's cameras: those named, or else those found beside it, if `auto`.
+
+    masks      of the vehicle: one for all of them, or one each, in their order.
+    viewpoint  whether the panorama stands at the optical centre of a scan's only camera: without parallax.
+    """
+
+    named: tuple[NamedCamera, ...] = ()
+    auto: bool = True
+    masks: tuple[Path, ...] = ()
+    viewpoint: bool = True
+
+
+class ScanCameras(NamedTuple):
+    """Readable cameras of a scan, in its frame; a sentence on each of the others; the only camera's calibration."""
+
+    read: tuple[Camera, ...]
+    doubts: tuple[str, ...]
+    alone: Calibration | LensCalibration | None
+
+
+class CameraSource(NamedTuple):
+    """A camera: its name, and a function to read it, in the coordinates of the scan's file."""
+
+    name: str
+    read: Callable[[], Camera]
+
+
+def cameras_of(scan_file: Path, stem: str, options: CameraOptions, T_scan_file: np.ndarray) -> ScanCameras:
+    """Read the cameras of a scan; InputError for a wrong number of masks.
+
+    stem         of the scan's images in a folder of --camera.
+    T_scan_file  (4, 4): from the coordinates of the scan's file, and of calibrations, to the scan's.
+    """
+    sources = [_named(camera, scan_file, stem) for camera in options.named]
+    if not sources and options.auto:
+        try:
+            sources = list(found_beside(scan_file.resolve()))
+        except InputError as error:
+            return ScanCameras((), (f"cameras are left out: {error}",), None)
+    if len(options.masks) > 1 and len(options.masks) != len(sources):
+        raise InputError(
+            f"--mask: {len(options.masks)} masks for {len(sources)} cameras; name one for all, or one each"
+        )
+    masks = options.masks * len(sources) if len(options.masks) == 1 else options.masks or (None,) * len(sources)
+    cameras: list[Camera] = []
+    faults: list[str] = []
+    for source, mask in zip(sources, masks, strict=True):
+        try:
+            camera = source.read()
+            cameras.append(_placed(masked(camera, mask) if mask else camera, source.name, T_scan_file))
+        except InputError as error:
+            faults.append(f"camera {source.name} is left out: {error}")
+    alone = cameras[0].calibration if len(cameras) == len(sources) == 1 else None
+    return ScanCameras(tuple(cameras), tuple(faults), alone)
+
+
+def parse_camera(text: str) -> NamedCamera:
+    """Return the camera of "IMAGE:CALIB" or "IMAGE:CALIB:POSE"; InputError unless all are files or folders."""
+    words = text.split(":")
+    for count in (2, 3):
+        for parts in _groupings(words, count):
+            if all(part and Path(part).exists() for part in parts):
+                return NamedCamera(*map(Path, parts))
+    missing = next((word for word in words if not Path(word).exists()), text)
+    raise InputError(f"--camera {text!r}: is not of the form IMAGE:CALIB[:POSE], or {missing!r} is missing; name files")
+
+
+def _groupings(words: Sequence[str], count: int) -> Iterator[list[str]]:
+    """Yield the ways to join words by ":" to so many texts: a path may have colons."""
+    if count == 1:
+        yield [":".join(words)]
+        return
+    for first in range(1, len(words) - count + 2):
+        for rest in _groupings(words[first:], count - 1):
+            yield [":".join(words[:first]), *rest]
+
+
+def masked(camera: Camera, mask: Path) -> Camera:
+    """Return the camera with the vehicle where a mask image is not black; InputError if it is of another size."""
+    (rows, columns), (width, height) = image_size(mask)[::-1], camera.calibration.size
+    if (columns, rows) != (width, height):
+        raise InputError(f"{mask}: is {columns}x{rows}, the image {width}x{height}; draw the mask on the image")
+    pixels = read_image(mask, "RGB").any(axis=2)
+    return replace(camera, ego_mask=pixels if camera.ego_mask is None else pixels | camera.ego_mask)
+
+
+def _placed(camera: Camera, name: str, T_scan_file: np.ndarray) -> Camera:
+    calibration = camera.calibration
+    T_camera_scan = calibration.T_camera_lidar @ np.linalg.inv(T_scan_file)
+    return replace(camera, calibration=replace(calibration, T_camera_lidar=T_camera_scan), name=name)
+
+
+def _named(camera: NamedCamera, scan_file: Path, stem: str) -> CameraSource:
+    name = camera.image.name if camera.image.is_dir() else f"{camera.image.parent.name}/{camera.image.name}"
+    return CameraSource(name.removeprefix("/"), partial(_read_named, camera, scan_file, stem))
+
+
+def _read_named(camera: NamedCamera, scan_file: Path, stem: str) -> Camera:
+    image = camera.image
+    if image.is_dir():
+        image = next(images_of(image, stem), image / f"{stem}.png")
+    calibration = read_camera_calibration(camera.calibration, image, image_size(image), camera.pose)
+    return _read(scan_file, image, calibration)
+
+
+def _read(scan_file: Path, image: Path, calibration: Calibration | LensCalibration) -> Camera:
+    return Camera(read_image(image, "RGB"), calibration, time_s=seconds_after(scan_file, image))
+
+
+def images_of(folder: Path, stem: str) -> Iterator[Path]:
+    """Return the images of a folder with this stem."""
+    return (path for ending in IMAGES if (path := folder / f"{stem}{ending}").is_file())
+
+
+def seconds_after(scan_file: Path, image: Path) -> float | None:
+    """Return when an image was taken, seconds after the scan; None if a time is unknown.
+
+    Times are the numbers of microseconds or nanoseconds at the ends of names, or in lists of times beside the files.
+    """
+    stamps = [_stamp(path) for path in (scan_file, image)]
+    return None if stamps[0] is None or stamps[1] is None else stamps[1] - stamps[0]
+
+
+def _stamp(path: Path) -> float | None:
+    if match := STAMP.search(stem_of(path)):
+        return int(match[1]) * UNIT_S[len(match[1])]
+    try:
+        stamps_s = times([path])
+    except InputError:
+        return None
+    return stamps_s[0] if stamps_s else None
+
+
+def found_beside(scan_file: Path) -> Iterator[CameraSource]:
+    """Yield the cameras of a scan file in a layout of KITTI (odometry, raw drives), PandaSet or nuScenes; or none."""
+    folder, stem = scan_file.parent, stem_of(scan_file)
+    if folder.name == "velodyne" and (folder.parent / "calib" / f"{stem}.json").is_file():
+        frame = pandaset.PandasetFrame(folder.parents[2], VIEWS["panorama"], f"{folder.parent.name}/{stem}")
+        yield from _of_frame(scan_file, frame)
+    elif folder.name == "velodyne":
+        yield from _beside_velodyne(scan_file)
+    elif folder.name == "data" and folder.parent.name == "velodyne_points":
+        drive = folder.parents[1]
+        for number, name in enumerate(RAW, 2):
+            for image in images_of(drive / name / "data", stem):
+                yield CameraSource(name, partial(_read_kitti, scan_file, image, drive, number))
+    elif frame := nuscenes.frame_of(scan_file, VIEWS["panorama"]):
+        yield from _of_frame(scan_file, frame)
+
+
+def _beside_velodyne(scan_file: Path) -> Iterator[CameraSource]:
+    """Yield KITTI odometry's cameras; and those of sequences beside it with links to the same scan."""
+    sequence = scan_file.parents[1]
+    family = sequence.name.rpartition("-")[0]
+    sisters = sorted(sequence.parent.glob(f"{family}-*")) if family else []
+    for folder in [sequence, *(sister for sister in sisters if sister != sequence)]:
+        other = folder / "velodyne" / scan_file.name
+        if folder != sequence and not (other.is_file() and other.samefile(scan_file)):
+            continue
+        for number, name in enumerate(SISTERS, 2):
+            for image in images_of(folder / name, stem_of(scan_file)):
+                source = name if folder == sequence else f"{folder.name}/{name}"
+                yield CameraSource(source, partial(_read_kitti, scan_file, image, folder, number))
+
+
+def _read_kitti(scan_file: Path, image: Path, calibration: Path, number: int) -> Camera:
+    return _read(scan_file, image, read_calib(calibration, image_size(image), number))
+
+
+def _of_frame(scan_file: Path, frame: SurroundFrame) -> Iterator[CameraSource]:
+    for name in frame.camera_names:
+        yield CameraSource(name, partial(_read_of_frame, scan_file, frame, name))
+
+
+def _read_of_frame(scan_file: Path, frame: SurroundFrame, name: str) -> Camera:
+    camera, time_s = frame.camera(name), seconds_after(scan_file, frame.camera_file(name))
+    T_camera_file = camera.calibration.T_camera_lidar @ frame.T_sensor_file
+    return replace(camera, calibration=replace(camera.calibration, T_camera_lidar=T_camera_file), time_s=time_s)

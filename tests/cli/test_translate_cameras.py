@@ -1,0 +1,64 @@
+"""`translate` with cameras: found, named, failing."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lidar2pano.cli import main
+from miniature_surround import write_pandaset
+
+
+@pytest.fixture
+def translate(random_weights, capsys):
+    """A function that runs `translate` with the small family: (exit code, stdout, stderr)."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        code = main(["translate", *map(str, arguments), "--weights", str(random_weights), "--device", "cpu"])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def test_cameras_beside_a_scan_keep_their_pixels(tmp_path, translate):
+    scan_file = write_pandaset(tmp_path / "data") / "sequences/002/velodyne/000000.bin"
+    out = tmp_path / "out"
+    code, text, _ = translate(scan_file, "--out", out, "--save", "rgb,source", "--ply", "--json")
+    record = json.loads(text)
+    assert code == 0 and len(record["cameras"]) == 6 and "cameras" in record["milliseconds"]
+    source = np.asarray(Image.open(out / "000000.source.png"))
+    assert (source > 0).mean() > 0.9
+    assert b"property uchar source" in (out / "000000.ply").read_bytes()[:600]
+    real = np.asarray(Image.open(out / "000000.png"))
+    code, text, _ = translate(scan_file, "--out", out, "--cameras", "none", "--json")
+    assert code == 0 and json.loads(text)["cameras"] == []
+    assert (np.asarray(Image.open(out / "000000.png")) != real).any(2)[source > 0].mean() > 0.9
+
+
+def test_failing_cameras_are_one_line_each_and_the_rest_goes_on(tmp_path, translate):
+    sequence = write_pandaset(tmp_path / "data") / "sequences/002"
+    Image.new("RGB", (480, 300)).save(sequence / "left_camera/000000.jpg")
+    (sequence / "back_camera/000000.jpg").write_bytes(b"?")
+    code, text, errors = translate(sequence / "velodyne/000000.bin", "--out", tmp_path / "out", "--json")
+    assert code == 0 and len(json.loads(text)["cameras"]) == 4
+    left_out = [line for line in errors.splitlines() if "is left out" in line]
+    assert len(left_out) == 2
+    assert any("left_camera is left out: its image is black" in line for line in left_out)
+    assert any("back_camera is left out" in line and "no readable image" in line for line in left_out)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--camera", "a.jpg:b.yaml"], "--camera 'a.jpg:b.yaml'"),
+        (["--cameras", "some"], "--cameras 'some': is neither auto nor none"),
+        (["--mask", "m.png"], "--mask m.png: is missing"),
+        (["--mask", "m.png", "--cameras", "none"], "there is no camera"),
+    ],
+)
+def test_mistakes_are_one_line(tmp_path, translate, arguments, says):
+    code, _, errors = translate(tmp_path, *arguments)
+    assert code == 2 and says in errors and len(errors.splitlines()) == 1
