@@ -149,6 +149,7 @@ def test_json_lines(here, translate, random_weights):
             "points": 4000,
             "dropped": dropped,
             "beyond_rows": 0,
+            "cameras": [],
             "weights": str(random_weights),
             "device": "cpu",
             "engine": "torch",

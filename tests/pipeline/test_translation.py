@@ -21,7 +21,7 @@ from stand_in_pipeline import StandIn
 class Counting(StandIn):
     """Notes the number of scans in each memory that it gets, and counts the scan in."""
 
-    def step(self, memory, scan, pose, timer, labels=None):
+    def step(self, memory, scan, pose, timer, labels=None, cameras=()):
         self.cards.setdefault("frames", []).append(memory.frames)
         _, panorama = super().step(memory, scan, pose, timer, labels)
         return replace(memory, frames=memory.frames + 1), panorama

@@ -169,7 +169,7 @@ def test_overrides_are_those_of_translate(scan):
     readings = []
 
     class Listener(StandIn):
-        def step(self, memory, scan, pose, timer, labels=None):
+        def step(self, memory, scan, pose, timer, labels=None, cameras=()):
             readings.append(scan.xyz.copy())
             return super().step(memory, scan, pose, timer, labels)
 
