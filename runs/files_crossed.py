@@ -39,6 +39,8 @@ def traced(command: list[str], begins: Callable[[str, str], bool], ends: Callabl
         if event == "call" and begun > 1 and ended < 2:
             calls[file.removeprefix(PACKAGE)] += 1
         ended += ends(event, name)
+        if ended == 2:
+            raise SystemExit  # the rest of the command counts for nothing
 
     sys.setprofile(note)
     try:
