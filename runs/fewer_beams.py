@@ -14,8 +14,9 @@ from pathlib import Path
 
 from lidar2pano.data.frames import Frame
 from lidar2pano.data.layouts import frames
-from lidar2pano.data.range_images import HDL64E_BEAM_DEG, bands
+from lidar2pano.data.range_images import HDL64E_BEAM_DEG
 from lidar2pano.evaluate import MetricConfig, score, system
+from lidar2pano.scan import bands
 
 EVERY = (1, 2, 4)
 ROWS = {

@@ -11,21 +11,12 @@ from lidar2pano.data.camera_pairs import FrontViewDataset
 from lidar2pano.data.frames import IGNORE, SampleIndex, evenly_spaced
 from lidar2pano.data.layouts import frames, frames_of
 from lidar2pano.data.panorama_crops import SHIFT_PX, PanoramaDataset, mirrored
-from lidar2pano.data.range_images import (
-    RangeImageDataset,
-    ScanAugmentation,
-    augmented,
-    drop_points,
-    drop_rings,
-    mirror,
-    turn,
-    vary_remission,
-)
+from lidar2pano.data.range_images import RangeImageDataset, ScanAugmentation, augmented
 from lidar2pano.errors import InputError
 from lidar2pano.formats.remission import STAND_IN
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON14, COMMON15
-from lidar2pano.scan import Scan
+from lidar2pano.scan import Scan, drop_points, drop_rings, mirror, turn, vary_remission
 from lidar2pano.views import VIEWS
 from miniature import HOUSE, ROAD, SPLITS, street, write_data_set
 from miniature_video import write_video

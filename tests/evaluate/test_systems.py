@@ -14,7 +14,6 @@ from installed_families import install_only
 from lidar2pano.calibration import Calibration, read_calib
 from lidar2pano.data.frames import Frame
 from lidar2pano.data.layouts import frames
-from lidar2pano.data.range_images import drop_points
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import SystemInput, system
 from lidar2pano.evaluate.camera_systems import (
@@ -32,6 +31,7 @@ from lidar2pano.labels import COMMON15, TABLES
 from lidar2pano.memory import Memory
 from lidar2pano.models.card import Card, read_card, save
 from lidar2pano.pipeline import load
+from lidar2pano.scan import drop_points
 from lidar2pano.scene.depth import denser
 from lidar2pano.train.colour import ColourTask
 from lidar2pano.train.front import FrontDepthTranslation, FrontTask

@@ -19,8 +19,8 @@ from lidar2pano.errors import InputError
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, save
 from lidar2pano.train.checkpoint import Progress, commit, load_checkpoint, make_card, save_checkpoint, trained_on
+from lidar2pano.train.engine import EMA, averaged, clip, learning_rate, make_optimizer
 from lidar2pano.train.environment import Timer, choose_precision
-from lidar2pano.train.optimisation import EMA, averaged, clip, learning_rate, make_optimizer
 from lidar2pano.train.painter_recipes import ScenePaintingOptions
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training
 from lidar2pano.train.sampling import BatchSampler, batches, sample_at, seed_step

@@ -20,11 +20,10 @@ from lidar2pano.calibration import Calibration
 from lidar2pano.data.cache import LruCache, PredictedLabels, Predictions
 from lidar2pano.data.frames import Frame, SampleIndex
 from lidar2pano.data.layouts import frames_of
-from lidar2pano.data.range_images import drop_points, labelled, mirror
 from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.geometry.projection import Normalisation, project
 from lidar2pano.labels import TABLES
-from lidar2pano.scan import Scan
+from lidar2pano.scan import Scan, drop_points, mirror
 from lidar2pano.views import View
 
 CITYSCAPES_TO_COMMON14 = np.zeros(256, dtype=np.uint8)  # unknown pixels and the sky are unlabeled, as in the paper
@@ -142,7 +141,7 @@ class FrontViewDataset:
         scan, camera_labels = frame.scan, torch.zeros(0, 0, dtype=torch.uint8)
         image, depth_m = torch.zeros(3, 0, 0, dtype=torch.uint8), torch.zeros(0, 0)
         if self.parts.labels:
-            scan = labelled(frame) if self.predicted is None else replace(scan, label=self.predicted.of(frame))
+            scan = frame.labelled_scan() if self.predicted is None else replace(scan, label=self.predicted.of(frame))
             ids = torch.from_numpy(CITYSCAPES_TO_COMMON14[frame.require("camera_labels")[0]])[None, None]
             camera_labels = interpolate(ids, size=self.size, mode="nearest-exact")[0, 0]
         if self.parts.image:

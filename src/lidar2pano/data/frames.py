@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, overload
@@ -101,6 +101,11 @@ class Frame:
             if value is None:
                 raise InputError(self.missing(part))
         return values
+
+    def labelled_scan(self) -> Scan:
+        """Return the scan with its point labels; InputError if they are missing."""
+        scan, labels = self.require("scan", "point_labels")
+        return replace(scan, label=labels)
 
     def missing(self, part: str) -> str:
         """Return the message of the error if a needed part is not there."""

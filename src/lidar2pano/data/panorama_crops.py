@@ -23,11 +23,11 @@ from lidar2pano.data.frames import (
     evenly_spaced,
 )
 from lidar2pano.data.layouts import frames_of
-from lidar2pano.data.range_images import COARSE_BAND_DEG, drop_points, drop_rings
+from lidar2pano.data.range_images import COARSE_BAND_DEG
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
 from lidar2pano.geometry.projection import pixels, project
-from lidar2pano.scan import Scan
+from lidar2pano.scan import Scan, drop_points, drop_rings
 from lidar2pano.views import View
 
 SHIFT_PX = 24  # how far left or right of the camera's middle a crop may begin

@@ -1,4 +1,4 @@
-"""Augmentation of scans; RangeImageDataset, for the LiDAR's segmenter: range images and their pixels' labels."""
+"""RangeImageDataset, for the LiDAR's segmenter: augmented scans as range images, and their pixels' labels."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import torch
 from torch import Tensor
 
 from lidar2pano.data.cache import LruCache
-from lidar2pano.data.frames import Frame, SampleIndex, evenly_spaced
+from lidar2pano.data.frames import SampleIndex, evenly_spaced
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.formats.remission import STAND_IN
 from lidar2pano.geometry.projection import Normalisation, fitted_view, project
 from lidar2pano.labels import SEMANTIC_KITTI
-from lidar2pano.scan import Scan
+from lidar2pano.scan import Scan, drop_points, drop_rings, mirror, shift, turn, vary_remission
 from lidar2pano.views import View
 
 # Heights of the bands of elevation left out by two augmentations.
@@ -90,7 +90,7 @@ class RangeImageDataset:
 
     def scan(self, index: int) -> Scan:
         """Return the labelled scan of a frame."""
-        return self._cache.get(index, lambda: labelled(self.frames[index]))
+        return self._cache.get(index, lambda: self.frames[index].labelled_scan())
 
     def class_counts(self) -> np.ndarray:
         """Return (K,) int64: points of each class of SEMANTIC_KITTI, in up to 500 evenly spaced frames."""
@@ -115,11 +115,6 @@ class RangeImageDataset:
         return RangeImageSample(self.normalise(range_image), range_image.spread(torch.from_numpy(scan.label)), name)
 
 
-def labelled(frame: Frame) -> Scan:
-    """Return a frame's scan with its point labels; InputError if they are missing."""
-    scan, labels = frame.require("scan", "point_labels")
-    return replace(scan, label=labels)
-
 
 def augmented(scan: Scan, generator: np.random.Generator, augmentation: ScanAugmentation) -> Scan:
     """Augment as SalsaNext: move, mirror, turn, drop up to half of the points; vary or drop remission, drop beams."""
@@ -138,57 +133,13 @@ def augmented(scan: Scan, generator: np.random.Generator, augmentation: ScanAugm
     return vary_remission(scan, generator, augmentation.remission) if augmentation.remission else scan
 
 
-def drop_points(scan: Scan, generator: np.random.Generator, share: float) -> Scan:
-    """Leave out a share of the points at random."""
-    return _subset(scan, generator.random(len(scan)) >= share)
 
 
-def drop_rings(scan: Scan, generator: np.random.Generator, steps_deg: float, share: float) -> Scan:
-    """Leave out bands of elevation of `steps_deg` degrees at random: a sensor of fewer beams."""
-    band = bands(scan, steps_deg)
-    return _subset(scan, generator.random(band.max(initial=0) + 1)[band] >= share)
 
 
-def bands(scan: Scan, steps_deg: float) -> np.ndarray:
-    """Return the band of elevation of each point, (N,) int64: bands are `steps_deg` degrees high, the nadir's is 0.
 
-    NaN points are in the nadir's.
-    """
-    elevation = np.degrees(np.arctan2(scan.xyz[:, 2], np.hypot(scan.xyz[:, 0], scan.xyz[:, 1])))
-    return np.floor((np.nan_to_num(elevation, nan=-90.0) + 90) / steps_deg).astype(np.int64)
-
-
-def mirror(scan: Scan) -> Scan:
-    """Swap left and right: y -> -y."""
-    return replace(scan, xyz=scan.xyz * np.array([1, -1, 1], dtype=np.float32))
-
-
-def turn(scan: Scan, angle: float) -> Scan:
-    """Turn the scan about the vertical axis by `angle` radians, counter-clockwise."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    R = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]], dtype=np.float32)
-    return replace(scan, xyz=scan.xyz @ R.T)
-
-
-def shift(scan: Scan, generator: np.random.Generator, reach_m: tuple[float, float, float]) -> Scan:
-    """Move the scan by up to reach_m (x, y, z) either way."""
-    return replace(
-        scan, xyz=scan.xyz + generator.uniform(-1, 1, 3).astype(np.float32) * np.array(reach_m, dtype=np.float32)
-    )
-
-
-def vary_remission(scan: Scan, generator: np.random.Generator, reach: float) -> Scan:
-    """Another sensor's scale of remission: all times 1 +- reach, and up to a fifth of `reach` more or less."""
-    factor, offset = generator.uniform(1 - reach, 1 + reach), generator.uniform(-reach, reach) / 5
-    changed = np.clip(scan.remission * factor + offset, 0, 1).astype(np.float32)
-    return replace(scan, remission=changed)
 
 
 def drop_remission(scan: Scan) -> Scan:
     """Return a scan of a sensor without remission: all points have the stand-in value."""
     return replace(scan, remission=np.full_like(scan.remission, STAND_IN))
-
-
-def _subset(scan: Scan, kept: np.ndarray) -> Scan:
-    label = None if scan.label is None else scan.label[kept]
-    return replace(scan, xyz=scan.xyz[kept], remission=scan.remission[kept], label=label)
