@@ -39,8 +39,8 @@ setup-dev: .venv/.ready-dev
 demo: setup
 	$(BIN)/lidar2pano demo
 
-test: setup-dev
-	$(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadscope
+test: setup-dev # in the order of the folders: modules of many tests first would leave the long ones of few for the end
+	$(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadscope --no-loadscope-reorder
 
 test-released: setup-dev
 	$(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadgroup --released -m released $(if $(ONLY),-k '$(ONLY)') tests/released
