@@ -60,9 +60,9 @@ ABRIDGED = {  # word of a line -> words in its place
     "fast-segmenter-mini --data ROOT": "fast-segmenter-mini --data ROOT --set training.steps=1 --set training.batch=1 "
     "--set training.workers=0",
     "lidar2pano bench": "lidar2pano bench --runs 1",
-    "--budget 20m": "--budget 1steps --rows titan --frames 1",
-    "reproduce --data ROOT --out DIR --rows titan,pix2pix": "reproduce --data ROOT --out DIR --rows pix2pix "
-    "--budget 1steps --frames 1",
+    "--budget 20m": "--budget 1steps --rows scunet --frames 1 --set scunet.training.batch=1 "
+    "--set scunet.training.workers=0",
+    "--rows titan,pix2pix": "--rows titan,pix2pix --budget 1steps --frames 1",
     "/data/": "data/",
     "FAMILY/": f"{ROOT}/src/lidar2pano/weights/world/",
     "--shard $SLURM_ARRAY_TASK_ID/64": "--shard 0/1",
