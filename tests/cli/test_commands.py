@@ -319,7 +319,7 @@ def test_evaluate_side_by_side(here, random_weights, front_weights, capsys):
 
 
 def test_a_person_chooses_between_two_systems_on_a_page(here, random_weights, capsys):
-    data = write_data_set(here / "mini")
+    data = write_data_set(here / "mini", size=(310, 94))
     systems = [str(random_weights), str(shutil.copytree(random_weights, here / "second"))]
     command = ["evaluate", *systems, "--data", str(data), "--split", "val", "--metrics", "pictures,camera"]
     assert main([*command, "--pairs", "choose"]) == 0

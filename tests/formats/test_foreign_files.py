@@ -71,8 +71,8 @@ def test_it_is_named(tmp_path, content, says, name):
 def test_no_row_of_floats_begins_so():
     random = np.random.default_rng(0)
     data = random.normal(0, 30, 1 << 20).astype("<f4").tobytes()
-    starts = range(0, len(data) - 400, 16)
-    assert [start for start in starts if foreign_kind(data[start : start + 400], made.Path("a.bin"))] == []
+    starts, path = range(0, len(data) - 400, 16), made.Path("a.bin")
+    assert [start for start in starts if foreign_kind(data[start : start + 400], path)] == []
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
