@@ -122,20 +122,21 @@ def few_steps(recipe: list[str], root: Path, out: Path) -> None:
 
 def rates(root: Path) -> dict[str, float]:
     """Samples per second and core of the data sets, by processor time, each of a frame that was not read before."""
-    from lidar2pano.data import camera_images, camera_pairs, clips, panorama_crops, range_images
+    from lidar2pano.data import camera_pairs, clips, panorama_crops, range_images
     from lidar2pano.data.frames import SampleIndex
+    from lidar2pano.train import camera_segmentation
     from lidar2pano.views import VIEWS
 
     splits, half = ("train",), VIEWS["panorama"].scaled(0.5)
     parts = camera_pairs.SampleParts(image=True, depth=True)
-    crop = camera_images.ImageAugmentation(crop=(320, 640))
+    crop = camera_segmentation.ImageAugmentation(crop=(320, 640))
     framing = clips.Framing(rows=128, columns=384, scale=0.5)
     sets = {
         "RangeImageDataset": range_images.RangeImageDataset(root, splits, VIEWS["hdl64e"], 1024),
         "PanoramaDataset": panorama_crops.PanoramaDataset(root, splits, half, 576, image=True),
         "FrontViewDataset": camera_pairs.FrontViewDataset(root, splits, VIEWS["titan-front"], (376, 1241), parts),
         "CameraProjectionDataset": camera_pairs.CameraProjectionDataset(root, splits, (376, 1241)),
-        "CameraImageDataset": camera_images.CameraImageDataset(root, splits, crop),
+        "CameraImageDataset": camera_segmentation.CameraImageDataset(root, splits, crop),
         "ClipDataset (6 frames)": clips.ClipDataset(root, ("drive",), framing, 6),
     }
     measurements = {}

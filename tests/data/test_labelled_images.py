@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lidar2pano.data.camera_images import CameraImageDataset, ImageAugmentation
 from lidar2pano.data.camera_pairs import FrontViewDataset
 from lidar2pano.data.clips import ClipDataset, Framing
 from lidar2pano.data.frames import IGNORE, SampleIndex
@@ -14,6 +13,7 @@ from lidar2pano.data.labelled_images import TRAIN_IDS
 from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.labels import CITYSCAPES, CITYSCAPES_IDS
+from lidar2pano.train.camera_segmentation import CameraImageDataset, ImageAugmentation
 from lidar2pano.views import VIEWS
 from miniature import SIZE, camera_view
 from miniature_images import write_cityscapes, write_folders

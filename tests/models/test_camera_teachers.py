@@ -17,13 +17,6 @@ from torch import Tensor
 from torch.utils.data import default_collate
 
 from golden_fill import fill
-from lidar2pano.data.camera_images import (
-    PADDING_RGB,
-    CameraImageDataset,
-    CameraImageSample,
-    ImageAugmentation,
-    augmented,
-)
 from lidar2pano.data.frames import IGNORE, SampleIndex
 from lidar2pano.errors import InputError
 from lidar2pano.hardware import has_bfloat16
@@ -34,7 +27,14 @@ from lidar2pano.models import build, camera_teachers
 from lidar2pano.models.camera_teachers import CameraSegmenter, CameraTeacher, ImageNormalisation
 from lidar2pano.models.card import Card, load, read_card, save
 from lidar2pano.models.sdnet import SdNet
-from lidar2pano.train.camera_segmentation import CameraSegmentation
+from lidar2pano.train.camera_segmentation import (
+    PADDING_RGB,
+    CameraImageDataset,
+    CameraImageSample,
+    CameraSegmentation,
+    ImageAugmentation,
+    augmented,
+)
 from lidar2pano.train.engine import train
 from lidar2pano.train.recipe import Recipe, override
 from lidar2pano.train.recipes import recipe_named

@@ -32,7 +32,7 @@ from lidar2pano.formats.readers import read
 from lidar2pano.hardware import Timer
 from lidar2pano.memory import Memory
 from lidar2pano.serve import BoundedConnection, Limits, UploadTranslator, create_application, is_loopback
-from lidar2pano.serve.fair_queue import FairQueue
+from lidar2pano.serve.application import FairQueue
 from lidar2pano.serve.uploads import KeptResults, Result, known_ending, parse_parts
 from random_weights import street, write_scan
 from stand_in_pipeline import StandIn

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import cached_property, partial
-from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
