@@ -106,8 +106,8 @@ def test_nuscenes_own_layout_has_six_cameras(tmp_path):
     root = write_nuscenes_layout(tmp_path)
     scan_file = sorted((root / "samples/LIDAR_TOP").iterdir())[0]
     found = cameras_of(scan_file, "", CameraOptions(), np.eye(4))
-    assert len(found.read) + len(found.doubts) == 6
-    assert {one.name for one in found.read} <= {
+    assert len(found.cameras) + len(found.doubts) == 6
+    assert {one.name for one in found.cameras} <= {
         "CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_FRONT_LEFT"
     }  # fmt: skip
 
@@ -219,6 +219,6 @@ def test_calibrations_move_with_the_frame(tmp_path):
     scan_file = odometry(tmp_path)
     T_scan_file = np.eye(4)
     T_scan_file[:3, 3] = 1, 2, 3
-    moved = cameras_of(scan_file, "000003", CameraOptions(), T_scan_file).read[0].calibration
+    moved = cameras_of(scan_file, "000003", CameraOptions(), T_scan_file).cameras[0].calibration
     assert moved.centre == pytest.approx(np.add(AHEAD.centre, (1, 2, 3)))
     assert replace(moved, T_camera_lidar=AHEAD.T_camera_lidar).centre == pytest.approx(AHEAD.centre)

@@ -121,7 +121,8 @@ def test_the_own_vehicle_is_left_out(photos):
     assert 0 < part.sum() < 0.9 * whole.sum() and not (part > whole).any()
 
 
-def test_the_invention_goes_over_into_what_is_seen_and_stays_itself_far_away():
+def test_the_invention_goes_over_into_what_is_seen_and_stays_itself_far_away(monkeypatch):
+    monkeypatch.setattr(composition, "transferred", lambda colour, *_: colour.movedim(2, 0).float())
     view = replace(QUARTER, origin=(0.0, 0.0, 0.0))
     depth_m = np.full((view.rows, view.columns), 12.0, dtype=np.float32)
     picture = np.full((300, 480, 3), 150, dtype=np.uint8)

@@ -10,6 +10,7 @@ import typer
 from lidar2pano.cli.app import app
 from lidar2pano.cli.console import print_error
 from lidar2pano.cli.options import EngineOption
+from lidar2pano.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -30,6 +31,16 @@ MetricsOption = Annotated[
 PairsOption = Annotated[
     Path | None,
     typer.Option(metavar="DIR", help="Also write a page on which a person chooses between two systems' pictures."),
+]
+OutOption = Annotated[
+    Path, typer.Option(metavar="DIR", help="Folder for the worst frames, and for the views of --leave-out.")
+]
+LeaveOutOption = Annotated[
+    str,
+    typer.Option(
+        metavar="CAMERA|each",
+        help="Hide this camera, or each in turn, and predict its view without and with the other cameras.",
+    ),
 ]
 
 
@@ -60,8 +71,9 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     ] = None,
     as_csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Also write every value as CSV.")] = None,
     worst: Annotated[int, typer.Option(min=0, metavar="N", help="Also list the N worst frames, with images.")] = 0,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the worst frames.")] = Path("worst"),
+    out: OutOption = Path("worst"),
     pairs: PairsOption = None,
+    leave_out: LeaveOutOption = "",
     device: Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")] = "auto",
     engine: EngineOption = "torch",  # scores do not depend on what is installed
 ) -> None:
@@ -72,9 +84,12 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.evaluate.pictures import Preferences
     from lidar2pano.hardware import keep_buffers
 
-    check_outputs(as_json, as_csv, out if worst else None, pairs)
+    check_outputs(as_json, as_csv, out if worst or leave_out else None, pairs)
     keep_buffers()
     scored = frames(data, split)
+    if leave_out:
+        leave_out_cameras(weights, scored, leave_out, out, as_json, device, engine)
+        return
     config = MetricConfig.parse(metrics, inception=inception, sdnet=sdnet, device=device)
     systems = [system(name, device=device, sensor=sensor, engine=engine) for name in dict.fromkeys(weights)]
     name = data.resolve().name
@@ -90,6 +105,34 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
         print_error(f"choose between the pictures: {preferences.write()}")
     note_systems(systems)
     print(report.table(summary))
+
+
+def leave_out_cameras(
+    weights: Sequence[str],
+    frames: Sequence[Frame],
+    leave_out: str,
+    out: Path,
+    as_json: Path | None,
+    device: str,
+    engine: str,
+) -> None:
+    """Score the views of hidden cameras, write a sheet of each, and print a table."""
+    from lidar2pano.cli.console import bar
+    from lidar2pano.cli.options import write_json
+    from lidar2pano.evaluate import MetricConfig
+    from lidar2pano.evaluate.hidden_cameras import score_hidden, table
+    from lidar2pano.pipeline import load
+
+    if len(weights) != 1:
+        raise InputError(f"--leave-out scores one family of weights, not {len(weights)}; name one")
+    patches = MetricConfig.parse("pictures,camera", device=device).patches
+    pipeline = load(weights[0], device, engine)
+    with bar(len(frames), f"hiding {leave_out}") as advance:
+        scores = score_hidden(pipeline, frames, leave_out, patches, sheets=out, after_each=advance)
+    summary = scores.as_dict()
+    if as_json:
+        write_json(as_json, summary, "--json")
+    print(table(summary))
 
 
 def noted(

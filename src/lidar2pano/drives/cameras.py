@@ -53,16 +53,16 @@ class CameraOptions:
 class ScanCameras(NamedTuple):
     """Readable cameras of a scan, in its frame; a sentence on each of the others; the only camera's calibration."""
 
-    read: tuple[Camera, ...]
+    cameras: tuple[Camera, ...]
     doubts: tuple[str, ...]
-    alone: Calibration | LensCalibration | None
+    viewpoint: Calibration | LensCalibration | None
 
 
 class CameraSource(NamedTuple):
     """A camera: its name, and a function to read it, in the coordinates of the scan's file."""
 
     name: str
-    read: Callable[[], Camera]
+    load: Callable[[], Camera]
 
 
 def cameras_of(scan_file: Path, stem: str, options: CameraOptions, T_scan_file: np.ndarray) -> ScanCameras:
@@ -86,12 +86,12 @@ def cameras_of(scan_file: Path, stem: str, options: CameraOptions, T_scan_file: 
     faults: list[str] = []
     for source, mask in zip(sources, masks, strict=True):
         try:
-            camera = source.read()
+            camera = source.load()
             cameras.append(_placed(masked(camera, mask) if mask else camera, source.name, T_scan_file))
         except InputError as error:
             faults.append(f"camera {source.name} is left out: {error}")
-    alone = cameras[0].calibration if len(cameras) == len(sources) == 1 else None
-    return ScanCameras(tuple(cameras), tuple(faults), alone)
+    viewpoint = cameras[0].calibration if len(cameras) == len(sources) == 1 else None
+    return ScanCameras(tuple(cameras), tuple(faults), viewpoint)
 
 
 def parse_camera(text: str) -> NamedCamera:
@@ -194,8 +194,8 @@ def _beside_velodyne(scan_file: Path) -> Iterator[CameraSource]:
     family = sequence.name.rpartition("-")[0]
     sisters = sorted(sequence.parent.glob(f"{family}-*")) if family else []
     for folder in [sequence, *(sister for sister in sisters if sister != sequence)]:
-        other = folder / "velodyne" / scan_file.name
-        if folder != sequence and not (other.is_file() and other.samefile(scan_file)):
+        linked_scan = folder / "velodyne" / scan_file.name
+        if folder != sequence and not (linked_scan.is_file() and linked_scan.samefile(scan_file)):
             continue
         for number, name in enumerate(SISTERS, 2):
             for image in images_of(folder / name, stem_of(scan_file)):

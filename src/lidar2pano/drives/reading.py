@@ -167,11 +167,11 @@ def read_cameras(reading: Reading, options: CameraOptions) -> Reading:
     with reading.timer("images"):
         stem = stem_of(source.path) if source.number is None else source.stem
         cameras = cameras_of(source.path, stem, options, T_scan_cloud(interpretation))
-    if not cameras.read and not cameras.doubts:
+    if not cameras.cameras and not cameras.doubts:
         del reading.timer.milliseconds["images"]
         return reading
-    alone = cameras.alone if options.viewpoint else None
-    return replace(reading, cameras=cameras.read, camera_doubts=cameras.doubts, calibration=alone)
+    viewpoint = cameras.viewpoint if options.viewpoint else None
+    return replace(reading, cameras=cameras.cameras, camera_doubts=cameras.doubts, calibration=viewpoint)
 
 
 def scan_sources(

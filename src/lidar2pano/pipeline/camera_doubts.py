@@ -73,8 +73,8 @@ def _edge_points(scan: Scan) -> Tensor:
     distance = image.channels[0]
     edge = torch.zeros_like(image.valid)
     for step in (-1, 1):
-        other = distance.roll(step, 1)
-        edge |= image.valid & (other > distance) & ~same_surface(distance, other)
+        neighbour = distance.roll(step, 1)
+        edge |= image.valid & (neighbour > distance) & ~same_surface(distance, neighbour)
     return image.channels[1:4, edge]
 
 

@@ -20,6 +20,7 @@ from lidar2pano.geometry.projection import directions
 from lidar2pano.geometry.rasters import pad_azimuth, upsample_azimuth
 from lidar2pano.geometry.stitching import Camera, Sight, homogeneous, look, seam_weights
 from lidar2pano.panorama import Panorama
+from lidar2pano.pipeline.colour_transfer import transferred
 from lidar2pano.scene.surfaces import hides
 from lidar2pano.views import View
 
@@ -35,15 +36,16 @@ SECTOR_PX = 16  # distance of the pixels tested for a camera's columns
 def compose(panorama: Panorama, cameras: Sequence[Camera]) -> Panorama:
     """Return the panorama with the colours of cameras, in the frame of its scan, wherever they see.
 
-    The cameras get a gain each; the invention goes over into their pixels at its borders.
+    The cameras get a gain each; the invention takes their colours, class by class, and goes over into their pixels at
+    its borders.
     """
     sights = sights_of(panorama, cameras)
     layers = [camera.colours(sight) for camera, sight in zip(cameras, sights, strict=True)]
     cameras = brought_together(cameras, sights, layers, panorama)
     layers = [layer * torch.tensor(camera.gain)[:, None] for camera, layer in zip(cameras, layers, strict=True)]
-    seen, source = mixed(layers, sights, cameras, panorama.view)
-    invented = torch.from_numpy(panorama.colour).movedim(2, 0).float()
-    colour = torch.where(source > 0, seen, invented + continued(seen - invented, source > 0))
+    shown, source = mixed(layers, sights, cameras, panorama.view)
+    invented = transferred(torch.from_numpy(panorama.colour), torch.from_numpy(panorama.segments), shown, source)
+    colour = torch.where(source > 0, shown, invented + continued(shown - invented, source > 0))
     return replace(
         panorama,
         colour=colour.round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2).contiguous().numpy(),
@@ -99,13 +101,13 @@ def brought_together(
         pixels, first, second = np.intersect1d(samples[i][0], samples[j][0], assume_unique=True, return_indices=True)
         if not len(pixels):
             continue
-        for a, b, mean, other in ((i, j, first, second), (j, i, second, first)):
-            own, their = samples[a][1][:, mean].mean(1), samples[b][1][:, other].mean(1)
+        for a, b, mean, partner in ((i, j, first, second), (j, i, second, first)):
+            own, their = samples[a][1][:, mean].mean(1), samples[b][1][:, partner].mean(1)
             matrix[:, a, a] += len(pixels) * (2 * (own / INTENSITY_ERROR) ** 2 + GAIN_ERROR**-2)
             matrix[:, a, b] -= len(pixels) * 2 * own * their / INTENSITY_ERROR**2
             right[:, a] += len(pixels) * GAIN_ERROR**-2
-    alone = matrix[0].diagonal() == 0
-    matrix[:, alone, alone], right[:, alone] = 1, 1
+    unpaired = matrix[0].diagonal() == 0
+    matrix[:, unpaired, unpaired], right[:, unpaired] = 1, 1
     gains = np.linalg.solve(matrix, right[..., None])[..., 0].T
     return [replace(camera, gain=tuple(gain)) for camera, gain in zip(cameras, gains.tolist(), strict=True)]
 
@@ -150,16 +152,16 @@ def _inwards(camera: Camera, sight: Sight) -> Tensor:
     return (row * (1 - row) * column * (1 - column)).clamp(min=1e-6)
 
 
-def continued(difference: Tensor, known: Tensor) -> Tensor:
-    """Return differences (3, H, W) of the known pixels (H, W) bool, continued smoothly into all others.
+def continued(difference: Tensor, mask: Tensor) -> Tensor:
+    """Return differences (3, H, W) of the pixels of a mask (H, W) bool, continued smoothly into all others.
 
     Means of ever larger cells, the finest of CELL_PX on a side, fill what is unknown in finer ones (pull and push,
     Gortler et al. 1996, section 3.5); cells without a known neighbour at any size have none.
     """
-    rows, columns = known.shape
+    rows, columns = mask.shape
     if rows % CELL_PX or columns % CELL_PX:
         return torch.zeros_like(difference)
-    cells, share = _cell_means(difference[None], known[None, None].float(), CELL_PX)
+    cells, share = _cell_means(difference[None], mask[None, None].float(), CELL_PX)
     return upsample_azimuth(_filled(cells, share), CELL_PX)[0]
 
 

@@ -1,0 +1,202 @@
+"""Cameras hidden in turn: their views predicted from the scan plain, and from the scan with the other cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lidar2pano.data.frames import Frame
+from lidar2pano.data.surround import SurroundFrame
+from lidar2pano.drives.cameras import CameraOptions, cameras_of
+from lidar2pano.errors import InputError, closest
+from lidar2pano.evaluate.metric_collection import PatchFeatures
+from lidar2pano.formats.image_files import write_png, write_whole
+from lidar2pano.geometry.stitching import Camera
+from lidar2pano.metrics.accumulation import FrameMetric, Interval, SetMetric, interval, set_intervals
+from lidar2pano.metrics.colour import ClassColourError
+from lidar2pano.metrics.frame_metrics import SSIM
+from lidar2pano.metrics.frechet import PatchFrechetDistance
+from lidar2pano.panorama import Panorama
+from lidar2pano.pipeline import Pipeline
+from lidar2pano.pipeline.composition import compose
+from lidar2pano.scan import Scan
+
+EACH = "each"  # in place of a camera's name
+COLOURS, INVENTED = "class colour error", "out of sight of the other_cameras"
+SYSTEMS = ("scan alone", "with the other cameras")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HiddenView:
+    """A hidden camera's image and its predictions.
+
+    real       (h, w, 3) uint8;  predicted: likewise, by system.
+    valid      (h, w) bool: pixels inside the panorama, and not on the own vehicle.
+    classes    (h, w) uint8 ids of COMMON15, of the scan plain; 0 outside `valid`.
+    invented   (h, w) bool: out of sight of all other cameras.
+    """
+
+    name: str
+    real: np.ndarray
+    predicted: Mapping[str, np.ndarray]
+    valid: np.ndarray
+    classes: np.ndarray
+    invented: np.ndarray
+
+    @property
+    def real_share(self) -> float:
+        """Share of the valid pixels in sight of another camera."""
+        return float(1 - self.invented[self.valid].mean()) if self.valid.any() else 0.0
+
+    def sheet(self) -> np.ndarray:
+        """Return the image and the predictions side by side, (h, 3 w, 3) uint8, black outside `valid`."""
+        images = [self.real, *self.predicted.values()]
+        return np.concatenate([image * self.valid[..., None] for image in images], axis=1)
+
+
+@dataclass(kw_only=True)
+class HiddenScores:
+    """Metrics of the hidden views by system; `patches` are the features of patch Frechet distances."""
+
+    patches: Mapping[str, PatchFeatures]
+    metrics: dict[str, dict[str, FrameMetric | SetMetric]] = field(default_factory=dict)
+    shares: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Begin with metrics of no view."""
+        for system in SYSTEMS:
+            self.metrics[system] = {"SSIM": SSIM(), COLOURS: ClassColourError(), INVENTED: ClassColourError()}
+            for name, part in self.patches.items():
+                title = f"patch Frechet, {name}"
+                self.metrics[system][title] = PatchFrechetDistance(part.extractor, part.down, part.shrink)
+
+    def add(self, view: HiddenView) -> None:
+        """Count a view."""
+        self.shares[view.name] = view.real_share
+        for system, image in view.predicted.items():
+            for title, metric in self.metrics[system].items():
+                if isinstance(metric, ClassColourError):
+                    classes = np.where(view.invented, view.classes, 0) if title == INVENTED else view.classes
+                    metric.update(image, view.real, classes, view.name)
+                elif isinstance(metric, SSIM | PatchFrechetDistance):
+                    metric.update(image, view.real, view.name, valid=view.valid)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return values with 95 % intervals by metric and system, ready for JSON."""
+        systems = {
+            system: {title: _intervals(part) for title, part in self.metrics[system].items()} for system in SYSTEMS
+        }
+        return {"views": self.shares, "systems": systems}
+
+
+def _intervals(metric: FrameMetric | SetMetric) -> dict[str, dict[str, float | None]]:
+    if isinstance(metric, SetMetric):
+        parts = set_intervals(metric)
+    else:
+        parts = {name: interval(metric, name) for name in metric.values()}
+    return {name: _plain(part) for name, part in parts.items() if np.isfinite(part.value)}
+
+
+def _plain(part: Interval) -> dict[str, float | None]:
+    return {name: float(value) if np.isfinite(value) else None for name, value in part._asdict().items()}
+
+
+def table(summary: Mapping[str, Any]) -> str:
+    """Return the scores as Markdown: each metric by system, with 95 % intervals, and the ratio of the two."""
+    first, second = (summary["systems"][system] for system in SYSTEMS)
+    share = np.mean(list(summary["views"].values()))
+    lines = [
+        f"{len(summary['views'])} hidden views; the others see {share:.0%} of them.\n",
+        f"| metric | {SYSTEMS[0]} | {SYSTEMS[1]} | ratio |",
+        "| --- | --- | --- | --- |",
+    ]
+    for title, values in first.items():
+        for name, value in values.items():
+            second_value = second[title].get(name)
+            if second_value is None or name == "real to real":
+                continue
+            label = name if title in ("SSIM", COLOURS) else f"{title}: {name}"
+            ratio = f"{second_value['value'] / value['value']:.2f}" if value["value"] else ""
+            lines.append(f"| {label} | {_shown(value)} | {_shown(second_value)} | {ratio} |")
+    return "\n".join(lines)
+
+
+def _shown(part: Mapping[str, float | None]) -> str:
+    ends = "" if part["low"] is None else f" [{part['low']:.3g}, {part['high']:.3g}]"
+    return f"{part['value']:.3g}{ends}"
+
+
+def frame_cameras(frame: Frame) -> list[Camera]:
+    """Return the cameras of a frame, with names; InputError if fewer than two can be read."""
+    if isinstance(frame, SurroundFrame):
+        cameras = [replace(camera, name=name) for name, camera in frame.cameras.items()]
+    else:
+        scan_file = getattr(frame, "scan_file", None)
+        scan_cameras = (
+            cameras_of(Path(scan_file), Path(scan_file).stem, CameraOptions(), np.eye(4)) if scan_file else None
+        )
+        cameras = list(scan_cameras.cameras) if scan_cameras else []
+    if len(cameras) < 2:
+        raise InputError(f"{frame.name}: --leave-out needs two cameras of a scan, it has {len(cameras)}")
+    return cameras
+
+
+def hidden_views(pipeline: Pipeline, frame: Frame, leave_out: str) -> Iterator[HiddenView]:
+    """Yield the view of the camera of this name, or EACH of a frame's; InputError if it has none of this name."""
+    cameras = frame_cameras(frame)
+    names = [camera.name for camera in cameras]
+    if leave_out not in (EACH, *names):
+        raise InputError(f"{frame.name}: --leave-out: no camera {leave_out!r}{closest(leave_out, [EACH, *names])}")
+    for hidden in cameras:
+        if leave_out in (EACH, hidden.name):
+            other_cameras = [camera for camera in cameras if camera is not hidden]
+            yield hidden_view(pipeline, frame.scan, hidden, other_cameras, f"{frame.name}/{hidden.name}")
+
+
+def hidden_view(
+    pipeline: Pipeline, scan: Scan, hidden: Camera, other_cameras: Sequence[Camera], name: str
+) -> HiddenView:
+    """Predict a camera's view from its optical centre."""
+    plain = pipeline.at(hidden.calibration)(scan)
+    panoramas = (plain, compose(plain, other_cameras))
+    look = [panorama.to_camera(hidden.calibration) for panorama in panoramas]
+    valid = look[0].valid if hidden.ego_mask is None else look[0].valid & ~hidden.ego_mask
+    return HiddenView(
+        name=name,
+        real=hidden.image,
+        predicted={system: image.colour for system, image in zip(SYSTEMS, look, strict=True)},
+        valid=valid,
+        classes=np.where(valid, look[0].segments, 0).astype(np.uint8),
+        invented=_source_in(panoramas[1], hidden) == 0,
+    )
+
+
+def _source_in(panorama: Panorama, camera: Camera) -> np.ndarray:
+    """Return the panorama's sources in a camera's image."""
+    assert panorama.source is not None
+    return replace(panorama, segments=panorama.source).to_camera(camera.calibration).segments
+
+
+def score_hidden(
+    pipeline: Pipeline,
+    frames: Sequence[Frame],
+    leave_out: str,
+    patches: Mapping[str, PatchFeatures],
+    *,
+    sheets: Path | None = None,
+    after_each: Callable[[], object] = lambda: None,
+) -> HiddenScores:
+    """Score all hidden views of frames; `sheets` is a folder for a picture of each."""
+    scores = HiddenScores(patches=patches)
+    for frame in frames:
+        for view in hidden_views(pipeline, frame, leave_out):
+            scores.add(view)
+            if sheets:
+                path = sheets / f"{view.name.replace('/', '-')}.png"
+                write_whole(path, lambda file, view=view: write_png(file, np.ascontiguousarray(view.sheet())))
+        after_each()
+    return scores

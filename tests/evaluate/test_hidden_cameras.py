@@ -1,0 +1,120 @@
+"""Cameras hidden in turn, and the scores of their views."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lidar2pano.cli import main
+from lidar2pano.data.frames import Frame
+from lidar2pano.data.layouts import frames
+from lidar2pano.errors import InputError
+from lidar2pano.evaluate.hidden_cameras import EACH, SYSTEMS, hidden_views, score_hidden, table
+from lidar2pano.geometry.camera import at_camera
+from lidar2pano.geometry.projection import directions
+from lidar2pano.panorama import Panorama
+from lidar2pano.views import VIEWS
+from miniature_surround import distances, six, write_pandaset
+
+QUARTER = VIEWS["panorama"].scaled(0.25)
+
+
+class Grey:
+    """A pipeline with the true depths of the painted place, and one colour."""
+
+    def __init__(self, view=QUARTER) -> None:
+        self.view = view
+
+    def at(self, calibration) -> Grey:
+        return Grey(at_camera(self.view, calibration))
+
+    def __call__(self, scan) -> Panorama:
+        shape = (self.view.rows, self.view.columns)
+        depth_m = distances(np.array(self.view.origin), directions(self.view).double().numpy())
+        return Panorama(
+            name=scan.name,
+            frame=0,
+            view=self.view,
+            colour=np.full((*shape, 3), 128, dtype=np.uint8),
+            segments=np.full(shape, 7, dtype=np.uint8),
+            depth_m=depth_m.astype(np.float32),
+            labels=np.zeros(len(scan), dtype=np.int64),
+        )
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    return write_pandaset(tmp_path_factory.mktemp("pandaset"))
+
+
+def test_each_camera_is_hidden_in_turn_and_never_helps_itself(place):
+    (frame,) = frames(place, "all")
+    views = list(hidden_views(Grey(), frame, EACH))
+    assert [view.name for view in views] == [f"002/000000/{name}" for name in six()]
+    for view in views:
+        alone, helped = (view.predicted[system].astype(int) for system in SYSTEMS)
+        assert 0 < view.real_share < 0.9, "some is seen by a neighbour, the middle by none"
+        shown = view.valid & view.invented
+        assert (alone[view.valid] == 128).all()
+        middle = shown[130:160, 220:260]
+        assert middle.mean() > 0.9
+        seen = view.valid & ~view.invented
+        off = [np.abs(image - view.real)[seen].mean() for image in (helped, alone)]
+        assert off[0] < 0.35 * off[1]
+
+
+def test_scores_say_what_the_other_cameras_bring(place, tmp_path):
+    scores = score_hidden(Grey(), frames(place, "all"), EACH, {}, sheets=tmp_path / "views")
+    summary = scores.as_dict()
+    assert json.loads(json.dumps(summary)) == summary
+    alone, helped = (summary["systems"][system] for system in SYSTEMS)
+    assert (
+        helped["class colour error"]["class colour error"]["value"]
+        < alone["class colour error"]["class colour error"]["value"]
+    )
+    ssim = [part["SSIM"][next(iter(part["SSIM"]))]["value"] for part in (alone, helped)]
+    assert ssim[1] > ssim[0]
+    assert "| class colour error | " in table(summary) and "6 hidden views" in table(summary)
+    paths = sorted((tmp_path / "views").iterdir())
+    with Image.open(paths[0]) as sheet:
+        assert len(paths) == 6 and sheet.size == (3 * 480, 300)
+
+
+def test_one_camera_is_hidden_by_its_name(place):
+    (frame,) = frames(place, "all")
+    (view,) = hidden_views(Grey(), frame, "left_camera")
+    assert view.name.endswith("left_camera")
+    with pytest.raises(InputError, match=r"--leave-out: no camera 'left'.*left_camera"):
+        next(hidden_views(Grey(), frame, "left"))
+
+
+def test_a_frame_with_one_camera_is_refused(place):
+    (frame,) = frames(place, "all")
+    lonely = Frame("a", scan=frame.scan, image=np.zeros((9, 9, 3), np.uint8))
+    with pytest.raises(InputError, match="needs two cameras of a scan, it has 0"):
+        next(hidden_views(Grey(), lonely, EACH))
+
+
+def test_the_own_vehicle_is_not_scored(place):
+    (frame,) = frames(place, "all")
+    boot = np.zeros((300, 480), dtype=bool)
+    boot[240:] = True
+    vars(frame)["cameras"] = {name: replace(one, ego_mask=boot) for name, one in frame.cameras.items()}
+    (view,) = hidden_views(Grey(), frame, "back_camera")
+    assert view.valid[~boot].any() and not view.valid[boot].any() and not view.classes[boot].any()
+    assert replace(view, invented=np.zeros_like(view.valid)).real_share == 1
+
+
+def test_the_command_writes_scores_and_views(place, random_weights, tmp_path, capsys):
+    command = ["evaluate", str(random_weights), "--data", str(place), "--split", "all", "--device", "cpu"]
+    command += ["--leave-out", "front_camera", "--out", str(tmp_path / "views"), "--json", str(tmp_path / "a.json")]
+    assert main(command) == 0
+    assert "| class colour error | " in capsys.readouterr().out
+    assert [path.name for path in (tmp_path / "views").iterdir()] == ["002-000000-front_camera.png"]
+    assert set(json.loads((tmp_path / "a.json").read_text())["systems"]) == set(SYSTEMS)
+    assert main([*command, "--leave-out", "none"]) == 2
+    assert "no camera 'none'" in capsys.readouterr().err
