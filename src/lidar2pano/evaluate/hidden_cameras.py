@@ -1,4 +1,4 @@
-"""Cameras hidden in turn: their views predicted from the scan plain, and from the scan with the other cameras."""
+"""Cameras hidden in turn: their views predicted from the scan alone, and from the scan with the other cameras."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from lidar2pano.pipeline.composition import compose
 from lidar2pano.scan import Scan
 
 EACH = "each"  # in place of a camera's name
-COLOURS, INVENTED = "class colour error", "out of sight of the other_cameras"
+COLOURS, INVENTED = "class colour error", "out of sight of the others"
 SYSTEMS = ("scan alone", "with the other cameras")
 
 
@@ -36,7 +36,7 @@ class HiddenView:
 
     real       (h, w, 3) uint8;  predicted: likewise, by system.
     valid      (h, w) bool: pixels inside the panorama, and not on the own vehicle.
-    classes    (h, w) uint8 ids of COMMON15, of the scan plain; 0 outside `valid`.
+    classes    (h, w) uint8 ids of COMMON15, of the scan alone; 0 outside `valid`.
     invented   (h, w) bool: out of sight of all other cameras.
     """
 
@@ -135,11 +135,8 @@ def frame_cameras(frame: Frame) -> list[Camera]:
     if isinstance(frame, SurroundFrame):
         cameras = [replace(camera, name=name) for name, camera in frame.cameras.items()]
     else:
-        scan_file = getattr(frame, "scan_file", None)
-        scan_cameras = (
-            cameras_of(Path(scan_file), Path(scan_file).stem, CameraOptions(), np.eye(4)) if scan_file else None
-        )
-        cameras = list(scan_cameras.cameras) if scan_cameras else []
+        scan_file: Path | None = getattr(frame, "scan_file", None)
+        cameras = list(cameras_of(scan_file, "", CameraOptions(), np.eye(4)).cameras) if scan_file else []
     if len(cameras) < 2:
         raise InputError(f"{frame.name}: --leave-out needs two cameras of a scan, it has {len(cameras)}")
     return cameras
