@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.metrics.colour import linear_light
+from lidar2pano.metrics.colour_difference import linear_light
 from lidar2pano.pipeline.colour_transfer import (
     CODES,
     LEVELS,

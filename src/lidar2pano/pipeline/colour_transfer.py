@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lidar2pano.metrics.colour import linear_light
+from lidar2pano.metrics.colour_difference import linear_light
 
 EVERY_PX = 4  # one of so many rows and columns is a sample
 CELL_PX = 16  # on a side of the cells whose means are taken to be independent
