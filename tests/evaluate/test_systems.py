@@ -16,14 +16,14 @@ from lidar2pano.data.frames import Frame
 from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import SystemInput, system
-from lidar2pano.evaluate.camera_systems import (
+from lidar2pano.evaluate.panorama_system import PanoramaSystem
+from lidar2pano.evaluate.systems import (
     CameraPainter,
     CameraRenderer,
     CameraTranslator,
     Oracle,
     training_scale,
 )
-from lidar2pano.evaluate.panorama_system import PanoramaSystem
 from lidar2pano.geometry.camera import at_camera, panorama_in_camera
 from lidar2pano.geometry.projection import Normalisation, project
 from lidar2pano.hardware import Timer
