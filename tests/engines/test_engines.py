@@ -17,7 +17,7 @@ from lidar2pano.engines.openvino_engine import OpenVino
 from lidar2pano.engines.signatures import SIGNATURES, as_tuple
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
-from lidar2pano.pipeline import load, made_fast
+from lidar2pano.pipeline import engine_parts, load, made_fast
 from random_weights import spread_norms, street
 
 CPU = torch.device("cpu")
@@ -30,15 +30,20 @@ def _cache(tmp_path, monkeypatch):
 
 def network_of(model: str) -> nn.Module:
     torch.manual_seed(0)
-    return made_fast(spread_norms(build(model, **SLIM[model])).eval())
+    whole = "latent-painter" if model.startswith("latent-") else model
+    return engine_parts(made_fast(spread_norms(build(whole, **SLIM[whole])).eval()), whole)[model]
 
 
 def inputs_of(model: str, rows: int = 32, columns: int = 64) -> tuple[torch.Tensor, ...]:
     generator = torch.Generator().manual_seed(1)
+    latents = (4, rows // 4, columns // 4)
     shapes = {
         "salsanext": [(5, rows, columns)],
         "titan-pano": [(5, rows, columns), (20, rows, columns)],
         "scene-painter": [(31, rows + 16, columns + 4), (3, 2 * rows + 4, 2 * columns + 4), (2,), (3,)],
+        "latent-mean": [(26, rows, columns), (2,)],
+        "latent-flow": [(26, rows, columns), (2,), latents, latents, (), ()],
+        "latent-decoder": [latents],
     }[model]
     return tuple(torch.rand(1, *shape, generator=generator) for shape in shapes)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from engine_of_torch import SLIM
 from installed_families import INSTALLED, needs_streets
 from lidar2pano.appearance.invented_textures import noise_tile
 from lidar2pano.cli import main
@@ -21,7 +22,7 @@ from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.card import save
 from lidar2pano.models.families import best_family, weight_files
 from lidar2pano.pipeline import Pipeline, load
-from random_weights import SEGMENTER_VIEW, TRANSLATOR_VIEW
+from random_weights import SEGMENTER_VIEW, TRANSLATOR_VIEW, write_family, write_weights
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
@@ -59,11 +60,11 @@ def graphs(weights) -> Path:
 
 
 def exportable(pipeline: Pipeline) -> dict[str, Exportable]:
-    """Return the parts of a pipeline as `export` takes them, by role."""
+    """Return the parts of a pipeline as `export` takes them, by graph."""
     inputs = record_inputs(pipeline)
     return {
-        role: Exportable(network=network, model=pipeline.cards[role].network, card="{}", inputs=inputs[role])
-        for role, network in networks_of(pipeline).items()
+        name: Exportable(network=network, model=model, card="{}", inputs=inputs[name])
+        for name, (_, model, network) in networks_of(pipeline).items()
     }
 
 
@@ -101,6 +102,21 @@ def test_the_graphs_of_other_families_compute_what_torch_does(small_raster, weig
     parts = {role: part for role, part in exportable(pipeline).items() if role in roles}
     written = export(parts, tmp_path / "graphs", np.zeros(1))
     assert {path.stem for path in written if path.suffix == ".onnx"} == roles
+
+
+def test_a_latent_painter_becomes_a_graph_with_its_inputs_described(tmp_path):
+    family = tmp_path / "family"
+    family.mkdir()
+    write_family(family)
+    view = TRANSLATOR_VIEW.scaled(2 / 3).as_dict()
+    write_weights(family, "painter", "latent-painter", SLIM["latent-painter"], views={"panorama": view})
+    parts = exportable(load(family, "cpu", "torch"))
+    export({name: part for name, part in parts.items() if name.startswith("painter")}, tmp_path / "graphs")
+    graphs = ["painter-decoder.onnx", "painter-flow.onnx", "painter-mean.onnx"]
+    assert sorted(path.name for path in (tmp_path / "graphs").iterdir()) == ["README.md", *graphs]
+    readme = (tmp_path / "graphs" / "README.md").read_text()
+    assert "{" not in readme and "5. **Painter's `conditions`**" in readme and "solid noise" not in readme
+    assert "| `painter-flow.onnx` | `time` | input | (batch) | how much" in readme
 
 
 # --- what does not agree is not written -----------------------------------------------------------------------------

@@ -142,28 +142,38 @@ def test_steps_are_those_of_the_definition(steps):
     network = painter(steps=steps, guidance=1.7)
     conditions, shares, noise = torch.randn(1, 26, 16, 32), torch.ones(1, 1), torch.randn(1, 4, 4, 8)
     with torch.inference_mode():
-        mean, x = network.mean(conditions, shares @ network.look_codes), noise
+        mean, x = network.mean(conditions, shares), noise
         for number in range(steps):
             time = torch.tensor([number / steps])
             if steps <= 4:
-                velocity = network.velocity(x, time, torch.tensor([1 / steps]), conditions, mean, shares)
+                velocity = network.flow(conditions, shares, mean, x, time, torch.tensor([1 / steps]))
             else:
-                given = network.velocity(x, time, torch.zeros(1), conditions, mean, shares)
-                free = network.velocity(x, time, torch.zeros(1), 0 * conditions, 0 * mean, shares)
+                given = network.flow(conditions, shares, mean, x, time, torch.zeros(1))
+                free = network.flow(0 * conditions, shares, 0 * mean, x, time, torch.zeros(1))
                 velocity = free + 1.7 * (given - free)
             x = x + velocity / steps
-        scale, shift = network.scale[1, :, None, None], network.scale[0, :, None, None]
-        torch.testing.assert_close(
-            network.latents_of(conditions, shares, noise), x * scale + shift, atol=1e-4, rtol=1e-4
-        )
+        torch.testing.assert_close(network.latents_of(conditions, shares, noise), x, atol=1e-4, rtol=1e-4)
+
+
+def test_a_flow_adds_to_the_mean():
+    """With a U-Net that answers its first input, the velocity is the mean and what it leaves of the latents."""
+    network = painter().flow
+    network.unet.forward = lambda conditions, code, inputs: inputs[:, :4]
+    mean, noisy = torch.randn(2, 4, 4, 8), torch.randn(2, 4, 4, 8)
+    time = torch.tensor([0.25, 1.0])
+    with torch.inference_mode():
+        made = network(torch.randn(2, 26, 16, 32), torch.ones(2, 1), mean, noisy, time, time)
+    torch.testing.assert_close(made, mean + noisy - torch.stack([mean[0] / 4, mean[1]]))
 
 
 def test_normalised_latents_have_no_mean_and_unit_deviation():
-    network = painter()
+    network = painter().decoder
     network.scale.copy_(torch.tensor([[1.0, 2, 3, 4], [2.0, 2, 4, 4]]))
     latents = torch.tensor([3.0, 2, -1, 8])[None, :, None, None].expand(1, 4, 2, 2)
     assert network.normalised(latents)[0, :, 0, 0].tolist() == [1, 0, -1, 1]
-    torch.testing.assert_close(network.denormalised(network.normalised(latents)), latents)
+    with torch.inference_mode():
+        picture = network.decoder(torch.tanh(latents / 3) * 3)  # the decoder reads them within +-3, softly
+        torch.testing.assert_close(network(network.normalised(latents)), picture)
 
 
 def test_settings_that_make_no_sense_are_refused():

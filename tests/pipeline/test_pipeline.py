@@ -13,6 +13,7 @@ import torch
 from PIL import Image
 from torch import nn
 
+from engine_of_torch import SLIM
 from installed_families import install_only
 from lidar2pano.appearance.painter_inputs import framed
 from lidar2pano.calibration import Calibration
@@ -540,6 +541,31 @@ def test_looks_that_are_files_are_painted(random_weights, tmp_path, capsys):
     one = f"{random_weights}+{tmp_path / 'both' / 'kitti.safetensors'}"
     assert main([*command[:-1], one, "--look", "dusk", "--out", str(tmp_path / "dusk")]) == 2
     assert "no look 'dusk'" in capsys.readouterr().err
+
+
+def test_a_latent_painter_has_qualities_and_several_pictures(random_weights, tmp_path, capsys):
+    view = TRANSLATOR_VIEW.scaled(2 / 3).as_dict()
+    write_weights(tmp_path, "painter", "latent-painter", SLIM["latent-painter"], views={"panorama": view})
+    weights = f"{random_weights}+{tmp_path / 'painter.safetensors'}"
+    plain, scan = load(weights, "cpu", "torch"), street()
+    pictures = [plain, *(plain.in_variant(*variant) for variant in (("fast", 0), ("fast", 5), ("best", 0)))]
+    usual, again, another, best = (pipeline(scan) for pipeline in pictures)
+    assert np.array_equal(usual.colour, again.colour)
+    assert not np.array_equal(usual.colour, another.colour) and not np.array_equal(usual.colour, best.colour)
+    assert np.array_equal(usual.segments, another.segments) and np.array_equal(usual.depth_m, best.depth_m)
+    assert [pipeline.painter.steps for pipeline in pictures] == [2, 2, 2, 8], "the pipeline it came from stays as it is"
+    file = write_scan(tmp_path / "a.bin")
+    command = ["translate", str(file), "--device", "cpu", "--weights", weights, "--out", str(tmp_path / "out")]
+    assert main([*command, "--seed", "5"]) == 0
+    assert np.array_equal(read_image(tmp_path / "out" / "a.png"), pictures[2](file).colour)
+    capsys.readouterr()
+    for options, message in (
+        (("--quality", "bets"), "no quality 'bets'; did you mean 'best'?"),
+        (("--quality", "best"), "these weights paint one picture, in one quality"),
+        (("--seed", "1"), "these weights paint one picture, in one quality"),
+    ):
+        assert main(["translate", str(file), "--weights", str(random_weights), "--out", str(tmp_path), *options]) == 2
+        assert message in capsys.readouterr().err
 
 
 def test_a_run_gives_its_best_weights(tmp_path):

@@ -16,6 +16,14 @@ SLIM = {
     "salsanext": {},
     "titan-pano": {"widths": (8, 8, 8, 8, 8), "pyramid": 8},
     "scene-painter": {"widths": (8, 8, 8, 8), "looks": ("day", "dusk")},
+    "latent-painter": {
+        "looks": ("day", "dusk"),
+        "latents": 4,
+        "decoder": (4, 4, 6, 8),
+        "mean": ((4, 6, 8), (1, 1, 1)),
+        "flow": ((4, 6, 8), (1, 1, 1)),
+        "code": 8,
+    },
 }
 
 

@@ -71,6 +71,15 @@ def test_pixels_and_latents_come_nearer(root, tmp_path):
     assert last["latents"] < 0.8 * first["latents"]
 
 
+def test_an_encoder_whose_latents_a_painter_learns_stays_as_it_is(root):
+    task = build_task(small("options.encoder=false"), root)
+    network = task.networks["autoencoder"]
+    before = {name: weight.clone() for name, weight in network.state_dict().items()}
+    list(losses_of(task, steps=2))
+    changed = {name.split(".")[0] for name, weight in network.state_dict().items() if not weight.equal(before[name])}
+    assert changed == {"decoder"}
+
+
 def test_the_critic_and_the_features_teach_the_autoencoder_alone(root):
     for file in (root / "images").iterdir():
         Image.open(file).resize((144, 112)).save(file)

@@ -212,7 +212,7 @@ def test_a_run_releases_a_painter_that_paints_with_the_family(place, tmp_path):
     network, card = load(tmp_path / "weights/painter.safetensors", expect="latent-painter")
     assert set(card.score) >= {"mean", "flow"}
     decoder = load(place / "autoencoder.safetensors")[0].decoder.state_dict()
-    for name, value in network.decoder.state_dict().items():
+    for name, value in network.decoder.decoder.state_dict().items():
         torch.testing.assert_close(value, decoder[name], atol=1e-3, rtol=1e-2)
     pipeline = lidar2pano.load(f"{place / 'family'}+{tmp_path}", "cpu", "torch")
     assert type(pipeline.painter).__name__ == "LatentPainter"

@@ -32,6 +32,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.hardware import keep_buffers, pick_device
 from lidar2pano.models.families import BEST, best_family, paints_look, weight_files
+from lidar2pano.models.painter import check_quality
 from lidar2pano.name_order import sort_listed
 from lidar2pano.pipeline import Pipeline, load
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
@@ -61,6 +62,8 @@ class Options:
     calibration: Calibration | None = None
     as_json: bool = False
     look: str = ""
+    quality: str = "fast"
+    seed: int = 0
     reading: ReadingOptions = field(default_factory=ReadingOptions)
     engine: str = "auto"
     image_format: str = "png"
@@ -75,6 +78,7 @@ class Options:
             pipeline = pipeline.for_sensor(self.sensor)
         if self.look and not paints_look(self.files, self.look):
             pipeline = pipeline.in_look(self.look)
+        pipeline = pipeline.in_variant(self.quality, self.seed)
         return pipeline.at(self.calibration) if self.calibration else pipeline
 
 
@@ -85,6 +89,7 @@ def checked_options(
 
     further  fields of Options.
     """
+    check_quality(further.get("quality", "fast"))
     name = best_family() if weights == BEST else weights
     note = "" if name == weights else f"weights {name}: the best that is installed"
     files, picked = weight_files(name, look=look), pick_device(device)

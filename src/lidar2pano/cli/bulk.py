@@ -82,6 +82,8 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     end_s: opt.ToOption = None,
     weights: opt.WeightsOption = opt.BEST,
     look: opt.LookOption = "",
+    quality: opt.QualityOption = "fast",
+    seed: opt.SeedOption = 0,
     device: opt.DeviceOption = "auto",
     engine: opt.EngineOption = "auto",
     image_format: opt.FormatOption = "png",
@@ -104,7 +106,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     part = Shard.parsed(shard)
     options = checked_options(
         weights,
-        look=look,
+        **opt.variant(look, quality, seed),
         device="cpu" if address else device,
         engine=engine,
         out=Path(out),
@@ -138,7 +140,8 @@ def run(job: Job, part: Shard, options: Options, cluster: Cluster, only: str) ->
 
     store = open_store(job.source)
     listed = entries(store, part, job.layout, labels=job.use_labels, selection=job.selection, only=only)
-    settings = {"look": options.look, "engine": options.engine, "format": options.image_format}
+    painted = {"look": options.look, "quality": options.quality, "seed": options.seed}
+    settings = painted | {"engine": options.engine, "format": options.image_format}
     start(job, listed, options.files, settings)
     print_weights(options.note, map(read_card, options.files.values()))
     manifest = Manifest(open_store(job.out), part)

@@ -37,37 +37,48 @@ def export(
     folder = check_folder(onnx, "--onnx")
     keep_buffers()
     pipeline = load(weights, "cpu", "torch")
-    check_exportable({role: card.network for role, card in pipeline.cards.items()})
-    networks, inputs = networks_of(pipeline), record_inputs(pipeline)
+    networks = networks_of(pipeline)
+    check_exportable({name: model for name, (_, model, _) in networks.items()})
+    inputs = record_inputs(pipeline)
     parts = {
-        role: Exportable(network=networks[role], model=card.network, card=card.to_json(), inputs=inputs[role])
-        for role, card in pipeline.cards.items()
+        name: Exportable(network=network, model=model, card=pipeline.cards[role].to_json(), inputs=inputs[name])
+        for name, (role, model, network) in networks.items()
     }
-    noise = noise_tile(torch.device("cpu"), torch.float32).reshape(3 * (2**BITS,))
-    written = export(parts, folder, noise.numpy())
+    noise = None
+    if pipeline.cards["painter"].network == "scene-painter":
+        noise = noise_tile(torch.device("cpu"), torch.float32).reshape(3 * (2**BITS,)).numpy()
+    written = export(parts, folder, noise)
     print_weights("", pipeline.cards.values())
     print("\n".join(map(str, written)))
 
 
-def networks_of(pipeline: Pipeline) -> dict[str, nn.Module]:
-    """Return the networks by role."""
-    return {
+def networks_of(pipeline: Pipeline) -> dict[str, tuple[str, str, nn.Module]]:
+    """Return role, model and network of what engines compute, by the name of its graph: the role, or ROLE-PART."""
+    from lidar2pano.pipeline import engine_parts
+
+    whole = {
         "segmenter": pipeline.segmenter.network,
         "translator": pipeline.translator,
         "painter": cast("nn.Module", pipeline.painter),
     }
+    found: dict[str, tuple[str, str, nn.Module]] = {}
+    for role, network in whole.items():
+        parts = engine_parts(network, pipeline.cards[role].network)
+        for model, part in parts.items():
+            found[role if len(parts) == 1 else f"{role}-{model.split('-')[1]}"] = (role, model, part)
+    return found
 
 
 def record_inputs(pipeline: Pipeline) -> dict[str, tuple[Tensor, ...]]:
-    """Return the networks' input tensors, by role, while the scan that ships with the package is translated."""
+    """Return the networks' input tensors, by graph, while the scan that ships with the package is translated."""
     from lidar2pano.demo import street
 
     inputs: dict[str, tuple[Tensor, ...]] = {}
     hooks = []
-    for role, network in networks_of(pipeline).items():
+    for name, (_, _, network) in networks_of(pipeline).items():
 
-        def keep(_: nn.Module, tensors: tuple[Tensor, ...], role: str = role) -> None:
-            inputs[role] = tuple(tensor.float() for tensor in tensors)
+        def keep(_: nn.Module, tensors: tuple[Tensor, ...], name: str = name) -> None:
+            inputs[name] = tuple(tensor[:1].float() for tensor in tensors)
 
         hooks.append(network.register_forward_pre_hook(keep))
     pipeline(street())

@@ -70,6 +70,10 @@ MaskOption = Annotated[
 LookOption = Annotated[
     str, typer.Option(metavar="NAME", help="Paint in this look, A+B in the mean of two; else the weights' own.")
 ]
+QualityOption = Annotated[
+    str, typer.Option(metavar="fast|best", help="Steps of a latent painter: as few as it has learned, or eight.")
+]
+SeedOption = Annotated[int, typer.Option(metavar="S", help="Another plausible picture by a latent painter.")]
 SteadyOption = Annotated[
     bool,
     typer.Option("--steady", help="A folder's or recording's scans are a video: smooth it over time, without flicker."),
@@ -176,6 +180,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "world": ("lidar2pano world OUT --sequences 4 --frames 20 --seed 1",),
 }
+
+
+def variant(look: str, quality: str, seed: int) -> dict[str, Any]:
+    """Return how to paint, as fields of `batch.Options`."""
+    return {"look": look, "quality": quality, "seed": seed}
 
 
 def parse_camera(calib: Path | None, image_size: str) -> Calibration | None:

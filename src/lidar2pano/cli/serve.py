@@ -26,6 +26,8 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
     port: Annotated[int, typer.Option(min=0, max=65535, metavar="N", help="Port; 0: any that is free.")] = 8360,
     weights: opt.WeightsOption = opt.BEST,
     look: opt.LookOption = "",
+    quality: opt.QualityOption = "fast",
+    seed: opt.SeedOption = 0,
     device: opt.DeviceOption = "auto",
     engine: opt.EngineOption = "auto",
     most_megabytes: Annotated[
@@ -46,7 +48,9 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.serve import BoundedConnection, Limits, UploadTranslator, create_application, is_loopback
 
     listening = _socket(host, port)
-    options = checked_options(weights, look=look, device=device, engine=engine, out=Path(), save=("rgb",))
+    options = checked_options(
+        weights, **opt.variant(look, quality, seed), device=device, engine=engine, out=Path(), save=("rgb",)
+    )
     limits = replace(Limits(), body_bytes=int(most_megabytes * 1e6), points=most_points, waiting=queue, seconds=seconds)
     pipeline = options.pipeline()
     print_weights(options.note, pipeline.cards.values())

@@ -44,6 +44,8 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     remission: opt.RemissionOption = "",
     invent: opt.InventOption = False,
     look: opt.LookOption = "",
+    quality: opt.QualityOption = "fast",
+    seed: opt.SeedOption = 0,
     topic: opt.TopicOption = "",
     every: opt.EveryOption = 1,
     start_s: opt.FromOption = None,
@@ -63,7 +65,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
 
     options = batch.checked_options(
         weights,
-        look=look,
+        **opt.variant(look, quality, seed),
         device=device,
         engine=engine,
         sensor=sensor,

@@ -27,6 +27,8 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
         typer.Option(metavar="FILE", help="KITTI's calibration of any form: translate scans as that camera sees them."),
     ] = None,
     look: opt.LookOption = "",
+    quality: opt.QualityOption = "fast",
+    seed: opt.SeedOption = 0,
     steady: opt.SteadyOption = False,
     topic: opt.TopicOption = "",
     every: opt.EveryOption = 1,
@@ -57,7 +59,7 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
         selection = ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)
         options = checked_options(
             weights,
-            look=look,
+            **opt.variant(look, quality, seed),
             device=device,
             engine=engine,
             out=out.parent,

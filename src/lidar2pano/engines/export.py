@@ -37,10 +37,10 @@ class Exportable:
     inputs: tuple[Tensor, ...]
 
 
-def export(parts: Mapping[str, Exportable], folder: Path, noise: np.ndarray) -> list[Path]:
+def export(parts: Mapping[str, Exportable], folder: Path, noise: np.ndarray | None = None) -> list[Path]:
     """Write ROLE.onnx for each part, the noise and a README with all tensors into a folder; return their paths.
 
-    noise  (64, 64, 64) float32, periodic: the tile of the scene painter's solid noise.
+    noise  (64, 64, 64) float32, periodic: the tile of a scene painter's solid noise.
     Raises InputError without the extra, for a network that cannot be exported, where a graph's outputs differ from
     torch's by more than TOLERANCE, and where a file cannot be written; in all cases but the last no file is written.
     """
@@ -52,9 +52,10 @@ def export(parts: Mapping[str, Exportable], folder: Path, noise: np.ndarray) -> 
         proto = graph(part.network, part.model, inputs, {"card": part.card, "role": role})
         contents[f"{role}.onnx"] = compiled = proto.SerializeToString()
         differences[role] = compare(compiled, part, inputs)
-    array = io.BytesIO()
-    np.save(array, noise)
-    contents[NOISE] = array.getvalue()
+    if noise is not None:
+        array = io.BytesIO()
+        np.save(array, noise)
+        contents[NOISE] = array.getvalue()
     contents[README] = readme(parts, differences).encode()
     return [write_whole(folder / name, partial(_write, data)) for name, data in contents.items()]
 
@@ -113,10 +114,21 @@ def readme(parts: Mapping[str, Exportable], differences: Mapping[str, float]) ->
     """Return the folder's README: the graphs, a row for each of their tensors, and how inputs are made of a scan."""
     graphs = [f"| `{role}.onnx` | {part.model} | {differences[role]:.0e} |" for role, part in parts.items()]
     tensors = [row for role, part in parts.items() for row in _tensor_rows(role, part)]
-    text = (files("lidar2pano.engines") / "onnx_readme.md").read_text(encoding="utf-8")
-    for name, value in {"graphs": "\n".join(graphs), "tensors": "\n".join(tensors), "opset": str(OPSET)}.items():
+    painter = "latent_painter" if any(part.model.startswith("latent-") for part in parts.values()) else "scene_painter"
+    values = {
+        "graphs": "\n".join(graphs),
+        "tensors": "\n".join(tensors),
+        "opset": str(OPSET),
+        "painter": _text(f"onnx_{painter}.md").rstrip(),
+    }
+    text = _text("onnx_readme.md")
+    for name, value in values.items():
         text = text.replace(f"{{{name}}}", value)
     return text
+
+
+def _text(name: str) -> str:
+    return (files("lidar2pano.engines") / name).read_text(encoding="utf-8")
 
 
 def _tensor_rows(role: str, part: Exportable) -> Iterator[str]:
@@ -129,5 +141,5 @@ def _tensor_rows(role: str, part: Exportable) -> Iterator[str]:
         ("output", signature.outputs, outputs),
     ):
         for (name, content), tensor in zip(contents.items(), tensors, strict=True):
-            shape = ", ".join(map(str, tensor.shape[1:]))
-            yield f"| `{role}.onnx` | `{name}` | {kind} | (batch, {shape}) | {content} |"
+            shape = ", ".join(["batch", *map(str, tensor.shape[1:])])
+            yield f"| `{role}.onnx` | `{name}` | {kind} | ({shape}) | {content} |"

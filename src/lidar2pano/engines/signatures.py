@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from torch import Tensor
 
 Shape = tuple[int, ...]
+SHARES = "share of each of the card's `looks`; they sum to 1"
+COLOUR = "red, green and blue in [-1, 1]; 8 bits are round((colour + 1) * 127.5)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,10 +50,29 @@ SIGNATURES: dict[str, Signature] = {
         inputs={
             "inputs": "classes, depth and what is invented, framed (steps 5 and 6)",
             "fine_noise": "solid noise on the picture's raster, wavelengths 0.0625, 0.125 and 0.5 m, framed (step 6)",
-            "shares": "share of each of the card's `looks`; they sum to 1",
+            "shares": SHARES,
             "tone": "brightness in red, green and blue, in [-1, 1]; 0 for the mean of the look",
         },
-        outputs={"colour": "red, green and blue in [-1, 1]; 8 bits are round((colour + 1) * 127.5)"},
+        outputs={"colour": COLOUR},
+    ),
+    "latent-mean": Signature(
+        inputs={"conditions": "classes, geometry and what is measured (step 5)", "shares": SHARES},
+        outputs={"mean": "mean of the latents, on a raster four times coarser than the conditions'"},
+    ),
+    "latent-flow": Signature(
+        inputs={
+            "conditions": "as the mean's",
+            "shares": SHARES,
+            "mean": "the mean's output",
+            "noisy": "noise at first, then latents on their way (step 6)",
+            "time": "how much of the way is gone, in [0, 1]",
+            "step": "length of the step from there, in [0, 1]",
+        },
+        outputs={"velocity": "of the latents on their way"},
+    ),
+    "latent-decoder": Signature(
+        inputs={"latents": "at the end of the way (step 7)"},
+        outputs={"colour": COLOUR},
     ),
 }
 

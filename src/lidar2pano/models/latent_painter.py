@@ -10,9 +10,10 @@ within a panorama.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
-from typing import cast
+from typing import Self, cast
 
 import torch
 from torch import Tensor, nn
@@ -22,13 +23,14 @@ from lidar2pano.errors import InputError
 from lidar2pano.models.autoencoder import Autoencoder
 from lidar2pano.models.blocks import CircularConv
 from lidar2pano.models.latent_inputs import CONDITIONS, FOLD, conditions_of, world_noise
-from lidar2pano.models.painter import LookPainter
+from lidar2pano.models.painter import QUALITIES, LookPainter, check_quality
 from lidar2pano.scene.record import Scene
 
 STRIDE = 4 * FOLD  # pixels of the scene's raster per pixel of the coarsest level
 WAVES = 32  # of the embedding of times, as many sines as cosines
 FASTEST = 1e3  # angular frequency of the last of them, for times in [0, 1]; the first one's is 1
 FAINT = 1e-3  # deviation of the first weights of a layer whose output is next to nothing at first
+CODE_DEVIATION = 0.1  # of the looks' codes at first
 LEARNED_STEPS = (1, 2, 4)  # numbers of steps whose lengths the flow learns; more are steps of its instant velocity
 
 
@@ -113,13 +115,82 @@ class ConditionedUNet(nn.Module):
         return self.last(silu(pixel_norm(x)))
 
 
+class MeanNetwork(nn.Module):
+    """The mean of the latents, given the scene.
+
+    looks  their number;  latents: channels;  widths, blocks, code: of a ConditionedUNet.
+    """
+
+    def __init__(self, looks: int, latents: int, widths: Sequence[int], blocks: Sequence[int], code: int) -> None:
+        super().__init__()
+        self.look_codes = nn.Parameter(torch.randn(looks, code) * CODE_DEVIATION)
+        self.unet = ConditionedUNet(CONDITIONS, 0, latents, widths, blocks, code)
+
+    def forward(self, conditions: Tensor, shares: Tensor) -> Tensor:
+        """Return the mean (B, latents, h, w) of normalised latents.
+
+        conditions  (B, CONDITIONS, FOLD h, FOLD w);  shares: (B, looks) of the looks, which sum to 1.
+        """
+        return self.unet(conditions, shares @ self.look_codes)
+
+
+class FlowNetwork(nn.Module):
+    """The velocity at which noise moves to latents; arguments as of MeanNetwork.
+
+    Its U-Net learns what the mean leaves: the mean is taken out of what it reads, and added to its answer. Without
+    that it first ignores the scene for thousands of steps (cf. Ohayon et al. 2025, posterior-mean rectified flow).
+    """
+
+    def __init__(self, looks: int, latents: int, widths: Sequence[int], blocks: Sequence[int], code: int) -> None:
+        super().__init__()
+        self.look_codes = nn.Parameter(torch.randn(looks, code) * CODE_DEVIATION)
+        self.time = nn.Sequential(nn.Linear(4 * WAVES, code), nn.SiLU(), nn.Linear(code, code))
+        self.unet = ConditionedUNet(CONDITIONS, 2 * latents, latents, widths, blocks, code)
+
+    def forward(  # noqa: PLR0913, PLR0917 the inputs of a network
+        self, conditions: Tensor, shares: Tensor, mean: Tensor, noisy: Tensor, time: Tensor, step: Tensor
+    ) -> Tensor:
+        """Return the velocity (B, latents, h, w).
+
+        conditions, shares  as of MeanNetwork;  mean: its output, (B, latents, h, w).
+        noisy       (B, latents, h, w) = (1 - time) noise + time latents.
+        time, step  (B,) in [0, 1]. A step of 0 asks for the instant velocity, another for the mean velocity over it.
+        """
+        code = shares @ self.look_codes + self.time(torch.cat([waves(time), waves(step)], 1))
+        mean = mean.to(noisy.dtype)
+        remainder = noisy - time[:, None, None, None].to(noisy.dtype) * mean
+        return mean + self.unet(conditions, code, torch.cat([remainder, mean], 1))
+
+
+class LatentDecoder(nn.Module):
+    """The decoder of an Autoencoder, which learns nothing here, behind the scale of its latents.
+
+    latents, decoder  as of Autoencoder.
+    """
+
+    def __init__(self, latents: int, decoder: Sequence[int]) -> None:
+        super().__init__()
+        self.register_buffer("scale", torch.stack([torch.zeros(latents), torch.ones(latents)]))
+        self.decoder = Autoencoder(latents, (8, 8, 8), decoder).decoder.requires_grad_(False)
+
+    def forward(self, latents: Tensor) -> Tensor:
+        """Return the picture (B, 3, FACTOR h, FACTOR w), about in [-1, 1], of normalised latents (B, latents, h, w)."""
+        mean, deviation = cast(Tensor, self.scale)[..., None, None]
+        return Autoencoder.decoded(self.decoder, latents * deviation + mean)
+
+    def normalised(self, latents: Tensor) -> Tensor:
+        """Return an encoder's latents (B, latents, h, w) with the mean and the deviation of `scale` taken out."""
+        mean, deviation = cast(Tensor, self.scale)[..., None, None]
+        return (latents - mean) / deviation
+
+
 class LatentPainter(LookPainter):
-    """Mean network, flow network, and the decoder of an Autoencoder, which learns nothing here.
+    """Mean network, flow network, and the decoder of an Autoencoder; a StreamPainter.
 
     looks             their names, the default first.
     steps, guidance   of a picture; steps of the lengths of LEARNED_STEPS have learned the guidance.
     latents, decoder  as of Autoencoder.
-    mean, flow        widths and blocks of the two ConditionedUNets.
+    mean, flow        widths and blocks of their ConditionedUNets.
     code              length of the code of look, time and length of the step, which modulates them.
     """
 
@@ -137,86 +208,66 @@ class LatentPainter(LookPainter):
         super().__init__(looks)
         if steps < 1:
             raise InputError(f"a picture takes at least one step, not {steps}")
-        self.steps, self.guidance = steps, guidance
-        self.register_buffer("scale", torch.stack([torch.zeros(latents), torch.ones(latents)]))
-        self.look_codes = nn.Parameter(torch.randn(len(self.looks), code) * 0.1)
-        self.time = nn.Sequential(nn.Linear(4 * WAVES, code), nn.SiLU(), nn.Linear(code, code))
-        self.mean = ConditionedUNet(CONDITIONS, 0, latents, mean[0], mean[1], code)
-        self.flow = ConditionedUNet(CONDITIONS, 2 * latents, latents, flow[0], flow[1], code)
-        self.decoder = Autoencoder(latents, (8, 8, 8), decoder).decoder.requires_grad_(False)
+        self.latents, self.steps, self.guidance, self.seed = latents, steps, guidance, 0
+        self.mean = MeanNetwork(len(self.looks), latents, mean[0], mean[1], code)
+        self.flow = FlowNetwork(len(self.looks), latents, flow[0], flow[1], code)
+        self.decoder = LatentDecoder(latents, decoder)
+
+    def variant(self, quality: str, seed: int) -> Self:
+        """Return the painter, with the same networks, of a quality of QUALITIES and of another plausible picture."""
+        check_quality(quality)
+        painter = copy.copy(self)
+        painter.steps, painter.seed = QUALITIES[quality] or self.steps, seed
+        return painter
+
+    def parts(self) -> dict[str, nn.Module]:
+        """Return the networks that paint, by name."""
+        return {"latent-mean": self.mean, "latent-flow": self.flow, "latent-decoder": self.decoder}
 
     def forward(  # noqa: PLR0913, PLR0917 the parts of a training step
         self, conditions: Tensor, shares: Tensor, noisy: Tensor, time: Tensor, step: Tensor, kept: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Return the mean and the velocity, (B, latents, h, w) each, of normalised latents.
 
-        conditions  (B, CONDITIONS, FOLD h, FOLD w);  shares: (B, looks) of the looks.
-        noisy, time, step  as of `velocity`.
+        conditions, shares, noisy, time, step  as of FlowNetwork.
         kept        (B,) 1, or 0: the flow is given neither conditions nor mean. No gradient passes from it to the mean.
         """
-        mean = self.expected(conditions, shares)
+        mean = self.mean(conditions, shares)
         kept = kept[:, None, None, None]
-        return mean, self.velocity(noisy, time, step, conditions * kept, mean.detach() * kept, shares)
+        return mean, self.flow(conditions * kept, shares, mean.detach() * kept, noisy, time, step)
 
-    def expected(self, conditions: Tensor, shares: Tensor) -> Tensor:
-        """Return the mean (B, latents, h, w) of normalised latents given conditions and shares of looks (B, looks).
+    def latents_of(self, conditions: Tensor, shares: Tensor, noise: Tensor) -> Tensor:
+        """Return normalised latents (B, latents, h, w) float32 from noise of the same shape.
 
         Raises InputError unless the conditions' rows and columns are multiples of STRIDE.
         """
         if conditions.shape[-2] % STRIDE or conditions.shape[-1] % STRIDE:
             size = tuple(conditions.shape[-2:])
             raise InputError(f"conditions of {size} pixels: rows, columns must divide by {STRIDE}")
-        return self.mean(conditions, shares @ self.look_codes)
-
-    def velocity(  # noqa: PLR0913, PLR0917 the parts of a step
-        self, noisy: Tensor, time: Tensor, step: Tensor, conditions: Tensor, mean: Tensor, shares: Tensor
-    ) -> Tensor:
-        """Return the velocity (B, latents, h, w) at which noise moves to latents.
-
-        noisy  (B, latents, h, w) = (1 - time) noise + time latents;  time, step: (B,) in [0, 1]. A step of 0 asks for
-               the instant velocity, another one for the mean velocity over it.
-        """
-        code = shares @ self.look_codes + self.time(torch.cat([waves(time), waves(step)], 1))
-        return self.flow(conditions, code, torch.cat([noisy, mean.to(noisy.dtype)], 1))
-
-    def guided(  # noqa: PLR0913, PLR0917 as velocity
-        self, noisy: Tensor, time: Tensor, conditions: Tensor, mean: Tensor, shares: Tensor
-    ) -> Tensor:
-        """Return the instant velocity (B, latents, h, w), led away from the unconditional one by `guidance`."""
-        noisy, time, shares = (torch.cat([part, part]) for part in (noisy, time, shares))
-        conditions, mean = (torch.cat([part, part * 0]) for part in (conditions, mean))
-        conditioned, free = self.velocity(noisy, time, torch.zeros_like(time), conditions, mean, shares).chunk(2)
-        return torch.lerp(free, conditioned, self.guidance)
-
-    def latents_of(self, conditions: Tensor, shares: Tensor, noise: Tensor) -> Tensor:
-        """Return latents (B, latents, h, w) float32 as the decoder reads them, from noise of the same shape."""
-        mean, x = self.expected(conditions, shares).float(), noise
+        mean, x = self.mean(conditions, shares).float(), noise
         step = x.new_full((len(x),), 1 / self.steps)
         for number in range(self.steps):
             time = step * number
             if self.steps in LEARNED_STEPS:
-                velocity = self.velocity(x, time, step, conditions, mean, shares)
+                velocity = self.flow(conditions, shares, mean, x, time, step)
             else:
-                velocity = self.guided(x, time, conditions, mean, shares)
+                velocity = self._guided(conditions, shares, mean, x, time)
             x = x + velocity.float() / self.steps
-        return self.denormalised(x)
+        return x
 
-    def normalised(self, latents: Tensor) -> Tensor:
-        """Return an encoder's latents (B, latents, h, w) with the mean and the deviation of `scale` taken out."""
-        mean, deviation = cast(Tensor, self.scale)[..., None, None]
-        return (latents - mean) / deviation
-
-    def denormalised(self, latents: Tensor) -> Tensor:
-        """Return normalised latents (B, latents, h, w) as an encoder would give them."""
-        mean, deviation = cast(Tensor, self.scale)[..., None, None]
-        return latents * deviation + mean
+    def _guided(self, conditions: Tensor, shares: Tensor, mean: Tensor, noisy: Tensor, time: Tensor) -> Tensor:
+        """Return the instant velocity (B, latents, h, w), led away from the unconditional one by `guidance`."""
+        twice = (torch.cat([part, part]) for part in (noisy, time, 0 * time))
+        given = (torch.cat([conditions, 0 * conditions]), torch.cat([shares, shares]), torch.cat([mean, 0 * mean]))
+        conditioned, free = self.flow(*given, *twice).chunk(2)
+        return torch.lerp(free, conditioned, self.guidance)
 
     def paint(self, past: None, scene: Scene, look: str = "") -> tuple[None, Tensor]:  # noqa: ARG002 it needs no past
         """Paint a scan; arguments and answer as of StreamPainter. The noise hangs on the world."""
         conditions = conditions_of(scene).contiguous(memory_format=torch.channels_last)
         shares = torch.tensor([self.look_shares(look)], device=conditions.device)
-        latents = self.latents_of(conditions, shares, world_noise(scene, cast(Tensor, self.scale).shape[1]))
-        return None, Autoencoder.decoded(self.decoder, latents).clamp(-1, 1)
+        noise = world_noise(scene, self.latents, self.seed)
+        return None, self.decoder(self.latents_of(conditions, shares, noise)).clamp(-1, 1)
 
 
 def waves(time: Tensor) -> Tensor:

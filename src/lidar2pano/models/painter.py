@@ -7,8 +7,10 @@ from typing import Any, Protocol
 
 from torch import Tensor, nn
 
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, closest
 from lidar2pano.scene.record import Scene
+
+QUALITIES = {"fast": 0, "best": 8}  # steps of a latent painter's picture; 0: as many as it has learned to take
 
 
 class StreamPainter(Protocol):
@@ -43,3 +45,9 @@ class LookPainter(nn.Module):
                 choices = ", ".join(self.looks)
                 raise InputError(f"the painter knows no look {name!r}; it knows {choices}")
         return [names.count(look) / len(names) for look in self.looks]
+
+
+def check_quality(quality: str) -> None:
+    """Raise InputError unless a quality is known."""
+    if quality not in QUALITIES:
+        raise InputError(f"no quality {quality!r}{closest(quality, QUALITIES)}")

@@ -1,6 +1,15 @@
 """Scan in, panorama out: the pipelines, and their assembly from weight files."""
 
-from lidar2pano.pipeline.assembly import assemble, card_view, load, load_painter, load_part, load_segmenter, made_fast
+from lidar2pano.pipeline.assembly import (
+    assemble,
+    card_view,
+    engine_parts,
+    load,
+    load_painter,
+    load_part,
+    load_segmenter,
+    made_fast,
+)
 from lidar2pano.pipeline.stages import PaperPipeline, Pipeline, Segmenter
 
 __all__ = [
@@ -9,6 +18,7 @@ __all__ = [
     "Segmenter",
     "assemble",
     "card_view",
+    "engine_parts",
     "load",
     "load_painter",
     "load_part",

@@ -20,6 +20,7 @@ from lidar2pano.models.card import Card, read_card
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.families import BEST, FRONT_VIEW, role, weight_files
 from lidar2pano.models.front_all_around import FrontAllAround
+from lidar2pano.models.latent_painter import LatentPainter
 from lidar2pano.models.painter import StreamPainter
 from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
@@ -138,7 +139,15 @@ def load_part(
     Raises InputError as `models.card.load` and `engines.accelerated`.
     """
     network, card = load_weights(file, device, expect=expect)
-    return accelerated(made_fast(network), card.network, card.sha256, engine, device), card
+    network = made_fast(network)
+    for model, part in engine_parts(network, card.network).items():
+        accelerated(part, model, card.sha256, engine, device)
+    return network, card
+
+
+def engine_parts(network: nn.Module, model: str) -> dict[str, nn.Module]:
+    """Return what engines compute of a network (its name in models.MODELS): itself, or its parts, by their names."""
+    return network.parts() if isinstance(network, LatentPainter) else {model: network}
 
 
 def made_fast(network: nn.Module) -> nn.Module:

@@ -31,7 +31,8 @@ from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import Memory, remember, steady
 from lidar2pano.models.card import Card
-from lidar2pano.models.painter import LookPainter, StreamPainter
+from lidar2pano.models.latent_painter import LatentPainter
+from lidar2pano.models.painter import LookPainter, StreamPainter, check_quality
 from lidar2pano.models.salsanext import STRIDE
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline.camera_doubts import sound_cameras
@@ -166,6 +167,18 @@ class Pipeline:
             )
         self.painter.look_shares(look)
         return replace(self, look=look)
+
+    def in_variant(self, quality: str = "fast", seed: int = 0) -> Pipeline:
+        """Return the pipeline that paints in a quality of QUALITIES, and the plausible picture of a seed.
+
+        Raises InputError for an unknown quality, and where the painter has one quality and one picture only.
+        """
+        check_quality(quality)
+        if isinstance(self.painter, LatentPainter):
+            return replace(self, painter=self.painter.variant(quality, seed))
+        if quality != "fast" or seed:
+            raise InputError("these weights paint one picture, in one quality; choose a latent painter's for others")
+        return self
 
     def __call__(self, scan: Scan | str | Path, cameras: Sequence[Camera] = ()) -> Panorama:
         """Return the panorama of a single scan, or of a scan file.

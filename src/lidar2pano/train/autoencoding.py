@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -22,6 +22,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.hardware import fast_arithmetic
 from lidar2pano.losses import hinge_critic, hinge_generator
 from lidar2pano.losses.adversarial import frozen
+from lidar2pano.models.autoencoder import Autoencoder
 from lidar2pano.models.frozen_features import LITE0, ImagenetFeatures
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores
 from lidar2pano.train.task import as_image, build_networks, device_of
@@ -40,6 +41,7 @@ class AutoencodingOptions(TaskOptions):
     adversarial  weight of the hinge loss of the critic; 0: there is none.
     latents     folder of a teacher's latents of the photographs (runs/teacher_latents.py); "": none.
     teacher     weight of the mean squared distance from them.
+    encoder     whether the encoder learns, too: no longer once a painter learns its latents.
     """
 
     task = "autoencoding"
@@ -51,6 +53,7 @@ class AutoencodingOptions(TaskOptions):
     adversarial: float = 0.02
     latents: str = ""
     teacher: float = 0.3
+    encoder: bool = True
 
 
 class Autoencoding:
@@ -60,6 +63,7 @@ class Autoencoding:
 
     def __init__(self, recipe: Recipe[AutoencodingOptions], root: Path) -> None:
         self.options, self.networks = recipe.options, build_networks(recipe)
+        cast("Autoencoder", self.networks["autoencoder"]).encoder.requires_grad_(recipe.options.encoder)
         is_textured = recipe.options.perceptual > 0 or recipe.options.adversarial > 0
         self.features = ImagenetFeatures.load(LITE0) if is_textured else None
         latents = Path(recipe.options.latents) if recipe.options.latents else None

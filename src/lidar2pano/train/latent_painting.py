@@ -105,7 +105,7 @@ class LatentPainting:
     def _decode_as(self, autoencoder: Autoencoder) -> None:
         """Give the painter the autoencoder's decoder, and the scale of its latents in the training sectors."""
         try:
-            self.painter.decoder.load_state_dict(autoencoder.decoder.state_dict())
+            self.painter.decoder.decoder.load_state_dict(autoencoder.decoder.state_dict())
         except RuntimeError:
             raise InputError(
                 f"options.autoencoder: {self.options.autoencoder} was trained with other settings than the painter's"
@@ -115,14 +115,14 @@ class LatentPainting:
         latents = torch.cat([sector.latents[:, sector.coverage].float() for sector in sectors], 1)
         if not latents.shape[1]:
             raise InputError("data.train: no camera sees anything of its scans; name splits with calibrated images")
-        cast("Tensor", self.painter.scale).copy_(torch.stack([latents.mean(1), latents.std(1).clamp(min=1e-6)]))
+        cast("Tensor", self.painter.decoder.scale).copy_(torch.stack([latents.mean(1), latents.std(1).clamp(min=1e-6)]))
 
     def updates(self, batch: LatentSample) -> Iterator[tuple[str, Tensor]]:
         """One update of mean and flow."""
         conditions, samples = self._with_absent(batch.conditions), len(batch.look)
         conditions = conditions.contiguous(memory_format=torch.channels_last)
         shares = self._shares(batch.look)
-        latents = self.painter.normalised(batch.latents)
+        latents = self.painter.decoder.normalised(batch.latents)
         noisy = self._noisy(latents)
         kept = (torch.rand(samples, device=conditions.device) >= self.options.free_probability).float()
         if taught := round(self.options.shortcut * samples):
@@ -190,7 +190,7 @@ class LatentPainting:
         losses = []
         for index in evenly_spaced(len(self.validation), SCORED):
             sample = LatentSample(*(part[None].to(device) for part in self.validation[index]))
-            latents = self.painter.normalised(sample.latents)
+            latents = self.painter.decoder.normalised(sample.latents)
             noise = torch.randn(latents.shape, generator=torch.Generator().manual_seed(index)).to(device)
             shares = self._shares(sample.look)
             unit = torch.ones(1, device=device)
@@ -205,15 +205,16 @@ class LatentPainting:
     @torch.no_grad()
     def preview(self) -> dict[str, np.ndarray]:
         """Return photographs, below each the decoded mean and a picture, (H, W, 3) uint8."""
-        device, rows = device_of(self.painter), []
+        device, rows, best = device_of(self.painter), [], self.painter.variant("best", 0)
         for index in evenly_spaced(len(self.validation), SHOWN):
             sample = self.validation[index]
             conditions = sample.conditions[None].to(device)
             shares = self._shares(sample.look[None].to(device))
             noise = torch.randn(1, *sample.latents.shape, generator=torch.Generator().manual_seed(index)).to(device)
-            mean = self.painter.denormalised(self.painter.expected(conditions, shares).float())
-            parts = (sample.latents[None].to(device), mean, self.painter.latents_of(conditions, shares, noise))
-            rows += [Autoencoder.decoded(self.painter.decoder, part)[0].float().clamp(-1, 1).cpu() for part in parts]
+            latents = self.painter.decoder.normalised(sample.latents[None].to(device))
+            mean = self.painter.mean(conditions, shares).float()
+            parts = (latents, mean, best.latents_of(conditions, shares, noise))
+            rows += [self.painter.decoder(part)[0].float().clamp(-1, 1).cpu() for part in parts]
         return {"picture": as_image(torch.cat(rows, 1))}
 
     def card(self, network: str) -> dict[str, Any]:  # noqa: ARG002 one network is released
@@ -229,11 +230,12 @@ def masked_error(made: Tensor, real: Tensor, coverage: Tensor) -> Tensor:
 
 def latent_painter() -> Recipe[LatentPaintingOptions]:
     """The latent painter on the autoencoder's latents."""
+    settings = {"looks": ("photograph", "day")}
     optimizer = Optimizer(rate=1e-3, betas=(0.9, 0.99), weight_decay=0.01, warmup=100, clip=1.0)
     return Recipe(
         view="panorama",
         scale=0.5,
-        networks={"painter": Network(model="latent-painter", optimizer=optimizer)},
+        networks={"painter": Network(model="latent-painter", settings=settings, optimizer=optimizer)},
         options=LatentPaintingOptions(),
         training=Training(steps=40_000, batch=64),
     )
