@@ -106,9 +106,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     part = Shard.parsed(shard)
     options = checked_options(
         weights,
-        **opt.variant(look, quality, seed),
-        device="cpu" if address else device,
-        engine=engine,
+        **opt.collect_choices("cpu" if address else device, engine, look, quality, seed),
         out=Path(out),
         save=opt.parse_save(save or ("rgb,segments,depth" if layout else "rgb")),
         image_format=opt.parse_format(image_format),

@@ -182,9 +182,9 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
 }
 
 
-def variant(look: str, quality: str, seed: int) -> dict[str, Any]:
-    """Return how to paint, as fields of `batch.Options`."""
-    return {"look": look, "quality": quality, "seed": seed}
+def collect_choices(device: str, engine: str, look: str, quality: str, seed: int) -> dict[str, Any]:
+    """Return where the networks run and how they paint, as arguments of `batch.checked_options`."""
+    return {"device": device, "engine": engine, "look": look, "quality": quality, "seed": seed}
 
 
 def parse_camera(calib: Path | None, image_size: str) -> Calibration | None:

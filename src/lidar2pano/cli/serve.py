@@ -49,7 +49,7 @@ def serve(  # noqa: PLR0913, PLR0917 one parameter per option
 
     listening = _socket(host, port)
     options = checked_options(
-        weights, **opt.variant(look, quality, seed), device=device, engine=engine, out=Path(), save=("rgb",)
+        weights, **opt.collect_choices(device, engine, look, quality, seed), out=Path(), save=("rgb",)
     )
     limits = replace(Limits(), body_bytes=int(most_megabytes * 1e6), points=most_points, waiting=queue, seconds=seconds)
     pipeline = options.pipeline()

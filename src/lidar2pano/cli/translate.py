@@ -65,9 +65,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
 
     options = batch.checked_options(
         weights,
-        **opt.variant(look, quality, seed),
-        device=device,
-        engine=engine,
+        **opt.collect_choices(device, engine, look, quality, seed),
         sensor=sensor,
         out=opt.check_folder(out, "--out"),
         calibration=opt.parse_camera(calib, image_size),

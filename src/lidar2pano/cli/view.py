@@ -59,9 +59,7 @@ def view(  # noqa: PLR0913, PLR0917 one parameter per option
         selection = ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s)
         options = checked_options(
             weights,
-            **opt.variant(look, quality, seed),
-            device=device,
-            engine=engine,
+            **opt.collect_choices(device, engine, look, quality, seed),
             out=out.parent,
             save=(),
             calibration=opt.parse_camera(calib, ""),
