@@ -61,12 +61,12 @@ def networks_of(pipeline: Pipeline) -> dict[str, tuple[str, str, nn.Module]]:
         "translator": pipeline.translator,
         "painter": cast("nn.Module", pipeline.painter),
     }
-    found: dict[str, tuple[str, str, nn.Module]] = {}
+    graphs: dict[str, tuple[str, str, nn.Module]] = {}
     for role, network in whole.items():
         parts = engine_parts(network, pipeline.cards[role].network)
         for model, part in parts.items():
-            found[role if len(parts) == 1 else f"{role}-{model.split('-')[1]}"] = (role, model, part)
-    return found
+            graphs[role if len(parts) == 1 else f"{role}-{model.split('-')[1]}"] = (role, model, part)
+    return graphs
 
 
 def record_inputs(pipeline: Pipeline) -> dict[str, tuple[Tensor, ...]]:

@@ -257,9 +257,10 @@ class LatentPainter(LookPainter):
 
     def _guided(self, conditions: Tensor, shares: Tensor, mean: Tensor, noisy: Tensor, time: Tensor) -> Tensor:
         """Return the instant velocity (B, latents, h, w), led away from the unconditional one by `guidance`."""
-        twice = (torch.cat([part, part]) for part in (noisy, time, 0 * time))
-        given = (torch.cat([conditions, 0 * conditions]), torch.cat([shares, shares]), torch.cat([mean, 0 * mean]))
-        conditioned, free = self.flow(*given, *twice).chunk(2)
+        scene = (torch.cat([part, 0 * part]) for part in (conditions, mean))
+        state = (torch.cat([part, part]) for part in (shares, noisy, time, 0 * time))
+        (conditions, mean), (shares, noisy, time, step) = scene, state
+        conditioned, free = self.flow(conditions, shares, mean, noisy, time, step).chunk(2)
         return torch.lerp(free, conditioned, self.guidance)
 
     def paint(self, past: None, scene: Scene, look: str = "") -> tuple[None, Tensor]:  # noqa: ARG002 it needs no past
