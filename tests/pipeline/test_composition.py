@@ -122,7 +122,7 @@ def test_the_own_vehicle_is_left_out(photos):
 
 
 def test_the_invention_goes_over_into_what_is_seen_and_stays_itself_far_away(monkeypatch):
-    monkeypatch.setattr(composition, "transferred", lambda colour, *_: colour.movedim(2, 0).float())
+    monkeypatch.setattr(composition, "light_maps", lambda *_: {})
     view = replace(QUARTER, origin=(0.0, 0.0, 0.0))
     depth_m = np.full((view.rows, view.columns), 12.0, dtype=np.float32)
     picture = np.full((300, 480, 3), 150, dtype=np.uint8)
@@ -138,11 +138,12 @@ def test_the_invention_goes_over_into_what_is_seen_and_stays_itself_far_away(mon
 def test_known_differences_stay_and_others_are_filled():
     known = torch.zeros(64, 128, dtype=torch.bool)
     known[16:32, 8:40] = True
-    filled = continued(torch.full((3, 64, 128), 7.0), known)
+    invented = torch.zeros(32 * 64, 3)
+    filled = continued(torch.full((3, 64, 128), 7.0), invented, known)
     assert filled.shape == (3, 64, 128)
     assert filled[:, 20:28, 16:32].allclose(torch.tensor(7.0))
     assert float(filled[0, 20, 48]) > float(filled[0, 20, 90]) >= 0
-    assert continued(torch.ones(3, 64, 128), torch.zeros(64, 128, dtype=torch.bool)).eq(0).all()
+    assert continued(torch.ones(3, 64, 128), invented, torch.zeros(64, 128, dtype=torch.bool)).eq(0).all()
 
 
 def test_a_turned_scan_gives_turned_colours(photos):

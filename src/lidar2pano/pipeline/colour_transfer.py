@@ -56,8 +56,8 @@ class LightMap(NamedTuple):
         return Moments(self.A @ moments.mean + self.b, self.A @ moments.spread @ self.A.T)
 
 
-def transferred(colour: Tensor, classes: Tensor, real: Tensor, source: Tensor) -> Tensor:
-    """Return an invention's colours (3, H, W) float32 codes in 0 .. 255, mapped class by class.
+def light_maps(colour: Tensor, classes: Tensor, real: Tensor, source: Tensor) -> dict[int, LightMap]:
+    """Return the map of each class of an invention that cameras see, and of all as -1; none where they see nothing.
 
     colour  (H, W, 3) uint8, the invention;  classes: (H, W) uint8.
     real    (3, H, W) float32 codes of cameras;  source: (H, W) uint8, 0 where none sees.
@@ -65,21 +65,23 @@ def transferred(colour: Tensor, classes: Tensor, real: Tensor, source: Tensor) -
     sample = slice(EVERY_PX // 2, None, EVERY_PX)
     visible = source[sample, sample] > 0
     if not visible.any():
-        return colour.movedim(2, 0).float()
-    light = LIGHT[colour.flatten(0, 1).int()]
+        return {}
     painted = LIGHT[colour[sample, sample][visible].int()].double().numpy()
     target = LIGHT[real[:, sample, sample][:, visible].round().clamp(0, 255).int()].T.double().numpy()
     row, column = (place // (CELL_PX // EVERY_PX) for place in visible.nonzero(as_tuple=True))
     cells = (row * colour.shape[1] + column).numpy()
-    maps = class_maps(painted, target, classes[sample, sample][visible].numpy(), cells)
-    flat = classes.flatten()
-    mapped = torch.empty_like(light)
-    for index in flat.unique().tolist():
-        chosen = (flat == index).nonzero()[:, 0]
+    return class_maps(painted, target, classes[sample, sample][visible].numpy(), cells)
+
+
+def mapped(maps: dict[int, LightMap], colour: Tensor, classes: Tensor) -> Tensor:
+    """Return colours (n, 3) float32 codes in 0 .. 255 of pixels (n, 3) uint8 by the maps of their classes (n,)."""
+    codes = colour.float()
+    for index in classes.unique().tolist() if maps else ():
+        chosen = (classes == index).nonzero()[:, 0]
         A, b = (torch.from_numpy(part).float() for part in maps.get(index, maps[-1]))
-        mapped[chosen] = torch.addmm(b, light[chosen], A.T)
-    level = (mapped.clamp_(0, 1) * LEVELS).int()
-    return CODES[level].T.reshape(3, *classes.shape)
+        light = torch.addmm(b, LIGHT[colour[chosen].int()], A.T)
+        codes[chosen] = CODES[(light.clamp_(0, 1) * LEVELS).int()]
+    return codes
 
 
 def class_maps(painted: np.ndarray, target: np.ndarray, classes: np.ndarray, cells: np.ndarray) -> dict[int, LightMap]:

@@ -20,7 +20,7 @@ from lidar2pano.geometry.projection import directions
 from lidar2pano.geometry.rasters import pad_azimuth, upsample_azimuth
 from lidar2pano.geometry.stitching import Camera, Sight, homogeneous, look, seam_weights
 from lidar2pano.panorama import Panorama
-from lidar2pano.pipeline.colour_transfer import transferred
+from lidar2pano.pipeline.colour_transfer import light_maps, mapped
 from lidar2pano.scene.surfaces import hides
 from lidar2pano.views import View
 
@@ -28,6 +28,7 @@ from lidar2pano.views import View
 # intensity and gain. A gain of light is one of coded values, too, whose curve is nearly a power.
 INTENSITY_ERROR, GAIN_ERROR = 10.0, 0.1
 BLACK, WHITE = 16, 235  # codes of ITU-R BT.601; what is beyond them may be clipped, and says nothing of a gain
+COARSE_PX = 2  # every so many pixels of each row and column show how far an invention is off
 CELL_PX = 4  # on a side of the finest cells of differences, and between the pixels compared for the gains
 SMOOTH_PX = 16  # on a side of the cells of images' means, faded over their overlap; details change at its seam
 SECTOR_PX = 16  # distance of the pixels tested for a camera's columns
@@ -44,11 +45,15 @@ def compose(panorama: Panorama, cameras: Sequence[Camera]) -> Panorama:
     cameras = brought_together(cameras, sights, layers, panorama)
     layers = [layer * torch.tensor(camera.gain)[:, None] for camera, layer in zip(cameras, layers, strict=True)]
     shown, source = mixed(layers, sights, cameras, panorama.view)
-    invented = transferred(torch.from_numpy(panorama.colour), torch.from_numpy(panorama.segments), shown, source)
-    colour = torch.where(source > 0, shown, invented + continued(shown - invented, source > 0))
+    colour, classes = torch.from_numpy(panorama.colour), torch.from_numpy(panorama.segments)
+    maps = light_maps(colour, classes, shown, source)
+    offset = continued(shown, mapped(maps, *_coarse(colour, classes)), source > 0)
+    hidden = (source == 0).flatten().nonzero()[:, 0]
+    invented = mapped(maps, colour.flatten(0, 1)[hidden], classes.flatten()[hidden])
+    shown.flatten(1)[:, hidden] = invented.T + offset.flatten(1)[:, hidden]
     return replace(
         panorama,
-        colour=colour.round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2).contiguous().numpy(),
+        colour=shown.round_().clamp_(0, 255).to(torch.uint8).movedim(0, 2).contiguous().numpy(),
         source=source.numpy(),
         cameras=tuple(cameras),
     )
@@ -63,8 +68,8 @@ def sights_of(panorama: Panorama, cameras: Sequence[Camera]) -> list[Sight]:
         columns = _sector(camera, ray, depth_m, view)
         points = homogeneous(ray[:, columns], depth_m[:, columns], view.origin)
         sight = look(camera, points.flatten(1), view.focal_px, hides)
-        row, column = sight.surface // max(len(columns), 1), sight.surface % max(len(columns), 1)
-        sights.append(sight._replace(surface=row * view.columns + columns[column]))
+        pixel = (torch.arange(view.rows)[:, None] * view.columns + columns).flatten()
+        sights.append(sight._replace(surface=pixel[sight.surface]))
     return sights
 
 
@@ -152,16 +157,25 @@ def _inwards(camera: Camera, sight: Sight) -> Tensor:
     return (row * (1 - row) * column * (1 - column)).clamp(min=1e-6)
 
 
-def continued(difference: Tensor, mask: Tensor) -> Tensor:
-    """Return differences (3, H, W) of the pixels of a mask (H, W) bool, continued smoothly into all others.
+def _coarse(colour: Tensor, classes: Tensor) -> tuple[Tensor, Tensor]:
+    """Return colours (n, 3) and classes (n,) of one in COARSE_PX pixels of each row and column."""
+    every = slice(None, None, COARSE_PX)
+    return colour[every, every].flatten(0, 1), classes[every, every].flatten()
 
+
+def continued(shown: Tensor, invented: Tensor, mask: Tensor) -> Tensor:
+    """Return differences of a mask's pixels from the invention, continued smoothly into all others: (3, H, W).
+
+    shown     (3, H, W);  invented: (n, 3), of one in COARSE_PX pixels of each row and column;  mask: (H, W) bool.
     Means of ever larger cells, the finest of CELL_PX on a side, fill what is unknown in finer ones (pull and push,
     Gortler et al. 1996, section 3.5); cells without a known neighbour at any size have none.
     """
-    rows, columns = mask.shape
-    if rows % CELL_PX or columns % CELL_PX:
-        return torch.zeros_like(difference)
-    cells, share = _cell_means(difference[None], mask[None, None].float(), CELL_PX)
+    if mask.shape[0] % CELL_PX or mask.shape[1] % CELL_PX:
+        return torch.zeros_like(shown)
+    every = slice(None, None, COARSE_PX)
+    coarse, share = shown[:, every, every], mask[every, every].float()
+    difference = coarse - invented.T.view_as(coarse)
+    cells, share = _cell_means(difference[None], share[None, None], CELL_PX // COARSE_PX)
     return upsample_azimuth(_filled(cells, share), CELL_PX)[0]
 
 
