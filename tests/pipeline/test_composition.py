@@ -122,7 +122,7 @@ def test_the_own_vehicle_is_left_out(photos):
 
 
 def test_the_invention_goes_over_into_what_is_seen_and_stays_itself_far_away(monkeypatch):
-    monkeypatch.setattr(composition, "light_maps", lambda *_: {})
+    monkeypatch.setattr(composition, "light_gains", lambda *_: {})
     view = replace(QUARTER, origin=(0.0, 0.0, 0.0))
     depth_m = np.full((view.rows, view.columns), 12.0, dtype=np.float32)
     picture = np.full((300, 480, 3), 150, dtype=np.uint8)

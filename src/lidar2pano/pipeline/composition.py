@@ -20,7 +20,7 @@ from lidar2pano.geometry.projection import directions
 from lidar2pano.geometry.rasters import pad_azimuth, upsample_azimuth
 from lidar2pano.geometry.stitching import Camera, Sight, homogeneous, look, seam_weights
 from lidar2pano.panorama import Panorama
-from lidar2pano.pipeline.colour_transfer import light_maps, mapped
+from lidar2pano.pipeline.colour_transfer import brightened, light_gains
 from lidar2pano.scene.surfaces import hides
 from lidar2pano.views import View
 
@@ -46,10 +46,10 @@ def compose(panorama: Panorama, cameras: Sequence[Camera]) -> Panorama:
     layers = [layer * torch.tensor(camera.gain)[:, None] for camera, layer in zip(cameras, layers, strict=True)]
     shown, source = mixed(layers, sights, cameras, panorama.view)
     colour, classes = torch.from_numpy(panorama.colour), torch.from_numpy(panorama.segments)
-    maps = light_maps(colour, classes, shown, source)
-    offset = continued(shown, mapped(maps, *_coarse(colour, classes)), source > 0)
+    gains = light_gains(colour, classes, shown, source)
+    offset = continued(shown, brightened(gains, *_coarse(colour, classes)), source > 0)
     hidden = (source == 0).flatten().nonzero()[:, 0]
-    invented = mapped(maps, colour.flatten(0, 1)[hidden], classes.flatten()[hidden])
+    invented = brightened(gains, colour.flatten(0, 1)[hidden], classes.flatten()[hidden])
     shown.flatten(1)[:, hidden] = invented.T + offset.flatten(1)[:, hidden]
     return replace(
         panorama,
