@@ -412,7 +412,7 @@ def test_bench_measures_everything(here, random_weights, capsys):
     assert {"device", "threads", "bfloat16", "buffers_kept", "runs"} <= set(said)
     assert said["weights"] == str(random_weights)
     whole = said["rows"][-1]["median_ms"]
-    assert whole == pytest.approx(sum(row["median_ms"] for row in said["rows"][3:-1]), abs=0.1)
+    assert whole >= sum(row["median_ms"] for row in said["rows"][3:-1]) - 0.1, "what lies between stages counts too"
     out, err = capsys.readouterr()
     assert "| whole panorama |" in out and "< 1500" in out and "threads" in out
     assert LICENCE in err
