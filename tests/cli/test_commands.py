@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import io
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -470,6 +471,17 @@ def test_no_bar_without_a_terminal(capsys):
 
 
 # --- the door itself ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("chosen", "policy"), [("", "PASSIVE"), ("ACTIVE", "ACTIVE")])
+def test_threads_that_wait_sleep_unless_the_user_chose(monkeypatch, capsys, chosen, policy):
+    monkeypatch.setenv("OMP_WAIT_POLICY", chosen)  # restored afterwards
+    if not chosen:
+        monkeypatch.delenv("OMP_WAIT_POLICY")
+    monkeypatch.setattr("sys.argv", ["lidar2pano", "--version"])
+    assert main() == 0
+    assert os.environ["OMP_WAIT_POLICY"] == policy
+    capsys.readouterr()
 
 
 def test_version_and_help(capsys):

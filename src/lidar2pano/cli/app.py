@@ -55,6 +55,9 @@ EXTRAS = {
 }
 
 COMPLETION = "_LIDAR2PANO_COMPLETE"  # set by the shell for a word to be completed
+# Threads that wait sleep: where they spin, they take the cores from those that they wait for, on a busy machine a
+# panorama takes four times as long.
+WAITING = ("OMP_WAIT_POLICY", "PASSIVE")
 
 app = typer.Typer(pretty_exceptions_enable=False)
 
@@ -86,6 +89,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Any exception becomes one line on stderr and an exit code, with --debug after its traceback.
     """
     command = arrange(get_command(app))
+    if arguments is None:
+        os.environ.setdefault(*WAITING)  # before torch is loaded
     if arguments is None and COMPLETION in os.environ:
         command.main(prog_name="lidar2pano")  # prints completions and leaves
     words = list(sys.argv[1:] if arguments is None else arguments)
