@@ -95,7 +95,7 @@ family kitti-mini "$(weights segmenter segmenter)" "$(weights translator transla
   "$kitti" val CC-BY-NC-SA-4.0
 
 # The latent painter, from photographs (PHOTOGRAPHS: splits with images, "train,FOLDER:split,..."): no family has it yet.
-# runs/stages/ keeps the first stage, 70 minutes on a core beside other work, for whoever goes on from there.
+# runs/stages/ keeps the stage `pictures` and the beginning of `latents`, for whoever goes on from there.
 photographs=(data.train="${PHOTOGRAPHS:-train}" training.validate_minutes=0)
 stage pictures autoencoder "$kitti" 70 "${photographs[@]}" options.perceptual=0 options.adversarial=0
 stage autoencoder autoencoder "$kitti" 40 "${photographs[@]}" networks.autoencoder.optimizer.rate=0.0003 \
