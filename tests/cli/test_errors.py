@@ -97,7 +97,10 @@ def test_unusable_points_are_counted_and_the_rest_is_painted(here, capsys):
     ("options", "said"),
     [
         ("--save rgb,deph", "--save: unknown output 'deph'; did you mean 'depth'?"),
-        ("--save ,", "--save: empty list; choose from rgb, segments, labels, depth, confidence, measured and all"),
+        (
+            "--save ,",
+            "--save: empty list; choose from rgb, segments, labels, depth, confidence, measured, source and",
+        ),
         ("--sensor os1_64", "no sensor 'os1_64'; did you mean 'os1-64'?"),
         ("--sensor panorama", "no sensor 'panorama'"),
         ("--weights other", "no weights 'other': neither a released family nor a file"),

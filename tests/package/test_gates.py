@@ -57,7 +57,7 @@ DECODERS = {
     ("gzip", "decompress"): set(),
     ("bz2", "decompress"): set(),
     ("lzma", "decompress"): set(),
-    ("yaml", "load"): set(),
+    ("yaml", "load"): {"data/camera_files.py"},  # a SafeLoader without aliases, of a bounded text
     ("imageio", "imread"): set(),
     ("cv2", "imread"): set(),
     ("h5py", "File"): set(),
@@ -69,6 +69,7 @@ DECODERS = {
     ("json", "loads"): {"formats/json_files.py", "recordings/point_messages.py"},  # the latter of a bounded message
     ("json", "load"): set(),
 }
+WITH_REASON = {"data/camera_files.py": {"yaml"}}  # calibrations of cameras are written in it
 PARSERS = {
     "h5py",
     "imageio",
@@ -137,7 +138,8 @@ def test_no_library_that_executes_or_guesses_is_imported():
         for node in ast.walk(tree):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            assert not PARSERS & {name.partition(".")[0] for name in names}, file
+            imported = {name.partition(".")[0] for name in names}
+            assert PARSERS & imported <= WITH_REASON.get(file, set()), file
 
 
 @pytest.mark.parametrize(

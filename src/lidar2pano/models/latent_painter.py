@@ -130,7 +130,11 @@ class MeanNetwork(nn.Module):
         """Return the mean (B, latents, h, w) of normalised latents.
 
         conditions  (B, CONDITIONS, FOLD h, FOLD w);  shares: (B, looks) of the looks, which sum to 1.
+        Raises InputError unless the conditions' rows and columns are multiples of STRIDE.
         """
+        if conditions.shape[-2] % STRIDE or conditions.shape[-1] % STRIDE:
+            size = tuple(conditions.shape[-2:])
+            raise InputError(f"conditions of {size} pixels: rows, columns must divide by {STRIDE}")
         return self.unet(conditions, shares @ self.look_codes)
 
 
@@ -237,13 +241,7 @@ class LatentPainter(LookPainter):
         return mean, self.flow(conditions * kept, shares, mean.detach() * kept, noisy, time, step)
 
     def latents_of(self, conditions: Tensor, shares: Tensor, noise: Tensor) -> Tensor:
-        """Return normalised latents (B, latents, h, w) float32 from noise of the same shape.
-
-        Raises InputError unless the conditions' rows and columns are multiples of STRIDE.
-        """
-        if conditions.shape[-2] % STRIDE or conditions.shape[-1] % STRIDE:
-            size = tuple(conditions.shape[-2:])
-            raise InputError(f"conditions of {size} pixels: rows, columns must divide by {STRIDE}")
+        """Return normalised latents (B, latents, h, w) float32 from noise of that shape; arguments of MeanNetwork."""
         mean, x = self.mean(conditions, shares).float(), noise
         step = x.new_full((len(x),), 1 / self.steps)
         for number in range(self.steps):
