@@ -26,6 +26,7 @@ BLEND = 6  # columns over which the image of one camera is blended into the next
 COARSE = 0.4  # the depth buffers that find what is hidden: pixels of a camera per pixel of the view
 HIDES = 0.02  # 1/m by which an occluder must be nearer; at a baseline of 1 m that is 15 pixels of the panorama
 NEARER = 0.15  # and the share of its inverse depth
+BLACK, WHITE = 16, 235  # codes of ITU-R BT.601: what is beyond them may be clipped
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +75,11 @@ Occlusion = Callable[[Tensor, Tensor], Tensor]
 def stands_before(nearest: Tensor, inverse: Tensor) -> Tensor:
     """Return whether a surface is nearer than another by more than HIDES and NEARER, by inverse distances in 1/m."""
     return nearest - inverse > (nearest * NEARER).clamp(min=HIDES)
+
+
+def hides_nothing(nearest: Tensor, inverse: Tensor) -> Tensor:  # noqa: ARG001 an Occlusion
+    """Return that no surface hides another: the Occlusion of what is transparent."""
+    return torch.zeros_like(nearest, dtype=torch.bool)
 
 
 def stitch(cameras: Sequence[Camera], view: View, depth_m: Tensor) -> tuple[np.ndarray, np.ndarray]:

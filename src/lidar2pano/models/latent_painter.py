@@ -23,7 +23,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.models.autoencoder import Autoencoder
 from lidar2pano.models.blocks import CircularConv
 from lidar2pano.models.latent_inputs import CONDITIONS, FOLD, conditions_of, world_noise
-from lidar2pano.models.painter import QUALITIES, LookPainter, check_quality
+from lidar2pano.models.painter import QUALITIES, LookPainter
 from lidar2pano.scene.record import Scene
 
 STRIDE = 4 * FOLD  # pixels of the scene's raster per pixel of the coarsest level
@@ -219,7 +219,6 @@ class LatentPainter(LookPainter):
 
     def variant(self, quality: str, seed: int) -> Self:
         """Return the painter, with the same networks, of a quality of QUALITIES and of another plausible picture."""
-        check_quality(quality)
         painter = copy.copy(self)
         painter.steps, painter.seed = QUALITIES[quality] or self.steps, seed
         return painter

@@ -11,12 +11,11 @@ from torch import Tensor
 from torch.nn.functional import max_pool2d
 
 from lidar2pano.geometry.projection import project
-from lidar2pano.geometry.stitching import Camera, Sight, look
+from lidar2pano.geometry.stitching import BLACK, WHITE, Camera, Sight, hides_nothing, look
 from lidar2pano.scan import Scan
 from lidar2pano.scene.surfaces import same_surface
 from lidar2pano.views import VIEWS
 
-BLACK, WHITE = 16, 235  # codes of ITU-R BT.601: what is beyond holds no picture
 FEW = 0.01  # largest share of an image's pixels on the other side
 MOST_APART_S = 0.1  # half a period of the slowest LiDARs (VLP-16: 5 to 20 turns a second)
 EVERY_PX = 4  # one of so many rows and columns of an image is looked at
@@ -64,7 +63,7 @@ def _fault(camera: Camera, points: Tensor) -> str:
 def _sight(camera: Camera, points: Tensor) -> Sight:
     """Return the points (3, n) inside a camera's image, whatever stands before them."""
     whole = torch.cat([points, torch.ones(1, points.shape[1])])
-    return look(camera, whole, 1.0, lambda nearest, _: nearest < 0)
+    return look(camera, whole, 1.0, hides_nothing)
 
 
 def _edge_points(scan: Scan) -> Tensor:

@@ -18,7 +18,16 @@ from torch.nn.functional import avg_pool2d, max_pool2d
 
 from lidar2pano.geometry.projection import directions
 from lidar2pano.geometry.rasters import pad_azimuth, upsample_azimuth
-from lidar2pano.geometry.stitching import Camera, Sight, homogeneous, look, seam_weights
+from lidar2pano.geometry.stitching import (
+    BLACK,
+    WHITE,
+    Camera,
+    Sight,
+    hides_nothing,
+    homogeneous,
+    look,
+    seam_weights,
+)
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline.colour_transfer import brightened, light_gains
 from lidar2pano.scene.surfaces import hides
@@ -27,7 +36,6 @@ from lidar2pano.views import View
 # Brown and Lowe 2007, "Automatic Panoramic Image Stitching using Invariant Features", section 6: normalised errors of
 # intensity and gain. A gain of light is one of coded values, too, whose curve is nearly a power.
 INTENSITY_ERROR, GAIN_ERROR = 10.0, 0.1
-BLACK, WHITE = 16, 235  # codes of ITU-R BT.601; what is beyond them may be clipped, and says nothing of a gain
 COARSE_PX = 2  # every so many pixels of each row and column show how far an invention is off
 CELL_PX = 4  # on a side of the finest cells of differences, and between the pixels compared for the gains
 SMOOTH_PX = 16  # on a side of the cells of images' means, faded over their overlap; details change at its seam
@@ -77,7 +85,7 @@ def _sector(camera: Camera, ray: Tensor, depth_m: Tensor, view: View) -> Tensor:
     """Return the numbers of the columns with something in a camera's image."""
     coarse = slice(SECTOR_PX // 2, None, SECTOR_PX)
     points = homogeneous(ray[coarse, coarse], depth_m[coarse, coarse], view.origin)
-    sight = look(camera, points.flatten(1), view.focal_px / SECTOR_PX, lambda nearest, _: nearest < 0)
+    sight = look(camera, points.flatten(1), view.focal_px / SECTOR_PX, hides_nothing)
     cells = torch.zeros(1, 1, 1, points.shape[2])
     cells[..., sight.surface % points.shape[2]] = 1
     wide = max_pool2d(pad_azimuth(cells, 1), (1, 3), 1) if view.circular else max_pool2d(cells, (1, 3), 1, (0, 1))
