@@ -49,17 +49,6 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.fixture
-def translate(random_weights, capsys):
-    """A function that runs `translate` with the small family: (exit code, stdout, stderr)."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        code = main(["translate", *map(str, arguments), "--weights", str(random_weights), "--device", "cpu"])
-        return code, *capsys.readouterr()
-
-    return run
-
-
 def pixels(path: Path) -> np.ndarray:
     with Image.open(path) as image:
         return np.array(image)

@@ -8,19 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lidar2pano.cli import main
 from miniature_surround import write_pandaset
-
-
-@pytest.fixture
-def translate(random_weights, capsys):
-    """A function that runs `translate` with the small family: (exit code, stdout, stderr)."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        code = main(["translate", *map(str, arguments), "--weights", str(random_weights), "--device", "cpu"])
-        return code, *capsys.readouterr()
-
-    return run
 
 
 def test_cameras_beside_a_scan_keep_their_pixels(tmp_path, translate):

@@ -63,17 +63,6 @@ def write_folder(root: Path) -> Path:
     return folder
 
 
-@pytest.fixture
-def translate(random_weights, capsys):
-    """A function that runs `translate` with the small family: (exit code, stdout, stderr)."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        code = main(["translate", *map(str, arguments), "--weights", str(random_weights), "--device", "cpu"])
-        return code, *capsys.readouterr()
-
-    return run
-
-
 def outputs(folder: Path) -> list[bytes]:
     return [path.read_bytes() for path in sorted(folder.iterdir())]
 
