@@ -128,9 +128,9 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: Any, error: object) -> None:  # noqa: ARG001 the hook's names
-    """All workers collect the same tests: what one of them left out is what the run left out."""
+    """Take what one of the workers left out: all collect the same tests."""
     if not node.config.stash[_left_out]:
-        node.config.stash[_left_out].update(node.workeroutput.get("left_out", {}))
+        node.config.stash[_left_out].update(getattr(node, "workeroutput", {}).get("left_out", {}))  # a crash gives none
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
