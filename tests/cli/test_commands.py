@@ -12,6 +12,7 @@ import os
 import shutil
 import subprocess
 import sys
+from contextlib import nullcontext
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -468,6 +469,7 @@ def test_threads_that_wait_sleep_unless_the_user_chose(monkeypatch, capsys, chos
     if not chosen:
         monkeypatch.delenv("OMP_WAIT_POLICY")
     monkeypatch.setattr("sys.argv", ["lidar2pano", "--version"])
+    monkeypatch.setattr(sys.modules["lidar2pano.cli.app"], "_quiet", lambda _: nullcontext())  # hooks of a process
     assert main() == 0
     assert os.environ["OMP_WAIT_POLICY"] == policy
     capsys.readouterr()

@@ -284,18 +284,33 @@ def test_follow_waits_for_what_may_still_grow(tmp_path, monkeypatch):
     assert sorted(found[2:]) == [("a.bin", 4001), ("growing.bin", 4000), ("writing.bin", 4000)]
 
 
-def test_follow_leaves_handlers_as_they_were(tmp_path, translate):
+@pytest.fixture
+def early():
+    """Signals that come before or after a command's own handler is there: they do not end the tests."""
+    found: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, _: found.append(number))
+    yield found
+    signal.signal(signal.SIGTERM, before)
+
+
+def test_follow_leaves_handlers_as_they_were(tmp_path, translate, early):
     (tmp_path / "in").mkdir()
-    before = signal.getsignal(signal.SIGTERM)
+    before, over = signal.getsignal(signal.SIGTERM), threading.Event()
 
     def stop() -> None:
-        while signal.getsignal(signal.SIGTERM) is before:
-            time.sleep(0.05)
-        os.kill(os.getpid(), signal.SIGTERM)
+        while signal.getsignal(signal.SIGTERM) is before and not over.wait(0.05):
+            pass
+        if not over.is_set():
+            os.kill(os.getpid(), signal.SIGTERM)
 
-    threading.Thread(target=stop, daemon=True).start()
-    code, out, err = translate("--follow", tmp_path / "in", "--out", tmp_path / "o")
-    assert (code, out, err) == (0, "", "") and signal.getsignal(signal.SIGTERM) is before
+    sender = threading.Thread(target=stop)
+    sender.start()
+    try:
+        code, out, err = translate("--follow", tmp_path / "in", "--out", tmp_path / "o")
+    finally:
+        over.set()
+        sender.join()
+    assert (code, out, err) == (0, "", "") and signal.getsignal(signal.SIGTERM) is before and not early
 
 
 def test_follow_needs_one_folder(tmp_path, translate):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import functools
 import io
 import logging
 import os
@@ -12,7 +13,7 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -146,9 +147,7 @@ def _quiet(debug: bool) -> Iterator[None]:
     def terminate(*_: object) -> None:
         raise Terminated("terminated")
 
-    signal.signal(signal.SIGTERM, terminate)
-    _end_in_time()
-    with warnings.catch_warnings():
+    with _ended_in_time(terminate), warnings.catch_warnings():
         if not debug and not sys.warnoptions:
             warnings.simplefilter("ignore")
             logging.lastResort = logging.NullHandler()  # None would report a missing handler
@@ -157,23 +156,42 @@ def _quiet(debug: bool) -> Iterator[None]:
         yield
 
 
-def _end_in_time() -> None:
-    """End the process GRACE_S after SIGTERM, whatever its threads wait for: a disk, a lock, a library."""
+@contextmanager
+def _ended_in_time(terminate: Callable[..., None]) -> Iterator[None]:
+    """Inside, SIGTERM calls `terminate`, and ends the process GRACE_S later, though a thread may wait for a disk or a lock.
+
+    Later signals find the earlier handler again; the end that one has set in motion comes all the same.
+    """
+    handler = signal.signal(signal.SIGTERM, terminate)
     if os.name != "posix":
+        yield
         return
     receiver, sender = os.pipe()
     os.set_blocking(sender, False)
-    signal.set_wakeup_fd(sender, warn_on_full_buffer=False)  # written to at once, whatever the main thread does
-    os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))  # a worker's end is not ours
+    wakeup = signal.set_wakeup_fd(sender, warn_on_full_buffer=False)  # written to at once, even while Python waits
+    _forget_wakeup_in_children()
 
     def watch() -> None:
-        while number := os.read(receiver, 1):
-            if number[0] == signal.SIGTERM:
-                time.sleep(GRACE_S)
-                print_error("terminated, before all work was put away; repeat the command to go on")
-                os._exit(TERMINATED)
+        with open(receiver, "rb", buffering=0) as numbers:  # noqa: PTH123 a descriptor, no path
+            while number := numbers.read(1):
+                if number[0] == signal.SIGTERM:
+                    time.sleep(GRACE_S)
+                    print_error("terminated, before all work was put away; repeat the command to go on")
+                    os._exit(TERMINATED)
 
     threading.Thread(target=watch, name="end in time", daemon=True).start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(wakeup)
+        signal.signal(signal.SIGTERM, handler)
+        os.close(sender)  # the thread reads the rest of the pipe, then its end
+
+
+@functools.cache
+def _forget_wakeup_in_children() -> None:
+    """Let forked processes write no signals into the pipe of this one: a worker's end is not ours."""
+    os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))
 
 
 def exit_status(error: BaseException) -> tuple[int, str]:
