@@ -133,9 +133,7 @@ def _first(text: str | None) -> str:
 
 def commands() -> Iterator[tuple[str, Any]]:
     """Yield (name, click command) of every command, groups first."""
-    from typer.main import get_command
-
-    from lidar2pano.cli import app
+    from lidar2pano.cli.app import make_program
 
     def walk(words: str, command: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
         if words:
@@ -143,7 +141,7 @@ def commands() -> Iterator[tuple[str, Any]]:
         for name, inner in getattr(command, "commands", {}).items():
             yield from walk(f"{words} {name}".strip(), inner)
 
-    yield from walk("", get_command(app))
+    yield from walk("", make_program())
 
 
 def command_line() -> str:

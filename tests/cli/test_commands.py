@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-import typer.main
 from PIL import Image
 from typer.models import OptionInfo
 
@@ -28,6 +27,7 @@ from engine_of_torch import TorchEngine
 from installed_families import install_only
 from lidar2pano.bench import default_weights, untrained
 from lidar2pano.cli import app, main
+from lidar2pano.cli.app import make_program
 from lidar2pano.cli.console import bar, print_error
 from lidar2pano.cli.options import parse_save
 from lidar2pano.drives.folders import output_stems
@@ -493,7 +493,7 @@ def listed() -> str:
             names = [" ".join(one.opts) if one.param_type_name == "option" else one.metavar for one in command.params]
             yield f"{' '.join(words)}: {', '.join(names)}"
 
-    return "\n".join(lines(typer.main.get_command(app), ["lidar2pano"])) + "\n"
+    return "\n".join(lines(make_program(), ["lidar2pano"])) + "\n"
 
 
 def test_options_are_the_recorded_ones():

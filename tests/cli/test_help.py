@@ -9,17 +9,18 @@ import subprocess
 import sys
 
 import pytest
-from typer.main import get_command
 
-from lidar2pano.cli import app, main
-from lidar2pano.cli.app import COMPLETION
-from lidar2pano.cli.options import EXAMPLES, LONG, PANEL_BY_OPTION, PANELS, arrange, commands_of
+from lidar2pano.cli import main
+from lidar2pano.cli.app import COMPLETION, make_program
+from lidar2pano.cli.help_layout import EXAMPLES, LONG, PANEL_BY_OPTION, PANELS, commands_of, options_of
 from random_weights import write_scan
 
+UNGROUPED = {"--config"}  # stands with --help
 
-def options_of(name: str) -> set[str]:
+
+def flags_of(command) -> set[str]:
     """The options of a command."""
-    return {flag for item in get_command(app).commands[name].params for flag in item.opts if flag.startswith("--")}
+    return {flag for item in options_of(command) for flag in item.opts}
 
 
 @pytest.fixture
@@ -31,12 +32,34 @@ def translate_help(capsys, monkeypatch) -> str:
 
 def test_options_stand_in_groups(translate_help):
     groups = [line.split()[1] for line in translate_help.splitlines() if line.startswith("\u256d\u2500 ")]
-    assert {panel.split()[0] for panel in PANELS} <= set(groups)
+    assert groups[:2] == ["Arguments", "Options"] and {"Scans", "Cameras", "Panoramas", "Output"} <= set(groups)
+
+
+def test_every_option_of_a_long_list_has_a_group():
+    for command in commands_of(make_program()):
+        options = options_of(command)
+        if len(options) >= LONG and not hasattr(command, "commands"):
+            assert {item.opts[0] for item in options if item.rich_help_panel not in PANELS} == UNGROUPED, command.name
+
+
+@pytest.mark.parametrize(
+    "command", [c for c in commands_of(make_program()) if options_of(c)], ids=lambda c: c.name or "program"
+)
+def test_no_word_is_cut_at_80_columns(command, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    words = ["weights", "import"] if command.name == "import" else [command.name] * bool(command.name)
+    assert main([*words, "--help"]) == 0
+    out = capsys.readouterr().out
+    assert "\u2026" not in out
+    printed = set(out.replace("[default:", " ").split())
+    for item in command.params:
+        texts = [item.help or "", *([item.metavar] if item.metavar else []), *item.opts]
+        missing = [word for text in texts for word in text.split() if word not in printed]
+        assert item.param_type_name == "argument" or not missing, (item.name, missing)
 
 
 def test_flags_have_no_type(translate_help):
-    typed = [line for line in translate_help.splitlines() if "<bool>" in line and "--help" not in line]
-    assert typed == [] and "--steady" in translate_help
+    assert "<bool>" not in translate_help and "--steady" in translate_help
 
 
 def test_examples_stand_at_the_end_and_exist(translate_help):
@@ -46,17 +69,17 @@ def test_examples_stand_at_the_end_and_exist(translate_help):
         for example in examples:
             words = shlex.split(example)
             flags = {word for word in words if word.startswith("--")}
-            assert words[0] != "lidar2pano" or flags <= options_of(command), example
+            assert words[0] != "lidar2pano" or flags <= flags_of(make_program().commands[command]), example
 
 
 def test_every_grouped_option_exists():
-    known = {flag for command in commands_of(get_command(app)) for item in command.params for flag in item.opts}
+    known = {flag for command in commands_of(make_program()) for item in command.params for flag in item.opts}
     assert set(PANEL_BY_OPTION) <= known
 
 
 def test_short_lists_stay_whole():
-    for command in commands_of(arrange(get_command(app))):
-        options = [item for item in command.params if item.param_type_name == "option"]
+    for command in commands_of(make_program()):
+        options = options_of(command)
         if len(options) < LONG:
             assert not any(item.rich_help_panel in PANELS for item in options), command.name
 

@@ -16,14 +16,15 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer.main import get_command
 
 from lidar2pano import __version__
+from lidar2pano.cli.config_files import add_config
 from lidar2pano.cli.console import print_error, speaking
-from lidar2pano.cli.options import arrange
+from lidar2pano.cli.help_layout import arrange
 from lidar2pano.errors import InputError
 
 # Exit codes: a user's mistake; the run is lost (a full disk, no memory, a loss that is no number); a fault of the
@@ -75,7 +76,7 @@ def program(
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No notes and bars on stderr, errors alone.")] = False,  # noqa: ARG001
 ) -> None:
-    """One bare LiDAR scan in, a 360-degree colour picture of the place out."""
+    """One LiDAR scan in, a 360-degree colour panorama out."""
     if version:
         print(f"lidar2pano {__version__}")
         raise typer.Exit
@@ -84,12 +85,17 @@ def program(
         raise typer.Exit(MISTAKE)
 
 
+def make_program() -> Any:  # noqa: ANN401 typer's classes are click's or its own
+    """Return the program with all its commands and options, its help arranged."""
+    return arrange(add_config(get_command(app)))
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program with `arguments` (the process's own when None) and return its exit code.
 
     Any exception becomes one line on stderr and an exit code, with --debug after its traceback.
     """
-    command = arrange(get_command(app))
+    command = make_program()
     if arguments is None:
         os.environ.setdefault(*WAITING)  # before torch is loaded
     if arguments is None and COMPLETION in os.environ:

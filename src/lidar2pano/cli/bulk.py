@@ -37,7 +37,7 @@ ShardOption = Annotated[
 SaveOption = Annotated[
     str,
     typer.Option(
-        metavar="LIST", help="Outputs: rgb,segments,labels,depth or all (rgb; with --as: rgb,segments,depth)."
+        metavar="LIST", help="Outputs: rgb, segments, labels, depth or all (rgb; with --as: rgb, segments, depth)."
     ),
 ]
 LayoutOption = Annotated[

@@ -25,12 +25,13 @@ MetricsOption = Annotated[
     str,
     typer.Option(
         metavar="LIST",
-        help="Of points,classes,pictures,depth,seams,time,roll and camera,panorama; all but roll when not given.",
+        help="Of points, classes, pictures, depth, seams, time, roll and camera, panorama, with commas between; all but"
+        " roll when not given.",
     ),
 ]
 PairsOption = Annotated[
     Path | None,
-    typer.Option(metavar="DIR", help="Also write a page on which a person chooses between two systems' pictures."),
+    typer.Option(metavar="DIR", help="Also write a page on which a person chooses between two systems' panoramas."),
 ]
 OutOption = Annotated[
     Path, typer.Option(metavar="DIR", help="Folder for the worst frames, and for the views of --leave-out.")
@@ -102,7 +103,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     if worst:
         write_worst(evaluation, out)
     if preferences:
-        print_error(f"choose between the pictures: {preferences.write()}")
+        print_error(f"choose between the panoramas: {preferences.write()}")
     note_systems(systems)
     print(report.table(summary))
 

@@ -1,4 +1,4 @@
-"""Common options and arguments of commands: parsers of their texts, checks of named files, their layout in --help."""
+"""Common options and arguments of commands: parsers of their texts, checks of named files."""
 
 from __future__ import annotations
 
@@ -17,13 +17,11 @@ if TYPE_CHECKING:
     from lidar2pano.calibration import Calibration
     from lidar2pano.drives.cameras import CameraOptions
 
-from collections.abc import Iterator
-
 KITTI_SIZE = "1242x375"
 MOST_PIXELS = 1 << 26  # of a camera's image
 OUT = Path("panoramas")
 BEST = "best"  # models.families.BEST, whose import takes torch
-OutOption = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the pictures.")]
+OutOption = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the panoramas.")]
 WeightsOption = Annotated[
     str,
     typer.Option(
@@ -73,7 +71,7 @@ LookOption = Annotated[
 QualityOption = Annotated[
     str, typer.Option(metavar="fast|best", help="Steps of a latent painter: as few as it has learned, or eight.")
 ]
-SeedOption = Annotated[int, typer.Option(metavar="S", help="Another plausible picture by a latent painter.")]
+SeedOption = Annotated[int, typer.Option(metavar="S", help="Another plausible panorama by a latent painter.")]
 SteadyOption = Annotated[
     bool,
     typer.Option("--steady", help="A folder's or recording's scans are a video: smooth it over time, without flicker."),
@@ -105,12 +103,14 @@ InventOption = Annotated[
 EngineOption = Annotated[
     str,
     typer.Option(
-        metavar="auto|torch|compile|onnx|openvino",
-        help="Engine of the networks; auto: OpenVINO if --engine openvino compiled them before, else torch.",
+        metavar="NAME",
+        help="Engine of the networks: auto, torch, compile, onnx, openvino; auto: OpenVINO if --engine openvino"
+        " compiled them before, else torch.",
     ),
 ]
 SaveOption = Annotated[
-    str, typer.Option(metavar="LIST", help="Outputs: rgb,segments,labels,depth or all; confidence, measured, source.")
+    str,
+    typer.Option(metavar="LIST", help="Outputs: rgb, segments, labels, depth or all; confidence, measured, source."),
 ]
 ViewOption = Annotated[bool, typer.Option("--view", help="Write DIR/view.html to look around in, and open it.")]
 PlyOption = Annotated[bool, typer.Option("--ply", help="Write DIR/<stem>.ply: the points with colours and classes.")]
@@ -121,65 +121,6 @@ VideoOption = Annotated[
 RerunOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Write points and panoramas as a recording for Rerun (.rrd).")
 ]
-
-LONG = 8  # options; a shorter list has no groups
-PANELS: dict[str, tuple[str, ...]] = {  # group -> its options, of whatever command
-    "Scans": (
-        "--topic",
-        "--every",
-        "--from",
-        "--to",
-        "--follow",
-        "--data",
-        "--split",
-        "--frames",
-        "--sequences",
-        "--hz",
-    ),
-    "How scans are read": ("--sensor", "--sensor-height", "--forward", "--remission", "--strict", "--labels"),
-    "Panoramas": ("--weights", "--look", "--steady", "--invent", "--calib", "--image-size"),
-    "Output": (
-        "--out",
-        "--save",
-        "--format",
-        "--view",
-        "--ply",
-        "--video",
-        "--rerun",
-        "--json",
-        "--csv",
-        "--worst",
-        "--as",
-    ),
-    "Machine": (
-        "--device",
-        "--devices",
-        "--nodes",
-        "--engine",
-        "--processes",
-        "--ray",
-        "--workers",
-        "--cores",
-        "--shard",
-    ),
-}
-PANEL_BY_OPTION = {option: panel for panel, options in PANELS.items() for option in options}
-EXAMPLES: dict[str, tuple[str, ...]] = {
-    "translate": (
-        "lidar2pano translate scan.bin",
-        "lidar2pano translate drive/ --save all --json",
-        "lidar2pano translate drive.mcap --topic /lidar/points --steady --video drive.mp4",
-    ),
-    "view": ("lidar2pano view scan.pcd", "lidar2pano view drive/velodyne --out drive.html"),
-    "bulk": ("lidar2pano bulk drives/ --out panoramas", "lidar2pano bulk drives/ --out panoramas --shard 3/8"),
-    "serve": ("lidar2pano serve", "curl --data-binary @scan.bin http://127.0.0.1:8360/panorama -o panorama.png"),
-    "evaluate": ("lidar2pano evaluate kitti-mini world --data ROOT --split val",),
-    "reproduce": (
-        "lidar2pano reproduce --data ROOT --out DIR --budget 20m --dry-run",
-        "lidar2pano reproduce --data ROOT --out DIR --rows titan,pix2pix",
-    ),
-    "world": ("lidar2pano world OUT --sequences 4 --frames 20 --seed 1",),
-}
 
 
 def collect_choices(device: str, engine: str, look: str, quality: str, seed: int) -> dict[str, Any]:
@@ -280,25 +221,3 @@ def write_json(path: Path, value: Any, option: str) -> None:  # noqa: ANN401
 
     text = json.dumps(value, indent=2, allow_nan=False) + "\n"
     write_whole(path, lambda unfinished: unfinished.write_text(text, encoding="utf-8"), option)
-
-
-def arrange(command: Any) -> Any:  # noqa: ANN401 typer's classes are click's or its own
-    """Arrange the help of a program and of all its commands in place; return the program."""
-    for inner in commands_of(command):
-        options = [item for item in inner.params if item.param_type_name == "option"]
-        for option in options:
-            if option.is_flag and option.metavar is None:
-                option.metavar = ""
-            if len(options) >= LONG and (panel := PANEL_BY_OPTION.get(option.opts[0])):
-                option.rich_help_panel = panel
-        if inner.name in EXAMPLES:
-            examples = "\n\n".join(EXAMPLES[inner.name])
-            inner.epilog = "\n\n".join(part for part in (inner.epilog, f"Examples:\n\n{examples}") if part)
-    return command
-
-
-def commands_of(command: Any) -> Iterator[Any]:  # noqa: ANN401
-    """Yield a command and all commands below it."""
-    yield command
-    for inner in getattr(command, "commands", {}).values():
-        yield from commands_of(inner)

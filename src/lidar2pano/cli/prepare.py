@@ -34,15 +34,15 @@ def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
         str,
         typer.Option(
             metavar="FILE|KIND:PATH|none",
-            help="Teacher of pictures: weights of sdnet, mask2former:PATH or oneformer:PATH (a folder, or a model in"
-            " the hub's cache).",
+            help="Teacher of camera images: weights of sdnet, mask2former:PATH or oneformer:PATH (a folder, or a model"
+            " in the hub's cache).",
         ),
     ] = NO_TEACHER,
     split: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Only this split; repeatable (all sequences).")
     ] = None,
     scales: Annotated[
-        str, typer.Option(metavar="LIST", help="Scales of pictures for the teacher, e.g. 0.5,1,2 (its own).")
+        str, typer.Option(metavar="LIST", help="Scales of camera images for the teacher, e.g. 0.5,1,2 (its own).")
     ] = "",
     min_probability: Annotated[
         float,
@@ -52,12 +52,12 @@ def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
         str, typer.Option(metavar="NAME", help="Folder of each sequence for the labels of scans.")
     ] = "labels",
     camera_labels_folder: Annotated[
-        str, typer.Option(metavar="NAME", help="Folder of each sequence for the labels of pictures.")
+        str, typer.Option(metavar="NAME", help="Folder of each sequence for the labels of camera images.")
     ] = "camera_labels",
     device: DeviceOption = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON per frame on stdout.")] = False,
 ) -> None:
-    """Let teachers label a data set's scans and pictures. Repeat the command to go on; files of others stay."""
+    """Let teachers label a data set's scans and camera images. Repeat the command to go on; files of others stay."""
     if lidar == NO_TEACHER == teacher:
         raise InputError("--lidar none --teacher none: no teacher is left; name one of the two")
     folders = (

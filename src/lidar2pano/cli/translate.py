@@ -12,7 +12,7 @@ from lidar2pano.cli.app import app
 
 @app.command()
 def demo(out: opt.OutOption = opt.OUT, weights: opt.WeightsOption = "world", device: opt.DeviceOption = "auto") -> None:
-    """Turn the scan in the package into a panorama; print the pictures' paths."""
+    """Turn the scan in the package into a panorama; print the files' paths."""
     from lidar2pano.cli.batch import checked_options, translate_files
     from lidar2pano.demo import street
     from lidar2pano.panorama import OUTPUTS

@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from lidar2pano.bounded_files import read_text
 from lidar2pano.calibration import ROTATION_TOLERANCE, Calibration, LensCalibration, is_camera_matrix, read_calib
 from lidar2pano.errors import InputError
-from lidar2pano.formats.json_files import read_json
+from lidar2pano.formats.yaml_files import read_document
 
 # LiDAR -> camera, and camera -> LiDAR
 POSES = ("T_camera_lidar", "T_cam_lidar", "lidar2cam", "cam_from_lidar")
@@ -48,11 +47,11 @@ def read_camera_calibration(
     """
     if path.is_dir() or path.suffix.lower() == ".txt":
         return _kitti(path, image, size)
-    entry = _entry(path, read_document(path), image)
+    entry = _entry(path, _read_document(path), image)
     their_size = _size(path, entry)
     if their_size and their_size != size:
         raise _other_size(path, image, size, their_size)
-    T_camera_lidar = _pose(pose, read_document(pose)) if pose else _pose(path, entry)
+    T_camera_lidar = _pose(pose, _read_document(pose)) if pose else _pose(path, entry)
     if T_camera_lidar is None:
         raise InputError(
             f"{pose or path}: has no pose of the camera beside the LiDAR; add {POSES[0]}: [16 numbers], row by row, or"
@@ -79,47 +78,12 @@ def _other_size(path: Path, image: Path, size: tuple[int, int], expected: tuple[
     return InputError(f"{image}: is {size[0]}x{size[1]}, but {path} {stated}; name its own image")
 
 
-def read_document(path: Path) -> Entry:
+def _read_document(path: Path) -> Entry:
     """Read a JSON or YAML file, OpenCV's YAML among them; InputError unless it holds names and values."""
-    if path.suffix.lower() == ".json":
-        document = read_json(path, "name a calibration", nan=True)
-    else:
-        try:
-            text = read_text(path)
-        except (OSError, UnicodeDecodeError) as error:
-            reason = (error.strerror or "no reason given") if isinstance(error, OSError) else "not text"
-            raise InputError(f"{path}: cannot be read as a calibration ({reason}); name another file") from error
-        document = _yaml(path, text)
+    document = read_document(path, "name another calibration of a camera")
     if not isinstance(document, dict):
         raise InputError(f"{path}: holds no calibration of a camera; name a YAML or JSON file with one")
     return document
-
-
-def _yaml(path: Path, text: str) -> Any:  # noqa: ANN401
-    try:
-        import yaml
-    except ImportError as error:
-        raise InputError(f"{path}: needs the extra 'formats': pip install 'lidar2pano[formats]'") from error
-
-    class Loader(yaml.SafeLoader):
-        """Plain values alone; OpenCV's matrices are mappings."""
-
-        def compose_node(self, parent: Any, index: Any) -> Any:  # noqa: ANN401
-            if self.check_event(yaml.AliasEvent):  # a few lines of them stand for billions of values
-                raise yaml.YAMLError("aliases are not read")
-            return super().compose_node(parent, index)
-
-        def opencv_matrix(self, node: Any) -> Any:  # noqa: ANN401
-            return self.construct_mapping(node, deep=True)
-
-    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", Loader.opencv_matrix)
-    lines = text.splitlines()
-    lines = lines[1:] if lines and lines[0].startswith("%YAML") else lines  # OpenCV's is no YAML
-    try:
-        return yaml.load("\n".join(lines), Loader)  # noqa: S506 a SafeLoader
-    except (yaml.YAMLError, ValueError, RecursionError, OverflowError, TypeError) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: is no YAML ({reason}); write it again") from None
 
 
 def _entry(path: Path, document: Entry, image: Path) -> Entry:
