@@ -57,7 +57,7 @@ DECODERS = {
     ("gzip", "decompress"): set(),
     ("bz2", "decompress"): set(),
     ("lzma", "decompress"): set(),
-    ("yaml", "load"): {"data/camera_files.py"},  # a SafeLoader without aliases, of a bounded text
+    ("yaml", "load"): {"formats/yaml_files.py"},  # a SafeLoader without aliases, of a bounded text
     ("imageio", "imread"): set(),
     ("cv2", "imread"): set(),
     ("h5py", "File"): set(),
@@ -69,7 +69,7 @@ DECODERS = {
     ("json", "loads"): {"formats/json_files.py", "recordings/point_messages.py"},  # the latter of a bounded message
     ("json", "load"): set(),
 }
-WITH_REASON = {"data/camera_files.py": {"yaml"}}  # calibrations of cameras are written in it
+WITH_REASON = {"formats/yaml_files.py": {"yaml"}}  # calibrations of cameras and options are written in it
 PARSERS = {
     "h5py",
     "imageio",
