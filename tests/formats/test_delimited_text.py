@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.delimited_text import column, decode, is_table
+from lidar2pano.formats.delimited_text import decode, is_table, numbers
+from lidar2pano.formats.field_names import column
 
 PATH = Path("a.csv")
 
@@ -31,10 +32,19 @@ PATH = Path("a.csv")
         "xyz[0],xyz[1],xyz[2]",
         "pos_x\tpos_y\tpos_z",
         "sep=,\nX,Y,Z",
+        "field.x,field.y,field.z",  # rostopic echo -p
+        "/points/x,/points/y,/points/z",  # PlotJuggler
+        "arrayPosition:0,arrayPosition:1,arrayPosition:2",  # RSView
+        "Location_1,Location_2,Location_3",  # MATLAB
+        "Col1,Col2,Col3",
+        "Easting,Northing,Elevation",
+        "px py pz",
+        "Scanner: 12\nDate: 2024-01-02\n\nx;y;z",
+        "x,y,z\n[m],[m],[m]",
     ],
 )
 def test_axes_of_headers(header):
-    separator = next((sign for sign in ";,\t|" if sign in header.partition("\n")[2] or sign in header), " ")
+    separator = next((sign for sign in ";,\t|" if sign in header), " ")
     lines = [separator.join(row) for row in (("1.5", "2.5", "3.5"), ("4", "5", "6"))]
     cloud = decode("\n".join([header, *lines, ""]).encode(), PATH)
     assert cloud.xyz.tolist() == [[1.5, 2.5, 3.5], [4, 5, 6]] and cloud.fields == ("x", "y", "z")
@@ -46,6 +56,36 @@ def test_units_of_headers():
     np.testing.assert_allclose(cloud.xyz[0], [3, 4, 5])
     assert cloud.time_s is not None and cloud.time_s.tolist() == pytest.approx([0, 0.1])
     assert cloud.intensity is not None and cloud.intensity.tolist() == [2, 3]
+
+
+def test_a_line_of_units_below_the_header():
+    cloud = decode(b"x,y,z,time\n[mm],[cm],m,ms\n3000,400,5,0\n1,1,1,100\n", PATH)
+    np.testing.assert_allclose(cloud.xyz[0], [3, 4, 5])
+    assert cloud.time_s is not None and cloud.time_s.tolist() == pytest.approx([0, 0.1])
+
+
+@pytest.mark.parametrize("line", ["Total: 2 points", "x,y,z", "ERROR sensor timeout"])
+@pytest.mark.parametrize("place", [1, 2, 3])
+def test_a_line_of_words_among_numbers_is_left_out_and_said(line, place):
+    lines = ["x,y,z", "1,2,3", "4,5,6"]
+    cloud = decode("\n".join([*lines[:place], line, *lines[place:], ""]).encode(), PATH)
+    assert cloud.xyz.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert place == 1 or cloud.doubts == ("1 of its lines hold no numbers, and are left out",)
+
+
+def test_many_lines_of_words_are_no_table_of_points():
+    with pytest.raises(InputError, match="its lines are no numbers"):
+        decode(b"x,y,z\n1,2,3\n" + b"one,two,three\n4,5,6\n" * 200, PATH)
+
+
+def test_a_table_may_begin_with_points_without_coordinates():
+    assert np.isnan(numbers(b"nan nan nan 0\n1 2 3 4\n", PATH, 4).values[0, :3]).all()
+    assert np.isnan(numbers(b"-nan(ind),1.#QNAN,1.#INF,0\n1,2,3,4\n", PATH, 4).values[0, :3]).all()
+
+
+def test_numbers_with_commas_that_also_separate_are_named():
+    with pytest.raises(InputError, match="names 3 columns, but lines have 6; repair it, or write its numbers with p"):
+        decode(b"x,y,z\n1,5,2,5,3,5\n", PATH)
 
 
 def test_remarks_in_brackets_are_no_part_of_a_name():
@@ -65,6 +105,9 @@ def test_other_names_are_no_axes():
         ("1,5\t2,5\t3,5\t0,2\n4\t5\t6\t1\n", [1.5, 2.5, 3.5]),
         ("1,5 2,5 3,5\n4,5 5 6\n", [1.5, 2.5, 3.5]),
         ('"1,5";"2,5";"3,5"\n', [1.5, 2.5, 3.5]),
+        ('"1,5","-2,5","3,5"\n', [1.5, -2.5, 3.5]),
+        ("x,y,z\r1.5,2,3\r", [1.5, 2, 3]),
+        ("(1.5, 2, 3)\n(4, 5, 6)\n", [1.5, 2, 3]),
         ("1.234,5;2,0;3\n", [1234.5, 2, 3]),
         ("\u22121,5;2;3\n", [-1.5, 2, 3]),
         ("1\u202f234,5;2;3\n", [1234.5, 2, 3]),
@@ -87,4 +130,5 @@ def test_a_header_without_axes_is_shown():
 def test_tables_of_points_among_files():
     assert is_table(b"x,y,z\n1,2,3\n") and is_table(b"2\n1 2 3 4\n5 6 7 8\n")
     assert not is_table(b"time,latitude,longitude\n1,2,3\n") and not is_table(b"read me 1 2\n1 2 3\n")
+    assert not is_table(b"t,ax,ay,az\n1,2,3,4\n") and not is_table(b"time,tx,ty,tz,qx,qy,qz,qw\n1,2,3,4,5,6,7,8\n")
     assert not is_table(b" ".join([b"1"] * 12) + b"\n")  # poses

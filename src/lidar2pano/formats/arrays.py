@@ -15,9 +15,20 @@ from typing import IO, Any
 import numpy as np
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats.field_names import (
+    INTENSITY,
+    INTENSITY_WORDS,
+    RING,
+    RING_WORDS,
+    TIME,
+    TIME_WORDS,
+    find_named,
+    has_axes,
+    meanings,
+)
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
-from lidar2pano.formats.point_cloud import INTENSITY, MOST_POINTS, RING, TIME, PointCloud, cloud_of_columns
-from lidar2pano.formats.unnamed_columns import column_names
+from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+from lidar2pano.formats.unnamed_columns import column_names, row_width
 
 POINTS = (
     "points",
@@ -164,34 +175,50 @@ def cloud_of_arrays(arrays: Mapping[str, np.ndarray], *, format: str, name: str,
 
 def _columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     for array in arrays.values():
-        if array.dtype.names and {"x", "y", "z"} <= {field.lower() for field in array.dtype.names}:
-            flat = array.reshape(-1)
-            return {field: flat[field] for field in array.dtype.names if flat[field].ndim == 1}
+        if array.dtype.names and has_axes(list(fields := _fields(array.reshape(-1)))):
+            return fields
     flat = {key: value.reshape(-1) for key, value in arrays.items() if not value.dtype.names}
-    lower = {key.lower(): key for key in flat}
-    if {"x", "y", "z"} <= lower.keys():
-        count = len(flat[lower["x"]])
+    keys = {name.lower(): key for key, (name, _) in zip(flat, meanings(list(flat)), strict=True)}
+    if {"x", "y", "z"} <= keys.keys():
+        count = len(flat[keys["x"]])
         return {key: value for key, value in flat.items() if len(value) == count}
     tables = {key: table for key, array in arrays.items() if (table := _table(array)) is not None}
     if not tables:
         return {}
     ranked = {key: POINTS.index(key.lower()) if key.lower() in POINTS else len(POINTS) for key in tables}
-    chosen = min(tables, key=lambda key: (ranked[key], -len(tables[key])))
+    held = {key: np.count_nonzero(table[:, :3].any(1)) for key, table in tables.items()}
+    chosen = min(tables, key=lambda key: (ranked[key], -held[key]))
     table = tables[chosen]
     columns = dict(zip(column_names(table), table.T, strict=True))
-    field_names = {*INTENSITY, *RING, *TIME}
-    for key, value in flat.items():
-        if key != chosen and len(value) == len(table) and key.lower().removeprefix("scalar_") in field_names:
-            columns = {name: column for name, column in columns.items() if name != key.lower()} | {key: value}
+    further = {key: value for key, value in flat.items() if key != chosen and len(value) == len(table)}
+    for names, words in ((INTENSITY, INTENSITY_WORDS), (RING, RING_WORDS), (TIME, TIME_WORDS)):
+        for key in find_named(further, names, words):
+            columns = {name: column for name, column in columns.items() if name != key.lower()} | {key: further[key]}
     return columns
 
 
+def _fields(rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the columns of structured rows (N,): those of a field with several values a row are numbered."""
+    fields: dict[str, np.ndarray] = {}
+    for name in rows.dtype.names or ():
+        values = rows[name]
+        if values.ndim == 1:
+            fields[name] = values
+        elif values.ndim == 2 and values.shape[1] <= WIDEST:
+            fields |= {f"{name}[{column}]": values[:, column] for column in range(values.shape[1])}
+    return fields
+
+
 def _table(array: np.ndarray) -> np.ndarray | None:
-    """Return an array as (N, columns): (N, C), (C, N) or (rows, columns, C); None if it is no table of points."""
+    """Return an array as (N, columns): (N, C), (C, N), an image with C channels, rows in turn; None for no points."""
     if array.dtype.names or array.dtype.kind == "b":
         return None
+    if array.ndim == 3 and 3 <= array.shape[0] <= MOST_ROWS < min(array.shape[1:]):  # channels of an image
+        array = np.moveaxis(array, 0, 2)
     if array.ndim == 3 and 3 <= array.shape[2] <= WIDEST:
         array = array.reshape(-1, array.shape[2])
+    if array.ndim == 1 and (width := row_width(array)) >= 3 and len(array) % width == 0:
+        array = array.reshape(-1, width)
     if array.ndim != 2:
         return None
     if array.shape[1] > WIDEST and 3 <= array.shape[0] <= MOST_ROWS:

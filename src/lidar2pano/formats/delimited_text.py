@@ -13,44 +13,28 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats.field_names import METRES, SECONDS, Column, are_numbered, column, has_axes, meanings
 from lidar2pano.formats.file_contents import HEAD_BYTES, MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
 from lidar2pano.formats.unnamed_columns import column_names
 
-SEPARATORS = bytes.maketrans(b",;\t|", b"    ")
+SEPARATORS = bytes.maketrans(b",;\t|()", b"      ")
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)", re.IGNORECASE)
-# Names of axes: "X", "x_coord", "position.x", "Point:0" (Ouster Studio), "Points_m_XYZ:0" (VeloView), "xyz[0]"
-PLACE = r"(?:points?|pos(?:ition)?|coordinates?|coords?|location|cartesian|scalar|xyz|m)"
-AXIS = re.compile(rf"(?:{PLACE}[ _.:/-]*)*(?:([xyz])|(?<=\w)[ _.:/\[-]*([012])\]?)(?:[ _.-]*(?:{PLACE}|axis))*")
-UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\])]*?)\s*[\])]|(\w+)[ _](mm|cm|m)")  # "x [mm]", "Range (m)", "y_mm"
-METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "dm": 0.1, "km": 1e3, "ft": 0.3048}
-SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "\u00b5s": 1e-6, "ns": 1e-9}
+NOT_A_NUMBER = re.compile(
+    r"[-+]?(?:1\.)?#?\w*(?:nan|inf|ind)\b", re.IGNORECASE
+)  # of programs in C: -nan(ind), 1.#QNAN, 1.#INF
 COMMA_NUMBER = re.compile(r"[-+]?(\d{1,3}(\.\d{3})+|\d*)(,\d+)?([eE][-+]?\d+)?")  # 3,14 and 1.234,5
+QUOTED = re.compile(r'"[-+]?\d*,\d+(?:[eE][-+]?\d+)?"')
 CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")  # in no text
+REMARK = re.compile(r"^(?:#+|//)\s*")
 MINUS, HARD_SPACE, NARROW_SPACE = "\u2212".encode(), "\u00a0".encode(), "\u202f".encode()
 SAMPLE_LINES = 64
 MOST_UNNAMED = 9  # columns of a table without header, for it to be a scan among a folder's files
 MOST_NAMED = 12  # columns in a message
 MOST_LINE = 1 << 14
+MOST_LEFT_OUT = 100  # lines of words among those of numbers: more are another table
 BLOCK_BYTES = 1 << 20  # of text, parsed at a time
 LEAST = 3  # columns
-
-
-class Column(NamedTuple):
-    """The name of a column, x, y or z for an axis, and its unit in metres or seconds."""
-
-    name: str
-    factor: float
-
-
-def column(cell: str) -> Column:
-    """Return the meaning of a header's cell."""
-    plain, unit = cell.strip(), ""
-    if not AXIS.fullmatch(plain.lower()) and (named := UNIT.fullmatch(plain)):
-        plain, unit = (named[1], named[2].lower()) if named[1] else (named[3], named[4])
-    if axis := AXIS.fullmatch(plain.lower()):
-        return Column(axis[1] or "xyz"[int(axis[2])], METRES.get(unit, 1.0))
-    return Column(plain, SECONDS[unit]) if unit in SECONDS and "time" in plain.lower() else Column(plain, 1.0)
 
 
 def has_points(head: bytes) -> bool:
@@ -62,7 +46,7 @@ def has_points(head: bytes) -> bool:
 def is_table(head: bytes) -> bool:
     """Return whether a file of a folder is a table of points: its header names axes, or it has few columns and none."""
     lines = [cells for cells in _sample(head) if cells]
-    if any(map(_is_header, lines[:8])):
+    if any({"x", "y", "z"} <= {column(cell).name for cell in cells} for cells in lines[:8]):
         return True
     numeric = [cells for cells in lines if len(cells) > 1]
     return bool(numeric) and all(LEAST <= len(cells) <= MOST_UNNAMED and _all_numbers(cells) for cells in numeric)
@@ -79,34 +63,38 @@ def _sample(head: bytes) -> list[list[str]]:
 
 def decode(data: bytes, path: Path) -> PointCloud:
     """Return the points; InputError if lines have too few numbers, or their number is not the first line's."""
-    names, claimed, data = _preamble(_plain_numbers(data), path)
-    first = _cells(data[:MOST_LINE].lstrip().split(b"\n", 1)[0].decode("utf-8", "ignore"), len(names))
-    if not names and not any(NUMBER.fullmatch(cell) for cell in first) and len(first) >= LEAST:
-        held = ", ".join(first[:MOST_NAMED]) + (" ..." if len(first) > MOST_NAMED else "")
-        raise InputError(f"{path}: its header names no axes (it has {held}); call three of its columns x, y and z")
+    header, claimed, data = _preamble(_plain_numbers(data), path)
+    first = _cells(data[:MOST_LINE].lstrip().split(b"\n", 1)[0].decode("utf-8", "ignore"), len(header))
     if len(first) < LEAST:
         raise InputError(f"{path}: its lines are no points (x y z ... each); name a scan")
-    table = numbers(data, path, len(first))
+    table, left_out = numbers(data, path, len(first))
     if claimed is not None and claimed != len(table):
         raise InputError(f"{path}: its first line says {claimed} points, but it holds {len(table)}; fetch it again")
-    if names and len(names) != table.shape[1]:
-        raise InputError(f"{path}: its header names {len(names)} columns, but lines have {table.shape[1]}; repair it")
+    if header and len(header) != table.shape[1]:
+        commas = ", or write its numbers with points" * (table.shape[1] == 2 * len(header))
+        raise InputError(
+            f"{path}: its header names {len(header)} columns, but lines have {table.shape[1]}; repair it{commas}"
+        )
     columns: dict[str, np.ndarray] = {}
-    for cell, values in zip(names or column_names(table), table.T, strict=True):
-        name, factor = column(cell) if names else Column(cell, 1.0)
+    for (name, factor), values in zip(header or map(Column, column_names(table)), table.T, strict=True):
         columns.setdefault(name, values if factor == 1 else values * factor)
-    header = "with a header" if names else "count and numbers" if claimed is not None else "numbers only"
-    return cloud_of_columns(columns, format=f"text, {header}", name=stem_of(path), source=str(path))
+    form = "with a header" if header else "count and numbers" if claimed is not None else "numbers only"
+    doubts = [f"{left_out} of its lines hold no numbers, and are left out"] if left_out else []
+    return cloud_of_columns(columns, format=f"text, {form}", name=stem_of(path), source=str(path), doubts=doubts)
 
 
 def _plain_numbers(data: bytes) -> bytes:
     """Return text with decimal points and ASCII signs: "3,14;2,72" is "3.14;2.72", and "1.234,5" is "1234.5".
 
-    Commas are decimal where other separators make three numbers or more of a line.
+    Commas are decimal where other separators make three numbers or more of a line, and within quotes.
     """
+    if b"\n" not in data[:HEAD_BYTES]:
+        data = data.replace(b"\r", b"\n")
     for sign, plain in ((MINUS, b"-"), (NARROW_SPACE, b""), (HARD_SPACE, b"")):
         data = data.replace(sign, plain) if sign in data[:HEAD_BYTES] else data
     lines = data[:HEAD_BYTES].decode("utf-8", "replace").splitlines()[:SAMPLE_LINES]
+    if sum(bool(QUOTED.search(line)) for line in lines) > len(lines) // 2:
+        return re.sub(rb'"([-+]?\d*),(\d+(?:[eE][-+]?\d+)?)"', rb"\1.\2", data)
     rows = [cells for line in lines if len(cells := re.split(r"[;|\t ]+", line.strip(" ;|\t"))) >= LEAST]
     rows = [cells for cells in rows if all(COMMA_NUMBER.fullmatch(cell.strip('"')) for cell in cells)]
     if not any("," in cell for cells in rows for cell in cells):
@@ -116,17 +104,27 @@ def _plain_numbers(data: bytes) -> bytes:
     return data.replace(b",", b".")
 
 
-def numbers(data: bytes, path: Path, width: int) -> np.ndarray:
-    """Return the numbers (N, width) float64 of lines of text, NaN for empty cells; InputError for other widths."""
-    if b"\n" not in data:
-        data = data.replace(b"\r", b"\n")
+class Table(NamedTuple):
+    """The numbers (N, C) float64 of lines of text, and how many lines among them hold none."""
+
+    values: np.ndarray
+    left_out: int
+
+
+def numbers(data: bytes, path: Path, width: int) -> Table:
+    """Return the numbers of lines of text, NaN for empty cells; InputError for lines of other widths.
+
+    A few lines of words (a remark, a second header, a sum at the end) are left out.
+    """
+    data = _plain_numbers(data)
     most = data.count(b"\n") + 1
     if len(data) > MOST_BYTES or most > MOST_POINTS + 1:
         raise InputError(f"{path}: is too long for a single sweep (at most {MOST_POINTS} points); cut it")
-    table, count, lines = np.empty((most, width)), 0, 0
+    table, count, lines, left_out = np.empty((most, width)), 0, 0, 0
     for block in _blocks(data, path):
-        rows = _rows(block, path, width, lines)
-        if not count and len(rows) and not np.isfinite(rows[0, :LEAST]).any():
+        rows, odd = _rows(block, path, width, lines)
+        left_out += odd
+        if (not count and len(rows) and not np.isfinite(rows[:, :LEAST]).any()) or left_out > MOST_LEFT_OUT:
             raise InputError(f"{path}: its lines are no numbers; name a scan")
         if count + len(rows) > most:
             raise InputError(f"{path}: its lines end in different ways; write them with one kind of line end")
@@ -134,7 +132,7 @@ def numbers(data: bytes, path: Path, width: int) -> np.ndarray:
         count, lines = count + len(rows), lines + block.count(b"\n")
     if not count:
         raise InputError(f"{path}: holds no points; name a scan that has some")
-    return table[:count]
+    return Table(table[:count], left_out)
 
 
 def _blocks(data: bytes, path: Path) -> Iterator[bytes]:
@@ -148,7 +146,7 @@ def _blocks(data: bytes, path: Path) -> Iterator[bytes]:
         start = end
 
 
-def _rows(block: bytes, path: Path, width: int, lines: int) -> np.ndarray:
+def _rows(block: bytes, path: Path, width: int, lines: int) -> Table:
     """Return the numbers of whole lines, `lines` of which came before in the file."""
     try:
         with warnings.catch_warnings():
@@ -156,55 +154,98 @@ def _rows(block: bytes, path: Path, width: int, lines: int) -> np.ndarray:
             table = np.loadtxt(io.BytesIO(block.translate(SEPARATORS)), ndmin=2, encoding="latin-1")
     except (UserWarning, ValueError):
         return _line_by_line(block, path, width, lines)
-    return table if table.shape[1] == width else _line_by_line(block, path, width, lines)
+    return Table(table, 0) if table.shape[1] == width else _line_by_line(block, path, width, lines)
 
 
-def _line_by_line(block: bytes, path: Path, width: int, lines: int) -> np.ndarray:
+def _line_by_line(block: bytes, path: Path, width: int, lines: int) -> Table:
     """Like `_rows`, for lines with comments, empty cells, text cells and to find the wrong line."""
-    rows = []
+    rows: list[list[float]] = []
+    left_out = 0
     for number, line in enumerate(block.decode("utf-8", "replace").splitlines(), lines + 1):
         cells = _cells(line, width)
         if not line.strip() or line.lstrip().startswith(("#", "//")):
             continue
-        if len(cells) != width:
+        values = [float(cell) if NUMBER.fullmatch(cell) else np.nan for cell in cells]
+        if len(cells) == width and np.isfinite(values[:LEAST]).all():
+            rows.append(values)
+            continue
+        words = any(letter.isalpha() for cell in cells if not _is_number(cell) for letter in cell)
+        if len(cells) != width and not words:
             raise InputError(f"{path}: point {number} has {len(cells)} values instead of {width}; it is damaged or cut")
-        rows.append([float(cell) if NUMBER.fullmatch(cell) else np.nan for cell in cells])
-    return np.array(rows).reshape(-1, width)
+        if len(cells) == width and (not words or _numeric(cells) >= LEAST):
+            rows.append(values)
+            continue
+        left_out += 1
+        if left_out > MOST_LEFT_OUT:
+            break
+    return Table(np.array(rows).reshape(-1, width), left_out)
 
 
 MOST_DIGITS = 19  # of a number of points
 
 
-def _preamble(data: bytes, path: Path) -> tuple[list[str], int | None, bytes]:
-    """Return the header's names, the number of points claimed by a line, and the rest of the file."""
-    names: list[str] = []
+def _preamble(data: bytes, path: Path) -> tuple[list[Column], int | None, bytes]:
+    """Return the header's columns, the number of points claimed by a line, and the rest of the file.
+
+    Lines of words before the header are passed over, and a line of units behind it is read.
+    """
+    header: list[Column] = []
+    words: list[str] = []  # of the first line that is neither header nor numbers
     claimed, start = None, 0
-    while start < len(data):
+    for _ in range(SAMPLE_LINES):
         end = data.find(b"\n", start, start + MOST_LINE + 1)
         if end < 0 and len(data) - start > MOST_LINE:
             raise InputError(f"{path}: its first line has more than {MOST_LINE} characters; name a scan")
         end = len(data) if end < 0 else end
-        line = data[start:end]
-        text = line.decode("utf-8", "replace").strip()
-        cells = _cells(text.lstrip("#/ "))
-        if not cells or text.startswith("sep=") or (text.startswith(("#", "//")) and not _is_header(cells)):
-            start = end + 1
-        elif claimed is None and len(cells) == 1 and cells[0].isdecimal() and len(cells[0]) < MOST_DIGITS:
-            claimed, start = int(cells[0]), end + 1
-        elif not names and _is_header(cells):
-            names, start = cells, end + 1
-        else:
+        text = data[start:end].decode("utf-8", "replace").strip()
+        cells = _cells(REMARK.sub("", text))
+        remark = text.startswith(("#", "//", "sep="))
+        if claimed is None and len(cells) == 1 and cells[0].isdecimal() and len(cells[0]) < MOST_DIGITS:
+            claimed = int(cells[0])
+        elif not header and (_is_header(cells) or _is_numbered(cells)):
+            header = meanings(cells) if has_axes(cells) else []
+            words = []
+        elif header and len(cells) == len(header) and not any(map(NUMBER.fullmatch, cells)) and any(cells):
+            header = [_in_unit(column, cell) for column, cell in zip(header, cells, strict=True)]
+        elif not remark and (_numeric(cells) >= LEAST or (header and len(cells) == len(header))):
             break
-    return names, claimed, data[start:]
+        elif cells and not remark:
+            words = words or cells
+        if end == len(data):
+            break
+        start = end + 1
+    if len(words) >= LEAST and not header:
+        held = ", ".join(words[:MOST_NAMED]) + (" ..." if len(words) > MOST_NAMED else "")
+        raise InputError(f"{path}: its header names no axes (it has {held}); call three of its columns x, y and z")
+    return header, claimed, data[start:]
+
+
+def _in_unit(column: Column, cell: str) -> Column:
+    """Return the column in the unit of a cell below its name."""
+    unit = cell.strip("[]() ").lower()
+    return column._replace(factor=(SECONDS if "time" in column.name.lower() else METRES).get(unit, column.factor))
 
 
 def _is_header(cells: list[str]) -> bool:
-    return {"x", "y", "z"} <= {column(cell).name for cell in cells}
+    return not any(map(NUMBER.fullmatch, cells)) and has_axes(cells)
+
+
+def _is_number(cell: str) -> bool:
+    return bool(NUMBER.fullmatch(cell) or NOT_A_NUMBER.match(cell))
+
+
+def _numeric(cells: list[str]) -> int:
+    return sum(map(_is_number, cells))
+
+
+def _is_numbered(cells: list[str]) -> bool:
+    return len(cells) >= LEAST and not any(map(NUMBER.fullmatch, cells)) and are_numbered(cells)
 
 
 def _cells(line: str, width: int = 0) -> list[str]:
     """Return a line's cells without quotes; a separator at the end adds none beyond `width`."""
     line = line.strip()
+    line = line[1:-1] if line.startswith("(") and line.endswith(")") else line
     for separator in (";", ",", "\t", "|"):
         if separator in line:
             try:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.delimited_text import column
+from lidar2pano.formats.field_names import meanings
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
 
@@ -25,11 +25,11 @@ def decode(data: bytes, path: Path) -> PointCloud:
         import pyarrow as pa
     except ModuleNotFoundError:
         raise InputError(f"{path}: needs the extra 'formats': pip install 'lidar2pano[formats]'") from None
-    name = "Parquet" if data.startswith(PARQUET) else "Feather"
+    kind = "Parquet" if data.startswith(PARQUET) else "Feather"
     columns: dict[str, list[np.ndarray]] = {}
     points = 0
     try:
-        for batch in _parquet_batches(data, path) if name == "Parquet" else _feather_batches(data):
+        for batch in _parquet_batches(data, path) if kind == "Parquet" else _feather_batches(data):
             batch.validate()
             points += batch.num_rows
             if points > MOST_POINTS or batch.nbytes > MOST_BYTES:
@@ -42,14 +42,14 @@ def decode(data: bytes, path: Path) -> PointCloud:
         if isinstance(error, InputError):
             raise
         reason = " ".join(str(error).split())[:200]
-        raise InputError(f"{path}: is no {name} that can be read ({reason}); it is damaged or cut off") from None
+        raise InputError(f"{path}: is no {kind} that can be read ({reason}); it is damaged or cut off") from None
     stem = stem_of(path)
     stamp_s = int(stem) * 1e-9 if stem.isdigit() and len(stem) == 18 else None
     whole: dict[str, np.ndarray] = {}
-    for field, parts in columns.items():
-        meaning, values = column(field), np.concatenate(parts)
-        whole.setdefault(meaning.name, values if meaning.factor == 1 else values * meaning.factor)
-    return cloud_of_columns(whole, format=f"{name} (Arrow)", name=stem, source=str(path), stamp_s=stamp_s)
+    for (name, factor), parts in zip(meanings(list(columns)), columns.values(), strict=True):
+        values = np.concatenate(parts)
+        whole.setdefault(name, values if factor == 1 else values * factor)
+    return cloud_of_columns(whole, format=f"{kind} (Arrow)", name=stem, source=str(path), stamp_s=stamp_s)
 
 
 def _feather_batches(data: bytes) -> Iterator[Any]:

@@ -141,7 +141,7 @@ def _viewpoint(words: list[str]) -> np.ndarray | None:
 
 def _ascii(data: bytes, header: Header, path: Path) -> dict[str, np.ndarray]:
     width = sum(count for _, _, count, _ in header.fields)
-    table = numbers(data[header.start :], path, width)
+    table, _ = numbers(data[header.start :], path, width)
     if header.points and len(table) != header.points:
         raise InputError(f"{path}: its header says {header.points} points, but it holds {len(table)}; fetch it again")
     columns, place = {}, 0

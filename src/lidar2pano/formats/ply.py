@@ -161,7 +161,7 @@ def _ascii(data: bytes, vertices: Element, path: Path, last: bool) -> dict[str, 
     elif not last:  # faces follow
         data = data[: _end_of_line(data, vertices.count)]
     scalars = [entry for entry in vertices.properties if entry.count is None]
-    table = numbers(data, path, len(scalars))
+    table, _ = numbers(data, path, len(scalars))
     if len(table) != vertices.count:
         raise InputError(f"{path}: its header says {vertices.count} points, but it holds {len(table)}; fetch it again")
     columns: dict[str, np.ndarray] = {}

@@ -8,12 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats.field_names import (
+    INTENSITY,
+    INTENSITY_WORDS,
+    RING,
+    RING_WORDS,
+    TIME,
+    TIME_WORDS,
+    find_named,
+    meanings,
+    plain_name,
+)
 
 MOST_POINTS = 1 << 24  # a sweep of the densest LiDAR has 0.6 million points; more are a map or a damaged header
-# Names of fields, the best first; compared in lower case, without CloudCompare's "scalar_".
-INTENSITY = ("reflectivity", "reflectance", "remission", "intensity", "intensities", "signal", "i")
-RING = ("ring", "channel", "laser_number", "laser_id", "beam", "line", "row")
-TIME = ("offset_ns", "offset_time", "time_offset", "time", "time_stamp", "timestamp", "timestamps", "t", "gps_time")
 MOST_BEAMS = 1 << 16  # numbers beyond are no beams
 SAMPLE = 2000  # values to tell by whether a field says anything
 
@@ -81,6 +88,9 @@ def cloud_of_columns(
     is no point; `source`, else the name, begins its message.
     """
     key_by_name = {plain_name(key): key for key in reversed(list(columns))}
+    if not {"x", "y", "z"} <= key_by_name.keys():
+        axes_by_key = zip(columns, meanings([plain_name(key) for key in columns]), strict=True)
+        key_by_name = {name: key for key, (name, _) in axes_by_key}
     if missing := [axis for axis in "xyz" if axis not in key_by_name]:
         held = ", ".join(columns) or "none"
         raise InputError(f"{source or name}: has no field {missing[0]!r} (it has {held}); name a scan with x, y and z")
@@ -100,8 +110,8 @@ def cloud_of_columns(
     squared = np.einsum("ij,ij->i", xyz, xyz)
     valid = np.isfinite(squared) & (squared > 0)
     intensity, ring, time = (
-        [(key_by_name[name], columns[key_by_name[name]]) for name in names if name in key_by_name]
-        for names in (INTENSITY, RING, TIME)
+        [(key, columns[key]) for key in find_named(columns, names, words)]
+        for names, words in ((INTENSITY, INTENSITY_WORDS), (RING, RING_WORDS), (TIME, TIME_WORDS))
     )
     time_s, start_s, unsure = point_times(time, stamp_s, valid)
     return PointCloud(
@@ -153,11 +163,6 @@ def _integers(values: np.ndarray) -> np.ndarray:
 def _native(values: np.ndarray) -> np.ndarray:
     """Return the values in the machine's byte order."""
     return values.astype(values.dtype.newbyteorder("="), copy=False)
-
-
-def plain_name(name: str) -> str:
-    """Return a field's name in lower case, without CloudCompare's "scalar_"."""
-    return name.strip().lower().removeprefix("scalar_").strip()
 
 
 def point_times(

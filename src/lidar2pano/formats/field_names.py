@@ -1,0 +1,113 @@
+"""The meanings of columns by their names: axes, remission, beam, time; and units in names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+# Names of fields, the best first; compared in lower case, without CloudCompare's "scalar_".
+INTENSITY = ("reflectivity", "reflectance", "remission", "intensity", "intensities", "signal", "i")
+RING = ("ring", "channel", "laser_number", "laser_id", "beam", "line", "row")
+TIME = ("offset_ns", "offset_time", "time_offset", "time", "time_stamp", "timestamp", "timestamps", "t", "gps_time")
+# Beginnings of words within longer names: "pcloud_attr.reflectance", "Intensität", "Signal Photons", "refl"
+INTENSITY_WORDS, RING_WORDS, TIME_WORDS = (
+    ("refl", "remis", "intens", "signal", "amplitude"),
+    ("ring", "laser"),
+    ("time",),
+)
+# Names of axes: "X", "x_coord", "position.x", "Point:0" (Ouster Studio), "Points_m_XYZ:0" (VeloView), "xyz[0]"
+PLACE = r"(?:points?|pos(?:ition)?|coordinates?|coords?|location|cartesian|scalar|xyz|m)"
+AXIS = re.compile(rf"(?:{PLACE}[ _.:/-]*)*(?:([xyz])|(?<=\w)[ _.:/\[-]*([012])\]?)(?:[ _.-]*(?:{PLACE}|axis))*")
+EARTH = (re.compile("east(?:ing)?"), re.compile("north(?:ing)?"), re.compile("elevation|altitude|height|up"))
+# Other vectors than places: normals, velocities, accelerations, turns, errors
+VECTOR = re.compile(
+    r"(?:.*[^a-z])?(?:n|normals?|v|vel\w*|a|acc\w*|g|gyro\w*|w|ang\w*|q|rot\w*|ori\w*|dir\w*|std|sigma)"
+)
+UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\])]*?)\s*[\])]|(\w+)[ _](mm|cm|m)")  # "x [mm]", "Range (m)", "y_mm"
+METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "dm": 0.1, "km": 1e3, "ft": 0.3048}
+SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "\u00b5s": 1e-6, "ns": 1e-9}
+
+
+class Column(NamedTuple):
+    """The name of a column, x, y or z for an axis, and its unit in metres or seconds."""
+
+    name: str
+    factor: float = 1.0
+
+
+def column(cell: str) -> Column:
+    """Return the meaning of a name alone."""
+    plain, factor = _without_unit(cell)
+    if axis := AXIS.fullmatch(plain.lower()):
+        plain = axis[1] or "xyz"[int(axis[2])]
+    return Column(plain, factor)
+
+
+def _without_unit(cell: str) -> Column:
+    plain, unit = cell.strip(), ""
+    if not AXIS.fullmatch(plain.lower()) and (named := UNIT.fullmatch(plain)):
+        plain, unit = (named[1], named[2].lower()) if named[1] else (named[3], named[4])
+    return Column(plain, (SECONDS if "time" in plain.lower() else METRES).get(unit, 1.0))
+
+
+def meanings(names: Sequence[str]) -> list[Column]:
+    """Return the meanings of the names of a table's columns.
+
+    Where not all axes are named by themselves, three names that differ by an axis's letter ("lidar_x", "lidar_y",
+    "lidar_z") or by a number alone are the axes.
+    """
+    columns = list(map(column, names))
+    if {"x", "y", "z"} <= {name for name, _ in columns}:
+        return columns
+    plain = list(map(_without_unit, names))
+    axes = _alike([name for name, _ in plain])
+    return [Column(axes.get(place, name), factor) for place, (name, factor) in enumerate(plain)]
+
+
+def has_axes(names: Sequence[str]) -> bool:
+    """Return whether names of columns have those of all axes among them."""
+    return {"x", "y", "z"} <= {name for name, _ in meanings(names)}
+
+
+def are_numbered(names: Sequence[str]) -> bool:
+    """Return whether names say nothing but numbers from 0 or 1 on: "Col1", "Col2", ..."""
+    parts = [re.fullmatch(r"(.*?)(\d+)", name.strip()) for name in names]
+    numbers = [int(part[2]) if part else -1 for part in parts]
+    return len({part and part[1] for part in parts}) == 1 and numbers in (
+        list(range(len(names))),
+        list(range(1, len(names) + 1)),
+    )
+
+
+def _alike(names: Sequence[str]) -> dict[int, str]:
+    """Return place -> axis for three names that differ by an axis alone; {} if there are none."""
+    for letters in ("xyz", "012", "123"):
+        groups: dict[tuple[str, str], dict[str, int]] = {}
+        for place, name in enumerate(names):
+            lower = name.lower()
+            for at, letter in enumerate(lower):
+                if letter in "0123456789" if letters != "xyz" else letter in letters:
+                    groups.setdefault((lower[:at], lower[at + 1 :]), {})[letter] = place
+        triples = [(len(before) + len(behind), before, places) for (before, behind), places in groups.items()
+                   if set(places) == set(letters)]  # fmt: skip
+        for _, before, places in sorted(triples, key=lambda triple: triple[0]):
+            if not VECTOR.fullmatch(before.rstrip(" _.:/-[")):
+                return {places[letter]: axis for letter, axis in zip(letters, "xyz", strict=True)}
+    places = [next((place for place, name in enumerate(names) if form.fullmatch(name.lower())), None) for form in EARTH]
+    return {} if None in places else dict(zip((place for place in places if place is not None), "xyz", strict=True))
+
+
+def plain_name(name: str) -> str:
+    """Return a field's name in lower case, without CloudCompare's "scalar_"."""
+    return name.strip().lower().removeprefix("scalar_").strip()
+
+
+def find_named(keys: Iterable[str], exact: Sequence[str], words: Sequence[str]) -> list[str]:
+    """Return the keys of one meaning, the best first: those of exact names, then those with a word that begins so."""
+    keys = list(keys)
+    by_name = {plain_name(key): key for key in reversed(keys)}
+    found = [by_name[name] for name in exact if name in by_name]
+    parts = {key: re.split(r"[^a-z\u00e0-\u00ff]+", plain_name(key)) for key in keys if key not in found}
+    longer = (key for word in words for key, beginnings in parts.items() if any(p.startswith(word) for p in beginnings))
+    return list(dict.fromkeys([*found, *longer]))
