@@ -105,6 +105,19 @@ def vary_remission(scan: Scan, generator: np.random.Generator, reach: float) -> 
     return replace(scan, remission=changed)
 
 
+def change_sensor_remission(scan: Scan, generator: np.random.Generator, octaves: float) -> Scan:
+    """Return the scan with the remission of another make of sensor: 2**a remission**(2**b) (10 m / range)**c in [0, 1].
+
+    a is drawn within +-`octaves`, b within +-`octaves` / 3, c (0: calibrated, 2: raw power, by the LiDAR equation of
+    Wagner et al. 2006) within [0, 2 `octaves` / 3]; ranges below 1 m count as 1 m. The curve rises in remission.
+    """
+    level, curve = generator.uniform(-octaves, octaves), generator.uniform(-octaves, octaves) / 3
+    fade = generator.uniform(0, 2 * octaves) / 3
+    range_m = np.nan_to_num(np.linalg.norm(scan.xyz, axis=1), nan=10.0).clip(1.0, 1e3)
+    bright = np.clip(scan.remission, 0, 1) ** 2.0**curve * 2.0**level * (10.0 / range_m) ** fade
+    return replace(scan, remission=np.clip(bright, 0, 1).astype(np.float32))
+
+
 def _subset(scan: Scan, kept: np.ndarray) -> Scan:
     label = None if scan.label is None else scan.label[kept]
     return replace(scan, xyz=scan.xyz[kept], remission=scan.remission[kept], label=label)

@@ -16,7 +16,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.remission import STAND_IN
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON14, COMMON15
-from lidar2pano.scan import Scan, drop_points, drop_rings, mirror, turn, vary_remission
+from lidar2pano.scan import Scan, change_sensor_remission, drop_points, drop_rings, mirror, turn, vary_remission
 from lidar2pano.views import VIEWS
 from miniature import HOUSE, ROAD, SPLITS, street, write_data_set
 from miniature_video import write_video
@@ -131,6 +131,34 @@ def test_another_scale_of_remission_keeps_points_order_and_range():
         assert (np.diff(changed.remission) >= 0).all()
         means.append(changed.remission.mean())
     assert min(means) < 0.33 and max(means) > 0.62 and abs(np.mean(means) - 0.5) < 0.06
+
+
+def test_another_make_of_sensor_keeps_points_and_the_order_of_remission():
+    """Levels spread over octaves; at one range the curve rises; far points are no brighter than near ones."""
+    line = np.linspace(0.01, 1, 400, dtype=np.float32)
+    near = Scan(xyz=np.full((400, 3), 5, np.float32), remission=line)
+    far = Scan(xyz=np.full((400, 3), 50, np.float32), remission=line)
+    levels = []
+    for seed in range(80):
+        one, other = (change_sensor_remission(scan, np.random.default_rng(seed), 3.0) for scan in (near, far))
+        assert one.xyz is near.xyz and one.remission.dtype == np.float32
+        assert 0 <= one.remission.min() and one.remission.max() <= 1
+        assert (np.diff(one.remission) >= 0).all() and (other.remission <= one.remission).all()
+        levels.append(np.log2(np.median(one.remission)))
+    assert np.ptp(levels) > 2.5 and min(levels) < -2.5
+    still = change_sensor_remission(near, np.random.default_rng(0), 0.0)
+    assert np.allclose(still.remission, line, atol=1e-6)
+
+
+def test_remission_of_other_sensors_is_drawn_for_half_of_the_samples(root):
+    levels = {"chance": 0.0, "turn_deg": 0.0, "moves": False}
+    scan = street(5)
+    made = [augmented(scan, np.random.default_rng(i), ScanAugmentation(**levels, sensors=3.0)) for i in range(60)]
+    assert 0.3 < np.mean([not np.array_equal(one.remission, scan.remission) for one in made]) < 0.7
+    varied = PanoramaDataset(root, ("train",), RASTER, columns=160, sensors=3.0)
+    original = varied.window(0).scan.remission
+    same = [np.isin(varied[SampleIndex(0, seed)].range_image[4], (0, *original)).all() for seed in range(30)]
+    assert 0.3 < np.mean(same) < 0.7
 
 
 def test_the_share_of_scans_that_lose_their_remission():

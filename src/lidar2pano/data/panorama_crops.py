@@ -27,7 +27,7 @@ from lidar2pano.data.range_images import COARSE_BAND_DEG
 from lidar2pano.errors import InputError
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
 from lidar2pano.geometry.projection import pixels, project
-from lidar2pano.scan import Scan, drop_points, drop_rings
+from lidar2pano.scan import Scan, change_sensor_remission, drop_points, drop_rings
 from lidar2pano.views import View
 
 SHIFT_PX = 24  # how far left or right of the camera's middle a crop may begin
@@ -85,6 +85,7 @@ class PanoramaDataset:
     image     whether samples have the camera's image.
     elsewhere probability of a crop beginning anywhere there; others of a frame whose labels end somewhere do so
               SHIFT_PX at most from the middle.
+    sensors   largest change of level, in octaves, of remission in half of the augmented samples (ScanAugmentation).
     """
 
     def __init__(
@@ -97,10 +98,11 @@ class PanoramaDataset:
         image: bool = False,
         shift_px: int = SHIFT_PX,
         elsewhere: float = 1.0,
+        sensors: float = 0.0,
     ) -> None:
         self.frames = frames_of(root, splits)
         self.view, self.columns, self.image = view, columns, image
-        self.shift_px, self.elsewhere = shift_px, elsewhere
+        self.shift_px, self.elsewhere, self.sensors = shift_px, elsewhere, sensors
         self.predicted: PredictedLabels | None = None
         self._cache, self._labels = LruCache(), LruCache()
 
@@ -149,6 +151,8 @@ class PanoramaDataset:
             scan = drop_points(scan, generator, generator.uniform(0, 0.5))
         if generator.random() < 0.3:
             scan = drop_rings(scan, generator, COARSE_BAND_DEG, generator.uniform(0, 0.5))
+        if self.sensors and generator.random() < 0.5:
+            scan = change_sensor_remission(scan, generator, self.sensors)
         sample = self._sample(window, scan, frame.name, self._start(window, generator))
         return mirrored(sample) if generator.random() < 0.5 else sample
 

@@ -16,7 +16,16 @@ from lidar2pano.data.layouts import frames_of
 from lidar2pano.formats.remission import STAND_IN
 from lidar2pano.geometry.projection import Normalisation, fitted_view, project
 from lidar2pano.labels import SEMANTIC_KITTI
-from lidar2pano.scan import Scan, drop_points, drop_rings, mirror, shift, turn, vary_remission
+from lidar2pano.scan import (
+    Scan,
+    change_sensor_remission,
+    drop_points,
+    drop_rings,
+    mirror,
+    shift,
+    turn,
+    vary_remission,
+)
 from lidar2pano.views import View
 
 # Heights of the bands of elevation left out by two augmentations.
@@ -48,6 +57,8 @@ class ScanAugmentation:
     remission how much brighter or darker, as a share, all of a scan is made at most.
     rings     probability of leaving out up to three quarters of its beams, as of sensors of fewer beams.
     no_remission  probability of no remission, as of some sensors.
+    sensors   largest change of level, in octaves, of half of the scans: remission as another make of sensor has it
+              (scan.change_sensor_remission); 0: none.
     """
 
     turn_deg: float = 180.0
@@ -56,6 +67,7 @@ class ScanAugmentation:
     remission: float = 0.0
     rings: float = 0.0
     no_remission: float = 0.0
+    sensors: float = 0.0
 
 
 class RangeImageDataset:
@@ -130,6 +142,8 @@ def augmented(scan: Scan, generator: np.random.Generator, augmentation: ScanAugm
         scan = drop_points(scan, generator, generator.uniform(0, 0.5))
     if augmentation.no_remission and generator.random() < augmentation.no_remission:
         return drop_remission(scan)
+    if augmentation.sensors and generator.random() < 0.5:
+        return change_sensor_remission(scan, generator, augmentation.sensors)
     return vary_remission(scan, generator, augmentation.remission) if augmentation.remission else scan
 
 

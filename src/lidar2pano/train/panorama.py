@@ -37,6 +37,7 @@ class PanoramaOptions(TaskOptions):
     teacher, distillation  weight file of a translator whose classes and depths are learned beside the ground truth
                            (knowledge distillation), "": none;  weight of that loss.
     elsewhere_probability  with a teacher, of a crop of a real frame from anywhere, also out of the camera's sector.
+    remission_octaves      of half of the samples: largest change of remission's level, as of another make of sensor.
     """
 
     task = "panorama"
@@ -49,6 +50,7 @@ class PanoramaOptions(TaskOptions):
     teacher: str = ""
     distillation: float = 2.0
     elsewhere_probability: float = 1.0
+    remission_octaves: float = 0.0
 
 
 class PanoramaTranslation:
@@ -66,6 +68,7 @@ class PanoramaTranslation:
             options.columns,
             shift_px=(self.view.columns - options.columns) // 2 if options.teacher else SHIFT_PX,
             elsewhere=options.elsewhere_probability,
+            sensors=options.remission_octaves,
         )
         self.validation = PanoramaDataset(root, recipe.data.val, self.view, options.columns)
         self.networks = build_networks(recipe)

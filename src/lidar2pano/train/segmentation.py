@@ -57,6 +57,7 @@ class SegmentationOptions(TaskOptions):
     remission_scale        largest relative change of a scan's remission.
     ring_drop_probability  of leaving out up to three quarters of the beams.
     remission_drop_probability  of a scan without remission.
+    remission_octaves      of half of the scans: largest change of remission's level, as of another make of sensor.
     lovasz                 weight of Lovasz-Softmax beside the cross-entropy.
     class_weight_exponent,
     class_weight_least,
@@ -76,6 +77,7 @@ class SegmentationOptions(TaskOptions):
     remission_scale: float = 0.0
     ring_drop_probability: float = 0.0
     remission_drop_probability: float = 0.0
+    remission_octaves: float = 0.0
     lovasz: float = 1.0
     class_weight_exponent: float = 0.5
     class_weight_least: float = 1e-5
@@ -104,6 +106,7 @@ class Segmentation:
             remission=options.remission_scale,
             rings=options.ring_drop_probability,
             no_remission=options.remission_drop_probability,
+            sensors=options.remission_octaves,
         )
         self.tallest = view_of(options.tallest) if options.tallest else None
         if self.tallest is not None and recipe.training.batch != recipe.training.accumulate:
