@@ -1,4 +1,4 @@
-"""Put a trained family into the package: the weights, with licence and measured score in their cards.
+"""Put a trained family into the package: the weights, with licence and measured score in their cards, and their page.
 
 python runs/release_family.py FOLDER NAME SCORES.json --licence SPDX
 FOLDER holds segmenter, translator and painter (.safetensors); SCORES.json is what
@@ -14,6 +14,8 @@ from pathlib import Path
 
 from lidar2pano.models.card import load, save
 from lidar2pano.models.families import RELEASED, families, weight_files
+from lidar2pano.models.hub import PAGE
+from lidar2pano.models.model_page import model_page
 
 
 def main() -> None:
@@ -25,14 +27,14 @@ def main() -> None:
     parser.add_argument("--licence", required=True)
     arguments = parser.parse_args()
     measured = json.loads(arguments.scores.read_text(encoding="utf-8"))["results"][0]["score"]
+    home = families().get(arguments.name, RELEASED / arguments.name)
+    cards = {}
     for role, file in weight_files(arguments.folder).items():
         network, card = load(file)
         score = {name: value for name, value in card.score.items() if name != "score"} | measured.get(role, {})
-        save(
-            families().get(arguments.name, RELEASED / arguments.name) / f"{role}.safetensors",
-            network,
-            replace(card, licence=arguments.licence, score=score),
-        )
+        card = replace(card, licence=arguments.licence, score=score)
+        cards[role] = save(home / f"{role}.safetensors", network, card)
+    (home / PAGE).write_text(model_page(arguments.name, cards), encoding="utf-8")
 
 
 if __name__ == "__main__":

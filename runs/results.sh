@@ -7,7 +7,7 @@
 #   val labelled towns pandaset nuscenes   scores, as CSV
 #   beams remission                        scores with fewer beams and without remission
 #   times                                  milliseconds on this machine
-#   page        RESULTS.md from these files; costs nothing
+#   page        RESULTS.md and the scores of cards from these files; costs nothing
 set -euo pipefail
 kitti=$1 towns=$2 pandaset=$3 nuscenes=$4
 shift 4
@@ -29,7 +29,7 @@ step() {
     beams) text beams python "$(dirname "$0")/fewer_beams.py" "$kitti" kitti-mini ;;
     remission) text remission python "$(dirname "$0")/remission_stand_in.py" --kitti "$kitti" --pandaset "$pandaset" ;;
     times) text times lidar2pano bench --weights kitti-mini --runs 9 ;;
-    page) python "$(dirname "$0")/results.py" ;;
+    page) python "$(dirname "$0")/results.py" && python "$(dirname "$0")/card_scores.py" ;;
     *) echo "$0: no step $1" >&2 && return 2 ;;
   esac
 }

@@ -12,6 +12,8 @@ import pytest
 import house_rules
 import lidar2pano
 from installed_families import needs_streets, page_parameters
+from lidar2pano.models.card import read_card
+from lidar2pano.models.families import weight_files
 
 ROOT = house_rules.ROOT
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -41,6 +43,14 @@ def test_the_readme_states_the_measured_costs():
 def test_the_results_are_those_of_the_measured_scores():
     results = runpy.run_path(str(ROOT / "runs" / "results.py"))
     assert (ROOT / "RESULTS.md").read_text(encoding="utf-8") == results["text"](), "run runs/results.py"
+
+
+@needs_streets
+def test_the_cards_state_the_measured_scores():
+    measured = runpy.run_path(str(ROOT / "runs" / "card_scores.py"))["measured"]
+    for family in ("kitti-mini", "world"):
+        for role, file in weight_files(family).items():
+            assert read_card(file).score == measured(family, role), "run runs/card_scores.py"
 
 
 def test_scores_that_were_not_measured_are_dashes(tmp_path):

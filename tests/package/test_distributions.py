@@ -60,6 +60,7 @@ def test_the_streets_are_weights_alone(wheels):
     assert content == {
         "__init__.py",
         "LICENSE",
+        "README.md",
         *(f"{role}.safetensors" for role in ("segmenter", "translator", "painter")),
     }
 

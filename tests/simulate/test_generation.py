@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from PIL import Image
 
 from lidar2pano.calibration import read_calib
@@ -54,6 +56,20 @@ def test_readers_read_it_like_any_data_set(made):
     with Image.open(second.folder / "pano" / f"{second.stem}.png") as image:
         assert image.size == (VIEWS["panorama"].columns // 4, VIEWS["panorama"].rows // 4)
     assert json.loads((root / "splits.json").read_text())["val"] == ["00/000000", "00/000001"]
+
+
+def test_the_page_says_how_it_was_made_and_stays(made, tmp_path):
+    root, words = made
+    text = (root / "README.md").read_text()
+    header = yaml.safe_load(text.split("---\n")[1])
+    assert header["license"] == "apache-2.0" and {"lidar", "synthetic"} <= set(header["tags"])
+    (command,) = re.findall(r"`lidar2pano (world OUT .*?)`", text)
+    again = [*command.replace("OUT", str(root)).split(), "--processes", "1"]  # the same settings, or it would refuse
+    (root / "README.md").write_text("my own words")
+    assert main(again) == 0 and (root / "README.md").read_text() == "my own words"
+    (root / "README.md").write_text(text)
+    folders = set(re.findall(r"`(\w+)/`", text.partition("| ---")[2]))
+    assert folders == {path.name for path in (root / "sequences" / "00").iterdir() if path.is_dir()}
 
 
 def test_instances_tell_things_apart(made):

@@ -30,6 +30,12 @@ def read_json(path: Path, mend: str = "complete the data set", *, nan: bool = Fa
     return parse_json(read_input(path, mend), str(path), mend, nan=nan)
 
 
+def front_matter(fields: Mapping[str, object]) -> str:
+    """Return the YAML header of a Markdown page, as hubs of models and data sets read it: JSON values are YAML."""
+    lines = (f"{key}: {json.dumps(value, ensure_ascii=False)}\n" for key, value in fields.items())
+    return "---\n" + "".join(lines) + "---\n"
+
+
 def parse_json(data: str | bytes, source: str, mend: str = "replace it", *, nan: bool = False) -> Any:
     """Return the value of a JSON text; `source` begins the message of its InputError.
 

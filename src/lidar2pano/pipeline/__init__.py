@@ -1,16 +1,15 @@
 """Scan in, panorama out: the pipelines, and their assembly from weight files."""
 
 from lidar2pano.pipeline.assembly import (
-    assemble,
     card_view,
     engine_parts,
-    load,
     load_painter,
     load_part,
     load_segmenter,
     made_fast,
 )
-from lidar2pano.pipeline.stages import PaperPipeline, Pipeline, Segmenter
+from lidar2pano.pipeline.segmenter import Segmenter
+from lidar2pano.pipeline.stages import PaperPipeline, Pipeline, assemble, load
 
 __all__ = [
     "PaperPipeline",

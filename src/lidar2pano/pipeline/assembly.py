@@ -1,11 +1,11 @@
-"""The only place that builds a pipeline: from weight files, or from networks."""
+"""The networks of a pipeline from weight files, in the form that is fastest to run."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
 import torch
 from torch import nn
@@ -18,70 +18,48 @@ from lidar2pano.hardware import pick_device
 from lidar2pano.models.blocks import fold_norms
 from lidar2pano.models.card import Card, read_card
 from lidar2pano.models.card import load as load_weights
-from lidar2pano.models.families import BEST, FRONT_VIEW, role, weight_files
+from lidar2pano.models.families import FRONT_VIEW, role
 from lidar2pano.models.front_all_around import FrontAllAround
 from lidar2pano.models.latent_painter import LatentPainter
 from lidar2pano.models.painter import StreamPainter
 from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
-from lidar2pano.pipeline.stages import PaperPipeline, Pipeline, Segmenter
+from lidar2pano.pipeline.segmenter import Segmenter
 from lidar2pano.views import View
 
 log = logging.getLogger("lidar2pano")
 
 
-def load(
-    weights: str | Path | Mapping[str, Path] = BEST, device: str | torch.device = "auto", engine: str = "auto"
-) -> Pipeline:
-    """A pipeline from a family, a folder or run of weight files, or one file (the rest: best family).
+class Parts(NamedTuple):
+    """The networks of a pipeline, ready for inference, and their files and cards: fields of a Pipeline."""
 
-    weights  a name; "best": the best installed family, which the logger "lidar2pano" names; or what
-             `models.families.weight_files` made of a name.
-    device   "auto" (CUDA if there is one), "cpu" or "cuda".
-    engine   "auto" (OpenVINO for what engine="openvino" compiled before, on a CPU that multiplies bfloat16; else
-             torch), "torch", "compile" (torch.compile), "onnx" or "openvino". The last three compile each network
-             when it is first called.
-    Raises InputError when weights, device or engine cannot be had.
+    segmenter: Segmenter
+    translator: nn.Module
+    painter: StreamPainter
+    view: View
+    device: torch.device
+    cards: Mapping[str, Card]
+    engine: str
+    files: Mapping[str, Path]
+
+
+def load_parts(files: Mapping[str, Path], device: str | torch.device, engine: str, source: object) -> Parts:
+    """The parts of weight files by role (`models.families.weight_files`); the other arguments as of `load`.
+
+    source  the name that a user gave. Raises InputError when a part is missing, and as `load`.
     """
     picked = pick_device(device)
     runs_on = pick_engine(engine, picked)
     log.info("networks run on %s by %s", picked.type, runs_on)
-    files = weights if isinstance(weights, Mapping) else weight_files(weights)
     if "renderer" in files:
         raise InputError(f"{files['renderer']}: paints without classes, which `evaluate` can do only; name a family")
     if missing := [part for part in ("segmenter", "translator", "painter") if part not in files]:
-        source = weights if isinstance(weights, str | Path) else ", ".join(map(str, files.values()))
         raise InputError(f"{source}: no weights for the {' and the '.join(missing)}; name a family that has them")
     segmenter, segmenter_card = load_segmenter(files["segmenter"], picked, engine)
     translator, card, view = load_translator(files["translator"], picked, engine)
     painter, painter_card = load_painter(files["painter"], files.get("first-frame painter"), view, picked, engine)
     cards = {"segmenter": segmenter_card, "translator": card, "painter": painter_card}
-    return assemble(segmenter, translator, painter, view, picked, cards=cards, engine=runs_on)
-
-
-def assemble(  # noqa: PLR0913 parts of a pipeline
-    segmenter: Segmenter,
-    translator: nn.Module,
-    painter: StreamPainter,
-    view: View,
-    device: torch.device,
-    *,
-    cards: Mapping[str, Card] | None = None,
-    engine: str = "torch",
-) -> Pipeline:
-    """Build the pipeline that fits a translator: ours, or the paper's for a FrontAllAround. Arguments as its fields."""
-    pipeline = Pipeline(
-        segmenter=segmenter,
-        translator=translator,
-        painter=painter,
-        view=view,
-        device=device,
-        cards=cards or {},
-        engine=engine,
-    )
-    if not isinstance(translator, FrontAllAround):
-        return pipeline
-    return PaperPipeline.of(pipeline, translator.input_view)
+    return Parts(segmenter, translator, painter, view, picked, cards, runs_on, files)
 
 
 def load_translator(file: Path, device: torch.device, engine: str = "torch") -> tuple[nn.Module, Card, View]:

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, Unpack
 
 import numpy as np
 import torch
@@ -14,29 +14,24 @@ from torch import Tensor, nn
 
 from lidar2pano.calibration import Calibration, LensCalibration
 from lidar2pano.errors import InputError
-from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.camera import at_camera
-from lidar2pano.geometry.knn import clean_up
-from lidar2pano.geometry.projection import (
-    Normalisation,
-    RangeImage,
-    fitted_view,
-    nearest_ranges,
-    one_hot_layers,
-    project,
-)
+from lidar2pano.geometry.projection import RangeImage, nearest_ranges, one_hot_layers, project
 from lidar2pano.geometry.rasters import likeliest, upsample_azimuth, upsample_classes
 from lidar2pano.geometry.stitching import Camera
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import Memory, remember, steady
 from lidar2pano.models.card import Card
+from lidar2pano.models.families import BEST, weight_files
+from lidar2pano.models.front_all_around import FrontAllAround
+from lidar2pano.models.hub import Upload, hub_folder, push_family, write_family
 from lidar2pano.models.latent_painter import LatentPainter
 from lidar2pano.models.painter import LookPainter, StreamPainter, check_quality
-from lidar2pano.models.salsanext import STRIDE
 from lidar2pano.panorama import Panorama
+from lidar2pano.pipeline.assembly import load_parts
 from lidar2pano.pipeline.camera_doubts import sound_cameras
 from lidar2pano.pipeline.composition import compose
+from lidar2pano.pipeline.segmenter import Segmenter
 from lidar2pano.recordings.recorded_scans import read
 from lidar2pano.scan import OWN_VEHICLE_M, Scan
 from lidar2pano.scene.depth import denser, measured_depth
@@ -46,65 +41,6 @@ from lidar2pano.views import View, columns_between, sensor_view
 
 TINY = 1e-20  # least probability whose logarithm is taken
 ROAD, SKY, CONDITIONS = COMMON15.id_of("road"), COMMON15.id_of("sky"), len(SEMANTIC_KITTI)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Segmenter:
-    """A range-view network with the view and normalisation it was trained on.
-
-    network   (1, 5, H, W) -> (1, classes, H, W) logits.
-    tallest   how far rows are added to the view for sensors that see more (fitted_view); None: none are.
-    """
-
-    network: nn.Module
-    view: View
-    normalise: Normalisation
-    tallest: View | None = None
-
-    @classmethod
-    def from_card(cls, network: nn.Module, card: Card) -> Segmenter:
-        """The segmenter that a weight file holds: `network, card = load(path)`."""
-        normalise = validated(Normalisation, card.normalisation, "the card's normalisation")
-        views = {role: validated(View, view, "the card's view") for role, view in card.views.items()}
-        for view in views.values():
-            if view.rows % STRIDE or view.columns < STRIDE:
-                raise InputError(
-                    f"the card's view of {view.rows} x {view.columns} pixels is no segmenter's: its rows must divide by"
-                    f" {STRIDE}, and it has as many columns at least; fetch or make the file again"
-                )
-        return cls(network=network, view=views["input"], normalise=normalise, tallest=views.get("tallest input"))
-
-    def at(self, view: View) -> Segmenter:
-        """The segmenter on another view, whatever the scan."""
-        return replace(self, view=view, tallest=None)
-
-    def project(self, scan: Scan, device: str | torch.device = "cpu") -> RangeImage:
-        """The range image that the network labels."""
-        return project(scan, fitted_view(scan, self.view, self.tallest), device=device)
-
-    @torch.inference_mode()
-    def raster(self, image: RangeImage) -> Tensor:
-        """Class ids (H, W) uint8 of a range image; raises InputError unless its rows divide by STRIDE."""
-        x = self.normalise(image)[None]
-        columns = x.shape[3]
-        if spare := -columns % STRIDE:  # Pandar64's 1800 columns do not divide: go on beyond the seam, or empty
-            beyond = x[..., :spare] if image.view.circular else x.new_zeros(*x.shape[:3], spare)
-            x = torch.cat([x, beyond], dim=3)
-        with fast_arithmetic(x.device):
-            logits = self.network(x.contiguous(memory_format=torch.channels_last))
-        return likeliest(logits[..., :columns])[0]
-
-    def label(self, image: RangeImage, timer: Timer) -> Tensor:
-        """Class ids (N,) int64 of the points of a range image on `view`: the network, then the KNN clean-up."""
-        with timer("segment"):
-            ids = self.raster(image)
-        with timer("clean_up"):
-            return clean_up(image, ids)
-
-    def points(self, scan: Scan, device: str | torch.device = "cpu") -> Tensor:
-        """Class ids (N,) int64 of a scan's points."""
-        _, image, _ = denser(scan, self.project(scan, device))
-        return self.label(image, Timer(torch.device(device)))[: len(scan)]
 
 
 class Measurement(NamedTuple):
@@ -133,6 +69,7 @@ class Pipeline:
     cards       of the weight files, by role.
     look        one of the painter's looks: "A", "A+B" for the mean of two, "" for its own.
     engine      the engine that computes the networks: of ENGINES, but not "auto".
+    files       the weight files, by role.
     """
 
     segmenter: Segmenter
@@ -143,12 +80,64 @@ class Pipeline:
     cards: Mapping[str, Card] = field(default_factory=dict)
     look: str = ""
     engine: str = "torch"
+    files: Mapping[str, Path] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Return networks, raster, device and engine, without the layers."""
         networks = [f"{card.network} ({card.recipe})" for card in self.cards.values()] or ["networks without cards"]
         raster = f"{self.view.rows} x {self.view.columns}"
         return f"{type(self).__name__}({' -> '.join(networks)}, {raster}, {self.device.type}, {self.engine})"
+
+    @classmethod
+    def from_pretrained(
+        cls,
+        pretrained_model_name_or_path: str | Path,
+        *,
+        force_download: bool = False,
+        token: str | bool | None = None,
+        cache_dir: str | Path | None = None,
+        local_files_only: bool = False,
+        revision: str | None = None,
+        device: str | torch.device = "auto",
+        engine: str = "auto",
+    ) -> Pipeline:
+        """Return the pipeline of a folder, an installed family, or a repository "owner/name" of the hub.
+
+        Like huggingface_hub's mixin; device and engine are those of `load`. All parts must come from there: nothing is
+        filled in. Only safetensors, LICENSE and README.md are fetched, and nothing is executed.
+        Raises InputError as `load` and `models.hub.hub_folder`.
+        """
+        name = pretrained_model_name_or_path
+        folder = hub_folder(name, revision, cache_dir, force_download, token, local_files_only)
+        return assemble(**load_parts(weight_files(folder, fill=False), device, engine, name)._asdict())
+
+    def save_pretrained(
+        self,
+        save_directory: str | Path,
+        *,
+        repo_id: str | None = None,
+        push_to_hub: bool = False,
+        **push_to_hub_kwargs: Unpack[Upload],
+    ) -> str | None:
+        """Write the weight files, their LICENSE and a model card (README.md) into a folder; one that is there stays.
+
+        Weights are written as they were loaded; look, viewpoint, quality and seed are not. With push_to_hub also
+        uploads them to `repo_id` (the folder's name) and returns the address of the commit.
+        Raises InputError where the weights changed since, or the folder holds others.
+        """
+        write_family(Path(save_directory), self.files, self.cards)
+        if not push_to_hub:
+            return None
+        return self.push_to_hub(repo_id or Path(save_directory).name, **push_to_hub_kwargs)
+
+    def push_to_hub(self, repo_id: str, **upload: Unpack[Upload]) -> str:
+        """Upload the files of `save_pretrained` to a repository of the hub; returns the address of the commit.
+
+        upload  commit_message, private, token, branch, create_pr, allow_patterns, ignore_patterns, delete_patterns, as
+                of huggingface_hub's mixin.
+        Raises InputError without huggingface_hub or a network, and where the hub refuses.
+        """
+        return push_family(repo_id, self.files, self.cards, upload)
 
     def at(self, calibration: Calibration | LensCalibration) -> Pipeline:
         """Return the pipeline with its viewpoint moved to a camera's optical centre."""
@@ -359,6 +348,51 @@ class PaperPipeline(Pipeline):
 
     def _translator_image(self, scan: Scan, image: RangeImage) -> RangeImage:  # noqa: ARG002
         return self._checked(scan, project(scan, self.input_view, device=self.device))
+
+
+def load(
+    weights: str | Path | Mapping[str, Path] = BEST, device: str | torch.device = "auto", engine: str = "auto"
+) -> Pipeline:
+    """A pipeline from a family, a folder or run of weight files, or one file (the rest: best family).
+
+    weights  a name; "best": the best installed family, which the logger "lidar2pano" names; or what
+             `models.families.weight_files` made of a name.
+    device   "auto" (CUDA if there is one), "cpu" or "cuda".
+    engine   "auto" (OpenVINO for what engine="openvino" compiled before, on a CPU that multiplies bfloat16; else
+             torch), "torch", "compile" (torch.compile), "onnx" or "openvino". The last three compile each network
+             when it is first called.
+    Raises InputError when weights, device or engine cannot be had.
+    """
+    files = weights if isinstance(weights, Mapping) else weight_files(weights)
+    source = weights if isinstance(weights, str | Path) else ", ".join(map(str, files.values()))
+    return assemble(**load_parts(files, device, engine, source)._asdict())
+
+
+def assemble(  # noqa: PLR0913 parts of a pipeline
+    segmenter: Segmenter,
+    translator: nn.Module,
+    painter: StreamPainter,
+    view: View,
+    device: torch.device,
+    *,
+    cards: Mapping[str, Card] | None = None,
+    engine: str = "torch",
+    files: Mapping[str, Path] | None = None,
+) -> Pipeline:
+    """Build the pipeline that fits a translator: ours, or the paper's for a FrontAllAround. Arguments as its fields."""
+    pipeline = Pipeline(
+        segmenter=segmenter,
+        translator=translator,
+        painter=painter,
+        view=view,
+        device=device,
+        cards=cards or {},
+        engine=engine,
+        files=files or {},
+    )
+    if not isinstance(translator, FrontAllAround):
+        return pipeline
+    return PaperPipeline.of(pipeline, translator.input_view)
 
 
 def finished(scene: Scene, image: Tensor, frame: int, timer: Timer) -> Panorama:

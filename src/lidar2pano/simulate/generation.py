@@ -19,6 +19,7 @@ import numpy as np
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_depth, write_ids, write_palette, write_png, write_whole
 from lidar2pano.labels import CITYSCAPES
+from lidar2pano.simulate.data_set_page import write_page
 from lidar2pano.simulate.layout.street_world import World, build_world
 from lidar2pano.simulate.render.looks import look
 from lidar2pano.simulate.render.renderer import RenderedImage, cylinder, pinhole, render
@@ -180,6 +181,7 @@ def generate(out: Path, settings: WorldSettings, sequences: int, processes: int)
     if sequences * settings.frames > MOST_FRAMES:
         raise InputError(f"--sequences x --frames must be at most {MOST_FRAMES}")
     claim_folder(out, settings)
+    write_page(out, settings)
     _write_splits(out, sequences, settings.frames)
     ranges = [
         FrameRange(out, settings, sequence, first, min(first + RANGE_LENGTH, settings.frames))

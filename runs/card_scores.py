@@ -1,0 +1,52 @@
+"""Write the scores of docs/results into the cards of the released families, and their pages: runs/card_scores.py.
+
+A family's scores are those of the set that is like what it is for: `world` in towns, all others on KITTI's `val`.
+"""
+
+from __future__ import annotations
+
+import runpy
+from dataclasses import replace
+from pathlib import Path
+
+from lidar2pano.models.card import Card, load, save
+from lidar2pano.models.families import families, weight_files
+from lidar2pano.models.hub import PAGE
+from lidar2pano.models.model_page import model_page
+
+RESULTS = runpy.run_path(str(Path(__file__).with_name("results.py")))
+MEASURED_ON = {"world": "towns"}  # others: val
+METRICS = {  # role -> (sector, metrics)
+    "segmenter": (("points", ("miou", "accuracy")),),
+    "translator": (("camera", ("miou", "accuracy")), ("panorama", ("miou", "accuracy", "depth_abs_rel"))),
+    "painter": (("camera", ("ssim", "swd")), ("panorama", ("ssim", "swd"))),
+}
+
+
+def measured(family: str, role: str) -> dict[str, float | str]:
+    """Return a role's scores as its card has them: values by sector and metric, and the set."""
+    name = MEASURED_ON.get(family, "val")
+    scores = RESULTS["read_scores"](RESULTS["SCORES"] / f"{name}.csv")
+    values = {
+        f"{sector.removesuffix('s')}_{metric}": scores[family, sector, metric]["value"]
+        for sector, metrics in METRICS[role]
+        for metric in metrics
+        if (family, sector, metric) in scores
+    }
+    return {key: float(f"{value:.4g}") for key, value in values.items() if value is not None} | {"split": name}
+
+
+def main() -> None:
+    """Write every card whose scores are others, and every page."""
+    for family in RESULTS["FAMILIES"]:
+        cards: dict[str, Card] = {}
+        for role, file in weight_files(family).items():
+            network, card = load(file)
+            if card.score != measured(family, role):
+                card = save(file, network, replace(card, score=measured(family, role)))
+            cards[role] = card
+        (families()[family] / PAGE).write_text(model_page(family, cards), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
