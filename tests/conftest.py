@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import gc
 import ipaddress
+import math
 import os
 import random
 import socket
@@ -64,6 +65,12 @@ def _set_threads() -> None:
         count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
         sys.modules["torch"].set_num_threads(max(count // workers, 1))
+
+
+@pytest.fixture(autouse=True)
+def _no_lines_about_progress(monkeypatch):
+    """A busy machine makes short work long: lines about it would stand among those that tests expect."""
+    monkeypatch.setattr("lidar2pano.cli.console.LINES_S", (math.inf,))
 
 
 @pytest.fixture(autouse=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import io
 import json
+import logging
 import os
 import shutil
 import subprocess
@@ -26,9 +27,9 @@ import lidar2pano
 from engine_of_torch import TorchEngine
 from installed_families import install_only
 from lidar2pano.bench import default_weights, untrained
-from lidar2pano.cli import app, main
+from lidar2pano.cli import app, console, main
 from lidar2pano.cli.app import make_program
-from lidar2pano.cli.console import bar, print_error
+from lidar2pano.cli.console import bar, print_error, show_log, speaking
 from lidar2pano.cli.options import parse_save
 from lidar2pano.drives.folders import output_stems
 from lidar2pano.labels import SEMANTIC_KITTI
@@ -37,6 +38,7 @@ from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.card import read_card
 from lidar2pano.panorama import STEM_ENDINGS
 from lidar2pano.pipeline import load
+from lidar2pano.progress import working
 from random_weights import CALIB, LICENCE, street, write_data_set, write_scan, write_weights
 
 OPTIONS = Path(__file__).with_name("cli_options.txt")
@@ -444,20 +446,60 @@ class Terminal(io.StringIO):
         return True
 
 
-@pytest.mark.parametrize(("total", "visible"), [(3, True), (1, False)])
-def test_a_bar_on_a_terminal(monkeypatch, capsys, total, visible):
+@pytest.mark.parametrize("total", [3, 1, 0])
+def test_a_bar_on_a_terminal(monkeypatch, capsys, total):
+    """A single scan has one, too: it may be the one for which networks are compiled."""
     monkeypatch.setattr(sys, "stderr", Terminal())
-    with bar(total, "working") as advance:
+    with bar(total, "some work") as advance:
         advance()
         print("a line for a program")
-    assert ("working" in sys.stderr.getvalue() and f"1/{total}" in sys.stderr.getvalue()) == visible
+    assert "some work" in sys.stderr.getvalue() and f"1/{total or '?'}" in sys.stderr.getvalue()
     assert capsys.readouterr().out == "a line for a program\n"
 
 
-def test_no_bar_without_a_terminal(capsys):
-    with bar(3, "working") as advance:
+def test_work_inside_work_has_a_bar_below(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    with speaking(verbose=False, quiet=False), bar(3, "outer"), working("inner", 2):
+        pass
+    assert "outer" in sys.stderr.getvalue() and "inner" in sys.stderr.getvalue()
+    with speaking(verbose=False, quiet=False), bar(2, "next"):
+        pass
+    assert "next" in sys.stderr.getvalue()
+
+
+def test_lines_without_a_terminal(monkeypatch, capsys):
+    with bar(3, "some work") as advance:
         advance()
-    assert capsys.readouterr() == ("", "")
+    assert capsys.readouterr() == ("", ""), "short work is silent"
+    times = iter([0.0, 1.0, 3.0, 4.0, 12.0, 20.0, 43.0, 44.0])
+    monkeypatch.setattr(console, "LINES_S", (2.0, 10.0))
+    monkeypatch.setattr(console.time, "monotonic", lambda: next(times))
+    with bar(7, "some work") as advance:
+        for _ in range(7):
+            advance()
+    lines = capsys.readouterr().err.splitlines()
+    expected = ["2 of 7, about 8 s left", "4 of 7, about 9 s left", "6 of 7, about 7 s left"]
+    assert lines == [f"lidar2pano: some work: {text}" for text in expected]
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_long_work_of_the_library_is_announced(capsys, quiet):
+    with speaking(verbose=False, quiet=quiet), working("compiling"):
+        pass
+    assert capsys.readouterr().err == ("" if quiet else "lidar2pano: compiling\n")
+    with working("compiling"):
+        pass
+    assert capsys.readouterr().err == "", "a program that uses the library gets no lines"
+
+
+def test_logs_are_printed_unless_quiet(capsys):
+    log = logging.getLogger("lidar2pano.train.monitor")
+    for quiet in (False, True):
+        with speaking(verbose=False, quiet=quiet):
+            log.info("before")
+            show_log()
+            log.info("after")
+    assert capsys.readouterr().err == "lidar2pano: after\n"
 
 
 # --- the door itself ------------------------------------------------------------------------------------------------

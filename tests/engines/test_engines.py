@@ -4,6 +4,8 @@ import copy
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 
 import pytest
 import torch
@@ -18,6 +20,7 @@ from lidar2pano.engines.signatures import SIGNATURES, as_tuple
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
 from lidar2pano.pipeline import engine_parts, load, made_fast
+from lidar2pano.progress import shown_by
 from random_weights import spread_norms, street
 
 CPU = torch.device("cpu")
@@ -82,6 +85,37 @@ def test_torch_compile_takes_the_place_of_the_call(monkeypatch):
     assert chosen == {"dynamic": False, "mode": "default"}
     accelerated(network, "titan-pano", "", "compile", torch.device("cuda"))
     assert chosen["mode"] == "reduce-overhead"  # CUDA graphs
+
+
+@contextmanager
+def titles_of_work() -> Iterator[list[str]]:
+    """Give the titles of the work that is announced inside."""
+    titles: list[str] = []
+
+    def show(total: int, title: str) -> nullcontext:
+        titles.append(title)
+        return nullcontext(lambda: None)
+
+    with shown_by(show):
+        yield titles
+
+
+def test_compiling_is_announced(monkeypatch):
+    def compile_network(self: nn.Module, **_: object) -> None:
+        self._compiled_call_impl = self._call_impl
+
+    monkeypatch.setattr(nn.Module, "compile", compile_network)
+    inputs = inputs_of("titan-pano")
+    network, plain = (accelerated(network_of("titan-pano"), "titan-pano", "", e, CPU) for e in ("compile", "torch"))
+    with titles_of_work() as titles:
+        outputs = network(*inputs)
+        assert titles == ["compiling the titan-pano by torch.compile, anew in each process"]
+        network(*inputs)
+        assert len(titles) == 1, "the first call compiles"
+        assert all(map(torch.equal, outputs, plain(*inputs)))
+        for _ in range(2):
+            forward_of(TorchEngine())(*inputs)
+        assert titles[1:] == ["compiling the titan-pano for onnx, once for scans like this one; it is kept on disk"]
 
 
 def test_openvino_reports_nothing_over_the_network():

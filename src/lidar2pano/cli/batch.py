@@ -16,7 +16,7 @@ import torch
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.cli.app import MISTAKE
-from lidar2pano.cli.console import bar, print_error, print_weights, spooled, until_signal
+from lidar2pano.cli.console import bar, print_error, print_note, print_weights, spooled, until_signal
 from lidar2pano.cli.options import check_file
 from lidar2pano.drives.folders import drive_files, output_stems
 from lidar2pano.drives.reading import (
@@ -139,7 +139,7 @@ def translate_files(paths: Iterable[Path], options: Options) -> int:
         files, failed = gather_files(sources, options)
         stems = output_stems(files)
         if renamed := sum(stems[file] != stem_of(file) for file in files):
-            print_error(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
+            print_note(f"{renamed} scans share a name with another; their outputs carry names of folders before it")
         countable = not any(file.suffix.lower() in RECORDINGS or file.is_dir() for file in files)
         scans = scan_sources(files, options.reading.selection, stems)
         failed |= translate_sources(scans, len(files) if countable else 0, options)
@@ -259,7 +259,7 @@ class ErrorReporter:
             if (source.stream, text) not in self._warnings:
                 self._warnings.add((source.stream, text))
                 strict = interpretation is not None and text in interpretation.doubts
-                print_error(f"{source.title}: {text}{' (a warning; --strict makes it an error)' * strict}")
+                print_note(f"{source.title}: {text}{' (a warning; --strict makes it an error)' * strict}")
 
     def note_licence(self, pipeline: Pipeline) -> None:
         """Print the note and the weights' restrictive licence once."""

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from lidar2pano.cli.app import app
-from lidar2pano.cli.console import print_weights
+from lidar2pano.cli.console import announced, print_weights
 from lidar2pano.cli.options import DeviceOption, check_file, write_json
 
 
@@ -43,29 +43,33 @@ def bench(
 
     if as_json:
         check_file(as_json, "--json")
-    if world:
-        settings = {"device": "cpu", "runs": runs, "processes": processes}
-        rows = measures.measure_world(runs, processes)
-        text = measures.table(rows)
-    elif operations:
-        name = weights or measures.default_weights()
-        settings = {"device": pick_device(device).type, "weights": name or "untrained"}
-        rows = measures.measure_operations(name, device)
-        text = measures.operations_table(rows)
-    else:
-        buffers_kept = keep_buffers()
-        name = weights or measures.default_weights()
-        engines = list(dict.fromkeys(part.strip() for part in engine.split(",")))
-        settings = measures.conditions(device, runs) | {"weights": name or "untrained", "buffers_kept": buffers_kept}
-        if len(engines) > 1:
-            rows = measures.compare(runs, device, name, engines)
-            text = measures.comparison_table(rows)
-        else:
-            settings["engine"] = pick_engine(engine, pick_device(device))
-            rows = measures.measure(runs, device, name, settings["engine"])  # "auto" would compile nothing
+    with announced(0, "measuring, which takes minutes"):
+        if world:
+            settings = {"device": "cpu", "runs": runs, "processes": processes}
+            rows = measures.measure_world(runs, processes)
             text = measures.table(rows)
-        if name:
-            print_weights("", map(read_card, weight_files(name).values()))
+        elif operations:
+            name = weights or measures.default_weights()
+            settings = {"device": pick_device(device).type, "weights": name or "untrained"}
+            rows = measures.measure_operations(name, device)
+            text = measures.operations_table(rows)
+        else:
+            buffers_kept = keep_buffers()
+            name = weights or measures.default_weights()
+            engines = list(dict.fromkeys(part.strip() for part in engine.split(",")))
+            settings = measures.conditions(device, runs) | {
+                "weights": name or "untrained",
+                "buffers_kept": buffers_kept,
+            }
+            if len(engines) > 1:
+                rows = measures.compare(runs, device, name, engines)
+                text = measures.comparison_table(rows)
+            else:
+                settings["engine"] = pick_engine(engine, pick_device(device))
+                rows = measures.measure(runs, device, name, settings["engine"])  # "auto" would compile nothing
+                text = measures.table(rows)
+            if name:
+                print_weights("", map(read_card, weight_files(name).values()))
     if as_json:
         write_json(as_json, settings | {"rows": [asdict(row) for row in rows]}, "--json")
     words = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in settings.items())

@@ -14,7 +14,7 @@ from typer.core import TyperCommand
 
 from lidar2pano.cli import options as opt
 from lidar2pano.cli.app import TERMINATED, app
-from lidar2pano.cli.console import bar, print_error, print_weights, until_signal
+from lidar2pano.cli.console import bar, print_error, print_note, print_weights, until_signal
 from lidar2pano.errors import InputError, closest
 
 if TYPE_CHECKING:
@@ -262,7 +262,7 @@ def consume(records: Iterable[dict[str, Any]], total: int, manifest: Manifest) -
                 for text in record["doubts"] or ():
                     if (stream, text) not in warnings:
                         warnings.add((stream, text))
-                        print_error(f"{ScanKey(record['input'], record['scan'])}: {text}")
+                        print_note(f"{ScanKey(record['input'], record['scan'])}: {text}")
                 if record["error"]:
                     if record["scan"] is None or record["input"] not in reported:
                         print_error(record["error"])

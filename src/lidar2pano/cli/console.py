@@ -6,19 +6,25 @@ import logging
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from types import FrameType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from lidar2pano.models.card import Card
 
 import tempfile
 from pathlib import Path
 
 from lidar2pano.errors import InputError
+from lidar2pano.progress import Advance, shown_by
 
+LOG = logging.getLogger("lidar2pano")
+LINES_S, LINE_EVERY_S = (2.0, 10.0), 30.0  # of long work, without a terminal
 MOST_CHARACTERS = 2000  # of a message
 MOST_WORD = 400  # characters of one word of it, such as a path
 
@@ -37,27 +43,37 @@ def print_error(problem: object) -> None:
 
 
 class _Notes:
-    """Switch of notes and bars, set by `speaking` for the time of a command."""
+    """The state of notes, logs and bars, set by `speaking` for the time of a command."""
 
     enabled = True
+    handler: logging.Handler | None = None  # of the library's log
+    progress: Progress | None = None  # on the terminal
 
 
 @contextmanager
 def speaking(*, verbose: bool, quiet: bool) -> Iterator[None]:
     """Print what the library logs (verbose), or neither notes nor bars (quiet), as long as the context lasts."""
-    log, handler = logging.getLogger("lidar2pano"), logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter("lidar2pano: %(message)s"))
-    level, enabled = log.level, _Notes.enabled
-    _Notes.enabled = not quiet
-    if verbose:
-        log.addHandler(handler)
-        log.setLevel(logging.INFO)
+    level, enabled, handler = LOG.level, _Notes.enabled, _Notes.handler
+    _Notes.enabled, _Notes.handler = not quiet, None
     try:
-        yield
+        with shown_by(announced):
+            if verbose:
+                show_log()
+            yield
     finally:
-        _Notes.enabled = enabled
-        log.removeHandler(handler)
-        log.setLevel(level)
+        if _Notes.handler:
+            LOG.removeHandler(_Notes.handler)
+        _Notes.enabled, _Notes.handler = enabled, handler
+        LOG.setLevel(level)
+
+
+def show_log() -> None:
+    """Print what the library logs until the command ends, unless --quiet is given."""
+    if _Notes.enabled and _Notes.handler is None:
+        _Notes.handler = logging.StreamHandler(sys.stderr)
+        _Notes.handler.setFormatter(logging.Formatter("lidar2pano: %(message)s"))
+        LOG.addHandler(_Notes.handler)
+        LOG.setLevel(logging.INFO)
 
 
 def print_note(note: object) -> None:
@@ -79,19 +95,74 @@ def print_weights(chosen: str, cards: Iterable[Card]) -> None:
 
 
 @contextmanager
-def bar(total: int, title: str) -> Iterator[Callable[[], None]]:
-    """Give a function to call after each of `total` things; silent for one, and unless stderr is a terminal."""
-    if total < 2 or not _Notes.enabled or not sys.stderr.isatty():
-        yield lambda: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+def bar(total: int, title: str) -> Iterator[Advance]:
+    """Give a function to call after each of `total` steps, 0 for an unknown number, to show how many are done.
 
-    columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, redirect_stdout=sys.stdout.isatty()) as progress:
-        task = progress.add_task(title, total=total)
+    A terminal gets a bar with an estimate of the time left, anything else lines, if the work takes long.
+    """
+    if not _Notes.enabled:
+        yield lambda: None
+    elif sys.stderr.isatty():
+        with _drawn(total, title) as advance:
+            yield advance
+    else:
+        yield _Lines(total, title).advance
+
+
+@contextmanager
+def announced(total: int, title: str) -> Iterator[Advance]:
+    """Show work that always takes long: like `bar`, and without a terminal by a line at once."""
+    if not sys.stderr.isatty():
+        print_note(title)
+    with bar(total, title) as advance:
+        yield advance
+
+
+@contextmanager
+def _drawn(total: int, title: str) -> Iterator[Advance]:
+    """Draw a bar, below those that are drawn already."""
+    import rich.progress
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    with ExitStack() as stack:
+        progress = _Notes.progress
+        if progress is None:
+            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+            times = (TimeElapsedColumn(), TimeRemainingColumn())
+            settings = {"transient": True, "redirect_stdout": sys.stdout.isatty()}
+            drawing = rich.progress.Progress(*columns, *times, console=Console(stderr=True), **settings)
+            progress = _Notes.progress = stack.enter_context(drawing)
+            stack.callback(setattr, _Notes, "progress", None)
+        task = progress.add_task(title, total=total or None)
+        if len(progress.tasks) > 1:  # the outermost stays until all is drawn
+            stack.callback(progress.remove_task, task)
         yield lambda: progress.advance(task)
+
+
+class _Lines:
+    """Lines about work on stderr, after LINES_S and then every LINE_EVERY_S."""
+
+    def __init__(self, total: int, title: str) -> None:
+        self.total, self.title, self.count = total, title, 0
+        self.start_s = time.monotonic()
+        self.due_s = [self.start_s + wait_s for wait_s in LINES_S]
+
+    def advance(self) -> None:
+        """Count a step, and print a line if one is due and steps are left."""
+        self.count, now_s = self.count + 1, time.monotonic()
+        if now_s < self.due_s[0] or self.count >= self.total:
+            return
+        self.due_s = [due_s for due_s in self.due_s if due_s > now_s] or [now_s + LINE_EVERY_S]
+        left_s = (now_s - self.start_s) / self.count * (self.total - self.count)
+        print_note(f"{self.title}: {self.count} of {self.total}, about {duration(left_s)} left")
+
+
+def duration(seconds: float) -> str:
+    """Return a time as people say it: 40 s, 12 min, 3.5 h."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 90 * 60 else f"{seconds / 3600:.1f} h"
 
 
 @contextmanager

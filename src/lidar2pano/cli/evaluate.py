@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lidar2pano.cli.app import app
-from lidar2pano.cli.console import print_error
+from lidar2pano.cli.console import print_note
 from lidar2pano.cli.options import EngineOption
 from lidar2pano.errors import InputError
 
@@ -103,7 +103,7 @@ def evaluate(  # noqa: PLR0913, PLR0917 one parameter per option
     if worst:
         write_worst(evaluation, out)
     if preferences:
-        print_error(f"choose between the panoramas: {preferences.write()}")
+        print_note(f"choose between the panoramas: {preferences.write()}")
     note_systems(systems)
     print(report.table(summary))
 
@@ -205,4 +205,4 @@ def note_systems(systems: Iterable[System]) -> None:
 
     for note in dict.fromkeys(licence_note(map(read_card, system.info.files.values())) for system in systems):
         if note:
-            print_error(note)
+            print_note(note)

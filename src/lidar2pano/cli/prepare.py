@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lidar2pano.cli.app import MISTAKE, app
-from lidar2pano.cli.console import bar, print_error
+from lidar2pano.cli.console import bar, print_error, print_note
 from lidar2pano.cli.options import BEST, DeviceOption
 from lidar2pano.errors import InputError
 
@@ -79,7 +79,7 @@ def prepare(  # noqa: PLR0913, PLR0917 one parameter per option
         teachers.append(camera)
     frames = frames_to_label(root, split or [])
     if teacher == NO_TEACHER and any(frame.image_file for frame in frames):
-        print_error("images are left alone: name their teacher with --teacher")
+        print_note("images are left alone: name their teacher with --teacher")
     raise typer.Exit(_work(frames, teachers, as_json))
 
 
@@ -104,7 +104,7 @@ def _work(frames: FrameList[SemanticKittiFrame], teachers: list[Teacher], as_jso
     for teacher in teachers:
         count = counts[teacher.folder]
         if count[State.KEPT]:
-            print_error(
+            print_note(
                 f"{count[State.KEPT]} files in {teacher.folder}/ are not prepare's own and stay as they are; to have"
                 f" labels beside them choose another {OPTIONS[teacher.suffix]}"
             )
@@ -138,7 +138,7 @@ def _note_licence(teacher: Teacher) -> None:
     from lidar2pano.models.families import licence_note
 
     if note := licence_note(read_card(path) for path in teacher.weights if path.suffix == ".safetensors"):
-        print_error(f"{teacher.folder}: {note}")
+        print_note(f"{teacher.folder}: {note}")
 
 
 def _folder_name(name: str, option: str) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lidar2pano.cli.app import BROKEN, MISTAKE, app
-from lidar2pano.cli.console import print_error
+from lidar2pano.cli.console import print_error, show_log
 
 if TYPE_CHECKING:
     from lidar2pano.reproduce import Plan
@@ -90,15 +90,12 @@ def print_plan(plan: Plan) -> None:
 
 def run_plan(plan: Plan) -> None:
     """Run the plan and write its results; typer.Exit if a part or a row failed."""
-    import logging
-    import sys
-
     from lidar2pano.cli.evaluate import write_csv
     from lidar2pano.cli.options import write_json
     from lidar2pano.reproduce import reproduce as run
     from lidar2pano.reproduce.results_page import records, write_results_page
 
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    show_log()
     outcome = run(plan)
     written = write_results_page(plan, outcome)
     write_json(plan.out / "results.json", {"results": outcome.results, "failures": outcome.failures}, "--out")

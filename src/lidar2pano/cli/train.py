@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import logging
 import os
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lidar2pano.cli.app import app
+from lidar2pano.cli.console import show_log
 from lidar2pano.cli.options import DeviceOption
 from lidar2pano.train.recipes import RECIPES
 
@@ -45,7 +44,7 @@ def train(
     from lidar2pano.train.engine import train as run
 
     keep_buffers()
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    show_log()
     weights = run(chosen, data, out, device=device, devices=devices, num_nodes=nodes)
     if first:
         print(f"weights: {weights}")

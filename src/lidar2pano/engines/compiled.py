@@ -18,6 +18,7 @@ from lidar2pano.engines import disk_cache
 from lidar2pano.engines.signatures import SIGNATURES, Shape, as_tuple
 from lidar2pano.errors import InputError
 from lidar2pano.hardware import fast_arithmetic
+from lidar2pano.progress import working
 
 MOST_SHAPES = 4  # held in memory for one network
 REFUSED = b""  # on disk, for a network whose outputs did not agree
@@ -96,7 +97,11 @@ class CompiledForward:
         key = hashlib.sha256(json.dumps(parts).encode()).hexdigest() if self.weights else ""
         try:
             stored = self._stored(key, inputs[0].device)
-            return stored if stored or self.optional else self._compiled(key, inputs, shapes)
+            if stored or self.optional:
+                return stored
+            kept = "; it is kept on disk" if key else ""
+            with working(f"compiling the {self.model} for {self.engine.name}, once for scans like this one{kept}"):
+                return self._compiled(key, inputs, shapes)
         except UnfitError as unfit:
             if self.optional:
                 return None

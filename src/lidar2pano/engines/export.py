@@ -18,6 +18,7 @@ from lidar2pano.engines.selection import missing_extra
 from lidar2pano.engines.signatures import SIGNATURES, as_tuple
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
+from lidar2pano.progress import working
 
 TOLERANCE = 1e-4  # of the difference between graph and torch; relative where an output is greater than 1
 README, NOISE = "README.md", "noise.npy"
@@ -47,11 +48,13 @@ def export(parts: Mapping[str, Exportable], folder: Path, noise: np.ndarray | No
     check_exportable({role: part.model for role, part in parts.items()})
     contents: dict[str, bytes] = {}
     differences: dict[str, float] = {}
-    for role, part in parts.items():
-        inputs = tuple(torch.cat([tensor, _turned(tensor)]) for tensor in part.inputs)
-        proto = graph(part.network, part.model, inputs, {"card": part.card, "role": role})
-        contents[f"{role}.onnx"] = compiled = proto.SerializeToString()
-        differences[role] = compare(compiled, part, inputs)
+    with working(f"exporting {len(parts)} graphs and comparing them with torch", len(parts)) as advance:
+        for role, part in parts.items():
+            inputs = tuple(torch.cat([tensor, _turned(tensor)]) for tensor in part.inputs)
+            proto = graph(part.network, part.model, inputs, {"card": part.card, "role": role})
+            contents[f"{role}.onnx"] = compiled = proto.SerializeToString()
+            differences[role] = compare(compiled, part, inputs)
+            advance()
     if noise is not None:
         array = io.BytesIO()
         np.save(array, noise)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import importlib.util
 import os
+from typing import Any
 
 import torch
 from torch import nn
@@ -15,6 +16,7 @@ from lidar2pano.engines.openvino_engine import OpenVino
 from lidar2pano.engines.signatures import SIGNATURES
 from lidar2pano.errors import InputError, closest
 from lidar2pano.hardware import has_bfloat16
+from lidar2pano.progress import working
 
 ENGINES = ("auto", "torch", "compile", "onnx", "openvino")
 VARIABLE = "LIDAR2PANO_ENGINE"  # in the environment: the meaning of "auto"
@@ -67,10 +69,23 @@ def accelerated(network: nn.Module, model: str, weights: str, engine: str, devic
         raise InputError(f"a {model!r} runs with --engine torch only, not with {picked}")
     if picked == "compile":
         network.compile(dynamic=False, mode="reduce-overhead" if device.type == "cuda" else "default")
+        _announce_first_call(network, model)
         return network
     plain = copy.copy(network)  # the same weights, and torch's own forward
     network.forward = CompiledForward(plain, model, weights, BUILDERS[picked](), optional=engine == "auto")
     return network
+
+
+def _announce_first_call(network: nn.Module, model: str) -> None:
+    """Announce the first call of a network that torch.compile then compiles."""
+    compiled: Any = network._compiled_call_impl
+
+    def first_call(*inputs: object) -> object:
+        network._compiled_call_impl = compiled
+        with working(f"compiling the {model} by torch.compile, anew in each process"):
+            return compiled(*inputs)
+
+    network._compiled_call_impl = first_call
 
 
 def _providers() -> list[str]:

@@ -65,6 +65,7 @@ try:
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("training needs lightning_fabric: pip install 'lidar2pano[train]'") from error
 
+log = logging.getLogger(__name__)
 logging.getLogger("lightning_fabric").setLevel(logging.ERROR)  # its remarks are no messages for users
 
 NO_MORE_UPDATES = ("", torch.zeros(()))  # sentinel of next()
@@ -147,6 +148,7 @@ class Run:
             task.networks[name], self.optimizers[name] = fabric.setup(network.train(), optimizer)
             if recipe.training.compile and name in task.released:  # a penalty differentiates a critic twice
                 network.compile(dynamic=False)
+                log.info("%s is compiled at its first step, which takes a minute or two", name)
         decay = recipe.training.ema
         self.averages = {name: EMA(self.networks[name], decay) for name in task.released if decay > 0}
 

@@ -34,7 +34,7 @@ class Monitor:
         self.first: tuple[int, float, float] | None = None
         self.last_line = time.monotonic()
         self.bar: Progress | None = None
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and log.isEnabledFor(logging.INFO):
             line = TextColumn("{task.fields[state]}", table_column=Column(no_wrap=True, overflow="ellipsis"))
             columns = (TextColumn("{task.description}"), BarColumn(bar_width=20), line)
             self.bar = Progress(*columns, console=Console(file=sys.stderr), refresh_per_second=2)

@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import logging
-import sys
-import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import nullcontext
 
 import torch
-from rich.console import Console
-from rich.progress import Progress
 from torch import Tensor
 
 from lidar2pano.data.cache import PredictedLabels
 from lidar2pano.data.frames import Frame, FrameList
 from lidar2pano.models.card import load
 from lidar2pano.pipeline import Segmenter
+from lidar2pano.progress import working
 from lidar2pano.scan import Scan
 from lidar2pano.train.task import Task
-
-log = logging.getLogger(__name__)
-LOG_EVERY_S = 20.0  # without a terminal
 
 
 def load_segmenter(file: str) -> Callable[[Scan], Tensor]:
@@ -61,24 +54,14 @@ def predict_all(task: Task, device: torch.device, rank: int = 0, world: int = 1)
 
 def _predict(predicted: PredictedLabels, frames: FrameList[Frame], device: torch.device, *, show: bool) -> None:
     label_points = predicted.label_points
-    if show:
-        log.info("labelling %d scans on %s, once: the labels are kept on disk", len(frames), device)
-    logged = time.monotonic()
     if isinstance(label_points, LabelPoints):
         label_points.move(device)
     try:
-        with ExitStack() as stack:
-            bar = None
-            if show and sys.stderr.isatty():
-                bar = stack.enter_context(Progress(console=Console(file=sys.stderr)))
-                bar.add_task("labelling scans", total=len(frames))
-            for number, frame in enumerate(frames, 1):
+        title = f"labelling {len(frames)} scans on {device}, once: the labels are kept on disk"
+        with working(title, len(frames)) if show else nullcontext(lambda: None) as advance:
+            for frame in frames:
                 predicted.of(frame)
-                if bar:
-                    bar.advance(bar.task_ids[0])
-                elif show and time.monotonic() - logged > LOG_EVERY_S:
-                    log.info("labelled %d of %d scans", number, len(frames))
-                    logged = time.monotonic()
+                advance()
     finally:
         if isinstance(label_points, LabelPoints):
             label_points.move(torch.device("cpu"))  # processes for samples have no GPU
