@@ -64,6 +64,24 @@ def raw_drive(root: Path) -> Path:
     return write_scan(drive / "velodyne_points" / "data" / "0000000003.bin")
 
 
+def object_benchmark(root: Path) -> Path:
+    write_photo(root / "training" / "image_2" / "000003.png")
+    return write_benchmark(root, "000003") and write_scan(root / "training" / "velodyne" / "000003.bin")
+
+
+def tracking_benchmark(root: Path) -> Path:
+    write_photo(root / "training" / "image_02" / "0007" / "000003.png")
+    return write_benchmark(root, "0007") and write_scan(root / "training" / "velodyne" / "0007" / "000003.bin")
+
+
+def write_benchmark(root: Path, name: str) -> Path:
+    path = root / "training" / "calib" / f"{name}.txt"
+    path.parent.mkdir(parents=True)
+    text = calib_text().replace("Tr:", "Tr_velo_to_cam:") + row("R0_rect", np.eye(3))
+    path.write_text(text)
+    return path
+
+
 def pandaset(root: Path) -> Path:
     return write_pandaset(root) / "sequences/002/velodyne/000000.bin"
 
@@ -82,7 +100,14 @@ def read(scan_file: Path, **options):
 
 @pytest.mark.parametrize(
     ("layout", "names"),
-    [(odometry, ["image_2"]), (raw_drive, ["image_02"]), (pandaset, NAMES), (nuscenes_info, None)],
+    [
+        (odometry, ["image_2"]),
+        (raw_drive, ["image_02"]),
+        (object_benchmark, ["image_2"]),
+        (tracking_benchmark, ["image_02"]),
+        (pandaset, NAMES),
+        (nuscenes_info, None),
+    ],
 )
 def test_cameras_are_found_beside_a_scan_in_its_frame(tmp_path, layout, names):
     reading = read(layout(tmp_path))

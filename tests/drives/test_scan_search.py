@@ -131,6 +131,26 @@ def test_data_sets_are_read_as_a_whole(tmp_path, names):
     assert [str(path.relative_to(tmp_path)) for path in scan_files(tmp_path)] == names == below(tmp_path)
 
 
+def test_tables_of_poses_are_no_scans_of_a_data_set(tmp_path):
+    tree(tmp_path, "sensors/lidar/315966265259836000.feather", "city_SE3_egovehicle.feather", "calibration/a.feather")
+    names = ["sensors/lidar/315966265259836000.feather"]
+    assert [str(path.relative_to(tmp_path)) for path in scan_files(tmp_path)] == names == below(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"ASTM-E57" + bytes(90), "holds no scan, but 2 .xyzw (a.xyzw is an E57); export its points"),
+        (b"PK\3\4" + bytes(90), "holds no scan, but archives (a.xyzw); unpack them"),
+        (bytes(90), "holds no scan (known endings"),
+    ],
+)
+def test_what_a_folder_holds_instead_is_said(tmp_path, content, says):
+    for name in ("a.xyzw", "b.xyzw", "c.other"):
+        put(tmp_path, name, content if name < "c" else bytes(90))
+    assert says in complaint(lambda: scan_files(tmp_path))
+
+
 def test_where_the_scans_are_is_said(tmp_path):
     tree(tmp_path, *(f"lidar/front/{number}.bin" for number in range(3)), "lidar/rear/0.bin")
     text = complaint(lambda: scan_files(tmp_path))

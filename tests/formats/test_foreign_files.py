@@ -54,6 +54,7 @@ def zipped(name: str) -> bytes:
             b'--abc\r\nContent-Disposition: form-data; name="f"; filename="a.bin"\r\n\r\n' + bytes(90),
             "an upload's form",
         ),
+        (gzip.compress(gzip.compress(bytes(900))), "is packed twice; unpack it once"),
         (b"QUJD" * 18 + b"\n" + b"QUJD" * 18 + b"\n" + b"QUJD" * 18 + b"\n", "is base64"),
         (b"2\n1\n" + b"0 0 0\n" * 4 + b"0 0 0 1\n" * 4 + b"1 2 3 0.5\n" * 2, "is a PTX"),
         (zipped("a.bin"), r"is a ZIP archive without arrays \(it has a.bin\); unpack it"),

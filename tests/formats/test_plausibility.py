@@ -12,6 +12,7 @@ import sample_files as made
 from lidar2pano import demo
 from lidar2pano.cli import main
 from lidar2pano.formats.interpretation import Overrides, interpret
+from lidar2pano.formats.plausibility import repeated_range
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import interpreted
 
@@ -34,6 +35,29 @@ def test_what_did_not_return_is_no_doubt_where_a_format_marks_it():
     holes = XYZ.copy()
     holes[::3] = np.nan
     assert doubts(holes, rows=False) == () and "are no coordinates" in doubts(holes)[0]
+
+
+@pytest.mark.parametrize("range_m", [65.535, 120, 1000, 65535, 1e9])
+def test_ranges_that_mark_missing_returns_are_none(range_m):
+    """A sensor's farthest range where nothing came back, above the horizon and on some of its rays below."""
+    ray = XYZ / np.linalg.norm(XYZ, axis=1, keepdims=True)
+    marked = np.arange(len(XYZ)) % 5 == 0
+    xyz = np.where(marked[:, None], np.abs(ray) * np.sign(ray * [1, 1, 0] + [0, 0, 1]) * range_m, XYZ)
+    cloud = PointCloud(xyz=xyz.astype(np.float32), intensity=REMISSION, format="PCD, binary")
+    scan, found = interpret(cloud)
+    assert found.no_returns == np.count_nonzero(marked) and not found.doubts and found.unit_m == 1
+    assert np.isnan(scan.xyz[marked]).all()
+    np.testing.assert_array_equal(scan.xyz[~marked], XYZ[~marked])
+
+
+def test_a_ring_of_level_ground_is_no_mark():
+    circle = np.linspace(0, 2 * np.pi, 600, endpoint=False)
+    ring = np.column_stack([70 * np.cos(circle), 70 * np.sin(circle), np.full(600, -1.8)])
+    assert repeated_range(np.concatenate([XYZ, ring])) is None
+
+
+def test_infinite_places_are_missing_returns():
+    assert doubts(np.where(np.arange(len(XYZ))[:, None] % 3, XYZ, np.inf), rows=False) == ()
 
 
 BYTES = XYZ.astype(np.float32)

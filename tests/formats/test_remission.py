@@ -59,6 +59,11 @@ def test_a_value_that_marks_missing_remissions_gives_the_stand_in():
     assert found.odd == COUNT // 10 and "10% of its points have no valid remission" in found.doubts[0]
 
 
+def test_remissions_below_zero_are_doubted():
+    found = scale_remission(40 * FORMS - 40, ALL, "", None)
+    assert found.scale.name == "min-max" and "leave them out with --remission none" in found.doubts[0]
+
+
 def test_many_beyond_the_scale_are_doubted():
     found = scale_remission(odd(FORMS, 20, 3), ALL, "", None)
     assert found.scale.name == "0-1" and "5% of its remissions are above 1" in found.doubts[0]

@@ -85,6 +85,7 @@ def test_other_axes_are_turned_and_doubted(turn, says, pitch_deg):
     scan, found = read(XYZ @ (turn @ rotation("y", pitch_deg)).T)
     np.testing.assert_allclose(scan.xyz, XYZ, atol=0.6)
     assert says in found.doubts[0] and says in found.turn_by
+    assert ("a left-handed frame stays mirrored" in found.doubts[0]) == (says == "y seems to point up")
 
 
 # --- the viewpoint of a PCD -------------------------------------------------------------------------------------------
@@ -137,6 +138,24 @@ def test_a_viewpoint_that_does_not_fit_is_not_used_and_said_so(viewpoint):
     )
 
 
+def test_a_viewpoint_far_away_is_the_origin_of_points_around_it():
+    utm = np.array([500123.4, 5412345.6, 312.3])
+    half, dtype = np.radians(20), [(axis, "<f8") for axis in "xyz"]
+    header = f"VERSION 0.7\nFIELDS x y z\nSIZE 8 8 8\nTYPE F F F\nWIDTH {len(XYZ)}\nHEIGHT 1\nVIEWPOINT "
+    header += f"500123.4 5412345.6 312.3 {np.cos(half)} 0 0 {np.sin(half)}\nPOINTS {len(XYZ)}\nDATA binary\n"
+    places = XYZ.astype(np.float64) @ rotation("z", 40).T + utm
+    rows = np.array([tuple(place) for place in places.tolist()], dtype)
+    scan, found = interpret(pcd.decode(header.encode() + rows.tobytes(), Path("a.pcd")))
+    np.testing.assert_allclose(scan.xyz, XYZ, atol=1e-3)
+    assert found.viewpoint_by == "the file's VIEWPOINT"
+
+
+def test_a_viewpoint_that_looks_back_is_doubted():
+    scan, found = interpret(pcd_of(XYZ, "0 0 0 0 0 0 1"))
+    assert scan.xyz.tobytes() == XYZ.tobytes()
+    assert "VIEWPOINT turns it by 180 degrees, and is not used; nothing shows which end" in found.doubts[0]
+
+
 @pytest.mark.parametrize("viewpoint", ["a b c", "0 0 0 0 0 0 0", "1 2", "nan 0 0 1 0 0 0"])
 def test_a_viewpoint_that_is_none_condemns_nothing(viewpoint):
     assert pcd_of(XYZ, viewpoint).viewpoint is None
@@ -151,7 +170,8 @@ def rows(tmp_path: Path, xyz: np.ndarray, ring: np.ndarray) -> tuple[Scan, Inter
 
 def test_five_columns_fix_no_forward_axis(tmp_path):
     scan, found = rows(tmp_path, XYZ, RING)
-    assert found.format == "float32 rows, nuScenes" and found.forward == "x" and not found.doubts
+    assert found.format == "float32 rows, nuScenes" and found.forward == "x"
+    assert len(found.doubts) == 1 and "which end is ahead, name it with --forward" in found.doubts[0]
     assert scan.xyz.tobytes() == XYZ.tobytes()
     scan, found = rows(tmp_path, XYZ @ rotation("z", 90).T, RING)
     assert found.forward == "y" and not found.doubts
@@ -176,6 +196,9 @@ def test_rings_that_contradict_the_elevations_are_not_believed():
     )
     assert read(XYZ @ rotation("y", 15).T, ring=RING)[0].ring is RING
     lines = np.arange(len(XYZ)) % 4  # of a Livox
+    assert read(XYZ, ring=np.random.default_rng(0).permutation(len(XYZ)) // 2)[0].ring is None, (
+        "as many rings as points share much by chance"
+    )
     assert read(XYZ, ring=lines)[0].ring is None and not read(XYZ, ring=lines)[1].doubts
 
 

@@ -10,7 +10,7 @@ import pytest
 import sample_files as made
 from lidar2pano.errors import InputError
 from lidar2pano.formats.arrays import cloud_of
-from lidar2pano.formats.readers import ReadOptions, open_path
+from lidar2pano.formats.readers import ReadOptions, interpreted, open_path
 from lidar2pano.formats.unnamed_columns import column_names, row_width
 
 XYZ, RING = made.street(beams=32, columns=360)
@@ -66,6 +66,15 @@ def test_rows_of_any_width_and_type_are_no_more_points_than_there_are(tmp_path, 
     (cloud,) = open_path(path).clouds(path, ReadOptions())
     np.testing.assert_array_equal(cloud.xyz, XYZ)
     assert (cloud.intensity is not None) == ("intensity" in names) and (cloud.ring is not None) == ("ring" in names)
+
+
+@pytest.mark.parametrize("kind", ["<f4", "<f8"])
+def test_columns_one_after_the_other_are_told_from_rows(tmp_path, kind):
+    columns = [*XYZ.T, FORMS]
+    path = made.write(tmp_path, "a.bin", np.concatenate(columns).astype(kind).tobytes())
+    ((scan, _),) = interpreted(path)
+    np.testing.assert_array_equal(scan.xyz, XYZ)
+    np.testing.assert_allclose(scan.remission, FORMS, rtol=1e-6)
 
 
 def test_an_array_with_ranges_is_told_from_one_without():

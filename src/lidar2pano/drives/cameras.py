@@ -172,13 +172,19 @@ def _stamp(path: Path) -> float | None:
 
 
 def found_beside(scan_file: Path) -> Iterator[CameraSource]:
-    """Yield the cameras of a scan file in a layout of KITTI (odometry, raw drives), PandaSet or nuScenes; or none."""
+    """Yield the cameras of a scan file in a layout of KITTI, PandaSet or nuScenes; or none."""
     folder, stem = scan_file.parent, stem_of(scan_file)
     if folder.name == "velodyne" and (folder.parent / "calib" / f"{stem}.json").is_file():
         frame = pandaset.PandasetFrame(folder.parents[2], VIEWS["panorama"], f"{folder.parent.name}/{stem}")
         yield from _of_frame(scan_file, frame)
     elif folder.name == "velodyne":
         yield from _beside_velodyne(scan_file)
+    elif folder.parent.name == "velodyne":  # of the tracking benchmark
+        root, sequence = folder.parents[1], folder.name
+        for number, name in enumerate(RAW, 2):
+            for image in images_of(root / name / sequence, stem):
+                calibration = root / "calib" / f"{sequence}.txt"
+                yield CameraSource(name, partial(_read_kitti, scan_file, image, calibration, number))
     elif folder.name == "data" and folder.parent.name == "velodyne_points":
         drive = folder.parents[1]
         for number, name in enumerate(RAW, 2):
@@ -197,10 +203,14 @@ def _beside_velodyne(scan_file: Path) -> Iterator[CameraSource]:
         linked_scan = folder / "velodyne" / scan_file.name
         if folder != sequence and not (linked_scan.is_file() and linked_scan.samefile(scan_file)):
             continue
+        own = folder / "calib" / f"{stem_of(scan_file)}.txt"  # of the object benchmark
         for number, name in enumerate(SISTERS, 2):
             for image in images_of(folder / name, stem_of(scan_file)):
-                source = name if folder == sequence else f"{folder.name}/{name}"
-                yield CameraSource(source, partial(_read_kitti, scan_file, image, folder, number))
+                source, calibration = (
+                    f"{folder.name}/{name}".removeprefix(f"{sequence.name}/"),
+                    own if own.is_file() else folder,
+                )
+                yield CameraSource(source, partial(_read_kitti, scan_file, image, calibration, number))
 
 
 def _read_kitti(scan_file: Path, image: Path, calibration: Path, number: int) -> Camera:

@@ -16,6 +16,7 @@ from lidar2pano.bounded_files import read_text
 from lidar2pano.errors import InputError
 from lidar2pano.formats.delimited_text import is_table
 from lidar2pano.formats.file_contents import head_of, stem_of
+from lidar2pano.formats.foreign_files import DOWNLOAD, OTHER, foreign_kind
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.formats.readers import ENDINGS, PACKED, TEXT_ENDINGS, ReadOptions
 from lidar2pano.name_order import sort_names
@@ -26,15 +27,16 @@ TIMES = ("times.txt", "timestamps.txt", "timestamps.json")  # KITTI odometry, KI
 UNIT_S = {19: 1e-9, 18: 1e-9, 16: 1e-6}  # digits of a name, a time since the epoch -> its unit
 
 STORAGE = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")  # endings of the files of a ROS 2 bag's folder
-# Folders of data sets with files of scans' endings: SemanticKITTI's occupancy, nuScenes' labels, labels of images
-NO_SCANS = ("voxels", "lidarseg", "panoptic", "labels")
+# Folders of data sets with files of scans' endings: SemanticKITTI's occupancy, nuScenes' labels, labels of images,
+# poses
+NO_SCANS = ("voxels", "lidarseg", "panoptic", "labels", "oxts")
 # The last folders of scans in data sets whose roots are read as a whole: KITTI's and SemanticKITTI's sequences, KITTI's
 # raw drives and KITTI-360, KITTI's tracking, nuScenes, Argoverse 2
 DATA_SETS = ("velodyne", "velodyne_points/data", "velodyne/[0-9]*", "LIDAR_*", "sensors/lidar")
 # Fields of radars' PCDs, nuScenes' among them
 RADAR = re.compile(rb"(?im)^(?:FIELDS|COLUMNS) .*\b(?:rcs|dyn_prop|vx_comp|range_rate)\b")
 MOST_NAMES = 1 << 20  # looked through below a folder without scans of its own
-ARCHIVES = (".zip", ".tar", ".tgz", ".tar.gz", ".tar.zst", ".tar.xz", ".tar.bz2", ".7z", ".rar")
+TABLES = (".feather", ".parquet", *TEXT_ENDINGS)  # which hold poses and boxes as well
 MOST_NAMED = 3  # folders in a message
 Head = Callable[[str], bytes]
 
@@ -154,11 +156,13 @@ def find_sources(names: Iterable[str], head: Head | None = None) -> list[Source]
         folder, _, file = name.rpartition("/")
         if not file.startswith(".") and not set(NO_SCANS).intersection(folder.split("/")):
             files_by_folder.setdefault(folder, []).append(name)
-    return [
+    sources = [
         source
         for folder in sort_names(files_by_folder)
         for source in _sources_of_folder(folder, files_by_folder[folder], head)
     ]
+    known = any(_in_data_set(source.folder) for source in sources)  # then tables elsewhere are poses and boxes
+    return [source for source in sources if not (known and _is_table(source) and not _in_data_set(source.folder))]
 
 
 def _sources_of_folder(folder: str, names: list[str], head: Head | None) -> list[Source]:
@@ -224,18 +228,31 @@ def find_scans(root: Path) -> list[Source]:
     Raises InputError for a folder without scans of its own, naming folders below with scans.
     """
     head = partial(head_below, root)
-    if own := find_sources(names_below(root, deep=False), head):
+    own = find_sources(names_below(root, deep=False), head)
+    if not all(map(_is_table, own)):
         return own
     below = find_sources(islice(names_below(root), MOST_NAMES), head)
     if not below and any(_is_radar(name, head) for name in names_below(root)):
         raise InputError(f"{root}: its PCDs are a radar's detections (rcs), no scans; name a folder of a LiDAR's")
-    if not below and (packed := [name for name in names_below(root) if name.lower().endswith(ARCHIVES)]):
-        raise InputError(f"{root}: holds no scan, but archives ({', '.join(packed[:MOST_NAMED])}); unpack them")
     if not below:
-        raise no_scan(root)
+        raise _held_instead(root)
     if all(_in_data_set(source.folder) for source in below):
         return below
+    if own:
+        return own
     raise InputError(f"{root}: holds no scan itself; {_counts(below)}; name a folder, or take all with `bulk`")
+
+
+def _held_instead(root: Path) -> InputError:
+    """Return the error for a folder without scans: what its most frequent files are, if they are of a known kind."""
+    names = sort_names(islice(names_below(root), MOST_NAMES))
+    for ending, count in Counter(_ending(name) or name for name in names).most_common(MOST_NAMED):
+        name = next(name for name in names if (_ending(name) or name) == ending)
+        if (kind := foreign_kind(head_below(root, name), root / name)) and kind.advice not in (OTHER, DOWNLOAD):
+            return InputError(f"{root}: holds no scan, but {count} {ending} ({name} is {kind.name}); {kind.advice}")
+        if head_below(root, name).startswith(b"PK"):
+            return InputError(f"{root}: holds no scan, but archives ({name}); unpack them")
+    return no_scan(root)
 
 
 def no_scan(place: object) -> InputError:
@@ -251,6 +268,10 @@ def check_file(path: Path) -> Path:
     if path.exists():
         raise InputError(f"{path}: is a device, FIFO or socket, no file; write it to a file, or pipe it into `-`")
     raise InputError(f"{path}: does not exist; name a scan file, a folder of scans or a sequence folder")
+
+
+def _is_table(source: Source) -> bool:
+    return not source.recording and _ending(source.name) in TABLES
 
 
 def _in_data_set(folder: str) -> bool:

@@ -34,6 +34,7 @@ BYTES = {
     rb"LZIP\x01": Foreign("packed with lzip, which is not read", GZIP_OR_ZSTD),
     rb"\x5d\0\0..\xff{8}": Foreign("packed with lzma, which is not read", GZIP_OR_ZSTD),
     rb"\xff\x06\0\0sNaPpY": Foreign("packed with snappy, which is not read", GZIP_OR_ZSTD),
+    rb"\x1f\x8b\x08|\x28\xb5\x2f\xfd": Foreign("packed twice", "unpack it once"),
     rb"7z\xbc\xaf\x27\x1c": Foreign("a 7z archive", UNPACK),
     rb"Rar!\x1a": Foreign("a RAR archive", UNPACK),
     rb".{257}ustar": Foreign("a tar archive", UNPACK),
@@ -78,7 +79,10 @@ TEXTS = {
     rb"\s*[{\[]": Foreign("JSON", "write its points as CSV, PCD or NPY"),
     rb"%!PS|\{\\rtf|#!/": Foreign("a document or program", OTHER),
 }
-NAMED = {".tfrecord": Foreign("a TFRecord, as of Waymo", f"{RECORDED}, e.g. with waymo-open-dataset")}
+NAMED = {
+    ".label": Foreign("labels of points", "name the scan in the folder velodyne beside it"),
+    ".tfrecord": Foreign("a TFRecord, as of Waymo", f"{RECORDED}, e.g. with waymo-open-dataset"),
+}
 PATTERNS = {re.compile(pattern, re.DOTALL): kind for pattern, kind in BYTES.items()}
 TEXT_PATTERNS = {re.compile(pattern, re.DOTALL): kind for pattern, kind in TEXTS.items()}
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats.beams import MOST as MOST_BEAMS
 from lidar2pano.formats.beams import find_beams
 from lidar2pano.formats.plausibility import (
     FEWEST_RINGS,
@@ -17,6 +18,7 @@ from lidar2pano.formats.plausibility import (
     find_gaps,
     follows_elevation,
     repeated_point,
+    repeated_range,
 )
 from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.remission import Scale, scale_remission
@@ -158,12 +160,18 @@ def interpret(
 
 def _returns(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the points (N, 3), NaN at marks of missing returns; the mask (N,) of returns; a sample of these."""
-    squared = np.einsum("ij,ij->i", xyz, xyz)
+    with np.errstate(over="ignore"):
+        squared = np.einsum("ij,ij->i", xyz, xyz)
     returns = np.isfinite(squared) & (squared > NO_RETURN**2)
     step = max(1, len(xyz) // SAMPLE)
     sample = xyz[::step][returns[::step]].astype(np.float64)
     if (mark := repeated_point(sample)) is not None:
         returns &= (xyz != mark).any(1)
+        sample = sample[(sample != mark).any(1)]
+    if (edges := repeated_range(sample)) is not None:
+        with np.errstate(invalid="ignore"):
+            returns &= (squared < edges[0] ** 2) | (squared > edges[1] ** 2)
+    if mark is not None or edges is not None:
         xyz = np.where(returns[:, None], xyz, np.nan)
         sample = xyz[::step][returns[::step]].astype(np.float64)
     return xyz, returns, sample
@@ -204,7 +212,8 @@ def _rings(cloud: PointCloud, returns: np.ndarray, placement: Placement) -> tupl
         return cloud.ring, []
     step = max(1, len(cloud) // SAMPLE)
     ring = cloud.ring[::step][returns[::step]]
-    if follows_elevation(ring, cloud.xyz[::step][returns[::step]], placement):
+    count = len(np.unique(ring))
+    if count < MOST_BEAMS and follows_elevation(ring, cloud.xyz[::step][returns[::step]], placement):
         return cloud.ring, []
-    several = len(np.unique(ring)) >= FEWEST_RINGS
-    return None, ["its rings do not follow the elevations of its points; they are not used"] if several else []
+    doubt = "its rings do not follow the elevations of its points; they are not used"
+    return None, [doubt] if count >= FEWEST_RINGS else []

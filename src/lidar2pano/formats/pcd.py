@@ -99,7 +99,8 @@ def _header(entries: dict[str, list[str]], start: int, path: Path) -> Header:
     for name, size, letter, count in zip(names, sizes, types, counts, strict=True):
         if size not in BYTES[letter] or not 0 <= count <= MOST_HEADER:
             raise ValueError(name)
-        fields.append((name, np.dtype(f"<{letter.lower()}{size}"), count, step))
+        taken = any(name == other for other, *_ in fields)  # of two with one name the first is read
+        fields.append(("_" if taken else name, np.dtype(f"<{letter.lower()}{size}"), count, step))
         step += size * count
     width, height = (int(entries.get(name, ["0"])[0]) for name in ("WIDTH", "HEIGHT"))
     points = int(entries["POINTS"][0]) if "POINTS" in entries else width * height

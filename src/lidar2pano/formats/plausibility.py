@@ -28,6 +28,7 @@ MOST_UNUSABLE = 0.1  # of the points in a file without rows of an image, which h
 SMALLEST, LARGEST = 1e-12, 1e7  # of a nonzero coordinate, in any unit: others are bytes of something else
 SAMPLE = 10_000  # points to find a repeated one among
 REPEATED, FEWEST_REPEATS = 0.01, 100  # of the points at exactly one place are no echoes
+SAME_RANGE, IN_PLANE = 1e-4, 2e-3  # ranges so nearly alike, as a share, are one; rays of a plane's ring, radians
 PROJECTION = np.array([1.0, np.sqrt(2), np.sqrt(3)])  # brings equal points together when sorted
 GAP_DEG = 15.0  # a sector of so many degrees without any point is out of the field of view
 SLIVER_DEG = 2.0  # a few stray points between two gaps
@@ -50,7 +51,11 @@ def doubts_about(xyz: np.ndarray, returns: np.ndarray, *, rows: bool) -> list[st
         doubts.append(f"only {usable} of its points can be used, which is no sweep of a LiDAR; name a whole scan")
     with np.errstate(invalid="ignore", over="ignore"):  # float16 is compared, too
         size = np.abs(xyz)
-        odd = float(np.mean((size > LARGEST) | ((size > 0) & (size < SMALLEST)))) if len(xyz) else 0.0
+        odd = (
+            float(np.mean((np.isfinite(size) & (size > LARGEST)) | ((size > 0) & (size < SMALLEST))))
+            if len(xyz)
+            else 0.0
+        )
     unusable = 1 - usable / max(len(xyz), 1)
     if odd > MOST_ODD or (rows and unusable >= MOST_UNUSABLE):
         share = max(odd, unusable)
@@ -83,6 +88,38 @@ def repeated_point(sample: np.ndarray) -> np.ndarray | None:
     longest = int(np.argmax(counts))
     enough = max(FEWEST_REPEATS, REPEATED * len(sample))
     return sample[order[start[longest]]] if counts[longest] >= enough else None
+
+
+def repeated_range(sample: np.ndarray) -> tuple[float, float] | None:
+    """Return the interval of ranges at which so many points (N, 3) lie as only a mark of missing returns has.
+
+    Drivers and simulators write a sensor's farthest range, or 65.535 m, where nothing came back. A ring of even ground
+    lies at one range, too, but in a plane. None without any.
+    """
+    sample = sample[:: max(1, len(sample) // SAMPLE)]
+    range_m = np.linalg.norm(sample, axis=1)
+    far = range_m >= np.median(range_m) if len(sample) else np.zeros(0, bool)
+    if np.count_nonzero(far) < FEWEST_REPEATS:
+        return None
+    steps = np.floor(np.log(range_m[far]) / SAME_RANGE).astype(np.int64)
+    values, counts = np.unique(steps, return_counts=True)
+    middle = float(np.median(range_m[far][steps == values[counts.argmax()]]))
+    low, high = middle * (1 - SAME_RANGE), middle * (1 + SAME_RANGE)
+    same = (range_m >= low) & (range_m <= high)
+    if np.count_nonzero(same) < max(FEWEST_REPEATS, REPEATED * len(sample)):
+        return None
+    return None if _mostly_in_a_plane(sample[same] / range_m[same, None]) else (low, high)
+
+
+def _mostly_in_a_plane(rays: np.ndarray) -> bool:
+    """Return whether more than half of the rays (N, 3) end in one plane (least trimmed squares, Rousseeuw 1984)."""
+    kept = np.ones(len(rays), bool)
+    away = np.zeros(len(rays))
+    for _ in range(5):
+        middle = rays[kept].mean(0)
+        away = np.abs((rays - middle) @ np.linalg.svd(rays[kept] - middle, full_matrices=False)[2][-1])
+        kept = away <= np.median(away)
+    return float(np.median(away)) < IN_PLANE
 
 
 def find_gaps(xyz: np.ndarray, invent: bool) -> tuple[tuple[float, float], ...]:

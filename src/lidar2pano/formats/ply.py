@@ -71,7 +71,11 @@ def decode(data: bytes, path: Path) -> PointCloud:
         for element in elements[:place]:
             start = _binary(data, start, element, path)[1]
         columns, end = _binary(data, start, vertices, path)
-        if last and len(data) - end >= max((end - start) // max(vertices.count, 1), 1):
+        if (
+            last
+            and data[end:].strip(b"\0\r\n\t ")
+            and len(data) - end >= max((end - start) // max(vertices.count, 1), 1)
+        ):
             raise InputError(
                 f"{path}: its header says {vertices.count} points, but more follow; the file is damaged or truncated"
             )

@@ -19,6 +19,7 @@ EDGES = (0.5, 99.5)  # percentiles; they become 0 and 1 if many values are negat
 MARKED = 0.99  # of the negative values are one and the same: it marks missing ones
 MOST_FULL = 0.5  # of the remissions are full
 LEAST_FILLED = 0.01  # of a scale from another source, by the values' 99th percentile
+BELOW_ZERO = "its remissions reach below zero, and are scaled by percentiles; leave them out with --remission none"
 NONE, MIN_MAX, PERCENTILE = "none", "min-max", "0-99th percentile"
 
 
@@ -72,7 +73,9 @@ def scale_remission(intensity: np.ndarray | None, returns: np.ndarray, named: st
     values[missing] = STAND_IN
     odd = int(np.count_nonzero(outside | (missing & returns)))
     doubts = _doubts(sample, values[valid], scale, missing[returns], "--remission" if named else "the first scan")
-    return Remission(values, scale, odd, doubts if named or first or scale.name not in (MIN_MAX, PERCENTILE) else [])
+    if not (named or first) and scale.name in (MIN_MAX, PERCENTILE):
+        doubts = [BELOW_ZERO] if scale.name == MIN_MAX else []
+    return Remission(values, scale, odd, doubts)
 
 
 def _missing(intensity: np.ndarray, returns: np.ndarray) -> np.ndarray:

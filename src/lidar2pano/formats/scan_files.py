@@ -13,7 +13,7 @@ from lidar2pano.bounded_files import read_input
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
-from lidar2pano.formats.unnamed_columns import MOST_RINGS, are_integers, column_names, row_width
+from lidar2pano.formats.unnamed_columns import MOST_RINGS, are_integers, block_count, column_names, row_width
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
 
@@ -43,23 +43,34 @@ def decode(data: bytes, path: Path) -> PointCloud:
         raise InputError(f"{path}: is empty; name a scan file that holds points")
     shares = {kind: _odd_share(_numbers(data, kind, SAMPLE)) for kind in TYPES}
     kind = min(shares, key=lambda kind: shares[kind])
+    if shares[kind] > MOST_ODD and len(data) > FEWEST_BYTES:
+        raise _no_points(path)
     width = _width(data, kind)
-    table = _rows(data, kind, width, path)
+    whole = len(data) % np.dtype(kind).itemsize == 0
+    if not width and whole and (columns := block_count(_numbers(data, kind, len(data)))):
+        width, table = columns, np.frombuffer(data, kind).reshape(columns, -1).T
+    else:
+        width = width or _shortest_width(data, kind)
+        table = _rows(data, kind, width, path)
     if len(table) > MOST_POINTS:
         raise InputError(f"{path}: {len(table)} points are no single sweep (at most {MOST_POINTS}); cut it")
     names = column_names(table)
     if width == len(KITTI):
         names = ["remission" if name == "intensity" else name for name in names]
-    if shares[kind] > MOST_ODD or _odd_share(table[:SAMPLE, [names.index(axis) for axis in "xyz"]]) > MOST_FAR:
-        raise InputError(
-            f"{path}: its bytes are no points (x y z remission as float32); the file is damaged or of another format"
-        )
+    if _odd_share(table[:SAMPLE, [names.index(axis) for axis in "xyz"]]) > MOST_FAR:
+        raise _no_points(path)
     form = {KITTI: "KITTI", NUSCENES: "nuScenes"}.get(tuple(names), f"{width} numbers a point")
     return cloud_of_columns(
         dict(zip(names, table.T, strict=True)),
         format=f"{TYPES[kind]} rows, {form}",
         name=stem_of(path),
         source=str(path),
+    )
+
+
+def _no_points(path: Path) -> InputError:
+    return InputError(
+        f"{path}: its bytes are no points (x y z remission as float32); the file is damaged or of another format"
     )
 
 
@@ -124,10 +135,13 @@ def _odd_share(values: np.ndarray) -> float:
 
 
 def _width(data: bytes, kind: str) -> int:
-    """Return the numbers of a point: by their likeness; of too few, nuScenes' if each fifth is the number of a beam."""
+    """Return the numbers of a point by their likeness, 0 if that tells nothing."""
+    return width if (width := row_width(_numbers(data, kind, len(data)))) >= len("xyz") else 0
+
+
+def _shortest_width(data: bytes, kind: str) -> int:
+    """Return the numbers of a point among too few: nuScenes' if each fifth is the number of a beam, else KITTI's."""
     values = _numbers(data, kind, len(data))
-    if (width := row_width(values)) >= len("xyz"):
-        return width
     fifth = values[len(NUSCENES) - 1 :: len(NUSCENES)]
     beams = len(fifth) > 1 and are_integers(fifth, MOST_RINGS)
     several = beams and bool((fifth != fifth[0]).any() or (values[len(KITTI) - 1 :: len(KITTI)] < 0).any())

@@ -31,6 +31,7 @@ FORWARD = {"x": (1, 0), "y": (0, 1), "-x": (-1, 0), "-y": (0, -1)}  # (cos, sin)
 ASSUMED = "assumed"  # the first word of a reason for a viewpoint without evidence in the scan
 CLOUD_ORIGIN, BY_VIEWPOINT = "the cloud's origin", "the file's VIEWPOINT"
 LOWEST_SENSOR_M = 0.4  # above the ground; no sensor is lower
+OTHER_AXIS_DEG = 45.0  # a turn by more is to another axis
 HEIGHTS_M = (1.0, 4.0)  # above the ground, of sensors whose axes are not the convention's
 FAR_M = 1000.0  # beyond this no LiDAR of a vehicle measures: coordinates are millimetres, or have an offset
 VEHICLE_GROUND_M = 0.65  # the ground is so near to z = 0 in a vehicle's frame (Argoverse 2: rear axle, 0.35 m above it)
@@ -47,6 +48,7 @@ OTHER_AXES = {
     "x seems to point down": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
 }
 Turn = tuple[tuple[float, float, float], ...]
+WHICH_END = "nothing shows which end is ahead, name it with --forward"
 UPRIGHT: Turn = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 # Maps: median over 99th percentile of ranges; beyond, points do not thin out with distance as a sweep's do.
@@ -271,9 +273,12 @@ def place(sample: np.ndarray, claims: Claims) -> tuple[Placement, list[str]]:
     away = is_offset(sample)
     unit_m = 1.0 if away else find_unit(sample)
     sample = sample * unit_m if unit_m != 1 else sample
-    stance, unused = Stance(np.zeros(3), np.eye(3)), ""
+    stance, unused, undecided = Stance(np.zeros(3), np.eye(3)), "", list[str]()
     if claims.viewpoint is not None:
-        stance, unused = by_viewpoint(sample, claims.viewpoint, unit_m)
+        stance, unused, unclear = by_viewpoint(sample, claims.viewpoint, unit_m)
+        heading_deg = float(np.degrees(np.arctan2(claims.viewpoint[1, 0], claims.viewpoint[0, 0])))
+        if unclear and abs(heading_deg) > OTHER_AXIS_DEG and not claims.named_forward:
+            undecided = [f"the file's VIEWPOINT turns it by {heading_deg:.0f} degrees, and is not used; {WHICH_END}"]
     if away and not stance.origin.any():
         stance = stance._replace(origin=horizontal_centre(sample))
     away = away and not stance.origin_by
@@ -304,7 +309,7 @@ def place(sample: np.ndarray, claims: Claims) -> tuple[Placement, list[str]]:
         turn_by=stance.turn_by,
         forward=forward,
         forward_by=forward_by,
-    ), doubts + unsure
+    ), undecided + doubts + unsure
 
 
 def find_unit(sample: np.ndarray) -> float:
@@ -337,12 +342,14 @@ def stands_level(ground: Ground | None) -> bool:
     return ground is not None and ground.level and stands(ground)
 
 
-def by_viewpoint(sample: np.ndarray, viewpoint: np.ndarray, unit_m: float) -> tuple[Stance, str]:
+def by_viewpoint(sample: np.ndarray, viewpoint: np.ndarray, unit_m: float) -> tuple[Stance, str, bool]:
     """Return the stance by the pose (4, 4) in a file if the scan is plausible with it, else the plain one and why.
 
+    And whether nothing in the scan tells which of both is right.
+
     Programs differ in whether the points are the sensor's or were moved by the pose, and in the direction of the turn.
-    A place is believed if the beams are sharper from there, a little so if it is amid the points; a turn, if only with
-    it the ground lies below.
+    A place is believed if the beams are sharper from there, a little so if it is amid the points, which is enough for
+    points that lie all together far away; a turn, if only with it the ground lies below.
     """
     plain = Stance(np.zeros(3), np.eye(3))
     origin, turn = viewpoint[:3, 3] * unit_m, viewpoint[:3, :3]
@@ -353,7 +360,8 @@ def by_viewpoint(sample: np.ndarray, viewpoint: np.ndarray, unit_m: float) -> tu
         moved = [Stance(origin, turn.T, BY_VIEWPOINT, BY_VIEWPOINT), Stance(origin, np.eye(3), BY_VIEWPOINT)]
         standing, centre = _standing(sample, moved[0]), horizontal_centre(sample)[:2]
         nearer = NEARER * np.linalg.norm(centre - origin[:2]) < np.linalg.norm(centre)
-        if _sharpest(standing, moved) > (1 if nearer else CLEARLY) * _sharpest(standing, [plain, *candidates]):
+        least = (1 if nearer else CLEARLY) * _sharpest(standing, [plain, *candidates])
+        if nearer if is_offset(sample) else _sharpest(standing, moved) > least:
             candidates, upright = moved, False
         elif not upright and not np.any(np.abs(origin[:2]) > NEAREST_M):
             candidates += moved
@@ -361,12 +369,14 @@ def by_viewpoint(sample: np.ndarray, viewpoint: np.ndarray, unit_m: float) -> tu
         evidence = _evidence(sample)
         shown = [_evidence(stance.moved(sample)) for stance in candidates]
         if not shown or max(shown) < max(evidence, 0.0) + SHOWS_AGAINST:
-            return plain, "; the file's VIEWPOINT is not used: the scan is plausible without it"
-        return next(stance for stance, value in zip(candidates, shown, strict=True) if value > max(shown) - SHOWS), ""
+            unused = "; the file's VIEWPOINT is not used: the scan is plausible without it"
+            return plain, unused, bool(shown) and max(shown) > evidence - SHOWS_AGAINST
+        best = next(stance for stance, value in zip(candidates, shown, strict=True) if value > max(shown) - SHOWS)
+        return best, "", False
     for candidate in candidates:
         if stands_level(best_ground(candidate.moved(sample))):
-            return candidate, ""
-    return plain, "; the file's VIEWPOINT is not used: it does not make the scan plausible"
+            return candidate, "", False
+    return plain, "; the file's VIEWPOINT is not used: it does not make the scan plausible", False
 
 
 def _evidence(xyz: np.ndarray) -> float:
@@ -394,7 +404,9 @@ def _upright(sample: np.ndarray, stance: Stance) -> tuple[Stance, Ground | None,
     for cause, turn in OTHER_AXES.items():
         if stands(turned := best_ground(moved @ turn.T)) and turned:
             stance, turned, doubts = _levelled(sample, _turned(stance, turn, cause), turned)
-            return stance, turned, [f"{cause}; its points were turned to have z up", *doubts]
+            named = cause.startswith(("z", "the axes"))  # where ahead is too
+            guess = "" if named else f"; {WHICH_END}, and a left-handed frame stays mirrored"
+            return stance, turned, [f"{cause}; its points were turned to have z up{guess}", *doubts]
     return stance, ground, []
 
 
@@ -444,7 +456,7 @@ def _forward(sample: np.ndarray, ground: Ground | None, claims: Claims, turned: 
         shown = evidence < -(SHOWS if turned else SHOWS_AGAINST)
         return ("y", why, []) if shown else ("x", "convention", [])
     if evidence > SHOWS:
-        return "x", why, []
+        return "x", why, [f"x is along the road, not {claims.forward} as by {claims.forward_by}; {WHICH_END}"]
     if evidence < -SHOWS or claims.sure:
         return claims.forward, claims.forward_by, []
     return (

@@ -15,6 +15,7 @@ FEWEST_NUMBERS = 1000  # to tell the width of rows by
 LEAST, NEARLY = 0.05, 0.75
 BLOCK = 27_720  # numbers amid a file to tell its width by, whole rows of every width
 MOST_CODES = 128
+MOST_BLOCKS = 6  # columns stored one after the other (Oxford RobotCar has 4)
 RANGE_SHARE, RANGE_ERROR = 0.95, 0.002  # of the rows have the range of x y z, so nearly
 BEAMS_SHARE = 0.8  # of the elevations' variance is between rings: beams are cones
 TURN_SHARE, SECTORS = 0.9, 72  # of the times' variance is between sectors of a turn
@@ -32,16 +33,33 @@ def row_width(values: np.ndarray) -> int:
     (mutual information of the column and a number's sign, exponent and roundness) is that of the rows.
     """
     start = BLOCK * (len(values) // BLOCK // 2)
-    with np.errstate(invalid="ignore", over="ignore"):
-        sample = values[start : start + BLOCK].astype(np.float32)
+    sample = values[start : start + BLOCK]
     if len(sample) < FEWEST_NUMBERS:
         return 0
-    bits = sample.view(np.uint32)
-    exponent = np.clip((bits >> 23 & 0xFF).astype(np.int64) - 112, 0, 31)
-    code = (exponent * 2 + (bits >> 31)) * 2 + (bits & 0xFFF == 0)
+    code = _codes(sample)
     information = {width: _information(code, width) for width in range(1, MOST_WIDE + 1)}
     most = max(information.values())
     return next(width for width, told in information.items() if told >= NEARLY * most) if most > LEAST else 0
+
+
+def _codes(values: np.ndarray) -> np.ndarray:
+    """Return a small code of each number's sign, exponent and roundness."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        bits = values.astype(np.float32).view(np.uint32)
+    exponent = np.clip((bits >> 23 & 0xFF).astype(np.int64) - 112, 0, 31)
+    return (exponent * 2 + (bits >> 31)) * 2 + (bits & 0xFFF == 0)
+
+
+def block_count(values: np.ndarray) -> int:
+    """Return how many columns numbers (V,) are that are stored one column after the other; 0 if unsure."""
+    told = {}
+    for count in range(3, MOST_BLOCKS + 1):
+        if len(values) % count == 0 and len(values) >= FEWEST_NUMBERS:
+            step = max(1, len(values) // BLOCK)
+            sample = values.reshape(count, -1)[:, ::step].T.ravel()
+            told[count] = _information(_codes(sample), count)
+    most = max(told.values(), default=0.0)
+    return min(count for count, nats in told.items() if nats >= NEARLY * most) if most > LEAST else 0
 
 
 def _information(code: np.ndarray, width: int) -> float:
@@ -150,10 +168,16 @@ def _is_time(values: np.ndarray, xyz: np.ndarray) -> bool:
 
 
 def share_between(group: np.ndarray, values: np.ndarray) -> float:
-    """Return the share of the variance of values (N,) between groups (N,) of numbers."""
+    """Return the share of the variance of values (N,) between groups (N,) of numbers, without chance's part.
+
+    The adjusted coefficient of determination: many groups of few values share much by chance.
+    """
     _, number, counts = np.unique(group, return_inverse=True, return_counts=True)
+    if len(counts) >= len(values):
+        return 0.0
     means = np.bincount(number, values) / counts
-    return float(np.var(means[number]) / max(np.var(values), 1e-30))
+    within = float(np.var(values - means[number]) / max(np.var(values), 1e-30))
+    return 1 - within * (len(values) - 1) / (len(values) - len(counts))
 
 
 def _finite(values: np.ndarray) -> np.ndarray:
