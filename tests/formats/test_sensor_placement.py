@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import sample_files as made
+from lidar2pano.cli import main
 from lidar2pano.drives.drive_motion import T_scan_cloud
 from lidar2pano.formats import pcd
 from lidar2pano.formats.interpretation import Interpretation, Overrides, interpret
@@ -239,3 +240,11 @@ def test_named_axes_hold_after_a_turn():
     scan, found = interpret(tilted, Overrides(forward="-x"))
     assert found.forward_by == "--forward"
     np.testing.assert_allclose(scan.xyz, XYZ * [-1, -1, 1], atol=0.6)
+
+
+def test_inspect_reads_as_translate_would(tmp_path, capsys):
+    path = made.write(tmp_path, "a.bin", made.rows(XYZ * [-1, -1, 1], np.floor(FORMS * 255), RING))
+    assert main(["inspect", str(path), "--forward", "-x", "--remission", "none", "--sensor-height", "2"]) == 0
+    out = capsys.readouterr().out
+    assert "-x is forward (--forward)" in out and "remission  none" in out and "--sensor-height" in out
+    assert main(["inspect", str(path), "--forward", "z"]) == 2

@@ -51,15 +51,21 @@ def range_mm(turn: int, column: int, beam: int) -> int:
     return 0 if (column + beam) % 7 == 0 else 8 * (500 + 3 * column + 50 * beam + turn)
 
 
+def second_mm(millimetres: int) -> int:
+    """The range of the second return, of each third pixel."""
+    return millimetres + 800 if millimetres // 8 % 3 == 1 else 0
+
+
 def pixel(profile: str, millimetres: int, reflectivity: int) -> bytes:
+    further = second_mm(millimetres)
     match profile:
         case "LEGACY":
             return struct.pack("<IHHHxx", millimetres | 0xF0000000, reflectivity, 7, 9)
         case "RNG19_RFL8_SIG16_NIR16":
             return struct.pack("<IBxHHxx", millimetres | 0xF8000000, reflectivity, 7, 9)
         case "RNG19_RFL8_SIG16_NIR16_DUAL":
-            return struct.pack("<IIHHHxx", millimetres | reflectivity << 24, 1, 7, 8, 9)
-    second = struct.pack("<HBx", 1, 2) if profile.endswith("DUAL") else b""
+            return struct.pack("<IIHHHxx", millimetres | reflectivity << 24, further | 77 << 24, 7, 8, 9)
+    second = struct.pack("<HBx", further >> 3, 77) if profile.endswith("DUAL") else b""
     return struct.pack("<HBB", millimetres >> 3, reflectivity, 9) + second
 
 
@@ -133,8 +139,15 @@ def test_points_of_each_profile(tmp_path, profile, describe, most):
         rows = [(column, beam) for beam in range(BEAMS) for column in columns]
         ranges = [range_mm(turn, *row) for row in rows]
         expected = [place(*row, value) if value else [0, 0, 0] for row, value in zip(rows, ranges, strict=True)]
+        intensity = [10 * beam for _, beam in rows]
+        if profile.endswith("DUAL"):
+            behind = [(row, second_mm(value)) for row, value in zip(rows, ranges, strict=True) if second_mm(value)]
+            assert len(behind) > 50
+            expected += [place(*row, value) for row, value in behind]
+            intensity += [77] * len(behind)
+            rows = rows + [row for row, _ in behind]
         np.testing.assert_allclose(cloud.xyz, expected, atol=1e-5)
-        assert cloud.intensity is not None and cloud.intensity.tolist() == [10 * beam for _, beam in rows]
+        assert cloud.intensity is not None and cloud.intensity.tolist() == intensity
         assert cloud.ring is not None and cloud.ring.tolist() == [beam for _, beam in rows]
         assert cloud.time_s is not None and cloud.time_s == pytest.approx([column * 1e-3 for column, _ in rows])
         assert cloud.stamp_s == pytest.approx(1000 + 0.1 * turn)

@@ -160,11 +160,12 @@ def test_packets_of_other_sensors_are_named(tmp_path):
     assert "holds no packet" in complaint(capture(tmp_path / "b.pcap", []))
 
 
-def test_osf_needs_its_library(tmp_path):
+@pytest.mark.parametrize("head", [bytes(4) + b"OSF!", b"4\0\0\0\x14\0\0\0OSF$"])  # ouster-sdk 0.9, 1.0
+def test_osf_needs_its_library(tmp_path, head):
     if pytest.importorskip("importlib.util").find_spec("ouster"):
         pytest.skip("ouster-sdk is installed")
     osf = tmp_path / "a.osf"
-    osf.write_bytes(bytes(4) + b"OSF!" + bytes(100))
+    osf.write_bytes(head + bytes(100))
     assert "they are decoded where ouster-sdk is installed" in complaint(osf)
 
 

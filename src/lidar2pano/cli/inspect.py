@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lidar2pano.cli.app import app
+from lidar2pano.cli.options import ForwardOption, HeightOption, RemissionOption
 from lidar2pano.errors import InputError
 
 if TYPE_CHECKING:
-    from lidar2pano.formats.interpretation import Interpretation
+    from lidar2pano.formats.interpretation import Interpretation, Overrides
     from lidar2pano.scan import Scan
 
 EPOCH_S = 1e8  # stamps beyond this count from 1970
@@ -25,31 +26,36 @@ def inspect(
         Path, typer.Argument(metavar="PATH", help="A scan file of any format, a folder of them, a recording, or -.")
     ],
     topic: Annotated[str, typer.Option(metavar="NAME", help="The recording's topic whose first scan is shown.")] = "",
+    sensor_height: HeightOption = None,
+    forward: ForwardOption = "",
+    remission: RemissionOption = "",
     as_json: Annotated[bool, typer.Option("--json", help="One line of JSON on stdout.")] = False,
 ) -> None:
     """Show the contents of a file and how it will be read; of a folder or recording, its first scan."""
     from lidar2pano.cli.console import spooled
     from lidar2pano.drives.folders import drive_files
+    from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.recordings.reading_process import describe
 
+    overrides = Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission, invent=True)
     with spooled([path]) as (source,):
         first, *further = drive_files(source, ReadOptions())
         if about := describe(first):
             record = {"input": str(first), **about.as_dict(), "recordings": 1 + len(further)}
-            record["first"] = first_scan(first, topic)
+            record["first"] = first_scan(first, topic, overrides)
             lines = lines_of_recording(record)
         else:
-            record = first_scan(first, "") | {"scans": 1 + len(further)}
+            record = first_scan(first, "", overrides) | {"scans": 1 + len(further)}
             if "problem" in record:
                 raise InputError(record["problem"])
             lines = lines_of(record)
     print(json.dumps(record) if as_json else "\n".join(lines))
 
 
-def first_scan(path: Path, topic: str) -> dict[str, Any]:
+def first_scan(path: Path, topic: str, overrides: Overrides) -> dict[str, Any]:
     """Describe the first scan of a file or recording, or its fault under "problem"."""
-    from lidar2pano.formats.interpretation import Overrides, interpret
+    from lidar2pano.formats.interpretation import interpret
     from lidar2pano.formats.readers import ReadOptions
     from lidar2pano.recordings import reading_process
     from lidar2pano.recordings.recorded_scans import recording_reader
@@ -64,7 +70,7 @@ def first_scan(path: Path, topic: str) -> dict[str, Any]:
     except InputError as error:
         return {"problem": str(error)}
     try:
-        return {"input": title, "scans": 1, **described(*interpret(cloud, Overrides(invent=True)))}
+        return {"input": title, "scans": 1, **described(*interpret(cloud, overrides))}
     except InputError as error:
         return {"problem": f"{title}: {error}"}
 

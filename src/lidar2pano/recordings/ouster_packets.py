@@ -30,6 +30,7 @@ class Profile(NamedTuple):
 
     header, column, footer  bytes before the columns, before the pixels of one, and behind them;  pixel: bytes of one.
     range_bits, range_m     of the first field of a pixel, and its unit;  fields: name -> (dtype, offset) of others.
+    second                  bytes from the first return's range and reflectivity to the second's; 0 if there is none.
     """
 
     header: int
@@ -40,6 +41,7 @@ class Profile(NamedTuple):
     range_bits: int
     range_m: float
     fields: dict[str, tuple[str, int]]
+    second: int = 0
 
 
 SINGLE = Profile(
@@ -52,11 +54,11 @@ PROFILES = {
     ),
     "RNG19_RFL8_SIG16_NIR16": SINGLE,
     "RNG19_RFL8_SIG16_NIR16_DUAL": Profile(
-        32, 12, 0, 16, "<u4", 19, 1e-3, {"reflectivity": ("u1", 3), "signal": ("<u2", 8), "near_ir": ("<u2", 12)}
+        32, 12, 0, 16, "<u4", 19, 1e-3, {"reflectivity": ("u1", 3), "signal": ("<u2", 8), "near_ir": ("<u2", 12)}, 4
     ),
     "RNG15_RFL8_NIR8": LOW,
-    "RNG15_RFL8_NIR8_DUAL": LOW._replace(pixel=8),
-    "FUSA_RNG15_RFL8_NIR8_DUAL": LOW._replace(pixel=8),
+    "RNG15_RFL8_NIR8_DUAL": LOW._replace(pixel=8, second=4),
+    "FUSA_RNG15_RFL8_NIR8_DUAL": LOW._replace(pixel=8, second=4),
 }
 
 
@@ -86,6 +88,9 @@ class Sensor:
     def block(self) -> np.dtype:
         """A column of a packet."""
         layout, pixel = self.profile, {"range": (self.profile.range_dtype, 0), **self.profile.fields}
+        if layout.second:
+            pixel["range2"] = (layout.range_dtype, layout.second)
+            pixel["reflectivity2"] = (pixel["reflectivity"][0], pixel["reflectivity"][1] + layout.second)
         names, parts = list(pixel), list(pixel.values())
         record = {"names": names, "formats": [part[0] for part in parts], "offsets": [part[1] for part in parts]}
         pixels = np.dtype(record | {"itemsize": layout.pixel})  # pyright: ignore[reportArgumentType, reportCallIssue]
@@ -106,24 +111,37 @@ class Sensor:
         return rows[(rows["status"] & 1 == 1) & (rows["column"] < self.columns)]
 
     def cloud(self, rows: np.ndarray, name: str) -> PointCloud:
-        """Return the points of the columns (n,) of a turn, beam after beam; no return is at the origin."""
+        """Return the points of the columns (n,) of a turn, beam after beam; no return is at the origin.
+
+        Second returns follow, without those of nothing.
+        """
         pixels = rows["pixels"].T  # (beams, n)
-        range_m = (pixels["range"] & (1 << self.profile.range_bits) - 1) * self.profile.range_m
+        start_ns = rows["stamp_ns"].min()
+        fields = {field: pixels[field].reshape(-1) for field in self.profile.fields}
+        fields["ring"] = np.repeat(np.arange(len(self.beams)), len(rows))
+        fields["offset_ns"] = np.tile((rows["stamp_ns"] - start_ns).astype(np.int64), len(self.beams))
+        xyz = self._places(rows, pixels["range"])
+        if self.profile.second:
+            further = self._places(rows, pixels["range2"])
+            held = further.any(1)
+            second = fields | {"reflectivity": pixels["reflectivity2"].reshape(-1)}
+            fields = {field: np.concatenate([fields[field], second[field][held]]) for field in fields}
+            xyz = np.concatenate([xyz, further[held]])
+        columns: dict[str, np.ndarray] = {**dict(zip("xyz", xyz.T, strict=True)), **fields}
+        return cloud_of_columns(
+            columns, format="Ouster packets", name=name, frame="os_sensor", stamp_s=float(start_ns) * 1e-9
+        )
+
+    def _places(self, rows: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+        """Return the points (beams * n, 3) float32 at ranges (beams, n) as they are sent."""
+        range_m = (ranges & (1 << self.profile.range_bits) - 1) * self.profile.range_m
         encoder = 2 * np.pi * (1 - rows["column"] / self.columns)
         altitude, azimuth = (self.beams[:, axis, None] for axis in (0, 1))
         along = range_m - self.origin_m
         x = along * np.cos(encoder - azimuth) * np.cos(altitude) + self.origin_m * np.cos(encoder)
         y = along * np.sin(encoder - azimuth) * np.cos(altitude) + self.origin_m * np.sin(encoder)
         xyz = np.stack([x, y, along * np.sin(altitude)], axis=-1) @ self.T[:3, :3].T + self.T[:3, 3]
-        xyz = np.where(range_m[..., None] > 0, xyz, 0).reshape(-1, 3).astype(np.float32)
-        start_ns = rows["stamp_ns"].min()
-        columns: dict[str, np.ndarray] = dict(zip("xyz", xyz.T, strict=True))
-        columns |= {field: pixels[field].reshape(-1) for field in self.profile.fields}
-        columns["ring"] = np.repeat(np.arange(len(self.beams)), len(rows))
-        columns["offset_ns"] = np.tile((rows["stamp_ns"] - start_ns).astype(np.int64), len(self.beams))
-        return cloud_of_columns(
-            columns, format="Ouster packets", name=name, frame="os_sensor", stamp_s=float(start_ns) * 1e-9
-        )
+        return np.where(range_m[..., None] > 0, xyz, 0).reshape(-1, 3).astype(np.float32)
 
 
 def read_sensor(path: Path) -> Sensor:

@@ -26,7 +26,7 @@ PCAPNG = b"\x0a\x0d\x0d\x0a"
 PAYLOAD = 1206  # bytes of a Velodyne data packet, of every model
 MOST_CAPTURED = 1 << 18  # bytes of a packet, libpcap's own limit
 REPAIR = "try `editcap` on it, or record it again"
-OSF = b"OSF!"  # at byte 4 of a FlatBuffers file, 8 if its size comes before
+OSF = (b"OSF!", b"OSF$")  # at byte 4 of a FlatBuffers file, 8 if its size comes before; $: of its header
 OUSTER_REPAIR = "it needs the sensor's metadata .json beside it (ouster-cli source FILE info)"
 VELODYNE, OTHER = "Velodyne packets", "other packets"
 
@@ -140,7 +140,7 @@ def _newer(path: Path) -> Iterator[Packet]:
 
 def is_osf(head: bytes) -> bool:
     """Return whether a file is an OSF, by its first bytes."""
-    return OSF in (head[4:8], head[8:12])
+    return head[4:8] in OSF or head[8:12] in OSF
 
 
 def ouster_scans(path: Path) -> Iterator[Any]:
