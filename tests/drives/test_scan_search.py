@@ -140,7 +140,7 @@ def test_tables_of_poses_are_no_scans_of_a_data_set(tmp_path):
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        (b"ASTM-E57" + bytes(90), "holds no scan, but 2 .xyzw (a.xyzw is an E57); export its points"),
+        (b"CCB2" + bytes(90), "holds no scan, but 2 .xyzw (a.xyzw is a BIN of CloudCompare); export its points"),
         (b"PK\3\4" + bytes(90), "holds no scan, but archives (a.xyzw); unpack them"),
         (bytes(90), "holds no scan (known endings"),
     ],

@@ -39,7 +39,6 @@ BYTES = {
     rb"Rar!\x1a": Foreign("a RAR archive", UNPACK),
     rb".{257}ustar": Foreign("a tar archive", UNPACK),
     rb"!<arch>\n|xar!|MSCF\0": Foreign("an archive", UNPACK),
-    rb"ASTM-E57": Foreign("an E57", f"{POINTS}, e.g. with CloudCompare or pye57"),
     rb"CCB2": Foreign("a BIN of CloudCompare", f"{POINTS} from CloudCompare"),
     rb"livox_tech": Foreign("an LVX of Livox Viewer", "export it as CSV or LAS from Livox Viewer"),
     rb"DRACO": Foreign("a point cloud packed by Draco", POINTS),

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats import arrays, delimited_text, feather, las, pcd, ply
+from lidar2pano.formats import arrays, delimited_text, e57, feather, las, pcd, ply
 from lidar2pano.formats import scan_files as float_rows
 from lidar2pano.formats.file_contents import contents, head_of
 from lidar2pano.formats.foreign_files import foreign_kind
@@ -17,7 +17,7 @@ from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.scan import Scan
 
 # Endings of the names of scan files; a file named by the user is read whatever its name.
-ENDINGS = (".bin", ".pcd", ".ply", ".npy", ".npz", ".las", ".laz", ".feather", ".parquet")
+ENDINGS = (".bin", ".pcd", ".ply", ".npy", ".npz", ".las", ".laz", ".feather", ".parquet", ".e57")
 TEXT_ENDINGS = (".csv", ".txt", ".xyz", ".pts", ".asc")  # of a folder's files only if there are no others
 PACKED = (".gz", ".zst", ".zstd")
 
@@ -85,6 +85,7 @@ READERS: tuple[Reader, ...] = (  # the first to accept a file reads it: those su
     FileReader("NPY", begins(b"\x93NUMPY"), arrays.decode_npy),
     FileReader("NPZ", begins(b"PK\x03\x04", b"PK\x05\x06"), arrays.decode_npz),
     FileReader("LAS", begins(b"LASF"), las.decode),
+    FileReader("E57", begins(e57.MAGIC), e57.decode),
     FileReader("Feather", begins(b"ARROW1", b"FEA1"), feather.decode),
     FileReader("Parquet", begins(feather.PARQUET), feather.decode),
     FileReader("text", lambda head, _: b"\0" not in head and delimited_text.has_points(head), delimited_text.decode),

@@ -1,0 +1,63 @@
+"""E57 (ASTM E2807), through pye57 (extra `formats`, where it installs)."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lidar2pano.errors import InputError
+from lidar2pano.formats.file_contents import stem_of
+from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+
+MAGIC = b"ASTM-E57"
+EXPORT = "export its points as PCD, PLY or LAS, e.g. with CloudCompare"
+CARTESIAN, SPHERICAL = ("cartesianX", "cartesianY", "cartesianZ"), ("Range", "Azimuth", "Elevation")
+INVALID = ("cartesianInvalidState", "sphericalInvalidState")  # above 0: no place
+
+
+def decode(data: bytes, path: Path) -> PointCloud:
+    """Return the points of the first scan, in the scanner's own frame.
+
+    Raises InputError if the file is damaged, or pye57 is not installed.
+    """
+    try:
+        import pye57  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise InputError(
+            f"{path}: is an E57, which needs pye57: pip install 'lidar2pano[formats]', or {EXPORT}"
+        ) from None
+    try:
+        with tempfile.NamedTemporaryFile(suffix=".e57") as copy:  # it reads files by name alone
+            copy.write(data)
+            copy.flush()
+            file = pye57.E57(copy.name)
+            scans, points = file.scan_count, file.get_header(0).point_count if file.scan_count else 0
+            if not 0 < points <= MOST_POINTS:
+                raise InputError(f"{path}: {points} points are no single sweep (at most {MOST_POINTS}); cut it")
+            columns = _columns(file.read_scan_raw(0))
+            file.close()
+    except InputError:
+        raise
+    except Exception as error:  # of libE57, depending on the damage
+        reason = str(error).partition("(")[0].strip() or type(error).__name__  # without places in its source
+        raise InputError(f"{path}: is an E57 that pye57 does not read ({reason}); {EXPORT}") from None
+    doubts = [f"it holds {scans} scans, of which the first is read"] if scans > 1 else []
+    return cloud_of_columns(columns, format="E57", name=stem_of(path), source=str(path), doubts=doubts)
+
+
+def _columns(raw: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Return the fields of a scan; x y z of spherical ones by the standard's formulas, section 8.4.4."""
+    fields = {name: np.asarray(values) for name, values in raw.items()}
+    if "sphericalRange" in fields and not set(CARTESIAN) <= fields.keys():
+        range_m, azimuth, elevation = (fields.pop(f"spherical{name}").astype(np.float64) for name in SPHERICAL)
+        along = range_m * np.cos(elevation)
+        places = (along * np.cos(azimuth), along * np.sin(azimuth), range_m * np.sin(elevation))
+        fields = dict(zip(CARTESIAN, places, strict=True)) | fields
+    for name in INVALID:
+        if name in fields:
+            invalid = fields.pop(name) > 0
+            fields |= {axis: np.where(invalid, np.nan, fields[axis]) for axis in CARTESIAN if axis in fields}
+    return fields

@@ -1,0 +1,61 @@
+"""E57: the first scan in the scanner's own frame; spherical coordinates, points without a place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sample_files as made
+from lidar2pano.errors import InputError
+from lidar2pano.formats.e57 import _columns, decode
+from lidar2pano.formats.readers import interpreted
+
+XYZ, _ = made.street(beams=32, columns=180)
+FORMS = made.remission(len(XYZ))
+
+
+def write(path: Path, scans: int = 1) -> Path:
+    pye57 = pytest.importorskip("pye57", reason="the extra 'formats', where pye57 installs")
+    file = pye57.E57(str(path), mode="w")
+    axes = {f"cartesian{axis}": XYZ[:, column].astype(np.float64) for column, axis in enumerate("XYZ")}
+    for _ in range(scans):
+        file.write_scan_raw(axes | {"intensity": FORMS.astype(np.float64)})
+    file.close()
+    return path
+
+
+def test_points_of_an_e57(tmp_path):
+    ((scan, found),) = interpreted(write(tmp_path / "a.e57"))
+    np.testing.assert_allclose(scan.xyz, XYZ, atol=1e-6)
+    np.testing.assert_allclose(scan.remission, FORMS, atol=1e-6)
+    assert found.format == "E57" and not found.doubts
+
+
+def test_the_first_of_several_scans_is_read_and_said(tmp_path):
+    ((scan, found),) = interpreted(write(tmp_path / "a.dat", scans=2))
+    assert len(scan) == len(XYZ) and found.doubts == ("it holds 2 scans, of which the first is read",)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.6, 0.98])
+def test_one_that_cannot_be_read_is_one_line(tmp_path, share):
+    data = write(tmp_path / "a.e57").read_bytes()
+    with pytest.raises(InputError, match=r"a\.e57: is an E57 that pye57 does not read") as caught:
+        decode(data[: int(share * len(data))], Path("a.e57"))
+    assert "\n" not in str(caught.value)
+
+
+def test_spherical_coordinates_and_points_without_a_place():
+    range_m = np.linalg.norm(XYZ, axis=1)
+    raw = {
+        "sphericalRange": range_m,
+        "sphericalAzimuth": np.arctan2(XYZ[:, 1], XYZ[:, 0]),
+        "sphericalElevation": np.arcsin(XYZ[:, 2] / range_m),
+        "sphericalInvalidState": np.arange(len(XYZ)) == 5,
+        "intensity": FORMS,
+    }
+    columns = _columns(raw)
+    found = np.column_stack([columns[f"cartesian{axis}"] for axis in "XYZ"])
+    assert np.isnan(found[5]).all() and "sphericalInvalidState" not in columns
+    np.testing.assert_allclose(np.delete(found, 5, 0), np.delete(XYZ, 5, 0), atol=1e-4)
