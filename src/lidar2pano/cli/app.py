@@ -164,7 +164,7 @@ def _quiet(debug: bool) -> Iterator[None]:
 
 @contextmanager
 def _ended_in_time(terminate: Callable[..., None]) -> Iterator[None]:
-    """Inside, SIGTERM calls `terminate`, and ends the process GRACE_S later, though a thread may wait for a disk or a lock.
+    """Inside, SIGTERM calls `terminate`, and ends the process GRACE_S later, though threads wait.
 
     Later signals find the earlier handler again; the end that one has set in motion comes all the same.
     """
