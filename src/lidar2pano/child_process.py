@@ -35,13 +35,14 @@ BASE_BYTES, BASE_S = 1 << 28, 6.0  # for a file of any size
 # Of memory, a byte of a file: six times what it unpacks to, eight times packed; and of speed, the slowest library's.
 BYTES_PER_BYTE, BYTES_PER_S = 6 * 8, 2e7
 MOST_BYTES = 1 << 32
+KEPT_BYTES = 3 << 26  # of memory may stay with the child after a call; the libraries themselves take half of it
 WALL = 10  # so many times as long may the work take in a busy machine
 START_S = 60.0  # to start, with libraries from a cold disk
 LENGTHS = struct.Struct("<QQ")  # of a message, and of its array number n
 TRUSTED = ("lidar2pano.", "numpy.")  # modules whose classes may stand in an answer
 PLAIN = {"builtins": {"slice", "complex", "bytearray", "set", "frozenset"}, "numpy": {"dtype", "ndarray"}}
 PLAIN |= {"pathlib": {"PosixPath", "PurePosixPath", "Path"}}
-PROGRAM = "import sys; from lidar2pano.child_process import work; work(int(sys.argv[1]))"
+PROGRAM = "import sys; from lidar2pano.child_process import work; work(*map(int, sys.argv[1:]))"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +74,9 @@ class ChildProcess:
     It ends with this process, at the latest when its work is done.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, keeps: bool = False) -> None:
+        """keeps  whether a call may need objects of an earlier one."""
+        self._keeps = keeps
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
@@ -110,7 +113,7 @@ class ChildProcess:
         with self._lock:
             self._end()
 
-    def _answer(self, bound: Bound, title: str, request: object) -> tuple[str, Any]:
+    def _answer(self, bound: Bound, title: str, request: object, *, again: bool = True) -> tuple[str, Any]:
         self._start()
         assert self._socket is not None
         self._socket.settimeout(bound.seconds * WALL)
@@ -121,6 +124,8 @@ class ChildProcess:
             raise InputError(_excess(title, f"more than {bound.seconds * WALL:.0f} s")) from None
         except (EOFError, OSError):  # it has ended
             status = self._process.wait(START_S) if self._process else 0
+        if status == 0 and again:  # it left after its last answer, to give back memory
+            return self._answer(bound, title, request, again=False)
         if status in (-signal.SIGXCPU, -signal.SIGKILL):
             raise InputError(_excess(title, f"more than {bound.seconds:.0f} s of processor time"))
         raise InputError(f"{title}: ends the library that reads it (status {status}); it is damaged, fetch it again")
@@ -138,7 +143,7 @@ class ChildProcess:
             self._sweep = weakref.finalize(self, shutil.rmtree, folders["TMPDIR"], ignore_errors=True)
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", PROGRAM, str(theirs.fileno())],
+                [sys.executable, "-P", "-c", PROGRAM, str(theirs.fileno()), str(int(self._keeps))],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
@@ -221,12 +226,16 @@ def _received(channel: socket.socket, size: int) -> bytearray:
     return data
 
 
-def work(descriptor: int) -> None:
-    """Make the calls that the parent asks for, until it ends: the program of the child."""
+def work(descriptor: int, keeps: int) -> None:
+    """Make the calls that the parent asks for, until it ends: the program of the child.
+
+    Unless it `keeps` objects, it leaves when a call has made it more than KEPT_BYTES larger.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is meant for the parent, which then ends this process
     with socket.socket(fileno=descriptor) as channel, contextlib.suppress(EOFError, OSError):
         send(channel, "ready")
-        while True:
+        begin = _data_bytes()
+        while keeps or _data_bytes() <= begin + KEPT_BYTES:
             bound, folder, function, arguments = receive(channel, sys.maxsize)
             try:
                 os.chdir(folder)
@@ -247,13 +256,19 @@ def _called(bound: Bound, function: Callable[..., Any], arguments: Sequence[Any]
         return "fault", f"{type(error).__name__}: {error}"
 
 
+def _data_bytes() -> int:
+    """Return the memory that RLIMIT_DATA counts; 0 where the system does not tell, which Linux alone does."""
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        return int(Path("/proc/self/status").read_text(encoding="ascii").partition("VmData:")[2].split()[0]) << 10
+    return 0
+
+
 def _limit(bound: Bound) -> None:
     """Set limits for this process from now on; beyond, memory is refused, and time ends the process."""
     assert resource is not None
     spent = time.process_time()
     limits = [(resource.RLIMIT_CPU, int(spent + bound.seconds) + 1), (resource.RLIMIT_FSIZE, bound.bytes)]
-    with contextlib.suppress(OSError, ValueError, IndexError):  # Linux alone tells
-        taken = int(Path("/proc/self/status").read_text(encoding="ascii").partition("VmData:")[2].split()[0]) << 10
+    if taken := _data_bytes():
         limits.append((resource.RLIMIT_DATA, taken + bound.bytes))
     for limit, value in limits:
         hard = resource.getrlimit(limit)[1]

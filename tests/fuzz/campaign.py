@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import faulthandler
 import hashlib
+import os
 import random
 import sys
 import tempfile
@@ -30,10 +31,37 @@ from targets import Target, all_targets  # noqa: E402
 from lidar2pano.errors import InputError  # noqa: E402
 from random_weights import write_weights  # noqa: E402
 
-KEEP_LAST = False  # True: what ends the process itself is in tests/fuzz/last
 BURST = 50  # mutants of a target before the next one has its turn
 SLOW_S = 2.0  # no mutant takes so long
 MOST_BYTES = 256 << 20  # nor so much memory at once, above what it began with
+
+
+class Peak:
+    """The most memory that this process has had; Linux alone tells. Its files stay open: opening takes the time.
+
+    (ru_maxrss begins with that of the process that started it, and cannot begin anew.)
+    """
+
+    def __init__(self) -> None:
+        self.status = self.reset = -1
+        with suppress(OSError):
+            self.status = os.open("/proc/self/status", os.O_RDONLY)
+            self.reset = os.open("/proc/self/clear_refs", os.O_WRONLY)
+
+    def begin(self) -> int:
+        """Begin anew; the bytes that are held now."""
+        with suppress(OSError):
+            os.pwrite(self.reset, b"5", 0)
+        return self.bytes()
+
+    def bytes(self) -> int:
+        """The peak since then."""
+        text = os.pread(self.status, 4096, 0) if self.status >= 0 else b""
+        return int(text.partition(b"VmHWM:")[2].split(None, 1)[0]) << 10 if b"VmHWM:" in text else 0
+
+
+PEAK = Peak()
+SLOWEST, LARGEST = [0.0, ""], [0, ""]  # seconds, bytes of a mutant, and its target
 
 
 class Fault(NamedTuple):
@@ -46,10 +74,8 @@ class Fault(NamedTuple):
 
 def attempt(name: str, target: Target, data: bytes) -> Fault | None:
     """Feed a target; what is wrong with how it took it."""
-    with suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
-    began, held = time.process_time(), _peak_bytes()
-    (CORPUS.parent / "last").write_bytes(data) if KEEP_LAST else None
+    held = PEAK.begin()
+    began = time.process_time()
     try:
         target.run(data)
     except InputError as error:
@@ -60,18 +86,14 @@ def attempt(name: str, target: Target, data: bytes) -> Fault | None:
         ours = [one for one in traceback.extract_tb(error.__traceback__) if "lidar2pano" in one.filename]
         at = ours[-1] if ours else last
         return Fault(name, data, f"{type(error).__name__} at {Path(at.filename).name}:{at.lineno}: {error!s:.200}")
-    if (took_s := time.process_time() - began) > SLOW_S:
+    took_s, more = time.process_time() - began, PEAK.bytes() - held
+    for worst, value in ((SLOWEST, took_s), (LARGEST, more)):
+        worst[:] = max(worst, [value, name])
+    if took_s > SLOW_S:
         return Fault(name, data, f"took {took_s:.1f} s")
-    if (more := _peak_bytes() - held) > MOST_BYTES:
+    if more > MOST_BYTES:
         return Fault(name, data, f"took {more >> 20} MiB")
     return None
-
-
-def _peak_bytes() -> int:
-    """The most memory that this process has had. (ru_maxrss begins with that of the process that started it.)"""
-    status = Path("/proc/self/status")
-    lines = status.read_text().splitlines() if status.exists() else []  # Linux
-    return next((int(line.split()[1]) << 10 for line in lines if line.startswith("VmHWM")), 0)
 
 
 def _quotes_newline(message: str) -> bool:
@@ -87,7 +109,9 @@ def replay(targets: Mapping[str, Target]) -> list[Fault]:
     return [fault for name, data in pairs if (fault := attempt(name, targets[name], data))]
 
 
-def campaign(targets: Mapping[str, Target], seconds: float, seed: int) -> tuple[int, dict[str, Fault]]:
+def campaign(
+    targets: Mapping[str, Target], seconds: float, seed: int, last: Path | None = None
+) -> tuple[int, dict[str, Fault]]:
     """How many mutants were tried, and the first fault of each place where one happened."""
     draw, tried, faults = random.Random(seed), 0, {}
     end = time.monotonic() + seconds
@@ -98,6 +122,8 @@ def campaign(targets: Mapping[str, Target], seconds: float, seed: int) -> tuple[
                     return tried, faults
                 data = target.mutate(draw, draw.choice(target.seeds))
                 tried += 1
+                if last:
+                    last.write_bytes(data)
                 if (fault := attempt(name, target, data)) and fault.where.partition(": ")[0] not in faults:
                     faults[fault.where.partition(": ")[0]] = fault
 
@@ -109,6 +135,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--target", default="", help="only targets whose names begin so")
     parser.add_argument("--replay", action="store_true", help="first try what is in the corpus")
+    parser.add_argument("--last", type=Path, help="a file for each mutant before its turn: it may end the process")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     faulthandler.dump_traceback_later(options.seconds + 60, exit=True)  # what never ends in C
@@ -119,7 +146,7 @@ def main() -> int:
         targets = all_targets(Path(folder), weights)
         again = replay(targets) if options.replay else []
         chosen = {name: target for name, target in targets.items() if name.startswith(options.target)}
-        tried, faults = campaign(chosen, options.seconds, options.seed)
+        tried, faults = campaign(chosen, options.seconds, options.seed, options.last)
     for fault in again:
         print(f"{fault.target}: once mended, broken again: {fault.where}")
     for fault in faults.values():
@@ -127,6 +154,7 @@ def main() -> int:
         (CORPUS / name).write_bytes(fault.data)
         print(f"{name}: {fault.where}")
     print(f"seed {options.seed}: {tried} mutants, {len(chosen)} targets, {len(faults)} faults")
+    print(f"slowest: {SLOWEST[0]:.2f} s, {SLOWEST[1]}; largest: {LARGEST[0] >> 20} MiB, {LARGEST[1]}")
     return 1 if faults or again else 0
 
 

@@ -24,7 +24,7 @@ from lidar2pano.scan import Scan
 FORMATS = ("bag", "bag-bz2", "bag-lz4", "db3", "mcap", "mcap-lz4", "mcap-raw", "mcap-plain", "mcap-ros1")
 OPTIONS = (ReadOptions(), ReadOptions(start_s=0.05, every=2))
 MOST_SCANS = 5  # of a mutant
-POINTS, PACKETS = 8, 80  # of a scan; of a capture: a little more than a turn
+POINTS, PACKETS = 8, 14  # of a scan; of a capture: a little more than two turns
 
 
 def seeds(folder: Path) -> dict[str, bytes]:
@@ -77,14 +77,14 @@ def _capture() -> bytes:
     content = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
     for number in range(PACKETS):
         blocks = b"".join(
-            struct.pack("<HH", 0xEEFF, round((number * 12 + block) * 40) % 36000) + struct.pack("<HB", 5000, 9) * 32
+            struct.pack("<HH", 0xEEFF, (number * 12 + block) * 500 % 36000) + struct.pack("<HB", 5000, 9) * 32
             for block in range(12)
         )
-        data = blocks + struct.pack("<IBB", number * 1327, 0x37, 0x22)
+        data = blocks + struct.pack("<IBB", number * 13270, 0x37, 0x22)
         udp = struct.pack(">HHHH", 2368, 2368, 8 + len(data), 0) + data
         ip = struct.pack(">BBHHHBBH", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0) + bytes([192, 168, 1, 9]) + b"\xff" * 4
         frame = bytes(12) + b"\x08\x00" + ip + udp
-        content += struct.pack("<IIII", 1_700_000_000, number * 1327, len(frame), len(frame)) + frame
+        content += struct.pack("<IIII", 1_700_000_000, number * 13270, len(frame), len(frame)) + frame
     return content
 
 

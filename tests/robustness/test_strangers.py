@@ -142,6 +142,24 @@ def lines(text: bytes) -> Callable[[], bytes]:
     return lambda: gzip.compress(text, 1)
 
 
+def many_topics() -> bytes:
+    return database(
+        "CREATE TABLE message_definitions(id INTEGER, topic_type TEXT, encoding TEXT, encoded_message_definition TEXT,"
+        " type_description_hash TEXT); INSERT INTO topics WITH RECURSIVE c(x) AS (SELECT 2 UNION ALL SELECT x + 1"
+        " FROM c WHERE x < 12000) SELECT x, '/t' || x, 'std_msgs/msg/String', 'cdr', '', '' FROM c"
+    )
+
+
+def wide_parquet() -> bytes:
+    """A table whose description of itself takes most of it."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    data = io.BytesIO()
+    parquet.write_table(pa.table({f"c{number}": [0.0] for number in range(15_000)}), data)
+    return data.getvalue()
+
+
 def laz() -> bytes:
     import laspy
 
@@ -187,10 +205,13 @@ HOSTILE: dict[str, Callable[[], bytes]] = {
         b"element face 1\nproperty list uchar int vertex_indices\nend_header\n" + b"1 2 3\n" * 9_000_000
     ),
     "zeros.bin.gz": lambda: gzip.compress(bytes(1 << 30), 1),
+    "members.bin.gz": lambda: gzip.compress(b"", 9) * 400_000,
     "definitions.db3": endless_definitions,
+    "topics.db3": many_topics,
     "messages.db3": endless_messages,
     "packed.laz": laz,
     "packed.feather": feather,
+    "wide.parquet": wide_parquet,
     "records.mcap": mcap_of_small_records,
 }
 
@@ -210,6 +231,18 @@ def test_a_sparse_file_is_as_small_as_it_is(tmp_path, size):
     os.truncate(path, size)
     code, error, seconds, mib = cost("inspect", str(path))
     assert code == 2 and mib < LIMIT_MIB + BASE_MIB and seconds < LIMIT_S, (error, seconds, mib)
+
+
+def test_of_a_table_numbers_alone_are_unpacked(tmp_path):
+    """A column of texts that takes six kilobytes, and 200 MB where it is unpacked."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    columns = {name: np.arange(2000, dtype=np.float32) for name in "xyz"}
+    texts = pa.array(["a" * 100_000] * 2000)
+    parquet.write_table(pa.table({**columns, "text": texts, "place": [{"x": 1.0, "y": "b"}] * 2000}), tmp_path / "a")
+    code, error, _, mib = cost("inspect", str(tmp_path / "a"))
+    assert code == 0 and mib < 50 + BASE_MIB, (error, mib)
 
 
 def test_a_member_that_unpacks_to_more_than_it_says_is_read_no_farther(tmp_path):
@@ -440,6 +473,19 @@ print("alive")
 def test_a_command_leaves_its_process_the_signals_that_come_afterwards():
     done = subprocess.run([sys.executable, "-c", AFTERWARDS], capture_output=True, text=True, check=False)
     assert done.returncode == 0 and done.stdout.splitlines()[1:] == ["True -1", "alive"], done.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux alone tells how much memory a process has")
+def test_a_child_that_keeps_memory_is_replaced():
+    bound, found = Bound(bytes=1 << 30, seconds=5.0), []
+    for keeps in (False, True):
+        child = ChildProcess(keeps=keeps)
+        for mebibytes in (1, 300):  # kept as by a library's pool
+            before = child.call(bound, "a", os.getpid)
+            child.call(bound, "a", exec, f"import builtins; builtins.pool = bytearray({mebibytes} << 20)")
+            found.append(child.call(bound, "a", os.getpid) == before)
+        child.close()
+    assert found == [True, False, True, True]
 
 
 # --- weights ----------------------------------------------------------------------------------------------------------

@@ -14,6 +14,8 @@ from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
 
 PARQUET = b"PAR1"
+MOST_FOOTER_BYTES = 1 << 21  # of a Parquet: pyarrow makes thirty times as much of it
+NUMBERS = ("INT32", "INT64", "FLOAT", "DOUBLE")  # types of a Parquet's columns
 
 
 def decode(data: bytes, path: Path) -> PointCloud:
@@ -61,15 +63,19 @@ def _feather_batches(data: bytes) -> Iterator[Any]:
 
 
 def _parquet_batches(data: bytes, path: Path) -> Iterator[Any]:
-    """Yield the batches of a Parquet, structures of columns as columns; sizes are checked before they are unpacked."""
+    """Yield the numbers of a Parquet, structures of columns as columns; sizes are checked before they are unpacked."""
     import pyarrow as pa
     from pyarrow import parquet
 
+    if (footer := int.from_bytes(data[-8:-4], "little")) > MOST_FOOTER_BYTES:
+        raise InputError(f"{path}: describes itself in {footer} bytes, which is no single sweep; write it in one group")
     with parquet.ParquetFile(pa.BufferReader(data)) as file:
         groups = [file.metadata.row_group(number) for number in range(file.metadata.num_row_groups)]
         if file.metadata.num_rows > MOST_POINTS or sum(group.total_byte_size for group in groups) > MOST_BYTES:
             raise _too_many(path, file.metadata.num_rows)
-        for batch in file.iter_batches():
+        leaves = [file.schema.column(number) for number in range(len(file.schema))]
+        numbers = [leaf.path for leaf in leaves if leaf.physical_type in NUMBERS and not leaf.max_repetition_level]
+        for batch in file.iter_batches(columns=numbers):
             yield from pa.Table.from_batches([batch]).flatten().to_batches()
 
 

@@ -20,6 +20,8 @@ MOST_FILE_BYTES = 1 << 29  # a sparse or wrong file must not fill the memory
 MOST_COPIED_BYTES = 1 << 35  # of an unpacked recording
 MOST_BYTES = 1 << 28  # unpacked: 16 million points of 16 bytes
 CHUNK_BYTES = 1 << 20
+PIECE_BYTES = 1 << 14  # of a gzip: the rest of a piece is copied after each member, which may have twenty bytes
+MOST_EMPTY = 1000  # members in succession that hold nothing
 GZIP, ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
 ASCII = frozenset(b"\t\n\r" + bytes(range(32, 127)))
 
@@ -37,20 +39,25 @@ class GzipStream:
 
     def __init__(self, file: io.FileIO) -> None:
         self._file, self._left, self._member = file, b"", zlib.decompressobj(31)
+        self._empty = 0
 
     def read(self, size: int, /) -> bytes:
         """Return at most `size` further bytes; b"" at the end."""
         while True:
-            self._left = self._left or self._file.read(CHUNK_BYTES)
+            self._left = self._left or self._file.read(PIECE_BYTES)
             if self._member.eof:
                 if not self._left.startswith(GZIP):
                     return b""  # the end, or padding behind it
                 self._member = zlib.decompressobj(31)
+                self._empty += 1
+                if self._empty > MOST_EMPTY:
+                    raise EOFError(f"{MOST_EMPTY} empty parts follow each other")
             elif not self._left:
                 raise EOFError("it ends too early")
             data = self._member.decompress(self._left, size)
             self._left = self._member.unused_data if self._member.eof else self._member.unconsumed_tail
             if data:
+                self._empty = 0
                 return data
 
 

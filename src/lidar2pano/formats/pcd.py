@@ -213,6 +213,8 @@ def decompress(data: bytes, size: int) -> bytes:
         return decompress_in_python(data, size)
     try:
         unpacked = lzf.decompress(data, size)
+    except MemoryError:
+        raise
     except Exception as error:  # its own errors are not documented
         raise ValueError(str(error)) from None
     if unpacked is None or len(unpacked) != size:

@@ -14,6 +14,7 @@ import numpy as np
 from lidar2pano.errors import InputError, closest
 from lidar2pano.recordings.point_messages import CLOUDS, DEFINITIONS, POINTS
 
+MOST_TOPICS = 10_000  # of a recording; vehicles have some hundreds
 # message type -> the package to turn its packets into points
 PACKETS = {
     "velodyne_msgs/msg/VelodyneScan": "velodyne_pointcloud",
@@ -70,8 +71,12 @@ class Description:
     last_ns: int
 
     @classmethod
-    def of_counts(cls, format: str, counts: Mapping[tuple[str, str], int], first_ns: int, last_ns: int) -> Self:
-        """Return the description of topics by counts: (name, type) -> number of messages."""
+    def of_counts(
+        cls, path: Path, format: str, counts: Mapping[tuple[str, str], int], first_ns: int, last_ns: int
+    ) -> Self:
+        """Return the description of topics by counts: (name, type) -> number of messages; InputError for too many."""
+        if len(counts) > MOST_TOPICS:
+            raise InputError(f"{path}: has {len(counts)} topics, at most {MOST_TOPICS} are read; filter it")
         topics = (Topic(name=name, type=type, count=counts[name, type]) for name, type in sorted(counts))
         return cls(format=format, topics=tuple(topics), first_ns=first_ns, last_ns=last_ns)
 

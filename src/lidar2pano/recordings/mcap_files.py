@@ -64,7 +64,8 @@ class McapFile:
         for number, name in self._names.items():
             totals[name] += counts.get(number, 0)
         span_ns = (first_ns, last_ns) if totals.total() else (0, 0)
-        self.description = Description.of_counts("MCAP" if self._chunks else "MCAP without an index", totals, *span_ns)
+        name = "MCAP" if self._chunks else "MCAP without an index"
+        self.description = Description.of_counts(path, name, totals, *span_ns)
 
     def messages(
         self, topics: tuple[Topic, ...], start_ns: int | None = None, end_ns: int | None = None

@@ -59,7 +59,8 @@ class PacketCapture:
             counts[(stream, VELODYNE) if stream else (f"{len(packet.frame)} bytes", OTHER)] += 1
         if not counts:
             raise InputError(f"{path}: holds no packet; record it again")
-        self.description = Description.of_counts("packet capture", counts, round(first_s * 1e9), round(last_s * 1e9))
+        span_ns = (round(first_s * 1e9), round(last_s * 1e9))
+        self.description = Description.of_counts(path, "packet capture", counts, *span_ns)
 
     def turns(self, topic: Topic) -> Iterator[tuple[float, np.ndarray]]:
         """Turn after turn of a sensor: stamp in seconds since the epoch, structured points (N,); InputError at damage.

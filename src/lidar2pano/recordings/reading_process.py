@@ -106,7 +106,7 @@ class _Open:
     """An object kept in a child of its own: `call` calls its methods there."""
 
     def __init__(self, path: Path, make: Any, *arguments: Any) -> None:  # noqa: ANN401
-        self.path, self._child, self._bound = path, ChildProcess(), Bound.of(path)
+        self.path, self._child, self._bound = path, ChildProcess(keeps=True), Bound.of(path)
         self._number: int = self._child.call(self._bound, str(path), _kept, make, path, *arguments)
 
     def call(self, method: str, *arguments: Any) -> Any:  # noqa: ANN401

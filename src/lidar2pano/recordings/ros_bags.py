@@ -58,7 +58,7 @@ class RosBag:
                 counts[connection.topic, connection.msgtype] += connection.msgcount
             span = getattr(self._reader, "metadata", self._reader)
             span_ns = (span.start_time, span.end_time - 1) if counts.total() else (0, 0)
-            self.description = Description.of_counts(format, counts, *span_ns)
+            self.description = Description.of_counts(path, format, counts, *span_ns)
 
     def messages(
         self, topics: tuple[Topic, ...], start_ns: int | None = None, end_ns: int | None = None
