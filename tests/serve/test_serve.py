@@ -19,6 +19,7 @@ import urllib.request
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,10 +69,11 @@ def serving(
     pipeline: StandIn = StandIn(),  # noqa: B008
     points: int = 1000,
     connection: type[BoundedConnection] = BoundedConnection,
+    application: Any = None,
     **limits,
 ) -> Iterator[Server]:
     translator = UploadTranslator(pipeline=pipeline, weights="stand-in", most_points=points)
-    application = create_application(translator, Limits(**limits), ["localhost"])
+    application = application or create_application(translator, Limits(**limits), ["localhost"])
     listening = socket.socket()
     listening.bind(("127.0.0.1", 0))
     server = uvicorn.Server(uvicorn.Config(application, log_level="critical", server_header=False, http=connection))
@@ -304,6 +306,34 @@ def test_a_head_that_drips_is_not_waited_for():
             for byte in b"GET / HTTP/1.1\r\nHost: localhost\r\nX: " + b"x" * 100:
                 slow.sendall(bytes([byte]))
                 time.sleep(0.05)
+        slow.close()
+
+
+@pytest.mark.parametrize("reads", [False, True])
+def test_who_does_not_read_is_not_waited_for_and_who_reads_slowly_is(reads):
+    """An answer of 30 MB, which no buffer of the system holds."""
+
+    async def answers(scope: Any, _: Any, send: Any) -> None:
+        if scope["type"] == "http":
+            await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"30000000")]})
+            await send({"type": "http.response.body", "body": bytes(30_000_000)})
+
+    class Waiting(BoundedConnection):
+        silent_s = 2.0
+
+    with serving(connection=Waiting, application=answers) as server:
+        slow = socket.create_connection(("127.0.0.1", server.port), timeout=20)
+        slow.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        size = 0
+        with suppress(ConnectionResetError):
+            for _ in range(30 if reads else 0):  # a megabyte at a time, for longer than a silent one has
+                time.sleep(Waiting.silent_s / 20)
+                for _ in range(16):
+                    size += len(slow.recv(1 << 16, socket.MSG_WAITALL))
+            time.sleep(0 if reads else 2 * Waiting.silent_s)
+            while data := slow.recv(1 << 20):
+                size += len(data)
+        assert (size > 30_000_000) == reads
         slow.close()
 
 

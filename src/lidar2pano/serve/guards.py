@@ -25,6 +25,7 @@ HEADERS = {
 OWN_SITE = ("", "same-origin", "none")  # of Sec-Fetch-Site; none: typed or a bookmark; "": no browser of today
 
 SILENT_S = 10.0  # from a connection, or a request's first byte, to the end of its head
+LEAST_READ_BYTES = 10_000  # of an answer in that time: 1 kB/s
 MOST_CONNECTIONS = 256
 
 
@@ -88,13 +89,14 @@ def _to_origin_form(scope: Scope, headers: MutableHeaders) -> None:
 
 
 class BoundedConnection(H11Protocol):
-    """A connection that is closed unless a whole request's head comes in time.
+    """A connection that is closed unless a whole request's head comes in time, and the answer is read.
 
-    Uvicorn limits the time between two requests alone.
+    Uvicorn limits the time between two requests alone. Answers lie in the transport until the client takes them.
     """
 
     silent_s, most_connections = SILENT_S, MOST_CONNECTIONS
     _deadline: asyncio.TimerHandle | None = None
+    _unread = 0  # bytes of answers, when the deadline was set
 
     def connection_made(self, transport: Any) -> None:  # noqa: ANN401
         """Begin to wait; close the connection that is silent longest if there are too many."""
@@ -114,18 +116,37 @@ class BoundedConnection(H11Protocol):
         super().on_response_complete()
         self._watch()
 
+    def pause_writing(self) -> None:
+        """Wait for the client to read."""
+        super().pause_writing()
+        self._watch()
+
     def connection_lost(self, exc: Exception | None) -> None:
         """Wait no more."""
         super().connection_lost(exc)
         self._stop()
 
     def _watch(self) -> None:
-        theirs, ours = self.conn.their_state, self.conn.our_state
-        unfinished = theirs is h11.IDLE or (theirs is h11.SEND_BODY and ours in (h11.DONE, h11.MUST_CLOSE))
-        if not unfinished:
+        if not self._is_waiting():
             self._stop()
         elif self._deadline is None:
-            self._deadline = self.loop.call_later(self.silent_s, self.transport.abort)
+            self._unread = self.transport.get_write_buffer_size()
+            self._deadline = self.loop.call_later(self.silent_s, self._expire)
+
+    def _is_waiting(self) -> bool:
+        """Return whether it is the client's turn: to send a head or the rest of a body, or to read."""
+        theirs, ours = self.conn.their_state, self.conn.our_state
+        unfinished = theirs is h11.IDLE or (theirs is h11.SEND_BODY and ours in (h11.DONE, h11.MUST_CLOSE))
+        return unfinished or self.transport.get_write_buffer_size() > 0
+
+    def _expire(self) -> None:
+        """Close the connection unless its client reads."""
+        self._deadline = None
+        unread = self.transport.get_write_buffer_size()
+        if self._unread and unread <= max(self._unread - LEAST_READ_BYTES, 0):
+            self._watch()
+        elif self._is_waiting():
+            self.transport.abort()
 
     def _stop(self) -> None:
         if self._deadline is not None:
