@@ -6,6 +6,7 @@ import io
 import json
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,21 +24,28 @@ from lidar2pano.formats.image_files import (
     write_palette,
     write_whole,
 )
+from lidar2pano.formats.photo_sphere import gpano
 from lidar2pano.formats.ply import write_ply
-from lidar2pano.geometry.camera import panorama_in_camera
+from lidar2pano.geometry.camera import Lookup, panorama_in_camera
 from lidar2pano.geometry.projection import directions, project
+from lidar2pano.geometry.reprojection import CUBE_AXES, PROJECTIONS, equirectangular, lookups
 from lidar2pano.geometry.stitching import Camera, homogeneous, look
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
+from lidar2pano.scene.echoes import echo_image
 from lidar2pano.scene.surfaces import hides
 from lidar2pano.views import View
 
 OUTPUTS = ("rgb", "segments", "labels", "depth")
-EXTRA_OUTPUTS = ("confidence", "measured", "source")  # that "all" does not name
+ECHO_OUTPUTS = ("remission", "range", "near-infrared")  # of the scan, without an invention
+EXTRA_OUTPUTS = ("confidence", "measured", "source", *ECHO_OUTPUTS)  # that "all" does not name
+RASTERS = tuple(name for name in (*OUTPUTS, *EXTRA_OUTPUTS) if name not in ("rgb", "labels"))
 # Endings of the stems of further outputs of a scan.
-STEM_ENDINGS = (".segments", ".depth", ".confidence", ".measured", ".source", ".camera", ".camera-segments")
+STEM_ENDINGS = (*(f".{name}" for name in (*RASTERS, *CUBE_AXES)), ".camera", ".camera-segments")
 VIEW_KEYWORD = "lidar2pano-view"  # of the text in a panorama's PNG: its View as JSON
-Writer = tuple[str, str, Callable[[Path], None]]  # an output, the name of its file, and its function
+Writer = tuple[str, str, Callable[[Path], object]]  # an output, the name of its file, and its function
+FULL_LIGHT = 99  # percentile of the near-infrared light that is shown as white
+WRITERS = {"segments": write_palette, "depth": write_depth, "range": write_depth}  # of images that are no plain levels
 GREY = 128  # of points without a colour
 # A point is occluded when it is farther than the panorama's (predicted) depth at its pixel by so much.
 OCCLUDED_FACTOR, OCCLUDED_M = 1.2, 1.0
@@ -162,13 +170,8 @@ class Panorama:
         A camera that stands elsewhere is taken to stand there; `pipeline.at(calibration)` makes a panorama around it.
         """
         lookup = panorama_in_camera(self.view, calibration)
-        colour = lookup.linear(torch.from_numpy(self.colour).movedim(2, 0).float())
-        segments = lookup.nearest(torch.from_numpy(self.segments))
-        return CameraImage(
-            colour=colour.round().movedim(0, 2).to(torch.uint8).numpy(),
-            segments=segments.numpy(),
-            valid=lookup.valid.numpy(),
-        )
+        colour, segments = (_resampled(values, lookup) for values in (self.colour, self.segments))
+        return CameraImage(colour=colour, segments=segments, valid=lookup.valid.numpy())
 
     def colour_points(self, scan: Scan) -> PointColours:
         """The colour and class of every point of a scan of the same sensor frame, by default the panorama's own scan.
@@ -243,6 +246,8 @@ class Panorama:
         calibration: Calibration | None = None,
         stem: str | None = None,
         image_format: str = "png",
+        projection: str = "cylinder",
+        scan: Scan | None = None,
     ) -> list[Path]:
         """Write the files that `what` names into the folder `out`, each complete or not at all; return their paths.
 
@@ -250,35 +255,98 @@ class Panorama:
               palette of COMMON15), "labels" (<stem>.label, raw uint32 per point), "depth" (<stem>.depth.png, 16 bit,
               metres x 256), "confidence" (<stem>.confidence.png, 8 bit, 255 = certain), "measured"
               (<stem>.measured.png, 8 bit, 255 = a point was there), "source" (<stem>.source.png, 8 bit, the number of
-              the pixel's camera, 0 = invented). With a calibration also <stem>.camera.png beside
-              rgb and <stem>.camera-segments.png beside segments.
+              the pixel's camera, 0 = invented). Of `scan`, the panorama's own: "remission" (8 bit, 255 = full), "range"
+              (like the depth) and "near-infrared" (8 bit, 255 = 99 of 100 pixels have less). With a calibration also
+              <stem>.camera.png beside rgb and <stem>.camera-segments.png beside segments.
         image_format  of the colour images: "png", "webp" (.webp) or "jpeg" (.jpg), which lose a little.
-        Raises InputError when a name is unknown or the folder cannot be written.
+        projection    of all images: "cylinder", as `view`; "equirectangular", whose colour images say so to viewers
+              (GPano XMP); "cubemap": <stem>.front.png, .right, .back, .left, .up, .down, and as many of each other one.
+        Raises InputError when a name is unknown, the scan has no near-infrared light or the folder cannot be written;
+        ValueError without the scan or for that of another panorama.
         """
         what = (what,) if isinstance(what, str) else what
         if unknown := sorted(set(what) - {*OUTPUTS, *EXTRA_OUTPUTS}):
             raise InputError(f"nothing to save is called {unknown[0]!r}; there is {', '.join(OUTPUTS)}")
         if image_format not in COLOUR_FORMATS:
             raise InputError(f"no image format {image_format!r}; there is {', '.join(COLOUR_FORMATS)}")
+        if projection not in PROJECTIONS:
+            raise InputError(f"no projection {projection!r}; there is {', '.join(PROJECTIONS)}")
         camera = self.to_camera(calibration) if calibration and {"rgb", "segments"} & set(what) else None
         stem = stem or self.name
-        writers = self._writers(stem, camera, image_format)
-        return [write_whole(Path(out) / name, write) for output, name, write in writers if output in what]
+        rasters = self._rasters() | self._echo_rasters(scan, set(what).intersection(ECHO_OUTPUTS))
+        rasters = {name: values for name, values in rasters.items() if name in what}
+        writers = list(self._raster_writers(stem, rasters, image_format, projection))
+        writers += self._other_writers(stem, camera, image_format)
+        return [
+            write_whole(Path(out) / name, write)
+            for wanted in (*OUTPUTS, *EXTRA_OUTPUTS)
+            for output, name, write in writers
+            if output == wanted and output in what
+        ]
 
-    def _writers(self, stem: str, camera: CameraImage | None, image_format: str) -> Iterator[Writer]:
-        """Yield every output that the panorama has, the name of its file, and a function that writes it."""
-        ending, text = COLOUR_FORMATS[image_format][0], {VIEW_KEYWORD: json.dumps(self.view.as_dict())}
-        yield "rgb", stem + ending, lambda path: write_colour(path, self.colour, image_format, text)
-        if camera:
-            yield "rgb", f"{stem}.camera{ending}", lambda path: write_colour(path, camera.colour, image_format)
-        yield "segments", f"{stem}.segments.png", lambda path: write_palette(path, self.segments)
-        if camera:
-            yield "segments", f"{stem}.camera-segments.png", lambda path: write_palette(path, camera.segments)
-        yield "labels", f"{stem}.label", lambda path: SEMANTIC_KITTI.to_raw(self.labels).astype("<u4").tofile(path)
-        yield "depth", f"{stem}.depth.png", lambda path: write_depth(path, self.depth_m)
-        for name, layer in (("confidence", self.confidence), ("measured", self.measured)):
-            if layer is not None:
-                levels = np.round(layer * np.float32(255)).astype(np.uint8)
-                yield name, f"{stem}.{name}.png", lambda path, levels=levels: write_ids(path, levels)
+    def _rasters(self) -> dict[str, np.ndarray]:
+        """Return the images of the panorama by output: (h, w, 3) uint8 colours, float32 metres, else ids uint8."""
+        levels = (("confidence", self.confidence), ("measured", self.measured))
         source = np.zeros(self.segments.shape, dtype=np.uint8) if self.source is None else self.source
-        yield "source", f"{stem}.source.png", lambda path: write_ids(path, source)
+        rasters = {"rgb": self.colour, "segments": self.segments, "depth": self.depth_m, "source": source}
+        return rasters | {name: _levels(values) for name, values in levels if values is not None}
+
+    def _echo_rasters(self, scan: Scan | None, names: Collection[str]) -> dict[str, np.ndarray]:
+        """Return images of what a scan measured, by the names of ECHO_OUTPUTS."""
+        if not names:
+            return {}
+        if scan is None or len(scan) != len(self.labels):
+            raise ValueError(f"{', '.join(ECHO_OUTPUTS)} are of the panorama's own scan of {len(self.labels)} points")
+        if "near-infrared" in names and scan.near_infrared is None:
+            raise InputError(
+                f"{self.name}: has no near-infrared light (fields near_ir or ambient, as Ouster's); leave it out of"
+                " --save"
+            )
+        image = echo_image(scan, self.view)
+        rasters = {"remission": _levels(image.remission.numpy()), "range": image.range_m.numpy()}
+        if image.near_infrared is not None:
+            light = image.near_infrared.numpy().clip(min=0)
+            full = np.percentile(light[light > 0], FULL_LIGHT) if (light > 0).any() else 1
+            rasters["near-infrared"] = _levels((light / full).clip(max=1))
+        return rasters
+
+    def _raster_writers(
+        self, stem: str, rasters: Mapping[str, np.ndarray], image_format: str, projection: str
+    ) -> Iterator[Writer]:
+        """Yield every image in a projection, the name of its file, and a function that writes it."""
+        view, xmp = self.view, b""
+        if projection == "equirectangular":
+            view = equirectangular(view)
+            xmp = gpano(view)
+        text = {} if projection == "cubemap" else {VIEW_KEYWORD: json.dumps(view.as_dict())}
+        colour = partial(write_colour, image_format=image_format, text=text, xmp=xmp)
+        images: Mapping[str, Lookup | None] = {"": None} if projection == "cylinder" else lookups(self.view, projection)
+        for part, lookup in images.items():
+            for name, values in rasters.items():
+                ending = COLOUR_FORMATS[image_format][0] if name == "rgb" else f".{name}.png"
+                write = WRITERS.get(name, write_ids) if name != "rgb" else colour
+                shown = partial(_resampled, values, lookup)
+                yield name, f"{stem}{part}{ending}", lambda path, write=write, shown=shown: write(path, shown())
+
+    def _other_writers(self, stem: str, camera: CameraImage | None, image_format: str) -> Iterator[Writer]:
+        """Yield the labels and a camera's images, the names of their files, and functions that write them."""
+        yield "labels", f"{stem}.label", lambda path: SEMANTIC_KITTI.to_raw(self.labels).astype("<u4").tofile(path)
+        if camera:
+            ending = COLOUR_FORMATS[image_format][0]
+            yield "rgb", f"{stem}.camera{ending}", lambda path: write_colour(path, camera.colour, image_format)
+            yield "segments", f"{stem}.camera-segments.png", lambda path: write_palette(path, camera.segments)
+
+
+def _levels(shares: np.ndarray) -> np.ndarray:
+    """Return shares of one as uint8 levels, 255 = 1."""
+    return np.round(shares * np.float32(255)).astype(np.uint8)
+
+
+def _resampled(values: np.ndarray, lookup: Lookup | None) -> np.ndarray:
+    """Return an image (H, W) or (H, W, 3) by a look-up: colours linearly, of others the nearest; zero where none is."""
+    if lookup is None:
+        return values
+    if values.ndim == 2:
+        return lookup.nearest(torch.from_numpy(values)).numpy()
+    colour = lookup.linear(torch.from_numpy(values).movedim(2, 0).float())
+    return colour.round().movedim(0, 2).to(torch.uint8).contiguous().numpy()

@@ -21,6 +21,7 @@ class Scan:
     ring       (N,) int64 numbers of the beams, or None.
     time_s     (N,) float64 seconds of the points from the scan's own stamp, or None.
     gaps_deg   sectors (left, right) of azimuth, degrees, out of the sensor's field of view.
+    near_infrared  (N,) float32 daylight at each point as the sensor counts it (Ouster's ambient field), or None.
     """
 
     xyz: np.ndarray
@@ -30,6 +31,7 @@ class Scan:
     ring: np.ndarray | None = None
     time_s: np.ndarray | None = None
     gaps_deg: tuple[tuple[float, float], ...] = ()
+    near_infrared: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Turn lists into arrays; refuse arrays of another type or length (ValueError)."""
@@ -43,6 +45,7 @@ class Scan:
             ("label", self.label, np.int64),
             ("ring", self.ring, np.int64),
             ("time_s", self.time_s, np.float64),
+            ("near_infrared", self.near_infrared, np.float32),
         ):
             if array is not None and (array.shape != self.xyz.shape[:1] or array.dtype != dtype):
                 expected = f"({len(self.xyz)},) {np.dtype(dtype)}"
@@ -119,5 +122,5 @@ def change_sensor_remission(scan: Scan, generator: np.random.Generator, octaves:
 
 
 def _subset(scan: Scan, kept: np.ndarray) -> Scan:
-    label = None if scan.label is None else scan.label[kept]
-    return replace(scan, xyz=scan.xyz[kept], remission=scan.remission[kept], label=label)
+    label, light = (None if values is None else values[kept] for values in (scan.label, scan.near_infrared))
+    return replace(scan, xyz=scan.xyz[kept], remission=scan.remission[kept], label=label, near_infrared=light)

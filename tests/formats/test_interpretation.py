@@ -14,7 +14,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats import sensor_placement
 from lidar2pano.formats.beams import find_beams, horizontal_centre, sharpest_origin
 from lidar2pano.formats.interpretation import Overrides, interpret
-from lidar2pano.formats.point_cloud import PointCloud
+from lidar2pano.formats.point_cloud import PointCloud, cloud_of_columns
 from lidar2pano.formats.readers import interpreted, read
 from lidar2pano.formats.remission import STAND_IN
 from lidar2pano.formats.sensor_placement import SENSOR_HEIGHT_M, blind_radii, fit_ground
@@ -327,3 +327,15 @@ def test_pandaset_has_y_forward(pandaset_mini: Path):
     for file in sorted(next(pandaset_mini.glob("sequences/*/velodyne")).iterdir())[:2]:
         ((_, found),) = interpreted(file)
         assert found.forward == "y" and "vehicle's frame" in found.viewpoint_by
+
+
+@pytest.mark.parametrize("name", ["ambient", "near_ir", "NIR", "scalar_near_infrared"])
+def test_near_infrared_light_is_found_by_its_names(name):
+    generator = np.random.default_rng(1)
+    columns = {axis: generator.uniform(2, 9, 50) for axis in "xyz"} | {name: np.arange(50, dtype=">u2")}
+    scan, _ = interpret(cloud_of_columns(columns, format="test", name="a"))
+    assert scan.near_infrared is not None and scan.near_infrared.dtype == np.float32
+    assert scan.near_infrared.tolist() == list(range(50))
+    odd = {**columns, name: np.where(np.arange(50) % 2, np.inf, 5.0)}
+    scan, _ = interpret(cloud_of_columns(odd, format="test", name="a"))
+    assert scan.near_infrared is not None and sorted(set(scan.near_infrared.tolist())) == [0, 5]

@@ -462,7 +462,7 @@ def test_nothing_is_left_where_nothing_can_be_written(panorama, tmp_path):
 
 
 def test_an_interrupted_save_leaves_nothing(panorama, tmp_path, monkeypatch):
-    def interrupted(path, *_):
+    def interrupted(path, *_, **__):
         path.write_bytes(b"half")
         raise KeyboardInterrupt
 

@@ -198,3 +198,28 @@ def camera_pixel_slowly(ray: Sequence[float] | np.ndarray, camera: LensCalibrati
         yd = b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
     u, v, _ = camera.K @ np.array([xd, yd, 1.0])
     return u, v
+
+
+def look_up_slowly(image: np.ndarray, view: View, ray: tuple[float, float, float]) -> list[float]:
+    """Colour (C,) of an image (H, W, C) of a circular cylinder in a direction, bilinear between pixel centres."""
+    x, y, z = ray
+    column = (180 - math.degrees(math.atan2(y, x))) / 360 * view.columns - 0.5
+    row = (view.up - z / math.hypot(x, y)) / (view.up - view.down) * view.rows - 0.5
+    row = min(max(row, 0), view.rows - 1)
+    upper, left = math.floor(row), math.floor(column)
+    lower = min(upper + 1, view.rows - 1)
+    below, right = row - upper, column - left
+    corners = (
+        {
+            (upper, left): (1 - below) * (1 - right),
+            (upper, left + 1): (1 - below) * right,
+            (lower, left): below * (1 - right),
+            (lower, left + 1): below * right,
+        }
+        if lower > upper
+        else {(upper, left): 1 - right, (upper, left + 1): right}
+    )
+    return [
+        sum(share * float(image[i, j % view.columns, channel]) for (i, j), share in corners.items())
+        for channel in range(image.shape[2])
+    ]

@@ -67,6 +67,7 @@ class Options:
     reading: ReadingOptions = field(default_factory=ReadingOptions)
     engine: str = "auto"
     image_format: str = "png"
+    projection: str = "cylinder"
     ply: bool = False
     common: OutputFiles = field(default_factory=OutputFiles)
 
@@ -182,7 +183,15 @@ def write_outputs(translation: Translation, options: Options, common: Iterable[O
     """Write the files of a scan, add it to the files about all scans, and return its own ones."""
     panorama, scan, source = translation.panorama, translation.reading.scan, translation.reading.source
     assert panorama and scan
-    files = panorama.save(options.out, options.save, options.calibration, source.stem, options.image_format)
+    files = panorama.save(
+        options.out,
+        options.save,
+        options.calibration,
+        source.stem,
+        options.image_format,
+        options.projection,
+        scan,
+    )
     if options.ply:
         files.append(panorama.save_points(options.out / f"{source.stem}.ply", scan))
     for output in common:

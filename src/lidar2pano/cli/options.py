@@ -110,7 +110,18 @@ EngineOption = Annotated[
 ]
 SaveOption = Annotated[
     str,
-    typer.Option(metavar="LIST", help="Outputs: rgb, segments, labels, depth or all; confidence, measured, source."),
+    typer.Option(
+        metavar="LIST",
+        help="Outputs: rgb, segments, labels, depth or all; confidence, measured, source; remission, range,"
+        " near-infrared, as measured.",
+    ),
+]
+ProjectionOption = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="Projection of the pictures: cylinder, equirectangular (photo spheres for other viewers) or cubemap.",
+    ),
 ]
 ViewOption = Annotated[bool, typer.Option("--view", help="Write DIR/view.html to look around in, and open it.")]
 PlyOption = Annotated[bool, typer.Option("--ply", help="Write DIR/<stem>.ply: the points with colours and classes.")]
@@ -175,6 +186,15 @@ def parse_format(name: str) -> str:
 
     if name not in COLOUR_FORMATS:
         raise InputError(f"--format {name!r}: no format for colour images{closest(name, COLOUR_FORMATS)}")
+    return name
+
+
+def parse_projection(name: str) -> str:
+    """Return --projection's name, one of PROJECTIONS."""
+    from lidar2pano.geometry.reprojection import PROJECTIONS
+
+    if name not in PROJECTIONS:
+        raise InputError(f"--projection {name!r}: is no projection{closest(name, PROJECTIONS)}")
     return name
 
 

@@ -53,6 +53,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     follow: opt.FollowOption = False,
     engine: opt.EngineOption = "auto",
     image_format: opt.FormatOption = "png",
+    projection: opt.ProjectionOption = "cylinder",
     view: opt.ViewOption = False,
     ply: opt.PlyOption = False,
     strict: opt.StrictOption = False,
@@ -79,6 +80,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
             cameras=opt.parse_cameras(camera, cameras, mask, viewpoint=calib is None),
         ),
         image_format=opt.parse_format(image_format),
+        projection=opt.parse_projection(projection),
         ply=ply,
         common=batch.common_files(scans, out / "view.html" if view else None, video, rerun),
     )

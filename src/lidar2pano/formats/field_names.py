@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 # Names of fields, the best first; compared in lower case, without CloudCompare's "scalar_".
 INTENSITY = ("reflectivity", "reflectance", "remission", "intensity", "intensities", "signal", "i")
+NEAR_INFRARED = ("near_ir", "ambient", "near_infrared", "nir")  # Ouster's in packets and in ROS, and others'
 RING = ("ring", "channel", "laser_number", "laser_id", "beam", "line", "row")
 TIME = ("offset_ns", "offset_time", "time_offset", "time", "time_stamp", "timestamp", "timestamps", "t", "gps_time")
 # Beginnings of words within longer names: "pcloud_attr.reflectance", "Intensität", "Signal Photons", "refl"
@@ -16,6 +17,7 @@ INTENSITY_WORDS, RING_WORDS, TIME_WORDS = (
     ("ring", "laser"),
     ("time",),
 )
+NEAR_INFRARED_WORDS = ("ambient", "infrared")
 # Names of axes: "X", "x_coord", "position.x", "Point:0" (Ouster Studio), "Points_m_XYZ:0" (VeloView), "xyz[0]"
 PLACE = r"(?:points?|pos(?:ition)?|coordinates?|coords?|location|cartesian|scalar|xyz|m)"
 AXIS = re.compile(rf"(?:{PLACE}[ _.:/-]*)*(?:([xyz])|(?<=\w)[ _.:/\[-]*([012])\]?)(?:[ _.-]*(?:{PLACE}|axis))*")

@@ -19,6 +19,7 @@ from PIL import Image
 
 from lidar2pano.bounded_files import check_target, open_regular
 from lidar2pano.errors import InputError
+from lidar2pano.formats.photo_sphere import jpeg_segment, png_chunk_data
 from lidar2pano.labels import COMMON15, LabelSet
 
 DEPTH_STEPS = 256  # per metre, KITTI's form of 16 bit depth
@@ -61,21 +62,26 @@ def image_text(path: Path) -> dict[str, str]:
 
 
 def write_colour(
-    path: Path, colour: np.ndarray, image_format: str = "png", text: Mapping[str, str] | None = None
+    path: Path, colour: np.ndarray, image_format: str = "png", text: Mapping[str, str] | None = None, xmp: bytes = b""
 ) -> None:
-    """Write an RGB image (h, w, 3) uint8 in a format of COLOUR_FORMATS; only "png" keeps every value, and the text."""
+    """Write an RGB image (h, w, 3) uint8 in a format of COLOUR_FORMATS; only "png" keeps every value, and the text.
+
+    xmp  packet of metadata, which all formats keep.
+    """
     if image_format == "png":
-        write_png(path, colour, text)
-    else:
-        Image.fromarray(colour).save(path, format=image_format.upper(), **COLOUR_FORMATS[image_format][1])
+        return write_png(path, colour, text, xmp)
+    settings: dict[str, Any] = dict(COLOUR_FORMATS[image_format][1])
+    if xmp:
+        settings |= {"extra": jpeg_segment(xmp)} if image_format == "jpeg" else {"xmp": xmp}
+    return Image.fromarray(colour).save(path, format=image_format.upper(), **settings)
 
 
-def write_png(path: Path, colour: np.ndarray, text: Mapping[str, str] | None = None) -> None:
+def write_png(path: Path, colour: np.ndarray, text: Mapping[str, str] | None = None, xmp: bytes = b"") -> None:
     """Write an RGB image (h, w, 3) uint8; `text` by keyword, both Latin-1, is written beside the pixels."""
-    path.write_bytes(fast_png(colour, text))
+    path.write_bytes(fast_png(colour, text, xmp))
 
 
-def fast_png(colour: np.ndarray, text: Mapping[str, str] | None = None) -> bytes:
+def fast_png(colour: np.ndarray, text: Mapping[str, str] | None = None, xmp: bytes = b"") -> bytes:
     """Return an RGB image (h, w, 3) uint8 as PNG, in a third of Pillow's time, of about the same size.
 
     Every row is filtered by "Sub" (PNG specification, 9.2), while Pillow tries all filters, and compressed fast (by
@@ -92,6 +98,7 @@ def fast_png(colour: np.ndarray, text: Mapping[str, str] | None = None) -> bytes
         end = b"\3\0" + struct.pack(">I", _zlib().adler32(lines.data))  # an empty block, RFC 1951; a checksum, RFC 1950
         pixels = b"\x78\1" + b"".join(blocks) + end
     texts = [_chunk(b"tEXt", f"{key}\0{value}".encode("latin-1")) for key, value in (text or {}).items()]
+    texts += [_chunk(b"iTXt", png_chunk_data(xmp))] if xmp else []
     parts = (PNG_SIGNATURE, _chunk(b"IHDR", header), *texts, _chunk(b"IDAT", pixels), _chunk(b"IEND", b""))
     return b"".join(parts)
 

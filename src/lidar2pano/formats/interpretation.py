@@ -154,8 +154,17 @@ def interpret(
         ring=ring,
         time_s=cloud.time_s,
         gaps_deg=() if overrides.invent else result.gaps_deg,
+        near_infrared=_finite(cloud.near_infrared),
     )
     return scan, replace(result, doubts=(*doubts, *unsure))
+
+
+def _finite(values: np.ndarray | None) -> np.ndarray | None:
+    """Return values as float32, zero where they are not finite or beyond it."""
+    if values is None:
+        return None
+    with np.errstate(over="ignore"):
+        return np.nan_to_num(values.astype(np.float32), posinf=0, neginf=0)
 
 
 def _returns(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

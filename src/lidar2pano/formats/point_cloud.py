@@ -11,6 +11,8 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.field_names import (
     INTENSITY,
     INTENSITY_WORDS,
+    NEAR_INFRARED,
+    NEAR_INFRARED_WORDS,
     RING,
     RING_WORDS,
     TIME,
@@ -41,6 +43,7 @@ class PointCloud:
 
     xyz        (N, 3) float32 or float64, in the file's own axes and unit.
     intensity  (N,) as stored (any numeric dtype), or None.
+    near_infrared  (N,) daylight as stored (any numeric dtype), or None.
     ring       (N,) integer beam number, or None.
     time_s     (N,) float64 seconds relative to `stamp_s`, or None.
     label      (N,) int64 ids of SEMANTIC_KITTI, or None.
@@ -65,6 +68,7 @@ class PointCloud:
     fields: tuple[str, ...] = ()
     viewpoint: np.ndarray | None = None
     doubts: tuple[str, ...] = ()
+    near_infrared: np.ndarray | None = None
 
     def __len__(self) -> int:
         """Number of points, unusable ones included."""
@@ -109,9 +113,14 @@ def cloud_of_columns(
             xyz[:, column] = axis
     squared = np.einsum("ij,ij->i", xyz, xyz)
     valid = np.isfinite(squared) & (squared > 0)
-    intensity, ring, time = (
+    intensity, ring, time, light = (
         [(key, columns[key]) for key in find_named(columns, names, words)]
-        for names, words in ((INTENSITY, INTENSITY_WORDS), (RING, RING_WORDS), (TIME, TIME_WORDS))
+        for names, words in (
+            (INTENSITY, INTENSITY_WORDS),
+            (RING, RING_WORDS),
+            (TIME, TIME_WORDS),
+            (NEAR_INFRARED, NEAR_INFRARED_WORDS),
+        )
     )
     time_s, start_s, unsure = point_times(time, stamp_s, valid)
     return PointCloud(
@@ -126,6 +135,7 @@ def cloud_of_columns(
         fields=tuple(columns),
         viewpoint=viewpoint,
         doubts=(*doubts, *unsure),
+        near_infrared=_native(light[0][1]) if light else None,
     )
 
 

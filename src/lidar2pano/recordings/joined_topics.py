@@ -126,7 +126,10 @@ def _merged(reference: PointCloud, further: list[PointCloud]) -> PointCloud:
         (np.zeros(len(cloud)) if cloud.time_s is None else cloud.time_s) + ((cloud.stamp_s or 0.0) - stamp_s)
         for cloud in clouds
     ]
-    intensities = [cloud.intensity for cloud in clouds if cloud.intensity is not None]
+    intensities, lights = (
+        [values for cloud in clouds if (values := getattr(cloud, name)) is not None]
+        for name in ("intensity", "near_infrared")
+    )
     rings, first = [], 0
     for cloud in clouds:
         if cloud.ring is not None:
@@ -138,5 +141,6 @@ def _merged(reference: PointCloud, further: list[PointCloud]) -> PointCloud:
         intensity=np.concatenate(intensities) if len(intensities) == len(clouds) else None,
         ring=np.concatenate(rings) if len(rings) == len(clouds) else None,
         time_s=np.concatenate(times),
+        near_infrared=np.concatenate(lights) if len(lights) == len(clouds) else None,
         format=f"{reference.format}, {len(clouds)} sensors",
     )
