@@ -11,7 +11,8 @@ import pytest
 import torch
 from PIL import Image
 
-from lidar2pano.drives.cameras import CameraOptions, NamedCamera, cameras_of, parse_camera, seconds_after
+from lidar2pano.drives.camera_choice import CameraOptions, NamedCamera, parse_camera
+from lidar2pano.drives.cameras import cameras_of, seconds_after
 from lidar2pano.drives.reading import ReadingOptions, StreamReader, scan_sources
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import ReadOptions

@@ -15,6 +15,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from lidar2pano.scan import Scan
 
 POINTS, ODOMETRY, TF = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
+IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
 START_NS, STEP_NS = 1_700_000_000_000_000_000, 100_000_000
@@ -75,6 +77,39 @@ def transform(stamp_ns: int, parent: str, child: str, pose: Sequence[float], top
     return Sent(stamp_ns, topic, TF, {"stamp_ns": stamp_ns, "frame": parent, "child": child, "pose": pose})
 
 
+def image(stamp_ns: int, pixels: np.ndarray, topic: str, encoding: str = "rgb8", frame: str = "camera") -> Sent:
+    """An Image of pixels (h, w) or (h, w, c) uint8 as they are; its rows end with three bytes more."""
+    rows = np.pad(pixels.reshape(len(pixels), -1), ((0, 0), (0, 3)))
+    content = {"height": pixels.shape[0], "width": pixels.shape[1], "encoding": encoding, "is_bigendian": 0}
+    content |= {"step": rows.shape[1], "data": rows.ravel(), "frame": frame, "stamp_ns": stamp_ns}
+    return Sent(stamp_ns, topic, IMAGE, content)
+
+
+def compressed_image(stamp_ns: int, data: bytes, topic: str, frame: str = "camera") -> Sent:
+    """A CompressedImage of a JPEG or PNG file."""
+    content = {"format": "jpeg", "data": np.frombuffer(data, np.uint8), "frame": frame, "stamp_ns": stamp_ns}
+    return Sent(stamp_ns, topic, COMPRESSED_IMAGE, content)
+
+
+def camera_info(stamp_ns: int, K: np.ndarray, size: tuple[int, int], topic: str, **fields: Any) -> Sent:
+    """A CameraInfo of a pinhole, or with fields distortion_model, d, p of others."""
+    P = np.hstack([K, np.zeros((3, 1))])
+    content = {"width": size[0], "height": size[1], "distortion_model": "plumb_bob", "d": np.zeros(5), "k": K.ravel()}
+    content |= {"r": np.eye(3).ravel(), "p": P.ravel(), "frame": "camera", "stamp_ns": stamp_ns, **fields}
+    return Sent(stamp_ns, topic, CAMERA_INFO, content)
+
+
+def _picture(sent: Sent, header: Any, store: Any) -> Any:
+    """An Image, a CompressedImage or a CameraInfo."""
+    fields = {name: value for name, value in sent.fields.items() if name not in ("frame", "stamp_ns")}
+    if sent.type == CAMERA_INFO:
+        region = store.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+        fields |= {"binning_x": 0, "binning_y": 0, "roi": region}
+        if store is ROS1:
+            fields = {name.upper() if name in "dkrp" else name: value for name, value in fields.items()}
+    return store.types[sent.type](header=header, **fields)
+
+
 def message(sent: Sent, store: Any) -> Any:
     """The message as an object of a typestore."""
     types, fields = store.types, sent.fields
@@ -87,6 +122,8 @@ def message(sent: Sent, store: Any) -> Any:
         names = ("height", "width", "is_bigendian", "point_step", "row_step", "data", "is_dense")
         layout = [field(*one) for one in fields["fields"]]
         return types[POINTS](header=header, fields=layout, **{name: fields[name] for name in names})
+    if sent.type in (IMAGE, COMPRESSED_IMAGE, CAMERA_INFO):
+        return _picture(sent, header, store)
     place = types["geometry_msgs/msg/Vector3"](*fields["pose"][:3])
     turn = types["geometry_msgs/msg/Quaternion"](*fields["pose"][3:])
     if sent.type == TF:

@@ -15,7 +15,7 @@ from lidar2pano.errors import InputError, closest
 
 if TYPE_CHECKING:
     from lidar2pano.calibration import Calibration
-    from lidar2pano.drives.cameras import CameraOptions
+    from lidar2pano.drives.camera_choice import CameraOptions
 
 KITTI_SIZE = "1242x375"
 MOST_PIXELS = 1 << 26  # of a camera's image
@@ -59,7 +59,10 @@ CameraOption = Annotated[
     ),
 ]
 CamerasOption = Annotated[
-    str, typer.Option(metavar="auto|none", help="Cameras in the data set; auto: those beside a scan, if known.")
+    str,
+    typer.Option(
+        metavar="LIST", help="Cameras in the data set or recording: auto, none, or names of a recording's topics."
+    ),
 ]
 MaskOption = Annotated[
     list[Path],
@@ -154,17 +157,18 @@ def parse_cameras(named: list[str], word: str, masks: list[Path], viewpoint: boo
 
     viewpoint  whether an only camera decides where the panorama stands.
     """
-    from lidar2pano.drives.cameras import CameraOptions, parse_camera
+    from lidar2pano.drives.camera_choice import CameraOptions, parse_camera
 
-    if word not in ("auto", "none"):
-        raise InputError(f"--cameras {word!r}: is neither auto nor none; name a camera with --camera IMAGE:CALIB")
+    topics = () if word in ("auto", "none") else tuple(name.strip() for name in word.split(",") if name.strip())
+    if word not in ("auto", "none") and (named or not topics):
+        raise InputError(f"--cameras {word!r}: is auto, none or topics of a recording, without --camera")
     if masks and word == "none" and not named:
         raise InputError("--mask: there is no camera with --cameras none; leave one of them out")
     if missing := next((mask for mask in masks if not mask.is_file()), None):
         raise InputError(f"--mask {missing}: is missing; name an image")
     cameras = tuple(parse_camera(text) for text in named)
-    options = CameraOptions(named=cameras, masks=tuple(masks), viewpoint=viewpoint)
-    return options if cameras or word == "auto" else None
+    options = CameraOptions(named=cameras, topics=topics, masks=tuple(masks), viewpoint=viewpoint)
+    return options if cameras or word != "none" else None
 
 
 def parse_save(text: str, extra: bool = False) -> tuple[str, ...]:

@@ -48,15 +48,25 @@ def read_camera_calibration(
     if path.is_dir() or path.suffix.lower() == ".txt":
         return _kitti(path, image, size)
     entry = _entry(path, _read_document(path), image)
-    their_size = _size(path, entry)
-    if their_size and their_size != size:
-        raise _other_size(path, image, size, their_size)
     T_camera_lidar = _pose(pose, _read_document(pose)) if pose else _pose(path, entry)
     if T_camera_lidar is None:
         raise InputError(
             f"{pose or path}: has no pose of the camera beside the LiDAR; add {POSES[0]}: [16 numbers], row by row, or"
             " name a file with it: IMAGE:CALIB:POSE"
         )
+    return calibration_of(path, entry, image, size, T_camera_lidar)
+
+
+def calibration_of(
+    path: Path, entry: Entry, image: Path, size: tuple[int, int], T_camera_lidar: np.ndarray
+) -> Calibration | LensCalibration:
+    """Return the camera of a calibration's entry for an image of `size` (width, height); path, image: for messages.
+
+    Raises InputError for another size, no camera matrix, and an unknown distortion.
+    """
+    their_size = _size(path, entry)
+    if their_size and their_size != size:
+        raise _other_size(path, image, size, their_size)
     K, first = _camera_matrix(path, entry)
     if not -1 < K[0, 2] < size[0] or not -1 < K[1, 2] < size[1]:
         raise _other_size(path, image, size, None)

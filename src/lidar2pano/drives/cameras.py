@@ -1,10 +1,10 @@
-"""The cameras of a scan: named by the user, or found beside the scan's file in the layouts of known data sets."""
+"""The cameras of a scan: named by the user, beside its file in the layouts of data sets, or in its recording."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -12,42 +12,20 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar2pano.calibration import Calibration, LensCalibration, read_calib
-from lidar2pano.data import nuscenes, pandaset
-from lidar2pano.data.camera_files import read_camera_calibration
+from lidar2pano.data.camera_files import calibration_of, read_camera_calibration
 from lidar2pano.data.surround import SurroundFrame
+from lidar2pano.drives.camera_choice import RAW, SISTERS, CameraOptions, NamedCamera
 from lidar2pano.drives.folders import UNIT_S, times
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.image_files import image_size, read_image
 from lidar2pano.geometry.stitching import Camera
+from lidar2pano.recordings.reading_process import ConfinedImages
+from lidar2pano.recordings.recorded_images import RecordedImage
 from lidar2pano.views import VIEWS
 
 IMAGES = (".png", ".jpg", ".jpeg", ".webp")
 STAMP = re.compile(r"(?:^|\D)(\d{16}|\d{18,19})$")  # at the end of a file's stem
-SISTERS = ("image_2", "image_3")  # KITTI odometry's colour cameras
-RAW = ("image_02", "image_03")  # and those of a raw drive
-
-
-class NamedCamera(NamedTuple):
-    """A camera of --camera: an image, or a folder with an image of each scan, by its name; calibration and pose."""
-
-    image: Path
-    calibration: Path
-    pose: Path | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraOptions:
-    """Choice of a scan's cameras: those named, or else those found beside it, if `auto`.
-
-    masks      of the vehicle: one for all of them, or one each, in their order.
-    viewpoint  whether the panorama stands at the optical centre of a scan's only camera: without parallax.
-    """
-
-    named: tuple[NamedCamera, ...] = ()
-    auto: bool = True
-    masks: tuple[Path, ...] = ()
-    viewpoint: bool = True
 
 
 class ScanCameras(NamedTuple):
@@ -77,6 +55,50 @@ def cameras_of(scan_file: Path, stem: str, options: CameraOptions, T_scan_file: 
             sources = list(found_beside(scan_file.resolve()))
         except InputError as error:
             return ScanCameras((), (f"cameras are left out: {error}",), None)
+    return read_sources(sources, options, T_scan_file)
+
+
+class RecordingCameras:
+    """The cameras of a recording, scan after scan; InputError for topics without images."""
+
+    def __init__(self, path: Path, options: CameraOptions) -> None:
+        self._images, self._options = ConfinedImages(path, options.topics), options
+        self.close = self._images.close
+
+    def __bool__(self) -> bool:
+        """Return whether it has any."""
+        return bool(self._images.topics)
+
+    def of(self, stamp_s: float, frame: str, T_scan_cloud: np.ndarray) -> ScanCameras:
+        """Read the cameras of a scan at a time, whose cloud's frame is `frame`; InputError for damage."""
+        images = self._images.at(stamp_s, frame)
+        cameras = read_sources([CameraSource(each.topic, partial(_of_image, each)) for each in images], self._options,
+                               T_scan_cloud)  # fmt: skip
+        moving = [each.topic for each in images if not each.error and not each.moved]
+        if not moving:
+            return cameras
+        motion = (
+            f"camera {', '.join(moving)}: the motion between its images and the scans is not known (neither tf nor"
+            f" odometry moves {frame!r}) and stays in"
+        )
+        return cameras._replace(doubts=(*cameras.doubts, motion))
+
+
+def _of_image(image: RecordedImage) -> Camera:
+    """Return the camera of an image; InputError for its error, or a calibration of no use."""
+    if image.image is None or image.T_camera_lidar is None:
+        raise InputError(image.error)
+    (height, width), topic = image.image.shape[:2], Path(image.topic)
+    info = Path(f"the CameraInfo of {image.topic}")
+    calibration = calibration_of(info, image.intrinsics or {}, topic, (width, height), image.T_camera_lidar)
+    return Camera(image.image, calibration, time_s=image.time_s)
+
+
+def read_sources(sources: Sequence[CameraSource], options: CameraOptions, T_scan_file: np.ndarray) -> ScanCameras:
+    """Read cameras with their masks; InputError for a wrong number of masks.
+
+    T_scan_file  (4, 4): from the coordinates of their calibrations to the scan's.
+    """
     if len(options.masks) > 1 and len(options.masks) != len(sources):
         raise InputError(
             f"--mask: {len(options.masks)} masks for {len(sources)} cameras; name one for all, or one each"
@@ -92,27 +114,6 @@ def cameras_of(scan_file: Path, stem: str, options: CameraOptions, T_scan_file: 
             faults.append(f"camera {source.name} is left out: {error}")
     viewpoint = cameras[0].calibration if len(cameras) == len(sources) == 1 else None
     return ScanCameras(tuple(cameras), tuple(faults), viewpoint)
-
-
-def parse_camera(text: str) -> NamedCamera:
-    """Return the camera of "IMAGE:CALIB" or "IMAGE:CALIB:POSE"; InputError unless all are files or folders."""
-    words = text.split(":")
-    for count in (2, 3):
-        for parts in _groupings(words, count):
-            if all(part and Path(part).exists() for part in parts):
-                return NamedCamera(*map(Path, parts))
-    missing = next((word for word in words if not Path(word).exists()), text)
-    raise InputError(f"--camera {text!r}: is not of the form IMAGE:CALIB[:POSE], or {missing!r} is missing; name files")
-
-
-def _groupings(words: Sequence[str], count: int) -> Iterator[list[str]]:
-    """Yield the ways to join words by ":" to so many texts: a path may have colons."""
-    if count == 1:
-        yield [":".join(words)]
-        return
-    for first in range(1, len(words) - count + 2):
-        for rest in _groupings(words[first:], count - 1):
-            yield [":".join(words[:first]), *rest]
 
 
 def masked(camera: Camera, mask: Path) -> Camera:
@@ -175,6 +176,8 @@ def found_beside(scan_file: Path) -> Iterator[CameraSource]:
     """Yield the cameras of a scan file in a layout of KITTI, PandaSet or nuScenes; or none."""
     folder, stem = scan_file.parent, stem_of(scan_file)
     if folder.name == "velodyne" and (folder.parent / "calib" / f"{stem}.json").is_file():
+        from lidar2pano.data import pandaset
+
         frame = pandaset.PandasetFrame(folder.parents[2], VIEWS["panorama"], f"{folder.parent.name}/{stem}")
         yield from _of_frame(scan_file, frame)
     elif folder.name == "velodyne":
@@ -190,8 +193,11 @@ def found_beside(scan_file: Path) -> Iterator[CameraSource]:
         for number, name in enumerate(RAW, 2):
             for image in images_of(drive / name / "data", stem):
                 yield CameraSource(name, partial(_read_kitti, scan_file, image, drive, number))
-    elif frame := nuscenes.frame_of(scan_file, VIEWS["panorama"]):
-        yield from _of_frame(scan_file, frame)
+    else:
+        from lidar2pano.data import nuscenes
+
+        if frame := nuscenes.frame_of(scan_file, VIEWS["panorama"]):
+            yield from _of_frame(scan_file, frame)
 
 
 def _beside_velodyne(scan_file: Path) -> Iterator[CameraSource]:

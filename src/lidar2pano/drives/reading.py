@@ -12,13 +12,13 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Seq
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn, TypeAlias
 
 import numpy as np
 import torch
 
 from lidar2pano.calibration import Calibration, LensCalibration
-from lidar2pano.drives.cameras import CameraOptions, cameras_of
+from lidar2pano.drives.camera_choice import CameraOptions, may_have_cameras
 from lidar2pano.drives.drive_motion import Motion, T_scan_cloud, motion_of
 from lidar2pano.drives.folders import drive_files, output_stems
 from lidar2pano.errors import InputError
@@ -31,6 +31,9 @@ from lidar2pano.hardware import Timer
 from lidar2pano.recordings import reading_process
 from lidar2pano.recordings.recorded_scans import recording_reader
 from lidar2pano.scan import Scan
+
+if TYPE_CHECKING:
+    from lidar2pano.drives.cameras import RecordingCameras, ScanCameras
 
 CPU = torch.device("cpu")
 
@@ -83,6 +86,9 @@ class Reading:
     error: Exception | None = None
 
 
+CameraReader: TypeAlias = "Callable[[ScanSource, Interpretation], ScanCameras]"
+
+
 @dataclass(frozen=True, kw_only=True)
 class ReadingOptions:
     """Options of reading scans.
@@ -110,6 +116,8 @@ class StreamReader:
         self._stream: Hashable = None
         self._first: Interpretation | None = None
         self._motion: Motion | None = None
+        self._cameras: CameraReader | None = None
+        self._close: Callable[[], None] | None = None  # of the stream's cameras
 
     def read(self, source: ScanSource) -> Reading:
         """Read a scan. Raises InputError for damaged poses of its stream: they are missing to all its scans."""
@@ -122,12 +130,42 @@ class StreamReader:
             if isinstance(source.stream, Path) and self._options.motion:
                 selection, poses = self._options.selection, self._options.poses
                 self._motion = motion_of(source.stream, reading.scan, reading.interpretation, selection, poses)
+            self._open_cameras(source)
         reading = move_scan(reading, self._motion, self._options.poses) if self._motion else reading
-        return read_cameras(reading, self._options.cameras) if self._options.cameras else reading
+        return read_cameras(reading, self._cameras, self._options.cameras) if self._cameras else reading
 
     def __call__(self, sources: Iterable[ScanSource]) -> Iterator[Reading]:
         """Read scans one at a time."""
-        return map(self.read, sources)
+        try:
+            yield from map(self.read, sources)
+        finally:
+            self.close()
+
+    def _open_cameras(self, source: ScanSource) -> None:
+        """Look for the cameras of a stream once; InputError for topics that are not in its recording."""
+        self.close()
+        options = self._options.cameras
+        if options is None:
+            return
+        if source.number is None or options.named:
+            if options.topics:
+                raise InputError(f"--cameras {','.join(options.topics)}: {source.title} is no recording; leave it out")
+            if options.named or may_have_cameras(source.path):
+                self._cameras = partial(_cameras_of_file, options)
+        elif isinstance(source.stream, Path):
+            from lidar2pano.drives.cameras import RecordingCameras
+
+            cameras = RecordingCameras(source.path, options)
+            if cameras:
+                self._cameras, self._close = partial(_cameras_of_message, cameras), cameras.close
+            else:
+                cameras.close()
+
+    def close(self) -> None:
+        """Close the stream's cameras."""
+        if self._close:
+            self._close()
+        self._cameras = self._close = None
 
 
 def read_scan(source: ScanSource, options: ReadingOptions, first: Interpretation | None = None) -> Reading:
@@ -159,19 +197,28 @@ def move_scan(reading: Reading, motion: Motion, poses: bool) -> Reading:
     return replace(reading, scan=scan, pose=pose if poses else None)
 
 
-def read_cameras(reading: Reading, options: CameraOptions) -> Reading:
+def read_cameras(reading: Reading, find: CameraReader, options: CameraOptions | None) -> Reading:
     """Read the cameras of a reading's scan. InputError for a wrong number of masks."""
-    source, interpretation = reading.source, reading.interpretation
-    if reading.error or interpretation is None:
+    if reading.error or reading.interpretation is None or options is None:
         return reading
     with reading.timer("images"):
-        stem = stem_of(source.path) if source.number is None else source.stem
-        cameras = cameras_of(source.path, stem, options, T_scan_cloud(interpretation))
+        cameras = find(reading.source, reading.interpretation)
     if not cameras.cameras and not cameras.doubts:
         del reading.timer.milliseconds["images"]
         return reading
     viewpoint = cameras.viewpoint if options.viewpoint else None
     return replace(reading, cameras=cameras.cameras, camera_doubts=cameras.doubts, calibration=viewpoint)
+
+
+def _cameras_of_file(options: CameraOptions, source: ScanSource, interpretation: Interpretation) -> ScanCameras:
+    from lidar2pano.drives.cameras import cameras_of  # and readers of data sets, which few scans need
+
+    stem = stem_of(source.path) if source.number is None else source.stem
+    return cameras_of(source.path, stem, options, T_scan_cloud(interpretation))
+
+
+def _cameras_of_message(cameras: RecordingCameras, source: ScanSource, interpretation: Interpretation) -> ScanCameras:
+    return cameras.of(interpretation.stamp_s or 0.0, interpretation.frame, T_scan_cloud(interpretation))
 
 
 def scan_sources(

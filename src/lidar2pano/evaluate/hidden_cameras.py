@@ -11,7 +11,8 @@ import numpy as np
 
 from lidar2pano.data.frames import Frame
 from lidar2pano.data.surround import SurroundFrame
-from lidar2pano.drives.cameras import CameraOptions, cameras_of
+from lidar2pano.drives.camera_choice import CameraOptions
+from lidar2pano.drives.cameras import cameras_of
 from lidar2pano.errors import InputError, closest
 from lidar2pano.evaluate.metric_collection import PatchFeatures
 from lidar2pano.formats.image_files import write_png, write_whole

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from PIL import Image
@@ -181,6 +181,12 @@ def _sweep(folder: Path) -> None:
             part.unlink(missing_ok=True)
 
 
+def decode_image(file: IO[bytes], title: str, mode: str) -> np.ndarray:
+    """Decode an image in an open file; `title` begins messages. Raises InputError if it is damaged or too large."""
+    with _decoded(file, title) as image:
+        return np.array(image.convert(mode))
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
     try:
@@ -189,6 +195,12 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         raise InputError(f"{path}: is missing; complete the data set") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); ask for permission, or name a file") from error
+    with _decoded(file, path) as image:
+        yield image
+
+
+@contextmanager
+def _decoded(file: IO[bytes], title: object) -> Iterator[Image.Image]:
     try:
         with file, Image.open(file, formats=READ_FORMATS) as image:
             if image.width * image.height > MOST_PIXELS:
@@ -197,6 +209,6 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     except InputError:
         raise
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
-        raise InputError(f"{path}: has more pixels than an image may ({MOST_PIXELS}); shrink it") from error
+        raise InputError(f"{title}: has more pixels than an image may ({MOST_PIXELS}); shrink it") from error
     except (OSError, SyntaxError, ValueError, EOFError) as error:  # Pillow raises all
-        raise InputError(f"{path}: is no readable image; replace it") from error
+        raise InputError(f"{title}: is no readable image; replace it") from error

@@ -22,6 +22,7 @@ from lidar2pano.geometry.motion import SensorMotion
 from lidar2pano.recordings import playback as unlimited
 from lidar2pano.recordings import recorded_scans
 from lidar2pano.recordings.description import Description
+from lidar2pano.recordings.recorded_images import ImagePlayback, RecordedImage
 from lidar2pano.recordings.recorded_scans import Frame
 
 _own = threading.local()  # a child for each thread
@@ -153,6 +154,23 @@ def frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
     with closing(_Open(path, FrameIterator, options)) as opened:
         while (decoded := opened.call("following")) is not None:
             yield decoded.frame(path)
+
+
+class ConfinedImages:
+    """An ImagePlayback in the child."""
+
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        self.path = path
+        self._open = _Open(path, ImagePlayback, names)
+        self.topics: list[str] = self._open.call("topics")
+
+    def at(self, stamp_s: float, frame: str) -> list[RecordedImage]:
+        """See ImagePlayback."""
+        return self._open.call("at", stamp_s, frame)
+
+    def close(self) -> None:
+        """Close the recording."""
+        self._open.close()
 
 
 class ConfinedPlayback:
