@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from miniature_surround import write_pandaset
+from random_weights import write_scan
 
 
 def test_cameras_beside_a_scan_keep_their_pixels(tmp_path, translate):
@@ -42,7 +43,7 @@ def test_failing_cameras_are_one_line_each_and_the_rest_goes_on(tmp_path, transl
     ("arguments", "says"),
     [
         (["--camera", "a.jpg:b.yaml"], "--camera 'a.jpg:b.yaml'"),
-        (["--cameras", "some"], "--cameras 'some': is neither auto nor none"),
+        (["--cameras", ","], "--cameras ',': is auto, none or topics of a recording"),
         (["--mask", "m.png"], "--mask m.png: is missing"),
         (["--mask", "m.png", "--cameras", "none"], "there is no camera"),
     ],
@@ -50,3 +51,19 @@ def test_failing_cameras_are_one_line_each_and_the_rest_goes_on(tmp_path, transl
 def test_mistakes_are_one_line(tmp_path, translate, arguments, says):
     code, _, errors = translate(tmp_path, *arguments)
     assert code == 2 and says in errors and len(errors.splitlines()) == 1
+
+
+def test_strict_makes_a_doubtful_camera_an_error(translate, tmp_path):
+    scan = write_scan(tmp_path / "a.bin")
+    Image.new("RGB", (64, 48)).save(tmp_path / "black.png")
+    (tmp_path / "calib.json").write_text(
+        json.dumps(
+            {"K": [50, 0, 32, 0, 50, 24, 0, 0, 1], "T_camera_lidar": [0, -1, 0, 0, 0, 0, -1, 0, 1, 0, 0, 0, 0, 0, 0, 1]}
+        )
+    )
+    camera = f"{tmp_path / 'black.png'}:{tmp_path / 'calib.json'}"
+    code, _, err = translate(scan, "--out", tmp_path / "out", "--camera", camera)
+    assert not code and "its image is black; clean or mend it (a warning; --strict makes it an error)" in err
+    code, _, err = translate(scan, "--out", tmp_path / "strict", "--camera", camera, "--strict")
+    assert code == 2 and "its image is black; clean or mend it (an error because of --strict)" in err
+    assert err.count("its image is black") == 1 and not (tmp_path / "strict").exists()
