@@ -292,7 +292,7 @@ class Panorama:
         return rasters | {name: _levels(values) for name, values in levels if values is not None}
 
     def _echo_rasters(self, scan: Scan | None, names: Collection[str]) -> dict[str, np.ndarray]:
-        """Return images of what a scan measured, by the names of ECHO_OUTPUTS."""
+        """Return images of a scan's echoes by the names of ECHO_OUTPUTS."""
         if not names:
             return {}
         if scan is None or len(scan) != len(self.labels):

@@ -32,6 +32,7 @@ OPENS: dict[str, tuple[set[str], str]] = {
     "recordings/ros_bags.py": ({"open"}, "rosbags' readers, after the gate has looked at the files"),
     "recordings/recorded_scans.py": ({"open"}, "a reader's own `open`"),
     "recordings/playback.py": ({"open"}, "a reader's own `open`"),
+    "recordings/recorded_images.py": ({"open"}, "a reader's own `open`"),
     "serve/application.py": ({"read_text"}, "a page of the package"),
     "serve/uploads.py": ({"read_bytes", "write_bytes"}, "outputs of our own in a temporary folder"),
     "train/checkpoint.py": ({"load_file", "open"}, "after check_regular; files of our own, and a folder to lock"),

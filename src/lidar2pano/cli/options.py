@@ -193,13 +193,13 @@ def parse_format(name: str) -> str:
     return name
 
 
-def parse_projection(name: str) -> str:
-    """Return --projection's name, one of PROJECTIONS."""
+def collect_pictures(image_format: str, projection: str) -> dict[str, str]:
+    """Return --format and --projection as fields of `batch.Options`."""
     from lidar2pano.geometry.reprojection import PROJECTIONS
 
-    if name not in PROJECTIONS:
-        raise InputError(f"--projection {name!r}: is no projection{closest(name, PROJECTIONS)}")
-    return name
+    if projection not in PROJECTIONS:
+        raise InputError(f"--projection {projection!r}: is no projection{closest(projection, PROJECTIONS)}")
+    return {"image_format": parse_format(image_format), "projection": projection}
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -79,8 +79,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
             strict=strict,
             cameras=opt.parse_cameras(camera, cameras, mask, viewpoint=calib is None),
         ),
-        image_format=opt.parse_format(image_format),
-        projection=opt.parse_projection(projection),
+        **opt.collect_pictures(image_format, projection),
         ply=ply,
         common=batch.common_files(scans, out / "view.html" if view else None, video, rerun),
     )

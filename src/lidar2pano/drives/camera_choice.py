@@ -1,4 +1,4 @@
-"""The choice of a scan's cameras: by the user, or beside the scan in a layout that may have some.
+"""The choice of a scan's cameras: by the user, or beside the scan in the layout of a data set.
 
 Scans without cameras go no further than this file.
 """

@@ -72,9 +72,9 @@ class RecordingCameras:
     def of(self, stamp_s: float, frame: str, T_scan_cloud: np.ndarray) -> ScanCameras:
         """Read the cameras of a scan at a time, whose cloud's frame is `frame`; InputError for damage."""
         images = self._images.at(stamp_s, frame)
-        cameras = read_sources([CameraSource(each.topic, partial(_of_image, each)) for each in images], self._options,
-                               T_scan_cloud)  # fmt: skip
-        moving = [each.topic for each in images if not each.error and not each.moved]
+        sources = [CameraSource(image.topic, partial(_of_image, image)) for image in images]
+        cameras = read_sources(sources, self._options, T_scan_cloud)
+        moving = [image.topic for image in images if not image.error and not image.moved]
         if not moving:
             return cameras
         motion = (

@@ -23,6 +23,12 @@ from lidar2pano.formats.field_names import (
 )
 
 MOST_POINTS = 1 << 24  # a sweep of the densest LiDAR has 0.6 million points; more are a map or a damaged header
+FIELDS = (
+    (INTENSITY, INTENSITY_WORDS),
+    (RING, RING_WORDS),
+    (TIME, TIME_WORDS),
+    (NEAR_INFRARED, NEAR_INFRARED_WORDS),
+)
 MOST_BEAMS = 1 << 16  # numbers beyond are no beams
 SAMPLE = 2000  # values to tell by whether a field says anything
 
@@ -114,13 +120,7 @@ def cloud_of_columns(
     squared = np.einsum("ij,ij->i", xyz, xyz)
     valid = np.isfinite(squared) & (squared > 0)
     intensity, ring, time, light = (
-        [(key, columns[key]) for key in find_named(columns, names, words)]
-        for names, words in (
-            (INTENSITY, INTENSITY_WORDS),
-            (RING, RING_WORDS),
-            (TIME, TIME_WORDS),
-            (NEAR_INFRARED, NEAR_INFRARED_WORDS),
-        )
+        [(key, columns[key]) for key in find_named(columns, names, words)] for names, words in FIELDS
     )
     time_s, start_s, unsure = point_times(time, stamp_s, valid)
     return PointCloud(

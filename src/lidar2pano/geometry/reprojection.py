@@ -27,7 +27,7 @@ CUBE_AXES = {
 
 
 def equirectangular(view: View) -> View:
-    """Return the sphere's part that shows the directions of a view, as fine as the view is at the horizon.
+    """Return the part of a sphere with the directions of a view, as fine as the view is at the horizon.
 
     It consists of whole pixels of a full sphere, twice as wide as high, straight ahead in its middle. A view across the
     direction straight behind becomes a full turn.
@@ -73,7 +73,7 @@ def cube_faces(view: View) -> dict[str, Calibration]:
 
 
 def panorama_in_view(view: View, target: View) -> Lookup:
-    """Return the look-up that resamples a panorama on `view` onto `target`, another raster around the same point."""
+    """Return the look-up from a panorama on `view` to `target`, another raster around the same point."""
     x, y, z = directions(target).unbind(-1)
     row, column = pixels(x, y, z, view)
     valid = (row >= 0) & (row <= view.rows) & (view.circular | ((column >= 0) & (column <= view.columns)))

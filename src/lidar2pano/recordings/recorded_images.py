@@ -33,7 +33,7 @@ BAYER = {"bayer_rggb8": "RGGB", "bayer_bggr8": "BGGR", "bayer_gbrg8": "GBRG", "b
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedImage:
-    """The image of a camera that is nearest in time to a scan; an error in place of it.
+    """The image of a camera nearest in time to a scan; an error in place of it.
 
     topic           of its images;  time_s: after the scan.
     T_camera_lidar  (4, 4) at these times: with the motion between them, if it is known;  moved: whether it is.
@@ -57,15 +57,19 @@ class _Mount(NamedTuple):
 
 
 def camera_topics(path: Path, topics: Sequence[Topic], names: Sequence[str]) -> list[tuple[Topic, Topic | None]]:
-    """Return topics of images, each with that of its CameraInfo, in the folder of its name or one above it.
+    """Return topics of images, each with the topic of its CameraInfo, in the folder of its name or one above it.
 
     names  of the topics; none: one topic of colours for each CameraInfo, of full images before compressed ones.
     Raises InputError for a name without images.
     """
-    info_by_folder = {each.name.rpartition("/")[0]: each for each in topics if each.type == CAMERA_INFO and each.count}
-    images = [each for each in topics if each.type in (IMAGE, COMPRESSED_IMAGE) and each.count]
-    pairs = [(each, next((info_by_folder[up] for up in _folders(each.name) if up in info_by_folder), None))
-             for each in images]  # fmt: skip
+    info_by_folder = {
+        topic.name.rpartition("/")[0]: topic for topic in topics if topic.type == CAMERA_INFO and topic.count
+    }
+    images = [topic for topic in topics if topic.type in (IMAGE, COMPRESSED_IMAGE) and topic.count]
+    pairs = [
+        (image, next((info_by_folder[folder] for folder in _folders(image.name) if folder in info_by_folder), None))
+        for image in images
+    ]
     if names:
         by_name = {image.name.strip("/"): (image, info) for image, info in pairs}
         if missing := [name for name in names if name.strip("/") not in by_name]:
@@ -87,12 +91,12 @@ def _folders(name: str) -> Iterator[str]:
 
 
 def _rank(topic: Topic) -> tuple[bool, bool, str]:
-    """Return what decides between the topics of one camera, the least being the best."""
+    """Return the order of the topics of one camera, the best first."""
     return any(word in topic.name.lower() for word in GREY), topic.type != IMAGE, topic.name
 
 
 class ImagePlayback:
-    """The images of a recording's cameras at times that follow each other."""
+    """The images of a recording's cameras at times in ascending order."""
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
         """Open the recording; InputError for damage, and for names without images."""
@@ -156,14 +160,14 @@ class ImagePlayback:
             return RecordedImage(topic=topic, error=mount)
         if not images:
             return RecordedImage(topic=topic, error="it has no image near the scan")
-        time_s, content = min(images, key=lambda each: abs(each[0] - stamp_s))
+        time_s, content = min(images, key=lambda timed: abs(timed[0] - stamp_s))
         try:
             with damage(self.path, MEND):
                 image = pixels(content, topic)
         except InputError as error:
             return RecordedImage(topic=topic, error=str(error))
         T, moved = mount.T_camera_lidar, abs(time_s - stamp_s) < STILL_S
-        poses = [self._motion.pose(each) for each in (time_s, stamp_s)] if self._motion else [None]
+        poses = [self._motion.pose(moment_s) for moment_s in (time_s, stamp_s)] if self._motion else [None]
         if all(pose is not None for pose in poses):
             T, moved = T @ np.linalg.inv(poses[0]) @ poses[1], True  # pyright: ignore[reportArgumentType, reportCallIssue]
         return RecordedImage(
@@ -176,7 +180,7 @@ class ImagePlayback:
         )
 
     def _mount(self, info: Topic | None, topic: str, frame: str) -> _Mount | str:
-        """Return a camera's intrinsics and pose, or a clause that says what is missing."""
+        """Return a camera's intrinsics and pose, or a clause on the missing part."""
         assert self._recording is not None
         if info is None:
             return "no sensor_msgs/CameraInfo is recorded beside its images; record camera_info, too"
@@ -230,13 +234,13 @@ def pixels(content: Any, topic: str) -> np.ndarray:  # noqa: ANN401
 
 
 def _demosaiced(raw: np.ndarray, pattern: str) -> np.ndarray:
-    """Return colours (h, w, 3) uint8 of a Bayer pattern: of each colour the mean of the neighbours that have it."""
+    """Return colours (h, w, 3) uint8 of a Bayer pattern: means of the neighbours of each colour."""
     height, width = raw.shape
     sums = np.zeros((2, height + 2, width + 2, 3), dtype=np.float32)
     for place, colour in enumerate(pattern):
-        at = slice(place // 2, None, 2), slice(place % 2, None, 2)
+        cells = slice(place // 2, None, 2), slice(place % 2, None, 2)
         values = np.zeros((2, height, width), dtype=np.float32)
-        values[0][at], values[1][at] = raw[at], 1
+        values[0][cells], values[1][cells] = raw[cells], 1
         for down, right in np.ndindex(3, 3):
             weight = (2 - abs(down - 1)) * (2 - abs(right - 1))
             sums[:, down : down + height, right : right + width, "RGB".index(colour)] += weight * values

@@ -1,4 +1,4 @@
-"""Images of what the sensor measured: range, remission and near-infrared light, without holes between the beams."""
+"""Images of a sensor's echoes: range, remission and near-infrared light, without holes between the beams."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lidar2pano.scan import Scan
 from lidar2pano.scene.depth import denser
 from lidar2pano.views import View
 
-# Rasters, coarser by these factors, that fill holes one after the other: beams up to 4 FAR_PX = 48 pixels apart meet,
+# Factors of coarser rasters, which fill holes one after the other: beams up to 4 FAR_PX = 48 pixels apart meet,
 # on the panorama's raster 3.7 degrees; those of 16 beams lie 2 degrees apart.
 COARSER = (1, 2, 4)
 
