@@ -309,6 +309,28 @@ def test_a_step_that_is_not_needed_condemns_no_message(changed, says, rows):
     assert len(found) == len(XYZ) // rows * rows and says in found.doubts[0]
 
 
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"width": 0, "height": 0}, "height x width is 0 x 0, but"),
+        ({"width": len(XYZ) + 7}, f"height x width is 1 x {len(XYZ) + 7}, but"),
+        ({"point_step": 12}, "point_step is 12, but"),
+        ({"point_step": 52}, "point_step is 52, but"),
+        ({"is_bigendian": True}, "is_bigendian is True, but only the other order gives places"),
+    ],
+)
+def test_a_number_that_the_others_contradict_condemns_no_message(changed, says):
+    found = cloud_of(message(rows=1, padding=0, **changed), "scan")
+    np.testing.assert_array_equal(found.xyz.astype(np.float32), XYZ)
+    assert says in found.doubts[0]
+
+
+def test_a_field_of_no_type_is_left_out():
+    whole = message()
+    next(part for part in whole.fields if part.name == "intensity").datatype = 0
+    assert "field 'intensity' has a type that is none (0), and is not read" in cloud_of(whole, "scan").doubts
+
+
 def test_a_field_beyond_the_point_is_left_out():
     whole = message()
     next(part for part in whole.fields if part.name == "intensity").offset = whole.point_step

@@ -51,6 +51,8 @@ MOST_MEMBERS = 1000  # arrays of an archive
 UNPACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # bzip2 and lzma give out gigabytes at a time
 MOST_HEADER = 1 << 16  # of an NPY: NumPy itself refuses more than 10,000 bytes
 BLOCK_BYTES = 1 << 20
+MOST_ODD = 0.1  # of the coordinates of a right byte order
+SMALLEST, LARGEST = 1e-6, 1e7  # of a coordinate, in any unit: others are bytes of something else
 WIDEST, MOST_ROWS = 64, 8  # columns of an array of points; rows of one with a point in each column
 
 
@@ -112,42 +114,80 @@ def message_columns(message: Any, name: str) -> tuple[dict[str, np.ndarray], tup
     A field of no use that does not fit is left out with a doubt.
     """
     data = np.frombuffer(bytes(message.data) if isinstance(message.data, list) else message.data, dtype=np.uint8)
-    rows, width = int(message.height), int(message.width)
+    shape, steps, doubts = _layout(message, len(data), name)
+    order, unsure = _byte_order(message, data, shape, steps)
+    columns = {}
+    for field in message.fields:
+        kind, offset = DATATYPES.get(int(field.datatype)), int(field.offset)
+        if int(getattr(field, "count", 1)) > 1:
+            continue
+        fault = f"field {field.name!r} has a type that is none ({field.datatype})"
+        if kind and 0 <= offset <= steps[1] - int(kind[1]):
+            values = np.ndarray(shape, np.dtype(order + kind), data.data, offset, steps)
+            columns[field.name] = values.reshape(-1)
+            continue
+        if kind:
+            fault = f"field {field.name!r} begins at byte {offset} of points of {steps[1]} bytes"
+        if field.name in AXES:
+            raise InputError(f"{name}: {fault}; record it again with a driver that fills its fields rightly")
+        doubts.append(f"{fault}, and is not read")
+    return columns, (*doubts, *unsure)
+
+
+def _byte_order(
+    message: Any,  # noqa: ANN401
+    data: np.ndarray,
+    shape: tuple[int, int],
+    steps: tuple[int, int],
+) -> tuple[str, list[str]]:
+    """Return the order of the bytes, "<" or ">", and doubts: that of the flag, unless only the other gives places."""
+    places = [int(each.offset) for each in message.fields if each.name.lower() in AXES and int(each.datatype) == 7]
+    places = [place for place in places if 0 <= place <= steps[1] - 4]
+    told, other = "><" if message.is_bigendian else "<>"
+    odd = {
+        order: sum(_odd(np.ndarray(shape, f"{order}f4", data.data, place, steps)) for place in places)
+        for order in (told, other)
+    }
+    if odd[told] <= MOST_ODD * len(places) or odd[other] > MOST_ODD * len(places):
+        return told, []
+    return other, [f"is_bigendian is {bool(message.is_bigendian)}, but only the other order gives places; it is used"]
+
+
+def _odd(values: np.ndarray) -> float:
+    """Return the share of coordinates of no size among the finite ones that are not 0."""
+    size = np.abs(values[np.isfinite(values) & (values != 0)])
+    return float(np.mean((size > LARGEST) | (size < SMALLEST))) if len(size) else 0.0
+
+
+def _layout(message: Any, length: int, name: str) -> tuple[tuple[int, int], tuple[int, int], list[str]]:  # noqa: ANN401
+    """Return rows and columns, the bytes from row to row and from point to point, and doubts.
+
+    length  of the message's data, in bytes. A number that the others contradict, and that is not needed, may be wrong.
+    """
+    rows, width, step = int(message.height), int(message.width), int(message.point_step)
+    stride = int(getattr(message, "row_step", 0))
+    doubts = []
+    if (
+        step > 0
+        and length
+        and length % step == 0
+        and (rows * width == 0 or (rows == 1 and stride == length < width * step and length % width))
+    ):
+        doubts.append(f"height x width is {rows} x {width}, but {length} bytes make {length // step} points")
+        rows, width = 1, length // step
     if rows * width > MOST_POINTS:
         raise InputError(f"{name}: {rows * width} points are no single sweep (at most {MOST_POINTS}); cut it")
     if rows * width == 0:
         raise InputError(f"{name}: holds no points; name a scan that has some")
-    step, stride, doubts = _strides(message, len(data), name)
-    order = ">" if message.is_bigendian else "<"
-    columns = {}
-    for field in message.fields:
-        if int(getattr(field, "count", 1)) > 1 or int(field.datatype) not in DATATYPES:
-            continue
-        dtype = np.dtype(order + DATATYPES[int(field.datatype)])
-        offset = int(field.offset)
-        if 0 <= offset <= step - dtype.itemsize:
-            values = np.ndarray((rows, width), dtype, data.data, offset, (stride, step))
-            columns[field.name] = values.reshape(-1)
-        else:
-            fault = f"field {field.name!r} begins at byte {offset} of points of {step} bytes"
-            if field.name in AXES:
-                raise InputError(f"{name}: {fault}; record it again with a driver that fills its fields rightly")
-            doubts.append(f"{fault}, and is not read")
-    return columns, tuple(doubts)
-
-
-def _strides(message: Any, length: int, name: str) -> tuple[int, int, list[str]]:  # noqa: ANN401
-    """Return the bytes from point to point and from row to row, and doubts: a number that is not needed may be wrong.
-
-    length  of the message's data, in bytes.
-    """
-    rows, width, step = int(message.height), int(message.width), int(message.point_step)
-    doubts = []
-    if step < 1 and length % (rows * width) == 0 and length:
-        step = length // (rows * width)
-        doubts.append(f"point_step is {message.point_step}, but {length} bytes of {rows * width} points make {step}")
+    sizes = [(int(each.offset), DATATYPES.get(int(each.datatype), "f4")) for each in message.fields]
+    end = max((offset + int(kind[1]) for offset, kind in sizes), default=1)
+    fits = 0 < step <= length // (rows * width) and end <= step
+    whole = length // (rows * width) if length % (rows * width) == 0 and stride in (0, length // rows) else 0
+    if not fits and whole != step and whole >= end:
+        doubts.append(f"point_step is {step}, but {length} bytes of {rows * width} points make {whole}")
+        step = whole
     packed = width * step
-    stride = int(getattr(message, "row_step", 0)) or packed
+    stride = stride or packed
     if stride != packed and (rows == 1 or length == rows * packed or stride < packed):
         doubts.append(f"row_step is {stride}, but rows of {width} points have {packed} bytes; it is not used")
         stride = packed
@@ -157,7 +197,7 @@ def _strides(message: Any, length: int, name: str) -> tuple[int, int, list[str]]
             f"{name}: {rows} x {width} points of {step} bytes need {needed} bytes, but {length} follow;"
             " the message is damaged or cut, record it again"
         )
-    return step, stride, doubts
+    return (rows, width), (stride, step), doubts
 
 
 def cloud_of_arrays(arrays: Mapping[str, np.ndarray], *, format: str, name: str, source: str) -> PointCloud:
