@@ -28,6 +28,7 @@ from PIL import Image
 
 from house_rules import ROOT
 from lidar2pano.cli import main
+from lidar2pano.demo import street as demo_street
 from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import read
 from lidar2pano.hardware import Timer
@@ -547,6 +548,18 @@ def test_pages_load_nothing_from_elsewhere(server):
         status, headers, data = server.ask("GET", path)
         assert status == 200 and headers["content-security-policy"].startswith("default-src 'none'")
         assert not re.search(r'(src|href)="(https?:)?//', data.decode())
+
+
+def test_the_example_can_be_sent(server):
+    status, headers, data = server.ask("GET", "/example")
+    assert (status, headers["content-type"]) == (200, "application/octet-stream")
+    assert data == demo_street().read_bytes()
+
+
+def test_the_page_takes_scans_by_drop_choice_and_example(server):
+    page = server.ask("GET", "/")[2].decode()
+    for part in ('id="zone"', 'type="file"', 'id="example"', "<progress", 'addEventListener("drop"', "are invented"):
+        assert part in page
 
 
 def test_the_description_has_every_route(server):

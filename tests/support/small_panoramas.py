@@ -33,6 +33,13 @@ def small_panorama(seed: int = 0, scan: Scan | None = None, name: str = "a") -> 
     )
 
 
+def camera_numbers() -> np.ndarray:
+    """The first of two cameras sees a half, the second a quarter, the rest is invented."""
+    numbers = np.zeros((VIEW.rows, VIEW.columns), dtype=np.uint8)
+    numbers[:, : VIEW.columns // 2], numbers[:, VIEW.columns * 3 // 4 :] = 1, 2
+    return numbers
+
+
 def page_frame(seed: int = 0, name: str = "a", view: View = VIEW, camera: bool = False) -> PageFrame:
     """The same as a frame of the page, with the points of a street and, if wanted, an image of a camera ahead."""
     around = small_panorama(seed)
@@ -47,4 +54,7 @@ def page_frame(seed: int = 0, name: str = "a", view: View = VIEW, camera: bool =
         confidence=around.confidence,
         camera=layer if camera else None,
         xyz=street().xyz,
+        remission=street().remission,
+        source=camera_numbers() if camera else None,
+        cameras=("front",) if camera else (),
     )

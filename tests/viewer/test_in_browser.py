@@ -36,7 +36,8 @@ pytestmark = pytest.mark.needs(
 FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--force-color-profile=srgb")
 ROOT = ("--no-sandbox",) if hasattr(os, "geteuid") and os.geteuid() == 0 else ()
 HOSTILE = "</script><script>window.hacked = 1</script><img src=x onerror='window.hacked = 2'>"
-WIDTH, HEIGHT = 640, 400
+WIDTH, HEIGHT = 640, 480
+GROUND, GREY = (20, 23, 28), (128, 128, 128)  # of the dark page, and of points that the panorama does not show
 MILLISECONDS = 60_000
 
 
@@ -122,7 +123,7 @@ class Tab:
 
     def pixels(self, pane: str = "#view") -> np.ndarray:
         """(h, w, 3) uint8 that a pane shows, without what lies over the canvas."""
-        over = "document.querySelectorAll('output, #legend, #divider, #tip')"
+        over = "document.querySelectorAll('output, #legend, #divider, #tip, #cloudtools, #scale')"
         self.page.evaluate(f"{over}.forEach(one => one.style.opacity = 0)")
         left, top, right, bottom = self.box(pane)
         data = self.page.screenshot(clip={"x": left, "y": top, "width": right - left, "height": bottom - top})
@@ -148,7 +149,7 @@ def open_tab(browser, pages) -> Iterator[Callable[..., Tab]]:
     opened: list[Tab] = []
 
     def make(name: str, script: str = "", **context: Any) -> Tab:
-        settings = {"viewport": {"width": WIDTH, "height": HEIGHT}} | context
+        settings = {"viewport": {"width": WIDTH, "height": HEIGHT}, "color_scheme": "dark"} | context
         page = browser.new_context(**settings).new_page()
         if script:
             page.add_init_script(script)
@@ -203,7 +204,8 @@ def test_the_page_opens_and_says_what_it_shows(one):
     assert one.page.title() == "one"
     assert one.text("#direction").startswith("ahead")
     layers = [
-        one.page.locator(f"[data-layer={name}]") for name in ("colour", "classes", "depth", "camera", "confidence")
+        one.page.locator(f"[data-layer={name}]")
+        for name in ("colour", "classes", "depth", "camera", "confidence", "source")
     ]
     assert all(layer.is_visible() for layer in layers)
     assert not one.page.locator("#time").is_visible(), "a single panorama has no time"
@@ -232,7 +234,7 @@ def test_classes_are_not_mixed(one, yaw):
     clear &= (row > 0) & (row < VIEW.rows)
     ids = around.segments[row[clear].astype(int), column[clear].astype(int) % VIEW.columns]
     np.testing.assert_array_equal(found[clear], COMMON15.paint(ids))
-    assert one.page.locator("#legend span").count() == len(COMMON15) - 1, "all but unlabeled occur"
+    assert one.page.locator("#legend button").count() == len(COMMON15) - 1, "all but unlabeled occur"
 
 
 def test_confidence_has_the_colours_of_its_legend(one):
@@ -289,10 +291,17 @@ def test_large_panoramas_are_halved_for_small_devices(one, open_tab):
 def test_keys_choose_layers(one):
     colour = one.go("").pixels()
     found = {}
-    for key, name in (("2", "Classes"), ("3", "Depth"), ("4", "Camera"), ("5", "Confidence"), ("1", "Colour")):
+    for key, name in (
+        ("2", "Classes"),
+        ("3", "Depth"),
+        ("4", "Camera"),
+        ("5", "Confidence"),
+        ("6", "Source"),
+        ("1", "Colour"),
+    ):
         found[key] = one.press(key).pixels()
         assert one.checked() == [name]
-    assert np.array_equal(found["1"], colour) and len({image.tobytes() for image in found.values()}) == 5
+    assert np.array_equal(found["1"], colour) and len({image.tobytes() for image in found.values()}) == 6
     assert one.press("3").page.locator("#legend .ticks span").all_text_contents() == [
         "1 m",
         "4 m",
@@ -345,7 +354,7 @@ def test_the_mouse_reads_class_and_distance(one):
         name, metres = COMMON15.classes[around.segments[i, j]], around.depth_m[i, j]
         said = one.settle().text("#tip")
         assert said.partition(" \u00b7 ")[0] == name
-        (share,) = re.findall(r"(\d+) % sure", said)
+        (share,) = re.findall(r"class: (\d+) %", said)
         assert int(share) / 100 == pytest.approx(around.confidence[i, j], abs=0.0251)
         if metres:
             assert float(re.findall(r"([\d.]+) m", said)[0]) == pytest.approx(metres, rel=0.03, abs=0.06)
@@ -370,17 +379,95 @@ def test_colour_and_a_layer_stand_side_by_side(one):
 def test_points_stand_beside_the_panorama(one):
     assert not one.go("layer=classes").page.locator("#points").is_visible()
     assert one.press("p").page.locator("#points").is_visible()
-    assert one.text("#count") == "4,000 points"
+    assert one.text("#count") == "4,000 points \u00b7 grid 10 m"
     found = one.pixels("#points")[2:, 2:]  # without the border
-    ground = (found == (38, 43, 51)).all(axis=2)
-    assert 0.005 < 1 - ground.mean() < 0.9
+    grid = tuple(round(0.75 * value + 0.125 * 255) for value in GROUND)
+    ground = (found == GROUND).all(axis=2) | (np.abs(found.astype(int) - grid) <= 1).all(axis=2)
+    assert 0.005 < 1 - ground.mean() < 0.9 and ground.mean() > (found == GROUND).all(axis=2).mean(), "there is a grid"
     colours = {tuple(colour) for colour in found[~ground].tolist()}
-    assert colours <= {*COMMON15.colours, (89, 89, 89)}, "classes, or grey where there is none"
-    assert len(colours) > 8 and (89, 89, 89) in colours
+    assert colours <= {*COMMON15.colours, GREY}, "classes, or grey where there is none"
+    assert len(colours) > 8 and GREY in colours
     left, top, right, bottom = one.box("#points")
     x, y = (left + right) // 2, (top + bottom) // 2
     assert not np.array_equal(one.drag((x, y), (x + 60, y + 20)).pixels("#points")[2:, 2:], found)
     one.press("r", "p")
+
+
+def test_points_have_colours_sizes_and_views_of_their_own(one):
+    one.go("layer=classes&points=1")
+    images = {"classes": one.pixels("#points")}
+    for colouring in ("height", "intensity", "distance"):
+        one.page.locator("#colouring").select_option(colouring)
+        images[colouring] = one.settle().pixels("#points")
+        assert one.page.locator("#scale").is_visible() == (colouring != "distance")
+    one.page.locator("#larger").click()
+    images["larger"] = one.settle().pixels("#points")
+    covered = {name: (image != GROUND).any(axis=2).mean() for name, image in images.items()}
+    assert covered["larger"] > 1.1 * covered["distance"]
+    one.page.locator("#top").click()
+    images["top"] = one.settle().pixels("#points")
+    one.page.locator("#fit").click()
+    assert np.array_equal(one.settle().pixels("#points"), images["larger"]), "all in sight again"
+    assert len({image.tobytes() for image in images.values()}) == 6
+    one.page.locator("#smaller").click()
+    one.page.locator("#colouring").select_option("layer")
+    one.page.locator("#view").focus()
+    one.press("p")
+
+
+def test_the_legend_chooses_classes(one):
+    everything = one.go("layer=classes").pixels()
+    buttons = one.page.locator("#legend button")
+    name = buttons.first.inner_text()
+    buttons.first.click()
+    alone = one.settle().pixels()
+    colour = COMMON15.colours[COMMON15.id_of(name)]
+    of_class = (everything == colour).all(axis=2)
+    assert np.array_equal((alone == colour).all(axis=2), of_class) and 0 < of_class.mean() < 0.5
+    others = {tuple(pixel) for pixel in alone[~of_class].tolist()}
+    assert not others & set(COMMON15.colours)
+    buttons.first.press("Enter")
+    assert np.array_equal(one.settle().pixels(), everything), "by keyboard, too"
+
+
+def test_pixels_of_cameras_are_told_from_invented_ones(one):
+    invented, camera = (one.go(f"yaw={yaw}&layer=source&fov=20").pixels() for yaw in (-45, 90))
+    inside = invented.max(axis=2) != GROUND[2]
+    assert (invented.max(axis=2) == invented.min(axis=2))[inside].mean() > 0.5, "grey"
+    assert (camera.max(axis=2) == camera.min(axis=2)).mean() < 0.1
+    assert one.page.locator("#legend .entry").all_text_contents() == ["invented", "front", "camera 2"]
+    assert "invented where no camera sees" in one.text("#about")
+
+
+def test_a_view_can_be_kept_and_passed_on(one):
+    shown = one.go("yaw=33&layer=depth").pixels()
+    with one.page.expect_download() as download:
+        one.press("s")
+    assert download.value.suggested_filename == "one.depth.view.png"
+    with Image.open(download.value.path()) as image:
+        np.testing.assert_array_equal(np.array(image.convert("RGB")), shown)
+    one.press("l")
+    assert "yaw=33" in one.page.evaluate("location.hash") and "link" in one.text("#tip")
+
+
+def test_the_page_is_light_or_dark(open_tab):
+    light = open_tab("one", color_scheme="light").go("fov=140")
+    corner = light.pixels()[1, 1].tolist()
+    assert min(corner) > 200
+    assert light.press("t").pixels()[1, 1].tolist() == list(GROUND)
+
+
+def test_the_middle_is_read_by_keyboard(one):
+    one.go("yaw=180")
+    assert re.fullmatch(r"[a-z-]+( \u00b7 [\d.]+ m)? \u00b7 class: \d+ % \u00b7 .+", one.press("i").text("#tip"))
+
+
+def test_layers_are_chosen_by_arrow_keys(one):
+    one.go("layer=classes").page.locator("[data-layer=classes]").focus()
+    assert one.press("ArrowRight").checked() == ["Depth"] and one.press("ArrowLeft", "ArrowLeft").checked() == [
+        "Colour"
+    ]
+    one.page.locator("#view").focus()
 
 
 def test_a_drive_plays(drive):
@@ -412,6 +499,9 @@ def test_a_phone_has_room(open_tab):
     phone = {"viewport": {"width": 360, "height": 740}, "has_touch": True, "is_mobile": True}
     tab = open_tab("drive", **phone).go("layer=classes&points=1")
     assert tab.page.evaluate("document.documentElement.scrollWidth") == 360
+    left, top, right, bottom = tab.box("#view")
+    tab.page.touchscreen.tap((left + right) // 2, (top + bottom) // 2)
+    assert "class: " in tab.settle().text("#tip"), "a tap tells what hovering tells"
     for selector in ("#layers", "#compare", "#cloud", "#play", "#frame", "#map", "#view", "#points"):
         left, top, right, bottom = tab.box(selector)
         assert 0 <= left < right <= 360 and 0 <= top < bottom <= 740, selector
@@ -419,6 +509,11 @@ def test_a_phone_has_room(open_tab):
     left, top, right, bottom = tab.box("#map")
     tab.page.touchscreen.tap(left + 90, (top + bottom) // 2)
     assert tab.settle().text("#direction").startswith("90.0\u00b0 left")
+
+
+def test_the_first_view_on_a_phone_is_a_cameras(open_tab):
+    phone = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
+    assert open_tab("drive", **phone).settle().text("#direction") == "ahead \u00b7 55\u00b0 wide"
 
 
 def test_without_webgl_the_page_says_so(browser, pages):

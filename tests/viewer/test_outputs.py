@@ -26,7 +26,7 @@ def run(output, frames: int) -> Path | None:
         return output.finish()
 
 
-@pytest.mark.parametrize("make", [lambda path: PageOutput(path, "t"), VideoOutput, RerunOutput])
+@pytest.mark.parametrize("make", [lambda path: PageOutput(path, "t", "w"), VideoOutput, RerunOutput])
 def test_without_a_panorama_there_is_no_file(tmp_path, make):
     for module in ("av", "rerun"):
         pytest.importorskip(module, reason="an extra")
@@ -35,7 +35,7 @@ def test_without_a_panorama_there_is_no_file(tmp_path, make):
 
 
 def test_a_page(tmp_path):
-    path = run(PageOutput(tmp_path / "new" / "a.html", "t"), 2)
+    path = run(PageOutput(tmp_path / "new" / "a.html", "t", "w"), 2)
     assert path == tmp_path / "new" / "a.html" and path.read_text(encoding="utf-8").count('"name":"scan 1"') == 1
 
 

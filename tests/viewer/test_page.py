@@ -8,6 +8,7 @@ import html.parser
 import io
 import json
 import re
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,10 +16,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import lidar2pano
+from lidar2pano.demo import street as demo_street
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_png
 from lidar2pano.labels import COMMON15
-from lidar2pano.viewer.page import CONFIDENCE_STEPS, PageWriter, title_of
+from lidar2pano.viewer.page import CONFIDENCE_STEPS, PageWriter, facts_of, title_of
 from lidar2pano.viewer.saved_frames import panorama_files, read_frame, saved_view
 from lidar2pano.views import VIEWS
 from random_weights import street
@@ -70,7 +73,7 @@ def test_the_page_holds_what_was_added(tmp_path):
     assert [frame["name"] for frame in index["frames"]] == ["one", "two"]
     assert [list(frame["layers"]) for frame in index["frames"]] == [
         ["colour", "classes", "depth", "confidence"],
-        ["colour", "classes", "depth", "confidence", "camera"],
+        ["colour", "classes", "depth", "confidence", "camera", "source"],
     ]
     for seed, frame in enumerate(index["frames"]):
         block, mime = frame["layers"]["colour"]
@@ -79,11 +82,30 @@ def test_the_page_holds_what_was_added(tmp_path):
             np.testing.assert_array_equal(np.array(image), small_panorama(seed).colour)
         assert frame["view"] == pytest.approx([VIEW.up, VIEW.down, np.pi, -np.pi])
         assert frame["size"] == [96, 1152] and frame["origin"] == list(VIEW.origin)
-        assert frame["points"][1:] == [len(street())] * 2
+        assert frame["points"][1:3] == [len(street())] * 2
+        intensity = np.frombuffer(zlib.decompress(base64.b64decode(blocks[frame["points"][3]])), dtype=np.uint8)
+        bright = np.quantile(street().remission, 0.98)
+        np.testing.assert_allclose(intensity, np.clip(street().remission / bright, 0, 1) * 255, atol=0.51)
+    assert [entry["name"] for entry in index["sources"]] == ["invented", "front", "camera 2"]
     assert [entry["name"] for entry in index["classes"]] == list(COMMON15.classes)
     assert index["classes"][0]["present"] is False and index["classes"][1]["present"] is True
     assert len(index["depth"]["colours"]) == 256
     assert len(index["confidence"]["colours"]) == CONFIDENCE_STEPS + 1
+
+
+def test_the_page_says_what_its_panoramas_are_of(tmp_path):
+    facts = facts_of("world", street())
+    assert facts[0] == "weights world" and re.fullmatch(r"made \d{4}-\d\d-\d\d", facts[-1])
+    writer = PageWriter("t", facts)
+    writer.add(page_frame())
+    text = writer.write(tmp_path / "a.html").read_text(encoding="utf-8")
+    writer.close()
+    assert index_of(text)["about"] == list(facts) and "colours are invented" in text
+    assert [entry["name"] for entry in index_of(text)["sources"]] == ["invented"], "no camera, nothing named"
+
+
+def test_the_sensor_is_among_the_facts():
+    assert facts_of("w", lidar2pano.read(demo_street()))[1:3] == ("64 beams", "like Velodyne HDL-64E")
 
 
 def test_nothing_is_loaded_from_elsewhere(tmp_path):

@@ -158,7 +158,7 @@ def translate_followed(paths: Sequence[Path], options: Options) -> int:
 def translate_sources(sources: Iterable[ScanSource], total: int, options: Options) -> bool:
     """Translate scans one after the other and print a record of each; return whether one failed."""
     translator, reporter = Translator(options.pipeline), ErrorReporter(options.note)
-    with options.common.opened() as common, bar(total, "translating") as advance:
+    with options.common.opened(options.weights) as common, bar(total, "translating") as advance:
 
         def sink(translation: Translation) -> list[Path]:
             check_strictly(translation, options)

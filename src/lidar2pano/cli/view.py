@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -79,7 +80,8 @@ def _view_panoramas(panoramas: list[Path], out: Path, title: str) -> int:
     from lidar2pano.viewer.page import PageWriter
     from lidar2pano.viewer.saved_frames import read_frame
 
-    with closing(PageWriter(title)) as writer:
+    made = datetime.fromtimestamp(panoramas[0].stat().st_mtime, UTC)
+    with closing(PageWriter(title, [f"made {made:%Y-%m-%d}"])) as writer:
         with bar(len(panoramas), "reading") as advance:
             for file in panoramas:
                 writer.add(read_frame(file))

@@ -23,6 +23,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from lidar2pano.demo import street
 from lidar2pano.errors import InputError
 from lidar2pano.recordings.reading_process import get_ready
 from lidar2pano.serve.guards import HEADERS, Guard
@@ -65,6 +66,7 @@ def create_application(translator: UploadTranslator, limits: Limits, hosts: list
         routes=[
             Route("/panorama", service.panorama, methods=["POST"]),
             Route("/results/{name}/{part}", service.result),
+            Route("/example", service.example),
             Route("/health", service.health),
             Route("/metrics", service.metrics),
             Route("/openapi.json", partial(page, "openapi.json", "application/json")),
@@ -226,6 +228,11 @@ class Service:
         disposition = {"Content-Disposition": f'inline; filename="{FILES[part]}"'}
         return Response(kept.files[part], media_type=TYPES[part], headers=HEADERS | disposition)
 
+    async def example(self, request: Request) -> Response:
+        """GET /example: the scan that ships with the package, a KITTI .bin."""
+        disposition = {"Content-Disposition": 'attachment; filename="example.bin"'}
+        return Response(_example(), media_type="application/octet-stream", headers=HEADERS | disposition)
+
     async def health(self, request: Request) -> Response:
         """GET /health."""
         device, weights = str(self.translator.pipeline.device), self.translator.weights
@@ -275,6 +282,11 @@ def _forgotten(future: asyncio.Future[Any]) -> None:
     """Take a result without a waiter, to keep asyncio silent."""
     if not future.cancelled():
         future.exception()
+
+
+@cache
+def _example() -> bytes:
+    return street().read_bytes()
 
 
 @cache

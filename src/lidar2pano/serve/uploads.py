@@ -28,7 +28,7 @@ from lidar2pano.panorama import OUTPUTS
 from lidar2pano.pipeline import Pipeline
 from lidar2pano.recordings.reading_process import read_cloud
 from lidar2pano.translation import Translation, Translator
-from lidar2pano.viewer.page import PageWriter, page_frame
+from lidar2pano.viewer.page import PageWriter, facts_of, page_frame
 
 READING = ReadingOptions()
 PAGE = "page"  # an output like OUTPUTS: the page to look around in
@@ -138,7 +138,7 @@ class UploadTranslator:
                 translation = Translator(lambda: self.pipeline)(read_scan(source, options))
                 if translation.error:
                     raise translation.error
-                return _result(translation, save, Path(name))
+                return _result(translation, save, Path(name), self.weights)
             except InputError as error:
                 raise InputError(str(error).replace(str(path), "scan").replace(name, "")) from None
 
@@ -147,7 +147,7 @@ class UploadTranslator:
         return read_cloud(path, most_points=self.most_points, most_seconds=self.most_seconds)
 
 
-def _result(translation: Translation, save: tuple[str, ...], folder: Path) -> Result:
+def _result(translation: Translation, save: tuple[str, ...], folder: Path, weights: str) -> Result:
     """Write the outputs of a scan into a folder and return their bytes."""
     panorama, scan, timer = translation.panorama, translation.reading.scan, translation.timer
     assert panorama and scan
@@ -157,7 +157,7 @@ def _result(translation: Translation, save: tuple[str, ...], folder: Path) -> Re
         files = dict(zip(parts, (file.read_bytes() for file in paths), strict=True))
     if PAGE in save:
         with timer("page"):
-            files[PAGE] = _page_of(translation, folder / FILES[PAGE])
+            files[PAGE] = _page_of(translation, folder / FILES[PAGE], weights)
     return Result(
         files=files,
         points=len(scan),
@@ -167,11 +167,11 @@ def _result(translation: Translation, save: tuple[str, ...], folder: Path) -> Re
     )
 
 
-def _page_of(translation: Translation, path: Path) -> bytes:
+def _page_of(translation: Translation, path: Path, weights: str) -> bytes:
     """Return the bytes of a page to look around in a panorama, by way of a file at `path`."""
     panorama, scan = translation.panorama, translation.reading.scan
     assert panorama and scan
-    with closing(PageWriter("panorama")) as writer:
+    with closing(PageWriter("panorama", facts_of(weights, scan))) as writer:
         writer.add(page_frame(panorama, scan, "scan"))
         return writer.write(path).read_bytes()
 

@@ -22,7 +22,7 @@ from lidar2pano.geometry.camera import camera_in_panorama
 from lidar2pano.labels import COMMON15
 from lidar2pano.panorama import Panorama
 from lidar2pano.scan import Scan
-from lidar2pano.viewer.page import RATE_HZ, PageWriter, page_frame
+from lidar2pano.viewer.page import RATE_HZ, PageWriter, facts_of, page_frame
 from lidar2pano.views import View
 
 VIDEO_COLUMNS = 3840  # at most: wider H.264 is not decoded by hardware
@@ -39,12 +39,12 @@ class OutputFiles:
     rerun: Path | None = None
 
     @contextmanager
-    def opened(self) -> Iterator[list[Output]]:
-        """Give outputs for these files, closed in the end; InputError for a missing extra."""
+    def opened(self, weights: str) -> Iterator[list[Output]]:
+        """Give outputs for these files, closed in the end; InputError for a missing extra.  weights: their name."""
         with ExitStack() as stack:
             outputs: list[Output] = []
             if self.page:
-                outputs.append(stack.enter_context(closing(PageOutput(self.page, self.title))))
+                outputs.append(stack.enter_context(closing(PageOutput(self.page, self.title, weights))))
             if self.video:
                 outputs.append(stack.enter_context(closing(VideoOutput(self.video))))
             if self.rerun:
@@ -71,13 +71,15 @@ class Output(Protocol):
 class PageOutput:
     """The page to look around in."""
 
-    def __init__(self, path: Path, title: str) -> None:
-        self.path = path
+    def __init__(self, path: Path, title: str, weights: str) -> None:
+        self.path, self.weights = path, weights
         self.writer = PageWriter(title)
         self.close = self.writer.close
 
     def add(self, panorama: Panorama, scan: Scan, source: Path, name: str) -> None:
         """See Output."""
+        if not len(self.writer):
+            self.writer.facts = facts_of(self.weights, scan)
         self.writer.add(page_frame(panorama, scan, name, camera_layer(source, panorama.view)))
 
     def finish(self) -> Path | None:

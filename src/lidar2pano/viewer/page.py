@@ -18,7 +18,9 @@ import tempfile
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from importlib.resources import files
+from itertools import cycle
 from pathlib import Path
 from typing import IO, Any
 
@@ -27,6 +29,7 @@ from PIL import Image
 
 from lidar2pano import __version__
 from lidar2pano.errors import InputError
+from lidar2pano.formats.beams import find_beams
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.labels import COMMON15
 from lidar2pano.panorama import OCCLUDED_FACTOR, OCCLUDED_M, Panorama
@@ -42,6 +45,12 @@ NEAR_TO_FAR = (
 NO_DEPTH = (58, 66, 78)
 # Colours of confidences from 0 to 1, evenly spaced: matplotlib's map "viridis".
 LOW_TO_HIGH = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
+
+# Of invented pixels, and of cameras: Okabe and Ito's colours, which colour-blind people tell apart.
+SOURCE_COLOURS = (
+    (128, 128, 128), (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114, 178), (213, 94, 0),
+    (204, 121, 167),
+)  # fmt: skip
 
 NEAREST_M, FARTHEST_M = 1.0, 256.0  # depths of the codes 1 and 255; equal steps of the logarithm, 2.2 % each
 STEPS = 254
@@ -64,7 +73,8 @@ class PageFrame:
     depth_m   (h, w) float32 metres, 0 = none.
     confidence  (h, w) float32 in [0, 1]: the translator's probability of the class.
     camera    (h, w, 4) uint8 RGBA: camera images on the panorama, transparent outside them.
-    xyz       (N, 3) float32: the scan's points, sensor frame, metres.
+    xyz       (N, 3) float32: the scan's points, sensor frame, metres;  remission: (N,) float32 in [0, 1].
+    source    (h, w) uint8: number of a pixel's camera, from 1; 0: invented;  cameras: their names.
     """
 
     name: str
@@ -75,6 +85,9 @@ class PageFrame:
     confidence: np.ndarray | None = None
     camera: np.ndarray | None = None
     xyz: np.ndarray | None = None
+    remission: np.ndarray | None = None
+    source: np.ndarray | None = None
+    cameras: tuple[str, ...] = ()
 
 
 def page_frame(panorama: Panorama, scan: Scan, name: str, camera: np.ndarray | None = None) -> PageFrame:
@@ -91,7 +104,18 @@ def page_frame(panorama: Panorama, scan: Scan, name: str, camera: np.ndarray | N
         confidence=panorama.confidence,
         camera=camera,
         xyz=scan.xyz,
+        remission=scan.remission,
+        source=panorama.source,
+        cameras=tuple(camera.name for camera in panorama.cameras),
     )
+
+
+def facts_of(weights: str, scan: Scan) -> tuple[str, ...]:
+    """Return what a page says about the panoramas of such scans: weights, sensor, the day they were made."""
+    beams = find_beams(scan.xyz, scan.ring)
+    sensor = [f"{len(beams.elevations_deg)} beams"] if beams else []
+    sensor += [f"like {beams.sensor()}"] if beams and beams.sensor() else []
+    return (f"weights {weights}", *sensor, f"made {datetime.now(UTC):%Y-%m-%d}")
 
 
 def title_of(paths: Sequence[Path]) -> str:
@@ -106,8 +130,9 @@ class PageWriter:
     The coding depends on the number of frames, so MOST_FRAMES of them wait as they are.
     """
 
-    def __init__(self, title: str) -> None:
-        self.title = title
+    def __init__(self, title: str, facts: Sequence[str] = ()) -> None:
+        self.title, self.facts = title, tuple(facts)
+        self._cameras: tuple[str, ...] = ()
         self._waiting: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 both are kept until the page is written
         self._data: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115
         self._coding: Coding | None = None
@@ -152,6 +177,11 @@ class PageWriter:
             layers["confidence"] = self._block(*confidence_image(frame.confidence, coding))
         if frame.camera is not None:
             layers["camera"] = self._block(*colour_image(frame.camera, coding))
+        if frame.source is not None:
+            layers["source"] = self._block(*class_image(frame.source, coding))
+            named, count = len(frame.cameras), max(len(frame.cameras), int(frame.source.max()))
+            numbers = range(len(self._cameras), count)
+            self._cameras += tuple(frame.cameras[n] if n < named else f"camera {n + 1}" for n in numbers)
         entry: dict[str, Any] = {
             "name": frame.name,
             "size": list(frame.colour.shape[:2]),
@@ -162,6 +192,8 @@ class PageWriter:
         if frame.xyz is not None:
             data, count, usable = point_bytes(frame.xyz, coding)
             entry["points"] = [*self._block(data, "")[:1], count, usable]
+            if frame.remission is not None:
+                entry["points"] += self._block(intensity_bytes(frame.xyz, frame.remission, coding), "")[:1]
         return entry
 
     def write(self, path: Path) -> Path:
@@ -223,6 +255,11 @@ class PageWriter:
             "depth": {"nearest": NEAREST_M, "farthest": FARTHEST_M, "colours": [NO_DEPTH, *_ramp(NEAR_TO_FAR, 255)]},
             "confidence": {"colours": _ramp(LOW_TO_HIGH, CONFIDENCE_STEPS + 1)},
             "occluded": [OCCLUDED_FACTOR, OCCLUDED_M],
+            "sources": [
+                {"name": name, "colour": list(colour)}
+                for name, colour in zip(("invented", *self._cameras), cycle(SOURCE_COLOURS), strict=False)
+            ],
+            "about": list(self.facts),
             "rate": RATE_HZ,
         }
 
@@ -319,14 +356,30 @@ def point_bytes(xyz: np.ndarray, coding: Coding) -> tuple[bytes, int, int]:
     Usable are finite points within 327 m, but for the sensor's origin, the mark of no echo. They are whole centimetres,
     each the difference from the point before, in six planes (low and high bytes of x, of y, of z), compressed by zlib.
     """
-    centimetres = np.round(xyz.astype(np.float64) / CENTIMETRE)
-    centimetres = centimetres[(np.abs(centimetres) < 1 << 15).all(axis=1) & centimetres.any(axis=1)]  # NaN is not less
-    usable = len(centimetres)
-    if usable > coding.points:
-        centimetres = centimetres[np.linspace(0, usable - 1, coding.points).astype(np.int64)]
+    chosen, usable = _chosen_points(xyz, coding)
+    centimetres = np.round(xyz[chosen].astype(np.float64) / CENTIMETRE)
     steps = np.diff(centimetres.astype("<i2"), axis=0, prepend=np.zeros((1, 3), dtype="<i2"))  # wraps, as the sum does
     planes = np.ascontiguousarray(steps.T).view(np.uint8).reshape(3, -1, 2).transpose(0, 2, 1)
     return zlib.compress(planes.tobytes(), 6), len(centimetres), usable
+
+
+def intensity_bytes(xyz: np.ndarray, remission: np.ndarray, coding: Coding) -> bytes:
+    """Return remission (N,) of the points in `point_bytes`, a byte each, compressed by zlib: 255 above 98 of 100.
+
+    A few retroreflectors shine brighter than everything else together.
+    """
+    values = remission[_chosen_points(xyz, coding)[0]].astype(np.float64)
+    bright = np.quantile(values, 0.98) if len(values) else 0.0
+    return zlib.compress(np.round(np.clip(values / max(bright, 1e-6), 0, 1) * 255).astype(np.uint8).tobytes(), 6)
+
+
+def _chosen_points(xyz: np.ndarray, coding: Coding) -> tuple[np.ndarray, int]:
+    """Return the indices of the points of a page, and how many were usable."""
+    centimetres = np.round(xyz.astype(np.float64) / CENTIMETRE)
+    usable = np.flatnonzero((np.abs(centimetres) < 1 << 15).all(axis=1) & centimetres.any(axis=1))  # NaN is not less
+    if len(usable) <= coding.points:
+        return usable, len(usable)
+    return usable[np.linspace(0, len(usable) - 1, coding.points).astype(np.int64)], len(usable)
 
 
 def _codes(codes: np.ndarray, coarser: int) -> tuple[bytes, str]:

@@ -34,12 +34,14 @@ def panorama_files(path: Path) -> list[Path]:
 
 
 def read_frame(path: Path) -> PageFrame:
-    """Read the panorama of an image, with its other outputs: .segments.png, .depth.png, .confidence.png, .ply.
+    """Read the panorama of an image, with its other outputs: .segments.png, .depth.png,
+    .confidence.png, .source.png, .ply.
 
     Raises InputError for a damaged file and for any other image.
     """
     view = saved_view(path)
-    segments, steps, levels = (_beside(path, f".{part}.png") for part in ("segments", "depth", "confidence"))
+    parts = ("segments", "depth", "confidence", "source")
+    segments, steps, levels, source = (_beside(path, f".{part}.png") for part in parts)
     return PageFrame(
         name=path.stem,
         view=view,
@@ -48,6 +50,7 @@ def read_frame(path: Path) -> PageFrame:
         depth_m=None if steps is None else steps.astype(np.float32) / DEPTH_STEPS,
         confidence=None if levels is None else levels.astype(np.float32) / np.iinfo(np.uint8).max,
         xyz=_points(path.with_suffix(".ply")),
+        source=source.astype(np.uint8) if source is not None and source.any() else None,
     )
 
 

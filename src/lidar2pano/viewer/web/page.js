@@ -1,9 +1,11 @@
 "use strict";
 (() => {
 const INDEX = JSON.parse(document.getElementById("index").textContent);
-const LAYERS = ["colour", "classes", "depth", "camera", "confidence"];
-const UNITS = { colour: 0, classes: 1, depth: 2, camera: 3, confidence: 4, table: 5 };
-const ORBIT = { yaw: 0, pitch: 0.5, distance: 22, x: 3, y: 0, z: 0 };  // metres, radians
+const LAYERS = ["colour", "classes", "depth", "camera", "confidence", "source"];
+const UNITS = { colour: 0, classes: 1, depth: 2, camera: 3, confidence: 4, source: 5, table: 6 };
+const COLOURINGS = { layer: -1, classes: 1, height: 10, intensity: 11, distance: 12 };  // of points, as the shader knows them
+const FIRST_FOV = 55;                     // degrees, at least, of the first view: about that of a camera
+const GRID_M = 10, GRID_LINES = 10;       // spacing; lines to either side of the middle
 const TURN = 2 * Math.PI, RAD = Math.PI / 180;
 const $ = (id) => document.getElementById(id);
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
@@ -12,11 +14,12 @@ const mod = (value, by) => ((value % by) + by) % by;
 const state = {
   yaw: 0, pitch: null, fov: null,         // radians; fov is horizontal. null: the whole height of the panorama
   layer: "colour", compare: false, split: 0.5,
-  frame: 0, playing: false,
-  cloud: false, orbit: { ...ORBIT },
+  frame: 0, playing: false, loop: true,
+  cloud: false, orbit: null, colouring: "layer", pointSize: 1,   // orbit null: all points are in sight
+  chosen: new Set(),                      // classes to show; none: all
 };
 let frame = null;                         // what is shown: { info, bitmaps, points }
-let gl, canvas, programs, textures = {}, cloudBuffer, cloudCount = 0, mostTexels = 0;
+let gl, canvas, programs, textures = {}, cloudBuffer, intensityBuffer, gridBuffer, cloudCount = 0, gridCount = 0, mostTexels = 0;
 
 // --- data -------------------------------------------------------------------------------------------------------------
 
@@ -42,9 +45,13 @@ async function bitmapOf([id, type], smooth) {
 }
 
 // Points are stored as planes of the low and the high bytes of x, y and z, each the difference from the point before.
-async function pointsOf([id, count]) {
+async function inflated(id) {
   const stream = new Blob([bytesOf(id)]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const planes = new Uint8Array(await new Response(stream).arrayBuffer());
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+async function pointsOf([id, count, , intensity]) {
+  const planes = await inflated(id);
   const xyz = new Int16Array(count * 3);
   for (let axis = 0; axis < 3; axis++) {
     const low = 2 * axis * count, high = low + count;
@@ -53,7 +60,7 @@ async function pointsOf([id, count]) {
       xyz[3 * i + axis] = value;
     }
   }
-  return xyz;
+  return { xyz, intensity: intensity ? await inflated(intensity) : null, box: boxOf(xyz) };
 }
 
 const cache = new Map();                  // frame number -> promise of its decoded data; the last few frames
@@ -126,14 +133,16 @@ function start() {
   gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);
   programs = {
     look: program(TRIANGLE, LOOK), map: program(TRIANGLE, MAP), cloud: program(CLOUD_VERTICES, CLOUD_PIXELS),
+    grid: program(GRID_VERTICES, GRID_PIXELS),
   };
   texture(UNITS.table, { circular: false });
-  const table = new Uint8Array(256 * 3 * 4);
+  const table = new Uint8Array(256 * 4 * 4);
   INDEX.classes.forEach(({ colour }, id) => table.set([...colour, 255], 4 * id));
   INDEX.depth.colours.forEach((colour, step) => table.set([...colour, 255], 4 * (256 + step)));
   INDEX.confidence.colours.forEach((colour, step) => table.set([...colour, 255], 4 * (512 + step)));
-  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 256, 3, 0, gl.RGBA, gl.UNSIGNED_BYTE, table);
-  cloudBuffer = gl.createBuffer();
+  INDEX.sources.forEach(({ colour }, number) => table.set([...colour, 255], 4 * (768 + number)));
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 256, 4, 0, gl.RGBA, gl.UNSIGNED_BYTE, table);
+  [cloudBuffer, intensityBuffer, gridBuffer] = [0, 1, 2].map(() => gl.createBuffer());
   canvas.addEventListener("webglcontextlost", () => setTimeout(() => location.reload(), 500));
 }
 
@@ -147,9 +156,36 @@ function upload() {
     else gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 1, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
     if (smooth) gl.generateMipmap(gl.TEXTURE_2D);
   }
-  cloudCount = frame.points ? frame.points.length / 3 : 0;
-  gl.bindBuffer(gl.ARRAY_BUFFER, cloudBuffer);
-  if (cloudCount) gl.bufferData(gl.ARRAY_BUFFER, frame.points, gl.DYNAMIC_DRAW);
+  cloudCount = frame.points ? frame.points.xyz.length / 3 : 0;
+  if (!cloudCount) return;
+  const { xyz, intensity, box } = frame.points, reach = GRID_M * GRID_LINES, lines = [];
+  const [x, y] = [box.x, box.y].map((value) => GRID_M * Math.round(value / GRID_M));
+  for (let i = -reach; i <= reach; i += GRID_M) {
+    for (let j = -reach; j < reach; j += GRID_M) {  // in short pieces: not every driver cuts a line that reaches behind the eye
+      lines.push(x + i, y + j, box.low, x + i, y + j + GRID_M, box.low, x + j, y + i, box.low, x + j + GRID_M, y + i, box.low);
+    }
+  }
+  gridCount = lines.length / 3;
+  for (const [buffer, data] of [[cloudBuffer, xyz], [intensityBuffer, intensity], [gridBuffer, new Float32Array(lines)]]) {
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+    if (data) gl.bufferData(gl.ARRAY_BUFFER, data, gl.DYNAMIC_DRAW);
+  }
+}
+
+// Where the points are, in metres: their middle, the radius of nine tenths of them, the ground and the highest but a few.
+function boxOf(xyz) {
+  const count = xyz.length / 3, step = Math.max(1, Math.floor(count / 5000)), axes = [[], [], []];
+  for (let i = 0; i < count; i += step) axes.forEach((values, axis) => values.push(xyz[3 * i + axis] / 100));
+  const at = (values, share) => [...values].sort((a, b) => a - b)[Math.floor(share * (values.length - 1))] ?? 0;
+  const [x, y] = axes.map((values) => at(values, 0.5)), low = at(axes[2], 0.1), high = at(axes[2], 0.98);
+  const radius = at(axes[0].map((value, i) => Math.hypot(value - x, axes[1][i] - y)), 0.9);
+  return { x, y, low, high: Math.max(high, low + 1), radius: Math.max(radius, 1) };
+}
+
+function orbitOf() {                      // behind and above, so that nine tenths of the points are in sight
+  if (state.orbit) return state.orbit;
+  const { x, y, low, radius } = frame.points.box;
+  return { yaw: 0, pitch: 0.6, distance: 1.5 * radius, x, y, z: low };
 }
 
 // --- geometry of the view: sensor axes, x forward, y left, z up --------------------------------------------------------
@@ -166,7 +202,7 @@ function angles() {                       // what is looked at, with defaults an
   const box = $("view").getBoundingClientRect(), width = Math.max(box.width, 1), height = Math.max(box.height, 1);
   const [up, down] = frame.info.view;
   const whole = 2 * Math.atan(width / 2 / (height / (up - down)));  // the panorama fills the height
-  const fov = clamp(state.fov ?? whole, 0.5 * RAD, 150 * RAD);
+  const fov = clamp(state.fov ?? Math.max(whole, FIRST_FOV * RAD), 0.5 * RAD, 150 * RAD);
   const pitch = clamp(state.pitch ?? Math.atan((up + down) / 2), Math.atan(down), Math.atan(up));
   return { yaw: state.yaw, pitch, fov, focal: width / 2 / Math.tan(fov / 2), width, height };
 }
@@ -189,7 +225,7 @@ function placeOf([x, y, z]) {             // as in the shader: (0, 0) is the pan
 }
 
 function cloudProjection(width, height) { // 4 x 4, column after column
-  const { yaw, pitch, distance, x, y, z } = state.orbit;
+  const { yaw, pitch, distance, x, y, z } = orbitOf();
   const m = axesOf({ yaw, pitch: -pitch }), near = distance / 50, far = 1000, f = 1.4 * Math.min(1, width / height);
   const eye = [x - distance * m[0], y - distance * m[1], z - distance * m[2]];
   const rows = [
@@ -202,6 +238,12 @@ function cloudProjection(width, height) { // 4 x 4, column after column
 }
 
 // --- drawing ----------------------------------------------------------------------------------------------------------
+
+let ground = [0, 0, 0];                   // colour of the page, 0 to 1
+function setGround() {
+  ground = getComputedStyle(document.body).backgroundColor.match(/[\d.]+/g).slice(0, 3).map((value) => value / 255);
+  redraw();
+}
 
 let pending = false;
 function redraw() {
@@ -217,6 +259,8 @@ function use({ made, at }, box, detail) {
   gl.uniform1f(at("detail"), Math.max(detail, 0));
   gl.uniform2f(at("depthRange"), INDEX.depth.nearest, INDEX.depth.farthest);
   gl.uniform4f(at("pane"), ...box);
+  gl.uniform3f(at("ground"), ...ground);
+  gl.uniform1i(at("chosen"), [...state.chosen].reduce((bits, id) => bits | (1 << id), 0));
   return at;
 }
 
@@ -224,7 +268,7 @@ function draw() {
   const r = ratio(), width = Math.round(innerWidth * r), height = Math.round(innerHeight * r);
   if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
   gl.disable(gl.SCISSOR_TEST);
-  gl.clearColor(20 / 255, 23 / 255, 28 / 255, 1);
+  gl.clearColor(...ground, 1);
   gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
   gl.enable(gl.SCISSOR_TEST);
   const look = angles(), axes = axesOf(look), layer = LAYERS.indexOf(state.layer);
@@ -248,17 +292,31 @@ function draw() {
   if (state.cloud && cloudCount) {
     const pane = rectangle($("points"));
     at = use(programs.cloud, pane, 0);
-    gl.clearColor(38 / 255, 43 / 255, 51 / 255, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    gl.uniformMatrix4fv(at("projection"), false, cloudProjection(pane[2], pane[3]));
+    const projection = cloudProjection(pane[2], pane[3]), { box: { low, high } } = frame.points;
+    gl.uniformMatrix4fv(at("projection"), false, projection);
+    gl.uniform2f(at("heights"), low, high);
     gl.uniform3f(at("origin"), ...frame.info.origin);
-    gl.uniform1f(at("size"), 0.09 * pane[3] * Math.max(1, Math.sqrt(frame.info.points[2] / cloudCount) / 2));
-    gl.uniform1i(at("layer"), layer);
+    gl.uniform1f(at("enlarged"), state.pointSize);
+    gl.uniform1f(at("size"), 0.12 * pane[3] * Math.max(1, Math.sqrt(frame.info.points[2] / cloudCount) / 2));
+    gl.uniform1i(at("layer"), state.colouring === "layer" ? layer : COLOURINGS[state.colouring]);
     gl.bindBuffer(gl.ARRAY_BUFFER, cloudBuffer);
     gl.enableVertexAttribArray(0);
     gl.vertexAttribPointer(0, 3, gl.SHORT, false, 6, 0);
+    if (frame.points.intensity) {
+      gl.bindBuffer(gl.ARRAY_BUFFER, intensityBuffer);
+      gl.enableVertexAttribArray(1);
+      gl.vertexAttribPointer(1, 1, gl.UNSIGNED_BYTE, true, 1, 0);
+    }
     gl.enable(gl.DEPTH_TEST);
     gl.drawArrays(gl.POINTS, 0, cloudCount);
+    gl.disableVertexAttribArray(1);
+    gl.useProgram(programs.grid.made);
+    gl.uniformMatrix4fv(programs.grid.at("projection"), false, projection);
+    gl.uniform3f(programs.grid.at("line"), ...ground.map((value) => 0.75 * value + 0.125));
+    gl.bindBuffer(gl.ARRAY_BUFFER, gridBuffer);
+    gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 12, 0);
+    gl.drawArrays(gl.LINES, 0, gridCount);
     gl.disable(gl.DEPTH_TEST);
     gl.disableVertexAttribArray(0);
   }
@@ -280,7 +338,20 @@ function swatch([r, g, b]) {
 
 function legend() {
   if (state.layer === "classes") {
-    return INDEX.classes.filter(({ present }) => present).map(({ name, colour }) => element("span", {}, swatch(colour), name));
+    return INDEX.classes.flatMap(({ name, colour, present }, id) => {
+      if (!present) return [];
+      const entry = element("button", { type: "button", title: "Show this class only, or one more" }, swatch(colour), name);
+      entry.setAttribute("aria-pressed", state.chosen.has(id));
+      entry.addEventListener("click", () => {
+        if (!state.chosen.delete(id)) state.chosen.add(id);
+        entry.setAttribute("aria-pressed", state.chosen.has(id));
+        redraw();
+      });
+      return [entry];
+    });
+  }
+  if (state.layer === "source") {
+    return INDEX.sources.map(({ name, colour }) => element("span", { className: "entry" }, swatch(colour), name));
   }
   const { nearest, farthest } = INDEX.depth, quarters = [0, 1, 2, 3, 4];
   if (state.layer === "depth") {
@@ -318,16 +389,26 @@ function update() {                       // brings all controls up to date with
   $("points").hidden = !(state.cloud && info.points);
   if (info.points) {
     const [, count, total] = info.points, n = (value) => value.toLocaleString("en");
-    $("count").textContent = count < total ? `${n(count)} of ${n(total)} points` : `${n(total)} points`;
+    const points = count < total ? `${n(count)} of ${n(total)} points` : `${n(total)} points`;
+    $("count").textContent = `${points} \u00b7 grid ${GRID_M} m`;
+    const { low, high } = frame.points.box, tick = (value) => `${value.toFixed(1)} m`;
+    const ends = { height: [tick(low), tick(high)], intensity: ["weak", "strong"] }[state.colouring];
+    $("scale").hidden = !ends;
+    $("scale").replaceChildren(...(ends ? ramp(INDEX.confidence.colours, ends) : []));
+    $("colouring").value = state.colouring;
+    $("colouring").querySelector("[value=intensity]").hidden = !frame.points.intensity;
   }
   if (legendOf !== state.layer) { $("legend").replaceChildren(...legend()); legendOf = state.layer; }
   $("legend").hidden = !$("legend").childElementCount;
+  const invented = `colours are invented${info.layers.source ? " where no camera sees" : ""}`;
+  $("about").replaceChildren(...INDEX.about.map((fact) => `${fact} \u00b7 `), element("strong", { textContent: invented }));
   $("time").hidden = INDEX.frames.length < 2;
   $("frame").max = INDEX.frames.length - 1;
   $("frame").value = state.frame;
   $("name").textContent = `${state.frame + 1} / ${INDEX.frames.length} \u00b7 ${info.name}`;
   $("play").textContent = state.playing ? "\u275A\u275A" : "\u25B6\uFE0E";
   $("play").setAttribute("aria-pressed", state.playing);
+  $("loop").setAttribute("aria-pressed", state.loop);
   const [rows, columns] = info.size;
   $("map").style.height = `${Math.round(innerWidth * rows / columns)}px`;
   turned();
@@ -339,14 +420,20 @@ function turned() {                       // after a change of direction or zoom
   const aside = degrees(mod(yaw + Math.PI, TURN) - Math.PI);
   const words = aside === 0 ? "ahead" : `${Math.abs(aside).toFixed(1)}\u00b0 ${aside > 0 ? "left" : "right"}`;
   $("direction").textContent = `${words} \u00b7 ${Math.round(fov / RAD)}\u00b0 wide`;
+  $("map").setAttribute("aria-valuenow", Math.round(aside));
+  $("map").setAttribute("aria-valuetext", words);
   clearTimeout(written);                  // the address names the view, so that it can be passed on
-  written = setTimeout(() => {
-    const parts = { yaw: aside, pitch: degrees(pitch), fov: degrees(fov), layer: state.layer, frame: state.frame };
-    if (state.compare) parts.compare = Math.round(state.split * 1000) / 1000;
-    if (state.cloud) parts.points = 1;
-    try { history.replaceState(null, "", `#${new URLSearchParams(parts)}`); } catch { /* refused: too often */ }
-  }, 700);
+  written = setTimeout(writeAddress, 700);
   redraw();
+}
+
+function writeAddress() {
+  const { yaw, pitch, fov } = angles(), degrees = (angle) => Math.round(angle / RAD * 10) / 10;
+  const aside = degrees(mod(yaw + Math.PI, TURN) - Math.PI);
+  const parts = { yaw: aside, pitch: degrees(pitch), fov: degrees(fov), layer: state.layer, frame: state.frame };
+  if (state.compare) parts.compare = Math.round(state.split * 1000) / 1000;
+  if (state.cloud) parts.points = 1;
+  try { history.replaceState(null, "", `#${new URLSearchParams(parts)}`); } catch { /* refused: too often */ }
 }
 
 function readAddress() {
@@ -401,7 +488,7 @@ function compare() {
 function cloud() { if (frame.info.points) { state.cloud = !state.cloud; update(); } }
 
 function reset() {
-  Object.assign(state, { yaw: 0, pitch: null, fov: null, orbit: { ...ORBIT } });
+  Object.assign(state, { yaw: 0, pitch: null, fov: null, orbit: null });
   turned();
 }
 
@@ -413,8 +500,9 @@ async function play() {
   update();
   while (state.playing) {
     const began = performance.now();
+    if (!state.loop && state.frame === INDEX.frames.length - 1) { state.playing = false; update(); return; }
     await show((state.frame + 1) % INDEX.frames.length);
-    await new Promise((done) => setTimeout(done, Math.max(0, 1000 / INDEX.rate - (performance.now() - began))));
+    await new Promise((done) => setTimeout(done, Math.max(0, 1000 / INDEX.rate / $("speed").value - (performance.now() - began))));
   }
 }
 
@@ -424,7 +512,7 @@ function help() { if ($("keys").open) $("keys").close(); else $("keys").showModa
 function gestures(pane, move, pinch) {
   const held = new Map();
   pane.addEventListener("pointerdown", (event) => {
-    if (event.target.closest("#divider")) return;
+    if (event.target.closest("#divider, #legend, #cloudtools")) return;
     pane.setPointerCapture(event.pointerId);
     held.set(event.pointerId, event);
     if (held.size === 1) move(0, 0, event);
@@ -447,7 +535,7 @@ function gestures(pane, move, pinch) {
 }
 
 function orbit(dx, dy, event) {
-  const o = state.orbit, scale = o.distance / $("points").clientHeight;
+  const o = state.orbit ??= orbitOf(), scale = o.distance / $("points").clientHeight;
   if (event.shiftKey || event.buttons & 6) {  // along the ground
     const [c, s] = [Math.cos(o.yaw), Math.sin(o.yaw)];
     o.x += (dy * c + dx * s) * scale; o.y += (dy * s - dx * c) * scale;
@@ -458,7 +546,60 @@ function orbit(dx, dy, event) {
   redraw();
 }
 
-function zoomCloud(factor) { state.orbit.distance = clamp(state.orbit.distance * factor, 2, 300); redraw(); }
+function zoomCloud(factor) {
+  state.orbit ??= orbitOf();
+  state.orbit.distance = clamp(state.orbit.distance * factor, 2, 600);
+  redraw();
+}
+
+function fit() { state.orbit = null; redraw(); }
+
+function top() { state.orbit = null; state.orbit = { ...orbitOf(), pitch: 1.55 }; redraw(); }
+
+function resize(factor) { state.pointSize = clamp(state.pointSize * factor, 0.25, 8); redraw(); }
+
+// --- what leaves the page ---------------------------------------------------------------------------------------------
+
+function say(text) {                      // for a moment, and to screen readers
+  $("tip").replaceChildren(text);
+  $("tip").hidden = false;
+  Object.assign($("tip").style, { left: "12px", top: `${$("view").getBoundingClientRect().top + 12}px` });
+  setTimeout(() => { if ($("tip").textContent === text) $("tip").hidden = true; }, 2500);
+}
+
+function fullscreen() {
+  if (document.fullscreenElement) document.exitFullscreen();
+  else document.documentElement.requestFullscreen?.().catch(() => say("the browser refuses full screen here"));
+}
+
+function screenshot() {
+  draw();                                 // what was drawn before is gone from the canvas
+  const [left, bottom, width, height] = rectangle($("view"));
+  const image = element("canvas", { width, height });
+  image.getContext("2d").drawImage(canvas, left, canvas.height - bottom - height, width, height, 0, 0, width, height);
+  image.toBlob((blob) => {
+    const link = element("a", { href: URL.createObjectURL(blob), download: `${frame.info.name}.${state.layer}.view.png` });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+    say("the view is saved as an image");
+  });
+}
+
+async function copyLink() {
+  writeAddress();
+  try {
+    await navigator.clipboard.writeText(location.href);
+    say("a link to this view is copied");
+  } catch {
+    say("copy the address: it is the link to this view");
+  }
+}
+
+function theme() {
+  const dark = getComputedStyle(document.body).backgroundColor.match(/\d+/g)[0] < 128;
+  document.documentElement.style.colorScheme = dark ? "light" : "dark";
+  setGround();
+}
 
 const eye = element("canvas", { width: 1, height: 1 }).getContext("2d", { willReadFrequently: true });
 function codeAt(layer, [u, v]) {
@@ -469,7 +610,16 @@ function codeAt(layer, [u, v]) {
 }
 
 function hover(event) {
-  const at = frame && event.pointerType !== "touch" && !event.buttons ? placeOf(directionAt(event.clientX, event.clientY)) : null;
+  if (event.pointerType !== "touch") inform(event.buttons ? null : event.clientX, event.clientY);
+}
+
+function middle() {
+  const box = $("view").getBoundingClientRect();
+  inform(box.left + box.width / 2, box.top + box.height / 2);
+}
+
+function inform(x, y) {                   // about a place in the window
+  const at = frame && x !== null ? placeOf(directionAt(x, y)) : null;
   const parts = [], add = (text) => parts.push(`${parts.length ? " \u00b7 " : ""}${text}`);
   if (at) {
     const id = codeAt("classes", at), steps = codeAt("depth", at), { nearest, farthest } = INDEX.depth;
@@ -480,12 +630,14 @@ function hover(event) {
     }
     const share = codeAt("confidence", at);
     const whole = INDEX.confidence.colours.length - 1;
-    if (share !== null) add(`${Math.round(100 * share / whole)} % sure`);
+    if (share !== null) add(`class: ${Math.round(100 * share / whole)} %`);
+    const number = codeAt("source", at);
+    if (number !== null) add(INDEX.sources[number]?.name ?? `camera ${number}`);
   }
   $("tip").hidden = !parts.length;
   $("tip").replaceChildren(...parts);
-  $("tip").style.left = `${Math.min(event.clientX + 14, innerWidth - $("tip").offsetWidth - 8)}px`;
-  $("tip").style.top = `${Math.max(event.clientY - 34, 4)}px`;
+  $("tip").style.left = `${Math.min(x + 14, innerWidth - $("tip").offsetWidth - 8)}px`;
+  $("tip").style.top = `${Math.max(y - 34, 4)}px`;
 }
 
 function lookAt(event) {                  // a place in the map
@@ -510,23 +662,48 @@ function key(event) {
     "+": () => (inCloud ? zoomCloud(0.8) : zoom(0.8)), "-": () => (inCloud ? zoomCloud(1.25) : zoom(1.25)),
     1: () => choose("colour"), 2: () => choose("classes"), 3: () => choose("depth"), 4: () => choose("camera"),
     5: () => choose("confidence"),
+    6: () => choose("source"), 0: fit, 9: top, "[": () => resize(1 / 1.4), "]": () => resize(1.4),
+    f: fullscreen, s: screenshot, l: copyLink, t: theme, i: middle, o: repeat,
     c: compare, p: cloud, r: reset, Home: reset, " ": play, ",": () => step(-1), ".": () => step(1), "?": help,
   };
   keys["="] = keys["+"];
   const name = event.key.length === 1 ? event.key.toLowerCase() : event.key;
   if (!Object.hasOwn(keys, name)) return;
   if (onSlider && name.startsWith("Arrow")) return;
+  if (document.activeElement instanceof HTMLSelectElement) return;
+  if (document.activeElement?.closest("#layers") && name.startsWith("Arrow")) {  // as in any group of radio buttons
+    const buttons = [...document.querySelectorAll("#layers button:not([hidden])")], by = /Left|Up/.test(name) ? -1 : 1;
+    const next = buttons[mod(buttons.indexOf(document.activeElement) + by, buttons.length)];
+    choose(next.dataset.layer);
+    next.focus();
+    event.preventDefault();
+    return;
+  }
   if (name === " " && document.activeElement instanceof HTMLButtonElement) return;
   event.preventDefault();
   keys[name]();
 }
 
+function repeat() { state.loop = !state.loop; update(); }
+
+function tap(pane) {                      // a touch that moves nothing is what hovering is with a mouse
+  let start = null;
+  pane.addEventListener("pointerdown", (event) => { start = event.pointerType === "touch" && event.isPrimary ? event : null; $("tip").hidden = true; });
+  pane.addEventListener("pointerup", (event) => {
+    if (start && Math.hypot(event.clientX - start.clientX, event.clientY - start.clientY) < 8) inform(event.clientX, event.clientY);
+  });
+}
+
 function listen() {
+  tap($("view"));
   gestures($("view"), turn, zoom);
   gestures($("points"), orbit, zoomCloud);
   gestures($("map"), (dx, dy, event) => lookAt(event), (factor) => zoom(factor));
   $("view").addEventListener("pointermove", hover);
-  $("view").addEventListener("pointerleave", () => { $("tip").hidden = true; });
+  $("view").addEventListener("pointerleave", (event) => { if (event.pointerType !== "touch") $("tip").hidden = true; });
+  $("colouring").addEventListener("change", () => { state.colouring = $("colouring").value; update(); });
+  $("fullscreen").hidden = !document.fullscreenEnabled;
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", setGround);
   $("divider").addEventListener("pointerdown", (event) => $("divider").setPointerCapture(event.pointerId));
   $("divider").addEventListener("pointermove", (event) => {
     if (!event.buttons) return;
@@ -534,8 +711,12 @@ function listen() {
     state.split = clamp((event.clientX - box.left) / box.width, 0, 1);
     update();
   });
-  document.querySelectorAll("#layers button").forEach((button) => button.addEventListener("click", () => choose(button.dataset.layer)));
-  for (const [id, action] of Object.entries({ compare, cloud, reset, help, play, previous: () => step(-1), next: () => step(1) })) {
+  document.querySelectorAll("#layers button").forEach((button) => button.addEventListener("click", (event) => {
+    choose(button.dataset.layer);
+    if (event.detail) $("view").focus();  // by mouse or touch: the arrow keys look around again
+  }));
+  for (const [id, action] of Object.entries({ compare, cloud, reset, help, play, fullscreen, screenshot, link: copyLink, theme, fit, top, loop: repeat,
+    smaller: () => resize(1 / 1.4), larger: () => resize(1.4), previous: () => step(-1), next: () => step(1) })) {
     $(id).addEventListener("click", action);
   }
   $("frame").addEventListener("input", () => show(+$("frame").value));
@@ -547,6 +728,7 @@ function listen() {
 
 try {
   start();
+  setGround();
   readAddress().then(() => { listen(); document.body.dataset.ready = "true"; }, fail);
 } catch (error) {
   fail(error);
