@@ -192,6 +192,8 @@ def test_saved_panoramas_are_frames(tmp_path):
     np.testing.assert_allclose(whole.confidence, around.confidence, atol=0.5 / 255 + 1e-6)
     assert whole.xyz is not None and whole.xyz.dtype == np.float32
     np.testing.assert_array_equal(whole.xyz, street().xyz)
+    assert whole.remission is not None
+    np.testing.assert_array_equal(whole.remission, street().remission)
     around.save(tmp_path, stem="c", image_format="webp")
     assert [file.name for file in panorama_files(tmp_path)] == ["a.png", "b.png", "c.webp"]
     assert panorama_files(tmp_path / "a.png") == [tmp_path / "a.png"]

@@ -23,6 +23,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from lidar2pano.bounded_files import read_bytes
 from lidar2pano.demo import street
 from lidar2pano.errors import InputError
 from lidar2pano.recordings.reading_process import get_ready
@@ -44,6 +45,7 @@ TYPES = {"rgb": "image/png", "segments": "image/png", "labels": "application/oct
     PAGE: "text/html"
 }
 DOUBTS = "Lidar2pano-Doubts"  # header
+MOST_EXAMPLE_BYTES = 1 << 24
 # Of a body that is too long: bytes taken and forgotten, seconds between its parts, digits of its length.
 MOST_DRAINED, DRAIN_S, MOST_DIGITS = 1 << 30, 1.0, 19
 CLOSED = 499  # for the metrics: the client went away
@@ -286,7 +288,7 @@ def _forgotten(future: asyncio.Future[Any]) -> None:
 
 @cache
 def _example() -> bytes:
-    return street().read_bytes()
+    return read_bytes(street(), MOST_EXAMPLE_BYTES)
 
 
 @cache

@@ -10,6 +10,7 @@ import numpy as np
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import COLOUR_FORMATS, DEPTH_STEPS, image_size, image_text, read_image
 from lidar2pano.formats.json_files import parse_json, validated
+from lidar2pano.formats.point_cloud import PointCloud
 from lidar2pano.formats.readers import ReadOptions, open_path
 from lidar2pano.name_order import sort_names
 from lidar2pano.panorama import STEM_ENDINGS, VIEW_KEYWORD
@@ -42,6 +43,7 @@ def read_frame(path: Path) -> PageFrame:
     view = saved_view(path)
     parts = ("segments", "depth", "confidence", "source")
     segments, steps, levels, source = (_beside(path, f".{part}.png") for part in parts)
+    cloud = _points(path.with_suffix(".ply"))
     return PageFrame(
         name=path.stem,
         view=view,
@@ -49,7 +51,8 @@ def read_frame(path: Path) -> PageFrame:
         segments=None if segments is None else segments.astype(np.uint8),
         depth_m=None if steps is None else steps.astype(np.float32) / DEPTH_STEPS,
         confidence=None if levels is None else levels.astype(np.float32) / np.iinfo(np.uint8).max,
-        xyz=_points(path.with_suffix(".ply")),
+        xyz=None if cloud is None else cloud.xyz.astype(np.float32),
+        remission=None if cloud is None or cloud.intensity is None else cloud.intensity.astype(np.float32),
         source=source.astype(np.uint8) if source is not None and source.any() else None,
     )
 
@@ -87,10 +90,6 @@ def _beside(path: Path, ending: str) -> np.ndarray | None:
     return values
 
 
-def _points(path: Path) -> np.ndarray | None:
-    """Read the points saved with the panorama: (N, 3) float32, sensor frame, metres."""
-    if not path.is_file():
-        return None
-    for cloud in open_path(path).clouds(path, ReadOptions()):
-        return cloud.xyz.astype(np.float32)
-    return None
+def _points(path: Path) -> PointCloud | None:
+    """Read the points saved with the panorama, in the sensor's frame, metres; None without a file."""
+    return next(iter(open_path(path).clouds(path, ReadOptions())), None) if path.is_file() else None
