@@ -72,7 +72,7 @@ def test_scans_are_translated_into_a_page(here, run, opened):
     assert out.endswith("new/page.html\n") and "drive/1.bin: 4000 points" in out
     frames = index_of(here / "new" / "page.html")["frames"]
     assert [frame["name"] for frame in frames] == ["1", "2"]
-    assert all(frame["points"][1:] == [4000, 4000] for frame in frames)
+    assert all(frame["points"][1:3] == [4000, 4000] for frame in frames)
     assert sorted(path.name for path in here.iterdir()) == ["drive", "new"], "no other file"
     assert [path.name for path in (here / "new").iterdir()] == ["page.html"]
 

@@ -80,11 +80,12 @@ def _view_panoramas(panoramas: list[Path], out: Path, title: str) -> int:
     from lidar2pano.viewer.page import PageWriter
     from lidar2pano.viewer.saved_frames import read_frame
 
-    made = datetime.fromtimestamp(panoramas[0].stat().st_mtime, UTC)
-    with closing(PageWriter(title, [f"made {made:%Y-%m-%d}"])) as writer:
+    with closing(PageWriter(title)) as writer:
         with bar(len(panoramas), "reading") as advance:
             for file in panoramas:
                 writer.add(read_frame(file))
                 advance()
+        made = datetime.fromtimestamp(panoramas[0].stat().st_mtime, UTC)
+        writer.facts = (f"made {made:%Y-%m-%d}",)
         print(writer.write(out))
     return 0
