@@ -41,7 +41,10 @@ ECHO_OUTPUTS = ("remission", "range", "near-infrared")  # of the scan, without a
 EXTRA_OUTPUTS = ("confidence", "measured", "source", *ECHO_OUTPUTS)  # that "all" does not name
 RASTERS = tuple(name for name in (*OUTPUTS, *EXTRA_OUTPUTS) if name not in ("rgb", "labels"))
 # Endings of the stems of further outputs of a scan.
-STEM_ENDINGS = (*(f".{name}" for name in (*RASTERS, *CUBE_AXES)), ".camera", ".camera-segments")
+STEM_ENDINGS = (
+    *(f".{name}" for name in (*RASTERS, *CUBE_AXES)),
+    *(".camera", ".camera-segments", ".panoptic", "_gtFine_labelIds", "_gtFine_instanceIds"),
+)
 VIEW_KEYWORD = "lidar2pano-view"  # of the text in a panorama's PNG: its View as JSON
 Writer = tuple[str, str, Callable[[Path], object]]  # an output, the name of its file, and its function
 FULL_LIGHT = 99  # percentile of the near-infrared light that is shown as white

@@ -38,7 +38,7 @@ FLOORS: tuple[frozenset[str], ...] = (
             "engines",
         }
     ),
-    frozenset({"pipeline", "drives", "viewer"}),
+    frozenset({"pipeline", "drives", "viewer", "annotations"}),
     frozenset({"translation"}),
     frozenset({"prepare", "train", "evaluate", "bench", "bulk", "serve"}),
     frozenset({"reproduce"}),

@@ -14,6 +14,7 @@ from typing import Any
 
 import torch
 
+from lidar2pano.annotations import save_annotations
 from lidar2pano.calibration import Calibration
 from lidar2pano.cli.app import MISTAKE
 from lidar2pano.cli.console import bar, print_error, print_note, print_weights, spooled, until_signal
@@ -49,7 +50,8 @@ class Options:
     weights  a name;  files: its weight files by role;  note: which family was chosen, "" if it was named.
     sensor   name in VIEWS of the scans' rows, "" for the weights' own.
     reading  of scans; with `poses` the panoramas of a stream are temporally smoothed.
-    ply      whether the points of each scan are written, too;  common: files about all panoramas.
+    ply      whether the points of each scan are written, too;  annotations: forms of `annotations.FORMS`.
+    common   files about all panoramas.
     """
 
     out: Path
@@ -69,6 +71,7 @@ class Options:
     image_format: str = "png"
     projection: str = "cylinder"
     ply: bool = False
+    annotations: tuple[str, ...] = ()
     common: OutputFiles = field(default_factory=OutputFiles)
 
     def pipeline(self) -> Pipeline:
@@ -203,6 +206,9 @@ def write_outputs(translation: Translation, options: Options, common: Iterable[O
     )
     if options.ply:
         files.append(panorama.save_points(options.out / f"{source.stem}.ply", scan))
+    files += save_annotations(
+        panorama, options.out, source.stem, options.annotations, options.image_format, source.path
+    )
     for output in common:
         output.add(panorama, scan, source.path, source.stem)
     return files

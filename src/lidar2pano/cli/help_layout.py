@@ -14,8 +14,8 @@ PANELS: dict[str, str] = {  # group -> its options, of whatever command
     "Teachers": "--lidar --teacher --scales --unsure",
     "Training": "--set --budget --rows --segmenter --form --dry-run",
     "Scores": "--metrics --sdnet --inception --worst --runs --operations --world",
-    "Output": "--out --save --as --format --projection --view --ply --video --rerun --json --csv --pairs --no-open"
-    " --labels-folder --camera-labels-folder",
+    "Output": "--out --save --as --format --projection --view --ply --annotations --video --rerun --json --csv"
+    " --pairs --no-open --labels-folder --camera-labels-folder",
     "Service": "--host --port --max-megabytes --max-points --queue --seconds",
     "Machine": "--device --devices --nodes --engine --processes --ray --workers --cores --shard",
 }

@@ -128,6 +128,9 @@ ProjectionOption = Annotated[
 ]
 ViewOption = Annotated[bool, typer.Option("--view", help="Write DIR/view.html to look around in, and open it.")]
 PlyOption = Annotated[bool, typer.Option("--ply", help="Write DIR/<stem>.ply: the points with colours and classes.")]
+AnnotationsOption = Annotated[
+    str, typer.Option(metavar="LIST", help="Annotations of the panoramas: coco, cityscapes, yolo, separated by commas.")
+]
 StrictOption = Annotated[bool, typer.Option("--strict", help="A scan that is as no LiDAR gives it is an error.")]
 VideoOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Write the panoramas as a video (.mp4), ten a second.")
@@ -140,6 +143,17 @@ RerunOption = Annotated[
 def collect_choices(device: str, engine: str, look: str, quality: str, seed: int) -> dict[str, Any]:
     """Return where the networks run and how they paint, as arguments of `batch.checked_options`."""
     return {"device": device, "engine": engine, "look": look, "quality": quality, "seed": seed}
+
+
+def collect_outputs(save: str, image_format: str, projection: str, ply: bool, annotations: str) -> dict[str, Any]:
+    """Return the files of each scan, as arguments of `batch.checked_options`."""
+    from lidar2pano.annotations import parse_forms
+
+    forms = parse_forms(annotations)
+    if forms and projection != "cylinder":
+        raise InputError("--annotations: are those of the cylinder; leave --projection out")
+    pictures = collect_pictures(image_format, projection)
+    return {"save": parse_save(save, extra=True), **pictures, "ply": ply, "annotations": forms}
 
 
 def parse_camera(calib: Path | None, image_size: str) -> Calibration | None:

@@ -56,6 +56,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
     projection: opt.ProjectionOption = "cylinder",
     view: opt.ViewOption = False,
     ply: opt.PlyOption = False,
+    annotations: opt.AnnotationsOption = "",
     strict: opt.StrictOption = False,
     video: opt.VideoOption = None,
     rerun: opt.RerunOption = None,
@@ -70,7 +71,7 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
         sensor=sensor,
         out=opt.check_folder(out, "--out"),
         calibration=opt.parse_camera(calib, image_size),
-        save=opt.parse_save(save, extra=True),
+        **opt.collect_outputs(save, image_format, projection, ply, annotations),
         as_json=as_json,
         reading=ReadingOptions(
             selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
@@ -79,8 +80,6 @@ def translate(  # noqa: PLR0913, PLR0917 one parameter per option
             strict=strict,
             cameras=opt.parse_cameras(camera, cameras, mask, viewpoint=calib is None),
         ),
-        **opt.collect_pictures(image_format, projection),
-        ply=ply,
         common=batch.common_files(scans, out / "view.html" if view else None, video, rerun),
     )
     code = batch.translate_followed(scans, options) if follow else batch.translate_files(scans, options)

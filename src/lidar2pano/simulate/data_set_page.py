@@ -1,4 +1,4 @@
-"""The page of a simulated data set (README.md): the header that hubs of data sets read, and the content of its folders."""
+"""The page of a simulated data set (README.md): the header that hubs read, and the content of its folders."""
 
 from __future__ import annotations
 
