@@ -61,7 +61,7 @@ def test_all_extras_are_in_all():
 
 def named_extras(text: str) -> set[str]:
     """Extras that messages, docstrings and pages name."""
-    lists = re.findall(r"lidar2pano\[([a-z,]+)\]", text)
+    lists = re.findall(r"(?:lidar2pano|'\.)\[([a-z,]+)\]", text)
     found = [extra for names in lists for extra in names.split(",")]
     found += re.findall(r"extra [`']([a-z]+)[`']", text)
     found += re.findall(r"_extra\(.*, \"([a-z]+)\"\)", text)
@@ -78,6 +78,15 @@ def test_every_extra_that_is_named_exists():
     assert {"train", "formats", "recordings", "bulk"} <= named
     named |= {*MODULE_EXTRAS.values(), *(extra for extra, _ in ENGINE_EXTRAS.values())}
     assert named <= EXTRAS.keys()
+
+
+def test_pip_uv_and_conda_install_extras_that_exist():
+    page = (house_rules.ROOT / "docs" / "start.md").read_text(encoding="utf-8")
+    commands = re.findall(r"^(?:pip|uv|conda) .*install.*$", page, flags=re.MULTILINE)
+    assert {command.split()[0] for command in commands} == {"pip", "uv", "conda"}
+    assert {extra for command in commands for extra in named_extras(command)} == {"formats", "recordings"}
+    folders = {folder for command in commands for folder in re.findall(r"(?<= )\./(\S+)", command)}
+    assert folders and all((house_rules.ROOT / folder / "pyproject.toml").is_file() for folder in folders)
 
 
 def test_every_file_that_contributing_and_the_settings_name_exists():
