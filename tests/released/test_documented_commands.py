@@ -50,6 +50,8 @@ NOT_RUN = {  # beginning of a line -> why no test types it
     "lidar2pano prepare ROOT --teacher": "no camera teacher ships; tests/prepare has small ones",
     "lidar2pano train sdnet --data CITYSCAPES": "Cityscapes does not ship; tests/docs/test_semantic_kitti.py",
     "lidar2pano train vid2vid --data CITYSCAPES": "Cityscapes does not ship; tests/train/test_video_task.py",
+    "lidar2pano train autoencoder --data KITTI": "KITTI does not ship; tests/train/test_latent_painting.py",
+    "lidar2pano train latent-painter --data KITTI": "KITTI does not ship; tests/train/test_latent_painting.py",
     "lidar2pano train salsanext --data ROOT": "an epoch takes hours; tests/train/test_tasks.py has small networks",
     "lidar2pano weights import vid2vid": "its files do not ship; tests/docs/test_semantic_kitti.py has small ones",
     "lidar2pano translate scan.bin --weights salsanext.safetensors+titan.safetensors+": "needs vid2vid's files",
