@@ -27,12 +27,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 import sample_files
 from lidar2pano.child_process import AnswerUnpickler, Bound, ChildProcess
 from lidar2pano.cli import main
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.image_files import read_image, write_whole
 from lidar2pano.formats.readers import read
 from lidar2pano.recordings import reading_process
 from random_weights import street, write_scan
@@ -281,6 +282,19 @@ def test_a_picture_is_read_by_its_own_decoder_alone(tmp_path):
     )
     done = cost("view", str(tmp_path / "a.png"), "--no-open", "--out", str(tmp_path / "a.html"), python=started)
     assert done.code == 2 and "is no readable image" in done.error
+
+
+def test_a_jpeg_of_many_passes_is_refused(tmp_path):
+    """A scan of 50 bytes costs 40 ms where the picture is large; a progressive picture as usual has ten."""
+    data = io.BytesIO()
+    Image.new("RGB", (64, 48), (9, 9, 9)).save(data, "JPEG", progressive=True)
+    content = data.getvalue()
+    (tmp_path / "a.jpg").write_bytes(content)
+    assert read_image(tmp_path / "a.jpg").shape == (48, 64, 3)
+    scan = content[content.rfind(b"\xff\xda") : -2]
+    (tmp_path / "a.jpg").write_bytes(content[:-2] + 200 * scan + content[-2:])
+    with pytest.raises(InputError, match="is no readable image"):
+        read_image(tmp_path / "a.jpg")
 
 
 @pytest.fixture

@@ -37,6 +37,7 @@ PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 SMALL_PNG = 9  # for files written once and read often
 READ_FORMATS = ("PNG", "JPEG", "WEBP")  # Pillow would choose among fifty by content, and starts Ghostscript for EPS
 MOST_PIXELS = 1 << 25  # of an image to be read: 100 MB of RGB
+JPEG_SCAN, MOST_SCANS = b"\xff\xda", 100  # a progressive JPEG has ten; each costs a pass over all pixels
 
 
 def read_image(path: Path, mode: str | None = None) -> np.ndarray:
@@ -187,6 +188,15 @@ def decode_image(file: IO[bytes], title: str, mode: str) -> np.ndarray:
         return np.array(image.convert(mode))
 
 
+def _check_scans(file: IO[bytes]) -> None:
+    """Raise ValueError for a JPEG of more scans than MOST_SCANS; the file's place stays as it was."""
+    place = file.tell()
+    file.seek(0)
+    if file.read().count(JPEG_SCAN) > MOST_SCANS:
+        raise ValueError
+    file.seek(place)
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
     try:
@@ -205,6 +215,8 @@ def _decoded(file: IO[bytes], title: object) -> Iterator[Image.Image]:
         with file, Image.open(file, formats=READ_FORMATS) as image:
             if image.width * image.height > MOST_PIXELS:
                 raise Image.DecompressionBombError
+            if image.format == "JPEG":
+                _check_scans(file)
             yield image
     except InputError:
         raise

@@ -8,6 +8,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
 
+BLOCK_POINTS = 1 << 16
 RECORD_BYTES, EXTENDED_RECORD_BYTES = 54, 60  # of a variable length record, without its content
 
 
@@ -33,13 +35,11 @@ def decode(data: bytes, path: Path) -> PointCloud:
             _check(header.point_count, size, len(data) - header.offset_to_point_data, header, path)
             if header.are_points_compressed:
                 _check_chunks(data, header.offset_to_point_data, size)
-            with _silent_panics():
-                points = reader.read()
-        if len(points) != header.point_count:
-            raise ValueError(f"{len(points)} of {header.point_count} points")
-        columns = {axis: np.asarray(getattr(points, axis), np.float64) for axis in "xyz"}
-        names = [name for name in points.point_format.dimension_names if name not in {"X", "Y", "Z"}]
-        columns |= {name: np.asarray(points[name]) for name in names}
+            with _silent_panics():  # in blocks: memory grows with decoded points
+                blocks = [_columns(block) for block in reader.chunk_iterator(BLOCK_POINTS)]
+        columns = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+        if len(columns["x"]) != header.point_count:
+            raise ValueError(f"{len(columns['x'])} of {header.point_count} points")
     except InputError:
         raise
     except BaseException as error:  # laspy and lazrs raise many, a panic of the latter is no Exception
@@ -51,6 +51,13 @@ def decode(data: bytes, path: Path) -> PointCloud:
     packed = "LAZ" if header.are_points_compressed else "LAS"
     columns = {name: column for name, column in columns.items() if column.ndim == 1}
     return cloud_of_columns(columns, format=f"{packed} {version}", name=stem_of(path), source=str(path))
+
+
+def _columns(points: Any) -> dict[str, np.ndarray]:  # noqa: ANN401
+    """Return all fields of some points, x, y and z in metres."""
+    columns = {axis: np.array(getattr(points, axis), np.float64) for axis in "xyz"}
+    names = [name for name in points.point_format.dimension_names if name not in {"X", "Y", "Z"}]
+    return columns | {name: np.array(points[name]) for name in names}
 
 
 @contextmanager
