@@ -316,7 +316,7 @@ def test_a_person_chooses_between_two_systems_on_a_page(here, random_weights, ca
     systems = [str(random_weights), str(shutil.copytree(random_weights, here / "second"))]
     command = ["evaluate", *systems, "--data", str(data), "--split", "val", "--metrics", "pictures,camera"]
     assert main([*command, "--pairs", "choose"]) == 0
-    assert "choose between the pictures: choose/index.html" in capsys.readouterr().err
+    assert "choose between the panoramas: choose/index.html" in capsys.readouterr().err
     assert len(files_in(here / "choose")) == 1 + 3 * 2
     assert main([*command[:2], *command[3:], "--pairs", "choose"]) == 2
     assert "--pairs compares two systems, not 1" in capsys.readouterr().err

@@ -48,6 +48,7 @@ from lidar2pano.train.environment import (
     hidden,
     interrupts,
     largest,
+    log_precision,
     shared,
 )
 from lidar2pano.train.monitor import Monitor, check_finite
@@ -119,6 +120,7 @@ def _train(fabric: Fabric, recipe: Recipe, training: Training, root: Path, out: 
         raise
     if fabric.is_global_zero:
         write_recipe(out, recipe)
+        log_precision(training, fabric.device)  # after the mistakes of users, which are one line
     predict_all(task, fabric.device, fabric.global_rank, fabric.world_size)
     fabric.barrier()
     steps = steps_over(len(task.dataset), training)

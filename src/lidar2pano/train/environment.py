@@ -30,10 +30,15 @@ FLOATS = {"16-mixed": "float16, with scaled losses,", "32-true": "float32"}
 def choose_precision(training: Training, device: torch.device) -> Literal["bf16-mixed", "16-mixed", "32-true"]:
     """The recipe's precision on a device; without bfloat16 a GPU computes in float16, a CPU in float32."""
     if training.precision == "bf16-mixed" and not has_bfloat16(device):
-        instead: Literal["16-mixed", "32-true"] = "16-mixed" if device.type == "cuda" else "32-true"
-        log.info("training in %s: this %s has no bfloat16", FLOATS[instead], device.type)
-        return instead
+        return "16-mixed" if device.type == "cuda" else "32-true"
     return training.precision
+
+
+def log_precision(training: Training, device: torch.device) -> None:
+    """Log a precision that is not the recipe's."""
+    precision = choose_precision(training, device)
+    if precision != training.precision:
+        log.info("training in %s: this %s has no bfloat16", FLOATS[precision], device.type)
 
 
 def shared(training: Training, processes: int) -> Training:
