@@ -99,7 +99,7 @@ def test_unusable_points_are_counted_and_the_rest_is_painted(here, capsys):
         ("--save rgb,deph", "--save: unknown output 'deph'; did you mean 'depth'?"),
         (
             "--save ,",
-            "--save: empty list; choose from rgb, segments, labels, depth, confidence, measured, source, remission, range, near-infrared and",
+            "--save: empty list; choose from rgb, segments, labels, depth, confidence, measured, source, remission,",
         ),
         ("--sensor os1_64", "no sensor 'os1_64'; did you mean 'os1-64'?"),
         ("--sensor panorama", "no sensor 'panorama'"),

@@ -79,7 +79,7 @@ def test_a_camera_of_its_own_is_a_pinhole(random_weights):
 
 def test_a_cloud_without_points_is_an_error(random_weights):
     with pytest.raises(InputError, match="holds no points"):
-        ros.CloudTranslator(load(random_weights, "cpu"), Message, Message)(cloud(street(0, 3000), width=0))
+        ros.CloudTranslator(load(random_weights, "cpu"), Message, Message)(cloud(street(0, 3000), width=0, data=b""))
 
 
 def module(name: str, **content) -> ModuleType:
@@ -90,7 +90,7 @@ def module(name: str, **content) -> ModuleType:
 
 def test_the_node_publishes_what_it_is_sent(random_weights, monkeypatch):
     published, warnings = [], []
-    good, bad = cloud(street(0, 3000)), cloud(street(0, 3000), width=0)
+    good, bad = cloud(street(0, 3000)), cloud(street(0, 3000), width=0, data=b"")
 
     class Node:
         def __init__(self, name: str) -> None:

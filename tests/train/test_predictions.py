@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import contextmanager
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,8 +13,8 @@ import torch
 from lidar2pano.data.cache import PredictedLabels
 from lidar2pano.data.frames import Frame, FrameList
 from lidar2pano.data.layouts import frames
+from lidar2pano.progress import shown_by
 from lidar2pano.scan import Scan
-from lidar2pano.train import predictions
 from lidar2pano.train.predictions import LabelPoints, predict_all
 from miniature import write_data_set
 
@@ -63,17 +64,20 @@ def test_a_scan_that_changed_is_looked_at_again(task):
     assert task.label_points.scans[5:] == ["00/000001"]
 
 
-def test_processes_share_the_scans_and_say_how_far_they_are(task, monkeypatch, caplog):
-    monkeypatch.setattr(predictions, "LOG_EVERY_S", -1.0)
-    with caplog.at_level("INFO"):
+def test_processes_share_the_scans_and_say_how_far_they_are(task):
+    said = []
+
+    @contextmanager
+    def show(total, title):
+        said.append((total, title))
+        yield lambda: said.append("one")
+
+    with shown_by(show):
         predict_all(task, torch.device("cpu"), rank=1, world=2)
-        assert not caplog.messages and task.label_points.scans == ["00/000001", "01/000001"]
+        assert not said and task.label_points.scans == ["00/000001", "01/000001"]
         predict_all(task, torch.device("cpu"), rank=0, world=2)
     assert sorted(task.label_points.scans) == [*task.dataset.frames.names, *task.validation.frames.names]
-    assert caplog.messages[:2] == [
-        "labelling 2 scans on cpu, once: the labels are kept on disk",
-        "labelled 1 of 2 scans",
-    ]
+    assert said[:3] == [(2, "labelling 2 scans on cpu, once: the labels are kept on disk"), "one", "one"]
 
 
 def test_without_a_segmenter_nothing_happens():
