@@ -390,11 +390,11 @@ def test_points_stand_beside_the_panorama(one):
     left, top, right, bottom = one.box("#points")
     x, y = (left + right) // 2, (top + bottom) // 2
     assert not np.array_equal(one.drag((x, y), (x + 60, y + 20)).pixels("#points")[2:, 2:], found)
-    one.press("r", "p")
+    one.press("r").go("layer=colour")
 
 
 def test_points_have_colours_sizes_and_views_of_their_own(one):
-    one.go("layer=classes").go("layer=classes&points=1")  # the same address would be no event
+    one.go("layer=classes&points=1")
     images = {"classes": one.pixels("#points")}
     for colouring in ("height", "intensity", "distance"):
         one.page.locator("#colouring").select_option(colouring)
@@ -411,8 +411,7 @@ def test_points_have_colours_sizes_and_views_of_their_own(one):
     assert len({image.tobytes() for image in images.values()}) == 6
     one.page.locator("#smaller").click()
     one.page.locator("#colouring").select_option("layer")
-    one.page.locator("#view").focus()
-    one.press("p")
+    one.go("layer=colour")
 
 
 def test_the_legend_chooses_classes(one):
