@@ -112,6 +112,7 @@ def test_unusable_points_are_counted_and_the_rest_is_painted(here, capsys):
         ("--calib calib.txt --image-size 0x50", "--image-size '0x50' is not of the form WIDTHxHEIGHT"),
         ("--calib calib.txt --image-size -5x50", "--image-size '-5x50' is not of the form WIDTHxHEIGHT"),
         ("--calib missing.txt", "missing.txt: cannot be read as calib.txt"),
+        ("--annotations coco --projection cubemap", "--annotations: are those of the cylinder; leave --projection out"),
         ("--colour", "No such option: --colour"),
     ],
 )
