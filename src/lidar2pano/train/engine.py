@@ -120,7 +120,7 @@ def _train(fabric: Fabric, recipe: Recipe, training: Training, root: Path, out: 
         raise
     if fabric.is_global_zero:
         write_recipe(out, recipe)
-        log_precision(training, fabric.device)  # after the mistakes of users, which are one line
+        log_precision(training, fabric.device)  # later than users' mistakes: those are one line
     predict_all(task, fabric.device, fabric.global_rank, fabric.world_size)
     fabric.barrier()
     steps = steps_over(len(task.dataset), training)
