@@ -14,6 +14,7 @@ from lidar2pano.viewer.page import (
     FARTHEST_M,
     NEAREST_M,
     Coding,
+    chosen_points,
     class_image,
     coding_for,
     colour_image,
@@ -78,21 +79,26 @@ def test_depth_codes_are_equal_steps_of_the_logarithm():
     assert np.abs(read / depth_m - 1).max() < 0.0111
 
 
+def coded(xyz, coding):
+    chosen, usable = chosen_points(xyz, coding)
+    return point_bytes(xyz[chosen]), len(chosen), usable
+
+
 def test_points_come_back_to_the_centimetre():
     generator = np.random.default_rng(1)
     xyz = generator.uniform(-327, 327, (500, 3)).astype(np.float32)
     xyz[7], xyz[8], xyz[9], xyz[10] = np.nan, np.inf, (400, 0, 0), 0
-    data, count, usable = point_bytes(xyz, EXACT)
+    data, count, usable = coded(xyz, EXACT)
     assert count == usable == 496
     np.testing.assert_allclose(points_slowly(data, count), np.delete(xyz, [7, 8, 9, 10], axis=0), atol=0.0051)
 
 
 def test_a_drive_shows_a_part_of_the_points():
     xyz = np.arange(3000, dtype=np.float32).reshape(-1, 3) / 30
-    data, count, usable = point_bytes(xyz, Coding(quality=None, coarser=1, depth_coarser=1, points=10))
+    data, count, usable = coded(xyz, Coding(quality=None, coarser=1, depth_coarser=1, points=10))
     found = points_slowly(data, count)
     assert (count, usable) == (10, 1000)
     np.testing.assert_allclose(found[[0, -1]], xyz[[0, -1]], atol=0.0051)
     assert [coding_for(frames).points for frames in (0, 4, 60, 61, 5000)] == [1_200_000, 300_000, 20_000, 3000, 3000]
-    empty, none, _ = point_bytes(np.empty((0, 3), dtype=np.float32), EXACT)
+    empty, none, _ = coded(np.empty((0, 3), dtype=np.float32), EXACT)
     assert none == 0 and points_slowly(empty, 0).size == 0

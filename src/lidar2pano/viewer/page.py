@@ -190,10 +190,10 @@ class PageWriter:
             "layers": layers,
         }
         if frame.xyz is not None:
-            data, count, usable = point_bytes(frame.xyz, coding)
-            entry["points"] = [*self._block(data, "")[:1], count, usable]
+            chosen, usable = chosen_points(frame.xyz, coding)
+            entry["points"] = [*self._block(point_bytes(frame.xyz[chosen]), "")[:1], len(chosen), usable]
             if frame.remission is not None:
-                entry["points"] += self._block(intensity_bytes(frame.xyz, frame.remission, coding), "")[:1]
+                entry["points"] += self._block(intensity_bytes(frame.remission[chosen]), "")[:1]
         return entry
 
     def write(self, path: Path) -> Path:
@@ -350,31 +350,33 @@ def depth_codes(depth_m: np.ndarray) -> np.ndarray:
     return np.where(depth_m > 0, steps + 1, 0).astype(np.uint8)
 
 
-def point_bytes(xyz: np.ndarray, coding: Coding) -> tuple[bytes, int, int]:
-    """Return (bytes, points in them, usable points) of points (N, 3) in metres: `coding.points` at most, evenly chosen.
+def point_bytes(xyz: np.ndarray) -> bytes:
+    """Return points (n, 3) in metres, finite and within 327 m, as a page has them.
 
-    Usable are finite points within 327 m, but for the sensor's origin, the mark of no echo. They are whole centimetres,
-    each the difference from the point before, in six planes (low and high bytes of x, of y, of z), compressed by zlib.
+    They are whole centimetres, each the difference from the point before, in six planes (low and high bytes of x, of y,
+    of z), compressed by zlib.
     """
-    chosen, usable = _chosen_points(xyz, coding)
-    centimetres = np.round(xyz[chosen].astype(np.float64) / CENTIMETRE)
+    centimetres = np.round(xyz.astype(np.float64) / CENTIMETRE)
     steps = np.diff(centimetres.astype("<i2"), axis=0, prepend=np.zeros((1, 3), dtype="<i2"))  # wraps, as the sum does
     planes = np.ascontiguousarray(steps.T).view(np.uint8).reshape(3, -1, 2).transpose(0, 2, 1)
-    return zlib.compress(planes.tobytes(), 6), len(centimetres), usable
+    return zlib.compress(planes.tobytes(), 6)
 
 
-def intensity_bytes(xyz: np.ndarray, remission: np.ndarray, coding: Coding) -> bytes:
-    """Return remission (N,) of the points in `point_bytes`, a byte each, compressed by zlib: 255 above 98 of 100.
+def intensity_bytes(remission: np.ndarray) -> bytes:
+    """Return the remission (n,) of points, a byte each, compressed by zlib: 255 above 98 of 100.
 
     A few retroreflectors shine brighter than everything else together.
     """
-    values = remission[_chosen_points(xyz, coding)[0]].astype(np.float64)
+    values = remission.astype(np.float64)
     bright = np.quantile(values, 0.98) if len(values) else 0.0
     return zlib.compress(np.round(np.clip(values / max(bright, 1e-6), 0, 1) * 255).astype(np.uint8).tobytes(), 6)
 
 
-def _chosen_points(xyz: np.ndarray, coding: Coding) -> tuple[np.ndarray, int]:
-    """Return the indices of the points of a page, and how many were usable."""
+def chosen_points(xyz: np.ndarray, coding: Coding) -> tuple[np.ndarray, int]:
+    """Return the indices of a page's points among (N, 3), `coding.points` at most, and the number of usable ones.
+
+    Usable are finite points within 327 m, but for the sensor's origin, the mark of no echo.
+    """
     centimetres = np.round(xyz.astype(np.float64) / CENTIMETRE)
     usable = np.flatnonzero((np.abs(centimetres) < 1 << 15).all(axis=1) & centimetres.any(axis=1))  # NaN is not less
     if len(usable) <= coding.points:
