@@ -47,8 +47,12 @@ class Translation:
             )
         if interpretation.uses_viewpoint:
             sentences.append("its VIEWPOINT is used, since it makes the scan plausible")
-        sentences += self.reading.camera_doubts
-        return sentences + list(self.panorama.doubts if self.panorama else ())
+        return [*sentences, *self.camera_doubts]
+
+    @property
+    def camera_doubts(self) -> tuple[str, ...]:
+        """Sentences about unreadable cameras and unfit ones."""
+        return (*self.reading.camera_doubts, *(self.panorama.doubts if self.panorama else ()))
 
     def counts(self) -> dict[str, Any]:
         """Return points, dropped points and milliseconds per stage for a record; None for a stage never reached."""

@@ -185,10 +185,9 @@ def translate_sources(sources: Iterable[ScanSource], total: int, options: Option
 
 def check_strictly(translation: Translation, options: Options) -> None:
     """Raise InputError for a doubtful camera, with --strict; doubtful scans are errors of their reading already."""
-    panorama, reading = translation.panorama, translation.reading
-    doubts = (*reading.camera_doubts, *(panorama.doubts if panorama else ()))
+    doubts = translation.camera_doubts
     if options.reading.strict and doubts:
-        raise InputError(f"{reading.source.title}: {doubts[0]} (an error because of --strict)")
+        raise InputError(f"{translation.reading.source.title}: {doubts[0]} (an error because of --strict)")
 
 
 def write_outputs(translation: Translation, options: Options, common: Iterable[Output]) -> list[Path]:
@@ -279,12 +278,11 @@ class ErrorReporter:
     def warn(self, translation: Translation) -> None:
         """Print the doubts about the scans, once for each stream."""
         source, interpretation = translation.reading.source, translation.reading.interpretation
-        panorama = translation.panorama
         for text in translation.doubts:
             if (source.stream, text) not in self._warnings:
                 self._warnings.add((source.stream, text))
                 strict = interpretation is not None and text in interpretation.doubts
-                strict |= text in (*translation.reading.camera_doubts, *(panorama.doubts if panorama else ()))
+                strict |= text in translation.camera_doubts
                 print_note(f"{source.title}: {text}{' (a warning; --strict makes it an error)' * strict}")
 
     def note_licence(self, pipeline: Pipeline) -> None:
