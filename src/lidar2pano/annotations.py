@@ -43,6 +43,11 @@ class Segment:
     score: float | None
     measured: float
 
+    @property
+    def is_instance(self) -> bool:
+        """Whether it is an instance: values behind the classes are."""
+        return self.value >= len(COMMON15)
+
 
 @dataclass(frozen=True, eq=False)
 class Annotation:
@@ -117,13 +122,14 @@ class Annotation:
         """Return the values (h, w, 3) uint8 as COCO writes them: red + 256 green + 65536 blue."""
         return np.stack([self.values >> shift & 0xFF for shift in (0, 8, 16)], -1).astype(np.uint8)
 
+    @cached_property
     def cityscapes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return Cityscapes' label ids (h, w) uint8, and its instance ids (h, w) uint16."""
+        """Cityscapes' label ids (h, w) uint8, and its instance ids (h, w) uint16."""
         labels = TO_CITYSCAPES[self.panorama.segments]
         table, counts = np.zeros(self.values.max() + 1, dtype=np.uint16), dict.fromkeys(CITYSCAPES_THINGS, 0)
         for segment in self.segments:
             label = table[segment.value] = int(TO_CITYSCAPES[segment.category])
-            if segment.value >= len(COMMON15) and label in counts and counts[label] < MOST_INSTANCES:
+            if segment.is_instance and label in counts and counts[label] < MOST_INSTANCES:
                 table[segment.value] = label * 1000 + counts[label]
                 counts[label] += 1
         return labels, table[self.values]
@@ -138,7 +144,7 @@ class Annotation:
             f"{THINGS.index(segment.category)} {(x + w / 2) / columns:.6f} {(y + h / 2) / rows:.6f}"
             f" {w / columns:.6f} {h / rows:.6f}\n"
             for segment in self.segments
-            if segment.value >= len(COMMON15)
+            if segment.is_instance
             for x, y, w, h in self._parts(segment)
         ]
         return "".join(lines)
@@ -194,8 +200,8 @@ def _files(annotation: Annotation, stem: str, image_format: str) -> Iterator[Wri
     yield "coco", f"{stem}.panoptic.json", lambda path: _write(path, json.dumps(annotation.coco(stem, image)) + "\n")
     yield "coco", f"{stem}.panoptic.png", lambda path: write_png(path, annotation.panoptic_image())
     city = stem.replace("%", "%25").replace("_", "%5F") + "_000000_000000_gtFine"
-    yield "cityscapes", f"{city}_labelIds.png", lambda path: write_ids(path, annotation.cityscapes()[0])
-    yield "cityscapes", f"{city}_instanceIds.png", lambda path: write_ids(path, annotation.cityscapes()[1])
+    yield "cityscapes", f"{city}_labelIds.png", lambda path: write_ids(path, annotation.cityscapes[0])
+    yield "cityscapes", f"{city}_instanceIds.png", lambda path: write_ids(path, annotation.cityscapes[1])
     yield "yolo", f"{stem}.txt", lambda path: _write(path, annotation.yolo())
 
 
