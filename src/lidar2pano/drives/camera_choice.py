@@ -50,9 +50,7 @@ def may_have_cameras(scan_file: Path) -> bool:
         sisters = sequence.parent.glob(f"{family}-*") if family else ()
         images = (place / name for place in (sequence, *sisters) for name in SISTERS)
         return (sequence / "calib").is_dir() or any(map(Path.is_dir, images))
-    if folder.parent.name == "velodyne":  # of the tracking benchmark
-        return any((folder.parents[1] / name).is_dir() for name in RAW)
-    if folder.name == "data" and folder.parent.name == "velodyne_points":
+    if folder.parent.name == "velodyne" or folder.parts[-2:] == ("velodyne_points", "data"):  # tracking, raw
         return any((folder.parents[1] / name).is_dir() for name in RAW)
     return folder.name == NUSCENES or (folder / "info.json").is_file()
 
