@@ -27,7 +27,7 @@ from lidar2pano.formats.field_names import (
     meanings,
 )
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
-from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 from lidar2pano.formats.unnamed_columns import column_names, row_width
 
 POINTS = (
@@ -176,7 +176,7 @@ def _layout(message: Any, length: int, name: str) -> tuple[tuple[int, int], tupl
         doubts.append(f"height x width is {rows} x {width}, but {length} bytes make {length // step} points")
         rows, width = 1, length // step
     if rows * width > MOST_POINTS:
-        raise InputError(f"{name}: {rows * width} points are no single sweep (at most {MOST_POINTS}); cut it")
+        raise sweep_error(name, rows * width)
     if rows * width == 0:
         raise InputError(f"{name}: holds no points; name a scan that has some")
     sizes = [(int(each.offset), DATATYPES.get(int(each.datatype), "f4")) for each in message.fields]

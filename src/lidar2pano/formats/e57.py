@@ -10,7 +10,7 @@ import numpy as np
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
-from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 
 MAGIC = b"ASTM-E57"
 EXPORT = "export its points as PCD, PLY or LAS, e.g. with CloudCompare"
@@ -36,7 +36,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
             file = pye57.E57(copy.name)
             scans, points = file.scan_count, file.get_header(0).point_count if file.scan_count else 0
             if not 0 < points <= MOST_POINTS:
-                raise InputError(f"{path}: {points} points are no single sweep (at most {MOST_POINTS}); cut it")
+                raise sweep_error(path, points)
             columns = _columns(file.read_scan_raw(0))
             file.close()
     except InputError:

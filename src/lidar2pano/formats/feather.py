@@ -11,7 +11,7 @@ import numpy as np
 from lidar2pano.errors import InputError
 from lidar2pano.formats.field_names import meanings
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
-from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 
 PARQUET = b"PAR1"
 MOST_FOOTER_BYTES = 1 << 21  # of a Parquet: pyarrow makes thirty times as much of it
@@ -35,7 +35,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
             batch.validate()
             points += batch.num_rows
             if points > MOST_POINTS or batch.nbytes > MOST_BYTES:
-                raise _too_many(path, points)
+                raise sweep_error(path, points)
             for field in batch.schema:
                 if pa.types.is_integer(field.type) or pa.types.is_floating(field.type):
                     values = batch.column(field.name).to_numpy(zero_copy_only=False)
@@ -72,12 +72,8 @@ def _parquet_batches(data: bytes, path: Path) -> Iterator[Any]:
     with parquet.ParquetFile(pa.BufferReader(data)) as file:
         groups = [file.metadata.row_group(number) for number in range(file.metadata.num_row_groups)]
         if file.metadata.num_rows > MOST_POINTS or sum(group.total_byte_size for group in groups) > MOST_BYTES:
-            raise _too_many(path, file.metadata.num_rows)
+            raise sweep_error(path, file.metadata.num_rows)
         leaves = [file.schema.column(number) for number in range(len(file.schema))]
         numbers = [leaf.path for leaf in leaves if leaf.physical_type in NUMBERS and not leaf.max_repetition_level]
         for batch in file.iter_batches(columns=numbers):
             yield from pa.Table.from_batches([batch]).flatten().to_batches()
-
-
-def _too_many(path: Path, points: int) -> InputError:
-    return InputError(f"{path}: {points} points are no single sweep (at most {MOST_POINTS}); cut it")

@@ -16,7 +16,7 @@ import numpy as np
 from lidar2pano.errors import InputError
 from lidar2pano.formats.delimited_text import numbers
 from lidar2pano.formats.file_contents import MOST_BYTES, stem_of
-from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 
 MOST_HEADER = 1 << 16
 MOST_RATIO = 90  # of LZF: three bytes stand for 264 at most
@@ -110,7 +110,7 @@ def _header(entries: dict[str, list[str]], start: int, path: Path) -> Header:
     if layout not in {"ascii", "binary", "binary_compressed"}:
         raise InputError(f"{path}: PCD data of form {layout!r} are not read; write it as binary")
     if max((points, *claims)) > MOST_POINTS or min((points, *claims)) < 0 or step < 1:
-        raise InputError(f"{path}: {max((points, *claims))} points are no single sweep (at most {MOST_POINTS}); cut it")
+        raise sweep_error(path, max((points, *claims)))
     return Header(
         fields=tuple(fields),
         step=step,

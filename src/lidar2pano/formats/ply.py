@@ -11,7 +11,7 @@ import numpy as np
 from lidar2pano.errors import InputError
 from lidar2pano.formats.delimited_text import BLOCK_BYTES, numbers
 from lidar2pano.formats.file_contents import stem_of
-from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 
 MOST_HEADER = 1 << 16
 MOST_LISTED = 1 << 21  # items with lists, walked one by one
@@ -61,7 +61,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
         raise InputError(f"{path}: has no vertices; name a PLY of points")
     vertices, last = elements[place], place == len(elements) - 1
     if not 0 <= vertices.count <= MOST_POINTS:
-        raise InputError(f"{path}: {vertices.count} points are no single sweep (at most {MOST_POINTS}); cut it")
+        raise sweep_error(path, vertices.count)
     if layout == "ascii":
         body = data[start:]
         if skipped := sum(element.count for element in elements[:place]):

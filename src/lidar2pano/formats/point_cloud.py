@@ -81,6 +81,11 @@ class PointCloud:
         return len(self.xyz)
 
 
+def sweep_error(source: object, points: int) -> InputError:
+    """Return the error of a file or message of more points than a scan may have."""
+    return InputError(f"{source}: {points} points are no single sweep (at most {MOST_POINTS}); cut it")
+
+
 def cloud_of_columns(
     columns: Mapping[str, np.ndarray],
     *,

@@ -12,7 +12,7 @@ import numpy as np
 from lidar2pano.bounded_files import read_input
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
-from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns
+from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 from lidar2pano.formats.unnamed_columns import MOST_RINGS, are_integers, block_count, column_names, row_width
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
@@ -53,7 +53,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
         width = width or _shortest_width(data, kind)
         table = _rows(data, kind, width, path)
     if len(table) > MOST_POINTS:
-        raise InputError(f"{path}: {len(table)} points are no single sweep (at most {MOST_POINTS}); cut it")
+        raise sweep_error(path, len(table))
     names = column_names(table)
     if width == len(KITTI):
         names = ["remission" if name == "intensity" else name for name in names]
