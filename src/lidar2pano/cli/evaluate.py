@@ -189,13 +189,13 @@ def write_csv(path: Path, rows: list[dict[str, object]], option: str) -> None:
     import csv
     import io
 
-    from lidar2pano.formats.image_files import write_whole
+    from lidar2pano.formats.image_files import write_text
 
     text = io.StringIO()
     writer = csv.DictWriter(text, rows[0] if rows else [], lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    write_whole(path, lambda temporary: temporary.write_text(text.getvalue(), encoding="utf-8"), option)
+    write_text(path, text.getvalue(), option)
 
 
 def note_systems(systems: Iterable[System]) -> None:

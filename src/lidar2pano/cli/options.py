@@ -255,7 +255,7 @@ def check_file(path: Path, option: str) -> None:
 
 def write_json(path: Path, value: Any, option: str) -> None:  # noqa: ANN401
     """Write `value` as JSON, beside and then renamed; InputError for an unwritable file."""
-    from lidar2pano.formats.image_files import write_whole
+    from lidar2pano.formats.image_files import write_text
 
     text = json.dumps(value, indent=2, allow_nan=False) + "\n"
-    write_whole(path, lambda unfinished: unfinished.write_text(text, encoding="utf-8"), option)
+    write_text(path, text, option)

@@ -19,7 +19,7 @@ from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate.ground_truth import Resampled
 from lidar2pano.evaluate.interface import Prediction
-from lidar2pano.formats.image_files import write_png, write_whole
+from lidar2pano.formats.image_files import write_png, write_text, write_whole
 from lidar2pano.labels import COMMON15
 
 
@@ -127,4 +127,4 @@ class Preferences:
             raise InputError("--pairs: no frame has a photograph and both systems' pictures; choose another split")
         data = json.dumps({"systems": self.systems, "pairs": self.pairs}).replace("<", "\\u003c")
         page = Path(__file__).with_name("pairs.html").read_text(encoding="utf-8").replace("{{data}}", data)
-        return write_whole(self.folder / "index.html", lambda file: file.write_text(page, encoding="utf-8"), "--pairs")
+        return write_text(self.folder / "index.html", page, "--pairs")

@@ -168,6 +168,11 @@ def write_whole(path: Path, write: Callable[[Path], object], option: str = "--ou
     return path
 
 
+def write_text(path: Path, text: str, option: str = "--out") -> Path:
+    """Write text in UTF-8, complete or not at all, see `write_whole`; return `path`."""
+    return write_whole(path, lambda part: part.write_text(text, encoding="utf-8"), option)
+
+
 def reason(error: OSError) -> str:
     """Return the system's message; numpy's `tofile` says only how many bytes it could write."""
     return error.strerror or ("No space left on device" if "requested and" in str(error) else str(error))

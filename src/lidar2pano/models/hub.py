@@ -12,7 +12,7 @@ from typing import TypedDict
 
 from lidar2pano.bounded_files import check_regular
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.image_files import write_text, write_whole
 from lidar2pano.models.card import Card, read_card
 from lidar2pano.models.families import families
 from lidar2pano.models.model_page import model_page
@@ -84,7 +84,7 @@ def write_family(folder: Path, files: Mapping[str, Path], cards: Mapping[str, Ca
         write_whole(folder / name, lambda part, source=source: _copy(source, part), "folder")
     if not (folder / PAGE).exists():
         text = model_page(folder.resolve().name, every_card)
-        write_whole(folder / PAGE, lambda part: part.write_text(text, encoding="utf-8"), "folder")
+        write_text(folder / PAGE, text, "folder")
 
 
 def push_family(repo_id: str, files: Mapping[str, Path], cards: Mapping[str, Card], upload: Upload) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate.report import by_name, markdown_table, number_cell, value_of
-from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.image_files import write_text
 from lidar2pano.labels import COMMON14
 from lidar2pano.models.card import read_card
 from lidar2pano.models.families import weight_files
@@ -49,7 +49,7 @@ def write_results_page(plan: Plan, outcome: Outcome) -> Path:
     sheets = write_sheets(plan.out / "images", plan.out / "sheets", names)
     curves = write_curves({part: plan.run(part) for part in plan.parts}, plan.out / "sheets" / "curves.png")
     text = results_page(plan, outcome, sheets, curves)
-    return write_whole(plan.out / "RESULTS.md", lambda path: path.write_text(text, encoding="utf-8"))
+    return write_text(plan.out / "RESULTS.md", text)
 
 
 def records(plan: Plan, outcome: Outcome) -> list[dict[str, Any]]:

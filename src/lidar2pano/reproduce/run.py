@@ -17,7 +17,7 @@ from lidar2pano.data.layouts import frames
 from lidar2pano.data.semantic_kitti import SEQUENCES
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate import MetricConfig, report, score, system
-from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.image_files import write_text
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.hardware import Timer, pick_device
 from lidar2pano.models import build
@@ -138,7 +138,7 @@ def training_data(plan: Plan) -> Path:
         if path.name != "splits.json" and not (folder / path.name).is_symlink():
             (folder / path.name).symlink_to(path)
     text = json.dumps(rest, indent=1)
-    write_whole(folder / "splits.json", lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(folder / "splits.json", text)
     return folder
 
 
@@ -313,7 +313,7 @@ def score_row(
     evaluation = score([row_system], scored, data=plan.data.resolve().name, split=plan.split, config=config)
     result = report.as_dict(evaluation)
     text = json.dumps({"key": key, "result": result}, indent=1)
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(path, text)
     return result
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.image_files import write_text
 from lidar2pano.formats.json_files import front_matter
 from lidar2pano.simulate.settings import FORMAT, WorldSettings
 
@@ -50,4 +50,4 @@ def write_page(out: Path, settings: WorldSettings) -> None:
     """Write the page of a world into its folder; one that is there stays, since it may be someone's own."""
     if not (out / PAGE).exists():
         text = data_set_page(settings)
-        write_whole(out / PAGE, lambda part: part.write_text(text, encoding="utf-8"))
+        write_text(out / PAGE, text)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import write_depth, write_ids, write_palette, write_png, write_whole
+from lidar2pano.formats.image_files import write_depth, write_ids, write_palette, write_png, write_text, write_whole
 from lidar2pano.labels import CITYSCAPES
 from lidar2pano.simulate.data_set_page import write_page
 from lidar2pano.simulate.layout.street_world import World, build_world
@@ -86,7 +86,7 @@ class SequenceWriter:
         self._text("poses.txt", "\n".join(lines) + "\n")
 
     def _text(self, name: str, text: str) -> None:
-        write_whole(self.folder / name, lambda path: path.write_text(text, encoding="utf-8"))
+        write_text(self.folder / name, text)
 
     def scene(self, frame: int) -> Scene:
         """The static scene around a frame."""
@@ -262,4 +262,4 @@ def _write_splits(out: Path, sequences: int, frames: int) -> None:
         for name, numbers in names.items()
     }
     text = json.dumps(splits, indent=1) + "\n"
-    write_whole(out / "splits.json", lambda path: path.write_text(text, encoding="utf-8"))
+    write_text(out / "splits.json", text)

@@ -11,7 +11,7 @@ import numpy as np
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.errors import InputError, closest
-from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.image_files import write_text
 from lidar2pano.formats.json_files import read_json
 from lidar2pano.simulate.layout.town import PLACES
 from lidar2pano.simulate.render.looks import LOOKS
@@ -105,4 +105,4 @@ def claim_folder(out: Path, settings: WorldSettings) -> None:
     if (out / "sequences").exists():
         raise InputError(f"{out}: holds a data set that is no simulated world; choose another folder")
     text = json.dumps(expected, indent=2) + "\n"
-    write_whole(card, lambda path: path.write_text(text, encoding="utf-8"))
+    write_text(card, text)

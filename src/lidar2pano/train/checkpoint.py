@@ -36,7 +36,7 @@ from lidar2pano import __version__
 from lidar2pano.bounded_files import check_regular, sha256_of
 from lidar2pano.data.layouts import locate_split
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import write_whole
+from lidar2pano.formats.image_files import write_text
 from lidar2pano.formats.json_files import read_json, validated
 from lidar2pano.formats.torch_files import load_torch
 from lidar2pano.models.card import Card, save
@@ -129,7 +129,7 @@ def write_recipe(run: Path, recipe: Recipe) -> None:
     values = resolved(recipe)
     hashes = _hashes(_flat(values))
     text = json.dumps(values | ({"files": hashes} if hashes else {}), indent=2) + "\n"
-    write_whole(run / "recipe.json", lambda part: part.write_text(text, encoding="utf-8"))
+    write_text(run / "recipe.json", text)
 
 
 def _hashes(values: Mapping[str, Any]) -> dict[str, str]:
