@@ -118,6 +118,11 @@ def _missing(item: pytest.Item) -> str | None:
     return None
 
 
+def pytest_make_parametrize_id(val: object) -> str | None:
+    """Name bytes by their number: a packed file may hold the second it was made in, and all workers need one name."""
+    return f"{len(val)}-bytes" if isinstance(val, bytes) else None
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselect what needs more than the repository has; the summary says how many tests and why."""
     missing = {item: _missing(item) for item in items}
