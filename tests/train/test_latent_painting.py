@@ -177,6 +177,16 @@ def test_mean_and_flow_are_learned_and_long_steps_with_them(place):
     assert last[1] < 0.9 * first[1]
 
 
+def test_a_mean_that_is_done_stays_as_it_is(place):
+    task = build_task(small(place, "options.mean=false"), place / "set")
+    batch = default_collate([task.dataset[SampleIndex(0, 0)]])
+    ((_, loss),) = task.updates(batch)
+    assert float(loss.detach()) == float(task.logs["flow"])
+    loss.backward()
+    learned = {name.split(".")[0] for name, part in task.painter.named_parameters() if part.grad is not None}
+    assert learned == {"flow"}
+
+
 def test_a_long_step_is_the_mean_of_two_halves(place):
     """For a network whose velocity is the step's length: two halves of 1/2 give 1/2, and so on."""
     task = build_task(small(place), place / "set")

@@ -45,6 +45,7 @@ class LatentPaintingOptions(TaskOptions):
     free_probability    of a sample whose flow is given nothing of the scene, for guidance.
     absent_probability  of each group of conditions to be absent from a sample.
     shortcut     share of the samples of a batch for long steps.
+    mean         whether the mean network learns as well; it begins to overfit long before the flow is done.
     """
 
     task = "latent-painting"
@@ -57,6 +58,7 @@ class LatentPaintingOptions(TaskOptions):
     free_probability: float = 0.12
     absent_probability: float = 0.1
     shortcut: float = 0.25
+    mean: bool = True
 
 
 class Noisy(NamedTuple):
@@ -81,6 +83,7 @@ class LatentPainting:
         autoencoder = cast("Autoencoder", load(Path(recipe.options.autoencoder), expect="autoencoder")[0])
         self.networks = build_networks(recipe)
         self.painter = cast("LatentPainter", self.networks["painter"])
+        self.painter.mean.requires_grad_(recipe.options.mean)
         device = torch.device("cpu")
         segmenter, _ = load_segmenter(Path(recipe.options.segmenter), device)
         translator, _ = load_part(Path(recipe.options.translator), device, expect="titan-pano")
@@ -136,7 +139,7 @@ class LatentPainting:
             "flow": masked_error(velocity, noisy.velocity, batch.coverage),
         }
         self.logs = {name: loss.detach() for name, loss in losses.items()}
-        yield "painter", losses["mean"] + losses["flow"]
+        yield "painter", losses["mean"] + losses["flow"] if self.options.mean else losses["flow"]
 
     def _shares(self, look: Tensor) -> Tensor:
         """Return the shares (B, looks) of looks (B,), one each."""
