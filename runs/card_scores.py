@@ -11,8 +11,7 @@ from pathlib import Path
 
 from lidar2pano.models.card import Card, load, save
 from lidar2pano.models.families import families, weight_files
-from lidar2pano.models.hub import PAGE
-from lidar2pano.models.model_page import model_page
+from lidar2pano.models.hub import PAGE, model_page
 
 RESULTS = runpy.run_path(str(Path(__file__).with_name("results.py")))
 MEASURED_ON = {"world": "towns"}  # others: val

@@ -14,8 +14,7 @@ from pathlib import Path
 
 from lidar2pano.models.card import load, save
 from lidar2pano.models.families import RELEASED, families, weight_files
-from lidar2pano.models.hub import PAGE
-from lidar2pano.models.model_page import model_page
+from lidar2pano.models.hub import PAGE, model_page
 
 
 def main() -> None:

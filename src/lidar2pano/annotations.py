@@ -16,7 +16,7 @@ from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import COLOUR_FORMATS, write_ids, write_png, write_whole
 from lidar2pano.labels import CITYSCAPES_IDS, COMMON15, THINGS
 from lidar2pano.panorama import Panorama, Writer
-from lidar2pano.scene.instances import thing_instances
+from lidar2pano.scene.surfaces import thing_instances
 
 FORMS = ("coco", "cityscapes", "yolo")
 # Cityscapes has buses, trains, caravans and trailers, and no class for all of them: "dynamic", which is not scored.

@@ -18,13 +18,13 @@ from lidar2pano.calibration import Calibration, LensCalibration
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import (
     COLOUR_FORMATS,
+    gpano,
     write_colour,
     write_depth,
     write_ids,
     write_palette,
     write_whole,
 )
-from lidar2pano.formats.photo_sphere import gpano
 from lidar2pano.formats.ply import write_ply
 from lidar2pano.geometry.camera import Lookup, panorama_in_camera
 from lidar2pano.geometry.projection import directions, project
@@ -32,7 +32,7 @@ from lidar2pano.geometry.reprojection import CUBE_AXES, PROJECTIONS, equirectang
 from lidar2pano.geometry.stitching import Camera, homogeneous, look
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan
-from lidar2pano.scene.echoes import echo_image
+from lidar2pano.scene.depth import echo_image
 from lidar2pano.scene.surfaces import hides
 from lidar2pano.views import View
 

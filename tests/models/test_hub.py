@@ -20,8 +20,7 @@ from installed_families import INSTALLED
 from lidar2pano.errors import InputError
 from lidar2pano.models.card import Card, read_card
 from lidar2pano.models.families import families, weight_files
-from lidar2pano.models.hub import PAGE, Upload
-from lidar2pano.models.model_page import hub_licence, model_page
+from lidar2pano.models.hub import PAGE, Upload, hub_licence, model_page
 from lidar2pano.pipeline import Pipeline, load
 
 hub = pytest.importorskip("huggingface_hub", reason="the hub's library: pip install 'lidar2pano[train]'")

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from lidar2pano.errors import InputError
-from lidar2pano.formats.photo_sphere import gpano
+from lidar2pano.formats.image_files import gpano
 from lidar2pano.geometry.reprojection import equirectangular
 from lidar2pano.views import View
 from random_weights import street

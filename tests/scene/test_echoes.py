@@ -8,7 +8,7 @@ import torch
 
 from lidar2pano.geometry.projection import project
 from lidar2pano.scan import Scan
-from lidar2pano.scene.echoes import echo_image
+from lidar2pano.scene.depth import echo_image
 from lidar2pano.views import VIEWS
 
 VIEW = VIEWS["panorama"]

@@ -1,4 +1,4 @@
-"""Image files: RGB, class ids and 16 bit depth as PNG; and files written completely or not at all."""
+"""Image files: RGB, class ids and 16 bit depth as PNG, photo spheres; and files written completely or not at all."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from PIL import Image
 
 from lidar2pano.bounded_files import check_target, open_regular
 from lidar2pano.errors import InputError
-from lidar2pano.formats.photo_sphere import jpeg_segment, png_chunk_data
 from lidar2pano.labels import COMMON15, LabelSet
+from lidar2pano.views import FULL_TURN, View
 
 DEPTH_STEPS = 256  # per metre, KITTI's form of 16 bit depth
 PARTS = 4  # of a PNG's rows, compressed by a thread each
@@ -38,6 +38,16 @@ SMALL_PNG = 9  # for files written once and read often
 READ_FORMATS = ("PNG", "JPEG", "WEBP")  # Pillow would choose among fifty by content, and starts Ghostscript for EPS
 MOST_PIXELS = 1 << 25  # of an image to be read: 100 MB of RGB
 JPEG_SCAN, MOST_SCANS = b"\xff\xda", 100  # a progressive JPEG has ten; each costs a pass over all pixels
+PNG_KEYWORD = b"XML:com.adobe.xmp"
+JPEG_NAMESPACE = b"http://ns.adobe.com/xap/1.0/\0"
+PACKET = """<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>
+<x:xmpmeta xmlns:x="adobe:ns:meta/">
+<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
+<rdf:Description rdf:about="" xmlns:GPano="http://ns.google.com/photos/1.0/panorama/"
+{fields}/>
+</rdf:RDF>
+</x:xmpmeta>
+<?xpacket end="r"?>"""
 
 
 def read_image(path: Path, mode: str | None = None) -> np.ndarray:
@@ -229,3 +239,33 @@ def _decoded(file: IO[bytes], title: object) -> Iterator[Image.Image]:
         raise InputError(f"{title}: has more pixels than an image may ({MOST_PIXELS}); shrink it") from error
     except (OSError, SyntaxError, ValueError, EOFError) as error:  # Pillow raises all
         raise InputError(f"{title}: is no readable image; replace it") from error
+
+
+def gpano(view: View) -> bytes:
+    """Return the XMP packet of an equirectangular image, the part of a full sphere that `view` (a sphere) is."""
+    if view.kind != "sphere":
+        raise ValueError("a photo sphere's rows are equal steps of elevation")
+    step = (view.left - view.right) / view.columns
+    width = round(FULL_TURN / step)
+    fields = {
+        "UsePanoramaViewer": "True",
+        "ProjectionType": "equirectangular",
+        "FullPanoWidthPixels": width,
+        "FullPanoHeightPixels": width // 2,
+        "CroppedAreaImageWidthPixels": view.columns,
+        "CroppedAreaImageHeightPixels": view.rows,
+        "CroppedAreaLeftPixels": round((FULL_TURN / 2 - view.left) / step),
+        "CroppedAreaTopPixels": round((90 - view.up) / step),
+    }
+    return PACKET.format(fields="\n".join(f'GPano:{name}="{value}"' for name, value in fields.items())).encode()
+
+
+def png_chunk_data(xmp: bytes) -> bytes:
+    """Return the data of the iTXt chunk with an XMP packet: not compressed, without language and translated keyword."""
+    return PNG_KEYWORD + b"\0\0\0\0\0" + xmp
+
+
+def jpeg_segment(xmp: bytes) -> bytes:
+    """Return the APP1 segment with an XMP packet."""
+    content = JPEG_NAMESPACE + xmp
+    return b"\xff\xe1" + struct.pack(">H", len(content) + 2) + content
