@@ -41,6 +41,7 @@ def seeds(folder: Path) -> dict[str, bytes]:
         path = recordings.write(folder, format, sent, stem=f"seed-{format}")
         found[f"{format}{path.suffix}"] = path.read_bytes()
     found["capture.pcap"] = _capture()
+    found["ouster.osf"] = (Path(__file__).parents[1] / "recordings" / "dual_returns.osf").read_bytes()
     found["foxglove.mcap"] = _foxglove(folder / "seed-foxglove.mcap", xyz)
     found["livox.bag"] = _livox(folder / "seed-livox.bag", xyz)
     return found

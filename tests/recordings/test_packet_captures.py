@@ -160,15 +160,6 @@ def test_packets_of_other_sensors_are_named(tmp_path):
     assert "holds no packet" in complaint(capture(tmp_path / "b.pcap", []))
 
 
-@pytest.mark.parametrize("head", [bytes(4) + b"OSF!", b"4\0\0\0\x14\0\0\0OSF$"])  # ouster-sdk 0.9, 1.0
-def test_osf_needs_its_library(tmp_path, head):
-    if pytest.importorskip("importlib.util").find_spec("ouster"):
-        pytest.skip("ouster-sdk is installed")
-    osf = tmp_path / "a.osf"
-    osf.write_bytes(head + bytes(100))
-    assert "they are decoded where ouster-sdk is installed" in complaint(osf)
-
-
 def test_a_newer_capture_is_read_too(tmp_path):
     def block(number: int, body: bytes) -> bytes:
         body += bytes(-len(body) % 4)

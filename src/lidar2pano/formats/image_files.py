@@ -197,10 +197,10 @@ def _sweep(folder: Path) -> None:
             part.unlink(missing_ok=True)
 
 
-def decode_image(file: IO[bytes], title: str, mode: str) -> np.ndarray:
-    """Decode an image in an open file; `title` begins messages. Raises InputError if it is damaged or too large."""
+def decode_image(file: IO[bytes], title: str, mode: str | None) -> np.ndarray:
+    """Decode an image in an open file, as `read_image`; InputError, with `title`, if it is damaged or too large."""
     with _decoded(file, title) as image:
-        return np.array(image.convert(mode))
+        return np.array(image.convert(mode) if mode else image)
 
 
 def _check_scans(file: IO[bytes]) -> None:

@@ -63,25 +63,69 @@ PROFILES = {
 
 
 @dataclass(frozen=True, eq=False)
-class Sensor:
-    """A sensor by its metadata.
+class Optics:
+    """Directions of a sensor's beams, by its metadata.
 
-    beams  (H, 2) float64 altitude and azimuth of each, radians;  columns: of a turn;  packet_columns: of a packet.
+    beams  (H, 2) float64 altitude and azimuth of each, radians;  columns: of a turn.
     origin_m  distance of a beam's origin from the axis;  T: (4, 4) sensor from LiDAR, metres.
     """
 
-    profile: Profile
     beams: np.ndarray
     columns: int
-    packet_columns: int
     origin_m: float
     T: np.ndarray
+
+    def cloud(
+        self, columns: np.ndarray, stamps_ns: np.ndarray, returns: list[dict[str, np.ndarray]], name: str
+    ) -> PointCloud:
+        """Return the points of columns (n,) of a turn, beam after beam; no return is at the origin.
+
+        returns  of each return the fields (beams, n), `range` in metres; points of the second follow, without those
+                 of nothing. A field that the second lacks is the first's.
+        """
+        start_ns = int(stamps_ns.min())
+        fields = {field: values.reshape(-1) for field, values in returns[0].items() if field != "range"}
+        fields["ring"] = np.repeat(np.arange(len(self.beams)), len(columns))
+        fields["offset_ns"] = np.tile((stamps_ns - start_ns).astype(np.int64), len(self.beams))
+        xyz = self._places(columns, returns[0]["range"])
+        for layer in returns[1:]:
+            further = self._places(columns, layer["range"])
+            held = further.any(1)
+            second = fields | {field: values.reshape(-1) for field, values in layer.items() if field in fields}
+            fields = {field: np.concatenate([fields[field], second[field][held]]) for field in fields}
+            xyz = np.concatenate([xyz, further[held]])
+        points: dict[str, np.ndarray] = {**dict(zip("xyz", xyz.T, strict=True)), **fields}
+        return cloud_of_columns(points, format="Ouster packets", name=name, frame="os_sensor", stamp_s=start_ns * 1e-9)
+
+    def _places(self, columns: np.ndarray, range_m: np.ndarray) -> np.ndarray:
+        """Return the points (beams * n, 3) float32 at ranges (beams, n)."""
+        encoder = 2 * np.pi * (1 - columns / self.columns)
+        altitude, azimuth = (self.beams[:, axis, None] for axis in (0, 1))
+        along = range_m - self.origin_m
+        x = along * np.cos(encoder - azimuth) * np.cos(altitude) + self.origin_m * np.cos(encoder)
+        y = along * np.sin(encoder - azimuth) * np.cos(altitude) + self.origin_m * np.sin(encoder)
+        xyz = np.stack([x, y, along * np.sin(altitude)], axis=-1) @ self.T[:3, :3].T + self.T[:3, 3]
+        return np.where(range_m[..., None] > 0, xyz, 0).reshape(-1, 3).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """A sensor that sends packets of so many columns."""
+
+    profile: Profile
+    optics: Optics
+    packet_columns: int
+
+    @property
+    def columns(self) -> int:
+        """Columns of a turn."""
+        return self.optics.columns
 
     @property
     def packet_bytes(self) -> int:
         """Length of its packets of points."""
         layout = self.profile
-        block = layout.column + len(self.beams) * layout.pixel + layout.footer
+        block = layout.column + len(self.optics.beams) * layout.pixel + layout.footer
         return layout.header + self.packet_columns * block + (32 if layout.header else 0)
 
     @cached_property
@@ -94,7 +138,7 @@ class Sensor:
         names, parts = list(pixel), list(pixel.values())
         record = {"names": names, "formats": [part[0] for part in parts], "offsets": [part[1] for part in parts]}
         pixels = np.dtype(record | {"itemsize": layout.pixel})  # pyright: ignore[reportArgumentType, reportCallIssue]
-        count = len(self.beams)
+        count = len(self.optics.beams)
         status = layout.column + count * layout.pixel if layout.footer else 10
         return np.dtype(  # pyright: ignore[reportCallIssue]
             {
@@ -111,67 +155,46 @@ class Sensor:
         return rows[(rows["status"] & 1 == 1) & (rows["column"] < self.columns)]
 
     def cloud(self, rows: np.ndarray, name: str) -> PointCloud:
-        """Return the points of the columns (n,) of a turn, beam after beam; no return is at the origin.
-
-        Second returns follow, without those of nothing.
-        """
+        """Return the points of the columns (n,) of a turn, as `Optics.cloud` does."""
         pixels = rows["pixels"].T  # (beams, n)
-        start_ns = rows["stamp_ns"].min()
-        fields = {field: pixels[field].reshape(-1) for field in self.profile.fields}
-        fields["ring"] = np.repeat(np.arange(len(self.beams)), len(rows))
-        fields["offset_ns"] = np.tile((rows["stamp_ns"] - start_ns).astype(np.int64), len(self.beams))
-        xyz = self._places(rows, pixels["range"])
+        returns = [{field: pixels[field] for field in self.profile.fields} | {"range": self._range_m(pixels["range"])}]
         if self.profile.second:
-            further = self._places(rows, pixels["range2"])
-            held = further.any(1)
-            second = fields | {"reflectivity": pixels["reflectivity2"].reshape(-1)}
-            fields = {field: np.concatenate([fields[field], second[field][held]]) for field in fields}
-            xyz = np.concatenate([xyz, further[held]])
-        columns: dict[str, np.ndarray] = {**dict(zip("xyz", xyz.T, strict=True)), **fields}
-        return cloud_of_columns(
-            columns, format="Ouster packets", name=name, frame="os_sensor", stamp_s=float(start_ns) * 1e-9
-        )
+            returns.append({"reflectivity": pixels["reflectivity2"], "range": self._range_m(pixels["range2"])})
+        return self.optics.cloud(rows["column"], rows["stamp_ns"], returns, name)
 
-    def _places(self, rows: np.ndarray, ranges: np.ndarray) -> np.ndarray:
-        """Return the points (beams * n, 3) float32 at ranges (beams, n) as they are sent."""
-        range_m = (ranges & (1 << self.profile.range_bits) - 1) * self.profile.range_m
-        encoder = 2 * np.pi * (1 - rows["column"] / self.columns)
-        altitude, azimuth = (self.beams[:, axis, None] for axis in (0, 1))
-        along = range_m - self.origin_m
-        x = along * np.cos(encoder - azimuth) * np.cos(altitude) + self.origin_m * np.cos(encoder)
-        y = along * np.sin(encoder - azimuth) * np.cos(altitude) + self.origin_m * np.sin(encoder)
-        xyz = np.stack([x, y, along * np.sin(altitude)], axis=-1) @ self.T[:3, :3].T + self.T[:3, 3]
-        return np.where(range_m[..., None] > 0, xyz, 0).reshape(-1, 3).astype(np.float32)
+    def _range_m(self, ranges: np.ndarray) -> np.ndarray:
+        return (ranges & (1 << self.profile.range_bits) - 1) * self.profile.range_m
 
 
 def read_sensor(path: Path) -> Sensor:
     """Return the sensor of a metadata .json, of any firmware; InputError for another file or an unknown profile."""
+    optics, settings = optics_of(read_json(path), str(path))
+    name = settings.get("udp_profile_lidar") or "LEGACY"
+    if name not in PROFILES:
+        raise InputError(f"{path}: packets of profile {name} are not decoded; there is {', '.join(PROFILES)}")
+    return Sensor(PROFILES[name], optics, int(settings.get("columns_per_packet", 16)))
+
+
+def optics_of(content: Any, source: str) -> tuple[Optics, dict[str, Any]]:  # noqa: ANN401
+    """Return the optics of a sensor's metadata, and all its settings; InputError with `source` for other JSON."""
     try:
-        content = read_json(path)
         settings: dict[str, Any] = {}
-        for part in (content, *(part for part in content.values() if isinstance(part, dict))):
-            settings |= {key: value for key, value in part.items() if value not in (None, [])}
-        layout = content.get("lidar_data_format") or content.get("data_format") or {}
-        name = layout.get("udp_profile_lidar") or settings.get("udp_profile_lidar") or "LEGACY"
-        if name not in PROFILES:
-            raise InputError(f"{path}: packets of profile {name} are not decoded; there is {', '.join(PROFILES)}")
+        layouts = content.get("data_format"), content.get("lidar_data_format")
+        for part in (content, *(part for part in content.values() if isinstance(part, dict)), *layouts):
+            settings |= {key: value for key, value in (part or {}).items() if value not in (None, [])}
         beams = np.radians([settings["beam_altitude_angles"], settings["beam_azimuth_angles"]]).T
         T = np.array(settings["lidar_to_sensor_transform"], np.float64).reshape(4, 4)
         T[:3, 3] *= 1e-3
         mode = str(settings.get("lidar_mode", "1024x10")).removeprefix("MODE_")
-        return Sensor(
-            profile=PROFILES[name],
+        return Optics(
             beams=beams.reshape(-1, 2),
-            columns=int(layout.get("columns_per_frame") or mode.split("x")[0]),
-            packet_columns=int(layout.get("columns_per_packet", 16)),
+            columns=int(settings.get("columns_per_frame") or mode.split("x")[0]),
             origin_m=float(settings.get("lidar_origin_to_beam_origin_mm", 0)) * 1e-3,
             T=T,
-        )
+        ), settings
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError(
-            f"{path}: is no metadata of an Ouster sensor ({error}); take the sensor's own .json"
+            f"{source}: is no metadata of an Ouster sensor ({error}); take the sensor's own .json"
         ) from error
 
 

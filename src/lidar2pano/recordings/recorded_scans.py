@@ -24,18 +24,14 @@ from lidar2pano.recordings import transforms
 from lidar2pano.recordings.description import MOST_NAMED, Description, RawMessage, Recording, choose_topic, damage
 from lidar2pano.recordings.joined_topics import join_topics
 from lidar2pano.recordings.mcap_files import MAGIC, McapFile
+from lidar2pano.recordings.osf_files import OsfFile, is_osf
 from lidar2pano.recordings.ouster_packets import metadata_files, ouster_turns
 from lidar2pano.recordings.packet_captures import (
     PCAP,
     PCAPNG,
     VELODYNE,
     PacketCapture,
-    cloud_of_ouster_scan,
     cloud_of_turn,
-    describe_osf,
-    is_osf,
-    ouster_scans,
-    ouster_stamp_s,
     packets,
 )
 from lidar2pano.recordings.point_messages import CLOUDS
@@ -202,15 +198,13 @@ def _ouster_captured_frames(path: Path, options: ReadOptions) -> Iterator[Frame]
     yield from _selected(path, scans, options)
 
 
-def _ouster_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
-    scans = (
-        (ouster_stamp_s(scan), partial(cloud_of_ouster_scan, scan), np.ascontiguousarray(scan.field("RANGE")))
-        for scan in ouster_scans(path)
-    )
-    yield from _selected(path, scans, options)
+def _osf_frames(path: Path, options: ReadOptions) -> Iterator[Frame]:
+    yield from _selected(path, OsfFile(path).scans(options.topic), options)
 
 
-def _selected(path: Path, scans: Iterable[tuple[float, Decode, np.ndarray]], options: ReadOptions) -> Iterator[Frame]:
+def _selected(
+    path: Path, scans: Iterable[tuple[float, Decode, bytes | np.ndarray]], options: ReadOptions
+) -> Iterator[Frame]:
     """Yield the selected frames among (stamp_s, decode, content); --from and --to count from the first scan."""
     first = origin_s = None
     after_s = 0.0
@@ -280,7 +274,7 @@ RECORDINGS: tuple[RecordingReader, ...] = (
         lambda path: PacketCapture(path).description,
         _captured_frames,
     ),
-    RecordingReader("OSF", lambda head, _: is_osf(head), describe_osf, _ouster_frames),
+    RecordingReader("OSF", lambda head, _: is_osf(head), lambda path: OsfFile(path).description, _osf_frames),
 )
 FOLDER = ros_reader("ROS 2 bag", lambda _, path: (path / METADATA).is_file(), open_folder)
 
