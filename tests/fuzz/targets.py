@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
+import e57_target
 import numpy as np
 from mutation import ODD_WORDS, mutant, odd_json, odd_text
 from PIL import Image
@@ -142,6 +143,10 @@ def scan_targets() -> dict[str, Target]:
         textual = content[:200].isascii()
         mutate = mixed(odd_text, seeds) if textual and b" " in content else bytes_of(list(files.values()))
         found[f"scan {file}"] = Target(seeds, mutate, partial(decoded, path=path, name=name))
+    if data := e57_target.seed(xyz):
+        found["scan a.e57"] = Target(
+            [data], e57_target.change([data]), partial(decoded, path=Path("a.e57"), name="E57")
+        )
     return found
 
 
