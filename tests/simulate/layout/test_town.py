@@ -175,11 +175,14 @@ def test_every_place_has_what_belongs_there(worlds):
 def test_a_centre_has_many_of_what_is_rare_elsewhere(worlds):
     from lidar2pano.simulate.layout.street_world import build_world
 
-    def count(place, *wanted):
+    names: dict[str, list[str]] = {}
+    for place in ("centre", "avenue"):
         made = [worlds[place], build_world(8, 1.0, place), build_world(9, 1.0, place)]
-        names = [thing.template.name for one in made for thing in one.objects]
-        names += [actor.name.split()[0] for one in made for actor in one.traffic.actors]
-        return sum(name in wanted for name in names)
+        names[place] = [thing.template.name for one in made for thing in one.objects]
+        names[place] += [actor.name.split()[0] for one in made for actor in one.traffic.actors]
+
+    def count(place, *wanted):
+        return sum(name in wanted for name in names[place])
 
     for wanted in (("truck", "trailer", "bus", "tram"), ("person", "walker"), ("bicyclist", "motorcyclist")):
         assert count("centre", *wanted) > 3 * count("avenue", *wanted) > 0
