@@ -56,7 +56,7 @@ def inputs_of(model: str, rows: int = 32, columns: int = 64) -> tuple[torch.Tens
 
 def test_onnx_runtime_computes_what_torch_does():  # the other networks: test_export.py
     pytest.importorskip("onnxruntime")
-    model = "scene-painter"
+    model = "latent-decoder"
     network, inputs = network_of(model), inputs_of(model)
     exact = as_tuple(network(*inputs))
     engine = OnnxRuntime()
