@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
 import io
 import json
+import lzma
 import pickle
 import struct
 import subprocess
 import sys
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +29,9 @@ FILES = made.every_format(XYZ, RING)
 # Formats that do not say how many points they hold: cut between two points they are shorter scans.
 COUNTLESS = {"kitti.bin", "nuscenes.pcd.bin", "header.csv", "numbers.csv", "plain.xyz"}
 PLACES = 50
+XZ = lzma.compress(b"a" * 100)
+XZ_HEADER = XZ[12:16] + b"\x28" + XZ[17:20]  # of a block whose dictionary has 4 GiB
+XZ_OF_GIGABYTES = XZ[:12] + XZ_HEADER + struct.pack("<I", zlib.crc32(XZ_HEADER)) + XZ[24:]
 
 
 def points(path: Path) -> int | str:
@@ -106,7 +112,11 @@ def bombs() -> dict[str, tuple[bytes, str]]:
         "laz many.laz": (bytes(few), "is no LAS that can be read"),
         "gzip.bin.gz": (gzip.compress(bytes(1 << 24)) * 17, "unpacks to more than"),
         "zstd.bin.zst": (made.zstd(bytes(1 << 24)) * 17, "unpacks to more than"),
-        "bzip2.bin.bz2": (b"BZh91AY&SY" + bytes(90), "is packed with bzip2"),
+        "bzip2.bin.bz2": (bz2.compress(bytes(1 << 24)) * 17, "unpacks to more than"),
+        "xz.bin.xz": (lzma.compress(bytes(1 << 24)) * 17, "unpacks to more than"),
+        "damaged.bin.bz2": (b"BZh91AY&SY" + bytes(90), "it is damaged or cut off"),
+        "dictionary.bin.xz": (XZ_OF_GIGABYTES, "Memory usage limit was exceeded"),
+        "packed.bin.lz4": (b"\x04\x22\x4d\x18" + bytes(90), "is packed with lz4, which is not read; unpack it"),
         "empty.bin": (b"", "is empty"),
         "empty.pcd": (b"", "is empty"),
         "nothing.gz": (gzip.compress(b""), "is empty"),

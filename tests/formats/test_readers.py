@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
+import lzma
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -412,3 +414,16 @@ def test_names_without_their_endings(name, stem):
 def test_the_public_names_read_files_and_arrays(tmp_path):
     path = made.write(tmp_path, "a.bin.gz", gzip.compress(FILES["kitti.bin"]))
     np.testing.assert_array_equal(lidar2pano.read(path).xyz, lidar2pano.read(np.column_stack([XYZ, INTENSITY])).xyz)
+
+
+@pytest.mark.parametrize(("ending", "pack"), [("gz", gzip.compress), ("bz2", bz2.compress), ("xz", lzma.compress)])
+@pytest.mark.parametrize("name", ["kitti.bin", "header.csv"])
+def test_packed_files_of_several_parts(tmp_path, ending, pack, name):
+    content = FILES[name]
+    whole = made.write(tmp_path, name, content)
+    packed = made.write(tmp_path, f"{name}.{ending}", pack(content[:1000]) + pack(b"") + pack(content[1000:]))
+    np.testing.assert_array_equal(lidar2pano.read(packed).xyz, lidar2pano.read(whole).xyz)
+    assert stem_of(packed) == stem_of(whole)
+    packed.write_bytes(pack(content)[:-20])
+    with pytest.raises(InputError, match="cannot be unpacked .* it is damaged or cut off"):
+        lidar2pano.read(packed)

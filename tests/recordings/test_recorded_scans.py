@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import lzma
 import sqlite3
 import struct
 import tracemalloc
@@ -44,7 +45,7 @@ def complaint(path: Path, **options) -> str:
 
 
 @pytest.mark.parametrize("format", ["bag", "db3", "mcap"])
-@pytest.mark.parametrize(("ending", "pack"), [(".gz", gzip.compress), (".zst", zstd)])
+@pytest.mark.parametrize(("ending", "pack"), [(".gz", gzip.compress), (".xz", lzma.compress), (".zst", zstd)])
 def test_packed_recordings_give_the_scans(tmp_path, monkeypatch, format, ending, pack):
     (tmp_path / "copies").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "copies"))

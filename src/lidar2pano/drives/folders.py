@@ -15,10 +15,10 @@ from typing import NamedTuple
 from lidar2pano.bounded_files import read_text
 from lidar2pano.errors import InputError
 from lidar2pano.formats.delimited_text import is_table
-from lidar2pano.formats.file_contents import head_of, stem_of
+from lidar2pano.formats.file_contents import PACKED, head_of, stem_of
 from lidar2pano.formats.foreign_files import DOWNLOAD, OTHER, foreign_kind
 from lidar2pano.formats.json_files import read_json
-from lidar2pano.formats.readers import ENDINGS, PACKED, TEXT_ENDINGS, ReadOptions
+from lidar2pano.formats.readers import ENDINGS, TEXT_ENDINGS, ReadOptions
 from lidar2pano.name_order import sort_names
 from lidar2pano.recordings.recorded_scans import ENDINGS as RECORDINGS
 from lidar2pano.recordings.recorded_scans import METADATA, none_within

@@ -280,7 +280,10 @@ def decode_npz(data: bytes, path: Path) -> PointCloud:
             members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
             if not members:
                 held = ", ".join(archive.namelist()[:3]) or "nothing"
-                raise InputError(f"{path}: is a ZIP archive without arrays (it has {held}); unpack it and name a scan")
+                raise InputError(
+                    f"{path}: is a ZIP archive without arrays (it has {held}); unpack it (`unzip FILE`) and"
+                    " name a scan of it, or its folder"
+                )
             if len(members) > MOST_MEMBERS or sum(member.file_size for member in members) > MOST_BYTES:
                 raise InputError(f"{path}: unpacks to more than {MOST_BYTES} bytes, which is no single scan; cut it")
             if any(member.compress_type not in UNPACKED for member in members):

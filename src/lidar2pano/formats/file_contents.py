@@ -1,16 +1,18 @@
-"""The bytes of a file, unpacked if it is compressed (gzip, zstd), never more than a scan can have."""
+"""The bytes of a file, unpacked if it is compressed (gzip, bzip2, xz, zstd), never more than a scan can have."""
 
 from __future__ import annotations
 
+import bz2
 import codecs
 import io
+import lzma
 import os
 import tempfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import Any, BinaryIO, Protocol
 
 from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError
@@ -20,9 +22,17 @@ MOST_FILE_BYTES = 1 << 29  # a sparse or wrong file must not fill the memory
 MOST_COPIED_BYTES = 1 << 35  # of an unpacked recording
 MOST_BYTES = 1 << 28  # unpacked: 16 million points of 16 bytes
 CHUNK_BYTES = 1 << 20
-PIECE_BYTES = 1 << 14  # of a gzip: the rest of a piece is copied after each member, which may have twenty bytes
+PIECE_BYTES = 1 << 14  # the rest of a piece is copied after each member, which may have twenty bytes
+MOST_DICTIONARY_BYTES = 1 << 27  # of xz; its highest level needs 65 MiB to unpack
 MOST_EMPTY = 1000  # members in succession that hold nothing
-GZIP, ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
+ZSTD = b"\x28\xb5\x2f\xfd"
+MEMBERS: dict[bytes, Callable[[], Any]] = {  # first bytes of a member -> its decompressor
+    b"\x1f\x8b": lambda: zlib.decompressobj(31),
+    b"BZh": bz2.BZ2Decompressor,
+    b"\xfd7zXZ\0": lambda: lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=MOST_DICTIONARY_BYTES),
+}
+PACKED = (".gz", ".bz2", ".xz", ".zst", ".zstd")  # endings of their names
+MAGIC_BYTES = 10  # tell all of them
 ASCII = frozenset(b"\t\n\r" + bytes(range(32, 127)))
 
 
@@ -34,28 +44,29 @@ class Inflater(Protocol):
         ...
 
 
-class GzipStream:
-    """Reads gzip, of one or several members; zlib.error or EOFError if it is damaged."""
+class MemberStream:
+    """Reads a packed file of one or several members; the decompressor's error or EOFError if it is damaged."""
 
-    def __init__(self, file: io.FileIO) -> None:
-        self._file, self._left, self._member = file, b"", zlib.decompressobj(31)
-        self._empty = 0
+    def __init__(self, file: io.FileIO, magic: bytes) -> None:
+        self._file, self._left, self._magic = file, b"", magic
+        self._member, self._empty = MEMBERS[magic](), 0
 
     def read(self, size: int, /) -> bytes:
         """Return at most `size` further bytes; b"" at the end."""
         while True:
-            self._left = self._left or self._file.read(PIECE_BYTES)
+            if self._member.eof or getattr(self._member, "needs_input", True):
+                self._left = self._left or self._file.read(PIECE_BYTES)
             if self._member.eof:
-                if not self._left.startswith(GZIP):
+                if not self._left.startswith(self._magic):
                     return b""  # the end, or padding behind it
-                self._member = zlib.decompressobj(31)
+                self._member = MEMBERS[self._magic]()
                 self._empty += 1
                 if self._empty > MOST_EMPTY:
                     raise EOFError(f"{MOST_EMPTY} empty parts follow each other")
-            elif not self._left:
+            elif not self._left and getattr(self._member, "needs_input", True):
                 raise EOFError("it ends too early")
             data = self._member.decompress(self._left, size)
-            self._left = self._member.unused_data if self._member.eof else self._member.unconsumed_tail
+            self._left = self._member.unused_data if self._member.eof else getattr(self._member, "unconsumed_tail", b"")
             if data:
                 self._empty = 0
                 return data
@@ -83,7 +94,7 @@ def contents(path: Path) -> bytes:
                 raise InputError(
                     f"{path}: {length} bytes are no single scan (at most {MOST_FILE_BYTES}); name a scan file"
                 )
-            head = file.read(len(ZSTD))
+            head = file.read(MAGIC_BYTES)
             file.seek(0)
             if not is_packed(head):
                 return plain_text(file.readall())
@@ -108,8 +119,8 @@ def plain_text(data: bytes) -> bytes:
 
 
 def is_packed(head: bytes) -> bool:
-    """Return whether a file is packed by gzip or zstd."""
-    return head.startswith((GZIP, ZSTD))
+    """Return whether a file is packed by gzip, bzip2, xz or zstd."""
+    return head.startswith((ZSTD, *MEMBERS))
 
 
 @contextmanager
@@ -122,7 +133,7 @@ def unpacked_copy(path: Path, most: int = MOST_COPIED_BYTES) -> Iterator[Path]:
         copy = Path(folder, path.stem)
         try:
             with open_regular(path) as file, copy.open("wb") as target:
-                head = file.read(len(ZSTD))
+                head = file.read(MAGIC_BYTES)
                 file.seek(0)
                 _unpack(path, file, head, target, most + 1)
             if copy.stat().st_size > most:
@@ -143,7 +154,8 @@ def _unpacked(path: Path, file: io.FileIO, head: bytes, most: int) -> bytes:
 
 def _unpack(path: Path, file: io.FileIO, head: bytes, target: BinaryIO, most: int) -> None:
     """Write at most so many bytes of a packed file."""
-    stream = GzipStream(file) if head.startswith(GZIP) else _zstd_stream(path, file)
+    magic = next((magic for magic in MEMBERS if head.startswith(magic)), b"")
+    stream = MemberStream(file, magic) if magic else _zstd_stream(path, file)
     try:
         while (left := most - target.tell()) > 0 and (chunk := stream.read(min(left, CHUNK_BYTES))):
             target.write(chunk)
@@ -164,7 +176,7 @@ def _zstd_stream(path: Path, file: io.FileIO) -> Inflater:
 def stem_of(path: str | Path) -> str:
     """Return a scan file's name without its endings: "a.pcd.bin", "a.bin.gz" and "a.pcd" are all "a"."""
     name = Path(path).name
-    for ending in (".gz", ".zst", ".zstd", ".bin"):
+    for ending in (*PACKED, ".bin"):
         if name.lower().endswith(ending) and len(name) > len(ending):
             name = name[: -len(ending)]
             if ending == ".bin":

@@ -19,7 +19,9 @@ class Foreign(NamedTuple):
     advice: str
 
 
-UNPACK, GZIP_OR_ZSTD = "unpack it and name a scan of it", "unpack it (gzip and zstd are read)"
+UNPACK = "unpack it and name a scan of it, or its folder"
+TAR = "unpack it (`tar -xf FILE`) and name a scan of it, or its folder"
+OTHER_PACKING = "unpack it (gzip, bzip2, xz and zstd are read)"
 POINTS = "export its points as PCD, PLY or LAS"
 RECORDED = "convert its points to a ROS bag, an MCAP or PCDs"
 NEWER = "write it in an older version, or install a newer lidar2pano"
@@ -27,17 +29,15 @@ DOWNLOAD, OTHER = "fetch the file itself", "name a scan"
 
 # The first bytes of each kind as a pattern, long enough for no row of float32 to begin alike.
 BYTES = {
-    rb"BZh[1-9]": Foreign("packed with bzip2, which is not read", GZIP_OR_ZSTD),
-    rb"\xfd7zXZ\0": Foreign("packed with xz, which is not read", GZIP_OR_ZSTD),
-    rb"\x04\x22\x4d\x18": Foreign("packed with lz4, which is not read", GZIP_OR_ZSTD),
-    rb"\x1f\x9d\x90": Foreign("packed with compress, which is not read", GZIP_OR_ZSTD),
-    rb"LZIP\x01": Foreign("packed with lzip, which is not read", GZIP_OR_ZSTD),
-    rb"\x5d\0\0..\xff{8}": Foreign("packed with lzma, which is not read", GZIP_OR_ZSTD),
-    rb"\xff\x06\0\0sNaPpY": Foreign("packed with snappy, which is not read", GZIP_OR_ZSTD),
-    rb"\x1f\x8b\x08|\x28\xb5\x2f\xfd": Foreign("packed twice", "unpack it once"),
+    rb"\x04\x22\x4d\x18": Foreign("packed with lz4, which is not read", OTHER_PACKING),
+    rb"\x1f\x9d\x90": Foreign("packed with compress, which is not read", OTHER_PACKING),
+    rb"LZIP\x01": Foreign("packed with lzip, which is not read", OTHER_PACKING),
+    rb"\x5d\0\0..\xff{8}": Foreign("packed with lzma, which is not read", OTHER_PACKING),
+    rb"\xff\x06\0\0sNaPpY": Foreign("packed with snappy, which is not read", OTHER_PACKING),
+    rb"\x1f\x8b\x08|\x28\xb5\x2f\xfd|BZh[1-9]1AY&SY|\xfd7zXZ\0": Foreign("packed twice", "unpack it once"),
     rb"7z\xbc\xaf\x27\x1c": Foreign("a 7z archive", UNPACK),
     rb"Rar!\x1a": Foreign("a RAR archive", UNPACK),
-    rb".{257}ustar": Foreign("a tar archive", UNPACK),
+    rb".{257}ustar": Foreign("a tar archive", TAR),
     rb"!<arch>\n|xar!|MSCF\0": Foreign("an archive", UNPACK),
     rb"CCB2": Foreign("a BIN of CloudCompare", f"{POINTS} from CloudCompare"),
     rb"livox_tech": Foreign("an LVX of Livox Viewer", "export it as CSV or LAS from Livox Viewer"),

@@ -19,7 +19,6 @@ from lidar2pano.scan import Scan
 # Endings of the names of scan files; a file named by the user is read whatever its name.
 ENDINGS = (".bin", ".pcd", ".ply", ".npy", ".npz", ".las", ".laz", ".feather", ".parquet", ".e57")
 TEXT_ENDINGS = (".csv", ".txt", ".xyz", ".pts", ".asc")  # of a folder's files only if there are no others
-PACKED = (".gz", ".zst", ".zstd")
 
 
 @dataclass(frozen=True, kw_only=True)

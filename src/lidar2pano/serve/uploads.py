@@ -21,9 +21,10 @@ from pathlib import Path
 
 from lidar2pano.drives.reading import ReadingOptions, ScanSource, read_scan
 from lidar2pano.errors import InputError, closest
+from lidar2pano.formats.file_contents import PACKED
 from lidar2pano.formats.interpretation import Overrides
 from lidar2pano.formats.point_cloud import PointCloud
-from lidar2pano.formats.readers import ENDINGS, PACKED, TEXT_ENDINGS
+from lidar2pano.formats.readers import ENDINGS, TEXT_ENDINGS
 from lidar2pano.panorama import OUTPUTS
 from lidar2pano.pipeline import Pipeline
 from lidar2pano.recordings.reading_process import read_cloud
