@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from bulk_runs import SCANS, assert_each_once, begin, contents, job_of, manifest, run
 from lidar2pano.bulk import Entry, ScanKey, Shard, entries
@@ -25,6 +26,7 @@ from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import read_image
 from lidar2pano.formats.interpretation import Overrides
+from lidar2pano.geometry.reprojection import CUBE_AXES
 from lidar2pano.labels import COMMON15
 from random_weights import CALIB, street, write_scan
 from slow_definitions import grow_slowly
@@ -191,6 +193,29 @@ def test_other_image_formats(root, tmp_path):
     assert run(job_of(root, tmp_path / "out", image_format="jpeg")) == 0
     assert read_image(tmp_path / "out" / "a" / "000000.jpg", "RGB").shape == (24, 288, 3)
     assert not list(tmp_path.glob("out/*/*[0-9].png"))
+
+
+@pytest.mark.parametrize(
+    ("projection", "files"),
+    [
+        ("equirectangular", ["000000.depth.png", "000000.jpg", "000000.label"]),
+        ("cubemap", sorted(f"000000.{face}{ending}" for face in CUBE_AXES for ending in (".jpg", ".depth.png"))),
+    ],
+)
+def test_other_projections(root, tmp_path, projection, files):
+    settings = {"image_format": "jpeg", "projection": projection, "save": ("depth", "rgb", "labels")}
+    job = job_of(root, tmp_path / "out", **settings)
+    assert run(job) == 0
+    files = sorted({*files, "000000.label"})
+    assert sorted(path.name for path in (tmp_path / "out" / "a").glob("000000.*")) == files
+    listed = {name for record in manifest(tmp_path / "out") for name in record["outputs"]}
+    assert listed == contents(tmp_path / "out").keys() - {"bulk.json"}
+    before = contents(tmp_path / "out")
+    assert run(job) == 0 and contents(tmp_path / "out") == before
+    with pytest.raises(InputError, match="made with another 'projection'"):
+        run(replace(job, projection="cylinder"))
+    with Image.open(next((tmp_path / "out" / "a").glob("000000*.jpg"))) as image:
+        assert image.format == "JPEG"
 
 
 # --- shards -----------------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import COLOUR_FORMATS
 from lidar2pano.formats.interpretation import Overrides
 from lidar2pano.formats.readers import ReadOptions
+from lidar2pano.geometry.reprojection import CUBE_AXES
 from lidar2pano.pipeline import Pipeline
 
 MIRRORED, SEMANTIC_KITTI = "", "semantickitti"  # layouts
@@ -69,12 +70,18 @@ class Entry:
         parts = parts[:-1] if self.key.scan is None else parts
         return "-".join(part for part in parts if part not in ("sequences", "velodyne")) or "00"
 
-    def outputs(self, save: Sequence[str], layout: str = MIRRORED, colour: str = ".png") -> dict[str, str]:
-        """Return the names of its outputs below OUT, by output; `colour` is the ending of colour images."""
+    def outputs(
+        self, save: Sequence[str], layout: str = MIRRORED, colour: str = ".png", faces: Sequence[str] = ("",)
+    ) -> dict[str, str]:
+        """Return the names of its outputs below OUT, by output and face; `colour` is the ending of colour images."""
         number = "" if self.key.scan is None else f"{self.key.scan:06d}"
         if layout == MIRRORED:
             stem = f"{self.stem}-{number}" if number else self.stem
-            return {part: stem + (colour if part == "rgb" else SUFFIXES[part]) for part in save}
+            return {
+                f"{part}{face}": stem + face + (colour if part == "rgb" else SUFFIXES[part])
+                for part in save
+                for face in (("",) if part == "labels" else faces)
+            }
         frame = number or self.stem.rpartition("/")[2]
         parts = (*save, *(["instances"] if self.label else []), *(["scan"] if number else []))
         return {part: f"sequences/{self.sequence}/{IN_SEQUENCE[part].format(frame)}" for part in parts}
@@ -90,7 +97,7 @@ class Job:
     use_labels   whether a scan's own labels take the place of the segmenter's.
     weights      name, for the manifest.
     pipeline     makes the pipeline, once per process.
-    image_format  of colour images, one of COLOUR_FORMATS.
+    image_format  of colour images, one of COLOUR_FORMATS;  projection: of all images, one of PROJECTIONS.
     selection    which scans of recordings and folders; here the topic counts.
     overrides    facts about the scans;  strict: whether an implausible scan is an error.
     """
@@ -103,6 +110,7 @@ class Job:
     layout: str = MIRRORED
     use_labels: bool = False
     image_format: str = "png"
+    projection: str = "cylinder"
     selection: ReadOptions = field(default_factory=ReadOptions)
     overrides: Overrides = field(default_factory=Overrides)
     strict: bool = False
@@ -114,7 +122,8 @@ class Job:
 
     def outputs(self, entry: Entry) -> dict[str, str]:
         """Return the names of a scan's outputs below `out`, by output."""
-        return entry.outputs(self.save, self.layout, COLOUR_FORMATS[self.image_format][0])
+        faces = [f".{face}" for face in CUBE_AXES] if self.projection == "cubemap" else [""]
+        return entry.outputs(self.save, self.layout, COLOUR_FORMATS[self.image_format][0], faces)
 
 
 @dataclass(frozen=True, slots=True)

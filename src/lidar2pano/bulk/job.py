@@ -140,8 +140,9 @@ class Worker:
             names, save = self.job.outputs(work.entry), self.job.save
             with work.translation.timer("save"):
                 stem = hashlib.sha256(str(work.entry.key).encode()).hexdigest()
-                files = panorama.save(self._folder, save, None, stem, self.job.image_format)
-                file_by_output = dict(zip((output for output in OUTPUTS if output in save), files, strict=True))
+                files = panorama.save(self._folder, save, None, stem, self.job.image_format, self.job.projection)
+                parts = [part for output in OUTPUTS for part in names if part.partition(".")[0] == output]
+                file_by_output = dict(zip(parts, files, strict=True))
                 if (raster := work.instances) is not None:
                     file = self._folder / f"{stem}.instances.png"
                     file_by_output["instances"] = write_whole(file, lambda path: write_ids(path, raster))

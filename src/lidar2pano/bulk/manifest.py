@@ -139,6 +139,7 @@ def start(job: Job, listed: list[Entry], files: Mapping[str, Path], options: Map
         "save": list(job.save),
         "as": job.layout,
         "labels": job.use_labels,
+        "projection": None if job.projection == "cylinder" else job.projection,
         "topic": job.selection.topic or None,
         "forward": job.overrides.forward or None,
         "remission": job.overrides.remission or None,

@@ -87,6 +87,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     device: opt.DeviceOption = "auto",
     engine: opt.EngineOption = "auto",
     image_format: opt.FormatOption = "png",
+    projection: opt.ProjectionOption = "cylinder",
     address: AddressOption = "",
     workers: WorkersOption = 0,
     sensor_height: opt.HeightOption = None,
@@ -101,7 +102,8 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.formats.interpretation import Overrides
     from lidar2pano.formats.readers import ReadOptions
 
-    _check_layout(layout, image_format)
+    pictures = opt.collect_pictures(image_format, projection)
+    _check_layout(layout, **pictures)
     source, only = _source(root)
     part = Shard.parsed(shard)
     options = checked_options(
@@ -109,7 +111,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
         **opt.collect_choices("cpu" if address else device, engine, look, quality, seed),
         out=Path(out),
         save=opt.parse_save(save or ("rgb,segments,depth" if layout else "rgb")),
-        image_format=opt.parse_format(image_format),
+        **pictures,
     )
     job = Job(
         source=_absolute(source),
@@ -119,7 +121,7 @@ def bulk(  # noqa: PLR0913, PLR0917 one parameter per option
         use_labels=use_labels,
         weights=options.weights,
         pipeline=options.pipeline,
-        image_format=options.image_format,
+        **pictures,
         selection=ReadOptions(topic=topic, every=every, start_s=start_s, end_s=end_s),
         overrides=Overrides(sensor_height_m=sensor_height, forward=forward, remission=remission),
         strict=strict,
@@ -194,13 +196,15 @@ def _source(root: str) -> tuple[str, str]:
     return folder or "/", name
 
 
-def _check_layout(layout: str, image_format: str) -> None:
+def _check_layout(layout: str, image_format: str, projection: str) -> None:
     from lidar2pano.bulk.entries import LAYOUTS
 
     if layout not in LAYOUTS:
         raise InputError(f"--as {layout}: no such layout{closest(layout, LAYOUTS[1:])}")
     if layout and image_format != "png":
         raise InputError(f"--format {image_format}: a data set's panoramas are PNG; leave it out, or --as")
+    if layout and projection != "cylinder":
+        raise InputError(f"--projection {projection}: a data set's panoramas are cylinders; leave it out, or --as")
 
 
 def _absolute(place: str) -> str:
