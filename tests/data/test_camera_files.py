@@ -99,6 +99,31 @@ def test_each_form_gives_the_same_camera(tmp_path, form):
         np.testing.assert_allclose(calibration.distortion, distortion)
 
 
+REGION = "roi: {x_offset: 40, y_offset: 20, height: 400, width: 480, do_rectify: false}\n"
+
+
+@pytest.mark.parametrize(
+    ("part", "size", "bins", "corner"),
+    [
+        ("binning_x: 2\nbinning_y: 4\n", (320, 120), (2, 4), (0, 0)),
+        (REGION, (480, 400), (1, 1), (40, 20)),
+        (REGION + "binning_x: 2\nbinning_y: 2\n", (240, 200), (2, 2), (40, 20)),
+        ("binning_x: 0\nbinning_y: 0\nroi: {x_offset: 0, y_offset: 0, height: 0, width: 0}\n", SIZE, (1, 1), (0, 0)),
+    ],
+)
+def test_images_of_a_part_of_the_camera(tmp_path, part, size, bins, corner):
+    path = write(tmp_path, ros("plumb_bob", BROWN) + part)
+    calibration = read_camera_calibration(path, Path("a.png"), size)
+    assert calibration.size == size
+    first = np.array([3, 5])  # the centre of a pixel of the part is that of the pixels it joins
+    joined = [np.arange(count) + corner[axis] + count * first[axis] for axis, count in enumerate(bins)]
+    ray = np.linalg.inv(K) @ [joined[0].mean(), joined[1].mean(), 1]
+    np.testing.assert_allclose((calibration.K @ ray)[:2], first)
+    np.testing.assert_allclose(read_camera_calibration(path, Path("a.png"), SIZE).K, K)  # the whole image
+    with pytest.raises(InputError, match=f"is 100x100, but .* is for {size[0]}x{size[1]}; name its own image"):
+        read_camera_calibration(path, Path("a.png"), (100, 100))
+
+
 def test_json_of_data_sets_names_its_camera(tmp_path):
     pandaset = {"fx": 500, "fy": 510, "cx": 321.5, "cy": 239}
     other = {"K": {"fx": 1, "fy": 1, "cx": 1, "cy": 1}, "size": [2, 2], "cam_from_lidar": np.eye(4).tolist()}

@@ -203,3 +203,12 @@ def test_a_recording_without_cameras_and_unknown_topics(tmp_path):
     np.zeros((2000, 4), np.float32).tofile(scan)
     with pytest.raises(InputError, match=r"--cameras /front: .*a.bin is no recording; leave it out"):
         read(scan, CameraOptions(topics=("/front",)))
+
+
+@pytest.mark.parametrize("format", ["bag", "mcap"])
+def test_the_matrix_of_a_part_of_the_camera(tmp_path, format):
+    to_full = np.array([[2, 0, 6.5], [0, 2, 4.5], [0, 0, 1]])  # cut at (6, 4), 2 x 2 pixels joined
+    part = {"x_offset": 6, "y_offset": 4, "width": 2 * SIZE[0], "height": 2 * SIZE[1]}
+    info = {"width": 2 * SIZE[0] + 20, "height": 2 * SIZE[1] + 9, "binning_x": 2, "binning_y": 2, "roi": part}
+    readings = read(write(tmp_path, format, drive(1, k=(to_full @ K).ravel(), **info)))
+    assert pytest.approx(K) == readings[0].cameras[0].calibration.K

@@ -103,8 +103,9 @@ def _picture(sent: Sent, header: Any, store: Any) -> Any:
     """An Image, a CompressedImage or a CameraInfo."""
     fields = {name: value for name, value in sent.fields.items() if name not in ("frame", "stamp_ns")}
     if sent.type == CAMERA_INFO:
-        region = store.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-        fields |= {"binning_x": 0, "binning_y": 0, "roi": region}
+        region = {"x_offset": 0, "y_offset": 0, "width": 0, "height": 0, "do_rectify": False} | fields.get("roi", {})
+        fields = {"binning_x": 0, "binning_y": 0} | fields
+        fields["roi"] = store.types["sensor_msgs/msg/RegionOfInterest"](**region)
         if store is ROS1:
             fields = {name.upper() if name in "dkrp" else name: value for name, value in fields.items()}
     return store.types[sent.type](header=header, **fields)

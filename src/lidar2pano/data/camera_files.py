@@ -65,9 +65,11 @@ def calibration_of(
     Raises InputError for another size, no camera matrix, and an unknown distortion.
     """
     their_size = _size(path, entry)
+    K, first = _camera_matrix(path, entry)
+    if their_size != size:
+        K, their_size = _of_part(path, entry, K, their_size)
     if their_size and their_size != size:
         raise _other_size(path, image, size, their_size)
-    K, first = _camera_matrix(path, entry)
     if not -1 < K[0, 2] < size[0] or not -1 < K[1, 2] < size[1]:
         raise _other_size(path, image, size, None)
     return _camera(path, entry, K, first, T_camera_lidar, size)
@@ -169,6 +171,29 @@ def _camera_matrix(path: Path, entry: Entry) -> tuple[np.ndarray, list[float]]:
             f"{path}: {name or 'a camera'}: is no camera matrix (fx s cx, 0 fy cy, 0 0 1); name another calibration"
         )
     return K / K[2, 2], first
+
+
+def _of_part(
+    path: Path, entry: Entry, K: np.ndarray, size: tuple[int, int] | None
+) -> tuple[np.ndarray, tuple[int, int] | None]:
+    """Return K and the size of images that show a part of a camera's, their pixels the means of several.
+
+    sensor_msgs/CameraInfo: K is of the full image; `roi` is cut out of it first, then `binning_x` x `binning_y` of its
+    pixels become one, whose centre is theirs.
+    """
+    region = entry.get("roi")
+    names = ("x_offset", "y_offset", "width", "height")
+    values = [region.get(name) or 0 for name in names] if isinstance(region, dict) else [0, 0, 0, 0]
+    left, top, *part = _numbers(path, "roi", values).tolist()
+    bins = _numbers(path, "binning", [entry.get("binning_x") or 1, entry.get("binning_y") or 1]).clip(min=1)
+    across, down = bins.tolist()
+    to_part = [
+        [1 / across, 0, (0.5 - left) / across - 0.5],
+        [0, 1 / down, (0.5 - top) / down - 0.5],
+        [0, 0, 1],
+    ]
+    part = part if all(part) else size
+    return np.array(to_part) @ K, (int(part[0] // across), int(part[1] // down)) if part else None
 
 
 def _pose(path: Path, entry: Entry) -> np.ndarray | None:

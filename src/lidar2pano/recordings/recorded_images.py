@@ -209,7 +209,11 @@ def intrinsics(info: Any, topic: str) -> dict[str, Any]:  # noqa: ANN401
     K, D, P = (np.asarray(getattr(info, name, None) if hasattr(info, name) else getattr(info, name.upper()))
                for name in "kdp")  # fmt: skip
     parts = topic.removesuffix("/compressed").rpartition("/")[2]
-    sizes = {"image_width": int(info.width), "image_height": int(info.height)} if info.width and info.height else {}
+    sizes: dict[str, Any] = {name: int(getattr(info, name, 0)) for name in ("binning_x", "binning_y")}
+    if (region := getattr(info, "roi", None)) is not None:
+        sizes["roi"] = {name: int(getattr(region, name)) for name in ("x_offset", "y_offset", "width", "height")}
+    if info.width and info.height:
+        sizes |= {"image_width": int(info.width), "image_height": int(info.height)}
     if RECTIFIED in parts and P.any():
         return sizes | {"camera_matrix": P.reshape(3, 4)[:, :3].ravel().tolist()}
     distortion = {"distortion_coefficients": D.tolist(), "distortion_model": str(info.distortion_model) or "plumb_bob"}
