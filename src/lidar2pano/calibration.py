@@ -289,6 +289,11 @@ def read_camera0(path: str | Path) -> np.ndarray:
     return T
 
 
+def read_mount(path: Path) -> np.ndarray:
+    """Return the rigid (4, 4) of rows R and T, as in calib_imu_to_velo.txt; InputError if they are none."""
+    return _unrectified(path, {name: row for name, row in _rows(path).items() if name in ("R", "T")})
+
+
 def has_camera(path: str | Path) -> bool:
     """Return whether a calib.txt has a camera (P2), not the axes of poses.txt alone; InputError if it is missing."""
     return not _rows(Path(path)).keys().isdisjoint(name.format(2) for name in PROJECTIONS)

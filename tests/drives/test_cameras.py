@@ -248,3 +248,35 @@ def test_calibrations_move_with_the_frame(tmp_path):
     moved = cameras_of(scan_file, "000003", CameraOptions(), T_scan_file).cameras[0].calibration
     assert moved.centre == pytest.approx(np.add(AHEAD.centre, (1, 2, 3)))
     assert replace(moved, T_camera_lidar=AHEAD.T_camera_lidar).centre == pytest.approx(AHEAD.centre)
+
+
+def write_oxts(drive: Path, speed: float = 10.0, heading: float = 0.3, lift: tuple[float, ...] = (0.5, 0, 1)) -> None:
+    """Poses of a drive straight ahead, 0.1 s apart, the last at 25.971 s; the IMU stands at `lift` beside the LiDAR."""
+    (drive / "oxts" / "data").mkdir(parents=True)
+    stamps = [25.671, 25.771, 25.871, 25.971]
+    for number, stamp in enumerate(stamps):
+        along = speed * (stamp - 25.951) / 6378137.0  # of the earth's radius
+        latitude = 49 + np.degrees(along * np.sin(heading))
+        longitude = 8 + np.degrees(along * np.cos(heading) / np.cos(np.radians(49)))
+        numbers = [latitude, longitude, 110, 0, 0, heading, *[0] * 24]
+        (drive / "oxts" / "data" / f"{number:010d}.txt").write_text(" ".join(map(repr, map(float, numbers))) + "\n")
+    (drive / "oxts" / "timestamps.txt").write_text("".join(f"2011-09-26 13:02:{stamp}\n" for stamp in stamps))
+    (drive.parent / "calib_imu_to_velo.txt").write_text(row("R", np.eye(3)) + row("T", lift))
+
+
+def test_motion_between_an_image_and_its_scan_is_taken_out(tmp_path):
+    scan = raw_drive(tmp_path)
+    still = cameras_of(scan, "", CameraOptions(), np.eye(4)).cameras[0].calibration
+    write_oxts(scan.parents[2])
+    moved = cameras_of(scan, "", CameraOptions(), np.eye(4)).cameras[0].calibration
+    assert moved.centre == pytest.approx(np.subtract(still.centre, (0.51, 0, 0)), abs=1e-3)  # 0.051 s before the scan
+    np.testing.assert_allclose(moved.T_camera_lidar[:3, :3], still.T_camera_lidar[:3, :3], atol=1e-9)
+
+
+def test_damaged_poses_leave_the_cameras(tmp_path):
+    scan = raw_drive(tmp_path)
+    write_oxts(scan.parents[2])
+    (scan.parents[2] / "oxts" / "data" / "0000000002.txt").write_text("49 8 110\n")
+    found = cameras_of(scan, "", CameraOptions(), np.eye(4))
+    assert len(found.cameras) == 1
+    assert "motion between images and scan stays in: " in found.doubts[0] and "must hold 30 numbers" in found.doubts[0]

@@ -15,10 +15,12 @@ from lidar2pano.calibration import Calibration, LensCalibration, read_calib
 from lidar2pano.data.camera_files import calibration_of, read_camera_calibration
 from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.drives.camera_choice import RAW, SISTERS, CameraOptions, NamedCamera
+from lidar2pano.drives.drive_motion import oxts_motion
 from lidar2pano.drives.folders import UNIT_S, times
 from lidar2pano.errors import InputError
 from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.image_files import image_size, read_image
+from lidar2pano.geometry.motion import SensorMotion
 from lidar2pano.geometry.stitching import Camera
 from lidar2pano.recordings.reading_process import ConfinedImages
 from lidar2pano.recordings.recorded_images import RecordedImage
@@ -55,7 +57,26 @@ def cameras_of(scan_file: Path, stem: str, options: CameraOptions, T_scan_file: 
             sources = list(found_beside(scan_file.resolve()))
         except InputError as error:
             return ScanCameras((), (f"cameras are left out: {error}",), None)
+    moved, stamp_s = None, _stamp(scan_file)
+    if sources and stamp_s is not None:
+        try:
+            moved = oxts_motion(scan_file.resolve())
+        except InputError as error:
+            cameras = read_sources(sources, options, T_scan_file)
+            return cameras._replace(doubts=(*cameras.doubts, f"motion between images and scan stays in: {error}"))
+    if moved is not None and stamp_s is not None:
+        sources = [source._replace(load=partial(_carried, source.load, moved, stamp_s)) for source in sources]
     return read_sources(sources, options, T_scan_file)
+
+
+def _carried(load: Callable[[], Camera], motion: SensorMotion, stamp_s: float) -> Camera:
+    """Return a camera as it stood beside the scan when its image was taken, if the poses reach so far."""
+    camera = load()
+    taken, scanned = (motion.pose(moment_s) for moment_s in (stamp_s + (camera.time_s or 0.0), stamp_s))
+    if taken is None or scanned is None:
+        return camera
+    T = camera.calibration.T_camera_lidar @ np.linalg.inv(taken) @ scanned
+    return replace(camera, calibration=replace(camera.calibration, T_camera_lidar=T))
 
 
 class RecordingCameras:

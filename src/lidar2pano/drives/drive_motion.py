@@ -9,12 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from lidar2pano.bounded_files import open_regular
+from lidar2pano.bounded_files import open_regular, read_text
+from lidar2pano.calibration import read_mount
 from lidar2pano.data.poses import Poses, odometry
+from lidar2pano.drives.folders import times
 from lidar2pano.errors import InputError
+from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.interpretation import Interpretation
 from lidar2pano.formats.readers import ReadOptions
-from lidar2pano.geometry.motion import SensorMotion, Trajectory, deskewed
+from lidar2pano.geometry.motion import SensorMotion, Trajectory, deskewed, rotation_matrices
 from lidar2pano.recordings.reading_process import recorded_motion
 from lidar2pano.recordings.recorded_scans import recording_reader
 from lidar2pano.scan import Scan
@@ -23,6 +26,8 @@ from lidar2pano.scan import Scan
 Motion = Callable[[Path, Scan, Interpretation], tuple[Scan, np.ndarray | None]]
 CITY_POSES = "city_SE3_egovehicle.feather"  # of an Argoverse 2 log, above sensors/lidar/
 CITY_COLUMNS = ("timestamp_ns", "tx_m", "ty_m", "tz_m", "qx", "qy", "qz", "qw")
+OXTS_NUMBERS = 30  # a line of oxts/data/*.txt, of which the first are latitude, longitude, altitude, roll, pitch, yaw
+EARTH_M = 6378137.0
 MOST_STEP_S = 1.0  # between scans from whose motion the skew of the next one is predicted
 
 
@@ -142,3 +147,47 @@ def city_motion(folder: Path) -> tuple[SensorMotion, str] | None:
     except Exception as error:  # of Arrow, depending on the damage
         reason = " ".join(str(error).split())[:200]
         raise InputError(f"{path}: holds no poses that can be read ({reason}); take it from the data set") from error
+
+
+def oxts_motion(scan_file: Path) -> SensorMotion | None:
+    """Return the motion of the LiDAR around a scan of a KITTI raw drive, by the poses before, at and behind it.
+
+    None for any other file, and for a drive without oxts/ or calib_imu_to_velo.txt. InputError if these are damaged.
+    """
+    drive, stem = scan_file.parents[2], stem_of(scan_file)
+    mounts = [folder / "calib_imu_to_velo.txt" for folder in (drive, drive.parent)]
+    mount = next((path for path in mounts if path.is_file()), None)
+    if scan_file.parts[-3:-1] != ("velodyne_points", "data") or mount is None or not stem.isdecimal():
+        return None
+    names = (drive / "oxts" / "data" / f"{int(stem) + step:0{len(stem)}d}.txt" for step in (-1, 0, 1))
+    files = [path for path in names if path.is_file()]
+    stamps_s = times(files) if files else None
+    if stamps_s is None:
+        return None
+    lines = [_oxts_numbers(path) for path in files]
+    T_world_imu = np.stack([_oxts_pose(line, latitude=lines[0][0]) for line in lines])
+    T_imu_velo = np.linalg.inv(read_mount(mount))
+    return SensorMotion((Trajectory.of_poses(np.array(stamps_s), T_world_imu), T_imu_velo))
+
+
+def _oxts_numbers(path: Path) -> np.ndarray:
+    """Return latitude and longitude in degrees, altitude in metres, roll, pitch and yaw in radians."""
+    try:
+        numbers = np.array(read_text(path).split(), dtype=np.float64)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as a pose ({error}); take it from the data set") from error
+    if numbers.size != OXTS_NUMBERS or not np.isfinite(numbers[:6]).all() or abs(numbers[0]) > 89:
+        raise InputError(f"{path}: must hold {OXTS_NUMBERS} numbers, latitude first; take it from the data set")
+    return numbers[:6]
+
+
+def _oxts_pose(numbers: np.ndarray, latitude: float) -> np.ndarray:
+    """Return T_world_imu (4, 4): Mercator's metres as at a latitude, as in the data set's devkit."""
+    scale_m = EARTH_M * np.cos(np.radians(latitude))
+    north = np.log(np.tan(np.radians(45 + numbers[0] / 2)))
+    T = np.eye(4)
+    T[:3, 3] = scale_m * np.radians(numbers[1]), scale_m * north, numbers[2]
+    half = numbers[3:] / 2
+    about_x, about_y, about_z = rotation_matrices(np.column_stack([np.diag(np.sin(half)), np.cos(half)]))
+    T[:3, :3] = about_z @ about_y @ about_x
+    return T
