@@ -278,7 +278,8 @@ def test_titan_next_scores_classes_and_depths(root):
     assert previews["segments"].shape == previews["depth"].shape == (4 * 68, 100, 3)
 
 
-@pytest.mark.parametrize("name", [*ABLATIONS, "titan-next-mini"])
+# titan-no-lovasz-mini differs from titan-mini in a weight of the loss, which no card holds
+@pytest.mark.parametrize("name", ["titan-no-range-mini", "titan-no-segments-mini", "titan-next-mini"])
 def test_what_is_released_says_what_it_is(root, name, tmp_path):
     recipe = small(name)
     train(recipe, root, tmp_path, device="cpu")
@@ -312,9 +313,9 @@ def apart(one: Path, other: Path) -> float:
 
 
 @pytest.mark.usefixtures("one_thread")
-@pytest.mark.parametrize("name", ["titan-no-segments-mini", "pix2pix-segments-mini"])
-def test_two_processes_equal_one(root, name, tmp_path):
-    """Each sees half of the batch, as one process does in two turns."""
+def test_two_processes_equal_one(root, tmp_path):
+    """Each sees half of the batch, as one process does in two turns; test_engine.py has a critic with a penalty."""
+    name = "pix2pix-segments-mini"
     command = [sys.executable, "-W", "error", str(PROGRAM), name, str(root), str(tmp_path / "two"), "2"]
     two = subprocess.run(
         command, capture_output=True, text=True, env=os.environ | {"OMP_NUM_THREADS": "1"}, check=False
