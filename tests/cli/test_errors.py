@@ -71,6 +71,7 @@ BAD_SCANS: dict[str, tuple[Callable[[Path], object], str]] = {
 }
 
 
+@pytest.mark.child
 @pytest.mark.parametrize("fault", BAD_SCANS)
 def test_bad_scans(here, refused, fault):
     make, said = BAD_SCANS[fault]
@@ -371,7 +372,7 @@ def test_ctrl_c_says_so(refused, monkeypatch, words, said):
 
 
 def test_a_closed_pipe_is_quiet(here):
-    command = f"{sys.executable} -m lidar2pano weights info small | true; echo ${{PIPESTATUS[0]}}"
+    command = f"{sys.executable} -m lidar2pano inspect good.bin | true; echo ${{PIPESTATUS[0]}}"
     buffered = {**os.environ, "PYTHONUNBUFFERED": ""}
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False, env=buffered)
     assert (done.stdout, done.stderr) == ("1\n", "")
