@@ -332,12 +332,23 @@ def test_every_promised_command_explains_itself(helps):
     assert silent == []
 
 
-def test_translating_imports_nothing_that_one_scan_has_no_use_for():
-    code = "import sys, lidar2pano.cli.batch; print(*sys.modules)"
+@pytest.fixture(scope="module")
+def loaded() -> tuple[set[str], set[str]]:
+    """What is imported to translate, and then to train as well."""
+    code = "import sys, lidar2pano.cli.batch; print(*sys.modules); import lidar2pano.train.engine; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    modules = set(done.stdout.split())
-    assert "torch" in modules
-    assert [name for name in IDLE if name in modules] == []
+    translating, training = done.stdout.splitlines()
+    return set(translating.split()), set(training.split())
+
+
+def test_translating_imports_nothing_that_one_scan_has_no_use_for(loaded):
+    assert "torch" in loaded[0]
+    assert [name for name in IDLE if name in loaded[0]] == []
+
+
+def test_training_does_without_torchmetrics(loaded):
+    assert "lidar2pano.train.engine" in loaded[1]
+    assert {"torchmetrics", "transformers", "scipy"} & loaded[1] == set()
 
 
 def cpu_seconds(code: str) -> float:
