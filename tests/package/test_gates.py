@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 from pathlib import Path
 
 import pytest
 
 import lidar2pano
-from house_rules import ROOT
+from house_rules import ROOT, nodes_of, parsed
 
 SOURCE = Path(lidar2pano.__file__).parent
 # Calls that open a file by its name to read it. file -> the calls that it may make, and the reason.
@@ -86,10 +87,11 @@ PARSERS = {
 }
 
 
+@functools.cache
 def calls(tree: ast.Module) -> list[tuple[str, str, ast.Call]]:
     """Calls as (object's name, method's name, node); ("", name) for plain functions."""
     found = []
-    for node in ast.walk(tree):
+    for node in nodes_of(tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
             owner = node.func.value
             name = owner.id if isinstance(owner, ast.Name) else owner.attr if isinstance(owner, ast.Attribute) else "?"
@@ -100,8 +102,7 @@ def calls(tree: ast.Module) -> list[tuple[str, str, ast.Call]]:
 
 
 def sources() -> list[tuple[str, ast.Module]]:
-    files = sorted(SOURCE.rglob("*.py"))
-    return [(file.relative_to(SOURCE).as_posix(), ast.parse(file.read_text(encoding="utf-8"))) for file in files]
+    return [(path.as_posix(), tree) for path, tree in parsed(SOURCE)]
 
 
 def second_doors(trees: list[tuple[str, ast.Module]]) -> list[str]:
@@ -136,7 +137,7 @@ def test_decoders_are_called_where_their_reason_stands():
 
 def test_no_library_that_executes_or_guesses_is_imported():
     for file, tree in sources():
-        for node in ast.walk(tree):
+        for node in nodes_of(tree):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             imported = {name.partition(".")[0] for name in names}
