@@ -13,7 +13,7 @@ from lidar2pano.engines.tracing import example, recordable
 
 # settings that make networks small, by name in MODELS
 SLIM = {
-    "salsanext": {},
+    "salsanext": {"widths": (8, 8, 16, 16)},
     "titan-pano": {"widths": (8, 8, 8, 8, 8), "pyramid": 8},
     "scene-painter": {"widths": (8, 8, 8, 8), "looks": ("day", "dusk")},
     "latent-painter": {

@@ -57,11 +57,18 @@ def _plain() -> dict[str, list[float]]:
 
 
 def write_segmenter(folder: Path) -> Path:
-    """Save an untrained SalsaNext on a small view."""
+    """Save an untrained, narrow SalsaNext on a small view."""
     views = {"input": SEGMENTER_VIEW.as_dict()}
     score = {"point_miou": 0.5, "split": "val"}
     return write_weights(
-        folder, "segmenter", "salsanext", {}, labels="semantic-kitti", normalisation=_plain(), views=views, score=score
+        folder,
+        "segmenter",
+        "salsanext",
+        {"widths": [8, 8, 16, 16]},
+        labels="semantic-kitti",
+        normalisation=_plain(),
+        views=views,
+        score=score,
     )
 
 
