@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
+import os
 import stat
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +16,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from lidar2pano.errors import InputError
+from lidar2pano.formats import torch_files
 from lidar2pano.models import build, card
 from lidar2pano.models.card import Card, load, read_card, save
 
@@ -155,6 +158,21 @@ def test_files_that_are_no_weight_files(tmp_path: Path) -> None:
     _assert_refused(path, "cut off or not a weight file")
     save_file({"a": torch.zeros(2)}, path)
     _assert_refused(path, "has no card")
+
+
+def test_a_file_that_is_cut_while_it_is_read_ends_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mapped one would, by SIGBUS: the file is cut when its header has been read."""
+    path = tmp_path / "weights"
+    _written(path)
+    texts = torch_files._texts
+
+    def cut(file: io.FileIO) -> dict[str, object]:
+        found = texts(file)
+        os.truncate(path, 5000)
+        return found
+
+    monkeypatch.setattr(torch_files, "_texts", cut)
+    _assert_refused(path, "cut off or not a weight file")
 
 
 @pytest.mark.parametrize(

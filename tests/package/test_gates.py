@@ -19,7 +19,7 @@ OPENS: dict[str, tuple[set[str], str]] = {
     "cli/batch.py": ({"open"}, "webbrowser.open"),
     "formats/file_contents.py": ({"open"}, "a temporary copy of our own, to write"),
     "cli/console.py": ({"open"}, "a temporary file of our own, to write"),
-    "train/latent_frames.py": ({"load_file", "open"}, "after check_regular; bytes of our own, as JPEG alone"),
+    "train/latent_frames.py": ({"open"}, "Image.open of bytes of our own, as JPEG alone"),
     "engines/compiled.py": ({"open", "read_bytes"}, "an engine's own `open`; our sources"),
     "evaluate/pictures.py": ({"read_text"}, "a page of the package"),
     "engines/export.py": ({"read_text"}, "a resource of the package"),
@@ -28,16 +28,14 @@ OPENS: dict[str, tuple[set[str], str]] = {
     "formats/las.py": ({"open"}, "/dev/null; laspy.open of bytes"),
     "metrics/accumulation.py": ({"load"}, "arrays of our own in a temporary folder"),
     "data/nuscenes_tables.py": ({"open", "load"}, "np.load of an open file; an unfinished file of our own"),
-    "data/photographs.py": ({"load_file"}, "after check_regular"),
-    "models/card.py": ({"safe_open"}, "after open_regular"),
+    "formats/torch_files.py": ({"load"}, "torch.load of an open file"),
     "recordings/ros_bags.py": ({"open"}, "rosbags' readers, after the gate has looked at the files"),
     "recordings/recorded_scans.py": ({"open"}, "a reader's own `open`"),
     "recordings/playback.py": ({"open"}, "a reader's own `open`"),
     "recordings/recorded_images.py": ({"open"}, "a reader's own `open`"),
     "serve/application.py": ({"read_text"}, "a page of the package"),
     "serve/uploads.py": ({"read_bytes", "write_bytes"}, "outputs of our own in a temporary folder"),
-    "train/checkpoint.py": ({"load_file", "open"}, "after check_regular; files of our own, and a folder to lock"),
-    "train/painting_frames.py": ({"load_file", "safe_open"}, "after check_regular"),
+    "train/checkpoint.py": ({"open"}, "files of our own, and a folder to lock"),
     "viewer/outputs.py": ({"open"}, "a video to write"),
     "viewer/page.py": ({"open", "load", "read_text"}, "unfinished files of our own; parts of the page"),
     "child_process.py": ({"read_text", "load"}, "/proc; an answer, by a restricted unpickler"),
@@ -73,6 +71,7 @@ DECODERS = {
 }
 WITH_REASON = {"formats/yaml_files.py": {"yaml"}}  # calibrations of cameras and options are written in it
 PARSERS = {
+    "mmap",  # where somebody cuts a mapped file, the system ends the process
     "h5py",
     "imageio",
     "tifffile",

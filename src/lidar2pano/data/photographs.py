@@ -8,17 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from safetensors.torch import load_file
 from torch import Tensor
 
-from lidar2pano.bounded_files import check_regular
 from lidar2pano.data.camera_pairs import in_unit
 from lidar2pano.data.frames import Frame, SampleIndex
 from lidar2pano.data.layouts import frames_of
 from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.errors import InputError
+from lidar2pano.formats.torch_files import read_tensors
 
 FACTOR = 8  # pixels per latent pixel
+LATENTS_MEND = "make them by runs/teacher_latents.py"
 
 
 class PhotographCrop(NamedTuple):
@@ -84,10 +84,10 @@ class PhotographDataset:
         if self.latents is None:
             return torch.zeros(0, image.shape[0] // FACTOR, image.shape[1] // FACTOR)
         path = self.latents / f"{photograph_key(image)}.safetensors"
-        if not path.is_file():
-            raise InputError(f"{path}: no latents of this photograph; make them by runs/teacher_latents.py")
-        check_regular(path)
-        return load_file(path)["latents"]
+        tensors = read_tensors(path, LATENTS_MEND) if path.is_file() else {}
+        if "latents" not in tensors:
+            raise InputError(f"{path}: no latents of this photograph; {LATENTS_MEND}")
+        return tensors["latents"]
 
 
 def photograph_key(image: np.ndarray) -> str:

@@ -14,22 +14,20 @@ from pathlib import Path
 
 import torch
 import torch.nn.init
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as serialise
 from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 
-from lidar2pano.bounded_files import open_regular
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.formats.json_files import parse_json, validated
+from lidar2pano.formats.torch_files import read_weights
 from lidar2pano.labels import LABEL_SETS
 from lidar2pano.models import MODELS, build
 from lidar2pano.views import MOST_PIXELS
 
 # Most calls of torch's functions while a network is built; ours make 4 to 33 calls a tensor.
 MOST_CALLS, CALLS_PER_TENSOR = 2000, 40
-MOST_HEADER = 1 << 24  # bytes of a weight file's names, shapes and card: ours have some 50,000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,20 +129,9 @@ def read_card(path: Path | str) -> Card:
 def _read(path: Path | str, with_tensors: bool = True) -> tuple[Card, dict[str, Tensor]]:
     if not Path(path).is_file():
         raise InputError(f"no weight file {path}; check the path")
-    try:
-        with open_regular(path) as opened:
-            head = int.from_bytes(opened.read(8), "little")
-        if head > MOST_HEADER:
-            reason = f"its header would have {head} bytes, at most {MOST_HEADER} are read"
-            raise InputError(f"{path} is cut off or not a weight file ({reason}); fetch or make it again")
-        with safe_open(path, "pt") as file:
-            text = (file.metadata() or {}).get("card")
-            keys = file.keys() if with_tensors else ()
-            tensors = {key: file.get_tensor(key) for key in keys}
-    except (SafetensorError, OSError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path} is cut off or not a weight file ({reason}); fetch or make it again") from None
-    if text is None:
+    tensors, texts = read_weights(Path(path), with_tensors=with_tensors)
+    text = texts.get("card")
+    if not isinstance(text, str):
         raise InputError(f"{path} has no card, so lidar2pano did not write it; fetch or make it again")
     try:
         return Card.from_json(text), tensors

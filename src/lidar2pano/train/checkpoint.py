@@ -24,7 +24,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import Tensor, nn
 
 try:
@@ -33,12 +33,12 @@ except ModuleNotFoundError:
     fcntl = None
 
 from lidar2pano import __version__
-from lidar2pano.bounded_files import check_regular, sha256_of
+from lidar2pano.bounded_files import sha256_of
 from lidar2pano.data.layouts import locate_split
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_text
 from lidar2pano.formats.json_files import read_json, validated
-from lidar2pano.formats.torch_files import load_torch
+from lidar2pano.formats.torch_files import load_torch, read_tensors
 from lidar2pano.models.card import Card, save
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, Training, resolved
 
@@ -239,8 +239,7 @@ def load_checkpoint(run: Path) -> tuple[Progress, dict[str, Tensor], dict[str, d
     newest = max(folders, key=lambda path: (int(path.stem), path.suffix == ""))
     try:
         progress = validated(Progress, read_json(newest / "state.json"), "its state.json")
-        check_regular(newest / "weights.safetensors")
-        weights = load_file(newest / "weights.safetensors")
+        weights = read_tensors(newest / "weights.safetensors", "it cannot be resumed")
         check_weights(weights, progress.step)
         optimizers = load_torch(newest / "optimizers.pt")
     except InputError as error:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import io
 import math
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -15,11 +16,9 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from PIL import Image
-from safetensors.torch import load_file, save_file
 from torch import Tensor
 from torch.nn.functional import max_pool2d
 
-from lidar2pano.bounded_files import check_regular
 from lidar2pano.calibration import Calibration
 from lidar2pano.data.frames import Frame, SampleIndex
 from lidar2pano.data.layouts import frames_of
@@ -27,7 +26,6 @@ from lidar2pano.data.panorama_crops import panorama_on
 from lidar2pano.data.photographs import as_signed, cameras
 from lidar2pano.data.surround import SurroundFrame
 from lidar2pano.errors import InputError
-from lidar2pano.formats.image_files import write_whole
 from lidar2pano.geometry.camera import at_camera, camera_in_panorama
 from lidar2pano.geometry.rasters import adjacent_rows
 from lidar2pano.hardware import Timer, fast_arithmetic
@@ -36,7 +34,7 @@ from lidar2pano.models.latent_inputs import FOLD, conditions_of, mirrored
 from lidar2pano.models.latent_painter import STRIDE
 from lidar2pano.pipeline import Pipeline
 from lidar2pano.scene.record import Scene
-from lidar2pano.train.painting_frames import look_of, made_by
+from lidar2pano.train.painting_frames import kept_tensors, look_of, made_by
 from lidar2pano.views import FULL_TURN, View
 
 FORM = 1  # raised when the files of the same frames hold something else
@@ -181,17 +179,12 @@ class LatentFrames:
         """Return the content of a sector's file; the first use makes it."""
         number, camera, _ = self.places[index]
         frame = self.frames[number]
-        file = self._file(frame, camera)
-        if not file.is_file():
-            made = self._made(frame, camera)
-            write_whole(file, lambda temporary: save_file(made, temporary), "options.cache")
-        check_regular(file)
-        return load_file(file)
+        return kept_tensors(self._file(frame, camera), lambda: self._made(frame, camera))
 
     def _file(self, frame: Frame, camera: str) -> Path:
         assert frame.root is not None, "frames of data sets have one"
         root = frame.root.resolve()
-        key = hashlib.sha256(f"{self._made_by} {root.name}".encode()).hexdigest()[:16]
+        key = hashlib.sha256(os.fsencode(f"{self._made_by} {root.name}")).hexdigest()[:16]
         folder = Path(self.cache) if self.cache else root / ".lidar2pano"
         stem = "-".join(part for part in (root.name, *frame.name.split("/"), camera) if part)
         return folder / "sectors" / key / f"{stem}.safetensors"

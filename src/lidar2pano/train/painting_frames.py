@@ -6,6 +6,8 @@ Each frame is segmented and translated once, on its first use, and kept in a fil
 from __future__ import annotations
 
 import hashlib
+import os
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,16 +15,16 @@ from typing import NamedTuple, Self, cast
 
 import numpy as np
 import torch
-from safetensors import safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import Tensor
 
-from lidar2pano.bounded_files import check_regular, sha256_of
+from lidar2pano.bounded_files import sha256_of
 from lidar2pano.data.frames import IGNORE, Frame, SampleIndex, evenly_spaced
 from lidar2pano.data.panorama_crops import PanoramaDataset, PanoramaWindow
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import write_whole
 from lidar2pano.formats.json_files import read_json
+from lidar2pano.formats.torch_files import read_tensors
 from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.scene_painter import ScenePainter
@@ -157,12 +159,7 @@ class PaintingFrames:
 
     def kept(self, index: int) -> dict[str, Tensor]:
         """What is made of a frame, from its file; the first use writes it."""
-        file = self._file(index)
-        if not file.is_file():
-            made = self._made(index)
-            write_whole(file, lambda temporary: save_file(made, temporary), "options.cache")
-        check_regular(file)
-        return load_file(file)
+        return kept_tensors(self._file(index), lambda: self._made(index))
 
     def _file(self, index: int) -> Path:
         return painting_file(self.crops.frames[index], self.options.cache, f"{self._made_by} {self.crops.shift_px}")
@@ -205,11 +202,10 @@ class PaintingFrames:
 
     def _sums(self, index: int) -> tuple[Tensor, Tensor]:
         """As `colours_of_classes`: from the frame's file, if it is made; the same numbers from its image, if not."""
-        if not (file := self._file(index)).is_file():
+        if not self._file(index).is_file():
             return colours_of_classes(self.crops.window(index))
-        check_regular(file)
-        with safe_open(file, "pt") as kept:
-            return kept.get_tensor("class_colours"), kept.get_tensor("class_pixels")
+        kept = self.kept(index)
+        return kept["class_colours"], kept["class_pixels"]
 
 
 def colours_of_classes(window: PanoramaWindow) -> tuple[Tensor, Tensor]:
@@ -221,6 +217,14 @@ def colours_of_classes(window: PanoramaWindow) -> tuple[Tensor, Tensor]:
     return total, torch.zeros(256).index_add_(0, ids[labelled], torch.ones(len(colour)))
 
 
+def kept_tensors(file: Path, make: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
+    """The tensors of a file of a cache; the first use makes it."""
+    if not file.is_file():
+        made = make()
+        write_whole(file, lambda temporary: save_file(made, temporary), "options.cache")
+    return read_tensors(file, "remove it, and it is made again")
+
+
 def painting_file(frame: Frame, cache: str, made_by: str) -> Path:
     """The file that keeps what is made of a frame.
 
@@ -228,7 +232,7 @@ def painting_file(frame: Frame, cache: str, made_by: str) -> Path:
     """
     assert frame.root is not None, "frames of data sets have one"
     root, stem = frame.root.resolve(), frame.name.replace("/", "-")
-    key = hashlib.sha256(f"{made_by} {root}".encode()).hexdigest()[:16]
+    key = hashlib.sha256(os.fsencode(f"{made_by} {root}")).hexdigest()[:16]
     folder = Path(cache) if cache else root / ".lidar2pano"
     return folder / "painting" / key / f"{root.name}-{stem}.safetensors"
 
