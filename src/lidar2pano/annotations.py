@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -93,7 +94,9 @@ class Annotation:
     def coco(self, stem: str, image: str) -> dict[str, Any]:
         """Return the JSON of COCO panoptic for this one image, whose file is called `image`."""
         rows, columns = self.values.shape
-        number = int(hashlib.sha256(stem.encode()).hexdigest()[:12], 16)  # differs among images that are put together
+        number = int(
+            hashlib.sha256(os.fsencode(stem)).hexdigest()[:12], 16
+        )  # differs among images that are put together
         segments = [
             {
                 "id": segment.value,

@@ -123,7 +123,7 @@ class PredictedLabels:
                 stamp = Path(frame.scan_file).stat()  # pyright: ignore[reportAttributeAccessIssue]
             except (AttributeError, OSError):
                 return None
-            digest.update(f"{frame.name} {stamp.st_size} {stamp.st_mtime_ns}\n".encode())
+            digest.update(os.fsencode(f"{frame.name} {stamp.st_size} {stamp.st_mtime_ns}\n"))
         return f"{digest.hexdigest()[:32]}.complete" if len(frames) else None
 
     def _paths(self, frame: Frame, name: str) -> list[Path]:

@@ -9,6 +9,7 @@ lie beside it. The LiDAR has 32 beams, x to the right and y forward.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping
 from functools import cached_property, partial
@@ -270,7 +271,7 @@ def frame_of(scan_file: Path, view: View) -> NuscenesSample | InfoFrame | None:
     root = scan_file.parents[min(2, len(scan_file.parents) - 1)]
     if scan_file.parent.name != LIDAR:
         return None
-    name = scan_file.relative_to(root).as_posix().encode()
+    name = os.fsencode(scan_file.relative_to(root).as_posix())
     for version in versions(root):
         index = nuscenes_index(root, version)
         for row in (index.files[:, CHANNELS.index(LIDAR)] == name).nonzero()[0].tolist():

@@ -9,6 +9,7 @@ Format: nuScenes' schema (docs/schema_nuscenes.md of nutonomy/nuscenes-devkit).
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import zipfile
 import zlib
@@ -96,7 +97,7 @@ def nuscenes_index(root: Path, version: str) -> NuscenesIndex:
         if not path.is_file():
             raise InputError(f"{path}: is missing; complete the data set")
         stamps.append(f"{path.stat().st_size} {path.stat().st_mtime_ns}")
-    return _index(root, version, hashlib.sha256("\n".join(stamps).encode()).hexdigest()[:32])
+    return _index(root, version, hashlib.sha256(os.fsencode("\n".join(stamps))).hexdigest()[:32])
 
 
 @lru_cache(maxsize=2)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import heapq
 import json
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -112,7 +113,7 @@ class Preferences:
         first, second = images
         if real is None or first is None or second is None:
             return
-        swapped = hashlib.sha256(frame.encode()).digest()[0] % 2
+        swapped = hashlib.sha256(os.fsencode(frame)).digest()[0] % 2
         left, right = (second, first) if swapped else (first, second)
         pair: dict[str, str | int] = {"frame": frame, "swapped": swapped}
         for side, image in (("real", real), ("left", left), ("right", right)):

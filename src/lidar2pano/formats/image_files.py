@@ -180,7 +180,8 @@ def write_whole(path: Path, write: Callable[[Path], object], option: str = "--ou
 
 def write_text(path: Path, text: str, option: str = "--out") -> Path:
     """Write text in UTF-8, complete or not at all, see `write_whole`; return `path`."""
-    return write_whole(path, lambda part: part.write_text(text, encoding="utf-8"), option)
+    data = text.encode("utf-8", "backslashreplace")  # names of files may be no UTF-8
+    return write_whole(path, lambda part: part.write_bytes(data), option)
 
 
 def reason(error: OSError) -> str:

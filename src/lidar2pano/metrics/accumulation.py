@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, MutableMapping
 from pathlib import Path
@@ -238,7 +239,7 @@ class SetMetric(ABC):
 
 def _rank(name: str) -> bytes:
     """Return the position of a name in a pseudo-random order of all names."""
-    return hashlib.sha256(name.encode()).digest()
+    return hashlib.sha256(os.fsencode(name)).digest()
 
 
 class Interval(NamedTuple):

@@ -9,6 +9,7 @@ resolution is reached", and the average over the levels.
 from __future__ import annotations
 
 import hashlib
+import os
 from concurrent.futures import ThreadPoolExecutor
 from typing import Self
 
@@ -172,7 +173,7 @@ def draw_directions(seed: int, level: int, repeat: int) -> np.ndarray:
 def stream(seed: int, *names: str) -> np.random.Generator:
     """Return the generator of a seed and a path of names."""
     path = "/".join(("swd", str(seed), *names))
-    return np.random.default_rng(np.frombuffer(hashlib.sha256(path.encode()).digest(), dtype=np.uint32))
+    return np.random.default_rng(np.frombuffer(hashlib.sha256(os.fsencode(path)).digest(), dtype=np.uint32))
 
 
 # --- pairs of images --------------------------------------------------------------------------------------------------
