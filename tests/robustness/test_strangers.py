@@ -11,6 +11,7 @@ import json
 import os
 import pickle
 import resource
+import shutil
 import signal
 import sqlite3
 import stat
@@ -326,8 +327,21 @@ def test_a_fifo_in_a_folder_costs_one_line(tmp_path, random_weights, command, ca
     os.mkfifo(scans / "m.bin")
     words = [*command.format(scans, random_weights).split(), "--out", str(tmp_path / "out")]
     assert main(words) == (3 if "bulk" in command else 2)
-    assert capsys.readouterr().err.count("device, FIFO or socket") == 1
+    error = capsys.readouterr().err
+    assert error.count("device, FIFO or socket") == 1 and "Error" not in error
     assert {path.name for path in (tmp_path / "out").glob("*.png")} == {"a.png", "z.png"}
+
+
+@pytest.mark.parametrize("command", ["translate {} --annotations coco,cityscapes,yolo --ply", "bulk {}"])
+def test_names_may_be_no_utf8(tmp_path, random_weights, command):
+    name = os.fsdecode(b"b\xff\xfe y")
+    (tmp_path / name).mkdir()
+    write_scan(tmp_path / name / f"{name}.bin")
+    shutil.copytree(random_weights, tmp_path / name / "weights")
+    words = [word.format(tmp_path / name) for word in command.split()]
+    words += ["--weights", str(tmp_path / name / "weights"), "--device", "cpu", "--out", str(tmp_path / name / "out")]
+    assert main(words) == 0
+    assert (tmp_path / name / "out" / f"{name}.png").is_file()
 
 
 # --- targets ----------------------------------------------------------------------------------------------------------

@@ -53,7 +53,7 @@ class Work:
     def record(self, job: Job) -> dict[str, Any]:
         """Return the manifest's line."""
         error = self.translation.error
-        text = str(error) if isinstance(error, InputError) else f"{self.entry.key}: {type(error).__name__}: {error}"
+        text = str(error) if isinstance(error, InputError) else f"{self.entry.key}: {_unexpected(error)}"
         return line(
             self.entry.key,
             self.sha256,
@@ -63,6 +63,13 @@ class Work:
             doubts=self.translation.doubts,
             **self.translation.counts(),
         )
+
+
+def _unexpected(error: Exception | None) -> str:
+    """Return what ended a scan's work: the system's reason, or the name of a fault."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"cannot be read or written ({error.strerror}); mend that and repeat the command"
+    return f"{type(error).__name__}: {error}"
 
 
 class Worker:
@@ -139,7 +146,7 @@ class Worker:
         if work.translation.error is None and panorama and scan:
             names, save = self.job.outputs(work.entry), self.job.save
             with work.translation.timer("save"):
-                stem = hashlib.sha256(str(work.entry.key).encode()).hexdigest()
+                stem = hashlib.sha256(os.fsencode(str(work.entry.key))).hexdigest()
                 files = panorama.save(self._folder, save, None, stem, self.job.image_format, self.job.projection)
                 parts = [part for output in OUTPUTS for part in names if part.partition(".")[0] == output]
                 file_by_output = dict(zip(parts, files, strict=True))

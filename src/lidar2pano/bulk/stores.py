@@ -18,7 +18,7 @@ from lidar2pano.formats.image_files import reason
 
 SCRATCH = ".lidar2pano-"  # folders of unfinished files: .lidar2pano-HOST-PROCESS-xxxx
 HOST = platform.node()[:64]
-STALE_S = 24 * 3600  # age at which unfinished files go, unless their process is known to be dead
+STALE_S = 24 * 3600  # age at which unfinished files of other machines go; those of this one go with their process
 
 
 def open_store(place: str | Path) -> Store:
@@ -105,9 +105,10 @@ class Folder:
     def _sweep(self) -> None:
         for folder in self.root.glob(f"{SCRATCH}*"):
             host, _, process = folder.name.removeprefix(SCRATCH).rpartition("-")[0].rpartition("-")
-            ended = host == HOST and Path("/proc/self").exists() and not Path("/proc", process).exists()
+            known = host == HOST and Path("/proc/self").exists()  # whatever a clock says that has jumped
             with suppress(FileNotFoundError):  # its own run has just removed it
-                if ended or time.time() - folder.stat().st_mtime > STALE_S:
+                old = time.time() - folder.stat().st_mtime > STALE_S
+                if not Path("/proc", process).exists() if known else old:
                     shutil.rmtree(folder, ignore_errors=True)
 
 
