@@ -31,7 +31,7 @@ from targets import Target, all_targets  # noqa: E402
 from lidar2pano.errors import InputError  # noqa: E402
 from random_weights import write_weights  # noqa: E402
 
-BURST = 50  # mutants of a target before the next one has its turn
+TURN, TURN_S = 50, 0.05  # mutants and processor time of a target before the next one has its turn
 SLOW_S = 2.0  # no mutant takes so long
 MOST_BYTES = 256 << 20  # nor so much memory at once, above what it began with
 
@@ -117,9 +117,12 @@ def campaign(
     end = time.monotonic() + seconds
     while True:
         for name, target in targets.items():
-            for _ in range(BURST):
+            turn_end = time.process_time() + TURN_S
+            for _ in range(TURN):
                 if time.monotonic() > end:
                     return tried, faults
+                if time.process_time() > turn_end:
+                    break
                 data = target.mutate(draw, draw.choice(target.seeds))
                 tried += 1
                 if last:
@@ -138,7 +141,6 @@ def main() -> int:
     parser.add_argument("--last", type=Path, help="a file for each mutant before its turn: it may end the process")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    faulthandler.dump_traceback_later(options.seconds + 60, exit=True)  # what never ends in C
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
         small = {"image_channels": 3, "conditions": 4, "width": 2}
@@ -146,7 +148,9 @@ def main() -> int:
         targets = all_targets(Path(folder), weights)
         again = replay(targets) if options.replay else []
         chosen = {name: target for name, target in targets.items() if name.startswith(options.target)}
+        faulthandler.dump_traceback_later(options.seconds + 60, exit=True)  # what never ends in C
         tried, faults = campaign(chosen, options.seconds, options.seed, options.last)
+        faulthandler.cancel_dump_traceback_later()
     for fault in again:
         print(f"{fault.target}: once mended, broken again: {fault.where}")
     for fault in faults.values():
