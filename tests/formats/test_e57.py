@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -41,9 +43,51 @@ def test_the_first_of_several_scans_is_read_and_said(tmp_path):
 @pytest.mark.parametrize("share", [0.1, 0.6, 0.98])
 def test_one_that_cannot_be_read_is_one_line(tmp_path, share):
     data = write(tmp_path / "a.e57").read_bytes()
-    with pytest.raises(InputError, match=r"a\.e57: is an E57 that pye57 does not read") as caught:
+    with pytest.raises(InputError, match=r"a\.e57: is an E57 (that pye57 does not read|whose XML)") as caught:
         decode(data[: int(share * len(data))], Path("a.e57"))
     assert "\n" not in str(caught.value)
+
+
+def crc32c(data: bytes) -> int:
+    value = 0xFFFFFFFF
+    for byte in data:
+        value ^= byte
+        for _ in range(8):
+            value = value >> 1 ^ (0x82F63B78 if value & 1 else 0)
+    return value ^ 0xFFFFFFFF
+
+
+def with_xml(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
+    """An E57 whose XML, its last section, is another; with right lengths and checksums."""
+    logical = bytearray(b"".join(data[page : page + 1020] for page in range(0, len(data), 1024)))
+    offset, length = struct.unpack_from("<QQ", data, 24)
+    start = offset // 1024 * 1020 + offset % 1024
+    xml = change(bytes(logical[start : start + length]))
+    logical[start:] = xml
+    struct.pack_into("<Q", logical, 16, -(-len(logical) // 1020) * 1024)
+    struct.pack_into("<Q", logical, 32, len(xml))
+    parts = [bytes(logical[page : page + 1020]).ljust(1020, b"\0") for page in range(0, len(logical), 1020)]
+    return b"".join(part + struct.pack(">I", crc32c(part)) for part in parts)
+
+
+SCHEMA = b' xmlns:i="http://www.w3.org/2001/XMLSchema-instance" i:schemaLocation="http://www.astm.org/COMMIT/E57'
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b"?>", b'?><!DOCTYPE e57Root SYSTEM "http://127.0.0.1:9/a.dtd">'),
+        (b"?>", b'?><!DOCTYPE e57Root [<!ENTITY x SYSTEM "file:///etc/hostname">]>'),
+        (b"<e57Root", b"<e57Root" + SCHEMA + b'/2010-e57-v1.0 http://127.0.0.1:9/a.xsd"'),
+        (b"UTF-8", b"UTF-16"),
+    ],
+)
+def test_its_xml_makes_no_library_fetch_anything(tmp_path, monkeypatch, old, new):
+    data = write(tmp_path / "a.e57").read_bytes()
+    assert len(decode(with_xml(data, lambda xml: xml), Path("a.e57"))) == len(XYZ)
+    monkeypatch.setattr("pye57.E57", None)  # what is refused does not come so far
+    with pytest.raises(InputError, match="refers to other documents"):
+        decode(with_xml(data, lambda xml: xml.replace(old, new, 1)), Path("a.e57"))
 
 
 def test_spherical_coordinates_and_points_without_a_place():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import struct
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,13 @@ from lidar2pano.formats.file_contents import stem_of
 from lidar2pano.formats.point_cloud import MOST_POINTS, PointCloud, cloud_of_columns, sweep_error
 
 MAGIC = b"ASTM-E57"
+HEADER = struct.Struct("<QQ")  # at XML_PLACE: the XML's offset in the file, its length without checksums
+XML_PLACE, PAGE_BYTES, CHECKED_BYTES = 24, 1024, 1020  # a page ends with a checksum of the bytes before
+# libE57's parser fetches documents, from the network, too: of a document type, and of a schema's location.
+DECLARATION = re.compile(
+    rb"""\s*<\?xml\s+version=["']1\.[01]["'](\s+encoding=["'](?i:utf-8)["'])?(\s+standalone=["']\w+["'])?\s*\?>"""
+)
+FETCHING = re.compile(rb"<!DOCTYPE|schemaLocation", re.IGNORECASE)
 EXPORT = "export its points as PCD, PLY or LAS, e.g. with CloudCompare"
 CARTESIAN, SPHERICAL = ("cartesianX", "cartesianY", "cartesianZ"), ("Range", "Azimuth", "Elevation")
 INVALID = ("cartesianInvalidState", "sphericalInvalidState")  # above 0: no place
@@ -23,6 +32,7 @@ def decode(data: bytes, path: Path) -> PointCloud:
 
     Raises InputError if the file is damaged, or pye57 is not installed.
     """
+    _check_xml(data, path)
     try:
         import pye57  # pyright: ignore[reportMissingImports]
     except ImportError:
@@ -46,6 +56,16 @@ def decode(data: bytes, path: Path) -> PointCloud:
         raise InputError(f"{path}: is an E57 that pye57 does not read ({reason}); {EXPORT}") from None
     doubts = [f"it holds {scans} scans, of which the first is read"] if scans > 1 else []
     return cloud_of_columns(columns, format="E57", name=stem_of(path), source=str(path), doubts=doubts)
+
+
+def _check_xml(data: bytes, path: Path) -> None:
+    """Raise InputError for an XML section with references to other documents, or in another encoding than UTF-8."""
+    offset, length = HEADER.unpack_from(data.ljust(XML_PLACE + HEADER.size), XML_PLACE)
+    first, skipped = divmod(offset, PAGE_BYTES)
+    pages = range(min(first * PAGE_BYTES, len(data)), len(data), PAGE_BYTES)
+    xml = b"".join(data[page : page + CHECKED_BYTES] for page in pages)[skipped : skipped + length]
+    if DECLARATION.match(xml) is None or FETCHING.search(xml):
+        raise InputError(f"{path}: is an E57 whose XML is damaged or refers to other documents; {EXPORT}")
 
 
 def _columns(raw: dict[str, Any]) -> dict[str, np.ndarray]:
