@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import gzip
 import http.client
 import importlib
@@ -20,11 +21,13 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
 import uvicorn
 from PIL import Image
+from uvicorn.server import ServerState
 
 from house_rules import ROOT
 from lidar2pano.cli import main
@@ -213,6 +216,7 @@ def test_a_form_of_one_file_is_its_file(server, scan):
         ("?save=all", b"1", 422, "a PNG holds rgb alone"),
         ("?fordward=x", b"1", 400, "did you mean 'forward'?; known are as, save, name, forward, remission"),
         ("?sensor_height=1", b"1", 400, "sensor_height: unknown parameter"),
+        ("?as=png&as=json", b"1", 400, "as: stands twice"),
         ("?forward=up", b"1", 422, "forward 'up' is no axis; there is x, y, -x, -y"),
         ("?remission=7", b"1", 422, "remission '7' is no scale"),
         ("?sensor-height=high", b"1", 422, "sensor-height: 'high' is no height"),
@@ -349,6 +353,19 @@ def test_many_silent_connections_keep_nobody_out(scan):
             one.close()
 
 
+def test_connections_that_come_at_once_close_as_many_others():
+    """The loop takes up to a backlog of them before one that is closed is forgotten."""
+    loop, state = asyncio.new_event_loop(), ServerState()
+    config = uvicorn.Config(lambda: None, http=Impatient)
+    transports = [mock.Mock() for _ in range(20)]
+    for transport in transports:
+        transport.get_write_buffer_size.return_value, transport.get_extra_info.return_value = 0, None
+        Impatient(config, state, {}, loop).connection_made(transport)
+    closed = [transport.abort.called for transport in transports]
+    assert closed == [True] * 12 + [False] * 8
+    loop.close()
+
+
 @pytest.mark.parametrize(
     ("headers", "status"),
     [
@@ -431,7 +448,11 @@ def test_an_upload_that_takes_its_reader_down_costs_one_request(server, scan):
 )
 def test_headers_of_every_answer(server, method, path, headers):
     _, answer, _ = server.ask(method, path, **headers)
-    assert answer["cache-control"] == "no-store" and answer["x-content-type-options"] == "nosniff"
+    assert (
+        answer["content-type"]
+        and answer["cache-control"] == "no-store"
+        and answer["x-content-type-options"] == "nosniff"
+    )
     assert answer["referrer-policy"] == "no-referrer" and "frame-ancestors 'self'" in answer["content-security-policy"]
     assert not [name for name in answer if name in {"server", "x-powered-by"} or name.startswith("access-control")]
 

@@ -104,7 +104,9 @@ class BoundedConnection(H11Protocol):
         self._watch()
         silent = [one for one in self.connections if isinstance(one, BoundedConnection) and one._deadline is not None]
         if len(self.connections) > self.most_connections and silent:
-            min(silent, key=lambda one: one._deadline.when() if one._deadline else 0).transport.abort()
+            oldest = min(silent, key=lambda one: one._deadline.when() if one._deadline else 0)
+            oldest._stop()  # or the next of several that come at once would find it again
+            oldest.transport.abort()
 
     def data_received(self, data: bytes) -> None:
         """Take bytes; those of a head do not prolong its time."""

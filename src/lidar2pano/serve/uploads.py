@@ -19,6 +19,8 @@ from email.message import Message
 from email.parser import BytesHeaderParser
 from pathlib import Path
 
+from starlette.datastructures import QueryParams
+
 from lidar2pano.drives.reading import ReadingOptions, ScanSource, read_scan
 from lidar2pano.errors import InputError, closest
 from lidar2pano.formats.file_contents import PACKED
@@ -212,12 +214,14 @@ class Query:
     reading: ReadingOptions
 
 
-def parse_query(parameters: Mapping[str, str]) -> Query:
-    """Return a request's parameters; UnknownParameter for an unknown name, InputError for a value of no use."""
+def parse_query(parameters: QueryParams) -> Query:
+    """Return a request's parameters; UnknownParameter for an unknown or repeated name, InputError for a value of no use."""
     if unknown := [name for name in parameters if name not in PARAMETERS]:
         raise UnknownParameter(
             f"{unknown[0]}: unknown parameter{closest(unknown[0], PARAMETERS)}; known are {', '.join(PARAMETERS)}"
         )
+    if repeated := [name for name in parameters if len(parameters.getlist(name)) > 1]:
+        raise UnknownParameter(f"{repeated[0]}: stands twice; give it once")
     answer, save = parameters.get("as", "png"), parse_parts(parameters.get("save", "rgb"))
     if answer not in ANSWERS:
         raise InputError(f"as: there is {', '.join(ANSWERS)}")
