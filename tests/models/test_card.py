@@ -160,6 +160,14 @@ def test_files_that_are_no_weight_files(tmp_path: Path) -> None:
     _assert_refused(path, "has no card")
 
 
+def test_a_sparse_file_is_not_read(tmp_path: Path) -> None:
+    path, size = tmp_path / "weights", 1 << 30
+    head = json.dumps({"a": {"dtype": "U8", "shape": [size], "data_offsets": [0, size]}}).encode()
+    path.write_bytes(len(head).to_bytes(8, "little") + head)
+    os.truncate(path, 8 + len(head) + size)
+    _assert_refused(path, "are stored")
+
+
 def test_a_file_that_is_cut_while_it_is_read_ends_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A mapped one would, by SIGBUS: the file is cut when its header has been read."""
     path = tmp_path / "weights"

@@ -68,7 +68,7 @@ class Work:
 def _unexpected(error: Exception | None) -> str:
     """Return what ended a scan's work: the system's reason, or the name of a fault."""
     if isinstance(error, OSError) and error.strerror:
-        return f"cannot be read or written ({error.strerror}); mend that and repeat the command"
+        return f"cannot be read or written ({error.strerror}); mend it and repeat the command"
     return f"{type(error).__name__}: {error}"
 
 

@@ -18,7 +18,7 @@ from lidar2pano.formats.image_files import reason
 
 SCRATCH = ".lidar2pano-"  # folders of unfinished files: .lidar2pano-HOST-PROCESS-xxxx
 HOST = platform.node()[:64]
-STALE_S = 24 * 3600  # age at which unfinished files of other machines go; those of this one go with their process
+STALE_S = 24 * 3600  # age at which unfinished files of other machines go; a local process tells by itself
 
 
 def open_store(place: str | Path) -> Store:
@@ -105,10 +105,10 @@ class Folder:
     def _sweep(self) -> None:
         for folder in self.root.glob(f"{SCRATCH}*"):
             host, _, process = folder.name.removeprefix(SCRATCH).rpartition("-")[0].rpartition("-")
-            known = host == HOST and Path("/proc/self").exists()  # whatever a clock says that has jumped
+            local = host == HOST and Path("/proc/self").exists()  # its process tells more than a clock, which may jump
             with suppress(FileNotFoundError):  # its own run has just removed it
                 old = time.time() - folder.stat().st_mtime > STALE_S
-                if not Path("/proc", process).exists() if known else old:
+                if not Path("/proc", process).exists() if local else old:
                     shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -27,6 +27,7 @@ ENTRY, MOST_PARTS = b"PK\1\2", 1 << 16  # of an archive: the beginning of an ent
 BLOCK_BYTES = 1 << 20
 MOST_HEADER = 1 << 24  # bytes of a safetensors file's names, shapes and texts: ours have some 50,000
 MOST_BYTES = 1 << 32  # of a safetensors file: checkpoints of large networks with their averages
+SPARSE, HOLE_BYTES = 4, 1 << 24  # weights are no zeros: packed by a file system, too, a quarter of them is stored
 
 
 def read_tensors(path: Path, mend: str) -> dict[str, Tensor]:
@@ -51,13 +52,12 @@ def read_weights(
 
 def _texts(file: io.FileIO) -> dict[str, Any]:
     """Return the texts in the header of a safetensors file; SafetensorError unless its tensors fill the file."""
-    size, head = os.fstat(file.fileno()).st_size, int.from_bytes(file.read(8), "little")
-    if head > MOST_HEADER or size > MOST_BYTES:
-        raise SafetensorError(
-            f"its header would have {head} bytes, at most {MOST_HEADER} are read"
-            if head > MOST_HEADER
-            else f"it has {size} bytes, at most {MOST_BYTES} are read"
-        )
+    status, head = os.fstat(file.fileno()), int.from_bytes(file.read(8), "little")
+    size, stored = status.st_size, 512 * getattr(status, "st_blocks", 0)
+    if head > MOST_HEADER:
+        raise SafetensorError(f"its header would have {head} bytes, at most {MOST_HEADER} are read")
+    if size > MOST_BYTES or 0 < stored < size // SPARSE - HOLE_BYTES:
+        raise SafetensorError(f"it would have {size} bytes, of which {stored} are stored")
     try:
         header = parse_json(file.read(head), "its header")
         texts = header.pop("__metadata__", None) or {}
