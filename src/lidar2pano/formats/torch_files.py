@@ -10,7 +10,7 @@ import os
 import pickle
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import torch
 from safetensors import SafetensorError
@@ -86,7 +86,7 @@ def load_torch(path: Path | str) -> Any:  # noqa: ANN401
         return torch.load(file, map_location="cpu", weights_only=True)
 
 
-def _count(file: io.BufferedReader, word: bytes) -> int:
+def _count(file: IO[bytes], word: bytes) -> int:
     """Return how often a word stands in a file."""
     count, rest = 0, b""
     file.seek(0)
@@ -96,7 +96,7 @@ def _count(file: io.BufferedReader, word: bytes) -> int:
     return count
 
 
-def _check_archive(file: io.BufferedReader, size: int) -> None:
+def _check_archive(file: IO[bytes], size: int) -> None:
     """Raise UnpicklingError for an archive that unpacks to more than it holds; torch looks farther for one than we."""
     try:
         with zipfile.ZipFile(file) as archive:

@@ -215,7 +215,7 @@ class Query:
 
 
 def parse_query(parameters: QueryParams) -> Query:
-    """Return a request's parameters; UnknownParameter for an unknown or repeated name, InputError for a value of no use."""
+    """Return a request's parameters; UnknownParameter for an unknown or repeated name, InputError for another fault."""
     if unknown := [name for name in parameters if name not in PARAMETERS]:
         raise UnknownParameter(
             f"{unknown[0]}: unknown parameter{closest(unknown[0], PARAMETERS)}; known are {', '.join(PARAMETERS)}"
