@@ -48,7 +48,7 @@ class Blank(StandIn):
 def request_run(folder: Path) -> tuple[list[bytes], Callable[[bytes], object]]:
     """Good requests, and the function that sends one and checks that it gets a whole answer which is no fault's."""
     body = write_scan(folder / "request.bin", street(50)).read_bytes()
-    limits = Limits(body_bytes=4000, upload_seconds=5, seconds=5)
+    limits = Limits(body_bytes=4000)
     translator = UploadTranslator(pipeline=Blank(), weights="stand-in", most_points=200)  # pyright: ignore
     application = create_application(translator, limits, ["127.0.0.1", "localhost"])
     loop = asyncio.new_event_loop()

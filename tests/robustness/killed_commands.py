@@ -27,7 +27,7 @@ from lidar2pano.simulate import generation  # noqa: F401
 from lidar2pano.train.recipe import changed  # noqa: F401
 from lidar2pano.train.recipes import RECIPES
 from lidar2pano.views import VIEWS
-from small_recipes import VIEW, small
+from small_recipes import SMALL, VIEW, small
 from toy_training import Denoise, entries, toy_recipe
 
 ERRORS = Path(sys.argv[1])
@@ -46,11 +46,12 @@ def toy_training(out: str) -> int:
     return 0
 
 
-def shorten_reproduction() -> None:
-    """Let `reproduce` train a tiny network with a checkpoint after each step, and time none that is not tiny."""
+def shorten_recipes() -> None:
+    """Let `train` and `reproduce` train tiny networks with a checkpoint after each step, and time none but these."""
     VIEWS.update(VIEW)
-    scunet = small("scunet-mini", "training.steps=99", "training.batch=1", "training.checkpoint_minutes=1e-9")
-    RECIPES["scunet-mini"] = lambda: scunet
+    for name in SMALL:
+        recipe = small(name, "training.steps=99", "training.batch=1", "training.checkpoint_minutes=1e-9")
+        RECIPES[name] = lambda recipe=recipe: recipe
     run._camera_segmenter_ms = lambda *_: None
 
 
@@ -72,7 +73,7 @@ def serve() -> None:
     """Do the jobs."""
     for table, name, value in entries():
         table[name] = value
-    shorten_reproduction()
+    shorten_recipes()
     for line in sys.stdin:
         job = json.loads(line)
         began = time.monotonic()

@@ -12,10 +12,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import torch
 
 import miniature
 from lidar2pano.cli.app import INTERRUPTED, TERMINATED
+from lidar2pano.labels import CITYSCAPES
+from lidar2pano.models import build
+from lidar2pano.models.camera_teachers import ImageNormalisation
+from lidar2pano.models.card import Card, save
 from random_weights import street, write_data_set, write_scan
+from small_recipes import SMALL
 from toy_training import gap
 
 ENDS = (0, TERMINATED, INTERRUPTED, -signal.SIGKILL, -signal.SIGTERM)
@@ -94,25 +100,62 @@ def test_world(here, run, kills):
     check(here / "timed", after_kills(run, words, absolute, kills))
 
 
+def write_camera_teacher(path: Path) -> Path:
+    settings = {"width": 4, "stem": 8, "blocks": 1, "modules": [1, 1, 1], "context": 16, "scales": [1.0]}
+    torch.manual_seed(0)
+    card = {"labels": CITYSCAPES.name, "normalisation": ImageNormalisation().as_dict()}
+    save(path, build("sdnet", **settings).eval(), Card(network="sdnet", settings=settings, **card))
+    return path
+
+
 def test_prepare(here, run, kills):
+    camera = write_camera_teacher(here / "sdnet.safetensors")
+
     def fresh(folder: Path) -> Path:
         root = write_data_set(folder.absolute(), frames=3, size=(60, 20))
-        for path in (root / "sequences" / "00" / "labels").iterdir():
+        for path in [file for part in ("labels", "camera_labels") for file in root.glob(f"sequences/00/{part}/*")]:
             path.unlink()
         return root
 
     def words(root: Path) -> list[str]:
-        return ["prepare", str(root), "--lidar", str(here / "small"), "--device", "cpu"]
+        teachers = ["--lidar", str(here / "small"), "--teacher", str(camera)]
+        return ["prepare", str(root), *teachers, "--device", "cpu"]
 
-    check(here / "timed", after_kills(run, words, fresh, kills), without=("prepared.jsonl",))
+    folders = after_kills(run, words, fresh, kills)
+    check(here / "timed", folders, without=("prepared.jsonl",))
+    for part in ("labels", "camera_labels"):
+        assert len(list((folders[0] / "sequences" / "00" / part).iterdir())) == 3
+
+
+def check_runs(whole: Path, folders: list[Path]) -> None:
+    for folder in folders:
+        assert gap(whole, folder) == 0
+        assert not [path for pattern in LEAVINGS for path in folder.rglob(pattern)]
+        assert len(list((folder / "checkpoints").iterdir())) == 1
 
 
 def test_train(here, run, kills):
-    folders = after_kills(run, lambda out: ["toy-training", str(out)], absolute, kills)
-    for folder in folders:
-        assert gap(here / "timed", folder) == 0
-        assert not [path for pattern in LEAVINGS for path in folder.rglob(pattern)]
-        assert len(list((folder / "checkpoints").iterdir())) == 1
+    check_runs(here / "timed", after_kills(run, lambda out: ["toy-training", str(out)], absolute, kills))
+
+
+FAMILIES = {name: [] for name in SMALL} | {
+    "salsanext-mini": ["options.columns=64", "data.train=train"],
+    "sdnet-mini": ["options.rows=32", "options.columns=48"],
+}
+
+
+@pytest.mark.parametrize("recipe", FAMILIES)
+def test_train_of_every_family(here, run, kills, recipe):
+    if kills < 2:
+        pytest.skip("one toy stands for all unless --kills asks for more")
+    data = miniature.write_data_set(here / "data")
+    plain = ["training.steps=3", "training.workers=0", "training.precision=32-true", "training.checkpoint_minutes=1e-9"]
+    changes = [word for change in (*plain, *FAMILIES[recipe]) for word in ("--set", change)]
+
+    def words(out: Path) -> list[str]:
+        return ["train", recipe, "--data", str(data), "--out", str(out), "--device", "cpu", *changes]
+
+    check_runs(here / "timed", after_kills(run, words, absolute, kills))
 
 
 def test_bulk(here, run, kills):
