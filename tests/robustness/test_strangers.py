@@ -481,7 +481,7 @@ def test_sigterm_ends_a_command_whatever_a_thread_waits_for(tmp_path, words):
     begin = time.monotonic()
     process.send_signal(signal.SIGTERM)
     _, error = process.communicate(timeout=30)
-    assert process.returncode == 143 and "terminated" in error and time.monotonic() - begin < 6
+    assert process.returncode == 143 and "terminated" in error and time.monotonic() - begin < 20
 
 
 AFTERWARDS = """

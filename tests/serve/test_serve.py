@@ -300,7 +300,7 @@ def test_a_silent_connection_is_closed(words):
         with suppress(ConnectionResetError):
             while silent.recv(4096):
                 pass
-        assert 0.2 < time.monotonic() - begin < 5
+        assert 0.2 < time.monotonic() - begin < 19
         silent.close()
 
 
