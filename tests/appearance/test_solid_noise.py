@@ -33,15 +33,15 @@ def scene(view: View) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def slowly(depth_m, sky, view, waves, pose) -> torch.Tensor:
-    """Every pixel for itself, in float64."""
+    """Every pixel of every third column for itself, in float64; NaN in the others."""
     tile = noise_tile(torch.device("cpu"), torch.float32).view(*[2**BITS] * 3)
     rays = directions(view).double().numpy()
-    out = torch.zeros(len(waves), *depth_m.shape)
+    out = torch.full((len(waves), *depth_m.shape), torch.nan)
     finest = min(waves) / VOXELS
     start = np.round((pose[:3, :3] @ np.array(view.origin) + pose[:3, 3]) / finest) * finest
     for number, wave in enumerate(waves):
         for i in range(view.rows):
-            for j in range(view.columns):
+            for j in range(0, view.columns, 3):
                 ray = pose[:3, :3] @ rays[i, j]
                 distance = float(depth_m[i, j])
                 point = ray * SKY_M if sky[i, j] else ray * distance + start
@@ -55,7 +55,7 @@ def slowly(depth_m, sky, view, waves, pose) -> torch.Tensor:
 def test_the_lookup_agrees_with_its_definition(pose):
     depth_m, sky = scene(VIEW)
     noise, slow = solid_noise(depth_m, sky, VIEW, WAVES, pose), slowly(depth_m, sky, VIEW, WAVES, pose)
-    same = (noise - slow).abs() < 1e-3  # float32 puts few points into the voxel beside
+    same = (noise - slow)[..., ::3].abs() < 1e-3  # float32 puts few points into the voxel beside
     assert same.float().mean() > 0.98
     assert noise.isfinite().all()
 
