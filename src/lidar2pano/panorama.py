@@ -26,9 +26,8 @@ from lidar2pano.formats.image_files import (
     write_whole,
 )
 from lidar2pano.formats.ply import write_ply
-from lidar2pano.geometry.camera import Lookup, panorama_in_camera
+from lidar2pano.geometry.camera import CUBE_AXES, PROJECTIONS, Lookup, equirectangular, lookups, panorama_in_camera
 from lidar2pano.geometry.projection import directions, project
-from lidar2pano.geometry.reprojection import CUBE_AXES, PROJECTIONS, equirectangular, lookups
 from lidar2pano.geometry.stitching import Camera, homogeneous, look
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import Scan

@@ -13,7 +13,7 @@ from lidar2pano.data.layouts import frames, frames_of
 from lidar2pano.data.panorama_crops import SHIFT_PX, PanoramaDataset, mirrored
 from lidar2pano.data.range_images import RangeImageDataset, ScanAugmentation, augmented
 from lidar2pano.errors import InputError
-from lidar2pano.formats.remission import STAND_IN
+from lidar2pano.formats.interpretation import STAND_IN
 from lidar2pano.geometry.projection import project
 from lidar2pano.labels import COMMON14, COMMON15
 from lidar2pano.scan import Scan, change_sensor_remission, drop_points, drop_rings, mirror, turn, vary_remission

@@ -14,8 +14,7 @@ from torch import nn
 from engine_of_torch import SLIM, TorchEngine
 from lidar2pano.engines import ENGINES, accelerated, disk_cache, pick_engine
 from lidar2pano.engines.compiled import MOST_SHAPES, CompiledForward, agrees, distance, other_classes
-from lidar2pano.engines.onnx_engine import OnnxRuntime
-from lidar2pano.engines.openvino_engine import OpenVino
+from lidar2pano.engines.runtimes import OnnxRuntime, OpenVino
 from lidar2pano.engines.signatures import SIGNATURES, as_tuple
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
@@ -121,7 +120,7 @@ def test_compiling_is_announced(monkeypatch):
 def test_openvino_reports_nothing_over_the_network():
     pytest.importorskip("openvino")
     code = (
-        "import sys\nfrom lidar2pano.engines.openvino_engine import openvino\nopenvino()\n"
+        "import sys\nfrom lidar2pano.engines.runtimes import openvino\nopenvino()\n"
         "print([name for name in sys.modules if name.startswith('openvino_telemetry')])"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=120)

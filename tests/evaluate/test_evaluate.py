@@ -24,7 +24,6 @@ from lidar2pano.evaluate.ground_truth import (
     same_raster,
     windows,
 )
-from lidar2pano.evaluate.interface import SystemInfo
 from lidar2pano.evaluate.metric_collection import (
     DEFAULT_GROUPS,
     FeatureExtractor,
@@ -32,6 +31,7 @@ from lidar2pano.evaluate.metric_collection import (
     MetricCollection,
     PreviousImage,
 )
+from lidar2pano.evaluate.panorama_system import SystemInfo
 from lidar2pano.evaluate.pictures import WorstFrames
 from lidar2pano.geometry.flow import Flow
 from lidar2pano.geometry.projection import project

@@ -13,7 +13,7 @@ from PIL import Image
 from lidar2pano.cli import main
 from lidar2pano.data.frames import Frame, PanoramaGroundTruth
 from lidar2pano.evaluate.ground_truth import Resampled
-from lidar2pano.evaluate.interface import Prediction
+from lidar2pano.evaluate.panorama_system import Prediction
 from lidar2pano.evaluate.pictures import WorstFrame, WorstFrames, sheet
 from lidar2pano.labels import CITYSCAPES, COMMON15
 from lidar2pano.views import View

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sample_files as made
-from lidar2pano.formats.remission import STAND_IN, Scale, scale_remission
+from lidar2pano.formats.interpretation import STAND_IN, Scale, scale_remission
 
 COUNT = 12_000
 FORMS = made.remission(COUNT)

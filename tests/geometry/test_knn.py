@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from golden_vectors import recorded
-from lidar2pano.geometry.knn import clean_up, inverse_gaussian, vote
 from lidar2pano.geometry.projection import RangeImage, project
+from lidar2pano.pipeline.segmenter import clean_up, inverse_gaussian, vote
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, View
 from published_projection import published_projection, synthetic_scan

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+from lidar2pano.geometry.camera import cube_faces, equirectangular, lookups, panorama_in_view
 from lidar2pano.geometry.projection import directions
-from lidar2pano.geometry.reprojection import cube_faces, equirectangular, lookups, panorama_in_view
 from lidar2pano.views import VIEWS, View
 from slow_definitions import look_up_slowly
 

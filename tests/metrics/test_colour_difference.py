@@ -7,7 +7,7 @@ import pytest
 from skimage.color import deltaE_ciede2000, rgb2lab
 
 from lidar2pano.labels import COMMON15
-from lidar2pano.metrics.colour_difference import ClassColourError, ciede2000, lab, linear_light
+from lidar2pano.metrics.frame_metrics import ClassColourError, ciede2000, lab, linear_light
 
 # Sharma, Wu, Dalal 2005, table 1: two colours in Lab, and their difference.
 PAIRS = """

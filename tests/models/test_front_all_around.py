@@ -12,7 +12,7 @@ from torch.nn.functional import interpolate
 from lidar2pano.cli import main
 from lidar2pano.geometry.projection import Normalisation, one_hot_layers, project
 from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
-from lidar2pano.models.front_all_around import PANORAMA, FrontAllAround
+from lidar2pano.models.titan_pano import PANORAMA, FrontAllAround
 from lidar2pano.pipeline import load
 from random_weights import FRONT_VIEW, street, write_front, write_scan, write_weights
 

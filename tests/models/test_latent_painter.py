@@ -9,7 +9,7 @@ import torch
 
 from lidar2pano.errors import InputError
 from lidar2pano.models import build
-from lidar2pano.models.latent_inputs import conditions_of, mirrored, world_noise
+from lidar2pano.models.latent_painter import conditions_of, mirrored, world_noise
 from lidar2pano.scene.record import Scene
 from lidar2pano.views import VIEWS, View
 

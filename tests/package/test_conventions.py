@@ -22,10 +22,10 @@ from lidar2pano.errors import InputError
 from lidar2pano.formats.readers import read
 from lidar2pano.formats.scan_files import read_label, write_bin, write_label
 from lidar2pano.geometry.camera import at_camera, points_in_camera
-from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import Normalisation, directions, pixels, project
 from lidar2pano.labels import COMMON14, COMMON15, SEMANTIC_KITTI, LabelSet, unpack_label
 from lidar2pano.metrics.confusion import Confusion
+from lidar2pano.pipeline.segmenter import clean_up
 from lidar2pano.scan import Scan
 from lidar2pano.views import VIEWS, View
 

@@ -16,7 +16,7 @@ from PIL import Image
 
 import lidar2pano
 from installed_families import INSTALLED, needs_streets
-from lidar2pano.bench.operations import BELIEF, WHOLE, measure_operations
+from lidar2pano.bench import BELIEF, WHOLE, measure_operations
 from lidar2pano.demo import street
 from lidar2pano.hardware import Timer
 from lidar2pano.labels import COMMON15

@@ -9,7 +9,7 @@ import pytest
 
 from lidar2pano.calibration import Calibration
 from lidar2pano.geometry.stitching import Camera
-from lidar2pano.pipeline.camera_doubts import UPSIDE_DOWN, sound_cameras
+from lidar2pano.pipeline.composition import UPSIDE_DOWN, sound_cameras
 from lidar2pano.scan import Scan
 from miniature_surround import FOCAL, SIZE, camera, camera_view, sweep
 

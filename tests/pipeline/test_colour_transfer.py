@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from lidar2pano.metrics.colour_difference import linear_light
-from lidar2pano.pipeline.colour_transfer import CODES, LEVELS, LIGHT, brightened, class_gains, light_gains
+from lidar2pano.metrics.frame_metrics import linear_light
+from lidar2pano.pipeline.composition import CODES, LEVELS, LIGHT, brightened, class_gains, light_gains
 
 
 def normal(seed: int, count: int, mean, scale: float = 0.05) -> np.ndarray:

@@ -14,7 +14,7 @@ from PIL import Image
 
 from lidar2pano.errors import InputError
 from lidar2pano.formats.image_files import gpano
-from lidar2pano.geometry.reprojection import equirectangular
+from lidar2pano.geometry.camera import equirectangular
 from lidar2pano.views import View
 from random_weights import street
 from small_panoramas import VIEW, small_panorama

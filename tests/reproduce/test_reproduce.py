@@ -12,7 +12,7 @@ from lidar2pano.cli import main
 from lidar2pano.cli.app import BROKEN, MISTAKE
 from lidar2pano.data.layouts import frames
 from lidar2pano.errors import InputError
-from lidar2pano.reproduce import Outcome, Plan, forecast
+from lidar2pano.reproduce import Outcome, Plan, run
 from lidar2pano.reproduce.images import SAMPLES, WIDTH, sample_indices, scalars, write_curves, write_sheets
 from lidar2pano.reproduce.paper_tables import CLAIMS, ROWS, chosen
 from lidar2pano.reproduce.results_page import results_page
@@ -218,8 +218,8 @@ def test_images_are_kept_of_first_middle_and_last_frames(frames):
 def test_curves_are_drawn_of_losses_alone(tmp_path):
     from torch.utils.tensorboard import SummaryWriter
 
-    for run, values in (("titan", (3.0, 2.0, 1.0)), ("scunet", (1.0,))):
-        with SummaryWriter(str(tmp_path / run / "tensorboard")) as writer:
+    for row, values in (("titan", (3.0, 2.0, 1.0)), ("scunet", (1.0,))):
+        with SummaryWriter(str(tmp_path / row / "tensorboard")) as writer:
             for step, value in enumerate(values):
                 writer.add_scalar("loss", value, step)
                 writer.add_scalar("rate/translator", 0.1, step)
@@ -295,7 +295,7 @@ def test_finished_trainings_cost_nothing_more(semantic_kitti, tmp_path, capsys):
 
 
 def test_a_missing_package_is_named_before_the_first_training(semantic_kitti, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(forecast, "find_spec", lambda name: None if name == "cv2" else object())
+    monkeypatch.setattr(run, "find_spec", lambda name: None if name == "cv2" else object())
     words = ["reproduce", "--data", str(semantic_kitti), "--out", str(tmp_path / "out"), "--device", "cpu"]
     assert main([*words, "--rows", "titan"]) == MISTAKE
     assert "reproduce needs cv2: pip install 'lidar2pano[train]'" in capsys.readouterr().err

@@ -8,8 +8,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
+from lidar2pano.engines.runtimes import example, recordable
 from lidar2pano.engines.signatures import as_tuple
-from lidar2pano.engines.tracing import example, recordable
 
 # settings that make networks small, by name in MODELS
 SLIM = {

@@ -13,7 +13,7 @@ from lidar2pano.errors import InputError
 from lidar2pano.hardware import Timer
 from lidar2pano.models import build
 from lidar2pano.models.card import Card, load, save
-from lidar2pano.models.latent_inputs import conditions_of
+from lidar2pano.models.latent_painter import conditions_of
 from lidar2pano.train.engine import train
 from lidar2pano.train.latent_frames import LatentFrames, packed, unpacked, without_gaps
 from lidar2pano.train.latent_painting import masked_error

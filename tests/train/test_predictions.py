@@ -15,7 +15,7 @@ from lidar2pano.data.frames import Frame, FrameList
 from lidar2pano.data.layouts import frames
 from lidar2pano.progress import shown_by
 from lidar2pano.scan import Scan
-from lidar2pano.train.predictions import LabelPoints, predict_all
+from lidar2pano.train.task import LabelPoints, predict_all
 from miniature import write_data_set
 
 

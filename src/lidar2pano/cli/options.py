@@ -209,7 +209,7 @@ def parse_format(name: str) -> str:
 
 def collect_pictures(image_format: str, projection: str) -> dict[str, str]:
     """Return --format and --projection as fields of `batch.Options`."""
-    from lidar2pano.geometry.reprojection import PROJECTIONS
+    from lidar2pano.geometry.camera import PROJECTIONS
 
     if projection not in PROJECTIONS:
         raise InputError(f"--projection {projection!r}: is no projection{closest(projection, PROJECTIONS)}")

@@ -46,8 +46,8 @@ def reproduce(  # noqa: PLR0913, PLR0917 one parameter per option
     from lidar2pano.errors import InputError
     from lidar2pano.hardware import keep_buffers, pick_device
     from lidar2pano.reproduce import Plan
-    from lidar2pano.reproduce.forecast import check_packages
     from lidar2pano.reproduce.paper_tables import chosen
+    from lidar2pano.reproduce.run import check_packages
 
     if form not in ("auto", "mini", "full"):
         raise InputError(f"--form {form!r} is none of auto, mini and full")
@@ -78,7 +78,7 @@ def reproduce(  # noqa: PLR0913, PLR0917 one parameter per option
 
 def print_plan(plan: Plan) -> None:
     """Print a plan; typer.Exit if it lacks something."""
-    from lidar2pano.reproduce.forecast import describe
+    from lidar2pano.reproduce.run import describe
 
     lines, missing = describe(plan)
     print("\n".join(lines))

@@ -13,7 +13,7 @@ from torch import Tensor
 from lidar2pano.data.cache import LruCache
 from lidar2pano.data.frames import SampleIndex, evenly_spaced
 from lidar2pano.data.layouts import frames_of
-from lidar2pano.formats.remission import STAND_IN
+from lidar2pano.formats.interpretation import STAND_IN
 from lidar2pano.geometry.projection import Normalisation, fitted_view, project
 from lidar2pano.labels import SEMANTIC_KITTI
 from lidar2pano.scan import (
@@ -127,7 +127,6 @@ class RangeImageDataset:
         return RangeImageSample(self.normalise(range_image), range_image.spread(torch.from_numpy(scan.label)), name)
 
 
-
 def augmented(scan: Scan, generator: np.random.Generator, augmentation: ScanAugmentation) -> Scan:
     """Augment as SalsaNext: move, mirror, turn, drop up to half of the points; vary or drop remission, drop beams."""
     if augmentation.rings and generator.random() < augmentation.rings:  # before it moves: beams belong to its own place
@@ -145,13 +144,6 @@ def augmented(scan: Scan, generator: np.random.Generator, augmentation: ScanAugm
     if augmentation.sensors and generator.random() < 0.5:
         return change_sensor_remission(scan, generator, augmentation.sensors)
     return vary_remission(scan, generator, augmentation.remission) if augmentation.remission else scan
-
-
-
-
-
-
-
 
 
 def drop_remission(scan: Scan) -> Scan:

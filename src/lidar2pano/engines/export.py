@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from lidar2pano.engines.onnx_engine import OPSET, graph, session
+from lidar2pano.engines.runtimes import OPSET, graph, session
 from lidar2pano.engines.selection import missing_extra
 from lidar2pano.engines.signatures import SIGNATURES, as_tuple
 from lidar2pano.errors import InputError

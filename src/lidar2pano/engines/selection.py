@@ -11,8 +11,7 @@ import torch
 from torch import nn
 
 from lidar2pano.engines.compiled import CompiledForward
-from lidar2pano.engines.onnx_engine import PROVIDERS, OnnxRuntime
-from lidar2pano.engines.openvino_engine import OpenVino
+from lidar2pano.engines.runtimes import PROVIDERS, OnnxRuntime, OpenVino
 from lidar2pano.engines.signatures import SIGNATURES
 from lidar2pano.errors import InputError, closest
 from lidar2pano.hardware import has_bfloat16

@@ -17,8 +17,8 @@ Frames are read one at a time, and metrics keep their sums in temporary files: m
 from __future__ import annotations
 
 from lidar2pano.evaluate.evaluation import Evaluation, score
-from lidar2pano.evaluate.interface import Prediction, System, SystemInput
 from lidar2pano.evaluate.metric_collection import MetricConfig
+from lidar2pano.evaluate.panorama_system import Prediction, System, SystemInput
 from lidar2pano.evaluate.systems import system
 
 __all__ = ["Evaluation", "MetricConfig", "Prediction", "System", "SystemInput", "score", "system"]

@@ -20,7 +20,6 @@ from lidar2pano.evaluate.ground_truth import (
     pseudo_labels,
     resampled,
 )
-from lidar2pano.evaluate.interface import Prediction, System, SystemInput
 from lidar2pano.evaluate.metric_collection import (
     SECTOR_ORDER,
     MetricCollection,
@@ -28,6 +27,7 @@ from lidar2pano.evaluate.metric_collection import (
     MetricValue,
     PreviousImage,
 )
+from lidar2pano.evaluate.panorama_system import Prediction, System, SystemInput
 from lidar2pano.evaluate.pictures import WorstFrame, WorstFrames, sheet
 from lidar2pano.geometry.flow import Flow
 from lidar2pano.scan import Scan

@@ -18,8 +18,7 @@ from lidar2pano.evaluate.metric_collection import PatchFeatures
 from lidar2pano.formats.image_files import write_png, write_whole
 from lidar2pano.geometry.stitching import Camera
 from lidar2pano.metrics.accumulation import FrameMetric, Interval, SetMetric, interval, set_intervals
-from lidar2pano.metrics.colour_difference import ClassColourError
-from lidar2pano.metrics.frame_metrics import SSIM
+from lidar2pano.metrics.frame_metrics import SSIM, ClassColourError
 from lidar2pano.metrics.frechet import PatchFrechetDistance
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline import Pipeline

@@ -17,7 +17,7 @@ from torch import Tensor
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame
 from lidar2pano.errors import InputError, closest
 from lidar2pano.evaluate.ground_truth import Resampled, windows
-from lidar2pano.evaluate.interface import Prediction
+from lidar2pano.evaluate.panorama_system import Prediction
 from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.geometry.flow import Flow
 from lidar2pano.hardware import pick_device

@@ -19,7 +19,7 @@ import numpy as np
 from lidar2pano.data.frames import CITYSCAPES_TO_COMMON15, Frame
 from lidar2pano.errors import InputError
 from lidar2pano.evaluate.ground_truth import Resampled
-from lidar2pano.evaluate.interface import Prediction
+from lidar2pano.evaluate.panorama_system import Prediction
 from lidar2pano.formats.image_files import write_png, write_text, write_whole
 from lidar2pano.labels import COMMON15
 

@@ -16,8 +16,7 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
 from lidar2pano.errors import InputError
-from lidar2pano.evaluate.interface import Prediction, System, SystemInfo, SystemInput
-from lidar2pano.evaluate.panorama_system import NoPainter, PanoramaSystem
+from lidar2pano.evaluate.panorama_system import NoPainter, PanoramaSystem, Prediction, System, SystemInfo, SystemInput
 from lidar2pano.formats.json_files import validated
 from lidar2pano.geometry.camera import project_to_camera
 from lidar2pano.geometry.projection import Normalisation, one_hot_layers, project

@@ -8,7 +8,7 @@ work. Several looks in one network: a learned code per look scales and shifts fe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypedDict, Unpack, cast
+from typing import Any, Protocol, TypedDict, Unpack, cast
 
 import torch
 from torch import Tensor, nn
@@ -16,14 +16,14 @@ from torch.nn.functional import conv2d, interpolate, pad
 
 from lidar2pano.appearance.cars import Boxes
 from lidar2pano.appearance.painter_inputs import DEPTH, ENDS, FINE_M, FOOT, LAYERS, LEAST_FOOT, OPENINGS, TONE, appear
-from lidar2pano.errors import InputError
+from lidar2pano.errors import InputError, closest
 from lidar2pano.geometry.rasters import pad_azimuth
 from lidar2pano.labels import COMMON15
 from lidar2pano.models.blocks import CircularConv, CircularResidual, SummedSequential, conv_norm_act
-from lidar2pano.models.painter import LookPainter
 from lidar2pano.scene.depth import depth_code
 from lidar2pano.scene.record import Scene
 
+QUALITIES = {"fast": 0, "best": 8}  # steps of a latent painter's picture; 0: as many as it has learned to take
 # The look of these classes hardly hangs on their remission, which ends at the highest beam: a painter that reads it
 # paints walls in two colours, and in speckles, other ones in each scan of a drive.
 UNREAD = ("building", "vegetation", "fence")
@@ -35,6 +35,46 @@ MOMENTUM = 0.02  # of norm statistics: batches are two small crops
 EDGE_PX, NEARLY, PANES_M = 2, 0.75, (5.0, 10.0)
 NEAR_CODE, FAR_CODE = depth_code(torch.tensor(PANES_M)).tolist()
 GLASS = TONE + 1  # of the last inputs: the colour of panes is a linear function of tones, and of openings, which are 1
+
+
+class StreamPainter(Protocol):
+    """A painter of a stream of scenes."""
+
+    def paint(self, past: Any, scene: Scene, look: str = "") -> tuple[Any, Tensor]:  # noqa: ANN401
+        """Paint the panorama of a scan in a stream.
+
+        past  the painter's own record of the previous scan; None at the beginning of a stream.
+        look  "A", or "A+B" for the mean of two; "": the painter's own.
+        Returns its record for the next scan, None if it needs none, and (1, 3, 2H, 2W) in [-1, 1].
+        """
+        ...
+
+
+class LookPainter(nn.Module):
+    """A painter of several looks.
+
+    looks  their names;  look: the one painted by default (the first).
+    """
+
+    def __init__(self, looks: Sequence[str], look: str = "") -> None:
+        super().__init__()
+        self.looks, self.look = tuple(looks), look or looks[0]
+        self.look_shares(self.look)
+
+    def look_shares(self, look: str) -> list[float]:
+        """Return the share of each look in a name, "A" or "A+B" (their mean); InputError for an unknown name."""
+        names = [name.strip() for name in (look or self.look).split("+")]
+        for name in names:
+            if name not in self.looks:
+                choices = ", ".join(self.looks)
+                raise InputError(f"the painter knows no look {name!r}; it knows {choices}")
+        return [names.count(look) / len(names) for look in self.looks]
+
+
+def check_quality(quality: str) -> None:
+    """Raise InputError unless a quality is known."""
+    if quality not in QUALITIES:
+        raise InputError(f"no quality {quality!r}{closest(quality, QUALITIES)}")
 
 
 class Switches(TypedDict, total=False):

@@ -19,9 +19,9 @@ from lidar2pano.models.blocks import fold_norms
 from lidar2pano.models.card import Card, read_card
 from lidar2pano.models.card import load as load_weights
 from lidar2pano.models.families import FRONT_VIEW, role
-from lidar2pano.models.front_all_around import FrontAllAround
 from lidar2pano.models.latent_painter import LatentPainter
-from lidar2pano.models.painter import StreamPainter
+from lidar2pano.models.scene_painter import StreamPainter
+from lidar2pano.models.titan_pano import FrontAllAround
 from lidar2pano.models.vid2vid import Vid2Vid
 from lidar2pano.models.vid2vid_painter import Vid2VidPainter
 from lidar2pano.pipeline.segmenter import Segmenter

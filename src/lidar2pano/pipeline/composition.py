@@ -1,8 +1,13 @@
-"""Composition of a panorama: real where a camera sees, invented elsewhere.
+"""Composition of a panorama: real where a sound camera sees, invented elsewhere.
 
 A pixel is looked up once, at its own depth. The sky, and what is too far for an echo, has no depth: a camera sees it in
 its direction, as if it were infinitely far away. At 100 m, the reach of most LiDARs, the error is
 baseline x focal_px / 100 m: 7 pixels for a camera 1 m beside the panorama's origin, none for one in its place.
+
+An invention is brought to the colours of cameras: the gain of a class takes the mean light of its painted pixels,
+where cameras see, to the cameras' mean there, red, green and blue by themselves (the adaptation of von Kries
+1902). Maps with more freedom (means and deviations, Reinhard et al. 2001; covariances, Pitie and Kokaram 2007) come no
+nearer to hidden cameras, and blow up what is painted wherever a class is seen in the wrong place.
 """
 
 from __future__ import annotations
@@ -16,7 +21,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d
 
-from lidar2pano.geometry.projection import directions
+from lidar2pano.geometry.projection import directions, project
 from lidar2pano.geometry.rasters import pad_azimuth, upsample_azimuth
 from lidar2pano.geometry.stitching import (
     BLACK,
@@ -28,11 +33,19 @@ from lidar2pano.geometry.stitching import (
     look,
     seam_weights,
 )
+from lidar2pano.metrics.frame_metrics import linear_light
 from lidar2pano.panorama import Panorama
-from lidar2pano.pipeline.colour_transfer import brightened, light_gains
-from lidar2pano.scene.surfaces import hides
-from lidar2pano.views import View
+from lidar2pano.scan import Scan
+from lidar2pano.scene.surfaces import hides, same_surface
+from lidar2pano.views import VIEWS, View
 
+FEW = 0.01  # largest share of an image's pixels on the other side
+MOST_APART_S = 0.1  # half a period of the slowest LiDARs (VLP-16: 5 to 20 turns a second)
+EVERY_PX = 4  # one of so many rows and columns of an image is looked at
+BEAMS = replace(VIEWS["hdl64e"], columns=1024)  # as coarse as a turn of the slower LiDARs: neighbours are neighbours
+FEWEST_EDGES = 30  # points whose mean is taken to be normal
+STANDARD_ERRORS = 3.0  # by which a turned image must fit better: by chance it does in one of 700 cases
+UPSIDE_DOWN = np.diag([-1.0, -1.0, 1.0, 1.0])
 # Brown and Lowe 2007, "Automatic Panoramic Image Stitching using Invariant Features", section 6: normalised errors of
 # intensity and gain. A gain of light is one of coded values, too, whose curve is nearly a power.
 INTENSITY_ERROR, GAIN_ERROR = 10.0, 0.1
@@ -40,6 +53,84 @@ COARSE_PX = 2  # every so many pixels of each row and column show how far an inv
 CELL_PX = 4  # on a side of the finest cells of differences, and between the pixels compared for the gains
 SMOOTH_PX = 16  # on a side of the cells of images' means, faded over their overlap; details change at its seam
 SECTOR_PX = 16  # distance of the pixels tested for a camera's columns
+INDEPENDENT_PX = 16  # on a side of the cells whose means are taken to be independent
+LEVELS = 1 << 12  # of linear light, in the table back to codes
+DARKEST = 1 / (255 * 12.92)  # light of the code 1
+LIGHT = torch.from_numpy(linear_light(np.arange(256))).float()
+_LEVEL = torch.arange(LEVELS + 1) / LEVELS
+CODES = 255 * torch.where(_LEVEL <= 0.0031308, _LEVEL * 12.92, 1.055 * _LEVEL ** (1 / 2.4) - 0.055)
+
+
+def sound_cameras(cameras: Sequence[Camera], scan: Scan, edges: bool) -> tuple[list[Camera], tuple[str, ...]]:
+    """Return the useful cameras of a scan, and a sentence on each of the others, and on doubtful ones.
+
+    edges  whether edges are compared: it takes time, and calibrations do not change along a drive.
+    """
+    points = torch.from_numpy(scan.xyz[np.isfinite(scan.xyz).all(1) & scan.xyz.any(1)]).T
+    edge_points = _edge_points(scan) if edges and cameras else None
+    kept: list[Camera] = []
+    doubts: list[str] = []
+    for camera in cameras:
+        if fault := _fault(camera, points):
+            doubts.append(f"camera {camera.name} is left out: {fault}")
+            continue
+        kept.append(camera)
+        if edge_points is not None and turned_fit(camera, edge_points) > STANDARD_ERRORS:
+            doubts.append(
+                f"camera {camera.name}: its edges would fit the scan's better if it were turned by 180 degrees;"
+                " check its pose, whose z axis looks ahead and y axis down"
+            )
+    return kept, tuple(doubts)
+
+
+def _fault(camera: Camera, points: Tensor) -> str:
+    """Return why a camera is of no use, "" where it is; points: (3, n) of the scan, metres."""
+    level = camera.image[::EVERY_PX, ::EVERY_PX].max(2)
+    for side, share in (("black", np.mean(level > BLACK)), ("burnt out", np.mean(level < WHITE))):
+        if share < FEW:
+            return f"its image is {side}; clean or mend it"
+    if camera.time_s is not None and abs(camera.time_s) > MOST_APART_S:
+        return f"its image was taken {abs(camera.time_s):.3g} s {'after' if camera.time_s > 0 else 'before'} the scan"
+    if not len(_sight(camera, points).surface):
+        return "its calibration looks away from all points of the scan; check its pose"
+    return ""
+
+
+def _sight(camera: Camera, points: Tensor) -> Sight:
+    """Return the points (3, n) inside a camera's image, whatever stands before them."""
+    whole = torch.cat([points, torch.ones(1, points.shape[1])])
+    return look(camera, whole, 1.0, hides_nothing)
+
+
+def _edge_points(scan: Scan) -> Tensor:
+    """Return points (3, n) at whose side, along a beam, another surface begins farther away."""
+    image = project(scan, BEAMS)
+    distance = image.channels[0]
+    edge = torch.zeros_like(image.valid)
+    for step in (-1, 1):
+        neighbour = distance.roll(step, 1)
+        edge |= image.valid & (neighbour > distance) & ~same_surface(distance, neighbour)
+    return image.channels[1:4, edge]
+
+
+def turned_fit(camera: Camera, edge_points: Tensor) -> float:
+    """Return by how many standard errors an image has larger steps at edges of the scan if it is turned by 180 degrees.
+
+    edge_points  (3, n). Steps are the square roots of differences of grey to either side: few large ones decide less.
+    """
+    grey = torch.from_numpy(camera.image[::EVERY_PX, ::EVERY_PX]).float().mean(2)
+    steps = max_pool2d((grey.roll(-1, 1) - grey.roll(1, 1)).abs().sqrt()[None], 3, 1, 1)[0]
+    values = torch.full((2, edge_points.shape[1]), torch.nan)
+    calibration = camera.calibration
+    turned = replace(calibration, T_camera_lidar=UPSIDE_DOWN @ calibration.T_camera_lidar)
+    for value, pose in zip(values, (calibration, turned), strict=True):
+        sight = _sight(replace(camera, calibration=pose), edge_points)
+        value[sight.surface] = steps[(sight.lookup.row / EVERY_PX).long(), (sight.lookup.column / EVERY_PX).long()]
+    gain = values[1] - values[0]
+    gain = gain[gain.isfinite()]
+    if len(gain) < FEWEST_EDGES:
+        return 0.0
+    return float(gain.mean() / gain.std().clamp(min=1e-9) * len(gain) ** 0.5)
 
 
 def compose(panorama: Panorama, cameras: Sequence[Camera]) -> Panorama:
@@ -199,3 +290,62 @@ def _filled(values: Tensor, share: Tensor) -> Tensor:
         return values * (share > 0)
     larger = upsample_azimuth(_filled(*_cell_means(values, (share > 0).float(), 2)), 2)
     return torch.where(share > 0, values, larger)
+
+
+def light_gains(colour: Tensor, classes: Tensor, real: Tensor, source: Tensor) -> dict[int, np.ndarray]:
+    """Return the gains (3,) of the classes in sight of cameras, and of all as -1; none where they see nothing.
+
+    colour  (H, W, 3) uint8, the invention;  classes: (H, W) uint8.
+    real    (3, H, W) float32 codes of cameras;  source: (H, W) uint8, 0 where none sees.
+    """
+    sample = slice(EVERY_PX // 2, None, EVERY_PX)
+    visible = source[sample, sample] > 0
+    if not visible.any():
+        return {}
+    painted = LIGHT[colour[sample, sample][visible].int()].double().numpy()
+    target = LIGHT[real[:, sample, sample][:, visible].round().clamp(0, 255).int()].T.double().numpy()
+    row, column = (place // (INDEPENDENT_PX // EVERY_PX) for place in visible.nonzero(as_tuple=True))
+    cells = (row * colour.shape[1] + column).numpy()
+    return class_gains(painted, target, classes[sample, sample][visible].numpy(), cells)
+
+
+def brightened(gains: dict[int, np.ndarray], colour: Tensor, classes: Tensor) -> Tensor:
+    """Return colours (n, 3) float32 codes in 0 .. 255 of pixels (n, 3) uint8 by the gains of their classes (n,)."""
+    codes = colour.float()
+    for index in classes.unique().tolist() if gains else ():
+        chosen = (classes == index).nonzero()[:, 0]
+        light = LIGHT[colour[chosen].int()] * torch.from_numpy(gains.get(index, gains[-1])).float()
+        codes[chosen] = CODES[(light.clamp_(0, 1) * LEVELS).int()]
+    return codes
+
+
+def class_gains(
+    painted: np.ndarray, target: np.ndarray, classes: np.ndarray, cells: np.ndarray
+) -> dict[int, np.ndarray]:
+    """Return the gain (3,) of each class among pixels, and of all as -1.
+
+    painted, target  (n, 3) light of the pixels;  classes, cells: (n,) their class, and number of the cell.
+    The mean of a class is shrunk towards that by the gain of all by the share of its error in its deviation (empirical
+    Bayes): the error is the variance of its cells' means over their number, the deviation that of classes.
+    """
+    whole = target.mean(0) / painted.mean(0).clip(DARKEST)
+    off = target - whole * painted
+    masks = {int(index): classes == index for index in np.unique(classes)}
+    means = {index: off[mask].mean(0) for index, mask in masks.items()}
+    cell_variance = {index: _cell_variance(off[mask], cells[mask]) for index, mask in masks.items()}
+    pooled = float(np.nanmean([0.0, *(variance for variance, _ in cell_variance.values())]))
+    errors = {index: np.nan_to_num(variance, nan=pooled) / count for index, (variance, count) in cell_variance.items()}
+    class_variance = max(float(np.mean([means[index] @ means[index] - errors[index] for index in masks])), 0.0)
+    gains = {-1: whole}
+    for index, mask in masks.items():
+        share = class_variance / (class_variance + errors[index]) if errors[index] > 0 else 1.0
+        first = painted[mask].mean(0).clip(DARKEST)
+        gains[index] = ((whole * first + share * means[index]) / first).clip(0)
+    return gains
+
+
+def _cell_variance(off: np.ndarray, cells: np.ndarray) -> tuple[float, int]:
+    """Return the variance of the means of cells, all channels together, NaN of one; and the number of cells."""
+    _, number, count = np.unique(cells, return_inverse=True, return_counts=True)
+    means = np.stack([np.bincount(number, channel) for channel in off.T], axis=1) / count[:, None]
+    return (float(means.var(0, ddof=1).sum()) if len(count) > 1 else np.nan), len(count)

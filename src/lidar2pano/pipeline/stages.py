@@ -23,14 +23,13 @@ from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.memory import Memory, remember, steady
 from lidar2pano.models.card import Card
 from lidar2pano.models.families import BEST, weight_files
-from lidar2pano.models.front_all_around import FrontAllAround
 from lidar2pano.models.hub import Upload, hub_folder, push_family, write_family
 from lidar2pano.models.latent_painter import LatentPainter
-from lidar2pano.models.painter import LookPainter, StreamPainter, check_quality
+from lidar2pano.models.scene_painter import LookPainter, StreamPainter, check_quality
+from lidar2pano.models.titan_pano import FrontAllAround
 from lidar2pano.panorama import Panorama
 from lidar2pano.pipeline.assembly import load_parts
-from lidar2pano.pipeline.camera_doubts import sound_cameras
-from lidar2pano.pipeline.composition import compose
+from lidar2pano.pipeline.composition import compose, sound_cameras
 from lidar2pano.pipeline.segmenter import Segmenter
 from lidar2pano.recordings.recorded_scans import read
 from lidar2pano.scan import OWN_VEHICLE_M, Scan

@@ -52,10 +52,9 @@ from lidar2pano.train.environment import (
     shared,
 )
 from lidar2pano.train.monitor import Monitor, check_finite
-from lidar2pano.train.predictions import predict_all
 from lidar2pano.train.recipe import Optimizer, Recipe, Training
 from lidar2pano.train.sampling import BatchSampler, batches, lost_workers, seed_step, steps_over
-from lidar2pano.train.task import Task
+from lidar2pano.train.task import Task, predict_all
 from lidar2pano.train.tasks import build_task
 
 try:

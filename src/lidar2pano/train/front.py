@@ -27,7 +27,6 @@ from lidar2pano.labels import COMMON14, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.adversarial import pix2pix_updates, renamed, wasserstein_updates
 from lidar2pano.scene.depth import depth_code
-from lidar2pano.train.predictions import load_segmenter
 from lidar2pano.train.recipe import (
     NO_LIMIT,
     Network,
@@ -43,6 +42,7 @@ from lidar2pano.train.task import (
     build_networks,
     device_of,
     image_size,
+    load_segmenter,
     range_view_card,
     segmentation_scores,
 )

@@ -30,8 +30,7 @@ from lidar2pano.geometry.camera import at_camera, camera_in_panorama
 from lidar2pano.geometry.rasters import adjacent_rows
 from lidar2pano.hardware import Timer, fast_arithmetic
 from lidar2pano.models.autoencoder import FACTOR, Autoencoder
-from lidar2pano.models.latent_inputs import FOLD, conditions_of, mirrored
-from lidar2pano.models.latent_painter import STRIDE
+from lidar2pano.models.latent_painter import FOLD, STRIDE, conditions_of, mirrored
 from lidar2pano.pipeline import Pipeline
 from lidar2pano.scene.record import Scene
 from lidar2pano.train.painting_frames import kept_tensors, look_of, made_by

@@ -19,8 +19,7 @@ from lidar2pano.data.frames import evenly_spaced
 from lidar2pano.errors import InputError
 from lidar2pano.models.autoencoder import Autoencoder
 from lidar2pano.models.card import load
-from lidar2pano.models.latent_inputs import CLASSES, GEOMETRY, MEASUREMENT
-from lidar2pano.models.latent_painter import LatentPainter
+from lidar2pano.models.latent_painter import CLASSES, GEOMETRY, MEASUREMENT, LatentPainter
 from lidar2pano.pipeline import assemble, load_part, load_segmenter
 from lidar2pano.train.latent_frames import LatentFrames, LatentSample
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores

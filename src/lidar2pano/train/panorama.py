@@ -19,9 +19,8 @@ from lidar2pano.labels import COMMON15, SEMANTIC_KITTI
 from lidar2pano.losses import lovasz_softmax
 from lidar2pano.losses.supervised import class_weights, distillation, labelled_cross_entropy
 from lidar2pano.scene.depth import depth_code
-from lidar2pano.train.predictions import load_segmenter
 from lidar2pano.train.recipe import Network, Optimizer, Recipe, TaskOptions, Training, on_two_cores, vary
-from lidar2pano.train.task import Teacher, build_networks, device_of, segmentation_scores
+from lidar2pano.train.task import Teacher, build_networks, device_of, load_segmenter, segmentation_scores
 from lidar2pano.views import VIEWS
 
 

@@ -1,6 +1,7 @@
 """Times on this machine, warm: parts, each stage of the pipeline, several engines side by side, the street world.
 
-Engines take turns in one process: on a shared machine only ratios count.
+Engines take turns in one process: on a shared machine only ratios count. Tensor operations dispatched for
+one panorama are a count for all machines.
 """
 
 from __future__ import annotations
@@ -9,22 +10,27 @@ import math
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
+from lidar2pano.demo import street
 from lidar2pano.engines import accelerated, pick_engine
-from lidar2pano.geometry.knn import clean_up
 from lidar2pano.geometry.projection import Normalisation, project
-from lidar2pano.hardware import has_bfloat16, pick_device
+from lidar2pano.hardware import Timer, has_bfloat16, pick_device
 from lidar2pano.losses import lovasz_softmax
+from lidar2pano.memory import Memory
 from lidar2pano.models import build
 from lidar2pano.models.families import best_family, families
 from lidar2pano.pipeline import Pipeline, Segmenter, assemble, load, made_fast
+from lidar2pano.pipeline.segmenter import clean_up
+from lidar2pano.recordings.recorded_scans import read
 from lidar2pano.scan import Scan
 from lidar2pano.simulate.generation import SequenceWriter, generate
 from lidar2pano.simulate.settings import WorldSettings
@@ -42,6 +48,8 @@ WORLD_SEED, WORLD_PLACE = 5, "residential"
 WORLD_AIMS = {"scan": "< 150", "frame": "< 4000 on two cores"}
 WHOLE = "whole panorama"
 PUBLISHED = {"segment": "published 640", "clean_up": "published 70 to 90", "translate": "published 1140 (64 x 2048)"}
+BELIEF = ("project", "segment", "clean_up", "translate")  # stages that make a scene
+OUTSIDE = "outside of stages"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -263,3 +271,67 @@ def _times(work: Callable[[int], object], runs: int) -> list[float]:
 
 def _row(what: str, times: list[float], aim: str = "") -> Row:
     return Row(what=what, median_ms=round(statistics.median(times), 2), least_ms=round(min(times), 2), aim=aim)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Operations:
+    """Number of tensor operations of one stage."""
+
+    stage: str
+    operations: int
+
+
+class _Counter(TorchDispatchMode):
+    """Counts dispatched operations by the stage that is set."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stage, self.counts = OUTSIDE, dict[str, int]()
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:  # noqa: ANN401, ARG002
+        self.counts[self.stage] = self.counts.get(self.stage, 0) + 1
+        return func(*args, **(kwargs or {}))
+
+
+class _CountingTimer(Timer):
+    """A timer that tells a counter the stage."""
+
+    __slots__ = ("counter",)
+
+    def __init__(self, device: torch.device, counter: _Counter) -> None:
+        super().__init__(device)
+        self.counter = counter
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        previous, self.counter.stage = self.counter.stage, stage
+        with super().__call__(stage):
+            yield
+        self.counter.stage = previous
+
+
+def measure_operations(weights: str, device: str) -> list[Operations]:
+    """Count the operations of the demo scan's panorama by torch; weights "": untrained networks.
+
+    Raises InputError when weights or device cannot be had.
+    """
+    pipeline = load(weights, device, "torch") if weights else untrained(pick_device(device))
+    return count_operations(pipeline, read(street()))
+
+
+def count_operations(pipeline: Pipeline, scan: Scan) -> list[Operations]:
+    """Count the tensor operations that a panorama of a single scan dispatches: a row per stage, then the sum.
+
+    Views count, too. An engine other than torch computes a whole network in one operation or in none.
+    """
+    counter = _Counter()
+    with counter:
+        pipeline.step(Memory(), scan, None, _CountingTimer(pipeline.device, counter))
+    total = sum(counter.counts.values())
+    counts = {**counter.counts, WHOLE: total}
+    return [Operations(stage=stage, operations=count) for stage, count in counts.items()]
+
+
+def operations_table(rows: list[Operations]) -> str:
+    """Format the counts as Markdown, a line per stage."""
+    return markdown_table(["stage", "tensor operations"], ([row.stage, str(row.operations)] for row in rows))
